@@ -1,0 +1,1 @@
+"""Devices: codecs without I/O, thin ports, and simulated devices."""

@@ -1,0 +1,1 @@
+"""Stimulators: one codec and one thin port per device."""

@@ -1,0 +1,1 @@
+"""Simulated devices; each owns its end of the line."""

@@ -1,0 +1,1 @@
+"""From samples to orientation, rest, strides: the numbers behind every decision."""

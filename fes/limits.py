@@ -1,0 +1,42 @@
+"""The electrical and timing limits that no session can lift; number, unit and source side by side.
+
+The gate's last word. A session states its own, tighter limits (``fes.config.ChannelLimits``); where one is missing
+the session is refused.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+MAX_CURRENT_MA: Final = 130.0  # amplitude limit of RehaStim2, RehaMove3 and P24 (vendor protocol documents)
+MAX_PULSE_WIDTH_US: Final = 500.0  # RehaStim2's limit (ScienceMode2)
+MAX_FREQUENCY_HZ: Final = (
+    100.0  # gait FES uses 20–50 Hz; above 100 Hz contraction is fused, fatigue only grows
+)
+MAX_CHARGE_PER_PHASE_UC: Final = 65.0  # MAX_CURRENT_MA · MAX_PULSE_WIDTH_US
+MAX_CURRENT_DENSITY_MA_PER_CM2: Final = 2.0  # r.m.s.; IEC 60601-2-10 asks for the user's attention above it
+MAX_PULSE_ENERGY_MJ: Final = 300.0  # per pulse into 500 ohm; IEC 60601-2-10
+PULSE_ENERGY_LOAD_OHM: Final = 500.0
+MAX_ON_S: Final = 3.0  # a swing lasts about 0.5 s; no gait phase needs more
+MIN_OFF_S: Final = 0.05  # a burst that ends is over: no chatter
+MAX_RISE_MA_PER_S: Final = 2000.0  # 130 mA in 65 ms
+MAX_DATA_AGE_MS: Final = 40  # a decision from older samples is a decision about another moment
+MAX_VALIDITY_MS: Final = 60  # the device falls silent this long after the last good command
+
+
+def charge_per_phase_uc(current_ma: float, pulse_width_us: float) -> float:
+    """Charge of one phase of a rectangular pulse, in microcoulomb."""
+    return current_ma * pulse_width_us * 1e-3
+
+
+def current_density_ma_per_cm2(
+    current_ma: float, pulse_width_us: float, frequency_hz: float, electrode_area_cm2: float
+) -> float:
+    """R.m.s. current density under the electrode for a biphasic pulse: ``I·sqrt(2·pw·f) / area``."""
+    return current_ma * math.sqrt(2.0 * pulse_width_us * 1e-6 * frequency_hz) / electrode_area_cm2
+
+
+def pulse_energy_mj(current_ma: float, pulse_width_us: float) -> float:
+    """Energy of one biphasic pulse into the standard's 500 ohm load, in millijoule."""
+    return 2.0 * (current_ma * 1e-3) ** 2 * PULSE_ENERGY_LOAD_OHM * pulse_width_us * 1e-6 * 1e3

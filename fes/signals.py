@@ -1,0 +1,179 @@
+"""What flows through the controller: frozen values in SI units, no logic.
+
+Times are integer nanoseconds of one monotonic clock (the host's when live, the recording's in replay).
+Vectors are in the sensor's own frame unless the name says otherwise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray: TypeAlias = npt.NDArray[np.float64]
+IntArray: TypeAlias = npt.NDArray[np.int64]
+Vector3: TypeAlias = tuple[float, float, float]
+
+FOOT_SENSORS = ("left_foot", "right_foot")
+SHANK_SENSORS = ("left_shank", "right_shank")
+SENSORS = FOOT_SENSORS + SHANK_SENSORS
+
+G_MPS2 = 9.80665
+NS_PER_S = 1_000_000_000
+
+
+# --- events: all that can happen to the controller -------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """One sample of one sensor.
+
+    ``t_ns`` is when it reached the host, ``t_sensor_ns`` what the sensor's own clock said (mapped to the same
+    origin); ``acc_mps2`` is specific force (+9.81 along the upward axis at rest).
+    """
+
+    t_ns: int
+    sensor: str
+    t_sensor_ns: int
+    acc_mps2: Vector3
+    gyr_radps: Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """Time has passed and nothing came: silence is an event too."""
+
+    t_ns: int
+
+
+class OperatorAction(StrEnum):
+    """What a person can ask for."""
+
+    ARM = "arm"
+    DISARM = "disarm"
+    EMERGENCY_STOP = "emergency_stop"
+    SET_INTENSITY = "set_intensity"
+
+
+@dataclass(frozen=True, slots=True)
+class OperatorAct:
+    """A person acted; ``value`` is the intensity (0–1) for SET_INTENSITY and unused otherwise."""
+
+    t_ns: int
+    action: OperatorAction
+    value: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class StimStatus:
+    """The stimulator's answer to one command: what it delivers now.
+
+    ``counter`` echoes the command's counter (0–15). ``pulses`` and ``charge_uc`` count what the channel has
+    delivered since the device's previous status of that channel. ``fault`` is "" when all is well.
+    """
+
+    t_ns: int
+    channel: int
+    counter: int
+    on: bool
+    current_ma: float
+    pulse_width_us: float
+    frequency_hz: float
+    pulses: int = 0
+    charge_uc: float = 0.0
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class StimAlive:
+    """The stimulator's own heartbeat: ``boot_id`` changes when it restarts, ``fault`` is "" when all is well."""
+
+    t_ns: int
+    boot_id: int
+    rejected: int
+    fault: str = ""
+
+
+Event: TypeAlias = ImuSample | Tick | OperatorAct | StimStatus | StimAlive
+
+
+# --- stimulation -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class StimRequest:
+    """What the plan asks for one channel; off is its own request, not 0 mA."""
+
+    channel: int
+    on: bool
+    current_ma: float = 0.0
+    pulse_width_us: float = 0.0
+    frequency_hz: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class StimCommand:
+    """What the gate lets out for one channel.
+
+    ``validity_ms``: how long the device may act on it without a newer one. ``refused`` says in words why an
+    asked-for stimulation became off; "" when the request went through as it was.
+    """
+
+    t_ns: int
+    channel: int
+    on: bool
+    current_ma: float
+    pulse_width_us: float
+    frequency_hz: float
+    validity_ms: int
+    refused: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WireFrame:
+    """Bytes as they went onto the wire (CAN: identifier and payload)."""
+
+    t_ns: int
+    identifier: int
+    data: bytes
+
+
+# --- strides ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class StrideResult:
+    """One stride of one foot, from quietest instant to quietest instant of the stances around its swing.
+
+    Negård et al. (2005) call this a step; in today's terms it is a stride. Position is in a frame with z up
+    against gravity and x along the stride's own direction, origin at the start: ``trajectory_m`` (K, 3) and
+    ``pitch_rad`` (K,) (toe-up positive, 0 in the starting stance) at K equally spaced times from
+    ``t_start_ns`` to ``t_end_ns``. ``clearance_m`` is the sensor's greatest height above its start;
+    ``toe_clearance_m`` the least height of the toe in mid-swing and ``heel_clearance_m`` the heel's greatest
+    height, NaN unless the session says where the sensor sits. The ``t_*`` phase entries are None where the
+    stride did not pass that phase. ``valid`` is False, with ``reason``, where the numbers must not be used.
+    """
+
+    foot: str
+    number: int
+    t_start_ns: int
+    t_end_ns: int
+    stride_length_m: float
+    clearance_m: float
+    height_gained_m: float
+    turn_rad: float
+    speed_mps: float
+    t_pre_swing_ns: int | None
+    t_swing_ns: int | None
+    t_loading_response_ns: int | None
+    t_stance_ns: int | None
+    toe_clearance_m: float = float("nan")
+    heel_clearance_m: float = float("nan")
+    valid: bool = True
+    reason: str = ""
+    trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)
+    pitch_rad: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)

@@ -1,0 +1,1 @@
+"""The four gait phases and the six transitions between them."""
