@@ -84,9 +84,7 @@ class Channel(Settings):
         )
         for value, most, what, unit in checks:
             if value > most:
-                raise ValueError(
-                    f"{what} is {value:.4g} {unit}, over this channel's limit of {most:.4g} {unit}"
-                )
+                raise ValueError(f"{what} is {value:.4g} {unit}, over this channel's limit of {most:.4g} {unit}")
         if self.number in self.never_with:
             raise ValueError(f"never_with names the channel itself ({self.number})")
         if self.start_phase == self.stop_phase:
@@ -171,13 +169,9 @@ def load_session(path: Path) -> Session:
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise ConfigError(
-            f"{path}: cannot be read: {error.strerror}. Name an existing session file."
-        ) from error
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}. Name an existing session file.") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(
-            f"{path}: is not text (byte {error.start}). A session is a TOML file in UTF-8."
-        ) from error
+        raise ConfigError(f"{path}: is not text (byte {error.start}). A session is a TOML file in UTF-8.") from error
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
