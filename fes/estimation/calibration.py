@@ -1,0 +1,229 @@
+"""How the sensor sits and how this person moves, from a recording: gravity, biases, mediolateral axis, rest level.
+
+Nothing about the mounting is assumed. At rest the accelerometer shows which way is up; its magnitude there differs from
+gravity by a bias (a scale fits real sensors worse). Walking shows the mediolateral axis as the one that most of the
+rotation is about; which of its two directions is toe-down follows from where the foot travels: forward is where each
+swing carries it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from fes.estimation.kernel import FootParameters, lags_at
+from fes.estimation.rotation import from_gravity
+from fes.estimation.stride import integrate, orient
+from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
+from statemachine.guards import Thresholds
+
+QUIET_WINDOW_S = 0.1
+STANDING_S = 1.0
+STANDING_RATE_RADPS = 0.08  # standing still: no window of a second exceeds this spread
+MIN_STRIDES = 3
+MIN_TRAVEL_M = 0.15
+REST_PER_PEAK = 0.1  # the rest threshold as a share of the push-off's peak rate …
+REST_PER_FLOOR = 1.6  # … but this far above what the foot does at its quietest …
+REST_BOUNDS_RADPS = (0.4, 1.2)  # … and within these
+PUSH_OFF_SHARE = 0.4  # the least peak that counts as a push-off, as a share of this person's
+
+
+class CalibrationError(ValueError):
+    """The recording does not show what is needed; the message says what to record."""
+
+
+@dataclass(frozen=True, slots=True)
+class FootCalibration:
+    """What is known of one foot sensor; frames: ``toe_down`` and ``up`` are unit vectors in the sensor frame.
+
+    ``axis_confidence`` (0–1) is the share of the travel that agrees on which way the toe points. ``strides`` is how
+    many the result rests on, ``standing`` whether a still second was found (if not, the gyroscope's
+    bias is taken as zero and left to the orientation filter).
+    """
+
+    sensor: str
+    rate_hz: float
+    up: Vector3
+    toe_down: Vector3
+    acc_bias_mps2: Vector3
+    gyr_bias_radps: Vector3
+    rest_gyr_radps: float
+    min_toe_down_peak_radps: float
+    axis_confidence: float
+    strides: int
+    standing: bool
+
+    def parameters(self) -> FootParameters:
+        """For the compiled core."""
+        return FootParameters(
+            *self.toe_down, *self.acc_bias_mps2, *self.gyr_bias_radps, 1.0 / self.rate_hz, *lags_at(self.rate_hz)
+        )
+
+    def thresholds(self) -> Thresholds:
+        """The guards' thresholds for this person; all others at their defaults."""
+        return Thresholds(rest_gyr_radps=self.rest_gyr_radps, min_toe_down_peak_radps=self.min_toe_down_peak_radps)
+
+    def forward(self) -> FloatArray:
+        """Unit vector towards the toe in the sensor frame (3,): toe-down × up."""
+        return np.cross(np.array(self.toe_down), np.array(self.up))
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the session log."""
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> FootCalibration:
+        """Back from the session log."""
+        values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+        return FootCalibration(**values)
+
+
+def calibrate_foot(
+    sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray
+) -> FootCalibration:
+    """Find a foot sensor's calibration from a stretch with at least a few strides of walking forward.
+
+    Args:
+        sensor: its name, for messages.
+        rate_hz: nominal sampling rate.
+        t_ns: (N,) strictly increasing time stamps.
+        acc_mps2: (N, 3) specific force.
+        gyr_radps: (N, 3) angular rate.
+
+    Raises:
+        CalibrationError: too short, never at rest, too few strides, or the direction of travel is ambiguous.
+    """
+    window = max(round(QUIET_WINDOW_S * rate_hz), 2)
+    if len(t_ns) < 20 * window:
+        raise CalibrationError(
+            f"{sensor}: {len(t_ns) / rate_hz:.1f} s is too short to calibrate. Record a still second and five strides."
+        )
+    rate_bias, standing = _standing(rate_hz, acc_mps2, gyr_radps)
+    gyr = gyr_radps - rate_bias
+    energy = _moving_mean(np.einsum("ij,ij->i", gyr, gyr), window)
+    quiet = energy <= np.percentile(energy, 15)
+    rest_force = np.median(acc_mps2[quiet], axis=0)
+    rest_norm = float(np.median(np.linalg.norm(acc_mps2[quiet], axis=1)))
+    if not 0.7 * G_MPS2 < rest_norm < 1.3 * G_MPS2:
+        raise CalibrationError(
+            f"{sensor}: at its quietest the accelerometer reads {rest_norm:.2f} m/s² instead of about 9.81. "
+            "Check acc_unit, and that the foot rests at times."
+        )
+    up = rest_force / np.linalg.norm(rest_force)
+    acc = acc_mps2 - up * (rest_norm - G_MPS2)
+    swings = _movements(energy, rate_hz)
+    travel = [_travel(t_ns, acc, gyr, begin, end, window) for begin, end in swings]
+    walked = [(swing, d) for swing, d in zip(swings, travel, strict=True) if np.linalg.norm(d) > MIN_TRAVEL_M]
+    if len(walked) < MIN_STRIDES:
+        raise CalibrationError(
+            f"{sensor}: {len(walked)} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
+            "Record at least five strides of walking straight ahead."
+        )
+    axis = _mediolateral(gyr, [swing for swing, _ in walked], up)
+    forward = np.cross(axis, up)
+    along = np.array([float(d @ forward) for _, d in walked])
+    confidence = abs(along.sum()) / np.abs(along).sum()
+    if confidence < 0.6:
+        raise CalibrationError(
+            f"{sensor}: the strides do not agree on a direction of travel ({confidence:.0%}). Calibrate on a stretch "
+            "of walking straight ahead."
+        )
+    if along.sum() < 0:
+        axis = -axis
+    peak, floor = _levels(gyr @ axis, np.sqrt(energy), [swing for swing, _ in walked])
+    low, high = REST_BOUNDS_RADPS
+    return FootCalibration(
+        sensor=sensor,
+        rate_hz=rate_hz,
+        up=_vector(up),
+        toe_down=_vector(axis),
+        acc_bias_mps2=_vector(up * (rest_norm - G_MPS2)),
+        gyr_bias_radps=_vector(rate_bias),
+        rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
+        min_toe_down_peak_radps=float(PUSH_OFF_SHARE * peak),
+        axis_confidence=float(confidence),
+        strides=len(walked),
+        standing=standing,
+    )
+
+
+def _vector(v: FloatArray) -> Vector3:
+    return float(v[0]), float(v[1]), float(v[2])
+
+
+def _moving_mean(x: FloatArray, window: int) -> FloatArray:
+    """Centred mean over ``window`` samples, (N,) → (N,)."""
+    total = np.cumsum(np.concatenate(([0.0], x)))
+    index = np.arange(len(x))
+    begin = np.maximum(index - window // 2, 0)
+    end = np.minimum(index - window // 2 + window, len(x))
+    return np.asarray((total[end] - total[begin]) / (end - begin))
+
+
+def _standing(rate_hz: float, acc: FloatArray, gyr: FloatArray) -> tuple[FloatArray, bool]:
+    """Gyroscope bias from the stillest second, zero where nobody stood still."""
+    n = round(STANDING_S * rate_hz)
+    step = max(n // 4, 1)
+    best, bias = np.inf, np.zeros(3)
+    for begin in range(0, len(gyr) - n, step):
+        part = gyr[begin : begin + n]
+        spread = float(part.std(axis=0).max() + 0.1 * acc[begin : begin + n].std(axis=0).max())
+        if spread < best:
+            best, bias = spread, np.median(part, axis=0)
+    standing = best < STANDING_RATE_RADPS and float(np.linalg.norm(bias)) < 0.2
+    return (bias if standing else np.zeros(3)), standing
+
+
+def _movements(energy: FloatArray, rate_hz: float) -> list[tuple[int, int]]:
+    """Spans between quiet stretches that are as long as a swing with its push-off and contact: [begin, end)."""
+    level = 0.15 * np.sqrt(np.percentile(energy, 95))
+    moving = np.concatenate(([False], np.sqrt(energy) > level, [False]))
+    edges = np.flatnonzero(moving[1:] != moving[:-1])
+    spans = []
+    for begin, end in zip(edges[0::2], edges[1::2], strict=True):
+        if 0.3 * rate_hz <= end - begin <= 3.0 * rate_hz and begin > 0 and end < len(energy):
+            spans.append((int(begin), int(end)))
+    return spans
+
+
+def _travel(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, begin: int, end: int, window: int) -> FloatArray:
+    """Displacement over one movement, in the sensor frame of its beginning (3,)."""
+    first, last = max(begin - window, 0), min(end + window, len(t_ns))
+    t = np.ascontiguousarray(t_ns[first:last])
+    quaternions = np.empty((last - first, 4))
+    w, x, y, z = from_gravity(*acc[first : begin + 1].mean(axis=0))
+    fx, fy, fz = acc[end - 1 : last].mean(axis=0)
+    orient(t, gyr[first:last], np.array([w, x, y, z]), fx, fy, fz, 1.0, quaternions)
+    velocity, position, gamma = np.empty((last - first, 3)), np.empty((last - first, 3)), np.zeros((2, 3))
+    if not integrate(t, acc[first:last], quaternions, np.zeros(3), np.zeros(3), True, velocity, position, gamma):
+        return np.zeros(3)
+    d = position[-1]
+    v = np.array([x, y, z])
+    turned = d - 2.0 * w * np.cross(v, d) + 2.0 * np.cross(v, np.cross(v, d))
+    return np.asarray(turned)
+
+
+def _mediolateral(gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray) -> FloatArray:
+    """The horizontal axis that most of the strides' rotation is about, unit (3,), sign open."""
+    moment = np.zeros((3, 3))
+    for begin, end in spans:
+        moment += gyr[begin:end].T @ gyr[begin:end]
+    level = np.eye(3) - np.outer(up, up)
+    _, vectors = np.linalg.eigh(level @ moment @ level)
+    axis = vectors[:, -1]
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def _levels(toe_down: FloatArray, rate: FloatArray, spans: list[tuple[int, int]]) -> tuple[float, float]:
+    """Typical peak of the toe-down rate per stride, and the rate at the quietest instant between strides (rad/s)."""
+    peaks = [float(toe_down[begin:end].max()) for begin, end in spans]
+    floors = [float(rate[a[1] : b[0]].min()) for a, b in itertools.pairwise(spans) if b[0] - a[1] > 1]
+    return float(np.median(peaks)), float(np.median(floors)) if floors else 0.0
+
+
+def stretch_for_calibration(t_ns: IntArray, longest_s: float = 60.0) -> int:
+    """How many samples from the start to calibrate on: a minute, not the whole recording, as a live session would."""
+    return int(np.searchsorted(t_ns, t_ns[0] + int(longest_s * NS_PER_S), side="right"))

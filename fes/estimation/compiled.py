@@ -1,0 +1,49 @@
+"""``jit``: numba's compiler with a cache that cannot go stale.
+
+numba decides by a file's own time stamp whether its cached machine code is still good, and does not see a change in a
+function that the file calls. A guard edited in ``statemachine/guards.py`` would go on running in its old form. So the
+cache lives in a folder named by a digest of all the sources that get compiled together.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+import statemachine.guards
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _sources() -> list[Path]:
+    return [*sorted(Path(__file__).parent.glob("*.py")), Path(statemachine.guards.__file__)]
+
+
+def _cache_folder() -> Path:
+    digest = hashlib.sha256()
+    for source in _sources():
+        digest.update(source.read_bytes())
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    folder = base / "fes-gait" / digest.hexdigest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError:  # a read-only home: compile once per boot instead of once per version
+        folder = Path(tempfile.gettempdir()) / f"fes-gait-{os.getuid()}" / digest.hexdigest()[:16]
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    return folder
+
+
+setattr(numba.config, "CACHE_DIR", str(_cache_folder()))  # noqa: B010 - numba fills its config at run time
+
+
+def jit(function: Function) -> Function:
+    """Compile for plain numbers and arrays: cached on disk, IEEE arithmetic in the order written, no GIL held."""
+    return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True)(function))

@@ -1,0 +1,57 @@
+"""Quaternion arithmetic for compiled code: w, x, y, z; ``q`` rotates sensor vectors into the world (z up)."""
+
+from __future__ import annotations
+
+import math
+
+from fes.estimation.compiled import jit
+
+
+@jit
+def quaternion_step(
+    qw: float, qx: float, qy: float, qz: float, rx: float, ry: float, rz: float
+) -> tuple[float, float, float, float]:
+    """``q ⊗ exp(r/2)``: turn by the rotation vector ``r`` (rad) given in the sensor frame; normalised."""
+    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
+    half = 0.5 * angle
+    s = math.sin(half) / angle if angle > 1e-9 else 0.5
+    c = math.cos(half)
+    ax, ay, az = s * rx, s * ry, s * rz
+    w = qw * c - qx * ax - qy * ay - qz * az
+    x = qw * ax + qx * c + qy * az - qz * ay
+    y = qw * ay - qx * az + qy * c + qz * ax
+    z = qw * az + qx * ay - qy * ax + qz * c
+    n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    return w * n, x * n, y * n, z * n
+
+
+@jit
+def to_world(qw: float, qx: float, qy: float, qz: float, vx: float, vy: float, vz: float) -> tuple[float, float, float]:
+    """Rotate a sensor vector into the world."""
+    tx = 2.0 * (qy * vz - qz * vy)
+    ty = 2.0 * (qz * vx - qx * vz)
+    tz = 2.0 * (qx * vy - qy * vx)
+    return (
+        vx + qw * tx + qy * tz - qz * ty,
+        vy + qw * ty + qz * tx - qx * tz,
+        vz + qw * tz + qx * ty - qy * tx,
+    )
+
+
+@jit
+def to_sensor(
+    qw: float, qx: float, qy: float, qz: float, vx: float, vy: float, vz: float
+) -> tuple[float, float, float]:
+    """Rotate a world vector into the sensor frame."""
+    return to_world(qw, -qx, -qy, -qz, vx, vy, vz)
+
+
+@jit
+def from_gravity(fx: float, fy: float, fz: float) -> tuple[float, float, float, float]:
+    """The smallest rotation that brings the specific force ``f`` of a resting sensor onto the world's z axis."""
+    n = math.sqrt(fx * fx + fy * fy + fz * fz)
+    ux, uy, uz = fx / n, fy / n, fz / n
+    if uz < -0.999999:
+        return 0.0, 1.0, 0.0, 0.0
+    w = math.sqrt(0.5 * (1.0 + uz))
+    return w, 0.5 * uy / w, -0.5 * ux / w, 0.0

@@ -1,0 +1,262 @@
+"""From one foot's history to stride results: where a stride begins and ends, and what its numbers are.
+
+Negård et al. (2005) integrate "from the beginning to the end of every step" and note that the foot is never wholly at
+rest. Here the ends are the quietest tenths of a second of the stances around the swing, not the instants at which rest
+happened to be detected, and the velocity there is that of a foot turning about its ground contact.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fes.config import FootGeometry
+from fes.estimation.stride import integrate, orient
+from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+from statemachine.phases import Phase, PhaseChange
+
+QUIET_WINDOW_S = 0.1
+STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
+STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
+SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
+END_TILT_GAIN = 0.15
+TRAJECTORY_POINTS = 101
+DURATION_S = (0.4, 5.0)
+LONGEST_GAP_S = 0.04
+MOST_TILT_RAD = math.radians(30)
+LONGEST_STRIDE_M = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class StrideSettings:
+    """How strides of one foot are integrated.
+
+    ``sensor_height_m``: height of the sensor above the ground contact; the end velocity is ``w × height``.
+    ``equal_height``: off on stairs and slopes. ``forward``: unit vector towards the toe in the sensor frame (3,).
+    """
+
+    forward: FloatArray
+    up: FloatArray
+    sensor_height_m: float = SENSOR_HEIGHT_M
+    equal_height: bool = True
+    geometry: FootGeometry | None = None
+
+
+class StrideMaker:
+    """Follows the phases of one foot and closes a stride when the stance after its swing is over, or a second old."""
+
+    def __init__(self, foot: str, settings: StrideSettings) -> None:
+        self.foot = foot
+        self.due_ns: int | None = None  # the stride under way is closed at this time at the latest
+        self._settings = settings
+        self._number = 0
+        self._start_ns: int | None = None
+        self._stance_ns = 0
+        self._times: dict[Phase, int] = {}
+
+    def restart(self, t_ns: int) -> None:
+        """Data were lost: forget the stride under way; stance from now on."""
+        self.due_ns = None
+        self._start_ns = None
+        self._stance_ns = t_ns
+        self._times = {}
+
+    def on_phase(self, change: PhaseChange) -> None:
+        """Note a phase change (after :meth:`leave_stance` for T1)."""
+        if change.destination is Phase.STANCE:
+            self._stance_ns = change.t_ns
+            if Phase.SWING in self._times:
+                self._times[Phase.STANCE] = change.t_ns
+                self.due_ns = change.t_ns + int(STANCE_SEARCH_S * NS_PER_S)
+            else:  # the heel was lifted and put back: no stride
+                self._times = {}
+        else:
+            self._times[change.destination] = change.t_ns
+
+    def leave_stance(
+        self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray
+    ) -> StrideResult | None:
+        """T1: close the stride that this stance ended, and begin the next at the stance's quietest instant.
+
+        History up to now: ``t_ns`` (N,); ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s, free of bias; ``quaternion``
+        (N, 4).
+        """
+        result = self.close(t_ns, acc, gyr, quaternion) if self.due_ns is not None else None
+        now = int(t_ns[-1])
+        earliest = max(self._stance_ns - int(STANCE_LEAD_S * NS_PER_S), now - int(STANCE_SEARCH_S * NS_PER_S))
+        self._start_ns = int(t_ns[_quietest(t_ns, gyr, earliest, now)])
+        self._times = {}
+        return result
+
+    def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
+        """Solve the stride that ended with this stance; arguments as for :meth:`leave_stance`."""
+        times, self._times, self.due_ns = self._times, {}, None
+        start_ns, self._start_ns = self._start_ns, None
+        if start_ns is None or Phase.STANCE not in times:
+            return None
+        earliest = self._stance_ns - int(STANCE_LEAD_S * NS_PER_S)
+        latest = min(int(t_ns[-1]), self._stance_ns + int(STANCE_SEARCH_S * NS_PER_S))
+        last = _quietest(t_ns, gyr, earliest, latest)
+        first = int(np.searchsorted(t_ns, start_ns))
+        self._number += 1
+        if first >= last or t_ns[first] != start_ns:
+            return _unusable(self.foot, self._number, start_ns, int(t_ns[last]), times, "longer than the history kept")
+        return solve_stride(
+            self.foot, self._number, times, first, last, t_ns, acc, gyr, quaternion[first], self._settings
+        )
+
+
+def _quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) -> int:
+    """Index of the middle of the tenth of a second with the least gyroscope energy between two times."""
+    begin = int(np.searchsorted(t_ns, earliest_ns))
+    end = int(np.searchsorted(t_ns, latest_ns, side="right"))
+    part = gyr[begin:end]
+    if len(part) < 3:
+        return min(begin, len(t_ns) - 1)
+    period_s = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
+    window = min(max(round(QUIET_WINDOW_S / period_s), 1), len(part))
+    energy = np.cumsum(np.concatenate(([0.0], np.einsum("ij,ij->i", part, part))))
+    return int(begin + np.argmin(energy[window:] - energy[:-window]) + window // 2)
+
+
+def solve_stride(
+    foot: str,
+    number: int,
+    times: dict[Phase, int],
+    first: int,
+    last: int,
+    t_ns: IntArray,
+    acc: FloatArray,
+    gyr: FloatArray,
+    start_quaternion: FloatArray,
+    settings: StrideSettings,
+) -> StrideResult:
+    """Integrate the samples ``first`` … ``last`` of a history into a stride's numbers.
+
+    ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s free of bias; ``start_quaternion`` (4,) the orientation at ``first``;
+    ``times`` the entries into the phases. Source: Negård et al. (2005), Eq. (14)–(20), see ``fes.estimation.stride``.
+    """
+    span = slice(first, last + 1)
+    t, f, w = t_ns[span], acc[span], gyr[span]
+    n = last + 1 - first
+    start_ns, end_ns = int(t[0]), int(t[-1])
+    duration_s = 1e-9 * (end_ns - start_ns)
+    gap_s = 1e-9 * float(np.diff(t).max()) if n > 1 else math.inf
+    if n < 10 or not DURATION_S[0] <= duration_s <= DURATION_S[1]:
+        return _unusable(foot, number, start_ns, end_ns, times, f"lasts {duration_s:.2f} s")
+    if gap_s > max(LONGEST_GAP_S, 3.5e-9 * float(np.median(np.diff(t)))):
+        return _unusable(foot, number, start_ns, end_ns, times, f"samples missing for {1e3 * gap_s:.0f} ms")
+    around = max(round(0.03 * (n - 1) / duration_s), 1)
+    fx, fy, fz = acc[max(last - around, 0) : last + around + 1].mean(axis=0)
+    quaternion = np.empty((n, 4))
+    tilt = orient(t, w, start_quaternion, fx, fy, fz, END_TILT_GAIN, quaternion)
+    lever = np.array([0.0, 0.0, settings.sensor_height_m])
+    end_rates = (gyr[max(k - around, 0) : k + around + 1].mean(axis=0) for k in (first, last))
+    start_velocity, end_velocity = (
+        np.cross(rotate(quaternion[k], rate), lever) for k, rate in zip((0, -1), end_rates, strict=True)
+    )
+    velocity, position, gamma = np.empty((n, 3)), np.empty((n, 3)), np.empty((2, 3))
+    solved = integrate(t, f, quaternion, start_velocity, end_velocity, settings.equal_height, velocity, position, gamma)
+    length = float(np.hypot(position[-1, 0], position[-1, 1]))
+    reason = ""
+    if not solved:
+        reason = "the constraints cannot be met"
+    elif tilt > MOST_TILT_RAD:
+        reason = f"the orientation is {math.degrees(tilt):.0f}° off at its end"
+    elif not length <= LONGEST_STRIDE_M:
+        reason = f"{length:.2f} m is no stride length"
+    if reason:
+        return _unusable(foot, number, start_ns, end_ns, times, reason)
+
+    forward = rotate_all(quaternion, settings.forward)
+    direction = position[-1, :2] / length if length > 0.05 else forward[0, :2] / np.hypot(*forward[0, :2])
+    walking = np.column_stack(
+        (position[:, :2] @ direction, position[:, :2] @ np.array([-direction[1], direction[0]]), position[:, 2])
+    )
+    pitch = np.arcsin(np.clip(forward[:, 2], -1.0, 1.0))
+    heading = np.arctan2(forward[[0, -1], 1], forward[[0, -1], 0])
+    turn = (heading[1] - heading[0] + math.pi) % (2.0 * math.pi) - math.pi
+    toe_clearance, heel_clearance = _toe_and_heel(t, times, quaternion, position, forward, settings)
+    at = np.linspace(start_ns, end_ns, TRAJECTORY_POINTS)
+    return StrideResult(
+        foot=foot,
+        number=number,
+        t_start_ns=start_ns,
+        t_end_ns=end_ns,
+        stride_length_m=length,
+        clearance_m=float(position[:, 2].max()),
+        height_gained_m=float(position[-1, 2]),
+        turn_rad=float(turn),
+        speed_mps=length / duration_s,
+        t_pre_swing_ns=times.get(Phase.PRE_SWING),
+        t_swing_ns=times.get(Phase.SWING),
+        t_loading_response_ns=times.get(Phase.LOADING_RESPONSE),
+        t_stance_ns=times.get(Phase.STANCE),
+        toe_clearance_m=toe_clearance,
+        heel_clearance_m=heel_clearance,
+        trajectory_m=np.column_stack([np.interp(at, t, walking[:, k]) for k in range(3)]),
+        pitch_rad=np.interp(at, t, pitch - pitch[0]),
+    )
+
+
+def _toe_and_heel(
+    t_ns: IntArray,
+    times: dict[Phase, int],
+    quaternion: FloatArray,
+    position: FloatArray,
+    forward: FloatArray,
+    settings: StrideSettings,
+) -> tuple[float, float]:
+    """Least height of the toe in mid-swing and greatest of the heel, above the starting stance (m); NaN if unknown.
+
+    Mid-swing is the middle of the time from foot off to contact: the toe leaves the ground and, after its first peak,
+    passes low once more before it rises for the contact.
+    """
+    geometry = settings.geometry
+    if geometry is None:
+        return math.nan, math.nan
+    upward = rotate_all(quaternion, settings.up)[:, 2]
+    toe = position[:, 2] + geometry.toe_forward_m * forward[:, 2] + geometry.toe_up_m * upward
+    heel = position[:, 2] + geometry.heel_forward_m * forward[:, 2] + geometry.heel_up_m * upward
+    begin = times.get(Phase.SWING)
+    end = times.get(Phase.LOADING_RESPONSE) or times.get(Phase.STANCE)
+    heel_clearance = float((heel - heel[0]).max())
+    if begin is None or end is None:
+        return math.nan, heel_clearance
+    i, j = np.searchsorted(t_ns, (begin + 0.25 * (end - begin), begin + 0.8 * (end - begin)))
+    return (float((toe - toe[0])[i:j].min()) if j > i else math.nan), heel_clearance
+
+
+def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
+    """Rotate the vector (3,) from the sensor into the world by the quaternion (4,)."""
+    t = 2.0 * np.cross(q[1:], v)
+    return np.asarray(v + q[0] * t + np.cross(q[1:], t))
+
+
+def rotate_all(quaternion: FloatArray, v: FloatArray) -> FloatArray:
+    """Rotate one sensor vector (3,) by each quaternion (N, 4): (N, 3) in the world."""
+    axis = quaternion[:, 1:]
+    t = 2.0 * np.cross(axis, v)
+    return np.asarray(v + quaternion[:, :1] * t + np.cross(axis, t))
+
+
+def _unusable(foot: str, number: int, start_ns: int, end_ns: int, times: dict[Phase, int], reason: str) -> StrideResult:
+    return StrideResult(
+        foot=foot,
+        number=number,
+        t_start_ns=start_ns,
+        t_end_ns=end_ns,
+        stride_length_m=math.nan,
+        clearance_m=math.nan,
+        height_gained_m=math.nan,
+        turn_rad=math.nan,
+        speed_mps=math.nan,
+        t_pre_swing_ns=times.get(Phase.PRE_SWING),
+        t_swing_ns=times.get(Phase.SWING),
+        t_loading_response_ns=times.get(Phase.LOADING_RESPONSE),
+        t_stance_ns=times.get(Phase.STANCE),
+        valid=False,
+        reason=reason,
+    )

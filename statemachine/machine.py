@@ -1,0 +1,73 @@
+"""The table in ``transitions``: the one holder of a foot's gait phase."""
+
+from __future__ import annotations
+
+from transitions import Machine
+
+from statemachine.guards import Features, Thresholds
+from statemachine.phases import Phase, PhaseChange, Transition
+from statemachine.table import TABLE
+
+
+class GuardDisagreement(RuntimeError):
+    """The compiled core says a transition fired, but the table refuses it: the build is broken, stop."""
+
+
+class GaitPhaseMachine:
+    """Gait phase of one foot.
+
+    ``transitions`` is asked only when a guard has fired; it checks the guard again from the features, so the table
+    stays the single truth about which phase may follow which.
+    """
+
+    def __init__(self, foot: str) -> None:
+        self.foot = foot
+        self._model = _Model()
+        self._machine = Machine(
+            model=self._model,
+            states=[phase.name for phase in Phase],
+            transitions=[
+                {
+                    "trigger": row.transition.name,
+                    "source": row.source.name,
+                    "dest": row.destination.name,
+                    "conditions": row.guard,
+                }
+                for row in TABLE
+            ],
+            initial=Phase.STANCE.name,
+            auto_transitions=False,
+            send_event=False,
+        )
+
+    @property
+    def phase(self) -> Phase:
+        """The phase now."""
+        return Phase[self._model.state]
+
+    def fire(self, transition: Transition, t_ns: int, x: Features, p: Thresholds) -> PhaseChange:
+        """Go through one transition.
+
+        Raises:
+            GuardDisagreement: the table does not allow it from the present phase with these features.
+        """
+        source = self.phase
+        try:
+            done = self._machine.events[transition.name].trigger(self._model, x, p)
+        except Exception as error:
+            raise GuardDisagreement(f"{transition.name} from {source.name} of {self.foot}: {error}") from error
+        if not done:
+            raise GuardDisagreement(f"{transition.name} from {source.name} of {self.foot}: guard refuses {x}")
+        return PhaseChange(t_ns, self.foot, transition, source, self.phase)
+
+    def restart(self, t_ns: int) -> PhaseChange:
+        """Begin anew in stance after a gap in the data; reported as a change without a transition."""
+        source = self.phase
+        self._machine.set_state(Phase.STANCE.name, model=self._model)
+        return PhaseChange(t_ns, self.foot, Transition.NONE, source, Phase.STANCE)
+
+
+class _Model:
+    """What ``transitions`` hangs its state on."""
+
+    state: str = Phase.STANCE.name
