@@ -24,9 +24,9 @@ class ConfigError(ValueError):
 
 
 class Settings(BaseModel):
-    """Base of all settings: frozen, and an unknown key is an error, not a silent typo."""
+    """Base of all settings: frozen; an unknown key is an error, not a silent typo, and so is ``"3"`` for a number."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
 
 class ChannelLimits(Settings):
@@ -64,7 +64,7 @@ class Channel(Settings):
     rise_s: float = Field(default=0.15, gt=0, le=1.0)
     extension_s: float = Field(default=0.06, ge=0, le=0.5)
     fall_s: float = Field(default=0.10, ge=0, le=1.0)
-    never_with: tuple[int, ...] = ()
+    never_with: tuple[int, ...] = Field(default=(), strict=False)  # TOML has lists, no tuples
     limits: ChannelLimits
 
     @model_validator(mode="after")
@@ -142,7 +142,7 @@ class Session(Settings):
     name: str = Field(min_length=1, max_length=120)
     subject: str = ""
     stimulation: Stimulation = Stimulation()
-    channels: tuple[Channel, ...] = ()
+    channels: tuple[Channel, ...] = Field(default=(), strict=False)
     bus: Bus = Bus()
     treadmill: Treadmill | None = None
     geometry: dict[Foot, FootGeometry] = Field(default_factory=dict)
@@ -167,7 +167,7 @@ def load_session(path: Path) -> Session:
             listed with its line, key, value and what would be right.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # some editors put a mark in front
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}. Name an existing session file.") from error
     except UnicodeDecodeError as error:
@@ -193,38 +193,72 @@ def validate_session(data: dict[str, Any], path: Path, text: str = "") -> Sessio
 
 def explain(error: ValidationError, path: Path, text: str) -> str:
     """Put a pydantic error into lines of ``file:line: key = value: what is allowed``."""
-    lines = []
+    lines_of = _lines_of(text)
+    said = []
     for fault in error.errors(include_url=False):
-        location = fault["loc"]
-        key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
-        line = _line_of(text, location)
+        location = tuple(part for part in fault["loc"] if part != "[key]")
         message = fault["msg"].removeprefix("Value error, ")
-        if fault["type"] == "missing":
+        if location[:2] == ("bus", "options"):  # one fault per type that it might have been
+            location, message = location[:3], "Input should be text, a number, true or false"
+        elif fault["type"] == "missing":
             message = "is required and missing"
         elif fault["type"] == "extra_forbidden":
-            message = "is not a setting; check the spelling"
+            message = f"is not a setting; allowed are {', '.join(_settings_beside(location))}"
+        key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
         value = fault.get("input")
-        shown = f" = {value!r}" if isinstance(value, (str, int, float, bool)) else ""
+        shown = f" = {value!r:.80}" if isinstance(value, (str, int, float, list)) else ""
+        line = next((lines_of[location[:n]] for n in range(len(location), 0, -1) if location[:n] in lines_of), 0)
         place = f"{path}:{line}" if line else f"{path}"
-        lines.append(f"{place}: {key or 'session'}{shown}: {message}")
-    return "\n".join(lines)
+        said.append(f"{place}: {key or 'session'}{shown}: {message}")
+    return "\n".join(dict.fromkeys(said))
 
 
-def _line_of(text: str, location: tuple[int | str, ...]) -> int:
-    """Best guess at the 1-based line of a key: the nth table header of its path, then the key below it."""
-    lines = text.splitlines()
-    at = 0
-    found = 0
-    for position, part in enumerate(location):
-        if isinstance(part, int):
+_TABLES: dict[tuple[str, ...], type[Settings]] = {
+    (): Session,
+    ("stimulation",): Stimulation,
+    ("channels",): Channel,
+    ("channels", "limits"): ChannelLimits,
+    ("bus",): Bus,
+    ("treadmill",): Treadmill,
+    ("geometry",): FootGeometry,
+}
+
+
+def _settings_beside(location: tuple[int | str, ...]) -> list[str]:
+    """The names allowed in the table that this key was found in."""
+    names = tuple(part for part in location[:-1] if isinstance(part, str))
+    return list(_TABLES[names[:1] if names[:1] == ("geometry",) else names].model_fields)
+
+
+_HEADER = re.compile(r"\s*(\[\[?)([^\[\]]+)\]")
+_KEY = re.compile(r"\s*([\w.\"'-]+)\s*=")
+
+
+def _lines_of(text: str) -> dict[tuple[int | str, ...], int]:
+    """1-based line of every table header and of every key that begins a line, by its place in the parsed data."""
+    lines_of: dict[tuple[int | str, ...], int] = {}
+    entries: dict[tuple[int | str, ...], int] = {}  # so far, of each array of tables
+    table: tuple[int | str, ...] = ()
+    in_string = False
+    for number, line in enumerate(text.split("\n"), start=1):
+        inside, in_string = in_string, in_string ^ bool((line.count('"""') + line.count("'''")) % 2)
+        if inside:
             continue
-        index = location[position + 1] if position + 1 < len(location) else 0
-        nth = index if isinstance(index, int) else 0
-        pattern = re.compile(rf"^\s*(\[+[\w.\"]*\b{re.escape(part)}\]+|{re.escape(part)}\s*=)")
-        for number in range(at, len(lines)):
-            if pattern.match(lines[number]):
-                if nth == 0:
-                    found, at = number + 1, number + 1
-                    break
-                nth -= 1
-    return found
+        if header := _HEADER.match(line):
+            table = ()
+            *parents, last = _parts(header[2])
+            for name in parents:
+                table += (name,)
+                table += (entries[table] - 1,) if table in entries else ()
+            table += (last,)
+            if header[1] == "[[":
+                entries[table] = entries.get(table, 0) + 1
+                table += (entries[table] - 1,)
+            lines_of.setdefault(table, number)
+        elif key := _KEY.match(line):
+            lines_of.setdefault(table + _parts(key[1]), number)
+    return lines_of
+
+
+def _parts(dotted: str) -> tuple[str, ...]:
+    return tuple(part.strip().strip("\"'") for part in dotted.split("."))

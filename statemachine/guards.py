@@ -17,6 +17,8 @@ class Features(NamedTuple):
     ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive. ``toe_down_peak_radps`` is the
     greatest toe-down rate since pre-swing began and ``toe_up_peak_radps`` the greatest toe-up rate since swing began
     (both not negative). ``vertical_jump_mps3`` is the change of vertical acceleration over the last 10 ms, per second.
+    ``resting_s`` is how
+    long neither sensor has seen movement.
     """
 
     a_rest: bool
@@ -27,6 +29,7 @@ class Features(NamedTuple):
     toe_up_peak_radps: float
     vertical_jump_mps3: float
     in_phase_s: float
+    resting_s: float
 
 
 class Thresholds(NamedTuple):
@@ -35,8 +38,12 @@ class Thresholds(NamedTuple):
     rest_gyr_radps: float = 0.7  # T1, T4–T6: at rest below (METHODS: 0.7 passes 98 % of strides as a constant)
     min_toe_down_peak_radps: float = 0.8  # T2: no push-off has been seen below this rate
     rest_acc_mps2: float = 1.2  # T1, T4–T6: at rest while |f| is this close to gravity
-    turned_acc_mps2: float = 1.5  # T1: moving once f has turned this far from its mean in this stance
-    leave_factor: float = 1.8  # T1: a resting sensor counts as moving only above the rest limits times this
+    turned_acc_mps2: float = 1.0  # T1: moving once f has turned this far from its mean in this stance
+    leave_gyr: float = 1.8  # T1: a resting gyroscope counts as moving only above its limit times this
+    leave_acc: float = 1.8  # T1: the same of the accelerometer, which every jolt of the floor shakes
+    still_speed_mps: float = 0.25  # T4–T6: at rest only below this dead-reckoned speed …
+    still_speed_share: float = 0.35  # … or below this share of the swing's greatest …
+    long_rest_s: float = 0.3  # … or after being still for this long
     rest_hold_s: float = 0.03  # T4–T6: at rest for this long, so that a zero crossing is no rest
     push_off_drop: float = 0.05  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
     contact_jump_mps3: float = 600.0  # T3: jump of vertical acceleration
@@ -44,6 +51,7 @@ class Thresholds(NamedTuple):
     mid_swing_share: float = 0.25  # T3: mid-swing's toe-up rate is at least this share of push-off's toe-down rate
     rising_share: float = 0.3  # T3: the toe-up rate has fallen to this share of its peak: mid-swing is over
     late_swing_s: float = 0.45  # T3: from then on, with no mid-swing peak to wait for (a dragged foot)
+    soft_contact_rest_s: float = 0.15  # T6: a swinging foot may seem to rest for a tenth of a second before it lands
     still_change_radps2: float = 15.0  # T6: d1 of the paper
     still_rate_radps: float = 0.5  # T6: d2 of the paper
 
@@ -96,10 +104,14 @@ def t5(x: Features, p: Thresholds) -> bool:
 
 
 def t6(x: Features, p: Thresholds) -> bool:
-    """Swing → stance: at rest without a contact having been seen."""
+    """Swing → stance: at rest without a contact having been seen.
+
+    The paper asks for no duration; a slow swing comes to a halt above the ground before it lands, so rest must last.
+    """
     return (
         x.a_rest
         and x.g_rest
         and abs(x.toe_down_change_radps2) < p.still_change_radps2
         and abs(x.toe_down_radps) < p.still_rate_radps
+        and x.resting_s >= p.soft_contact_rest_s
     )

@@ -27,7 +27,10 @@ MIN_STRIDES = 3
 MIN_TRAVEL_M = 0.15
 REST_PER_PEAK = 0.1  # the rest threshold as a share of the push-off's peak rate …
 REST_PER_FLOOR = 1.6  # … but this far above what the foot does at its quietest …
-REST_BOUNDS_RADPS = (0.4, 1.2)  # … and within these
+REST_BOUNDS_RADPS = (0.25, 1.2)  # … and within these
+SHORTEST_STRIDE_S = 0.5
+REST_HOLD_PER_STRIDE = 0.045  # of what a stride takes longer than the shortest: 0.03 s at 1 s, 0.09 s at 2 s
+REST_HOLD_BOUNDS_S = (0.03, 0.1)
 PUSH_OFF_SHARE = 0.4  # the least peak that counts as a push-off, as a share of this person's
 
 
@@ -52,6 +55,7 @@ class FootCalibration:
     gyr_bias_radps: Vector3
     rest_gyr_radps: float
     min_toe_down_peak_radps: float
+    rest_hold_s: float
     axis_confidence: float
     strides: int
     standing: bool
@@ -64,7 +68,11 @@ class FootCalibration:
 
     def thresholds(self) -> Thresholds:
         """The guards' thresholds for this person; all others at their defaults."""
-        return Thresholds(rest_gyr_radps=self.rest_gyr_radps, min_toe_down_peak_radps=self.min_toe_down_peak_radps)
+        return Thresholds(
+            rest_gyr_radps=self.rest_gyr_radps,
+            min_toe_down_peak_radps=self.min_toe_down_peak_radps,
+            rest_hold_s=self.rest_hold_s,
+        )
 
     def forward(self) -> FloatArray:
         """Unit vector towards the toe in the sensor frame (3,): toe-down × up."""
@@ -144,6 +152,7 @@ def calibrate_foot(
         gyr_bias_radps=_vector(rate_bias),
         rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
         min_toe_down_peak_radps=float(PUSH_OFF_SHARE * peak),
+        rest_hold_s=_rest_hold_s([1e-9 * float(t_ns[begin]) for (begin, _), _ in walked]),
         axis_confidence=float(confidence),
         strides=len(walked),
         standing=standing,
@@ -222,6 +231,14 @@ def _levels(toe_down: FloatArray, rate: FloatArray, spans: list[tuple[int, int]]
     peaks = [float(toe_down[begin:end].max()) for begin, end in spans]
     floors = [float(rate[a[1] : b[0]].min()) for a, b in itertools.pairwise(spans) if b[0] - a[1] > 1]
     return float(np.median(peaks)), float(np.median(floors)) if floors else 0.0
+
+
+def _rest_hold_s(starts_s: list[float]) -> float:
+    """How long rest must last to count: slow walkers pause between contact and foot flat, fast ones hardly rest."""
+    between = np.diff(starts_s)
+    stride_s = float(np.median(between[between < 4.0])) if np.any(between < 4.0) else 1.0
+    low, high = REST_HOLD_BOUNDS_S
+    return min(max(REST_HOLD_PER_STRIDE * (stride_s - SHORTEST_STRIDE_S), low), high)
 
 
 def stretch_for_calibration(t_ns: IntArray, longest_s: float = 60.0) -> int:

@@ -7,7 +7,7 @@ blocks are cut.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -34,6 +34,10 @@ class SampleCounts:
     doubled_or_backward: int = 0
     not_finite: int = 0
     restarts: int = 0
+
+    def to_dict(self) -> dict[str, int]:
+        """For the session log."""
+        return asdict(self)
 
 
 class FootTracker:

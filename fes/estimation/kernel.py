@@ -34,7 +34,10 @@ STATE = np.dtype(
         ("covariance", np.float64, (6, 6)),
         ("scratch", np.float64, (6, 12)),
         ("rate_radps", np.float64, 3),  # bias-free, of the last sample
-        ("stance_force", np.float64, 3),  # running mean of the specific force in this stance
+        ("stance_force", np.float64, 3),  # running mean of the specific force in the last stance
+        ("acceleration", np.float64, 3),  # in the world, free of gravity, of the last sample
+        ("velocity", np.float64, 3),  # dead-reckoned since the last rest in stance
+        ("peak_speed", np.float64),
         ("vertical_mps2", np.float64, LAGS),  # rings of the last samples
         ("toe_down", np.float64, LAGS),
         ("toe_down_peak", np.float64),
@@ -118,6 +121,10 @@ def start(s: Any, t_ns: int, fx: float, fy: float, fz: float, settings: Orientat
     s.g_rest = True
     s.toe_down_peak = 0.0
     s.toe_up_peak = 0.0
+    s.peak_speed = 0.0
+    for j in range(3):
+        s.velocity[j] = 0.0
+        s.acceleration[j] = 0.0
     s.stance_force[0], s.stance_force[1], s.stance_force[2] = fx, fy, fz
 
 
@@ -133,6 +140,7 @@ def features(s: Any) -> Features:
         s.toe_up_peak,
         s.vertical_jump,
         1e-9 * (s.t_ns - s.phase_since_ns),
+        1e-9 * (s.t_ns - max(s.a_moving_ns, s.g_moving_ns)),
     )
 
 
@@ -169,7 +177,7 @@ def advance(
         s.rate_radps[0], s.rate_radps[1], s.rate_radps[2] = wx, wy, wz
         s.t_ns = t_ns[i]
         s.samples += 1
-        _observe(s, p, thresholds, fx, fy, fz, wx, wy, wz)
+        _observe(s, p, thresholds, fx, fy, fz, wx, wy, wz, dt_s)
         resting = s.a_rest and s.g_rest
         if s.phase == 0 and resting and dt_s > 0.0:
             correct_by_gravity(s.quaternion, s.bias_radps, s.covariance, s.scratch, fx, fy, fz, dt_s, settings)
@@ -205,6 +213,7 @@ def _observe(
     wx: float,
     wy: float,
     wz: float,
+    dt_s: float,
 ) -> None:
     """Turn one bias-free sample into the features that the guards look at."""
     now = s.samples % LAGS
@@ -215,26 +224,37 @@ def _observe(
     s.toe_down_peak = max(s.toe_down_peak, toe_down)
     s.toe_up_peak = max(s.toe_up_peak, -toe_down)
 
+    resting_before = s.phase == 0 and s.a_rest and s.g_rest
+    speed = _dead_reckon(s, dt_s, fx, fy, fz, resting_before)
+
     # what rests counts as moving only above the higher limit, what moves as resting only below the lower
     excess = abs(math.sqrt(fx * fx + fy * fy + fz * fz) - G_MPS2)
+    mx, my, mz = s.stance_force[0], s.stance_force[1], s.stance_force[2]
+    turned2 = (fx - mx) * (fx - mx) + (fy - my) * (fy - my) + (fz - mz) * (fz - mz)
+    turned = turned2 >= thresholds.turned_acc_mps2 * thresholds.turned_acc_mps2
     if s.phase == 0:
-        mx, my, mz = s.stance_force[0], s.stance_force[1], s.stance_force[2]
-        turned2 = (fx - mx) * (fx - mx) + (fy - my) * (fy - my) + (fz - mz) * (fz - mz)
-        if turned2 >= thresholds.turned_acc_mps2 * thresholds.turned_acc_mps2:
+        if turned:
             s.a_moving_ns = s.t_ns
-        follow = min(p.sample_s / STANCE_MEAN_S, 1.0)
+        follow = min(p.sample_s / STANCE_MEAN_S, 1.0) if s.g_rest else 0.0
         s.stance_force[0] = mx + follow * (fx - mx)
         s.stance_force[1] = my + follow * (fy - my)
         s.stance_force[2] = mz + follow * (fz - mz)
-    if excess >= thresholds.rest_acc_mps2 * (thresholds.leave_factor if s.a_rest else 1.0):
+    if excess >= thresholds.rest_acc_mps2 * (thresholds.leave_acc if s.a_rest else 1.0):
         s.a_moving_ns = s.t_ns
-    limit = thresholds.rest_gyr_radps * (thresholds.leave_factor if s.g_rest else 1.0)
+    limit = thresholds.rest_gyr_radps * (thresholds.leave_gyr if s.g_rest else 1.0)
     if wx * wx + wy * wy + wz * wz >= limit * limit:
         s.g_moving_ns = s.t_ns
     # movement counts at once; rest must last, or a zero crossing would be one
     hold_ns = 1e9 * thresholds.rest_hold_s
-    s.a_rest = s.t_ns - s.a_moving_ns >= hold_ns
     s.g_rest = s.t_ns - s.g_moving_ns >= hold_ns
+    s.a_rest = s.t_ns - s.a_moving_ns >= hold_ns
+    if s.phase != 0 and s.a_rest:
+        # a foot that swings slowly and evenly feels no force but gravity: it rests only if it has also come to a stop
+        # (and, with the heel lifted, back to where it stood), or if it has been still for long
+        travelling = speed > max(thresholds.still_speed_mps, thresholds.still_speed_share * s.peak_speed)
+        still_ns = s.t_ns - max(s.a_moving_ns, s.g_moving_ns)
+        if (travelling or (s.phase == 1 and turned)) and still_ns < 1e9 * thresholds.long_rest_s:
+            s.a_rest = False
 
     back = min(s.samples - 1, p.jump_lag)
     then = (s.samples - back) % LAGS
@@ -242,6 +262,26 @@ def _observe(
     back = min(s.samples - 1, p.change_lag)
     then = (s.samples - back) % LAGS
     s.toe_down_change = (toe_down - s.toe_down[then]) * _per_second(back, p.sample_s)
+
+
+@jit
+def _dead_reckon(s: Any, dt_s: float, fx: float, fy: float, fz: float, resting: bool) -> float:
+    """Speed of the sensor (m/s) integrated since it last rested in stance: good for a second or two."""
+    q = s.quaternion
+    ax, ay, az = to_world(q[0], q[1], q[2], q[3], fx, fy, fz)
+    az -= G_MPS2
+    v, a = s.velocity, s.acceleration
+    if resting:
+        v[0], v[1], v[2] = 0.0, 0.0, 0.0
+        s.peak_speed = 0.0
+    else:
+        v[0] += 0.5 * dt_s * (a[0] + ax)
+        v[1] += 0.5 * dt_s * (a[1] + ay)
+        v[2] += 0.5 * dt_s * (a[2] + az)
+    a[0], a[1], a[2] = ax, ay, az
+    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    s.peak_speed = max(s.peak_speed, speed)
+    return speed
 
 
 @jit

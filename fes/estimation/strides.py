@@ -21,6 +21,9 @@ QUIET_WINDOW_S = 0.1
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
 STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
 SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
+CREEP_MPS = (
+    0.005  # forward, of an instep in mid-stance beyond w × r: shoe and skin give way, also seen by optical systems
+)
 END_TILT_GAIN = 0.15
 TRAJECTORY_POINTS = 101
 DURATION_S = (0.4, 5.0)
@@ -155,7 +158,8 @@ def solve_stride(
     lever = np.array([0.0, 0.0, settings.sensor_height_m])
     end_rates = (gyr[max(k - around, 0) : k + around + 1].mean(axis=0) for k in (first, last))
     start_velocity, end_velocity = (
-        np.cross(rotate(quaternion[k], rate), lever) for k, rate in zip((0, -1), end_rates, strict=True)
+        np.cross(rotate(quaternion[k], rate), lever) + CREEP_MPS * _level(rotate(quaternion[k], settings.forward))
+        for k, rate in zip((0, -1), end_rates, strict=True)
     )
     velocity, position, gamma = np.empty((n, 3)), np.empty((n, 3)), np.empty((2, 3))
     solved = integrate(t, f, quaternion, start_velocity, end_velocity, settings.equal_height, velocity, position, gamma)
@@ -227,6 +231,11 @@ def _toe_and_heel(
         return math.nan, heel_clearance
     i, j = np.searchsorted(t_ns, (begin + 0.25 * (end - begin), begin + 0.8 * (end - begin)))
     return (float((toe - toe[0])[i:j].min()) if j > i else math.nan), heel_clearance
+
+
+def _level(v: FloatArray) -> FloatArray:
+    """The horizontal direction of a world vector, unit (3,)."""
+    return np.array([v[0], v[1], 0.0]) / max(float(np.hypot(v[0], v[1])), 1e-9)
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:

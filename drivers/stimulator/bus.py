@@ -1,0 +1,72 @@
+"""Open whichever CAN bus the settings name: socketcan, pcan, kvaser, udp_multicast … need configuration only.
+
+Besides python-can's interfaces there is ``loopback``, for a machine without any network.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import can
+
+from drivers.stimulator.can_codec import NODE_IDS
+from drivers.stimulator.loopback_bus import LoopbackBus
+from drivers.stimulator.port import StimulatorLost
+from fes.config import Bus
+
+MULTICAST: Final = "udp_multicast"
+LOOPBACK: Final = "loopback"
+_HINTS: Final = {
+    MULTICAST: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number, and "
+    "the machine needs a route for it; with no network at all use the interface loopback.",
+    LOOPBACK: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number.",
+    "socketcan": "Bring the interface up first: ip link set can0 up type can bitrate 500000; ip -br link lists them.",
+    "pcan": "Install PEAK's PCANBasic library, plug the adapter in; channels are named PCAN_USBBUS1, PCAN_USBBUS2 …",
+    "kvaser": "Install Kvaser's canlib, plug the adapter in; channels are numbered from 0.",
+    "slcan": "The channel is the adapter's serial port; its options are bitrate and tty_baudrate.",
+}
+
+
+class BusError(StimulatorLost):
+    """The bus of the settings cannot be opened; the message names it and what to check."""
+
+
+def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusABC:
+    """The bus of ``settings``, from these settings alone: python-can's own configuration files are not read.
+
+    Only ``identifiers`` are wanted; where the kernel can filter, nothing else arrives. Classical CAN frames only.
+    Multicast does not leave this machine unless the option ``hop_limit`` says so.
+
+    Raises:
+        BusError: unknown interface, missing vendor library, no such channel, or an option out of range.
+    """
+    options: dict[str, Any] = dict(settings.options)
+    known = can.VALID_INTERFACES | {LOOPBACK}
+    if settings.interface not in known:
+        raise BusError(f"bus.interface = {settings.interface!r} is not known; one of: {', '.join(sorted(known))}")
+    taken = sorted({"interface", "channel", "ignore_config", "can_filters"} & options.keys())
+    if taken:
+        raise BusError(f"bus.options must not hold {', '.join(taken)}; interface and channel are keys of bus itself")
+    if settings.interface == MULTICAST:
+        options = {"hop_limit": 0, "fd": False} | options
+    if settings.interface == "socketcan":
+        # in the kernel, so that foreign frames never fill the socket; elsewhere python-can would filter one frame a
+        # read and leave the rest waiting: there the port itself drains and drops them
+        options["can_filters"] = [{"can_id": number, "can_mask": 0x7FF, "extended": False} for number in identifiers]
+    try:
+        if settings.interface == LOOPBACK:
+            return LoopbackBus(settings.channel, **options)
+        return can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
+    except Exception as error:  # vendors' modules raise anything: OSError, NameError, ImportError, CanError …
+        cause = error.__cause__ or error
+        hint = _HINTS.get(settings.interface, "See python-can's page on this interface for its channel and options.")
+        fault = f"{cause} ({type(error).__name__})"
+        raise BusError(
+            f"CAN bus {settings.interface} {settings.channel!r} cannot be opened: {fault}. {hint}"
+        ) from error
+
+
+def bus_name(settings: Bus) -> str:
+    """The bus as messages name it."""
+    port = settings.options.get("port")
+    return f"{settings.interface} {settings.channel}" + (f" port {port}" if port is not None else "")

@@ -1,0 +1,239 @@
+"""Codec of the CAN stimulator: values ↔ frames, no I/O. The layout is ``fes_stimulator.dbc``, packed by cantools.
+
+Our own protocol, as no profile for surface stimulation on CAN exists; its protection is described in ``e2e``. All
+encoders return ``(identifier, 8 bytes)``. A value that a field cannot hold raises ``ValueError``: nothing wraps.
+Physical values that fall between two steps are rounded down, never up.
+"""
+
+from __future__ import annotations
+
+import math
+from importlib import resources
+from typing import Final, cast
+
+from cantools.database.can import Database, Signal
+from cantools.database.can import Message as DbcMessage
+
+from drivers.stimulator import e2e
+from drivers.stimulator.can_messages import (
+    PROTOCOL_VERSION,
+    Alive,
+    Charge,
+    Command,
+    Frame,
+    Message,
+    Result,
+    SessionOpen,
+    Status,
+)
+from fes.signals import StimCommand, WireFrame
+
+
+class FrameRejected(ValueError):
+    """Bytes that are no frame of this protocol; the message says why."""
+
+
+def _load() -> Database:
+    database = Database(strict=True)
+    database.add_dbc_string(resources.files(__package__).joinpath("fes_stimulator.dbc").read_text(encoding="ascii"))
+    return database
+
+
+DATABASE: Final = _load()
+_COMMAND: Final = DATABASE.get_message_by_name("STIM_COMMAND")
+_OPEN: Final = DATABASE.get_message_by_name("SESSION_OPEN")
+_CHARGE: Final = DATABASE.get_message_by_name("STIM_CHARGE")
+_STATUS: Final = DATABASE.get_message_by_name("STIM_STATUS")
+_ALIVE: Final = DATABASE.get_message_by_name("NODE_ALIVE")
+
+COMMAND_ID: Final = _COMMAND.frame_id
+OPEN_ID: Final = _OPEN.frame_id
+CHARGE_ID: Final = _CHARGE.frame_id
+STATUS_ID: Final = _STATUS.frame_id
+ALIVE_ID: Final = _ALIVE.frame_id
+CONTROLLER_IDS: Final = frozenset((COMMAND_ID, OPEN_ID))
+NODE_IDS: Final = frozenset((CHARGE_ID, STATUS_ID, ALIVE_ID))
+
+
+def _step_and_most(signal: Signal) -> tuple[float, float]:
+    return float(signal.scale), float(signal.scale) * (2**signal.length - 1)
+
+
+CURRENT_STEP_MA, MAX_CURRENT_MA = _step_and_most(_COMMAND.get_signal_by_name("Current"))
+PULSE_WIDTH_STEP_US, MAX_PULSE_WIDTH_US = _step_and_most(_COMMAND.get_signal_by_name("PulseWidth"))
+FREQUENCY_STEP_HZ, MAX_FREQUENCY_HZ = _step_and_most(_COMMAND.get_signal_by_name("Frequency"))
+CHARGE_STEP_UC: Final = CURRENT_STEP_MA * PULSE_WIDTH_STEP_US * 1e-3
+CHARGE_TOTAL_STEPS: Final = 2**24
+PULSES_TOTAL: Final = 2**8
+_MOST: Final[dict[str, int]] = {s.name: 2**s.length - 1 for m in DATABASE.messages for s in m.signals}
+
+
+def encode_command(command: StimCommand, counter: int, session_id: int) -> Frame:
+    """STIM_COMMAND of what the gate let out; an off command carries no current, width or frequency.
+
+    Raises:
+        ValueError: a value is negative, not finite or beyond what its field holds.
+    """
+    on = command.on
+    raw = {
+        "Counter": _whole("counter", counter, _MOST["Counter"]),
+        "Channel": _whole("channel", command.channel, _MOST["Channel"]),
+        "On": int(on),
+        "Session": _whole("session_id", session_id, _MOST["Session"], least=1),
+        "Current": _steps("current_ma", command.current_ma, CURRENT_STEP_MA, _MOST["Current"]) if on else 0,
+        "PulseWidth": _steps("pulse_width_us", command.pulse_width_us, PULSE_WIDTH_STEP_US, _MOST["PulseWidth"])
+        if on
+        else 0,
+        "Frequency": _steps("frequency_hz", command.frequency_hz, FREQUENCY_STEP_HZ, _MOST["Frequency"]) if on else 0,
+        "Validity": _whole("validity_ms", command.validity_ms, _MOST["Validity"]),
+    }
+    return _pack(_COMMAND, raw)
+
+
+def encode_open(boot_id: int, session_id: int, version: int = PROTOCOL_VERSION) -> Frame:
+    """SESSION_OPEN in answer to the node that announced ``boot_id``.
+
+    Raises:
+        ValueError: a number is out of its field's range; session 0 means "none" and cannot be opened.
+    """
+    raw = {
+        "Version": _whole("version", version, _MOST["Version"]),
+        "Reserved": 0,
+        "Boot": _whole("boot_id", boot_id, _MOST["Boot"]),
+        "Session": _whole("session_id", session_id, _MOST["Session"], least=1),
+    }
+    return _pack(_OPEN, raw)
+
+
+def encode_charge(charge: Charge) -> Frame:
+    """STIM_CHARGE; the caller has reduced the totals to their moduli."""
+    raw = {
+        "Counter": _whole("counter", charge.counter, _MOST["Counter"]),
+        "Channel": _whole("channel", charge.channel, _MOST["Channel"]),
+        "Reserved": 0,
+        "Session": _whole("session_id", charge.session_id, _MOST["Session"]),
+        "PulsesTotal": _whole("pulses_total", charge.pulses_total, PULSES_TOTAL - 1),
+        "ChargeTotal": _whole("charge_total_steps", charge.charge_total_steps, CHARGE_TOTAL_STEPS - 1),
+    }
+    return _pack(_CHARGE, raw)
+
+
+def encode_status(status: Status) -> Frame:
+    """STIM_STATUS."""
+    raw = {
+        "Counter": _whole("counter", status.counter, _MOST["Counter"]),
+        "Channel": _whole("channel", status.channel, _MOST["Channel"]),
+        "On": int(status.on),
+        "Session": _whole("session_id", status.session_id, _MOST["Session"]),
+        "Current": _steps("current_ma", status.current_ma, CURRENT_STEP_MA, _MOST["Current"]),
+        "PulseWidth": _steps("pulse_width_us", status.pulse_width_us, PULSE_WIDTH_STEP_US, _MOST["PulseWidth"]),
+        "Frequency": _steps("frequency_hz", status.frequency_hz, FREQUENCY_STEP_HZ, _MOST["Frequency"]),
+        "Result": int(status.result),
+    }
+    return _pack(_STATUS, raw)
+
+
+def encode_alive(alive: Alive) -> Frame:
+    """NODE_ALIVE."""
+    raw = {
+        "Counter": _whole("counter", alive.counter, _MOST["Counter"]),
+        "Version": _whole("version", alive.version, _MOST["Version"]),
+        "Boot": _whole("boot_id", alive.boot_id, _MOST["Boot"]),
+        "Session": _whole("session_id", alive.session_id, _MOST["Session"]),
+        "Rejected": _whole("rejected", alive.rejected, _MOST["Rejected"]),
+        "Faults": _whole("faults", alive.faults, _MOST["Faults"]),
+    }
+    return _pack(_ALIVE, raw)
+
+
+def decode(identifier: int, data: bytes) -> Message:
+    """Any frame of this protocol.
+
+    Raises:
+        FrameRejected: unknown identifier, wrong length, wrong CRC, reserved bits set, or a result unknown here.
+    """
+    if identifier == COMMAND_ID:
+        raw = _unpack(_COMMAND, data)
+        return Command(raw["Counter"], raw["Session"], raw["Channel"], bool(raw["On"]), *_levels(raw), raw["Validity"])
+    if identifier == STATUS_ID:
+        raw = _unpack(_STATUS, data)
+        try:
+            result = Result(raw["Result"])
+        except ValueError as error:
+            raise FrameRejected(f"STIM_STATUS: unknown result {raw['Result']}") from error
+        return Status(raw["Counter"], raw["Session"], raw["Channel"], bool(raw["On"]), *_levels(raw), result)
+    if identifier == CHARGE_ID:
+        raw = _unpack(_CHARGE, data)
+        return Charge(raw["Counter"], raw["Session"], raw["Channel"], raw["PulsesTotal"], raw["ChargeTotal"])
+    if identifier == ALIVE_ID:
+        raw = _unpack(_ALIVE, data)
+        return Alive(raw["Counter"], raw["Version"], raw["Boot"], raw["Session"], raw["Rejected"], raw["Faults"])
+    if identifier == OPEN_ID:
+        raw = _unpack(_OPEN, data)
+        return SessionOpen(raw["Version"], raw["Boot"], raw["Session"])
+    raise FrameRejected(f"identifier 0x{identifier:x} is none of this protocol's")
+
+
+def decode_command(identifier: int, data: bytes) -> Command:
+    """STIM_COMMAND only.
+
+    Raises:
+        FrameRejected: as for :func:`decode`, or it is another of the protocol's frames.
+    """
+    if identifier != COMMAND_ID:
+        raise FrameRejected(f"identifier 0x{identifier:x} is not STIM_COMMAND (0x{COMMAND_ID:x})")
+    raw = _unpack(_COMMAND, data)
+    return Command(raw["Counter"], raw["Session"], raw["Channel"], bool(raw["On"]), *_levels(raw), raw["Validity"])
+
+
+def commands_of(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
+    """The commands with their counters among logged frames, as they read on the wire, in order.
+
+    Raises:
+        FrameRejected: a logged frame is no intact frame of this protocol.
+    """
+    commands = []
+    for frame in frames:
+        message = decode(frame.identifier, frame.data)
+        if isinstance(message, Command):
+            values = (message.on, message.current_ma, message.pulse_width_us, message.frequency_hz)
+            commands.append((StimCommand(frame.t_ns, message.channel, *values, message.validity_ms), message.counter))
+    return commands
+
+
+def _levels(raw: dict[str, int]) -> tuple[float, float, float]:
+    return (
+        raw["Current"] * CURRENT_STEP_MA,
+        raw["PulseWidth"] * PULSE_WIDTH_STEP_US,
+        raw["Frequency"] * FREQUENCY_STEP_HZ,
+    )
+
+
+def _whole(name: str, value: int, most: int, least: int = 0) -> int:
+    if not least <= value <= most:
+        raise ValueError(f"{name} = {value} does not fit its field ({least} to {most})")
+    return int(value)
+
+
+def _steps(name: str, value: float, step: float, most: int) -> int:
+    if not math.isfinite(value) or not 0.0 <= value < (most + 1) * step:
+        raise ValueError(f"{name} = {value} does not fit its field (0 to {most * step:g})")
+    return math.floor(value / step)
+
+
+def _pack(message: DbcMessage, raw: dict[str, int]) -> Frame:
+    raw["Crc"] = 0
+    identifier = message.frame_id
+    return identifier, e2e.protect(identifier, message.encode(raw, scaling=False, strict=False))
+
+
+def _unpack(message: DbcMessage, data: bytes) -> dict[str, int]:
+    if len(data) != e2e.FRAME_LENGTH:
+        raise FrameRejected(f"{message.name}: {len(data)} bytes instead of {e2e.FRAME_LENGTH}")
+    if not e2e.is_intact(message.frame_id, data):
+        raise FrameRejected(f"{message.name}: wrong CRC")
+    # without choices and scaling, and with no multiplexed message in the file, every value is a plain int
+    raw = cast(dict[str, int], message.decode(data, decode_choices=False, scaling=False))
+    if raw.get("Reserved", 0):
+        raise FrameRejected(f"{message.name}: reserved bits are set")
+    return raw

@@ -1,0 +1,236 @@
+"""The CAN stimulator behind a python-can bus: the thin part between the codec and the wire."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import can
+
+from drivers.stimulator import can_codec
+from drivers.stimulator.can_messages import (
+    PROTOCOL_VERSION,
+    RESULT_TEXT,
+    Alive,
+    Charge,
+    Frame,
+    Message,
+    Status,
+    fault_text,
+)
+from drivers.stimulator.port import StimulatorLost
+from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
+
+POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
+COUNTERS: Final = 16
+OPEN_AGAIN_AFTER_ALIVES: Final = 3  # without our session in them: SESSION_OPEN was lost, or refused
+_CAN_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
+
+
+class CommandEncoder:
+    """Gives a session's commands their counters; the same commands give the same bytes, bus or no bus."""
+
+    def __init__(self, session_id: int) -> None:
+        self.session_id = session_id
+        self.counter = 0
+
+    def encode(self, command: StimCommand) -> Frame:
+        """The command's frame; the counter advances only when the command can be encoded."""
+        frame = can_codec.encode_command(command, self.counter, self.session_id)
+        self.counter = (self.counter + 1) % COUNTERS
+        return frame
+
+
+@dataclass(frozen=True, slots=True)
+class Handshake:
+    """What opening a session put on the wire and heard from the node, for the log."""
+
+    boot_id: int
+    frames: tuple[WireFrame, ...]
+    alive: tuple[StimAlive, ...]
+
+
+class CanStimulator:
+    """:class:`~drivers.stimulator.port.StimulatorPort` on an open bus, which it then owns.
+
+    Call :meth:`open` once before the first command. ``foreign`` counts frames that were not for us: other
+    identifiers, other sessions, wrong CRCs, repeated heartbeats (not controllers' frames: multicast returns our own).
+    """
+
+    def __init__(self, bus: can.BusABC, session_id: int) -> None:
+        self.session_id = session_id
+        self.foreign = 0
+        self._bus = bus
+        self._encoder = CommandEncoder(session_id)
+        self._unanswered: deque[int] = deque(maxlen=COUNTERS)
+        self._totals: dict[int, tuple[int, int]] = {}
+        self._delivered: dict[int, tuple[int, int]] = {}
+        self._alive_counter = -1
+        self._closed = False
+
+    @property
+    def outstanding(self) -> int:
+        """Commands sent and not yet answered (at most 16 are remembered); an answer settles all older ones."""
+        return len(self._unanswered)
+
+    def open(self, t_ns: int, timeout_s: float = 2.0, clock_ns: Callable[[], int] = time.monotonic_ns) -> Handshake:
+        """Wait for the node's heartbeat, open the session for its boot id, wait until the heartbeat names it.
+
+        Waits at most ``timeout_s`` by ``clock_ns``; everything sent and heard is stamped ``t_ns``. A node that
+        restarts meanwhile is opened again under its new boot id.
+
+        Raises:
+            StimulatorLost: nobody answered, or the node did not open the session; the message says what to check.
+        """
+        deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
+        frames: list[WireFrame] = []
+        heard: list[StimAlive] = []
+        asked_boot_id, alives_since = -1, 0
+        last: Alive | None = None
+        while (left_ns := deadline_ns - clock_ns()) > 0:
+            message = self._receive(left_ns / NS_PER_S)
+            if not isinstance(message, Alive):
+                continue
+            last = message
+            if message.version != PROTOCOL_VERSION:
+                break
+            alive = self._alive(message, t_ns, expect_session=False)
+            heard.append(alive)
+            if message.boot_id == asked_boot_id and message.session_id == self.session_id:
+                self._alive_counter = message.counter
+                return Handshake(message.boot_id, tuple(frames), tuple(heard))
+            alives_since += 1
+            if message.boot_id != asked_boot_id or alives_since >= OPEN_AGAIN_AFTER_ALIVES:
+                asked_boot_id, alives_since = message.boot_id, 0
+                identifier, data = can_codec.encode_open(asked_boot_id, self.session_id)
+                self._write(identifier, data)
+                frames.append(WireFrame(t_ns, identifier, data))
+        raise StimulatorLost(self._why_not_open(last, timeout_s))
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """Write the command's frame now or fail.
+
+        Raises:
+            StimulatorLost: the bus did not take it (transmit buffer full, bus off, interface gone).
+            ValueError: a value does not fit its field; nothing was sent.
+        """
+        counter = self._encoder.counter
+        identifier, data = self._encoder.encode(command)
+        self._write(identifier, data)
+        self._unanswered.append(counter)
+        return WireFrame(command.t_ns, identifier, data)
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """All that has arrived from the node, at most 128 frames, stamped ``t_ns``.
+
+        Raises:
+            StimulatorLost: the bus cannot be read, or the adapter reports bus-off.
+        """
+        events: list[StimStatus | StimAlive] = []
+        for _ in range(POLL_AT_MOST):
+            raw = self._read(0.0)
+            if raw is None:
+                break
+            message = self._decoded(raw)
+            if isinstance(message, Alive):
+                if message.counter == self._alive_counter:
+                    self.foreign += 1
+                    continue
+                self._alive_counter = message.counter
+                events.append(self._alive(message, t_ns, expect_session=True))
+            elif isinstance(message, Charge):
+                self._totals[message.channel] = (message.pulses_total, message.charge_total_steps)
+            elif isinstance(message, Status):
+                events.append(self._status(message, t_ns))
+        return events
+
+    def close(self) -> None:
+        """Shut the bus down; sends nothing."""
+        if not self._closed:
+            self._closed = True
+            self._bus.shutdown()
+
+    def _status(self, status: Status, t_ns: int) -> StimStatus:
+        if status.counter in self._unanswered:
+            while self._unanswered.popleft() != status.counter:
+                pass
+        pulses, steps = self._totals.get(status.channel, (0, 0))
+        seen_pulses, seen_steps = self._delivered.get(status.channel, (0, 0))
+        self._delivered[status.channel] = (pulses, steps)
+        return StimStatus(
+            t_ns=t_ns,
+            channel=status.channel,
+            counter=status.counter,
+            on=status.on,
+            current_ma=status.current_ma,
+            pulse_width_us=status.pulse_width_us,
+            frequency_hz=status.frequency_hz,
+            pulses=(pulses - seen_pulses) % can_codec.PULSES_TOTAL,
+            charge_uc=((steps - seen_steps) % can_codec.CHARGE_TOTAL_STEPS) * can_codec.CHARGE_STEP_UC,
+            fault=RESULT_TEXT[status.result],
+        )
+
+    def _alive(self, alive: Alive, t_ns: int, *, expect_session: bool) -> StimAlive:
+        fault = fault_text(alive.faults)
+        if expect_session and alive.session_id != self.session_id:
+            lost = "the stimulator has not our session open (it restarted, or another controller took it)"
+            fault = f"{lost}; {fault}" if fault else lost
+        return StimAlive(t_ns, alive.boot_id, alive.rejected, fault)
+
+    def _receive(self, timeout_s: float) -> Message | None:
+        raw = self._read(timeout_s)
+        return None if raw is None else self._decoded(raw)
+
+    def _decoded(self, raw: can.Message) -> Message | None:
+        """The node's message when it is intact and of our session; None, and counted, otherwise."""
+        if raw.arbitration_id in can_codec.NODE_IDS and not raw.is_extended_id and not raw.is_remote_frame:
+            try:
+                message = can_codec.decode(raw.arbitration_id, bytes(raw.data))
+            except can_codec.FrameRejected:
+                self.foreign += 1
+                return None
+            if isinstance(message, Alive) or message.session_id == self.session_id:
+                return message
+        if raw.arbitration_id not in can_codec.CONTROLLER_IDS:
+            self.foreign += 1
+        return None
+
+    def _read(self, timeout_s: float) -> can.Message | None:
+        try:
+            message = self._bus.recv(timeout=timeout_s)
+        except (can.CanError, OSError) as error:
+            raise StimulatorLost(f"{self._bus.channel_info}: cannot be read: {error}. {_LINE_HINT}") from error
+        if message is not None and message.is_error_frame and message.arbitration_id & _CAN_ERR_BUSOFF:
+            raise StimulatorLost(f"{self._bus.channel_info}: the adapter went bus-off. {_LINE_HINT}")
+        return message
+
+    def _write(self, identifier: int, data: bytes) -> None:
+        message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
+        try:
+            self._bus.send(message, timeout=0)
+        except (can.CanError, OSError) as error:
+            raise StimulatorLost(f"{self._bus.channel_info}: did not take a command: {error}. {_LINE_HINT}") from error
+
+    def _why_not_open(self, last: Alive | None, timeout_s: float) -> str:
+        where = self._bus.channel_info
+        if last is None:
+            return (
+                f"no stimulator was heard on {where} within {timeout_s:g} s ({self.foreign} other frames were). Is it "
+                f"powered and connected, is the channel right, is the bit rate the same on both sides? {_LINE_HINT}"
+            )
+        if last.version != PROTOCOL_VERSION:
+            return (
+                f"the stimulator on {where} speaks protocol version {last.version}, this program {PROTOCOL_VERSION}: "
+                f"update the older one"
+            )
+        said = fault_text(last.faults) or "it named no reason; does another controller use it?"
+        return (
+            f"the stimulator on {where} (boot id {last.boot_id}) did not open session {self.session_id} within "
+            f"{timeout_s:g} s: {said}"
+        )
+
+
+_LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."

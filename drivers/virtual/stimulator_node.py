@@ -1,0 +1,256 @@
+"""The simulated CAN stimulator's firmware: frames and time in, frames and pulses out; no I/O, no clock.
+
+It trusts nobody: every command must be intact, of the open session, and 1 to 3 counts after the last one (one count
+over all channels: up to two lost frames are forgiven, a repeated or older frame never acts). Five wrong counters in
+a row close the session. A command over the node's own limits, or with a validity of 0 or over 60 ms, turns its
+channel off. It boots with everything off and no session; a session opens only for its own boot id and under an
+identifier not yet seen since boot, so a capture played back later does nothing.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from drivers.stimulator import can_codec
+from drivers.stimulator.can_messages import (
+    NO_SESSION,
+    PROTOCOL_VERSION,
+    Alive,
+    Charge,
+    Command,
+    Fault,
+    Frame,
+    Result,
+    SessionOpen,
+    Status,
+)
+from drivers.stimulator.e2e import counter_step
+from drivers.virtual.node_faults import NodeFaults
+from drivers.virtual.node_record import RecordEntry
+from drivers.virtual.output_channel import NEVER, OutputChannel
+from fes.signals import NS_PER_S
+
+CHANNELS: Final = 8
+MAX_CURRENT_MA: Final = 130.0
+MAX_PULSE_WIDTH_US: Final = 500.0
+MAX_FREQUENCY_HZ: Final = 100.0
+MAX_VALIDITY_MS: Final = 60
+MAX_COUNTER_STEP: Final = 3
+MAX_WRONG_COUNTERS: Final = 5
+ALIVE_PERIOD_NS: Final = 100_000_000
+
+
+class StimulatorNode:
+    """Call :meth:`receive` for every frame and :meth:`advance` at every deadline; both return what to send."""
+
+    def __init__(self, boot_id: int, t_ns: int, faults: NodeFaults | None = None) -> None:
+        self.faults = faults or NodeFaults()
+        self.channels = tuple(OutputChannel() for _ in range(CHANNELS))
+        self._record: list[RecordEntry] = []
+        self._statuses = 0
+        self._mute_ns = t_ns + int(self.faults.mute * NS_PER_S) if self.faults.mute >= 0 else NEVER
+        self._reboot_ns = t_ns + int(self.faults.reboot * NS_PER_S) if self.faults.reboot >= 0 else NEVER
+        self._boot(t_ns, boot_id)
+
+    def receive(self, t_ns: int, identifier: int, data: bytes) -> list[Frame]:
+        """Act on one frame from the bus; frames that no controller sends are passed over."""
+        frames = self._pass_time(t_ns)
+        if identifier in can_codec.CONTROLLER_IDS:
+            try:
+                message = can_codec.decode(identifier, data)
+            except can_codec.FrameRejected as error:
+                self._refuse(t_ns, -1, str(error))
+            else:
+                if isinstance(message, Command):
+                    frames += self._command(t_ns, message)
+                elif isinstance(message, SessionOpen):
+                    frames += self._open(t_ns, message)
+        return self._heard(t_ns, frames)
+
+    def advance(self, t_ns: int) -> list[Frame]:
+        """Do all that is due by ``t_ns``: pulses, ends of leases, the heartbeat."""
+        return self._heard(t_ns, self._pass_time(t_ns))
+
+    def next_deadline_ns(self) -> int:
+        """When :meth:`advance` must be called again at the latest."""
+        own = min(self._next_alive_ns, self._reboot_ns)
+        return min(own, *(channel.next_deadline_ns() for channel in self.channels))
+
+    def power_off(self, t_ns: int) -> None:
+        """Silence every channel; nothing is sent."""
+        for number in range(CHANNELS):
+            self._off(t_ns, number, "off")
+
+    def take_record(self) -> list[RecordEntry]:
+        """What happened since the last call."""
+        entries, self._record = self._record, []
+        return entries
+
+    def _boot(self, t_ns: int, boot_id: int) -> None:
+        self.boot_id = boot_id
+        self.session_id = NO_SESSION
+        self.rejected = 0
+        self.flags = Fault.NONE
+        self._seen_sessions: set[int] = set()
+        self._counter = 15
+        self._commanded = False
+        self._wrong_counters = 0
+        self._alive_counter = 0
+        self._next_alive_ns = t_ns
+        for channel in self.channels:
+            channel.reset()
+        self._note(t_ns, "boot", detail=f"boot id {boot_id}")
+
+    def _pass_time(self, t_ns: int) -> list[Frame]:
+        frames: list[Frame] = []
+        for number, channel in enumerate(self.channels):
+            reason = channel.advance(t_ns)
+            if reason is not None:
+                self._note(t_ns, "lease_expired" if reason is Result.LEASE_EXPIRED else "on_time", number)
+                frames += self._status(number, channel.counter, self.session_id, reason)
+        if self._reboot_ns <= t_ns:
+            self._reboot_ns = NEVER
+            self._boot(t_ns, (self.boot_id + 1) % 2**16)
+        if self._next_alive_ns <= t_ns:
+            frames.append(self._alive())
+            self._next_alive_ns = max(self._next_alive_ns + ALIVE_PERIOD_NS, t_ns)
+        return frames
+
+    def _open(self, t_ns: int, request: SessionOpen) -> list[Frame]:
+        if request.version != PROTOCOL_VERSION:
+            self.flags |= Fault.VERSION
+            self._refuse(t_ns, -1, f"session: protocol version {request.version}")
+        elif request.boot_id != self.boot_id:
+            self._refuse(t_ns, -1, f"session: boot id {request.boot_id}")
+        elif request.session_id == self.session_id and not self._commanded:
+            pass  # asked twice because our answer was late or lost; there is nothing to reset yet
+        elif request.session_id == NO_SESSION or request.session_id in self._seen_sessions:
+            self.flags |= Fault.SESSION_USED
+            self._refuse(t_ns, -1, f"session: identifier {request.session_id} used before")
+        else:
+            for number in range(CHANNELS):
+                self._off(t_ns, number, "off")
+                self.channels[number].reset()
+            self.session_id = request.session_id
+            self._seen_sessions.add(request.session_id)
+            self.flags = Fault.NONE
+            self._counter, self._wrong_counters = 15, 0
+            self._commanded = False
+            self._note(t_ns, "session", detail=f"session {request.session_id}")
+        return [self._alive()]
+
+    def _command(self, t_ns: int, command: Command) -> list[Frame]:
+        channel = self.channels[command.channel]
+        result = self._judge(command, channel)
+        frames: list[Frame] = []
+        if result in (Result.BAD_SESSION, Result.BAD_COUNTER, Result.FAULTED):
+            if result is Result.BAD_COUNTER:
+                self._wrong_counters += 1
+                if self._wrong_counters >= MAX_WRONG_COUNTERS:
+                    frames = self._close(t_ns)
+        else:
+            self._counter, self._wrong_counters = command.counter, 0
+            self._commanded = True
+            channel.counter = command.counter
+            if result is Result.OK and command.on:
+                self._on(t_ns, command)
+            else:
+                self._off(t_ns, command.channel, "off")
+        if result is Result.OK:
+            channel.blocked = channel.blocked and command.on
+        else:
+            self._refuse(t_ns, command.channel, result.name.lower())
+        return frames + self._status(command.channel, command.counter, command.session_id, result)
+
+    def _judge(self, command: Command, channel: OutputChannel) -> Result:
+        if self.flags & Fault.COUNTER:
+            return Result.FAULTED
+        if command.session_id != self.session_id:
+            return Result.BAD_SESSION
+        if not 1 <= counter_step(self._counter, command.counter) <= MAX_COUNTER_STEP:
+            return Result.BAD_COUNTER
+        if not command.on:
+            return Result.OK  # whatever else it says: off is never refused
+        if (
+            command.current_ma > MAX_CURRENT_MA
+            or command.pulse_width_us > MAX_PULSE_WIDTH_US
+            or command.frequency_hz > MAX_FREQUENCY_HZ
+        ):
+            return Result.OVER_LIMIT
+        if not 0 < command.validity_ms <= MAX_VALIDITY_MS:
+            return Result.BAD_VALIDITY
+        if channel.blocked:
+            return Result.ON_TIME
+        if command.channel == self.faults.electrode:
+            self.flags |= Fault.OUTPUT
+            return Result.OUTPUT_FAULT
+        return Result.OK
+
+    def _on(self, t_ns: int, command: Command) -> None:
+        channel = self.channels[command.channel]
+        before = channel.levels if channel.on else None
+        current_ma = command.current_ma
+        if command.channel == self.faults.weak:
+            current_ma = current_ma // (2 * can_codec.CURRENT_STEP_MA) * can_codec.CURRENT_STEP_MA
+        channel.drive(t_ns, (current_ma, command.pulse_width_us, command.frequency_hz), command.validity_ms)
+        channel.advance(t_ns)
+        if channel.levels != before:
+            self._note(t_ns, "on" if before is None else "level", command.channel)
+
+    def _off(self, t_ns: int, number: int, event: str) -> None:
+        if self.channels[number].on:
+            self.channels[number].silence()
+            self._note(t_ns, event, number)
+
+    def _close(self, t_ns: int) -> list[Frame]:
+        frames: list[Frame] = []
+        self.flags |= Fault.COUNTER
+        for number, channel in enumerate(self.channels):
+            if channel.on:
+                self._off(t_ns, number, "fault")
+                frames += self._status(number, channel.counter, self.session_id, Result.FAULTED)
+        self.session_id = NO_SESSION
+        return frames
+
+    def _refuse(self, t_ns: int, number: int, why: str) -> None:
+        self.rejected = min(self.rejected + 1, 255)
+        self._note(t_ns, "refused", number, why)
+
+    def _note(self, t_ns: int, event: str, number: int = -1, detail: str = "") -> None:
+        if number < 0:
+            self._record.append(RecordEntry(t_ns, event, detail=detail))
+            return
+        channel = self.channels[number]
+        counts = (channel.accepted_ns, channel.pulses, max(channel.last_pulse_ns, 0))
+        self._record.append(RecordEntry(t_ns, event, number, *channel.levels, *counts, detail))
+
+    def _status(self, number: int, counter: int, session_id: int, result: Result) -> list[Frame]:
+        channel = self.channels[number]
+        pulses = channel.pulses % can_codec.PULSES_TOTAL
+        charge_steps = channel.charge_steps % can_codec.CHARGE_TOTAL_STEPS
+        return [
+            can_codec.encode_charge(Charge(counter, session_id, number, pulses, charge_steps)),
+            can_codec.encode_status(Status(counter, session_id, number, channel.on, *channel.levels, result)),
+        ]
+
+    def _alive(self) -> Frame:
+        counter = self._alive_counter
+        self._alive_counter = (counter + 1) % 16
+        return can_codec.encode_alive(
+            Alive(counter, PROTOCOL_VERSION, self.boot_id, self.session_id, self.rejected, int(self.flags))
+        )
+
+    def _heard(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
+        """What of ``frames`` reaches the bus: all of it, unless a fault was asked for."""
+        if t_ns >= self._mute_ns:
+            return []
+        if not self.faults.drop:
+            return frames
+        kept: list[Frame] = []
+        for frame in frames:
+            if frame[0] == can_codec.STATUS_ID:
+                self._statuses += 1
+                if self._statuses % self.faults.drop == 0:
+                    continue
+            kept.append(frame)
+        return kept

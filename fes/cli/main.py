@@ -1,0 +1,46 @@
+"""``fes``: the group of commands; each is imported only when it is called, so that ``fes --help`` is quick."""
+
+from __future__ import annotations
+
+import importlib
+from typing import Final
+
+import click
+
+from fes import __version__
+
+COMMANDS: Final = {
+    "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
+    "replay": ("fes.cli.replay", "Replay a recording or a session log: phases, strides, stimulation, report."),
+    "report": ("fes.cli.report", "Write the report of a session log again."),
+    "trials": ("fes.cli.trials", "Generate the bundled recordings, with their truth, from their seeds."),
+}
+
+
+class LazyGroup(click.Group):
+    """Lists the commands without importing them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names, in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one command."""
+        if cmd_name not in COMMANDS:
+            return None
+        command = importlib.import_module(COMMANDS[cmd_name][0]).command
+        return command if isinstance(command, click.Command) else None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The table, straight."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="fes")
+def main() -> None:
+    """Functional electrical stimulation timed by how the patient walks.
+
+    Research software, not a medical device.
+    """

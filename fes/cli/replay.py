@@ -1,0 +1,255 @@
+"""``fes replay``: a recording, or a session log, through the same loop as a live session."""
+
+from __future__ import annotations
+
+import time
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.stimulator.bus import BusError
+from drivers.stimulator.port import StimulatorLost
+from fes.cli.clock import MonotonicClock
+from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail
+from fes.cli.progress import ReplayProgress
+from fes.cli.show import show
+from fes.cli.stimulators import (
+    Opened,
+    as_summary,
+    last_answers,
+    no_stimulator,
+    on_the_bus,
+    simulated,
+    warn_of_real_device,
+    wire_truth,
+)
+from fes.config import ConfigError, Session, load_session
+from fes.controller import Controller
+from fes.estimation.calibration import CalibrationError, FootCalibration
+from fes.gate import SafetyGate
+from fes.journal import Note, SessionLogError, SessionWriter, read_session
+from fes.recording import Recording, RecordingError, read_recording
+from fes.replay import calibrate, digest, identity, log_header, samples_of, session_for
+from fes.runner import Runner
+from fes.signals import Event
+from fes.sources import armed_after, paced, with_ticks
+
+LOG_SUFFIX = ".feslog"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to replay."""
+
+    session: Path | None = None
+    out: Path = Path("out")
+    speed: float | None = None
+    stimulator: str = "simulated"
+    arm_after_s: float = 0.5
+    rearm_after_s: float | None = None
+    as_json: bool = False
+    report: bool = True
+
+
+@click.command(name="replay")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--session", type=click.Path(path_type=Path), help="Settings (TOML). Default: session.toml beside it.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results go below."
+)
+@click.option("--speed", type=click.FloatRange(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
+@click.option(
+    "--stimulator",
+    type=click.Choice(["simulated", "none", "bus"]),
+    default="simulated",
+    show_default=True,
+    help="bus: what is on the session's bus, at recorded speed. A DEVICE THERE STIMULATES.",
+)
+@click.option("--arm-after", type=click.FloatRange(min=0), default=0.5, show_default=True, help="Operator arms (s).")
+@click.option("--rearm-after", type=click.FloatRange(min=0), help="Operator arms again this long after a fault (s).")
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+@click.option("--no-report", is_flag=True, help="Write no HTML report.")
+def command(
+    recording: Path,
+    session: Path | None,
+    out: Path,
+    speed: float | None,
+    stimulator: str,
+    arm_after: float,
+    rearm_after: float | None,
+    as_json: bool,
+    no_report: bool,
+) -> None:
+    """Replay RECORDING (CSV or Parquet with its sidecar) or a session log (.feslog).
+
+    Prints the table of strides and a summary; writes the session log and the report. A session log is replayed from its
+    own settings and must give the bytes that it recorded.
+
+    Exit code: 0 all is well, 1 a check failed, 2 unusable input, 3 stopped early, 130 interrupted.
+    """
+    if recording.suffix == LOG_SUFFIX:
+        from fes.cli.replay_log import replay_log
+
+        replay_log(recording, as_json=as_json)
+        return
+    options = Options(session, out, speed, stimulator, arm_after, rearm_after, as_json, not no_report)
+    replay_recording(recording, options)
+
+
+def replay_recording(path: Path, options: Options) -> Path:
+    """Replay a recording and show the result; returns the session log's path.
+
+    Raises:
+        Problem: unusable input, a stimulator that is lost, a disk that is full.
+        SystemExit: interrupted, or the stimulator did not deliver what was sent.
+    """
+    try:
+        recording = read_recording(path)
+        settings = options.session or _beside(path)
+        session = session_for(recording, load_session(settings) if settings else None)
+        calibrations, missing = calibrate(recording)
+    except (RecordingError, ConfigError, CalibrationError) as error:
+        fail(error)
+    _say_what_is_left_out(session, settings, calibrations, missing)
+    sha256 = digest(path)
+    numbers = identity(sha256, session)
+    folder = fresh_folder(options.out, path.stem)
+    log_path = folder / f"session{LOG_SUFFIX}"
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    header = log_header(recording, sha256, session, calibrations, numbers.session_id, created)
+    begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
+    opening: AbstractContextManager[Opened]
+    if options.stimulator == "none" or not session.channels:
+        opening = no_stimulator(numbers.session_id, numbers.boot_id, begin_ns)
+    elif options.stimulator == "bus":
+        warn_of_real_device(session)
+        opening = on_the_bus(session, numbers.session_id, begin_ns)
+    else:
+        opening = simulated(
+            numbers.session_id,
+            numbers.boot_id,
+            begin_ns,
+            lockstep=options.speed is None,
+            record=folder / "stimulator.jsonl",
+        )
+    try:
+        with opening as opened:
+            ended = _go(recording, session, calibrations, opened, header, log_path, options)
+    except (StimulatorLost, BusError, SessionLogError) as error:
+        fail(error, StoppedEarly)
+    if ended == "interrupted":
+        click.secho(f"Interrupted; stimulation is off. What was recorded is in {log_path}", fg="yellow", err=True)
+        raise SystemExit(INTERRUPTED)
+    show(log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None)
+    if ended == "different":
+        click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
+        raise SystemExit(FAILED)
+    if ended != "complete":
+        raise StoppedEarly(ended)
+    return log_path
+
+
+def _go(
+    recording: Recording,
+    session: Session,
+    calibrations: dict[str, FootCalibration],
+    opened: Opened,
+    header: dict[str, Any],
+    log_path: Path,
+    options: Options,
+) -> str:
+    """Run the loop over the recording; returns how it ended: complete, different, interrupted, or why it stopped."""
+    stimulation = session.stimulation
+    gate = SafetyGate(
+        session.channels, max_data_age_ms=stimulation.max_data_age_ms, validity_ms=stimulation.validity_ms
+    )
+    log = SessionWriter(log_path, header)
+    runner = Runner(Controller(session, calibrations), gate, opened.stimulator, log, time.perf_counter_ns)
+    events = armed_after(
+        with_ticks(samples_of(recording, set(calibrations))),
+        options.arm_after_s,
+        stimulation.intensity,
+        options.rearm_after_s,
+        lambda: bool(gate.latched),
+    )
+    if options.stimulator == "bus" or options.speed is not None:
+        events = paced(events, MonotonicClock(), options.speed or 1.0)
+    begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
+    end_ns = max(int(track.t_ns[-1]) for track in recording.tracks.values())
+    ended = "complete"
+    summary: dict[str, Any] = {}
+    try:
+        for frame in opened.frames:
+            log.frame(frame)
+        for alive in opened.alive:
+            runner.handle(alive)
+        with ReplayProgress(recording.name, begin_ns, end_ns, quiet=options.as_json) as progress:
+
+            def after(event: Event) -> None:
+                log.flush_due(time.monotonic_ns())
+                progress.at(event.t_ns)
+
+            runner.run(events, after)
+        for reply in last_answers(opened.stimulator, runner.t_ns):
+            runner.handle(reply)
+        if opened.answers:
+            log.flush()
+            so_far = read_session(log_path)
+            truth = wire_truth(so_far.frames, so_far.statuses)
+            summary["wire"] = as_summary(truth)
+            ended = "complete" if truth.ok else "different"
+    except KeyboardInterrupt:
+        ended = "interrupted"
+    except StimulatorLost as error:
+        ended = f"The stimulator was lost at {1e-9 * (runner.t_ns - begin_ns):.1f} s: {error}"
+        log.note(Note(runner.t_ns, "fault", "stimulator", str(error)))
+    finally:
+        summary["ended"] = ended
+        summary["samples"] = {foot: tracker.counts.to_dict() for foot, tracker in runner.controller.trackers.items()}
+        log.close(summary)
+    return ended
+
+
+def _beside(path: Path) -> Path | None:
+    """The session settings in the recording's folder, if there are any."""
+    settings = path.parent / "session.toml"
+    return settings if settings.is_file() else None
+
+
+def _say_what_is_left_out(
+    session: Session, settings: Path | None, calibrations: dict[str, FootCalibration], missing: dict[str, str]
+) -> None:
+    for reason in missing.values():
+        click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
+    if not session.channels:
+        why = f"{settings} has no channel for a foot in this recording" if settings else "no session settings given"
+        click.secho(f"Nothing is stimulated: {why}. Phases and strides only.", fg="yellow", err=True)
+    for channel in session.channels:
+        if channel.foot not in calibrations:
+            raise Problem(f"Channel {channel.name!r} follows the {channel.foot}, which cannot be calibrated.")
+
+
+def fresh_folder(out: Path, name: str) -> Path:
+    """A new folder ``out/name-NNN``; what is there already is never touched.
+
+    Raises:
+        Problem: it cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for number in range(1, 100_000):
+            folder = out / f"{name}-{number:03d}"
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            return folder
+    except OSError as error:
+        raise Problem(
+            f"{out}: no folder for the results can be made: {error.strerror}. Choose another with --out."
+        ) from error
+    raise Problem(f"{out}: too many results of {name!r}; move some away or choose another --out.")

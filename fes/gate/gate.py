@@ -1,0 +1,195 @@
+"""The gate itself: it distrusts the controller, starts silent, and refuses what it cannot vouch for.
+
+The controller clips, the gate refuses: a request over any limit becomes *off*, and the fault is latched until a person
+arms again. Every limit is the smaller of the absolute one (:mod:`fes.limits`) and the session's own for the channel
+(:class:`fes.config.ChannelLimits`). The gate reads no clock and does no I/O; it knows what :meth:`SafetyGate.observe`
+and :meth:`SafetyGate.judge` are told, in times that must never run backward.
+
+Some refusals do not latch, because nothing is broken: not armed, too soon after the last burst, an antagonist still
+on. A burst refused in this way, or one whose command ran out before the next came, is *held back*: it may still start
+late where its rise allows, and where that does not, it is refused in silence until the plan has asked for off.
+"""
+
+from __future__ import annotations
+
+from fes import limits
+from fes.config import Channel
+from fes.gate.electrical import Pulse, is_number, no_number, over_a_cap, shown
+from fes.gate.freshness import Freshness
+from fes.gate.line import Line
+from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, StimAlive, StimCommand, StimRequest, StimStatus
+
+NO_CHANNEL = -1  # stands in a command for a channel number that is not even a number, or a huge one
+
+
+class SafetyGate:
+    """Lets a request through unchanged or turns it into off, with the reason in ``StimCommand.refused``.
+
+    Args:
+        channels: the session's channels; a request for any other is refused.
+        max_data_age_ms: how old the newest sample of a channel's foot may be; at most ``limits.MAX_DATA_AGE_MS``.
+        validity_ms: how long a command holds on the device; at most ``limits.MAX_VALIDITY_MS``. A channel whose
+            last command is older counts as off, for the device has fallen silent.
+    """
+
+    def __init__(self, channels: tuple[Channel, ...], *, max_data_age_ms: int, validity_ms: int) -> None:
+        self._validity_ms = min(limits.MAX_VALIDITY_MS, validity_ms)
+        self._freshness = Freshness(min(limits.MAX_DATA_AGE_MS, max_data_age_ms) * 1_000_000)
+        self._lines: dict[int, Line] = {}
+        for channel in channels:
+            named_by = {other.number for other in channels if channel.number in other.never_with}
+            partners = frozenset(named_by | set(channel.never_with))
+            self._lines[channel.number] = Line(channel, partners, self._validity_ms * 1_000_000)
+        self._event_ns: int | None = None
+        self._judged_ns: int | None = None
+        self._boot_id: int | None = None
+        self._armed = False
+        self._latched = ""
+        self._latched_ns: int | None = None
+        self._arming_refused = ""
+
+    @property
+    def armed(self) -> bool:
+        """Whether a person has armed and nothing has gone wrong since."""
+        return self._armed
+
+    @property
+    def latched(self) -> str:
+        """The first reason that stopped everything since a person last armed; "" when there is none."""
+        return self._latched
+
+    @property
+    def latched_ns(self) -> int | None:
+        """When :attr:`latched` came about."""
+        return self._latched_ns
+
+    @property
+    def arming_refused(self) -> str:
+        """Why the last attempt at arming failed; "" when it did not."""
+        return self._arming_refused
+
+    def latch(self, t_ns: int, reason: str) -> None:
+        """Stop everything until a person arms again; the first reason is kept."""
+        self._armed = False
+        if not self._latched:
+            self._latched, self._latched_ns = reason or "fault of unknown reason", t_ns
+
+    # --- what happens ------------------------------------------------------------------------------------
+
+    def observe(self, event: Event) -> None:
+        """Take note of an event; call it for every one, in order, before the controller sees it."""
+        earlier_ns, self._event_ns = self._event_ns, event.t_ns
+        if isinstance(event, ImuSample):
+            if fault := self._freshness.note(event):
+                self.latch(event.t_ns, fault)
+        elif isinstance(event, OperatorAct):
+            self._on_act(event)
+        elif isinstance(event, StimStatus):
+            self._on_status(event)
+        elif isinstance(event, StimAlive):
+            self._on_alive(event)
+        # last, so that an act of arming that itself came from the past does not stand
+        self._notice_backward(event.t_ns, earlier_ns)
+
+    def _on_act(self, act: OperatorAct) -> None:
+        if act.action is OperatorAction.ARM:
+            feet = sorted({line.channel.foot for line in self._lines.values()})
+            doubts = (self._freshness.doubt(foot, act.t_ns) for foot in feet)
+            self._arming_refused = next(filter(None, doubts), "")
+            self._armed = not self._arming_refused
+            if self._armed:
+                self._latched, self._latched_ns = "", None
+        elif act.action is OperatorAction.DISARM:
+            self._armed = False
+        elif act.action is OperatorAction.EMERGENCY_STOP:
+            self.latch(act.t_ns, "emergency stop")
+
+    def _on_status(self, status: StimStatus) -> None:
+        if status.fault:
+            self.latch(status.t_ns, f"stimulator fault on channel {status.channel}: {status.fault}")
+        line = self._lines.get(status.channel)
+        if status.on and line is not None:
+            over = over_a_cap(Pulse.of(status, line.channel), line.channel.limits)
+            if over:
+                self.latch(status.t_ns, f"{line.channel.name}: stimulator delivers {over}")
+
+    def _on_alive(self, alive: StimAlive) -> None:
+        if alive.fault:
+            self.latch(alive.t_ns, f"stimulator fault: {alive.fault}")
+        if self._boot_id is not None and alive.boot_id != self._boot_id:
+            self.latch(alive.t_ns, "stimulator restarted")
+        self._boot_id = alive.boot_id
+
+    def _notice_backward(self, t_ns: int, earlier_ns: int | None) -> None:
+        if earlier_ns is not None and t_ns < earlier_ns:
+            self.latch(t_ns, f"time ran backward by {(earlier_ns - t_ns) / 1e6:.3g} ms")
+
+    # --- the last word -----------------------------------------------------------------------------------
+
+    def judge(self, t_ns: int, request: StimRequest) -> StimCommand:
+        """Turn a request into the command that goes out; never raises, whatever the request holds.
+
+        Judge only what is then sent, at once and in this order: the gate takes each answer for the channel's state.
+        """
+        self._notice_backward(t_ns, self._event_ns)
+        self._notice_backward(t_ns, self._judged_ns)
+        self._judged_ns = t_ns
+        for each in self._lines.values():
+            each.let_lapse(t_ns)
+        number = _channel_number(request.channel)
+        line = self._lines.get(number)
+        refused = "" if request.on is False else self._refusal(t_ns, line, request)
+        if line is None or refused or not request.on:
+            if line is not None:
+                line.command_off(t_ns)
+                line.held_back = bool(refused)
+            return StimCommand(t_ns, number, False, 0.0, 0.0, 0.0, self._validity_ms, refused)
+        line.command_on(t_ns, request.current_ma)
+        line.held_back = False
+        current_ma, width_us = float(request.current_ma), float(request.pulse_width_us)
+        return StimCommand(t_ns, number, True, current_ma, width_us, float(request.frequency_hz), self._validity_ms)
+
+    def _refusal(self, t_ns: int, line: Line | None, request: StimRequest) -> str:
+        """Why stimulation must not go out; "" when it may. Latches what is a fault."""
+        if line is None:
+            fault = f"the session has no channel {shown(request.channel)}"
+            self.latch(t_ns, fault)
+            return fault
+        if self._latched:
+            return self._latched
+        if not self._armed:
+            return f"not armed: {self._arming_refused}" if self._arming_refused else "not armed"
+        if fault := self._fault(t_ns, line, request):
+            self.latch(t_ns, fault)
+            return fault
+        hold = line.off_too_short(t_ns) or self._antagonist_on(line) or line.rises_too_fast(t_ns, request.current_ma)
+        return f"{line.channel.name}: {hold}" if hold else ""
+
+    def _fault(self, t_ns: int, line: Line, request: StimRequest) -> str:
+        """What latches. The order matters: the later checks rely on the numbers being numbers."""
+        if doubt := self._freshness.doubt(line.channel.foot, t_ns):
+            return doubt
+        fault = (
+            _no_switch(request.on)
+            or no_number(request)
+            or over_a_cap(Pulse.of(request, line.channel), line.channel.limits)
+            or line.on_too_long(t_ns)
+        )
+        if not fault and not line.held_back:  # a burst held back has missed its ramp, which is nobody's fault
+            fault = line.rises_too_fast(t_ns, request.current_ma)
+        return f"{line.channel.name}: {fault}" if fault else ""
+
+    def _antagonist_on(self, line: Line) -> str:
+        for number in sorted(line.partners):
+            partner = self._lines.get(number)
+            if partner is not None and partner.on:
+                return f"never together with {partner.channel.name}, which is on"
+        return ""
+
+
+def _no_switch(value: object) -> str:
+    return "" if isinstance(value, bool) else f"on is {shown(value)}, must be true or false"
+
+
+def _channel_number(value: object) -> int:
+    return value if isinstance(value, int) and is_number(value) else NO_CHANNEL

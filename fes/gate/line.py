@@ -1,0 +1,80 @@
+"""One channel as the gate knows it: what it was last told, and what time allows next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from fes import limits
+from fes.config import Channel
+from fes.signals import NS_PER_S
+
+RISE_STEP_MA: Final = 0.5  # the devices' finest step: a ramp rounded to it may run this far ahead of its line
+ROUNDING_MA: Final = 1e-6  # of sums of floating-point numbers
+
+
+@dataclass(slots=True)
+class Line:
+    """A channel's settings, its antagonists' numbers, and its state.
+
+    ``ramp_ma`` is a line that climbs no faster than the rise limit and never lies above the current let out; a request
+    may exceed it by one device step. So no sequence of commands, however dense, beats the limit by more than a step.
+    ``held_back``: the burst now asked for was refused though nothing is broken; see :mod:`fes.gate.gate`.
+    """
+
+    channel: Channel
+    partners: frozenset[int]
+    validity_ns: int
+    on: bool = False
+    on_since_ns: int = 0
+    off_since_ns: int | None = None
+    commanded_ns: int | None = None
+    ramp_ma: float = 0.0
+    held_back: bool = False
+
+    def command_on(self, t_ns: int, current_ma: float) -> None:
+        """The device is told to deliver this current."""
+        self.ramp_ma = min(self._ramp_ma_at(t_ns), current_ma)
+        if not self.on:
+            self.on, self.on_since_ns = True, t_ns
+        self.commanded_ns = t_ns
+
+    def command_off(self, t_ns: int) -> None:
+        """The device is told to be off."""
+        if self.on:
+            self.on, self.off_since_ns = False, t_ns
+        self.ramp_ma, self.commanded_ns = 0.0, t_ns
+
+    def let_lapse(self, t_ns: int) -> None:
+        """A command outlived is an off that the device gave itself; what comes next is no part of that burst."""
+        if self.on and self.commanded_ns is not None and t_ns - self.commanded_ns > self.validity_ns:
+            self.command_off(self.commanded_ns + self.validity_ns)
+            self.held_back = True
+
+    def on_too_long(self, t_ns: int) -> str:
+        """Says so when the burst has lasted longer than a burst may."""
+        most_s = min(limits.MAX_ON_S, self.channel.limits.max_on_s)
+        on_ns = t_ns - self.on_since_ns if self.on else 0
+        return f"on for {on_ns / NS_PER_S:.3g} s, limit {most_s:.3g} s" if on_ns > round(most_s * NS_PER_S) else ""
+
+    def off_too_short(self, t_ns: int) -> str:
+        """Says so when the last burst is too recent for another."""
+        least_s = max(limits.MIN_OFF_S, self.channel.limits.min_off_s)
+        if self.on or self.off_since_ns is None or t_ns - self.off_since_ns >= round(least_s * NS_PER_S):
+            return ""
+        return f"off for {(t_ns - self.off_since_ns) / NS_PER_S:.3g} s, at least {least_s:.3g} s"
+
+    def rises_too_fast(self, t_ns: int, current_ma: float) -> str:
+        """Says so when this current is more than the ramp can have reached."""
+        most_ma = self._ramp_ma_at(t_ns) + RISE_STEP_MA
+        if current_ma <= most_ma + ROUNDING_MA:
+            return ""
+        return f"rise to {current_ma:.4g} mA too fast, at most {most_ma:.4g} mA by now"
+
+    def _ramp_ma_at(self, t_ns: int) -> float:
+        """Where the ramp may be; one validity is the longest time since a command that counts."""
+        if self.commanded_ns is None:
+            return 0.0
+        elapsed_ns = min(max(t_ns - self.commanded_ns, 0), self.validity_ns)
+        most_ma_per_s = min(limits.MAX_RISE_MA_PER_S, self.channel.limits.max_rise_ma_per_s)
+        return self.ramp_ma + most_ma_per_s * elapsed_ns / NS_PER_S

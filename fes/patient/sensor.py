@@ -1,0 +1,184 @@
+"""An inertial sensor: from the true motion of the point where it sits to the numbers it would deliver.
+
+Order of effects: true signals on a fine grid → bandwidth → sampling (at jittered instants) → misalignment, scale
+error, bias and its random walk, white noise → range → quantisation → lost and doubled samples. Each can be off.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fes.recording import Track
+from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray
+
+FINE_HZ = 4000.0
+
+
+@dataclass(frozen=True, slots=True)
+class ImuModel:
+    """What is wrong with the sensor; every 0 (or None) switches an effect off.
+
+    Densities and errors are typical of consumer MEMS units (0.007 °/s/√Hz, 120 µg/√Hz, 16 bit).
+
+    Attributes:
+        gyr_noise_radps_rthz: white noise density, rad/s/√Hz.
+        acc_noise_mps2_rthz: white noise density, m/s²/√Hz.
+        gyr_bias_radps: greatest constant bias per axis; drawn uniformly within ±.
+        acc_bias_mps2: greatest constant bias per axis.
+        gyr_walk_radps_rts: bias random walk, rad/s/√s.
+        acc_walk_mps2_rts: bias random walk, m/s²/√s.
+        scale_error: standard deviation of the scale factors' error.
+        cross_axis: standard deviation of the off-diagonal sensitivities.
+        acc_range_mps2: full scale ±, None for unlimited.
+        gyr_range_radps: full scale ±, None for unlimited.
+        bits: resolution over the full scale; 0 switches quantisation off. Needs both ranges.
+        bandwidth: cut-off of the linear-phase low-pass as a share of the sampling rate; 0 is off.
+        jitter_s: standard deviation of the instant of sampling around the regular grid; the stamps tell the truth.
+        lost: share of samples that never arrive.
+        doubled: share of samples that arrive twice with the same stamp.
+    """
+
+    gyr_noise_radps_rthz: float = math.radians(0.007)
+    acc_noise_mps2_rthz: float = 120e-6 * G_MPS2
+    gyr_bias_radps: float = math.radians(0.5)
+    acc_bias_mps2: float = 0.15
+    gyr_walk_radps_rts: float = math.radians(0.003)
+    acc_walk_mps2_rts: float = 2e-4
+    scale_error: float = 0.003
+    cross_axis: float = 0.002
+    acc_range_mps2: float | None = 16.0 * G_MPS2
+    gyr_range_radps: float | None = math.radians(2000.0)
+    bits: int = 16
+    bandwidth: float = 0.4
+    jitter_s: float = 0.0
+    lost: float = 0.0
+    doubled: float = 0.0
+
+
+PERFECT = replace(
+    ImuModel(), gyr_noise_radps_rthz=0.0, acc_noise_mps2_rthz=0.0, gyr_bias_radps=0.0, acc_bias_mps2=0.0,
+    gyr_walk_radps_rts=0.0, acc_walk_mps2_rts=0.0, scale_error=0.0, cross_axis=0.0, acc_range_mps2=None,
+    gyr_range_radps=None, bits=0, bandwidth=0.0,
+)  # fmt: skip
+
+
+def ideal_signals(
+    acceleration_mps2: FloatArray, rotation: FloatArray, rate_foot_radps: FloatArray, mounting: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Specific force ``f = Rᵀ (a + g)`` and angular rate in sensor axes, (N, 3) each.
+
+    Args:
+        acceleration_mps2: (N, 3) acceleration of the sensor in an inertial frame with z up.
+        rotation: (N, 3, 3) world from the segment's frame.
+        rate_foot_radps: (N, 3) angular rate in the segment's axes.
+        mounting: (3, 3) segment from sensor.
+    """
+    force = acceleration_mps2 + np.array([0.0, 0.0, G_MPS2])
+    in_segment = np.einsum("nji,nj->ni", rotation, force)
+    return in_segment @ mounting, rate_foot_radps @ mounting
+
+
+def measure(
+    rng: np.random.Generator,
+    model: ImuModel,
+    sensor: str,
+    rate_hz: float,
+    fine_t_s: FloatArray,
+    force_mps2: FloatArray,
+    rate_radps: FloatArray,
+) -> Track:
+    """What ``model`` delivers at ``rate_hz`` for ideal signals (M, 3) given on the uniform grid ``fine_t_s`` (M,).
+
+    Raises:
+        ValueError: quantisation without a range, or a fine grid slower than twice the sampling rate.
+    """
+    fine_hz = 1.0 / (fine_t_s[1] - fine_t_s[0])
+    if fine_hz < 2.0 * rate_hz:
+        raise ValueError(f"the fine grid ({fine_hz:.0f} Hz) must be at least twice the sampling rate ({rate_hz:g} Hz)")
+    if model.bandwidth > 0.0:
+        force_mps2 = low_pass(force_mps2, model.bandwidth * rate_hz / fine_hz)
+        rate_radps = low_pass(rate_radps, model.bandwidth * rate_hz / fine_hz)
+    count = int((fine_t_s[-1] - fine_t_s[0]) * rate_hz) + 1
+    t_s = fine_t_s[0] + np.arange(count) / rate_hz
+    if model.jitter_s > 0.0:
+        # bounded well below half an interval, so that the order of samples stays
+        t_s = t_s + np.clip(rng.normal(0.0, model.jitter_s, count), -0.3 / rate_hz, 0.3 / rate_hz)
+        t_s = np.clip(t_s, fine_t_s[0], fine_t_s[-1])
+    acc = distort(rng, resample(fine_t_s, force_mps2, t_s), rate_hz, model, accelerometer=True)
+    gyr = distort(rng, resample(fine_t_s, rate_radps, t_s), rate_hz, model, accelerometer=False)
+    keep = delivered(rng, count, model.lost, model.doubled)
+    stamps = np.round(t_s * NS_PER_S).astype(np.int64)[keep]
+    return Track(sensor, rate_hz, stamps, stamps, acc[keep], gyr[keep], model.acc_range_mps2, model.gyr_range_radps)
+
+
+def distort(
+    rng: np.random.Generator, true: FloatArray, rate_hz: float, model: ImuModel, *, accelerometer: bool
+) -> FloatArray:
+    """Misalignment, scale, bias, noise, range and quantisation of one sensor triad, (N, 3) → (N, 3)."""
+    if accelerometer:
+        noise, bias, walk, full = (
+            model.acc_noise_mps2_rthz, model.acc_bias_mps2, model.acc_walk_mps2_rts, model.acc_range_mps2,
+        )  # fmt: skip
+    else:
+        noise, bias, walk, full = (
+            model.gyr_noise_radps_rthz, model.gyr_bias_radps, model.gyr_walk_radps_rts, model.gyr_range_radps,
+        )  # fmt: skip
+    sensitivity = np.diag(1.0 + model.scale_error * rng.normal(size=3))
+    sensitivity += model.cross_axis * rng.normal(size=(3, 3)) * (1.0 - np.eye(3))
+    out = true @ sensitivity.T + bias * rng.uniform(-1.0, 1.0, 3)
+    if walk > 0.0:
+        out = out + np.cumsum(rng.normal(0.0, walk / math.sqrt(rate_hz), out.shape), axis=0)
+    if noise > 0.0:
+        out = out + rng.normal(0.0, noise * math.sqrt(0.5 * rate_hz), out.shape)
+    if full is not None:
+        out = np.clip(out, -full, full)
+    if model.bits:
+        if full is None:
+            raise ValueError("quantisation needs a range: give acc_range_mps2 and gyr_range_radps, or bits = 0")
+        lsb = full / 2 ** (model.bits - 1)
+        out = np.clip(np.round(out / lsb), -(2 ** (model.bits - 1)), 2 ** (model.bits - 1) - 1) * lsb
+    return np.ascontiguousarray(out)
+
+
+def low_pass(signal: FloatArray, cut_off: float, half_length: float = 2.0) -> FloatArray:
+    """Windowed-sinc low-pass without delay; ``cut_off`` in cycles per sample; (N, 3) → (N, 3)."""
+    reach = math.ceil(half_length / cut_off)
+    k = np.arange(-reach, reach + 1)
+    taps = np.sinc(2.0 * cut_off * k) * np.hanning(2 * reach + 3)[1:-1]
+    taps /= taps.sum()
+    padded = np.pad(signal, ((reach, reach), (0, 0)), mode="edge")
+    return np.column_stack([np.convolve(padded[:, axis], taps, mode="valid") for axis in range(signal.shape[1])])
+
+
+def resample(grid_s: FloatArray, signal: FloatArray, t_s: FloatArray) -> FloatArray:
+    """Cubic (Catmull-Rom) interpolation of (M, 3) on a uniform grid at the instants ``t_s`` within it."""
+    position = (t_s - grid_s[0]) / (grid_s[1] - grid_s[0])
+    cell = np.clip(np.floor(position + 1e-9).astype(np.int64), 0, len(grid_s) - 2)
+    u = (position - cell)[:, None]
+    last = len(grid_s) - 1
+    p0, p1, p2, p3 = (signal[np.clip(cell + k, 0, last)] for k in (-1, 0, 1, 2))
+    inner: FloatArray = p1 + 0.5 * u * (
+        p2 - p0 + u * (2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3 + u * (3.0 * (p1 - p2) + p3 - p0))
+    )
+    return inner
+
+
+def delivered(rng: np.random.Generator, count: int, lost: float, doubled: float) -> IntArray:
+    """Which samples arrive, in order: indices 0 … count-1, the lost ones left out, the doubled ones twice."""
+    chance = rng.uniform(size=count)
+    times = np.where(chance < lost, 0, np.where(chance > 1.0 - doubled, 2, 1))
+    times[0] = times[-1] = 1
+    return np.repeat(np.arange(count, dtype=np.int64), times)
+
+
+def mounting(roll_deg: float, pitch_deg: float, yaw_deg: float) -> FloatArray:
+    """(3, 3) segment from sensor: ``Rz(yaw) Ry(pitch) Rx(roll)`` with angles in degrees."""
+    r, p, y = (math.radians(angle) for angle in (roll_deg, pitch_deg, yaw_deg))
+    about_x = np.array([[1, 0, 0], [0, math.cos(r), -math.sin(r)], [0, math.sin(r), math.cos(r)]])
+    about_y = np.array([[math.cos(p), 0, math.sin(p)], [0, 1, 0], [-math.sin(p), 0, math.cos(p)]])
+    about_z = np.array([[math.cos(y), -math.sin(y), 0], [math.sin(y), math.cos(y), 0], [0, 0, 1]])
+    turned: FloatArray = about_z @ about_y @ about_x
+    return turned

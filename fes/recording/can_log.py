@@ -1,0 +1,168 @@
+"""CAN logs (``.asc``, ``.blf``, ``.log``) with their DBC as recordings.
+
+A sensor's columns are ``Message.Signal``. Its acceleration and rate may come in one message or in several; a sample
+is stamped when its last message came.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fes.recording.raw import LARGEST_VALUE, RawTrack
+from fes.recording.sidecar import Sidecar
+from fes.recording.tracks import RecordingError
+from fes.signals import NS_PER_S, FloatArray, IntArray
+
+
+class _Collector:
+    """Gathers one sensor's messages and pairs them into samples."""
+
+    def __init__(self, columns: tuple[str, ...]) -> None:
+        self.parts = [tuple(name.split(".", 1)) for name in columns]
+        self.messages = sorted({message for message, _ in self.parts})
+        self._t_ns: dict[str, list[int]] = {message: [] for message in self.messages}
+        self._frames: dict[str, list[int]] = {message: [] for message in self.messages}
+        self._signals: dict[str, list[dict[str, Any]]] = {message: [] for message in self.messages}
+
+    def add(self, message: str, signals: dict[str, Any], t_ns: int, frame: int) -> None:
+        """Take one decoded message, the ``frame``-th of the log."""
+        self._t_ns[message].append(t_ns)
+        self._frames[message].append(frame)
+        self._signals[message].append(signals)
+
+    def samples(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """Return (t_ns, frame, values) of the complete samples: (N,), (N,), (N, 6).
+
+        The message that usually comes last closes a sample; with it go the latest of the others, if they came after
+        the closing message before. A sample that lacks one is lost whole, halves of two are never mixed.
+        """
+        frames = {message: np.array(self._frames[message], np.int64) for message in self.messages}
+        if not all(array.size for array in frames.values()):
+            return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6))
+        last = min(self.messages, key=lambda message: self._wait(message, frames))
+        closing = frames[last]
+        before = np.concatenate([[-1], closing[:-1]])
+        complete = np.ones(closing.size, bool)
+        index = {}
+        for message in self.messages:
+            index[message] = np.searchsorted(frames[message], closing, side="right") - 1
+            complete &= (index[message] >= 0) & (frames[message][index[message]] > before)
+        rows = np.flatnonzero(complete)
+        values = np.empty((rows.size, len(self.parts)))
+        for column, (message, signal) in enumerate(self.parts):
+            chosen = index[message][rows].tolist()
+            values[:, column] = [float(self._signals[message][number][signal]) for number in chosen]
+        return np.array(self._t_ns[last], np.int64)[rows], closing[rows], values
+
+    def _wait(self, last: str, frames: dict[str, IntArray]) -> float:
+        """How long, usually, the other messages would have waited if ``last`` closed the samples (ns)."""
+        t_last = np.array(self._t_ns[last], np.int64)
+        total = 0.0
+        for message in self.messages:
+            index = np.searchsorted(frames[message], frames[last], side="right") - 1
+            waited = t_last - np.array(self._t_ns[message], np.int64)[np.maximum(index, 0)]
+            total += float(np.median(waited[index >= 0])) if (index >= 0).any() else float("inf")
+        return total
+
+
+def read_can_log(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, RawTrack]:
+    """Return sensor → what the log has of it, times from the log's first frame on.
+
+    Raises:
+        RecordingError: the log or the DBC cannot be read, a name is not in the DBC, or no frame of a sensor came.
+    """
+    if sidecar.can is None:
+        raise RecordingError(f'{sidecar_path}: {path.name} is a CAN log: say [can] and dbc = "NAME.dbc" in the sidecar')
+    dbc_path = sidecar_path.parent / sidecar.can.dbc
+    database = _load_dbc(dbc_path)
+    collectors = {}
+    for sensor, columns in sidecar.sensors.items():
+        if columns.time_column or columns.arrival_column or sidecar.time_column:
+            raise RecordingError(
+                f"{sidecar_path}: a CAN log has its own times; leave time_column and arrival_column out"
+            )
+        for name in (*columns.acc, *columns.gyr):
+            _check_name(name, database, dbc_path, sidecar_path, sensor)
+        collectors[sensor] = _Collector((*columns.acc, *columns.gyr))
+    wanted: dict[tuple[int, bool], tuple[Any, list[_Collector]]] = {}
+    for collector in collectors.values():
+        for name in collector.messages:
+            message = database.get_message_by_name(name)
+            key = (message.frame_id, bool(message.is_extended_frame))
+            wanted.setdefault(key, (message, []))[1].append(collector)
+    first_ns: int | None = None
+    for frame, received in enumerate(_frames(path), start=1):
+        t_ns = round(received.timestamp * NS_PER_S)
+        first_ns = t_ns if first_ns is None else first_ns
+        message, receivers = wanted.get((received.arbitration_id, received.is_extended_id), (None, []))
+        if message is None or received.is_error_frame or received.is_remote_frame:
+            continue
+        signals = _decode(path, frame, message, received)
+        for collector in receivers:
+            collector.add(message.name, signals, t_ns - first_ns, frame)
+    if first_ns is None:
+        raise RecordingError(f"{path}: holds no CAN frame")
+    return {sensor: _raw(path, sensor, collector) for sensor, collector in collectors.items()}
+
+
+def _load_dbc(path: Path) -> Any:
+    import cantools
+
+    try:
+        return cantools.database.load_file(path)
+    except OSError as error:
+        raise RecordingError(
+            f"{path}: cannot be read: {error.strerror or error}. dbc is sought beside the sidecar."
+        ) from error
+    except (cantools.Error, ValueError) as error:
+        raise RecordingError(f"{path}: is no DBC that can be read: {error}") from error
+
+
+def _check_name(name: str, database: Any, dbc_path: Path, sidecar_path: Path, sensor: str) -> None:
+    known = {f"{message.name}.{signal.name}" for message in database.messages for signal in message.signals}
+    if name in known:
+        return
+    near = difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.4)
+    guess = f" Did you mean {' or '.join(map(repr, near))}?" if near else f" It has {', '.join(sorted(known)[:20])}."
+    raise RecordingError(f"{sidecar_path}: {sensor}: {dbc_path.name} has no {name!r}; names are Message.Signal.{guess}")
+
+
+def _frames(path: Path) -> Iterator[Any]:
+    import can
+
+    try:
+        with can.LogReader(path) as reader:
+            yield from reader
+    except Exception as error:  # the readers of several formats fail in many ways on bytes that are none of theirs
+        raise RecordingError(f"{path}: cannot be read as a CAN log: {error}") from error
+
+
+def _decode(path: Path, frame: int, message: Any, received: Any) -> dict[str, Any]:
+    """Signals by name as numbers; multiplexed and enumerated signals too."""
+    try:
+        signals: dict[str, Any] = message.decode(bytes(received.data), decode_choices=False)
+    except Exception as error:  # cantools raises several unrelated kinds for a payload that does not fit
+        raise RecordingError(
+            f"{path}: frame {frame} (identifier 0x{received.arbitration_id:X}, {len(received.data)} bytes) does not "
+            f"fit message {message.name} of the DBC: {error}"
+        ) from error
+    return signals
+
+
+def _raw(path: Path, sensor: str, collector: _Collector) -> RawTrack:
+    t_ns, frames, values = collector.samples()
+    if not t_ns.size:
+        raise RecordingError(
+            f"{path}: {sensor}: no frame of {', '.join(collector.messages)} came, or not of each; "
+            f"check that the log and the DBC belong together"
+        )
+    bad = np.flatnonzero(~(np.abs(values) < LARGEST_VALUE).all(axis=1))
+    if bad.size:
+        raise RecordingError(f"{path}: {sensor}: frame {frames[bad[0]]} holds a number that is no measurement")
+    acc, gyr = np.ascontiguousarray(values[:, :3]), np.ascontiguousarray(values[:, 3:])
+    return RawTrack(t_ns, None, acc, gyr, t_ns, lambda index: f"frame {frames[index]}")

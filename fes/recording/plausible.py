@@ -1,0 +1,125 @@
+"""Are the units what the sidecar says? Gravity at rest and the turning rates of a moving leg tell.
+
+Wrong units would not crash: they would give wrong phases, and stimulation at the wrong moment. So they are refused.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fes.recording.tracks import RecordingError
+from fes.recording.units import ACC_UNITS, GYR_UNITS
+from fes.signals import G_MPS2, FloatArray
+
+WINDOW_S = 0.15  # the foot is flat for about 0.3 s of every stride: a window fits in whatever its phase
+QUIET_SHARE = 0.05
+GRAVITY_BAND = (0.75, 1.33)  # quiet shanks and lively feet still read within it, g and m/s² are a factor 9.8 apart
+MAX_RATE_RADPS = 60.0  # 3400 deg/s: no leg turns so fast, no usual sensor measures it
+MOVING_MPS2 = 3.0  # walking feet leave 1 g by more than 10 m/s², idle ones by less than 1
+MIN_MOVING_RADPS = 0.35  # 20 deg/s: a foot that walks peaks at 200 to 600
+
+
+@dataclass(frozen=True)
+class Quiet:
+    """Medians over the quietest windows: norms of the two sensors' vectors, in the units of the file."""
+
+    acc: float
+    gyr: float
+
+
+def quiet_level(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> Quiet:
+    """Return the levels in the quietest windows of (N, 3) raw vectors, whatever their units.
+
+    Quietness is the spread of the acceleration in a window and its turning rate, each relative to its median over
+    the file, so that no unit is needed to rank by it.
+    """
+    size = min(max(4, round(WINDOW_S * rate_hz)), len(acc))
+    count = len(acc) // size
+    acc_windows = acc[: count * size].reshape(count, size, 3)
+    gyr_windows = gyr[: count * size].reshape(count, size, 3)
+    spread = np.sqrt(acc_windows.var(axis=1).sum(axis=1))
+    gyr_spread = np.sqrt(gyr_windows.var(axis=1).sum(axis=1))
+    restless = spread / (np.median(spread) or 1.0) + gyr_spread / (np.median(gyr_spread) or 1.0)
+    chosen = np.argsort(restless, kind="stable")[: max(1, math.ceil(QUIET_SHARE * count))]
+    return Quiet(
+        float(np.median(np.linalg.norm(acc_windows[chosen], axis=2))),
+        float(np.median(np.linalg.norm(gyr_windows[chosen], axis=2))),
+    )
+
+
+def check_units(
+    where: str,
+    acc: FloatArray,
+    gyr: FloatArray,
+    rate_hz: float,
+    acc_unit: str | float,
+    gyr_unit: str | float,
+    factors: tuple[float, float],
+) -> None:
+    """Check (N, 3) vectors in the file's units against what the sidecar says of them.
+
+    Raises:
+        RecordingError: gravity or the turning rates do not fit; the message says which unit would.
+    """
+    quiet = quiet_level(acc, gyr, rate_hz)
+    _check_gravity(where, quiet, acc_unit, factors[0])
+    _check_turning(where, acc * factors[0], gyr, gyr_unit, factors[1])
+
+
+def _check_gravity(where: str, quiet: Quiet, unit: str | float, factor: float) -> None:
+    low, high = (G_MPS2 * bound for bound in GRAVITY_BAND)
+    if low <= quiet.acc * factor <= high:
+        return
+    reading = f"{where}: at rest the accelerometer reads {quiet.acc:.4g}"
+    for other, size in ACC_UNITS.items():
+        if low <= quiet.acc * size <= high:
+            raise RecordingError(
+                f"{reading}, which looks like {other} (gravity is {G_MPS2 / size:.4g} {other}), but acc_unit = "
+                f'{_shown(unit)}: set acc_unit = "{other}"'
+            )
+    for other, size in ACC_UNITS.items():
+        if quiet.acc < 0.2 * quiet.gyr and low <= quiet.gyr * size <= high:
+            raise RecordingError(
+                f"{reading} and the gyroscope {quiet.gyr:.4g}, which looks like gravity in {other}: the columns of acc "
+                f"and gyr are swapped; exchange the two lists"
+            )
+    if quiet.acc * factor < 0.25 * G_MPS2:
+        raise RecordingError(
+            f"{reading} {_shown(unit)}: gravity is missing. Either acc names the wrong columns, or the sensor was told "
+            f"to subtract gravity (“linear” or “free” acceleration): export the raw acceleration"
+        )
+    raise RecordingError(
+        f"{reading} {_shown(unit)} where gravity ({G_MPS2 / factor:.4g}) is due. Check the columns of acc and "
+        f"acc_unit; if these are raw counts, say acc_unit = {G_MPS2 / quiet.acc:.4g} (m/s² per count)"
+    )
+
+
+def _check_turning(where: str, acc_mps2: FloatArray, gyr: FloatArray, unit: str | float, factor: float) -> None:
+    peak = float(np.percentile(np.linalg.norm(gyr, axis=1), 99.0))
+    if peak * factor > MAX_RATE_RADPS:
+        fitting = _fitting_rate_unit(peak)
+        fix = f'this looks like {fitting}: set gyr_unit = "{fitting}"' if fitting else "check gyr and gyr_unit"
+        raise RecordingError(
+            f"{where}: the gyroscope's peaks of {peak:.4g} (99th percentile) with gyr_unit = {_shown(unit)} would be "
+            f"{math.degrees(peak * factor):.0f} deg/s, more than any leg turns; {fix}"
+        )
+    moved = float(np.percentile(np.abs(np.linalg.norm(acc_mps2, axis=1) - G_MPS2), 99.0))
+    if moved > MOVING_MPS2 and peak * factor < MIN_MOVING_RADPS:
+        fitting = _fitting_rate_unit(peak)
+        fix = f'this looks like {fitting}: set gyr_unit = "{fitting}"' if fitting else "check gyr and gyr_unit"
+        raise RecordingError(
+            f"{where}: the accelerometer shows movement ({moved:.1f} m/s² beside gravity), but the gyroscope's peaks "
+            f"of {peak:.4g} with gyr_unit = {_shown(unit)} would be only {math.degrees(peak * factor):.2g} deg/s; {fix}"
+        )
+
+
+def _fitting_rate_unit(peak: float) -> str:
+    """The unit in which a walking leg could peak at this number, "" if none."""
+    return next((unit for unit, size in GYR_UNITS.items() if 1.0 <= peak * size <= 40.0), "")
+
+
+def _shown(unit: str | float) -> str:
+    return f'"{unit}"' if isinstance(unit, str) else f"{unit:g}"

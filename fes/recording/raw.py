@@ -1,0 +1,126 @@
+"""One sensor's rows as the file has them: complete, finite, lost samples set aside; units not yet applied."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from fes.recording.csv_text import Dialect
+from fes.recording.sidecar import Sensor, Sidecar
+from fes.recording.table import Table
+from fes.recording.timebase import stamps_from_rate
+from fes.recording.tracks import RecordingError
+from fes.recording.units import TIME_UNITS_NS
+from fes.signals import FloatArray, IntArray
+
+LARGEST_VALUE = 1e10  # more than any sensor's counts; what lies beyond is damage, not movement
+
+
+@dataclass(frozen=True)
+class RawTrack:
+    """One sensor as the file has it: (N,) times and (N, 3) values in the sidecar's units.
+
+    ``stamps_ns`` holds the times of all rows that have one, those of lost samples included; ``place`` tells where a
+    stamp stands in the file. ``t_arrival_ns`` is None where nothing but the stamps tells when samples came.
+    """
+
+    t_sensor_ns: IntArray
+    t_arrival_ns: IntArray | None
+    acc: FloatArray
+    gyr: FloatArray
+    stamps_ns: IntArray
+    place: Callable[[int], str]
+
+
+def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, RawTrack]:
+    """Return sensor → what a CSV or Parquet file has of it.
+
+    Raises:
+        RecordingError: the file is damaged, lacks a column or a cell, or holds what is no number.
+    """
+    if sidecar.can is not None:
+        raise RecordingError(f"{sidecar_path}: [can] is for CAN logs; leave it out, {path.name} is none")
+    values = [name for columns in sidecar.sensors.values() for name in (*columns.acc, *columns.gyr)]
+    times = [sidecar.time_of(sensor) for sensor in sidecar.sensors]
+    times += [columns.arrival_column for columns in sidecar.sensors.values()]
+    time_names = list(dict.fromkeys(name for name in times if name))
+    confused = [name for name in time_names if name in values]
+    if confused:
+        raise RecordingError(f"{sidecar_path}: column {confused[0]!r} is named as a time and as a measurement")
+    dialect = Dialect(**{field.name: getattr(sidecar, field.name) for field in fields(Dialect)})
+    table = Table(path, time_names + values, time_names, dialect)
+    return {sensor: _raw_track(table, sidecar, sensor) for sensor in sidecar.sensors}
+
+
+def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor) -> RawTrack:
+    columns = sidecar.sensors[sensor]
+    names = (*columns.acc, *columns.gyr)
+    where = f"{table.path}: {sensor}"
+    data = np.column_stack([table.numbers(name) for name in names])
+    dropped = _dropped_rows(table, names, where)
+    _check_finite(table, data, names, dropped)
+    time_name = sidecar.time_of(sensor)
+    timed = np.ones(table.rows, bool)
+    if time_name is None:
+        rate_hz = sidecar.rate_of(sensor)
+        stamps = stamps_from_rate(table.rows, rate_hz or 1.0)
+    else:
+        stamps = table.times_ns(time_name, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])
+        empty = table.empty(time_name)
+        timed = timed if empty is None else ~empty
+        untimed = np.flatnonzero(~timed & ~dropped)
+        if untimed.size:
+            raise RecordingError(
+                f"{where}: {table.place(int(untimed[0]))} has values and no time in {time_name!r} "
+                f"({untimed.size} such rows); fill it in, or state rate_hz instead of time_column"
+            )
+    kept, with_time = np.flatnonzero(~dropped), np.flatnonzero(timed)
+    if not kept.size:
+        raise RecordingError(f"{where}: all of its cells are empty; leave the sensor out of the sidecar")
+    arrival = None
+    if columns.arrival_column:
+        arrival = table.times_ns(columns.arrival_column, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])[kept]
+    return RawTrack(
+        stamps[kept],
+        arrival,
+        np.ascontiguousarray(data[kept, :3]),
+        np.ascontiguousarray(data[kept, 3:]),
+        stamps[with_time],
+        lambda index: table.place(int(with_time[index])),
+    )
+
+
+def _dropped_rows(table: Table, names: tuple[str, ...], where: str) -> npt.NDArray[np.bool_]:
+    """Rows in which all of a sensor's cells are empty; a row with some empty is refused."""
+    masks = [table.empty(name) for name in names]
+    if all(mask is None for mask in masks):
+        return np.zeros(table.rows, bool)
+    empty = np.column_stack([np.zeros(table.rows, bool) if mask is None else mask for mask in masks])
+    dropped = empty.all(axis=1)
+    partly = np.flatnonzero(empty.any(axis=1) & ~dropped)
+    if partly.size:
+        row = int(partly[0])
+        name = names[int(np.argmax(empty[row]))]
+        raise RecordingError(
+            f"{where}: {table.place(row)}: column {name!r} is empty and others of the sensor are not "
+            f"({partly.size} such rows). Where a sample is lost, leave all six cells empty."
+        )
+    return np.asarray(dropped)
+
+
+def _check_finite(table: Table, data: FloatArray, names: tuple[str, ...], dropped: npt.NDArray[np.bool_]) -> None:
+    if data.min() > -LARGEST_VALUE and data.max() < LARGEST_VALUE:  # the usual case; false for NaN
+        return
+    bad = ~(np.abs(data) < LARGEST_VALUE) & ~dropped[:, None]
+    rows = np.flatnonzero(bad.any(axis=1))
+    if rows.size:
+        row = int(rows[0])
+        column = int(np.argmax(bad[row]))
+        raise RecordingError(
+            f"{table.path}: {table.place(row)}, column {names[column]!r}: {data[row, column]} is no measurement "
+            f"({int(bad.sum())} such values in {rows.size} rows). Where a sample is lost, leave all six cells empty."
+        )

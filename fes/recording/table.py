@@ -1,0 +1,188 @@
+"""CSV or Parquet → columns as numbers; what is wrong with the file as a file is told here."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fes.recording import csv_text
+from fes.recording.csv_text import Dialect
+from fes.recording.tracks import RecordingError
+from fes.signals import FloatArray, IntArray
+
+_PARQUET_MAGIC = b"PAR1"
+
+
+class Table:
+    """The wanted columns of a file.
+
+    Raises (constructor):
+        RecordingError: the file is no readable CSV or Parquet, is empty, or lacks a column.
+    """
+
+    def __init__(self, path: Path, wanted: list[str], times: list[str], dialect: Dialect) -> None:
+        """``wanted``: columns to read; ``times``: those of them that are times."""
+        self.path = path
+        self.is_csv = path.suffix.lower() == ".csv"
+        self._dialect = dialect
+        self._table = self._read_csv(wanted, times) if self.is_csv else self._read_parquet(wanted)
+        self.rows = int(self._table.num_rows)
+        if self.rows == 0:
+            raise RecordingError(f"{path}: holds a header and no samples")
+
+    def place(self, row: int) -> str:
+        """Return where a row is, for messages: “line 17” of a CSV file, “row 16” (from 1) of Parquet."""
+        return f"line {csv_text.line_of_row(self.path, self._dialect, row)}" if self.is_csv else f"row {row + 1}"
+
+    def numbers(self, name: str) -> FloatArray:
+        """Return a column as (rows,) float64, NaN where empty.
+
+        Raises:
+            RecordingError: the column does not hold numbers.
+        """
+        import pyarrow as pa
+
+        column = self._table.column(name)
+        try:
+            return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+        except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
+            fault = csv_text.find_fault(self.path, self._dialect, [name]) if self.is_csv else ""
+            raise RecordingError(fault or f"{self.path}: column {name!r} holds {column.type}, not numbers") from error
+
+    def empty(self, name: str) -> npt.NDArray[np.bool_] | None:
+        """Return where a column's cells are empty, None if nowhere."""
+        column = self._table.column(name)
+        return np.asarray(column.is_null().to_numpy(), dtype=bool) if column.null_count else None
+
+    def times_ns(self, name: str, unit_ns: int) -> IntArray:
+        """Return a time column as (rows,) nanoseconds, 0 where empty.
+
+        Raises:
+            RecordingError: the column does not hold times.
+        """
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        column = self._table.column(name)
+        kind = column.type
+        if pa.types.is_timestamp(kind):
+            column = column.cast(pa.timestamp("ns", kind.tz), safe=False).cast(pa.int64())
+            return np.asarray(pc.fill_null(column, 0).to_numpy(), dtype=np.int64)
+        if pa.types.is_integer(kind):
+            counts = np.asarray(pc.fill_null(column.cast(pa.int64(), safe=False), 0).to_numpy(), dtype=np.int64)
+            self._check_span(name, counts.astype(np.float64) * unit_ns)
+            return counts * unit_ns
+        with np.errstate(over="ignore"):  # what overflows is told below
+            stamps = self.numbers(name) * unit_ns
+        empty = self.empty(name)
+        if empty is not None:
+            stamps[empty] = 0.0
+        self._check_span(name, stamps)
+        return np.rint(stamps).astype(np.int64)
+
+    def _check_span(self, name: str, stamps_ns: FloatArray) -> None:
+        bad = np.flatnonzero(~(np.abs(stamps_ns) < 2.0**63))
+        if bad.size:
+            raise RecordingError(
+                f"{self.path}: {self.place(int(bad[0]))}, column {name!r}: {stamps_ns[bad[0]] * 1e-9:g} s is no time "
+                f"({bad.size} such rows); check time_unit"
+            )
+
+    def _read_csv(self, wanted: list[str], times: list[str]) -> Any:
+        import pyarrow as pa
+        from pyarrow import csv
+
+        dialect = self._dialect
+        names = csv_text.header(self.path, dialect)
+        self._check_names(names, wanted)
+        types = {name: pa.float64() for name in wanted if name not in times}
+        try:
+            return csv.read_csv(
+                self.path,
+                csv.ReadOptions(
+                    column_names=names,
+                    skip_rows=dialect.first_data_line - 1,
+                    encoding=dialect.encoding,
+                ),
+                csv.ParseOptions(delimiter=dialect.delimiter),
+                csv.ConvertOptions(
+                    column_types=types, include_columns=wanted, null_values=[""], decimal_point=dialect.decimal
+                ),
+            )
+        except (pa.ArrowException, OSError, UnicodeDecodeError, KeyError) as error:
+            fault = csv_text.find_fault(self.path, dialect, wanted)
+            raise RecordingError(
+                fault or f"{self.path}: cannot be read as CSV: {' '.join(str(error).split())}"
+            ) from error
+
+    def _read_parquet(self, wanted: list[str]) -> Any:
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        self._check_names(self.parquet_names(self.path), wanted)
+        try:
+            return parquet.read_table(self.path, columns=wanted, page_checksum_verification=True)
+        except (pa.ArrowException, OSError) as error:
+            raise RecordingError(
+                f"{self.path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
+            ) from error
+
+    @staticmethod
+    def parquet_names(path: Path) -> list[str]:
+        """Return a Parquet file's column names.
+
+        Raises:
+            RecordingError: it is empty, cut short, damaged or no Parquet.
+        """
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        try:
+            with path.open("rb") as file:
+                start, size = file.read(4), file.seek(0, 2)
+                file.seek(max(0, size - 4))
+                end = file.read(4)
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+        if size == 0:
+            raise RecordingError(f"{path}: is empty")
+        if start != _PARQUET_MAGIC:
+            raise RecordingError(f"{path}: is not a Parquet file (a CSV file must be called .csv)")
+        if end != _PARQUET_MAGIC or size < 12:
+            raise RecordingError(
+                f"{path}: is cut short: a Parquet file's end (footer) is missing. Copy or record it again."
+            )
+        try:
+            return list(parquet.read_schema(path).names)
+        except (pa.ArrowException, OSError) as error:
+            raise RecordingError(
+                f"{path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
+            ) from error
+
+    def _check_names(self, names: list[str], wanted: list[str]) -> None:
+        missing = [name for name in wanted if name not in names]
+        twice = [name for name in wanted if names.count(name) > 1]
+        if twice:
+            also = "; if its header has two lines, say header_lines = 2 in the sidecar" if self.is_csv else ""
+            raise RecordingError(f"{self.path}: has {names.count(twice[0])} columns {twice[0]!r}: rename them{also}")
+        if not missing:
+            return
+        if self.is_csv:
+            delimiter = csv_text.other_delimiter(self.path, self._dialect, wanted)
+            if delimiter:
+                also = ' (and decimal = "," if its numbers have decimal commas)' if delimiter == ";" else ""
+                shown = delimiter.replace("\t", "\\t")
+                raise RecordingError(
+                    f'{self.path}: its fields are separated by "{shown}", not by "{self._dialect.delimiter}"; '
+                    f'say delimiter = "{shown}" in the sidecar{also}'
+                )
+        near = difflib.get_close_matches(missing[0], names, n=3, cutoff=0.5)
+        guess = f" Did you mean {' or '.join(repr(name) for name in near)}?" if near else ""
+        more = f" ({len(missing) - 1} more are missing too)" if len(missing) > 1 else ""
+        raise RecordingError(
+            f"{self.path}: has no column {missing[0]!r}{more}.{guess} Its columns are: {', '.join(map(repr, names))}"
+        )

@@ -1,0 +1,145 @@
+"""What a recording holds once it is read: one track per sensor, in SI units, with what was wrong with it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fes.config import FootGeometry
+from fes.signals import SENSORS, FloatArray, ImuSample, IntArray
+
+
+class RecordingError(ValueError):
+    """A recording cannot be used; the message names the file, the place and what would be right."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrackQuality:
+    """How a sensor's samples came: counts, all 0 for a perfect track except ``samples``.
+
+    Attributes:
+        samples: samples in the track.
+        missing: samples that should have come, from empty rows and from gaps of 1.5 or more usual intervals.
+        doubled: samples stamped like the one before.
+        backward: samples stamped earlier than the one before.
+        irregular: intervals more than 50 % away from the usual (median) interval.
+        clipped: samples with at least one axis at its range; 0 where the ranges are unknown.
+    """
+
+    samples: int = 0
+    missing: int = 0
+    doubled: int = 0
+    backward: int = 0
+    irregular: int = 0
+    clipped: int = 0
+
+    @property
+    def irregular_share(self) -> float:
+        """Share of irregular intervals, 0–1."""
+        return self.irregular / max(1, self.samples - 1)
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """One sensor's samples in the order of the file, C-contiguous.
+
+    Attributes:
+        sensor: one of :data:`fes.signals.SENSORS`.
+        rate_hz: the rate stated, or one over the usual (median) interval.
+        t_ns: (N,) arrival, never decreasing.
+        t_sensor_ns: (N,) as stamped; may stand still or go back.
+        acc_mps2: (N, 3) specific force in the sensor's own frame.
+        gyr_radps: (N, 3) angular rate in the sensor's own frame.
+        acc_range_mps2: full scale (±) of the accelerometer, None if unknown.
+        gyr_range_radps: full scale (±) of the gyroscope, None if unknown.
+        quality: counts of what was wrong.
+    """
+
+    sensor: str
+    rate_hz: float
+    t_ns: IntArray
+    t_sensor_ns: IntArray
+    acc_mps2: FloatArray
+    gyr_radps: FloatArray
+    acc_range_mps2: float | None = None
+    gyr_range_radps: float | None = None
+    quality: TrackQuality = field(default_factory=TrackQuality)
+
+    def __post_init__(self) -> None:
+        shapes = {
+            "t_ns": (self.t_ns, np.int64, (self.t_ns.size,)),
+            "t_sensor_ns": (self.t_sensor_ns, np.int64, (self.t_ns.size,)),
+            "acc_mps2": (self.acc_mps2, np.float64, (self.t_ns.size, 3)),
+            "gyr_radps": (self.gyr_radps, np.float64, (self.t_ns.size, 3)),
+        }
+        if self.sensor not in SENSORS:
+            raise RecordingError(f"track {self.sensor!r}: a sensor is one of {', '.join(SENSORS)}")
+        for name, (array, dtype, shape) in shapes.items():
+            if array.dtype != dtype or array.shape != shape:
+                raise RecordingError(
+                    f"track {self.sensor}: {name} is {array.dtype} {array.shape}, must be {np.dtype(dtype)} {shape}"
+                )
+            if not array.flags.c_contiguous:
+                object.__setattr__(self, name, np.ascontiguousarray(array))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last arrival."""
+        return float(self.t_ns[-1] - self.t_ns[0]) * 1e-9 if self.t_ns.size else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One session's tracks and what its sidecar says.
+
+    Attributes:
+        name: for people; the file's stem unless the sidecar names it.
+        path: the data file, None if the recording was made in memory.
+        tracks: sensor name → track, in the order of :data:`fes.signals.SENSORS`.
+        belt_speed_mps: the treadmill's belt, None over ground or unknown.
+        geometry: foot sensor name → where toe and heel are.
+        extra: whatever else the sidecar's ``[extra]`` holds; ``extra["mounting"]`` is sensor → mounting.
+    """
+
+    name: str
+    path: Path | None
+    tracks: dict[str, Track]
+    belt_speed_mps: float | None = None
+    subject: str = ""
+    description: str = ""
+    geometry: dict[str, FootGeometry] = field(default_factory=dict)
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def samples(self) -> Iterator[ImuSample]:
+        """Yield all tracks' samples merged by arrival; on equal times sensors come in the order of SENSORS."""
+        ordered = [self.tracks[sensor] for sensor in SENSORS if sensor in self.tracks]
+        if not ordered:
+            return
+        t_ns = np.concatenate([track.t_ns for track in ordered])
+        order = np.argsort(t_ns, kind="stable")
+        which = np.repeat(np.arange(len(ordered)), [track.t_ns.size for track in ordered])[order]
+        row = np.concatenate([np.arange(track.t_ns.size) for track in ordered])[order]
+        # by blocks: lists are fast to walk, and a long recording as lists at once would fill the memory
+        for start in range(0, order.size, 65536):
+            yield from _block(ordered, which[start : start + 65536], row[start : start + 65536])
+
+
+def _block(ordered: list[Track], which: IntArray, row: IntArray) -> Iterator[ImuSample]:
+    """Yield the samples (track number, row) of one block."""
+    size = which.size
+    t_ns, t_sensor_ns = np.empty(size, np.int64), np.empty(size, np.int64)
+    values = np.empty((size, 6))
+    for number, track in enumerate(ordered):
+        mine = which == number
+        rows = row[mine]
+        t_ns[mine], t_sensor_ns[mine] = track.t_ns[rows], track.t_sensor_ns[rows]
+        values[mine, :3], values[mine, 3:] = track.acc_mps2[rows], track.gyr_radps[rows]
+    names = [ordered[number].sensor for number in which.tolist()]
+    for t, sensor, stamp, (ax, ay, az, gx, gy, gz) in zip(
+        t_ns.tolist(), names, t_sensor_ns.tolist(), values.tolist(), strict=True
+    ):
+        yield ImuSample(t, sensor, stamp, (ax, ay, az), (gx, gy, gz))

@@ -1,0 +1,127 @@
+"""A recording → Parquet or CSV with its sidecar; what is written here, :func:`fes.recording.read_recording` reads."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fes.recording import toml_text
+from fes.recording.tracks import Recording, RecordingError, Track
+from fes.signals import SENSORS, IntArray
+
+_AXES = "xyz"
+
+
+def write_recording(recording: Recording, path: Path, *, overwrite: bool = False) -> None:
+    """Write ``path`` (``.parquet`` or ``.csv``) and ``path`` with suffix ``.toml``.
+
+    Parquet holds float32 (the sensors' own resolution is coarser), CSV every digit. Both files are complete
+    before they appear under their names, so a stop half-way leaves what was there before.
+
+    Args:
+        recording: at least one track; tracks that differ in time get their own time columns.
+        path: the data file to make; its folder must exist.
+        overwrite: replace files that are there already.
+
+    Raises:
+        RecordingError: no track, an unknown suffix, a file in the way, or the disk refuses.
+    """
+    path = Path(path)
+    sidecar = path.with_suffix(".toml")
+    if path.suffix.lower() not in (".parquet", ".csv"):
+        raise RecordingError(f"{path}: recordings are written as .parquet or .csv, not {path.suffix!r}")
+    if not any(track.t_ns.size for track in recording.tracks.values()):
+        raise RecordingError(f"{path}: the recording has no samples, so there is nothing to write")
+    for target in (path, sidecar):
+        if target.exists() and not overwrite:
+            raise RecordingError(f"{target}: is there already; choose another name or pass overwrite=True")
+    columns, settings = _lay_out(recording, single=path.suffix.lower() == ".parquet")
+    try:
+        text = toml_text.dump(settings)
+    except TypeError as error:
+        raise RecordingError(f"{sidecar}: cannot be written: {error}") from error
+    temporary = [target.with_name(f".{target.name}.{os.getpid()}.part") for target in (path, sidecar)]
+    try:
+        _write_table(columns, temporary[0], path.suffix.lower())
+        temporary[1].write_text(text, encoding="utf-8")
+        temporary[0].replace(path)
+        temporary[1].replace(sidecar)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror or error}") from error
+    finally:
+        for leftover in temporary:
+            leftover.unlink(missing_ok=True)
+
+
+def _lay_out(recording: Recording, *, single: bool) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return (column name → numpy array with its mask, sidecar settings)."""
+    tracks = [recording.tracks[sensor] for sensor in SENSORS if sensor in recording.tracks]
+    rows = max(track.t_ns.size for track in tracks)
+    shared = all(np.array_equal(track.t_sensor_ns, tracks[0].t_sensor_ns) for track in tracks)
+    number = np.float32 if single else np.float64
+    columns: dict[str, Any] = {}
+    settings: dict[str, Any] = {
+        "name": recording.name,
+        "subject": recording.subject,
+        "description": recording.description,
+        "belt_speed_mps": recording.belt_speed_mps,
+        "acc_unit": "m/s^2",
+        "gyr_unit": "rad/s",
+        "time_unit": "ns",
+        "sensors": {},
+    }
+    mounting = recording.extra.get("mounting", {})
+    if shared:
+        columns["t_ns"] = (tracks[0].t_sensor_ns, rows)
+        settings["time_column"] = "t_ns"
+    for track in tracks:
+        sensor = track.sensor
+        entry: dict[str, Any] = {
+            "rate_hz": float(track.rate_hz),
+            "acc_range_mps2": track.acc_range_mps2,
+            "gyr_range_radps": track.gyr_range_radps,
+        }
+        if not shared:
+            entry["time_column"] = f"{sensor}_t_ns"
+            columns[entry["time_column"]] = (track.t_sensor_ns, rows)
+        if not np.array_equal(track.t_ns, _arrival(track)):
+            entry["arrival_column"] = f"{sensor}_arrival_ns"
+            columns[entry["arrival_column"]] = (track.t_ns, rows)
+        for kind, values in (("acc", track.acc_mps2), ("gyr", track.gyr_radps)):
+            entry[kind] = [f"{sensor}_{kind}_{axis}" for axis in _AXES]
+            for axis, name in enumerate(entry[kind]):
+                columns[name] = (np.ascontiguousarray(values[:, axis], dtype=number), rows)
+        if sensor in mounting:
+            entry["mounting"] = dict(mounting[sensor])
+        settings["sensors"][sensor] = entry
+    settings["geometry"] = {foot: value.model_dump() for foot, value in recording.geometry.items()} or None
+    settings["extra"] = {key: value for key, value in recording.extra.items() if key != "mounting"} or None
+    return columns, settings
+
+
+def _arrival(track: Track) -> IntArray:
+    """The arrival a reader would assume without an arrival column."""
+    return np.maximum.accumulate(track.t_sensor_ns)
+
+
+def _write_table(columns: dict[str, Any], path: Path, suffix: str) -> None:
+    """Write the columns, the short ones filled up with empty cells."""
+    import pyarrow as pa
+
+    arrays = {}
+    for name, (values, rows) in columns.items():
+        array = pa.array(values)
+        empty = rows - values.size
+        arrays[name] = pa.concat_arrays([array, pa.nulls(empty, array.type)]) if empty else array
+    table = pa.table(arrays)
+    if suffix == ".csv":
+        from pyarrow import csv
+
+        csv.write_csv(table, path, csv.WriteOptions(quoting_style="none"))
+    else:
+        from pyarrow import parquet
+
+        parquet.write_table(table, path, compression="zstd", write_page_checksum=True)

@@ -1,0 +1,140 @@
+"""Preparing a replay: what to calibrate, which settings, which numbers identify it. No devices, no clock."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fes import __version__
+from fes.config import Session, validate_session
+from fes.estimation.calibration import CalibrationError, FootCalibration, calibrate_foot, stretch_for_calibration
+from fes.recording import Recording, Track
+from fes.signals import FOOT_SENSORS, Event, ImuSample
+
+LOG_FORMAT = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """Numbers that a replay derives from its inputs, so that the same inputs give the same bytes."""
+
+    session_id: int
+    boot_id: int
+
+
+def calibrate(recording: Recording) -> tuple[dict[str, FootCalibration], dict[str, str]]:
+    """Calibrate every foot sensor of a recording from its first minute, from all of it where that shows too little.
+
+    Returns the calibrations, and why the other feet could not be.
+
+    Raises:
+        CalibrationError: no foot could be calibrated.
+    """
+    found: dict[str, FootCalibration] = {}
+    missing: dict[str, str] = {}
+    for sensor in FOOT_SENSORS:
+        track = recording.tracks.get(sensor)
+        if track is None:
+            continue
+        try:
+            found[sensor] = calibrate_track(track)
+        except CalibrationError as error:
+            missing[sensor] = str(error)
+    if not found:
+        reasons = " ".join(missing.values()) or "it holds no foot sensor (left_foot, right_foot)."
+        raise CalibrationError(f"{recording.path or recording.name}: {reasons}")
+    return found, missing
+
+
+def calibrate_track(track: Track) -> FootCalibration:
+    """Calibrate one foot from its first minute, or from all of the track where that minute shows too little."""
+    newer = np.concatenate(([True], track.t_sensor_ns[1:] > np.maximum.accumulate(track.t_sensor_ns)[:-1]))
+    t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
+    n = stretch_for_calibration(t_ns)
+    try:
+        return calibrate_foot(track.sensor, track.rate_hz, t_ns[:n], acc[:n], gyr[:n])
+    except CalibrationError:
+        if n == len(t_ns):
+            raise
+        return calibrate_foot(track.sensor, track.rate_hz, t_ns, acc, gyr)
+
+
+def samples_of(recording: Recording, sensors: set[str]) -> Iterator[Event]:
+    """The recording's samples of these sensors, in order of arrival."""
+    sample: ImuSample
+    for sample in recording.samples():
+        if sample.sensor in sensors:
+            yield sample
+
+
+def digest(path: Path) -> str:
+    """SHA-256 of a file, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def identity(recording_sha256: str, session: Session) -> Identity:
+    """Session and boot identifiers (1–65535) of a replay."""
+    both = hashlib.sha256((recording_sha256 + session.model_dump_json()).encode()).digest()
+    return Identity(int.from_bytes(both[0:2]) % 65535 + 1, int.from_bytes(both[2:4]) % 65535 + 1)
+
+
+def log_header(
+    recording: Recording,
+    recording_sha256: str,
+    session: Session,
+    calibrations: dict[str, FootCalibration],
+    session_id: int,
+    created: str,
+) -> dict[str, Any]:
+    """What a session log must hold so that it can be replayed alone."""
+    return {
+        "format": LOG_FORMAT,
+        "fes_version": __version__,
+        "kind": "replay",
+        "created": created,
+        "recording": {
+            "name": recording.name,
+            "sha256": recording_sha256,
+            "rates_hz": {sensor: track.rate_hz for sensor, track in recording.tracks.items()},
+            "belt_speed_mps": recording.belt_speed_mps,
+        },
+        "session": session.model_dump(mode="json"),
+        "calibration": {sensor: calibration.to_dict() for sensor, calibration in calibrations.items()},
+        "stim_session_id": session_id,
+    }
+
+
+def settings_of(header: dict[str, Any], path: Path) -> tuple[Session, dict[str, FootCalibration], int]:
+    """Settings, calibrations and the stimulator's session identifier from a log's header.
+
+    Raises:
+        ConfigError: the header's settings are not valid for this version.
+        KeyError, TypeError: the header is not that of a session log of this format.
+    """
+    session = validate_session(header["session"], path)
+    calibrations = {sensor: FootCalibration.from_dict(data) for sensor, data in header["calibration"].items()}
+    return session, calibrations, int(header["stim_session_id"])
+
+
+def session_for(recording: Recording, session: Session | None) -> Session:
+    """The session's settings, completed by what the recording knows (subject, belt, geometry).
+
+    Without a session nothing is stimulated.
+    """
+    known: dict[str, Any] = {}
+    base = session or Session(name=recording.name)
+    if not base.subject and recording.subject:
+        known["subject"] = recording.subject
+    if base.treadmill is None and recording.belt_speed_mps:
+        known["treadmill"] = {"belt_speed_mps": recording.belt_speed_mps}
+    if not base.geometry and recording.geometry:
+        known["geometry"] = {foot: value.model_dump() for foot, value in recording.geometry.items()}
+    channels = [channel for channel in base.channels if channel.foot in recording.tracks]
+    known["channels"] = [channel.model_dump() for channel in channels]
+    return validate_session({**base.model_dump(), **known}, recording.path or Path(recording.name))

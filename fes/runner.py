@@ -1,0 +1,132 @@
+"""The only loop: source → gate sees → controller decides → gate judges → stimulator → log. Live and replay.
+
+Whatever ends it, the last thing it does is to switch every channel off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Protocol
+
+from fes.controller import Controller
+from fes.gate import SafetyGate
+from fes.journal import Note
+from fes.signals import Event, ImuSample, StimAlive, StimCommand, StimRequest, StimStatus, StrideResult, WireFrame
+from statemachine.phases import PhaseChange
+
+
+class Stimulator(Protocol):
+    """What the loop needs of a stimulator; see ``drivers.stimulator.port``."""
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """Write the command at once; what went out."""
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """What has arrived, stamped ``t_ns``; never waits."""
+
+
+class Log(Protocol):
+    """What the loop needs of the session log; see ``fes.journal``."""
+
+    def event(self, event: Event) -> None:
+        """An event, before it is handled."""
+
+    def command(self, command: StimCommand, frame: WireFrame) -> None:
+        """A command and its bytes, after they went out."""
+
+    def phase(self, change: PhaseChange) -> None:
+        """A phase change."""
+
+    def stride(self, result: StrideResult) -> None:
+        """A stride's result."""
+
+    def note(self, note: Note) -> None:
+        """Something a person should know."""
+
+    def latency(self, t_ns: int, latency_ns: int) -> None:
+        """From the sample's release to the last byte written."""
+
+
+class Runner:
+    """Ties controller, gate, stimulator and log together.
+
+    Args:
+        clock_ns: only for measuring how long a decision took; no decision depends on it.
+    """
+
+    def __init__(
+        self, controller: Controller, gate: SafetyGate, stimulator: Stimulator, log: Log, clock_ns: Callable[[], int]
+    ) -> None:
+        self.controller = controller
+        self.gate = gate
+        self._stimulator = stimulator
+        self._log = log
+        self._clock_ns = clock_ns
+        self._channels: set[int] = set()
+        self._refused: dict[int, str] = {}
+        self._latched = ""
+        self._t_ns = 0
+
+    @property
+    def t_ns(self) -> int:
+        """Time of the newest event."""
+        return self._t_ns
+
+    def run(self, source: Iterable[Event], after: Callable[[Event], None]) -> None:
+        """Go through all events; the stimulator's replies join them. ``after`` is called when an event is dealt with.
+
+        An exception from any part, ``after`` included, latches the gate and is passed on after everything is off.
+        """
+        try:
+            for event in source:
+                begin_ns = self._clock_ns()
+                self.handle(event)
+                if isinstance(event, ImuSample):
+                    self._log.latency(event.t_ns, self._clock_ns() - begin_ns)
+                for reply in self._stimulator.poll(event.t_ns):
+                    self.handle(reply)
+                after(event)
+        except BaseException as error:
+            self.gate.latch(self._t_ns, f"stopped: {type(error).__name__}: {error}"[:200])
+            self._note_latch()
+            raise
+        finally:
+            self.all_off()
+
+    def handle(self, event: Event) -> None:
+        """One event, from the log to the wire."""
+        self._t_ns = event.t_ns
+        self._log.event(event)
+        self.gate.observe(event)
+        decision = self.controller.step(event)
+        for request in decision.requests:
+            self._send(event.t_ns, request)
+        for outcome in decision.outcomes:
+            if isinstance(outcome, StrideResult):
+                self._log.stride(outcome)
+            else:
+                self._log.phase(outcome)
+        if self.gate.latched != self._latched:
+            self._note_latch()
+
+    def all_off(self) -> None:
+        """Switch off every channel that was ever commanded."""
+        for channel in sorted(self._channels):
+            self._send(self._t_ns, StimRequest(channel, on=False))
+
+    def _send(self, t_ns: int, request: StimRequest) -> None:
+        command = self.gate.judge(t_ns, request)
+        frame = self._stimulator.send(command)
+        self._log.command(command, frame)
+        self._channels.add(command.channel)
+        if command.refused != self._refused.get(command.channel, ""):
+            self._refused[command.channel] = command.refused
+            if command.refused:
+                self._log.note(Note(t_ns, "warning", "gate", f"channel {command.channel} refused: {command.refused}"))
+
+    def _note_latch(self) -> None:
+        self._latched = self.gate.latched
+        if self._latched:
+            self._log.note(Note(self._t_ns, "fault", "gate", f"off until armed again: {self._latched}"))
+        else:
+            self._log.note(Note(self._t_ns, "info", "gate", "armed again"))

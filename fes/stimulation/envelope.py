@@ -1,0 +1,82 @@
+"""The current of one burst over time: a linear rise, a plateau, a linear fall."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from fes.config import Channel
+from fes.signals import NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """One burst with all its parameters, fixed when it starts; only ``intensity`` (0–1) may come down later.
+
+    ``t_start_ns`` is the foot of the rise (the start delay is over). ``t_stop_ns`` is the entry into the stop phase,
+    None as long as that has not come; the burst goes on for ``extension_ns`` after it, still rising if it was, and
+    then falls from the level reached. Whatever happens it is over ``max_on_ns`` after its start, and begins to fall
+    early enough to end in a ramp where the settings leave room for one.
+    """
+
+    t_start_ns: int
+    current_ma: float
+    pulse_width_us: float
+    frequency_hz: float
+    rise_ns: int
+    extension_ns: int
+    fall_ns: int
+    max_on_ns: int
+    intensity: float = 1.0
+    t_stop_ns: int | None = None
+
+    @classmethod
+    def of(cls, channel: Channel, t_start_ns: int, intensity: float) -> Envelope:
+        """The burst that these settings ask for from ``t_start_ns`` on."""
+        return cls(
+            t_start_ns=t_start_ns,
+            current_ma=channel.current_ma,
+            pulse_width_us=channel.pulse_width_us,
+            frequency_hz=channel.frequency_hz,
+            rise_ns=to_ns(channel.rise_s),
+            extension_ns=to_ns(channel.extension_s),
+            fall_ns=to_ns(channel.fall_s),
+            max_on_ns=to_ns(channel.limits.max_on_s),
+            intensity=intensity,
+        )
+
+    def dimmed(self, intensity: float) -> Envelope:
+        """The same burst at this intensity if that is lower; a higher one waits for the next burst."""
+        return replace(self, intensity=intensity) if intensity < self.intensity else self
+
+    def stopped(self, t_ns: int) -> Envelope:
+        """The same burst with the stop phase entered at ``t_ns``; the first entry counts."""
+        return replace(self, t_stop_ns=t_ns) if self.t_stop_ns is None else self
+
+    def level_ma(self, t_ns: int) -> float:
+        """Current at ``t_ns``, in mA, never negative; 0 before the start and after the end."""
+        if not self.t_start_ns <= t_ns < self.t_start_ns + self.max_on_ns:
+            return 0.0
+        t_fall_ns = self._t_fall_ns()
+        risen = min(1.0, max(0, min(t_ns, t_fall_ns) - self.t_start_ns) / self.rise_ns)
+        fallen = (t_ns - t_fall_ns) / max(self.fall_ns, 1) if t_ns > t_fall_ns else 0.0
+        return self.current_ma * self.intensity * (risen * max(0.0, 1.0 - fallen))
+
+    def over(self, t_ns: int) -> bool:
+        """Whether nothing comes any more at or after ``t_ns``."""
+        return t_ns >= min(self.t_start_ns + self.max_on_ns, self._t_fall_ns() + max(self.fall_ns, 1))
+
+    def _t_fall_ns(self) -> int:
+        latest_ns = self.t_start_ns + max(self.max_on_ns - self.fall_ns, min(self.rise_ns, self.max_on_ns))
+        return latest_ns if self.t_stop_ns is None else min(self.t_stop_ns + self.extension_ns, latest_ns)
+
+
+def to_ns(seconds: float) -> int:
+    """Seconds in whole nanoseconds."""
+    return round(seconds * NS_PER_S)
+
+
+def round_down(value: float, step: float) -> float:
+    """The greatest multiple of ``step`` that does not exceed ``value`` (both ≥ 0)."""
+    steps = math.floor(value / step)
+    return steps * step if steps * step <= value else (steps - 1) * step

@@ -1,0 +1,149 @@
+"""Which current, when: gait phases become bursts of stimulation, one envelope per channel.
+
+How one channel's burst comes and goes, after the trapezoid of the drop-foot stimulators:
+
+- the foot enters ``start_phase``, and stimulation is permitted: a burst starts ``start_delay_s`` later;
+- it enters ``stop_phase``: the burst goes on for ``extension_s`` and then falls; one not yet started is dropped;
+- it enters a phase outside start … stop, or its phase was lost (``Transition.NONE``): off at once;
+- it enters ``start_phase`` again: off at once, and a new burst.
+
+A burst starts late rather than break a rule that the gate would enforce: not before its channel has been off for
+``min_off_s``, and not while a channel that it must never be on with has a burst. One that has gone off is over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fes.config import PHASE_ORDER, Channel
+from fes.signals import StimRequest
+from fes.stimulation.envelope import Envelope, round_down, to_ns
+from statemachine.phases import Phase, PhaseChange, Transition
+
+FREQUENCY_STEP_HZ = 1.0
+
+
+@dataclass(slots=True, eq=False)
+class _Line:
+    """One channel and where it stands; ``on`` and ``off_since_ns`` are what was last requested and since when."""
+
+    channel: Channel
+    start: Phase
+    stop: Phase
+    run: frozenset[Phase]
+    partners: tuple[_Line, ...] = ()
+    awaited_ns: int | None = None
+    burst: Envelope | None = None
+    on: bool = False
+    off_since_ns: int | None = None
+
+
+class StimulationPlan:
+    """Bursts from phases; a deterministic function of the calls made, in non-decreasing time.
+
+    A burst's parameters (current, width, frequency, times, intensity) are taken when it starts and stay, but a lower
+    intensity acts at once; a higher one waits for the next burst.
+
+    Args:
+        channels: the session's channels, with distinct numbers.
+        current_step_ma: the device's step of current; requests are rounded down to it, and below one step is off.
+        pulse_width_step_us: its step of pulse width.
+    """
+
+    def __init__(
+        self, channels: tuple[Channel, ...], *, current_step_ma: float = 0.5, pulse_width_step_us: float = 1.0
+    ) -> None:
+        self._current_step_ma = current_step_ma
+        self._pulse_width_step_us = pulse_width_step_us
+        self._lines = tuple(_line(channel) for channel in channels)
+        self._asked_ns: int | None = None
+        for line in self._lines:
+            line.partners = tuple(other for other in self._lines if _exclusive(line.channel, other.channel))
+
+    def on_phase(self, change: PhaseChange, *, permitted: bool) -> None:
+        """A foot changed phase. Without ``permitted`` no burst starts with this entry, nor later in the same cycle."""
+        for line in self._lines:
+            if line.channel.foot != change.foot:
+                continue
+            lost = change.transition == Transition.NONE
+            if lost or change.destination not in line.run:
+                line.awaited_ns, line.burst = None, None
+            elif change.destination == line.start:
+                line.burst = None
+                line.awaited_ns = change.t_ns + to_ns(line.channel.start_delay_s) if permitted else None
+            elif change.destination == line.stop:
+                line.awaited_ns = None
+                line.burst = line.burst.stopped(change.t_ns) if line.burst else None
+
+    def cancel(self, foot: str | None = None) -> None:
+        """End every burst of a foot (None: of both) at once; the next entry into a start phase may start another."""
+        for line in self._lines:
+            if foot in (None, line.channel.foot):
+                line.awaited_ns, line.burst = None, None
+
+    def due(self, t_ns: int, intensity: float) -> bool:
+        """Whether a channel would go on or off now, against what :meth:`requests` last said; changes nothing.
+
+        Lets the controller send at once at such a moment and otherwise keep to its command period.
+        """
+        return any(self._request(line, self._burst(line, t_ns, intensity), t_ns).on != line.on for line in self._lines)
+
+    def requests(self, t_ns: int, intensity: float) -> tuple[StimRequest, ...]:
+        """One request per channel, in the session's order; call it when they are sent, for the plan remembers them.
+
+        Args:
+            t_ns: now; no earlier than in any call before.
+            intensity: the operator's setting, 0–1; anything else is clipped, not-a-number is 0.
+        """
+        requests = tuple(self._commit(line, t_ns, intensity) for line in self._lines)
+        self._asked_ns = t_ns
+        return requests
+
+    def _commit(self, line: _Line, t_ns: int, intensity: float) -> StimRequest:
+        line.burst = self._burst(line, t_ns, intensity)
+        if line.burst is not None:
+            line.awaited_ns = None
+        request = self._request(line, line.burst, t_ns)
+        if line.on and not request.on:
+            line.off_since_ns = t_ns
+        if line.burst is not None and not request.on and (line.on or line.burst.over(t_ns)):
+            line.burst = None
+        line.on = request.on
+        return request
+
+    def _burst(self, line: _Line, t_ns: int, intensity: float) -> Envelope | None:
+        """The burst under way, or the awaited one if it can start by now."""
+        intensity = min(intensity, 1.0) if intensity > 0.0 else 0.0
+        if line.burst is not None:
+            return line.burst.dimmed(intensity)
+        if line.awaited_ns is None or line.on or any(other.on or other.burst for other in line.partners):
+            return None
+        earliest_ns = [line.awaited_ns]
+        if self._asked_ns is not None:  # the rise counts from the last command, at which the channel was off
+            earliest_ns.append(self._asked_ns)
+        if line.off_since_ns is not None:
+            earliest_ns.append(line.off_since_ns + to_ns(line.channel.limits.min_off_s))
+        t_start_ns = max(earliest_ns)
+        return Envelope.of(line.channel, t_start_ns, intensity) if t_start_ns <= t_ns else None
+
+    def _request(self, line: _Line, burst: Envelope | None, t_ns: int) -> StimRequest:
+        number = line.channel.number
+        if burst is None:
+            return StimRequest(number, False)
+        current_ma = round_down(burst.level_ma(t_ns), self._current_step_ma)
+        pulse_width_us = round_down(burst.pulse_width_us, self._pulse_width_step_us)
+        frequency_hz = round_down(burst.frequency_hz, FREQUENCY_STEP_HZ)
+        if min(current_ma, pulse_width_us, frequency_hz) <= 0.0:
+            return StimRequest(number, False)
+        return StimRequest(number, True, current_ma, pulse_width_us, frequency_hz)
+
+
+def _line(channel: Channel) -> _Line:
+    first = PHASE_ORDER.index(channel.start_phase)
+    length = (PHASE_ORDER.index(channel.stop_phase) - first) % len(PHASE_ORDER) + 1
+    run = [Phase[PHASE_ORDER[(first + i) % len(PHASE_ORDER)].upper()] for i in range(length)]
+    return _Line(channel, run[0], run[-1], frozenset(run))
+
+
+def _exclusive(one: Channel, other: Channel) -> bool:
+    return other.number in one.never_with or one.number in other.never_with

@@ -1,0 +1,167 @@
+"""The report: one HTML file with all of a session in it, that opens anywhere without a network."""
+
+from __future__ import annotations
+
+import json
+import os
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from fes.journal import SessionRecord
+from fes.view.figures_gait import PHASE_COLORS, Figure, foot_color, path_figures, phase_figures, stride_figures
+from fes.view.figures_stimulation import channel_color, latency_figure, stimulation_figures
+from fes.view.findings import findings, mean_sd, words
+from fes.view.glossary import GLOSSARY
+from fes.view.jsonable import plain
+from fes.view.summary import SessionView, view_session
+from fes.view.tables import number, path_mark
+from fes.view.timeseries import chart_data
+
+LONG_TABLE_ROWS = 200  # on paper a longer table stops here
+
+
+class ReportError(OSError):
+    """The report cannot be written; the message names the file and what to do."""
+
+
+def write_report(record: SessionRecord, path: Path) -> None:
+    """Write the report of a session as one self-contained HTML file, replacing an older one.
+
+    The same record always gives the same bytes.
+
+    Raises:
+        ReportError: the file cannot be written.
+    """
+    text = render_report(record)
+    draft = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft.write_text(text, encoding="utf-8")
+        os.replace(draft, path)
+    except OSError as error:
+        draft.unlink(missing_ok=True) if draft.parent.is_dir() else None
+        raise ReportError(
+            f"{path}: the report cannot be written: {error.strerror or error}. Choose a place that can be written to."
+        ) from error
+
+
+def render_report(record: SessionRecord) -> str:
+    """The report of a session as HTML text."""
+    view = view_session(record)
+    summary = view.summary
+    return (
+        _environment()
+        .get_template("report.html.j2")
+        .render(
+            s=summary,
+            title=f"{summary.name} – gait and stimulation",
+            findings=findings(summary),
+            cards=_cards(view),
+            glossary=GLOSSARY,
+            path_figures=_safe(path_figures(view)),
+            stride_figures=_safe(stride_figures(view)),
+            phase_figures=_safe(phase_figures(view)),
+            stimulation_figures=_safe(stimulation_figures(view)),
+            latency_figure=_safe([figure for figure in [latency_figure(view)] if figure]),
+            phase_colors=PHASE_COLORS,
+            long_table=len(summary.strides) > LONG_TABLE_ROWS,
+            run_summary=json.dumps(summary.run_summary, indent=2, ensure_ascii=False),
+            header_parts=_header_parts(record.header),
+            data=Markup(embed(chart_data(view))),
+            style=Markup(_asset("uPlot.min.css") + _asset("report.css")),
+            script=Markup(_asset("report.js")),
+            uplot=Markup(f"/*\n{_asset('uPlot.LICENSE')}*/\n{_asset('uPlot.iife.min.js')}"),
+        )
+    )
+
+
+def embed(value: Any) -> str:
+    """JSON that cannot end the script element it stands in, whatever its strings hold."""
+    text = json.dumps(plain(value), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("fes.view"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"num": number, "words": words, "mark": path_mark, "mean_sd": mean_sd}
+    environment.globals |= {"foot_color": foot_color, "channel_color": channel_color}
+    return environment
+
+
+@cache
+def _asset(name: str) -> str:
+    return files("fes.view").joinpath("static", name).read_text(encoding="utf-8")
+
+
+def _safe(figures: list[Figure]) -> list[dict[str, Any]]:
+    """Figures for the template; only the plot itself, whose texts are escaped where it is made, is trusted."""
+    return [{"title": figure.title, "svg": Markup(figure.svg), "caption": figure.caption} for figure in figures]
+
+
+def _header_parts(header: dict[str, Any]) -> list[tuple[str, str]]:
+    """The parts of a log's header as indented text, one per key that holds more than a word."""
+    parts = [(key, value) for key, value in header.items() if isinstance(value, (dict, list)) and value]
+    return [(words(str(key)), json.dumps(plain(value), indent=2, ensure_ascii=False)) for key, value in parts]
+
+
+def _cards(view: SessionView) -> list[dict[str, str]]:
+    """The key figures: a name from the glossary, a value with its unit, and a small line below."""
+    s = view.summary
+    total = len(s.strides)
+    four, valid = sum(row.four_phases for row in s.strides), sum(row.valid for row in s.strides)
+    feet = [(words(foot.foot).removesuffix(" foot"), foot) for foot in s.feet.values() if foot.valid]
+    belt = (
+        f"belt {s.belt_speed_mps:.2f} m/s, ratio {s.speed_over_belt:.3f}" if s.belt_speed_mps > 0 else "no belt speed"
+    )
+    bursts, on_s = sum(channel.bursts for channel in s.channels), sum(channel.on_time_s for channel in s.channels)
+    cards = [
+        ("stride", "Strides", f"{total}", f"{valid} valid"),
+        (
+            "four phases",
+            "All four phases",
+            f"{100 * four / total:.0f} %" if total else "–",
+            f"{four} of {total} strides",
+        ),
+        ("walking speed", "Walking speed", f"{number(s.walking_speed_mps, 2)} m/s", belt),
+    ]
+    for side, foot in feet:
+        cards.append(
+            (
+                "stride length",
+                f"Stride length {side}",
+                f"{foot.stride_length_m.mean:.2f} m",
+                f"± {number(foot.stride_length_m.sd, 3)} m",
+            )
+        )
+    for side, foot in feet:
+        cards.append(
+            (
+                "clearance",
+                f"Clearance {side}",
+                f"{foot.clearance_cm.mean:.1f} cm",
+                f"± {number(foot.clearance_cm.sd, 1)} cm",
+            )
+        )
+    if feet:
+        cadence = sum(foot.cadence_steps_per_min for _, foot in feet) / len(feet)
+        cards.append(("cadence", "Cadence", f"{cadence:.0f} /min", "steps"))
+    if s.channels:
+        charge_mc = sum(channel.charge_uc for channel in s.channels) / 1e3
+        cards.append(("burst", "Stimulation", f"{bursts} bursts", f"{on_s:.1f} s on, {charge_mc:.2f} mC"))
+    if s.latency.count:
+        cards.append(("latency", "Latency p99", f"{s.latency.p99_ms:.2f} ms", f"median {s.latency.p50_ms:.2f} ms"))
+    return [
+        {"term": GLOSSARY[term], "name": name, "value": value, "below": below} for term, name, value, below in cards
+    ]

@@ -1,0 +1,167 @@
+"""Plots as inline SVG: drawn once, sharp on screen and on paper, no script needed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from html import escape
+
+import numpy as np
+
+from fes.signals import FloatArray
+
+LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 46
+MAX_TITLED_POINTS = 400  # beyond this, points share one path: a hover text each would swell the file
+
+
+def nice_ticks(low: float, high: float, about: int = 5) -> list[float]:
+    """Round numbers that cover [low, high]."""
+    raw = (high - low) / about
+    power = 10.0 ** math.floor(math.log10(raw))
+    step = next(power * factor for factor in (1, 2, 2.5, 5, 10) if power * factor >= raw * 0.999)
+    return [round(i * step, 10) for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
+
+
+def padded(values: Iterable[FloatArray], *, zero: bool = False, share: float = 0.06) -> tuple[float, float]:
+    """A range with some air around all finite values; ``zero`` puts 0 inside it."""
+    parts = [np.asarray(array, dtype=np.float64).ravel() for array in values]
+    finite = np.concatenate(parts) if parts else np.zeros(0)
+    finite = finite[np.isfinite(finite)]
+    if zero:
+        finite = np.append(finite, 0.0)
+    if finite.size == 0:
+        return 0.0, 1.0
+    low, high = float(finite.min()), float(finite.max())
+    air = share * (high - low) or max(abs(high) * 0.1, 0.5)
+    return (low if zero and low == 0 else low - air), high + air
+
+
+class Plot:
+    """One pair of axes. Marks are added in data units; :meth:`render` gives the ``<svg>``."""
+
+    def __init__(
+        self,
+        label: str,
+        x_label: str,
+        y_label: str,
+        x_range: tuple[float, float],
+        y_range: tuple[float, float],
+        *,
+        width: int = 560,
+        height: int = 290,
+    ) -> None:
+        self.label, self.x_label, self.y_label = label, x_label, y_label
+        self.x_range, self.y_range = x_range, y_range
+        self.width, self.height = width, height
+        self._marks: list[str] = []
+
+    def _x(self, x: FloatArray) -> FloatArray:
+        low, high = self.x_range
+        return np.asarray(LEFT + (x - low) / (high - low) * (self.width - LEFT - RIGHT), dtype=np.float64)
+
+    def _y(self, y: FloatArray) -> FloatArray:
+        low, high = self.y_range
+        return np.asarray(self.height - BOTTOM - (y - low) / (high - low) * (self.height - TOP - BOTTOM))
+
+    def line(
+        self, x: FloatArray, y: FloatArray, color: str, *, width: float = 1.5, opacity: float = 1.0, dash: str = ""
+    ) -> None:
+        """A line through finite points; it breaks where a value is missing."""
+        path = self._path(x, y)
+        if path:
+            dashed = f' stroke-dasharray="{dash}"' if dash else ""
+            seen = f' stroke-opacity="{opacity:g}"' if opacity < 1 else ""
+            self._marks.append(
+                f'<path d="{path}" fill="none" stroke="{color}" stroke-width="{width:g}" stroke-linejoin="round"'
+                f"{seen}{dashed}/>"
+            )
+
+    def band(self, x: FloatArray, low: FloatArray, high: FloatArray, color: str, opacity: float = 0.2) -> None:
+        """The area between two curves over the same x."""
+        ok = np.isfinite(x) & np.isfinite(low) & np.isfinite(high)
+        if ok.sum() > 1:
+            path = self._path(np.append(x[ok], x[ok][::-1]), np.append(low[ok], high[ok][::-1]))
+            self._marks.append(f'<path d="{path}Z" fill="{color}" fill-opacity="{opacity:g}"/>')
+
+    def bars(self, x: FloatArray, low: FloatArray, high: FloatArray, width: float, color: str, name: str = "") -> None:
+        """Bars from ``low`` to ``high`` (N,), ``width`` wide in units of x, as one shape."""
+        ok = np.isfinite(x) & np.isfinite(low) & np.isfinite(high)
+        left, right = self._x(x[ok] - width / 2), self._x(x[ok] + width / 2)
+        bottom, top = self._y(low[ok]), self._y(high[ok])
+        path = "".join(
+            f"M{a:.1f} {d:.1f}H{b:.1f}V{c:.1f}H{a:.1f}Z" for a, b, c, d in zip(left, right, top, bottom, strict=True)
+        )
+        title = f"<title>{escape(name)}</title>" if name else ""
+        self._marks.append(f'<path d="{path}" fill="{color}">{title}</path>')
+
+    def points(self, x: FloatArray, y: FloatArray, color: str, titles: list[str], *, hollow: bool = False) -> None:
+        """Round marks, each with a hover text as long as there are not too many."""
+        ok = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+        px, py = self._x(x[ok]), self._y(y[ok])
+        if ok.size > MAX_TITLED_POINTS:
+            dots = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(px, py, strict=True))
+            self._marks.append(
+                f'<path d="{dots}" stroke="{color}" stroke-width="4" stroke-linecap="round" stroke-opacity="0.7"/>'
+            )
+            return
+        look = f'fill="#fff" stroke="{color}" stroke-width="1.6"' if hollow else f'fill="{color}"'
+        self._marks += [
+            f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3.4" {look}><title>{escape(titles[i])}</title></circle>'
+            for i, a, b in zip(ok.tolist(), px, py, strict=True)
+        ]
+
+    def level(self, y: float, color: str, text: str, *, dash: str = "6 4", above: bool = True) -> None:
+        """A level right across with its name at the right end."""
+        if not math.isfinite(y):
+            return
+        at = float(self._y(np.array(y)))
+        self._marks.append(
+            f'<path d="M{LEFT} {at:.1f}H{self.width - RIGHT}" stroke="{color}" stroke-width="1.6" '
+            f'stroke-dasharray="{dash}"/><text class="halo" x="{self.width - RIGHT - 4}" '
+            f'y="{at + (-5 if above else 14):.1f}" text-anchor="end" fill="{color}">{escape(text)}</text>'
+        )
+
+    def upright(self, x: float, color: str, text: str) -> None:
+        """A line from bottom to top with its name at the top."""
+        if not math.isfinite(x):
+            return
+        at = float(self._x(np.array(x)))
+        self._marks.append(
+            f'<path d="M{at:.1f} {TOP}V{self.height - BOTTOM}" stroke="{color}" stroke-width="1.3" '
+            f'stroke-dasharray="3 3"/><text class="halo" x="{at + 4:.1f}" y="{TOP + 11}" fill="{color}">'
+            f"{escape(text)}</text>"
+        )
+
+    def render(self) -> str:
+        """The whole plot; its label is read out by screen readers."""
+        width, height = self.width, self.height
+        floor, end = height - BOTTOM, width - RIGHT
+        grid, texts = [], []
+        for value in nice_ticks(*self.y_range):
+            at = float(self._y(np.array(value)))
+            grid.append(f"M{LEFT} {at:.1f}H{end}")
+            texts.append(f'<text x="{LEFT - 7}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>')
+        for value in nice_ticks(*self.x_range, about=7):
+            at = float(self._x(np.array(value)))
+            grid.append(f"M{at:.1f} {floor}v5")
+            texts.append(f'<text x="{at:.1f}" y="{floor + 18}" text-anchor="middle">{value:g}</text>')
+        middle, center = (TOP + floor) / 2, (LEFT + end) / 2
+        return (
+            f'<svg class="plot" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(self.label)}">'
+            f'<path class="grid" d="{"".join(grid)}"/>{"".join(self._marks)}'
+            f'<path class="axis" d="M{LEFT} {TOP}V{floor}H{end}"/>{"".join(texts)}'
+            f'<text class="name" x="{center}" y="{height - 8}" text-anchor="middle">'
+            f"{escape(self.x_label)}</text>"
+            f'<text class="name" transform="translate(14 {middle}) rotate(-90)" text-anchor="middle">'
+            f"{escape(self.y_label)}</text></svg>"
+        )
+
+    def _path(self, x: FloatArray, y: FloatArray) -> str:
+        ok = np.isfinite(x) & np.isfinite(y)
+        px, py = self._x(np.where(ok, x, 0.0)).tolist(), self._y(np.where(ok, y, 0.0)).tolist()
+        parts, pen = [], "M"
+        for a, b, good in zip(px, py, ok.tolist(), strict=True):
+            if good:
+                parts.append(f"{pen}{a:.1f} {b:.1f}")
+            pen = "L" if good else "M"
+        return "".join(parts)

@@ -1,0 +1,140 @@
+"""Signals for the zoomable plots: even grids, least and greatest value per bin, packed into 16-bit numbers."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+
+from fes.journal import SampleArrays
+from fes.signals import NS_PER_S, FloatArray, IntArray
+from fes.view.channels import ChannelInfo
+from fes.view.figures_gait import PHASE_COLORS, foot_color
+from fes.view.figures_stimulation import channel_color
+from fes.view.findings import words
+from fes.view.summary import SessionView
+from fes.view.timeline import PhaseTimeline
+from statemachine.phases import Phase
+
+FULL_DETAIL_S = 600.0  # a longer session keeps half as many points a second
+POINTS_PER_S = 200
+GAP_INTERVALS = 2.5  # a pause this many intervals long is drawn as a gap
+CLOCKS_AGREE_NS = NS_PER_S
+MISSING = -32768
+FULL_SCALE = 32000
+
+
+def chart_data(view: SessionView) -> dict[str, Any]:
+    """All that the script draws, in plain values: per foot its signals and phases, and the channels' current."""
+    seconds = (view.end_ns - view.origin_ns) / NS_PER_S
+    points_per_s = POINTS_PER_S if seconds <= FULL_DETAIL_S else POINTS_PER_S // 2
+    feet = [
+        _foot(view.record.samples[foot], timeline, view.origin_ns, points_per_s)
+        for foot, timeline in view.timelines.items()
+        if foot in view.record.samples and view.record.samples[foot].t_ns.size > 1
+    ]
+    count = int(seconds * points_per_s) + 1
+    grid_ns = view.origin_ns + (np.arange(count) * (NS_PER_S // points_per_s)).astype(np.int64)
+    channels = [_channel(view, info, grid_ns) for info in view.channels]
+    return {
+        "duration_s": seconds,
+        "feet": feet,
+        "current": {"start_s": 0.0, "step_s": 1.0 / points_per_s, "count": count, "channels": channels},
+        "phases": [{"name": words(phase.name.lower()), "color": PHASE_COLORS[phase.name.lower()]} for phase in Phase],
+    }
+
+
+def pack(values: FloatArray) -> dict[str, Any]:
+    """Values (N,) as base64 of little-endian 16-bit numbers and the size of one step; NaN is −32768."""
+    finite = np.isfinite(values)
+    most = float(np.abs(values[finite]).max()) if finite.any() else 0.0
+    step = most / FULL_SCALE if most > 0 else 1.0
+    packed = np.full(values.shape, MISSING, dtype="<i2")
+    packed[finite] = np.rint(values[finite] / step).astype("<i2")
+    return {"step": step, "data": base64.b64encode(packed.tobytes()).decode("ascii")}
+
+
+def even_grid(t_s: FloatArray, values: FloatArray, points_per_s: int) -> tuple[float, float, FloatArray]:
+    """Bring a signal (N,) onto an even grid of at most ``points_per_s``: (start in s, step in s, values).
+
+    A slow signal is interpolated at its own rate; of a fast one each bin of two points keeps the least and the
+    greatest value, in the order in which the signal passed them. Pauses become NaN.
+    """
+    start, usual = float(t_s[0]), float(np.median(np.diff(t_s)))
+    if usual * points_per_s >= 0.9:
+        step = max(usual, 1e-3)
+        grid = start + step * np.arange(int((t_s[-1] - start) / step) + 1)
+        after = np.clip(np.searchsorted(t_s, grid), 1, t_s.size - 1)
+        even = np.interp(grid, t_s, values)
+        even[t_s[after] - t_s[after - 1] > GAP_INTERVALS * step] = np.nan
+        return start, step, even
+    width = 2.0 / points_per_s
+    index = ((t_s - start) / width).astype(np.int64)
+    first = np.flatnonzero(np.diff(index, prepend=-1))
+    low, high = np.fmin.reduceat(values, first), np.fmax.reduceat(values, first)
+    rises = values[first] <= values[np.append(first[1:], values.size) - 1]
+    even = np.full((int(index[-1]) + 1, 2), np.nan)
+    even[index[first], 0] = np.where(rises, low, high)
+    even[index[first], 1] = np.where(rises, high, low)
+    return start, width / 2, even.ravel()
+
+
+def main_axis_rate_radps(samples: SampleArrays, timeline: PhaseTimeline) -> tuple[FloatArray, bool]:
+    """Rotation rate (N,) about the axis that the foot turns about most, and whether its sign is known.
+
+    The axis is the gyroscope's first principal axis, so no calibration is needed. Positive is toe-down: the sign
+    that makes the mean rate of all pre-swings, in which the heel rises, positive.
+    """
+    gyr = samples.gyr_radps
+    good = gyr[np.isfinite(gyr).all(axis=1)]
+    if good.shape[0] < 2:
+        return np.full(gyr.shape[0], np.nan), False
+    axis = np.linalg.eigh(good.T @ good)[1][:, -1]
+    rate = gyr @ axis
+    at = np.clip(np.searchsorted(timeline.start_ns, samples.t_ns, side="right") - 1, 0, None)
+    pushing = rate[(timeline.phase[at] == Phase.PRE_SWING) & np.isfinite(rate)]
+    if pushing.size == 0:
+        return rate, False
+    return (rate if pushing.mean() >= 0 else -rate), True
+
+
+def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points_per_s: int) -> dict[str, Any]:
+    t_ns = _sample_times(samples)
+    order = np.argsort(t_ns, kind="stable")
+    t_s = (t_ns[order] - origin_ns) / NS_PER_S
+    rate, signed = main_axis_rate_radps(samples, timeline)
+    acc = np.linalg.norm(samples.acc_mps2, axis=1)
+    start, step, gyr_even = even_grid(t_s, np.degrees(rate[order]), points_per_s)
+    _, _, acc_even = even_grid(t_s, acc[order], points_per_s)
+    return {
+        "name": words(timeline.foot),
+        "color": foot_color(timeline.foot),
+        "start_s": start,
+        "step_s": step,
+        "count": int(gyr_even.size),
+        "toe_down_positive": signed,
+        "gyr_degps": pack(gyr_even),
+        "acc_mps2": pack(acc_even),
+        "phase_start_s": _rounded((timeline.start_ns - origin_ns) / NS_PER_S),
+        "phase_end_s": _rounded((timeline.end_ns - origin_ns) / NS_PER_S),
+        "phase": timeline.phase.tolist(),
+    }
+
+
+def _sample_times(samples: SampleArrays) -> IntArray:
+    """The sensor's own stamps, which are even where arrival comes in batches; arrival if the clocks do not agree."""
+    agree = abs(float(np.median(samples.t_ns - samples.t_sensor_ns))) < CLOCKS_AGREE_NS
+    return samples.t_sensor_ns if agree else samples.t_ns
+
+
+def _channel(view: SessionView, info: ChannelInfo, grid_ns: IntArray) -> dict[str, Any]:
+    return {
+        "name": info.name,
+        "color": channel_color(info.number),
+        "current_ma": pack(view.commands[info.number].current_at(grid_ns)),
+    }
+
+
+def _rounded(values: FloatArray) -> list[float]:
+    return [round(value, 4) for value in values.tolist()]
