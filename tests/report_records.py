@@ -193,7 +193,7 @@ def walk(
 ) -> SessionRecord:
     """A steady walk of ``count`` strides per foot with stimulation in every stride from the third on."""
     rng = np.random.default_rng(seed)
-    record = SessionRecord(header(), complete=True, summary={"wire": {"commands": 1324, "matched": 1324, "missing": 0, "different": 0}})
+    record = SessionRecord(header(), complete=True)
     seconds = count * PERIOD_S + 2.0
     for index, foot in enumerate(("left_foot", "right_foot")):
         if foot not in feet:
@@ -220,6 +220,8 @@ def walk(
     record.commands.sort(key=lambda command: command.t_ns)
     record.strides.sort(key=lambda one: one.t_end_ns)
     record.statuses = answers(record.commands)
+    sent = len(record.commands)
+    record.summary = {"wire": {"commands": sent, "matched": sent, "missing": 0, "different": 0}}
     ends = int(seconds * 10)
     record.alive = [StimAlive(T0 + i * 100 * MS, 3, 0) for i in range(ends)]
     record.latency_ns = (rng.gamma(4.0, 60_000, 4000) + 90_000).astype(np.int64)

@@ -234,3 +234,23 @@ def test_bus_off_is_a_lost_stimulator() -> None:
 def test_a_bus_that_cannot_be_opened_says_what_to_do(bus: Bus, words: str) -> None:
     with pytest.raises(BusError, match=words):
         open_bus(bus)
+
+
+def test_an_answer_settles_its_command_and_all_older_ones(rig: Rig) -> None:
+    rig.port.open(0, clock_ns=rig.clock)
+    for count in range(1, 4):
+        rig.port.send(command())
+        assert rig.port.outstanding == count
+    identifier, data = can_codec.encode_status(Status(1, SESSION, 1, True, 20.0, 300.0, 40.0, Result.OK))
+    rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+    rig.port.poll(0)
+    assert rig.port.outstanding == 1
+
+
+def test_a_heartbeat_that_is_only_repeated_is_no_sign_of_life(rig: Rig) -> None:
+    rig.port.open(0, clock_ns=rig.clock)
+    rig.port.poll(0)
+    identifier, data = can_codec.encode_alive(Alive(9, 1, BOOT, SESSION, 0, 0))
+    for _ in range(5):
+        rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+    assert rig.port.poll(1) == [StimAlive(1, BOOT, 0, "")]

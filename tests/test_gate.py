@@ -32,7 +32,7 @@ HUGE: Any = pytest.param(10**5000, id="huge")  # too long for Python to print
 ASKED = StimRequest(0, True, 20.0, 300.0, 40.0)
 
 
-def make_limits(**changes: float) -> dict[str, float]:
+def make_limits(**changes: float) -> dict[str, Any]:
     return {
         "max_current_ma": 30.0,
         "max_pulse_width_us": 400.0,
@@ -318,7 +318,7 @@ def test_honest_drift_of_the_sensors_clock_is_no_delay(bench: Bench) -> None:
 
 def test_slight_disorder_of_stamps_is_tolerated(bench: Bench) -> None:
     bench.wait(20)
-    bench.sample(t_sensor_ns=bench.t_ns - 23 * MS)
+    bench.sample(t_sensor_ns=bench.t_ns - 43 * MS)  # 40 ms before the newest
     assert bench.ask().on
 
 
@@ -381,6 +381,7 @@ def test_status_and_heartbeat_without_a_fault_change_nothing(bench: Bench) -> No
     bench.observe(StimStatus(bench.t_ns, 0, 1, True, 30.0, 300.0, 50.0))
     bench.observe(StimStatus(bench.t_ns, 5, 1, True, 99.0, 300.0, 50.0))  # a channel of somebody else's session
     bench.observe(StimStatus(bench.t_ns, 0, 1, False, 0.0, 0.0, 0.0))
+    bench.observe(StimStatus(bench.t_ns, 0, 1, True, 0.0, 0.0, 0.0))  # on, and its first pulse still to come
     bench.observe(StimAlive(bench.t_ns, 77, 0))
     bench.observe(StimAlive(bench.t_ns, 77, 3))
     assert bench.ask().on
@@ -497,7 +498,7 @@ def ready(channel: Channel, until_ma: float) -> Bench:
     ],
 )
 def test_the_sessions_own_limits(
-    own: dict[str, float], fits: dict[str, float], exceeds: dict[str, float], reason: str
+    own: dict[str, float], fits: dict[str, Any], exceeds: dict[str, Any], reason: str
 ) -> None:
     assert ready(make_channel(limits=own), 30.0).judge(replace(ASKED, **fits)).refused == ""
     bench = ready(make_channel(limits=own), 30.0)
@@ -594,6 +595,7 @@ def test_first_command_ever_may_be_one_step() -> None:
         bench.sample()
         bench.rearm()
         assert bench.ask(current_ma=current_ma).on is passes
+        assert bool(bench.gate.latched) is not passes
 
 
 def test_absolute_rise_limit_holds() -> None:

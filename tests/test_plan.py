@@ -136,8 +136,8 @@ def test_below_one_step_is_off() -> None:
     walk.enter(PRE_SWING)
     assert walk.current(2) == 0.0
     assert walk.current(3) == 0.5
-    for weak in ({"frequency_hz": 0.9}, {"pulse_width_us": 0.9}):
-        walk = Walk(make_channel(**weak))
+    for weak in (make_channel(frequency_hz=0.9), make_channel(pulse_width_us=0.9)):
+        walk = Walk(weak)
         walk.enter(PRE_SWING)
         assert walk.current(100) == 0.0
 

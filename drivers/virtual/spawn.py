@@ -77,8 +77,8 @@ def spawn_node(
 ) -> NodeHandle:
     """Start ``python -m drivers.virtual.can_node`` and wait until it is ready.
 
-    ``clock`` is "real", or "bus" for :mod:`drivers.virtual.lockstep`. Without ``bus`` it gets one of its own that stays on this machine (:func:`free_bus`). ``faults`` as in
-    :func:`drivers.virtual.node_faults.parse_faults`.
+    ``clock`` is "real", or "bus" for :mod:`drivers.virtual.lockstep`. Without ``bus`` it gets one of its own that
+    stays on this machine (:func:`free_bus`). ``faults`` as in :func:`drivers.virtual.node_faults.parse_faults`.
 
     Raises:
         NodeFailed: it ended, or was not ready within ``timeout_s``.

@@ -96,9 +96,9 @@ def integrate(
     for j in range(3):
         gamma[0, j] = 0.0
         gamma[1, j] = 0.0
-    _double_integral(t_ns, acc, quaternions, start_velocity, gamma, velocity, position)
+    double_integral(t_ns, acc, quaternions, start_velocity, gamma, velocity, position)
     effect = np.zeros((4, 6))  # of the six unknowns on the end's velocity (3) and height (1)
-    _effects(t_ns, quaternions, effect)
+    effects(t_ns, quaternions, effect)
     count = 4 if equal_height else 3
     # smallest gamma with effect · gamma = residual: gamma = effectᵀ (effect effectᵀ)⁻¹ residual
     system = np.zeros((4, 5))
@@ -112,12 +112,12 @@ def integrate(
     for k in range(6):
         for i in range(count):
             gamma[k // 3, k % 3] += effect[i, k] * system[i, 4]
-    _double_integral(t_ns, acc, quaternions, start_velocity, gamma, velocity, position)
+    double_integral(t_ns, acc, quaternions, start_velocity, gamma, velocity, position)
     return True
 
 
 @jit
-def _double_integral(
+def double_integral(
     t_ns: Any, acc: Any, quaternions: Any, start_velocity: Any, gamma: Any, velocity: Any, position: Any
 ) -> None:
     """Eq. (17) and (18) in trapezoids."""
@@ -151,7 +151,7 @@ def _double_integral(
 
 
 @jit
-def _effects(t_ns: Any, quaternions: Any, effect: Any) -> None:
+def effects(t_ns: Any, quaternions: Any, effect: Any) -> None:
     """Integrate what each unknown of gamma does: columns 0–2 constant, 3–5 linear part; rows as in `integrate`."""
     n = t_ns.shape[0]
     span_ns = t_ns[n - 1] - t_ns[0]

@@ -19,6 +19,7 @@ from statemachine.phases import Phase, PhaseChange
 
 QUIET_WINDOW_S = 0.1
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
+STOPPED_SEARCH_S = 0.5  # of a stance that lasts longer than that the first half: a belt that stops carries the foot
 STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
 SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
 CREEP_MPS = (
@@ -100,7 +101,9 @@ class StrideMaker:
         if start_ns is None or Phase.STANCE not in times:
             return None
         earliest = self._stance_ns - int(STANCE_LEAD_S * NS_PER_S)
-        latest = min(int(t_ns[-1]), self._stance_ns + int(STANCE_SEARCH_S * NS_PER_S))
+        still_standing = t_ns[-1] - self._stance_ns >= STANCE_SEARCH_S * NS_PER_S
+        search_s = STOPPED_SEARCH_S if still_standing else STANCE_SEARCH_S
+        latest = min(int(t_ns[-1]), self._stance_ns + int(search_s * NS_PER_S))
         last = _quietest(t_ns, gyr, earliest, latest)
         first = int(np.searchsorted(t_ns, start_ns))
         self._number += 1

@@ -9,7 +9,7 @@ heel off → toe off → contact → flat, i.e. pre-swing, swing, loading respon
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,7 +95,10 @@ def _pitch(motion: FootMotion, plan: StridePlan, drift: float) -> None:
     pre_swing, swing = toe_off - heel_off, contact - toe_off
     push = plan.push_rad - 0.5 * drift
     slow, fast = plan.slow_share * push, (1.0 - plan.slow_share) * push
-    motion.add("pitch", _heel_rise(heel_off, toe_off, slow, TILT_SEEN_RAD - 0.5 * drift))
+    motion.add("pitch", _heel_rise(heel_off, toe_off, 0.7 * slow, TILT_SEEN_RAD - 0.5 * drift))
+    # the heel rises faster and faster: the rate has one peak only, at toe-off
+    climb = Pulse(heel_off + 0.1 * pre_swing, toe_off - 0.02, toe_off - 0.02, toe_off + 0.06, 1.0)
+    motion.add("pitch", replace(climb, speed=0.3 * slow / climb.total))
     # the push-off turns fastest (u = 0.6 of its hump) a few milliseconds before the toe leaves
     fast_length = min(0.22 + 0.9 * max(0.0, pre_swing - 0.25), 1.1 * pre_swing)
     fast_start = toe_off - 0.006 - 0.6 * fast_length
@@ -180,7 +183,7 @@ def _sideways(motion: FootMotion, plan: StridePlan) -> None:
 def _ring(motion: FootMotion, plan: StridePlan) -> None:
     """Shoe and soft tissue ring after contact, and again, weaker, when the rest of the sole slaps down."""
     # the other foot lands as this heel rises (double support): that shakes the deck
-    motion.add("bounce", Ring(plan.heel_off_s + 0.02, plan.jolt_mps2, 21.0, 0.035, rise_s=0.012))
+    motion.add("bounce", Ring(plan.heel_off_s + 0.04, plan.jolt_mps2, 21.0, 0.045, rise_s=0.012))
     if plan.ring_mps2 <= 0.0:
         return
     size = plan.ring_mps2

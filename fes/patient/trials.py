@@ -35,21 +35,21 @@ WEAKER = replace(HEALTHY, push_deg=62.0, strike_deg=-19.0, swing_s=0.41, lift_m=
 PAIR = {"right_foot": HEALTHY, "left_foot": WEAKER}
 # Negård et al. (2005), Table 1, patient 2
 PATIENT_2 = Style(
-    pre_swing_s=0.40, swing_s=0.69, loading_s=0.195, stance_s=0.74, push_deg=47.0, strike_deg=9.0, dangle_deg=5.0,
+    pre_swing_s=0.40, swing_s=0.69, loading_s=0.195, stance_s=0.74, push_deg=48.0, strike_deg=9.0, dangle_deg=5.0,
     invert_deg=9.0, swerve_deg=5.0, toe_out_deg=9.0, circumduction_m=0.045, lift_m=0.022, toe_clearance_m=0.009,
-    fall_mps=0.28, forward_mps=0.20, stop_s=0.017, ring_mps2=9.0, drift_deg=1.8, slow_share=0.55, jolt_mps2=3.0,
-    contact="forefoot",
+    fall_mps=0.28, forward_mps=0.20, stop_s=0.017, ring_mps2=9.0, drift_deg=1.8, creep_m=0.0025, slow_share=0.70,
+    jolt_mps2=3.0, contact="forefoot",
     spread_pre_swing=0.05, spread_swing=0.04, spread_loading=0.21, spread_stance=0.085, spread_deg=1.8,
     spread_m=0.014, spread_clearance=0.22,
 )  # fmt: skip
 PATIENT_1 = replace(
-    PATIENT_2, pre_swing_s=0.43, swing_s=0.64, loading_s=0.20, stance_s=0.86, push_deg=43.0, strike_deg=8.0,
+    PATIENT_2, pre_swing_s=0.43, swing_s=0.64, loading_s=0.20, stance_s=0.86, push_deg=45.0, strike_deg=8.0,
     dangle_deg=4.0, invert_deg=12.0, circumduction_m=0.055, lift_m=0.016, toe_clearance_m=0.006, fall_mps=0.25,
     forward_mps=0.15, ring_mps2=8.0, toe_out_deg=12.0,
 )  # fmt: skip
 SOFT = replace(
     PATIENT_1, strike_deg=2.0, dangle_deg=2.0, invert_deg=1.5, fall_mps=0.03, forward_mps=0.02, stop_s=0.12,
-    ring_mps2=0.0, spread_deg=0.5, loading_s=0.09, contact="soft", push_deg=40.0,
+    ring_mps2=0.0, spread_deg=0.5, loading_s=0.09, contact="soft", push_deg=43.0,
 )  # fmt: skip
 SLOW_HEALTHY = replace(
     HEALTHY, pre_swing_s=0.30, swing_s=0.44, loading_s=0.13, stance_s=0.45, push_deg=56.0, strike_deg=-16.0,

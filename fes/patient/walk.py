@@ -41,9 +41,9 @@ class Style:
     stop_s: float = 0.018
     ring_mps2: float = 15.0
     drift_deg: float = 2.0
-    creep_m: float = 0.004
+    creep_m: float = 0.0018
     slow_share: float = 0.4
-    jolt_mps2: float = 1.2
+    jolt_mps2: float = 1.8
     contact: str = "heel"
     spread_pre_swing: float = 0.03
     spread_swing: float = 0.02
@@ -227,7 +227,7 @@ def _draw(
 
 def unrest(rng: np.random.Generator, foot: Foot, start_s: float, end_s: float, size: float, shake_m: float) -> None:
     """Small movements that never stop: sway of the foot (``size`` degrees) and, on a running belt, its shaking."""
-    for channel, share in (("pitch", 0.5), ("roll", 1.0), ("yaw", 0.5)):
+    for channel, share in (("pitch", 0.35), ("roll", 1.0), ("yaw", 0.5)):
         foot.motion.add(channel, wander(rng, start_s, end_s, 0.11, math.radians(share * size)))
     if shake_m > 0.0:
         foot.motion.add("bounce", wander(rng, start_s, end_s, 0.016, shake_m))

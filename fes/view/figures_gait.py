@@ -35,78 +35,123 @@ def foot_color(foot: str) -> str:
 
 
 def path_figures(view: SessionView) -> list[Figure]:
-    """Per foot: height over way forward, and pitch over the stride."""
-    curves = {foot: found for foot in view.timelines if (found := _curves(view.record.strides, foot)) is not None}
-    figures = [_sagittal(foot, found, list(curves.values())) for foot, found in curves.items()]
-    return figures + [_pitch(foot, found, list(curves.values())) for foot, found in curves.items()]
+    """Per foot: height over way forward, and pitch from heel rise to foot flat."""
+    figures = []
+    for draw, curves_of in ((_sagittal, _paths), (_pitch, _pitches)):
+        curves = {foot: found for foot in view.timelines if (found := curves_of(_usable(view, foot))) is not None}
+        figures += [draw(foot, own, list(curves.values())) for foot, own in curves.items()]
+    return figures
 
 
 @dataclass(frozen=True)
 class _Curves:
-    """All usable strides of a foot (S, POINTS) at equal shares of the stride: metres, centimetres, degrees."""
+    """Strides of a foot brought to the same points: x and y (S, POINTS), and landmarks on x by name."""
 
-    forward_m: FloatArray
-    height_cm: FloatArray
-    pitch_deg: FloatArray
+    x: FloatArray
+    y: FloatArray
+    marks: dict[str, float]
 
 
-def _curves(strides: Sequence[StrideResult], foot: str) -> _Curves | None:
-    grid = np.linspace(0.0, 1.0, POINTS)
+def _usable(view: SessionView, foot: str) -> list[StrideResult]:
+    return [
+        stride
+        for stride in view.record.strides
+        if stride.foot == foot
+        and stride.valid
+        and len(stride.trajectory_m) > 1
+        and stride.pitch_rad.shape == (len(stride.trajectory_m),)
+        and np.isfinite(stride.trajectory_m).all()
+        and np.isfinite(stride.pitch_rad).all()
+    ]
+
+
+def _paths(strides: Sequence[StrideResult]) -> _Curves | None:
+    """Height in cm at equal shares of each stride's way forward in m.
+
+    By place and not by time: a foot that waits longer in stance would else smear the mean over the swing.
+    """
+    share = np.linspace(0.0, 1.0, POINTS)
     rows = []
     for stride in strides:
-        count = stride.trajectory_m.shape[0]
-        if stride.foot != foot or not stride.valid or count < 2 or stride.pitch_rad.shape != (count,):
-            continue
-        share = np.linspace(0.0, 1.0, count)
-        columns = (stride.trajectory_m[:, 0], stride.trajectory_m[:, 2] * 100, np.degrees(stride.pitch_rad))
-        row = np.stack([np.interp(grid, share, column) for column in columns])
-        if np.isfinite(row).all():
-            rows.append(row)
+        forward = np.maximum.accumulate(stride.trajectory_m[:, 0])
+        if forward[-1] > forward[0]:
+            x = forward[0] + share * (forward[-1] - forward[0])
+            rows.append((x, np.interp(x, forward, stride.trajectory_m[:, 2] * 100)))
     if not rows:
         return None
-    forward_m, height_cm, pitch_deg = np.stack(rows, axis=1)
-    return _Curves(forward_m, height_cm, pitch_deg)
+    x, y = np.stack(rows, axis=1)
+    return _Curves(x, y, {})
 
 
-def _draw(plot: Plot, x: FloatArray, y: FloatArray, color: str) -> None:
-    """Single strides faint, ±1 SD as a band, the mean on top; x and y are (S, POINTS)."""
+def _pitches(strides: Sequence[StrideResult]) -> _Curves | None:
+    """Pitch in degrees from the entry into pre-swing (0 %) to the entry into stance (100 %)."""
+    share = np.linspace(0.0, 1.0, POINTS)
+    rows, swings, loadings = [], [], []
+    for stride in strides:
+        begin, end = stride.t_pre_swing_ns, stride.t_stance_ns
+        if begin is None or end is None or end <= begin or stride.t_end_ns <= stride.t_start_ns:
+            continue
+        own = np.linspace(stride.t_start_ns - begin, stride.t_end_ns - begin, len(stride.pitch_rad)) / (end - begin)
+        rows.append(np.interp(share, own, np.degrees(stride.pitch_rad)))
+        swings += [100 * (stride.t_swing_ns - begin) / (end - begin)] if stride.t_swing_ns is not None else []
+        loading = stride.t_loading_response_ns
+        loadings += [100 * (loading - begin) / (end - begin)] if loading is not None else []
+    if not rows:
+        return None
+    named = (("swing", swings), ("loading response", loadings))
+    marks = {name: float(np.mean(shares)) for name, shares in named if shares}
+    y = np.stack(rows)
+    return _Curves(np.broadcast_to(100 * share, y.shape), y, marks)
+
+
+def _draw(plot: Plot, curves: _Curves, color: str) -> None:
+    """Single strides faint, ±1 SD as a band, the mean on top."""
+    x, y = curves.x, curves.y
     for at in np.unique(np.linspace(0, len(y) - 1, min(len(y), FAINT_STRIDES)).round().astype(int)):
-        plot.line(x[at], y[at], color, width=0.8, opacity=0.25)
+        plot.line(x[at], y[at], color, width=0.8, opacity=0.2)
     mean = y.mean(axis=0)
     if len(y) > 1:
         sd = y.std(axis=0, ddof=1)
-        plot.band(x.mean(axis=0), mean - sd, mean + sd, color)
+        plot.band(x.mean(axis=0), mean - sd, mean + sd, color, 0.32)
     plot.line(x.mean(axis=0), mean, color, width=3)
+    for name, place in curves.marks.items():
+        plot.upright(place, "#555555", name)
 
 
 def _sagittal(foot: str, own: _Curves, every: Sequence[_Curves]) -> Figure:
-    name, count = words(foot), len(own.height_cm)
+    name, count = words(foot), len(own.y)
     plot = Plot(
         f"Path of the {name} sensor seen from the side, {count} strides",
         "forward (m)",
         "height (cm)",
-        padded((one.forward_m for one in every), share=0.03),
-        padded((one.height_cm for one in every), zero=True),
+        padded((one.x for one in every), share=0.03),
+        padded((one.y for one in every), zero=True),
     )
-    _draw(plot, own.forward_m, own.height_cm, foot_color(foot))
+    _draw(plot, own, foot_color(foot))
     return Figure(
         f"Path seen from the side, {name}",
         plot.render(),
-        f"{count} valid strides; bold: mean, band: ±1 SD of the height. Height is drawn larger than length.",
+        f"{count} valid strides; bold: mean, band: ±1 SD of the height at the same share of the way. "
+        "Height is drawn larger than length.",
     )
 
 
 def _pitch(foot: str, own: _Curves, every: Sequence[_Curves]) -> Figure:
     name = words(foot)
+    low, high = padded((one.y for one in every), zero=True, share=0.12)
     plot = Plot(
-        f"Pitch of the {name} over the stride",
-        "share of the stride (%), mid-stance to mid-stance",
+        f"Pitch of the {name} from heel rise to foot flat",
+        "from heel rise (0 %) to foot flat (100 %)",
         "pitch (°), toe up +",
         (0.0, 100.0),
-        padded((one.pitch_deg for one in every), zero=True),
+        (low, high),
     )
-    _draw(plot, np.broadcast_to(np.linspace(0, 100, POINTS), own.pitch_deg.shape), own.pitch_deg, foot_color(foot))
-    return Figure(f"Foot pitch, {name}", plot.render(), "0° is the foot in the stance at the stride's start.")
+    _draw(plot, own, foot_color(foot))
+    return Figure(
+        f"Foot pitch, {name}",
+        plot.render(),
+        f"{len(own.y)} valid strides. 0° is the foot in the stance before. Upright lines: mean entries.",
+    )
 
 
 def stride_figures(view: SessionView) -> list[Figure]:
@@ -114,19 +159,22 @@ def stride_figures(view: SessionView) -> list[Figure]:
     rows, belt = view.summary.strides, view.summary.belt_speed_mps
     if not rows:
         return []
-    length = _per_stride(view, [row.stride_length_m for row in rows], "stride length (m)", 2, "m")
-    clearance = _per_stride(view, [row.clearance_cm for row in rows], "clearance (cm)", 1, "cm")
+    length, lengths = _per_stride(view, [row.stride_length_m for row in rows], "stride length (m)", 2, "m")
+    clearance, clearances = _per_stride(view, [row.clearance_cm for row in rows], "clearance (cm)", 1, "cm")
     times = [row.duration_s for row in rows if row.valid]
-    told = "Filled: used, hollow: left out."
+    told = "Filled: used, hollow: left out. Dashed: mean"
     if np.isfinite(belt) and times:
-        length.level(belt * float(np.mean(times)), "#000000", "belt speed · mean stride time", dash="2 3", above=False)
+        expected_m = belt * float(np.mean(times))
+        length.level(expected_m, "#000000", dash="2 3")
+        lengths += f". Dotted: belt speed · mean stride time, {expected_m:.2f} m"
     return [
-        Figure("Stride length", length.render(), f"{told} Dashed: mean of each foot."),
-        Figure("Clearance", clearance.render(), f"Greatest height of the sensor above its start. {told}"),
+        Figure("Stride length", length.render(), f"{told} {lengths}."),
+        Figure("Clearance", clearance.render(), f"Greatest height of the sensor above its start. {told} {clearances}."),
     ]
 
 
-def _per_stride(view: SessionView, values: Sequence[float], label: str, digits: int, unit: str) -> Plot:
+def _per_stride(view: SessionView, values: Sequence[float], label: str, digits: int, unit: str) -> tuple[Plot, str]:
+    """The plot and the means in words."""
     rows = view.summary.strides
     y = np.array(values)
     start_s = np.array([row.start_s for row in rows])
@@ -134,6 +182,7 @@ def _per_stride(view: SessionView, values: Sequence[float], label: str, digits: 
     low, high = padded([y[valid] if valid.any() else y], share=0.15)
     y = np.clip(y, low, high)  # a stride that was left out may lie anywhere and must not squeeze the others
     plot = Plot(f"{label} of every stride", "time (s)", label, padded([start_s], share=0.03), (low, high))
+    means: list[str] = []
     for foot in view.timelines:
         for used in (True, False):
             pick = [i for i, row in enumerate(rows) if row.foot == foot and row.valid == used]
@@ -142,8 +191,9 @@ def _per_stride(view: SessionView, values: Sequence[float], label: str, digits: 
             good = y[pick][np.isfinite(y[pick])]
             if used and good.size:
                 mean = float(good.mean())
-                plot.level(mean, foot_color(foot), f"{words(foot)} {mean:.{digits}f} {unit}")
-    return plot
+                means.append(f"{words(foot)} {mean:.{digits}f} {unit}")
+                plot.level(mean, foot_color(foot))
+    return plot, ", ".join(means) or "–"
 
 
 def phase_figures(view: SessionView) -> list[Figure]:
@@ -168,7 +218,7 @@ def _phase_bars(foot: str, rows: Sequence[StrideRow]) -> Figure:
     plot = Plot(
         f"Phase durations of every stride, {words(foot)}",
         "stride number",
-        "time from the entry into pre-swing (s)",
+        "time since heel rise (s)",
         (float(number.min()) - 0.7, float(number.max()) + 0.7),
         padded([top], zero=True),
     )

@@ -61,8 +61,8 @@ def findings(summary: SessionSummary) -> tuple[Finding, ...]:
 
 def _whole(summary: SessionSummary) -> Iterator[Finding]:
     if not summary.complete:
-        lost = f": {summary.lost}" if summary.lost else "."
-        yield Finding("alert", f"The session log has no proper end; the numbers cover only what was kept{lost}")
+        lost = f" Lost: {summary.lost}." if summary.lost else ""
+        yield Finding("alert", f"The session log has no proper end; the numbers cover only what was kept.{lost}")
 
 
 def _faults(summary: SessionSummary) -> Iterator[Finding]:
@@ -116,13 +116,14 @@ def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
     if not channel.foot:
         yield Finding("warning", f"{name}: stimulated, but the log's settings do not say on which foot.")
         return
+    times = count_of(channel.bursts, "time")
     window = f"{words(channel.start_phase)} … {words(channel.stop_phase)}"
     if channel.longest_outside_s == 0:
-        yield Finding("good", f"{name}: {count_of(channel.bursts, 'burst')}, never outside {window} of its foot.")
+        yield Finding("good", f"{name}: stimulated {times}, never outside {window} of its foot.")
     elif channel.longest_outside_s <= period_s:
         yield Finding(
             "info",
-            f"{name}: {count_of(channel.bursts, 'burst')}; {channel.bursts_outside} went on after {window} for at most "
+            f"{name}: stimulated {times}; {channel.bursts_outside} reached outside {window} for at most "
             f"{channel.longest_outside_s * 1e3:.0f} ms, no longer than one command lasts.",
         )
     else:

@@ -20,11 +20,11 @@ GLOSSARY: dict[str, str] = {
     "cadence": "Two steps per stride: 120 s divided by the mean stride time in s (steps/min).",
     "onset": "First command to stimulate, counted from the entry into pre-swing of the same foot (ms).",
     "burst": "A stretch in which a channel was commanded on without a break.",
-    "charge": "Charge of one phase of the pulses, summed (µC): counted by the stimulator, else current · width · number.",
+    "charge": "Charge of one phase of all pulses (µC): counted by the stimulator, else current · width · number.",
     "outside": "Time a channel was commanded on while its foot was in a phase in which it must be off (s).",
     "latency": "From a sample's arrival to the controller's decision (ms).",
     "p50, p99": "Half, and 99 of 100, of the values are no greater than this.",
     "SD": "Standard deviation; for phase durations in percent of the mean.",
     "gate": "The safety gate: the last check before the wire. It turns a command off when in doubt and says why.",
-    "pitch": "Rotation of the foot about the axis across it, toe up positive, 0 in the stance at the stride's start (°).",
+    "pitch": "Rotation of the foot about the axis across it (°): toe up positive, 0 in the stance at the start.",
 }

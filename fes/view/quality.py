@@ -86,11 +86,16 @@ def all_sensors(samples: Mapping[str, SampleArrays]) -> tuple[SensorQuality, ...
     return tuple(sensor_quality(name, arrays) for name, arrays in samples.items() if arrays.t_ns.size)
 
 
+def without_numbers(text: str) -> str:
+    """The words of a reason, by which like reasons are told from unlike ones."""
+    return re.sub(r"\d+([.,]\d+)?", "#", text)
+
+
 def group_refusals(commands: Sequence[StimCommand], origin_ns: int) -> tuple[Refusal, ...]:
     """Group the refused commands by reason, most frequent first; each group shows its first wording."""
     groups: dict[str, list[StimCommand]] = {}
     for command in commands:
-        groups.setdefault(re.sub(r"\d+([.,]\d+)?", "#", command.refused), []).append(command)
+        groups.setdefault(without_numbers(command.refused), []).append(command)
     found = [
         Refusal(
             reason=group[0].refused,

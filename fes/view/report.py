@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
+from contextlib import suppress
+from datetime import datetime
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -13,9 +14,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from fes.journal import SessionRecord
+from fes.view.aggregate import Spread
 from fes.view.figures_gait import PHASE_COLORS, Figure, foot_color, path_figures, phase_figures, stride_figures
 from fes.view.figures_stimulation import channel_color, latency_figure, stimulation_figures
-from fes.view.findings import findings, mean_sd, words
+from fes.view.findings import count_of, findings, mean_sd, words
 from fes.view.glossary import GLOSSARY
 from fes.view.jsonable import plain
 from fes.view.summary import SessionView, view_session
@@ -42,12 +44,14 @@ def write_report(record: SessionRecord, path: Path) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         draft.write_text(text, encoding="utf-8")
-        os.replace(draft, path)
+        draft.replace(path)
     except OSError as error:
-        draft.unlink(missing_ok=True) if draft.parent.is_dir() else None
-        raise ReportError(
-            f"{path}: the report cannot be written: {error.strerror or error}. Choose a place that can be written to."
-        ) from error
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+        why = error.strerror or str(error)
+        failure = ReportError(f"{path}: the report cannot be written: {why}. Choose a place that can be written to.")
+        failure.strerror = why
+        raise failure from error
 
 
 def render_report(record: SessionRecord) -> str:
@@ -86,6 +90,15 @@ def embed(value: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
+def when(created: str) -> str:
+    """An ISO time as people write it; anything else as it is."""
+    try:
+        moment = datetime.fromisoformat(created)
+    except ValueError:
+        return created
+    return f"{moment:%Y-%m-%d %H:%M} {moment.tzname() or ''}".strip()
+
+
 @cache
 def _environment() -> Environment:
     environment = Environment(
@@ -95,7 +108,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"num": number, "words": words, "mark": path_mark, "mean_sd": mean_sd}
+    environment.filters |= {"num": number, "words": words, "mark": path_mark, "mean_sd": mean_sd, "when": when}
     environment.globals |= {"foot_color": foot_color, "channel_color": channel_color}
     return environment
 
@@ -121,47 +134,37 @@ def _cards(view: SessionView) -> list[dict[str, str]]:
     s = view.summary
     total = len(s.strides)
     four, valid = sum(row.four_phases for row in s.strides), sum(row.valid for row in s.strides)
-    feet = [(words(foot.foot).removesuffix(" foot"), foot) for foot in s.feet.values() if foot.valid]
-    belt = (
-        f"belt {s.belt_speed_mps:.2f} m/s, ratio {s.speed_over_belt:.3f}" if s.belt_speed_mps > 0 else "no belt speed"
-    )
-    bursts, on_s = sum(channel.bursts for channel in s.channels), sum(channel.on_time_s for channel in s.channels)
+    share = f"{100 * four / total:.0f} %" if total else "–"
+    belt = "no belt known"
+    if s.belt_speed_mps > 0:
+        belt = f"belt {s.belt_speed_mps:.2f} m/s, ratio {number(s.speed_over_belt, 3)}"
     cards = [
-        ("stride", "Strides", f"{total}", f"{valid} valid"),
-        (
-            "four phases",
-            "All four phases",
-            f"{100 * four / total:.0f} %" if total else "–",
-            f"{four} of {total} strides",
-        ),
-        ("walking speed", "Walking speed", f"{number(s.walking_speed_mps, 2)} m/s", belt),
+        _card("stride", "Strides", f"{total}", f"{valid} valid"),
+        _card("four phases", "All four phases", share, f"{four} of {total} strides"),
+        _card("walking speed", "Walking speed", f"{number(s.walking_speed_mps, 2)} m/s", belt),
     ]
+    feet = [(words(foot.foot).removesuffix(" foot"), foot) for foot in s.feet.values() if foot.valid]
     for side, foot in feet:
-        cards.append(
-            (
-                "stride length",
-                f"Stride length {side}",
-                f"{foot.stride_length_m.mean:.2f} m",
-                f"± {number(foot.stride_length_m.sd, 3)} m",
-            )
-        )
+        length, below = foot.stride_length_m, _plus_minus(foot.stride_length_m, 3, "m")
+        cards.append(_card("stride length", f"Stride, {side}", f"{number(length.mean, 2)} m", below))
     for side, foot in feet:
-        cards.append(
-            (
-                "clearance",
-                f"Clearance {side}",
-                f"{foot.clearance_cm.mean:.1f} cm",
-                f"± {number(foot.clearance_cm.sd, 1)} cm",
-            )
-        )
+        height, below = foot.clearance_cm, _plus_minus(foot.clearance_cm, 1, "cm")
+        cards.append(_card("clearance", f"Clearance, {side}", f"{number(height.mean, 1)} cm", below))
     if feet:
         cadence = sum(foot.cadence_steps_per_min for _, foot in feet) / len(feet)
-        cards.append(("cadence", "Cadence", f"{cadence:.0f} /min", "steps"))
+        cards.append(_card("cadence", "Cadence", f"{number(cadence, 0)} /min", "steps"))
     if s.channels:
+        bursts, on_s = sum(channel.bursts for channel in s.channels), sum(channel.on_time_s for channel in s.channels)
         charge_mc = sum(channel.charge_uc for channel in s.channels) / 1e3
-        cards.append(("burst", "Stimulation", f"{bursts} bursts", f"{on_s:.1f} s on, {charge_mc:.2f} mC"))
+        cards.append(_card("burst", "Stimulation", count_of(bursts, "burst"), f"{on_s:.1f} s on, {charge_mc:.2f} mC"))
     if s.latency.count:
-        cards.append(("latency", "Latency p99", f"{s.latency.p99_ms:.2f} ms", f"median {s.latency.p50_ms:.2f} ms"))
-    return [
-        {"term": GLOSSARY[term], "name": name, "value": value, "below": below} for term, name, value, below in cards
-    ]
+        cards.append(_card("latency", "Latency p99", f"{s.latency.p99_ms:.2f} ms", f"median {s.latency.p50_ms:.2f} ms"))
+    return cards
+
+
+def _card(term: str, name: str, value: str, below: str) -> dict[str, str]:
+    return {"term": GLOSSARY[term], "name": name, "value": value, "below": below}
+
+
+def _plus_minus(values: Spread, digits: int, unit: str) -> str:
+    return f"± {number(values.sd, digits)} {unit}"

@@ -12,6 +12,7 @@ import numpy as np
 from fes.signals import NS_PER_S, IntArray, StimCommand, StrideResult
 from fes.view.bursts import Burst
 from fes.view.channels import ChannelInfo
+from fes.view.quality import without_numbers
 from fes.view.timeline import PhaseTimeline
 from statemachine.phases import Transition
 
@@ -90,13 +91,13 @@ def stride_rows(
         refused_ns = np.array([command.t_ns for command in own_refused], dtype=np.int64)
         for stride in own:
             low, high = np.searchsorted(refused_ns, [stride.t_start_ns, stride.t_end_ns])
-            reasons = dict.fromkeys(command.refused for command in own_refused[low:high])
+            reasons = {without_numbers(command.refused): command.refused for command in own_refused[low:high][::-1]}
             stimulation = tuple(
                 item
                 for info, all_bursts, start_ns in near
                 if (item := _stimulation_in(stride, info, all_bursts, start_ns)) is not None
             )
-            rows.append(_row(stride, timelines.get(foot), stimulation, tuple(reasons), origin_ns))
+            rows.append(_row(stride, timelines.get(foot), stimulation, tuple(reasons.values()), origin_ns))
     return tuple(sorted(rows, key=lambda row: (row.start_s, row.foot)))
 
 

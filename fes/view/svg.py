@@ -22,6 +22,10 @@ def nice_ticks(low: float, high: float, about: int = 5) -> list[float]:
     return [round(i * step, 10) for i in range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)]
 
 
+def _tick(value: float) -> str:
+    return f"{value / 1000:g}k" if abs(value) >= 10_000 else f"{value:g}"
+
+
 def padded(values: Iterable[FloatArray], *, zero: bool = False, share: float = 0.06) -> tuple[float, float]:
     """A range with some air around all finite values; ``zero`` puts 0 inside it."""
     parts = [np.asarray(array, dtype=np.float64).ravel() for array in values]
@@ -110,16 +114,14 @@ class Plot:
             for i, a, b in zip(ok.tolist(), px, py, strict=True)
         ]
 
-    def level(self, y: float, color: str, text: str, *, dash: str = "6 4", above: bool = True) -> None:
-        """A level right across with its name at the right end."""
-        if not math.isfinite(y):
-            return
-        at = float(self._y(np.array(y)))
-        self._marks.append(
-            f'<path d="M{LEFT} {at:.1f}H{self.width - RIGHT}" stroke="{color}" stroke-width="1.6" '
-            f'stroke-dasharray="{dash}"/><text class="halo" x="{self.width - RIGHT - 4}" '
-            f'y="{at + (-5 if above else 14):.1f}" text-anchor="end" fill="{color}">{escape(text)}</text>'
-        )
+    def level(self, y: float, color: str, *, dash: str = "6 4") -> None:
+        """A level right across."""
+        if math.isfinite(y):
+            at = float(self._y(np.array(y)))
+            self._marks.append(
+                f'<path d="M{LEFT} {at:.1f}H{self.width - RIGHT}" stroke="{color}" stroke-width="1.8" '
+                f'stroke-dasharray="{dash}"/>'
+            )
 
     def upright(self, x: float, color: str, text: str) -> None:
         """A line from bottom to top with its name at the top."""
@@ -140,11 +142,11 @@ class Plot:
         for value in nice_ticks(*self.y_range):
             at = float(self._y(np.array(value)))
             grid.append(f"M{LEFT} {at:.1f}H{end}")
-            texts.append(f'<text x="{LEFT - 7}" y="{at + 4:.1f}" text-anchor="end">{value:g}</text>')
+            texts.append(f'<text x="{LEFT - 7}" y="{at + 4:.1f}" text-anchor="end">{_tick(value)}</text>')
         for value in nice_ticks(*self.x_range, about=7):
             at = float(self._x(np.array(value)))
             grid.append(f"M{at:.1f} {floor}v5")
-            texts.append(f'<text x="{at:.1f}" y="{floor + 18}" text-anchor="middle">{value:g}</text>')
+            texts.append(f'<text x="{at:.1f}" y="{floor + 18}" text-anchor="middle">{_tick(value)}</text>')
         middle, center = (TOP + floor) / 2, (LEFT + end) / 2
         return (
             f'<svg class="plot" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(self.label)}">'

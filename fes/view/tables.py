@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fes.view.findings import Finding, findings, mean_sd, words
+from fes.view.findings import Finding, count_of, findings, mean_sd, words
 from fes.view.strides import StrideRow
 from fes.view.summary import SessionSummary
 
@@ -20,13 +20,15 @@ MARKS = {"good": ("✓", "green"), "info": ("·", ""), "warning": ("!", "yellow"
 
 def number(value: float, digits: int) -> str:
     """A number, or a dash for what is not known."""
-    return f"{value:.{digits}f}" if math.isfinite(value) else "–"
+    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "–"
 
 
 def path_mark(row: StrideRow) -> str:
-    """How the stride went through its phases: ``4``, or what was different."""
+    """How the stride went through its phases: ``4``, ``T6`` or ``part``, and ``+T5`` for heels put back before it."""
     how = "4" if row.four_phases else ("T6" if row.path.endswith("T6") else "part")
-    return f"{how} +{row.heel_lifts_put_back}·T5" if row.heel_lifts_put_back else how
+    if not row.heel_lifts_put_back:
+        return how
+    return f"{how}+{row.heel_lifts_put_back if row.heel_lifts_put_back > 1 else ''}T5"
 
 
 def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
@@ -34,8 +36,9 @@ def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
     rows = summary.strides if limit is None else summary.strides[max(len(summary.strides) - limit, 0) :]
     remarks = list(dict.fromkeys(text for row in rows for text in _remarks(row)))
     legend = [
-        "phases: 4 = all in order, T6 = no loading response, part = some missing, +n·T5 = heel put back",
-        "onset: after the entry into pre-swing; charge: one phase of all pulses; – = not known",
+        "len.: stride length; clr.: clearance; pre to stance: time in phase",
+        "path: 4 = all four phases, T6 = no loading response, +T5 = heel put back",
+        "onset: after pre-swing began; dose: charge of one phase of all pulses",
         *(f"note {index}: {text}" for index, text in enumerate(remarks, 1)),
     ]
     shown, total = len(rows), len(summary.strides)
@@ -51,12 +54,13 @@ def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
     )
     for title in ("\nfoot", "\nno."):
         table.add_column(title, no_wrap=True)
-    for title in ("start\ns", "length\nm", "clear.\ncm", "pre\nms", "swing\nms", "load\nms", "stance\nms"):
+    for title in ("start\ns", "len.\nm", "clr.\ncm", "pre\nms", "swing\nms", "load\nms", "stance\nms"):
         table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("\nphases", no_wrap=True)
-    for title in ("\nch", "onset\nms", "on\nms", "peak\nmA", "charge\nµC"):
+    table.add_column("\npath", no_wrap=True)
+    for title in ("\nch", "onset\nms", "on\nms", "peak\nmA", "dose\nµC"):
         table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("\nnote", no_wrap=True)
+    if remarks:
+        table.add_column("\nnote", no_wrap=True)
     for row in rows:
         _add(table, row, " ".join(str(remarks.index(text) + 1) for text in _remarks(row)))
     return table
@@ -69,7 +73,7 @@ def _remarks(row: StrideRow) -> tuple[str, ...]:
 
 def _add(table: Table, row: StrideRow, note: str) -> None:
     gait = [
-        escape(row.foot.removesuffix("_foot")),
+        {"left_foot": "L", "right_foot": "R"}.get(row.foot, escape(row.foot)),
         str(row.number),
         number(row.start_s, 1),
         number(row.stride_length_m, 2),
@@ -90,7 +94,8 @@ def _add(table: Table, row: StrideRow, note: str) -> None:
     for at, cells in enumerate(stimulation):
         first = at == 0
         style = "" if row.valid else "dim"
-        table.add_row(*(gait if first else [""] * len(gait)), *cells, note if first else "", style=style)
+        notes = ([note] if first else [""]) if len(table.columns) > len(gait) + len(cells) else []
+        table.add_row(*(gait if first else [""] * len(gait)), *cells, *notes, style=style)
 
 
 def summary_block(summary: SessionSummary) -> RenderableType:
@@ -104,7 +109,7 @@ def summary_block(summary: SessionSummary) -> RenderableType:
                 Text(
                     f"  {channel.name}: {channel.bursts} bursts, {channel.on_time_s:.1f} s on, "
                     f"peak {channel.peak_current_ma:.1f} mA, {channel.charge_uc / 1e3:.2f} mC{counted}, "
-                    f"onset {mean_sd(channel.onset_after_pre_swing_ms, 0, 'ms')} after pre-swing"
+                    f"onset {mean_sd(channel.onset_after_pre_swing_ms, 0, 'ms')}"
                 )
             )
     lines += [_finding_line(finding) for finding in findings(summary)]
@@ -118,7 +123,7 @@ def _title(summary: SessionSummary) -> Text:
 
 def _foot_line(summary: SessionSummary, name: str) -> Text:
     foot = summary.feet[name]
-    text = f"  {words(name)}: {foot.strides} strides, {foot.valid} valid"
+    text = f"  {words(name)}: {foot.valid} of {count_of(foot.strides, 'stride')} valid"
     if foot.valid:
         phases = (
             ("pre-swing", foot.pre_swing_s),
@@ -126,10 +131,10 @@ def _foot_line(summary: SessionSummary, name: str) -> Text:
             ("loading", foot.loading_response_s),
             ("stance", foot.stance_s),
         )
-        times = ", ".join(f"{label} {number(s.mean, 2)} s ±{number(s.sd_percent, 0)} %" for label, s in phases)
+        times = ", ".join(f"{label} {number(s.mean, 2)} s ±{number(s.sd_percent, 0)}%" for label, s in phases)
         text += (
-            f"; length {mean_sd(foot.stride_length_m, 2, 'm')}, clearance {mean_sd(foot.clearance_cm, 1, 'cm')}, "
-            f"{number(foot.walking_speed_mps, 2)} m/s\n    {times}"
+            f", length {mean_sd(foot.stride_length_m, 2, 'm')}, clearance {mean_sd(foot.clearance_cm, 1, 'cm')}"
+            f"\n    {times}"
         )
     return Text(text)
 

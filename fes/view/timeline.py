@@ -48,7 +48,7 @@ def build_timeline(changes: Iterable[PhaseChange], foot: str, start_ns: int, end
     own = sorted((change for change in changes if change.foot == foot), key=lambda change: change.t_ns)
     change_ns = np.array([change.t_ns for change in own], dtype=np.int64)
     first = own[0].source if own else Phase.STANCE
-    starts = np.concatenate([np.array([min(start_ns, *change_ns[:1].tolist())], dtype=np.int64), change_ns])
+    starts = np.concatenate([np.array([min([start_ns, *change_ns[:1].tolist()])], dtype=np.int64), change_ns])
     last = max(end_ns, int(starts[-1]))
     return PhaseTimeline(
         foot=foot,

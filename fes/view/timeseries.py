@@ -39,6 +39,7 @@ def chart_data(view: SessionView) -> dict[str, Any]:
     channels = [_channel(view, info, grid_ns) for info in view.channels]
     return {
         "duration_s": seconds,
+        "opening_s": _opening_s(view),
         "feet": feet,
         "current": {"start_s": 0.0, "step_s": 1.0 / points_per_s, "count": count, "channels": channels},
         "phases": [{"name": words(phase.name.lower()), "color": PHASE_COLORS[phase.name.lower()]} for phase in Phase],
@@ -97,6 +98,15 @@ def main_axis_rate_radps(samples: SampleArrays, timeline: PhaseTimeline) -> tupl
     if pushing.size == 0:
         return rate, False
     return (rate if pushing.mean() >= 0 else -rate), True
+
+
+def _opening_s(view: SessionView) -> float:
+    """Where the first window begins: just before the first stimulation, or else the first stride."""
+    bursts = [
+        (burst.t_start_ns - view.origin_ns) / NS_PER_S - 3.0 for all_of in view.bursts.values() for burst in all_of
+    ]
+    strides = [row.start_s - 0.5 for row in view.summary.strides]
+    return max(0.0, min(bursts or strides or [0.0]))
 
 
 def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points_per_s: int) -> dict[str, Any]:

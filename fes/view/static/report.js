@@ -27,9 +27,14 @@
   const widthNow = () => Math.max(280, Math.floor(place.clientWidth));
   const charts = [];
   const whole = [0, Math.max(data.duration_s, SHORTEST_S)];
-  let span = [0, Math.min(START_WINDOW_S, whole[1])];
+  let span = [data.opening_s, data.opening_s + Math.min(START_WINDOW_S, whole[1])];
   let overview = null;
   let busy = false;
+
+  // Tells whoever opened the page (a test, a print job) how many plots are on it by now.
+  const drawn = new Set();
+  const done = (u) => { drawn.add(u); root.dataset.drawn = String(drawn.size); };
+  root.dataset.drawn = "0";
 
   // Phase bands lie behind the curves; only those inside the window are drawn.
   const bands = (foot) => (u) => {
@@ -76,7 +81,7 @@
       select: { show: true },
       scales: { x: { time: false, range: (u, min, max) => [min, max] } },
       axes: [
-        { label: "time (s)", labelSize: 18, size: 34, stroke: "#1b1f24", grid: { stroke: "#d5dae0" } },
+        { label: foot ? undefined : "time (s)", labelSize: 18, size: 34, stroke: "#1b1f24", grid: { stroke: "#d5dae0" } },
         { label: yLabel, labelSize: 20, size: 58, stroke: "#1b1f24", grid: { stroke: "#d5dae0" } },
       ],
       series: [
@@ -88,6 +93,7 @@
       ],
       hooks: {
         drawClear: foot ? [bands(foot)] : [],
+        draw: [done],
         setSelect: [(u) => {
           if (u.select.width > 4) {
             show(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
@@ -120,14 +126,14 @@
     box.setAttribute("role", "img");
     box.setAttribute("aria-label", "Whole session, " + label);
     const head = document.createElement("h3");
-    head.textContent = "Whole session (" + label + "): drag to choose the window";
+    head.textContent = "Whole session (" + label + ")";
     box.append(head);
     place.append(box);
     overview = new uPlot({
       width: widthNow(), height: 90, legend: { show: false },
       cursor: { drag: { x: true, y: false, setScale: false }, points: { show: false }, y: false },
       scales: { x: { time: false, range: () => whole } },
-      axes: [{ size: 28, stroke: "#1b1f24", grid: { show: false } }, { size: 58, show: true, stroke: "#fff", ticks: { show: false }, grid: { show: false } }],
+      axes: [{ size: 28, stroke: "#1b1f24", grid: { show: false } }, { size: 78, show: true, stroke: "#fff", ticks: { show: false }, grid: { show: false } }],
       series: [{}, { stroke: color, width: 1, points: { show: false } }],
       hooks: {
         setSelect: [(u) => {
@@ -137,6 +143,7 @@
           const half = (span[1] - span[0]) / 2;
           if (u.select.width > 4) show(from, to); else show(from - half, from + half);
         }],
+        draw: [done, () => mark()],
       },
     }, [t, y], box);
   };
@@ -147,7 +154,7 @@
   function show(from, to) {
     const wide = Math.min(Math.max(to - from, SHORTEST_S), whole[1]);
     const middle = (from + to) / 2;
-    const start = Math.min(Math.max(middle - wide / 2, 0), whole[1] - wide);
+    const start = Math.max(Math.min(middle - wide / 2, whole[1] - wide), 0);
     span = [start, start + wide];
     for (const chart of charts) chart.setScale("x", { min: span[0], max: span[1] });
     output.textContent = span[0].toFixed(1) + " … " + span[1].toFixed(1) + " s";
@@ -223,5 +230,4 @@
   } else {
     document.getElementById("plots").hidden = true;
   }
-  requestAnimationFrame(() => requestAnimationFrame(() => { root.dataset.drawn = String(charts.length + (overview ? 1 : 0)); }));
 })();
