@@ -5,7 +5,7 @@ Everything it knows came as an event, so the same events give the same decisions
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -83,7 +83,8 @@ class Controller:
                 judge.on_stride(outcome)
             else:
                 permitted = judge.on_phase(outcome)
-                self._plan.on_phase(outcome, permitted=permitted)
+                # stimulation keeps to the host's clock, whatever the sensor's does
+                self._plan.on_phase(replace(outcome, t_ns=sample.t_ns), permitted=permitted)
         return outcomes
 
     def _on_act(self, act: OperatorAct) -> None:

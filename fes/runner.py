@@ -108,6 +108,8 @@ class Runner:
                 self._log.phase(outcome)
         if self.gate.latched != self._latched:
             self._note_latch()
+            if self._latched:  # not at the next command: now
+                self.all_off()
 
     def all_off(self) -> None:
         """Switch off every channel that was ever commanded."""

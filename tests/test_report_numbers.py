@@ -90,6 +90,13 @@ def test_speed_is_held_against_the_belt():
     assert summary.speed_over_belt == pytest.approx(make.LENGTH_M / make.PERIOD_S / make.BELT_MPS)
 
 
+def test_starting_and_stopping_do_not_bend_the_walking_speed():
+    lengths = (0.2, 0.6, 0.63, 0.66, 0.3)
+    strides = [make.stride(i, 1.0 + i * make.PERIOD_S, length_m=length) for i, length in enumerate(lengths)]
+    foot = summarise(record_of(*strides)).feet["left_foot"]
+    assert foot.walking_speed_mps == pytest.approx(0.63 / make.PERIOD_S)
+
+
 def test_standing_does_not_count_as_stance():
     strides = [make.stride(0, 1.0), make.stride(1, 1.0 + make.PERIOD_S), make.stride(2, 30.0)]
     foot = summarise(record_of(*strides)).feet["left_foot"]

@@ -30,6 +30,7 @@ from fes.cli.stimulators import (
 from fes.config import ConfigError, Session, load_session
 from fes.controller import Controller
 from fes.estimation.calibration import CalibrationError, FootCalibration
+from fes.estimation.warm import warm_up
 from fes.gate import SafetyGate
 from fes.journal import Note, SessionLogError, SessionWriter, read_session
 from fes.recording import Recording, RecordingError, read_recording
@@ -136,6 +137,7 @@ def replay_recording(path: Path, options: Options) -> Path:
             lockstep=options.speed is None,
             record=folder / "stimulator.jsonl",
         )
+    warm_up()
     try:
         with opening as opened:
             ended = _go(recording, session, calibrations, opened, header, log_path, options)

@@ -8,7 +8,6 @@ swing carries it.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,7 +15,7 @@ import numpy as np
 
 from fes.estimation.kernel import FootParameters, lags_at
 from fes.estimation.rotation import from_gravity
-from fes.estimation.stride import integrate, orient
+from fes.estimation.stride import double_integral, effects, integrate, orient
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
 
@@ -31,6 +30,10 @@ REST_BOUNDS_RADPS = (0.25, 1.2)  # … and within these
 SHORTEST_STRIDE_S = 0.5
 REST_HOLD_PER_STRIDE = 0.045  # of what a stride takes longer than the shortest: 0.03 s at 1 s, 0.09 s at 2 s
 REST_HOLD_BOUNDS_S = (0.03, 0.1)
+SHORTEST_REST_S = 0.15
+QUIET_SHARE = 0.12  # of the briskest rate: below, nothing moves
+ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
+SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
 PUSH_OFF_SHARE = 0.4  # the least peak that counts as a push-off, as a share of this person's
 
 
@@ -123,7 +126,7 @@ def calibrate_foot(
     up = rest_force / np.linalg.norm(rest_force)
     acc = acc_mps2 - up * (rest_norm - G_MPS2)
     swings = _movements(energy, rate_hz)
-    travel = [_travel(t_ns, acc, gyr, begin, end, window) for begin, end in swings]
+    travel = [_travel(t_ns, acc, gyr, *span) for span in swings]
     walked = [(swing, d) for swing, d in zip(swings, travel, strict=True) if np.linalg.norm(d) > MIN_TRAVEL_M]
     if len(walked) < MIN_STRIDES:
         raise CalibrationError(
@@ -141,6 +144,8 @@ def calibrate_foot(
         )
     if along.sum() < 0:
         axis = -axis
+    acc_bias = up * (rest_norm - G_MPS2)
+    acc_bias += _acc_bias_across(t_ns, acc, gyr, [swing for swing, _ in walked], up)
     peak, floor = _levels(gyr @ axis, np.sqrt(energy), [swing for swing, _ in walked])
     low, high = REST_BOUNDS_RADPS
     return FootCalibration(
@@ -148,7 +153,7 @@ def calibrate_foot(
         rate_hz=rate_hz,
         up=_vector(up),
         toe_down=_vector(axis),
-        acc_bias_mps2=_vector(up * (rest_norm - G_MPS2)),
+        acc_bias_mps2=_vector(acc_bias),
         gyr_bias_radps=_vector(rate_bias),
         rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
         min_toe_down_peak_radps=float(PUSH_OFF_SHARE * peak),
@@ -187,32 +192,75 @@ def _standing(rate_hz: float, acc: FloatArray, gyr: FloatArray) -> tuple[FloatAr
 
 
 def _movements(energy: FloatArray, rate_hz: float) -> list[tuple[int, int]]:
-    """Spans between quiet stretches that are as long as a swing with its push-off and contact: [begin, end)."""
-    level = 0.15 * np.sqrt(np.percentile(energy, 95))
+    """Movements as long as a swing with its push-off and contact, from quietest instant to quietest instant around it.
+
+    Indices (first, last), both ends included; the quietest instant is sought within a second of the movement.
+    """
+    level = QUIET_SHARE * np.sqrt(np.percentile(energy, 99))
     moving = np.concatenate(([False], np.sqrt(energy) > level, [False]))
     edges = np.flatnonzero(moving[1:] != moving[:-1])
+    begins, ends = edges[0::2], edges[1::2]
+    rests = begins[1:] - ends[:-1] >= SHORTEST_REST_S * rate_hz  # a shorter one is a turning point of the swing
+    begins, ends = begins[np.append(True, rests)], ends[np.append(rests, True)]
+    reach = round(rate_hz)
     spans = []
-    for begin, end in zip(edges[0::2], edges[1::2], strict=True):
-        if 0.3 * rate_hz <= end - begin <= 3.0 * rate_hz and begin > 0 and end < len(energy):
-            spans.append((int(begin), int(end)))
+    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        if not 0.3 * rate_hz <= end - begin <= 3.0 * rate_hz or begin == 0 or end == len(energy):
+            continue
+        before = max(ends[k - 1] if k else 0, begin - reach)
+        after = min(begins[k + 1] if k + 1 < len(begins) else len(energy), end + reach)
+        spans.append((int(before + np.argmin(energy[before:begin])), int(end + np.argmin(energy[end:after]))))
     return spans
 
 
-def _travel(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, begin: int, end: int, window: int) -> FloatArray:
+def _strapdown(
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, first: int, last: int, end_tilt_gain: float
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Times, specific force and orientation (n, 4) of one movement, upright at its start as gravity says."""
+    around = max((last - first) // 50, 1)
+    t = np.ascontiguousarray(t_ns[first : last + 1])
+    quaternions = np.empty((len(t), 4))
+    start = np.array(from_gravity(*acc[max(first - around, 0) : first + around + 1].mean(axis=0)))
+    fx, fy, fz = acc[max(last - around, 0) : last + around + 1].mean(axis=0)
+    orient(t, gyr[first : last + 1], start, fx, fy, fz, end_tilt_gain, quaternions)
+    return t, acc[first : last + 1], quaternions
+
+
+def _acc_bias_across(
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray
+) -> FloatArray:
+    """The accelerometer's bias across gravity (3,) in m/s², as far as walking shows it.
+
+    Rest shows only the part along gravity. In swing the foot pitches, and the other parts appear in the vertical: the
+    mean vertical velocity and height left over at the strides' ends speak of them. How loudly depends on how brisk the
+    walk is, for scale errors leave something over too; so each is weighed against a share of the stride's acceleration.
+    """
+    left, effect_sum, floor = np.zeros(2), np.zeros((2, 3)), np.zeros(2)
+    zero = np.zeros(3)
+    for span in spans:
+        t, force, quaternions = _strapdown(t_ns, acc, gyr, *span, 0.3)
+        velocity, position, effect = np.empty((len(t), 3)), np.empty((len(t), 3)), np.zeros((4, 6))
+        double_integral(t, force, quaternions, zero, np.zeros((2, 3)), velocity, position)
+        effects(t, quaternions, effect)
+        left += velocity[-1, 2], position[-1, 2]
+        effect_sum += effect[2:4, :3]
+        span_s = 1e-9 * float(t[-1] - t[0])
+        briskness = span_s * float(np.abs(np.linalg.norm(force, axis=1) - G_MPS2).mean())
+        floor += SCALE_ERROR * briskness, SCALE_ERROR * briskness * 0.5 * span_s
+    across = np.eye(3) - np.outer(up, up)
+    rows = np.vstack(((effect_sum @ across) / floor[:, None], np.eye(3) / ACC_BIAS_SD_MPS2))
+    values = np.concatenate((left / floor, np.zeros(3)))
+    return np.asarray(across @ np.linalg.lstsq(rows, values, rcond=None)[0])
+
+
+def _travel(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, first: int, last: int) -> FloatArray:
     """Displacement over one movement, in the sensor frame of its beginning (3,)."""
-    first, last = max(begin - window, 0), min(end + window, len(t_ns))
-    t = np.ascontiguousarray(t_ns[first:last])
-    quaternions = np.empty((last - first, 4))
-    w, x, y, z = from_gravity(*acc[first : begin + 1].mean(axis=0))
-    fx, fy, fz = acc[end - 1 : last].mean(axis=0)
-    orient(t, gyr[first:last], np.array([w, x, y, z]), fx, fy, fz, 1.0, quaternions)
-    velocity, position, gamma = np.empty((last - first, 3)), np.empty((last - first, 3)), np.zeros((2, 3))
-    if not integrate(t, acc[first:last], quaternions, np.zeros(3), np.zeros(3), True, velocity, position, gamma):
+    t, force, quaternions = _strapdown(t_ns, acc, gyr, first, last, 1.0)
+    velocity, position, gamma = np.empty((len(t), 3)), np.empty((len(t), 3)), np.zeros((2, 3))
+    if not integrate(t, force, quaternions, np.zeros(3), np.zeros(3), True, velocity, position, gamma):
         return np.zeros(3)
-    d = position[-1]
-    v = np.array([x, y, z])
-    turned = d - 2.0 * w * np.cross(v, d) + 2.0 * np.cross(v, np.cross(v, d))
-    return np.asarray(turned)
+    w, v, d = quaternions[0, 0], quaternions[0, 1:], position[-1]
+    return np.asarray(d - 2.0 * w * np.cross(v, d) + 2.0 * np.cross(v, np.cross(v, d)))
 
 
 def _mediolateral(gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray) -> FloatArray:
@@ -228,9 +276,8 @@ def _mediolateral(gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray)
 
 def _levels(toe_down: FloatArray, rate: FloatArray, spans: list[tuple[int, int]]) -> tuple[float, float]:
     """Typical peak of the toe-down rate per stride, and the rate at the quietest instant between strides (rad/s)."""
-    peaks = [float(toe_down[begin:end].max()) for begin, end in spans]
-    floors = [float(rate[a[1] : b[0]].min()) for a, b in itertools.pairwise(spans) if b[0] - a[1] > 1]
-    return float(np.median(peaks)), float(np.median(floors)) if floors else 0.0
+    peaks = [float(toe_down[first : last + 1].max()) for first, last in spans]
+    return float(np.median(peaks)), float(np.median([rate[last] for _, last in spans]))
 
 
 def _rest_hold_s(starts_s: list[float]) -> float:

@@ -19,6 +19,7 @@ from statemachine import guards
 from statemachine.guards import Features, Thresholds
 
 LAGS = 64  # longest look-back in samples: 20 ms at over 2 kHz
+LONG_AGO_NS = 3_600_000_000_000
 STANCE_MEAN_S = 0.25  # over which the stance's mean specific force forgets
 
 STATE = np.dtype(
@@ -115,8 +116,8 @@ def start(s: Any, t_ns: int, fx: float, fy: float, fz: float, settings: Orientat
     s.t_ns = t_ns
     s.phase = 0
     s.phase_since_ns = t_ns
-    s.a_moving_ns = t_ns
-    s.g_moving_ns = t_ns
+    s.a_moving_ns = t_ns - LONG_AGO_NS
+    s.g_moving_ns = t_ns - LONG_AGO_NS
     s.a_rest = True
     s.g_rest = True
     s.toe_down_peak = 0.0

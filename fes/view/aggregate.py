@@ -12,6 +12,7 @@ from fes.view.channels import ChannelInfo
 from fes.view.strides import StrideRow
 
 NAN = float("nan")
+STEADY_SHARE = 0.3
 
 
 @dataclass(frozen=True)
@@ -84,11 +85,23 @@ def spread(values: Iterable[float]) -> Spread:
     )
 
 
+def steady_speed_mps(rows: Sequence[StrideRow]) -> float:
+    """Way over time of the steady strides, m/s; NaN where there is none.
+
+    A stride is steady when its own speed is within ``STEADY_SHARE`` of the median stride's: the first and the last
+    step of a walk and steps on the spot say nothing about the belt.
+    """
+    pairs = [(row.stride_length_m, row.duration_s) for row in rows if row.duration_s > 0]
+    length_m, time_s = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+    speed_mps = length_m / time_s
+    usual = float(np.median(speed_mps[np.isfinite(speed_mps)])) if np.isfinite(speed_mps).any() else NAN
+    steady = np.abs(speed_mps - usual) <= STEADY_SHARE * abs(usual)
+    return float(length_m[steady].sum() / time_s[steady].sum()) if steady.any() else NAN
+
+
 def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
     """Sum up the strides of one foot."""
     valid = [row for row in rows if row.valid]
-    moving = [row for row in valid if np.isfinite(row.stride_length_m) and row.duration_s > 0]
-    walked_s = sum(row.duration_s for row in moving)
     stride_time = spread(row.duration_s for row in valid)
     return FootSummary(
         foot=foot,
@@ -101,7 +114,7 @@ def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
         clearance_cm=spread(row.clearance_cm for row in valid),
         toe_clearance_cm=spread(row.toe_clearance_cm for row in valid),
         stride_time_s=stride_time,
-        walking_speed_mps=sum(row.stride_length_m for row in moving) / walked_s if walked_s else NAN,
+        walking_speed_mps=steady_speed_mps(valid),
         cadence_steps_per_min=120.0 / stride_time.mean if stride_time.n else NAN,
         pre_swing_s=spread(row.pre_swing_s for row in valid),
         swing_s=spread(row.swing_s for row in valid),

@@ -16,7 +16,7 @@ GLOSSARY: dict[str, str] = {
     "T5": "The heel was lifted and put back without a swing.",
     "T6": "The swing ended in stance without a loading response being seen.",
     "valid": "The stride's numbers can be used; if not, the reason is given and it is left out of all averages.",
-    "walking speed": "Sum of the valid strides' lengths over the sum of their times (m/s), mean of both feet.",
+    "walking speed": "Way over time of the valid strides within 30 % of the median one's speed (m/s); mean of feet.",
     "cadence": "Two steps per stride: 120 s divided by the mean stride time in s (steps/min).",
     "onset": "First command to stimulate, counted from the entry into pre-swing of the same foot (ms).",
     "burst": "A stretch in which a channel was commanded on without a break.",
