@@ -1,4 +1,4 @@
-"""Sources of events for the one loop: a recording's samples or a session log, with silence made audible, in time or not.
+"""Sources of events for the one loop: a recording's samples, with silence made audible and an operator who arms.
 
 Each function takes an iterator of events and gives one back; nothing here reads a clock except :func:`paced`, which
 waits on the clock it is handed.

@@ -131,7 +131,7 @@ def as_summary(truth: Delivered) -> dict[str, Any]:
 def warn_of_real_device(session: Session) -> None:
     """Before anything goes to a bus where hardware may listen."""
     click.secho(
-        f"Sending to {session.bus.interface} {session.bus.channel}: a stimulator there WILL stimulate. Ctrl-C stops it.",
+        f"Sending to {session.bus.interface} {session.bus.channel}: a stimulator there WILL stimulate. Ctrl-C stops.",
         fg="red",
         bold=True,
         err=True,

@@ -1,9 +1,9 @@
 """Is this foot known to be walking? The question that is asked before a burst may start.
 
 Users of drop-foot stimulators complain most of stimulation when they do not walk: weight shifts, turning on the spot,
-sitting down. A heel that rises says nothing yet; strides that have just carried the foot forward do. So a burst may start
-only after ``strides_before_start`` strides in a row that were long enough and straight enough, and only while the stance
-since the last one is not much longer than the stances of walking.
+sitting down. A heel that rises says nothing yet; strides that have just carried the foot forward do. So a burst may
+start only after ``strides_before_start`` strides in a row that were long enough and straight enough, and only while
+the stance since the last one is not much longer than the stances of walking.
 """
 
 from __future__ import annotations

@@ -1,0 +1,62 @@
+# Each target makes the environment it needs; a fresh machine with Python 3.11+ is enough.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint format bench nightly docs trials lock clean
+
+help:
+	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
+	@echo "make test     style, types and all tests"
+	@echo "make lint     style and types only"
+	@echo "make bench    phases and speed on real recordings (needs FES_DATA or ../shared/data)"
+	@echo "make docs     regenerate the generated parts of docs/"
+	@echo "make trials   regenerate sim_inputs/ from its seeds"
+	@echo "make nightly  the tests that take long: fuzzing, many examples"
+
+$(VENV)/run.stamp: requirements.lock pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fes needs Python 3.11 or newer; set PYTHON=python3.11")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+$(VENV)/dev.stamp: requirements-dev.lock $(VENV)/run.stamp
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-dev.lock
+	touch $@
+
+demo: $(VENV)/run.stamp
+	$(BIN)/fes demo
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/dev.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: $(VENV)/dev.stamp
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/dev.stamp
+	$(BIN)/python benchmarks/stroke_treadmill.py
+
+nightly: $(VENV)/dev.stamp
+	FES_EXAMPLES=nightly $(BIN)/python -m pytest -m "slow or not slow"
+
+docs: $(VENV)/run.stamp
+	$(BIN)/python -m statemachine.diagram --write docs/phases.md
+
+trials: $(VENV)/run.stamp
+	$(BIN)/fes trials sim_inputs
+
+# Needs uv on the path; writes no address of any registry.
+lock:
+	uv pip compile pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements.lock
+	uv pip compile pyproject.toml --extra dev -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-dev.lock
+
+clean:
+	rm -rf $(VENV) out
