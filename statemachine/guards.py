@@ -17,8 +17,7 @@ class Features(NamedTuple):
     ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive. ``toe_down_peak_radps`` is the
     greatest toe-down rate since pre-swing began and ``toe_up_peak_radps`` the greatest toe-up rate since swing began
     (both not negative). ``vertical_jump_mps3`` is the change of vertical acceleration over the last 10 ms, per second.
-    ``resting_s`` is how
-    long neither sensor has seen movement.
+    ``resting_s`` is how long neither sensor has seen movement.
     """
 
     a_rest: bool
@@ -33,7 +32,10 @@ class Features(NamedTuple):
 
 
 class Thresholds(NamedTuple):
-    """Limits of the guards, in physical units; ``fes.estimation.calibration`` fits the first two to the person."""
+    """Limits of the guards, in physical units.
+
+    ``fes.estimation.calibration`` fits ``rest_gyr_radps``, ``min_toe_down_peak_radps`` and ``rest_hold_s`` to the person.
+    """
 
     rest_gyr_radps: float = 0.7  # T1, T4–T6: at rest below (METHODS: 0.7 passes 98 % of strides as a constant)
     min_toe_down_peak_radps: float = 0.8  # T2: no push-off has been seen below this rate

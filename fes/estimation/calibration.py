@@ -199,6 +199,8 @@ def _movements(energy: FloatArray, rate_hz: float) -> list[tuple[int, int]]:
     level = QUIET_SHARE * np.sqrt(np.percentile(energy, 99))
     moving = np.concatenate(([False], np.sqrt(energy) > level, [False]))
     edges = np.flatnonzero(moving[1:] != moving[:-1])
+    if len(edges) == 0:  # a gyroscope that is switched off
+        return []
     begins, ends = edges[0::2], edges[1::2]
     rests = begins[1:] - ends[:-1] >= SHORTEST_REST_S * rate_hz  # a shorter one is a turning point of the swing
     begins, ends = begins[np.append(True, rests)], ends[np.append(rests, True)]

@@ -22,6 +22,7 @@ from statemachine.phases import Phase, PhaseChange, Transition
 
 RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
 HISTORY_S = 20.0
+LARGEST_VALUE = 1e4  # m/s² and rad/s: beyond any sensor, and one such value would spoil the orientation for good
 
 Outcome: TypeAlias = PhaseChange | StrideResult
 
@@ -81,17 +82,20 @@ class FootTracker:
         """Take samples in; give back what happened, in order.
 
         Args:
-            t_ns: (N,) the sensor's time stamps. Samples not newer than the one before are counted and ignored.
+            t_ns: (N,) the sensor's time stamps. Samples not newer than the one before, and samples that are not finite
+                or beyond ``LARGEST_VALUE``, are counted and ignored.
             acc_mps2: (N, 3) specific force.
             gyr_radps: (N, 3) angular rate.
         """
-        newest = self.newest_t_ns if self._running else np.iinfo(np.int64).min
-        before = np.maximum.accumulate(np.concatenate(([newest], t_ns)))[:-1]
-        newer = t_ns > before
-        finite = np.isfinite(acc_mps2).all(axis=1) & np.isfinite(gyr_radps).all(axis=1)
-        self.counts.doubled_or_backward += int(np.count_nonzero(~newer))
-        self.counts.not_finite += int(np.count_nonzero(newer & ~finite))
-        keep = newer & finite
+        long_ago = np.iinfo(np.int64).min
+        newest = self.newest_t_ns if self._running else long_ago
+        usable = (np.abs(acc_mps2) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr_radps) < LARGEST_VALUE).all(axis=1)
+        # an unusable sample's stamp counts for nothing, or it would matter where the blocks are cut
+        stamps = np.where(usable, t_ns, long_ago)
+        newer = t_ns > np.maximum.accumulate(np.concatenate(([newest], stamps)))[:-1]
+        self.counts.not_finite += int(np.count_nonzero(~usable))
+        self.counts.doubled_or_backward += int(np.count_nonzero(usable & ~newer))
+        keep = usable & newer
         if not keep.all():
             t_ns, acc_mps2, gyr_radps = t_ns[keep], acc_mps2[keep], gyr_radps[keep]
         self.counts.used += len(t_ns)

@@ -48,8 +48,13 @@ def to_sensor(
 
 @jit
 def from_gravity(fx: float, fy: float, fz: float) -> tuple[float, float, float, float]:
-    """The smallest rotation that brings the specific force ``f`` of a resting sensor onto the world's z axis."""
+    """The smallest rotation that brings the specific force ``f`` of a resting sensor onto the world's z axis.
+
+    None at all where there is no force: a sensor that has just been switched on may send zeros.
+    """
     n = math.sqrt(fx * fx + fy * fy + fz * fz)
+    if n < 1e-9:
+        return 1.0, 0.0, 0.0, 0.0
     ux, uy, uz = fx / n, fy / n, fz / n
     if uz < -0.999999:
         return 0.0, 1.0, 0.0, 0.0

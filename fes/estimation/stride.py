@@ -34,12 +34,14 @@ def orient(
 
     ``gyr`` (N, 3) bias-free rad/s. ``end_f`` is the direction of gravity that the accelerometer measured at the end, in
     the sensor frame (any length); ``end_tilt_gain`` is the share (0–1) of the tilt found there that is taken back,
-    spread evenly over the time. Returns that tilt in rad.
+    spread evenly over the time. Returns that tilt in rad, pi where no force at all was measured.
     """
     n = t_ns.shape[0]
     _integrate(t_ns, gyr, start, 0.0, 0.0, 0.0, out)
     ux, uy, uz = to_world(out[n - 1, 0], out[n - 1, 1], out[n - 1, 2], out[n - 1, 3], end_fx, end_fy, end_fz)
     norm = math.sqrt(ux * ux + uy * uy + uz * uz)
+    if norm < 1e-9:
+        return math.pi
     # turning the world vector u onto z: about u × z, by the angle between them
     across = math.sqrt(ux * ux + uy * uy) / norm
     tilt = math.atan2(across, uz / norm)
