@@ -34,10 +34,11 @@ class Features(NamedTuple):
 class Thresholds(NamedTuple):
     """Limits of the guards, in physical units.
 
-    ``fes.estimation.calibration`` fits ``rest_gyr_radps``, ``min_toe_down_peak_radps`` and ``rest_hold_s`` to the person.
+    ``fes.estimation.calibration`` fits ``rest_gyr_radps``, ``min_toe_down_peak_radps``, ``rest_hold_s`` and
+    ``contact_jump_mps3`` to the person.
     """
 
-    rest_gyr_radps: float = 0.7  # T1, T4–T6: at rest below (METHODS: 0.7 passes 98 % of strides as a constant)
+    rest_gyr_radps: float = 0.7  # T1, T4–T6: at rest below (as a constant, 0.7 lets 98 % of strides pass)
     min_toe_down_peak_radps: float = 0.8  # T2: no push-off has been seen below this rate
     rest_acc_mps2: float = 1.2  # T1, T4–T6: at rest while |f| is this close to gravity
     turned_acc_mps2: float = 1.0  # T1: moving once f has turned this far from its mean in this stance

@@ -34,6 +34,8 @@ SHORTEST_REST_S = 0.15
 QUIET_SHARE = 0.12  # of the briskest rate: below, nothing moves
 ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
 SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
+CONTACT_SHARE = 0.3  # of the typical jump at contact
+CONTACT_JUMP_BOUNDS_MPS3 = (150.0, 600.0)
 PUSH_OFF_SHARE = 0.4  # the least peak that counts as a push-off, as a share of this person's
 
 
@@ -59,6 +61,7 @@ class FootCalibration:
     rest_gyr_radps: float
     min_toe_down_peak_radps: float
     rest_hold_s: float
+    contact_jump_mps3: float
     axis_confidence: float
     strides: int
     standing: bool
@@ -75,6 +78,7 @@ class FootCalibration:
             rest_gyr_radps=self.rest_gyr_radps,
             min_toe_down_peak_radps=self.min_toe_down_peak_radps,
             rest_hold_s=self.rest_hold_s,
+            contact_jump_mps3=self.contact_jump_mps3,
         )
 
     def forward(self) -> FloatArray:
@@ -158,6 +162,7 @@ def calibrate_foot(
         rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
         min_toe_down_peak_radps=float(PUSH_OFF_SHARE * peak),
         rest_hold_s=_rest_hold_s([1e-9 * float(t_ns[begin]) for (begin, _), _ in walked]),
+        contact_jump_mps3=_contact_jump(t_ns, acc_mps2 - acc_bias, gyr, [s for s, _ in walked], axis, rate_hz),
         axis_confidence=float(confidence),
         strides=len(walked),
         standing=standing,
@@ -288,6 +293,37 @@ def _rest_hold_s(starts_s: list[float]) -> float:
     stride_s = float(np.median(between[between < 4.0])) if np.any(between < 4.0) else 1.0
     low, high = REST_HOLD_BOUNDS_S
     return min(max(REST_HOLD_PER_STRIDE * (stride_s - SHORTEST_STRIDE_S), low), high)
+
+
+def _contact_jump(
+    t_ns: IntArray,
+    acc: FloatArray,
+    gyr: FloatArray,
+    spans: list[tuple[int, int]],
+    axis: FloatArray,
+    rate_hz: float,
+) -> float:
+    """Threshold (m/s³) for this person's first contacts: a share of the greatest jump after the toe-up peak."""
+    lag, _ = lags_at(rate_hz)
+    jumps = []
+    for first, last in spans:
+        _, force, quaternions = _strapdown(t_ns, acc, gyr, first, last, 0.3)
+        vertical = vertical_of(quaternions, force)
+        after = int(np.argmin(gyr[first : last + 1] @ axis))
+        if after + lag < len(vertical):
+            jumps.append(float(np.abs(vertical[after + lag :] - vertical[after:-lag]).max()) * rate_hz / lag)
+    low, high = CONTACT_JUMP_BOUNDS_MPS3
+    return min(max(CONTACT_SHARE * float(np.median(jumps)), low), high) if jumps else high
+
+
+def vertical_of(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
+    """World z components (N,) of sensor vectors (N, 3) at orientations (N, 4)."""
+    w, x, y, z = quaternions.T
+    return np.asarray(
+        2.0 * (x * z - w * y) * vectors[:, 0]
+        + 2.0 * (y * z + w * x) * vectors[:, 1]
+        + (1.0 - 2.0 * (x * x + y * y)) * vectors[:, 2]
+    )
 
 
 def stretch_for_calibration(t_ns: IntArray, longest_s: float = 60.0) -> int:

@@ -22,6 +22,7 @@ def warm_up() -> None:
         rest_gyr_radps=0.5,
         min_toe_down_peak_radps=1.0,
         rest_hold_s=0.03,
+        contact_jump_mps3=600.0,
         axis_confidence=1.0,
         strides=0,
         standing=True,
