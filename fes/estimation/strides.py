@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from fes.config import FootGeometry
+from fes.estimation.likely import StrideNoise, most_likely
 from fes.estimation.stride import integrate, orient
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange
@@ -22,9 +24,10 @@ STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is s
 STOPPED_SEARCH_S = 0.5  # of a stance that lasts longer than that the first half: a belt that stops carries the foot
 STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
 SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
-CREEP_MPS = (
-    0.005  # forward, of an instep in mid-stance beyond w × r: shoe and skin give way, also seen by optical systems
-)
+# forward, of an instep in mid-stance beyond w × r: shoe and skin give way, as optical systems see too. The constrained
+# method, which cannot tell a velocity from an acceleration error, needs more of it on the same recordings.
+CREEP_MPS = {"most_likely": 0.002, "constrained": 0.005}
+NOISE = StrideNoise()
 END_TILT_GAIN = 0.15
 TRAJECTORY_POINTS = 101
 DURATION_S = (0.4, 5.0)
@@ -38,7 +41,8 @@ class StrideSettings:
     """How strides of one foot are integrated.
 
     ``sensor_height_m``: height of the sensor above the ground contact; the end velocity is ``w × height``.
-    ``equal_height``: off on stairs and slopes. ``forward``: unit vector towards the toe in the sensor frame (3,).
+    ``equal_height``: off on stairs and slopes. ``forward`` and ``up``: unit vectors towards the toe and up, foot flat,
+    in the sensor frame (3,). ``method``: "most_likely" weighs all errors, "constrained" is Negård et al.'s, corrected.
     """
 
     forward: FloatArray
@@ -46,6 +50,7 @@ class StrideSettings:
     sensor_height_m: float = SENSOR_HEIGHT_M
     equal_height: bool = True
     geometry: FootGeometry | None = None
+    method: Literal["most_likely", "constrained"] = "most_likely"
 
 
 class StrideMaker:
@@ -142,7 +147,8 @@ def solve_stride(
     """Integrate the samples ``first`` … ``last`` of a history into a stride's numbers.
 
     ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s free of bias; ``start_quaternion`` (4,) the orientation at ``first``;
-    ``times`` the entries into the phases. Source: Negård et al. (2005), Eq. (14)–(20), see ``fes.estimation.stride``.
+    ``times`` the entries into the phases. Source: Negård et al. (2005), Eq. (14)–(20), see ``fes.estimation.stride``
+    (method "constrained"), weighed as in ``fes.estimation.likely`` (method "most_likely").
     """
     span = slice(first, last + 1)
     t, f, w = t_ns[span], acc[span], gyr[span]
@@ -157,15 +163,36 @@ def solve_stride(
     around = max(round(0.03 * (n - 1) / duration_s), 1)
     fx, fy, fz = acc[max(last - around, 0) : last + around + 1].mean(axis=0)
     quaternion = np.empty((n, 4))
-    tilt = orient(t, w, start_quaternion, fx, fy, fz, END_TILT_GAIN, quaternion)
+    constrained = settings.method == "constrained"
+    tilt = orient(t, w, start_quaternion, fx, fy, fz, END_TILT_GAIN if constrained else 0.0, quaternion)
     lever = np.array([0.0, 0.0, settings.sensor_height_m])
-    end_rates = (gyr[max(k - around, 0) : k + around + 1].mean(axis=0) for k in (first, last))
+    end_rates = [gyr[max(k - around, 0) : k + around + 1].mean(axis=0) for k in (first, last)]
+    creep_mps = CREEP_MPS[settings.method]
     start_velocity, end_velocity = (
-        np.cross(rotate(quaternion[k], rate), lever) + CREEP_MPS * _level(rotate(quaternion[k], settings.forward))
+        np.cross(rotate(quaternion[k], rate), lever) + creep_mps * _level(rotate(quaternion[k], settings.forward))
         for k, rate in zip((0, -1), end_rates, strict=True)
     )
-    velocity, position, gamma = np.empty((n, 3)), np.empty((n, 3)), np.empty((2, 3))
-    solved = integrate(t, f, quaternion, start_velocity, end_velocity, settings.equal_height, velocity, position, gamma)
+    velocity, position = np.empty((n, 3)), np.empty((n, 3))
+    equal_height = settings.equal_height
+    if constrained:
+        gamma = np.empty((2, 3))
+        solved = integrate(t, f, quaternion, start_velocity, end_velocity, equal_height, velocity, position, gamma)
+    else:
+        solved = most_likely(
+            t,
+            f,
+            w,
+            start_quaternion,
+            start_velocity,
+            end_velocity,
+            np.array([fx, fy, fz]),
+            max(float(np.linalg.norm(rate)) for rate in end_rates),
+            equal_height,
+            NOISE,
+            quaternion,
+            velocity,
+            position,
+        )
     length = float(np.hypot(position[-1, 0], position[-1, 1]))
     reason = ""
     if not solved:
