@@ -10,7 +10,7 @@ help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
 	@echo "make test     style, types and all tests"
 	@echo "make lint     style and types only"
-	@echo "make bench    phases and speed on real recordings (needs FES_DATA or ../shared/data)"
+	@echo "make bench    accuracy: bundled trials, and real recordings in FES_DATA or ../shared/data"
 	@echo "make docs     regenerate the generated parts of docs/"
 	@echo "make trials   regenerate sim_inputs/ from its seeds"
 	@echo "make nightly  the tests that take long: fuzzing, many examples"
@@ -42,7 +42,9 @@ format: $(VENV)/dev.stamp
 	$(BIN)/ruff format .
 
 bench: $(VENV)/dev.stamp
+	$(BIN)/python benchmarks/bundled_trials.py
 	$(BIN)/python benchmarks/stroke_treadmill.py
+	$(BIN)/python benchmarks/stride_length.py
 
 nightly: $(VENV)/dev.stamp
 	FES_EXAMPLES=nightly $(BIN)/python -m pytest -m "slow or not slow"

@@ -1,0 +1,164 @@
+"""Recordings with ground truth that are not part of the project, as tracks in SI units and what is true of them.
+
+They lie in $FES_DATA, else in ../shared/data beside the project; see docs/accuracy.md for where each comes from. Every
+loader yields walks; a set that is absent yields none.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.io import loadmat
+from stroke_treadmill import data_folder, load_run
+
+from fes.recording import Track
+from fes.recording.tracks import TrackQuality
+from fes.signals import FloatArray, IntArray, StrideResult
+
+STRAIGHT_RAD = 0.35
+
+
+@dataclass(frozen=True)
+class Walk:
+    """One foot of one walk. ``truth`` says what a stride should measure, or NaN where nobody knows."""
+
+    data_set: str
+    name: str
+    track: Track
+
+    def true_length_m(self, stride: StrideResult) -> float:
+        """Length of the stride by the reference; NaN where there is none."""
+        raise TypeError(f"{type(self).__name__} has no reference for single strides")
+
+    def true_clearance_m(self, stride: StrideResult) -> float:
+        """The sensor's clearance by the reference; NaN where there is none."""
+        return float("nan")
+
+    def comparable(self, stride: StrideResult) -> bool:
+        """Whether sensor and reference travel the same way: not in a stride that swivels the foot on the ground."""
+        return abs(stride.turn_rad) <= STRAIGHT_RAD
+
+
+@dataclass(frozen=True)
+class PathWalk(Walk):
+    """Truth is the position (N, 3) in m, z up, of a point of the foot at ``rate_hz`` from the first sample on."""
+
+    position_m: FloatArray
+    rate_hz: float
+    at_sensor: bool
+
+    def _rows(self, stride: StrideResult) -> FloatArray:
+        first, last = (round(1e-9 * t_ns * self.rate_hz) for t_ns in (stride.t_start_ns, stride.t_end_ns))
+        return self.position_m[first : last + 1] if 0 <= first < last < len(self.position_m) else np.empty((0, 3))
+
+    def true_length_m(self, stride: StrideResult) -> float:
+        """Horizontal distance between the stride's own ends; NaN for steps on the spot and the reference's glitches."""
+        rows = self._rows(stride)
+        if not len(rows):
+            return float("nan")
+        length = float(np.hypot(*(rows[-1] - rows[0])[:2]))
+        jump = float(np.linalg.norm(np.diff(rows, axis=0), axis=1).max()) * self.rate_hz
+        return length if length > 0.3 and jump < 8.0 else float("nan")
+
+    def true_clearance_m(self, stride: StrideResult) -> float:
+        """Greatest height of the tracked point above its start."""
+        rows = self._rows(stride)
+        return float(rows[:, 2].max() - rows[0, 2]) if self.at_sensor and len(rows) else float("nan")
+
+    def comparable(self, stride: StrideResult) -> bool:
+        """Any stride, where the reference tracks the sensor itself."""
+        return self.at_sensor or super().comparable(stride)
+
+
+@dataclass(frozen=True)
+class FootprintWalk(Walk):
+    """Truth is the place (K, 2) in m of every footprint, and the sample at which the foot stood there."""
+
+    index: IntArray
+    place_m: FloatArray
+
+    def true_length_m(self, stride: StrideResult) -> float:
+        """Distance between the footprints around the stride's middle."""
+        middle = 0.5e-9 * (stride.t_start_ns + stride.t_end_ns) * self.track.rate_hz
+        k = int(np.searchsorted(self.index, middle))
+        if not 0 < k < len(self.index):
+            return float("nan")
+        return float(np.hypot(*(self.place_m[k] - self.place_m[k - 1])))
+
+
+def track_of(sensor: str, rate_hz: float, acc: FloatArray, gyr: FloatArray) -> Track:
+    """A track from bare arrays (N, 3) in m/s² and rad/s."""
+    t_ns = np.round(np.arange(len(acc)) * 1e9 / rate_hz).astype(np.int64)
+    return Track(
+        sensor=sensor,
+        rate_hz=rate_hz,
+        t_ns=t_ns,
+        t_sensor_ns=t_ns,
+        acc_mps2=np.ascontiguousarray(acc, dtype=float),
+        gyr_radps=np.ascontiguousarray(gyr, dtype=float),
+        acc_range_mps2=None,
+        gyr_range_radps=None,
+        quality=TrackQuality(samples=len(acc)),
+    )
+
+
+def pyshoe_vicon(folder: Path) -> Iterator[Walk]:
+    """Right instep, 200 Hz, Vicon position of the sensor's marker at every sample."""
+    for path in sorted((folder / "pyshoe_vicon").glob("*.mat")):
+        data = loadmat(path)
+        track = track_of("right_foot", 200.0, data["imu"][:, :3], data["imu"][:, 3:])
+        yield PathWalk("pyshoe_vicon", path.stem, track, data["gt"], 200.0, at_sensor=True)
+
+
+def ruler_walks(folder: Path) -> Iterator[Walk]:
+    """One foot, 200 Hz, every footprint measured by ruler."""
+    for path in sorted((folder / "ruler_walks").glob("*_LLIO.mat")):
+        imu = loadmat(path)["imu_data"]
+        table = path.with_name(path.name.replace("LLIO.mat", "strideIndex_timestamp_gcpX_gcpY.csv"))
+        rows = list(csv.DictReader(table.open()))
+        index = np.array([int(float(row["strideIndex"])) for row in rows])
+        place = np.array([[float(row["gcpX"]), float(row["gcpY"])] for row in rows])
+        track = track_of("right_foot", 200.0, imu[:, :3], imu[:, 3:])
+        yield FootprintWalk("ruler_walks", path.stem, track, index, place)
+
+
+def gaitmap_walk(folder: Path) -> Iterator[Walk]:
+    """Lateral shoes, 204.8 Hz; truth is the heel marker at 100 Hz (mm in the file)."""
+    imu_path, mocap_path = (folder / "gaitmap_walk" / name for name in ("imu_sample.csv", "mocap_sample.csv"))
+    if not imu_path.is_file():
+        return
+    imu, mocap = _two_header_lines(imu_path), _two_header_lines(mocap_path)
+    for side in ("left", "right"):
+        acc, gyr = (
+            np.column_stack([imu[f"{side}_sensor", f"{kind}_{axis}"] for axis in "xyz"]) for kind in ("acc", "gyr")
+        )
+        heel = np.column_stack([mocap[f"{side[0].upper()}_FCC", axis] for axis in "xyz"]) / 1000.0
+        track = track_of(f"{side}_foot", 204.8, acc, np.radians(gyr))
+        yield PathWalk("gaitmap_walk", side, track, heel, 100.0, at_sensor=False)
+
+
+def _two_header_lines(path: Path) -> dict[tuple[str, str], FloatArray]:
+    """Columns of a CSV whose names stand in two lines; an empty cell is NaN."""
+    with path.open() as file:
+        first, second = (file.readline().rstrip("\n").split(",") for _ in range(2))
+        values = np.genfromtxt(file, delimiter=",")
+    return {(a, b): values[:, k] for k, (a, b) in enumerate(zip(first, second, strict=True))}
+
+
+def stroke_feet(folder: Path) -> Iterator[tuple[str, Track, float]]:
+    """Runs of the stroke treadmill set on a belt of known speed: name, track, belt speed (m/s)."""
+    for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
+        tracks, belt_mps = load_run(path)
+        if np.isfinite(belt_mps):
+            for track in tracks.values():
+                yield path.stem, track, belt_mps
+
+
+def all_walks() -> list[Walk]:
+    """Every walk with a reference for single strides."""
+    folder = data_folder()
+    return [*pyshoe_vicon(folder), *ruler_walks(folder), *gaitmap_walk(folder)]
