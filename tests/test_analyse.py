@@ -1,0 +1,133 @@
+"""Off-line analysis and its command, and calibration as a file."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+from pyarrow import parquet
+
+from fes.analysis import analyse
+from fes.cli.calibrate import load_calibrations, save_calibrations
+from fes.cli.main import main
+from fes.estimation.calibration import CalibrationError
+from fes.recording import read_recording
+from fes.replay import calibrate
+from statemachine.phases import Phase
+
+TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
+TRIAL = TRIALS / "both_feet_100hz.parquet"
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+@pytest.fixture(scope="module")
+def analysed():
+    recording = read_recording(TRIAL)
+    calibrations, missing = calibrate(recording)
+    assert missing == {}
+    return analyse(recording, calibrations)
+
+
+def test_both_feet_come_in_order_of_time_and_agree_with_the_truth(analysed):
+    assert {stride.foot for stride in analysed.strides} == {"left_foot", "right_foot"}
+    for events in (
+        [change.t_ns for change in analysed.phases],
+        [stride.t_start_ns for stride in analysed.strides],
+    ):
+        assert events == sorted(events)
+    with (TRIALS / "both_feet_100hz.strides.csv").open() as file:
+        truth = [row for row in csv.DictReader(file) if row["steady"] == "yes"]
+    errors = []
+    for row in truth:
+        foot_off_ns = 1e9 * float(row["t_swing_s"])
+        found = [s for s in analysed.strides if s.foot == row["foot"] and s.t_start_ns < foot_off_ns < s.t_end_ns]
+        assert len(found) == 1
+        errors.append(found[0].stride_length_m - float(row["stride_length_m"]))
+    assert abs(sum(errors) / len(errors)) < 0.017
+
+
+def test_rows_hold_every_stride_and_phase_change(analysed):
+    strides, phases = analysed.stride_rows(), analysed.phase_rows()
+    assert len(strides) == len(analysed.strides)
+    assert strides[0]["stride_length_m"] == analysed.strides[0].stride_length_m
+    assert [row["t_s"] for row in phases] == [1e-9 * change.t_ns for change in analysed.phases]
+    assert {row["to"] for row in phases} == {phase.name.lower() for phase in Phase}
+
+
+def test_calibration_survives_the_file(tmp_path, analysed):
+    path = tmp_path / "a.json"
+    save_calibrations(analysed.calibrations, path)
+    assert load_calibrations(path) == analysed.calibrations
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "is no calibration"),
+        ("[]", "is no calibration"),
+        ('{"format": 1}', "is no calibration"),
+        ('{"format": 99, "feet": {}}', "is of format 99"),
+        ('{"format": 1, "feet": {"left_foot": {"sensor": "left_foot"}}}', "is no calibration"),
+        ('{"format": 1, "feet": {"left_foot": 3}}', "is no calibration"),
+    ],
+)
+def test_a_bad_calibration_file_says_what_to_do(tmp_path, text, said):
+    path = tmp_path / "bad.json"
+    path.write_text(text)
+    with pytest.raises(CalibrationError, match=r"bad\.json") as caught:
+        load_calibrations(path)
+    assert said in str(caught.value)
+    assert "fes calibrate" in str(caught.value) or "Calibrate anew" in str(caught.value)
+
+
+def test_command_writes_tables_and_report_and_takes_a_calibration(tmp_path):
+    calibration = tmp_path / "feet.json"
+    made = run("calibrate", TRIAL, "--out", calibration)
+    assert made.exit_code == 0, made.output
+    assert "left_foot: from" in made.output
+    done = run("analyse", TRIAL, "--calibration", calibration, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    folder = tmp_path / "out" / "both_feet_100hz-001"
+    with (folder / "strides.csv").open() as file:
+        strides = list(csv.DictReader(file))
+    assert len(strides) > 80
+    assert all(row["toe_clearance_m"] for row in strides if row["valid"] == "True")
+    assert "<html" in (folder / "report.html").read_text()[:500]
+
+
+@pytest.mark.parametrize("kind", ["parquet", "json"])
+def test_tables_in_other_formats_hold_the_same(tmp_path, analysed, kind):
+    done = run("analyse", TRIAL, "--out", tmp_path, "--format", kind, "--no-report", "--json")
+    assert done.exit_code == 0, done.output
+    shown = json.loads(done.stdout)
+    assert len(shown["strides"]) == len(analysed.strides)
+    path = tmp_path / "both_feet_100hz-001" / f"strides.{kind}"
+    rows = json.loads(path.read_text()) if kind == "json" else parquet.read_table(path).to_pylist()
+    assert [row["stride_length_m"] for row in rows] == [s.stride_length_m for s in analysed.strides]
+    assert not (path.parent / "report.html").exists()
+
+
+def test_one_bad_recording_does_not_stop_the_others(tmp_path):
+    bad = tmp_path / "bad.csv"
+    bad.write_text("")
+    done = run("analyse", bad, TRIAL, "--out", tmp_path / "out", "--no-report")
+    assert done.exit_code == 1
+    assert "1 of 2 recordings could not be used" in done.output
+    assert (tmp_path / "out" / "both_feet_100hz-001" / "strides.csv").is_file()
+    alone = run("analyse", bad, "--out", tmp_path / "out")
+    assert alone.exit_code == 2
+    assert "bad" in alone.output
+
+
+def test_a_calibration_of_other_sensors_is_refused(tmp_path, analysed):
+    path = tmp_path / "left.json"
+    save_calibrations({"left_foot": analysed.calibrations["left_foot"]}, path)
+    refused = run("analyse", TRIALS / "negard_patient2.parquet", "--calibration", path, "--out", tmp_path)
+    assert refused.exit_code == 2
+    assert "calibrates none of the sensors" in refused.output
