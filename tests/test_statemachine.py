@@ -353,7 +353,7 @@ def test_every_threshold_is_described_with_its_unit() -> None:
 
 def test_check_and_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     page = tmp_path / "page.md"
-    page.write_text(f"above\n{diagram.BEGIN}\nold\n{diagram.END}\nbelow\n", encoding="utf-8")
+    page.write_text(f"above\n{diagram.BEGIN}\nof yesterday\n{diagram.END}\nbelow\n", encoding="utf-8")
     assert diagram.main(["--check", str(page)]) == 1
     assert "out of date" in capsys.readouterr().out
     assert diagram.main(["--write", str(page)]) == 0
@@ -361,7 +361,7 @@ def test_check_and_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     text = page.read_text(encoding="utf-8")
     assert text.startswith("above\n")
     assert text.endswith("\nbelow\n")
-    assert "old" not in text
+    assert "yesterday" not in text
     assert diagram.main([]) == 0
     assert capsys.readouterr().out.strip() in text
 
