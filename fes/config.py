@@ -136,6 +136,12 @@ class Treadmill(Settings):
     belt_speed_mps: float = Field(gt=0, le=5)
 
 
+class Phases(Settings):
+    """How phases are told; ``swing_begins``: at the peak of the toe-down rate (foot off), or when it turns to toe-up."""
+
+    swing_begins: Literal["peak", "reversal"] = "peak"
+
+
 class Session(Settings):
     """All of one session's settings."""
 
@@ -143,6 +149,7 @@ class Session(Settings):
     subject: str = ""
     stimulation: Stimulation = Stimulation()
     channels: tuple[Channel, ...] = Field(default=(), strict=False)
+    phases: Phases = Phases()
     bus: Bus = Bus()
     treadmill: Treadmill | None = None
     geometry: dict[Foot, FootGeometry] = Field(default_factory=dict)
@@ -218,6 +225,7 @@ _TABLES: dict[tuple[str, ...], type[Settings]] = {
     ("stimulation",): Stimulation,
     ("channels",): Channel,
     ("channels", "limits"): ChannelLimits,
+    ("phases",): Phases,
     ("bus",): Bus,
     ("treadmill",): Treadmill,
     ("geometry",): FootGeometry,

@@ -21,6 +21,7 @@ from fes.signals import (
     OperatorAction,
     StimRequest,
     StrideResult,
+    Tick,
 )
 from fes.stimulation.plan import StimulationPlan
 from fes.stimulation.walking import WalkingJudge
@@ -48,13 +49,18 @@ class Controller:
 
     def __init__(self, session: Session, calibrations: dict[str, FootCalibration]) -> None:
         self.trackers = {
-            foot: FootTracker(calibration, StrideMaker(foot, stride_settings(session, calibration)))
+            foot: FootTracker(
+                calibration,
+                StrideMaker(foot, stride_settings(session, calibration)),
+                swing_at_reversal=session.phases.swing_begins == "reversal",
+            )
             for foot, calibration in calibrations.items()
         }
         self._judges = {foot: WalkingJudge(session.stimulation) for foot in calibrations}
         self._plan = StimulationPlan(session.channels)
         self._period_ns = round(NS_PER_S / session.stimulation.command_rate_hz)
         self._next_command_ns: int | None = None
+        self._on = False
         self.intensity = 0.0
 
     def phase(self, foot: str) -> Phase:
@@ -70,7 +76,8 @@ class Controller:
                 outcomes = tuple(self._advance(tracker, event))
         elif isinstance(event, OperatorAct):
             self._on_act(event)
-        requests = self._due(event.t_ns)
+        # in a silence the gate must see how old the data have become, sooner than at the next command
+        requests = self._due(event.t_ns, at_once=self._on and isinstance(event, Tick))
         return Decision(requests, outcomes) if requests or outcomes else NOTHING
 
     def _advance(self, tracker: FootTracker, sample: ImuSample) -> list[Outcome]:
@@ -93,15 +100,17 @@ class Controller:
         else:  # armed or stopped in mid-burst: whatever comes next is a new burst
             self._plan.cancel()
 
-    def _due(self, t_ns: int) -> tuple[StimRequest, ...]:
+    def _due(self, t_ns: int, *, at_once: bool) -> tuple[StimRequest, ...]:
         """One request per channel each command period, and at once when a channel goes on or off."""
         if self._next_command_ns is None:
             self._next_command_ns = t_ns
-        if t_ns < self._next_command_ns and not self._plan.due(t_ns, self.intensity):
+        if t_ns < self._next_command_ns and not at_once and not self._plan.due(t_ns, self.intensity):
             return ()
         if t_ns >= self._next_command_ns:
             self._next_command_ns += self._period_ns * ((t_ns - self._next_command_ns) // self._period_ns + 1)
-        return self._plan.requests(t_ns, self.intensity)
+        requests = self._plan.requests(t_ns, self.intensity)
+        self._on = any(request.on for request in requests)
+        return requests
 
 
 def stride_settings(session: Session, calibration: FootCalibration) -> StrideSettings:

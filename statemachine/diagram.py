@@ -20,7 +20,7 @@ from statemachine.table import TABLE, Row
 BEGIN = "<!-- begin: written by `python -m statemachine.diagram --write docs/phases.md` -->"
 END = "<!-- end -->"
 UNITS = {"mps3": "m/s³", "mps2": "m/s²", "radps2": "rad/s²", "radps": "rad/s", "mps": "m/s", "s": "s"}
-_FIELD = re.compile(r"^    (\w+): float = .*?  # (?:(T\d[T\d, –]*): )?(.+)$", re.MULTILINE)
+_FIELD = re.compile(r"^    (\w+): (?:float|bool) = .*?  # (?:(T\d[T\d, –]*): )?(.+)$", re.MULTILINE)
 
 
 def condition(row: Row) -> str:
@@ -54,7 +54,8 @@ def thresholds_table() -> str:
     for name, transitions, meaning in _FIELD.findall(inspect.getsource(Thresholds)):
         used = transitions or used  # a comment that goes on from the line above names no transition
         value = Thresholds._field_defaults[name]
-        lines.append(f"| `{name}` | {value:g} | {unit(name)} | {used} | {_cell(meaning)} |")
+        shown = ("no", "yes")[value] if isinstance(value, bool) else f"{value:g}"
+        lines.append(f"| `{name}` | {shown} | {unit(name)} | {used} | {_cell(meaning)} |")
     return "\n".join(lines)
 
 

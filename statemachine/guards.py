@@ -49,6 +49,7 @@ class Thresholds(NamedTuple):
     long_rest_s: float = 0.3  # … or after being still for this long
     rest_hold_s: float = 0.03  # T4–T6: at rest for this long, so that a zero crossing is no rest
     push_off_drop: float = 0.05  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
+    swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
     contact_jump_mps3: float = 600.0  # T3: jump of vertical acceleration
     min_swing_s: float = 0.12  # T3: toe-off jolts end before, no swing is shorter
     mid_swing_share: float = 0.25  # T3: mid-swing's toe-up rate is at least this share of push-off's toe-down rate
@@ -68,13 +69,15 @@ def t2(x: Features, p: Thresholds) -> bool:
     """Pre-swing → swing: one sensor moves, and the toe-down rate has passed its peak (toe-off).
 
     The paper's formula (the derivative turns negative), not its text (the rate changes sign), which comes some 60 ms
-    after foot off. The peak must be a push-off's, and must be left by ``push_off_drop``.
+    after foot off; ``swing_at_reversal`` asks for the text's. The peak must be a push-off's, and must be left by
+    ``push_off_drop``.
     """
     return (
         (not x.a_rest or not x.g_rest)
         and x.toe_down_change_radps2 < 0.0
         and x.toe_down_peak_radps >= p.min_toe_down_peak_radps
         and x.toe_down_radps < (1.0 - p.push_off_drop) * x.toe_down_peak_radps
+        and (x.toe_down_radps < 0.0 or not p.swing_at_reversal)
     )
 
 

@@ -52,6 +52,14 @@ TRUE = {
 }
 
 
+def seen(transition: Transition, differs: dict[str, Any]) -> tuple[Features, Thresholds]:
+    """What makes the guard true, but for some features or thresholds."""
+    features = {name: value for name, value in differs.items() if name in Features._fields}
+    thresholds = {name: value for name, value in differs.items() if name in Thresholds._fields}
+    assert len(features) + len(thresholds) == len(differs)
+    return TRUE[transition]._replace(**features), P._replace(**thresholds)
+
+
 def below(x: float) -> float:
     return math.nextafter(x, -math.inf)
 
@@ -76,6 +84,9 @@ CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
     (Transition.T2, "less than a push-off", {"toe_down_peak_radps": below(0.8), "toe_down_radps": 0.5}, False),
     (Transition.T2, "a ripple of the peak", {"toe_down_radps": (1.0 - 0.05) * 3.0}, False),
     (Transition.T2, "the peak is just left", {"toe_down_radps": below((1.0 - 0.05) * 3.0)}, True),
+    (Transition.T2, "not yet reversed, asked to be", {"swing_at_reversal": True}, False),
+    (Transition.T2, "at rest in between", {"swing_at_reversal": True, "toe_down_radps": 0.0}, False),
+    (Transition.T2, "reversed", {"swing_at_reversal": True, "toe_down_radps": below(0.0)}, True),
     (Transition.T3, "a jump upward after mid-swing", {}, True),
     (Transition.T3, "a jump downward", {"vertical_jump_mps3": -700.0}, True),
     (Transition.T3, "a jump at the limit", {"vertical_jump_mps3": 600.0}, False),
@@ -112,7 +123,7 @@ CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
 
 @pytest.mark.parametrize(("transition", "about", "differs", "expected"), CASES, ids=lambda v: str(v)[:40])
 def test_guard_clause(transition: Transition, about: str, differs: dict[str, Any], expected: bool) -> None:
-    assert GUARDS[transition](TRUE[transition]._replace(**differs), P) is expected
+    assert GUARDS[transition](*seen(transition, differs)) is expected
 
 
 class _Mutation(ast.NodeTransformer):
@@ -176,7 +187,7 @@ def test_no_clause_of_a_guard_can_be_left_out_unnoticed(transition: Transition) 
         noticed = [
             about
             for of, about, differs, expected in CASES
-            if of is transition and guard(TRUE[of]._replace(**differs), P) is not expected
+            if of is transition and guard(*seen(of, differs)) is not expected
         ]
         assert noticed, f"{transition.name} {what}"
 
@@ -343,7 +354,8 @@ def test_every_threshold_is_described_with_its_unit() -> None:
     assert [line.split("`")[1] for line in lines] == list(Thresholds._fields)
     for line in lines:
         name, value, unit, used, meaning = (cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1])
-        assert float(value) == Thresholds._field_defaults[name.strip("`")]
+        default = Thresholds._field_defaults[name.strip("`")]
+        assert {"no": False, "yes": True}.get(value, value if isinstance(default, bool) else float(value)) == default
         assert unit in {*diagram.UNITS.values(), "–"}
         assert used.startswith("T")
         assert len(meaning) > 10

@@ -72,13 +72,14 @@ class FootCalibration:
             *self.toe_down, *self.acc_bias_mps2, *self.gyr_bias_radps, 1.0 / self.rate_hz, *lags_at(self.rate_hz)
         )
 
-    def thresholds(self) -> Thresholds:
+    def thresholds(self, *, swing_at_reversal: bool = False) -> Thresholds:
         """The guards' thresholds for this person; all others at their defaults."""
         return Thresholds(
             rest_gyr_radps=self.rest_gyr_radps,
             min_toe_down_peak_radps=self.min_toe_down_peak_radps,
             rest_hold_s=self.rest_hold_s,
             contact_jump_mps3=self.contact_jump_mps3,
+            swing_at_reversal=swing_at_reversal,
         )
 
     def forward(self) -> FloatArray:

@@ -44,12 +44,12 @@ class SampleCounts:
 class FootTracker:
     """Phases and strides of one foot; deterministic, no clock, no I/O."""
 
-    def __init__(self, calibration: FootCalibration, strides: StrideMaker) -> None:
+    def __init__(self, calibration: FootCalibration, strides: StrideMaker, *, swing_at_reversal: bool = False) -> None:
         self.foot = calibration.sensor
         self.machine = GaitPhaseMachine(self.foot)
         self.counts = SampleCounts()
         self._parameters = calibration.parameters()
-        self._thresholds = calibration.thresholds()
+        self._thresholds = calibration.thresholds(swing_at_reversal=swing_at_reversal)
         self._settings = OrientationSettings()
         self._acc_bias = np.array(calibration.acc_bias_mps2)
         self._gyr_bias = np.array(calibration.gyr_bias_radps)
