@@ -355,12 +355,12 @@ def test_every_threshold_is_described_with_its_unit() -> None:
     for line in lines:
         name, value, unit, used, meaning = (cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1])
         default = Thresholds._field_defaults[name.strip("`")]
-        assert {"no": False, "yes": True}.get(value, value if isinstance(default, bool) else float(value)) == default
+        assert ({"no": False, "yes": True}[value] if isinstance(default, bool) else float(value)) == default
         assert unit in {*diagram.UNITS.values(), "–"}
         assert used.startswith("T")
         assert len(meaning) > 10
     for name in Thresholds._fields:  # a physical quantity shows its unit, a share or a factor has none
-        assert (diagram.unit(name) == "–") is name.endswith(("_drop", "_share", "leave_gyr", "leave_acc"))
+        assert (diagram.unit(name) == "–") is name.endswith(("_drop", "_share", "leave_gyr", "leave_acc", "_at_reversal"))
 
 
 def test_check_and_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
