@@ -9,11 +9,13 @@ from fes import __version__
 from fes.config import Session
 from fes.controller import stride_settings
 from fes.estimation.calibration import FootCalibration
+from fes.estimation.events_offline import GaitEvents, find_events
 from fes.estimation.foot import FootTracker, SampleCounts
+from fes.estimation.foot_strike import foot_strike_angles
 from fes.estimation.strides import StrideMaker
 from fes.journal import SampleArrays, SessionRecord
 from fes.recording import Recording
-from fes.replay import LOG_FORMAT, session_for
+from fes.replay import LOG_FORMAT, increasing, session_for
 from fes.signals import StrideResult
 from statemachine.phases import PhaseChange
 
@@ -26,6 +28,7 @@ class Analysis:
     calibrations: dict[str, FootCalibration]
     phases: list[PhaseChange]
     strides: list[StrideResult]
+    events: dict[str, GaitEvents]
     counts: dict[str, SampleCounts]
 
     def stride_rows(self) -> list[dict[str, Any]]:
@@ -44,6 +47,29 @@ class Analysis:
             }
             for change in self.phases
         ]
+
+    def event_rows(self) -> list[dict[str, Any]]:
+        """One flat row per swing, from foot off (FO) to initial contact (IC); found off-line, not causally."""
+        rows = []
+        for foot, events in self.events.items():
+            track = self.recording.tracks[foot]
+            newer = increasing(track)
+            angles = foot_strike_angles(
+                track.t_sensor_ns[newer], track.gyr_radps[newer], events, self.calibrations[foot]
+            )
+            for fo_ns, mid_ns, ic_ns, angle in zip(
+                events.fo_ns, events.mid_swing_ns, events.ic_ns, angles, strict=True
+            ):
+                rows.append(
+                    {
+                        "foot": foot,
+                        "t_foot_off_s": 1e-9 * int(fo_ns),
+                        "t_mid_swing_s": 1e-9 * int(mid_ns),
+                        "t_initial_contact_s": 1e-9 * int(ic_ns),
+                        "foot_strike_angle_rad": float(angle),
+                    }
+                )
+        return sorted(rows, key=lambda row: row["t_foot_off_s"])
 
     def record(self, created: str) -> SessionRecord:
         """The same as a session's record, for the tables and the report."""
@@ -73,6 +99,7 @@ def analyse(recording: Recording, calibrations: dict[str, FootCalibration]) -> A
     session: Session = session_for(recording, None)
     phases: list[PhaseChange] = []
     strides: list[StrideResult] = []
+    events: dict[str, GaitEvents] = {}
     counts: dict[str, SampleCounts] = {}
     for foot, calibration in calibrations.items():
         track = recording.tracks[foot]
@@ -82,10 +109,12 @@ def analyse(recording: Recording, calibrations: dict[str, FootCalibration]) -> A
                 strides.append(outcome)
             else:
                 phases.append(outcome)
+        newer = increasing(track)
+        events[foot] = find_events(track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer], calibration)
         counts[foot] = tracker.counts
     phases.sort(key=lambda change: change.t_ns)
     strides.sort(key=lambda stride: stride.t_start_ns)
-    return Analysis(recording, calibrations, phases, strides, counts)
+    return Analysis(recording, calibrations, phases, strides, events, counts)
 
 
 def _stride_row(stride: StrideResult) -> dict[str, Any]:

@@ -137,7 +137,7 @@ class Treadmill(Settings):
 
 
 class Phases(Settings):
-    """How phases are told; ``swing_begins``: at the peak of the toe-down rate (foot off), or when it turns to toe-up."""
+    """How phases are told: swing begins at the peak of the toe-down rate (foot off), or when it turns to toe-up."""
 
     swing_begins: Literal["peak", "reversal"] = "peak"
 

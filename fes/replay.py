@@ -9,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from fes import __version__
 from fes.config import Session, validate_session
 from fes.estimation.calibration import CalibrationError, FootCalibration, calibrate_foot, stretch_for_calibration
-from fes.recording import Recording, Track
-from fes.signals import FOOT_SENSORS, Event, ImuSample
+from fes.recording import Recording, RecordingError, Track
+from fes.signals import FOOT_SENSORS, NS_PER_S, Event, ImuSample
 
 LOG_FORMAT = 1
+LONGEST_SILENCE_S = 600.0  # a longer one is a clock that was set, or two recordings in one file
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +27,23 @@ class Identity:
 
     session_id: int
     boot_id: int
+
+
+def refuse_long_silence(recording: Recording) -> None:
+    """Refuse a recording in which nothing came for more than ten minutes: it would be replayed tick by tick.
+
+    Raises:
+        RecordingError: names the place.
+    """
+    t_ns = np.unique(np.concatenate([track.t_ns for track in recording.tracks.values()]))
+    silence_ns = np.diff(t_ns)
+    longest = int(silence_ns.argmax()) if silence_ns.size else -1
+    if longest >= 0 and silence_ns[longest] > LONGEST_SILENCE_S * NS_PER_S:
+        before_s, after_s = 1e-9 * t_ns[longest], 1e-9 * t_ns[longest + 1]
+        raise RecordingError(
+            f"{recording.path or recording.name}: nothing from {before_s:.3f} s to {after_s:.3f} s, a silence of "
+            f"{after_s - before_s:.0f} s. Correct the time stamps, or cut the recording there in two."
+        )
 
 
 def calibrate(recording: Recording) -> tuple[dict[str, FootCalibration], dict[str, str]]:
@@ -53,7 +72,7 @@ def calibrate(recording: Recording) -> tuple[dict[str, FootCalibration], dict[st
 
 def calibrate_track(track: Track) -> FootCalibration:
     """Calibrate one foot from its first minute, or from all of the track where that minute shows too little."""
-    newer = np.concatenate(([True], track.t_sensor_ns[1:] > np.maximum.accumulate(track.t_sensor_ns)[:-1]))
+    newer = increasing(track)
     t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
     n = stretch_for_calibration(t_ns)
     try:
@@ -62,6 +81,12 @@ def calibrate_track(track: Track) -> FootCalibration:
         if n == len(t_ns):
             raise
         return calibrate_foot(track.sensor, track.rate_hz, t_ns, acc, gyr)
+
+
+def increasing(track: Track) -> npt.NDArray[np.bool_]:
+    """Which samples (N,) are newer than all before them: what is left without doubled and backward stamps."""
+    before = np.maximum.accumulate(track.t_sensor_ns)[:-1]
+    return np.concatenate(([True], track.t_sensor_ns[1:] > before))
 
 
 def samples_of(recording: Recording, sensors: set[str]) -> Iterator[Event]:
@@ -125,7 +150,7 @@ def settings_of(header: dict[str, Any], path: Path) -> tuple[Session, dict[str, 
 def session_for(recording: Recording, session: Session | None) -> Session:
     """The session's settings, completed by what the recording knows (subject, belt, geometry).
 
-    Without a session nothing is stimulated.
+    Channels of a foot that the recording has no sensor on are left out. Without a session nothing is stimulated.
     """
     known: dict[str, Any] = {}
     base = session or Session(name=recording.name)
@@ -136,5 +161,9 @@ def session_for(recording: Recording, session: Session | None) -> Session:
     if not base.geometry and recording.geometry:
         known["geometry"] = {foot: value.model_dump() for foot, value in recording.geometry.items()}
     channels = [channel for channel in base.channels if channel.foot in recording.tracks]
-    known["channels"] = [channel.model_dump() for channel in channels]
+    kept = {channel.number for channel in channels}
+    known["channels"] = [
+        {**channel.model_dump(), "never_with": [number for number in channel.never_with if number in kept]}
+        for channel in channels
+    ]
     return validate_session({**base.model_dump(), **known}, recording.path or Path(recording.name))

@@ -360,7 +360,8 @@ def test_every_threshold_is_described_with_its_unit() -> None:
         assert used.startswith("T")
         assert len(meaning) > 10
     for name in Thresholds._fields:  # a physical quantity shows its unit, a share or a factor has none
-        assert (diagram.unit(name) == "–") is name.endswith(("_drop", "_share", "leave_gyr", "leave_acc", "_at_reversal"))
+        none = name.endswith(("_drop", "_share", "leave_gyr", "leave_acc", "_at_reversal"))
+        assert (diagram.unit(name) == "–") is none
 
 
 def test_check_and_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,7 +33,8 @@ FORMATS = ("csv", "parquet", "json")
 def command(
     recordings: tuple[Path, ...], calibration: Path | None, out: Path, kind: str, as_json: bool, no_report: bool
 ) -> None:
-    """Find phases and strides in RECORDINGS; write tables of strides and phase changes, and a report of each.
+    """Find phases and strides in RECORDINGS; write tables of strides, phase changes and events (initial contact,
+    foot off), and a report of each.
 
     One recording that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
@@ -52,6 +53,7 @@ def command(
         folder = fresh_folder(out, path.stem)
         write_table(result.stride_rows(), folder / f"strides.{kind}")
         write_table(result.phase_rows(), folder / f"phases.{kind}")
+        write_table(result.event_rows(), folder / f"events.{kind}")
         _show(result, folder, as_json=as_json, report=not no_report)
     if failures:
         click.secho(f"{failures} of {len(recordings)} recordings could not be used.", fg="red", err=True)
