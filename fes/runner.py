@@ -5,14 +5,18 @@ Whatever ends it, the last thing it does is to switch every channel off.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
-from typing import Protocol
+from contextlib import suppress
+from typing import Final, Protocol
 
 from fes.controller import Controller
 from fes.gate import SafetyGate
 from fes.journal import Note
 from fes.signals import Event, ImuSample, StimAlive, StimCommand, StimRequest, StimStatus, StrideResult, WireFrame
 from statemachine.phases import PhaseChange
+
+_NUMBER: Final = re.compile(r"[-+]?\d[\d.e+-]*")
 
 
 class Stimulator(Protocol):
@@ -78,20 +82,32 @@ class Runner:
         An exception from any part, ``after`` included, latches the gate and is passed on after everything is off.
         """
         try:
-            for event in source:
-                begin_ns = self._clock_ns()
-                self.handle(event)
-                if isinstance(event, ImuSample):
-                    self._log.latency(event.t_ns, self._clock_ns() - begin_ns)
-                for reply in self._stimulator.poll(event.t_ns):
-                    self.handle(reply)
-                after(event)
-        except BaseException as error:
-            self.gate.latch(self._t_ns, f"stopped: {type(error).__name__}: {error}"[:200])
-            self._note_latch()
-            raise
-        finally:
+            self._go_through(source, after)
             self.all_off()
+        except BaseException as error:
+            self._stop(error)
+            raise
+
+    def _go_through(self, source: Iterable[Event], after: Callable[[Event], None]) -> None:
+        for event in source:
+            begin_ns = self._clock_ns()
+            self.handle(event)
+            if isinstance(event, ImuSample):
+                self._log.latency(event.t_ns, self._clock_ns() - begin_ns)
+            for reply in self._stimulator.poll(event.t_ns):
+                self.handle(reply)
+            after(event)
+
+    def _stop(self, error: BaseException) -> None:
+        """Off first, then words; what else goes wrong by now must not hide the first error."""
+        interrupted = isinstance(error, KeyboardInterrupt)
+        reason = "interrupted" if interrupted else f"stopped: {type(error).__name__}: {error}"[:200]
+        self.gate.latch(self._t_ns, reason)
+        self._latched = self.gate.latched
+        with suppress(Exception):
+            self.all_off()
+        with suppress(Exception):
+            self._log.note(Note(self._t_ns, "info" if interrupted else "fault", "runner", reason))
 
     def handle(self, event: Event) -> None:
         """One event, from the log to the wire."""
@@ -112,19 +128,25 @@ class Runner:
                 self.all_off()
 
     def all_off(self) -> None:
-        """Switch off every channel that was ever commanded."""
+        """Switch off every channel that was ever commanded; each is tried, then the first error is raised."""
+        errors: list[Exception] = []
         for channel in sorted(self._channels):
-            self._send(self._t_ns, StimRequest(channel, on=False))
+            try:
+                self._send(self._t_ns, StimRequest(channel, on=False))
+            except Exception as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
 
     def _send(self, t_ns: int, request: StimRequest) -> None:
         command = self.gate.judge(t_ns, request)
+        self._channels.add(command.channel)  # first: a command that fails half-way may have gone out all the same
         frame = self._stimulator.send(command)
         self._log.command(command, frame)
-        self._channels.add(command.channel)
-        if command.refused != self._refused.get(command.channel, ""):
-            self._refused[command.channel] = command.refused
-            if command.refused:
-                self._log.note(Note(t_ns, "warning", "gate", f"channel {command.channel} refused: {command.refused}"))
+        before, self._refused[command.channel] = self._refused.get(command.channel, ""), command.refused
+        # a refusal whose numbers alone have moved on is the same refusal
+        if command.refused and _NUMBER.sub("", command.refused) != _NUMBER.sub("", before):
+            self._log.note(Note(t_ns, "warning", "gate", f"channel {command.channel} refused: {command.refused}"))
 
     def _note_latch(self) -> None:
         self._latched = self.gate.latched

@@ -1,7 +1,7 @@
 """What time it is for the simulated stimulator: its computer's, or, in lockstep, what a replay tells it.
 
-In lockstep a frame of its own, ``SIM_TIME``, carries the replay's time in ns (8 bytes, most significant first). It is
-only ever sent on virtual buses; no real device knows it.
+In lockstep a frame of its own, ``SIM_TIME``, carries the replay's time in ns (8 bytes, signed, most significant
+first). It is only ever sent on virtual buses; no real device knows it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from fes.signals import NS_PER_S
 SIM_TIME_ID: Final = 0x7F0
 FALL_BACK_NS: Final = 2 * NS_PER_S  # a node that is told no time for this long goes on by the computer's clock
 POLL_S: Final = 0.05
-_TIME = struct.Struct(">Q")
+_TIME = struct.Struct(">q")
 
 
 def encode_sim_time(t_ns: int) -> bytes:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import traceback
+from pathlib import Path
 from typing import IO, Any, Final, NoReturn
 
 import click
@@ -10,6 +12,7 @@ OK: Final = 0
 FAILED: Final = 1  # it ran, and what it checked is not right
 UNUSABLE: Final = 2  # wrong arguments or input; nothing was done
 STOPPED: Final = 3  # it ended early: a device was lost, the disk is full
+BROKEN: Final = 4  # a fault of this program
 INTERRUPTED: Final = 130  # Ctrl-C
 
 
@@ -27,6 +30,20 @@ class StoppedEarly(Problem):
     """Ends the command after it had begun."""
 
     exit_code = STOPPED
+
+
+class Broken(Problem):
+    """Ends the command on an error that nobody foresaw, in one line; ``FES_TRACEBACK=1`` shows all of it."""
+
+    exit_code = BROKEN
+
+    def __init__(self, error: Exception) -> None:
+        trace = traceback.extract_tb(error.__traceback__)
+        place = f" at {Path(trace[-1].filename).name}:{trace[-1].lineno}" if trace else ""
+        super().__init__(
+            f"{type(error).__name__}{place}: {error}\nThis is a fault of fes, not of your input: please report it with "
+            f"the command and its input. FES_TRACEBACK=1 in the environment shows the whole trace."
+        )
 
 
 def fail(error: Exception, kind: type[Problem] = Problem) -> NoReturn:

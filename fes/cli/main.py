@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import importlib
-from typing import Final
+import os
+from typing import Any, Final
 
 import click
 
 from fes import __version__
+from fes.cli.exits import INTERRUPTED, Broken
 
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
     "replay": ("fes.cli.replay", "Replay a recording or a session log: phases, strides, stimulation, report."),
+    "analyse": ("fes.cli.analyse", "Find phases and strides in recordings; tables and a report of each."),
+    "calibrate": ("fes.cli.calibrate", "How the sensors sit and how this person moves, from a short recording."),
     "report": ("fes.cli.report", "Write the report of a session log again."),
     "trials": ("fes.cli.trials", "Generate the bundled recordings, with their truth, from their seeds."),
 }
@@ -30,6 +34,20 @@ class LazyGroup(click.Group):
             return None
         command = importlib.import_module(COMMANDS[cmd_name][0]).command
         return command if isinstance(command, click.Command) else None
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; nothing that it meets ends in a traceback."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            click.secho("Interrupted.", fg="yellow", err=True)
+            raise SystemExit(INTERRUPTED) from None
+        except (click.ClickException, click.Abort, click.exceptions.Exit, BrokenPipeError):
+            raise  # click knows these
+        except Exception as error:
+            if os.environ.get("FES_TRACEBACK"):
+                raise
+            raise Broken(error) from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """The table, straight."""

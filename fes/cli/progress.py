@@ -15,7 +15,7 @@ STEP_NS = 250_000_000
 class ReplayProgress:
     """A bar over the recording's time."""
 
-    def __init__(self, what: str, begin_ns: int, end_ns: int, *, quiet: bool) -> None:
+    def __init__(self, what: str, begin_ns: int, end_ns: int, quiet: bool) -> None:
         self._begin_ns = begin_ns
         self._shown_ns = begin_ns
         self._bar = Progress(

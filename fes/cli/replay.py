@@ -15,6 +15,7 @@ from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import StimulatorLost
 from fes.cli.clock import MonotonicClock
 from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail
+from fes.cli.interrupt import Interrupt
 from fes.cli.progress import ReplayProgress
 from fes.cli.show import show
 from fes.cli.stimulators import (
@@ -32,9 +33,9 @@ from fes.controller import Controller
 from fes.estimation.calibration import CalibrationError, FootCalibration
 from fes.estimation.warm import warm_up
 from fes.gate import SafetyGate
-from fes.journal import Note, SessionLogError, SessionWriter, read_session
+from fes.journal import SessionLogError, SessionWriter, read_session
 from fes.recording import Recording, RecordingError, read_recording
-from fes.replay import calibrate, digest, identity, log_header, samples_of, session_for
+from fes.replay import calibrate, digest, identity, log_header, refuse_long_silence, samples_of, session_for
 from fes.runner import Runner
 from fes.signals import Event
 from fes.sources import armed_after, paced, with_ticks
@@ -90,11 +91,13 @@ def command(
     Prints the table of strides and a summary; writes the session log and the report. A session log is replayed from its
     own settings and must give the bytes that it recorded.
 
-    Exit code: 0 all is well, 1 a check failed, 2 unusable input, 3 stopped early, 130 interrupted.
+    Exit code: 0 all is well, 1 a check failed, 2 unusable input, 3 stopped early, 4 a fault of fes itself, 130
+    interrupted.
     """
     if recording.suffix == LOG_SUFFIX:
         from fes.cli.replay_log import replay_log
 
+        _refuse_settings_of_a_recording()
         replay_log(recording, as_json=as_json)
         return
     options = Options(session, out, speed, stimulator, arm_after, rearm_after, as_json, not no_report)
@@ -110,12 +113,16 @@ def replay_recording(path: Path, options: Options) -> Path:
     """
     try:
         recording = read_recording(path)
+        refuse_long_silence(recording)
         settings = options.session or _beside(path)
-        session = session_for(recording, load_session(settings) if settings else None)
+        asked = load_session(settings) if settings else None
+        session = session_for(recording, asked)
         calibrations, missing = calibrate(recording)
     except (RecordingError, ConfigError, CalibrationError) as error:
         fail(error)
-    _say_what_is_left_out(session, settings, calibrations, missing)
+    kept = {channel.number for channel in session.channels}
+    left_out = [channel.name for channel in (asked.channels if asked else ()) if channel.number not in kept]
+    _say_what_is_left_out(session, settings, left_out, calibrations, missing)
     sha256 = digest(path)
     numbers = identity(sha256, session)
     folder = fresh_folder(options.out, path.stem)
@@ -189,11 +196,12 @@ def _go(
             log.frame(frame)
         for alive in opened.alive:
             runner.handle(alive)
-        with ReplayProgress(recording.name, begin_ns, end_ns, quiet=options.as_json) as progress:
+        with Interrupt() as interrupt, ReplayProgress(recording.name, begin_ns, end_ns, options.as_json) as progress:
 
             def after(event: Event) -> None:
                 log.flush_due(time.monotonic_ns())
                 progress.at(event.t_ns)
+                interrupt.check()
 
             runner.run(events, after)
         for reply in last_answers(opened.stimulator, runner.t_ns):
@@ -208,12 +216,23 @@ def _go(
         ended = "interrupted"
     except StimulatorLost as error:
         ended = f"The stimulator was lost at {1e-9 * (runner.t_ns - begin_ns):.1f} s: {error}"
-        log.note(Note(runner.t_ns, "fault", "stimulator", str(error)))
     finally:
         summary["ended"] = ended
         summary["samples"] = {foot: tracker.counts.to_dict() for foot, tracker in runner.controller.trackers.items()}
         log.close(summary)
     return ended
+
+
+def _refuse_settings_of_a_recording() -> None:
+    """A session log brings its own settings; one given here would change nothing, so say so."""
+    context = click.get_current_context()
+    given = [name for name in context.params if name not in ("recording", "as_json")]
+    for name in given:
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            raise Problem(
+                f"--{name.replace('_', '-')} has no meaning for a session log, which is replayed with the settings it "
+                f"holds. Replay its recording instead, or leave the option out."
+            )
 
 
 def _beside(path: Path) -> Path | None:
@@ -223,13 +242,20 @@ def _beside(path: Path) -> Path | None:
 
 
 def _say_what_is_left_out(
-    session: Session, settings: Path | None, calibrations: dict[str, FootCalibration], missing: dict[str, str]
+    session: Session,
+    settings: Path | None,
+    left_out: list[str],
+    calibrations: dict[str, FootCalibration],
+    missing: dict[str, str],
 ) -> None:
     for reason in missing.values():
         click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
     if not session.channels:
         why = f"{settings} has no channel for a foot in this recording" if settings else "no session settings given"
         click.secho(f"Nothing is stimulated: {why}. Phases and strides only.", fg="yellow", err=True)
+    if left_out and session.channels:
+        names = ", ".join(left_out)
+        click.secho(f"Left out, for the recording has no sensor on that foot: {names}.", fg="yellow", err=True)
     for channel in session.channels:
         if channel.foot not in calibrations:
             raise Problem(f"Channel {channel.name!r} follows the {channel.foot}, which cannot be calibrated.")
@@ -242,6 +268,8 @@ def fresh_folder(out: Path, name: str) -> Path:
         Problem: it cannot be made.
     """
     try:
+        if out.exists() and not out.is_dir():
+            raise Problem(f"{out}: is a file; results need a folder. Choose another with --out.")
         out.mkdir(parents=True, exist_ok=True)
         for number in range(1, 100_000):
             folder = out / f"{name}-{number:03d}"

@@ -1,47 +1,56 @@
-"""Replaying a session log: the same events through the same loop must give the bytes that were recorded."""
+"""Replaying a session log: the same events through the same loop must give what was recorded, bytes first."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Final
 
 import click
 
 from drivers.stimulator.byte_sink import ByteSink
 from drivers.stimulator.can_codec import COMMAND_ID
+from fes import __version__
 from fes.cli.exits import FAILED, fail
 from fes.cli.show import show
 from fes.config import ConfigError
 from fes.controller import Controller
-from fes.estimation.foot import Outcome
 from fes.gate import SafetyGate
-from fes.journal import Note, SessionLogError, iter_events, read_session
+from fes.journal import Note, SessionLogError, SessionRecord, iter_events, read_session
 from fes.replay import settings_of
 from fes.runner import Runner
 from fes.signals import Event, StimCommand, StrideResult, WireFrame
 from statemachine.phases import PhaseChange
 
+SAME: Final = 1e-6  # of a stride's numbers: another processor's last bit is no difference, another sample is
+ENDED_WHOLE: Final = ("complete", "different", "interrupted")  # every event logged was dealt with to its end
+
 
 class Collected:
-    """A log that only remembers: the frames and the outcomes."""
+    """A log that only remembers what came out."""
 
     def __init__(self) -> None:
+        self.commands: list[StimCommand] = []
         self.frames: list[WireFrame] = []
-        self.outcomes: list[Outcome] = []
+        self.phases: list[PhaseChange] = []
+        self.strides: list[StrideResult] = []
 
     def event(self, event: Event) -> None:
         """Known already."""
 
     def command(self, command: StimCommand, frame: WireFrame) -> None:
-        """Keep the bytes."""
+        """Keep both."""
+        self.commands.append(command)
         self.frames.append(frame)
 
     def phase(self, change: PhaseChange) -> None:
         """Keep it."""
-        self.outcomes.append(change)
+        self.phases.append(change)
 
     def stride(self, result: StrideResult) -> None:
         """Keep it."""
-        self.outcomes.append(result)
+        self.strides.append(result)
 
     def note(self, note: Note) -> None:
         """Known already."""
@@ -50,8 +59,19 @@ class Collected:
         """Another machine's business."""
 
 
-def same_bytes(path: Path) -> tuple[int, str]:
-    """Run a session log's events again; returns how many commands were compared and the first difference ("": none).
+@dataclass(frozen=True, slots=True)
+class Repeated:
+    """How a log's second run went: ``commands`` and ``strides`` compared, ``difference`` the first ("": none)."""
+
+    commands: int
+    strides: int
+    difference: str
+
+
+def repeat(path: Path) -> Repeated:
+    """Run a session log's events again and hold what comes out against what is recorded.
+
+    A log that is torn, or whose session stopped half-way through an event, is compared as far as it goes.
 
     Raises:
         SessionLogError, ConfigError: the log cannot be read, or is of another kind.
@@ -59,37 +79,94 @@ def same_bytes(path: Path) -> tuple[int, str]:
     record = read_session(path)
     try:
         session, calibrations, session_id = settings_of(record.header, path)
-    except (KeyError, TypeError) as error:
-        raise SessionLogError(f"{path}: its header lacks {error}; it is no session log that can be replayed") from error
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, ConfigError):
+            raise
+        version = record.header.get("fes_version", "unknown")
+        raise SessionLogError(
+            f"{path}: was left by fes {version} and cannot be replayed by fes {__version__}: its header does not fit "
+            f"({error}). `fes report` still shows it; replay its recording instead."
+        ) from error
     stimulation = session.stimulation
     gate = SafetyGate(
         session.channels, max_data_age_ms=stimulation.max_data_age_ms, validity_ms=stimulation.validity_ms
     )
-    collected = Collected()
-    runner = Runner(Controller(session, calibrations), gate, ByteSink(session_id), collected, lambda: 0)
+    now = Collected()
+    runner = Runner(Controller(session, calibrations), gate, ByteSink(session_id), now, lambda: 0)
     for event in iter_events(path):
         runner.handle(event)
     if record.complete:
         runner.all_off()
+    whole = record.complete and record.summary.get("ended") in ENDED_WHOLE
     recorded = [frame for frame in record.frames if frame.identifier == COMMAND_ID]
-    for number, (was, now) in enumerate(zip(recorded, collected.frames, strict=False), start=1):
-        if was != now:
-            return number, (
-                f"command {number} at {was.t_ns} ns: recorded {was.data.hex()}, now {now.data.hex()} at {now.t_ns} ns"
-            )
-    if len(recorded) != len(collected.frames) and record.complete:
-        return len(recorded), f"recorded {len(recorded)} commands, now {len(collected.frames)}"
-    return len(recorded), ""
+    difference = (
+        _frames_differ(record, recorded, now.frames, runner.t_ns, whole)
+        or _phases_differ(record.phases, now.phases, whole)
+        or _strides_differ(record.strides, now.strides, whole)
+    )
+    return Repeated(min(len(recorded), len(now.frames)), min(len(record.strides), len(now.strides)), difference)
+
+
+def _frames_differ(
+    record: SessionRecord, recorded: list[WireFrame], now: list[WireFrame], end_ns: int, whole: bool
+) -> str:
+    for number, (was, is_now) in enumerate(zip(recorded, now, strict=False)):
+        if was == is_now:
+            continue
+        rest = record.commands[number:]
+        if not whole and all(not command.on and command.t_ns == end_ns for command in rest):
+            return ""  # the session stopped here and switched off
+        return (
+            f"command {number + 1}: recorded {was.data.hex()} at {was.t_ns} ns, now {is_now.data.hex()} at "
+            f"{is_now.t_ns} ns"
+        )
+    if whole and len(recorded) != len(now):
+        return f"{len(recorded)} commands are recorded, now there are {len(now)}"
+    return ""
+
+
+def _phases_differ(recorded: list[PhaseChange], now: list[PhaseChange], whole: bool) -> str:
+    for number, (was, is_now) in enumerate(zip(recorded, now, strict=False), start=1):
+        if was != is_now:
+            return f"phase change {number}: recorded {_words(was)}, now {_words(is_now)}"
+    if whole and len(recorded) != len(now):
+        return f"{len(recorded)} phase changes are recorded, now there are {len(now)}"
+    return ""
+
+
+def _words(change: PhaseChange) -> str:
+    return f"{change.foot} into {change.destination.name} at {change.t_ns} ns"
+
+
+def _strides_differ(recorded: list[StrideResult], now: list[StrideResult], whole: bool) -> str:
+    names = [field.name for field in fields(StrideResult) if field.compare]
+    for was, is_now in zip(recorded, now, strict=False):
+        for name in names:
+            one, other = getattr(was, name), getattr(is_now, name)
+            if not _same(one, other):
+                return f"stride {was.number} of the {was.foot}: {name} is recorded as {one}, now {other}"
+    if whole and len(recorded) != len(now):
+        return f"{len(recorded)} strides are recorded, now there are {len(now)}"
+    return ""
+
+
+def _same(one: object, other: object) -> bool:
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=SAME, abs_tol=SAME) or (math.isnan(one) and math.isnan(other))
+    return one == other
 
 
 def replay_log(path: Path, *, as_json: bool) -> None:
-    """Show a session log and check that it gives the same bytes again."""
+    """Show a session log and check that it gives the same bytes, phases and strides again."""
     try:
-        count, difference = same_bytes(path)
-        show(path, as_json=as_json, report=None)
+        again = repeat(path)
+        result = {"commands": again.commands, "strides": again.strides, "difference": again.difference}
+        show(path, as_json=as_json, report=None, more={"replayed": result})
     except (SessionLogError, ConfigError) as error:
         fail(error)
-    if difference:
-        click.secho(f"Not the same bytes: {difference}", fg="red", err=True)
+    if again.difference:
+        click.secho(f"Not the same when replayed: {again.difference}", fg="red", err=True)
         raise SystemExit(FAILED)
-    click.secho(f"Replayed: all {count} commands are the same, byte for byte.", err=True)
+    click.secho(
+        f"Replayed: {again.commands} commands are the same byte for byte, {again.strides} strides the same.", err=True
+    )

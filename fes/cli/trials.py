@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from fes.cli.exits import Problem
+
 
 @click.command(name="trials")
 @click.argument("folder", type=click.Path(path_type=Path))
@@ -14,4 +16,8 @@ def command(folder: Path, only: str | None) -> None:
     """Write the bundled recordings, with their truth, to FOLDER; the same seeds give the same bytes."""
     from fes.patient.trials import main as generate
 
-    raise SystemExit(generate([str(folder), *(("--only", only) if only else ())]))
+    try:
+        code = generate([str(folder), *(("--only", only) if only else ())])
+    except OSError as error:
+        raise Problem(f"{folder}: cannot be written: {error.strerror}. Choose another folder.") from error
+    raise SystemExit(code)

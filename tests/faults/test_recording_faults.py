@@ -1,0 +1,177 @@
+"""What goes wrong with the data on the way, through a whole replay: gaps, doubled samples, a sensor that freezes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from replays import MS, SETTINGS, bursts, cut, edit, keep, replay, trial, write_cut
+
+from drivers.stimulator.byte_sink import ByteSink
+from fes.cli.exits import Problem
+from fes.cli.replay_log import Collected
+from fes.config import load_session
+from fes.controller import Controller
+from fes.gate import SafetyGate
+from fes.journal import SessionRecord
+from fes.recording import Recording, RecordingError, Track, read_recording, write_recording
+from fes.replay import calibrate, samples_of
+from fes.runner import Runner
+from fes.signals import NS_PER_S
+from fes.sources import armed_after, with_ticks
+
+
+@pytest.fixture(scope="module")
+def walking() -> Recording:
+    return cut(trial("negard_patient2"), 0.0, 22.0)
+
+
+def looped(walking: Recording, spoiled: Recording) -> Collected:
+    """What the loop makes of samples that went bad after calibration."""
+    settings = load_session(SETTINGS)
+    gate = SafetyGate(settings.channels, max_data_age_ms=40, validity_ms=60)
+    out = Collected()
+    runner = Runner(Controller(settings, calibrate(walking)[0]), gate, ByteSink(1), out, lambda: 0)
+    runner.run(armed_after(with_ticks(samples_of(spoiled, {"right_foot"})), 0.5, 1.0), lambda event: None)
+    return out
+
+
+@pytest.fixture(scope="module")
+def sound(walking: Recording, tmp_path_factory: pytest.TempPathFactory) -> SessionRecord:
+    return replayed(walking, tmp_path_factory.mktemp("sound"))
+
+
+def replayed(recording: Recording, folder: Path, rearm_after_s: float | None = None) -> SessionRecord:
+    path = folder / "spoiled.parquet"
+    write_recording(recording, path)
+    return replay(path, folder, rearm_after_s=rearm_after_s)
+
+
+def mid_swing_ns(record: SessionRecord, burst: int) -> int:
+    begin = bursts(record.commands)[burst]
+    swing_ns = next(
+        change.t_ns for change in record.phases if change.destination.name == "SWING" and change.t_ns > begin.t_on_ns
+    )
+    return swing_ns + 100 * MS
+
+
+def hole(begin_ns: int, length_ms: int) -> Callable[[Track], Track]:
+    """Nothing came for a while."""
+    return lambda track: keep(track, (track.t_ns <= begin_ns) | (track.t_ns > begin_ns + length_ms * MS))
+
+
+def test_a_hole_of_60_ms_in_mid_swing_is_off_until_somebody_arms(
+    walking: Recording, sound: SessionRecord, tmp_path: Path
+) -> None:
+    hole_ns = mid_swing_ns(sound, 1)
+    record = replayed(edit(walking, hole(hole_ns, 60)), tmp_path)
+    found = bursts(record.commands)
+    assert len(bursts(sound.commands)) >= 5
+    assert len(found) == 2
+    assert hole_ns in walking.tracks["right_foot"].t_ns
+    assert found[1].t_off_ns == hole_ns + 50 * MS  # the first tick at which the data are older than 40 ms
+    refused = next(command for command in record.commands if command.refused and command.t_ns >= hole_ns)
+    assert refused.refused.startswith("right_foot data ")
+    assert "old, limit 40 ms" in refused.refused
+    assert [note.text for note in record.notes if note.severity == "fault"] == [
+        f"off until armed again: {refused.refused}"
+    ]
+    assert record.complete
+
+
+def test_with_rearm_after_walking_is_stimulated_again_once_it_is_seen(
+    walking: Recording, sound: SessionRecord, tmp_path: Path
+) -> None:
+    hole_ns = mid_swing_ns(sound, 1)
+    record = replayed(edit(walking, hole(hole_ns, 60)), tmp_path, rearm_after_s=0.2)
+    before, after = bursts(sound.commands), bursts(record.commands)
+    # armed again in the same swing: what is left of it stays silent; then two whole strides must show walking again
+    assert after[1].t_off_ns < before[1].t_off_ns
+    assert [burst.t_on_ns for burst in after] == [burst.t_on_ns for burst in before[:2] + before[4:]]
+    assert [burst.t_off_ns for burst in after[2:]] == [burst.t_off_ns for burst in before[4:]]
+    assert "armed again" in [note.text for note in record.notes]
+
+
+def test_a_hole_of_30_ms_is_bridged(walking: Recording, sound: SessionRecord, tmp_path: Path) -> None:
+    hole_ns = mid_swing_ns(sound, 1)
+    record = replayed(edit(walking, hole(hole_ns, 30)), tmp_path)
+    assert bursts(record.commands)[:2] == bursts(sound.commands)[:2]
+    end_ns = walking.tracks["right_foot"].t_ns[-1]
+    assert not [note for note in record.notes if note.severity == "fault" and note.t_ns <= end_ns]
+
+
+def test_doubled_samples_change_nothing(walking: Recording, sound: SessionRecord, tmp_path: Path) -> None:
+    def doubled(track: Track) -> Track:
+        rows = np.sort(np.concatenate([np.arange(track.t_ns.size), np.arange(100, track.t_ns.size, 7)]))
+        return keep(track, rows)
+
+    record = replayed(edit(walking, doubled), tmp_path)
+    assert bursts(record.commands) == bursts(sound.commands)
+    assert record.phases == sound.phases
+    count = len(range(100, walking.tracks["right_foot"].t_ns.size, 7))
+    assert record.summary["samples"]["right_foot"]["doubled_or_backward"] == count
+
+
+def test_a_sensor_that_freezes_in_mid_swing_stimulates_until_the_longest_burst_is_over(
+    walking: Recording, sound: SessionRecord, tmp_path: Path
+) -> None:
+    """The same sample over and over, stamped anew: fresh by the clock, so no data age shows it.
+
+    The foot then seems to swing for ever. What ends the burst is the channel's max_on_s; no other begins.
+    """
+    freeze_ns = mid_swing_ns(sound, 2)
+
+    def frozen(track: Track) -> Track:
+        acc, gyr = track.acc_mps2.copy(), track.gyr_radps.copy()
+        later = track.t_ns > freeze_ns
+        row = int(np.flatnonzero(~later)[-1])
+        acc[later], gyr[later] = acc[row], gyr[row]
+        return replace(track, acc_mps2=acc, gyr_radps=gyr)
+
+    with pytest.raises(Problem, match="at rest the accelerometer reads"):
+        replayed(edit(walking, frozen), tmp_path)  # as a recording it is refused already; so straight into the loop
+    found = bursts(looped(walking, edit(walking, frozen)).commands)
+    assert found[:2] == bursts(sound.commands)[:2]
+    assert len(found) == 3
+    assert 2.9 * NS_PER_S < found[2].t_off_ns - found[2].t_on_ns <= 3.0 * NS_PER_S
+
+
+def test_late_samples_are_old_by_the_sensors_own_clock(
+    walking: Recording, sound: SessionRecord, tmp_path: Path
+) -> None:
+    """A queue that is drained late: samples come, but 80 ms after they were taken."""
+    late_from_ns = mid_swing_ns(sound, 1)
+
+    def late(track: Track) -> Track:
+        return replace(track, t_ns=track.t_ns + 80 * MS * (track.t_ns > late_from_ns))
+
+    record = replayed(edit(walking, late), tmp_path, rearm_after_s=0.5)
+    found = bursts(record.commands)
+    assert len(found) == 2  # arming again is refused as long as the data are old
+    assert found[1].t_off_ns <= late_from_ns + 60 * MS
+
+
+def test_not_a_number_is_refused_when_read(tmp_path: Path) -> None:
+    path = write_cut(tmp_path)
+    recording = read_recording(path)
+
+    def spoiled(track: Track) -> Track:
+        acc = track.acc_mps2.copy()
+        acc[1000, 1] = np.nan
+        return replace(track, acc_mps2=acc)
+
+    write_recording(edit(recording, spoiled), path, overwrite=True)
+    with pytest.raises(RecordingError, match=r"cut\.parquet: row 1001, column 'right_foot_acc_y': nan"):
+        read_recording(path)
+
+
+def test_times_before_zero_are_times_like_any(walking: Recording, sound: SessionRecord, tmp_path: Path) -> None:
+    shift_ns = 30 * NS_PER_S
+    early = edit(
+        walking, lambda track: replace(track, t_ns=track.t_ns - shift_ns, t_sensor_ns=track.t_sensor_ns - shift_ns)
+    )
+    found = bursts(replayed(early, tmp_path).commands)
+    assert [burst.t_on_ns + shift_ns for burst in found] == [burst.t_on_ns for burst in bursts(sound.commands)]

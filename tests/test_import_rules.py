@@ -1,0 +1,206 @@
+"""Who may import whom, read from the source of every module; and what a command does not drag in."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+OURS = ("fes", "drivers", "statemachine")
+STDLIB = sys.stdlib_module_names
+VOCABULARY = {"fes.signals", "fes.limits", "fes.config"}
+HARDWARE = {"serial", "can", "drivers"}
+NO_CLOCK = {"time", "threading", "asyncio", "multiprocessing", "concurrent", "sched"}
+PURE: tuple[str, ...] = (
+    "fes.controller",
+    "fes.sources",
+    "fes.runner",
+    "fes.delivered",
+    "fes.replay",
+    "fes.gate",
+    "fes.stimulation",
+)
+PURE += ("fes.estimation", "statemachine")
+
+
+@cache
+def modules() -> dict[str, Path]:
+    found = {}
+    for top in OURS:
+        for path in sorted((ROOT / top).rglob("*.py")):
+            parts = path.relative_to(ROOT).with_suffix("").parts
+            found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def resolve(module: str, name: str = "") -> str:
+    """The module that ``from module import name`` reaches."""
+    return f"{module}.{name}" if f"{module}.{name}" in modules() else module
+
+
+@cache
+def imports(module: str, *, at_import: bool = False) -> frozenset[str]:
+    """All that a module imports, wherever in it; with ``at_import`` only what happens when it is imported."""
+    tree = ast.parse(modules()[module].read_text(encoding="utf-8"))
+    inside = {
+        inner
+        for outer in ast.walk(tree)
+        if isinstance(outer, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda))
+        for inner in ast.walk(outer)
+    }
+    found: set[str] = set()
+    for node in ast.walk(tree):
+        if at_import and node in inside:
+            continue
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{module}: relative imports hide who imports whom"
+            assert node.module is not None
+            found |= {resolve(node.module, alias.name) for alias in node.names}
+    return frozenset(found)
+
+
+def within(module: str, packages: tuple[str, ...] | set[str]) -> bool:
+    return any(module == package or module.startswith(package + ".") for package in packages)
+
+
+def of(*packages: str) -> list[str]:
+    found = [module for module in modules() if within(module, packages)]
+    assert found, packages
+    return found
+
+
+def strangers(module: str, allowed: set[str]) -> set[str]:
+    """Imports beyond the standard library that are not allowed."""
+    return {name for name in imports(module) if name.split(".")[0] not in STDLIB and not within(name, allowed)}
+
+
+@pytest.mark.parametrize("module", sorted(VOCABULARY))
+def test_the_vocabulary_knows_nobody(module: str) -> None:
+    allowed = {"pydantic", "fes.limits"} if module == "fes.config" else {"numpy"} if module == "fes.signals" else set()
+    assert not strangers(module, allowed)
+
+
+@pytest.mark.parametrize(
+    ("package", "allowed"),
+    [
+        ("statemachine", {"statemachine", "transitions", "fes.signals", "fes.config", "fes.limits"}),
+        ("fes.gate", {"fes.gate", *VOCABULARY}),
+        ("drivers", {"drivers", "serial", "can", "cantools", "numpy", *VOCABULARY}),
+        ("fes.stimulation", {"fes.stimulation", "statemachine.phases", *VOCABULARY}),
+        ("fes.estimation", {"fes.estimation", "statemachine", "numpy", "numba", "scipy", *VOCABULARY}),
+        ("fes.delivered", VOCABULARY),
+        ("fes.sources", VOCABULARY),
+        (
+            "fes.controller",
+            {"numpy", "statemachine.phases", "fes.estimation", "fes.stimulation", *VOCABULARY},
+        ),
+        ("fes.runner", {"fes.controller", "fes.gate", "fes.journal", "statemachine.phases", *VOCABULARY}),
+        ("fes.journal", {"fes.journal", "numpy", "msgpack", "statemachine.phases", *VOCABULARY}),
+    ],
+)
+def test_a_part_imports_only_what_it_may(package: str, allowed: set[str]) -> None:
+    found = {module: strange for module in of(package) if (strange := strangers(module, allowed))}
+    assert not found
+
+
+@pytest.mark.parametrize("module", [module for package in PURE for module in of(package)])
+def test_what_decides_reads_no_clock_and_opens_nothing(module: str) -> None:
+    roots = {name.split(".")[0] for name in imports(module)}
+    assert not roots & (NO_CLOCK | HARDWARE | {"socket", "signal", "select", "random", "secrets"})
+
+
+@pytest.mark.parametrize("module", [module for package in PURE for module in of(package)])
+def test_what_decides_asks_nobody_for_the_time(module: str) -> None:
+    """Nor by way of another name: no ``….now()``, ``….monotonic…()``, ``….perf_counter…()`` on anything but a Clock."""
+    tree = ast.parse(modules()[module].read_text(encoding="utf-8"))
+    asked = {
+        node.attr
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and node.attr in ("now", "today", "monotonic", "monotonic_ns", "perf_counter")
+    }
+    assert not asked
+
+
+def test_only_the_commands_wire_drivers_to_the_controller() -> None:
+    users = {module for module in modules() if any(within(name, {"drivers"}) for name in imports(module))}
+    outside = {module for module in users if not within(module, {"drivers", "fes.cli"})}
+    assert not outside
+    hardware = {module for module in of("fes") if any(within(name, {"serial", "can"}) for name in imports(module))}
+    assert hardware <= {"fes.recording.can_log"}  # a CAN log is a file
+
+
+def test_nobody_but_the_commands_knows_the_commands() -> None:
+    users = {module for module in modules() if any(within(name, {"fes.cli"}) for name in imports(module))}
+    assert all(within(module, {"fes.cli"}) for module in users)
+
+
+def test_no_import_cycles() -> None:
+    graph = {
+        module: {name for name in imports(module, at_import=True) if name in modules() and name != module}
+        for module in modules()
+    }
+    # a package's __init__ re-exports its parts; a part does not import its package
+    done: set[str] = set()
+
+    def visit(module: str, path: tuple[str, ...]) -> None:
+        assert module not in path, " → ".join((*path[path.index(module) :], module))
+        if module not in done:
+            for name in graph[module]:
+                visit(name, (*path, module))
+            done.add(module)
+
+    for module in graph:
+        visit(module, ())
+
+
+def test_everything_imported_is_declared() -> None:
+    """No module leans on a library that only happens to be installed."""
+    declared = {"cantools", "click", "jinja2", "msgpack", "numba", "numpy", "pyarrow", "pydantic", "serial", "can"}
+    declared |= {"rich", "scipy", "transitions", "markupsafe", *OURS}
+    found = {name.split(".")[0] for module in modules() for name in imports(module)} - set(STDLIB)
+    assert found <= declared
+
+
+def loaded_after(code: str, *watched: str) -> set[str]:
+    """Which of these are loaded in a fresh process after running the code."""
+    script = f"{code}\nimport sys\nprint(*sorted(set({watched!r}) & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    return set(done.stdout.splitlines()[-1].split()) if done.stdout.strip() else set()
+
+
+def test_the_loop_loads_no_heavy_library() -> None:
+    # numba looks whether there is a scipy, which alone loads next to nothing
+    heavy = (
+        "pyarrow",
+        "jinja2",
+        "rich",
+        "scipy.linalg",
+        "scipy.signal",
+        "scipy.spatial",
+        "matplotlib",
+        "cantools",
+        "can",
+        "serial",
+        "click",
+    )
+    assert all(importlib.util.find_spec(name) for name in heavy if name != "matplotlib")
+    assert not loaded_after("import fes.controller, fes.runner, fes.gate, fes.journal, fes.sources", *heavy)
+
+
+def test_help_loads_nothing_slow() -> None:
+    code = "from fes.cli import main\ntry:\n    main(['--help'])\nexcept SystemExit as end:\n    assert not end.code"
+    assert not loaded_after(code, "numba", "numpy", "pydantic", "can", "rich", "pyarrow", "scipy", "transitions")
+
+
+def test_the_gate_loads_neither_controller_nor_drivers() -> None:
+    loaded = loaded_after("import fes.gate", *(name for name in modules() if not within(name, {"fes.gate"})))
+    assert loaded == {"fes", *VOCABULARY}

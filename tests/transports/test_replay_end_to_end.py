@@ -1,0 +1,211 @@
+"""`fes replay` as a process of its own with a stimulator on a bus: killed, interrupted, repeated."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from replays import FES, MS, SETTINGS, bursts, run_fes, write_cut
+
+from drivers.virtual.node_record import RecordEntry, read_record
+from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node, why_silent
+from fes.cli.exits import FAILED, INTERRUPTED, OK, STOPPED
+from fes.cli.replay_log import repeat
+from fes.journal import read_session
+
+LEASE_MS = 60
+MARGIN_MS = 5  # the node's own wake-up
+
+NO_BUS = why_silent(free_bus())
+pytestmark = pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Twelve seconds, standing at first; the first stride comes after two."""
+    return write_cut(tmp_path_factory.mktemp("recording"), begin_s=3.0)
+
+
+@pytest.fixture
+def node(tmp_path: Path) -> Iterator[NodeHandle]:
+    with spawn_node(record=tmp_path / "node.jsonl") as handle:
+        yield handle
+
+
+def settings_for(node: NodeHandle, folder: Path) -> Path:
+    path = folder / "bus.toml"
+    bus = f'\n[bus]\ninterface = "{node.bus.interface}"\nchannel = "{node.bus.channel}"\n'
+    at_once = SETTINGS.read_text().replace("strides_before_start = 2", "strides_before_start = 0")
+    path.write_text(at_once + bus + f"[bus.options]\nport = {node.bus.options['port']}\n")
+    return path
+
+
+@contextmanager
+def replaying(path: Path, out: Path, *options: str | Path) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen(
+        [*FES, "replay", str(path), "--out", str(out), "--no-report", *map(str, options)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate(timeout=10)
+
+
+def wait_for(what: Callable[[], bool], process: subprocess.Popen[str], timeout_s: float = 60.0) -> None:
+    end_s = time.monotonic() + timeout_s
+    while not what():
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        assert time.monotonic() < end_s, "it did not come"
+        time.sleep(0.005)
+
+
+def entries_of(path: Path, channel: int = 0) -> list[RecordEntry]:
+    return [entry for entry in read_record(path) if entry.channel == channel] if path.is_file() else []
+
+
+def at_full_current(path: Path) -> bool:
+    """In mid-burst, the rise behind it."""
+    entries = entries_of(path)
+    return bool(entries) and entries[-1].current_ma >= 29.0
+
+
+def test_killed_in_mid_burst_the_node_is_silent_within_its_lease(
+    recording: Path, node: NodeHandle, tmp_path: Path
+) -> None:
+    """The product's promise: no pulse later than 60 ms after the last command, whatever becomes of the controller."""
+    assert node.record is not None
+    options = ("--stimulator", "bus", "--session", settings_for(node, tmp_path), "--speed", "1")
+    with replaying(recording, tmp_path, *options) as process:
+        wait_for(lambda: at_full_current(node.record or Path()), process)
+        blow_ns = time.monotonic_ns()
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait(10)
+        end_s = time.monotonic() + 5.0
+        while entries_of(node.record)[-1].current_ma > 0.0 and time.monotonic() < end_s:
+            time.sleep(0.005)
+    ended = entries_of(node.record)[-1]
+    assert ended.event == "lease_expired"
+    # that no pulse comes after the lease holds to the nanosecond; the node's own wake-up can be held up by the machine
+    assert ended.last_pulse_ns < ended.accepted_ns + LEASE_MS * MS
+    off_ms = (ended.t_ns - ended.accepted_ns) / MS
+    print(f"off {off_ms:.2f} ms after the last accepted command, {(ended.t_ns - blow_ns) / MS:.1f} ms after the blow")
+    assert LEASE_MS <= off_ms <= 2 * LEASE_MS
+    assert ended.t_ns <= blow_ns + 2 * LEASE_MS * MS
+    assert ended.last_pulse_ns <= blow_ns + (LEASE_MS + MARGIN_MS) * MS
+
+    (log,) = tmp_path.glob("cut-*/session.feslog")
+    torn = read_session(log)
+    assert not torn.complete
+    assert any(command.on for command in torn.commands)
+    assert repeat(log).difference == ""
+
+
+@pytest.mark.parametrize("blow", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_in_mid_burst_it_switches_off_before_it_ends(
+    recording: Path, node: NodeHandle, tmp_path: Path, blow: signal.Signals
+) -> None:
+    assert node.record is not None
+    options = ("--stimulator", "bus", "--session", settings_for(node, tmp_path), "--speed", "2")
+    with replaying(recording, tmp_path, *options) as process:
+        wait_for(lambda: at_full_current(node.record or Path()), process)
+        blow_ns = time.monotonic_ns()
+        process.send_signal(blow)
+        _, said = process.communicate(timeout=20)
+    assert process.returncode == INTERRUPTED, said
+    assert "WILL stimulate" in said
+    assert "Interrupted; stimulation is off." in said
+    assert "Traceback" not in said
+    ended = entries_of(node.record)[-1]
+    assert ended.event == "off"  # told to, not by the end of its lease
+    assert ended.t_ns - blow_ns < 500 * MS
+
+    (log,) = tmp_path.glob("cut-*/session.feslog")
+    record = read_session(log)
+    assert record.complete
+    assert record.summary["ended"] == "interrupted"
+    assert not record.commands[-1].on
+    assert record.commands[-2].on
+    assert record.notes[-1].text == "interrupted"
+    again = repeat(log)
+    assert (again.difference, again.commands) == ("", len(record.commands))
+
+
+def test_the_simulated_node_ends_with_a_killed_replay(recording: Path, tmp_path: Path) -> None:
+    options = ("--stimulator", "simulated", "--session", SETTINGS, "--speed", "1")
+    with replaying(recording, tmp_path, *options) as process:
+        record = tmp_path / "cut-001" / "stimulator.jsonl"
+        wait_for(lambda: record.is_file() and bool(read_record(record)), process)
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        assert children
+        process.kill()
+        process.wait(10)
+        end_s = time.monotonic() + 10.0
+        while any(is_running(int(pid)) for pid in children) and time.monotonic() < end_s:
+            time.sleep(0.01)
+        assert not [pid for pid in children if is_running(int(pid))]
+
+
+def is_running(pid: int) -> bool:
+    """Whether the process exists and is more than a zombie that nobody has collected."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_lockstep_replay_is_delivered_as_sent_and_the_same_twice(recording: Path, tmp_path: Path) -> None:
+    runs = []
+    for _ in range(2):
+        done = run_fes("replay", recording, "--session", SETTINGS, "--no-report", "--json", "--out", tmp_path)
+        assert done.returncode == OK, done.stderr
+        runs.append(json.loads(done.stdout))
+    wires = [run["run_summary"]["wire"] for run in runs]
+    assert wires[0] == wires[1]
+    assert wires[0]["matched"] == wires[0]["commands"] > 500
+    assert (wires[0]["missing"], wires[0]["different"], wires[0]["unasked"]) == (0, 0, 0)
+    one, other = (read_session(Path(run["files"]["session_log"])) for run in runs)
+    assert one.statuses == other.statuses
+    assert [frame for frame in one.frames if frame.identifier != one.frames[0].identifier] == [
+        frame for frame in other.frames if frame.identifier != other.frames[0].identifier
+    ]
+    # 40 Hz as long as it is on, less what is below half a milliampere
+    on_s = sum(burst.t_off_ns - burst.t_on_ns for burst in bursts(one.commands)) * 1e-9
+    assert wires[0]["pulses"]["0"] == pytest.approx(40.0 * on_s, abs=1.5 * len(bursts(one.commands)))
+    assert repeat(Path(runs[0]["files"]["session_log"])).difference == ""
+
+
+def test_a_stimulator_that_delivers_less_fails_the_replay(recording: Path, tmp_path: Path) -> None:
+    with spawn_node(faults="weak=0") as node:
+        options = ("--stimulator", "bus", "--session", settings_for(node, tmp_path), "--speed", "8")
+        done = run_fes("replay", recording, *options, "--no-report", "--out", tmp_path)
+    assert done.returncode == FAILED
+    assert "did not deliver what was sent" in done.stderr
+    assert "✗" in done.stdout
+
+
+def test_a_stimulator_that_goes_silent_is_noticed_within_the_replay(recording: Path, tmp_path: Path) -> None:
+    """It stops answering; commands stay without an answer, and the replay does not say that all is well."""
+    with spawn_node(faults="mute=1.5") as node:
+        options = ("--stimulator", "bus", "--session", settings_for(node, tmp_path), "--speed", "8")
+        done = run_fes("replay", recording, *options, "--no-report", "--out", tmp_path)
+    assert done.returncode in (FAILED, STOPPED)
+    assert "Traceback" not in done.stderr
+
+
+def test_nobody_on_the_bus_is_said(recording: Path, node: NodeHandle, tmp_path: Path) -> None:
+    settings = settings_for(node, tmp_path)
+    node.stop()
+    done = run_fes("replay", recording, "--stimulator", "bus", "--session", settings, "--out", tmp_path)
+    assert done.returncode == STOPPED
+    assert "no stimulator was heard on" in done.stderr
