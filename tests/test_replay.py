@@ -88,15 +88,13 @@ def test_walking_is_stimulated_in_swing_and_never_else(replays: Replays, name: s
 def test_soft_contact_is_the_hard_case(replays: Replays) -> None:
     """Feet put down so softly that no contact is felt: stimulation may then last into stance, by a third of a second.
 
-    Once in these 30 strides the heel settles just after landing, which looks like a heel lifted: a burst of 65 ms at
-    a small current, ended when the foot rests. Counted here so that it cannot become more.
+    Once in these 30 strides the heel settles just after landing, which looks like a heel lifted; no burst may come of it.
     """
     strides = truth("soft_contact", "right_foot")
     mine = bursts(replays.of("soft_contact").commands)
     outside = [burst for burst in mine if not inside(burst, strides, late_s=0.3)]
-    assert len(outside) <= 1
-    assert all(burst.t_off_ns - burst.t_on_ns <= 100 * MS and burst.peak_ma <= 15.0 for burst in outside)
-    assert len(mine) - len(outside) >= len(strides) - 3
+    assert outside == []
+    assert len(mine) >= len(strides) - 3
 
 
 def test_not_one_burst_that_a_clinician_would_call_wrong(replays: Replays) -> None:

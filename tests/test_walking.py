@@ -247,3 +247,12 @@ def test_strides_are_closed_before_the_heel_rise_that_closes_them_is_judged() ->
     ]
     assert len(followers) == 39  # all but the last stride, which the timer closes
     assert set(followers) == {Transition.T1}
+
+
+def test_a_foot_that_stirs_just_after_landing_starts_no_burst_and_goes_on_walking() -> None:
+    feet = Judged(strides_before_start=2)
+    for number in range(1, 5):
+        feet.step(stride(number=number), stance_s=0.5)
+    assert not feet.go(Transition.T1, 0.05)  # the heel settles: a tenth of the usual stance
+    feet.go(Transition.T5, 0.1)
+    assert feet.go(Transition.T1, 0.35)  # the real heel rise, half a second after landing

@@ -18,6 +18,7 @@ from statemachine.phases import Phase, PhaseChange, Transition
 
 STANCE_FACTOR = 1.8  # a stance this much longer than the usual one is a stop …
 STANCE_GRACE_S = 0.2  # … once it is also this much longer
+SHORT_STANCE_SHARE = 0.4  # a stance shorter than this share of the usual one is a foot that has not settled yet
 REMEMBERED_STANCES = 5
 
 
@@ -47,7 +48,7 @@ class WalkingJudge:
         elif change.transition in (Transition.T4, Transition.T6):
             self._stance_ns = change.t_ns
         elif change.source is Phase.STANCE and self._stance_ns is not None:
-            self._end_of_stance(1.0 / NS_PER_S * (change.t_ns - self._stance_ns))
+            return self._end_of_stance(1.0 / NS_PER_S * (change.t_ns - self._stance_ns))
         return self.walking
 
     @property
@@ -55,12 +56,16 @@ class WalkingJudge:
         """Whether enough good strides have come one after the other."""
         return self._good_strides >= self._settings.strides_before_start
 
-    def _end_of_stance(self, stance_s: float) -> None:
-        usual_s = median(self._stances_s) if self._stances_s else math.inf
-        if stance_s > max(STANCE_FACTOR * usual_s, usual_s + STANCE_GRACE_S):
+    def _end_of_stance(self, stance_s: float) -> bool:
+        """The heel rises after a stance of this length; returns whether that is walking on."""
+        usual_s = median(self._stances_s) if self._stances_s else None
+        if usual_s is not None and stance_s < SHORT_STANCE_SHARE * usual_s:
+            return False  # the foot stirs after it has landed; the real heel rise is still to come
+        if usual_s is not None and stance_s > max(STANCE_FACTOR * usual_s, usual_s + STANCE_GRACE_S):
             self._lapse(f"stood for {stance_s:.1f} s")
         elif self._good_strides:
             self._stances_s.append(stance_s)
+        return self.walking
 
     def _not_walking(self, stride: StrideResult) -> str:
         if not stride.valid:
