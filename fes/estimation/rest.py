@@ -1,0 +1,268 @@
+"""Is the foot at rest? The zero-velocity detectors of Skog et al., with thresholds that calibrate themselves.
+
+Source: Kumar et al., Eq. (1)–(6), after Skog, Nilsson and Händel (2010), "Evaluation of zero-velocity detectors for
+foot-mounted inertial navigation systems". Over a window of W samples, with ``f`` the specific force, ``w`` the rate,
+``m`` the window's mean force and bars for means over the window:
+
+======  ====================================================================  ==========================
+SHOE    ``mean(|f - g·m/|m||²)/tol_a² + mean(|w|²)/tol_w²``                   force and rate
+MV      ``mean(|f - m|²)``                                                    moving variance of force
+MAG     ``mean((|f| - g)²)``                                                  magnitude of force
+ARE     ``mean(|w|²)``                                                        angular rate energy
+GYR     ``|w|²`` of one sample, the plain norm threshold                      rate
+======  ====================================================================  ==========================
+
+Departures from Kumar's print, all back to Skog: in (2) 1/W applies to both terms; in (3) the norm is squared; in (5)
+the variance is the gyroscope's. Two more of our own. A constant factor moves the threshold and nothing else, so MV,
+MAG, ARE and GYR stay in their units. And SHOE weighs force against rate by what a resting foot may do instead of by
+the sensor's noise, for a foot in stance turns and sways far above the noise of any sensor.
+
+**Thresholds** (:func:`calibrate_rest`), the part that the paper leaves open. Rest means that the sensor moves slower
+than 0.1 m/s. As stance begins and ends the foot turns about heel or ball, 0.13 m away from an instep, and takes 0.15 s
+to come to speed (the constants of ``rest_kernel``). That bounds the rate by ``tol_w = v/r`` and the force by
+``tol_a = v/t``; the sensor's noise comes on top:
+
+- somebody stood still for a second: ``tolerance² + q·E0``, where ``E0`` is the statistic's mean in that second and
+  ``q`` the 99.9 % quantile of chi²/dof, so that noise alone hardly ever breaks a rest;
+- nobody did: midway, in logarithms, between the medians of what lies below and what lies above the threshold, the
+  fixed point of Ridler and Calvard (1978), of the recording itself. Long stillness is left out, or it would stand for
+  the stance of walking; the result stays within a factor of two of the tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fes.estimation.rest_kernel import (
+    ACC_TOLERANCE_MPS2,
+    RATE_TOLERANCE_RADPS,
+    Detector,
+    all_windows,
+    window_value,
+)
+from fes.signals import G_MPS2, FloatArray, Vector3
+
+__all__ = ["Detector", "RestCalibration", "RestStream", "at_rest", "calibrate_rest", "statistic", "window_samples"]
+
+WINDOW_S = 0.05
+STANDING_S = 1.0
+STANDING_RATE_RADPS = 0.08  # spread about the mean, and …
+STANDING_ACC_MPS2 = 0.3  # … the same of the force, that a second of standing does not exceed
+GREATEST_BIAS_RADPS = 0.2
+NOISE_QUANTILE_SIGMAS = 3.09  # 99.9 %
+LONG_STILL_S = 1.5  # longer than any stance of walking
+SPLIT_FACTOR = 2.0  # how far, in speed, a split may lie from the tolerance
+
+_TOLERANCE = {
+    Detector.SHOE: 2.0,  # both terms at their limit
+    Detector.MV: ACC_TOLERANCE_MPS2**2,
+    Detector.MAG: ACC_TOLERANCE_MPS2**2,
+    Detector.ARE: RATE_TOLERANCE_RADPS**2,
+    Detector.GYR: RATE_TOLERANCE_RADPS**2,
+}
+_DEGREES_PER_SAMPLE = {Detector.SHOE: 6, Detector.MV: 3, Detector.MAG: 1, Detector.ARE: 3, Detector.GYR: 3}
+
+
+@dataclass(frozen=True, slots=True)
+class RestCalibration:
+    """What rest looks like in one sensor.
+
+    Attributes:
+        detector: what the threshold belongs to.
+        threshold: the statistic is below it at rest; in the statistic's unit (see :func:`statistic`).
+        gravity_mps2: length of the specific force at rest, with the accelerometer's bias in it.
+        gyr_bias_radps: of the standing second; zero where nobody stood.
+        window_s: for which window the threshold holds.
+        standing: a second of standing was found.
+    """
+
+    detector: Detector
+    threshold: float
+    gravity_mps2: float
+    gyr_bias_radps: Vector3
+    window_s: float
+    standing: bool
+
+
+def window_samples(window_s: float, rate_hz: float) -> int:
+    """Samples in a window of ``window_s``: at least 2, for one sample has no variance."""
+    if not (window_s > 0.0 and rate_hz > 0.0):
+        raise ValueError(f"window_s {window_s} and rate_hz {rate_hz} must be above 0")
+    return max(round(window_s * rate_hz), 2)
+
+
+def statistic(
+    detector: Detector,
+    acc_mps2: FloatArray,
+    gyr_radps: FloatArray,
+    rate_hz: float,
+    *,
+    window_s: float = WINDOW_S,
+    causal: bool = False,
+    gravity_mps2: float = G_MPS2,
+    gyr_bias_radps: Vector3 = (0.0, 0.0, 0.0),
+) -> FloatArray:
+    """The detector's statistic at every sample (N,): (m/s²)² for MV and MAG, (rad/s)² for ARE and GYR, 1 for SHOE.
+
+    Args:
+        detector: which.
+        acc_mps2: (N, 3) specific force.
+        gyr_radps: (N, 3) angular rate.
+        rate_hz: nominal sampling rate.
+        window_s: length of the window; GYR looks at single samples whatever it is.
+        causal: the window ends at the sample; else it is centred on it. It is cut short at the recording's ends.
+        gravity_mps2: length of the specific force at rest, for SHOE and MAG.
+        gyr_bias_radps: taken off the rate.
+
+    Raises:
+        ValueError: shapes that do not match, values that are not finite, or a window or rate that is not positive.
+    """
+    acc, gyr = _checked(acc_mps2, gyr_radps)
+    count = 1 if detector is Detector.GYR else window_samples(window_s, rate_hz)
+    ahead = 0 if causal else (count - 1) // 2
+    out = np.empty(len(acc))
+    bx, by, bz = gyr_bias_radps
+    all_windows(int(detector), acc, gyr, count, ahead, gravity_mps2, bx, by, bz, out)
+    return out
+
+
+def calibrate_rest(
+    acc_mps2: FloatArray,
+    gyr_radps: FloatArray,
+    rate_hz: float,
+    *,
+    detector: Detector = Detector.SHOE,
+    window_s: float = WINDOW_S,
+    use_standing: bool = True,
+) -> RestCalibration:
+    """Find a detector's threshold from a recording, (N, 3) each, by its standing second or its quiet stretches.
+
+    ``use_standing`` False takes the quiet stretches even where somebody stood.
+
+    Raises:
+        ValueError: as :func:`statistic`, or less than two seconds.
+    """
+    acc, gyr = _checked(acc_mps2, gyr_radps)
+    n = round(STANDING_S * rate_hz)
+    if len(acc) < 2 * n:
+        raise ValueError(f"{len(acc) / rate_hz:.1f} s is too short to tell rest from movement: record at least 2 s")
+    begin, standing = _stillest(acc, gyr, n)
+    standing = standing and use_standing
+    bias = gyr[begin : begin + n].mean(axis=0) if standing else np.zeros(3)
+    if standing:
+        gravity = float(np.linalg.norm(acc[begin : begin + n].mean(axis=0)))
+    else:
+        energy = statistic(Detector.ARE, acc, gyr, rate_hz, window_s=window_s)
+        gravity = float(np.median(np.linalg.norm(acc[energy <= np.percentile(energy, 15.0)], axis=1)))
+    vector = (float(bias[0]), float(bias[1]), float(bias[2]))
+    values = statistic(detector, acc, gyr, rate_hz, window_s=window_s, gravity_mps2=gravity, gyr_bias_radps=vector)
+    tolerance = _TOLERANCE[detector]
+    if standing:
+        samples = 1 if detector is Detector.GYR else window_samples(window_s, rate_hz)
+        noise = float(values[begin : begin + n].mean())
+        threshold = tolerance + noise * _chi2_quantile(_DEGREES_PER_SAMPLE[detector] * samples)
+    else:
+        bound = SPLIT_FACTOR**2
+        threshold = min(max(_split(values, tolerance, rate_hz), tolerance / bound), tolerance * bound)
+    return RestCalibration(detector, threshold, gravity, vector, window_s, standing)
+
+
+def at_rest(
+    calibration: RestCalibration,
+    acc_mps2: FloatArray,
+    gyr_radps: FloatArray,
+    rate_hz: float,
+    *,
+    causal: bool = False,
+) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Whether the sensor rests, at every sample (N,); arguments and errors as :func:`statistic`."""
+    values = statistic(
+        calibration.detector,
+        acc_mps2,
+        gyr_radps,
+        rate_hz,
+        window_s=calibration.window_s,
+        causal=causal,
+        gravity_mps2=calibration.gravity_mps2,
+        gyr_bias_radps=calibration.gyr_bias_radps,
+    )
+    return np.asarray(values < calibration.threshold)
+
+
+class RestStream:
+    """The causal detector sample by sample: the same decisions, to the bit, as :func:`at_rest` with ``causal``."""
+
+    def __init__(self, calibration: RestCalibration, rate_hz: float) -> None:
+        count = 1 if calibration.detector is Detector.GYR else window_samples(calibration.window_s, rate_hz)
+        self._calibration = calibration
+        self._acc, self._gyr = np.zeros((count, 3)), np.zeros((count, 3))
+        self._filled = 0
+
+    def push(self, acc_mps2: Vector3, gyr_radps: Vector3) -> bool:
+        """Take one sample (m/s², rad/s); True where the window that it ends is at rest."""
+        for ring, sample in ((self._acc, acc_mps2), (self._gyr, gyr_radps)):
+            ring[:-1] = ring[1:]
+            ring[-1] = sample
+        count = len(self._acc)
+        self._filled = min(self._filled + 1, count)
+        c = self._calibration
+        bx, by, bz = c.gyr_bias_radps
+        begin = count - self._filled
+        value = window_value(int(c.detector), self._acc, self._gyr, begin, count, c.gravity_mps2, bx, by, bz)
+        return bool(value < c.threshold)
+
+
+def _checked(acc: FloatArray, gyr: FloatArray) -> tuple[FloatArray, FloatArray]:
+    acc, gyr = np.ascontiguousarray(acc, dtype=np.float64), np.ascontiguousarray(gyr, dtype=np.float64)
+    if acc.ndim != 2 or acc.shape[1] != 3 or acc.shape != gyr.shape:
+        raise ValueError(f"specific force {acc.shape} and rate {gyr.shape} must both have the shape (N, 3)")
+    if not (np.isfinite(acc).all() and np.isfinite(gyr).all()):
+        raise ValueError("specific force and rate must be finite: fill or cut out what is missing")
+    return acc, gyr
+
+
+def _stillest(acc: FloatArray, gyr: FloatArray, n: int) -> tuple[int, bool]:
+    """First sample of the stillest second, and whether it is standing."""
+    best, begin, standing = math.inf, 0, False
+    for i in range(0, len(acc) - n + 1, max(n // 8, 1)):
+        force, rate = acc[i : i + n], gyr[i : i + n]
+        turning = float(np.sqrt(rate.var(axis=0).sum()))
+        shaking = float(np.sqrt(force.var(axis=0).sum()))
+        spread = turning / STANDING_RATE_RADPS + shaking / STANDING_ACC_MPS2
+        if spread < best:
+            still = turning < STANDING_RATE_RADPS and shaking < STANDING_ACC_MPS2
+            level = abs(float(np.linalg.norm(force.mean(axis=0))) - G_MPS2) < 0.1 * G_MPS2
+            biased = float(np.linalg.norm(rate.mean(axis=0))) < GREATEST_BIAS_RADPS
+            best, begin, standing = spread, i, still and level and biased
+    return begin, standing
+
+
+def _chi2_quantile(degrees: int) -> float:
+    """99.9 % quantile of chi² over its degrees of freedom, after Wilson and Hilferty (1931)."""
+    share = 2.0 / (9.0 * degrees)
+    return float((1.0 - share + NOISE_QUANTILE_SIGMAS * math.sqrt(share)) ** 3)
+
+
+def _split(values: FloatArray, start: float, rate_hz: float) -> float:
+    """Threshold between the recording's rest and movement (Ridler and Calvard 1978, on logarithms, with medians)."""
+    logs = np.log(values + 1e-12)
+    still = np.concatenate(([False], values < start, [False]))
+    edges = np.flatnonzero(still[1:] != still[:-1])
+    keep = np.ones(len(logs), dtype=bool)
+    for begin, end in zip(edges[0::2], edges[1::2], strict=True):
+        keep[begin:end] = end - begin < LONG_STILL_S * rate_hz
+    logs = logs[keep]
+    cut = math.log(start)
+    for _ in range(100):
+        below, above = logs[logs < cut], logs[logs >= cut]
+        if len(below) == 0 or len(above) == 0:
+            return start  # all rest or all movement: nothing to learn from
+        new = 0.5 * float(np.median(below) + np.median(above))
+        if abs(new - cut) < 1e-6:
+            break
+        cut = new
+    return math.exp(cut)

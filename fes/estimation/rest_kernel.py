@@ -1,0 +1,78 @@
+"""Compiled statistics of the zero-velocity detectors; :mod:`fes.estimation.rest` says what they are and where from."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import Any
+
+from fes.estimation.compiled import jit
+
+
+class Detector(IntEnum):
+    """The zero-velocity detectors; the numbers are those of the compiled code."""
+
+    SHOE = 0
+    MV = 1
+    MAG = 2
+    ARE = 3
+    GYR = 4
+
+
+SPEED_TOLERANCE_MPS = 0.1
+PIVOT_M = 0.13  # from an instep to the heel and to the ball of the foot
+SETTLING_S = 0.15
+RATE_TOLERANCE_RADPS = SPEED_TOLERANCE_MPS / PIVOT_M
+ACC_TOLERANCE_MPS2 = SPEED_TOLERANCE_MPS / SETTLING_S
+
+
+@jit
+def window_value(
+    detector: int, acc: Any, gyr: Any, begin: int, end: int, g: float, bx: float, by: float, bz: float
+) -> float:
+    """The statistic over the samples ``begin`` … ``end - 1``; the sums always run in this order."""
+    n = end - begin
+    rate = 0.0
+    for i in range(begin, end):
+        x, y, z = gyr[i, 0] - bx, gyr[i, 1] - by, gyr[i, 2] - bz
+        rate += x * x + y * y + z * z
+    if detector >= 3:
+        return rate / n
+    force = 0.0
+    if detector == 2:
+        for i in range(begin, end):
+            norm = math.sqrt(acc[i, 0] * acc[i, 0] + acc[i, 1] * acc[i, 1] + acc[i, 2] * acc[i, 2])
+            force += (norm - g) * (norm - g)
+        return force / n
+    mx = my = mz = 0.0
+    for i in range(begin, end):
+        mx += acc[i, 0]
+        my += acc[i, 1]
+        mz += acc[i, 2]
+    mx, my, mz = mx / n, my / n, mz / n
+    if detector == 0:  # towards the mean direction, but as long as gravity; in free fall any will do
+        norm = math.sqrt(mx * mx + my * my + mz * mz)
+        if norm > 1e-9:
+            mx, my, mz = g * mx / norm, g * my / norm, g * mz / norm
+        else:
+            mz = g
+    for i in range(begin, end):
+        x, y, z = acc[i, 0] - mx, acc[i, 1] - my, acc[i, 2] - mz
+        force += x * x + y * y + z * z
+    if detector == 1:
+        return force / n
+    return (
+        force / (ACC_TOLERANCE_MPS2 * ACC_TOLERANCE_MPS2) + rate / (RATE_TOLERANCE_RADPS * RATE_TOLERANCE_RADPS)
+    ) / n
+
+
+@jit
+def all_windows(
+    detector: int, acc: Any, gyr: Any, count: int, ahead: int, g: float, bx: float, by: float, bz: float, out: Any
+) -> None:
+    """The statistic of every window of ``count`` samples that reaches ``ahead`` beyond its sample."""
+    n = acc.shape[0]
+    for i in range(n):
+        end = min(i + ahead + 1, n)
+        begin = max(i + ahead + 1 - count, 0)
+        out[i] = window_value(detector, acc, gyr, begin, end, g, bx, by, bz)

@@ -1,0 +1,283 @@
+"""Compiled core of the ZUPT-aided navigation filter: forward pass and smoothing, in scalar loops.
+
+The error state is p, v, psi, b_g, b_a (15): errors of position and velocity in the world, a small rotation in the world
+(``R_true = exp(psi) R``), and of the gyroscope's and accelerometer's bias in the sensor frame. With ``f`` the mean
+specific force of a sampling interval in the world and ``R`` the orientation in its middle::
+
+    dp/dt = v,  dv/dt = psi × f - R b_a,  dpsi/dt = -R b_g
+
+so the transition is the identity but for a few 3 × 3 blocks, which the loops below use.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fes.estimation.compiled import jit
+from fes.estimation.rotation import from_gravity, quaternion_step, to_sensor, to_world
+from fes.signals import G_MPS2, FloatArray
+
+STATES = 15
+MEASURED = 4  # velocity (3), height
+LEAST_WAY_M = 0.15  # of a stride that has a direction
+
+
+class ZuptSettings(NamedTuple):
+    """Noise of the filter; densities and correlation times, so that one setting holds at any sampling rate."""
+
+    acc_noise_mps2_rthz: float = 0.02
+    acc_scale_noise: float = 0.003  # share of the acceleration that is noise, per √Hz: scale errors, bandwidth
+    rate_noise_radps_rthz: float = 0.002
+    rate_scale_noise: float = 0.003  # the same of the rate
+    acc_walk_mps2_rts: float = 2e-4
+    rate_walk_radps_rts: float = 2e-5
+    acc_bias_mps2: float = 0.15  # standard deviation at the start
+    rate_bias_radps: float = 0.01
+    tilt_rad: float = 0.05  # at the start, at rest …
+    tilt_moving_rad: float = 0.4  # … and in movement
+    start_speed_mps: float = 0.05  # at the start, at rest
+    rest_speed_mps: float = 0.01  # how far the velocity of a resting foot is from the model's
+    rest_speed_per_rate_m: float = 0.05  # … and how that grows with its rate
+    rest_correlation_s: float = 0.1  # over which time that error stays the same
+    rest_height_m: float = 0.01
+    outlier_sigmas: float = 4.0  # a slow, even swing looks like rest: not if the foot is that sure to travel, …
+    outlier_rest_s: float = 0.5  # … unless the rest lasts, …
+    outlier_lost_s: float = 2.5  # … or nothing was measured for so long that it may be lost
+    creep_mps: float = 0.005  # the resting foot still creeps on the way it came, …
+    creep_s: float = 1.0  # … for as long as a stance lasts
+    lost_tilt_rad: float = 0.1  # how far the orientation may be off then
+    jump_mps3: float = 4000.0  # a force that changes faster was not followed by the accelerometer
+
+
+class Tape(NamedTuple):
+    """What the filter leaves behind, N rows each; the last five are for the smoother."""
+
+    position: FloatArray  # (N, 3) m
+    velocity: FloatArray  # (N, 3) m/s
+    quaternions: FloatArray  # (N, 4)
+    gyr_bias: FloatArray  # (N, 3) rad/s
+    acc_bias: FloatArray  # (N, 3) m/s²
+    covariance: FloatArray  # (N, 15, 15)
+    force: FloatArray  # (N, 3) mean specific force in the world over the interval before the sample
+    rotation: FloatArray  # (N, 3, 3) in the middle of that interval
+    residual: FloatArray  # (N, 4)
+    residual_var: FloatArray  # (N, 4), 0: not measured
+    gain: FloatArray  # (N, 4, 15)
+
+
+def new_tape(samples: int) -> Tape:
+    """An empty tape for N samples: about 3 kB each."""
+    n = samples
+    three, square = (n, 3), (n, STATES, STATES)
+    shapes = (three, three, (n, 4), three, three, square, three, (n, 3, 3), (n, 4), (n, 4), (n, 4, STATES))
+    return Tape(*(np.zeros(shape) for shape in shapes))
+
+
+@jit
+def carry(P: Any, r: Any, f: Any, dt: float) -> None:
+    """``P ← Φ P`` row by row; on the transposed view it gives ``P Φᵀ``."""
+    for c in range(STATES):
+        s0, s1, s2 = P[6, c], P[7, c], P[8, c]
+        b0, b1, b2 = P[12, c], P[13, c], P[14, c]
+        g0, g1, g2 = P[9, c], P[10, c], P[11, c]
+        d0 = dt * (s1 * f[2] - s2 * f[1] - (r[0, 0] * b0 + r[0, 1] * b1 + r[0, 2] * b2))
+        d1 = dt * (s2 * f[0] - s0 * f[2] - (r[1, 0] * b0 + r[1, 1] * b1 + r[1, 2] * b2))
+        d2 = dt * (s0 * f[1] - s1 * f[0] - (r[2, 0] * b0 + r[2, 1] * b1 + r[2, 2] * b2))
+        P[0, c] += dt * (P[3, c] + 0.5 * d0)
+        P[1, c] += dt * (P[4, c] + 0.5 * d1)
+        P[2, c] += dt * (P[5, c] + 0.5 * d2)
+        P[3, c] += d0
+        P[4, c] += d1
+        P[5, c] += d2
+        for j in range(3):
+            P[6 + j, c] -= dt * (r[j, 0] * g0 + r[j, 1] * g1 + r[j, 2] * g2)
+
+
+@jit
+def _matrix(q: Any, r: Any) -> None:
+    for k in range(3):
+        r[0, k], r[1, k], r[2, k] = to_world(
+            q[0], q[1], q[2], q[3], 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
+        )
+
+
+@jit
+def turned(q: Any, x: float, y: float, z: float, out: Any) -> None:
+    """``out = exp(psi) q`` for a world rotation vector."""
+    rx, ry, rz = to_sensor(q[0], q[1], q[2], q[3], x, y, z)
+    out[0], out[1], out[2], out[3] = quaternion_step(q[0], q[1], q[2], q[3], rx, ry, rz)
+
+
+@jit
+def _update(P: Any, x: Any, j: int, residual: float, variance: float, gain: Any) -> float:
+    """One scalar measurement of state ``j`` in Joseph's form; fills ``gain`` (15,), returns the residual's variance."""
+    s = P[j, j] + variance
+    row = np.empty(STATES)
+    for a in range(STATES):
+        row[a] = P[a, j]
+        gain[a] = row[a] / s
+        x[a] += gain[a] * residual
+    for a in range(STATES):
+        for b in range(a + 1):
+            P[a, b] += -gain[a] * row[b] - row[a] * gain[b] + gain[a] * s * gain[b]
+            P[b, a] = P[a, b]
+    return float(s)
+
+
+@jit
+def _creep(s: Any, anchor: Any, speed: float, creep: Any) -> None:
+    """Velocity of a foot that has just come to rest at ``s``, along the way from the last rest; none after no way."""
+    x, y = s[0] - anchor[0], s[1] - anchor[1]
+    way = math.sqrt(x * x + y * y)
+    share = speed / way if way > LEAST_WAY_M else 0.0
+    creep[0], creep[1] = share * x, share * y
+
+
+@jit
+def forward(
+    t_ns: Any,
+    acc: Any,
+    gyr: Any,
+    acc_sd: Any,
+    gyr_sd: Any,
+    rest: Any,
+    start_force: Any,
+    lever: Any,
+    level: bool,
+    p: ZuptSettings,
+    tape: Tape,
+) -> None:
+    """Filter N samples; every row of the tape then holds the state after the sample's own measurement.
+
+    ``acc_sd``, ``gyr_sd`` (N,): extra standard deviation of a sample (clipped), m/s² and rad/s. ``gyr_bias``
+    row 0 holds the start value. ``start_force`` (3,) is the specific force that says where up is at the first sample.
+    """
+    n = t_ns.shape[0]
+    P = np.zeros((STATES, STATES))
+    x = np.zeros(STATES)
+    q, mid = np.empty(4), np.empty(4)
+    tilt = p.tilt_rad if rest[0] else p.tilt_moving_rad
+    for j in range(3):
+        P[3 + j, 3 + j] = p.start_speed_mps**2 if rest[0] else 1.0
+        P[6 + j, 6 + j] = tilt * tilt if j < 2 else 1e-10  # heading is the frame's own choice
+        P[9 + j, 9 + j] = p.rate_bias_radps * p.rate_bias_radps
+        P[12 + j, 12 + j] = p.acc_bias_mps2 * p.acc_bias_mps2
+    q[0], q[1], q[2], q[3] = from_gravity(start_force[0], start_force[1], start_force[2])
+    bg, ba, v, s = np.empty(3), np.zeros(3), np.zeros(3), np.zeros(3)
+    for j in range(3):
+        bg[j] = tape.gyr_bias[0, j]
+    anchor, creep = np.zeros(2), np.zeros(2)  # where the last rest ended; how the foot creeps in this one
+    rest_began_ns, measured_ns = t_ns[0], t_ns[0]
+    ex = ey = ez = spread = 0.0
+    typical_s = 1e-9 * (t_ns[n - 1] - t_ns[0]) / (n - 1)
+    for i in range(n):
+        dt = typical_s
+        if i > 0:
+            dt = 1e-9 * (t_ns[i] - t_ns[i - 1])
+            wx = 0.5 * (gyr[i - 1, 0] + gyr[i, 0]) - bg[0]
+            wy = 0.5 * (gyr[i - 1, 1] + gyr[i, 1]) - bg[1]
+            wz = 0.5 * (gyr[i - 1, 2] + gyr[i, 2]) - bg[2]
+            ax, ay, az = to_world(
+                q[0], q[1], q[2], q[3], acc[i - 1, 0] - ba[0], acc[i - 1, 1] - ba[1], acc[i - 1, 2] - ba[2]
+            )
+            half = 0.5 * dt
+            mid[0], mid[1], mid[2], mid[3] = quaternion_step(q[0], q[1], q[2], q[3], wx * half, wy * half, wz * half)
+            q[0], q[1], q[2], q[3] = quaternion_step(q[0], q[1], q[2], q[3], wx * dt, wy * dt, wz * dt)
+            cx, cy, cz = to_world(q[0], q[1], q[2], q[3], acc[i, 0] - ba[0], acc[i, 1] - ba[1], acc[i, 2] - ba[2])
+            f = tape.force[i]
+            f[0], f[1], f[2] = 0.5 * (ax + cx), 0.5 * (ay + cy), 0.5 * (az + cz)
+            for j in range(3):
+                dv = dt * (f[j] - (G_MPS2 if j == 2 else 0.0))
+                s[j] += dt * (v[j] + 0.5 * dv)
+                v[j] += dv
+            if rest[i] and 1e-9 * (t_ns[i] - rest_began_ns) > p.creep_s and measured_ns > rest_began_ns:
+                # whoever stands seems to accelerate by noise alone, which tells no heading
+                f[0] = f[1] = 0.0
+            _matrix(mid, tape.rotation[i])
+            carry(P, tape.rotation[i], f, dt)
+            carry(P.T, tape.rotation[i], f, dt)
+            add_noise(P, acc, i, f, math.sqrt(wx * wx + wy * wy + wz * wz), acc_sd, gyr_sd, dt, p)
+        believed = False
+        if rest[i]:
+            if i > 0 and not rest[i - 1]:
+                rest_began_ns = t_ns[i]
+                _creep(s, anchor, p.creep_mps, creep)
+            going = 1.0 if 1e-9 * (t_ns[i] - rest_began_ns) < p.creep_s else 0.0
+            ux, uy, uz = gyr[i, 0] - bg[0], gyr[i, 1] - bg[1], gyr[i, 2] - bg[2]
+            rate2 = ux * ux + uy * uy + uz * uz
+            ex, ey, ez = to_world(
+                q[0], q[1], q[2], q[3],
+                uy * lever[2] - uz * lever[1], uz * lever[0] - ux * lever[2], ux * lever[1] - uy * lever[0],
+            )  # fmt: skip
+            ex += going * creep[0]
+            ey += going * creep[1]
+            spread = p.rest_speed_mps**2 + p.rest_speed_per_rate_m**2 * rate2
+            off2 = (ex - v[0]) ** 2 + (ey - v[1]) ** 2 + (ez - v[2]) ** 2
+            sure = p.outlier_sigmas**2 * (P[3, 3] + P[4, 4] + P[5, 5] + 3.0 * spread)
+            lasted_s, lost_s = 1e-9 * (t_ns[i] - rest_began_ns), 1e-9 * (t_ns[i] - measured_ns)
+            believed = off2 < sure or lasted_s > p.outlier_rest_s or lost_s > p.outlier_lost_s
+            if believed and off2 >= sure:  # the filter was wrong, and more than it knew
+                for j in range(3):
+                    P[3 + j, 3 + j] += off2
+                    P[6 + j, 6 + j] += p.lost_tilt_rad**2
+        if believed:
+            measured_ns = t_ns[i]
+            # neighbouring samples err alike: their information per second is fixed, whatever the rate
+            alike = max(p.rest_correlation_s / dt, 1.0)
+            spread *= alike
+            for j in range(STATES):
+                x[j] = 0.0
+            for j in range(4 if level else 3):
+                if j == 3:
+                    state, error, var = 2, -s[2] - x[2], alike * p.rest_height_m * p.rest_height_m
+                else:
+                    state, var = 3 + j, spread
+                    error = (ex if j == 0 else ey if j == 1 else ez) - v[j] - x[3 + j]
+                tape.residual[i, j] = error
+                tape.residual_var[i, j] = _update(P, x, state, error, var, tape.gain[i, j])
+            for j in range(3):
+                s[j] += x[j]
+                v[j] += x[3 + j]
+                bg[j] += x[9 + j]
+                ba[j] += x[12 + j]
+            turned(q, x[6], x[7], x[8], q)
+            anchor[0], anchor[1] = s[0], s[1]
+        for j in range(3):
+            tape.position[i, j], tape.velocity[i, j], tape.gyr_bias[i, j], tape.acc_bias[i, j] = (
+                s[j],
+                v[j],
+                bg[j],
+                ba[j],
+            )
+        for j in range(4):
+            tape.quaternions[i, j] = q[j]
+        tape.covariance[i] = P
+
+
+@jit
+def add_noise(
+    P: Any, acc: Any, i: int, f: Any, rate: float, acc_sd: Any, gyr_sd: Any, dt: float, p: ZuptSettings
+) -> None:
+    """Add what one interval's noise does."""
+    jump = 0.0
+    for j in range(3):
+        jump += (acc[i, j] - acc[i - 1, j]) ** 2
+    beyond = max(math.sqrt(jump) - p.jump_mps3 * dt, 0.0)
+    az = f[2] - G_MPS2
+    dynamic = f[0] * f[0] + f[1] * f[1] + az * az
+    # a step somewhere within the interval: the trapezoid errs by up to half of it, evenly distributed
+    missing = 0.25 * (acc_sd[i - 1] + acc_sd[i]) ** 2 + beyond * beyond / 12.0
+    lost = 0.25 * (gyr_sd[i - 1] + gyr_sd[i]) ** 2
+    v_var = (p.acc_noise_mps2_rthz**2 + p.acc_scale_noise**2 * dynamic) * dt + missing * dt * dt
+    psi_var = (p.rate_noise_radps_rthz**2 + p.rate_scale_noise**2 * rate * rate) * dt + lost * dt * dt
+    for j in range(3):
+        P[j, j] += 0.25 * dt * dt * v_var
+        P[j, 3 + j] += 0.5 * dt * v_var
+        P[3 + j, j] += 0.5 * dt * v_var
+        P[3 + j, 3 + j] += v_var
+        P[6 + j, 6 + j] += psi_var
+        P[9 + j, 9 + j] += p.rate_walk_radps_rts**2 * dt
+        P[12 + j, 12 + j] += p.acc_walk_mps2_rts**2 * dt
