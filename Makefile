@@ -45,6 +45,9 @@ bench: $(VENV)/dev.stamp
 	$(BIN)/python benchmarks/bundled_trials.py
 	$(BIN)/python benchmarks/stroke_treadmill.py
 	$(BIN)/python benchmarks/stride_length.py
+	$(BIN)/python benchmarks/events.py
+	$(BIN)/python benchmarks/zero_velocity.py
+	$(BIN)/python benchmarks/ankle.py
 
 nightly: $(VENV)/dev.stamp
 	FES_EXAMPLES=nightly $(BIN)/python -m pytest -m "slow or not slow"

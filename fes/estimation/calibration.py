@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.kernel import FootParameters, lags_at
-from fes.estimation.rotation import from_gravity
-from fes.estimation.stride import double_integral, effects, integrate, orient
+from fes.estimation.movements import movements, moving_mean, strapdown, travel, vertical_of
+from fes.estimation.stride import double_integral, effects
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
 
@@ -30,8 +30,6 @@ REST_BOUNDS_RADPS = (0.25, 1.2)  # … and within these
 SHORTEST_STRIDE_S = 0.5
 REST_HOLD_PER_STRIDE = 0.045  # of what a stride takes longer than the shortest: 0.03 s at 1 s, 0.09 s at 2 s
 REST_HOLD_BOUNDS_S = (0.03, 0.1)
-SHORTEST_REST_S = 0.15
-QUIET_SHARE = 0.12  # of the briskest rate: below, nothing moves
 ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
 SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
 CONTACT_SHARE = 0.3  # of the typical jump at contact
@@ -119,7 +117,7 @@ def calibrate_foot(
         )
     rate_bias, standing = _standing(rate_hz, acc_mps2, gyr_radps)
     gyr = gyr_radps - rate_bias
-    energy = _moving_mean(np.einsum("ij,ij->i", gyr, gyr), window)
+    energy = moving_mean(np.einsum("ij,ij->i", gyr, gyr), window)
     quiet = energy <= np.percentile(energy, 15)
     rest_force = np.median(acc_mps2[quiet], axis=0)
     rest_norm = float(np.median(np.linalg.norm(acc_mps2[quiet], axis=1)))
@@ -130,9 +128,9 @@ def calibrate_foot(
         )
     up = rest_force / np.linalg.norm(rest_force)
     acc = acc_mps2 - up * (rest_norm - G_MPS2)
-    swings = _movements(energy, rate_hz)
-    travel = [_travel(t_ns, acc, gyr, *span) for span in swings]
-    walked = [(swing, d) for swing, d in zip(swings, travel, strict=True) if np.linalg.norm(d) > MIN_TRAVEL_M]
+    swings = movements(energy, rate_hz)
+    ways = [travel(t_ns, acc, gyr, *span) for span in swings]
+    walked = [(swing, d) for swing, d in zip(swings, ways, strict=True) if np.linalg.norm(d) > MIN_TRAVEL_M]
     if len(walked) < MIN_STRIDES:
         raise CalibrationError(
             f"{sensor}: {len(walked)} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
@@ -174,15 +172,6 @@ def _vector(v: FloatArray) -> Vector3:
     return float(v[0]), float(v[1]), float(v[2])
 
 
-def _moving_mean(x: FloatArray, window: int) -> FloatArray:
-    """Centred mean over ``window`` samples, (N,) → (N,)."""
-    total = np.cumsum(np.concatenate(([0.0], x)))
-    index = np.arange(len(x))
-    begin = np.maximum(index - window // 2, 0)
-    end = np.minimum(index - window // 2 + window, len(x))
-    return np.asarray((total[end] - total[begin]) / (end - begin))
-
-
 def _standing(rate_hz: float, acc: FloatArray, gyr: FloatArray) -> tuple[FloatArray, bool]:
     """Gyroscope bias from the stillest second, zero where nobody stood still."""
     n = round(STANDING_S * rate_hz)
@@ -197,43 +186,6 @@ def _standing(rate_hz: float, acc: FloatArray, gyr: FloatArray) -> tuple[FloatAr
     return (bias if standing else np.zeros(3)), standing
 
 
-def _movements(energy: FloatArray, rate_hz: float) -> list[tuple[int, int]]:
-    """Movements as long as a swing with its push-off and contact, from quietest instant to quietest instant around it.
-
-    Indices (first, last), both ends included; the quietest instant is sought within a second of the movement.
-    """
-    level = QUIET_SHARE * np.sqrt(np.percentile(energy, 99))
-    moving = np.concatenate(([False], np.sqrt(energy) > level, [False]))
-    edges = np.flatnonzero(moving[1:] != moving[:-1])
-    if len(edges) == 0:  # a gyroscope that is switched off
-        return []
-    begins, ends = edges[0::2], edges[1::2]
-    rests = begins[1:] - ends[:-1] >= SHORTEST_REST_S * rate_hz  # a shorter one is a turning point of the swing
-    begins, ends = begins[np.append(True, rests)], ends[np.append(rests, True)]
-    reach = round(rate_hz)
-    spans = []
-    for k, (begin, end) in enumerate(zip(begins, ends, strict=True)):
-        if not 0.3 * rate_hz <= end - begin <= 3.0 * rate_hz or begin == 0 or end == len(energy):
-            continue
-        before = max(ends[k - 1] if k else 0, begin - reach)
-        after = min(begins[k + 1] if k + 1 < len(begins) else len(energy), end + reach)
-        spans.append((int(before + np.argmin(energy[before:begin])), int(end + np.argmin(energy[end:after]))))
-    return spans
-
-
-def _strapdown(
-    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, first: int, last: int, end_tilt_gain: float
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Times, specific force and orientation (n, 4) of one movement, upright at its start as gravity says."""
-    around = max((last - first) // 50, 1)
-    t = np.ascontiguousarray(t_ns[first : last + 1])
-    quaternions = np.empty((len(t), 4))
-    start = np.array(from_gravity(*acc[max(first - around, 0) : first + around + 1].mean(axis=0)))
-    fx, fy, fz = acc[max(last - around, 0) : last + around + 1].mean(axis=0)
-    orient(t, gyr[first : last + 1], start, fx, fy, fz, end_tilt_gain, quaternions)
-    return t, acc[first : last + 1], quaternions
-
-
 def _acc_bias_across(
     t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray
 ) -> FloatArray:
@@ -246,7 +198,7 @@ def _acc_bias_across(
     left, effect_sum, floor = np.zeros(2), np.zeros((2, 3)), np.zeros(2)
     zero = np.zeros(3)
     for span in spans:
-        t, force, quaternions = _strapdown(t_ns, acc, gyr, *span, 0.3)
+        t, force, quaternions = strapdown(t_ns, acc, gyr, *span, 0.3)
         velocity, position, effect = np.empty((len(t), 3)), np.empty((len(t), 3)), np.zeros((4, 6))
         double_integral(t, force, quaternions, zero, np.zeros((2, 3)), velocity, position)
         effects(t, quaternions, effect)
@@ -259,16 +211,6 @@ def _acc_bias_across(
     rows = np.vstack(((effect_sum @ across) / floor[:, None], np.eye(3) / ACC_BIAS_SD_MPS2))
     values = np.concatenate((left / floor, np.zeros(3)))
     return np.asarray(across @ np.linalg.lstsq(rows, values, rcond=None)[0])
-
-
-def _travel(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, first: int, last: int) -> FloatArray:
-    """Displacement over one movement, in the sensor frame of its beginning (3,)."""
-    t, force, quaternions = _strapdown(t_ns, acc, gyr, first, last, 1.0)
-    velocity, position, gamma = np.empty((len(t), 3)), np.empty((len(t), 3)), np.zeros((2, 3))
-    if not integrate(t, force, quaternions, np.zeros(3), np.zeros(3), True, velocity, position, gamma):
-        return np.zeros(3)
-    w, v, d = quaternions[0, 0], quaternions[0, 1:], position[-1]
-    return np.asarray(d - 2.0 * w * np.cross(v, d) + 2.0 * np.cross(v, np.cross(v, d)))
 
 
 def _mediolateral(gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray) -> FloatArray:
@@ -308,23 +250,13 @@ def _contact_jump(
     lag, _ = lags_at(rate_hz)
     jumps = []
     for first, last in spans:
-        _, force, quaternions = _strapdown(t_ns, acc, gyr, first, last, 0.3)
+        _, force, quaternions = strapdown(t_ns, acc, gyr, first, last, 0.3)
         vertical = vertical_of(quaternions, force)
         after = int(np.argmin(gyr[first : last + 1] @ axis))
         if after + lag < len(vertical):
             jumps.append(float(np.abs(vertical[after + lag :] - vertical[after:-lag]).max()) * rate_hz / lag)
     low, high = CONTACT_JUMP_BOUNDS_MPS3
     return min(max(CONTACT_SHARE * float(np.median(jumps)), low), high) if jumps else high
-
-
-def vertical_of(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
-    """World z components (N,) of sensor vectors (N, 3) at orientations (N, 4)."""
-    w, x, y, z = quaternions.T
-    return np.asarray(
-        2.0 * (x * z - w * y) * vectors[:, 0]
-        + 2.0 * (y * z + w * x) * vectors[:, 1]
-        + (1.0 - 2.0 * (x * x + y * y)) * vectors[:, 2]
-    )
 
 
 def stretch_for_calibration(t_ns: IntArray, longest_s: float = 60.0) -> int:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fes.estimation.compiled import jit
+from fes.estimation.linear import solve
 from fes.estimation.rotation import quaternion_step, to_sensor, to_world
 from fes.signals import G_MPS2
 
@@ -217,7 +218,7 @@ def most_likely(
     system[3, 6] = -position[last, 2]
     system[4, 6] = per * uy
     system[5, 6] = -per * ux
-    if not _solve6(system):
+    if not solve(system, 6):
         return False
     _apply(t_ns, acc, gyr, noise, slip, span_s, system, by_gyr, by_acc, at_start, quaternion, velocity, position)
     return True
@@ -286,25 +287,3 @@ def _apply(
     velocity[0, 1] += slip * system[1, 6]
     velocity[0, 2] += slip * (system[2, 6] + system[3, 6] * span_s)
     _strapdown(t_ns, forces, rates, quaternion, velocity, position)
-
-
-@jit
-def _solve6(system: Any) -> bool:
-    """Solve the 6 × 6 system in columns 0–5 for the right side in column 6, in place."""
-    for i in range(6):
-        pivot = i
-        for j in range(i + 1, 6):
-            if abs(system[j, i]) > abs(system[pivot, i]):
-                pivot = j
-        if abs(system[pivot, i]) < 1e-300:
-            return False
-        for k in range(7):
-            system[i, k], system[pivot, k] = system[pivot, k], system[i, k]
-        for j in range(6):
-            if j != i:
-                factor = system[j, i] / system[i, i]
-                for k in range(7):
-                    system[j, k] -= factor * system[i, k]
-    for i in range(6):
-        system[i, 6] /= system[i, i]
-    return True

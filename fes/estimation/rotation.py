@@ -1,10 +1,13 @@
-"""Quaternion arithmetic for compiled code: w, x, y, z; ``q`` rotates sensor vectors into the world (z up)."""
+"""Quaternions, for compiled code and for arrays: w, x, y, z; ``q`` rotates sensor vectors into the world (z up)."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fes.estimation.compiled import jit
+from fes.signals import FloatArray
 
 
 @jit
@@ -60,3 +63,16 @@ def from_gravity(fx: float, fy: float, fz: float) -> tuple[float, float, float, 
         return 0.0, 1.0, 0.0, 0.0
     w = math.sqrt(0.5 * (1.0 + uz))
     return w, 0.5 * uy / w, -0.5 * ux / w, 0.0
+
+
+def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
+    """Rotate the vector (3,) from the sensor into the world by the quaternion (4,)."""
+    t = 2.0 * np.cross(q[1:], v)
+    return np.asarray(v + q[0] * t + np.cross(q[1:], t))
+
+
+def rotate_all(quaternion: FloatArray, v: FloatArray) -> FloatArray:
+    """Rotate one sensor vector (3,) by each quaternion (N, 4): (N, 3) in the world."""
+    axis = quaternion[:, 1:]
+    t = 2.0 * np.cross(axis, v)
+    return np.asarray(v + quaternion[:, :1] * t + np.cross(axis, t))

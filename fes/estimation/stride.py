@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.compiled import jit
+from fes.estimation.linear import solve
 from fes.estimation.rotation import quaternion_step, to_sensor, to_world
 from fes.signals import G_MPS2
 
@@ -109,7 +110,7 @@ def integrate(
             for k in range(6):
                 system[i, j] += effect[i, k] * effect[j, k]
         system[i, 4] = position[n - 1, 2] if i == 3 else velocity[n - 1, i] - end_velocity[i]
-    if not _solve(system, count):
+    if not solve(system, count):
         return False
     for k in range(6):
         for i in range(count):
@@ -174,25 +175,3 @@ def effects(t_ns: Any, quaternions: Any, effect: Any) -> None:
                     effect[j, k] += 0.5 * dt_s * (before[j, k] + now[j, k])
                 effect[3, k] += 0.5 * dt_s * (height_rate + effect[2, k])
         before[:, :] = now
-
-
-@jit
-def _solve(system: Any, count: int) -> bool:
-    """Solve ``count`` equations in place (Gauss with pivoting): matrix in columns 0–3, right side and result in 4."""
-    for i in range(count):
-        pivot = i
-        for j in range(i + 1, count):
-            if abs(system[j, i]) > abs(system[pivot, i]):
-                pivot = j
-        if abs(system[pivot, i]) < 1e-15:
-            return False
-        for k in range(5):
-            system[i, k], system[pivot, k] = system[pivot, k], system[i, k]
-        for j in range(count):
-            if j != i:
-                factor = system[j, i] / system[i, i]
-                for k in range(5):
-                    system[j, k] -= factor * system[i, k]
-    for i in range(count):
-        system[i, 4] /= system[i, i]
-    return True

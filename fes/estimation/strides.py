@@ -15,6 +15,7 @@ import numpy as np
 
 from fes.config import FootGeometry
 from fes.estimation.likely import StrideNoise, most_likely
+from fes.estimation.rotation import rotate, rotate_all
 from fes.estimation.stride import integrate, orient
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange
@@ -266,19 +267,6 @@ def _toe_and_heel(
 def _level(v: FloatArray) -> FloatArray:
     """The horizontal direction of a world vector, unit (3,)."""
     return np.array([v[0], v[1], 0.0]) / max(float(np.hypot(v[0], v[1])), 1e-9)
-
-
-def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
-    """Rotate the vector (3,) from the sensor into the world by the quaternion (4,)."""
-    t = 2.0 * np.cross(q[1:], v)
-    return np.asarray(v + q[0] * t + np.cross(q[1:], t))
-
-
-def rotate_all(quaternion: FloatArray, v: FloatArray) -> FloatArray:
-    """Rotate one sensor vector (3,) by each quaternion (N, 4): (N, 3) in the world."""
-    axis = quaternion[:, 1:]
-    t = 2.0 * np.cross(axis, v)
-    return np.asarray(v + quaternion[:, :1] * t + np.cross(axis, t))
 
 
 def _unusable(foot: str, number: int, start_ns: int, end_ns: int, times: dict[Phase, int], reason: str) -> StrideResult:
