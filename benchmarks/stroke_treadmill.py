@@ -5,7 +5,7 @@
 One default setting for all runs and both feet. Strides are counted independently of the phase machine, by the mid-swing
 peaks of the low-passed mediolateral rate; a stride counts as in order when exactly T3, T4, T1, T2 fire between two
 mid-swings. Speed is the sum of stride lengths over the sum of stride times in the last 120 s, against the belt.
-The recordings are not part of the project (see docs/data.md); without them this says so and exits with 3.
+The recordings are not part of the project (see docs/accuracy.md); without them this says so and exits with 3.
 """
 
 from __future__ import annotations
