@@ -32,6 +32,11 @@ HUGE: Any = pytest.param(10**5000, id="huge")  # too long for Python to print
 ASKED = StimRequest(0, True, 20.0, 300.0, 40.0)
 
 
+def noise(t_ns: int) -> float:
+    """No living sensor repeats itself."""
+    return 1e-9 * (t_ns % 1_000_003)
+
+
 def make_limits(**changes: float) -> dict[str, Any]:
     return {
         "max_current_ma": 30.0,
@@ -87,7 +92,7 @@ class Bench:
 
     def sample(self, **changes: Any) -> None:
         for sensor in sorted({channel.foot for channel in self.channels}):
-            plain = ImuSample(self.t_ns, sensor, self.t_ns - 3 * MS, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0))
+            plain = ImuSample(self.t_ns, sensor, self.t_ns - 3 * MS, (0.0, 0.0, 9.8), (0.0, 0.0, noise(self.t_ns)))
             self.observe(replace(plain, **changes))
 
     def wait(self, ms: float, *, sampling: bool = True) -> None:
@@ -779,3 +784,45 @@ def test_gate_imports_nothing_that_could_bend_it() -> None:
             else:
                 continue
             assert all(name in allowed or name.startswith("fes.gate.") for name in names), (module, names)
+
+
+# --- a sensor that repeats itself ------------------------------------------------------------------------
+
+
+def frozen_for(bench: Bench, ms: int, step_ms: int = 4) -> None:
+    """Fresh stamps, old values."""
+    still = {"acc_mps2": (0.1, 0.2, 9.7), "gyr_radps": (0.01, 0.02, 0.03)}
+    bench.sample(**still)
+    for _ in range(ms // step_ms):
+        bench.wait(step_ms, sampling=False)
+        bench.sample(**still)
+
+
+def test_frozen_sensor_is_no_ground_for_stimulating() -> None:
+    bench = Bench()
+    frozen_for(bench, 76)
+    assert bench.gate.latched == ""
+    bench.wait(4, sampling=False)
+    bench.sample(acc_mps2=(0.1, 0.2, 9.7), gyr_radps=(0.01, 0.02, 0.03))
+    assert bench.gate.latched == "left_foot is frozen: the same values for 80 ms, limit 80 ms"
+    assert not bench.gate.armed
+
+
+def test_nobody_can_arm_on_a_frozen_sensor_and_one_that_lives_again_may() -> None:
+    bench = Bench(arm=False)
+    frozen_for(bench, 100)
+    bench.act(OperatorAction.ARM)
+    assert "frozen" in bench.gate.arming_refused
+    bench.wait(4)
+    bench.act(OperatorAction.ARM)
+    assert bench.gate.arming_refused == ""
+    assert bench.gate.armed
+
+
+@pytest.mark.parametrize("changing", ["acc_mps2", "gyr_radps"])
+def test_one_value_that_moves_is_life(changing: str) -> None:
+    bench = Bench()
+    for k in range(100):
+        bench.wait(4, sampling=False)
+        bench.sample(**({"acc_mps2": (0.0, 0.0, 9.8), "gyr_radps": (0.0, 0.0, 0.0)} | {changing: (0.0, 0.0, 1e-3 * k)}))
+    assert bench.gate.latched == ""

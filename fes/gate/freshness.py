@@ -8,6 +8,7 @@ from typing import Final
 
 from fes.signals import ImuSample
 
+MAX_SAME_MS: Final = 80  # of bit-identical samples
 MAX_CLOCK_DRIFT_PPM: Final = 200  # of a sensor's clock against the host's; a crystal keeps within 100
 
 
@@ -15,13 +16,16 @@ MAX_CLOCK_DRIFT_PPM: Final = 200  # of a sensor's clock against the host's; a cr
 class _Sensor:
     """``offset_ns`` is the least arrival − stamp seen, the mapping of the least delayed sample.
 
-    It may creep up with the clocks' drift, or an hour of honest drift would look like a delay.
+    It may creep up with the clocks' drift, or an hour of honest drift would look like a delay. ``changed_ns`` is when
+    the values last differed from those before: a sensor that repeats itself arrives on time and says nothing.
     """
 
     t_ns: int
     t_sensor_ns: int
     offset_ns: int
     finite: bool
+    values: tuple[float, ...]
+    changed_ns: int
 
 
 class Freshness:
@@ -39,20 +43,25 @@ class Freshness:
 
     def note(self, sample: ImuSample) -> str:
         """Take in a sample; returns what is wrong with it, "" when nothing is."""
-        finite = all(map(math.isfinite, (*sample.acc_mps2, *sample.gyr_radps)))
+        values = (*sample.acc_mps2, *sample.gyr_radps)
+        finite = all(map(math.isfinite, values))
         offset_ns = sample.t_ns - sample.t_sensor_ns
         fault = "" if finite else f"non-finite sample from {sample.sensor}"
         known = self._sensors.get(sample.sensor)
         back_ns = known.t_sensor_ns - sample.t_sensor_ns if known else 0
         if known is None or back_ns > self._max_age_ns:
             # more than disorder on the way: the sensor restarted or its clock was set; its mapping starts anew
-            self._sensors[sample.sensor] = _Sensor(sample.t_ns, sample.t_sensor_ns, offset_ns, finite)
+            self._sensors[sample.sensor] = _Sensor(
+                sample.t_ns, sample.t_sensor_ns, offset_ns, finite, values, sample.t_ns
+            )
             return fault or (f"{sample.sensor}'s clock went back by {back_ns / 1e6:.0f} ms" if known else "")
         drift_ns = max(sample.t_ns - known.t_ns, 0) * MAX_CLOCK_DRIFT_PPM // 1_000_000
         known.offset_ns = min(offset_ns, known.offset_ns + drift_ns)
         known.t_sensor_ns = max(sample.t_sensor_ns, known.t_sensor_ns)
         known.t_ns, known.finite = sample.t_ns, finite
-        return fault
+        if values != known.values:
+            known.values, known.changed_ns = values, sample.t_ns
+        return fault or self._frozen(sample.sensor, known)
 
     def doubt(self, sensor: str, t_ns: int) -> str:
         """Why this sensor's data are no ground for stimulating at ``t_ns``; "" when they are."""
@@ -70,4 +79,12 @@ class Freshness:
         age_ns = t_ns - known.t_sensor_ns - known.offset_ns
         if age_ns > self._max_age_ns:
             return f"{sensor} data {math.ceil(age_ns / 1e6)} ms old by the sensor's own clock, {limit}"
-        return ""
+        return self._frozen(sensor, known)
+
+    @staticmethod
+    def _frozen(sensor: str, known: _Sensor) -> str:
+        """No living sensor repeats all six values: its noise moves one of them within a few samples, at rest too."""
+        same_ns = known.t_ns - known.changed_ns
+        if same_ns < MAX_SAME_MS * 1_000_000:
+            return ""
+        return f"{sensor} is frozen: the same values for {same_ns / 1e6:.0f} ms, limit {MAX_SAME_MS} ms"

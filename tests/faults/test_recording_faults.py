@@ -115,12 +115,12 @@ def test_doubled_samples_change_nothing(walking: Recording, sound: SessionRecord
     assert record.summary["samples"]["right_foot"]["doubled_or_backward"] == count
 
 
-def test_a_sensor_that_freezes_in_mid_swing_stimulates_until_the_longest_burst_is_over(
+def test_a_sensor_that_freezes_in_mid_swing_is_off_within_a_tenth_of_a_second(
     walking: Recording, sound: SessionRecord, tmp_path: Path
 ) -> None:
     """The same sample over and over, stamped anew: fresh by the clock, so no data age shows it.
 
-    The foot then seems to swing for ever. What ends the burst is the channel's max_on_s; no other begins.
+    The foot then seems to swing for ever. The gate notices that nothing moves, not even the noise, and latches.
     """
     freeze_ns = mid_swing_ns(sound, 2)
 
@@ -136,7 +136,7 @@ def test_a_sensor_that_freezes_in_mid_swing_stimulates_until_the_longest_burst_i
     found = bursts(looped(walking, edit(walking, frozen)).commands)
     assert found[:2] == bursts(sound.commands)[:2]
     assert len(found) == 3
-    assert 2.9 * NS_PER_S < found[2].t_off_ns - found[2].t_on_ns <= 3.0 * NS_PER_S
+    assert 0 < found[2].t_off_ns - freeze_ns <= NS_PER_S // 10
 
 
 def test_late_samples_are_old_by_the_sensors_own_clock(

@@ -178,7 +178,8 @@ class Trial:
 
     def feed(self, late_ms: int = 0, value: float = 9.8, feet: tuple[str, ...] = ("left_foot", "right_foot")) -> None:
         for foot in feet:
-            self.observe(ImuSample(self.t_ns, foot, self.t_ns - late_ms * MS, (0.0, 0.0, value), (0.0, 0.0, 0.0)))
+            alive = 1e-9 * (self.t_ns % 1_000_003)  # no living sensor repeats itself
+            self.observe(ImuSample(self.t_ns, foot, self.t_ns - late_ms * MS, (0.0, 0.0, value), (0.0, 0.0, alive)))
 
     def judge(self, request: StimRequest) -> StimCommand:
         command = self.gate.judge(self.t_ns, request)
