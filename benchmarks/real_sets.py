@@ -13,10 +13,9 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
-from stroke_treadmill import data_folder, load_run
+from stroke_treadmill import data_folder, load_run, track_of
 
 from fes.recording import Track
-from fes.recording.tracks import TrackQuality
 from fes.signals import FloatArray, IntArray, StrideResult
 
 STRAIGHT_RAD = 0.35
@@ -88,22 +87,6 @@ class FootprintWalk(Walk):
         if not 0 < k < len(self.index):
             return float("nan")
         return float(np.hypot(*(self.place_m[k] - self.place_m[k - 1])))
-
-
-def track_of(sensor: str, rate_hz: float, acc: FloatArray, gyr: FloatArray) -> Track:
-    """A track from bare arrays (N, 3) in m/s² and rad/s."""
-    t_ns = np.round(np.arange(len(acc)) * 1e9 / rate_hz).astype(np.int64)
-    return Track(
-        sensor=sensor,
-        rate_hz=rate_hz,
-        t_ns=t_ns,
-        t_sensor_ns=t_ns,
-        acc_mps2=np.ascontiguousarray(acc, dtype=float),
-        gyr_radps=np.ascontiguousarray(gyr, dtype=float),
-        acc_range_mps2=None,
-        gyr_range_radps=None,
-        quality=TrackQuality(samples=len(acc)),
-    )
 
 
 def pyshoe_vicon(folder: Path) -> Iterator[Walk]:

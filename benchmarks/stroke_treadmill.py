@@ -58,25 +58,30 @@ def data_folder() -> Path:
     return Path(os.environ.get("FES_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
 
 
+def track_of(sensor: str, rate_hz: float, acc: FloatArray, gyr: FloatArray) -> Track:
+    """A track from bare arrays (N, 3) in m/s² and rad/s."""
+    t_ns = np.round(np.arange(len(acc)) * 1e9 / rate_hz).astype(np.int64)
+    return Track(
+        sensor=sensor,
+        rate_hz=rate_hz,
+        t_ns=t_ns,
+        t_sensor_ns=t_ns,
+        acc_mps2=np.ascontiguousarray(acc, dtype=float),
+        gyr_radps=np.ascontiguousarray(gyr, dtype=float),
+        acc_range_mps2=None,
+        gyr_range_radps=None,
+        quality=TrackQuality(samples=len(acc)),
+    )
+
+
 def load_run(path: Path) -> tuple[dict[str, Track], float]:
     """The feet of one run and the belt's speed (m/s, NaN when self-paced)."""
     data = np.load(path)
     rate_hz = float(data["fs"])
-    tracks = {}
-    for side in ("left", "right"):
-        acc = np.ascontiguousarray(data[f"acc_{side}foot"], dtype=float)
-        t_ns = np.round(np.arange(len(acc)) * 1e9 / rate_hz).astype(np.int64)
-        tracks[f"{side}_foot"] = Track(
-            sensor=f"{side}_foot",
-            rate_hz=rate_hz,
-            t_ns=t_ns,
-            t_sensor_ns=t_ns,
-            acc_mps2=acc,
-            gyr_radps=np.ascontiguousarray(data[f"gyr_{side}foot"], dtype=float),
-            acc_range_mps2=None,
-            gyr_range_radps=None,
-            quality=TrackQuality(samples=len(acc)),
-        )
+    tracks = {
+        f"{side}_foot": track_of(f"{side}_foot", rate_hz, data[f"acc_{side}foot"], data[f"gyr_{side}foot"])
+        for side in ("left", "right")
+    }
     return tracks, float(data["belt_speed"])
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fes.estimation.rotation import from_gravity
+from fes.estimation.rotation import from_gravity, rotate
 from fes.estimation.stride import integrate, orient
 from fes.signals import FloatArray, IntArray
 
@@ -64,8 +64,8 @@ def travel(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, first: int, last: i
     velocity, position, gamma = np.empty((len(t), 3)), np.empty((len(t), 3)), np.zeros((2, 3))
     if not integrate(t, force, quaternions, np.zeros(3), np.zeros(3), True, velocity, position, gamma):
         return np.zeros(3)
-    w, v, d = quaternions[0, 0], quaternions[0, 1:], position[-1]
-    return np.asarray(d - 2.0 * w * np.cross(v, d) + 2.0 * np.cross(v, np.cross(v, d)))
+    back = quaternions[0] * np.array([1.0, -1.0, -1.0, -1.0])
+    return rotate(back, position[-1])
 
 
 def vertical_of(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
