@@ -1,0 +1,94 @@
+"""Channels and their limits: what may be stimulated, with what, when."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from fes import limits
+from fes.config.base import Foot, Phase, Settings
+
+
+class ChannelLimits(Settings):
+    """What one channel may never exceed. Every entry is required: a missing limit means no stimulation."""
+
+    max_current_ma: float = Field(gt=0, le=limits.MAX_CURRENT_MA)
+    max_pulse_width_us: float = Field(gt=0, le=limits.MAX_PULSE_WIDTH_US)
+    max_frequency_hz: float = Field(gt=0, le=limits.MAX_FREQUENCY_HZ)
+    max_charge_per_phase_uc: float = Field(gt=0, le=limits.MAX_CHARGE_PER_PHASE_UC)
+    max_current_density_ma_per_cm2: float = Field(gt=0, le=limits.MAX_CURRENT_DENSITY_MA_PER_CM2)
+    max_rise_ma_per_s: float = Field(gt=0, le=limits.MAX_RISE_MA_PER_S)
+    max_on_s: float = Field(gt=0, le=limits.MAX_ON_S)
+    min_off_s: float = Field(ge=limits.MIN_OFF_S, le=10.0)
+
+
+class Channel(Settings):
+    """One pair of electrodes: which muscle, with what, in which part of the stride.
+
+    The envelope rises over ``rise_s`` when the foot enters ``start_phase`` (plus ``start_delay_s``), holds,
+    goes on ``extension_s`` past the entry into ``stop_phase``, and falls over ``fall_s``. It is off at once in
+    any phase outside start … stop.
+    """
+
+    name: str = Field(min_length=1, max_length=60)
+    number: int = Field(ge=0, le=7)
+    foot: Foot
+    muscle: str = "tibialis anterior"
+    electrode_area_cm2: float = Field(gt=0, le=400)
+    current_ma: float = Field(gt=0, le=limits.MAX_CURRENT_MA)
+    pulse_width_us: float = Field(gt=0, le=limits.MAX_PULSE_WIDTH_US)
+    frequency_hz: float = Field(gt=0, le=limits.MAX_FREQUENCY_HZ)
+    start_phase: Phase = "pre_swing"
+    start_delay_s: float = Field(default=0.0, ge=0, le=1.0)
+    stop_phase: Phase = "loading_response"
+    rise_s: float = Field(default=0.15, gt=0, le=1.0)
+    extension_s: float = Field(default=0.06, ge=0, le=0.5)
+    fall_s: float = Field(default=0.10, ge=0, le=1.0)
+    never_with: tuple[int, ...] = Field(default=(), strict=False)  # TOML has lists, no tuples
+    limits: ChannelLimits
+
+    @model_validator(mode="after")
+    def _plan_fits_its_limits(self) -> Self:
+        cap = self.limits
+        charge = limits.charge_per_phase_uc(self.current_ma, self.pulse_width_us)
+        density = limits.current_density_ma_per_cm2(
+            self.current_ma, self.pulse_width_us, self.frequency_hz, self.electrode_area_cm2
+        )
+        checks = (
+            (self.current_ma, cap.max_current_ma, "current_ma", "mA"),
+            (self.pulse_width_us, cap.max_pulse_width_us, "pulse_width_us", "µs"),
+            (self.frequency_hz, cap.max_frequency_hz, "frequency_hz", "Hz"),
+            (charge, cap.max_charge_per_phase_uc, "current_ma · pulse_width_us", "µC per phase"),
+            (density, cap.max_current_density_ma_per_cm2, "current density", "mA/cm² r.m.s."),
+            (self.current_ma / self.rise_s, cap.max_rise_ma_per_s, "current_ma / rise_s", "mA/s"),
+        )
+        for value, most, what, unit in checks:
+            if value > most:
+                raise ValueError(f"{what} is {value:.4g} {unit}, over this channel's limit of {most:.4g} {unit}")
+        if self.number in self.never_with:
+            raise ValueError(f"never_with names the channel itself ({self.number})")
+        if self.start_phase == self.stop_phase:
+            raise ValueError(f"start_phase and stop_phase are both {self.start_phase!r}")
+        return self
+
+
+class Stimulation(Settings):
+    """How often commands go out, for how long they hold, and when walking counts as walking."""
+
+    command_rate_hz: float = Field(default=50.0, ge=20, le=100)
+    validity_ms: int = Field(default=limits.MAX_VALIDITY_MS, ge=20, le=limits.MAX_VALIDITY_MS)
+    max_data_age_ms: int = Field(default=limits.MAX_DATA_AGE_MS, ge=10, le=limits.MAX_DATA_AGE_MS)
+    intensity: float = Field(default=1.0, ge=0, le=1)
+    strides_before_start: int = Field(default=2, ge=0, le=20)
+    min_stride_length_m: float = Field(default=0.15, ge=0, le=1.0)
+    max_turn_deg: float = Field(default=35.0, gt=0, le=180)
+
+    @model_validator(mode="after")
+    def _validity_outlasts_the_period(self) -> Self:
+        if self.validity_ms < 2.0 * 1000.0 / self.command_rate_hz:
+            raise ValueError(
+                f"validity_ms = {self.validity_ms} must be at least two command periods "
+                f"({2000.0 / self.command_rate_hz:.0f} ms at command_rate_hz = {self.command_rate_hz:g})"
+            )
+        return self

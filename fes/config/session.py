@@ -1,0 +1,101 @@
+"""``session.toml`` → validated settings; an error names file, line, key, value and what is allowed."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Any, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from fes.config.base import ConfigError, Foot, Settings
+from fes.config.channel import Channel, Stimulation
+from fes.config.devices import Bus, FootSwitch, ImuDevice, StimulatorDevice
+from fes.config.explain import explain
+
+
+class FootGeometry(Settings):
+    """Where toe and heel are, seen from the sensor with the foot flat: metres forward and up (down negative)."""
+
+    toe_forward_m: float = Field(ge=-0.1, le=0.4)
+    toe_up_m: float = Field(ge=-0.3, le=0.1)
+    heel_forward_m: float = Field(ge=-0.4, le=0.1)
+    heel_up_m: float = Field(ge=-0.3, le=0.1)
+
+
+class Treadmill(Settings):
+    """The belt, when there is one."""
+
+    belt_speed_mps: float = Field(gt=0, le=5)
+
+
+class Phases(Settings):
+    """How phases are told: swing begins at the peak of the toe-down rate (foot off), or when it turns to toe-up."""
+
+    swing_begins: Literal["peak", "reversal"] = "peak"
+
+
+class Session(Settings):
+    """All of one session's settings."""
+
+    name: str = Field(min_length=1, max_length=120)
+    subject: str = ""
+    stimulation: Stimulation = Stimulation()
+    channels: tuple[Channel, ...] = Field(default=(), strict=False)
+    phases: Phases = Phases()
+    bus: Bus = Bus()
+    sensors: tuple[ImuDevice, ...] = Field(default=(), strict=False)
+    stimulator: StimulatorDevice = StimulatorDevice()
+    foot_switches: tuple[FootSwitch, ...] = Field(default=(), strict=False)
+    treadmill: Treadmill | None = None
+    geometry: dict[Foot, FootGeometry] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _channels_are_distinct(self) -> Self:
+        numbers = [channel.number for channel in self.channels]
+        if len(set(numbers)) != len(numbers):
+            raise ValueError(f"channels must have different numbers, got {numbers}")
+        for channel in self.channels:
+            unknown = set(channel.never_with) - set(numbers)
+            if unknown:
+                raise ValueError(f"channel {channel.name!r}: never_with names no channel: {sorted(unknown)}")
+        return self
+
+    @model_validator(mode="after")
+    def _sensors_are_distinct(self) -> Self:
+        worn = [device.sensor for device in self.sensors]
+        if len(set(worn)) != len(worn):
+            raise ValueError(f"sensors must be worn in different places, got {worn}")
+        return self
+
+
+def load_session(path: Path) -> Session:
+    """Read and validate a session file.
+
+    Raises:
+        ConfigError: the file is missing, is not TOML, or holds a setting that is not allowed; every fault is
+            listed with its line, key, value and what would be right.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")  # some editors put a mark in front
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}. Name an existing session file.") from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: is not text (byte {error.start}). A session is a TOML file in UTF-8.") from error
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: is not valid TOML: {error}") from error
+    return validate_session(data, path, text)
+
+
+def validate_session(data: dict[str, Any], path: Path, text: str = "") -> Session:
+    """Validate settings already parsed; ``path`` and ``text`` are for the messages.
+
+    Raises:
+        ConfigError: as for :func:`load_session`.
+    """
+    try:
+        return Session.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError(explain(error, path, text, Session)) from error
