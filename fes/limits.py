@@ -13,6 +13,7 @@ MAX_CURRENT_MA: Final = 130.0  # amplitude limit of RehaStim2, RehaMove3 and P24
 MAX_PULSE_WIDTH_US: Final = 500.0  # RehaStim2's limit (ScienceMode2)
 MAX_FREQUENCY_HZ: Final = 100.0  # gait FES uses 20–50 Hz; above 100 Hz contraction is fused, fatigue only grows
 MAX_CHARGE_PER_PHASE_UC: Final = 65.0  # MAX_CURRENT_MA · MAX_PULSE_WIDTH_US
+MAX_CHARGE_PER_MINUTE_MC: Final = 100.0  # 30 mA, 300 µs, 40 Hz for half of every second is 10.8 mC a minute
 MAX_CURRENT_DENSITY_MA_PER_CM2: Final = 2.0  # r.m.s.; IEC 60601-2-10 asks for the user's attention above it
 MAX_PULSE_ENERGY_MJ: Final = 300.0  # per pulse into 500 ohm; IEC 60601-2-10
 PULSE_ENERGY_LOAD_OHM: Final = 500.0

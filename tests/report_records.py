@@ -24,6 +24,7 @@ LIMITS = {
     "max_pulse_width_us": 300.0,
     "max_frequency_hz": 50.0,
     "max_charge_per_phase_uc": 12.0,
+    "max_charge_per_minute_mc": 50.0,
     "max_current_density_ma_per_cm2": 1.0,
     "max_rise_ma_per_s": 500.0,
     "max_on_s": 2.0,

@@ -32,6 +32,7 @@ max_current_ma = 30.0
 max_pulse_width_us = 300.0
 max_frequency_hz = 50.0
 max_charge_per_phase_uc = 9.0
+max_charge_per_minute_mc = 50.0
 max_current_density_ma_per_cm2 = 1.0
 max_rise_ma_per_s = 250.0
 max_on_s = 2.0
@@ -53,6 +54,7 @@ max_current_ma = 30.0
 max_pulse_width_us = 300.0
 max_frequency_hz = 50.0
 max_charge_per_phase_uc = 9.0
+max_charge_per_minute_mc = 50.0
 max_current_density_ma_per_cm2 = 1.0
 max_rise_ma_per_s = 250.0
 max_on_s = 2.5
@@ -168,7 +170,7 @@ def test_missing_limits_are_a_refusal(tmp_path: Path) -> None:
     """The first channel has lost its limits; the second channel's table must not be blamed."""
     lines = GOOD.split("\n")
     start = lines.index("[channels.limits]")
-    del lines[start : start + 9]
+    del lines[start : start + 10]
     assert message(tmp_path, "\n".join(lines)) == "session.toml:8: channels[0].limits: is required and missing"
 
 

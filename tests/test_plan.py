@@ -34,6 +34,7 @@ def make_channel(number: int = 0, foot: str = "left_foot", **changes: Any) -> Ch
         "max_pulse_width_us": 400.0,
         "max_frequency_hz": 50.0,
         "max_charge_per_phase_uc": 12.0,
+        "max_charge_per_minute_mc": 50.0,
         "max_current_density_ma_per_cm2": 1.0,
         "max_rise_ma_per_s": 200.0,
         "max_on_s": 2.0,

@@ -32,7 +32,7 @@ from fes.config import ConfigError, Session, load_session
 from fes.controller import Controller
 from fes.estimation.calibration import CalibrationError, FootCalibration
 from fes.estimation.warm import warm_up
-from fes.gate import SafetyGate
+from fes.gate import gate_of
 from fes.journal import SessionLogError, SessionWriter, read_session
 from fes.recording import Recording, RecordingError, read_recording
 from fes.replay import calibrate, digest, identity, log_header, refuse_long_silence, samples_of, session_for
@@ -173,9 +173,7 @@ def _go(
 ) -> str:
     """Run the loop over the recording; returns how it ended: complete, different, interrupted, or why it stopped."""
     stimulation = session.stimulation
-    gate = SafetyGate(
-        session.channels, max_data_age_ms=stimulation.max_data_age_ms, validity_ms=stimulation.validity_ms
-    )
+    gate = gate_of(session, {sensor: calibration.up for sensor, calibration in calibrations.items()})
     log = SessionWriter(log_path, header)
     runner = Runner(Controller(session, calibrations), gate, opened.stimulator, log, time.perf_counter_ns)
     events = armed_after(

@@ -16,7 +16,7 @@ from fes.cli.exits import FAILED, fail
 from fes.cli.show import show
 from fes.config import ConfigError
 from fes.controller import Controller
-from fes.gate import SafetyGate
+from fes.gate import gate_of
 from fes.journal import Note, SessionLogError, SessionRecord, iter_events, read_session
 from fes.replay import settings_of
 from fes.runner import Runner
@@ -87,10 +87,7 @@ def repeat(path: Path) -> Repeated:
             f"{path}: was left by fes {version} and cannot be replayed by fes {__version__}: its header does not fit "
             f"({error}). `fes report` still shows it; replay its recording instead."
         ) from error
-    stimulation = session.stimulation
-    gate = SafetyGate(
-        session.channels, max_data_age_ms=stimulation.max_data_age_ms, validity_ms=stimulation.validity_ms
-    )
+    gate = gate_of(session, {sensor: calibration.up for sensor, calibration in calibrations.items()})
     now = Collected()
     runner = Runner(Controller(session, calibrations), gate, ByteSink(session_id), now, lambda: 0)
     for event in iter_events(path):

@@ -17,6 +17,7 @@ class ChannelLimits(Settings):
     max_pulse_width_us: float = Field(gt=0, le=limits.MAX_PULSE_WIDTH_US)
     max_frequency_hz: float = Field(gt=0, le=limits.MAX_FREQUENCY_HZ)
     max_charge_per_phase_uc: float = Field(gt=0, le=limits.MAX_CHARGE_PER_PHASE_UC)
+    max_charge_per_minute_mc: float = Field(gt=0, le=limits.MAX_CHARGE_PER_MINUTE_MC)
     max_current_density_ma_per_cm2: float = Field(gt=0, le=limits.MAX_CURRENT_DENSITY_MA_PER_CM2)
     max_rise_ma_per_s: float = Field(gt=0, le=limits.MAX_RISE_MA_PER_S)
     max_on_s: float = Field(gt=0, le=limits.MAX_ON_S)

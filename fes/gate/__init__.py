@@ -1,5 +1,6 @@
-"""The safety gate: the last word before the wire. It imports signals, limits and settings, nothing else of ours."""
+"""The safety gate: the last word before the wire."""
 
 from fes.gate.gate import SafetyGate
+from fes.gate.of_session import gate_of
 
-__all__ = ["SafetyGate"]
+__all__ = ["SafetyGate", "gate_of"]

@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from fes.signals import ImuSample
+from fes.signals import NS_PER_S, ImuSample
 
 MAX_SAME_MS: Final = 80  # of bit-identical samples
+SLIPS_BELIEVED: Final = 3  # in a row: a stamp far off is a slip, three of them are a clock that was set
 MAX_CLOCK_DRIFT_PPM: Final = 200  # of a sensor's clock against the host's; a crystal keeps within 100
 
 
@@ -18,6 +19,7 @@ class _Sensor:
 
     It may creep up with the clocks' drift, or an hour of honest drift would look like a delay. ``changed_ns`` is when
     the values last differed from those before: a sensor that repeats itself arrives on time and says nothing.
+    ``begun_ns`` is when the mapping began, ``slips`` how many of the newest samples in a row do not fit it.
     """
 
     t_ns: int
@@ -26,6 +28,8 @@ class _Sensor:
     finite: bool
     values: tuple[float, ...]
     changed_ns: int
+    begun_ns: int
+    slips: int = 0
 
 
 class Freshness:
@@ -48,16 +52,27 @@ class Freshness:
         offset_ns = sample.t_ns - sample.t_sensor_ns
         fault = "" if finite else f"non-finite sample from {sample.sensor}"
         known = self._sensors.get(sample.sensor)
-        back_ns = known.t_sensor_ns - sample.t_sensor_ns if known else 0
-        if known is None or back_ns > self._max_age_ns:
-            # more than disorder on the way: the sensor restarted or its clock was set; its mapping starts anew
+        if known is None:
             self._sensors[sample.sensor] = _Sensor(
-                sample.t_ns, sample.t_sensor_ns, offset_ns, finite, values, sample.t_ns
+                sample.t_ns, sample.t_sensor_ns, offset_ns, finite, values, sample.t_ns, sample.t_ns
             )
-            return fault or (f"{sample.sensor}'s clock went back by {back_ns / 1e6:.0f} ms" if known else "")
+            return fault
+        back_ns = known.t_sensor_ns - sample.t_sensor_ns
+        # sent later than it could have been, were it the least delayed of all; in the first second that is still learnt
+        ahead_ns = known.offset_ns - offset_ns if sample.t_ns - known.begun_ns > NS_PER_S else 0
+        slipped = max(back_ns, ahead_ns) > self._max_age_ns
+        known.slips = known.slips + 1 if slipped else 0
+        if known.slips == SLIPS_BELIEVED:
+            # the sensor restarted or its clock was set: its mapping starts anew
+            self._sensors[sample.sensor] = _Sensor(
+                sample.t_ns, sample.t_sensor_ns, offset_ns, finite, values, sample.t_ns, sample.t_ns
+            )
+            where = f"back by {back_ns / 1e6:.0f}" if back_ns > 0 else f"ahead by {ahead_ns / 1e6:.0f}"
+            return fault or f"{sample.sensor}'s clock went {where} ms"
         drift_ns = max(sample.t_ns - known.t_ns, 0) * MAX_CLOCK_DRIFT_PPM // 1_000_000
-        known.offset_ns = min(offset_ns, known.offset_ns + drift_ns)
-        known.t_sensor_ns = max(sample.t_sensor_ns, known.t_sensor_ns)
+        if not slipped:
+            known.offset_ns = min(offset_ns, known.offset_ns + drift_ns)
+            known.t_sensor_ns = max(sample.t_sensor_ns, known.t_sensor_ns)
         known.t_ns, known.finite = sample.t_ns, finite
         if values != known.values:
             known.values, known.changed_ns = values, sample.t_ns

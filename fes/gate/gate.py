@@ -12,12 +12,27 @@ late where its rise allows, and where that does not, it is refused in silence un
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from fes import limits
-from fes.config import Channel
+from fes.config import Channel, ImuDevice
 from fes.gate.electrical import Pulse, is_number, no_number, over_a_cap, shown
 from fes.gate.freshness import Freshness
 from fes.gate.line import Line
-from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, StimAlive, StimCommand, StimRequest, StimStatus
+from fes.gate.plausible import Plausible
+from fes.gate.stamps import Stamps
+from fes.signals import (
+    Event,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimAlive,
+    StimCommand,
+    StimRequest,
+    StimStatus,
+    SystemFault,
+    Vector3,
+)
 
 NO_CHANNEL = -1  # stands in a command for a channel number that is not even a number, or a huge one
 
@@ -30,11 +45,26 @@ class SafetyGate:
         max_data_age_ms: how old the newest sample of a channel's foot may be; at most ``limits.MAX_DATA_AGE_MS``.
         validity_ms: how long a command holds on the device; at most ``limits.MAX_VALIDITY_MS``. A channel whose
             last command is older counts as off, for the device has fallen silent.
+        devices: the sensors' settings; without a sensor's ranges its saturation cannot be told.
+        up: each sensor's upward direction at calibration; without it its mounting is not judged.
+        driven_by: for a foot whose phases another sensor tells (its shank's), that sensor.
     """
 
-    def __init__(self, channels: tuple[Channel, ...], *, max_data_age_ms: int, validity_ms: int) -> None:
+    def __init__(
+        self,
+        channels: tuple[Channel, ...],
+        *,
+        max_data_age_ms: int,
+        validity_ms: int,
+        devices: tuple[ImuDevice, ...] = (),
+        up: Mapping[str, Vector3] | None = None,
+        driven_by: Mapping[str, str] | None = None,
+    ) -> None:
         self._validity_ms = min(limits.MAX_VALIDITY_MS, validity_ms)
         self._freshness = Freshness(min(limits.MAX_DATA_AGE_MS, max_data_age_ms) * 1_000_000)
+        self._plausible = Plausible(devices, up or {})
+        self._stamps = Stamps()
+        self._driven_by = dict(driven_by or {})
         self._lines: dict[int, Line] = {}
         for channel in channels:
             named_by = {other.number for other in channels if channel.number in other.never_with}
@@ -64,6 +94,11 @@ class SafetyGate:
         return self._latched_ns
 
     @property
+    def slips(self) -> dict[str, int]:
+        """Time stamps out of order so far, by sensor."""
+        return dict(self._stamps.slips)
+
+    @property
     def arming_refused(self) -> str:
         """Why the last attempt at arming failed; "" when it did not."""
         return self._arming_refused
@@ -80,7 +115,9 @@ class SafetyGate:
         """Take note of an event; call it for every one, in order, before the controller sees it."""
         earlier_ns, self._event_ns = self._event_ns, event.t_ns
         if isinstance(event, ImuSample):
-            if fault := self._freshness.note(event):
+            # all three take it in; only numbers that are finite can be judged for being plausible
+            order, fault = self._stamps.fault(event), self._freshness.note(event)
+            if fault := fault or self._plausible.fault(event) or order:
                 self.latch(event.t_ns, fault)
         elif isinstance(event, OperatorAct):
             self._on_act(event)
@@ -88,13 +125,15 @@ class SafetyGate:
             self._on_status(event)
         elif isinstance(event, StimAlive):
             self._on_alive(event)
+        elif isinstance(event, SystemFault):
+            self.latch(event.t_ns, event.text)
         # last, so that an act of arming that itself came from the past does not stand
         self._notice_backward(event.t_ns, earlier_ns)
 
     def _on_act(self, act: OperatorAct) -> None:
         if act.action is OperatorAction.ARM:
-            feet = sorted({line.channel.foot for line in self._lines.values()})
-            doubts = (self._freshness.doubt(foot, act.t_ns) for foot in feet)
+            sensors = sorted({self._sensor(line) for line in self._lines.values()})
+            doubts = (self._doubt(sensor, act.t_ns) for sensor in sensors)
             self._arming_refused = next(filter(None, doubts), "")
             self._armed = not self._arming_refused
             if self._armed:
@@ -144,10 +183,18 @@ class SafetyGate:
                 line.command_off(t_ns)
                 line.held_back = bool(refused)
             return StimCommand(t_ns, number, False, 0.0, 0.0, 0.0, self._validity_ms, refused)
-        line.command_on(t_ns, request.current_ma)
-        line.held_back = False
         current_ma, width_us = float(request.current_ma), float(request.pulse_width_us)
-        return StimCommand(t_ns, number, True, current_ma, width_us, float(request.frequency_hz), self._validity_ms)
+        frequency_hz = float(request.frequency_hz)
+        line.command_on(t_ns, current_ma, limits.charge_per_phase_uc(current_ma, width_us) * frequency_hz)
+        line.held_back = False
+        return StimCommand(t_ns, number, True, current_ma, width_us, frequency_hz, self._validity_ms)
+
+    def _doubt(self, sensor: str, t_ns: int) -> str:
+        return self._freshness.doubt(sensor, t_ns) or self._plausible.doubt(sensor)
+
+    def _sensor(self, line: Line) -> str:
+        """The sensor that this channel's timing rests on."""
+        return self._driven_by.get(line.channel.foot, line.channel.foot)
 
     def _refusal(self, t_ns: int, line: Line | None, request: StimRequest) -> str:
         """Why stimulation must not go out; "" when it may. Latches what is a fault."""
@@ -167,13 +214,14 @@ class SafetyGate:
 
     def _fault(self, t_ns: int, line: Line, request: StimRequest) -> str:
         """What latches. The order matters: the later checks rely on the numbers being numbers."""
-        if doubt := self._freshness.doubt(line.channel.foot, t_ns):
+        if doubt := self._doubt(self._sensor(line), t_ns):
             return doubt
         fault = (
             _no_switch(request.on)
             or no_number(request)
             or over_a_cap(Pulse.of(request, line.channel), line.channel.limits)
             or line.on_too_long(t_ns)
+            or line.too_much_charge(t_ns)
         )
         if not fault and not line.held_back:  # a burst held back has missed its ramp, which is nobody's fault
             fault = line.rises_too_fast(t_ns, request.current_ma)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from fes import limits
 from fes.config import Channel
+from fes.gate.dose import Dose
 from fes.signals import NS_PER_S
 
 RISE_STEP_MA: Final = 0.5  # the devices' finest step: a ramp rounded to it may run this far ahead of its line
@@ -31,9 +32,11 @@ class Line:
     commanded_ns: int | None = None
     ramp_ma: float = 0.0
     held_back: bool = False
+    dose: Dose = field(default_factory=Dose)
 
-    def command_on(self, t_ns: int, current_ma: float) -> None:
-        """The device is told to deliver this current."""
+    def command_on(self, t_ns: int, current_ma: float, charge_uc_per_s: float) -> None:
+        """The device is told to deliver this current, and charge at this rate."""
+        self.dose.command(t_ns, charge_uc_per_s, self.validity_ns)
         self.ramp_ma = min(self._ramp_ma_at(t_ns), current_ma)
         if not self.on:
             self.on, self.on_since_ns = True, t_ns
@@ -43,6 +46,7 @@ class Line:
         """The device is told to be off."""
         if self.on:
             self.on, self.off_since_ns = False, t_ns
+        self.dose.command(t_ns, 0.0, 0)
         self.ramp_ma, self.commanded_ns = 0.0, t_ns
 
     def let_lapse(self, t_ns: int) -> None:
@@ -56,6 +60,12 @@ class Line:
         most_s = min(limits.MAX_ON_S, self.channel.limits.max_on_s)
         on_ns = t_ns - self.on_since_ns if self.on else 0
         return f"on for {on_ns / NS_PER_S:.3g} s, limit {most_s:.3g} s" if on_ns > round(most_s * NS_PER_S) else ""
+
+    def too_much_charge(self, t_ns: int) -> str:
+        """Says so when the last minute's charge is at its limit."""
+        most_mc = min(limits.MAX_CHARGE_PER_MINUTE_MC, self.channel.limits.max_charge_per_minute_mc)
+        used_mc = 1e-3 * self.dose.used_uc(t_ns)
+        return f"{used_mc:.4g} mC within a minute, limit {most_mc:.4g} mC" if used_mc >= most_mc else ""
 
     def off_too_short(self, t_ns: int) -> str:
         """Says so when the last burst is too recent for another."""

@@ -1,16 +1,24 @@
-"""The gate calls a sensor frozen after 80 ms of the same values: no living one, in the quietest stance, comes near."""
+"""What the gate calls a broken sensor, no living one looks like: not in the quietest stance, not at a heel strike.
+
+Frozen (the same values for 80 ms), implausible (units, ranges), remounted (turned over at rest), stamps out of order.
+"""
 
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from fes.estimation.calibration import calibrate_foot
 from fes.gate.freshness import MAX_SAME_MS
+from fes.gate.plausible import Plausible
+from fes.gate.stamps import Stamps
 from fes.recording import Track, read_recording
-from fes.signals import FloatArray
+from fes.replay import calibrate_track
+from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample, Vector3
 
 TRIALS = Path(__file__).resolve().parents[2] / "sim_inputs"
 DATA = Path(os.environ.get("FES_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
@@ -39,6 +47,53 @@ def test_bundled_sensors_never_look_frozen() -> None:
     longest = [longest_repetition_s(1e-9 * track.t_ns, track.acc_mps2, track.gyr_radps) for track in tracks()]
     assert len(longest) >= 11
     assert max(longest) < 0.5 * MAX_SAME_MS / 1000
+
+
+def complaints(track: Track, up: Vector3 | None) -> set[str]:
+    """All that the gate's judges say of a track."""
+    plausible = Plausible((), {} if up is None else {track.sensor: up})
+    stamps = Stamps()
+    said = set()
+    for t_ns, t_sensor_ns, acc, gyr in zip(
+        track.t_ns.tolist(),
+        track.t_sensor_ns.tolist(),
+        track.acc_mps2.tolist(),
+        track.gyr_radps.tolist(),
+        strict=True,
+    ):
+        sample = ImuSample(t_ns, track.sensor, t_sensor_ns, tuple(acc), tuple(gyr))
+        said |= {plausible.fault(sample), stamps.fault(sample), plausible.doubt(track.sensor)}
+    return said - {""}
+
+
+def test_judges_complain_of_a_wrong_unit_and_of_a_sensor_turned_over() -> None:
+    track = tracks()[0]
+    assert complaints(replace(track, acc_mps2=track.acc_mps2 / G_MPS2), None)
+    assert complaints(replace(track, gyr_radps=np.degrees(track.gyr_radps)), None)
+    up = calibrate_track(track).up
+    assert complaints(track, (-up[0], -up[1], -up[2]))
+
+
+def test_bundled_sensors_are_plausible() -> None:
+    for track in tracks():
+        assert not complaints(track, calibrate_track(track).up)
+
+
+@pytest.mark.data
+@pytest.mark.skipif(not RUNS, reason=f"no recordings in {DATA / 'stroke_treadmill'}; set FES_DATA")
+@pytest.mark.parametrize("path", RUNS, ids=lambda path: path.stem)
+def test_real_sensors_are_plausible(path: Path) -> None:
+    data = np.load(path)
+    rate_hz, bundled = float(data["fs"]), tracks()[0]
+    for segment in ("leftfoot", "rightfoot", "leftshank", "rightshank"):
+        acc, gyr = (data[f"{what}_{segment}"].astype(np.float64) for what in ("acc", "gyr"))
+        t_ns = np.round(np.arange(len(acc)) * NS_PER_S / rate_hz).astype(np.int64)
+        up = calibrate_foot(segment, rate_hz, t_ns, acc, gyr).up if "foot" in segment else None
+        sensor = segment.replace("foot", "_foot").replace("shank", "_shank")
+        track = replace(
+            bundled, sensor=sensor, rate_hz=rate_hz, t_ns=t_ns, t_sensor_ns=t_ns, acc_mps2=acc, gyr_radps=gyr
+        )
+        assert not complaints(track, up)
 
 
 @pytest.mark.data

@@ -38,6 +38,7 @@ def make_channel(number: int, foot: str, never_with: tuple[int, ...], **limits: 
         "max_pulse_width_us": 400.0,
         "max_frequency_hz": 50.0,
         "max_charge_per_phase_uc": 9.0,
+        "max_charge_per_minute_mc": 6.0,
         "max_current_density_ma_per_cm2": 0.3,
         "max_rise_ma_per_s": 500.0,
         "max_on_s": 0.3,
