@@ -254,3 +254,29 @@ def test_a_heartbeat_that_is_only_repeated_is_no_sign_of_life(rig: Rig) -> None:
     for _ in range(5):
         rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
     assert rig.port.poll(1) == [StimAlive(1, BOOT, 0, "")]
+
+
+def test_a_mute_node_is_a_fault_when_time_is_real() -> None:
+    bus = can.Bus(interface="virtual", channel="mute", ignore_config=True)
+    port = CanStimulator(bus, SESSION, in_real_time=True)
+    port.send(command())
+    assert port.poll(45 * MS) == []
+    (fault,) = statuses(port.poll(46 * MS))
+    assert (fault.channel, fault.on, fault.fault) == (1, False, "no answer within 45 ms")
+    assert port.outstanding == 0
+    port.close()
+
+
+def test_a_heartbeat_that_stops_is_a_fault_when_time_is_real() -> None:
+    bus, node = (can.Bus(interface="virtual", channel="beat", ignore_config=True) for _ in range(2))
+    port = CanStimulator(bus, SESSION, in_real_time=True)
+    identifier, data = can_codec.encode_alive(Alive(1, 1, BOOT, SESSION, 0, 0))
+    node.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+    (alive,) = port.poll(0)
+    assert alive.fault == ""
+    assert port.poll(350 * MS) == []
+    (silence,) = port.poll(351 * MS)
+    assert isinstance(silence, StimAlive)
+    assert (silence.boot_id, silence.fault) == (BOOT, "no heartbeat for 350 ms")
+    port.close()
+    node.shutdown()

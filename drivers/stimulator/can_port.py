@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -11,6 +10,7 @@ from typing import Final
 import can
 
 from drivers.stimulator import can_codec
+from drivers.stimulator.can_answers import ANSWER_WITHIN_MS, HEARTBEAT_WITHIN_MS, CommandAnswers
 from drivers.stimulator.can_messages import (
     PROTOCOL_VERSION,
     RESULT_TEXT,
@@ -58,14 +58,18 @@ class CanStimulator:
 
     Call :meth:`open` once before the first command. ``foreign`` counts frames that were not for us: other
     identifiers, other sessions, wrong CRCs, repeated heartbeats (not controllers' frames: multicast returns our own).
+
+    Args:
+        in_real_time: the times passed in are the wall's, so that a late answer and a silent heartbeat are faults.
     """
 
-    def __init__(self, bus: can.BusABC, session_id: int) -> None:
+    def __init__(self, bus: can.BusABC, session_id: int, *, in_real_time: bool = False) -> None:
         self.session_id = session_id
         self.foreign = 0
         self._bus = bus
         self._encoder = CommandEncoder(session_id)
-        self._unanswered: deque[int] = deque(maxlen=COUNTERS)
+        self._answers = CommandAnswers(in_real_time=in_real_time)
+        self._boot_id = 0
         self._totals: dict[int, tuple[int, int]] = {}
         self._delivered: dict[int, tuple[int, int]] = {}
         self._alive_counter = -1
@@ -73,8 +77,8 @@ class CanStimulator:
 
     @property
     def outstanding(self) -> int:
-        """Commands sent and not yet answered (at most 16 are remembered); an answer settles all older ones."""
-        return len(self._unanswered)
+        """Commands sent and not yet answered, 16 at most; an answer settles its channel's older ones."""
+        return len(self._answers)
 
     def open(self, t_ns: int, timeout_s: float = 2.0, clock_ns: Callable[[], int] = time.monotonic_ns) -> Handshake:
         """Wait for the node's heartbeat, open the session for its boot id, wait until the heartbeat names it.
@@ -120,7 +124,7 @@ class CanStimulator:
         counter = self._encoder.counter
         identifier, data = self._encoder.encode(command)
         self._write(identifier, data)
-        self._unanswered.append(counter)
+        self._answers.sent(counter, command)
         return WireFrame(command.t_ns, identifier, data)
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
@@ -145,7 +149,7 @@ class CanStimulator:
                 self._totals[message.channel] = (message.pulses_total, message.charge_total_steps)
             elif isinstance(message, Status):
                 events.append(self._status(message, t_ns))
-        return events
+        return events + self._overdue(t_ns)
 
     def close(self) -> None:
         """Shut the bus down; sends nothing."""
@@ -154,9 +158,7 @@ class CanStimulator:
             self._bus.shutdown()
 
     def _status(self, status: Status, t_ns: int) -> StimStatus:
-        if status.counter in self._unanswered:
-            while self._unanswered.popleft() != status.counter:
-                pass
+        different = self._answers.settle(status)
         pulses, steps = self._totals.get(status.channel, (0, 0))
         seen_pulses, seen_steps = self._delivered.get(status.channel, (0, 0))
         self._delivered[status.channel] = (pulses, steps)
@@ -170,14 +172,26 @@ class CanStimulator:
             frequency_hz=status.frequency_hz,
             pulses=(pulses - seen_pulses) % can_codec.PULSES_TOTAL,
             charge_uc=((steps - seen_steps) % can_codec.CHARGE_TOTAL_STEPS) * can_codec.CHARGE_STEP_UC,
-            fault=RESULT_TEXT[status.result],
+            fault=RESULT_TEXT[status.result] or different,
         )
+
+    def _overdue(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """What should have come by now, as faults."""
+        faults: list[StimStatus | StimAlive] = []
+        if command := self._answers.overdue(t_ns):
+            fault = f"no answer within {ANSWER_WITHIN_MS} ms"
+            faults.append(StimStatus(t_ns, command.channel, self._encoder.counter, False, 0.0, 0.0, 0.0, fault=fault))
+        if self._answers.silent(t_ns):
+            faults.append(StimAlive(t_ns, self._boot_id, 0, f"no heartbeat for {HEARTBEAT_WITHIN_MS} ms"))
+        return faults
 
     def _alive(self, alive: Alive, t_ns: int, *, expect_session: bool) -> StimAlive:
         fault = fault_text(alive.faults)
         if expect_session and alive.session_id != self.session_id:
             lost = "the stimulator has not our session open (it restarted, or another controller took it)"
             fault = f"{lost}; {fault}" if fault else lost
+        self._boot_id = alive.boot_id
+        self._answers.heard(t_ns)
         return StimAlive(t_ns, alive.boot_id, alive.rejected, fault)
 
     def _receive(self, timeout_s: float) -> Message | None:
