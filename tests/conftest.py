@@ -2,8 +2,23 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from replays import Replays
+
+from drivers.virtual import spawn
+from fes.config import Bus
+
+# "interface:channel": the bus that CAN tests use instead of multicast, see tests/transports/socketcan
+if TEST_BUS := os.environ.get("FES_TEST_BUS", ""):
+    plain_free_bus = spawn.free_bus
+
+    def free_bus(interface: str = "") -> Bus:
+        named, channel = TEST_BUS.split(":", 1)
+        return plain_free_bus(interface) if interface else Bus(interface=named, channel=channel)
+
+    spawn.free_bus = free_bus
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

