@@ -15,11 +15,13 @@ from fes.config.explain import explain
 
 
 class FootGeometry(Settings):
-    """Where toe and heel are, seen from the sensor with the foot flat: metres forward and up (down negative)."""
+    """Where toe and heel are, seen from the sensor with the foot flat: metres forward, left and up (down negative)."""
 
     toe_forward_m: float = Field(ge=-0.1, le=0.4)
+    toe_left_m: float = Field(default=0.0, ge=-0.15, le=0.15)
     toe_up_m: float = Field(ge=-0.3, le=0.1)
     heel_forward_m: float = Field(ge=-0.4, le=0.1)
+    heel_left_m: float = Field(default=0.0, ge=-0.15, le=0.15)
     heel_up_m: float = Field(ge=-0.3, le=0.1)
 
 
