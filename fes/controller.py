@@ -5,14 +5,14 @@ Everything it knows came as an event, so the same events give the same decisions
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fes.config import Session
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.foot import FootTracker, Outcome
-from fes.estimation.strides import SENSOR_HEIGHT_M, StrideMaker, StrideSettings
+from fes.driving import Calibration, driving, stride_settings, tracker_of
+from fes.estimation.tracker import Outcome, Tracker
 from fes.signals import (
     NS_PER_S,
     Event,
@@ -26,6 +26,10 @@ from fes.signals import (
 from fes.stimulation.plan import StimulationPlan
 from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import Phase
+
+__all__ = ["NOTHING", "Controller", "Decision", "stride_settings"]
+
+BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,19 +48,17 @@ class Controller:
 
     Args:
         session: the settings.
-        calibrations: by sensor name; samples of other sensors change nothing.
+        calibrations: by sensor name. A shank drives its side's foot where that has no sensor of its own; samples of
+            sensors that drive nothing change nothing.
     """
 
-    def __init__(self, session: Session, calibrations: dict[str, FootCalibration]) -> None:
-        self.trackers = {
-            foot: FootTracker(
-                calibration,
-                StrideMaker(foot, stride_settings(session, calibration)),
-                swing_at_reversal=session.phases.swing_begins == "reversal",
-            )
-            for foot, calibration in calibrations.items()
+    def __init__(self, session: Session, calibrations: Mapping[str, Calibration]) -> None:
+        drivers = driving(calibrations)
+        self.trackers: dict[str, Tracker] = {  # by the foot whose phases they tell
+            foot: tracker_of(session, calibrations[sensor]) for foot, sensor in drivers.items()
         }
-        self._judges = {foot: WalkingJudge(session.stimulation) for foot in calibrations}
+        self._foot_of = {sensor: foot for foot, sensor in drivers.items()}
+        self._judges = {foot: WalkingJudge(session.stimulation) for foot in drivers}
         self._plan = StimulationPlan(session.channels)
         self._period_ns = round(NS_PER_S / session.stimulation.command_rate_hz)
         self._next_command_ns: int | None = None
@@ -67,37 +69,45 @@ class Controller:
         """The gait phase of a foot now."""
         return self.trackers[foot].phase
 
+    def walking(self, foot: str) -> bool:
+        """Whether this foot is judged to be walking, so that a step may start a burst."""
+        return self._judges[foot].walking
+
     def step(self, event: Event) -> Decision:
         """Take in one event; times must not decrease."""
         outcomes: tuple[Outcome, ...] = ()
         if isinstance(event, ImuSample):
-            tracker = self.trackers.get(event.sensor)
-            if tracker is not None:
-                outcomes = tuple(self._advance(tracker, event))
+            foot = self._foot_of.get(event.sensor)
+            if foot is not None:
+                outcomes = tuple(self._advance(foot, event))
         elif isinstance(event, OperatorAct):
             self._on_act(event)
         # in a silence the gate must see how old the data have become, sooner than at the next command
         requests = self._due(event.t_ns, at_once=self._on and isinstance(event, Tick))
         return Decision(requests, outcomes) if requests or outcomes else NOTHING
 
-    def _advance(self, tracker: FootTracker, sample: ImuSample) -> list[Outcome]:
-        outcomes = tracker.advance(
+    def _advance(self, foot: str, sample: ImuSample) -> list[Outcome]:
+        outcomes = self.trackers[foot].advance(
             np.array([sample.t_sensor_ns]), np.array([sample.acc_mps2]), np.array([sample.gyr_radps])
         )
-        judge = self._judges[tracker.foot]
+        judge = self._judges[foot]
         for outcome in outcomes:
             if isinstance(outcome, StrideResult):
                 judge.on_stride(outcome)
             else:
                 permitted = judge.on_phase(outcome)
                 # stimulation keeps to the host's clock, whatever the sensor's does
-                self._plan.on_phase(replace(outcome, t_ns=sample.t_ns), permitted=permitted)
+                self._plan.on_phase(replace(outcome, t_ns=sample.t_ns, foot=foot), permitted=permitted)
         return outcomes
 
     def _on_act(self, act: OperatorAct) -> None:
         if act.action is OperatorAction.SET_INTENSITY:
             self.intensity = min(max(act.value, 0.0), 1.0)
-        else:  # armed or stopped in mid-burst: whatever comes next is a new burst
+        elif act.action in BY_HAND_NS:
+            self._plan.start(act.value, act.t_ns, BY_HAND_NS[act.action], adopt=act.action is OperatorAction.TRIGGER)
+        elif (
+            act.action is not OperatorAction.SET_BELT_SPEED
+        ):  # armed or stopped in mid-burst: whatever comes next is a new burst
             self._plan.cancel()
 
     def _due(self, t_ns: int, *, at_once: bool) -> tuple[StimRequest, ...]:
@@ -111,17 +121,3 @@ class Controller:
         requests = self._plan.requests(t_ns, self.intensity)
         self._on = any(request.on for request in requests)
         return requests
-
-
-def stride_settings(session: Session, calibration: FootCalibration) -> StrideSettings:
-    """How this session's strides are integrated, with the foot's geometry where the session gives it."""
-    geometry = {str(foot): value for foot, value in session.geometry.items()}.get(calibration.sensor)
-    height_m = SENSOR_HEIGHT_M
-    if geometry is not None:
-        height_m = max(-0.5 * (geometry.toe_up_m + geometry.heel_up_m), 0.0)
-    return StrideSettings(
-        forward=calibration.forward(),
-        up=np.array(calibration.up),
-        sensor_height_m=height_m,
-        geometry=geometry,
-    )

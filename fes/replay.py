@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from fes import __version__
 from fes.config import Session, validate_session
+from fes.driving import Calibration, calibration_from_dict, driving
 from fes.estimation.calibration import CalibrationError, FootCalibration, calibrate_foot, stretch_for_calibration
 from fes.recording import Recording, RecordingError, Track
 from fes.signals import FOOT_SENSORS, NS_PER_S, Event, ImuSample
@@ -113,7 +114,7 @@ def log_header(
     recording: Recording,
     recording_sha256: str,
     session: Session,
-    calibrations: dict[str, FootCalibration],
+    calibrations: Mapping[str, Calibration],
     session_id: int,
     created: str,
 ) -> dict[str, Any]:
@@ -135,7 +136,7 @@ def log_header(
     }
 
 
-def settings_of(header: dict[str, Any], path: Path) -> tuple[Session, dict[str, FootCalibration], int]:
+def settings_of(header: dict[str, Any], path: Path) -> tuple[Session, dict[str, Calibration], int]:
     """Settings, calibrations and the stimulator's session identifier from a log's header.
 
     Raises:
@@ -143,14 +144,14 @@ def settings_of(header: dict[str, Any], path: Path) -> tuple[Session, dict[str, 
         KeyError, TypeError: the header is not that of a session log of this format.
     """
     session = validate_session(header["session"], path)
-    calibrations = {sensor: FootCalibration.from_dict(data) for sensor, data in header["calibration"].items()}
+    calibrations = {sensor: calibration_from_dict(data) for sensor, data in header["calibration"].items()}
     return session, calibrations, int(header["stim_session_id"])
 
 
 def session_for(recording: Recording, session: Session | None) -> Session:
     """The session's settings, completed by what the recording knows (subject, belt, geometry).
 
-    Channels of a foot that the recording has no sensor on are left out. Without a session nothing is stimulated.
+    Channels of a foot that no sensor of the recording drives are left out. Without a session nothing is stimulated.
     """
     known: dict[str, Any] = {}
     base = session or Session(name=recording.name)
@@ -160,7 +161,8 @@ def session_for(recording: Recording, session: Session | None) -> Session:
         known["treadmill"] = {"belt_speed_mps": recording.belt_speed_mps}
     if not base.geometry and recording.geometry:
         known["geometry"] = {foot: value.model_dump() for foot, value in recording.geometry.items()}
-    channels = [channel for channel in base.channels if channel.foot in recording.tracks]
+    driven = driving(recording.tracks)
+    channels = [channel for channel in base.channels if channel.foot in driven]
     kept = {channel.number for channel in channels}
     known["channels"] = [
         {**channel.model_dump(), "never_with": [number for number in channel.never_with if number in kept]}

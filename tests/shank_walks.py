@@ -7,6 +7,7 @@ their derivatives and not differences.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -14,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from fes.signals import G_MPS2, FloatArray, IntArray
 
+KNEE_M = 0.42  # above the ankle
 PHASES = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.78, 0.86, 0.93)  # of a stride from contact
 LEAN_DEG = (-24.0, -15.0, -10.0, -6.5, -1.5, 7.0, 22.0, 38.0, 26.0, -6.0, -22.0)
 FOOT_OFF = 0.62
@@ -115,3 +117,42 @@ def shank_walk(
         arm_m=np.array(arm_m),
         sensor_from_shank=mounting.as_matrix(),
     )
+
+
+def shank_moved(
+    lean_rad: FloatArray,
+    ankle_m: FloatArray | None = None,
+    *,
+    arm_m: tuple[float, float, float] = (0.02, 0.0, 0.25),
+    rate_hz: float = 100.0,
+    seed: int = 0,
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Samples of a shank that leans ``lean_rad`` (N,) while its ankle goes along ``ankle_m`` (N, 3: forward, left, up).
+
+    Without a path the knee stays where it is, as of one who sits. Mounted as :func:`shank_walk` with the same seed.
+    Returns t_ns, specific force and rates.
+    """
+    n = len(lean_rad)
+    if ankle_m is None:
+        ankle_m = -KNEE_M * np.column_stack((np.sin(lean_rad), np.zeros(n), np.cos(lean_rad)))
+    step_s = 1.0 / rate_hz
+    rate = np.gradient(lean_rad, step_s)
+    world_from_shank = Rotation.from_rotvec(lean_rad[:, None] * np.array([0.0, 1.0, 0.0]))
+    path = ankle_m + world_from_shank.apply(np.array(arm_m))
+    acc_world = np.gradient(np.gradient(path, step_s, axis=0), step_s, axis=0) + np.array([0.0, 0.0, G_MPS2])
+    mounting = Rotation.random(random_state=seed)
+    rng = np.random.default_rng(seed)
+    acc = mounting.apply(world_from_shank.inv().apply(acc_world)) + 0.03 * rng.standard_normal((n, 3))
+    gyr = mounting.apply(rate[:, None] * np.array([0.0, 1.0, 0.0])) + 0.003 * rng.standard_normal((n, 3))
+    t_ns = np.round(1e9 * step_s * np.arange(n)).astype(np.int64)
+    return t_ns, np.ascontiguousarray(acc), np.ascontiguousarray(gyr)
+
+
+def eased(times_s: list[float], values: list[float], until_s: float, rate_hz: float = 100.0) -> FloatArray:
+    """A curve that goes smoothly from value to value and rests before the first and behind the last, (N,)."""
+    t = np.arange(0.0, until_s, 1.0 / rate_hz)
+    out = np.full(len(t), values[0])
+    for (begin, end), (a, b) in zip(pairwise(times_s), pairwise(values), strict=True):
+        u = np.clip((t - begin) / (end - begin), 0.0, 1.0)
+        out += (b - a) * u**3 * (10 - 15 * u + 6 * u**2)
+    return out

@@ -167,7 +167,7 @@ def test_stairs_report_the_height_gained(rise_m: float) -> None:
         walk.t_ns, walk.acc, walk.gyr, calibration, AnkleSettings.of(calibration, equal_height=False)
     )
     assert np.mean([s.height_gained_m for s in learnt]) == pytest.approx(rise_m, abs=0.03)
-    level = ankle_strides(walk.t_ns, walk.acc, walk.gyr, calibration)
+    level = ankle_strides(walk.t_ns, walk.acc, walk.gyr, calibration, AnkleSettings.of(calibration, equal_height=True))
     assert max(abs(s.height_gained_m) for s in level) < 1e-9
 
 

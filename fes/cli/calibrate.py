@@ -4,85 +4,161 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
+from fes.calibrations import Found, calibrate_all, load, save
 from fes.cli.exits import Problem, fail
+from fes.driving import Calibration, driving
+from fes.estimation.ankle_calibration import ShankCalibration
 from fes.estimation.calibration import CalibrationError, FootCalibration
 from fes.recording import RecordingError, read_recording
-from fes.replay import calibrate
-
-FORMAT = 1
 
 
 @click.command(name="calibrate")
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="Where to write. Default: RECORDING.calibration.json.")
-def command(recording: Path, out: Path | None) -> None:
-    """Calibrate the foot sensors from RECORDING: a still second, then at least five strides straight ahead."""
+@click.option("--stairs", is_flag=True, help="Over stairs or slopes: shank strides may end higher or lower.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was found as JSON instead of the table.")
+def command(recording: Path, out: Path | None, stairs: bool, as_json: bool) -> None:
+    """Calibrate foot and shank sensors from RECORDING: a still second, then at least five strides straight ahead.
+
+    Feet that the sidecar calls foot_a and foot_b are told apart by how they move; where that is not clear, nothing is
+    written and a label is asked for. Use the result with --calibration of fes replay and fes analyse.
+    """
     try:
-        found, missing = calibrate(read_recording(recording))
+        found = calibrate_all(read_recording(recording), level=not stairs)
     except (RecordingError, CalibrationError) as error:
         fail(error)
-    for reason in missing.values():
+    for reason in found.missing.values():
         click.secho(f"Not calibrated: {reason}", fg="yellow", err=True)
-    for calibration in found.values():
-        click.echo(describe(calibration))
+    if found.swapped and found.verdict is not None:
+        click.secho(
+            f"The two feet move as if they were swapped ({found.verdict.agreeing} of 4 signs, score "
+            f"{found.verdict.score:.2f}). Check which sensor is on which foot before stimulating.",
+            fg="red",
+            err=True,
+        )
     target = out or recording.with_suffix(".calibration.json")
     save_calibrations(found, target)
+    if as_json:
+        click.echo(json.dumps(as_dict(found, target), indent=2, ensure_ascii=False))
+        return
+    _show(found)
     click.echo(f"Calibration  {target}")
 
 
-def describe(calibration: FootCalibration) -> str:
+def _show(found: Found) -> None:
+    """The table, then each sensor in words."""
+    from rich.console import Console
+    from rich.table import Table
+
+    drivers = {sensor: foot for foot, sensor in driving(found.calibrations).items()}
+    table = Table("sensor", "drives", "strides", "still second", "forward is sure", "rest below", "arm")
+    for sensor, calibration in found.calibrations.items():
+        if isinstance(calibration, ShankCalibration):
+            rest_radps, arm = calibration.levels.rest_lean_radps, f"{100 * calibration.arm.length_m:.0f} cm"
+            arm += "" if calibration.arm.learnt else " (prior)"
+        else:
+            rest_radps, arm = calibration.rest_gyr_radps, "–"
+        table.add_row(
+            sensor,
+            drivers.get(sensor, "recorded only"),
+            str(calibration.strides),
+            "yes" if calibration.standing else "no",
+            f"{calibration.axis_confidence:.0%}",
+            f"{rest_radps:.2f} rad/s",
+            arm,
+        )
+    Console(width=110).print(table)
+    for name, side in found.sides.items():
+        click.echo(f"{name} is the {side}: {_evidence(found)}")
+    for calibration in found.calibrations.values():
+        click.echo(describe(calibration))
+
+
+def _evidence(found: Found) -> str:
+    if found.verdict is None:
+        return "as given"
+    return f"{found.verdict.agreeing} of 4 signs agree, score {found.verdict.score:.2f} (sure from 0.30)"
+
+
+def as_dict(found: Found, target: Path) -> dict[str, Any]:
+    """What was found, for programs."""
+    verdict = found.verdict
+    return {
+        "sensors": {sensor: calibration.to_dict() for sensor, calibration in found.calibrations.items()},
+        "drives": driving(found.calibrations),
+        "missing": found.missing,
+        "sides": found.sides,
+        "side_score": verdict.score if verdict else None,
+        "side_signs_agreeing": verdict.agreeing if verdict else None,
+        "swapped": found.swapped,
+        "file": str(target),
+    }
+
+
+def describe(calibration: Calibration) -> str:
     """A calibration in words."""
-    still = (
-        "a still second was found" if calibration.standing else "nobody stood still: the gyroscope's bias is taken as 0"
-    )
+    shank = isinstance(calibration, ShankCalibration)
+    unseen = "from the drift between strides" if shank else "taken as 0"
+    still = f"nobody stood still: the gyroscope's bias is {unseen}"
+    if calibration.standing:
+        still = "a still second was found"
     rate = ", ".join(f"{1000 * b:+.1f}" for b in calibration.gyr_bias_radps)
     force = ", ".join(f"{b:+.3f}" for b in calibration.acc_bias_mps2)
     up = ", ".join(f"{v:+.2f}" for v in calibration.up)
-    axis = ", ".join(f"{v:+.2f}" for v in calibration.toe_down)
+    if isinstance(calibration, ShankCalibration):
+        turning, axis, more = "left", calibration.left, _shank_lines(calibration)
+    else:
+        turning, axis, more = "toe-down about", calibration.toe_down, _foot_lines(calibration)
+    across = ", ".join(f"{v:+.2f}" for v in axis)
     return "\n".join(
         (
             f"{calibration.sensor}: from {calibration.strides} strides; {still}",
-            f"  up ({up}), toe-down about ({axis}) in the sensor's axes, sign {calibration.axis_confidence:.0%} sure",
+            f"  up ({up}), {turning} ({across}) in the sensor's axes, sign {calibration.axis_confidence:.0%} sure",
             f"  bias: gyroscope ({rate}) mrad/s, accelerometer ({force}) m/s²",
-            f"  at rest below {calibration.rest_gyr_radps:.2f} rad/s for {1000 * calibration.rest_hold_s:.0f} ms; "
-            f"push-off from {calibration.min_toe_down_peak_radps:.1f} rad/s; "
-            f"contact from {calibration.contact_jump_mps3:.0f} m/s³",
+            *more,
         )
     )
 
 
-def save_calibrations(calibrations: dict[str, FootCalibration], path: Path) -> None:
+def _foot_lines(calibration: FootCalibration) -> list[str]:
+    return [
+        f"  at rest below {calibration.rest_gyr_radps:.2f} rad/s for {1000 * calibration.rest_hold_s:.0f} ms; "
+        f"push-off from {calibration.min_toe_down_peak_radps:.1f} rad/s; "
+        f"contact from {calibration.contact_jump_mps3:.0f} m/s³"
+    ]
+
+
+def _shank_lines(calibration: ShankCalibration) -> list[str]:
+    arm, levels = calibration.arm, calibration.levels
+    how = f"learnt from {arm.windows} stances" if arm.learnt else f"taken from the prior: {arm.reason}"
+    return [
+        f"  flat below {levels.rest_lean_radps:.2f} rad/s and {levels.rest_acc_mps2:.1f} m/s² at the ankle; "
+        f"push-off from {levels.min_lean_peak_radps:.1f} rad/s; contact from {levels.contact_jolt_mps3:.0f} m/s³",
+        f"  arm {100 * arm.length_m:.1f} cm, {how}; condition {arm.condition:.1f}",
+    ]
+
+
+def save_calibrations(found: Found, path: Path) -> None:
     """Write calibrations as JSON.
 
     Raises:
         Problem: the file cannot be written.
     """
-    data = {"format": FORMAT, "feet": {foot: calibration.to_dict() for foot, calibration in calibrations.items()}}
     try:
-        path.write_text(json.dumps(data, indent=1), encoding="utf-8")
+        save(found, path)
     except OSError as error:
         raise Problem(f"{path}: cannot be written: {error.strerror}. Choose another place with --out.") from error
 
 
 def load_calibrations(path: Path) -> dict[str, FootCalibration]:
-    """Read what :func:`save_calibrations` wrote.
+    """The feet of a calibration file.
 
     Raises:
         CalibrationError: missing, not JSON, or not a calibration of this format.
     """
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        if data["format"] != FORMAT:
-            raise CalibrationError(
-                f"{path}: is of format {data['format']}, this version reads {FORMAT}. Calibrate anew."
-            )
-        return {foot: FootCalibration.from_dict(values) for foot, values in data["feet"].items()}
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror}. Make one with fes calibrate.") from error
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        if isinstance(error, CalibrationError):
-            raise
-        raise CalibrationError(f"{path}: is no calibration ({error}). Make one with fes calibrate.") from error
+    found = load(path).calibrations
+    return {sensor: c for sensor, c in found.items() if isinstance(c, FootCalibration)}

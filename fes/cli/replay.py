@@ -13,6 +13,7 @@ import click
 
 from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import StimulatorLost
+from fes.calibrations import calibrate_drivers, drivers_from
 from fes.cli.clock import MonotonicClock
 from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail
 from fes.cli.interrupt import Interrupt
@@ -30,14 +31,15 @@ from fes.cli.stimulators import (
 )
 from fes.config import ConfigError, Session, load_session
 from fes.controller import Controller
-from fes.estimation.calibration import CalibrationError, FootCalibration
+from fes.driving import Calibration, driven_by, driving
+from fes.estimation.calibration import CalibrationError
 from fes.estimation.warm import warm_up
 from fes.gate import gate_of
 from fes.journal import SessionLogError, SessionWriter, read_session
 from fes.recording import Recording, RecordingError, read_recording
-from fes.replay import calibrate, digest, identity, log_header, refuse_long_silence, samples_of, session_for
+from fes.replay import digest, identity, log_header, refuse_long_silence, samples_of, session_for
 from fes.runner import Runner
-from fes.signals import Event
+from fes.signals import SHANK_SENSORS, Event
 from fes.sources import armed_after, paced, with_ticks
 
 LOG_SUFFIX = ".feslog"
@@ -55,11 +57,13 @@ class Options:
     rearm_after_s: float | None = None
     as_json: bool = False
     report: bool = True
+    calibration: Path | None = None
 
 
 @click.command(name="replay")
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--session", type=click.Path(path_type=Path), help="Settings (TOML). Default: session.toml beside it.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="From fes calibrate. Default: from the recording.")
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results go below."
 )
@@ -78,6 +82,7 @@ class Options:
 def command(
     recording: Path,
     session: Path | None,
+    calibration: Path | None,
     out: Path,
     speed: float | None,
     stimulator: str,
@@ -100,7 +105,7 @@ def command(
         _refuse_settings_of_a_recording()
         replay_log(recording, as_json=as_json)
         return
-    options = Options(session, out, speed, stimulator, arm_after, rearm_after, as_json, not no_report)
+    options = Options(session, out, speed, stimulator, arm_after, rearm_after, as_json, not no_report, calibration)
     replay_recording(recording, options)
 
 
@@ -116,8 +121,12 @@ def replay_recording(path: Path, options: Options) -> Path:
         refuse_long_silence(recording)
         settings = options.session or _beside(path)
         asked = load_session(settings) if settings else None
+        if options.calibration:
+            recording, found = drivers_from(options.calibration, recording)
+        else:
+            found = calibrate_drivers(recording)
+        calibrations, missing = found.calibrations, found.missing
         session = session_for(recording, asked)
-        calibrations, missing = calibrate(recording)
     except (RecordingError, ConfigError, CalibrationError) as error:
         fail(error)
     kept = {channel.number for channel in session.channels}
@@ -165,7 +174,7 @@ def replay_recording(path: Path, options: Options) -> Path:
 def _go(
     recording: Recording,
     session: Session,
-    calibrations: dict[str, FootCalibration],
+    calibrations: dict[str, Calibration],
     opened: Opened,
     header: dict[str, Any],
     log_path: Path,
@@ -173,11 +182,11 @@ def _go(
 ) -> str:
     """Run the loop over the recording; returns how it ended: complete, different, interrupted, or why it stopped."""
     stimulation = session.stimulation
-    gate = gate_of(session, {sensor: calibration.up for sensor, calibration in calibrations.items()})
+    gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
     log = SessionWriter(log_path, header)
     runner = Runner(Controller(session, calibrations), gate, opened.stimulator, log, time.perf_counter_ns)
     events = armed_after(
-        with_ticks(samples_of(recording, set(calibrations))),
+        with_ticks(samples_of(recording, set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS)))),
         options.arm_after_s,
         stimulation.intensity,
         options.rearm_after_s,
@@ -243,7 +252,7 @@ def _say_what_is_left_out(
     session: Session,
     settings: Path | None,
     left_out: list[str],
-    calibrations: dict[str, FootCalibration],
+    calibrations: dict[str, Calibration],
     missing: dict[str, str],
 ) -> None:
     for reason in missing.values():
@@ -255,7 +264,7 @@ def _say_what_is_left_out(
         names = ", ".join(left_out)
         click.secho(f"Left out, for the recording has no sensor on that foot: {names}.", fg="yellow", err=True)
     for channel in session.channels:
-        if channel.foot not in calibrations:
+        if channel.foot not in driving(calibrations):
             raise Problem(f"Channel {channel.name!r} follows the {channel.foot}, which cannot be calibrated.")
 
 

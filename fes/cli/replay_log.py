@@ -16,11 +16,13 @@ from fes.cli.exits import FAILED, fail
 from fes.cli.show import show
 from fes.config import ConfigError
 from fes.controller import Controller
+from fes.driving import driven_by
 from fes.gate import gate_of
 from fes.journal import Note, SessionLogError, SessionRecord, iter_events, read_session
+from fes.live.stimulator import UNSENT
 from fes.replay import settings_of
 from fes.runner import Runner
-from fes.signals import Event, StimCommand, StrideResult, WireFrame
+from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, StrideResult, WireFrame
 from statemachine.phases import PhaseChange
 
 SAME: Final = 1e-6  # of a stride's numbers: another processor's last bit is no difference, another sample is
@@ -59,6 +61,30 @@ class Collected:
         """Another machine's business."""
 
 
+class LoggedSink:
+    """Encodes as the session did: not what it could not send, and under a new identifier after it opened again."""
+
+    def __init__(self, session_id: int, sent: list[bool]) -> None:
+        self._sink = ByteSink(session_id)
+        self._sent = sent
+        self._number = 0
+
+    def opened(self, session_id: int) -> None:
+        """The stimulator was opened again."""
+        self._sink = ByteSink(session_id)
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """The frame that the session sent, or left out."""
+        number, self._number = self._number, self._number + 1
+        if number < len(self._sent) and not self._sent[number]:
+            return WireFrame(command.t_ns, UNSENT, b"")
+        return self._sink.send(command)
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """Its answers are events in the log."""
+        return []
+
+
 @dataclass(frozen=True, slots=True)
 class Repeated:
     """How a log's second run went: ``commands`` and ``strides`` compared, ``difference`` the first ("": none)."""
@@ -87,21 +113,28 @@ def repeat(path: Path) -> Repeated:
             f"{path}: was left by fes {version} and cannot be replayed by fes {__version__}: its header does not fit "
             f"({error}). `fes report` still shows it; replay its recording instead."
         ) from error
-    gate = gate_of(session, {sensor: calibration.up for sensor, calibration in calibrations.items()})
+    gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
     now = Collected()
-    runner = Runner(Controller(session, calibrations), gate, ByteSink(session_id), now, lambda: 0)
+    recorded = [frame for frame in record.frames if frame.identifier in (COMMAND_ID, UNSENT)]
+    sink = LoggedSink(session_id, [frame.identifier != UNSENT for frame in recorded])
+    runner = Runner(Controller(session, calibrations), gate, sink, now, lambda: 0)
     for event in iter_events(path):
+        if isinstance(event, StimOpened):
+            sink.opened(event.session_id)
         runner.handle(event)
     if record.complete:
         runner.all_off()
     whole = record.complete and record.summary.get("ended") in ENDED_WHOLE
-    recorded = [frame for frame in record.frames if frame.identifier == COMMAND_ID]
+    on_can = session.stimulator.device == "can"  # what other devices' drivers make of a command is theirs
     difference = (
-        _frames_differ(record, recorded, now.frames, runner.t_ns, whole)
+        (_frames_differ(record, recorded, now.frames, runner.t_ns, whole) if on_can else "")
+        or _commands_differ(record.commands, now.commands, whole)
         or _phases_differ(record.phases, now.phases, whole)
         or _strides_differ(record.strides, now.strides, whole)
     )
-    return Repeated(min(len(recorded), len(now.frames)), min(len(record.strides), len(now.strides)), difference)
+    return Repeated(
+        min(len(record.commands), len(now.commands)), min(len(record.strides), len(now.strides)), difference
+    )
 
 
 def _frames_differ(
@@ -117,6 +150,18 @@ def _frames_differ(
             f"command {number + 1}: recorded {was.data.hex()} at {was.t_ns} ns, now {is_now.data.hex()} at "
             f"{is_now.t_ns} ns"
         )
+    if whole and len(recorded) != len(now):
+        return f"{len(recorded)} commands are recorded, now there are {len(now)}"
+    return ""
+
+
+def _commands_differ(recorded: list[StimCommand], now: list[StimCommand], whole: bool) -> str:
+    for number, (was, is_now) in enumerate(zip(recorded, now, strict=False), start=1):
+        if was == is_now:
+            continue
+        if not whole and all(not command.on and command.t_ns >= now[-1].t_ns for command in recorded[number - 1 :]):
+            return ""  # the session stopped here and switched off
+        return f"command {number}: recorded {was}, now {is_now}"
     if whole and len(recorded) != len(now):
         return f"{len(recorded)} commands are recorded, now there are {len(now)}"
     return ""

@@ -60,10 +60,10 @@ class AnkleSettings:
     equal_height: bool = True
 
     @staticmethod
-    def of(calibration: ShankCalibration, *, equal_height: bool = True) -> AnkleSettings:
-        """The settings that a calibration leads to."""
+    def of(calibration: ShankCalibration, *, equal_height: bool | None = None) -> AnkleSettings:
+        """The settings that a calibration leads to; ``equal_height`` overrules what it says of the ground."""
         up, left, arm = (np.array(v) for v in (calibration.up, calibration.left, calibration.arm.arm_m))
-        return AnkleSettings(up, left, arm, equal_height)
+        return AnkleSettings(up, left, arm, calibration.level if equal_height is None else equal_height)
 
 
 def ankle_strides(
@@ -80,7 +80,7 @@ def ankle_strides(
         acc_mps2: (N, 3) specific force as measured.
         gyr_radps: (N, 3) angular rate as measured.
         calibration: of this sensor.
-        settings: how to integrate, by default what the calibration says, on level ground.
+        settings: how to integrate, by default what the calibration says.
     """
     settings = settings or AnkleSettings.of(calibration)
     acc = acc_mps2 - np.array(calibration.acc_bias_mps2)

@@ -110,7 +110,7 @@ def learn_arm(
     expected = np.array([0.0, 0.0, prior.length_m])
     precision = np.diag([prior.forward_sd_m**-2.0, prior.left_sd_m**-2.0, prior.length_sd_m**-2.0])
     shapes = [rows for span in spans if span.quiet for rows in _shape_rows(t_ns, acc, gyr, span, level)]
-    anchored = _anchored_rows(t_ns, acc, gyr, spans)
+    anchored = _anchored_rows(t_ns, acc, gyr, spans, level)
     information, pull = np.zeros((3, 3)), np.zeros(3)
     for rows, sd in ((shapes, SHAPE_SD_MPS), (anchored, ANCHOR_SD_MPS)):
         for matrix, velocity in rows:
@@ -207,7 +207,7 @@ def _shape_rows(
 
 
 def _anchored_rows(
-    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan]
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan], level: bool
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Wu's own rows: ``v = w × r`` in the stances of walks that begin and end standing, velocity zero at both ends."""
     if len(spans) < 2:
@@ -227,7 +227,7 @@ def _anchored_rows(
         orient(t, gyr[begin : end + 1], start, fx, fy, fz, 1.0, quaternions)
         velocity, position, gamma = np.empty((len(t), 3)), np.empty((len(t), 3)), np.empty((2, 3))
         zero = np.zeros(3)
-        if not integrate(t, acc[begin : end + 1], quaternions, zero, zero, True, velocity, position, gamma):
+        if not integrate(t, acc[begin : end + 1], quaternions, zero, zero, level, velocity, position, gamma):
             continue
         # standing on a belt that starts and stops is no rest in the belt's frame: the walk then leads nowhere
         if np.hypot(position[-1, 0], position[-1, 1]) < 0.5 * len(inside) * _least_travel(t_ns, inside):

@@ -8,7 +8,7 @@ is where the swings carry the sensor.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -24,6 +24,9 @@ from fes.estimation.ankle_motion import (
     swing_peaks,
 )
 from fes.estimation.calibration import CalibrationError
+from fes.estimation.kernel import lags_at
+from fes.estimation.shank_kernel import ShankParameters
+from fes.estimation.shank_levels import ShankLevels, fit_levels, trace_of
 from fes.estimation.stride import integrate
 from fes.signals import G_MPS2, FloatArray, IntArray, Vector3
 
@@ -51,6 +54,8 @@ class ShankCalibration:
         axis_confidence: share of the travel that agrees on which way is forward, 0–1.
         strides: how many the result rests on.
         standing: whether a still stretch was found.
+        levels: how the shank moves, for the guards.
+        level: whether strides end as high as they begin; False for stairs and slopes.
     """
 
     sensor: str
@@ -63,6 +68,19 @@ class ShankCalibration:
     axis_confidence: float
     strides: int
     standing: bool
+    levels: ShankLevels = field(default_factory=ShankLevels)
+    level: bool = True
+
+    def parameters(self) -> ShankParameters:
+        """For the compiled core."""
+        return ShankParameters(
+            *self.left,
+            *self.arm.arm_m,
+            *self.acc_bias_mps2,
+            *self.gyr_bias_radps,
+            1.0 / self.rate_hz,
+            *lags_at(self.rate_hz),
+        )
 
     def forward(self) -> FloatArray:
         """Unit vector to the front in mid-stance, sensor frame (3,): left × up."""
@@ -80,7 +98,9 @@ class ShankCalibration:
     def from_dict(data: dict[str, Any]) -> ShankCalibration:
         """Back from the session log."""
         values, arm = _with_tuples(data), _with_tuples(data["arm"])
-        return ShankCalibration(**{**values, "arm": ArmEstimate(**arm)})
+        return ShankCalibration(
+            **{**values, "arm": ArmEstimate(**arm), "levels": ShankLevels(**data.get("levels", {}))}
+        )
 
 
 def calibrate_shank(
@@ -127,7 +147,7 @@ def calibrate_shank(
     left /= np.linalg.norm(left)
     acc_bias = up * excess_mps2
     arm = learn_arm(t_ns, acc_mps2 - acc_bias, gyr, spans, up, left, prior, level=level)
-    return ShankCalibration(
+    found = ShankCalibration(
         sensor=sensor,
         rate_hz=rate_hz,
         up=_vector(up),
@@ -138,7 +158,10 @@ def calibrate_shank(
         axis_confidence=confidence,
         strides=len(spans),
         standing=standing,
+        level=level,
     )
+    trace = trace_of(found.parameters(), t_ns, acc_mps2, gyr_radps)
+    return replace(found, levels=fit_levels(trace, spans))
 
 
 def _with_tuples(data: dict[str, Any]) -> dict[str, Any]:

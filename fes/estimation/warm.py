@@ -6,6 +6,7 @@ import numpy as np
 
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.foot import FootTracker
+from fes.estimation.shank_warm import warm_up_shank
 from fes.estimation.strides import StrideMaker, StrideSettings
 from fes.signals import G_MPS2
 
@@ -38,3 +39,4 @@ def warm_up() -> None:
     acc = np.column_stack((3.0 * toe_down, np.zeros(n), np.full(n, G_MPS2) + np.where((at % 200) == 172, 60.0, 0.0)))
     for k in range(n):
         tracker.advance(at[k : k + 1] * 10_000_000, acc[k : k + 1], gyr[k : k + 1])
+    warm_up_shank(at * 10_000_000, acc, gyr)

@@ -11,7 +11,7 @@ from fes.recording.raw import RawTrack, read_table
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
 from fes.recording.template import sidecar_template
 from fes.recording.timebase import MIN_DURATION_S, judge_stamps
-from fes.recording.tracks import Recording, RecordingError, Track, TrackQuality
+from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, Track, TrackQuality
 from fes.signals import SENSORS
 
 TABLE_SUFFIXES = (".csv", ".parquet")
@@ -48,7 +48,9 @@ def read_recording(path: Path) -> Recording:
         raw = read_can_log(path, sidecar_path, sidecar)
     else:
         raw = read_table(path, sidecar_path, sidecar)
-    tracks = {sensor: _track(path, sidecar, sensor, raw[sensor]) for sensor in SENSORS if sensor in raw}
+    tracks = {
+        sensor: _track(path, sidecar, sensor, raw[sensor]) for sensor in SENSORS + UNLABELLED_FEET if sensor in raw
+    }
     _check_overlap(path, tracks)
     extra = dict(sidecar.extra)
     mounting = {sensor: columns.mounting for sensor, columns in sidecar.sensors.items() if columns.mounting}

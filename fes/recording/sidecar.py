@@ -14,7 +14,7 @@ from fes.recording.tracks import RecordingError
 from fes.recording.units import AccUnit, GyrUnit, TimeUnit, acc_factor, gyr_factor
 from fes.signals import G_MPS2
 
-Sensor = Literal["left_foot", "right_foot", "left_shank", "right_shank"]
+Sensor = Literal["left_foot", "right_foot", "left_shank", "right_shank", "foot_a", "foot_b"]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
 

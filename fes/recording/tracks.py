@@ -12,6 +12,8 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.signals import SENSORS, FloatArray, ImuSample, IntArray
 
+UNLABELLED_FEET = ("foot_a", "foot_b")  # which is left is told by fes calibrate
+
 
 class RecordingError(ValueError):
     """A recording cannot be used; the message names the file, the place and what would be right."""
@@ -76,7 +78,7 @@ class Track:
             "acc_mps2": (self.acc_mps2, np.float64, (self.t_ns.size, 3)),
             "gyr_radps": (self.gyr_radps, np.float64, (self.t_ns.size, 3)),
         }
-        if self.sensor not in SENSORS:
+        if self.sensor not in SENSORS + UNLABELLED_FEET:
             raise RecordingError(f"track {self.sensor!r}: a sensor is one of {', '.join(SENSORS)}")
         for name, (array, dtype, shape) in shapes.items():
             if array.dtype != dtype or array.shape != shape:
@@ -116,7 +118,7 @@ class Recording:
 
     def samples(self) -> Iterator[ImuSample]:
         """Yield all tracks' samples merged by arrival; on equal times sensors come in the order of SENSORS."""
-        ordered = [self.tracks[sensor] for sensor in SENSORS if sensor in self.tracks]
+        ordered = [self.tracks[sensor] for sensor in SENSORS + UNLABELLED_FEET if sensor in self.tracks]
         if not ordered:
             return
         t_ns = np.concatenate([track.t_ns for track in ordered])

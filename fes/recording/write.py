@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from fes.recording import toml_text
-from fes.recording.tracks import Recording, RecordingError, Track
+from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, Track
 from fes.signals import SENSORS, IntArray
 
 _AXES = "xyz"
@@ -58,7 +58,7 @@ def write_recording(recording: Recording, path: Path, *, overwrite: bool = False
 
 def _lay_out(recording: Recording, *, single: bool) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return (column name → numpy array with its mask, sidecar settings)."""
-    tracks = [recording.tracks[sensor] for sensor in SENSORS if sensor in recording.tracks]
+    tracks = [recording.tracks[sensor] for sensor in SENSORS + UNLABELLED_FEET if sensor in recording.tracks]
     rows = max(track.t_ns.size for track in tracks)
     shared = all(np.array_equal(track.t_sensor_ns, tracks[0].t_sensor_ns) for track in tracks)
     number = np.float32 if single else np.float64

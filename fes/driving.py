@@ -1,0 +1,72 @@
+"""Which sensor tells a foot's phases: the sensor on the foot; where there is none, the one on that side's shank.
+
+With both, the foot drives, and the shank is only recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from fes.config import Session
+from fes.estimation.ankle_calibration import ShankCalibration
+from fes.estimation.calibration import FootCalibration
+from fes.estimation.foot import FootTracker
+from fes.estimation.shank import shank_tracker
+from fes.estimation.strides import SENSOR_HEIGHT_M, StrideMaker, StrideSettings
+from fes.estimation.tracker import Tracker
+from fes.signals import FOOT_SENSORS, SHANK_SENSORS
+
+Calibration: TypeAlias = FootCalibration | ShankCalibration
+SHANK_OF = dict(zip(FOOT_SENSORS, SHANK_SENSORS, strict=True))
+
+
+def driving(sensors: Iterable[str]) -> dict[str, str]:
+    """Of these sensors the one that drives each foot, by foot; a foot that none of them can drive is left out."""
+    worn = set(sensors)
+    found: dict[str, str] = {}
+    for foot, shank in SHANK_OF.items():
+        if foot in worn:
+            found[foot] = foot
+        elif shank in worn:
+            found[foot] = shank
+    return found
+
+
+def driven_by(calibrations: Mapping[str, Calibration]) -> dict[str, str]:
+    """By foot, the shank sensor that drives it; feet with a sensor of their own are left out."""
+    return {foot: sensor for foot, sensor in driving(calibrations).items() if sensor != foot}
+
+
+def tracker_of(session: Session, calibration: Calibration) -> Tracker:
+    """The tracker for a sensor, with this session's settings."""
+    at_reversal = session.phases.swing_begins == "reversal"
+    if isinstance(calibration, ShankCalibration):
+        return shank_tracker(calibration, swing_at_reversal=at_reversal)
+    maker = StrideMaker(calibration.sensor, stride_settings(session, calibration))
+    return FootTracker(calibration, maker, swing_at_reversal=at_reversal)
+
+
+def stride_settings(session: Session, calibration: FootCalibration) -> StrideSettings:
+    """How this session's strides are integrated, with the foot's geometry where the session gives it."""
+    geometry = {str(foot): value for foot, value in session.geometry.items()}.get(calibration.sensor)
+    height_m = SENSOR_HEIGHT_M
+    if geometry is not None:
+        height_m = max(-0.5 * (geometry.toe_up_m + geometry.heel_up_m), 0.0)
+    return StrideSettings(
+        forward=calibration.forward(),
+        up=np.array(calibration.up),
+        sensor_height_m=height_m,
+        geometry=geometry,
+    )
+
+
+def calibration_from_dict(data: dict[str, Any]) -> Calibration:
+    """Back from a session log or a calibration file.
+
+    Raises:
+        KeyError, TypeError: it is not what ``to_dict`` made.
+    """
+    return (ShankCalibration if data["sensor"] in SHANK_SENSORS else FootCalibration).from_dict(data)
