@@ -1,0 +1,258 @@
+"""A stimulator that speaks CANopen: values by SDO, one SYNC for each pulse, so that losing SYNC is silence.
+
+Modelled on what is public of an implanted stimulator (COSMIIC PG4: SDO, heartbeat, SYNC as the pulse trigger; 100
+kbit/s). Which object holds what is not standardised: the settings say so. Plain frames on purpose: the ``canopen``
+package waits for SDO answers and works in threads, and a control loop does neither. Not tried on a real device.
+
+SYNC makes every channel deliver what it holds. So it only goes out when every channel's *confirmed* values are at most
+what was commanded; values travel one at a time, a step behind. A rise lags by a step; after a fall the next pulse waits
+until the lower value is confirmed. Channels that are on together pulse together, at the lowest of their frequencies.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import ClassVar, Final
+
+import can
+
+from drivers.stimulator.answers import ANSWER_WITHIN_NS
+from drivers.stimulator.can_port import COUNTERS, POLL_AT_MOST, Handshake
+from drivers.stimulator.canopen_codec import OPERATIONAL, SYNC_ID, CanOpenSettings, Sdo, encode_download, encode_start
+from drivers.stimulator.port import StimulatorLost
+from drivers.stimulator.pulse_train import PulseTrain
+from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
+
+CURRENT, WIDTH = 0, 1
+HEARTBEATS_MISSED: Final = 3
+_LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."
+
+
+@dataclass(slots=True)
+class _Line:
+    """One channel: steps of current and width as commanded, and as the device confirmed them."""
+
+    wanted: list[int] = field(default_factory=lambda: [0, 0])
+    confirmed: list[int] = field(default_factory=lambda: [0, 0])
+    counter: int = 0
+    frequency_hz: float = 0.0
+
+    def holds_no_more_than_wanted(self) -> bool:
+        if self.confirmed[CURRENT] == 0:
+            return True
+        return self.confirmed[CURRENT] <= self.wanted[CURRENT] and self.confirmed[WIDTH] <= self.wanted[WIDTH]
+
+
+class CanOpenStimulator:
+    """:class:`~drivers.stimulator.port.StimulatorPort` on an open bus, which it then owns.
+
+    In the log, identifier 0x80 is a SYNC with, as its data, the SDO that went out after it, if any; another identifier
+    is an SDO alone; 0 is a command that put nothing on the bus. The device counts no pulses.
+
+    Args:
+        channels: those of the session, in the order in which each control step commands them.
+    """
+
+    one_pulse_per_command: ClassVar[bool] = True
+
+    def __init__(self, bus: can.BusABC, session_id: int, channels: Sequence[int], settings: CanOpenSettings) -> None:
+        self.session_id = session_id
+        self.foreign = 0
+        self.current_step_ma = settings.current_step_ma
+        self.pulse_width_step_us = settings.width_step_us
+        self._bus = bus
+        self._settings = settings
+        self._lines = {channel: _Line() for channel in channels}
+        self._last = channels[-1]
+        self._train = PulseTrain()
+        self._counter = 0
+        self._pending: tuple[Sdo, int, int] | None = None  # what, channel, since when
+        self._boot_id = 1
+        self._beat_ns: int | None = None
+        self._closed = False
+
+    @property
+    def outstanding(self) -> int:
+        """SDO downloads not yet answered: 0 or 1."""
+        return int(self._pending is not None)
+
+    def open(self, t_ns: int, timeout_s: float = 4.0, clock_ns: Callable[[], int] = time.monotonic_ns) -> Handshake:
+        """Wait for the heartbeat, start the node, set every current to 0 and have that confirmed.
+
+        Raises:
+            StimulatorLost: no heartbeat, or the node does not start or refuses; the message says what to check.
+        """
+        deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
+        node = self._settings.node_id
+        frames: list[WireFrame] = []
+        todo = [self._settings.sdo(CURRENT, channel, 0) for channel in self._lines]
+        asked: Sdo | None = None
+        state = -1
+        while (left_ns := deadline_ns - clock_ns()) > 0:
+            message = self._read(left_ns / NS_PER_S)
+            if message is None:
+                continue
+            if message.arbitration_id == self._settings.heartbeat_id and message.data:
+                state = message.data[0] & 0x7F
+                frame = encode_start(node) if state != OPERATIONAL else None
+            elif asked is not None and self._settings.answers(asked, message):
+                if why := self._settings.refusal(message):
+                    raise StimulatorLost(f"{self._bus.channel_info}: CANopen node {node} {why}")
+                todo.pop(0)
+                asked, frame = None, None
+                if not todo:
+                    return Handshake(self._boot_id, tuple(frames), (StimAlive(t_ns, self._boot_id, 0),))
+            else:
+                continue
+            if state == OPERATIONAL:  # also asks again at every heartbeat, should the first have been lost
+                asked = todo[0]
+                frame = encode_download(node, asked)
+            if frame is not None:
+                self._write(*frame)
+                frames.append(WireFrame(t_ns, *frame))
+        raise StimulatorLost(
+            f"no CANopen node {node} was heard on {self._bus.channel_info} within {timeout_s:g} s. Is it on, is the "
+            f"node number right, does it send a heartbeat? {_LINE_HINT}"
+            if state < 0
+            else f"CANopen node {node} on {self._bus.channel_info} did not start within {timeout_s:g} s"
+        )
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """The SYNC, when this command makes one due, then at most one SDO.
+
+        Raises:
+            StimulatorLost: the bus did not take it.
+            ValueError: the command cannot be expressed; nothing was sent.
+        """
+        self._want(command)
+        self._counter = (self._counter + 1) % COUNTERS
+        sync = command.channel == self._last and self._sync_is_due(command.t_ns)
+        if sync:
+            self._write(SYNC_ID, b"")
+        frame = self._next_download(command.t_ns)
+        if frame is not None:
+            self._write(*frame)
+        identifier = SYNC_ID if sync else frame[0] if frame is not None else 0
+        return WireFrame(command.t_ns, identifier, frame[1] if frame is not None else b"")
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """All that has arrived, at most 128 frames, and what should have, stamped ``t_ns``.
+
+        Raises:
+            StimulatorLost: the bus cannot be read.
+        """
+        events: list[StimStatus | StimAlive] = []
+        for _ in range(POLL_AT_MOST):
+            message = self._read(0.0)
+            if message is None:
+                break
+            if message.arbitration_id == self._settings.heartbeat_id and message.data:
+                events.append(self._heartbeat(t_ns, message.data[0] & 0x7F))
+            elif message.arbitration_id == self._settings.answer_id:
+                events += self._answer(t_ns, message)
+            else:
+                self.foreign += 1
+        if self._pending is not None and t_ns - self._pending[2] > ANSWER_WITHIN_NS:
+            sdo, channel, _ = self._pending
+            self._pending = None
+            held = self._lines[channel].confirmed  # it may have arrived all the same: reckon with the larger
+            held[self._settings.what(sdo)] = max(held[self._settings.what(sdo)], sdo.value)
+            events.append(self._status(t_ns, channel, "no answer within 100 ms"))
+        if self._beat_ns is None:
+            self._beat_ns = t_ns
+        elif t_ns - self._beat_ns > HEARTBEATS_MISSED * self._settings.heartbeat_ms * 1_000_000:
+            self._beat_ns = t_ns
+            events.append(StimAlive(t_ns, self._boot_id, 0, "the stimulator's heartbeat has stopped"))
+        return events
+
+    def fileno(self) -> int:
+        """The bus, for ``select``."""
+        return int(self._bus.fileno())
+
+    def close(self) -> None:
+        """Shut the bus down; sends nothing."""
+        if not self._closed:
+            self._closed = True
+            self._bus.shutdown()
+
+    def _want(self, command: StimCommand) -> None:
+        line = self._lines.get(command.channel)
+        if line is None:
+            if command.on:
+                raise ValueError(f"channel {command.channel} is not one of this session's {sorted(self._lines)}")
+            return
+        if not command.on:
+            line.wanted[CURRENT] = 0
+        else:
+            if not math.isfinite(command.frequency_hz):
+                raise ValueError(f"frequency_hz = {command.frequency_hz!r} must be a finite number")
+            line.wanted = self._settings.steps(command.current_ma, command.pulse_width_us)
+            line.frequency_hz = command.frequency_hz
+        line.counter = self._counter
+
+    def _sync_is_due(self, t_ns: int) -> bool:
+        on = [line for line in self._lines.values() if line.confirmed[CURRENT] and line.wanted[CURRENT]]
+        if not on:
+            self._train.off()
+            return False
+        lines = self._lines.values()
+        if self._pending is not None or not all(line.holds_no_more_than_wanted() for line in lines):
+            return False
+        return self._train.due(t_ns, min(line.frequency_hz for line in on))
+
+    def _next_download(self, t_ns: int) -> tuple[int, bytes] | None:
+        """What to tell next: first what is too much, then widths, then what is too little; one at a time."""
+        if self._pending is not None:
+            return None
+        too_much = [(c, CURRENT) for c, n in self._lines.items() if n.confirmed[CURRENT] > n.wanted[CURRENT]]
+        widths = [(c, WIDTH) for c, n in self._lines.items() if n.confirmed[WIDTH] != n.wanted[WIDTH]]
+        too_little = [(c, CURRENT) for c, n in self._lines.items() if n.confirmed[CURRENT] < n.wanted[CURRENT]]
+        for channel, what in [*too_much, *widths, *too_little]:
+            sdo = self._settings.sdo(what, channel, self._lines[channel].wanted[what])
+            self._pending = (sdo, channel, t_ns)
+            return encode_download(self._settings.node_id, sdo)
+        return None
+
+    def _answer(self, t_ns: int, message: can.Message) -> list[StimStatus | StimAlive]:
+        if self._pending is None or not self._settings.answers(self._pending[0], message):
+            return [StimAlive(t_ns, self._boot_id, 0, "an SDO answer to no command of ours: late, repeated or foreign")]
+        sdo, channel, _ = self._pending
+        self._pending = None
+        if why := self._settings.refusal(message):
+            return [self._status(t_ns, channel, f"the stimulator {why}")]
+        self._lines[channel].confirmed[self._settings.what(sdo)] = sdo.value
+        return [self._status(t_ns, channel, "")]
+
+    def _heartbeat(self, t_ns: int, state: int) -> StimAlive:
+        self._beat_ns = t_ns
+        if state == 0:
+            self._boot_id += 1
+            return StimAlive(t_ns, self._boot_id, 0, "the stimulator restarted")
+        fault = "" if state == OPERATIONAL else f"the stimulator is not operational (state {state})"
+        return StimAlive(t_ns, self._boot_id, 0, fault)
+
+    def _status(self, t_ns: int, channel: int, fault: str) -> StimStatus:
+        line = self._lines[channel]
+        current, width = line.confirmed if not fault else (0, 0)
+        on = bool(current) and bool(line.wanted[CURRENT])
+        current_ma = current * self.current_step_ma if on else 0.0
+        width_us = width * self.pulse_width_step_us if on else 0.0
+        return StimStatus(
+            t_ns, channel, line.counter, on, current_ma, width_us, line.frequency_hz if on else 0.0, fault=fault
+        )
+
+    def _read(self, timeout_s: float) -> can.Message | None:
+        try:
+            return self._bus.recv(timeout=timeout_s)
+        except (can.CanError, OSError) as error:
+            raise StimulatorLost(f"{self._bus.channel_info}: cannot be read: {error}. {_LINE_HINT}") from error
+
+    def _write(self, identifier: int, data: bytes) -> None:
+        message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
+        try:
+            self._bus.send(message, timeout=0)
+        except (can.CanError, OSError) as error:
+            raise StimulatorLost(f"{self._bus.channel_info}: did not take a command: {error}. {_LINE_HINT}") from error

@@ -1,0 +1,127 @@
+"""The stimulator that a session names, opened: the one place that knows all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from drivers.stimulator.bus import open_bus
+from drivers.stimulator.can_port import CanStimulator
+from drivers.stimulator.canopen_codec import CanOpenSettings
+from drivers.stimulator.canopen_port import CanOpenStimulator
+from drivers.stimulator.sciencemode2_port import RehaStim2
+from drivers.stimulator.sciencemode4_low import LowLevelStimulator
+from drivers.stimulator.sciencemode4_mid import MidLevelStimulator, not_accepted
+from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, LineSettings, open_line
+from fes.config import ConfigError, Session, StimulatorDevice
+
+CHANNELS_OF: Final = {"p24": 8, "rehamove3": 4}
+Port = CanStimulator | CanOpenStimulator | LowLevelStimulator | MidLevelStimulator | RehaStim2
+
+
+def open_stimulator(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+    """The port, its line open and its handshake still to come (``port.open(t_ns)``).
+
+    Options: ``model`` ("p24" or "rehamove3") and ``baudrate`` for the p24 devices, ``accept_watchdog_s`` for
+    ``p24_mid_level``; those of ``canopen`` are the fields of
+    :class:`~drivers.stimulator.canopen_codec.CanOpenSettings`.
+
+    Raises:
+        ConfigError: an option that this device does not have, or a session that it cannot serve.
+        StimulatorLost: the line or bus cannot be opened.
+    """
+    make = _MAKERS[settings.device]
+    return make(settings, session, session_id)
+
+
+def _can(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+    _only(settings, frozenset())
+    return CanStimulator(open_bus(session.bus), session_id)
+
+
+def _low_level(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+    _only(settings, frozenset(("model", "baudrate")))
+    channels = _channels(settings, session)
+    _rate_suffices(settings, session)
+    return LowLevelStimulator(open_line(settings.port, _line_settings(settings)), session_id, channels)
+
+
+def _mid_level(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+    _only(settings, frozenset(("model", "baudrate", "accept_watchdog_s")))
+    channels = _channels(settings, session)
+    accepted_s = settings.options.get("accept_watchdog_s", 0.0)
+    if isinstance(accepted_s, str):
+        raise ConfigError(f"stimulator.options.accept_watchdog_s = {accepted_s!r} must be a number of seconds")
+    if why := not_accepted(float(accepted_s)):
+        raise ConfigError(why)
+    line = open_line(settings.port, _line_settings(settings))
+    return MidLevelStimulator(line, session_id, channels, accept_watchdog_s=accepted_s)
+
+
+def _rehastim2(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+    _only(settings, frozenset())
+    _rate_suffices(settings, session)
+    numbers = _channel_numbers(settings, session)
+    return RehaStim2(open_line(settings.port, SCIENCEMODE2), session_id, numbers)
+
+
+def _canopen(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+    try:
+        node = CanOpenSettings.of(settings.options)
+    except ValueError as error:
+        raise ConfigError(f"stimulator.options of device {settings.device!r}: {error}") from None
+    _rate_suffices(settings, session)
+    numbers = _channel_numbers(settings, session)
+    bus = open_bus(session.bus, frozenset((node.heartbeat_id, node.answer_id)))
+    return CanOpenStimulator(bus, session_id, numbers, node)
+
+
+_MAKERS: Final[dict[str, Callable[[StimulatorDevice, Session, int], Port]]] = {
+    "can": _can,
+    "p24_low_level": _low_level,
+    "p24_mid_level": _mid_level,
+    "rehastim2": _rehastim2,
+    "canopen": _canopen,
+}
+
+
+def _only(settings: StimulatorDevice, known: frozenset[str]) -> None:
+    unknown = sorted(settings.options.keys() - known)
+    if unknown:
+        allowed = ", ".join(sorted(known)) or "none"
+        raise ConfigError(f"stimulator.options of device {settings.device!r}: {', '.join(unknown)}; it has {allowed}")
+
+
+def _channels(settings: StimulatorDevice, session: Session) -> int:
+    model = settings.options.get("model", "p24")
+    if not isinstance(model, str) or model not in CHANNELS_OF:
+        raise ConfigError(f"stimulator.options.model = {model!r}; one of: {', '.join(CHANNELS_OF)}")
+    most = CHANNELS_OF[model]
+    for channel in session.channels:
+        if channel.number >= most:
+            raise ConfigError(f"channel {channel.name!r}: number {channel.number}; a {model} has 0 to {most - 1}")
+    return most
+
+
+def _channel_numbers(settings: StimulatorDevice, session: Session) -> list[int]:
+    if not session.channels:
+        raise ConfigError(f"device {settings.device!r} needs the session's channels; there are none")
+    return [channel.number for channel in session.channels]
+
+
+def _line_settings(settings: StimulatorDevice) -> LineSettings:
+    baudrate = settings.options.get("baudrate", SCIENCEMODE4.baudrate)
+    if isinstance(baudrate, bool) or not isinstance(baudrate, int) or baudrate <= 0:
+        raise ConfigError(f"stimulator.options.baudrate = {baudrate!r} must be a whole number above 0")
+    return LineSettings(baudrate, SCIENCEMODE4.parity, SCIENCEMODE4.stop_bits, SCIENCEMODE4.rtscts)
+
+
+def _rate_suffices(settings: StimulatorDevice, session: Session) -> None:
+    """One pulse for each command: no more pulses than commands."""
+    rate_hz = session.stimulation.command_rate_hz
+    for channel in session.channels:
+        if channel.frequency_hz > rate_hz:
+            raise ConfigError(
+                f"channel {channel.name!r}: frequency_hz = {channel.frequency_hz:g} needs as many commands a second; "
+                f"device {settings.device!r} gives one pulse for each, and command_rate_hz = {rate_hz:g}"
+            )

@@ -1,0 +1,184 @@
+"""A line of bytes to a device: serial port, pseudo-terminal, or ``socket://host:port``; never waits once it is open.
+
+pyserial opens and sets it up. Reading and writing go straight to the descriptor: with a write timeout of 0, pyserial
+spins until the kernel's buffer takes the bytes, and a control loop must not. FTDI adapters hold back received bytes for
+16 ms unless their latency timer is set to 1 ms; :func:`latency_hint` says so.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+import serial
+
+from drivers.stimulator.port import StimulatorLost
+
+READ_AT_MOST: Final = 4096
+LATENCY_TIMER_MS: Final = 1
+
+
+class Line(Protocol):
+    """Bytes out and in; an end that is gone raises :class:`~drivers.stimulator.port.StimulatorLost`."""
+
+    @property
+    def name(self) -> str:
+        """As messages name it."""
+        ...
+
+    def write(self, data: bytes) -> None:
+        """Hand over all bytes at once, or raise."""
+        ...
+
+    def read(self) -> bytes:
+        """What has arrived, b"" for nothing."""
+        ...
+
+    def wait(self, timeout_s: float) -> None:
+        """Until something has arrived or the time is over; only ever used while opening a session."""
+        ...
+
+    def fileno(self) -> int:
+        """For ``select``."""
+        ...
+
+    def close(self) -> None:
+        """Release it; may be called twice."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class LineSettings:
+    """How bytes travel. ``parity`` is N, E or O."""
+
+    baudrate: int
+    parity: str = "N"
+    stop_bits: int = 1
+    rtscts: bool = False
+
+
+SCIENCEMODE4: Final = LineSettings(3_000_000, stop_bits=2, rtscts=True)
+SCIENCEMODE2: Final = LineSettings(460_800, parity="E")
+
+
+class SerialLine:
+    """:class:`Line` over a descriptor that pyserial opened, or over any other that is given to it."""
+
+    def __init__(self, name: str, descriptor: int, owner: serial.SerialBase | None = None) -> None:
+        self._name = name
+        self._owner = owner
+        self._descriptor = descriptor
+        self._closed = False
+        os.set_blocking(descriptor, False)
+
+    @property
+    def name(self) -> str:
+        """The port as the settings name it."""
+        return self._name
+
+    def write(self, data: bytes) -> None:
+        """Hand all of it to the system now.
+
+        Raises:
+            StimulatorLost: the line is gone, or took less than all: what it did take is a torn frame that the device
+                drops.
+        """
+        try:
+            written = os.write(self._descriptor, data)
+        except BlockingIOError:
+            written = 0
+        except (OSError, ValueError) as error:
+            raise StimulatorLost(f"{self._name}: did not take a command: {error}. {_HINT}") from error
+        if written != len(data):
+            raise StimulatorLost(
+                f"{self._name}: took {written} of {len(data)} bytes, the rest would have to wait. Does the device "
+                f"read, and is the flow control right? {_HINT}"
+            )
+
+    def read(self) -> bytes:
+        """What has arrived, at most 4096 bytes.
+
+        Raises:
+            StimulatorLost: the line is gone.
+        """
+        try:
+            data = os.read(self._descriptor, READ_AT_MOST)
+        except BlockingIOError:
+            return b""
+        except (OSError, ValueError) as error:
+            raise StimulatorLost(f"{self._name}: cannot be read: {error}. {_HINT}") from error
+        # a terminal without bytes may read as empty; one that select calls readable all the same has lost its other end
+        if not data and select.select([self._descriptor], [], [], 0)[0]:
+            raise StimulatorLost(f"{self._name}: the other end is gone. {_HINT}")
+        return data
+
+    def wait(self, timeout_s: float) -> None:
+        """Until readable, at most ``timeout_s``."""
+        try:
+            select.select([self._descriptor], [], [], max(timeout_s, 0.0))
+        except (OSError, ValueError) as error:
+            raise StimulatorLost(f"{self._name}: cannot be waited for: {error}. {_HINT}") from error
+
+    def fileno(self) -> int:
+        """The descriptor."""
+        return self._descriptor
+
+    def close(self) -> None:
+        """Close it; sends nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._owner is not None:
+            self._owner.close()
+        else:
+            os.close(self._descriptor)
+
+
+def open_line(port: str, settings: LineSettings) -> SerialLine:
+    """The line named ``port``: ``/dev/ttyUSB0``, a pseudo-terminal, or ``socket://host:port``. Nobody else may open it.
+
+    Raises:
+        StimulatorLost: no such port, no permission, in use, or no descriptor behind it; the message says what to do.
+    """
+    options: dict[str, object] = {} if "://" in port else {"exclusive": True, "rtscts": settings.rtscts}
+    parity = "N" if _is_pseudo_terminal(port) else settings.parity
+    try:
+        owner = serial.serial_for_url(
+            port,
+            baudrate=settings.baudrate,
+            parity=parity,
+            stopbits=settings.stop_bits,
+            timeout=0,
+            write_timeout=0,
+            **options,
+        )
+        return SerialLine(port, owner.fileno(), owner)
+    except Exception as error:  # SerialException, OSError, ValueError, termios.error: each call has its own
+        raise StimulatorLost(f"stimulator.port = {port!r} cannot be opened: {error}. {_OPEN_HINT}") from error
+
+
+def _is_pseudo_terminal(port: str) -> bool:
+    """It has no parity, and the system refuses settings of which none can be had."""
+    return "://" not in port and Path(port).resolve().parent == Path("/dev/pts")
+
+
+def latency_hint(port: str, devices: Path = Path("/sys/bus/usb-serial/devices")) -> str:
+    """What to do about an FTDI adapter's latency timer; "" when it is right, or there is none."""
+    timer = devices / Path(port).name / "latency_timer"
+    try:
+        latency_ms = int(timer.read_text())
+    except (OSError, ValueError):
+        return ""
+    if latency_ms <= LATENCY_TIMER_MS:
+        return ""
+    return f"{port}: the adapter holds answers back for {latency_ms} ms; as root: echo {LATENCY_TIMER_MS} > {timer}"
+
+
+_HINT: Final = "Check cable and power; then start a new session."
+_OPEN_HINT: Final = (
+    "Is the device plugged in and switched on, is no other program using it, and may this user open it (Linux: group "
+    "dialout)?"
+)

@@ -1,0 +1,303 @@
+"""Controller and simulated serial stimulators in processes of their own, over pseudo-terminals and TCP.
+
+The judge is the stimulator's end of the line: its record of every pulse, by the machine's one monotonic clock. Times
+that depend on this machine's scheduler have wide margins; exact ones are proven on an injected clock in
+``test_sciencemode_ports``.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from replays import SETTINGS
+
+from drivers.stimulator.open import Port, open_stimulator
+from drivers.stimulator.port import StimulatorLost
+from drivers.virtual.spawn import NodeFailed
+from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
+from fes.config import Channel, ConfigError, Session, StimulatorDevice, load_session
+from fes.signals import StimAlive, StimCommand, StimStatus
+
+MS = 1_000_000
+MARGIN_NS = 150 * MS  # this machine's scheduler, not the device
+Device = Literal["p24_low_level", "p24_mid_level", "rehastim2"]
+DEVICES: tuple[Device, ...] = ("p24_low_level", "p24_mid_level", "rehastim2")
+KIND: dict[Device, DeviceKind] = {
+    "p24_low_level": "sciencemode4",
+    "p24_mid_level": "sciencemode4",
+    "rehastim2": "sciencemode2",
+}
+OFF_WITHIN_NS = {"p24_low_level": 0, "p24_mid_level": 2000 * MS, "rehastim2": 30 * MS}
+
+# A controller that stimulates channel 0 at 50 commands a second until it is killed.
+CONTROLLER = """
+import sys, time
+from drivers.stimulator.open import open_stimulator
+from fes.config import Session, StimulatorDevice
+from fes.signals import StimCommand, StimStatus
+
+session = Session.model_validate_json(sys.argv[1], strict=False)
+port = open_stimulator(session.stimulator, session, 1)
+port.open(time.monotonic_ns(), timeout_s=15.0)
+good, due_s = 0, time.monotonic()
+while True:
+    port.send(StimCommand(time.monotonic_ns(), 0, True, 20.0 + good % 2, 300.0, 40.0, 60))
+    due_s += 0.02
+    time.sleep(max(0.0, due_s - time.monotonic()))
+    before = good
+    good += sum(isinstance(event, StimStatus) and not event.fault for event in port.poll(time.monotonic_ns()))
+    if before < 10 <= good:
+        print("stimulating", flush=True)
+"""
+
+
+def session_for(device: Device, port: str) -> Session:
+    options: dict[str, str | int | float | bool] = {"accept_watchdog_s": 2.0} if device == "p24_mid_level" else {}
+    loaded = load_session(SETTINGS)
+    channels = tuple(channel.model_copy(update={"never_with": ()}) for channel in loaded.channels[:1])
+    assert [channel.number for channel in channels] == [0]
+    stimulator = StimulatorDevice(device=device, port=port, options=options)
+    return loaded.model_copy(update={"stimulator": stimulator, "channels": channels})
+
+
+class Host:
+    """The controller's side in this process, paced by the wall clock."""
+
+    def __init__(self, device: Device, port: str) -> None:
+        session = session_for(device, port)
+        self.port: Port = open_stimulator(session.stimulator, session, 1)
+        self.port.open(time.monotonic_ns(), timeout_s=15.0)
+        self.statuses: list[StimStatus] = []
+        self.alive: list[StimAlive] = []
+        self.sent = 0
+
+    def drive(self, for_s: float, on: bool = True, until: Callable[[], bool] = lambda: False) -> None:
+        end_s = time.monotonic() + for_s
+        while time.monotonic() < end_s and not until():
+            levels = (20.0 + self.sent % 2, 300.0, 40.0) if on else (0.0, 0.0, 0.0)
+            self.port.send(StimCommand(time.monotonic_ns(), 0, on, *levels, 60))
+            self.sent += 1
+            time.sleep(0.02)
+            self.poll()
+
+    def poll(self) -> None:
+        for event in self.port.poll(time.monotonic_ns()):
+            if isinstance(event, StimStatus):
+                self.statuses.append(event)
+            else:
+                self.alive.append(event)
+
+    @property
+    def faults(self) -> list[str]:
+        return [event.fault for event in [*self.statuses, *self.alive] if event.fault]
+
+    def has_fault(self, words: str) -> Callable[[], bool]:
+        return lambda: any(words in fault for fault in self.faults)
+
+
+@pytest.fixture(params=DEVICES)
+def device(request: pytest.FixtureRequest) -> Device:
+    named: Device = request.param
+    return named
+
+
+@pytest.fixture
+def stimulator(device: Device, tmp_path: Path) -> Iterator[DeviceHandle]:
+    with spawn_device(KIND[device], record=tmp_path / "device.jsonl") as handle:
+        yield handle
+
+
+@pytest.fixture
+def host(device: Device, stimulator: DeviceHandle) -> Iterator[Host]:
+    made = Host(device, stimulator.port)
+    yield made
+    made.port.close()
+
+
+def test_what_is_commanded_is_delivered_and_off_is_off(host: Host, stimulator: DeviceHandle) -> None:
+    begin_s = time.monotonic()
+    host.drive(1.0)
+    on_s, on_commands = time.monotonic() - begin_s, host.sent
+    host.drive(0.3, on=False)
+    off_ns = time.monotonic_ns() - 300 * MS
+    assert host.faults == []
+    pulses = stimulator.entries("pulse")
+    assert 0.6 * on_commands <= len(pulses) <= 40.0 * on_s + 2  # a busy machine sends fewer commands, never more pulses
+    assert {pulse.current_ma for pulse in pulses} == {20.0, 21.0}
+    assert all(pulse.detail == "" for pulse in pulses)
+    assert pulses[-1].t_ns < off_ns + MARGIN_NS
+    if host.port.one_pulse_per_command:
+        assert sum(status.pulses for status in host.statuses) == len(pulses)
+
+
+def test_killed_controller(device: Device, stimulator: DeviceHandle) -> None:
+    """kill -9 in mid-burst: no pulse later than the device's own rule allows."""
+    settings = session_for(device, stimulator.port).model_dump_json()
+    process = subprocess.Popen([sys.executable, "-c", CONTROLLER, settings], stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        ready, _, _ = select.select([process.stdout], [], [], 40.0)
+        assert ready
+        assert process.stdout.readline() == "stimulating\n"
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait(10)
+        blow_ns = time.monotonic_ns()
+    finally:
+        process.kill()
+        process.communicate(timeout=10)
+    time.sleep(2.5 if device == "p24_mid_level" else 1.5)
+    pulses = stimulator.entries("pulse")
+    assert len(pulses) >= 5
+    after_ns = pulses[-1].t_ns - blow_ns
+    print(f"{device}: last pulse {after_ns / MS:.1f} ms after the controller was dead")
+    assert after_ns <= OFF_WITHIN_NS[device] + MARGIN_NS
+    if device == "p24_mid_level":
+        assert after_ns > 1000 * MS  # the tail that the session had to accept
+        assert stimulator.entries("watchdog")
+    # and the next controller finds a device that it can use
+    again = Host(device, stimulator.port)
+    again.drive(0.3)
+    assert again.faults == []
+    assert len(stimulator.entries("pulse")) > len(pulses)
+    again.port.close()
+
+
+@pytest.mark.parametrize("device", ["p24_low_level", "rehastim2"], indirect=True)
+def test_a_controller_that_hangs(host: Host, stimulator: DeviceHandle, device: Device) -> None:
+    host.drive(0.5)
+    hung_ns = time.monotonic_ns()
+    time.sleep(1.5)  # no command: no pulse, no keep-alive
+    assert stimulator.entries("pulse")[-1].t_ns <= hung_ns + OFF_WITHIN_NS[device] + MARGIN_NS
+    if device == "rehastim2":
+        (ended,) = stimulator.entries("watchdog")
+        assert ended.t_ns >= hung_ns + 700 * MS  # 1.2 s after the last packet
+        host.poll()
+        assert host.has_fault("watchdog ended our session")()
+        with pytest.raises(StimulatorLost, match="opened again"):
+            host.poll()
+
+
+def test_a_device_that_restarts(host: Host, stimulator: DeviceHandle) -> None:
+    host.drive(0.3)
+    told_ns = stimulator.tell("reboot")
+    with pytest.raises(StimulatorLost, match=r"restarted.*must be opened again"):
+        host.drive(5.0)
+    assert host.has_fault("restarted")()
+    assert len({alive.boot_id for alive in host.alive}) > 1 or host.alive[-1].boot_id > 1
+    assert stimulator.entries("pulse")[-1].t_ns <= told_ns
+
+
+def test_a_cable_pulled(host: Host, stimulator: DeviceHandle, device: Device) -> None:
+    host.drive(0.3)
+    told_ns = stimulator.tell("unplug")
+    with pytest.raises(StimulatorLost, match="Check cable"):
+        host.drive(5.0)
+    time.sleep(0.3)
+    if device != "p24_mid_level":
+        assert stimulator.entries("pulse")[-1].t_ns <= told_ns + OFF_WITHIN_NS[device] + MARGIN_NS
+
+
+def test_an_open_lead(host: Host, stimulator: DeviceHandle) -> None:
+    host.drive(0.2)
+    stimulator.tell("electrode", 0)
+    host.drive(5.0, until=host.has_fault("electrode"))
+    assert host.has_fault("electrode")()
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "words"),
+    [
+        ("garble", 1, "no answer"),
+        ("drop", 1, "no answer"),
+        ("delay", 0.3, "no answer"),
+        ("mute", 1, "no answer"),
+    ],
+)
+def test_answers_that_do_not_come_as_they_should(
+    host: Host, stimulator: DeviceHandle, fault: str, value: float, words: str
+) -> None:
+    host.drive(0.2)
+    stimulator.tell(fault, value)
+    host.drive(5.0, until=host.has_fault(words))
+    assert host.has_fault(words)()
+
+
+@pytest.mark.parametrize("device", ["rehastim2"], indirect=True)
+def test_the_emergency_switch(host: Host, stimulator: DeviceHandle) -> None:
+    host.drive(0.3)
+    told_ns = stimulator.tell("emergency")
+    host.drive(5.0, until=host.has_fault("emergency"))
+    assert host.has_fault("emergency")()
+    host.drive(0.2)
+    assert stimulator.entries("pulse")[-1].t_ns <= told_ns + 5 * MS
+
+
+@pytest.mark.parametrize("device", ["p24_low_level", "rehastim2"], indirect=True)
+def test_over_tcp(device: Device, tmp_path: Path) -> None:
+    with spawn_device(KIND[device], record=tmp_path / "device.jsonl", line="tcp") as stimulator:
+        host = Host(device, stimulator.port)
+        host.drive(0.5)
+        assert host.faults == []
+        assert len(stimulator.entries("pulse")) >= 10
+        host.port.close()
+        again = Host(device, stimulator.port)
+        again.drive(0.2)
+        assert again.faults == []
+        again.port.close()
+
+
+def test_a_fault_that_nobody_knows_is_refused() -> None:
+    with spawn_device("sciencemode4") as stimulator:
+        with pytest.raises(NodeFailed, match="is not known"):
+            stimulator.tell("smoke")
+        assert stimulator.tell("slow", 0.0) > 0
+        assert stimulator.stop() == 0
+    with pytest.raises(NodeFailed, match="NAME=NUMBER"):
+        spawn_device("sciencemode4", faults="electrode")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (StimulatorDevice(device="p24_mid_level", port="/dev/none"), "accept_watchdog_s = 2"),
+        (StimulatorDevice(device="p24_mid_level", port="x", options={"accept_watchdog_s": "yes"}), "number of seconds"),
+        (StimulatorDevice(device="p24_low_level", port="x", options={"modell": "p24"}), "it has baudrate, model"),
+        (StimulatorDevice(device="p24_low_level", port="x", options={"model": "p25"}), "one of: p24, rehamove3"),
+        (StimulatorDevice(device="p24_low_level", port="x", options={"baudrate": True}), "whole number"),
+        (StimulatorDevice(device="rehastim2", port="x", options={"baudrate": 9600}), "it has none"),
+        (StimulatorDevice(device="can", options={"x": 1}), "it has none"),
+        (StimulatorDevice(device="canopen", options={"node_id": 1}), "missing"),
+    ],
+)
+def test_settings_that_cannot_be_served(settings: StimulatorDevice, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        open_stimulator(settings, session_for("p24_low_level", "x"), 1)
+
+
+def changed(**values: object) -> Session:
+    session = session_for("p24_low_level", "x")
+    channel: Channel = session.channels[0].model_copy(update=values)
+    return session.model_copy(update={"channels": (channel,)})
+
+
+def test_sessions_that_cannot_be_served() -> None:
+    low = StimulatorDevice(device="p24_low_level", port="x")
+    with pytest.raises(ConfigError, match="one pulse for each, and command_rate_hz = 50"):
+        open_stimulator(low, changed(frequency_hz=60.0), 1)
+    small = low.model_copy(update={"options": {"model": "rehamove3"}})
+    with pytest.raises(ConfigError, match="a rehamove3 has 0 to 3"):
+        open_stimulator(small, changed(number=4), 1)
+    empty = changed().model_copy(update={"channels": ()})
+    with pytest.raises(ConfigError, match="there are none"):
+        open_stimulator(StimulatorDevice(device="rehastim2", port="x"), empty, 1)
+    with pytest.raises(StimulatorLost, match="cannot be opened"):
+        open_stimulator(low, changed(), 1)
