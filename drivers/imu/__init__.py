@@ -1,1 +1,1 @@
-"""Sources of IMU samples."""
+"""Inertial sensors: one codec without I/O and one thin port per kind of device."""

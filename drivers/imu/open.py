@@ -1,0 +1,83 @@
+"""Open whichever sensors the settings name; those on one CAN bus share a port."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+
+from drivers.imu.port import ImuLost, ImuPort, SensorDevice
+from fes.config import Bus
+
+ON_CAN = ("xsens_can", "dbc_can")
+
+
+def open_imus(sensors: Sequence[SensorDevice], bus: Bus | None = None) -> list[ImuPort]:
+    """One port per line, in the order of the settings.
+
+    Args:
+        sensors: the settings of all sensors.
+        bus: the session's CAN bus, which the port ``bus`` names; ``interface:channel`` names another one.
+
+    Raises:
+        ImuLost: one cannot be opened; those already open are closed again.
+        ValueError: settings that cannot work; the message names the sensor and the option.
+    """
+    ports: list[ImuPort] = []
+    try:
+        for open_one in _plan(sensors, bus or Bus()):
+            ports.append(open_one())
+    except (ImuLost, ValueError):
+        for port in ports:
+            with contextlib.suppress(ImuLost):
+                port.close()
+        raise
+    return ports
+
+
+def _plan(sensors: Sequence[SensorDevice], bus: Bus) -> list[Callable[[], ImuPort]]:
+    plan: list[Callable[[], ImuPort]] = []
+    buses: dict[str, list[SensorDevice]] = {}
+    for device in sensors:
+        if device.device not in ON_CAN:
+            plan.append(_serial(device))
+        elif device.port in buses:
+            buses[device.port].append(device)
+        else:
+            buses[device.port] = [device]
+            plan.append(_can(buses[device.port], device, bus))
+    return plan
+
+
+def _can(group: list[SensorDevice], device: SensorDevice, bus: Bus) -> Callable[[], ImuPort]:
+    settings = bus
+    if device.port != "bus":
+        interface, colon, channel = device.port.partition(":")
+        if not colon:
+            raise ValueError(f"{device.sensor}: port = {device.port!r} must be 'bus' or INTERFACE:CHANNEL")
+        settings = Bus(interface=interface, channel=channel)
+
+    def open_one() -> ImuPort:
+        from drivers.imu.can_port import CanImus
+
+        return CanImus(group, settings)
+
+    return open_one
+
+
+def _serial(device: SensorDevice) -> Callable[[], ImuPort]:
+    def open_one() -> ImuPort:
+        if device.device == "xbus":
+            from drivers.imu.xbus_port import XbusImu
+
+            return XbusImu(device)
+        if device.device == "ximu3":
+            from drivers.imu.ximu3_port import Ximu3Imu, Ximu3LibraryImu
+
+            return Ximu3LibraryImu(device) if device.options.get("library", False) else Ximu3Imu(device)
+        if device.device == "lsl":
+            from drivers.imu.lsl_port import LslImu
+
+            return LslImu(device)
+        raise ValueError(f"{device.sensor}: device = {device.device!r} is not known")
+
+    return open_one

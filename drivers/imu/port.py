@@ -1,0 +1,157 @@
+"""What the loop asks of every inertial sensor, whatever the line to it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+from fes.signals import G_MPS2, Vector3
+
+BEYOND_RANGE: Final = 1.05  # a sensor's own calibration may stretch its full scale a little, not more
+_NAN: Final = (math.nan, math.nan, math.nan)
+
+
+class ImuLost(RuntimeError):
+    """The sensor's line broke or cannot be opened: unplugged, closed, refused; the message says what to check."""
+
+
+@dataclass(frozen=True, slots=True)
+class RawSample:
+    """One sample as the device gave it, in SI units.
+
+    ``t_host_ns``: when it was read. ``t_device_ns``: the device's own clock, unwrapped; it may jump.
+    """
+
+    sensor: str
+    t_host_ns: int
+    t_device_ns: int
+    acc_mps2: Vector3
+    gyr_radps: Vector3
+
+
+@dataclass(slots=True)
+class LineCounts:
+    """What came over one sensor's line, and what was wrong with it.
+
+    ``missing`` by the device's own counter (or stamps); ``doubled`` samples with the stamp of the one before;
+    ``backward`` stamps that went back; ``bad_frames`` failed a structural check (checksum, length, incomplete group);
+    ``bad_values`` were NaN or beyond what the sensor can measure, and are passed on as NaN; ``clipped`` by the device's
+    own flag; ``bytes_skipped`` belonged to no frame.
+    """
+
+    samples: int = 0
+    missing: int = 0
+    doubled: int = 0
+    backward: int = 0
+    bad_frames: int = 0
+    bad_values: int = 0
+    clipped: int = 0
+    bytes_skipped: int = 0
+
+
+class SensorDevice(Protocol):
+    """The settings of one sensor, as :class:`fes.config.devices.ImuDevice` has them."""
+
+    @property
+    def sensor(self) -> str:
+        """Where it is worn."""
+        ...
+
+    @property
+    def device(self) -> str:
+        """What it is."""
+        ...
+
+    @property
+    def port(self) -> str:
+        """How it is reached."""
+        ...
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples per second."""
+        ...
+
+    @property
+    def acc_range_g(self) -> float:
+        """Full scale (±) of the accelerometer."""
+        ...
+
+    @property
+    def gyr_range_dps(self) -> float:
+        """Full scale (±) of the gyroscope."""
+        ...
+
+    @property
+    def options(self) -> dict[str, str | int | float | bool]:
+        """Whatever else this kind of device needs."""
+        ...
+
+
+class ImuPort(Protocol):
+    """One line with one sensor or several. Only opening waits; nothing here reads a clock."""
+
+    sensors: tuple[str, ...]
+    counts: dict[str, LineCounts]
+
+    def fileno(self) -> int | None:
+        """Readable when something waits; None: read at every tick."""
+        ...
+
+    def read(self, t_ns: int) -> list[RawSample]:
+        """Everything that has arrived, stamped ``t_ns``; never waits.
+
+        Raises:
+            ImuLost: the line broke; :meth:`reopen` may mend it.
+        """
+        ...
+
+    def reopen(self) -> None:
+        """Let go of the line and open it again.
+
+        Raises:
+            ImuLost: it is still gone.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release the line; may be called twice."""
+        ...
+
+
+class Ranges:
+    """What a sensor can physically deliver."""
+
+    def __init__(self, device: SensorDevice) -> None:
+        self._acc_mps2 = device.acc_range_g * G_MPS2 * BEYOND_RANGE
+        self._gyr_radps = math.radians(device.gyr_range_dps) * BEYOND_RANGE
+
+    def judged(self, sample: RawSample, counts: LineCounts) -> RawSample:
+        """The sample, counted; all NaN when a value cannot come from this sensor, so that the gate refuses it."""
+        counts.samples += 1
+        # a comparison with NaN is False
+        sound = all(abs(a) <= self._acc_mps2 for a in sample.acc_mps2) and all(
+            abs(w) <= self._gyr_radps for w in sample.gyr_radps
+        )
+        if sound:
+            return sample
+        counts.bad_values += 1
+        return RawSample(sample.sensor, sample.t_host_ns, sample.t_device_ns, _NAN, _NAN)
+
+
+def text_option(device: SensorDevice, name: str, default: str) -> str:
+    """A setting of ``options`` that is text."""
+    return str(device.options.get(name, default))
+
+
+def number_option(device: SensorDevice, name: str, default: float) -> float:
+    """A setting of ``options`` that is a number.
+
+    Raises:
+        ValueError: it is none.
+    """
+    value = device.options.get(name, default)
+    if isinstance(value, (str, bool)):
+        raise ValueError(f"{device.sensor}: options.{name} = {value!r} must be a number")
+    return value

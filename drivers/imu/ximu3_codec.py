@@ -1,0 +1,85 @@
+"""x-io x-IMU3 inertial message: bytes ↔ values, no I/O.
+
+From x-io's public "x-IMU3 User Manual", section on the binary protocol: first byte the message's letter with its top
+bit set (``'I' | 0x80``), then a 64-bit stamp in µs and six float32, gyroscope in °/s then accelerometer in g, least
+significant byte first; ended by ``0A``. Within a message ``0A`` is sent as ``DB DC`` and ``DB`` as ``DB DD``. There
+is no checksum: a garbled message of the right length reads as other values, so they are checked against the range.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+from fes.signals import Vector3
+
+INERTIAL: Final = 0x80 | ord("I")
+END: Final = 0x0A
+ESCAPE: Final = 0xDB
+_BODY: Final = struct.Struct("<Q6f")
+_LONGEST: Final = 1024  # bytes without a terminator are noise
+
+
+@dataclass(frozen=True, slots=True)
+class Inertial:
+    """One inertial message in the device's own units."""
+
+    t_us: int
+    gyr_dps: Vector3
+    acc_g: Vector3
+
+
+def encode(message: Inertial) -> bytes:
+    """The message as the device sends it."""
+    body = _BODY.pack(message.t_us & (2**64 - 1), *message.gyr_dps, *message.acc_g)
+    escaped = body.replace(b"\xdb", b"\xdb\xdd").replace(b"\x0a", b"\xdb\xdc")
+    return bytes((INERTIAL,)) + escaped + bytes((END,))
+
+
+class Ximu3Decoder:
+    """Bytes in, inertial messages out, however they are cut; other messages are passed over."""
+
+    def __init__(self) -> None:
+        self.bad_frames = 0
+        self.bytes_skipped = 0
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[Inertial]:
+        """The messages complete by now."""
+        self._buffer += data
+        *lines, rest = self._buffer.split(bytes((END,)))
+        if len(rest) > _LONGEST:
+            self.bytes_skipped += len(rest)
+            rest = bytearray()
+        self._buffer = bytearray(rest)
+        return [message for line in lines if (message := self._decode(bytes(line))) is not None]
+
+    def _decode(self, line: bytes) -> Inertial | None:
+        if not line or line[0] != INERTIAL:
+            if line and not line[0] & 0x80 and line[:1] != b"{":
+                self.bytes_skipped += len(line) + 1
+            return None
+        body = unescaped(line[1:])
+        if body is None or len(body) != _BODY.size:
+            self.bad_frames += 1
+            return None
+        t_us, gx, gy, gz, ax, ay, az = _BODY.unpack(body)
+        return Inertial(t_us, (gx, gy, gz), (ax, ay, az))
+
+
+def unescaped(data: bytes) -> bytes | None:
+    """Without escapes; None when one is not valid."""
+    out = bytearray()
+    at = 0
+    while at < len(data):
+        if data[at] == ESCAPE:
+            known = {0xDC: END, 0xDD: ESCAPE}.get(data[at + 1]) if at + 1 < len(data) else None
+            if known is None:
+                return None
+            out.append(known)
+            at += 2
+        else:
+            out.append(data[at])
+            at += 1
+    return bytes(out)

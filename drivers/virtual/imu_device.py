@@ -1,0 +1,118 @@
+"""A simulated inertial sensor with its own clock: time in, messages out; no I/O.
+
+Faults, besides the line's own (:mod:`drivers.virtual.line_faults`): ``reboot`` (now: silent for 0.3 s, then clock and
+counter from 0), ``unit`` (values times this; 0 ends it), ``stuck`` (1: repeats itself), ``clip`` (values held
+within ± this share of full scale; 0 ends it), ``nan`` / ``doubled`` (so many of the next samples), ``drift`` (ppm of
+its clock from now on), ``jump`` (its clock, by so many seconds).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from drivers.virtual.imu_signal import ImuSignal
+from drivers.virtual.imu_wire import Reading, Wire
+from fes.signals import G_MPS2, NS_PER_S, Vector3
+
+FAULTS: Final = frozenset(("reboot", "unit", "stuck", "clip", "nan", "doubled", "drift", "jump"))
+BOOT_NS: Final = 300_000_000
+_NAN: Final = (math.nan, math.nan, math.nan)
+
+
+class SimulatedImu:
+    """Call :meth:`advance` at every deadline and :meth:`receive` for bytes from the host; both return messages."""
+
+    def __init__(
+        self,
+        wire: Wire,
+        signal: ImuSignal,
+        t_ns: int,
+        *,
+        offset_s: float = 0.0,
+        drift_ppm: float = 0.0,
+        acc_range_g: float = 16.0,
+        gyr_range_dps: float = 2000.0,
+    ) -> None:
+        self._wire = wire
+        self._signal = signal
+        self._acc_range = acc_range_g * G_MPS2
+        self._gyr_range = math.radians(gyr_range_dps)
+        self._values = dict.fromkeys(FAULTS, 0.0)
+        self._last: tuple[Vector3, Vector3] = signal.at(0)
+        self._played = 0
+        self._start(t_ns, int(offset_s * NS_PER_S), drift_ppm)
+
+    def _start(self, t_ns: int, device_ns: int, drift_ppm: float) -> None:
+        # the sampling beat is the device's crystal's: its drift changes the interval too
+        self._t0_ns, self._device0_ns, self._drift = t_ns, device_ns, drift_ppm * 1e-6
+        self._counter = self._beat = 0
+
+    def next_deadline_ns(self) -> int:
+        """When the next sample is taken."""
+        own_ns = self._beat * NS_PER_S / self._signal.rate_hz
+        return self._t0_ns + round(own_ns / (1.0 + self._drift))
+
+    def advance(self, t_ns: int) -> list[bytes]:
+        """All samples due by ``t_ns``."""
+        out: list[bytes] = []
+        while self.next_deadline_ns() <= t_ns:
+            own_ns = self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
+            messages = self._wire.say(self._reading(own_ns))
+            out += messages + (messages if self._take("doubled") else [])
+            self._counter += 1
+            self._beat += 1
+            self._played += 1
+        return out
+
+    def receive(self, t_ns: int, data: bytes) -> list[bytes]:
+        """Bytes from the host."""
+        return self._wire.hear(data)
+
+    def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
+        """Bring a fault about, or with 0 end it.
+
+        Raises:
+            ValueError: no such fault.
+        """
+        if name not in FAULTS or not math.isfinite(value):
+            raise ValueError(f"fault {name!r} = {value!r} is not known; one of {', '.join(sorted(FAULTS))}")
+        if name == "reboot":
+            self._start(t_ns + BOOT_NS, 0, self._drift * 1e6)
+            return self._wire.boot()
+        if name in ("jump", "drift"):
+            due_ns = self.next_deadline_ns()
+            own_ns = self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
+            counter = self._counter
+            drift_ppm = value if name == "drift" else self._drift * 1e6
+            self._start(due_ns, own_ns + (int(value * NS_PER_S) if name == "jump" else 0), drift_ppm)
+            self._counter = counter
+            return []
+        self._values[name] = value
+        return []
+
+    def _reading(self, own_ns: int) -> Reading:
+        if not self._values["stuck"]:
+            self._last = self._signal.at(self._played)
+        acc, gyr = self._last
+        factor = self._values["unit"] or 1.0
+        share = self._values["clip"] or 1.0
+        held_acc = _held(acc, factor, share * self._acc_range)
+        held_gyr = _held(gyr, factor, share * self._gyr_range)
+        clipped = self._values["clip"] > 0 and (held_acc != acc or held_gyr != gyr)
+        if self._values["unit"]:
+            held_acc, held_gyr = _held(acc, factor, math.inf), _held(gyr, factor, math.inf)
+        if self._take("nan"):
+            held_acc = _NAN
+        return Reading(self._counter, own_ns, held_acc, held_gyr, clipped)
+
+    def _take(self, name: str) -> bool:
+        if self._values[name] < 1:
+            return False
+        self._values[name] -= 1
+        return True
+
+
+def _held(values: Vector3, factor: float, most: float) -> Vector3:
+    x, y, z = (min(max(v * factor, -most), most) for v in values)
+    return x, y, z

@@ -1,0 +1,81 @@
+"""Decoders take any bytes; the clock keeps order."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.imu import xbus_codec as xbus
+from drivers.imu import ximu3_codec as ximu3
+from drivers.imu.can_codec import DbcSensor
+from fes.clocks import SensorClock
+from fes.config.devices import ImuDevice
+
+BOUNDED = settings(max_examples=5000 if os.environ.get("FES_EXAMPLES") == "nightly" else 150, deadline=None)
+CHUNKS = st.lists(st.binary(max_size=60), max_size=12)
+REALS = st.floats(width=32, allow_nan=False)
+XSENS = ImuDevice(sensor="left_foot", device="xsens_can", rate_hz=100.0, acc_range_g=16.0, gyr_range_dps=2000.0)
+
+
+@BOUNDED
+@given(CHUNKS)
+def test_xbus_takes_any_bytes_and_finds_the_same_however_cut(chunks: list[bytes]) -> None:
+    cut, whole = xbus.XbusDecoder(), xbus.XbusDecoder()
+    found = [message for chunk in chunks for message in cut.feed(chunk)]
+    assert found == whole.feed(b"".join(chunks))
+    assert (cut.bad_frames, cut.bytes_skipped) == (whole.bad_frames, whole.bytes_skipped)
+
+
+@BOUNDED
+@given(st.binary(max_size=300))
+def test_xbus_measurements_of_any_bytes(data: bytes) -> None:
+    with contextlib.suppress(xbus.XbusRejected):
+        found = xbus.decode_measurement(data)
+        assert found.counter is None or 0 <= found.counter < 2**16
+
+
+@BOUNDED
+@given(st.integers(0, 255), st.binary(max_size=600))
+def test_xbus_round_trip(mid: int, data: bytes) -> None:
+    assert xbus.XbusDecoder().feed(xbus.encode(mid, data)) == [xbus.XbusMessage(mid, data)]
+
+
+@BOUNDED
+@given(st.integers(0, 2**64 - 1), st.tuples(REALS, REALS, REALS), st.tuples(REALS, REALS, REALS), CHUNKS)
+def test_ximu3_round_trip_after_any_bytes(
+    t_us: int, gyr: tuple[float, float, float], acc: tuple[float, float, float], noise: list[bytes]
+) -> None:
+    decoder = ximu3.Ximu3Decoder()
+    for chunk in noise:
+        decoder.feed(chunk)
+    decoder.feed(b"\n")
+    message = ximu3.Inertial(t_us, gyr, acc)
+    assert decoder.feed(ximu3.encode(message)) == [message]
+
+
+@BOUNDED
+@given(st.lists(st.tuples(st.sampled_from((0x05, 0x32, 0x34)), st.binary(max_size=8)), max_size=40))
+def test_can_frames_of_any_bytes_give_sound_samples_or_nan(frames: list[tuple[int, bytes]]) -> None:
+    part = DbcSensor(XSENS)
+    for identifier, data in frames:
+        sample = part.receive(0, identifier, data)
+        if sample is not None:
+            assert math.isnan(sample.acc_mps2[0]) or max(map(abs, sample.acc_mps2)) < 16 * 9.81 * 1.06
+
+
+@BOUNDED
+@given(st.lists(st.tuples(st.integers(0, 3 * 10**9), st.integers(0, 3 * 10**9)), min_size=2, max_size=80))
+def test_stamps_that_do_not_go_back_are_mapped_to_ones_that_do_not(steps: list[tuple[int, int]]) -> None:
+    clock = SensorClock()
+    host_ns = device_ns = 0
+    last_ns = None
+    for host_step, device_step in steps:
+        host_ns += host_step
+        device_ns += device_step
+        mapped_ns = clock.map(host_ns, device_ns)
+        assert last_ns is None or mapped_ns >= last_ns
+        last_ns = mapped_ns

@@ -1,0 +1,225 @@
+"""Simulated inertial sensors in processes of their own, over real pseudo-terminals, sockets, a CAN bus and LSL."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import select
+import time
+from collections.abc import Sequence
+
+import pytest
+
+from drivers.imu.open import open_imus
+from drivers.imu.port import ImuLost, ImuPort, RawSample
+from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
+from drivers.virtual.spawn import free_bus, why_silent
+from fes.clocks import SensorClock
+from fes.config.devices import ImuDevice
+
+NO_BUS = why_silent(free_bus())
+
+
+def settings(kind: str, port: str, sensor: str = "right_foot", rate_hz: float = 100.0, **options: object) -> ImuDevice:
+    values = {"sensor": sensor, "device": kind, "port": port, "rate_hz": rate_hz, "options": options}
+    return ImuDevice.model_validate(values | {"acc_range_g": 16.0, "gyr_range_dps": 2000.0})
+
+
+def collect(ports: Sequence[ImuPort], seconds: float) -> list[RawSample]:
+    """Wait on all descriptors, and read all ports after each wait, for so long."""
+    found: list[RawSample] = []
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        select.select([number for port in ports if (number := port.fileno()) is not None], [], [], 0.01)
+        for port in ports:
+            found += port.read(time.monotonic_ns())
+    return found
+
+
+def until_lost(port: ImuPort, seconds: float = 5.0) -> str:
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s:
+        try:
+            collect([port], 0.05)
+        except ImuLost as error:
+            return str(error)
+    return ""
+
+
+def test_two_sensors_at_500_hz_lose_nothing_and_keep_their_own_clocks() -> None:
+    with (
+        spawn_imu("xbus", sensor="left_foot", rate_hz=500, offset_s=1000.0, drift_ppm=80) as left,
+        spawn_imu("ximu3", sensor="right_foot", rate_hz=500, offset_s=5.0, drift_ppm=-80) as right,
+    ):
+        ports = open_imus(
+            [
+                settings("xbus", left.port, "left_foot", 500.0, baudrate=921600),
+                settings("ximu3", right.port, "right_foot", 500.0),
+            ]
+        )
+        collect(ports, 0.3)
+        found = collect(ports, 3.0)
+        for port, handle, offset_s, drift_ppm in zip(ports, (left, right), (1000.0, 5.0), (80, -80), strict=True):
+            (sensor,) = port.sensors
+            mine = [sample for sample in found if sample.sensor == sensor]
+            counts = port.counts[sensor]
+            assert (counts.missing, counts.doubled, counts.backward, counts.bad_frames) == (0, 0, 0, 0)
+            steps = {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(mine)}
+            assert steps == {2_000_000}  # of its own clock: every sample is there
+            assert len(mine) > 1200
+            clock = SensorClock()
+            for sample in mine:
+                mapped_ns = clock.map(sample.t_host_ns, sample.t_device_ns)
+            true_ns = handle.t0_ns + (mine[-1].t_device_ns - int(offset_s * 1e9)) / (1 + drift_ppm * 1e-6)
+            assert abs(mapped_ns - true_ns) < 5_000_000
+            assert math.dist(mine[0].acc_mps2, (0, 0, 0)) == pytest.approx(9.8, abs=1.0)
+            port.close()
+
+
+@pytest.mark.parametrize("kind", ["xbus", "ximu3"])
+def test_faults_on_the_line_are_counted_and_survived(kind: str) -> None:
+    with spawn_imu("xbus" if kind == "xbus" else "ximu3", offset_s=10.0, line="tcp") as handle:
+        (port,) = open_imus([settings(kind, handle.port)])
+        counts = port.counts["right_foot"]
+        collect([port], 0.3)
+        handle.fault("drop", 3)
+        collect([port], 0.3)
+        assert counts.missing == 3
+        handle.fault("doubled", 2)
+        collect([port], 0.3)
+        assert counts.doubled == 2
+        handle.fault("reorder", 1)
+        collect([port], 0.3)
+        assert counts.backward == 1
+        handle.fault("nan", 2)
+        bad = [sample for sample in collect([port], 0.3) if math.isnan(sample.acc_mps2[0])]
+        assert len(bad) == counts.bad_values == 2
+        handle.fault("unit", 1000.0)
+        assert all(math.isnan(sample.acc_mps2[0]) for sample in collect([port], 0.3)[-10:])
+        handle.clear()
+        before = counts.bad_frames
+        handle.fault("garble", 4)
+        collect([port], 0.4)
+        if kind == "xbus":
+            assert counts.bad_frames >= before + 4
+        assert len(collect([port], 0.5)) > 30
+        port.close()
+
+
+def test_mute_delay_reboot_and_jump_reach_the_clock() -> None:
+    with spawn_imu("xbus", offset_s=10.0) as handle:
+        (port,) = open_imus([settings("xbus", handle.port)])
+        clock = SensorClock()
+
+        def pass_on(seconds: float) -> list[RawSample]:
+            found = collect([port], seconds)
+            for sample in found:
+                clock.map(sample.t_host_ns, sample.t_device_ns)
+            return found
+
+        pass_on(0.5)
+        handle.fault("mute")
+        pass_on(0.1)
+        assert pass_on(0.3) == []
+        handle.clear()
+        assert pass_on(0.5)
+        handle.fault("reboot")
+        after = pass_on(1.0)
+        assert after[-1].t_device_ns < 2_000_000_000
+        assert clock.resets == 1
+        handle.fault("jump", 100.0)
+        pass_on(0.5)
+        assert clock.resets == 2
+        port.close()
+
+
+@pytest.mark.parametrize(("kind", "line"), [("xbus", "pty"), ("ximu3", "pty"), ("ximu3", "tcp")])
+def test_an_unplugged_line_is_lost_and_says_so(kind: str, line: str) -> None:
+    with spawn_imu("xbus" if kind == "xbus" else "ximu3", line="tcp" if line == "tcp" else "pty") as handle:
+        (port,) = open_imus([settings(kind, handle.port)])
+        assert collect([port], 0.3)
+        handle.fault("unplug")
+        assert "Check cable" in until_lost(port)
+        with pytest.raises(ImuLost):
+            port.reopen()
+        port.close()
+
+
+def test_a_line_can_be_opened_again() -> None:
+    with spawn_imu("xbus", line="tcp") as handle:
+        (port,) = open_imus([settings("xbus", handle.port)])
+        assert collect([port], 0.3)
+        port.reopen()
+        assert collect([port], 0.3)
+        port.close()
+
+
+def test_an_mti_that_has_not_the_rate_is_refused() -> None:
+    with spawn_imu("xbus", rate_hz=100) as handle, pytest.raises(ImuLost, match="rate_hz"):
+        open_imus([settings("xbus", handle.port, rate_hz=200.0)])
+
+
+def test_nobody_there() -> None:
+    with pytest.raises(ImuLost, match="right_foot on /dev/nothing"):
+        open_imus([settings("ximu3", "/dev/nothing")])
+    with pytest.raises(ValueError, match="baud"):
+        open_imus([settings("xbus", "/dev/nothing", rate_hz=1000.0)])
+
+
+@pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")
+def test_two_sensors_on_one_can_bus() -> None:
+    bus = free_bus()
+    with (
+        spawn_imu("xsens_can", sensor="left_foot", rate_hz=200, bus=bus) as left,
+        spawn_imu("xsens_can", sensor="right_foot", rate_hz=200, bus=bus, id_offset=0x100) as right,
+    ):
+        ports = open_imus(
+            [
+                settings("xsens_can", "bus", "left_foot", 200.0, group_counter=True),
+                settings("xsens_can", "bus", "right_foot", 200.0, group_counter=True, id_offset=0x100),
+            ],
+            bus,
+        )
+        assert len(ports) == 1
+        found = collect(ports, 1.5)
+        for sensor in ("left_foot", "right_foot"):
+            assert len([sample for sample in found if sample.sensor == sensor]) > 200
+            assert ports[0].counts[sensor].missing == 0
+            assert ports[0].counts[sensor].bad_values == 0
+        drop_one(left, right)
+        collect(ports, 0.5)
+        assert ports[0].counts["left_foot"].missing >= 1
+        ports[0].close()
+
+
+def drop_one(left: ImuHandle, right: ImuHandle) -> None:
+    """One frame of the left sensor; the right one is as it was."""
+    left.fault("drop", 1)
+    right.clear()
+
+
+def test_a_stream_of_lab_streaming_layer() -> None:
+    pytest.importorskip("pylsl", reason="pylsl is not installed", exc_type=RuntimeError)
+    name = f"imu-{time.monotonic_ns()}"
+    with spawn_imu("lsl", rate_hz=100, offset_s=50.0, name=name) as handle:
+        try:
+            (port,) = open_imus([settings("lsl", name, timeout_s=10.0)])
+        except ImuLost as error:
+            pytest.skip(f"LSL streams are not found on this machine: {error}")
+        found = collect([port], 1.5)
+        assert len(found) > 100
+        assert port.counts["right_foot"].missing == 0
+        assert math.dist(found[0].acc_mps2, (0, 0, 0)) == pytest.approx(9.8, abs=1.0)
+        handle.fault("unplug")
+        assert until_lost(port)
+        port.close()
+
+
+def test_the_makers_library_carries_the_same() -> None:
+    pytest.importorskip("ximu3", reason="ximu3 is not installed")
+    with spawn_imu("ximu3", rate_hz=400) as handle:
+        (port,) = open_imus([settings("ximu3", handle.port, rate_hz=400.0, library=True)])
+        found = collect([port], 1.5)
+        assert len(found) > 400
+        assert port.counts["right_foot"].missing == 0
+        port.close()
