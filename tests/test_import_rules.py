@@ -23,6 +23,7 @@ PURE: tuple[str, ...] = (
     "fes.sources",
     "fes.runner",
     "fes.delivered",
+    "fes.clocks",
     "fes.replay",
     "fes.gate",
     "fes.stimulation",
