@@ -107,98 +107,20 @@ class SerialLine:
         data = self._read_once()
         # a terminal without bytes may read as empty; one that select calls readable, and that is then still empty, has
         # lost its other end (without the second look, bytes that come just between the two would be taken for that)
-        if not data and select.select([self._descriptor], [], [], 0)[0]:
+        if data == b"" and select.select([self._descriptor], [], [], 0)[0]:
             data = self._read_once()
             if data == b"":
                 raise StimulatorLost(f"{self._name}: the other end is gone. {_HINT}")
         return data or b""
 
     def _read_once(self) -> bytes | None:
-        """Bytes; b"" when there are none or never will be, None when there are none yet for sure."""
+        """Bytes; none when it reads as empty, None when the system says that there are none yet."""
         try:
             return os.read(self._descriptor, READ_AT_MOST)
         except BlockingIOError:
             return None
         except (OSError, ValueError) as error:
             raise StimulatorLost(f"{self._name}: cannot be read: {error}. {_HINT}") from error
-
-    def wait(self, timeout_s: float) -> None:
-        """Until something has arrived or the time is over; only ever used while opening a session."""
-        ...
-
-    def fileno(self) -> int:
-        """For ``select``."""
-        ...
-
-    def close(self) -> None:
-        """Release it; may be called twice."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class LineSettings:
-    """How bytes travel. ``parity`` is N, E or O."""
-
-    baudrate: int
-    parity: str = "N"
-    stop_bits: int = 1
-    rtscts: bool = False
-
-
-SCIENCEMODE4: Final = LineSettings(3_000_000, stop_bits=2, rtscts=True)
-SCIENCEMODE2: Final = LineSettings(460_800, parity="E")
-
-
-class SerialLine:
-    """:class:`Line` over a descriptor that pyserial opened, or over any other that is given to it."""
-
-    def __init__(self, name: str, descriptor: int, owner: serial.SerialBase | None = None) -> None:
-        self._name = name
-        self._owner = owner
-        self._descriptor = descriptor
-        self._closed = False
-        os.set_blocking(descriptor, False)
-
-    @property
-    def name(self) -> str:
-        """The port as the settings name it."""
-        return self._name
-
-    def write(self, data: bytes) -> None:
-        """Hand all of it to the system now.
-
-        Raises:
-            StimulatorLost: the line is gone, or took less than all: what it did take is a torn frame that the device
-                drops.
-        """
-        try:
-            written = os.write(self._descriptor, data)
-        except BlockingIOError:
-            written = 0
-        except (OSError, ValueError) as error:
-            raise StimulatorLost(f"{self._name}: did not take a command: {error}. {_HINT}") from error
-        if written != len(data):
-            raise StimulatorLost(
-                f"{self._name}: took {written} of {len(data)} bytes, the rest would have to wait. Does the device "
-                f"read, and is the flow control right? {_HINT}"
-            )
-
-    def read(self) -> bytes:
-        """What has arrived, at most 4096 bytes.
-
-        Raises:
-            StimulatorLost: the line is gone.
-        """
-        try:
-            data = os.read(self._descriptor, READ_AT_MOST)
-        except BlockingIOError:
-            return b""
-        except (OSError, ValueError) as error:
-            raise StimulatorLost(f"{self._name}: cannot be read: {error}. {_HINT}") from error
-        # a terminal without bytes may read as empty; one that select calls readable all the same has lost its other end
-        if not data and select.select([self._descriptor], [], [], 0)[0]:
-            raise StimulatorLost(f"{self._name}: the other end is gone. {_HINT}")
-        return data
 
     def wait(self, timeout_s: float) -> None:
         """Until readable, at most ``timeout_s``."""
