@@ -2,15 +2,17 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PEERS := .venv-peers
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format bench nightly docs trials lock clean
+.PHONY: help demo test lint format bench bench-accuracy peers nightly docs trials lock clean
 
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
 	@echo "make test     style, types and all tests"
 	@echo "make lint     style and types only"
 	@echo "make bench    accuracy: bundled trials, and real recordings in FES_DATA or ../shared/data"
+	@echo "make bench-accuracy  one table of accuracy, ours and other libraries' on the same recordings (about 5 minutes)"
 	@echo "make docs     regenerate the generated parts of docs/"
 	@echo "make trials   regenerate sim_inputs/ from its seeds"
 	@echo "make nightly  the tests that take long: fuzzing, many examples"
@@ -49,6 +51,17 @@ bench: $(VENV)/dev.stamp
 	$(BIN)/python benchmarks/zero_velocity.py
 	$(BIN)/python benchmarks/ankle.py
 
+bench-accuracy: $(VENV)/dev.stamp $(PEERS)/peers.stamp
+	$(BIN)/python benchmarks/accuracy_table.py --peers $(PEERS)/bin/python
+
+# The libraries we compare with: an environment of their own, never part of the product.
+peers: $(PEERS)/peers.stamp
+
+$(PEERS)/peers.stamp: requirements-peers.lock
+	test -x $(PEERS)/bin/python || $(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-peers.lock
+	touch $@
+
 nightly: $(VENV)/dev.stamp
 	FES_EXAMPLES=nightly $(BIN)/python -m pytest -m "slow or not slow"
 
@@ -62,6 +75,7 @@ trials: $(VENV)/run.stamp
 lock:
 	uv pip compile pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements.lock
 	uv pip compile pyproject.toml --extra dev -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-dev.lock
+	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-peers.lock
 
 clean:
-	rm -rf $(VENV) out
+	rm -rf $(VENV) $(PEERS) out

@@ -44,22 +44,35 @@ class Walk:
 
 @dataclass(frozen=True)
 class PathWalk(Walk):
-    """Truth is the position (N, 3) in m, z up, of a point of the foot at ``rate_hz`` from the first sample on."""
+    """Truth is the position (N, 3) in m, z up, of a point of the foot at ``rate_hz`` from the first sample on.
+
+    ``lever_m`` (N, 3) is the sensor's path, as the markers' orientation and a lever arm give it, where the point is
+    another; ``frame`` (N, 3, 3) that orientation; ``borders_s`` (K, 2) the stride borders of the reference.
+    """
 
     position_m: FloatArray
     rate_hz: float
     at_sensor: bool
+    lever_m: FloatArray | None = None
+    borders_s: FloatArray | None = None
+    frame: FloatArray | None = None
 
     def _rows(self, stride: StrideResult) -> FloatArray:
         first, last = (round(1e-9 * t_ns * self.rate_hz) for t_ns in (stride.t_start_ns, stride.t_end_ns))
         return self.position_m[first : last + 1] if 0 <= first < last < len(self.position_m) else np.empty((0, 3))
 
     def true_length_m(self, stride: StrideResult) -> float:
-        """Horizontal distance between the stride's own ends; NaN for steps on the spot and the reference's glitches."""
+        """Horizontal distance between the stride's own ends; NaN for steps on the spot and the reference's glitches.
+
+        Where the foot stood is the median over 25 ms on either side: single samples of the reference jump.
+        """
         rows = self._rows(stride)
         if not len(rows):
             return float("nan")
-        length = float(np.hypot(*(rows[-1] - rows[0])[:2]))
+        near = round(0.025 * self.rate_hz)
+        start, end = (round(1e-9 * t_ns * self.rate_hz) for t_ns in (stride.t_start_ns, stride.t_end_ns))
+        places = [np.median(self.position_m[max(k - near, 0) : k + near + 1], axis=0) for k in (start, end)]
+        length = float(np.hypot(*(places[1] - places[0])[:2]))
         jump = float(np.linalg.norm(np.diff(rows, axis=0), axis=1).max()) * self.rate_hz
         return length if length > 0.3 and jump < 8.0 else float("nan")
 
@@ -67,6 +80,14 @@ class PathWalk(Walk):
         """Greatest height of the tracked point above its start."""
         rows = self._rows(stride)
         return float(rows[:, 2].max() - rows[0, 2]) if self.at_sensor and len(rows) else float("nan")
+
+    def true_lift_m(self, stride: StrideResult) -> float:
+        """The sensor's clearance, through the lever arm; NaN where that is not known."""
+        if self.lever_m is None:
+            return float("nan")
+        first, last = (round(1e-9 * t_ns * self.rate_hz) for t_ns in (stride.t_start_ns, stride.t_end_ns))
+        height = self.lever_m[first : last + 1, 2]
+        return float(height.max() - height[0]) if len(height) else float("nan")
 
     def comparable(self, stride: StrideResult) -> bool:
         """Any stride, where the reference tracks the sensor itself."""
@@ -120,8 +141,49 @@ def gaitmap_walk(folder: Path) -> Iterator[Walk]:
             np.column_stack([imu[f"{side}_sensor", f"{kind}_{axis}"] for axis in "xyz"]) for kind in ("acc", "gyr")
         )
         heel = np.column_stack([mocap[f"{side[0].upper()}_FCC", axis] for axis in "xyz"]) / 1000.0
+        toe, fifth = (
+            np.column_stack([mocap[f"{side[0].upper()}_{name}", axis] for axis in "xyz"]) / 1000.0
+            for name in ("TOE", "FM5")
+        )
+        events = list(csv.DictReader((folder / "gaitmap_walk" / "stride_events_sample.csv").open()))
+        borders = np.array([[float(row["start"]), float(row["end"])] for row in events if row["foot"] == side]) / 204.8
         track = track_of(f"{side}_foot", 204.8, acc, np.radians(gyr))
-        yield PathWalk("gaitmap_walk", side, track, heel, 100.0, at_sensor=False)
+        frame = marker_frame(heel, toe, fifth)
+        yield PathWalk(
+            "gaitmap_walk",
+            side,
+            track,
+            heel,
+            100.0,
+            at_sensor=False,
+            lever_m=sensor_of(heel, toe, fifth, frame),
+            borders_s=borders,
+            frame=frame,
+        )
+
+
+def sensor_of(heel: FloatArray, toe: FloatArray, fifth: FloatArray, frame: FloatArray) -> FloatArray:
+    """Path (N, 3) of the lateral sensor: 0.076 m forward of the heel marker and 0.05 m outward, turning with the foot.
+
+    The arm is level when the foot is flat; flat is what the markers show while they hardly move (below 0.1 m/s).
+    """
+    still = sum(np.linalg.norm(np.diff(p, axis=0, prepend=p[:1]), axis=1) * 100.0 for p in (heel, toe)) < 0.1
+    up = np.nanmedian(frame[still][:, 2, :], axis=0)
+    up /= np.linalg.norm(up)
+    forward = np.array([1.0, 0.0, 0.0]) - up * up[0]
+    forward /= np.linalg.norm(forward)
+    outward = np.cross(up, forward) * np.sign(np.nanmedian(np.einsum("ij,ij->i", fifth - heel, frame[:, :, 1])))
+    return np.asarray(heel + frame @ (0.076 * forward + 0.05 * outward))
+
+
+def marker_frame(heel: FloatArray, toe: FloatArray, fifth: FloatArray) -> FloatArray:
+    """Orientation (N, 3, 3) of the foot from three markers: x towards the toe, z out of their plane and upward."""
+    x = toe - heel
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    z = np.cross(x, fifth - heel)
+    z /= np.linalg.norm(z, axis=1)[:, None]
+    z *= np.sign(np.nanmedian(z[:, 2]))
+    return np.stack([x, np.cross(z, x), z], axis=2)
 
 
 def _two_header_lines(path: Path) -> dict[tuple[str, str], FloatArray]:

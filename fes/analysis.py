@@ -2,38 +2,76 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from fes import __version__
+from fes.calibrations import Found, calibrate_all, calibrate_sensors, labelled
 from fes.config import Session
-from fes.controller import stride_settings
+from fes.driving import Calibration, driving, stride_settings
+from fes.estimation.ankle_calibration import ShankCalibration
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.events_offline import GaitEvents, find_events
-from fes.estimation.foot import FootTracker, SampleCounts
+from fes.estimation.foot import FootTracker
 from fes.estimation.foot_strike import foot_strike_angles
+from fes.estimation.shank import shank_tracker
 from fes.estimation.strides import StrideMaker
+from fes.estimation.tracker import SampleCounts, Tracker
+from fes.ground_path import GroundPath, ground_path, together
 from fes.journal import SampleArrays, SessionRecord
 from fes.recording import Recording
+from fes.recording.tracks import UNLABELLED_FEET
 from fes.replay import LOG_FORMAT, increasing, session_for
-from fes.signals import StrideResult
+from fes.signals import FOOT_SENSORS, StrideResult
 from statemachine.phases import PhaseChange
 
 
 @dataclass(frozen=True)
 class Analysis:
-    """What a recording shows: phase changes and strides of all feet by time, and what became of the samples."""
+    """What a recording shows: phase changes and strides of all feet by time, and what became of the samples.
+
+    Phases and strides carry the name of the sensor that told them: the foot's, or where there is none the shank's, for
+    which there are no ``events`` and no path. ``paths`` are the feet's ways over the ground; ``no_path`` says of the
+    other sensors why there is none. ``level``: the ground was taken to be level.
+    """
 
     recording: Recording
-    calibrations: dict[str, FootCalibration]
+    calibrations: dict[str, Calibration]
     phases: list[PhaseChange]
     strides: list[StrideResult]
     events: dict[str, GaitEvents]
     counts: dict[str, SampleCounts]
+    paths: dict[str, GroundPath] = field(default_factory=dict)
+    no_path: dict[str, str] = field(default_factory=dict)
+    level: bool = True
 
     def stride_rows(self) -> list[dict[str, Any]]:
-        """One flat row per stride, units in the names; ready for CSV, Parquet and JSON."""
-        return [_stride_row(stride) for stride in self.strides]
+        """One flat row per stride, units in the names; ready for CSV, Parquet and JSON.
+
+        ``x_m``, ``y_m``, ``z_m`` and ``heading_rad`` are where the stride ends on the foot's path, NaN without a path.
+        """
+        return [{**_stride_row(stride), **self._place(stride)} for stride in self.strides]
+
+    def path_rows(self) -> list[dict[str, Any]]:
+        """One flat row per foot and tenth of a second: place (m) and heading (rad) on its path."""
+        return [row for path in self.paths.values() for row in path.rows()]
+
+    def path_summary(self) -> dict[str, dict[str, float]]:
+        """Of every foot: how far it went, how far from its start it ended, and how much higher."""
+        return {
+            foot: {"way_m": path.way_m, "end_from_start_m": path.closure_m, "height_gained_m": path.height_gained_m}
+            for foot, path in self.paths.items()
+        }
+
+    def _place(self, stride: StrideResult) -> dict[str, float]:
+        names = ("x_m", "y_m", "z_m", "heading_rad")
+        path = self.paths.get(stride.foot)
+        if path is None:
+            return dict.fromkeys(names, float("nan"))
+        return dict(zip(names, path.at(np.array([stride.t_end_ns]))[0].tolist(), strict=True))
 
     def phase_rows(self) -> list[dict[str, Any]]:
         """One flat row per phase change; T2 is foot off (FO), T3 initial contact (IC)."""
@@ -54,9 +92,9 @@ class Analysis:
         for foot, events in self.events.items():
             track = self.recording.tracks[foot]
             newer = increasing(track)
-            angles = foot_strike_angles(
-                track.t_sensor_ns[newer], track.gyr_radps[newer], events, self.calibrations[foot]
-            )
+            calibration = self.calibrations[foot]
+            assert isinstance(calibration, FootCalibration)
+            angles = foot_strike_angles(track.t_sensor_ns[newer], track.gyr_radps[newer], events, calibration)
             for fo_ns, mid_ns, ic_ns, angle in zip(
                 events.fo_ns, events.mid_swing_ns, events.ic_ns, angles, strict=True
             ):
@@ -83,6 +121,7 @@ class Analysis:
                 "rates_hz": {sensor: track.rate_hz for sensor, track in self.recording.tracks.items()},
                 "belt_speed_mps": self.recording.belt_speed_mps,
             },
+            "ground": {"level": self.level},
             "session": session_for(self.recording, None).model_dump(mode="json"),
             "calibration": {sensor: calibration.to_dict() for sensor, calibration in self.calibrations.items()},
         }
@@ -94,27 +133,76 @@ class Analysis:
         return SessionRecord(header, samples=samples, phases=self.phases, strides=self.strides, complete=True)
 
 
-def analyse(recording: Recording, calibrations: dict[str, FootCalibration]) -> Analysis:
-    """Track every calibrated foot through the whole recording."""
+def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, level: bool = True) -> Analysis:
+    """Track every foot through the whole recording, by its own sensor or else its side's shank.
+
+    ``level``: every stride ends at the height at which it began; not on stairs and slopes, where the height gained is
+    measured instead.
+    """
     session: Session = session_for(recording, None)
-    phases: list[PhaseChange] = []
-    strides: list[StrideResult] = []
-    events: dict[str, GaitEvents] = {}
-    counts: dict[str, SampleCounts] = {}
-    for foot, calibration in calibrations.items():
-        track = recording.tracks[foot]
-        tracker = FootTracker(calibration, StrideMaker(foot, stride_settings(session, calibration)))
+    result = Analysis(recording, dict(calibrations), [], [], {}, {}, level=level)
+    for sensor in driving(calibrations).values():
+        calibration, track = calibrations[sensor], recording.tracks[sensor]
+        tracker = _tracker(session, calibration, level=level)
         for outcome in tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps):
             if isinstance(outcome, StrideResult):
-                strides.append(outcome)
+                result.strides.append(outcome)
             else:
-                phases.append(outcome)
+                result.phases.append(outcome)
+        result.counts[sensor] = tracker.counts
+        if isinstance(calibration, ShankCalibration):
+            result.no_path[sensor] = f"{sensor}: a path needs a sensor that rests at every step, as on the foot"
+            continue
         newer = increasing(track)
-        events[foot] = find_events(track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer], calibration)
-        counts[foot] = tracker.counts
-    phases.sort(key=lambda change: change.t_ns)
-    strides.sort(key=lambda stride: stride.t_start_ns)
-    return Analysis(recording, calibrations, phases, strides, events, counts)
+        t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
+        result.events[sensor] = find_events(t_ns, acc, gyr, calibration)
+        try:
+            result.paths[sensor] = ground_path(track, calibration, level=level)
+        except ValueError as error:
+            result.no_path[sensor] = str(error)
+    if set(FOOT_SENSORS) <= set(result.paths):
+        left, right = (result.paths[foot] for foot in FOOT_SENSORS)
+        result.paths.update(zip(FOOT_SENSORS, together(left, right), strict=True))
+    result.phases.sort(key=lambda change: change.t_ns)
+    result.strides.sort(key=lambda stride: stride.t_start_ns)
+    return result
+
+
+def _tracker(session: Session, calibration: Calibration, *, level: bool) -> Tracker:
+    if isinstance(calibration, ShankCalibration):
+        return shank_tracker(calibration, equal_height=None if level else False)
+    settings = replace(stride_settings(session, calibration), equal_height=level)
+    return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
+
+
+def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Recording, Found]:
+    """Calibrations from the recording itself, of the sensors that tell the feet's phases, and the recording relabelled
+    where its feet were not labelled.
+
+    On uneven ground the accelerometer's bias across gravity is left at zero: calibration would find it from strides
+    that end as high as they began, and the climb would pass for a bias.
+
+    Raises:
+        CalibrationError: no sensor could be calibrated, or which unlabelled foot is which is not clear.
+    """
+    unlabelled = any(name in UNLABELLED_FEET for name in recording.tracks)
+    if unlabelled:
+        found = calibrate_all(recording, level=level)
+        recording = labelled(recording, found.sides)
+    else:
+        found = calibrate_sensors(recording, driving(recording.tracks).values(), level=level)
+    if level:
+        return recording, found
+    kept = {sensor: _along_gravity(calibration) for sensor, calibration in found.calibrations.items()}
+    return recording, replace(found, calibrations=kept)
+
+
+def _along_gravity(calibration: Calibration) -> Calibration:
+    if isinstance(calibration, ShankCalibration):
+        return calibration
+    up, bias = np.array(calibration.up), np.array(calibration.acc_bias_mps2)
+    x, y, z = (float(v) for v in up * (up @ bias))
+    return replace(calibration, acc_bias_mps2=(x, y, z))
 
 
 def _stride_row(stride: StrideResult) -> dict[str, Any]:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner, Result
 from pyarrow import parquet
+from shank_walks import shank_walk
 
-from fes.analysis import analyse
-from fes.cli.calibrate import load_calibrations, save_calibrations
+from fes.analysis import analyse, calibrations_of
+from fes.calibrations import Found, load, save
 from fes.cli.main import main
 from fes.estimation.calibration import CalibrationError
-from fes.recording import read_recording
-from fes.replay import calibrate
+from fes.recording import Recording, Track, read_recording
 from statemachine.phases import Phase
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
@@ -29,9 +30,9 @@ def run(*arguments: str | Path) -> Result:
 @pytest.fixture(scope="module")
 def analysed():
     recording = read_recording(TRIAL)
-    calibrations, missing = calibrate(recording)
-    assert missing == {}
-    return analyse(recording, calibrations)
+    recording, found = calibrations_of(recording)
+    assert found.missing == {}
+    return analyse(recording, found.calibrations)
 
 
 def test_both_feet_come_in_order_of_time_and_agree_with_the_truth(analysed):
@@ -65,8 +66,8 @@ def test_rows_hold_every_stride_and_phase_change(analysed):
 
 def test_calibration_survives_the_file(tmp_path, analysed):
     path = tmp_path / "a.json"
-    save_calibrations(analysed.calibrations, path)
-    assert load_calibrations(path) == analysed.calibrations
+    save(Found(analysed.calibrations), path)
+    assert load(path).calibrations == analysed.calibrations
 
 
 @pytest.mark.parametrize(
@@ -84,7 +85,7 @@ def test_a_bad_calibration_file_says_what_to_do(tmp_path, text, said):
     path = tmp_path / "bad.json"
     path.write_text(text)
     with pytest.raises(CalibrationError, match=r"bad\.json") as caught:
-        load_calibrations(path)
+        load(path)
     assert said in str(caught.value)
     assert "fes calibrate" in str(caught.value) or "Calibrate anew" in str(caught.value)
 
@@ -130,7 +131,30 @@ def test_one_bad_recording_does_not_stop_the_others(tmp_path):
 
 def test_a_calibration_of_other_sensors_is_refused(tmp_path, analysed):
     path = tmp_path / "left.json"
-    save_calibrations({"left_foot": analysed.calibrations["left_foot"]}, path)
+    save(Found({"left_foot": analysed.calibrations["left_foot"]}), path)
     refused = run("analyse", TRIALS / "negard_patient2.parquet", "--calibration", path, "--out", tmp_path)
     assert refused.exit_code == 2
     assert "calibrates none of the sensors" in refused.output
+
+
+@pytest.mark.parametrize("rise_m", [0.0, 0.15])
+def test_a_shank_alone_tells_the_foots_strides(tmp_path, rise_m):
+    walk = shank_walk(strides=16, rise_m=rise_m, standing_s=3.0, rate_hz=200.0)
+    track = Track("left_shank", 200.0, walk.t_ns, walk.t_ns, walk.acc, walk.gyr)
+    recording, found = calibrations_of(Recording("shank", None, {"left_shank": track}), level=rise_m == 0.0)
+    result = analyse(recording, found.calibrations, level=rise_m == 0.0)
+    valid = [stride for stride in result.strides if stride.valid]
+    assert len(valid) >= 12
+    lengths = sorted(stride.stride_length_m for stride in valid)
+    assert lengths[len(lengths) // 2] == pytest.approx(walk.stride_length_m, rel=0.08)
+    assert result.event_rows() == result.path_rows() == []
+    assert "a path needs a sensor" in result.no_path["left_shank"]
+    assert len(result.record("").samples) == 1
+
+
+def test_unlabelled_feet_are_told_apart(analysed):
+    names = {"left_foot": "foot_b", "right_foot": "foot_a"}
+    tracks = {names[name]: replace(track, sensor=names[name]) for name, track in analysed.recording.tracks.items()}
+    recording, found = calibrations_of(replace(analysed.recording, tracks=tracks, geometry={}))
+    assert found.sides == {"foot_a": "right_foot", "foot_b": "left_foot"}
+    assert set(recording.tracks) == set(found.calibrations) == {"left_foot", "right_foot"}

@@ -11,12 +11,12 @@ from typing import Any
 
 import click
 
-from fes.analysis import Analysis, analyse
+from fes.analysis import Analysis, analyse, calibrations_of
+from fes.calibrations import drivers_from
 from fes.cli.exits import FAILED, Problem
 from fes.cli.replay import fresh_folder
-from fes.estimation.calibration import CalibrationError, FootCalibration
-from fes.recording import Recording, RecordingError, read_recording
-from fes.replay import calibrate
+from fes.estimation.calibration import CalibrationError
+from fes.recording import RecordingError, read_recording
 
 FORMATS = ("csv", "parquet", "json")
 
@@ -29,12 +29,22 @@ FORMATS = ("csv", "parquet", "json")
 )
 @click.option("--format", "kind", type=click.Choice(FORMATS), default="csv", show_default=True, help="Of the tables.")
 @click.option("--json", "as_json", is_flag=True, help="Print the strides as JSON instead of the table.")
+@click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 def command(
-    recordings: tuple[Path, ...], calibration: Path | None, out: Path, kind: str, as_json: bool, no_report: bool
+    recordings: tuple[Path, ...],
+    calibration: Path | None,
+    out: Path,
+    kind: str,
+    as_json: bool,
+    uneven: bool,
+    no_report: bool,
 ) -> None:
-    """Find phases and strides in RECORDINGS; write tables of strides, phase changes and events (initial contact,
-    foot off), and a report of each.
+    """Find phases and strides in RECORDINGS; write tables of strides, phase changes, events (initial contact, foot
+    off) and the path over the ground, and a report of each.
+
+    The ground is taken to be level: height that a stride seems to gain is an error and taken out. On stairs and slopes
+    give --stairs or --slope (they do the same): the height gained is then measured, stride by stride.
 
     One recording that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
@@ -42,38 +52,27 @@ def command(
     for path in recordings:
         try:
             recording = read_recording(path)
-            calibrations = _calibrations(recording, calibration)
+            recording, found = (
+                drivers_from(calibration, recording) if calibration else calibrations_of(recording, level=not uneven)
+            )
         except (RecordingError, CalibrationError) as error:
             if len(recordings) == 1:
                 raise Problem(str(error)) from error
             click.secho(f"Error: {error}", fg="red", err=True)
             failures += 1
             continue
-        result = analyse(recording, calibrations)
+        for reason in found.missing.values():
+            click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
+        result = analyse(recording, found.calibrations, level=not uneven)
         folder = fresh_folder(out, path.stem)
         write_table(result.stride_rows(), folder / f"strides.{kind}")
         write_table(result.phase_rows(), folder / f"phases.{kind}")
         write_table(result.event_rows(), folder / f"events.{kind}")
+        write_table(result.path_rows(), folder / f"path.{kind}")
         _show(result, folder, as_json=as_json, report=not no_report)
     if failures:
         click.secho(f"{failures} of {len(recordings)} recordings could not be used.", fg="red", err=True)
         raise SystemExit(FAILED)
-
-
-def _calibrations(recording: Recording, path: Path | None) -> dict[str, FootCalibration]:
-    from fes.cli.calibrate import load_calibrations
-
-    if path is None:
-        found, missing = calibrate(recording)
-        for reason in missing.values():
-            click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
-        return found
-    known = {foot: c for foot, c in load_calibrations(path).items() if foot in recording.tracks}
-    if not known:
-        raise CalibrationError(
-            f"{path}: calibrates none of the sensors in {recording.path}: {', '.join(recording.tracks)}"
-        )
-    return known
 
 
 def write_table(rows: list[dict[str, Any]], path: Path) -> None:
@@ -104,10 +103,11 @@ def _show(result: Analysis, folder: Path, *, as_json: bool, report: bool) -> Non
     if report:
         from fes.view.report import write_report
 
-        write_report(record, folder / "report.html")
+        write_report(record, folder / "report.html", paths=result.paths)
     summary = summarise(record)
     if as_json:
-        click.echo(json.dumps({**summary.to_json(), "files": {"folder": str(folder)}}, indent=2, ensure_ascii=False))
+        told = {**summary.to_json(), "paths": result.path_summary(), "files": {"folder": str(folder)}}
+        click.echo(json.dumps(told, indent=2, ensure_ascii=False))
         return
     from rich.console import Console
 
@@ -116,4 +116,19 @@ def _show(result: Analysis, folder: Path, *, as_json: bool, report: bool) -> Non
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     screen.print(stride_table(summary))
     screen.print(summary_block(summary))
+    for line in _path_lines(result):
+        screen.print(line)
     screen.print(f"Tables and report  {folder}")
+
+
+def _path_lines(result: Analysis) -> list[str]:
+    """How far each foot went, and where it ended, in words."""
+    lines = []
+    for foot, path in result.paths.items():
+        side = foot.removesuffix("_foot")
+        line = f"Path, {side}: {path.way_m:.2f} m, ends {path.closure_m:.2f} m from its start"
+        gained = [s.height_gained_m for s in result.strides if s.valid and s.foot == foot]
+        if not result.level:
+            line += f", {path.height_gained_m:+.2f} m in height ({sum(gained):+.2f} m in {len(gained)} valid strides)"
+        lines.append(line)
+    return lines + [f"No path: {reason}" for reason in result.no_path.values()]

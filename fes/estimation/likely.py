@@ -2,9 +2,10 @@
 
 Negård et al. (2005) let an artificial accelerometer bias absorb all that is left over at a stride's end. But what is
 left over has several causes: tilt at the start, biases of gyroscope and accelerometer, noise of both, which grows where
-the sensor is jolted or turned fast, and a foot that is not quite at rest at the ends. This module gives each its size
-and finds the most likely set of errors that explains what is known at the ends: velocity (3), height (1) and the
-direction of gravity (2). Six equations, solved in their dual form; the inputs are corrected and integrated again.
+the sensor is jolted or turned fast, and a foot that is not quite at rest at the ends. Each has its size
+(``fes.estimation.likely_noise``), and the most likely set of errors is found that explains what is known: velocity (3)
+and height (1) at the end, the direction of gravity at the end (2) and at the start (2). Eight equations, solved in
+their dual form; the inputs are corrected and integrated again.
 
 A jump of the specific force by more than ``jolt_mps3`` between samples is a contact that clips the sensor, or that it
 is too slow for: what it measured there is nearly worthless, and the correction goes there first.
@@ -13,32 +14,20 @@ is too slow for: what it measured there is nearly worthless, and the correction 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from fes.estimation.compiled import jit
+from fes.estimation.likely_noise import StrideNoise, variances
 from fes.estimation.linear import solve
 from fes.estimation.rotation import quaternion_step, to_sensor, to_world
 from fes.signals import G_MPS2
 
-
-class StrideNoise(NamedTuple):
-    """Standard deviations of what can be wrong; one setting for all sensors and walkers."""
-
-    start_tilt_rad: float = 0.015  # of the orientation filter at mid-stance
-    gyr_bias_radps: float = 0.004  # what is left after calibration and filter
-    acc_bias_mps2: float = 0.1
-    gyr_noise_radps_rthz: float = 0.0005
-    gyr_scale: float = 0.002  # share of the rate that is wrong, per √s: scale, clipping, non-orthogonality
-    acc_noise_mps2_rthz: float = 0.05
-    jolt_mps3: float = 8000.0
-    jolt_share: float = 0.5  # of the excess jump that may be wrong
-    end_velocity_mps: float = 0.005
-    end_velocity_per_rate_m: float = 0.03  # the lever arm's uncertainty, times the rate at the end
-    end_height_m: float = 0.01
-    end_tilt_rad: float = 0.015
-    end_tilt_per_rate_s: float = 0.1  # a foot that turns at the end also accelerates
+KNOWN = 8  # velocity (3) and height at the end, tilt about x and y at the end and at the start
+# what may be wrong as a whole: tilt (2) and velocity (3) at the start, biases of gyroscope and accelerometer (3, 3)
+TILT, VELOCITY, GYR, ACC, CAUSES = 0, 2, 5, 8, 11
+UNKNOWN_HEIGHT_M = 1e3
 
 
 @jit
@@ -90,29 +79,14 @@ def _turn_effect(i: int, last: int, left_s: float, velocity: Any, position: Any,
 
 
 @jit
-def _variances(i: int, t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise) -> tuple[float, float]:
-    """Variance of sample ``i``'s turn (rad²) over its interval, and of its velocity increment ((m/s)²)."""
-    dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-    rate2 = gyr[i, 0] ** 2 + gyr[i, 1] ** 2 + gyr[i, 2] ** 2
-    turn = (noise.gyr_noise_radps_rthz**2 + noise.gyr_scale**2 * rate2) * dt_s
-    jx, jy, jz = acc[i, 0] - acc[i - 1, 0], acc[i, 1] - acc[i - 1, 1], acc[i, 2] - acc[i - 1, 2]
-    excess = math.sqrt(jx * jx + jy * jy + jz * jz) - noise.jolt_mps3 * dt_s
-    push = noise.acc_noise_mps2_rthz**2 * dt_s
-    if excess > 0.0:
-        push += (noise.jolt_share * excess * dt_s) ** 2
-    return turn, push
-
-
-@jit
 def most_likely(
     t_ns: Any,
     acc: Any,
     gyr: Any,
     start: Any,
-    start_velocity: Any,
-    end_velocity: Any,
-    end_force: Any,
-    end_rate_radps: float,
+    end_velocities: Any,
+    end_forces: Any,
+    end_variances: Any,
     equal_height: bool,
     noise: StrideNoise,
     quaternion: Any,
@@ -126,12 +100,11 @@ def most_likely(
         acc: (N, 3) specific force in m/s², free of calibrated bias.
         gyr: (N, 3) rad/s, free of calibrated bias.
         start: (4,) orientation at the first sample.
-        start_velocity: (3,) m/s in the world, as the lever arm says.
-        end_velocity: the same at the end.
-        end_force: (3,) mean specific force around the end.
-        end_rate_radps: how fast the foot turns at its ends.
+        end_velocities: (2, 3) m/s in the world at the start and at the end, as the lever arm says.
+        end_forces: (2, 3) mean specific force in m/s² around start and end, in the sensor frame there.
+        end_variances: (2, 2) of start and end, each as :func:`fes.estimation.likely_noise.end_variances` gives it.
         equal_height: whether the end is as high as the start.
-        noise: the sizes of all errors.
+        noise: the sizes of all other errors.
         quaternion: (N, 4) to be filled.
         velocity: (N, 3) to be filled, m/s.
         position: (N, 3) to be filled, m from the start.
@@ -146,20 +119,84 @@ def most_likely(
     for j in range(4):
         quaternion[0, j] = start[j]
     for j in range(3):
-        velocity[0, j] = start_velocity[j]
+        velocity[0, j] = end_velocities[0, j]
     _strapdown(t_ns, acc, gyr, quaternion, velocity, position)
 
-    system = np.zeros((6, 7))  # S + R, and the residual
-    by_gyr = np.zeros((6, 3))  # effect of a constant gyroscope bias
-    by_acc = np.zeros((6, 3))
-    effect = np.zeros((6, 3))
+    system = np.zeros((KNOWN, KNOWN + 1))  # covariance of what is left over, and what is left over
+    of_cause = np.zeros((KNOWN, CAUSES))
+    _gather(t_ns, acc, gyr, noise, quaternion, velocity, position, system, of_cause)
+    sizes = np.zeros(CAUSES)
     span_s = 1e-9 * (t_ns[last] - t_ns[0])
-    for i in range(1, n):
+    for k in range(3):
+        if k < 2:
+            sizes[TILT + k] = noise.start_tilt_rad**2
+        sizes[VELOCITY + k] = end_variances[0, 0]
+        sizes[GYR + k] = (noise.gyr_drift_rad / span_s) ** 2
+        sizes[ACC + k] = noise.acc_bias_mps2**2
+    for a in range(KNOWN):
+        for b in range(KNOWN):
+            total = 0.0
+            for k in range(CAUSES):
+                total += sizes[k] * of_cause[a, k] * of_cause[b, k]
+            system[a, b] += total
+    for a in range(3):
+        system[a, a] += end_variances[1, 0]
+        system[a, KNOWN] = end_velocities[1, a] - velocity[last, a]
+    height_m = noise.end_height_m if equal_height else UNKNOWN_HEIGHT_M
+    system[3, 3] += height_m * height_m
+    system[3, KNOWN] = -position[last, 2]
+    for end in range(2):
+        i = last if end == 1 else 0
+        row = 4 if end == 1 else 6
+        ux, uy, uz = to_world(
+            quaternion[i, 0],
+            quaternion[i, 1],
+            quaternion[i, 2],
+            quaternion[i, 3],
+            end_forces[end, 0],
+            end_forces[end, 1],
+            end_forces[end, 2],
+        )
+        across = math.sqrt(ux * ux + uy * uy)
+        tilt = math.atan2(across, uz)
+        per = tilt / across if across > 1e-12 else 0.0
+        # more than the gyroscope can have drifted: the ground accelerates, as a belt that starts or stops
+        doubt = 2.0 * max(tilt - noise.end_tilt_most_rad, 0.0)
+        for a in range(row, row + 2):
+            system[a, a] += end_variances[end, 1] + doubt * doubt
+        system[row, KNOWN] = per * uy
+        system[row + 1, KNOWN] = -per * ux
+    if not solve(system, KNOWN):
+        return False
+    cause = np.zeros(CAUSES)
+    for k in range(CAUSES):
+        for a in range(KNOWN):
+            cause[k] += sizes[k] * of_cause[a, k] * system[a, KNOWN]
+    _apply(t_ns, acc, gyr, noise, system, cause, quaternion, velocity, position)
+    return True
+
+
+@jit
+def _gather(
+    t_ns: Any,
+    acc: Any,
+    gyr: Any,
+    noise: StrideNoise,
+    quaternion: Any,
+    velocity: Any,
+    position: Any,
+    system: Any,
+    of_cause: Any,
+) -> None:
+    """Add what the samples' noise does to the covariance, and fill ``of_cause``: what each cause does per unit."""
+    last = t_ns.shape[0] - 1
+    effect = np.zeros((6, 3))
+    for i in range(1, last + 1):
         left_s = 1e-9 * (t_ns[last] - t_ns[i])
         dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
         q0, q1, q2, q3 = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
         _turn_effect(i, last, left_s, velocity, position, effect)
-        turn, push = _variances(i, t_ns, acc, gyr, noise)
+        turn, push = variances(i, t_ns, acc, gyr, noise)
         for a in range(6):
             for b in range(6):
                 system[a, b] += turn * (
@@ -174,54 +211,21 @@ def most_likely(
             rx, ry, rz = to_world(
                 q0, q1, q2, q3, 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
             )
-            by_acc[0, k] += rx * dt_s
-            by_acc[1, k] += ry * dt_s
-            by_acc[2, k] += rz * dt_s
-            by_acc[3, k] += rz * dt_s * left_s
+            of_cause[0, ACC + k] += rx * dt_s
+            of_cause[1, ACC + k] += ry * dt_s
+            of_cause[2, ACC + k] += rz * dt_s
+            of_cause[3, ACC + k] += rz * dt_s * left_s
             for a in range(6):
-                by_gyr[a, k] += (effect[a, 0] * rx + effect[a, 1] * ry + effect[a, 2] * rz) * dt_s
-    at_start = np.zeros((6, 3))
-    _turn_effect(0, last, span_s, velocity, position, at_start)
-    slip = noise.end_velocity_mps**2 + (noise.end_velocity_per_rate_m * end_rate_radps) ** 2
-    tilt_variance = noise.end_tilt_rad**2 + (noise.end_tilt_per_rate_s * end_rate_radps) ** 2
-    for a in range(6):
-        for b in range(6):
-            total = 0.0
-            for k in range(3):
-                total += noise.gyr_bias_radps**2 * by_gyr[a, k] * by_gyr[b, k]
-                total += noise.acc_bias_mps2**2 * by_acc[a, k] * by_acc[b, k]
-                if k < 2:
-                    total += noise.start_tilt_rad**2 * at_start[a, k] * at_start[b, k]
-            system[a, b] += total
-    for a in range(3):
-        system[a, a] += 2.0 * slip  # of the start, carried along, and of the end
-    system[2, 3] += slip * span_s
-    system[3, 2] += slip * span_s
-    system[3, 3] += slip * span_s * span_s + (noise.end_height_m**2 if equal_height else 1e6)
-    system[4, 4] += tilt_variance
-    system[5, 5] += tilt_variance
-
-    ux, uy, uz = to_world(
-        quaternion[last, 0],
-        quaternion[last, 1],
-        quaternion[last, 2],
-        quaternion[last, 3],
-        end_force[0],
-        end_force[1],
-        end_force[2],
-    )
-    across = math.sqrt(ux * ux + uy * uy)
-    tilt = math.atan2(across, uz)
-    per = tilt / across if across > 1e-12 else 0.0
-    for a in range(3):
-        system[a, 6] = end_velocity[a] - velocity[last, a]
-    system[3, 6] = -position[last, 2]
-    system[4, 6] = per * uy
-    system[5, 6] = -per * ux
-    if not solve(system, 6):
-        return False
-    _apply(t_ns, acc, gyr, noise, slip, span_s, system, by_gyr, by_acc, at_start, quaternion, velocity, position)
-    return True
+                of_cause[a, GYR + k] += (effect[a, 0] * rx + effect[a, 1] * ry + effect[a, 2] * rz) * dt_s
+    span_s = 1e-9 * (t_ns[last] - t_ns[0])
+    _turn_effect(0, last, span_s, velocity, position, effect)
+    for k in range(2):
+        for a in range(6):
+            of_cause[a, TILT + k] = effect[a, k]
+        of_cause[6 + k, TILT + k] = 1.0
+    for k in range(3):
+        of_cause[k, VELOCITY + k] = 1.0
+    of_cause[3, VELOCITY + 2] = span_s
 
 
 @jit
@@ -230,26 +234,15 @@ def _apply(
     acc: Any,
     gyr: Any,
     noise: StrideNoise,
-    slip: float,
-    span_s: float,
     system: Any,
-    by_gyr: Any,
-    by_acc: Any,
-    at_start: Any,
+    cause: Any,
     quaternion: Any,
     velocity: Any,
     position: Any,
 ) -> None:
-    """Correct the inputs by their share of the dual solution (column 6) and integrate again."""
+    """Correct the inputs by the causes and the samples' share of the dual solution, and integrate again."""
     n = t_ns.shape[0]
     last = n - 1
-    gyr_bias, acc_bias, tilt = np.zeros(3), np.zeros(3), np.zeros(3)
-    for k in range(3):
-        for a in range(6):
-            gyr_bias[k] += noise.gyr_bias_radps**2 * by_gyr[a, k] * system[a, 6]
-            acc_bias[k] += noise.acc_bias_mps2**2 * by_acc[a, k] * system[a, 6]
-            if k < 2:
-                tilt[k] += noise.start_tilt_rad**2 * at_start[a, k] * system[a, 6]
     rates, forces = np.empty((n, 3)), np.empty((n, 3))
     effect = np.zeros((6, 3))
     for i in range(n):
@@ -259,31 +252,26 @@ def _apply(
             left_s = 1e-9 * (t_ns[last] - t_ns[i])
             dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
             _turn_effect(i, last, left_s, velocity, position, effect)
-            turn, push = _variances(i, t_ns, acc, gyr, noise)
+            turn, push = variances(i, t_ns, acc, gyr, noise)
             for a in range(6):
-                share = turn * system[a, 6] / dt_s
+                share = turn * system[a, KNOWN] / dt_s
                 wx += effect[a, 0] * share
                 wy += effect[a, 1] * share
                 wz += effect[a, 2] * share
-            px = push * system[0, 6] / dt_s
-            py = push * system[1, 6] / dt_s
-            pz = push * (system[2, 6] + system[3, 6] * left_s) / dt_s
+            px = push * system[0, KNOWN] / dt_s
+            py = push * system[1, KNOWN] / dt_s
+            pz = push * (system[2, KNOWN] + system[3, KNOWN] * left_s) / dt_s
         wx, wy, wz = to_sensor(q0, q1, q2, q3, wx, wy, wz)
         px, py, pz = to_sensor(q0, q1, q2, q3, px, py, pz)
-        rates[i, 0], rates[i, 1], rates[i, 2] = (
-            gyr[i, 0] + gyr_bias[0] + wx,
-            gyr[i, 1] + gyr_bias[1] + wy,
-            gyr[i, 2] + gyr_bias[2] + wz,
-        )
-        forces[i, 0], forces[i, 1], forces[i, 2] = (
-            acc[i, 0] + acc_bias[0] + px,
-            acc[i, 1] + acc_bias[1] + py,
-            acc[i, 2] + acc_bias[2] + pz,
-        )
+        rates[i, 0] = gyr[i, 0] + cause[GYR] + wx
+        rates[i, 1] = gyr[i, 1] + cause[GYR + 1] + wy
+        rates[i, 2] = gyr[i, 2] + cause[GYR + 2] + wz
+        forces[i, 0] = acc[i, 0] + cause[ACC] + px
+        forces[i, 1] = acc[i, 1] + cause[ACC + 1] + py
+        forces[i, 2] = acc[i, 2] + cause[ACC + 2] + pz
     q0, q1, q2, q3 = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
-    tx, ty, tz = to_sensor(q0, q1, q2, q3, tilt[0], tilt[1], 0.0)
+    tx, ty, tz = to_sensor(q0, q1, q2, q3, cause[TILT], cause[TILT + 1], 0.0)
     quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3] = quaternion_step(q0, q1, q2, q3, tx, ty, tz)
-    velocity[0, 0] += slip * system[0, 6]
-    velocity[0, 1] += slip * system[1, 6]
-    velocity[0, 2] += slip * (system[2, 6] + system[3, 6] * span_s)
+    for k in range(3):
+        velocity[0, k] += cause[VELOCITY + k]
     _strapdown(t_ns, forces, rates, quaternion, velocity, position)

@@ -8,19 +8,22 @@ happened to be detected, and the velocity there is that of a foot turning about 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.likely import StrideNoise, most_likely
+from fes.estimation.clearance import FootPath, foot_path
+from fes.estimation.likely import most_likely
+from fes.estimation.likely_noise import StrideNoise
 from fes.estimation.rotation import rotate, rotate_all
 from fes.estimation.stride import integrate, orient
+from fes.estimation.stride_ends import NO_REST_RADPS, REST_RADPS, measure_end, quietest
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange
 
-QUIET_WINDOW_S = 0.1
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
 STOPPED_SEARCH_S = 0.5  # of a stance that lasts longer than that the first half: a belt that stops carries the foot
 STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
@@ -43,7 +46,9 @@ class StrideSettings:
 
     ``sensor_height_m``: height of the sensor above the ground contact; the end velocity is ``w × height``.
     ``equal_height``: off on stairs and slopes. ``forward`` and ``up``: unit vectors towards the toe and up, foot flat,
-    in the sensor frame (3,). ``method``: "most_likely" weighs all errors, "constrained" is Negård et al.'s, corrected.
+    in the sensor frame (3,). ``method``: "most_likely" weighs all errors, "constrained" is Negård et al.'s, corrected,
+    which is also used where the foot has no true rest (then the stride's ``reason`` says so; it stays valid unless the
+    foot turns faster than ``NO_REST_RADPS`` at its quietest).
     """
 
     forward: FloatArray
@@ -52,6 +57,7 @@ class StrideSettings:
     equal_height: bool = True
     geometry: FootGeometry | None = None
     method: Literal["most_likely", "constrained"] = "most_likely"
+    watch: Callable[[FootPath], None] | None = None  # is shown the path of every valid stride
 
 
 class StrideMaker:
@@ -96,7 +102,7 @@ class StrideMaker:
         result = self.close(t_ns, acc, gyr, quaternion) if self.due_ns is not None else None
         now = int(t_ns[-1])
         earliest = max(self._stance_ns - int(STANCE_LEAD_S * NS_PER_S), now - int(STANCE_SEARCH_S * NS_PER_S))
-        self._start_ns = int(t_ns[_quietest(t_ns, gyr, earliest, now)])
+        self._start_ns = int(t_ns[quietest(t_ns, gyr, earliest, now)])
         self._times = {}
         return result
 
@@ -110,7 +116,7 @@ class StrideMaker:
         still_standing = t_ns[-1] - self._stance_ns >= STANCE_SEARCH_S * NS_PER_S
         search_s = STOPPED_SEARCH_S if still_standing else STANCE_SEARCH_S
         latest = min(int(t_ns[-1]), self._stance_ns + int(search_s * NS_PER_S))
-        last = _quietest(t_ns, gyr, earliest, latest)
+        last = quietest(t_ns, gyr, earliest, latest)
         first = int(np.searchsorted(t_ns, start_ns))
         self._number += 1
         if first >= last or t_ns[first] != start_ns:
@@ -118,19 +124,6 @@ class StrideMaker:
         return solve_stride(
             self.foot, self._number, times, first, last, t_ns, acc, gyr, quaternion[first], self._settings
         )
-
-
-def _quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) -> int:
-    """Index of the middle of the tenth of a second with the least gyroscope energy between two times."""
-    begin = int(np.searchsorted(t_ns, earliest_ns))
-    end = int(np.searchsorted(t_ns, latest_ns, side="right"))
-    part = gyr[begin:end]
-    if len(part) < 3:
-        return min(begin, len(t_ns) - 1)
-    period_s = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
-    window = min(max(round(QUIET_WINDOW_S / period_s), 1), len(part))
-    energy = np.cumsum(np.concatenate(([0.0], np.einsum("ij,ij->i", part, part))))
-    return int(begin + np.argmin(energy[window:] - energy[:-window]) + window // 2)
 
 
 def solve_stride(
@@ -161,33 +154,37 @@ def solve_stride(
         return _unusable(foot, number, start_ns, end_ns, times, f"lasts {duration_s:.2f} s")
     if gap_s > max(LONGEST_GAP_S, 3.5e-9 * float(np.median(np.diff(t)))):
         return _unusable(foot, number, start_ns, end_ns, times, f"samples missing for {1e3 * gap_s:.0f} ms")
-    around = max(round(0.03 * (n - 1) / duration_s), 1)
-    fx, fy, fz = acc[max(last - around, 0) : last + around + 1].mean(axis=0)
+    period_s = duration_s / (n - 1)
+    ends = [measure_end(k, period_s, acc, gyr) for k in (first, last)]
+    unrest_radps = max(end.unrest_radps for end in ends)
     quaternion = np.empty((n, 4))
-    constrained = settings.method == "constrained"
+    constrained = settings.method == "constrained" or unrest_radps > REST_RADPS
+    fx, fy, fz = ends[1].force_mps2
     tilt = orient(t, w, start_quaternion, fx, fy, fz, END_TILT_GAIN if constrained else 0.0, quaternion)
     lever = np.array([0.0, 0.0, settings.sensor_height_m])
-    end_rates = [gyr[max(k - around, 0) : k + around + 1].mean(axis=0) for k in (first, last)]
-    creep_mps = CREEP_MPS[settings.method]
-    start_velocity, end_velocity = (
-        np.cross(rotate(quaternion[k], rate), lever) + creep_mps * _level(rotate(quaternion[k], settings.forward))
-        for k, rate in zip((0, -1), end_rates, strict=True)
+    creep_mps = CREEP_MPS["constrained" if constrained else "most_likely"]
+    end_velocities = np.array(
+        [
+            np.cross(rotate(quaternion[k], end.rate_radps), lever)
+            + creep_mps * _level(rotate(quaternion[k], settings.forward))
+            for k, end in zip((0, -1), ends, strict=True)
+        ]
     )
     velocity, position = np.empty((n, 3)), np.empty((n, 3))
     equal_height = settings.equal_height
     if constrained:
         gamma = np.empty((2, 3))
-        solved = integrate(t, f, quaternion, start_velocity, end_velocity, equal_height, velocity, position, gamma)
+        start, end = end_velocities
+        solved = integrate(t, f, quaternion, start, end, equal_height, velocity, position, gamma)
     else:
         solved = most_likely(
             t,
             f,
             w,
             start_quaternion,
-            start_velocity,
-            end_velocity,
-            np.array([fx, fy, fz]),
-            max(float(np.linalg.norm(rate)) for rate in end_rates),
+            end_velocities,
+            np.array([end.force_mps2 for end in ends]),
+            np.array([end.variances(NOISE) for end in ends]),
             equal_height,
             NOISE,
             quaternion,
@@ -202,6 +199,8 @@ def solve_stride(
         reason = f"the orientation is {math.degrees(tilt):.0f}° off at its end"
     elif not length <= LONGEST_STRIDE_M:
         reason = f"{length:.2f} m is no stride length"
+    elif unrest_radps > NO_REST_RADPS:
+        reason = f"the foot never rests: {unrest_radps:.1f} rad/s at its quietest"
     if reason:
         return _unusable(foot, number, start_ns, end_ns, times, reason)
 
@@ -214,6 +213,9 @@ def solve_stride(
     heading = np.arctan2(forward[[0, -1], 1], forward[[0, -1], 0])
     turn = (heading[1] - heading[0] + math.pi) % (2.0 * math.pi) - math.pi
     toe_clearance, heel_clearance = _toe_and_heel(t, times, quaternion, position, forward, settings)
+    if settings.watch is not None:
+        swing = times.get(Phase.SWING), times.get(Phase.LOADING_RESPONSE) or times.get(Phase.STANCE)
+        settings.watch(foot_path(number, t, quaternion, position, settings.forward, settings.up, *swing))
     at = np.linspace(start_ns, end_ns, TRAJECTORY_POINTS)
     return StrideResult(
         foot=foot,
@@ -233,6 +235,7 @@ def solve_stride(
         heel_clearance_m=heel_clearance,
         trajectory_m=np.column_stack([np.interp(at, t, walking[:, k]) for k in range(3)]),
         pitch_rad=np.interp(at, t, pitch - pitch[0]),
+        reason=f"no true rest: {unrest_radps:.1f} rad/s at its quietest" if unrest_radps > REST_RADPS else "",
     )
 
 

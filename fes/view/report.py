@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from contextlib import suppress
 from datetime import datetime
 from functools import cache
@@ -13,9 +14,11 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from fes.ground_path import GroundPath
 from fes.journal import SessionRecord
 from fes.view.aggregate import Spread
 from fes.view.figures_gait import PHASE_COLORS, Figure, foot_color, path_figures, phase_figures, stride_figures
+from fes.view.figures_ground import ground_figures
 from fes.view.figures_stimulation import channel_color, latency_figure, stimulation_figures
 from fes.view.findings import count_of, findings, mean_sd, words
 from fes.view.glossary import GLOSSARY
@@ -31,15 +34,16 @@ class ReportError(OSError):
     """The report cannot be written; the message names the file and what to do."""
 
 
-def write_report(record: SessionRecord, path: Path) -> None:
+def write_report(record: SessionRecord, path: Path, *, paths: Mapping[str, GroundPath] | None = None) -> None:
     """Write the report of a session as one self-contained HTML file, replacing an older one.
 
-    The same record always gives the same bytes.
+    ``paths``: where each foot went over the ground, if that was worked out. The same record always gives the same
+    bytes.
 
     Raises:
         ReportError: the file cannot be written.
     """
-    text = render_report(record)
+    text = render_report(record, paths=paths)
     draft = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -54,7 +58,7 @@ def write_report(record: SessionRecord, path: Path) -> None:
         raise failure from error
 
 
-def render_report(record: SessionRecord) -> str:
+def render_report(record: SessionRecord, *, paths: Mapping[str, GroundPath] | None = None) -> str:
     """The report of a session as HTML text."""
     view = view_session(record)
     summary = view.summary
@@ -67,7 +71,7 @@ def render_report(record: SessionRecord) -> str:
             findings=findings(summary),
             cards=_cards(view),
             glossary=GLOSSARY,
-            path_figures=_safe(path_figures(view)),
+            path_figures=_safe([*path_figures(view), *ground_figures(view, paths or {})]),
             stride_figures=_safe(stride_figures(view)),
             phase_figures=_safe(phase_figures(view)),
             stimulation_figures=_safe(stimulation_figures(view)),

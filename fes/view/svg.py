@@ -11,6 +11,7 @@ import numpy as np
 from fes.signals import FloatArray
 
 LEFT, RIGHT, TOP, BOTTOM = 58, 14, 12, 46
+UNIT_WIDTH = 6.4  # of a letter of a label, about
 MAX_TITLED_POINTS = 400  # beyond this, points share one path: a hover text each would swell the file
 
 
@@ -128,9 +129,11 @@ class Plot:
         if not math.isfinite(x):
             return
         at = float(self._x(np.array(x)))
+        fits = at + 4 + UNIT_WIDTH * len(text) <= self.width
+        place = f'x="{at + 4:.1f}"' if fits else f'x="{at - 4:.1f}" text-anchor="end"'
         self._marks.append(
             f'<path d="M{at:.1f} {TOP}V{self.height - BOTTOM}" stroke="{color}" stroke-width="1.3" '
-            f'stroke-dasharray="3 3"/><text class="halo" x="{at + 4:.1f}" y="{TOP + 11}" fill="{color}">'
+            f'stroke-dasharray="3 3"/><text class="halo" {place} y="{TOP + 11}" fill="{color}">'
             f"{escape(text)}</text>"
         )
 

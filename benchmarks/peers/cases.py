@@ -1,0 +1,185 @@
+"""The cases put to the peers, with their truth, which stays here."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from event_cases import Case as EventCase
+from event_cases import gaitmap_cases
+from orientation_sets import Trial, broad, gaitmap_pitch
+from real_sets import PathWalk, Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
+from stride_length import strides_of
+from stroke_treadmill import LAST_S
+from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
+
+from fes.estimation.calibration import FootCalibration
+from fes.ground_path import GroundPath, ground_path
+from fes.recording import Track
+from fes.replay import calibrate_track
+from fes.signals import FloatArray, IntArray, StrideResult
+from peers.exchange import Case
+
+WARM_UP_S = 10.0
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A case and what is true of it; what does not apply is empty, None or NaN.
+
+    ``length_m`` and ``lift_m`` (M,) belong to the case's borders, NaN where nobody knows; ``walk`` tells the length
+    between any two instants; ``swings_s`` (K,) lie inside the strides of the reference, for recall; ``path``
+    tells where the foot points, so that what is a turn is the same for every method; ``speed_mps`` (N,) is the optical
+    speed.
+    """
+
+    case: Case
+    data_set: str
+    length_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    lift_m: FloatArray = field(default_factory=lambda: np.zeros(0))
+    walk: Walk | None = None
+    swings_s: FloatArray = field(default_factory=lambda: np.zeros(0))
+    events: EventCase | None = None
+    path: GroundPath | None = None
+    belt_mps: float = float("nan")
+    speed_mps: FloatArray = field(default_factory=lambda: np.zeros(0))
+    trial: Trial | None = None
+
+
+def case_of(
+    name: str,
+    track: Track,
+    calibration: FootCalibration,
+    borders_ns: IntArray,
+    tasks: tuple[str, ...],
+    *,
+    own_axes: bool = False,
+) -> Case:
+    """Turned into x forward, y left, z up, the gyroscope's bias taken off; borders (M, 2) in ns.
+
+    ``own_axes``: the sensor's axes are near enough to that, and the peers' templates were made with them.
+    """
+    forward, up = calibration.forward(), np.array(calibration.up)
+    axes = np.eye(3) if own_axes else np.stack((forward, np.cross(up, forward), up))
+    borders = np.searchsorted(track.t_ns, borders_ns.reshape(-1, 2)).clip(0, len(track.t_ns) - 1)
+    return Case(
+        name=name,
+        side="left" if track.sensor.startswith("left") else "right",
+        rate_hz=track.rate_hz,
+        acc_mps2=track.acc_mps2 @ axes.T,
+        gyr_radps=(track.gyr_radps - np.array(calibration.gyr_bias_radps)) @ axes.T,
+        borders=borders,
+        tasks=tasks,
+    )
+
+
+def bordered(walks: list[Walk], cut: list[BorderedWalk], tasks: tuple[str, ...]) -> list[Asked]:
+    """Walks with reference borders; a stride that the set itself disputes is measured, but does not count."""
+    asked = []
+    for walk, borders in zip(walks, cut, strict=True):
+        ends = np.column_stack((borders.begin_ns, borders.end_ns))
+        calibration, own = calibrate_track(walk.track), walk.data_set == "gaitmap_walk"
+        asked.append(
+            Asked(
+                case_of(f"{walk.data_set}-{walk.name}", walk.track, calibration, ends, tasks, own_axes=own),
+                walk.data_set,
+                length_m=np.where(borders.disputed | ~_countable(walk, ends), np.nan, borders.length_m),
+                lift_m=np.array([walk.true_clearance_m(between(walk.track, *pair)) for pair in ends.tolist()]),
+                walk=walk,
+                swings_s=0.5e-9 * ends.sum(axis=1),
+                path=ground_path(walk.track, calibration),
+                speed_mps=borders.speed_mps,
+            )
+        )
+    return asked
+
+
+def _countable(walk: Walk, ends_ns: IntArray) -> BoolArray:
+    """Where the cameras followed the sensor (M,): no glitch, and more than a shuffle on the spot."""
+    if not (isinstance(walk, PathWalk) and walk.at_sensor):
+        return np.ones(len(ends_ns), dtype=bool)
+    return np.array([np.isfinite(walk.true_length_m(between(walk.track, *pair))) for pair in ends_ns.tolist()])
+
+
+def between(track: Track, begin_ns: int, end_ns: int) -> StrideResult:
+    """A stride of which nothing but its ends is known, to ask a reference about."""
+    unknown = float("nan")
+    return StrideResult(
+        track.sensor, 0, begin_ns, end_ns, unknown, unknown, unknown, unknown, unknown, None, None, None, None
+    )
+
+
+def _true_lift_m(walk: Walk | None, begin_s: float, end_s: float) -> float:
+    assert isinstance(walk, PathWalk)
+    return walk.true_lift_m(between(walk.track, round(1e9 * begin_s), round(1e9 * end_s)))
+
+
+def gaitmap_asked(folder: Path) -> list[Asked]:
+    """Both feet: reference borders of the straight strides, all 57 strides for recall, events."""
+    walks = list(gaitmap_walk(folder))
+    if not walks:
+        return []
+    asked = []
+    events = gaitmap_cases(folder)
+    for one, true_events in zip(bordered(walks, gaitmap(folder), ()), events, strict=True):
+        with (folder / "gaitmap_walk" / "stride_events_sample.csv").open(newline="") as file:
+            rows = [row for row in csv.DictReader(file) if row["foot"] == one.case.side]
+        swings = np.array([0.5 * (float(row["tc"]) + float(row["ic"])) for row in rows]) / one.case.rate_hz
+        case = replace(one.case, tasks=("borders", "detection", "events"))
+        lifts = np.array([_true_lift_m(one.walk, *pair) for pair in (one.case.borders / one.case.rate_hz).tolist()])
+        asked.append(replace(one, case=case, lift_m=lifts, swings_s=swings, events=true_events))
+    return asked
+
+
+def stroke_asked(folder: Path) -> list[Asked]:
+    """24 feet in the last 120 s, between the borders that our own tracker found; warmed up for 10 s."""
+    asked = []
+    for name, track, belt_mps in stroke(folder):
+        calibration = calibrate_track(track)
+        late = [
+            s for s in strides_of(track, calibration, "most_likely") if s.t_start_ns >= track.t_ns[-1] - LAST_S * 1e9
+        ]
+        ends = np.array([(s.t_start_ns, s.t_end_ns) for s in late])
+        first = int(np.searchsorted(track.t_ns, track.t_ns[-1] - round(1e9 * (LAST_S + WARM_UP_S))))
+        part = Track(
+            track.sensor, track.rate_hz, track.t_ns[first:], track.t_sensor_ns[first:], track.acc_mps2[first:],
+            track.gyr_radps[first:],
+        )  # fmt: skip
+        case = case_of(f"stroke-{name}".replace(" ", "-"), part, calibration, ends, ("borders", "detection"))
+        asked.append(Asked(case, "stroke_treadmill", belt_mps=belt_mps))
+    return asked
+
+
+def orientation_asked(folder: Path) -> list[Asked]:
+    """A board moved by hand and the pitch of a walking foot, in the sensors' own axes."""
+    none = np.zeros((0, 2), dtype=np.int64)
+    asked = []
+    for trial in (*broad(folder), *gaitmap_pitch(folder)):
+        name = f"orientation-{trial.data_set}-{trial.name}".replace(" ", "-")
+        case = Case(name, "left", trial.rate_hz, trial.acc_mps2, trial.gyr_radps, none, ("orientation",))
+        asked.append(Asked(case, trial.data_set, trial=trial))
+    return asked
+
+
+def all_asked(folder: Path) -> list[Asked]:
+    """Everything that the folder holds."""
+    asked = [
+        *bordered(list(pyshoe_vicon(folder)), pyshoe(folder), ("borders", "detection", "rest")),
+        *bordered(list(ruler_walks(folder)), ruler(folder), ("borders", "detection")),
+        *gaitmap_asked(folder),
+        *stroke_asked(folder),
+        *orientation_asked(folder),
+    ]
+    loop = xio(folder)
+    if loop is not None:
+        none = np.zeros((0, 2), dtype=np.int64)
+        asked.append(Asked(case_of("xio_walk", loop, calibrate_track(loop), none, ("closure",)), "xio_walk"))
+    return asked
+
+
+def moving_truth(one: Asked, limit_mps: float) -> tuple[BoolArray, BoolArray]:
+    """Per sample whether the foot is at rest by the optical system, and whether that is known."""
+    known = np.isfinite(one.speed_mps)
+    return one.speed_mps < limit_mps, known

@@ -1,0 +1,73 @@
+"""The ends of a stride: the quietest instant of a stance, and what the sensor shows there.
+
+The foot is never wholly at rest (Negård et al. 2005). What it still does at the chosen instant is measured: its mean
+rate gives the velocity of a foot that turns about its ground contact, its unrest says how far that is to be trusted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fes.estimation.likely_noise import StrideNoise, end_variances
+from fes.signals import FloatArray, IntArray
+
+QUIET_WINDOW_S = 0.1
+AROUND_S = 0.03  # on either side of an end, over which it is measured
+NEAR_S = 0.05  # of a stance's instant given from elsewhere, the quietest is sought this far on either side
+# A foot that never turns more slowly than this has no true rest. Of the recordings that the sizes rest on, brisk walks
+# reach it in a few strides; running has nothing else.
+REST_RADPS = 1.0
+NO_REST_RADPS = 3.0  # beyond this the velocity at the ends is a guess, and so is the stride
+
+
+@dataclass(frozen=True, slots=True)
+class StrideEnd:
+    """What the sensor shows around one end: means (3,) in its frame at that end, and standard deviations."""
+
+    rate_radps: FloatArray
+    force_mps2: FloatArray
+    rate_spread_radps: float
+    force_spread_mps2: float
+
+    @property
+    def unrest_radps(self) -> float:
+        """How fast the foot turns there."""
+        return float(np.linalg.norm(self.rate_radps))
+
+    def variances(self, noise: StrideNoise) -> tuple[float, float]:
+        """Of velocity and tilt, see :func:`fes.estimation.likely_noise.end_variances`."""
+        return end_variances(self.unrest_radps, self.rate_spread_radps, self.force_spread_mps2, noise)
+
+
+def measure_end(k: int, period_s: float, acc: FloatArray, gyr: FloatArray) -> StrideEnd:
+    """The end at sample ``k`` of a history ``acc`` (N, 3) m/s², ``gyr`` (N, 3) rad/s with the mean period given."""
+    around = max(round(AROUND_S / period_s), 1)
+    rows = slice(max(k - around, 0), k + around + 1)
+    force, rate = acc[rows], gyr[rows]
+    return StrideEnd(
+        rate.mean(axis=0),
+        force.mean(axis=0),
+        float(np.linalg.norm(rate.std(axis=0))),
+        float(force.std(axis=0).max()),
+    )
+
+
+def quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) -> int:
+    """Index of the middle of the tenth of a second with the least gyroscope energy between two times."""
+    begin = int(np.searchsorted(t_ns, earliest_ns))
+    end = int(np.searchsorted(t_ns, latest_ns, side="right"))
+    part = gyr[begin:end]
+    if len(part) < 3:
+        return min(begin, len(t_ns) - 1)
+    period_s = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
+    window = min(max(round(QUIET_WINDOW_S / period_s), 1), len(part))
+    energy = np.cumsum(np.concatenate(([0.0], np.einsum("ij,ij->i", part, part))))
+    return int(begin + np.argmin(energy[window:] - energy[:-window]) + window // 2)
+
+
+def quietest_near(t_ns: IntArray, gyr: FloatArray, at_ns: int) -> int:
+    """Index of the quietest instant within ±50 ms of a stance's instant that is known from elsewhere."""
+    reach_ns = int(1e9 * (NEAR_S + 0.5 * QUIET_WINDOW_S))
+    return quietest(t_ns, gyr, at_ns - reach_ns, at_ns + reach_ns)

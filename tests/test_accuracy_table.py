@@ -1,0 +1,143 @@
+"""The accuracy table: rows from errors, what passes between us and the peers, and how it is shown."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def benchmarks_on_the_path():
+    sys.path.insert(0, str(BENCHMARKS))
+    yield
+    sys.path.remove(str(BENCHMARKS))
+
+
+def test_a_row_counts_what_is_finite():
+    from accuracy_row import row_of
+
+    row = row_of("set", "length", "cm", "fes x", "causal", [1.0, -2.0, np.nan, 4.0], recall=0.75)
+    assert (row.n, row.bias, row.worst, row.recall) == (3, 1.0, 4.0, 0.75)
+    assert row.sd == pytest.approx(3.0)
+    assert row.rmse == pytest.approx(math.sqrt(7.0))
+    assert row.ours
+    nothing = row_of("set", "length", "cm", "peer", "causal", [])
+    assert nothing.n == 0
+    assert nothing.note == "nothing found"
+    assert nothing.to_json()["rmse"] is None
+    assert not nothing.ours
+
+
+def test_bars_hold_for_every_method_alike():
+    from accuracy_bars import LENGTH_OWN, with_bar
+    from accuracy_row import row_of
+
+    good = row_of("gaitmap_walk", LENGTH_OWN, "cm", "fes x", "causal", [1.0, -1.5], 1.0)
+    missed_one = row_of("gaitmap_walk", LENGTH_OWN, "cm", "peer", "off-line", [0.1, 0.1], 0.98)
+    assert with_bar(good).bar_met is True
+    assert with_bar(missed_one).bar_met is False
+    assert with_bar(row_of("xio_walk", LENGTH_OWN, "cm", "fes x", "causal", [1.0])).bar_met is None
+
+
+def test_cases_and_results_survive_their_files_and_a_failure_is_told(tmp_path):
+    from peers.exchange import Case, Method, run_all
+
+    rng = np.random.default_rng(1)
+    case = Case(
+        "a-b", "left", 204.8, rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), np.array([[0, 8]]), ("borders",)
+    )
+    case.write(tmp_path)
+    again = Case.read(tmp_path / "a-b.case.npz")
+    assert (again.name, again.side, again.rate_hz, again.tasks) == ("a-b", "left", 204.8, ("borders",))
+    assert np.array_equal(again.acc_mps2, case.acc_mps2)
+
+    def fails(_case):
+        raise RuntimeError("no such filter\nsecond line")
+
+    run_all(
+        tmp_path,
+        [
+            Method("works", "borders", "causal", lambda c: {"length_m": np.array([float(len(c.acc_mps2))])}),
+            Method("fails / badly", "borders", "off-line", fails),
+            Method("never asked", "events", "causal", fails),
+        ],
+    )
+    results = {str(data["method"]): dict(data) for data in map(np.load, tmp_path.glob("*.result.npz"))}
+    assert set(results) == {"works", "fails / badly"}
+    assert results["works"]["length_m"].tolist() == [9.0]
+    assert str(results["fails / badly"]["error"]) == "RuntimeError: no such filter"
+
+
+def test_judging_lengths_lifts_and_failures(tmp_path):
+    from peers.cases import Asked
+    from peers.exchange import Case, Method, run_all
+    from peers.judge import judge, strides_hit
+
+    zeros = np.zeros((9, 3))
+    borders = np.array([[0, 4], [4, 8]])
+    cases = [Case(name, "left", 100.0, zeros, zeros, borders, ("borders",)) for name in ("one", "two")]
+    for case in cases:
+        case.write(tmp_path)
+
+    def run(case):
+        if case.name == "two":
+            raise ValueError("lost")
+        return {"length_m": np.array([1.02, 0.98]), "lift_m": np.array([0.1, np.nan])}
+
+    run_all(tmp_path, [Method("peer", "borders", "causal", run)])
+    truth = {"length_m": np.array([1.0, 1.0]), "lift_m": np.array([0.09, 0.1])}
+    rows = judge(tmp_path, [Asked(case, "set", **truth) for case in cases])
+    length, lift, failure = rows
+    assert (length.n, length.rmse, length.recall) == (2, pytest.approx(2.0), 1.0)
+    assert (lift.n, lift.bias, lift.recall) == (1, pytest.approx(1.0), 0.5)
+    assert failure.note == "failed on 1 of 2 recordings: ValueError: lost"
+    assert strides_hit(np.array([0.5, 1.5, 2.5]), np.array([[0.0, 1.0], [2.0, 3.0]])) == 2
+
+
+def test_the_page_lists_the_least_error_first_and_every_bar():
+    from accuracy_row import Row
+    from accuracy_text import in_order, markdown, verdicts
+
+    rows = in_order(
+        [
+            Row("b", "length", "cm", "peer | one", "off-line", n=2, rmse=1.0, bar="RMSE ≤ 2", bar_met=True),
+            Row("b", "length", "cm", "fes x", "causal", n=2, rmse=3.0, bar="RMSE ≤ 2", bar_met=False),
+            Row("a", "rest", "%", "fes y", "causal", n=1, bias=5.0),
+            Row("b", "length", "cm", "broken", "causal", note="failed"),
+        ]
+    )
+    assert [row.method for row in rows] == ["fes y", "peer | one", "fes x", "broken"]
+    assert verdicts(rows) == ["b, length: RMSE ≤ 2: NOT MET by any of our methods"]
+    page = markdown(rows, ["Peers are not in this table."])
+    assert "make bench-accuracy" in page
+    assert "| **fes x** | causal | 2 |" in page
+    assert "peer \\| one" in page
+    assert page.index("## a") < page.index("## b")
+
+
+def test_without_recordings_it_says_so(tmp_path):
+    done = subprocess.run(
+        [sys.executable, BENCHMARKS / "accuracy_table.py", "--data", tmp_path, "--json", tmp_path / "x.json"],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 3
+    assert "No recordings" in done.stderr
+    assert not (tmp_path / "x.json").exists()
+
+
+def test_the_lock_holds_hashes_and_no_address():
+    text = (BENCHMARKS.parent / "requirements-peers.lock").read_text()
+    assert "://" not in text
+    names = {line.split("==")[0] for line in text.splitlines() if "==" in line and not line.startswith(" ")}
+    assert {"gaitmap", "gaitmap-mad", "imufusion", "vqf", "ahrs"} <= names
+    assert text.count("--hash=sha256:") >= len(names)
