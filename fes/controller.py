@@ -24,6 +24,7 @@ from fes.signals import (
     Tick,
 )
 from fes.stimulation.plan import StimulationPlan
+from fes.stimulation.switch_fallback import SwitchFallback
 from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import Phase
 
@@ -59,6 +60,11 @@ class Controller:
         }
         self._foot_of = {sensor: foot for foot, sensor in drivers.items()}
         self._judges = {foot: WalkingJudge(session.stimulation) for foot in drivers}
+        self._fallbacks = {
+            str(switch.foot): SwitchFallback(switch.foot)
+            for switch in session.foot_switches
+            if switch.use == "fallback"
+        }
         self._plan = StimulationPlan(session.channels)
         self._period_ns = round(NS_PER_S / session.stimulation.command_rate_hz)
         self._next_command_ns: int | None = None
@@ -71,7 +77,8 @@ class Controller:
 
     def walking(self, foot: str) -> bool:
         """Whether this foot is judged to be walking, so that a step may start a burst."""
-        return self._judges[foot].walking
+        fallback = self._fallbacks.get(foot)
+        return self._judges[foot].walking or (fallback is not None and fallback.active)
 
     def step(self, event: Event) -> Decision:
         """Take in one event; times must not decrease."""
@@ -82,6 +89,9 @@ class Controller:
                 outcomes = tuple(self._advance(foot, event))
         elif isinstance(event, OperatorAct):
             self._on_act(event)
+        for fallback in self._fallbacks.values():
+            for change in fallback.take(event):
+                self._plan.on_phase(change, permitted=True)
         # in a silence the gate must see how old the data have become, sooner than at the next command
         requests = self._due(event.t_ns, at_once=self._on and isinstance(event, Tick))
         return Decision(requests, outcomes) if requests or outcomes else NOTHING
@@ -96,18 +106,20 @@ class Controller:
                 judge.on_stride(outcome)
             else:
                 permitted = judge.on_phase(outcome)
+                fallback = self._fallbacks.get(foot)
+                if fallback is not None and not fallback.sensor(outcome):
+                    continue
                 # stimulation keeps to the host's clock, whatever the sensor's does
                 self._plan.on_phase(replace(outcome, t_ns=sample.t_ns, foot=foot), permitted=permitted)
         return outcomes
 
     def _on_act(self, act: OperatorAct) -> None:
         if act.action is OperatorAction.SET_INTENSITY:
-            self.intensity = min(max(act.value, 0.0), 1.0)
+            self.intensity = min(act.value, 1.0) if act.value > 0.0 else 0.0  # not-a-number is 0
         elif act.action in BY_HAND_NS:
             self._plan.start(act.value, act.t_ns, BY_HAND_NS[act.action], adopt=act.action is OperatorAction.TRIGGER)
-        elif (
-            act.action is not OperatorAction.SET_BELT_SPEED
-        ):  # armed or stopped in mid-burst: whatever comes next is a new burst
+        elif act.action is not OperatorAction.SET_BELT_SPEED:
+            # armed or stopped in mid-burst: whatever comes next is a new burst
             self._plan.cancel()
 
     def _due(self, t_ns: int, *, at_once: bool) -> tuple[StimRequest, ...]:

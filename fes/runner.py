@@ -56,16 +56,25 @@ class Runner:
 
     Args:
         clock_ns: only for measuring how long a decision took; no decision depends on it.
+        from_reading: the events are stamped by the same clock, so the time is measured from a sample's reading.
     """
 
     def __init__(
-        self, controller: Controller, gate: SafetyGate, stimulator: Stimulator, log: Log, clock_ns: Callable[[], int]
+        self,
+        controller: Controller,
+        gate: SafetyGate,
+        stimulator: Stimulator,
+        log: Log,
+        clock_ns: Callable[[], int],
+        *,
+        from_reading: bool = False,
     ) -> None:
         self.controller = controller
         self.gate = gate
         self._stimulator = stimulator
         self._log = log
         self._clock_ns = clock_ns
+        self._from_reading = from_reading
         self._channels: set[int] = set()
         self._refused: dict[int, str] = {}
         self._latched = ""
@@ -90,7 +99,7 @@ class Runner:
 
     def _go_through(self, source: Iterable[Event], after: Callable[[Event], None]) -> None:
         for event in source:
-            begin_ns = self._clock_ns()
+            begin_ns = event.t_ns if self._from_reading else self._clock_ns()
             self.handle(event)
             if isinstance(event, ImuSample):
                 self._log.latency(event.t_ns, self._clock_ns() - begin_ns)

@@ -57,11 +57,18 @@ class OperatorAction(StrEnum):
     DISARM = "disarm"
     EMERGENCY_STOP = "emergency_stop"
     SET_INTENSITY = "set_intensity"
+    TEST_BURST = "test_burst"
+    TRIGGER = "trigger"
+    SET_BELT_SPEED = "set_belt_speed"
 
 
 @dataclass(frozen=True, slots=True)
 class OperatorAct:
-    """A person acted; ``value`` is the intensity (0–1) for SET_INTENSITY and unused otherwise."""
+    """A person acted.
+
+    ``value`` is the intensity (0–1) for SET_INTENSITY, the channel's number for TEST_BURST (a short burst at rest) and
+    TRIGGER (a burst now, as at the start of a step), the belt's speed in m/s for SET_BELT_SPEED; unused otherwise.
+    """
 
     t_ns: int
     action: OperatorAction
@@ -98,7 +105,32 @@ class StimAlive:
     fault: str = ""
 
 
-Event: TypeAlias = ImuSample | Tick | OperatorAct | StimStatus | StimAlive
+@dataclass(frozen=True, slots=True)
+class StimOpened:
+    """The stimulator was opened again after it had been lost: commands go out under a new session identifier."""
+
+    t_ns: int
+    session_id: int
+
+
+@dataclass(frozen=True, slots=True)
+class FootSwitchEvent:
+    """A switch under the foot closed (``pressed``) or opened."""
+
+    t_ns: int
+    foot: str
+    pressed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SystemFault:
+    """The session found in itself what forbids stimulation: a sensor or the stimulator lost, a loop that stalled."""
+
+    t_ns: int
+    text: str
+
+
+Event: TypeAlias = ImuSample | Tick | OperatorAct | StimStatus | StimAlive | StimOpened | FootSwitchEvent | SystemFault
 
 
 # --- stimulation -----------------------------------------------------------------------------------------

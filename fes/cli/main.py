@@ -13,10 +13,15 @@ from fes.cli.exits import INTERRUPTED, Broken
 
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
+    "run": ("fes.cli.run", "A live session: sensors, phases, stimulation. STIMULATES once armed by hand."),
     "replay": ("fes.cli.replay", "Replay a recording or a session log: phases, strides, stimulation, report."),
     "analyse": ("fes.cli.analyse", "Find phases and strides in recordings; tables and a report of each."),
     "calibrate": ("fes.cli.calibrate", "How the sensors sit and how this person moves, from a short recording."),
+    "hil": ("fes.cli.hil", "A fault campaign: faults into a running session, judged at the stimulator's end."),
     "report": ("fes.cli.report", "Write the report of a session log again."),
+    "compare": ("fes.cli.compare", "Two session logs' differences, stride by stride."),
+    "convert": ("fes.cli.convert", "A session log as CSV, Parquet or MCAP, for other programs."),
+    "recover": ("fes.cli.recover", "Repair a torn session log and say what was lost."),
     "trials": ("fes.cli.trials", "Generate the bundled recordings, with their truth, from their seeds."),
 }
 

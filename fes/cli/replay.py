@@ -16,6 +16,7 @@ from drivers.stimulator.port import StimulatorLost
 from fes.calibrations import calibrate_drivers, drivers_from
 from fes.cli.clock import MonotonicClock
 from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail
+from fes.cli.folders import LOG_SUFFIX, fresh_folder
 from fes.cli.interrupt import Interrupt
 from fes.cli.progress import ReplayProgress
 from fes.cli.show import show
@@ -29,6 +30,7 @@ from fes.cli.stimulators import (
     warn_of_real_device,
     wire_truth,
 )
+from fes.cli.timing import PARAMETERS, TimingOptions, check_timing, expected_of, tell, timing_options
 from fes.config import ConfigError, Session, load_session
 from fes.controller import Controller
 from fes.driving import Calibration, driven_by, driving
@@ -42,7 +44,7 @@ from fes.runner import Runner
 from fes.signals import SHANK_SENSORS, Event
 from fes.sources import armed_after, paced, with_ticks
 
-LOG_SUFFIX = ".feslog"
+__all__ = ["LOG_SUFFIX", "Options", "fresh_folder", "replay_recording"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ class Options:
     as_json: bool = False
     report: bool = True
     calibration: Path | None = None
+    timing: TimingOptions | None = None
 
 
 @click.command(name="replay")
@@ -79,6 +82,7 @@ class Options:
 @click.option("--rearm-after", type=click.FloatRange(min=0), help="Operator arms again this long after a fault (s).")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
+@timing_options
 def command(
     recording: Path,
     session: Path | None,
@@ -90,11 +94,14 @@ def command(
     rearm_after: float | None,
     as_json: bool,
     no_report: bool,
+    timing: TimingOptions | None,
 ) -> None:
     """Replay RECORDING (CSV or Parquet with its sidecar) or a session log (.feslog).
 
     Prints the table of strides and a summary; writes the session log and the report. A session log is replayed from its
     own settings and must give the bytes that it recorded.
+
+    --check-timing compares with the truth beside RECORDING, a session log with what it recorded; either with --against.
 
     Exit code: 0 all is well, 1 a check failed, 2 unusable input, 3 stopped early, 4 a fault of fes itself, 130
     interrupted.
@@ -103,9 +110,11 @@ def command(
         from fes.cli.replay_log import replay_log
 
         _refuse_settings_of_a_recording()
-        replay_log(recording, as_json=as_json)
+        replay_log(recording, as_json=as_json, timing=timing)
         return
-    options = Options(session, out, speed, stimulator, arm_after, rearm_after, as_json, not no_report, calibration)
+    options = Options(
+        session, out, speed, stimulator, arm_after, rearm_after, as_json, not no_report, calibration, timing
+    )
     replay_recording(recording, options)
 
 
@@ -132,6 +141,7 @@ def replay_recording(path: Path, options: Options) -> Path:
     kept = {channel.number for channel in session.channels}
     left_out = [channel.name for channel in (asked.channels if asked else ()) if channel.number not in kept]
     _say_what_is_left_out(session, settings, left_out, calibrations, missing)
+    expected = expected_of(options.timing, path, calibrations) if options.timing else None
     sha256 = digest(path)
     numbers = identity(sha256, session)
     folder = fresh_folder(options.out, path.stem)
@@ -162,12 +172,18 @@ def replay_recording(path: Path, options: Options) -> Path:
     if ended == "interrupted":
         click.secho(f"Interrupted; stimulation is off. What was recorded is in {log_path}", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED)
-    show(log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None)
+    timing = None
+    if options.timing and expected:
+        timing = check_timing(read_session(log_path), options.timing, expected)
+    more = {"timing": timing.to_json()} if timing else None
+    show(log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None, more=more)
     if ended == "different":
         click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
         raise SystemExit(FAILED)
     if ended != "complete":
         raise StoppedEarly(ended)
+    if timing:
+        tell(timing, as_json=options.as_json)
     return log_path
 
 
@@ -233,7 +249,7 @@ def _go(
 def _refuse_settings_of_a_recording() -> None:
     """A session log brings its own settings; one given here would change nothing, so say so."""
     context = click.get_current_context()
-    given = [name for name in context.params if name not in ("recording", "as_json")]
+    given = [name for name in context.params if name not in ("recording", "as_json", *PARAMETERS)]
     for name in given:
         if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
             raise Problem(
@@ -266,27 +282,3 @@ def _say_what_is_left_out(
     for channel in session.channels:
         if channel.foot not in driving(calibrations):
             raise Problem(f"Channel {channel.name!r} follows the {channel.foot}, which cannot be calibrated.")
-
-
-def fresh_folder(out: Path, name: str) -> Path:
-    """A new folder ``out/name-NNN``; what is there already is never touched.
-
-    Raises:
-        Problem: it cannot be made.
-    """
-    try:
-        if out.exists() and not out.is_dir():
-            raise Problem(f"{out}: is a file; results need a folder. Choose another with --out.")
-        out.mkdir(parents=True, exist_ok=True)
-        for number in range(1, 100_000):
-            folder = out / f"{name}-{number:03d}"
-            try:
-                folder.mkdir()
-            except FileExistsError:
-                continue
-            return folder
-    except OSError as error:
-        raise Problem(
-            f"{out}: no folder for the results can be made: {error.strerror}. Choose another with --out."
-        ) from error
-    raise Problem(f"{out}: too many results of {name!r}; move some away or choose another --out.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import click
 
@@ -14,6 +14,7 @@ from drivers.stimulator.can_codec import COMMAND_ID
 from fes import __version__
 from fes.cli.exits import FAILED, fail
 from fes.cli.show import show
+from fes.cli.timing import TimingOptions, check_replayed, tell
 from fes.config import ConfigError
 from fes.controller import Controller
 from fes.driving import driven_by
@@ -26,6 +27,7 @@ from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, S
 from statemachine.phases import PhaseChange
 
 SAME: Final = 1e-6  # of a stride's numbers: another processor's last bit is no difference, another sample is
+REPORTED: Final = ("commands", "strides", "difference")
 ENDED_WHOLE: Final = ("complete", "different", "interrupted")  # every event logged was dealt with to its end
 
 
@@ -87,11 +89,15 @@ class LoggedSink:
 
 @dataclass(frozen=True, slots=True)
 class Repeated:
-    """How a log's second run went: ``commands`` and ``strides`` compared, ``difference`` the first ("": none)."""
+    """How a log's second run went: ``commands`` and ``strides`` compared, ``difference`` the first ("": none).
+
+    ``now`` is what came out this time.
+    """
 
     commands: int
     strides: int
     difference: str
+    now: Collected
 
 
 def repeat(path: Path) -> Repeated:
@@ -133,7 +139,7 @@ def repeat(path: Path) -> Repeated:
         or _strides_differ(record.strides, now.strides, whole)
     )
     return Repeated(
-        min(len(record.commands), len(now.commands)), min(len(record.strides), len(now.strides)), difference
+        min(len(record.commands), len(now.commands)), min(len(record.strides), len(now.strides)), difference, now
     )
 
 
@@ -198,17 +204,21 @@ def _same(one: object, other: object) -> bool:
     return one == other
 
 
-def replay_log(path: Path, *, as_json: bool) -> None:
-    """Show a session log and check that it gives the same bytes, phases and strides again."""
+def replay_log(path: Path, *, as_json: bool, timing: TimingOptions | None = None) -> None:
+    """Show a session log and check that it gives the same bytes, phases and strides again, or the same ``timing``."""
     try:
         again = repeat(path)
-        result = {"commands": again.commands, "strides": again.strides, "difference": again.difference}
-        show(path, as_json=as_json, report=None, more={"replayed": result})
+        more: dict[str, Any] = {"replayed": {name: getattr(again, name) for name in REPORTED}}
+        checked = check_replayed(path, timing, again.now.phases, again.now.commands) if timing else None
+        show(path, as_json=as_json, report=None, more=more | ({"timing": checked.to_json()} if checked else {}))
     except (SessionLogError, ConfigError) as error:
         fail(error)
     if again.difference:
         click.secho(f"Not the same when replayed: {again.difference}", fg="red", err=True)
-        raise SystemExit(FAILED)
-    click.secho(
-        f"Replayed: {again.commands} commands are the same byte for byte, {again.strides} strides the same.", err=True
-    )
+        if not checked:
+            raise SystemExit(FAILED)
+    else:
+        same = f"{again.commands} commands are the same byte for byte, {again.strides} strides the same"
+        click.secho(f"Replayed: {same}.", err=True)
+    if checked:
+        tell(checked, as_json=as_json)

@@ -115,9 +115,10 @@ class SafetyGate:
         """Take note of an event; call it for every one, in order, before the controller sees it."""
         earlier_ns, self._event_ns = self._event_ns, event.t_ns
         if isinstance(event, ImuSample):
-            # all three take it in; only numbers that are finite can be judged for being plausible
+            # all three take it in, whatever one of them says; the gravest is named
             order, fault = self._stamps.fault(event), self._freshness.note(event)
-            if fault := fault or self._plausible.fault(event) or order:
+            implausible = self._plausible.fault(event)
+            if fault := fault or implausible or order:
                 self.latch(event.t_ns, fault)
         elif isinstance(event, OperatorAct):
             self._on_act(event)

@@ -21,7 +21,7 @@ MOST_RATE_RADPS: Final = 40.0  # in any one sample: degrees taken for radians; r
 AT_RANGE: Final = 0.995  # of the range that the session states
 REST_RATE_RADPS: Final = 0.5
 REST_FORCE_MPS2: Final = 1.5  # of gravity
-MOST_TILT_RAD: Final = math.radians(65)  # at rest, from where the sensor was at calibration; real feet reach 27°
+MOST_TILT_RAD: Final = math.radians(65)  # at rest, from where it was at calibration; real feet reach 23°, shanks 30°
 _TILT: Final = f"{math.degrees(MOST_TILT_RAD):.0f}°"
 
 

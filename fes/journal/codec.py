@@ -13,12 +13,15 @@ from fes.journal.framing import RecordType
 from fes.journal.record import Note
 from fes.signals import (
     SENSORS,
+    FootSwitchEvent,
     OperatorAct,
     OperatorAction,
     StimAlive,
     StimCommand,
+    StimOpened,
     StimStatus,
     StrideResult,
+    SystemFault,
     Tick,
     WireFrame,
 )
@@ -27,6 +30,8 @@ from statemachine.phases import Phase, PhaseChange, Transition
 _TICK = struct.Struct("<q")
 _ACT = struct.Struct("<qd")
 _ALIVE = struct.Struct("<qqq")
+_OPENED = struct.Struct("<qI")
+_SWITCH = struct.Struct("<qBB")
 # from the narrowest form to the one that takes everything; the flags' upper bits say which
 _STATUS = tuple(map(struct.Struct, ("<BqBBHffff", "<BqBBHdddd", "<Bqqqqdddd")))
 _COMMAND = tuple(map(struct.Struct, ("<BqBHfff", "<BqBHddd", "<Bqqqddd")))
@@ -35,7 +40,8 @@ _PHASE = struct.Struct("<qBBBB")
 _STRIDE = struct.Struct("<III")
 _STRIDE_ARRAYS = ("trajectory_m", "pitch_rad")
 
-Rare = Tick | OperatorAct | StimStatus | StimAlive | StimCommand | WireFrame | PhaseChange | StrideResult | Note
+RareEvent = Tick | OperatorAct | StimStatus | StimAlive | StimOpened | FootSwitchEvent | SystemFault
+Rare = RareEvent | StimCommand | WireFrame | PhaseChange | StrideResult | Note
 
 
 def encode(value: Rare) -> tuple[RecordType, bytes]:
@@ -69,6 +75,12 @@ def encode(value: Rare) -> tuple[RecordType, bytes]:
             return RecordType.NOTE, encode_json(dataclasses.asdict(value))
         case StrideResult():
             return RecordType.STRIDE, _encode_stride(value)
+        case StimOpened():
+            return RecordType.STIM_OPENED, _OPENED.pack(value.t_ns, value.session_id)
+        case FootSwitchEvent():
+            return RecordType.FOOT_SWITCH, _SWITCH.pack(value.t_ns, SENSORS.index(value.foot), value.pressed)
+        case SystemFault():
+            return RecordType.SYSTEM_FAULT, _TICK.pack(value.t_ns) + value.text.encode()
 
 
 def decode(kind: int, payload: memoryview) -> Rare:
@@ -108,6 +120,14 @@ def decode(kind: int, payload: memoryview) -> Rare:
             return Note(**decode_json(payload))
         case RecordType.STRIDE:
             return _decode_stride(payload)
+        case RecordType.STIM_OPENED:
+            return StimOpened(*_OPENED.unpack(payload))
+        case RecordType.FOOT_SWITCH:
+            t_ns, foot, pressed = _SWITCH.unpack(payload)
+            return FootSwitchEvent(t_ns, SENSORS[foot], bool(pressed))
+        case RecordType.SYSTEM_FAULT:
+            (t_ns,) = _TICK.unpack_from(payload)
+            return SystemFault(t_ns, str(payload[_TICK.size :], "utf-8"))
         case _:
             raise ValueError(f"record type {kind} is no single value")
 
@@ -146,7 +166,10 @@ def decode_json(payload: memoryview) -> dict[str, Any]:
     Raises:
         ValueError: it is not JSON or not a mapping.
     """
-    values = json.loads(bytes(payload))
+    try:
+        values = json.loads(bytes(payload))
+    except RecursionError as error:
+        raise ValueError("nested too deeply") from error
     if not isinstance(values, dict):
         raise ValueError("not a mapping")
     return values

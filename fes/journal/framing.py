@@ -39,6 +39,9 @@ class RecordType(IntEnum):
     STRIDE = 11
     NOTE = 12
     LATENCY = 13
+    STIM_OPENED = 14
+    FOOT_SWITCH = 15
+    SYSTEM_FAULT = 16
 
 
 _KNOWN = frozenset(int(kind) for kind in RecordType)

@@ -9,14 +9,24 @@ from typing import Any
 
 import numpy as np
 
-from fes.journal.codec import decode, decode_json
+from fes.journal.codec import RareEvent, decode, decode_json
 from fes.journal.framing import LogScan, RecordType
 from fes.journal.record import SessionLogError, SessionRecord
 from fes.journal.runs import latency_arrays, sample_arrays, samples_of
-from fes.signals import Event, OperatorAct, StimAlive, StimStatus, Tick
+from fes.signals import Event
 
-_BAD_PAYLOAD = (struct.error, ValueError, KeyError, IndexError, TypeError)
-_SINGLE_EVENTS = frozenset((RecordType.TICK, RecordType.ACT, RecordType.STATUS, RecordType.ALIVE))
+_BAD_PAYLOAD = (struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError)
+_SINGLE_EVENTS = frozenset(
+    (
+        RecordType.TICK,
+        RecordType.ACT,
+        RecordType.STATUS,
+        RecordType.ALIVE,
+        RecordType.STIM_OPENED,
+        RecordType.FOOT_SWITCH,
+        RecordType.SYSTEM_FAULT,
+    )
+)
 
 
 def read_session(path: Path) -> SessionRecord:
@@ -38,6 +48,9 @@ def read_session(path: Path) -> SessionRecord:
         RecordType.COMMAND: record.commands,
         RecordType.FRAME: record.frames,
         RecordType.NOTE: record.notes,
+        RecordType.STIM_OPENED: record.reopened,
+        RecordType.FOOT_SWITCH: record.switches,
+        RecordType.SYSTEM_FAULT: record.faults,
     }
     runs: dict[int, list[memoryview]] = {RecordType.SAMPLES: [], RecordType.LATENCY: [], RecordType.TICK: []}
     ended = False
@@ -78,7 +91,7 @@ def iter_events(path: Path) -> Iterator[Event]:
                 yield from samples_of(payload)
             elif kind in _SINGLE_EVENTS:
                 value = decode(kind, payload)
-                if isinstance(value, (Tick, OperatorAct, StimStatus, StimAlive)):
+                if isinstance(value, RareEvent):
                     yield value
     except _BAD_PAYLOAD as error:
         raise _malformed(scan, error) from error
@@ -91,7 +104,10 @@ def _header(records: Iterator[tuple[int, memoryview]], scan: LogScan) -> dict[st
             f"{scan.path}: has no whole header ({scan.lost or 'nothing follows the first bytes'}); "
             f"without it nothing can be recovered"
         )
-    return decode_json(payload)
+    try:
+        return decode_json(payload)
+    except ValueError as error:
+        raise _malformed(scan, error) from error
 
 
 def _malformed(scan: LogScan, error: Exception) -> SessionLogError:

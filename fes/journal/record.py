@@ -9,12 +9,15 @@ import numpy as np
 
 from fes.signals import (
     FloatArray,
+    FootSwitchEvent,
     IntArray,
     OperatorAct,
     StimAlive,
     StimCommand,
+    StimOpened,
     StimStatus,
     StrideResult,
+    SystemFault,
     WireFrame,
 )
 from statemachine.phases import PhaseChange
@@ -73,6 +76,9 @@ class SessionRecord:
     commands: list[StimCommand] = field(default_factory=list)
     frames: list[WireFrame] = field(default_factory=list)
     notes: list[Note] = field(default_factory=list)
+    reopened: list[StimOpened] = field(default_factory=list)
+    switches: list[FootSwitchEvent] = field(default_factory=list)
+    faults: list[SystemFault] = field(default_factory=list)
     latency_t_ns: IntArray = field(default_factory=_no_times)
     latency_ns: IntArray = field(default_factory=_no_times)
     summary: dict[str, Any] = field(default_factory=dict)

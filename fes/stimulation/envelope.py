@@ -66,6 +66,10 @@ class Envelope:
         """Whether nothing comes any more at or after ``t_ns``."""
         return t_ns >= min(self.t_start_ns + self.max_on_ns, self._t_fall_ns() + max(self.fall_ns, 1))
 
+    def falls(self, t_ns: int) -> bool:
+        """Whether the fall has begun by ``t_ns``; the level cannot rise again from there."""
+        return t_ns >= self._t_fall_ns()
+
     def _t_fall_ns(self) -> int:
         latest_ns = self.t_start_ns + max(self.max_on_ns - self.fall_ns, min(self.rise_ns, self.max_on_ns))
         return latest_ns if self.t_stop_ns is None else min(self.t_stop_ns + self.extension_ns, latest_ns)

@@ -13,7 +13,7 @@ A burst starts late rather than break a rule that the gate would enforce: not be
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fes.config import PHASE_ORDER, Channel
 from fes.signals import StimRequest
@@ -25,7 +25,10 @@ FREQUENCY_STEP_HZ = 1.0
 
 @dataclass(slots=True, eq=False)
 class _Line:
-    """One channel and where it stands; ``on`` and ``off_since_ns`` are what was last requested and since when."""
+    """One channel and where it stands; ``on`` and ``off_since_ns`` are what was last requested and since when.
+
+    ``by_hand_ns`` is how long a burst asked for by hand lasts before it falls; one to ``adopt`` passes to the phases.
+    """
 
     channel: Channel
     start: Phase
@@ -36,6 +39,8 @@ class _Line:
     burst: Envelope | None = None
     on: bool = False
     off_since_ns: int | None = None
+    by_hand_ns: int | None = None
+    adopt: bool = False
 
 
 class StimulationPlan:
@@ -69,11 +74,24 @@ class StimulationPlan:
             if lost or change.destination not in line.run:
                 line.awaited_ns, line.burst = None, None
             elif change.destination == line.start:
-                line.burst = None
-                line.awaited_ns = change.t_ns + to_ns(line.channel.start_delay_s) if permitted else None
+                if line.adopt and line.burst is not None and not line.burst.falls(change.t_ns):
+                    line.burst = replace(line.burst, t_stop_ns=None)
+                else:
+                    line.burst = None
+                    line.awaited_ns = change.t_ns + to_ns(line.channel.start_delay_s) if permitted else None
+                line.by_hand_ns, line.adopt = None, False
             elif change.destination == line.stop:
                 line.awaited_ns = None
                 line.burst = line.burst.stopped(change.t_ns) if line.burst else None
+
+    def start(self, number: float, t_ns: int, hold_ns: int, *, adopt: bool) -> None:
+        """Start a burst of one channel by hand; it falls after ``hold_ns``, and what the foot does may end it sooner.
+
+        With ``adopt`` a foot that enters the start phase meanwhile makes it the burst of its step.
+        """
+        for line in self._lines:
+            if line.channel.number == number and line.burst is None:
+                line.awaited_ns, line.by_hand_ns, line.adopt = t_ns, hold_ns, adopt
 
     def cancel(self, foot: str | None = None) -> None:
         """End every burst of a foot (None: of both) at once; the next entry into a start phase may start another."""
@@ -124,7 +142,10 @@ class StimulationPlan:
         if line.off_since_ns is not None:
             earliest_ns.append(line.off_since_ns + to_ns(line.channel.limits.min_off_s))
         t_start_ns = max(earliest_ns)
-        return Envelope.of(line.channel, t_start_ns, intensity) if t_start_ns <= t_ns else None
+        if t_start_ns > t_ns:
+            return None
+        burst = Envelope.of(line.channel, t_start_ns, intensity)
+        return burst if line.by_hand_ns is None else burst.stopped(t_start_ns + line.by_hand_ns)
 
     def _request(self, line: _Line, burst: Envelope | None, t_ns: int) -> StimRequest:
         number = line.channel.number

@@ -1,0 +1,65 @@
+"""Opening what a live session names: its sensors' lines, its stop button."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+
+from drivers.imu.open import open_imus
+from drivers.imu.port import ImuLost
+from drivers.stimulator.bus import BusError
+from fes.cli.exits import fail
+from fes.clocks import SensorClock
+from fes.config import ConfigError, Session
+from fes.config.devices import FootSwitch
+from fes.driving import driving
+from fes.live.sensors import SensorLine
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The open lines."""
+
+    lines: tuple[SensorLine, ...]
+
+
+def open_sensors(session: Session, stack: ExitStack) -> Found:
+    """Open every line that a sensor of the session is on; ``stack`` closes them.
+
+    Raises:
+        Problem: one cannot be opened.
+    """
+    try:
+        ports = open_imus(session.sensors, session.bus)
+    except (ImuLost, BusError, ConfigError, ValueError) as error:
+        fail(error)
+    needed = frozenset(driving(str(device.sensor) for device in session.sensors).values())
+    lines = []
+    for port in ports:
+        line = SensorLine(port, SensorClock, ImuLost, needed)
+        stack.callback(line.close)
+        lines.append(line)
+    return Found(tuple(lines))
+
+
+def stop_switch_settings(text: str) -> FootSwitch:
+    """The stop button's settings from ``can_bit:0x1F0:3``, ``serial_cts:/dev/ttyUSB1``; ``:low`` behind it inverts.
+
+    Raises:
+        ConfigError: it is of another form.
+    """
+    source, *rest = text.split(":")
+    pressed = rest.pop() if rest and rest[-1] in ("high", "low") else "high"
+    where: dict[str, object] = {}
+    try:
+        if source == "can_bit":
+            identifier, bit = rest
+            where = {"identifier": int(identifier, 0), "bit": int(bit)}
+        else:
+            where = {"port": ":".join(rest)}
+        return FootSwitch.model_validate({"foot": "left_foot", "source": source, "pressed": pressed, **where})
+    except ValueError as error:
+        raise ConfigError(
+            f"--stop-input {text}: must be can_bit:IDENTIFIER:BIT, serial_cts:PORT or serial_dsr:PORT, and may end in "
+            f":low for a button that is pressed when the level is low"
+        ) from error

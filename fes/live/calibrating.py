@@ -1,0 +1,75 @@
+"""Calibration as a session's first part: stand still, walk some strides; found while the samples go on being read."""
+
+from __future__ import annotations
+
+import threading
+from typing import Final
+
+import numpy as np
+
+from fes.config import Session
+from fes.driving import Calibration, driving
+from fes.estimation.ankle_calibration import calibrate_shank
+from fes.estimation.calibration import CalibrationError, calibrate_foot
+from fes.signals import NS_PER_S, SHANK_SENSORS, Event, ImuSample
+
+FIRST_ATTEMPT_NS: Final = 6 * NS_PER_S
+ATTEMPT_EVERY_NS: Final = 2 * NS_PER_S
+LONGEST_S: Final = 60.0  # as a calibration from a recording: its first minute
+
+
+class Calibrating:
+    """Collects the samples of every sensor that drives a foot; tries every two seconds whether they show enough.
+
+    Args:
+        strides: how many each must have walked.
+    """
+
+    def __init__(self, session: Session, strides: int) -> None:
+        self.found: dict[str, Calibration] = {}
+        self.message = "stand still for two seconds, then walk straight ahead"
+        self._strides = strides
+        rates_hz = {str(device.sensor): device.rate_hz for device in session.sensors}
+        self._rates_hz = {sensor: rates_hz[sensor] for sensor in driving(rates_hz).values()}
+        self._rows: dict[str, list[tuple[int, tuple[float, ...]]]] = {sensor: [] for sensor in self._rates_hz}
+        self._next_ns: int | None = None
+        self._thread: threading.Thread | None = None
+
+    @property
+    def done(self) -> bool:
+        """Whether every sensor that drives a foot is calibrated."""
+        return self._thread is None and self.found.keys() == self._rates_hz.keys()
+
+    def take(self, event: Event) -> None:
+        """Take in an event; the finding itself goes on in a thread of its own."""
+        if isinstance(event, ImuSample) and event.sensor in self._rows:
+            rows = self._rows[event.sensor]
+            if len(rows) < LONGEST_S * self._rates_hz[event.sensor] and (not rows or event.t_sensor_ns > rows[-1][0]):
+                rows.append((event.t_sensor_ns, (*event.acc_mps2, *event.gyr_radps)))
+        if self._next_ns is None:
+            self._next_ns = event.t_ns + FIRST_ATTEMPT_NS
+        if self._thread is not None and not self._thread.is_alive():
+            self._thread = None
+        if event.t_ns >= self._next_ns and self._thread is None and not self.done:
+            self._next_ns = event.t_ns + ATTEMPT_EVERY_NS
+            rows_now = {sensor: list(rows) for sensor, rows in self._rows.items() if sensor not in self.found}
+            self._thread = threading.Thread(target=self._attempt, args=(rows_now,), daemon=True)
+            self._thread.start()
+
+    def _attempt(self, rows_of: dict[str, list[tuple[int, tuple[float, ...]]]]) -> None:
+        for sensor, rows in rows_of.items():
+            if len(rows) < 3.0 * self._rates_hz[sensor]:
+                self.message = f"{sensor}: only {len(rows)} samples so far"
+                continue
+            t_ns = np.array([t for t, _ in rows], np.int64)
+            values = np.array([value for _, value in rows])
+            try:
+                calibrate = calibrate_shank if sensor in SHANK_SENSORS else calibrate_foot
+                found = calibrate(sensor, self._rates_hz[sensor], t_ns, values[:, :3], values[:, 3:])
+            except (CalibrationError, ValueError) as error:
+                self.message = str(error)
+                continue
+            if found.strides >= self._strides:
+                self.found[sensor] = found
+            else:
+                self.message = f"{sensor}: {found.strides} of {self._strides} strides; go on walking"

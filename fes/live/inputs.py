@@ -1,0 +1,235 @@
+"""Everything else that can make something happen: keys, the control socket, the stop file, switches."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, Protocol, Self
+
+from fes.live.orders import Ask, Order, OrderRefused, order_of_message, orders_of_keys
+from fes.signals import Event, FootSwitchEvent
+
+Carry = Callable[[Order, int], list[Event]]
+"""Carries an order out at a time; see :meth:`fes.live.operator.Operator.order`."""
+
+MESSAGES_AT_ONCE: Final = 32
+SUBSCRIBERS: Final = 4
+SOCKET_MODE: Final = 0o600
+
+
+class Terminal:
+    """Puts a terminal into a mode in which keys come at once and unseen; Ctrl-C stays what it is."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._before: Any = None
+
+    def __enter__(self) -> Self:
+        if os.isatty(self._descriptor):
+            import termios
+            import tty
+
+            self._before = termios.tcgetattr(self._descriptor)
+            tty.setcbreak(self._descriptor, termios.TCSANOW)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._before is not None:
+            import termios
+
+            termios.tcsetattr(self._descriptor, termios.TCSANOW, self._before)
+
+
+class Keyboard:
+    """Keys from a terminal, or from whatever the descriptor is; its end is no order."""
+
+    def __init__(self, descriptor: int, carry: Carry) -> None:
+        self._descriptor: int | None = descriptor
+        self._carry = carry
+        os.set_blocking(descriptor, False)
+
+    def fileno(self) -> int | None:
+        """While it is open."""
+        return self._descriptor
+
+    def take(self, t_ns: int) -> list[Event]:
+        """The orders in what was typed."""
+        if self._descriptor is None:
+            return []
+        try:
+            typed = os.read(self._descriptor, 256)
+        except BlockingIOError:
+            return []
+        except OSError:
+            typed = b""
+        if not typed:
+            self._descriptor = None
+        return [event for order in orders_of_keys(typed) for event in self._carry(order, t_ns)]
+
+
+class Control:
+    """A datagram socket that takes orders and answers them; who asks ``watch`` gets the session's status from then on.
+
+    Only its owner may write to it. Answers and status are dropped where the other side does not read.
+    """
+
+    def __init__(self, path: Path, carry: Carry) -> None:
+        """Bind.
+
+        Raises:
+            OSError: the path is taken, too long (107 bytes), or cannot be made.
+        """
+        self._path = path
+        self._carry = carry
+        self._watchers: list[str] = []
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        before = os.umask(0o777 & ~SOCKET_MODE)
+        try:
+            self._socket.bind(str(path))
+        finally:
+            os.umask(before)
+
+    def fileno(self) -> int | None:
+        """Readable with orders."""
+        return self._socket.fileno()
+
+    def take(self, t_ns: int) -> list[Event]:
+        """Carry out what has come."""
+        events: list[Event] = []
+        for _ in range(MESSAGES_AT_ONCE):
+            try:
+                message, sender = self._socket.recvfrom(4096)
+            except OSError:
+                break
+            answer = b'{"ok":true}'
+            if message == b"watch":
+                self._watchers = [*(name for name in self._watchers if name != sender), sender][-SUBSCRIBERS:]
+            else:
+                try:
+                    events += self._carry(order_of_message(message), t_ns)
+                except OrderRefused as error:
+                    answer = b'{"ok":false,"why":' + _quoted(str(error)) + b"}"
+            self._send(answer, sender)
+        return events
+
+    def publish(self, status: bytes) -> None:
+        """The status, to everybody who watches."""
+        for watcher in list(self._watchers):
+            self._send(status, watcher)
+
+    def close(self) -> None:
+        """Close and remove the socket."""
+        self._socket.close()
+        with suppress(OSError):
+            self._path.unlink()
+
+    def _send(self, message: bytes, to: str | None) -> None:
+        if not to:
+            return
+        try:
+            self._socket.sendto(message, to)
+        except BlockingIOError:
+            return
+        except OSError:
+            self._watchers = [name for name in self._watchers if name != to]
+
+
+class StopFile:
+    """A file whose appearance is an emergency stop; while it is there, arming is refused."""
+
+    def __init__(self, path: Path, carry: Carry) -> None:
+        self.path = path
+        self._carry = carry
+        self._there = False
+
+    def fileno(self) -> int | None:
+        """None: a file on any file system is looked for, not waited for."""
+        return None
+
+    def take(self, t_ns: int) -> list[Event]:
+        """A stop when the file has appeared."""
+        was, self._there = self._there, self.path.exists()
+        return self._carry(Order(Ask.STOP, origin=f"file {self.path.name}"), t_ns) if self._there and not was else []
+
+    def doubt(self) -> str:
+        """Why it forbids arming; "" when it does not."""
+        return f"the stop file {self.path} is there; remove it" if self._there else ""
+
+
+class SwitchLine(Protocol):
+    """A switch behind a line; see ``drivers.switches``."""
+
+    def fileno(self) -> int | None:
+        """Readable when it may have changed; None: it is asked every turn."""
+
+    def read(self) -> bool | None:
+        """Whether it is pressed, as far as is known now; None: nothing is known yet, or it is lost."""
+
+
+class StopSwitch:
+    """A hardware button: pressed, or lost after it was known, it is an emergency stop."""
+
+    def __init__(self, line: SwitchLine, carry: Carry) -> None:
+        self._line = line
+        self._carry = carry
+        self._pressed: bool | None = None
+
+    def fileno(self) -> int | None:
+        """As its line's."""
+        return self._line.fileno()
+
+    def take(self, t_ns: int) -> list[Event]:
+        """A stop when it goes down or goes missing."""
+        was, self._pressed = self._pressed, self._line.read()
+        if self._pressed is False or self._pressed == was:
+            return []
+        return self._carry(Order(Ask.STOP, origin="button" if self._pressed else "button lost"), t_ns)
+
+    def doubt(self) -> str:
+        """Why it forbids arming; "" when it does not."""
+        if self._pressed is None:
+            return "nothing is heard of the stop button"
+        return "the stop button is pressed" if self._pressed else ""
+
+
+class FootSwitchInput:
+    """A switch under a foot: each change is an event."""
+
+    def __init__(self, foot: str, line: SwitchLine) -> None:
+        self._foot = foot
+        self._line = line
+        self._pressed: bool | None = None
+
+    def fileno(self) -> int | None:
+        """As its line's."""
+        return self._line.fileno()
+
+    def take(self, t_ns: int) -> list[Event]:
+        """The change, if there was one."""
+        pressed = self._line.read()
+        if pressed is None or pressed == self._pressed:
+            return []
+        self._pressed = pressed
+        return [FootSwitchEvent(t_ns, self._foot, pressed)]
+
+
+def standard_keys() -> int | None:
+    """Standard input where it can bring keys: a terminal or a pipe, not an empty device."""
+    try:
+        descriptor = sys.stdin.fileno()
+    except (AttributeError, OSError, ValueError):
+        return None
+    return descriptor if os.isatty(descriptor) else None
+
+
+def _quoted(text: str) -> bytes:
+    return json.dumps(text).encode()

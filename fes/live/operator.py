@@ -1,0 +1,233 @@
+"""Orders become events, where the session's state allows them; faults and walking move the state on. No clock, no I/O.
+
+The state is a view for people and a lock on orders. What stimulates is decided by controller and gate alone, from
+events; so everything that an order changes goes through an event, is logged, and comes out the same in a replay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from fes.config import Session
+from fes.controller import Controller
+from fes.gate import SafetyGate
+from fes.journal import Note
+from fes.live.orders import Ask, Order
+from fes.live.states import CURRENT_ALLOWED, Cause, SessionMachine, State
+from fes.live.watch import SensorWatch
+from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, Tick
+
+INTENSITY_STEP: Final = 0.05
+RAISE_PAUSE_NS: Final = 150_000_000  # a key held down must not run through the whole range
+BELT_STEP_MPS: Final = 0.1
+BELT_MOST_MPS: Final = 5.0
+TEST_REST_NS: Final = NS_PER_S // 2
+WARM_NS: Final = 2 * NS_PER_S  # the orientation filter's own settling
+ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 ms
+
+
+class Operator:
+    """The session's state and the way from an order to events.
+
+    Args:
+        watches: by sensor.
+        drivers: by foot, the sensor that tells its phases.
+        note: where remarks go.
+        answered_ns: when the stimulator last said anything; None: never yet.
+        checks: further reasons against arming, each "" when there is none (log, stop file, free disk …).
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        controller: Controller,
+        gate: SafetyGate,
+        watches: Mapping[str, SensorWatch],
+        drivers: Mapping[str, str],
+        note: Callable[[Note], None],
+        answered_ns: Callable[[], int | None],
+        checks: Callable[[], list[str]] = list,
+    ) -> None:
+        self.machine = SessionMachine()
+        self.message = "warming up"
+        self.belt_speed_mps = session.treadmill.belt_speed_mps if session.treadmill else None
+        self.channel = session.channels[0].number if session.channels else 0
+        self.quitting = False
+        self._session = session
+        self._controller = controller
+        self._gate = gate
+        self._watches = watches
+        self._drivers = drivers
+        self._note = note
+        self._answered_ns = answered_ns
+        self._checks = checks
+        self._feet = sorted({str(channel.foot) for channel in session.channels} & drivers.keys())
+        self._began_ns: int | None = None
+        self._raised_ns = -RAISE_PAUSE_NS
+        self._intensity = 0.0
+
+    @property
+    def state(self) -> State:
+        """Where the session stands."""
+        return self.machine.state
+
+    def order(self, order: Order, t_ns: int) -> list[Event]:
+        """The events that carry the order out; none, and a message, where the state does not allow it."""
+        handler = {
+            Ask.STOP: self._stop,
+            Ask.ARM: self._arm,
+            Ask.DISARM: self._disarm,
+            Ask.PAUSE: self._pause,
+            Ask.UP: self._up,
+            Ask.DOWN: self._down,
+            Ask.TEST: self._test,
+            Ask.TRIGGER: self._trigger,
+            Ask.CHANNEL: self._select,
+            Ask.BELT: self._belt,
+            Ask.BELT_UP: self._belt,
+            Ask.BELT_DOWN: self._belt,
+            Ask.QUIT: self._quit,
+        }[order.ask]
+        return handler(order, t_ns)
+
+    def after(self, event: Event) -> None:
+        """An event has been dealt with: follow what came of it."""
+        t_ns = event.t_ns
+        if self._began_ns is None:
+            self._began_ns = t_ns
+        if self.quitting:
+            return
+        if isinstance(event, OperatorAct) and event.action is OperatorAction.ARM:
+            self._armed(t_ns)
+        if self._gate.latched:
+            stopped = self._gate.latched == "emergency stop"
+            self._move(t_ns, Cause.STOP if stopped else Cause.FAULT, self._gate.latched)
+        elif isinstance(event, Tick) or self.state is State.OFF:
+            pass
+        elif self.state in CURRENT_ALLOWED:
+            walks = any(self._controller.walking(foot) for foot in self._feet)
+            self._move(t_ns, Cause.WALK if walks else Cause.STAND)
+        if self.state is State.OFF and t_ns - self._began_ns >= WARM_NS:
+            self._move(t_ns, Cause.READY, "ready; a arms")
+
+    def doubts(self, t_ns: int, *, at_rest: bool = True) -> list[str]:
+        """All that speaks against arming now."""
+        doubts = [] if self._began_ns is not None and t_ns - self._began_ns >= WARM_NS else ["still warming up"]
+        for sensor, watch in self._watches.items():
+            fault = watch.not_alive(t_ns)
+            if not fault and at_rest and sensor in self._drivers.values():
+                fault = watch.not_at_rest(t_ns) or watch.not_upright(t_ns)
+            doubts.append(fault)
+        doubts += [
+            f"{channel.name}: the {channel.foot} is not calibrated"
+            for channel in self._session.channels
+            if channel.foot not in self._drivers
+        ]
+        answered_ns = self._answered_ns()
+        if answered_ns is None or t_ns - answered_ns > ANSWER_NS:
+            doubts.append("the stimulator does not answer")
+        return [doubt for doubt in (*doubts, *self._checks()) if doubt]
+
+    # --- orders ------------------------------------------------------------------------------------------
+
+    def _stop(self, order: Order, t_ns: int) -> list[Event]:
+        self._say(t_ns, "fault", f"emergency stop ({order.origin})")
+        self._move(t_ns, Cause.STOP, self.message)
+        return [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)]
+
+    def _arm(self, order: Order, t_ns: int) -> list[Event]:
+        if not self.machine.may(Cause.ARM):
+            return self._refuse(t_ns, f"cannot arm: the session is {self.state}")
+        resumes = self.state is State.PAUSED
+        if doubts := self.doubts(t_ns, at_rest=not resumes):
+            return self._refuse(t_ns, "cannot arm: " + "; ".join(doubts))
+        arm = OperatorAct(t_ns, OperatorAction.ARM)
+        if resumes:
+            return [arm]
+        self._intensity = 0.0  # whatever it was: from nothing, by hand
+        return [OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0), arm]
+
+    def _armed(self, t_ns: int) -> None:
+        if self._gate.armed:
+            self._move(t_ns, Cause.ARM, "armed; + raises the intensity")
+        else:
+            self._refuse(t_ns, f"cannot arm: {self._gate.arming_refused}")
+
+    def _disarm(self, order: Order, t_ns: int) -> list[Event]:
+        self._move(t_ns, Cause.DISARM, "disarmed")
+        return [OperatorAct(t_ns, OperatorAction.DISARM)]
+
+    def _pause(self, order: Order, t_ns: int) -> list[Event]:
+        if self.state is State.PAUSED:
+            return self._arm(order, t_ns)
+        if not self.machine.may(Cause.PAUSE):
+            return self._refuse(t_ns, f"nothing to pause: the session is {self.state}")
+        self._move(t_ns, Cause.PAUSE, "paused; p goes on")
+        return [OperatorAct(t_ns, OperatorAction.DISARM)]
+
+    def _up(self, order: Order, t_ns: int) -> list[Event]:
+        if self.state not in (State.SHADOW, *CURRENT_ALLOWED):
+            return self._refuse(t_ns, f"intensity cannot be raised: the session is {self.state}")
+        if t_ns - self._raised_ns < RAISE_PAUSE_NS:
+            return []
+        self._raised_ns = t_ns
+        return self._set_intensity(t_ns, min(self._intensity + INTENSITY_STEP, self._session.stimulation.intensity))
+
+    def _down(self, order: Order, t_ns: int) -> list[Event]:
+        return self._set_intensity(t_ns, max(self._intensity - INTENSITY_STEP, 0.0))
+
+    def _set_intensity(self, t_ns: int, intensity: float) -> list[Event]:
+        self._intensity = round(intensity, 6)
+        self.message = f"intensity {self._intensity:.0%}"
+        return [OperatorAct(t_ns, OperatorAction.SET_INTENSITY, self._intensity)]
+
+    def _test(self, order: Order, t_ns: int) -> list[Event]:
+        foot = next((str(c.foot) for c in self._session.channels if c.number == self.channel), "")
+        watch = self._watches.get(self._drivers.get(foot, ""))
+        if self.state is not State.ARMED:
+            return self._refuse(t_ns, f"no test burst: the session is {self.state}, it must be armed and standing")
+        moves = watch.not_at_rest(t_ns, TEST_REST_NS) if watch else f"no sensor tells of the {foot}"
+        if moves:
+            return self._refuse(t_ns, f"no test burst: {moves}")
+        return self._by_hand(t_ns, OperatorAction.TEST_BURST)
+
+    def _trigger(self, order: Order, t_ns: int) -> list[Event]:
+        if self.state not in CURRENT_ALLOWED:
+            return self._refuse(t_ns, f"no burst by hand: the session is {self.state}")
+        return self._by_hand(t_ns, OperatorAction.TRIGGER)
+
+    def _by_hand(self, t_ns: int, action: OperatorAction) -> list[Event]:
+        self.message = f"{action.replace('_', ' ')} on channel {self.channel} at {self._intensity:.0%}"
+        return [OperatorAct(t_ns, action, float(self.channel))]
+
+    def _select(self, order: Order, t_ns: int) -> list[Event]:
+        if order.value not in [channel.number for channel in self._session.channels]:
+            return self._refuse(t_ns, f"there is no channel {order.value:g}")
+        self.channel = int(order.value)
+        self.message = f"channel {self.channel} for test and trigger"
+        return []
+
+    def _belt(self, order: Order, t_ns: int) -> list[Event]:
+        step = {Ask.BELT_UP: BELT_STEP_MPS, Ask.BELT_DOWN: -BELT_STEP_MPS}.get(order.ask)
+        asked = order.value if step is None else (self.belt_speed_mps or 0.0) + step
+        self.belt_speed_mps = round(min(max(asked, 0.0), BELT_MOST_MPS), 3)
+        return [OperatorAct(t_ns, OperatorAction.SET_BELT_SPEED, self.belt_speed_mps)]
+
+    def _quit(self, order: Order, t_ns: int) -> list[Event]:
+        self.quitting = True
+        self._move(t_ns, Cause.QUIT, "ending")
+        return [OperatorAct(t_ns, OperatorAction.DISARM)]
+
+    def _refuse(self, t_ns: int, why: str) -> list[Event]:
+        self._say(t_ns, "warning", why)
+        return []
+
+    def _move(self, t_ns: int, cause: Cause, message: str = "") -> None:
+        before = self.state
+        if self.machine.move(cause):
+            self._say(t_ns, "info", f"state {before} → {self.state} ({cause})", message or f"{self.state}")
+
+    def _say(self, t_ns: int, severity: str, text: str, message: str = "") -> None:
+        self.message = message or text
+        self._note(Note(t_ns, severity, "session", text))

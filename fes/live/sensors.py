@@ -1,0 +1,99 @@
+"""The sensors' lines as the loop sees them: samples in the host's time, losses as events, lines opened again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+from fes.live.ports import Imu, SensorClock
+from fes.live.reopen import Reopening
+from fes.signals import Event, ImuSample, SystemFault
+
+STUCK_NS: Final = 1_000_000_000  # a line that was alive and says nothing for this long is opened again
+
+
+class SensorLine:
+    """One line: its port while it is open, attempts at opening it again while it is not.
+
+    Args:
+        port: open.
+        clock: makes a fresh clock; a device that was away may have restarted its own.
+        lost: the exception that says that the line is gone.
+        needed: sensors whose loss must stop the stimulation.
+    """
+
+    def __init__(
+        self,
+        port: Imu,
+        clock: Callable[[], SensorClock],
+        lost: type[Exception],
+        needed: frozenset[str],
+    ) -> None:
+        self.sensors = tuple(port.sensors)
+        self.port: Imu | None = port
+        self._held = port
+        self._clock = clock
+        self._lost = lost
+        self._needed = needed & set(self.sensors)
+        self._clocks = {sensor: clock() for sensor in self.sensors}
+        self._newest_ns: int | None = None
+        self._attempts: Reopening[Imu] | None = None
+        self.losses = 0
+
+    def fileno(self) -> int | None:
+        """Readable with samples; None while the line is lost, or where there is nothing to wait on."""
+        return None if self.port is None else self.port.fileno()
+
+    @property
+    def must_be_polled(self) -> bool:
+        """Whether the line is open and has nothing to wait on."""
+        return self.port is not None and self.port.fileno() is None
+
+    def discard(self, t_ns: int) -> Iterator[Event]:
+        """Let go of what has queued up; its arrival says nothing of when it was, so no clock may see it."""
+        self._newest_ns = None  # nor is the time that nobody listened a silence
+        try:
+            while self.port is not None and self.port.read(t_ns):
+                pass
+        except self._lost as error:
+            yield from self._lose(t_ns, str(error))
+
+    def read(self, t_ns: int) -> Iterator[Event]:
+        """Samples since the last call, or the fault that the line is gone."""
+        if self.port is None:
+            return
+        try:
+            raw = self.port.read(t_ns)
+        except self._lost as error:
+            yield from self._lose(t_ns, str(error))
+            return
+        for sample in raw:
+            self._newest_ns = t_ns
+            t_sensor_ns = self._clocks[sample.sensor].map(sample.t_host_ns, sample.t_device_ns)
+            yield ImuSample(t_ns, sample.sensor, t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
+
+    def tend(self, t_ns: int) -> Iterator[Event]:
+        """Notice that a line says nothing any more; go on opening a lost one."""
+        if self.port is not None:
+            if self._newest_ns is not None and t_ns - self._newest_ns > STUCK_NS:
+                yield from self._lose(t_ns, "nothing has come for a second")
+            return
+        if self._attempts is not None and (port := self._attempts.poll(t_ns)) is not None:
+            self.port, self._attempts, self._newest_ns = port, None, None
+            self._clocks = {sensor: self._clock() for sensor in self.sensors}
+
+    def close(self) -> None:
+        """Release the line."""
+        self.port = None
+        self._held.close()
+
+    def _lose(self, t_ns: int, why: str) -> Iterator[Event]:
+        self.port = None
+        self.losses += 1
+        self._attempts = Reopening(self._again, t_ns)
+        if self._needed:
+            yield SystemFault(t_ns, f"{', '.join(sorted(self._needed))}: sensor lost: {why}"[:200])
+
+    def _again(self) -> Imu:
+        self._held.reopen()
+        return self._held

@@ -1,0 +1,189 @@
+"""One live session: controller, gate, operator, monitor and log around the one loop."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from fes.config import Session
+from fes.controller import Controller
+from fes.driving import Calibration, driven_by, driving
+from fes.gate import gate_of
+from fes.journal import Note
+from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopFile, StopSwitch, SwitchLine
+from fes.live.log_pipe import PipedLog
+from fes.live.monitor import Monitor
+from fes.live.operator import Operator
+from fes.live.ports import Input
+from fes.live.realtime import Grant
+from fes.live.sensors import SensorLine
+from fes.live.source import LiveSource
+from fes.live.states import CURRENT_ALLOWED
+from fes.live.stimulator import LiveStimulator
+from fes.live.view_process import ViewProcess
+from fes.live.watch import SensorWatch
+from fes.runner import Runner
+from fes.signals import NS_PER_S, Event, SystemFault, WireFrame
+
+COMPLETE = "complete"
+
+
+class LiveSession:
+    """Made from open devices and an open log; :meth:`run` is the session.
+
+    Args:
+        clock_ns: the monotonic clock that everything is stamped by.
+        duration_s: ends the session by itself after this long; None: the operator does.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        calibrations: dict[str, Calibration],
+        log: PipedLog,
+        stimulator: LiveStimulator,
+        clock_ns: Callable[[], int],
+        view: ViewProcess | None = None,
+        duration_s: float | None = None,
+    ) -> None:
+        self.controller = Controller(session, calibrations)
+        self.gate = gate_of(
+            session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations)
+        )
+        watches = {
+            str(device.sensor): SensorWatch(device, calibrations.get(device.sensor)) for device in session.sensors
+        }
+        drivers = driving(calibrations)
+        self.monitor = Monitor(log, watches, drivers, view.link if view else None, self._publish)
+        self.operator = Operator(
+            session,
+            self.controller,
+            self.gate,
+            watches,
+            drivers,
+            self.monitor.note,
+            lambda: self.monitor.answered_ns,
+            self._doubts,
+        )
+        self.stimulator = stimulator
+        self.runner = Runner(self.controller, self.gate, stimulator, self.monitor, clock_ns, from_reading=True)
+        self._log = log
+        self._clock_ns = clock_ns
+        self._duration_s = duration_s
+        self._inputs: list[Input] = []
+        self._control: Control | None = None
+        self._state = self.operator.state
+        self._end_ns: int | None = None
+        self._source: LiveSource | None = None
+
+    # --- what an operator has --------------------------------------------------------------------------
+
+    def add_keys(self, descriptor: int) -> None:
+        """Keys from a terminal or a pipe."""
+        self._inputs.append(Keyboard(descriptor, self.operator.order))
+
+    def add_control(self, path: Path) -> None:
+        """A control socket.
+
+        Raises:
+            OSError: it cannot be made.
+        """
+        self._control = Control(path, self.operator.order)
+        self._inputs.append(self._control)
+
+    def add_stop_file(self, path: Path) -> None:
+        """A file whose appearance stops."""
+        self._inputs.append(StopFile(path, self.operator.order))
+
+    def add_stop_switch(self, line: SwitchLine) -> None:
+        """A button that stops."""
+        self._inputs.append(StopSwitch(line, self.operator.order))
+
+    def add_foot_switch(self, foot: str, line: SwitchLine) -> None:
+        """A switch under a foot."""
+        self._inputs.append(FootSwitchInput(foot, line))
+
+    # --- the session -------------------------------------------------------------------------------------
+
+    def run(
+        self,
+        lines: Sequence[SensorLine],
+        handshake: Sequence[WireFrame],
+        first_answers: Sequence[Event],
+        grants: Sequence[Grant],
+        check: Callable[[], None],
+    ) -> None:
+        """Until the operator quits or the time is over. Everything is off afterwards, whatever ended it.
+
+        Args:
+            handshake: what opening the stimulator put on the wire.
+            first_answers: what it answered.
+            grants: what the operating system gave.
+            check: called after every event; may raise to end the session (KeyboardInterrupt).
+
+        Raises:
+            SessionLogError: the log cannot be written any more.
+        """
+        begin_ns = self._clock_ns()
+        self._end_ns = None if self._duration_s is None else begin_ns + int(self._duration_s * NS_PER_S)
+        for frame in handshake:
+            self._log.frame(frame)
+        for answer in first_answers:
+            self.runner.handle(answer)
+        for grant in grants:
+            self.monitor.note(Note(begin_ns, "warning" if grant.refused else "info", "realtime", str(grant)))
+        self._source = LiveSource(
+            lines,
+            self._inputs,
+            self.stimulator,
+            self._clock_ns,
+            self._over,
+            lambda: self.operator.state in CURRENT_ALLOWED,
+        )
+        self._source.on_lateness = self.monitor.lateness.add
+        try:
+            self.runner.run(self._source, lambda event: self._after(event, check))
+        finally:
+            if self._control is not None:
+                self._control.close()
+
+    def summary(self) -> dict[str, Any]:
+        """For the end of the log."""
+        source = self._source
+        return {
+            "samples": {foot: tracker.counts.to_dict() for foot, tracker in self.controller.trackers.items()},
+            "received": {sensor: watch.count for sensor, watch in self.monitor.watches.items()},
+            "latency": self.monitor.latencies.to_dict(),
+            "lateness": self.monitor.lateness.to_dict(),
+            "foot_switches": self.monitor.switches.to_dict(),
+            "stalls": source.stalls if source else 0,
+            "longest_stall_ms": round(source.longest_stall_ns * 1e-6, 1) if source else 0.0,
+            "unsent": self.stimulator.unsent,
+            "dropped_view_frames": self.monitor.dropped_frames,
+        }
+
+    def _after(self, event: Event, check: Callable[[], None]) -> None:
+        self.operator.after(event)
+        if isinstance(event, SystemFault) and not self.gate.latched:
+            self.monitor.note(Note(event.t_ns, "warning", "session", event.text))
+        now_ns = self._clock_ns()
+        self._log.flush_due(now_ns)
+        self.monitor.tell(now_ns, self.operator, self.controller, self.gate, self.stimulator.state)
+        if self.operator.state is not self._state:
+            self._state = self.operator.state
+            if self._state not in CURRENT_ALLOWED:
+                gc.collect()  # collection never starts by itself; here nothing waits for a decision
+        check()
+
+    def _over(self) -> bool:
+        return self.operator.quitting or (self._end_ns is not None and self._clock_ns() >= self._end_ns)
+
+    def _doubts(self) -> list[str]:
+        doubts = [each.doubt() for each in self._inputs if isinstance(each, (StopFile, StopSwitch))]
+        return [*doubts, self._log.healthy, "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}"]
+
+    def _publish(self, status: bytes) -> None:
+        if self._control is not None:
+            self._control.publish(status)

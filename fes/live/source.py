@@ -1,0 +1,131 @@
+"""The live source of events: one poll over sensors, keys, control and stop inputs; silence and stalls made audible.
+
+Events come out in the order of their times, which are the host's monotonic clock when they were read. Everything that
+has queued up while the loop was away is still given on, so that nothing is lost to the estimator, with honest times:
+the gate sees by the sensors' own clocks how old it is.
+"""
+
+from __future__ import annotations
+
+import selectors
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from typing import Final
+
+from fes.live.ports import Input
+from fes.live.sensors import SensorLine
+from fes.live.stimulator import LiveStimulator
+from fes.signals import Event, ImuSample, SystemFault, Tick
+from fes.sources import TICK_NS
+
+STALL_NS: Final = 40_000_000  # data must not be older when used, so a loop that was away longer has lost its ground
+LOOK_UP_AFTER: Final = 32  # samples of a backlog between two looks at the clock and the stop inputs
+LOOK_UP_NS: Final = 5_000_000
+POLLED_NS: Final = 1_000_000  # between two looks at a device that has nothing to wait on
+
+
+class LiveSource:
+    """Iterate it once; it ends when ``ended`` says so.
+
+    Args:
+        clock_ns: the monotonic clock.
+        ended: asked every turn.
+        current_allowed: whether a stall now is a fault; otherwise it is only counted.
+    """
+
+    def __init__(
+        self,
+        lines: Sequence[SensorLine],
+        inputs: Sequence[Input],
+        stimulator: LiveStimulator | None,
+        clock_ns: Callable[[], int],
+        ended: Callable[[], bool],
+        current_allowed: Callable[[], bool],
+    ) -> None:
+        self._lines = lines
+        self._inputs = inputs
+        self._stimulator = stimulator
+        self._clock_ns = clock_ns
+        self._ended = ended
+        self._current_allowed = current_allowed
+        self._selector = selectors.DefaultSelector()
+        self._registered: dict[SensorLine | Input, int] = {}
+        self._checked_ns = clock_ns()
+        self.stalls = 0
+        self.longest_stall_ns = 0
+        self.on_lateness: Callable[[int], None] = _forget
+
+    def __iter__(self) -> Iterator[Event]:
+        try:
+            yield from self._turns()
+        finally:
+            self._selector.close()
+
+    def _turns(self) -> Iterator[Event]:
+        for line in self._lines:  # what queued up before anybody listened belongs to no session
+            yield from line.discard(self._clock_ns())
+        self._checked_ns = heard_ns = self._clock_ns()
+        while not self._ended():
+            self._register()
+            self._wait(heard_ns + TICK_NS)
+            yield from self._look_up()
+            for line in self._lines:
+                for event in self._restamped(line.read(self._checked_ns)):
+                    heard_ns = self._checked_ns
+                    yield event
+            if self._clock_ns() - heard_ns >= TICK_NS:
+                yield from self._look_up()
+                heard_ns = self._checked_ns
+                yield Tick(heard_ns)
+            for line in self._lines:
+                yield from line.tend(self._checked_ns)
+
+    def _restamped(self, events: Iterator[Event]) -> Iterator[Event]:
+        """A backlog takes time to go through: look up now and then, and never let time run backward."""
+        for number, event in enumerate(events, start=1):
+            if isinstance(event, ImuSample) and event.t_ns != self._checked_ns:
+                event = ImuSample(self._checked_ns, event.sensor, event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
+            yield event
+            if number % LOOK_UP_AFTER == 0 and self._clock_ns() - self._checked_ns > LOOK_UP_NS:
+                yield from self._look_up()
+
+    def _look_up(self) -> Iterator[Event]:
+        """What the clock, the stop inputs and the stimulator's line have to say; a stop waits for nobody."""
+        now_ns = self._clock_ns()
+        away_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
+        if away_ns > STALL_NS:
+            self.stalls += 1
+            self.longest_stall_ns = max(self.longest_stall_ns, away_ns)
+            if self._current_allowed():
+                yield SystemFault(now_ns, f"controller stalled for {away_ns / 1e6:.0f} ms")
+        for each in self._inputs:
+            yield from each.take(now_ns)
+        if self._stimulator is not None:
+            yield from self._stimulator.events(now_ns)
+
+    def _wait(self, deadline_ns: int) -> None:
+        if any(line.must_be_polled for line in self._lines):
+            deadline_ns = min(deadline_ns, self._clock_ns() + POLLED_NS)
+        left_ns = deadline_ns - self._clock_ns()
+        ready = self._selector.select(max(left_ns, 0) * 1e-9)
+        if not ready and left_ns > 0:
+            self.on_lateness(self._clock_ns() - deadline_ns)
+
+    def _register(self) -> None:
+        """Wait on what is open now and has something to wait on."""
+        everything: list[SensorLine | Input] = [*self._lines, *self._inputs]
+        for each in everything:
+            descriptor, known = each.fileno(), self._registered.get(each)
+            if descriptor == known:
+                continue
+            if known is not None:
+                del self._registered[each]
+                with suppress(KeyError, ValueError):  # closed with its line
+                    self._selector.unregister(known)
+            if descriptor is not None:
+                self._selector.register(descriptor, selectors.EVENT_READ)
+                self._registered[each] = descriptor
+
+
+def _forget(lateness_ns: int) -> None:
+    """Nobody asked for it."""

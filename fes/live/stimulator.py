@@ -1,0 +1,99 @@
+"""The stimulator as the live loop sees it: lost and found again as events, and nothing that has grown old goes out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Final, TypeAlias
+
+from fes import limits
+from fes.live.ports import StimulatorLine
+from fes.live.reopen import Reopening
+from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, SystemFault, WireFrame
+
+UNSENT: Final = 0  # the identifier of a frame that did not go out
+OPEN_WORD: Final = "open"
+
+Opened: TypeAlias = tuple[StimulatorLine, int]
+
+
+class LiveStimulator:
+    """Wraps a line; what it meets becomes events for the loop, taken with :meth:`events`.
+
+    Args:
+        line: open.
+        reopen: opens it again; the line and its new session identifier.
+        lost: the exception that says that the line is gone.
+        clock_ns: the clock that events are stamped by.
+    """
+
+    def __init__(
+        self, line: StimulatorLine, reopen: Callable[[], Opened], lost: type[Exception], clock_ns: Callable[[], int]
+    ) -> None:
+        self._line: StimulatorLine | None = line
+        self._reopen = reopen
+        self._lost = lost
+        self._clock_ns = clock_ns
+        self._attempts: Reopening[Opened] | None = None
+        self._events: list[Event] = []
+        self.unsent = 0
+
+    @property
+    def state(self) -> str:
+        """ "open", or why it is not."""
+        if self._attempts is None:
+            return OPEN_WORD
+        return f"lost, is being opened again ({self._attempts.why_not})" if self._attempts.why_not else "lost"
+
+    @property
+    def is_open(self) -> bool:
+        """Whether commands go out."""
+        return self._line is not None
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """Write the command; a frame with identifier 0 where nothing went out.
+
+        A process that was held up between deciding and sending must not send what was right a second ago: *on* older
+        than the data it may rest on is left out and is a fault. Off always goes.
+        """
+        if self._line is not None:
+            late_ns = self._clock_ns() - command.t_ns
+            if command.on and late_ns > limits.MAX_DATA_AGE_MS * 1_000_000:
+                self._events.append(SystemFault(command.t_ns, f"a command was {late_ns / 1e6:.0f} ms late, not sent"))
+            else:
+                try:
+                    return self._line.send(command)
+                except self._lost as error:
+                    self._lose(command.t_ns, error)
+        self.unsent += 1
+        return WireFrame(command.t_ns, UNSENT, b"")
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """What has arrived; nothing from a line that is lost."""
+        if self._line is None:
+            return []
+        try:
+            return self._line.poll(t_ns)
+        except self._lost as error:
+            self._lose(t_ns, error)
+            return []
+
+    def events(self, t_ns: int) -> Iterator[Event]:
+        """Losses and reopenings since the last call."""
+        if self._attempts is not None and (opened := self._attempts.poll(t_ns)) is not None:
+            self._attempts = None
+            self._line, session_id = opened
+            self._events.append(StimOpened(t_ns, session_id))
+        while self._events:
+            event = self._events.pop(0)
+            yield SystemFault(t_ns, event.text) if isinstance(event, SystemFault) else event
+
+    def close(self) -> None:
+        """Release the line."""
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+    def _lose(self, t_ns: int, error: Exception) -> None:
+        self.close()
+        self._attempts = Reopening(self._reopen, t_ns)
+        self._events.append(SystemFault(t_ns, f"stimulator lost: {error}"[:200]))

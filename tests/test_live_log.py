@@ -1,0 +1,189 @@
+"""The log written by a process of its own: nothing waits for it, nothing that was sent is lost."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from fes.journal import SessionLogError, iter_events, read_session
+from fes.live.log_pipe import LATE_NS, PipedLog
+from fes.signals import FootSwitchEvent, ImuSample, StimOpened, SystemFault, Tick
+
+MS = 1_000_000
+
+
+def sample(number: int) -> ImuSample:
+    return ImuSample(number * 2 * MS, "left_foot", number * 2 * MS, (0.1 * number, 0.0, 9.81), (0.0, 0.01, 0.0))
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Iterator[PipedLog]:
+    opened = PipedLog(tmp_path / "session.feslog", {"kind": "live"})
+    yield opened
+    if opened.process.poll() is None:
+        opened.process.kill()
+        opened.process.wait(5)
+
+
+def wait_for_failure(log: PipedLog, timeout_s: float = 5.0) -> tuple[str, float]:
+    """What is said, and how long after the start."""
+    begin_s = time.monotonic()
+    while time.monotonic() - begin_s < timeout_s:
+        try:
+            log.event(Tick(time.monotonic_ns()))
+            log.flush_due(time.monotonic_ns())
+        except SessionLogError as error:
+            return str(error), time.monotonic() - begin_s
+        time.sleep(0.005)
+    raise AssertionError("it did not fail")
+
+
+def test_what_is_logged_is_read_back(log: PipedLog) -> None:
+    events = [
+        *(sample(number) for number in range(500)),
+        StimOpened(2000 * MS, 4711),
+        FootSwitchEvent(2001 * MS, "right_foot", True),
+        SystemFault(2002 * MS, "left_foot: sensor lost: größer"),
+    ]
+    for event in events:
+        log.event(event)
+        log.flush_due(time.monotonic_ns())
+    log.close({"ended": "complete"})
+    assert list(iter_events(log.path)) == events
+    record = read_session(log.path)
+    assert record.complete
+    assert record.summary == {"ended": "complete"}
+    assert (record.reopened, record.switches, record.faults) == (events[-3:-2], events[-2:-1], events[-1:])
+    log.close({})  # again: nothing
+    with pytest.raises(SessionLogError, match="closed"):
+        log.event(sample(1))
+
+
+def test_a_controller_that_is_gone_with_answers_unread_costs_nothing(log: PipedLog) -> None:
+    """As after a kill: the socket is reset, and all that was sent is in the file all the same."""
+    for number in range(2000):
+        log.event(sample(number))
+        if number % 20 == 0:
+            log.flush()
+    log.flush()
+    log._link.close()
+    assert log.process.wait(10) == 0
+    assert len(list(iter_events(log.path))) == 2000
+    log._fault = "closed by the test"
+
+
+@pytest.mark.requirement("SR-18")
+def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "session.feslog"
+    path.write_bytes(b"precious")
+    with pytest.raises(SessionLogError, match="never overwritten"):
+        PipedLog(path, {})
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_dead_writer_is_noticed_within_a_second_and_what_it_had_is_there(log: PipedLog) -> None:
+    for number in range(500):
+        log.event(sample(number))
+    log.flush()
+    while log.path.stat().st_size < 500 * 10:
+        time.sleep(0.005)
+    kept = log.path.stat().st_size
+    os.kill(log.process.pid, signal.SIGKILL)
+    said, after_s = wait_for_failure(log)
+    assert after_s < 1.0
+    assert "cannot be written any more" in said
+    assert log.healthy == said
+    with pytest.raises(SessionLogError):
+        log.close({})
+    assert log.path.stat().st_size == kept
+    assert len(list(iter_events(log.path))) == 500
+
+
+def test_a_writer_that_hangs_is_noticed_and_nobody_waits_for_it(log: PipedLog) -> None:
+    os.kill(log.process.pid, signal.SIGSTOP)
+    longest_s, begin_s, said = 0.0, time.monotonic(), ""
+    for number in range(1_000_000):
+        before_s = time.perf_counter()
+        try:
+            log.event(sample(number))
+            log.flush_due(time.monotonic_ns())
+        except SessionLogError as error:
+            said = str(error)
+            break
+        longest_s = max(longest_s, time.perf_counter() - before_s)
+    assert "does not keep up" in said
+    assert LATE_NS * 1e-9 < time.monotonic() - begin_s < 1.0
+    assert longest_s < 0.1
+    os.kill(log.process.pid, signal.SIGKILL)
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_full_disk_is_noticed_within_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """/dev/full takes no byte: the process that writes says so, the loop hears it."""
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("no /dev/full here")
+
+    monkeypatch.setattr("fes.live.log_pipe.create", lambda path: os.open(full, os.O_WRONLY))
+    with pytest.raises(SessionLogError, match="the disk is full"):
+        PipedLog(tmp_path / "session.feslog", {})
+
+
+def test_a_disk_that_fills_up_is_noticed_within_a_second(log: PipedLog, tmp_path: Path) -> None:
+    """The writer's own limit on a file's size stands for a full disk: it is refused in the middle of the session."""
+    resource = pytest.importorskip("resource")
+    log.event(sample(0))
+    log.flush()
+    full_at = log.path.stat().st_size + 2000
+    resource.prlimit(log.process.pid, resource.RLIMIT_FSIZE, (full_at, full_at))
+    said, after_s = wait_for_failure(log)
+    assert after_s < 1.0
+    assert "cannot be written any more" in said
+    with pytest.raises(SessionLogError, match="cannot be written"):
+        log.close({})
+    record = read_session(log.path)
+    assert len(record.ticks_ns) > 10
+    assert not record.complete
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_killed_controller_loses_at_most_a_quarter_of_a_second(tmp_path: Path) -> None:
+    """It logs the monotonic time every 2 ms and is killed; the newest event in the file is close to that."""
+    path = tmp_path / "session.feslog"
+    script = (
+        "import sys, time\n"
+        "from pathlib import Path\n"
+        "from fes.live.log_pipe import PipedLog\n"
+        "from fes.signals import Tick\n"
+        "log = PipedLog(Path(sys.argv[1]), {})\n"
+        "print('ready', flush=True)\n"
+        "while True:\n"
+        "    log.event(Tick(time.monotonic_ns())); log.flush_due(time.monotonic_ns()); time.sleep(0.002)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", script, str(path)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    process.stdout.readline()
+    while not path.exists() or path.stat().st_size < 3000:
+        time.sleep(0.005)
+    killed_ns = time.monotonic_ns()
+    process.kill()
+    process.wait(10)
+    process.stdout.close()
+    size = -1
+    while path.stat().st_size != size:  # until the writer has ended too
+        size = path.stat().st_size
+        time.sleep(0.1)
+    record = read_session(path)
+    assert record.lost == ""
+    assert not record.complete
+    lost_ms = (killed_ns - int(record.ticks_ns[-1])) / MS
+    print(f"lost {lost_ms:.0f} ms")
+    assert lost_ms < 250

@@ -1,0 +1,200 @@
+"""`fes run` between a simulated sensor (serial) and a simulated stimulator (CAN), whose own record is the judge."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from live_runs import FOOT, LiveRun, live_run, prepare
+from replays import MS
+
+from drivers.virtual.spawn import free_bus, why_silent
+from fes.cli.exits import INTERRUPTED, OK, STOPPED
+from fes.cli.replay_log import repeat
+from fes.journal import read_session
+
+LEASE_MS = 60
+MARGIN_MS = 15  # two processes' wake-ups on a shared machine, beside the deadline that is claimed
+STOP_MS = 50
+
+NO_BUS = why_silent(free_bus())
+pytestmark = [
+    pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}"),
+    pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this machine"),
+]
+
+
+@pytest.fixture(scope="module")
+def loop(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return prepare(tmp_path_factory.mktemp("loop"))
+
+
+def notes_of(run: LiveRun, severity: str = "fault") -> list[str]:
+    return [note.text for note in read_session(run.log).notes if note.severity == severity]
+
+
+def test_it_walks_and_stimulates_stops_by_file_and_replays_to_the_same_bytes(
+    loop: tuple[Path, Path], tmp_path: Path
+) -> None:
+    recording, calibration = loop
+    with live_run(tmp_path, recording, "--calibration", calibration, "--stop-file", tmp_path / "halt") as run:
+        run.until(lambda status: status.state == "shadow")
+        run.order("up")  # without a confirmation
+        run.until(lambda status: any("confirm" in str(answer) for answer in run.answers))
+        assert run.status is not None
+        assert run.status.intensity == 0.0
+        run.armed_at()
+        run.order("belt", value=0.6)
+        run.until(lambda status: status.belt_speed_mps == 0.6)
+        run.until(lambda status: status.on and status.feet[FOOT].rate_hz > 450)
+        run.in_mid_burst()
+        blow_ns = time.monotonic_ns()
+        (tmp_path / "halt").touch()
+        off_ms = run.off_after_ms(blow_ns)
+        print(f"off {off_ms:.1f} ms after the stop file appeared")
+        assert off_ms <= STOP_MS + MARGIN_MS
+        run.until(lambda status: status.state == "stopped" and status.fault == "emergency stop")
+        run.until(lambda status: "remove it" in status.message, "arm")  # refused: the file is still there
+        assert run.stays_off(blow_ns + STOP_MS * MS, 0.3)
+        said = run.quit()
+        assert run.process.returncode == OK, said
+        record = read_session(run.log)
+        assert record.complete
+        assert record.header["kind"] == "live"
+        assert any(command.on for command in record.commands)
+        assert len(record.latency_ns) > 1000
+        received = record.summary["received"][FOOT]
+        assert received == len(record.samples[FOOT].t_ns)
+        again = repeat(run.log)
+        assert (again.difference, again.commands) == ("", len(record.commands))
+
+
+def test_the_space_bar_stops_a_killed_view_does_not_and_arming_is_by_hand(
+    loop: tuple[Path, Path], tmp_path: Path
+) -> None:
+    recording, calibration = loop
+    with live_run(tmp_path, recording, "--calibration", calibration, "--view") as run:
+        run.armed_at()
+        children = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()
+        (view,) = [pid for pid in children if "fes.live.view" in Path(f"/proc/{pid}/cmdline").read_text()]
+        os.kill(int(view), signal.SIGKILL)
+        run.in_mid_burst()
+        blow_ns = time.monotonic_ns()
+        os.write(run.keys, b" ")
+        off_ms = run.off_after_ms(blow_ns)
+        print(f"off {off_ms:.1f} ms after the key")
+        assert off_ms <= STOP_MS + MARGIN_MS
+        run.until(lambda status: status.state == "stopped")
+        assert run.stays_off(blow_ns + STOP_MS * MS, 1.0)
+        # by hand, when the patient stands again: from intensity 0
+        run.until(lambda status: status.state in ("armed", "running"), "arm")
+        assert run.status is not None
+        assert run.status.intensity == 0.0
+        run.process.send_signal(signal.SIGINT)
+        said = run.end()
+        assert run.process.returncode == INTERRUPTED, said
+        assert "Traceback" not in said
+        assert any("view has ended" in text for text in notes_of(run, "warning"))
+        assert repeat(run.log).difference == ""
+
+
+def test_killed_in_mid_burst_the_lease_ends_it_and_the_log_is_there(loop: tuple[Path, Path], tmp_path: Path) -> None:
+    recording, calibration = loop
+    with live_run(tmp_path, recording, "--calibration", calibration) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        blow_ns = time.monotonic_ns()
+        os.kill(run.process.pid, signal.SIGKILL)
+        run.process.wait(10)
+        off_ms = run.off_after_ms(blow_ns)
+        ended = next(entry for entry in run.entries() if entry.t_ns >= blow_ns and entry.current_ma == 0.0)
+        print(f"off {off_ms:.1f} ms after the kill")
+        assert ended.event == "lease_expired"
+        assert ended.last_pulse_ns <= blow_ns + (LEASE_MS + 5) * MS
+        assert off_ms <= LEASE_MS + MARGIN_MS
+        time.sleep(0.5)  # the writer ends by itself
+        record = read_session(run.log)
+        assert not record.complete
+        assert record.lost == ""
+        lost_ms = (blow_ns - int(record.samples[FOOT].t_ns[-1])) / MS
+        print(f"{lost_ms:.0f} ms of the log lost")
+        assert lost_ms <= 250
+        assert repeat(run.log).difference == ""
+
+
+def test_stopped_and_continued_it_notices_the_gap_and_stays_off(loop: tuple[Path, Path], tmp_path: Path) -> None:
+    recording, calibration = loop
+    with live_run(tmp_path, recording, "--calibration", calibration) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        blow_ns = time.monotonic_ns()
+        os.kill(run.process.pid, signal.SIGSTOP)
+        assert run.off_after_ms(blow_ns) <= LEASE_MS + MARGIN_MS
+        time.sleep(0.5)
+        os.kill(run.process.pid, signal.SIGCONT)
+        assert run.stays_off(blow_ns + (LEASE_MS + MARGIN_MS) * MS, 1.5)
+        run.until(lambda status: status.state == "fault")
+        assert run.quit()
+        assert run.process.returncode == OK
+        assert any("stalled for" in text or "late, not sent" in text for text in notes_of(run))
+        assert repeat(run.log).difference == ""
+
+
+def test_an_unplugged_sensor_is_off_in_time_and_comes_back_without_arming(
+    loop: tuple[Path, Path], tmp_path: Path
+) -> None:
+    recording, calibration = loop
+    with live_run(tmp_path, recording, "--calibration", calibration) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        blow_ns = run.imu.fault("mute")
+        off_ms = run.off_after_ms(blow_ns)
+        print(f"off {off_ms:.1f} ms after the sensor fell silent")
+        assert off_ms <= 100
+        run.until(lambda status: status.state == "fault")
+        time.sleep(1.2)
+        run.imu.fault("mute", 0.0)
+        back = run.until(lambda status: status.feet[FOOT].rate_hz > 450)
+        assert back.state == "fault"
+        assert run.stays_off(blow_ns + 100 * MS, 0.5)
+        run.quit()
+        assert repeat(run.log).difference == ""
+
+
+def test_a_dead_log_writer_ends_the_session_safely_within_a_second(loop: tuple[Path, Path], tmp_path: Path) -> None:
+    recording, calibration = loop
+    with live_run(tmp_path, recording, "--calibration", calibration) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        children = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()
+        (writer,) = [pid for pid in children if "log_process" in Path(f"/proc/{pid}/cmdline").read_text()]
+        blow_ns = time.monotonic_ns()
+        os.kill(int(writer), signal.SIGKILL)
+        off_ms = run.off_after_ms(blow_ns)
+        print(f"off {off_ms:.1f} ms after the log's writer died")
+        said = run.end()
+        assert off_ms <= 1000
+        assert run.process.returncode == STOPPED, said
+        assert "ALARM" in said
+        assert "Traceback" not in said
+        record = read_session(run.log)
+        assert blow_ns - int(record.samples[FOOT].t_ns[-1]) <= 250 * MS
+        assert repeat(run.log).difference == ""
+
+
+def test_it_calibrates_in_the_session_where_no_calibration_is_given(loop: tuple[Path, Path], tmp_path: Path) -> None:
+    recording, _ = loop
+    with live_run(tmp_path, recording, "--strides", "3", "--duration", "6") as run:
+        run.until(lambda status: status.state == "shadow", timeout_s=90)
+        said = run.end()
+        assert run.process.returncode == OK, said
+        assert "toe-down about" in said
+        folder = run.log.parent
+        assert (folder / "calibration.json").is_file()
+        standing = read_session(folder / "calibration.feslog")
+        assert standing.complete
+        assert len(standing.samples[FOOT].t_ns) > 1000
+        assert repeat(run.log).difference == ""
