@@ -14,6 +14,8 @@ from fes.cli.exits import INTERRUPTED, Broken
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
     "run": ("fes.cli.run", "A live session: sensors, phases, stimulation. STIMULATES once armed by hand."),
+    "devices": ("fes.cli.devices", "What is connected: serial ports, CAN interfaces, LSL streams."),
+    "doctor": ("fes.cli.doctor", "Before a session: ports, buses, rates, clocks, disk and permissions, with remedies."),
     "replay": ("fes.cli.replay", "Replay a recording or a session log: phases, strides, stimulation, report."),
     "analyse": ("fes.cli.analyse", "Find phases and strides in recordings; tables and a report of each."),
     "calibrate": ("fes.cli.calibrate", "How the sensors sit and how this person moves, from a short recording."),

@@ -16,7 +16,7 @@ from fes.cli.exits import FAILED, fail
 from fes.cli.show import show
 from fes.cli.timing import TimingOptions, check_replayed, tell
 from fes.config import ConfigError
-from fes.controller import Controller
+from fes.controller import CURRENT_STEP_MA, Controller
 from fes.driving import driven_by
 from fes.gate import gate_of
 from fes.journal import Note, SessionLogError, SessionRecord, iter_events, read_session
@@ -111,6 +111,7 @@ def repeat(path: Path) -> Repeated:
     record = read_session(path)
     try:
         session, calibrations, session_id = settings_of(record.header, path)
+        current_step_ma = float(record.header.get("current_step_ma", CURRENT_STEP_MA))
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, ConfigError):
             raise
@@ -123,12 +124,13 @@ def repeat(path: Path) -> Repeated:
     now = Collected()
     recorded = [frame for frame in record.frames if frame.identifier in (COMMAND_ID, UNSENT)]
     sink = LoggedSink(session_id, [frame.identifier != UNSENT for frame in recorded])
-    runner = Runner(Controller(session, calibrations), gate, sink, now, lambda: 0)
+    controller = Controller(session, calibrations, current_step_ma=current_step_ma)
+    runner = Runner(controller, gate, sink, now, lambda: 0)
     for event in iter_events(path):
         if isinstance(event, StimOpened):
             sink.opened(event.session_id)
         runner.handle(event)
-    if record.complete:
+    if record.complete and not _cut_off(record):
         runner.all_off()
     whole = record.complete and record.summary.get("ended") in ENDED_WHOLE
     on_can = session.stimulator.device == "can"  # what other devices' drivers make of a command is theirs
@@ -141,6 +143,12 @@ def repeat(path: Path) -> Repeated:
     return Repeated(
         min(len(record.commands), len(now.commands)), min(len(record.strides), len(now.strides)), difference, now
     )
+
+
+def _cut_off(record: SessionRecord) -> bool:
+    """Whether the log was recovered from one without its end: what the session did last is not in it."""
+    recovered = record.summary.get("recovered")
+    return isinstance(recovered, dict) and bool(recovered.get("end_missing"))
 
 
 def _frames_differ(

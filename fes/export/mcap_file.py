@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from fes import __version__
-from fes.journal.export_tables import Batch, Exported, Table, batches, known
+from fes.export.tables import Batch, Exported, Table, batches, known
 from fes.journal.record import SessionLogError
 
 EXTRA: Final = "mcap"

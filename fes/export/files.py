@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
-from fes.journal.export_tables import Exported, Table, batches, known
+from fes.export.tables import Exported, Table, batches, known
 from fes.journal.record import SessionLogError
 
 ABOUT: Final = "session.json"
@@ -95,6 +95,8 @@ class _new_folder:
             raise SessionLogError(f"{self._folder}: cannot be made: {error.strerror or error}") from error
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, SessionLogError) and not any(self._folder.iterdir()):
+            self._folder.rmdir()
         if isinstance(error, OSError):
             raise SessionLogError(
                 f"{self._folder}: cannot be written: {error.strerror or error}. What is in it is not complete: make "

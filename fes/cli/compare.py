@@ -1,0 +1,185 @@
+"""``fes compare``: two session logs' differences, stride by stride."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from fes.cli.exits import FAILED, fail
+from fes.journal import SessionLogError, read_session
+
+if TYPE_CHECKING:
+    from rich.console import RenderableType
+
+    from fes.log_comparison import Comparison
+    from fes.signals import StrideResult
+
+ROWS: Final = 30
+BY_NUMBER: Final = (
+    "No shift of the clocks brings the strides together: matched by number, times count from each stride's start."
+)
+SETTINGS_SHOWN: Final = 20
+PIPED_COLUMNS: Final = 110
+_TITLES: Final = {
+    "length_cm": "length\ncm",
+    "clearance_cm": "clear.\ncm",
+    "T1_ms": "T1\nms",
+    "T2_ms": "T2\nms",
+    "T3_ms": "T3\nms",
+    "stance_ms": "stance\nms",
+    "on_ms": "on\nms",
+    "off_ms": "off\nms",
+}
+
+
+@click.command(name="compare")
+@click.argument("a", type=click.Path(path_type=Path))
+@click.argument("b", type=click.Path(path_type=Path))
+@click.option("--all", "every", is_flag=True, help=f"Show all strides, not only the first {ROWS} that differ.")
+@click.option("--json", "as_json", is_flag=True, help="Print the differences as JSON.")
+def command(a: Path, b: Path, every: bool, as_json: bool) -> None:
+    """Compare the session logs A and B: settings, strides, stimulation, bytes. Differences are B − A.
+
+    Strides are matched by time, by the best shift if the clocks differ, else by number. When a log was made and how
+    long decisions took makes no difference.
+
+    Exit code: 0 identical, 1 different, 2 unusable input.
+    """
+    from rich.console import Console
+
+    from fes.log_comparison import compare_logs
+
+    try:
+        result = compare_logs(read_session(a), read_session(b))
+    except SessionLogError as error:
+        fail(error)
+    if as_json:
+        click.echo(json.dumps({"a": str(a), "b": str(b), **to_json(result)}, indent=2, ensure_ascii=False))
+    else:
+        console = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
+        console.print(_said(a, b, result, every))
+    if not result.identical:
+        raise SystemExit(FAILED)
+
+
+def to_json(result: Comparison) -> dict[str, Any]:
+    """Plain values, None for what is not known."""
+    from fes.log_comparison import QUANTITIES
+
+    spreads = {name: result.spread(name) for name in QUANTITIES}
+    return {
+        "identical": result.identical,
+        "settings": [{"name": name, "a": _known(a), "b": _known(b)} for name, a, b in result.settings],
+        "shift_s": result.shift_s,
+        "matched_by": result.matched_by,
+        "counts": {name: {"a": a, "b": b} for name, (a, b) in result.counts.items()},
+        "first_difference": {"commands": result.commands, "frames": result.frames, "phases": result.phases},
+        "only_in_a": [_name(stride) for stride in result.only_a],
+        "only_in_b": [_name(stride) for stride in result.only_b],
+        "differences": {
+            name: {"n": s.n, "mean": _known(s.mean), "sd": _known(s.sd), "greatest": _known(s.greatest)}
+            for name, s in spreads.items()
+        },
+        "strides": [
+            {
+                "foot": each.foot,
+                "number_a": each.number_a,
+                "number_b": each.number_b,
+                "start_s": each.start_s,
+                "same": each.same,
+                **{name: _known(value) for name, value in each.differences.items()},
+            }
+            for each in result.pairs
+        ],
+    }
+
+
+def _known(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _name(stride: StrideResult) -> str:
+    return f"{stride.foot} {stride.number}"
+
+
+def _said(a: Path, b: Path, result: Comparison, every: bool) -> RenderableType:
+    from rich.console import Group
+    from rich.text import Text
+
+    lines: list[RenderableType] = [Text(f"A  {a}\nB  {b}")]
+    if result.settings:
+        shown = result.settings[:SETTINGS_SHOWN]
+        lines.append(Text(f"{len(result.settings)} settings differ:", style="yellow"))
+        lines += [Text(f"  {name}: {_short(one)} → {_short(other)}") for name, one, other in shown]
+        if len(result.settings) > len(shown):
+            lines.append(Text(f"  … and {len(result.settings) - len(shown)} more: --json shows them all"))
+    else:
+        lines.append(Text("The settings are the same."))
+    if result.matched_by == "number":
+        lines.append(Text(BY_NUMBER, style="yellow"))
+    elif result.shift_s:
+        lines.append(Text(f"B's clock is {result.shift_s:+.3f} s against A's; that is taken off.", style="yellow"))
+    different = [each for each in result.pairs if not each.same]
+    if different or every:
+        lines.append(_table(result, every))
+    for where, strides in (("A", result.only_a), ("B", result.only_b)):
+        if strides:
+            names = ", ".join(map(_name, strides[:8])) + (" …" if len(strides) > 8 else "")
+            lines.append(Text(f"Only in {where}: {len(strides)} strides ({names})", style="yellow"))
+    lines.append(Text(f"{len(result.pairs)} strides in both, {len(result.pairs) - len(different)} of them the same."))
+    for what, difference in (("phases", result.phases), ("commands", result.commands), ("bytes", result.frames)):
+        said = f"first difference: {difference}" if difference else "the same"
+        lines.append(Text(f"{what.capitalize():<9} {said}", style="yellow" if difference else ""))
+    lines.append(Text("Identical." if result.identical else "Different.", style="green" if result.identical else "red"))
+    return Group(*lines)
+
+
+def _short(value: Any) -> str:
+    text = "–" if value is None else str(value)
+    return text if len(text) <= 40 else f"{text[:39]}…"
+
+
+def _table(result: Comparison, every: bool) -> RenderableType:
+    """A row per stride that differs (or all), the spread below; at most 80 columns wide."""
+    from rich import box
+    from rich.table import Table
+
+    from fes.log_comparison import QUANTITIES
+    from fes.view.tables import number
+
+    different = [each for each in result.pairs if every or not each.same]
+    rows = different if every else different[:ROWS]
+    left = f"; the first {ROWS} of {len(different)}" if len(rows) < len(different) else ""
+    table = Table(
+        title=f"{'All strides' if every else 'Strides that differ'}, B − A{left}",
+        caption="T1 to stance: entries into the phases; on, off: stimulation, greatest of the foot's channels.",
+        caption_justify="left",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=0,
+        pad_edge=False,
+        show_edge=False,
+    )
+    table.add_column("\nfoot", no_wrap=True)
+    for title in ("\nA", "\nB", "start\ns", "A's len.\nm", *_TITLES.values()):
+        table.add_column(title, justify="right", no_wrap=True)
+    for each in rows:
+        values = [number(each.differences[name], 2 if name.endswith("_cm") else 0) for name in QUANTITIES]
+        table.add_row(
+            {"left_foot": "L", "right_foot": "R"}.get(each.foot, each.foot),
+            str(each.number_a),
+            str(each.number_b),
+            number(each.start_s, 1),
+            number(each.length_m[0], 2),
+            *values,
+        )
+    table.add_section()
+    for label, part in (("mean", "mean"), ("SD", "sd"), ("greatest", "greatest")):
+        values = [number(getattr(result.spread(n), part), 2 if n.endswith("_cm") else 1) for n in QUANTITIES]
+        table.add_row(label, "", "", "", "", *values, style="bold")
+    return table

@@ -1,0 +1,49 @@
+"""``fes convert``: a session log for other programs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from fes.cli.exits import fail
+from fes.journal import SessionLogError
+
+FORMATS = ("csv", "parquet", "mcap")
+
+
+@click.command(name="convert")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--to", "form", type=click.Choice(FORMATS), help="Format. Default: what --out ends with, else csv.")
+@click.option("--out", type=click.Path(path_type=Path), help="New folder, or MCAP file. Default: beside LOG.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
+def command(log: Path, form: str | None, out: Path | None, as_json: bool) -> None:
+    """Convert the session log LOG to CSV, Parquet or MCAP.
+
+    CSV and Parquet: a new folder with a file for each table (samples of each sensor, phases, strides, commands,
+    answers, notes, latency …). MCAP: one file, which Foxglove and PlotJuggler open. Nothing is overwritten. Of a
+    damaged log everything that is whole is converted.
+
+    Exit code: 0 converted, 2 unusable input.
+    """
+    from fes.export.files import to_csv, to_parquet
+    from fes.export.mcap_file import to_mcap
+
+    chosen = form or (out.suffix[1:] if out is not None and out.suffix[1:] in FORMATS else "csv")
+    target = out or log.with_name(f"{log.stem}.mcap" if chosen == "mcap" else f"{log.stem}-{chosen}")
+    try:
+        exported = {"csv": to_csv, "parquet": to_parquet, "mcap": to_mcap}[chosen](log, target)
+    except SessionLogError as error:
+        fail(error)
+    if exported.damages or not exported.ended:
+        lost = sum(damage.size for damage in exported.damages)
+        what = f"{len(exported.damages)} damaged places, {lost} bytes" if lost else "its end"
+        click.secho(f"{log} lacks {what}; `fes recover {log}` says what that was.", fg="yellow", err=True)
+    if as_json:
+        click.echo(json.dumps({"format": chosen, "to": str(target), "rows": exported.rows}, indent=2))
+        return
+    width = max(map(len, exported.rows), default=0)
+    for name, rows in sorted(exported.rows.items()):
+        click.echo(f"  {name:<{width}}  {rows:>9} rows")
+    click.echo(f"Converted  {target}")
