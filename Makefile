@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint format bench bench-accuracy peers nightly docs trials lock clean
+.PHONY: help hil demo test lint format bench bench-accuracy peers nightly mutants hazards docs trials lock clean
 
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
@@ -13,9 +13,12 @@ help:
 	@echo "make lint     style and types only"
 	@echo "make bench    accuracy: bundled trials, and real recordings in FES_DATA or ../shared/data"
 	@echo "make bench-accuracy  one table of accuracy, ours and other libraries' on the same recordings (about 5 minutes)"
+	@echo "make hil      the whole fault campaign on every transport of this machine; takes hours"
 	@echo "make docs     regenerate the generated parts of docs/"
 	@echo "make trials   regenerate sim_inputs/ from its seeds"
 	@echo "make nightly  the tests that take long: fuzzing, many examples"
+	@echo "make mutants  mutation testing of the gate and the plan; an unexplained survivor is an error (about 20 minutes)"
+	@echo "make hazards  takes each hazard's control out of a copy and sees its test fail (about 5 minutes)"
 
 $(VENV)/run.stamp: requirements.lock pyproject.toml
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "fes needs Python 3.11 or newer; set PYTHON=python3.11")'
@@ -47,9 +50,13 @@ bench: $(VENV)/dev.stamp
 	$(BIN)/python benchmarks/bundled_trials.py
 	$(BIN)/python benchmarks/stroke_treadmill.py
 	$(BIN)/python benchmarks/stride_length.py
+	$(BIN)/python benchmarks/clearance.py
 	$(BIN)/python benchmarks/events.py
 	$(BIN)/python benchmarks/zero_velocity.py
 	$(BIN)/python benchmarks/ankle.py
+	$(BIN)/python benchmarks/shank_phases.py
+	$(BIN)/python benchmarks/orientation.py
+	$(BIN)/python benchmarks/orientation_limits.py
 
 bench-accuracy: $(VENV)/dev.stamp $(PEERS)/peers.stamp
 	$(BIN)/python benchmarks/accuracy_table.py --peers $(PEERS)/bin/python
@@ -65,8 +72,28 @@ $(PEERS)/peers.stamp: requirements-peers.lock
 nightly: $(VENV)/dev.stamp
 	FES_EXAMPLES=nightly $(BIN)/python -m pytest -m "slow or not slow"
 
-docs: $(VENV)/run.stamp
+# In scratch copies: the checkout is not touched, except for docs/mutants.md.
+mutants: $(VENV)/dev.stamp
+	$(BIN)/python tests/mutation/mutants.py --write
+
+hazards: $(VENV)/dev.stamp
+	$(BIN)/python tests/safety/hazard_mutants.py
+
+docs: $(VENV)/dev.stamp
 	$(BIN)/python -m statemachine.diagram --write docs/phases.md
+	$(BIN)/python tests/safety/documents.py --write
+
+# Every fault on every transport, then kill -9 100 times on each and 1,000,000 random frames; some hours. A transport
+# that this machine has not is named and passed over.
+HIL_TRANSPORTS ?= udp_multicast slcan serial serial_rehastim2 socketcan
+hil: $(VENV)/run.stamp
+	worst=0; for transport in $(HIL_TRANSPORTS); do \
+	  for what in "" "--only controller_killed --repeat 100"; do \
+	    $(BIN)/fes hil --transport $$transport $$what; code=$$?; \
+	    test $$code -eq 0 -o $$code -eq 2 || worst=$$code; \
+	  done; \
+	done; \
+	$(BIN)/fes hil --only random_frames --repeat 167 || worst=$$?; exit $$worst
 
 trials: $(VENV)/run.stamp
 	$(BIN)/fes trials sim_inputs

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 
 import pytest
+from hypothesis import HealthCheck, settings
 from replays import Replays
 
 from drivers.virtual import spawn
@@ -19,6 +20,10 @@ if TEST_BUS := os.environ.get("FES_TEST_BUS", ""):
         return plain_free_bus(interface) if interface else Bus(interface=named, channel=channel)
 
     spawn.free_bus = free_bus
+
+if "MUTANT_UNDER_TEST" in os.environ:  # a busy machine must not look like a test that noticed the mutant
+    settings.register_profile("mutants", derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
+    settings.load_profile("mutants")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -93,6 +93,7 @@ def test_with_both_the_foot_drives_and_the_shank_is_recorded(tmp_path: Path) -> 
     assert len(record.samples["right_shank"].t_ns) == len(shank.t_ns)
 
 
+@pytest.mark.requirement("SR-21")
 def test_another_rate_is_refused(tmp_path: Path) -> None:
     save(calibrate_sensors(shank_recording(), ["right_shank"]), tmp_path / "c.json")
     half = keep(shank_track(), slice(None, None, 2))
@@ -103,6 +104,7 @@ def test_another_rate_is_refused(tmp_path: Path) -> None:
         drivers_from(tmp_path / "c.json", recording)
 
 
+@pytest.mark.requirement("SR-21")
 @pytest.mark.parametrize("name", ["right_shank", "right_foot"])
 def test_a_sensor_that_was_moved_is_refused(tmp_path: Path, name: str) -> None:
     recording = shank_recording() if name == "right_shank" else trial("example_csv")
@@ -138,6 +140,7 @@ def test_a_spoilt_file_is_refused(tmp_path: Path, change: Any, message: str) -> 
         load(path)
 
 
+@pytest.mark.requirement("SR-21")
 def test_left_is_told_from_right_only_when_the_signs_agree() -> None:
     clear = 0.5 * USUAL_DIFFERENCE
     assert tell_sides(clear, -clear).left == 0
@@ -157,6 +160,7 @@ def unlabelled(recording: Recording, names: dict[str, str]) -> Recording:
     )
 
 
+@pytest.mark.requirement("SR-21")
 def test_feet_without_a_label_are_never_driven_and_a_label_is_asked_for() -> None:
     recording = unlabelled(trial("example_csv"), {"right_foot": "foot_a"})
     with pytest.raises(CalibrationError, match=r"rename \[sensors\.foot_a\] to \[sensors\.left_foot\]"):

@@ -33,6 +33,7 @@ def test_a_fitting_answer_settles_its_channels_older_commands_and_no_others() ->
     assert len(answers) == 0
 
 
+@pytest.mark.requirement("SR-13")
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
@@ -62,6 +63,7 @@ def test_an_answer_to_nothing_is_held_against_nothing(status: Status) -> None:
     assert len(answers) == 1
 
 
+@pytest.mark.requirement("SR-13")
 def test_a_late_answer_is_told_once() -> None:
     answers = waiting()
     assert answers.overdue(ANSWER_WITHIN_MS * MS) is None

@@ -78,6 +78,7 @@ def test_every_limit_of_the_project_can_be_expressed_and_so_can_more() -> None:
     assert can_codec.decode_command(*frame) == Command(15, 65535, 7, True, 130.0, 500.0, 100.0, 60)
 
 
+@pytest.mark.requirement("SR-14")
 @pytest.mark.parametrize("frame", [case[0] for case in GOLDEN])
 @pytest.mark.parametrize("flipped", [1, 2, 3])
 def test_up_to_three_flipped_bits_are_always_seen(frame: Frame, flipped: int) -> None:

@@ -104,6 +104,7 @@ def test_without_a_session_nothing_is_executed() -> None:
     assert bench.node.rejected == 1
 
 
+@pytest.mark.requirement("SR-12")
 @given(validity_ms=st.integers(1, 60), sent_us=st.integers(0, 200_000))
 def test_lease_ends_to_the_microsecond(validity_ms: int, sent_us: int) -> None:
     bench = Bench()
@@ -147,6 +148,7 @@ def test_leases_are_each_channel_s_own() -> None:
     assert bench.is_silent()
 
 
+@pytest.mark.requirement("SR-12")
 def test_refused_commands_keep_no_lease_alive() -> None:
     bench = Bench()
     bench.send(command())
@@ -287,6 +289,7 @@ def test_opening_a_session_turns_everything_off_and_restarts_the_count() -> None
     assert bench.send(command(), counter=0, session_id=SESSION + 1) is Result.OK
 
 
+@pytest.mark.requirement("SR-14")
 @given(st.integers(0, 40), st.booleans(), st.booleans())
 @settings(max_examples=40)
 def test_a_captured_session_played_back_later_executes_nothing(start: int, new_session: bool, reboot: bool) -> None:

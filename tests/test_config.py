@@ -166,6 +166,7 @@ def test_missing_top_level_name_is_not_mistaken_for_a_channels(tmp_path: Path) -
     assert message(tmp_path, text) == "session.toml: name: is required and missing"
 
 
+@pytest.mark.requirement("SR-17")
 def test_missing_limits_are_a_refusal(tmp_path: Path) -> None:
     """The first channel has lost its limits; the second channel's table must not be blamed."""
     lines = GOOD.split("\n")
@@ -174,6 +175,7 @@ def test_missing_limits_are_a_refusal(tmp_path: Path) -> None:
     assert message(tmp_path, "\n".join(lines)) == "session.toml:8: channels[0].limits: is required and missing"
 
 
+@pytest.mark.requirement("SR-17")
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [

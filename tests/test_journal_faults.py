@@ -56,6 +56,7 @@ def is_beginning(part: list[object], whole: list[object]) -> bool:
     return whole[: len(part)] == part
 
 
+@pytest.mark.requirement("SR-18")
 def test_every_cut_is_readable_and_loses_only_its_end(tmp_path: Path) -> None:
     data = small_log(tmp_path / "whole")
     events = list(iter_events(tmp_path / "whole"))
@@ -85,6 +86,7 @@ def test_every_cut_is_readable_and_loses_only_its_end(tmp_path: Path) -> None:
     assert clean > 20, "a cut between records loses nothing"
 
 
+@pytest.mark.requirement("SR-18")
 def test_every_flipped_bit_is_noticed(tmp_path: Path) -> None:
     data = small_log(tmp_path / "whole")
     events = list(iter_events(tmp_path / "whole"))
@@ -189,6 +191,7 @@ while True:
 """
 
 
+@pytest.mark.requirement("SR-18")
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="needs POSIX signals")
 def test_a_killed_writer_loses_at_most_250_ms(tmp_path: Path) -> None:
     path = tmp_path / "log"

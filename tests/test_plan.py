@@ -166,6 +166,7 @@ def test_stop_before_the_delay_is_over_drops_the_burst() -> None:
     assert walk.current(400) == 0.0
 
 
+@pytest.mark.requirement("SR-02")
 @pytest.mark.parametrize("end", [PRE_SWING, SWING, LOADING])
 def test_into_stance_cuts_off_at_once(end: Phase) -> None:
     """T5, T6 and T4."""
@@ -181,6 +182,7 @@ def test_into_stance_cuts_off_at_once(end: Phase) -> None:
     assert walk.current(walk.t_ms + 500) == 0.0
 
 
+@pytest.mark.requirement("SR-02")
 def test_lost_phase_cuts_off_and_starts_nothing() -> None:
     walk = Walk(make_channel(start_phase="stance", stop_phase="swing"))
     walk.plan.on_phase(PhaseChange(0, "left_foot", Transition.NONE, SWING, STANCE), permitted=True)
@@ -225,6 +227,7 @@ def test_no_fall_time_is_a_cut() -> None:
     assert walk.current(101) == 0.0
 
 
+@pytest.mark.requirement("SR-02")
 def test_not_permitted_at_the_start_means_not_in_this_cycle() -> None:
     walk = Walk()
     walk.enter(PRE_SWING, permitted=False)
@@ -245,6 +248,7 @@ def test_permission_counts_at_the_start_only() -> None:
     assert walk.current(200) == 20.0
 
 
+@pytest.mark.requirement("SR-02")
 def test_skipped_start_phase_means_no_burst() -> None:
     walk = Walk(make_channel(start_phase="swing", stop_phase="stance"))
     walk.enter(PRE_SWING)
@@ -412,6 +416,7 @@ def test_late_news_of_a_start_does_not_jump() -> None:
     assert walk.current(110) == 2.0
 
 
+@pytest.mark.requirement("SR-08")
 def test_antagonist_waits_until_its_partner_is_off() -> None:
     calf = make_channel(0, start_phase="swing", stop_phase="stance", never_with=[1])
     walk = Walk(calf, make_channel(1))

@@ -70,6 +70,7 @@ def channels_of(record: SessionRecord) -> list[int]:
     return sorted({command.channel for command in record.commands})
 
 
+@pytest.mark.requirement("SR-02")
 @pytest.mark.parametrize("name", WALKING)
 def test_walking_is_stimulated_in_swing_and_never_else(replays: Replays, name: str) -> None:
     record = replays.of(name)
@@ -116,6 +117,7 @@ def test_not_one_burst_that_a_clinician_would_call_wrong(replays: Replays) -> No
         assert moving[0][0] < first_s < last_s < moving[-1][1]
 
 
+@pytest.mark.requirement("SR-02")
 @pytest.mark.parametrize("name", [*WALKING, "soft_contact", "not_walking"])
 def test_on_only_in_the_phases_asked_for(replays: Replays, name: str) -> None:
     """By the phases as they were found, to the sample: nothing is on in a stance that has been seen."""
@@ -130,6 +132,7 @@ def test_on_only_in_the_phases_asked_for(replays: Replays, name: str) -> None:
             assert not (command.on and newest.destination.name == "STANCE")
 
 
+@pytest.mark.requirement("SR-20")
 def test_a_replay_repeated_is_the_same(replays: Replays, tmp_path: Path) -> None:
     again = replay(TRIALS / "example_csv.csv", tmp_path)
     assert same_outputs(again, replays.of("example_csv"))
@@ -157,6 +160,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out / "example_csv-001" / "session.feslog"
 
 
+@pytest.mark.requirement("SR-20")
 def test_a_log_gives_the_same_bytes(log: Path) -> None:
     record = read_session(log)
     again = repeat(log)

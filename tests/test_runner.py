@@ -214,6 +214,7 @@ def breaks_poll(bench: Bench) -> Exception:
     return error
 
 
+@pytest.mark.requirement("SR-19")
 @pytest.mark.parametrize("breaking", [breaks_controller, breaks_log, breaks_command_log, breaks_poll])
 def test_whatever_breaks_every_channel_is_switched_off(breaking: Callable[[Bench], Exception]) -> None:
     bench = Bench()
@@ -320,6 +321,7 @@ def _fields(value: Any) -> dict[str, Any]:
     return {name: getattr(value, name) for name in value.__dataclass_fields__}
 
 
+@pytest.mark.requirement("SR-09")
 def test_silence_switches_off_within_the_data_age() -> None:
     bench = Bench()
     ticks: list[Event] = [Tick(ms * MS) for ms in range(310, 600, 10)]
@@ -329,6 +331,7 @@ def test_silence_switches_off_within_the_data_age() -> None:
     assert "ms old" in bench.gate.latched
 
 
+@pytest.mark.requirement("SR-16")
 def test_emergency_stop_is_off_at_once_and_stays() -> None:
     bench = Bench()
     bench.run(armed(600, [OperatorAct(312 * MS, OperatorAction.EMERGENCY_STOP)]))

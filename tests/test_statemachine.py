@@ -212,6 +212,7 @@ def machine_in(phase: Phase) -> GaitPhaseMachine:
 FALSE = {transition: RESTING if transition.value <= 3 else MOVING for transition in GUARDS}
 
 
+@pytest.mark.requirement("SR-03")
 @pytest.mark.parametrize("allowed", [True, False], ids=["guard true", "guard false"])
 @pytest.mark.parametrize("transition", list(Transition), ids=lambda t: t.name)
 @pytest.mark.parametrize("phase", list(Phase), ids=lambda p: p.name)
@@ -322,6 +323,7 @@ def _fired(values: np.ndarray, p: Thresholds, out: np.ndarray) -> None:
             out[i, phase] = kernel.first_transition(phase, x, p)
 
 
+@pytest.mark.requirement("SR-03")
 def test_compiled_guards_are_the_table_on_an_exhaustive_grid() -> None:
     values = np.array(GRID, dtype=np.float64)
     fired = np.empty((len(values), 4), np.int64)

@@ -18,6 +18,8 @@ from fes.recording.sidecar import Sidecar
 from fes.recording.tracks import RecordingError
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
+LARGEST_TIME_S = 4e9  # beyond the year 2096
+
 
 class _Collector:
     """Gathers one sensor's messages and pairs them into samples."""
@@ -97,6 +99,8 @@ def read_can_log(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, 
             wanted.setdefault(key, (message, []))[1].append(collector)
     first_ns: int | None = None
     for frame, received in enumerate(_frames(path), start=1):
+        if not abs(received.timestamp) < LARGEST_TIME_S:
+            raise RecordingError(f"{path}: frame {frame} has the time {received.timestamp:g} s, which cannot be")
         t_ns = round(received.timestamp * NS_PER_S)
         first_ns = t_ns if first_ns is None else first_ns
         message, receivers = wanted.get((received.arbitration_id, received.is_extended_id), (None, []))

@@ -126,7 +126,7 @@ class Table:
         self._check_names(self.parquet_names(self.path), wanted)
         try:
             return parquet.read_table(self.path, columns=wanted, page_checksum_verification=True)
-        except (pa.ArrowException, OSError) as error:
+        except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
             raise RecordingError(
                 f"{self.path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
             ) from error
@@ -158,7 +158,7 @@ class Table:
             )
         try:
             return list(parquet.read_schema(path).names)
-        except (pa.ArrowException, OSError) as error:
+        except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
             raise RecordingError(
                 f"{path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
             ) from error

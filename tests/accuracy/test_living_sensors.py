@@ -79,6 +79,7 @@ def test_bundled_sensors_are_plausible() -> None:
         assert not complaints(track, calibrate_track(track).up)
 
 
+@pytest.mark.requirement("SR-10")
 @pytest.mark.data
 @pytest.mark.skipif(not RUNS, reason=f"no recordings in {DATA / 'stroke_treadmill'}; set FES_DATA")
 @pytest.mark.parametrize("path", RUNS, ids=lambda path: path.stem)
@@ -96,6 +97,7 @@ def test_real_sensors_are_plausible(path: Path) -> None:
         assert not complaints(track, up)
 
 
+@pytest.mark.requirement("SR-10")
 @pytest.mark.data
 @pytest.mark.skipif(not RUNS, reason=f"no recordings in {DATA / 'stroke_treadmill'}; set FES_DATA")
 @pytest.mark.parametrize("path", RUNS, ids=lambda path: path.stem)

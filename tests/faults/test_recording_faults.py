@@ -63,6 +63,7 @@ def hole(begin_ns: int, length_ms: int) -> Callable[[Track], Track]:
     return lambda track: keep(track, (track.t_ns <= begin_ns) | (track.t_ns > begin_ns + length_ms * MS))
 
 
+@pytest.mark.requirement("SR-01", "SR-09")
 def test_a_hole_of_60_ms_in_mid_swing_is_off_until_somebody_arms(
     walking: Recording, sound: SessionRecord, tmp_path: Path
 ) -> None:
@@ -115,6 +116,7 @@ def test_doubled_samples_change_nothing(walking: Recording, sound: SessionRecord
     assert record.summary["samples"]["right_foot"]["doubled_or_backward"] == count
 
 
+@pytest.mark.requirement("SR-10")
 def test_a_sensor_that_freezes_in_mid_swing_is_off_within_a_tenth_of_a_second(
     walking: Recording, sound: SessionRecord, tmp_path: Path
 ) -> None:

@@ -74,6 +74,7 @@ def differences(golden: dict[str, Any], now: dict[str, Any]) -> list[str]:
     return found
 
 
+@pytest.mark.requirement("SR-20")
 def test_the_trial_gives_the_golden_frames(replays: Replays, request: pytest.FixtureRequest) -> None:
     now = result_of(replays.of(TRIAL))
     if request.config.getoption("--update-golden"):

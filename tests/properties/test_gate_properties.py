@@ -7,14 +7,18 @@ anew, from the words of the settings.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
+from examples import examples
 from hypothesis import event as note
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fes.config import Channel
+from fes.config import Channel, ImuDevice
 from fes.gate import SafetyGate
 from fes.signals import (
     Event,
@@ -62,8 +66,58 @@ def make_channel(number: int, foot: str, never_with: tuple[int, ...], **limits: 
 CHANNELS = (
     make_channel(0, "left_foot", (1,)),
     make_channel(1, "left_foot", ()),
-    make_channel(2, "right_foot", (), max_on_s=3.0, max_rise_ma_per_s=2000.0),
+    make_channel(2, "right_foot", (), max_on_s=3.0, max_rise_ma_per_s=2000.0, max_charge_per_minute_mc=0.1),
 )
+DEVICES = (ImuDevice(sensor="left_foot", device="xbus", port="tty", rate_hz=100, acc_range_g=4, gyr_range_dps=1000),)
+UP = {"left_foot": (0.0, 0.0, 1.0)}
+DRIVEN_BY = {"right_foot": "right_shank"}  # the right foot's phases are told by its shank
+SENSORS = ("left_foot", "right_foot", "right_shank")
+LASTING_NS = 80 * MS
+ACC_END, GYR_END = 0.995 * 4 * 9.80665, 0.995 * math.radians(1000)
+
+
+def grown(samples: list[ImuSample], wrong: Callable[[ImuSample], bool]) -> int:
+    """For how long, up to the newest, all samples have been wrong (ns); -1 if the newest is not."""
+    began_ns = -1
+    for sample in reversed(samples):
+        if not wrong(sample):
+            break
+        began_ns = sample.t_ns
+    return samples[-1].t_ns - began_ns if began_ns >= 0 else -1
+
+
+def force(sample: ImuSample) -> float:
+    return math.hypot(*sample.acc_mps2)
+
+
+def rests_turned_over(sample: ImuSample) -> bool:
+    """At rest, and more than 65° from the calibrated vertical, which is the sensor's z."""
+    rests = abs(force(sample) - 9.80665) <= 1.5 and max(map(abs, sample.gyr_radps)) <= 0.5
+    return rests and sample.acc_mps2[2] < force(sample) * math.cos(math.radians(65))
+
+
+def at_its_end(sample: ImuSample) -> bool:
+    return max(map(abs, sample.acc_mps2)) >= ACC_END or max(map(abs, sample.gyr_radps)) >= GYR_END
+
+
+def impossible(samples: list[ImuSample]) -> bool:
+    """What the newest sample, with those before it, must latch."""
+    newest = samples[-1]
+    if max(map(abs, newest.gyr_radps)) > 40.0:
+        return True
+    lasting: list[Callable[[ImuSample], bool]] = [
+        lambda s: force(s) < 3.0,
+        lambda s: force(s) > 60.0,
+        lambda s: (s.acc_mps2, s.gyr_radps) == (newest.acc_mps2, newest.gyr_radps),
+    ]
+    if newest.sensor == "left_foot":
+        lasting.append(at_its_end)
+    if any(grown(samples, wrong) >= LASTING_NS for wrong in lasting):
+        return True
+    steps = [(b.t_ns, b.t_sensor_ns - a.t_sensor_ns) for a, b in pairwise(samples)]
+    recent = [step_ns for t_ns, step_ns in steps if newest.t_ns - t_ns <= 1_000 * MS]
+    slips = sum(step_ns <= 0 for step_ns in recent)
+    return slips >= 3 and slips > 0.05 * len(recent)
 
 
 class Oracle:
@@ -78,6 +132,8 @@ class Oracle:
         self.sent: dict[str, int] = {}
         self.finite: dict[str, bool] = {}
         self.passed: dict[int, list[tuple[int, bool, float]]] = {channel.number: [] for channel in CHANNELS}
+        self.samples: dict[str, list[ImuSample]] = {}
+        self.charged: dict[int, list[tuple[int, float]]] = {channel.number: [] for channel in CHANNELS}
         self.stimulated = 0
 
     def see(self, event: Event) -> None:
@@ -88,6 +144,10 @@ class Oracle:
                 ok = not any(math.isnan(v) or math.isinf(v) for v in event.acc_mps2 + event.gyr_radps)
                 self.finite[event.sensor] = ok
                 self.trouble |= not ok
+                heard = self.samples.setdefault(event.sensor, [])
+                heard.append(event)
+                self.trouble |= impossible(heard)
+                del heard[:-400]
                 self.arrived[event.sensor] = event.t_ns
                 self.sent[event.sensor] = max(event.t_sensor_ns, self.sent.get(event.sensor, -1 << 60))
             case OperatorAct(action=OperatorAction.ARM):
@@ -106,7 +166,10 @@ class Oracle:
 
     def fresh(self, foot: str, t_ns: int) -> bool:
         """In these trials the sensors' clocks agree with the host's, so a stamp's age is the data's age."""
+        foot = DRIVEN_BY.get(foot, foot)
         if not self.finite.get(foot, False):
+            return False
+        if foot in UP and grown(self.samples[foot], rests_turned_over) >= LASTING_NS:
             return False
         return t_ns - self.arrived[foot] <= AGE_MS * MS and t_ns - self.sent[foot] <= AGE_MS * MS
 
@@ -118,6 +181,7 @@ class Oracle:
             assert (command.current_ma, command.pulse_width_us, command.frequency_hz) == (0.0, 0.0, 0.0)
             if command.channel in self.passed:
                 self.passed[command.channel].append((t_ns, False, 0.0))
+                self.charged[command.channel].append((t_ns, 0.0))
             return
         self.stimulated += 1
         channel = CHANNELS[command.channel]
@@ -127,7 +191,20 @@ class Oracle:
         assert self.fresh(channel.foot, t_ns)
         self.check_pulse(channel, command)
         self.check_history(channel, t_ns, command.current_ma)
+        self.check_charge(channel, t_ns)
         self.passed[channel.number].append((t_ns, True, command.current_ma))
+        rate_uc_per_s = command.current_ma * command.pulse_width_us * command.frequency_hz / 1000
+        self.charged[channel.number].append((t_ns, rate_uc_per_s))
+
+    def check_charge(self, channel: Channel, t_ns: int) -> None:
+        """Each command counts until the next, or until its validity ends; only the last minute counts."""
+        times = self.charged[channel.number]
+        ends = [then_ns for then_ns, _ in times[1:]] + [t_ns]
+        spent_uc = 0.0
+        for (then_ns, rate_uc_per_s), next_ns in zip(times, ends, strict=False):
+            begin_ns = max(then_ns, t_ns - 60_000 * MS)
+            spent_uc += rate_uc_per_s * max(min(next_ns, then_ns + VALIDITY_MS * MS) - begin_ns, 0) / 1e9
+        assert spent_uc < channel.limits.max_charge_per_minute_mc * 1000 + 1e-6
 
     def check_pulse(self, channel: Channel, c: StimCommand) -> None:
         own = channel.limits
@@ -169,7 +246,9 @@ class Trial:
     """Gate and oracle on one clock."""
 
     def __init__(self) -> None:
-        self.gate = SafetyGate(CHANNELS, max_data_age_ms=AGE_MS, validity_ms=VALIDITY_MS)
+        self.gate = SafetyGate(
+            CHANNELS, max_data_age_ms=AGE_MS, validity_ms=VALIDITY_MS, devices=DEVICES, up=UP, driven_by=DRIVEN_BY
+        )
         self.oracle = Oracle()
         self.t_ns = 0
 
@@ -177,10 +256,23 @@ class Trial:
         self.gate.observe(event)
         self.oracle.see(event)
 
-    def feed(self, late_ms: int = 0, value: float = 9.8, feet: tuple[str, ...] = ("left_foot", "right_foot")) -> None:
+    def feed(self, late_ms: int = 0, value: float = 9.8, feet: tuple[str, ...] = SENSORS) -> None:
         for foot in feet:
             alive = 1e-9 * (self.t_ns % 1_000_003)  # no living sensor repeats itself
             self.observe(ImuSample(self.t_ns, foot, self.t_ns - late_ms * MS, (0.0, 0.0, value), (0.0, 0.0, alive)))
+
+    def odd(self, kind: str, sensor: str, steps: int, period_ms: int, number: int) -> None:
+        """One sensor goes wrong while the others are well; a channel is asked for all the while."""
+        before_ns = self.t_ns
+        for _ in range(steps):
+            self.t_ns += period_ms * MS
+            self.feed(feet=tuple(name for name in SENSORS if name != sensor))
+            alive = 1e-9 * (self.t_ns % 1_000_003)
+            acc, gyr, sent_ns = ODD[kind]
+            gyr = (gyr, 0.0, 0.0 if kind == "frozen" else alive)
+            stamp_ns = before_ns if sent_ns == "doubled" else self.t_ns
+            self.observe(ImuSample(self.t_ns, sensor, stamp_ns, (0.0, 0.0, acc), gyr))
+            self.judge(StimRequest(number, True, 0.5, 300.0, 40.0))
 
     def judge(self, request: StimRequest) -> StimCommand:
         command = self.gate.judge(self.t_ns, request)
@@ -205,6 +297,17 @@ class Trial:
             self.judge(StimRequest(number, True, min(current_ma, 0.5 + ramp_ma * step), 300.0, 40.0))
 
 
+ODD = {
+    "weak": (1.0, 0.0, ""),
+    "strong": (61.0, 0.0, ""),
+    "at its end": (39.1, 0.0, ""),
+    "fast": (9.8, 40.1, ""),
+    "turned over": (-9.8, 0.0, ""),
+    "frozen": (9.8, 0.0, ""),
+    "doubled": (9.8, 0.0, "doubled"),
+    "well": (9.8, 0.0, ""),
+}
+
 weird = st.sampled_from([math.nan, math.inf, -1.0, 0.0, 1e300, 10**400, True, None, "3"])
 near = {
     "current_ma": st.floats(0.1, 32.0) | st.floats(0.1, 5.0),
@@ -222,7 +325,15 @@ wild = st.builds(
 )
 
 operations: st.SearchStrategy[tuple[Any, ...]] = st.one_of(
-    st.tuples(st.just("wait"), st.sampled_from([0, 1, 5, 20, 20, 20, 39, 45, 61, 110])),
+    st.tuples(st.just("wait"), st.sampled_from([0, 1, 5, 20, 20, 20, 39, 45, 61, 110, 30_000, 61_000])),
+    st.tuples(
+        st.just("odd"),
+        st.sampled_from(sorted(ODD)),
+        st.sampled_from(SENSORS),
+        st.integers(1, 15),
+        st.sampled_from([2, 5, 10, 20]),
+        st.integers(0, 2),
+    ),
     st.tuples(st.just("feed"), st.sampled_from([0, 0, 0, 0, 5, 39, 50])),
     st.tuples(st.just("arm")),
     st.tuples(st.just("judge"), fitting | offs),
@@ -254,6 +365,8 @@ def play(trial: Trial, operation: tuple[Any, ...]) -> None:
             trial.arm()
         case ("judge", request):
             trial.judge(request)
+        case ("odd", *details):
+            trial.odd(*details)
         case ("stretch", *details):
             trial.stretch(*details)
         case ("event", kind):
@@ -281,8 +394,9 @@ def happen(trial: Trial, kind: str) -> None:
     trial.observe(events[kind])
 
 
+@pytest.mark.requirement("SR-01", "SR-04", "SR-05", "SR-06", "SR-07", "SR-08", "SR-09", "SR-10", "SR-11")
 @given(st.lists(operations, max_size=40))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300, 60_000), deadline=None)
 def test_nothing_beyond_a_limit_leaves_the_gate(script: list[tuple[Any, ...]]) -> None:
     trial = Trial()
     trial.arm()
@@ -291,8 +405,9 @@ def test_nothing_beyond_a_limit_leaves_the_gate(script: list[tuple[Any, ...]]) -
     note("stimulated" if trial.oracle.stimulated else "silent")
 
 
+@pytest.mark.requirement("SR-05", "SR-06", "SR-07")
 @given(st.lists(st.tuples(st.integers(0, 25), st.integers(0, 2), st.floats(0.1, 30.0) | st.none()), max_size=80))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150, 45_000), deadline=None)
 def test_with_good_data_the_times_and_slopes_hold(script: list[tuple[int, int, float | None]]) -> None:
     """A person who arms again after every fault, so that long histories of bursts come about."""
     trial = Trial()
@@ -356,3 +471,56 @@ def test_oracle_objects_to_a_gate_that_lets_everything_through(broken: str) -> N
         trial.feed()
     with pytest.raises(AssertionError):
         out(number=1 if broken == "partner" else 0, current_ma=25.0 if broken == "rise" else 0.5)
+
+
+def seen(trial: Trial, kind: str, sensor: str) -> None:
+    """What the oracle alone sees of a sensor that goes wrong for 130 ms."""
+    for k in range(14):
+        trial.t_ns += 10 * MS
+        for name in SENSORS:
+            acc, gyr, sent = ODD[kind if name == sensor else "well"]
+            alive = 0.0 if (kind, name) == ("frozen", sensor) else 1e-9 * (k + 1)
+            stamp_ns = 0 if sent else trial.t_ns
+            trial.oracle.see(ImuSample(trial.t_ns, name, stamp_ns, (0.0, 0.0, acc), (gyr, 0.0, alive)))
+
+
+def passed_on(trial: Trial, number: int) -> None:
+    command = StimCommand(trial.t_ns, number, True, 0.5, 300.0, 40.0, VALIDITY_MS)
+    trial.oracle.check(trial.t_ns, StimRequest(number, True, 0.5, 300.0, 40.0), command)
+
+
+@pytest.mark.parametrize("kind", sorted(ODD))
+def test_oracle_objects_to_stimulating_on_data_that_cannot_be(kind: str) -> None:
+    trial = Trial()
+    trial.arm()
+    seen(trial, kind, "left_foot")
+    if kind == "well":
+        passed_on(trial, 0)
+        return
+    with pytest.raises(AssertionError):
+        passed_on(trial, 0)
+
+
+def test_oracle_looks_at_the_sensor_that_drives() -> None:
+    trial = Trial()
+    trial.arm()
+    trial.t_ns += 50 * MS
+    trial.feed(feet=("left_foot", "right_foot"))
+    with pytest.raises(AssertionError):
+        passed_on(trial, 2)
+
+
+def test_oracle_objects_to_more_than_a_minutes_charge() -> None:
+    """10 mA, 300 µs, 40 Hz are 120 µC/s, and channel 2 may have 100 µC a minute."""
+    trial = Trial()
+    trial.arm()
+    request = StimRequest(2, True, 10.0, 300.0, 40.0)
+    command = StimCommand(0, 2, True, 10.0, 300.0, 40.0, VALIDITY_MS)
+    for k in range(43):
+        trial.t_ns += 20 * MS
+        trial.feed()
+        if k == 42:
+            with pytest.raises(AssertionError):
+                trial.oracle.check(trial.t_ns, request, replace(command, t_ns=trial.t_ns))
+            break
+        trial.oracle.check(trial.t_ns, request, replace(command, t_ns=trial.t_ns))

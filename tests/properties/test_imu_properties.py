@@ -6,6 +6,7 @@ import contextlib
 import math
 import os
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,6 +22,7 @@ REALS = st.floats(width=32, allow_nan=False)
 XSENS = ImuDevice(sensor="left_foot", device="xsens_can", rate_hz=100.0, acc_range_g=16.0, gyr_range_dps=2000.0)
 
 
+@pytest.mark.requirement("SR-15")
 @BOUNDED
 @given(CHUNKS)
 def test_xbus_takes_any_bytes_and_finds_the_same_however_cut(chunks: list[bytes]) -> None:

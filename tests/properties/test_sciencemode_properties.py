@@ -104,6 +104,7 @@ def test_sciencemode2_finds_its_packets_in_noise(parts: list[tuple[bytes, Packet
     assert got == [packet for _, packet in parts]
 
 
+@pytest.mark.requirement("SR-15")
 @given(st.binary(max_size=3000))
 @settings(max_examples=300)
 def test_no_bytes_break_the_decoders(data: bytes) -> None:

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,6 +27,7 @@ NUMBERS = st.one_of(st.sampled_from(LIMITS), st.floats(-2000.0, 2000.0), st.floa
 FEATURES = st.builds(Features, st.booleans(), st.booleans(), *[NUMBERS] * 7)
 
 
+@pytest.mark.requirement("SR-03")
 @settings(deadline=None)
 @given(st.lists(FEATURES, min_size=1, max_size=40))
 def test_random_features_never_leave_the_table(stream: list[Features]) -> None:

@@ -212,6 +212,7 @@ def at_least(share: float, values: list[float], most: float) -> bool:
     return sum(value <= most for value in values) >= share * len(values)
 
 
+@pytest.mark.requirement("SR-12")
 @pytest.mark.parametrize(("blow", "times"), [(signal.SIGKILL, 10), (signal.SIGSTOP, 4)])
 def test_silence_within_the_lease_whatever_happens_to_the_controller(
     node: NodeHandle, blow: signal.Signals, times: int

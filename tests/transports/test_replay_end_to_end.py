@@ -80,6 +80,7 @@ def at_full_current(path: Path) -> bool:
     return bool(entries) and entries[-1].current_ma >= 29.0
 
 
+@pytest.mark.requirement("SR-12")
 def test_killed_in_mid_burst_the_node_is_silent_within_its_lease(
     recording: Path, node: NodeHandle, tmp_path: Path
 ) -> None:

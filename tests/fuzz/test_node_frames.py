@@ -1,0 +1,250 @@
+"""Frames that nobody sent: flipped, repeated, reordered, played back, random. The simulated stimulator executes none.
+
+In process, on the node's own logic: what counts is what its channels deliver, not what it answers.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import random
+from typing import Any
+
+import pytest
+from examples import examples
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.stimulator import can_codec, e2e
+from drivers.stimulator.can_messages import Frame, Result, Status
+from drivers.virtual.stimulator_node import MAX_COUNTER_STEP, StimulatorNode
+from fes.signals import StimCommand
+
+MS = 1_000_000
+BOOT, SESSION = 77, 0x1234
+IDENTIFIER_BITS, BITS = 11, 64
+EXECUTED = ("on", "level", "off", "session", "fault")
+
+
+def command(channel: int = 1, on: bool = True, current_ma: float = 20.0, width_us: float = 300.0) -> StimCommand:
+    return StimCommand(0, channel, on, current_ma, width_us, 40.0, 60)
+
+
+def opened(session_id: int = SESSION) -> StimulatorNode:
+    node = StimulatorNode(BOOT, 0)
+    node.receive(0, *can_codec.encode_open(BOOT, session_id))
+    assert node.session_id == session_id
+    node.take_record()
+    return node
+
+
+def outputs(node: StimulatorNode) -> list[Any]:
+    return [(c.on, c.levels, c.lease_end_ns, c.counter, c.blocked) for c in node.channels] + [node.session_id]
+
+
+def executed(node: StimulatorNode) -> int:
+    return sum(entry.event in EXECUTED for entry in node.take_record())
+
+
+def result_of(frames: list[Frame]) -> Result:
+    statuses = [m for m in (can_codec.decode(*frame) for frame in frames) if isinstance(m, Status)]
+    return statuses[-1].result
+
+
+def flipped(frame: Frame, *bits: int) -> Frame:
+    """The frame with some of its 75 bits turned over; 64 and up are the identifier's."""
+    identifier, data = frame[0], bytearray(frame[1])
+    for bit in bits:
+        if bit < BITS:
+            data[bit // 8] ^= 1 << bit % 8
+        else:
+            identifier ^= 1 << (bit - BITS)
+    return identifier, bytes(data)
+
+
+COMMANDS = {
+    "on": command(),
+    "strongest": command(7, True, 130.0, 500.0),
+    "weakest": command(0, True, 0.5, 1.0),
+    "off": command(on=False),
+}
+
+
+@pytest.mark.requirement("SR-14")
+@pytest.mark.parametrize("counter", examples((0, 13), tuple(range(16))))
+@pytest.mark.parametrize("kind", COMMANDS)
+def test_no_command_with_one_or_two_flipped_bits_is_executed(kind: str, counter: int) -> None:
+    node = opened()
+    for before in range(counter):
+        node.receive(0, *can_codec.encode_command(command(before % 2 + 1), before, SESSION))
+    good = can_codec.encode_command(COMMANDS[kind], counter, SESSION)
+    node.take_record()
+    state = outputs(node)
+    for flips in itertools.chain(
+        itertools.combinations(range(BITS + IDENTIFIER_BITS), 1),
+        itertools.combinations(range(BITS + IDENTIFIER_BITS), 2),
+    ):
+        node.receive(0, *flipped(good, *flips))
+        assert outputs(node) == state, flips
+    assert executed(node) == 0
+    assert result_of(node.receive(0, *good)) is Result.OK, "it was a good command all along"
+
+
+@pytest.mark.requirement("SR-14")
+def test_no_opening_of_a_session_with_one_or_two_flipped_bits_is_executed() -> None:
+    node = opened()
+    node.receive(0, *can_codec.encode_command(command(), 0, SESSION))
+    node.take_record()
+    good = can_codec.encode_open(BOOT, SESSION + 1)
+    state = outputs(node)
+    for count in (1, 2):
+        for flips in itertools.combinations(range(BITS + IDENTIFIER_BITS), count):
+            node.receive(0, *flipped(good, *flips))
+            assert outputs(node) == state, flips
+    assert executed(node) == 0
+    node.receive(0, *good)
+    assert node.session_id == SESSION + 1
+
+
+@pytest.mark.requirement("SR-14")
+def test_repeated_command_is_not_executed_again() -> None:
+    node = opened()
+    for number in range(64):
+        frame = can_codec.encode_command(command(number % 8, number % 3 != 0), number % 16, SESSION)
+        assert result_of(node.receive(number * MS, *frame)) is Result.OK
+        state = outputs(node)
+        node.take_record()
+        for _ in range(3):
+            assert result_of(node.receive(number * MS + MS // 2, *frame)) is Result.BAD_COUNTER
+        assert outputs(node) == state, "not even its lease is renewed"
+        assert executed(node) == 0
+
+
+@pytest.mark.requirement("SR-14")
+@pytest.mark.parametrize("late", range(1, 33))
+def test_command_that_comes_late_is_executed_only_where_its_count_comes_round(late: int) -> None:
+    """The count has 4 bits and forgives two lost frames: a frame held back by 13 to 15 others looks like the next.
+
+    A CAN bus hands frames over in order.
+    """
+    node = opened()
+    frames = [can_codec.encode_command(command(n % 2, True, 10.0 + n % 4), n % 16, SESSION) for n in range(64)]
+    held = 20
+    for number, frame in enumerate(frames[: held + late + 1]):
+        if number != held:
+            node.receive(number * MS, *frame)
+    state = outputs(node)
+    node.take_record()
+    result = result_of(node.receive((held + late) * MS, *frames[held]))
+    comes_round = -late % 16 in range(1, MAX_COUNTER_STEP + 1)
+    assert (result is Result.OK) is comes_round
+    assert comes_round or (outputs(node) == state and executed(node) == 0)
+    if comes_round:  # and then the controller's own next command is refused, which it takes for a fault
+        assert result_of(node.receive((held + late) * MS, *frames[held + late + 1])) is Result.BAD_COUNTER
+
+
+@pytest.mark.requirement("SR-14")
+@given(st.lists(st.integers(0, 11), min_size=2, max_size=40), st.integers(0, 15))
+@settings(max_examples=examples(100, 3000), deadline=None)
+def test_reordered_commands_act_in_ascending_order_only(order: list[int], start: int) -> None:
+    """Any order and repetition of twelve commands: one that is older than what acted last never acts."""
+    node = opened()
+    for number in range(start):
+        node.receive(0, *can_codec.encode_command(command(0, False), number, SESSION))
+    frames = [can_codec.encode_command(command(n % 8), (start + n) % 16, SESSION) for n in range(12)]
+    newest = -1
+    for number in order:
+        before = outputs(node)
+        acted = result_of(node.receive(MS, *frames[number])) is Result.OK
+        if acted:
+            assert newest < number <= newest + MAX_COUNTER_STEP
+            newest = number
+        elif node.session_id == SESSION:
+            assert outputs(node) == before
+        else:
+            assert not any(channel.on for channel in node.channels), "five wrong counts in a row end the session"
+            break
+
+
+@pytest.mark.requirement("SR-14")
+@pytest.mark.parametrize("reboot", [False, True])
+def test_old_session_played_back_from_any_frame_executes_nothing(reboot: bool) -> None:
+    capture = [can_codec.encode_open(BOOT, SESSION)]
+    capture += [can_codec.encode_command(command(n % 8, n % 5 != 4), n % 16, SESSION) for n in range(48)]
+    for start in range(len(capture)):
+        node = StimulatorNode(BOOT + reboot, 0)
+        if not reboot:
+            for frame in capture:
+                node.receive(0, *frame)
+        node.receive(0, *can_codec.encode_open(BOOT + reboot, SESSION + 1))
+        node.receive(0, *can_codec.encode_command(command(3, True), 0, SESSION + 1))
+        node.take_record()
+        state = outputs(node)
+        for frame in capture[start:]:
+            node.receive(MS, *frame)
+        assert outputs(node) == state
+        assert executed(node) == 0
+
+
+# --- random frames ------------------------------------------------------------------------------------------
+
+CRC_SHARE = 2.0**-8
+SESSION_SHARE = 2.0**-16
+COUNT_SHARE = MAX_COUNTER_STEP / 16
+
+
+def at_most(expected: float) -> float:
+    """Five standard deviations over what is expected of independent rare events."""
+    return expected + 5.0 * math.sqrt(expected) + 5.0
+
+
+def assert_within_limits(node: StimulatorNode, t_ns: int) -> None:
+    for channel in node.channels:
+        current_ma, width_us, frequency_hz = channel.levels
+        assert 0.0 <= current_ma <= 130.0
+        assert 0.0 <= width_us <= 500.0
+        assert 0.0 <= frequency_hz <= 100.0
+        assert not channel.on or channel.lease_end_ns <= t_ns + 60 * MS
+
+
+@pytest.mark.requirement("SR-14")
+def test_random_frames_pass_the_check_as_rarely_as_stated(capsys: pytest.CaptureFixture[str]) -> None:
+    """Under a controller's identifier 2⁻⁸ pass the CRC; 2⁻¹⁶ of these name the session: none is executed."""
+    count = examples(50_000, 1_000_000)
+    node, generator = opened(), random.Random(31)
+    intact = 0
+    for number in range(count):
+        identifier = generator.choice((can_codec.COMMAND_ID, can_codec.OPEN_ID))
+        data = generator.randbytes(8)
+        intact += e2e.is_intact(identifier, data)
+        node.receive(number * 1000, identifier, data)
+        node.take_record()
+        assert not any(channel.on for channel in node.channels)
+    assert node.session_id == SESSION
+    assert intact <= at_most(count * CRC_SHARE)
+    assert count * CRC_SHARE * SESSION_SHARE * COUNT_SHARE < 0.02, "expected number of executed commands"
+    with capsys.disabled():
+        print(f"\n{count} random frames: {intact} passed the CRC (2⁻⁸: {count * CRC_SHARE:.0f}), 0 executed")
+
+
+@pytest.mark.requirement("SR-14")
+def test_random_frames_that_know_the_session_stay_within_count_and_limits(capsys: pytest.CaptureFixture[str]) -> None:
+    """Random but for the session's two bytes: 2⁻⁸ · 3/16 act, and nothing beyond the node's limits comes out."""
+    count = examples(50_000, 1_000_000)
+    node, generator = opened(), random.Random(32)
+    session_id, acted = SESSION, 0
+    for number in range(count):
+        t_ns = number * 100_000
+        data = generator.randbytes(2) + session_id.to_bytes(2, "little") + generator.randbytes(4)
+        node.receive(t_ns, can_codec.COMMAND_ID, data)
+        for entry in node.take_record():
+            acted += entry.event in ("on", "level")
+        assert_within_limits(node, t_ns)
+        if node.session_id != session_id:  # five wrong counts in a row ended it
+            session_id = session_id % 65_535 + 1
+            node.receive(t_ns, *can_codec.encode_open(BOOT, session_id))
+            node.take_record()
+    assert acted <= at_most(count * CRC_SHARE * COUNT_SHARE)
+    with capsys.disabled():
+        bound = count * CRC_SHARE * COUNT_SHARE
+        print(f"\n{count} random frames of the open session: {acted} switched a channel on (bound {bound:.0f})")

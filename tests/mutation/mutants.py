@@ -1,0 +1,145 @@
+"""Mutation testing of what stands between the controller and the wire; ``make mutants``.
+
+mutmut changes the code in hundreds of small ways, one at a time, and runs the tests against each; a mutant that no
+test notices is either a missing test or changes nothing that anybody could observe. The second kind is listed, with
+the reason, in ``explained.toml``. This runs in a scratch copy, writes ``docs/mutants.md``, and ends with exit code 1
+when a mutant survives without an explanation, or an explanation has lost its mutant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+COPIED = ("fes", "drivers", "statemachine", "tests", "pyproject.toml", "README.md", "LICENSE")
+EXPLAINED = Path(__file__).with_name("explained.toml")
+PAGE = ROOT / "docs" / "mutants.md"
+CHANGED_LINE = re.compile(r"^([-+])(?![-+]{2} )\s*(.*?)\s*$", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A survivor, named by its file and the lines it takes and gives, so that a renumbering does not matter."""
+
+    file: str
+    old: str
+    new: str
+
+
+def copied(scratch: Path) -> Path:
+    """The parts of the checkout that the tests need, elsewhere."""
+    work = scratch / "work"
+    work.mkdir(parents=True)
+    for name in COPIED:
+        source = ROOT / name
+        if source.is_dir():
+            shutil.copytree(source, work / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy2(source, work / name)
+    (work / "sim_inputs").symlink_to(ROOT / "sim_inputs")
+    return work
+
+
+def mutmut(work: Path, *arguments: str, echo: bool = False) -> str:
+    """Run mutmut there; what it printed."""
+    command = [sys.executable, "-m", "mutmut", *arguments]
+    environment = os.environ | {"PYTHONPATH": "", "PYTHONWARNINGS": "ignore", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(command, cwd=work, env=environment, stdout=subprocess.PIPE, text=True, check=False)
+    if echo or done.returncode:
+        print(done.stdout[-3000:])
+    if done.returncode:
+        raise SystemExit(f"mutmut {arguments[0]} ended with {done.returncode}")
+    return done.stdout
+
+
+def results(work: Path) -> dict[str, str]:
+    """Every mutant's fate by its name."""
+    text = mutmut(work, "results", "--all", "true")
+    return dict(re.findall(r"^\s*(\S+__mutmut_\d+): (.+?)\s*$", text, re.MULTILINE))
+
+
+def survivor(work: Path, name: str) -> Mutant:
+    """What this mutant changes."""
+    module = name.split(".x", 1)[0]
+    lines = CHANGED_LINE.findall(mutmut(work, "show", name))
+    old, new = (" ".join(text for sign, text in lines if sign == wanted) for wanted in "-+")
+    return Mutant(module.replace(".", "/") + ".py", old, new)
+
+
+def explanations() -> Iterator[tuple[Mutant, str]]:
+    """The survivors that are known, and why each changes nothing."""
+    for row in tomllib.loads(EXPLAINED.read_text(encoding="utf-8"))["mutant"]:
+        yield Mutant(row["file"], row["old"], row["new"]), row["why"]
+
+
+def page(fates: Counter[str], files: Counter[str], known: dict[Mutant, str]) -> str:
+    """docs/mutants.md."""
+    counted = "\n".join(f"| `{file}` | {number} |" for file, number in sorted(files.items()))
+    rows = "\n".join(
+        f"| `{m.file}` | `{_cell(m.old)}` | `{_cell(m.new)}` | {why} |"
+        for m, why in sorted(known.items(), key=lambda item: (item[0].file, item[0].old, item[0].new))
+    )
+    return f"""# Mutation testing
+
+Written by `make mutants` (mutmut, in a scratch copy of the checkout). Each mutant is one small change of the code; the
+tests must notice it. {sum(fates.values())} mutants: {fates["killed"]} killed, {fates["timeout"]} ended by a time limit
+(an endless loop is noticed too), {fates["survived"]} survive and change nothing that can be observed, for the reasons
+below. Any other survivor ends the target with exit code 1.
+
+| file | mutants |
+|---|---|
+{counted}
+
+## Survivors, explained
+
+| file | line | becomes | why no test can tell |
+|---|---|---|---|
+{rows}
+"""
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")
+
+
+def main() -> None:
+    """Run, compare, write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scratch", type=Path, help="keep the scratch copy here instead of in a temporary folder")
+    parser.add_argument("--children", type=int, default=1, help="mutants at once")
+    parser.add_argument("--write", action="store_true", help="write docs/mutants.md")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        work = copied(options.scratch or Path(temporary))
+        mutmut(work, "run", "--max-children", str(options.children))
+        fates = results(work)
+        lost = {name: fate for name, fate in fates.items() if fate not in ("killed", "timeout", "survived")}
+        alive = {survivor(work, name): name for name, fate in fates.items() if fate == "survived"}
+    known = dict(explanations())
+    files = Counter(name.split(".x", 1)[0].replace(".", "/") + ".py" for name in fates)
+    print(dict(Counter(fates.values())))
+    for mutant in sorted(alive.keys() - known.keys(), key=lambda m: (m.file, m.old)):
+        print(f"SURVIVED, unexplained: {alive[mutant]}\n  - {mutant.old}\n  + {mutant.new}")
+    for mutant in known.keys() - alive.keys():
+        print(f"explained, but no survivor any more: {mutant}")
+    for name, fate in lost.items():
+        print(f"{fate}: {name}")
+    if lost or alive.keys() != known.keys() or not fates:
+        raise SystemExit(1)
+    if options.write:
+        PAGE.write_text(page(Counter(fates.values()), files, known), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,426 @@
+"""The gate's parts one by one, at the nanosecond and the digit: dose, stamps, freshness, plausibility, words."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from gate_bench import ASKED, LOOSE, MS, Bench, make_channel, unchecked_channel
+
+from fes.config import ImuDevice, Session, Stimulation
+from fes.gate import SafetyGate, gate_of
+from fes.gate.dose import Dose
+from fes.gate.electrical import NUMBER_BOUND, is_number, no_number, shown
+from fes.gate.freshness import Freshness
+from fes.gate.line import ROUNDING_MA
+from fes.gate.plausible import MOST_TILT_RAD, Plausibility, Plausible
+from fes.gate.stamps import Stamps
+from fes.signals import (
+    G_MPS2,
+    NS_PER_S,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimAlive,
+    StimRequest,
+    StimStatus,
+    SystemFault,
+    Tick,
+    Vector3,
+)
+
+S = NS_PER_S
+UP: Vector3 = (0.0, 0.0, 9.8)
+
+
+def sample(t_ns: int, sent_ns: int, acc: Vector3 = UP, gyr: Vector3 | None = None) -> ImuSample:
+    """One sample of the left foot; without ``gyr`` it differs from every other."""
+    return ImuSample(t_ns, "left_foot", sent_ns, acc, gyr or (0.0, 0.0, 1e-9 * (t_ns % 1_000_003)))
+
+
+# --- dose ---------------------------------------------------------------------------------------------------
+
+
+def test_dose_is_the_rate_times_the_time_until_the_next_command_or_the_end_of_validity() -> None:
+    dose = Dose()
+    assert dose.used_uc(5 * S) == 0.0
+    dose.command(10 * S, 0.5, S // 2)
+    assert dose.used_uc(10 * S) == 0.0
+    assert dose.used_uc(10 * S + S // 4) == 0.125
+    assert dose.used_uc(20 * S) == 0.25, "no more than its validity"
+    dose.command(20 * S, 8.0, S)
+    dose.command(20 * S + S // 2, 0.0, 0)
+    assert dose.used_uc(21 * S) == 4.25
+
+
+def test_dose_forgets_whole_seconds_after_a_minute() -> None:
+    dose = Dose()
+    dose.command(0, 8.0, S // 2)
+    assert dose.used_uc(S // 2) == 4.0
+    assert dose.used_uc(61 * S - 1) == 4.0, "errs on the side of more"
+    assert dose.used_uc(61 * S) == 0.0
+
+
+def test_dose_never_goes_down_by_looking_back() -> None:
+    dose = Dose()
+    dose.command(10 * S, 8.0, S)
+    assert dose.used_uc(9 * S) == 0.0
+    assert dose.used_uc(10 * S + S // 2) == 4.0
+
+
+def test_minute_whose_charge_is_exactly_the_limit_is_over() -> None:
+    """16 mA, 250 µs and 32 Hz are 128 µC/s: 4 µC in 31.25 ms, numbers that binary fractions hold exactly."""
+    for limit_mc, passes in ((0.004, False), (math.nextafter(0.004, 1.0), True)):
+        bench = Bench(make_channel(limits={"max_charge_per_minute_mc": limit_mc}))
+        for _ in range(2):
+            bench.wait(31.25)
+            command = bench.ask(current_ma=16.0, pulse_width_us=250.0, frequency_hz=32.0)
+        assert command.on is passes
+        assert command.refused == ("" if passes else "channel 0: 0.004 mC within a minute, limit 0.004 mC")
+
+
+# --- rise ---------------------------------------------------------------------------------------------------
+
+
+def test_rounding_of_sums_is_forgiven_and_no_more() -> None:
+    assert Bench().ask(current_ma=0.5 + ROUNDING_MA).on
+    assert not Bench().ask(current_ma=math.nextafter(0.5 + ROUNDING_MA, 1.0)).on
+
+
+def test_ramp_stands_still_within_one_instant() -> None:
+    """At 2000 mA/s a single nanosecond would be worth twice the rounding."""
+    assert not Bench(unchecked_channel(**LOOSE)).ask(current_ma=0.5 + 2.5 * ROUNDING_MA).on
+
+
+# --- stamps -------------------------------------------------------------------------------------------------
+
+
+def fed(*pairs: tuple[int, int]) -> Stamps:
+    stamps = Stamps()
+    for t_ns, sent_ns in pairs:
+        assert stamps.fault(sample(t_ns, sent_ns)) == ""
+    return stamps
+
+
+@pytest.mark.parametrize(
+    ("waited_ns", "step_ns", "slips"),
+    [
+        (2 * MS, 1, 0),
+        (2 * MS, 0, 1),
+        (2 * MS, -1, 1),
+        (2 * MS, 37 * MS, 0),
+        (2 * MS, 37 * MS + 1, 1),
+        (300 * MS, 450 * MS, 0),
+        (300 * MS, 450 * MS + 1, 1),
+    ],
+)
+def test_what_counts_as_a_slip(waited_ns: int, step_ns: int, slips: int) -> None:
+    assert fed((5 * S, 7 * S), (5 * S + waited_ns, 7 * S + step_ns)).slips == {"left_foot": slips}
+
+
+def test_slips_add_up() -> None:
+    assert fed((0, 0), (2 * MS, 0), (4 * MS, 0), (500 * MS, 500 * MS)).slips == {"left_foot": 2}
+
+
+def window(samples: int, slipping: tuple[int, ...]) -> str:
+    """Samples 10 ms apart, those named doubled in their stamps; what the last one says."""
+    stamps, sent_ns, said = Stamps(), 0, ""
+    for k in range(samples + 1):
+        sent_ns = sent_ns if k in slipping else k * 10 * MS
+        said = stamps.fault(sample(k * 10 * MS, sent_ns))
+    return said
+
+
+@pytest.mark.requirement("SR-11")
+def test_a_twentieth_is_allowed_and_three_slips_are_needed() -> None:
+    assert window(60, (20, 40, 60)) == "", "3 of 60 are 5 %"
+    assert window(59, (20, 40, 59)) == "left_foot's time stamps are out of order: 3 of 59 within a second"
+    assert window(8, (4, 8)) == ""
+
+
+def test_a_slip_is_forgotten_after_a_second_and_not_before() -> None:
+    def third_after(ns: int) -> str:
+        stamps = fed((0, 0), (10 * MS, 0), (20 * MS, 0))
+        return stamps.fault(sample(10 * MS + ns, 0))
+
+    assert third_after(S) == "left_foot's time stamps are out of order: 3 of 3 within a second"
+    assert third_after(S + 1) == ""
+
+
+# --- freshness ----------------------------------------------------------------------------------------------
+
+MAX_AGE = 40 * MS
+STILL: Vector3 = (0.1, 0.2, 0.3)
+
+
+def heard(*pairs: tuple[int, int]) -> Freshness:
+    freshness = Freshness(MAX_AGE)
+    for t_ns, sent_ns in pairs:
+        assert freshness.note(sample(t_ns, sent_ns)) == ""
+    return freshness
+
+
+def test_first_sample_counts_for_being_frozen() -> None:
+    freshness = Freshness(MAX_AGE)
+    assert freshness.note(sample(0, 0, gyr=STILL)) == ""
+    assert freshness.note(sample(80 * MS, 80 * MS, gyr=STILL)) == (
+        "left_foot is frozen: the same values for 80 ms, limit 80 ms"
+    )
+    assert freshness.doubt("left_foot", 80 * MS) == "left_foot is frozen: the same values for 80 ms, limit 80 ms"
+
+
+def test_long_frozen_is_told_in_full_milliseconds() -> None:
+    freshness = heard()
+    freshness.note(sample(0, 0, gyr=STILL))
+    assert "for 1000000 ms" in freshness.note(sample(1000 * S, 1000 * S, gyr=STILL))
+
+
+def test_in_the_first_second_an_earlier_stamp_is_learnt_and_later_is_a_slip() -> None:
+    """The first sample came 300 ms late, those after it at once."""
+    freshness = heard((5 * S, 5 * S - 300 * MS), *((5 * S + k * MS, 5 * S + k * MS) for k in range(1, 5)))
+    assert freshness.doubt("left_foot", 5 * S + 5 * MS) == ""
+
+
+def test_learning_ends_after_exactly_one_second() -> None:
+    heard((S, S - 300 * MS), *[(2 * S, 2 * S)] * 4)
+    late = heard((S, S - 300 * MS), *[(2 * S + 1, 2 * S + 1)] * 2)
+    assert late.note(sample(2 * S + 1, 2 * S + 1)) == "left_foot's clock went ahead by 300 ms"
+
+
+def test_three_stamps_exactly_as_far_back_as_data_may_be_old_are_no_restart() -> None:
+    heard((S, S), *[(S + k * MS, S - MAX_AGE) for k in range(1, 4)])
+    back = heard((S, S), *[(S + k * MS, S - MAX_AGE - 1) for k in range(1, 3)])
+    assert back.note(sample(S + 3 * MS, S - MAX_AGE - 1)) == "left_foot's clock went back by 40 ms"
+
+
+@pytest.mark.parametrize(("set_s", "says"), [(-1000, "back by 1000000 ms"), (1000, "ahead by 1000000 ms")])
+def test_clock_that_was_set_is_trusted_anew_at_once(set_s: int, says: str) -> None:
+    t_ns = 2000 * S
+    freshness = heard((t_ns - 2 * S, t_ns - 2 * S), (t_ns, t_ns), *[(t_ns, t_ns + set_s * S)] * 2)
+    assert freshness.note(sample(t_ns, t_ns + set_s * S, gyr=STILL)) == f"left_foot's clock went {says}"
+    assert freshness.doubt("left_foot", t_ns + MAX_AGE) == "", "its mapping begins with this sample"
+    assert "41 ms old" in freshness.doubt("left_foot", t_ns + MAX_AGE + 1)
+    later_ns = t_ns + 80 * MS
+    assert "frozen" in freshness.note(sample(later_ns, later_ns + set_s * S, gyr=STILL))
+
+
+def test_ages_are_told_in_full_milliseconds() -> None:
+    freshness = heard((0, 0), (2000 * S, 0))
+    drift_ms = 400  # 200 ppm of the time waited
+    assert f"{2_000_000 - drift_ms} ms old by the sensor's own clock" in freshness.doubt("left_foot", 2000 * S)
+    assert heard((S, S)).doubt("left_foot", S - 1_375_000) == "left_foot data are dated 1.38 ms ahead"
+
+
+# --- plausibility -------------------------------------------------------------------------------------------
+
+NARROW = ImuDevice(sensor="left_foot", device="xbus", port="tty", rate_hz=100, acc_range_g=4, gyr_range_dps=500)
+ACC_END, GYR_END = 0.995 * 4 * G_MPS2, 0.995 * math.radians(500)
+
+
+def lasting(acc: Vector3, gyr: Vector3, device: ImuDevice | None = NARROW, up: Vector3 | None = None) -> Plausibility:
+    """After 200 ms of the same; ``said`` by the last sample is returned through ``fault``."""
+    judge = Plausibility(device, up)
+    for k in range(20):
+        judge.fault(sample(k * 10 * MS, 0, acc, gyr))
+    return judge
+
+
+def fault(acc: Vector3, gyr: Vector3 = (0.0, 0.0, 0.0), device: ImuDevice | None = NARROW) -> str:
+    return lasting(acc, gyr, device).fault(sample(200 * MS, 0, acc, gyr))
+
+
+def along(axis: int, size: float, rest: float = 0.0) -> Vector3:
+    values = [rest, rest, rest]
+    values[axis] = size
+    return (values[0], values[1], values[2])
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_each_axis_saturates_at_its_end_and_not_before(axis: int, sign: int) -> None:
+    says = "left_foot is saturated: at the end of its range for 80 ms"
+    assert fault(along(axis, sign * ACC_END)) == says
+    assert fault(along(axis, sign * math.nextafter(ACC_END, 0))) == ""
+    assert fault(UP, along(axis, sign * GYR_END)) == says
+    assert fault(UP, along(axis, sign * math.nextafter(GYR_END, 0))) == ""
+    assert fault(along(axis, sign * ACC_END), device=None) == ""
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_force_counts_all_three_axes(axis: int) -> None:
+    assert fault(along(axis, 3.0)) == ""
+    assert fault(along(axis, 2.999)) == (
+        "left_foot shows 3 m/s² and less than gravity for 80 ms: is its unit g?"  # rounded to two digits
+    )
+    assert fault(along(axis, 60.0), device=None) == ""
+    assert fault(along(axis, 60.01), device=None) == (
+        "left_foot shows 60 m/s² and more than a foot can take for 80 ms: wrong unit?"
+    )
+    assert fault(along(axis, 2.0, 2.0)) == "", "3.5 m/s² together"
+
+
+def test_nothing_is_doubted_before_the_first_sample() -> None:
+    assert Plausibility(None, None).doubt == ""
+    assert Plausible((), {}).doubt("left_foot") == ""
+
+
+def test_the_least_tilt_that_is_doubted() -> None:
+    """An ``up`` that is short makes the cosine exact: the force itself lies along it."""
+    cosine = math.cos(MOST_TILT_RAD)
+    still = (0.0, 0.0, 0.0)
+    assert lasting((9.5, 0.0, 0.0), still, up=(cosine, 0.0, 0.0)).doubt == ""
+    assert lasting((9.5, 0.0, 0.0), still, up=(cosine - 1e-12, 0.0, 0.0)).doubt == (
+        "left_foot rests turned by more than 65° from its calibration: remounted?"
+    )
+
+
+@pytest.mark.parametrize(
+    ("force_mps2", "rate_radps", "rests"),
+    [
+        (9.8, 0.5, True),
+        (9.8, 0.501, False),
+        (11.3, 0.0, True),
+        (11.31, 0.0, False),
+        (8.31, 0.0, True),
+        (8.3, 0.0, False),
+    ],
+)
+def test_what_rests(force_mps2: float, rate_radps: float, rests: bool) -> None:
+    judge = lasting((0.0, 0.0, -force_mps2), (0.0, -rate_radps, 0.0), up=(0.0, 0.0, 1.0))
+    assert bool(judge.doubt) is rests
+
+
+def test_rest_includes_its_own_bound() -> None:
+    force_mps2 = G_MPS2 + 1.5
+    assert force_mps2 - G_MPS2 == 1.5
+    assert lasting((0.0, 0.0, -force_mps2), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)).doubt
+
+
+# --- words --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "says"),
+    [
+        ("current_ma", -1.5, "current is -1.5, must be a number above 0"),
+        ("pulse_width_us", True, "pulse width is True, must be a number above 0"),
+        ("frequency_hz", "40", "frequency is '40', must be a number above 0"),
+        ("current_ma", 10**4000, "current is a huge number, must be a number above 0"),
+        ("current_ma", -(10**4000), "current is a huge number, must be a number above 0"),
+        ("frequency_hz", "4" * 99, f"frequency is '{'4' * 39}, must be a number above 0"),
+    ],
+)
+def test_what_is_no_number_is_named_and_shown(field: str, value: Any, says: str) -> None:
+    asked: dict[str, Any] = {"current_ma": 20.0, "pulse_width_us": 300.0, "frequency_hz": 40.0}
+    assert no_number(StimRequest(0, True, **(asked | {field: value}))) == says
+
+
+def test_bound_of_what_is_a_number_belongs_to_it() -> None:
+    assert is_number(NUMBER_BOUND)
+    assert is_number(-NUMBER_BOUND)
+    assert not is_number(math.nextafter(NUMBER_BOUND, math.inf))
+    assert shown(10**9) == "1000000000"
+    assert shown(10**9 + 1) == "a huge number"
+
+
+@pytest.mark.parametrize("delivered", [(-1.0, 300.0, 40.0), (20.0, -1.0, 40.0), (20.0, 300.0, -1.0)])
+def test_negative_delivery_latches(delivered: tuple[float, float, float]) -> None:
+    bench = Bench()
+    bench.observe(StimStatus(bench.t_ns, 0, 1, True, *delivered))
+    assert bench.gate.latched == "channel 0: stimulator delivers a pulse of negative size"
+
+
+def test_switch_that_is_none_is_shown() -> None:
+    bench = Bench()
+    broken: Any = 1
+    assert bench.judge(StimRequest(0, broken, 0.5, 300.0, 40.0)).refused == (
+        "channel 0: on is 1, must be true or false"
+    )
+
+
+# --- the gate's own state -----------------------------------------------------------------------------------
+
+
+def test_armed_is_true_or_false_and_arming_begins_unrefused() -> None:
+    bench = Bench(arm=False)
+    assert bench.gate.armed is False
+    assert bench.gate.arming_refused == ""
+    bench.sample()
+    bench.act(OperatorAction.ARM)
+    assert bench.gate.armed is True
+    bench.act(OperatorAction.DISARM)
+    assert bench.gate.armed is False
+    bench.gate.latch(bench.t_ns, "broken")
+    assert bench.gate.armed is False
+
+
+def test_fault_that_the_session_finds_in_itself_latches() -> None:
+    bench = Bench()
+    bench.observe(SystemFault(bench.t_ns, "the loop stalled for 120 ms"))
+    assert (bench.gate.latched, bench.gate.latched_ns) == ("the loop stalled for 120 ms", bench.t_ns)
+    assert bench.ask(current_ma=0.5).refused == "the loop stalled for 120 ms"
+
+
+def test_every_latch_says_when_and_in_these_words() -> None:
+    late_ns = 7_000 * MS
+    happenings = [
+        (StimAlive(late_ns, 2, 0), "stimulator restarted"),
+        (StimAlive(late_ns, 1, 0, "voltage"), "stimulator fault: voltage"),
+        (StimStatus(late_ns, 3, 1, False, 0.0, 0.0, 0.0, fault="lead"), "stimulator fault on channel 3: lead"),
+        (
+            StimStatus(late_ns, 0, 1, True, 31.0, 300.0, 40.0),
+            "channel 0: stimulator delivers current 31 mA, limit 30 mA",
+        ),
+        (OperatorAct(late_ns, OperatorAction.EMERGENCY_STOP), "emergency stop"),
+    ]
+    for event, says in happenings:
+        bench = Bench()
+        bench.observe(StimAlive(bench.t_ns, 1, 0))
+        bench.observe(event)
+        assert (bench.gate.latched, bench.gate.latched_ns) == (says, late_ns)
+
+
+def test_step_back_in_time_is_told_to_the_microsecond() -> None:
+    bench = Bench()
+    bench.observe(Tick(bench.t_ns - 1_375_000))
+    assert (bench.gate.latched, bench.gate.latched_ns) == ("time ran backward by 1.38 ms", bench.t_ns - 1_375_000)
+
+
+# --- the gate of a session ----------------------------------------------------------------------------------
+
+
+def session_gate() -> SafetyGate:
+    """A session with a narrow sensor on the shank, which tells the foot's phases; data may be 15 ms old."""
+    shank = NARROW.model_copy(update={"sensor": "left_shank"})
+    stimulation = Stimulation(max_data_age_ms=15, validity_ms=50)
+    session = Session(name="x", channels=(make_channel(),), sensors=(shank,), stimulation=stimulation)
+    return gate_of(session, {"left_shank": (0.0, 0.0, 1.0)}, {"left_foot": "left_shank"})
+
+
+def shank_sample(gate: SafetyGate, t_ns: int, acc: Vector3 = UP) -> None:
+    gate.observe(replace(sample(t_ns, t_ns, acc), sensor="left_shank"))
+
+
+def test_gate_of_a_session_takes_all_that_the_session_says() -> None:
+    gate = session_gate()
+    shank_sample(gate, S)
+    gate.observe(OperatorAct(S, OperatorAction.ARM))
+    assert gate.armed
+    command = gate.judge(S, replace(ASKED, current_ma=0.5))
+    assert (command.on, command.validity_ms) == (True, 50)
+    late = gate.judge(S + 16 * MS, replace(ASKED, current_ma=0.5))
+    assert late.refused == "left_shank data 16 ms old, limit 15 ms"
+
+
+def test_gate_of_a_session_knows_ranges_and_mounting() -> None:
+    gate = session_gate()
+    for k in range(20):
+        shank_sample(gate, S + k * 10 * MS, (0.0, 0.0, ACC_END))
+    assert gate.latched == "left_shank is saturated: at the end of its range for 80 ms"
+    gate = session_gate()
+    for k in range(20):
+        shank_sample(gate, S + k * 10 * MS, (0.0, 0.0, -9.8))
+    gate.observe(OperatorAct(S + 190 * MS, OperatorAction.ARM))
+    assert "remounted" in gate.arming_refused

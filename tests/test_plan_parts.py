@@ -1,0 +1,168 @@
+"""The plan and its envelope at the nanosecond; bursts by hand."""
+
+from __future__ import annotations
+
+import pytest
+from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, make_channel
+
+from fes.config import Channel
+from fes.stimulation.envelope import Envelope, round_down
+from fes.stimulation.plan import StimulationPlan
+from statemachine.phases import Phase, PhaseChange, Transition
+
+RISE = FALL = 100 * MS
+
+
+def envelope(**changes: int) -> Envelope:
+    plain = {"rise_ns": RISE, "extension_ns": 0, "fall_ns": FALL, "max_on_ns": 2000 * MS} | changes
+    return Envelope(t_start_ns=1000, current_ma=20.0, pulse_width_us=300.0, frequency_hz=40.0, **plain)
+
+
+def test_rise_begins_at_nothing() -> None:
+    assert envelope().level_ma(999) == envelope().level_ma(1000) == 0.0
+    assert envelope().level_ma(1001) == pytest.approx(20.0 / RISE)
+
+
+def test_fall_of_no_length_is_over_one_nanosecond_later() -> None:
+    cut = envelope(fall_ns=0).stopped(1000 + RISE)
+    assert cut.level_ma(1000 + RISE) == 20.0
+    assert cut.level_ma(1000 + RISE + 1) == 0.0
+    assert not cut.over(1000 + RISE)
+    assert cut.over(1000 + RISE + 1)
+
+
+def test_it_is_over_when_the_fall_is_complete_and_the_first_stop_counts() -> None:
+    stopped = envelope().stopped(1000 + RISE).stopped(1000 + 5 * RISE)
+    assert stopped.t_stop_ns == 1000 + RISE
+    assert not stopped.over(1000 + RISE + FALL - 1)
+    assert stopped.over(1000 + RISE + FALL)
+    assert [stopped.falls(1000 + RISE + ns) for ns in (-1, 0, 1)] == [False, True, True]
+
+
+def test_rounding_down_where_the_quotient_rounds_up() -> None:
+    assert 17 * 0.1 > 1.7
+    assert round_down(1.7, 0.1) == 16 * 0.1
+    assert round_down(3.4999999999999996, 0.7) == 4 * 0.7
+    assert round_down(0.5, 0.5) == 0.5
+
+
+class Bench:
+    """A plan asked at chosen times (ms)."""
+
+    def __init__(self, *channels: Channel) -> None:
+        self.plan = StimulationPlan(channels or (make_channel(),))
+        self.plan.requests(0, 1.0)
+
+    def enter(self, at_ms: float, source: Phase, to: Phase, transition: Transition) -> None:
+        self.plan.on_phase(PhaseChange(round(at_ms * MS), "left_foot", transition, source, to), permitted=True)
+
+    def current(self, at_ms: float, intensity: float = 1.0, number: int = 0) -> float:
+        requests = self.plan.requests(round(at_ms * MS), intensity)
+        return next(one.current_ma for one in requests if one.channel == number)
+
+
+def test_burst_starts_and_takes_its_intensity_at_the_very_time_it_is_due() -> None:
+    bench = Bench(make_channel(start_delay_s=0.1))
+    bench.enter(20, STANCE, PRE_SWING, Transition.T1)
+    bench.current(120, 0.5)
+    assert bench.current(400, 1.0) == 10.0, "the higher intensity waits for the next burst"
+
+
+def test_least_time_off_counts_from_the_request_that_was_off() -> None:
+    bench = Bench(make_channel(start_phase="stance", stop_phase="swing"))
+    bench.enter(20, LOADING, STANCE, Transition.T4)
+    for at_ms in range(20, 201, 20):
+        bench.current(at_ms)
+    bench.enter(210, STANCE, PRE_SWING, Transition.T1)
+    bench.enter(210, PRE_SWING, STANCE, Transition.T5)
+    assert bench.current(220) == 0.0
+    for at_ms in (240, 260, 280, 300):
+        assert bench.current(at_ms) == 0.0
+    assert bench.current(319.999) == 0.0
+    bench.current(320)
+    assert bench.current(340) == 4.0, "20 ms of a rise that began 100 ms after the off"
+
+
+# --- by hand ------------------------------------------------------------------------------------------------
+
+
+def test_burst_by_hand_starts_at_its_time_holds_and_falls() -> None:
+    bench = Bench()
+    bench.plan.start(0, 20 * MS, 300 * MS, adopt=False)
+    assert bench.current(20) == 0.0
+    assert bench.current(70) == 10.0
+    assert bench.current(300) == 20.0
+    assert bench.current(380) == 20.0, "60 ms of extension"
+    assert bench.current(430) == 10.0
+    assert bench.current(480) == 0.0
+
+
+def test_burst_by_hand_is_of_the_channel_named_and_of_no_other() -> None:
+    bench = Bench(make_channel(0), make_channel(1))
+    bench.plan.start(1, 20 * MS, 300 * MS, adopt=False)
+    bench.current(20)
+    assert bench.current(200, number=1) == 20.0
+    assert bench.current(220, number=0) == 0.0
+
+
+def test_burst_by_hand_does_not_restart_one_under_way() -> None:
+    bench = Bench()
+    bench.plan.start(0, 20 * MS, 300 * MS, adopt=False)
+    bench.current(20)
+    bench.plan.start(0, 200 * MS, 300 * MS, adopt=False)
+    assert bench.current(480) == 0.0
+
+
+def walked_into(bench: Bench, adopt: bool, at_ms: float) -> None:
+    """A burst by hand, and the foot that then begins its step."""
+    bench.plan.start(0, 20 * MS, 300 * MS, adopt=adopt)
+    for step_ms in range(20, round(at_ms), 20):
+        bench.current(step_ms)
+    bench.enter(at_ms, STANCE, PRE_SWING, Transition.T1)
+
+
+def test_adopted_burst_becomes_that_of_the_step() -> None:
+    bench = Bench()
+    walked_into(bench, True, 200)
+    assert bench.current(200) == 20.0, "not interrupted"
+    assert bench.current(700) == 20.0, "its hold by hand is forgotten"
+    bench.enter(720, PRE_SWING, SWING, Transition.T2)
+    bench.enter(740, SWING, LOADING, Transition.T3)
+    assert bench.current(790) == 20.0
+    assert bench.current(740 + 60 + 50) == 10.0
+    assert bench.current(740 + 60 + 100) == 0.0
+
+
+def test_burst_not_to_be_adopted_ends_and_the_steps_own_begins() -> None:
+    bench = Bench()
+    walked_into(bench, False, 200)
+    assert bench.current(200) == 0.0
+    assert bench.current(300) == 0.0, "off for the least time"
+    bench.current(320)
+    assert bench.current(500) == 20.0
+
+
+def test_burst_that_falls_already_is_not_adopted() -> None:
+    bench = Bench()
+    walked_into(bench, True, 400)
+    assert bench.current(400) == 0.0
+    bench.current(500)
+    assert bench.current(700) == 20.0, "the step's own"
+
+
+def test_step_without_a_burst_by_hand_starts_its_own_even_after_adopt_was_asked() -> None:
+    bench = Bench()
+    bench.plan.start(0, 300 * MS, 300 * MS, adopt=True)
+    bench.enter(20, STANCE, PRE_SWING, Transition.T1)
+    bench.current(40)
+    assert bench.current(240) == 20.0
+    assert bench.current(900) == 20.0, "a step's burst has no hold"
+
+
+def test_antagonists_that_are_due_at_the_same_moment_do_not_start_together() -> None:
+    bench = Bench(make_channel(0, never_with=[1]), make_channel(1))
+    bench.enter(20, STANCE, PRE_SWING, Transition.T1)
+    for at_ms in range(20, 400, 10):
+        requests = bench.plan.requests(at_ms * MS, 1.0)
+        assert not all(request.on for request in requests)
+    assert requests[0].on
