@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from real_sets import PathWalk, pyshoe_vicon
+from scipy.signal import medfilt
 from stroke_treadmill import data_folder
 
 from fes.replay import calibrate_track
@@ -56,10 +57,21 @@ def arm_fitted(walk: PathWalk, strides: list[StrideResult]) -> list[float]:
     )
 
 
-def clearance_errors(method: Any, strides_of: Callable[..., list[StrideResult]]) -> dict[str, list[float]]:
+def glitch_m(height: FloatArray) -> float:
+    """By how much a single sample of a reference (N,) leaves its neighbours: the greatest distance from a median of 5.
+
+    A foot's own movement leaves a millimetre at 200 Hz.
+    """
+    return float(np.abs(height - medfilt(height, 5))[2:-2].max())
+
+
+def clearance_errors(
+    method: Any, strides_of: Callable[..., list[StrideResult]], most_glitch_m: float = float("inf")
+) -> dict[str, list[float]]:
     """PyShoe's clearance (m), the marker's arm fitted over all walks in the foot's sagittal plane.
 
-    The orientation is the estimate's pitch; strides with a glitch of the reference, over 8 m/s, are left out.
+    The orientation is the estimate's pitch; strides with a glitch of the reference, over 8 m/s, are left out, and those
+    where :func:`glitch_m` of its height is more than ``most_glitch_m``.
     """
     estimates, references, arms = [], [], []
     for walk in pyshoe_vicon(data_folder()):
@@ -69,6 +81,8 @@ def clearance_errors(method: Any, strides_of: Callable[..., list[StrideResult]])
             if not np.isfinite(walk.true_length_m(stride)):
                 continue
             height = _rows(walk, stride, walk.position_m)[:, 2]
+            if glitch_m(height) > most_glitch_m:
+                continue
             at = np.linspace(0.0, 1.0, len(height))
             pitch = np.interp(at, np.linspace(0.0, 1.0, len(stride.pitch_rad)), stride.pitch_rad)
             level = height - np.median(height[:6]) - at * (np.median(height[-6:]) - np.median(height[:6]))

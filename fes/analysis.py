@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -14,18 +14,21 @@ from fes.config import Session
 from fes.driving import Calibration, driving, stride_settings
 from fes.estimation.ankle_calibration import ShankCalibration
 from fes.estimation.calibration import FootCalibration
+from fes.estimation.clearance import FootPath
 from fes.estimation.events_offline import GaitEvents, find_events
 from fes.estimation.foot import FootTracker
 from fes.estimation.foot_strike import foot_strike_angles
 from fes.estimation.shank import shank_tracker
+from fes.estimation.stride_fusion import fused
 from fes.estimation.strides import StrideMaker
 from fes.estimation.tracker import SampleCounts, Tracker
 from fes.ground_path import GroundPath, ground_path, together
-from fes.journal import SampleArrays, SessionRecord
+from fes.journal import Note, SampleArrays, SessionRecord
 from fes.recording import Recording
 from fes.recording.tracks import UNLABELLED_FEET
 from fes.replay import LOG_FORMAT, increasing, session_for
 from fes.signals import FOOT_SENSORS, StrideResult
+from fes.toe_and_heel import ToeAndHeel, toe_and_heel
 from statemachine.phases import PhaseChange
 
 
@@ -35,7 +38,8 @@ class Analysis:
 
     Phases and strides carry the name of the sensor that told them: the foot's, or where there is none the shank's, for
     which there are no ``events`` and no path. ``paths`` are the feet's ways over the ground; ``no_path`` says of the
-    other sensors why there is none. ``level``: the ground was taken to be level.
+    other sensors why there is none. ``points`` says of each foot where its toe and heel were taken to be. ``level``:
+    the ground was taken to be level.
     """
 
     recording: Recording
@@ -46,6 +50,7 @@ class Analysis:
     counts: dict[str, SampleCounts]
     paths: dict[str, GroundPath] = field(default_factory=dict)
     no_path: dict[str, str] = field(default_factory=dict)
+    points: dict[str, ToeAndHeel] = field(default_factory=dict)
     level: bool = True
 
     def stride_rows(self) -> list[dict[str, Any]]:
@@ -122,6 +127,7 @@ class Analysis:
                 "belt_speed_mps": self.recording.belt_speed_mps,
             },
             "ground": {"level": self.level},
+            "toe_and_heel": {foot: known.to_json() for foot, known in self.points.items()},
             "session": session_for(self.recording, None).model_dump(mode="json"),
             "calibration": {sensor: calibration.to_dict() for sensor, calibration in self.calibrations.items()},
         }
@@ -130,7 +136,18 @@ class Analysis:
             for sensor, track in self.recording.tracks.items()
             if sensor in self.calibrations
         }
-        return SessionRecord(header, samples=samples, phases=self.phases, strides=self.strides, complete=True)
+        notes = [
+            Note(
+                int(self.recording.tracks[foot].t_ns[0]),
+                "info" if known.measured else "warning",
+                foot,
+                known.words(),
+            )
+            for foot, known in self.points.items()
+        ]
+        return SessionRecord(
+            header, samples=samples, phases=self.phases, strides=self.strides, notes=notes, complete=True
+        )
 
 
 def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, level: bool = True) -> Analysis:
@@ -143,12 +160,17 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
     result = Analysis(recording, dict(calibrations), [], [], {}, {}, level=level)
     for sensor in driving(calibrations).values():
         calibration, track = calibrations[sensor], recording.tracks[sensor]
-        tracker = _tracker(session, calibration, level=level)
-        for outcome in tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps):
-            if isinstance(outcome, StrideResult):
-                result.strides.append(outcome)
-            else:
-                result.phases.append(outcome)
+        paths: list[FootPath] = []
+        tracker = _tracker(session, calibration, paths.append, level=level)
+        outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+        strides = [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
+        if isinstance(calibration, FootCalibration):
+            ranges = (track.acc_range_mps2, track.gyr_range_radps)
+            strides = fused(strides, track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
+            given = next((value for foot, value in session.geometry.items() if foot == sensor), None)
+            strides, result.points[sensor] = toe_and_heel(strides, paths, given, level=level)
+        result.strides.extend(strides)
+        result.phases.extend(outcome for outcome in outcomes if not isinstance(outcome, StrideResult))
         result.counts[sensor] = tracker.counts
         if isinstance(calibration, ShankCalibration):
             result.no_path[sensor] = f"{sensor}: a path needs a sensor that rests at every step, as on the foot"
@@ -168,10 +190,10 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
     return result
 
 
-def _tracker(session: Session, calibration: Calibration, *, level: bool) -> Tracker:
+def _tracker(session: Session, calibration: Calibration, watch: Callable[[FootPath], None], *, level: bool) -> Tracker:
     if isinstance(calibration, ShankCalibration):
         return shank_tracker(calibration, equal_height=None if level else False)
-    settings = replace(stride_settings(session, calibration), equal_height=level)
+    settings = replace(stride_settings(session, calibration), equal_height=level, watch=watch)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
 
 

@@ -199,10 +199,11 @@ def test_a_tracker_shows_the_path_of_every_valid_stride() -> None:
         assert (path.t_ns[0], path.t_ns[-1]) == (each.t_start_ns, each.t_end_ns)
         assert path.position_m[:, 2].max() == pytest.approx(each.clearance_m)
     assert all(math.isnan(each.toe_clearance_m) for each in strides)
-    told = with_clearance(strides, paths, arms_of(geometry))
+    arms = arms_of(geometry)
+    told = with_clearance(strides, paths, arms, contact_levels(paths, arms))
     assert [each.number for each in told] == [each.number for each in strides]
     for path, each in zip(paths, (each for each in told if each.valid), strict=True):
         assert 0.0 < each.toe_clearance_m < 0.04
         assert 0.15 < each.heel_clearance_m < 0.3
         assert path.t_ns[0] == each.t_start_ns
-    assert with_clearance(strides, [], arms_of(geometry)) == strides
+    assert with_clearance(strides, [], arms, None) == strides

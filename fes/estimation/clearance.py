@@ -208,12 +208,13 @@ def mid_swing(t_ns: IntArray, height_m: FloatArray, level_m: FloatArray) -> tupl
     return int(np.argmax(speed)), False
 
 
-def with_clearance(strides: Sequence[StrideResult], paths: Sequence[FootPath], arms: FootArms) -> list[StrideResult]:
-    """The strides of one foot's recording with toe and heel clearance from their paths, at its contact levels.
+def with_clearance(
+    strides: Sequence[StrideResult], paths: Sequence[FootPath], arms: FootArms, levels: ContactLevels | None
+) -> list[StrideResult]:
+    """The strides of one foot's recording with toe and heel clearance from their paths, shifted to ``levels`` if given.
 
     A stride without a path of the same number is passed on as it is.
     """
-    levels = contact_levels(paths, arms)
     found = {path.number: clearance(path, arms, levels) for path in paths}
     return [
         replace(stride, toe_clearance_m=found[stride.number].toe_m, heel_clearance_m=found[stride.number].heel_m)

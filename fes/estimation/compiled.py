@@ -23,10 +23,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def _sources() -> list[Path]:
-    """The modules beside this one that compile something, and what they compile in from elsewhere."""
-    compiling = [
-        path for path in sorted(Path(__file__).parent.glob("*.py")) if "jit" in path.read_text(encoding="utf-8")
-    ]
+    """The modules beside this one that compile something, the patient's, and what they compile in from elsewhere."""
+    here = Path(__file__).parent
+    beside = [*sorted(here.glob("*.py")), *sorted((here.parent / "patient" / "virtual").glob("*.py"))]
+    compiling = [path for path in beside if "jit" in path.read_text(encoding="utf-8")]
     return [*compiling, Path(statemachine.guards.__file__), Path(fes.signals.__file__)]
 
 

@@ -27,7 +27,7 @@ class StrideNoise(NamedTuple):
     end_velocity_mps: float = 0.003
     end_velocity_per_rate_m: float = 0.01  # the lever arm's uncertainty, times the rate at the end
     end_velocity_per_spread_m: float = 0.05  # times the rate's spread: the end is no single instant
-    end_height_m: float = 0.015
+    end_height_m: float = 0.01
     end_tilt_rad: float = 0.011
     end_tilt_per_rate_s: float = 0.1  # a foot that turns at the end also accelerates
     end_tilt_most_rad: float = 0.04  # what is measured beyond that is doubted, by twice the excess

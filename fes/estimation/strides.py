@@ -17,6 +17,7 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.estimation.clearance import FootPath, foot_path
 from fes.estimation.likely import most_likely
+from fes.estimation.likely_height import HeightNoise, settle_height
 from fes.estimation.likely_noise import StrideNoise
 from fes.estimation.rotation import rotate, rotate_all
 from fes.estimation.stride import integrate, orient
@@ -31,7 +32,7 @@ SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where t
 # forward, of an instep in mid-stance beyond w × r: shoe and skin give way, as optical systems see too. The constrained
 # method, which cannot tell a velocity from an acceleration error, needs more of it on the same recordings.
 CREEP_MPS = {"most_likely": 0.002, "constrained": 0.005}
-NOISE = StrideNoise()
+NOISE, HEIGHT_NOISE = StrideNoise(), HeightNoise()
 END_TILT_GAIN = 0.15
 TRAJECTORY_POINTS = 101
 DURATION_S = (0.4, 5.0)
@@ -177,20 +178,25 @@ def solve_stride(
         start, end = end_velocities
         solved = integrate(t, f, quaternion, start, end, equal_height, velocity, position, gamma)
     else:
+        forces, variances = np.array([end.force_mps2 for end in ends]), np.array([end.variances(NOISE) for end in ends])
         solved = most_likely(
             t,
             f,
             w,
             start_quaternion,
             end_velocities,
-            np.array([end.force_mps2 for end in ends]),
-            np.array([end.variances(NOISE) for end in ends]),
+            forces,
+            variances,
             equal_height,
             NOISE,
             quaternion,
             velocity,
             position,
         )
+        vertical = np.empty((n, 2))
+        if solved and equal_height:
+            solved = settle_height(t, f, quaternion, end_velocities[:, 2], variances[:, 0], HEIGHT_NOISE, vertical)
+            velocity[:, 2], position[:, 2] = vertical.T
     length = float(np.hypot(position[-1, 0], position[-1, 1]))
     reason = ""
     if not solved:
