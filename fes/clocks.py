@@ -21,6 +21,8 @@ MAX_DRIFT: Final = 300e-6
 SETTLE_NS: Final = 2 * NS_PER_S  # a new mapping begins with one sample's delay in it: until then it may hurry
 SETTLE_SLEW: Final = 0.5
 AHEAD_NS: Final = 20_000_000  # stamps this far beyond their arrival show that the mapping was wrong
+SET_AHEAD_NS: Final = 60_000_000  # so far beyond, three times in a row: the clock was set
+SET_SAMPLES: Final = 3
 JUMP_NS: Final = NS_PER_S
 LATE_NS: Final = NS_PER_S // 2
 LATE_BINS: Final = 5
@@ -35,7 +37,8 @@ class SensorClock:
     first 2 s, and when a stamp lies over 20 ms beyond its own arrival, corrections may go faster (never backward). A
     stamp that goes back by more than 1 s, or forward by 1 s more than the host's clock, is a device that restarted or
     had its clock set: the mapping begins anew, counted in :attr:`resets`. So does one whose samples have all been
-    over 0.5 s late for 5 s. Stamps that go back by less are mapped as they are.
+    over 0.5 s late for 5 s, and one whose stamps are over 60 ms beyond their arrival three times in a row: one or two
+    such stamps are slips that move nothing. Stamps that go back by less are mapped as they are.
     """
 
     def __init__(self) -> None:
@@ -45,7 +48,7 @@ class SensorClock:
         self._origin_ns = self._newest_ns = 0
         self._out_ns = self._slope = self._level = 0.0
         self._bins: deque[_Point] = deque(maxlen=WINDOW_BINS)
-        self._bin, self._late = 0, 0
+        self._bin, self._late, self._ahead = 0, 0, 0
         self._least: _Point = (0.0, 0.0)
 
     @property
@@ -70,9 +73,14 @@ class SensorClock:
         step_ns = t_device_ns - self._newest_ns
         excess_ns = float(t_host_ns - t_device_ns - self._base_ns)
         time_s = (t_device_ns - self._origin_ns) / NS_PER_S
-        if step_ns < -JUMP_NS or excess_ns < self._target(time_s) - JUMP_NS or self._late >= LATE_BINS:
+        ahead_ns = self._target(time_s) - excess_ns
+        slipped = ahead_ns > SET_AHEAD_NS and time_s * NS_PER_S > SETTLE_NS
+        self._ahead = self._ahead + 1 if slipped else 0
+        if step_ns < -JUMP_NS or ahead_ns > JUMP_NS or self._late >= LATE_BINS or self._ahead >= SET_SAMPLES:
             self.resets += 1
             return self._begin(t_host_ns, t_device_ns)
+        if slipped:
+            return t_device_ns + self.offset_ns
         self._take(time_s, excess_ns)
         if step_ns > 0:
             self._newest_ns = t_device_ns
@@ -92,7 +100,7 @@ class SensorClock:
         self._out_ns = self._slope = self._level = 0.0
         self._bins.clear()
         self._bin, self._least = 0, (0.0, float(t_host_ns - mapped_ns))
-        self._late = 0
+        self._late = self._ahead = 0
         self._mapped_ns = mapped_ns
         return mapped_ns
 

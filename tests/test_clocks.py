@@ -12,6 +12,8 @@ from fes.signals import NS_PER_S
 
 Delay = Callable[[random.Random, int], float]
 
+MS = 1_000_000
+
 
 def exponential(rng: random.Random, k: int) -> float:
     return rng.expovariate(1 / 5e6)
@@ -114,3 +116,30 @@ def test_the_line_lies_under_all_points() -> None:
     assert all(value >= level + slope * time * NS_PER_S - 1e-3 for time, value in points)
     assert slope == pytest.approx(100e-6, abs=10e-6)
     assert line_under(points[:9]) == (min(value for _, value in points[:9]), 0.0)
+
+
+def test_a_clock_set_ahead_by_half_a_second_is_mapped_anew_at_the_third_sample() -> None:
+    clock = SensorClock()
+    period_ns = 5 * MS
+    for k in range(1000):
+        mapped_ns = clock.map(k * period_ns + 2 * MS, k * period_ns)
+    ahead_ns = 500 * MS
+    for k in range(1000, 1100):
+        arrival_ns = k * period_ns + 2 * MS
+        before_ns, mapped_ns = mapped_ns, clock.map(arrival_ns, k * period_ns + ahead_ns)
+        if k >= 1002:
+            assert abs(mapped_ns - arrival_ns) <= 5 * MS
+            assert k == 1002 or mapped_ns - before_ns == period_ns
+    assert clock.resets == 1
+
+
+def test_one_or_two_stamps_far_ahead_move_nothing() -> None:
+    clock, plain = SensorClock(), SensorClock()
+    for k in range(3000):
+        arrival_ns, stamp_ns = k * 5 * MS + 2 * MS, k * 5 * MS
+        wild = k > 1000 and k % 40 in (0, 1)
+        expected_ns = plain.map(arrival_ns, stamp_ns)
+        mapped_ns = clock.map(arrival_ns, stamp_ns + (300 * MS if wild else 0))
+        if not wild:
+            assert mapped_ns == expected_ns
+    assert clock.resets == 0

@@ -250,15 +250,15 @@ def test_each_axis_saturates_at_its_end_and_not_before(axis: int, sign: int) -> 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_force_counts_all_three_axes(axis: int) -> None:
-    assert fault(along(axis, 3.0)) == ""
-    assert fault(along(axis, 2.999)) == (
-        "left_foot shows 3 m/s² and less than gravity for 80 ms: is its unit g?"  # rounded to two digits
+    assert fault(along(axis, 3.5)) == ""
+    assert fault(along(axis, 3.499)) == (
+        "left_foot shows 3.5 m/s² and less than gravity for 80 ms: is its unit g?"  # rounded to two digits
     )
     assert fault(along(axis, 60.0), device=None) == ""
     assert fault(along(axis, 60.01), device=None) == (
         "left_foot shows 60 m/s² and more than a foot can take for 80 ms: wrong unit?"
     )
-    assert fault(along(axis, 2.0, 2.0)) == "", "3.5 m/s² together"
+    assert fault(along(axis, 2.1, 2.1)) == "", "3.6 m/s² together"
 
 
 def test_nothing_is_doubted_before_the_first_sample() -> None:

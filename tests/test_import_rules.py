@@ -18,6 +18,16 @@ VOCABULARY = {"fes.signals", "fes.limits", "fes.config"}
 SIMULATED = {"fes.recording", "fes.patient"}  # what a simulated sensor plays
 HARDWARE = {"serial", "can", "drivers"}
 NO_CLOCK = {"time", "threading", "asyncio", "multiprocessing", "concurrent", "sched"}
+LIVE = {
+    "fes.controller",
+    "fes.runner",
+    "fes.gate",
+    "fes.journal",
+    "fes.sources",
+    "fes.driving",
+    "fes.estimation",
+}
+LIVE |= {"fes.replay", "statemachine.phases", "rich"}  # what a live session is made of; rich is the view's, by itself
 PURE: tuple[str, ...] = (
     "fes.controller",
     "fes.sources",
@@ -29,6 +39,7 @@ PURE: tuple[str, ...] = (
     "fes.stimulation",
 )
 PURE += ("fes.estimation", "statemachine")
+PURE += ("fes.live.operator", "fes.live.orders", "fes.live.states", "fes.live.status", "fes.live.watch")
 
 
 @cache
@@ -80,8 +91,9 @@ def of(*packages: str) -> list[str]:
 
 
 def strangers(module: str, allowed: set[str]) -> set[str]:
-    """Imports beyond the standard library that are not allowed."""
-    return {name for name in imports(module) if name.split(".")[0] not in STDLIB and not within(name, allowed)}
+    """Imports beyond the standard library that are not allowed; ``fes`` itself holds the version and no more."""
+    named = imports(module) - {"fes"}
+    return {name for name in named if name.split(".")[0] not in STDLIB and not within(name, allowed)}
 
 
 @pytest.mark.parametrize("module", sorted(VOCABULARY | set(of("fes.config"))))
@@ -106,6 +118,7 @@ def test_the_vocabulary_knows_nobody(module: str) -> None:
             {"numpy", "statemachine.phases", "fes.driving", "fes.estimation", "fes.stimulation", *VOCABULARY},
         ),
         ("fes.runner", {"fes.controller", "fes.gate", "fes.journal", "statemachine.phases", *VOCABULARY}),
+        ("fes.live", {"fes.live", "numpy", *LIVE, *VOCABULARY}),
         ("fes.journal", {"fes.journal", "numpy", "msgpack", "statemachine.phases", *VOCABULARY}),
     ],
 )
@@ -139,6 +152,13 @@ def test_only_the_commands_wire_drivers_to_the_controller() -> None:
     assert not outside
     hardware = {module for module in of("fes") if any(within(name, {"serial", "can"}) for name in imports(module))}
     assert hardware <= {"fes.recording.can_log"}  # a CAN log is a file
+
+
+def test_only_the_views_own_process_draws() -> None:
+    assert {module for module in of("fes.live") if "rich" in {name.split(".")[0] for name in imports(module)}} == {
+        "fes.live.view"
+    }
+    assert not [module for module in of("fes.live") if "fes.live.view" in imports(module)]
 
 
 def test_nobody_but_the_commands_knows_the_commands() -> None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import ClassVar, Final
 
 import can
 
@@ -60,8 +61,11 @@ class CanStimulator:
     identifiers, other sessions, wrong CRCs, repeated heartbeats (not controllers' frames: multicast returns our own).
 
     Args:
-        in_real_time: the times passed in are the wall's, so that a late answer and a silent heartbeat are faults.
+        in_real_time: the times passed in are the wall's, so that a late answer and a silent heartbeat are faults. A
+            node that has not our session open any more is first reported and then lost, to be opened again.
     """
+
+    current_step_ma: ClassVar[float] = can_codec.CURRENT_STEP_MA
 
     def __init__(self, bus: can.BusABC, session_id: int, *, in_real_time: bool = False) -> None:
         self.session_id = session_id
@@ -69,6 +73,8 @@ class CanStimulator:
         self._bus = bus
         self._encoder = CommandEncoder(session_id)
         self._answers = CommandAnswers(in_real_time=in_real_time)
+        self._in_real_time = in_real_time
+        self._session_gone = False
         self._boot_id = 0
         self._totals: dict[int, tuple[int, int]] = {}
         self._delivered: dict[int, tuple[int, int]] = {}
@@ -131,8 +137,10 @@ class CanStimulator:
         """All that has arrived from the node, at most 128 frames, stamped ``t_ns``.
 
         Raises:
-            StimulatorLost: the bus cannot be read, or the adapter reports bus-off.
+            StimulatorLost: the bus cannot be read, the adapter reports bus-off, or our session is gone.
         """
+        if self._session_gone and self._in_real_time:
+            raise StimulatorLost(f"{self._bus.channel_info}: {_SESSION_GONE}")
         events: list[StimStatus | StimAlive] = []
         for _ in range(POLL_AT_MOST):
             raw = self._read(0.0)
@@ -155,7 +163,8 @@ class CanStimulator:
         """Shut the bus down; sends nothing."""
         if not self._closed:
             self._closed = True
-            self._bus.shutdown()
+            with contextlib.suppress(can.CanError, OSError):  # an adapter that is gone cannot be told
+                self._bus.shutdown()
 
     def _status(self, status: Status, t_ns: int) -> StimStatus:
         different = self._answers.settle(status)
@@ -188,8 +197,8 @@ class CanStimulator:
     def _alive(self, alive: Alive, t_ns: int, *, expect_session: bool) -> StimAlive:
         fault = fault_text(alive.faults)
         if expect_session and alive.session_id != self.session_id:
-            lost = "the stimulator has not our session open (it restarted, or another controller took it)"
-            fault = f"{lost}; {fault}" if fault else lost
+            self._session_gone = True
+            fault = f"{_SESSION_GONE}; {fault}" if fault else _SESSION_GONE
         self._boot_id = alive.boot_id
         self._answers.heard(t_ns)
         return StimAlive(t_ns, alive.boot_id, alive.rejected, fault)
@@ -247,4 +256,5 @@ class CanStimulator:
         )
 
 
+_SESSION_GONE: Final = "the stimulator has not our session open (it restarted, or another controller took it)"
 _LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."

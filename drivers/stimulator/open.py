@@ -34,9 +34,16 @@ def open_stimulator(settings: StimulatorDevice, session: Session, session_id: in
     return make(settings, session, session_id)
 
 
+def electrodes_unknown(settings: StimulatorDevice) -> str:
+    """What such a device cannot tell of its electrodes before it stimulates; "" when its heartbeat tells."""
+    if settings.device in ("p24_low_level", "p24_mid_level"):
+        return "electrodes unknown: this stimulator tells them only while it stimulates, from 15 mA on"
+    return "" if settings.device in ("can", "canopen") else "electrodes unknown before the first pulse"
+
+
 def _can(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
     _only(settings, frozenset())
-    return CanStimulator(open_bus(session.bus), session_id)
+    return CanStimulator(open_bus(session.bus), session_id, in_real_time=True)
 
 
 def _low_level(settings: StimulatorDevice, session: Session, session_id: int) -> Port:

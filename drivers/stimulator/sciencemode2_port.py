@@ -22,7 +22,7 @@ from drivers.stimulator.serial_line import Line
 from fes.signals import StimCommand, WireFrame
 
 WATCHDOG_S: Final = 1.2
-KEEP_ALIVE_NS: Final = 400_000_000
+KEEP_ALIVE_NS: Final = 250_000_000
 
 
 class RehaStim2(ScienceModePort):
@@ -79,7 +79,8 @@ class RehaStim2(ScienceModePort):
         if command.channel == self._last and self._due:
             return [self._list(command.t_ns)]
         if self._quiet_for(command.t_ns, KEEP_ALIVE_NS):
-            return [Packet(self._next_number(), Code.WATCHDOG)]
+            # asked for its mode rather than told that we live: the answer tells that it does, too
+            return [self._expect(Packet(self._next_number(), Code.GET_MODE), command.t_ns)]
         return []
 
     def _gather(self, command: StimCommand, counter: int) -> None:
@@ -129,8 +130,14 @@ class RehaStim2(ScienceModePort):
         result = codec.signed(packet.data) if packet.data else -1
         if result:
             self._count_rejected()
+        fault = fault or codec.result_text(result)
+        if packet.command == Code.GET_MODE + 1:
+            if not fault and packet.data[1:2] == b"\0":
+                self._restarted(t_ns, "the stimulator has forgotten its channel list: it restarted, or was stopped")
+            else:
+                self._alive(t_ns, fault)
         for pulse in awaited.pulses:
-            self._confirm(t_ns, pulse, fault or codec.result_text(result), pulses=1)
+            self._confirm(t_ns, pulse, fault, pulses=1)
 
     def _encode(self, packet: Packet) -> bytes:
         return codec.encode(packet)

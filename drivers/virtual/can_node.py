@@ -2,7 +2,9 @@
 
 A real stimulator's lease does not depend on the controller's computer; so this node has its own process, its own
 clock and loop, and asks for real-time scheduling where it may. It prints one JSON line when it is ready and ends
-on SIGTERM, SIGINT, or (``--until-stdin-closes``) when the process that started it is gone.
+on SIGTERM, SIGINT, or (``--until-stdin-closes``) when the process that started it is gone. Faults while it runs are
+JSON lines ``{"fault": NAME, "value": NUMBER}`` on stdin, each confirmed: the node's own, and those of its line
+(:mod:`drivers.virtual.line_faults`) for what it sends.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ import can
 from drivers.stimulator.bus import MULTICAST, BusError, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS
 from drivers.stimulator.can_messages import Frame
+from drivers.virtual.imu_wire import CAN_RECORD
+from drivers.virtual.line_faults import LINE_FAULTS, LineFaults
 from drivers.virtual.node_clock import SIM_TIME_ID, BusClock, NodeClock, RealClock
 from drivers.virtual.node_faults import parse_faults
 from drivers.virtual.node_record import RecordWriter
@@ -53,6 +57,8 @@ class NodeLoop:
         self._record = record
         self._stop = tuple(stop)
         self._read_errors = 0
+        self._faults = LineFaults()
+        self._typed = b""
 
     def run(self) -> None:
         """Until a stop descriptor speaks. The outputs are off afterwards.
@@ -69,7 +75,7 @@ class NodeLoop:
 
     def _turn(self) -> bool:
         self._put_out(self._node.advance(self._clock.now_ns()))
-        wait_s = self._clock.wait_s(self._node.next_deadline_ns())
+        wait_s = self._clock.wait_s(min(self._node.next_deadline_ns(), self._faults.next_deadline_ns()))
         ready, _, _ = select.select([self._bus.fileno(), *self._stop], [], [], wait_s)
         if any(descriptor in ready and self._is_over(descriptor) for descriptor in self._stop):
             return False
@@ -89,10 +95,13 @@ class NodeLoop:
         return True
 
     def _put_out(self, frames: list[Frame]) -> None:
-        for identifier, data in frames:
+        now_ns = self._clock.now_ns()
+        self._faults.send(now_ns, [CAN_RECORD.pack(identifier, len(data), data) for identifier, data in frames])
+        for identifier, length, data in CAN_RECORD.iter_unpack(self._faults.due(now_ns)):
             # a node whose answers do not get out still keeps its leases; the controller sees the silence
             with contextlib.suppress(can.CanError, OSError):
-                self._bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False), timeout=0)
+                message = can.Message(arbitration_id=identifier, data=data[:length], is_extended_id=False)
+                self._bus.send(message, timeout=0)
         self._record.write(self._node.take_record())
 
     def _read(self) -> can.Message | None:
@@ -106,10 +115,27 @@ class NodeLoop:
         self._read_errors = 0
         return message
 
-    @staticmethod
-    def _is_over(descriptor: int) -> bool:
+    def _is_over(self, descriptor: int) -> bool:
         """A byte from the signal pipe ends the node; so does the end of stdin, but not what is typed there."""
-        return descriptor != _STDIN or os.read(descriptor, 4096) == b""
+        if descriptor != _STDIN:
+            return True
+        data = os.read(descriptor, 4096)
+        *lines, self._typed = (self._typed + data).split(b"\n")
+        for line in lines:
+            try:
+                asked = json.loads(line)
+                self._fault(str(asked["fault"]), float(asked.get("value", 1)))
+                answer = {"done": asked["fault"], "t_ns": self._clock.now_ns()}
+            except (ValueError, KeyError, TypeError, AttributeError) as error:
+                answer = {"error": f"{line.decode(errors='replace')!r}: {error}"}
+            print(json.dumps(answer), flush=True)
+        return not data
+
+    def _fault(self, name: str, value: float) -> None:
+        if name in LINE_FAULTS:
+            self._faults.set(name, value)
+        else:
+            self._node.set_fault(self._clock.now_ns(), name, value)
 
 
 def become_real_time() -> bool:

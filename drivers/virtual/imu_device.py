@@ -2,8 +2,8 @@
 
 Faults, besides the line's own (:mod:`drivers.virtual.line_faults`): ``reboot`` (now: silent for 0.3 s, then clock and
 counter from 0), ``unit`` (values times this; 0 ends it), ``stuck`` (1: repeats itself), ``clip`` (values held
-within ± this share of full scale; 0 ends it), ``nan`` / ``doubled`` (so many of the next samples), ``drift`` (ppm of
-its clock from now on), ``jump`` (its clock, by so many seconds).
+within ± this share of full scale; 0 ends it), ``full`` (1: every value at the end of its range), ``nan`` / ``doubled``
+(so many of the next samples), ``drift`` (ppm of its clock from now on), ``jump`` (its clock, by so many seconds).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from drivers.virtual.imu_signal import ImuSignal
 from drivers.virtual.imu_wire import Reading, Wire
 from fes.signals import G_MPS2, NS_PER_S, Vector3
 
-FAULTS: Final = frozenset(("reboot", "unit", "stuck", "clip", "nan", "doubled", "drift", "jump"))
+FAULTS: Final = frozenset(("reboot", "unit", "stuck", "clip", "full", "nan", "doubled", "drift", "jump"))
 BOOT_NS: Final = 300_000_000
 _NAN: Final = (math.nan, math.nan, math.nan)
 
@@ -102,6 +102,8 @@ class SimulatedImu:
         clipped = self._values["clip"] > 0 and (held_acc != acc or held_gyr != gyr)
         if self._values["unit"]:
             held_acc, held_gyr = _held(acc, factor, math.inf), _held(gyr, factor, math.inf)
+        if self._values["full"]:
+            held_acc, held_gyr = _held(acc, 1e9, self._acc_range), _held(gyr, 1e9, self._gyr_range)
         if self._take("nan"):
             held_acc = _NAN
         return Reading(self._counter, own_ns, held_acc, held_gyr, clipped)

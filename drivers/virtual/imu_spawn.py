@@ -48,7 +48,7 @@ class ImuHandle:
 
     def clear(self) -> None:
         """End the faults that last."""
-        for name in ("garble", "drop", "reorder", "delay", "mute", "unit", "stuck", "clip", "nan", "doubled"):
+        for name in ("garble", "drop", "reorder", "delay", "mute", "unit", "stuck", "clip", "full", "nan", "doubled"):
             self.fault(name, 0.0)
 
     def stop(self) -> int:

@@ -21,6 +21,7 @@ from fes.config import Bus
 
 _STOP_WAIT_S: Final = 3.0
 _PROBES: Final = frozenset((1,))
+_ANSWER_WAIT_S: Final = 10.0
 
 
 class NodeFailed(StimulatorLost):
@@ -41,6 +42,24 @@ class NodeHandle:
     real_time: bool
     record: Path | None
     _errors: IO[str]
+
+    def tell(self, fault: str, value: float = 1.0) -> int:
+        """Bring a fault about now; returns when it was, in CLOCK_MONOTONIC ns.
+
+        Raises:
+            NodeFailed: the node does not know it, or is gone.
+        """
+        if self.process.stdin is None:
+            raise NodeFailed("the simulated stimulator has no stdin")
+        try:
+            self.process.stdin.write(json.dumps({"fault": fault, "value": value}) + "\n")
+            self.process.stdin.flush()
+            answer = json.loads(first_line(self.process, _ANSWER_WAIT_S))
+            return int(answer["t_ns"])
+        except (OSError, ValueError) as error:
+            raise NodeFailed(f"the simulated stimulator is gone: {error}") from error
+        except KeyError:
+            raise NodeFailed(f"the simulated stimulator refused: {answer.get('error')}") from None
 
     def stop(self) -> int:
         """End the node and wait for it; returns its exit status. May be called twice."""
@@ -98,7 +117,7 @@ def spawn_node(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
     )
     handle = NodeHandle(process, settings, -1, False, record, errors)
-    line = _first_line(process, timeout_s)
+    line = first_line(process, timeout_s)
     try:
         ready = json.loads(line)
         handle.boot_id, handle.real_time = int(ready["boot_id"]), bool(ready["real_time"])
@@ -137,7 +156,8 @@ def why_silent(settings: Bus) -> str:
     return "" if heard is not None else "frames are sent but do not come back on this machine"
 
 
-def _first_line(process: subprocess.Popen[str], timeout_s: float) -> str:
+def first_line(process: subprocess.Popen[str], timeout_s: float) -> str:
+    """What the process says first; "" when nothing in time."""
     if process.stdout is None:
         return ""
     ready, _, _ = select.select([process.stdout], [], [], timeout_s)

@@ -9,6 +9,7 @@ identifier not yet seen since boot, so a capture played back later does nothing.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 from drivers.stimulator import can_codec
@@ -80,6 +81,23 @@ class StimulatorNode:
         """Silence every channel; nothing is sent."""
         for number in range(CHANNELS):
             self._off(t_ns, number, "off")
+
+    def set_fault(self, t_ns: int, name: str, value: float) -> None:
+        """Bring a fault of :class:`NodeFaults` about while the node runs; ``reboot`` after ``value`` seconds.
+
+        Raises:
+            ValueError: no such fault.
+        """
+        if name == "reboot":
+            self._reboot_ns = t_ns + int(value * NS_PER_S)
+        elif name == "electrode":
+            self.faults = replace(self.faults, electrode=int(value))
+            if value < 0:
+                self.flags &= ~Fault.OUTPUT
+        elif name == "weak":
+            self.faults = replace(self.faults, weak=int(value))
+        else:
+            raise ValueError(f"fault {name!r} is not known; one of electrode, weak, reboot")
 
     def take_record(self) -> list[RecordEntry]:
         """What happened since the last call."""

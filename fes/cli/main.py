@@ -24,6 +24,7 @@ COMMANDS: Final = {
     "compare": ("fes.cli.compare", "Two session logs' differences, stride by stride."),
     "convert": ("fes.cli.convert", "A session log as CSV, Parquet or MCAP, for other programs."),
     "recover": ("fes.cli.recover", "Repair a torn session log and say what was lost."),
+    "simulate": ("fes.cli.simulate", "A virtual patient walks: sensors, truth, stimulation in closed loop."),
     "trials": ("fes.cli.trials", "Generate the bundled recordings, with their truth, from their seeds."),
 }
 

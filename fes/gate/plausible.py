@@ -15,7 +15,7 @@ from fes.config import ImuDevice
 from fes.signals import G_MPS2, ImuSample, Vector3
 
 SUSTAINED_MS: Final = 80  # what one knock, one clipped heel strike or one free fall of the foot never lasts
-LEAST_FORCE_MPS2: Final = 3.0  # below it for 80 ms: g taken for m/s²; real feet stay below it for 30 ms at most
+LEAST_FORCE_MPS2: Final = 3.5  # mostly below it for 80 ms: g taken for m/s²; real feet stay below it for 40 ms
 MOST_FORCE_MPS2: Final = 60.0  # above it for 80 ms: m/s² scaled by g once more; real feet, 30 ms at most
 MOST_RATE_RADPS: Final = 40.0  # in any one sample: degrees taken for radians; real feet turn at 13, shanks at 20
 AT_RANGE: Final = 0.995  # of the range that the session states
@@ -41,6 +41,28 @@ class _Lasting:
         return t_ns - self.since_ns >= SUSTAINED_MS * 1_000_000
 
 
+@dataclass(slots=True)
+class _Mostly:
+    """How long something has been so, all in all, where half of the time that it was not is taken off again.
+
+    In m/s² a foot's swing is never weak for long; in g it is, but for the spikes between.
+    """
+
+    before_ns: int | None = None
+    so_ns: int = 0
+    was_so: bool = False
+
+    def so(self, t_ns: int, is_so: bool) -> bool:
+        """Whether it has now been so for long enough."""
+        passed_ns = max(t_ns - self.before_ns, 0) if self.before_ns is not None else 0
+        if not is_so:
+            self.so_ns = max(self.so_ns - passed_ns // 2, 0)
+        elif self.was_so:
+            self.so_ns += passed_ns
+        self.before_ns, self.was_so = t_ns, is_so
+        return is_so and self.so_ns >= SUSTAINED_MS * 1_000_000
+
+
 class Plausibility:
     """One sensor's samples against what is possible.
 
@@ -54,7 +76,8 @@ class Plausibility:
         self._gyr_range_radps = AT_RANGE * math.radians(device.gyr_range_dps) if device else math.inf
         self._up = up
         self.doubt = ""  # no fault by itself: a foot may rest so, but not one that walks
-        self._weak, self._strong, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting(), _Lasting()
+        self._weak = _Mostly()
+        self._strong, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting()
 
     def fault(self, sample: ImuSample) -> str:
         """Take in a finite sample; what cannot be, in words, "" when all can."""

@@ -106,7 +106,7 @@ def impossible(samples: list[ImuSample]) -> bool:
     if max(map(abs, newest.gyr_radps)) > 40.0:
         return True
     lasting: list[Callable[[ImuSample], bool]] = [
-        lambda s: force(s) < 3.0,
+        lambda s: force(s) < 3.5,
         lambda s: force(s) > 60.0,
         lambda s: (s.acc_mps2, s.gyr_radps) == (newest.acc_mps2, newest.gyr_radps),
     ]

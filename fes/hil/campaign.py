@@ -1,0 +1,136 @@
+"""A campaign: every fault of the table, one after the other, on one transport."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from drivers.imu.port import ImuLost
+from drivers.stimulator.port import StimulatorLost
+from drivers.virtual.rogue import Rogue
+from fes.hil.attempt import attempt
+from fes.hil.baseline import Baseline
+from fes.hil.devices import start_devices
+from fes.hil.hardware import BusWitness, Hardware, hardware_session
+from fes.hil.results import Attempt, Campaign, Row
+from fes.hil.rig import CampaignBroken, Rig
+from fes.hil.scenarios import Needs, Scenario
+
+NOT_BASELINE: Final = ("cpu_hogs", "controller_starved")  # these take the processor away on purpose
+BROKEN_IN_A_ROW: Final = 3
+
+Tell = Callable[[Scenario, int, Attempt | None], None]
+"""Told before (None) and after every attempt."""
+
+
+def simulated_campaign(
+    transport: str, scenarios: Sequence[Scenario], repeat: int, folder: Path, tell: Tell, channel: str = "vcan0"
+) -> Campaign:
+    """Run these scenarios on simulated devices, each ``repeat`` times; whatever ends it, nothing is left running.
+
+    Args:
+        folder: for the devices' records and the sessions' logs; must exist.
+        channel: the interface's name for ``socketcan``.
+
+    Raises:
+        Unavailable: the transport is not to be had on this machine.
+        CampaignBroken: three attempts in a row could not even be made.
+    """
+    with ExitStack() as stack:
+        devices = start_devices(transport, folder, stack, channel)
+        rig = Rig(devices, devices.can_do | machine_can_do(), stack)
+        return run_campaign(rig, transport, scenarios, repeat, tell)
+
+
+def hardware_campaign(
+    path: Path, calibration: Path, scenarios: Sequence[Scenario], repeat: int, folder: Path, tell: Tell
+) -> Campaign:
+    """Run these scenarios, which must be of the host's side, on the devices of a session file.
+
+    Raises:
+        ConfigError: the settings cannot be used, or nobody but the controller can hear the stimulator.
+        BusError: the bus cannot be opened.
+        CampaignBroken: three attempts in a row could not even be made.
+    """
+    session = hardware_session(path)
+    with ExitStack() as stack:
+        witness = BusWitness(stack.enter_context(Rogue(session.bus)))
+        witness.start(stack)
+        bench = Hardware(folder, path, calibration, session.stimulation.intensity, witness)
+        rig = Rig(bench, machine_can_do(), stack, by_hand=True)
+        return run_campaign(rig, f"hardware ({path.name})", scenarios, repeat, tell)
+
+
+def run_campaign(rig: Rig, name: str, scenarios: Sequence[Scenario], repeat: int, tell: Tell) -> Campaign:
+    """The rows, one after the other.
+
+    Raises:
+        CampaignBroken: three attempts in a row could not even be made.
+    """
+    started, begin_s = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
+    with ExitStack() as stack:
+        stack.callback(rig.close)
+        baseline = Baseline()
+        stack.callback(baseline.end)
+        rows: list[Row] = []
+        broken = 0
+        for scenario in scenarios:
+            row = Row(scenario)
+            rows.append(row)
+            if lacking := sorted(scenario.needs - rig.can_do):
+                row.skipped = f"needs {', '.join(lacking)}"
+                continue
+            if scenario.name in NOT_BASELINE:
+                baseline.leave_out(True)
+            for n in range(repeat):
+                tell(scenario, n, None)
+                try:
+                    found = attempt(rig, scenario, n)
+                    broken = 0
+                except (CampaignBroken, StimulatorLost, ImuLost, ProcessLookupError) as error:
+                    broken += 1
+                    found = Attempt(faults=(str(error),))
+                    rig.end_session()
+                    if broken >= BROKEN_IN_A_ROW:
+                        raise CampaignBroken(f"{scenario.name}: {error}") from error
+                row.attempts.append(found)
+                tell(scenario, n, found)
+            if scenario.name in NOT_BASELINE:
+                baseline.leave_out(False)
+        rig.close()
+        lateness = baseline.end()
+    return Campaign(name, tuple(rows), lateness, started, time.monotonic() - begin_s, repeat, tuple(rig.unasked))
+
+
+def machine_can_do() -> frozenset[Needs]:
+    """What this machine lets the campaign do."""
+    found = {Needs.PROC} if Path("/proc/self/task").is_dir() else set()
+    if hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) > 1 and _may_be_first():
+        found.add(Needs.FIFO)
+    return frozenset(found)
+
+
+def _may_be_first() -> bool:
+    """Whether SCHED_FIFO is granted; tried in a process of its own."""
+    pid = os.fork()
+    if not pid:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+            os._exit(0)
+        except (OSError, AttributeError):
+            os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+
+
+def save_campaign(campaign: Campaign, folder: Path) -> tuple[Path, Path]:
+    """Write ``hil.json`` and ``hil.md``; both paths."""
+    as_json, as_text = folder / "hil.json", folder / "hil.md"
+    as_json.write_text(json.dumps(campaign.to_dict(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    as_text.write_text(campaign.to_markdown(), encoding="utf-8")
+    return as_json, as_text

@@ -1,0 +1,190 @@
+"""The campaign's simulated devices on one transport: a sensor, a stimulator, and the line between it and the host."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from drivers.imu.port import ImuLost
+from drivers.stimulator.port import StimulatorLost
+from drivers.virtual.can_link_spawn import spawn_link
+from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
+from drivers.virtual.node_record import RecordEntry, read_record
+from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node, why_silent
+from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
+from fes.config import Bus, StimulatorDevice
+from fes.hil.scenarios import Needs
+from fes.hil.settings import INTENSITY, session_text
+from fes.hil.walk import FOOT, RATE_HZ, walker
+
+TRANSPORTS: Final = ("udp_multicast", "loopback", "slcan", "socketcan", "serial", "serial_rehastim2")
+SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
+    "serial": ("sciencemode4", "p24_low_level"),
+    "serial_rehastim2": ("sciencemode2", "rehastim2"),
+}
+
+
+class Unavailable(RuntimeError):
+    """This transport cannot be had on this machine; the message says why and what else there is."""
+
+
+@dataclass(slots=True)
+class Devices:
+    """Running devices. ``sensor_port`` and the stimulator's are names that stay when what is behind them is replaced.
+
+    ``front`` is the bus that the session is given, ``back`` the one that the simulated stimulator is on.
+    """
+
+    folder: Path
+    transport: str
+    calibration: Path
+    recording: Path
+    stimulator: StimulatorDevice
+    front: Bus | None
+    back: Bus | None
+    link: NodeHandle | None
+    node: NodeHandle | DeviceHandle
+    imu: ImuHandle
+    spare: ImuHandle
+    stack: ExitStack
+    can_do: frozenset[Needs]
+    _records: list[Path] = field(default_factory=list)
+
+    @property
+    def sensor_port(self) -> Path:
+        """Where the session finds the sensor."""
+        return self.folder / "sensor"
+
+    @property
+    def intensity(self) -> float:
+        """That the operator raises to."""
+        return INTENSITY
+
+    def session_file(self, number: int, variant: str) -> Path:
+        """Settings for the campaign's next session."""
+        path = self.folder / f"session{number}.toml"
+        text = session_text(variant, str(self.sensor_port), self.front, self.stimulator)
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    def processes(self) -> list[int]:
+        """Ids of those that must keep their time whatever happens to the controller."""
+        return [self.node.process.pid, *([self.link.process.pid] if self.link is not None else [])]
+
+    def entries(self) -> list[RecordEntry]:
+        """What the stimulators of this campaign have recorded, oldest first; a replaced one's after all of its own."""
+        paths = [*self._records, *([self.node.record] if self.node.record is not None else [])]
+        return [entry for path in paths if path.is_file() for entry in read_record(path)]
+
+    def sensor_replugged(self) -> None:
+        """Another sensor is plugged in where the unplugged one was; it plays the same walk from its beginning."""
+        point(self.sensor_port, self.spare.port)
+        self.imu.stop()
+        self.imu, self.spare = self.spare, self._sensor()
+
+    def stimulator_replugged(self) -> None:
+        """Another serial stimulator is plugged in where the unplugged one was."""
+        if self.node.record is not None:
+            self._records.append(self.node.record)
+        self.node.stop()
+        kind, _ = SERIAL[self.transport]
+        again = spawn_device(kind, record=self.folder / f"stimulator{len(self._records)}.jsonl")
+        self.stack.callback(again.stop)
+        self.node = again
+        point(self.folder / "stimulator", again.port)
+
+    def _sensor(self) -> ImuHandle:
+        sensor = spawn_imu("xbus", sensor=FOOT, recording=self.recording, rate_hz=RATE_HZ)
+        self.stack.callback(sensor.stop)
+        return sensor
+
+
+def point(link: Path, target: str) -> None:
+    """Make a symbolic link, or turn it to another target in one step."""
+    beside = link.with_name(link.name + ".new")
+    beside.unlink(missing_ok=True)
+    beside.symlink_to(target)
+    beside.replace(link)
+
+
+def start_devices(transport: str, folder: Path, stack: ExitStack, channel: str = "vcan0") -> Devices:
+    """Start all of a transport's devices; ``stack`` ends them.
+
+    Args:
+        channel: the interface's name for ``socketcan``.
+
+    Raises:
+        Unavailable: the transport is not to be had here, or a device does not start.
+    """
+    try:
+        recording, calibration = walker(folder)
+        front, back, link, node, stimulator = _stimulator(transport, folder, stack, channel)
+        imus = [spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ) for _ in range(2)]
+    except (StimulatorLost, ImuLost) as error:
+        raise Unavailable(f"{transport}: {error}") from error
+    for each in imus:
+        stack.callback(each.stop)
+    point(folder / "sensor", imus[0].port)
+    can_do = {Needs.SIMULATED}
+    can_do |= {Needs.SERIAL, Needs.LINK} if transport in SERIAL else {Needs.CAN}
+    can_do |= {Needs.LINK} if link is not None else set()
+    can_do |= {Needs.SLCAN} if transport == "slcan" else set()
+    return Devices(
+        folder,
+        transport,
+        calibration,
+        recording,
+        stimulator,
+        front,
+        back,
+        link,
+        node,
+        imus[0],
+        imus[1],
+        stack,
+        frozenset(can_do),
+    )
+
+
+_Stimulator = tuple[Bus | None, Bus | None, NodeHandle | None, NodeHandle | DeviceHandle, StimulatorDevice]
+
+
+def _stimulator(transport: str, folder: Path, stack: ExitStack, channel: str) -> _Stimulator:
+    record = folder / "stimulator.jsonl"
+    if transport in SERIAL:
+        kind, name = SERIAL[transport]
+        device = spawn_device(kind, record=record)
+        stack.callback(device.stop)
+        point(folder / "stimulator", device.port)
+        settings = StimulatorDevice.model_validate({"device": name, "port": str(folder / "stimulator")})
+        return None, None, None, device, settings
+    if transport == "socketcan":
+        back = Bus(interface="socketcan", channel=channel)
+        _need(back)
+        node = spawn_node(record=record, bus=back)
+        stack.callback(node.stop)
+        return back, back, None, node, StimulatorDevice()
+    if transport == "slcan":
+        back = free_bus()
+        _need(back)
+        adapter = folder / "adapter"
+        front = Bus(interface="slcan", channel=str(adapter), options={"bitrate": 500000, "timeout": 0})
+        link = spawn_link(back, slcan=adapter)
+    else:
+        back, front = free_bus(transport), free_bus(transport)
+        _need(back)
+        link = spawn_link(back, front=front)
+    stack.callback(link.stop)
+    node = spawn_node(record=record, bus=back)
+    stack.callback(node.stop)
+    return front, back, link, node, StimulatorDevice()
+
+
+def _need(bus: Bus) -> None:
+    if why := why_silent(bus):
+        raise Unavailable(
+            f"{bus.interface} {bus.channel}: {why}. Other transports need no such thing: --transport loopback, slcan "
+            f"or serial"
+        )

@@ -1,0 +1,112 @@
+"""What the stimulator's own record says: when it put out current, and how a fault was answered. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+from drivers.virtual.node_record import RecordEntry
+from fes.signals import NS_PER_S
+
+MS: Final = 1_000_000
+GAP_NS: Final = 150 * MS  # pulses further apart than this are two bursts; the slowest train is 20 Hz
+PERIOD_NS: Final = 55 * MS  # between pulses of one train, at most
+LAST_PULSE: Final = "last pulse"
+_BEGIN: Final = frozenset(("on", "level"))
+_END: Final = frozenset(("off", "lease_expired", "on_time", "fault", "boot", "watchdog", "emergency"))
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """One stretch of current: from, until (None: still on), newest pulse, what ended it, charge (of one phase).
+
+    A record of pulses says nothing of an end; there the last pulse is it.
+    """
+
+    on_ns: int
+    off_ns: int | None
+    last_pulse_ns: int
+    ended_by: str = ""
+    pulses: int = 0
+    charge_uc: float = 0.0
+
+
+def outputs(entries: Iterable[RecordEntry], now_ns: int) -> list[Output]:
+    """The stretches of current of all channels, oldest first.
+
+    Args:
+        entries: of one device, in order.
+        now_ns: the present; a stretch of pulses that are recent enough is still on.
+    """
+    found: list[Output] = []
+    open_: dict[int, list[RecordEntry]] = {}
+    trains: dict[int, list[RecordEntry]] = {}
+    for entry in entries:
+        if entry.event == "pulse":
+            train = trains.setdefault(entry.channel, [])
+            if train and entry.t_ns - train[-1].t_ns > GAP_NS:
+                found.append(_train(train, train[-1].t_ns))
+                train.clear()
+            train.append(entry)
+        elif entry.event in _BEGIN and entry.current_ma > 0:
+            open_.setdefault(entry.channel, []).append(entry)
+        elif entry.event in _END:
+            ended = [entry.channel] if entry.channel >= 0 else list(open_)
+            for channel in ended:
+                if levels := open_.pop(channel, None):
+                    found.append(_stretch([*levels, entry], entry.t_ns, entry.event))
+    for train in trains.values():
+        if train:
+            found.append(_train(train, None if now_ns - train[-1].t_ns <= GAP_NS else train[-1].t_ns))
+    found += [_stretch(levels, None, "") for levels in open_.values()]
+    return sorted(found, key=lambda output: output.on_ns)
+
+
+def _train(train: list[RecordEntry], off_ns: int | None) -> Output:
+    charge_uc = sum(entry.current_ma * entry.pulse_width_us * 1e-3 for entry in train)
+    return Output(train[0].t_ns, off_ns, train[-1].t_ns, LAST_PULSE, len(train), charge_uc)
+
+
+def _stretch(entries: list[RecordEntry], off_ns: int | None, ended_by: str) -> Output:
+    """From its levels and, when it has ended, what ended it."""
+    steps = list(pairwise(entries))
+    charge_uc = sum(
+        max(after.pulses - before.pulses, 0) * before.current_ma * before.pulse_width_us * 1e-3
+        for before, after in steps
+    )
+    newest = entries[-1]
+    pulses = max(newest.pulses - entries[0].pulses, 0) + 1  # the first comes with the command, before it is noted
+    return Output(entries[0].t_ns, off_ns, newest.last_pulse_ns, ended_by, pulses, charge_uc)
+
+
+def on_at(stretches: Iterable[Output], t_ns: int) -> Output | None:
+    """The stretch of current at a moment; of a train of pulses also shortly after its last, when the next was due."""
+    for output in stretches:
+        more_ns = PERIOD_NS if output.ended_by == LAST_PULSE else 0
+        if output.on_ns <= t_ns and (output.off_ns is None or output.off_ns + more_ns >= t_ns):
+            return output
+    return None
+
+
+def off_after_ms(stretches: Iterable[Output], t_ns: int) -> float:
+    """How long after a moment the last current ended, in ms: 0 when none flowed any more, infinite when it still does.
+
+    Current that came back counts as never having ended: there is no time within which that would be right.
+    """
+    ends = [output.off_ns for output in stretches if output.off_ns is None or output.off_ns > t_ns]
+    if any(end is None for end in ends):
+        return math.inf
+    return max(((end - t_ns) / MS for end in ends if end is not None), default=0.0)
+
+
+def began_after(stretches: Iterable[Output], t_ns: int) -> int:
+    """How many stretches of current began after a moment."""
+    return sum(output.on_ns > t_ns for output in stretches)
+
+
+def length_ms(output: Output, now_ns: int) -> float:
+    """How long a stretch of current lasted, in ms."""
+    return ((now_ns if output.off_ns is None else output.off_ns) - output.on_ns) / NS_PER_S * 1e3

@@ -1,0 +1,208 @@
+"""The faults of a campaign as a table: one row, one fault; what is done about each is in ``injections``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+
+class Effect(StrEnum):
+    """What a fault must do to the session."""
+
+    LATCHED = "off until armed by hand"
+    ENDED = "off, the session ends"
+    NONE = "no effect"
+    NOT_EXECUTED = "nothing executed"
+    BOUNDED = "the burst ends by itself"
+
+
+class Needs(StrEnum):
+    """What a row asks of the devices and the machine."""
+
+    SIMULATED = "simulated devices"
+    CAN = "a simulated stimulator on CAN"
+    LINK = "a line that can be cut"
+    SLCAN = "a serial CAN adapter"
+    SERIAL = "a simulated stimulator on a serial line"
+    FIFO = "fixed priorities (SCHED_FIFO) and a second processor"
+    PROC = "/proc (Linux)"
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One row.
+
+    Attributes:
+        deadline_ms: by when the stimulator's output must be off; None where nothing has to go off.
+        words: the reason that the session states must hold one of these; empty: any.
+        needs: without these the row is left out, with that reason.
+        variant: which of the campaign's sessions it needs; "" is the usual one.
+        restart: the controller is gone afterwards and is started again.
+        watch_s: how long it must stay off (or go on) after the deadline; a stride and more.
+    """
+
+    name: str
+    fault: str
+    response: str
+    effect: Effect
+    deadline_ms: float | None = None
+    words: tuple[str, ...] = ()
+    needs: frozenset[Needs] = frozenset()
+    variant: str = ""
+    restart: bool = False
+    watch_s: float = 1.5
+
+
+_SIM = frozenset((Needs.SIMULATED,))
+_CAN = frozenset((Needs.SIMULATED, Needs.CAN))
+_NONE = frozenset[Needs]()
+_OFF = "off, latched, named"
+
+
+def _row(
+    name: str,
+    fault: str,
+    deadline_ms: float | None,
+    words: str = "",
+    *,
+    response: str = _OFF,
+    effect: Effect = Effect.LATCHED,
+    needs: frozenset[Needs] = _SIM,
+    variant: str = "",
+    restart: bool = False,
+    watch_s: float = 1.5,
+) -> Scenario:
+    named = tuple(filter(None, words.split("|")))
+    return Scenario(name, fault, response, effect, deadline_ms, named, needs, variant, restart, watch_s)
+
+
+def _harmless(name: str, fault: str, response: str, needs: frozenset[Needs] = _SIM, variant: str = "") -> Scenario:
+    return _row(name, fault, None, response=response, effect=Effect.NONE, needs=needs, variant=variant, watch_s=3.0)
+
+
+_LEASE = "the stimulator's lease"
+_STAYS = "the stimulator's lease; notices the gap itself, stays off"
+_BACK = "off; reconnects by itself, is never armed by itself"
+
+SCENARIOS: Final[tuple[Scenario, ...]] = (
+    _row("imu_silent", "sensor silent", 100, "old|lost|no data", response=_BACK),
+    _row("imu_unplugged", "sensor unplugged, plugged in again", 100, "old|lost|no data", response=_BACK),
+    _row("imu_frozen", "sensor repeats one value", 100, "frozen"),
+    _row("imu_nan", "NaN in the sensor's values", 100, "non-finite"),
+    _row("imu_saturated", "sensor at the end of its range", 100, "saturated|foot can take|unit"),
+    _row("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
+    _row("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
+    _harmless("stamp_doubled_once", "one time stamp doubled", "counted, no effect"),
+    _harmless("stamp_order_once", "two samples out of order, once", "counted, no effect"),
+    _row("stamps_doubled", "more than 5 % of the stamps doubled", 1100, "stamps|clock"),
+    _row("clock_jump", "sensor's clock jumps by 0.5 s", 1100, "clock|old|stamps"),
+    _harmless("clock_drift", "sensor's clock runs 100 ppm fast", "no effect"),
+    _row("stale_data", "samples delayed by 60 to 500 ms", 100, "old|stamps|clock|data"),
+    _harmless("cpu_hogs", "three busy processes", "no effect under SCHED_FIFO", frozenset((Needs.FIFO,))),
+    _row("controller_killed", "controller kill -9", 65, response=_LEASE, needs=_NONE, restart=True, watch_s=1.0),
+    _row("controller_stopped", "controller SIGSTOP, 0.2 to 5 s", 65, "stalled|late|old", response=_STAYS, needs=_NONE),
+    _row(
+        "controller_starved",
+        "controller without processor for 1 s",
+        65,
+        "stalled|late|old",
+        response=_STAYS,
+        needs=frozenset((Needs.FIFO,)),
+    ),
+    _row(
+        "link_lost",
+        "line to the stimulator lost and back",
+        65,
+        response="off by lease; opened again; armed by hand",
+        needs=frozenset((Needs.SIMULATED, Needs.LINK)),
+    ),
+    _row(
+        "adapter_unplugged",
+        "CAN adapter unplugged, plugged in again",
+        65,
+        "lost|stimulator",
+        response="off by lease; opened again; armed by hand",
+        needs=frozenset((Needs.SIMULATED, Needs.SLCAN)),
+    ),
+    _row("node_reboot", "stimulator restarts", 100, "restart|session|initial|stimulator", response="comes up off; off"),
+    _row("ack_missing", "stimulator's answers missing", 100, "answer|heartbeat", response="one retry, then off"),
+    _row("ack_late", "stimulator's answers 150 ms late", 100, "answer|heartbeat", response="one retry, then off"),
+    _row("delivered_differs", "delivers half of what it is told", 100, "delivered", needs=_CAN),
+    _row("electrode", "electrode or lead open", 100, "electrode|output|lead"),
+    _row(
+        "commands_flipped",
+        "a valid command with every 1 and 2 bits flipped",
+        None,
+        response="none executed",
+        effect=Effect.NOT_EXECUTED,
+        needs=_CAN,
+    ),
+    _row(
+        "commands_repeated",
+        "valid commands repeated and reordered",
+        None,
+        response="none executed",
+        effect=Effect.NOT_EXECUTED,
+        needs=_CAN,
+    ),
+    _row(
+        "commands_old_session",
+        "valid commands of an earlier session",
+        None,
+        response="none executed",
+        effect=Effect.NOT_EXECUTED,
+        needs=_CAN,
+    ),
+    _row(
+        "random_frames",
+        "random frames on the bus",
+        None,
+        response="none executed",
+        effect=Effect.NOT_EXECUTED,
+        needs=_CAN,
+    ),
+    _row("stop_key", "emergency stop: space bar", 50, "emergency stop", needs=_NONE, response="off, latched"),
+    _row("stop_file", "emergency stop: stop file", 50, "emergency stop", needs=_NONE, response="off, latched"),
+    _row("stop_control", "emergency stop: control socket", 50, "emergency stop", needs=_NONE, response="off, latched"),
+    _harmless("view_killed", "terminal view kill -9", "no effect", frozenset((Needs.PROC,)), "view"),
+    _row(
+        "phase_stuck",
+        "phase stuck: stance without end",
+        3020,
+        response="the burst ends at its longest on-time, 3 s",
+        effect=Effect.BOUNDED,
+        variant="stance",
+    ),
+    _row(
+        "dose",
+        "more charge a minute than allowed",
+        None,
+        "mC within a minute",
+        response="no more than the limit a minute, off, latched",
+        effect=Effect.BOUNDED,
+        variant="dose",
+    ),
+    _row(
+        "disk_full",
+        "disk full",
+        1000,
+        response="session ends with an alarm; the log is readable, at most 250 ms lost",
+        effect=Effect.ENDED,
+        needs=frozenset((Needs.PROC,)),
+        restart=True,
+        watch_s=0.5,
+    ),
+    _row(
+        "log_writer_killed",
+        "log writer kill -9",
+        1000,
+        response="session ends with an alarm; the log is readable, at most 250 ms lost",
+        effect=Effect.ENDED,
+        needs=frozenset((Needs.PROC,)),
+        restart=True,
+        watch_s=0.5,
+    ),
+)
+
+BY_NAME: Final = {scenario.name: scenario for scenario in SCENARIOS}

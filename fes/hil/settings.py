@@ -1,0 +1,85 @@
+"""The sessions that a campaign runs: text of their TOML files."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from fes.config import Bus, StimulatorDevice
+from fes.hil.walk import FOOT, RATE_HZ
+
+CURRENT_MA: Final = 60.0
+PULSE_WIDTH_US: Final = 300.0
+FREQUENCY_HZ: Final = 40.0
+INTENSITY: Final = 0.3  # 18 mA: an open lead is only told at 15 mA and above
+DOSE_MC: Final = 0.3  # three steps' worth
+CHANNEL: Final = 0
+
+_CHANNEL: Final = """
+[[channels]]
+name = "tibialis anterior"
+number = {channel}
+foot = "{foot}"
+electrode_area_cm2 = 25.0
+current_ma = {current_ma}
+pulse_width_us = {pulse_width_us}
+frequency_hz = {frequency_hz}
+start_phase = "{start}"
+stop_phase = "{stop}"
+rise_s = 0.1
+
+[channels.limits]
+max_current_ma = 80.0
+max_pulse_width_us = 400.0
+max_frequency_hz = 50.0
+max_charge_per_phase_uc = 24.0
+max_charge_per_minute_mc = {dose_mc}
+max_current_density_ma_per_cm2 = 1.0
+max_rise_ma_per_s = 800.0
+max_on_s = 3.0
+min_off_s = 0.05
+"""
+
+
+def session_text(
+    variant: str, sensor_port: str, bus: Bus | None, stimulator: StimulatorDevice, rate_hz: float = RATE_HZ
+) -> str:
+    """A session for one foot.
+
+    Args:
+        variant: "" stimulates in swing; ``stance`` in stance, without end when the foot stands; ``dose`` as "" with
+            little charge a minute; ``view`` as "".
+        sensor_port: where the sensor is.
+        bus: for a CAN stimulator.
+        stimulator: which.
+    """
+    start, stop = ("stance", "pre_swing") if variant == "stance" else ("swing", "loading_response")
+    text = f'name = "fault campaign"\n\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 0\n'
+    text += _CHANNEL.format(
+        channel=CHANNEL,
+        foot=FOOT,
+        current_ma=CURRENT_MA,
+        pulse_width_us=PULSE_WIDTH_US,
+        frequency_hz=FREQUENCY_HZ,
+        start=start,
+        stop=stop,
+        dose_mc=DOSE_MC if variant == "dose" else 50.0,
+    )
+    text += f'\n[[sensors]]\nsensor = "{FOOT}"\ndevice = "xbus"\nport = "{sensor_port}"\nrate_hz = {rate_hz}\n'
+    text += "acc_range_g = 16.0\ngyr_range_dps = 2000.0\n"
+    text += f'\n[stimulator]\ndevice = "{stimulator.device}"\n'
+    text += f'port = "{stimulator.port}"\n' if stimulator.port else ""
+    if bus is not None:
+        text += f'\n[bus]\ninterface = "{bus.interface}"\nchannel = "{bus.channel}"\n'
+        text += _table("bus.options", bus.options)
+    return text
+
+
+def _table(name: str, options: Mapping[str, str | int | float | bool]) -> str:
+    if not options:
+        return ""
+    lines = [f"[{name}]"]
+    for key, value in options.items():
+        shown = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else value
+        lines.append(f"{key} = {shown}")
+    return "\n" + "\n".join(lines) + "\n"
