@@ -15,7 +15,7 @@ from fes.config import ImuDevice
 from fes.signals import G_MPS2, ImuSample, Vector3
 
 SUSTAINED_MS: Final = 80  # what one knock, one clipped heel strike or one free fall of the foot never lasts
-LEAST_FORCE_MPS2: Final = 3.5  # mostly below it for 80 ms: g taken for m/s²; real feet stay below it for 40 ms
+LEAST_FORCE_MPS2: Final = 3.5  # mostly below it for 80 ms: g taken for m/s²; real feet, 30 ms at most
 MOST_FORCE_MPS2: Final = 60.0  # above it for 80 ms: m/s² scaled by g once more; real feet, 30 ms at most
 MOST_RATE_RADPS: Final = 40.0  # in any one sample: degrees taken for radians; real feet turn at 13, shanks at 20
 AT_RANGE: Final = 0.995  # of the range that the session states
