@@ -1,0 +1,230 @@
+"""``fes simulate``: a virtual patient on a treadmill, recorded with its truth; stimulated in closed loop if asked."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fes.cli.exits import Problem, StoppedEarly, fail
+from fes.cli.interrupt import Interrupt
+from fes.cli.progress import ReplayProgress
+from fes.patient.virtual.patterns import PATTERNS
+from fes.patient.virtual.severity import SEVERITIES, load_patient, settings_for
+from fes.signals import NS_PER_S, Event, ImuSample
+
+LOG_SUFFIX = ".feslog"
+BUNDLED_SESSION = Path(__file__).resolve().parents[2] / "sim_inputs" / "session.toml"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What to write, and where."""
+
+    seconds: float
+    out: Path
+    name: str
+    stimulate: str
+    session: Path | None
+    overwrite: bool
+    as_json: bool
+
+
+@click.command(name="simulate")
+@click.argument("patient", required=False, type=click.Path(path_type=Path))
+@click.option("--severity", type=click.Choice(list(SEVERITIES)), help="Drop foot from none to severe.  [moderate]")
+@click.option("--pattern", type=click.Choice(list(PATTERNS)), help="One of the five hemiparetic walks of Wang et al.")
+@click.option("--speed", type=click.FloatRange(0.1, 2.0), help="Belt speed (m/s).")
+@click.option("--side", type=click.Choice(["left", "right"]), help="The affected side.  [right]")
+@click.option("--seed", type=click.IntRange(min=0), help="Fixes every random number.  [1]")
+@click.option("--rate", type=click.FloatRange(20, 1000), help="Samples a second; 2000 must be a multiple of it.  [100]")
+@click.option("--seconds", type=click.FloatRange(5, 7200), default=60.0, show_default=True, help="How long.")
+@click.option(
+    "--stimulate",
+    type=click.Choice(["none", "phase"]),
+    default="none",
+    show_default=True,
+    help="phase: by the controller, in closed loop with a simulated stimulator.",
+)
+@click.option("--session", type=click.Path(path_type=Path), help="Settings of the stimulation (TOML).")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder.")
+@click.option("--name", default="simulated", show_default=True, help="Name of the files.")
+@click.option("--overwrite", is_flag=True, help="Replace files of that name.")
+@click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+def command(
+    patient: Path | None,
+    severity: str | None,
+    pattern: str | None,
+    speed: float | None,
+    side: str | None,
+    seed: int | None,
+    rate: float | None,
+    seconds: float,
+    stimulate: str,
+    session: Path | None,
+    out: Path,
+    name: str,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Let a virtual patient walk and record foot and shank sensors of both legs, with the truth.
+
+    PATIENT is a settings file (TOML, table [patient]); options win over it. Writes NAME.parquet with its sidecar, the
+    truth as `fes trials` does, NAME.virtual.csv (every stride: drag, stumble, angles, charge) and, stimulated, the
+    session log.
+    """
+    given = {
+        "pattern": pattern,
+        "speed_mps": speed,
+        "side": side,
+        "seed": seed,
+        "rate_hz": rate,
+    }
+    others = {key: value for key, value in given.items() if value is not None}
+    try:
+        if patient is not None:
+            settings = load_patient(patient, **({"severity": severity} if severity else {}), **others)
+        else:
+            settings = settings_for(severity or "moderate", **others)
+    except ValueError as error:
+        fail(error)
+    simulate(settings, Options(seconds, out, name, stimulate, session, overwrite, as_json))
+
+
+def simulate(settings: Any, options: Options) -> None:
+    """Walk, write, and say what came of it.
+
+    Raises:
+        Problem: files in the way, an unusable session, a foot that cannot be calibrated.
+    """
+    from fes.patient.truth import write_truth
+    from fes.patient.virtual.patient import VirtualPatient
+    from fes.patient.virtual.truth_of import recording_of, truth_of
+    from fes.recording import RecordingError, write_recording
+
+    if Path(options.name).name != options.name or "." in options.name or not options.name:
+        raise Problem(f"--name {options.name!r}: a plain name without folder and dot, e.g. patient_7.")
+    folder = options.out
+    _make_way(folder, options)
+    walker = VirtualPatient(settings)
+    samples: list[ImuSample] = []
+    end_ns = round(options.seconds * NS_PER_S)
+    try:
+        with Interrupt() as interrupt, ReplayProgress(options.name, 0, end_ns, options.as_json) as progress:
+
+            def after(event: Event) -> None:
+                progress.at(event.t_ns)
+                interrupt.check()
+
+            _walk(walker, samples, options, after)
+    except KeyboardInterrupt:
+        click.secho("Interrupted; what was walked so far is written.", fg="yellow", err=True)
+    try:
+        what = f"Virtual patient, {settings.speed_mps:g} m/s, stimulation: {options.stimulate}"
+        write_recording(
+            recording_of(walker, samples, options.name, what), folder / f"{options.name}.parquet", overwrite=True
+        )
+        write_truth(truth_of(walker, options.name), folder)
+        _write_strides(folder / f"{options.name}.virtual.csv", walker.strides)
+    except (RecordingError, ValueError, OSError) as error:
+        fail(error, StoppedEarly)
+    _say(walker, settings, folder, options)
+
+
+def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -> None:
+    from fes.patient.virtual.closed_loop import patient_events
+
+    if options.stimulate == "none":
+        for event in patient_events(walker, None, options.seconds, samples.append):
+            after(event)
+        return
+    from drivers.virtual.stimulator_in_process import InProcessStimulator
+    from fes import __version__
+    from fes.calibrations import calibrate_drivers
+    from fes.config import ConfigError, load_session
+    from fes.controller import Controller
+    from fes.driving import driven_by
+    from fes.estimation.calibration import CalibrationError
+    from fes.estimation.warm import warm_up
+    from fes.gate import gate_of
+    from fes.journal import SessionWriter
+    from fes.patient.virtual.closed_loop import calibration_walk
+    from fes.replay import identity, log_header, session_for
+    from fes.runner import Runner
+    from fes.sources import armed_after, with_ticks
+
+    try:
+        walk = calibration_walk(walker.settings)
+        found = calibrate_drivers(walk).calibrations
+        session = session_for(walk, load_session(options.session or BUNDLED_SESSION))
+    except (ConfigError, CalibrationError) as error:
+        fail(error)
+    warm_up()
+    numbers = identity(f"{__version__}{walker.settings!r}", session)
+    header = log_header(walk, "", session, found, numbers.session_id, datetime.now(UTC).isoformat(timespec="seconds"))
+    log = SessionWriter(options.out / f"{options.name}{LOG_SUFFIX}", header)
+    stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
+    ended = "interrupted"
+    try:
+        handshake = stimulator.start(0)
+        gate = gate_of(session, {sensor: each.up for sensor, each in found.items()}, driven_by(found))
+        runner = Runner(Controller(session, found), gate, stimulator, log, lambda: 0)
+        for frame in handshake.frames:
+            log.frame(frame)
+        for alive in handshake.alive:
+            runner.handle(alive)
+        events = patient_events(walker, stimulator, options.seconds, samples.append)
+        runner.run(armed_after(with_ticks(events), 0.5, session.stimulation.intensity), after)
+        ended = "complete"
+    finally:
+        log.close({"ended": ended})
+        stimulator.close()
+
+
+def _make_way(folder: Path, options: Options) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise Problem(f"{folder}: cannot be made: {error.strerror}. Choose another with --out.") from error
+    there = sorted(folder.glob(f"{options.name}.*"))
+    if there and not options.overwrite:
+        raise Problem(f"{there[0]}: is there already. Choose another --name, or --overwrite.")
+    (folder / f"{options.name}{LOG_SUFFIX}").unlink(missing_ok=True)
+
+
+def _write_strides(path: Path, strides: list[Any]) -> None:
+    from fes.patient.virtual.strides import VirtualStride
+
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, [item.name for item in fields(VirtualStride)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(stride) for stride in strides)
+
+
+def _say(walker: Any, settings: Any, folder: Path, options: Options) -> None:
+    mine = [stride for stride in walker.strides if stride.foot == settings.affected_foot and stride.walking]
+    clearance = sorted(100.0 * stride.toe_clearance_m for stride in mine)
+    result = {
+        "recording": str(folder / f"{options.name}.parquet"),
+        "seconds": 1e-9 * walker.now_ns,
+        "affected_foot": settings.affected_foot,
+        "strides": len(mine),
+        "dragged": sum(stride.dragged for stride in mine),
+        "stumbled": sum(stride.stumbled for stride in mine),
+        "median_toe_clearance_cm": round(clearance[len(clearance) // 2], 2) if clearance else None,
+        "charge_uc": round(sum(stride.charge_uc for stride in mine), 1),
+        "fitness": round(walker.fitness, 3),
+    }
+    if options.as_json:
+        click.echo(json.dumps(result, indent=2))
+        return
+    click.echo(
+        f"{result['recording']}: {result['strides']} strides of the {result['affected_foot']}, "
+        f"{result['dragged']} dragged, {result['stumbled']} stumbled, toe clearance "
+        f"{result['median_toe_clearance_cm']} cm on the median, {result['charge_uc']} µC."
+    )

@@ -1,0 +1,274 @@
+"""The compiled integration of a leg: plan, ankle, ground. Scalar code only, so that bits do not differ.
+
+A leg is a point (the ankle) that the rest of the body carries along a planned path through a spring and a damper, and a
+rigid foot that turns about it. What acts on the foot: gravity, the swinging leg's inertia, passive tissue, voluntary
+and stimulated dorsiflexors, the calf, its stretch reflex, and the ground at heel, ball and toe. Semi-implicit Euler.
+
+Ground: springs with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction by bristles. The
+muscle is in :mod:`fes.patient.virtual.muscle`.
+
+Angles: foot pitch and shank tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is forward in
+the belt's frame, z up from the ground.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from fes.estimation.compiled import jit
+from fes.patient.virtual.layout import HARMONICS, PRE_SWING, STANCE, SWING
+from fes.patient.virtual.muscle import muscle
+
+TURN = 2.0 * math.pi
+GRAVITY = 9.80665
+GROUND_N_PER_M = 8.0e4  # shoe sole and heel pad
+TOE_N_PER_M = 2.5e4  # toes give way
+GROUND_DAMP_S_PER_M = 1.8
+BRISTLE_N_PER_M = 4.0e4
+BRISTLE_NS_PER_M = 120.0
+HOLD_NM_PER_RAD = 320.0  # quasi-stiffness of the loaded ankle, about 5 N·m a degree
+HOLD_NMS_PER_RAD = 6.0
+FALL_MPS = 0.5  # how fast a foot goes on down that has not met the ground when it should
+EARLY = 0.2  # share of the swing in which the toe leaves the ground: no dragging yet
+
+
+@jit
+def fourier(series: Any, phase: float) -> tuple[float, float, float]:
+    """Value and first two derivatives by cycle of a Fourier series at ``phase`` (1 is one cycle)."""
+    angle = TURN * phase
+    c1, s1 = math.cos(angle), math.sin(angle)
+    c, s = 1.0, 0.0
+    value, slope, bend = series[0], 0.0, 0.0
+    for k in range(1, HARMONICS + 1):
+        c, s = c * c1 - s * s1, s * c1 + c * s1
+        a, b = series[2 * k - 1], series[2 * k]
+        w = TURN * k
+        value += a * c + b * s
+        slope += w * (b * c - a * s)
+        bend -= w * w * (a * c + b * s)
+    return value, slope, bend
+
+
+@jit
+def fade(c: Any, start: float, span: float, t: float) -> tuple[float, float, float]:
+    """Value, rate and acceleration of a polynomial ``c`` over ``u = (t - start)/span``; 0 from u = 1 on."""
+    u = (t - start) / span
+    if u >= 1.0:
+        return 0.0, 0.0, 0.0
+    value = c[0] + u * (c[1] + u * (c[2] + u * (c[3] + u * (c[4] + u * c[5]))))
+    rate = c[1] + u * (2 * c[2] + u * (3 * c[3] + u * (4 * c[4] + u * 5 * c[5])))
+    acc = 2 * c[2] + u * (6 * c[3] + u * (12 * c[4] + u * 20 * c[5]))
+    return value, rate / span, acc / (span * span)
+
+
+@jit
+def smooth(u: float) -> tuple[float, float, float]:
+    """The quintic step from 0 to 1 with its first two derivatives; flat outside."""
+    if u <= 0.0:
+        return 0.0, 0.0, 0.0
+    if u >= 1.0:
+        return 1.0, 0.0, 0.0
+    v = u * (1.0 - u)
+    return u * u * u * (10.0 + u * (6.0 * u - 15.0)), 30.0 * v * v, 60.0 * v * (1.0 - 2.0 * u)
+
+
+@jit
+def bump(u: float) -> tuple[float, float, float]:
+    """``64 u³(1-u)³``, 1 in the middle, with its first two derivatives; 0 outside 0 … 1."""
+    if u <= 0.0 or u >= 1.0:
+        return 0.0, 0.0, 0.0
+    v = u * (1.0 - u)
+    return 64.0 * v * v * v, 192.0 * v * v * (1.0 - 2.0 * u), 384.0 * v * (1.0 - 5.0 * v)
+
+
+@jit
+def lowering(u: float) -> tuple[float, float, float]:
+    """``u⁵(1-u)``: up a little late in swing, then down with slope -1 at its end; with its first two derivatives."""
+    if u <= 0.0 or u >= 1.0:
+        return 0.0, 0.0, 0.0
+    return u**5 * (1.0 - u), u**4 * (5.0 - 6.0 * u), u**3 * (20.0 - 30.0 * u)
+
+
+@jit
+def early(u: float) -> tuple[float, float, float]:
+    """``u³(1-u)⁵`` scaled to 1 at its peak, three eighths of the way, with its first two derivatives."""
+    if u <= 0.0 or u >= 1.0:
+        return 0.0, 0.0, 0.0
+    v = 1.0 - u
+    c = 198.8 * u * v * v * v
+    return c * u * u * v * v, c * u * v * (3.0 - 8.0 * u), c * (6.0 - 42.0 * u + 56.0 * u * u)
+
+
+@jit
+def plan(leg: Any, belt: Any, t: float) -> None:
+    """Where the leg wants the ankle and the shank at ``t`` s: path in the belt's frame, with two derivatives."""
+    rate = leg.phase_rate
+    phase = leg.phase0 + rate * (t - leg.phase_t)
+    thigh, thigh1, thigh2 = fourier(leg.thigh, phase)
+    knee, knee1, knee2 = fourier(leg.knee, phase)
+    shank, shank1, shank2 = thigh - knee, thigh1 - knee1, thigh2 - knee2
+    off, off1, off2 = fade(leg.offset_shank, leg.offset_t, leg.offset_s, t)
+    leg.shank = shank + off
+    leg.vshank = shank1 * rate + off1
+    leg.ashank = shank2 * rate * rate + off2
+    nominal, nominal1, _ = fourier(leg.ankle, phase)
+    leg.nominal, leg.vnominal = nominal, nominal1 * rate
+    ox, ox1, ox2 = fade(leg.offset_x, leg.offset_t, leg.offset_s, t)
+    oz, oz1, oz2 = fade(leg.offset_z, leg.offset_t, leg.offset_s, t)
+    if leg.mode == SWING:
+        st, ct, ss, cs = math.sin(thigh), math.cos(thigh), math.sin(shank), math.cos(shank)
+        a, b = leg.thigh_m, leg.shank_m
+        u = (t - leg.swing_t) / leg.swing_s
+        reach, reach1, reach2 = smooth(u)
+        hike, hike1, hike2 = bump(u)
+        w = 1.0 / leg.swing_s
+        late = max(t - leg.swing_t - leg.swing_s, 0.0)
+        fall, fall1, fall2 = lowering(u)
+        knee_up, knee_up1, knee_up2 = early(u)
+        leg.xp = belt.x + a * st + b * ss + leg.reach_m * reach + ox
+        leg.vxp = belt.v + (a * ct * thigh1 + b * cs * shank1) * rate + leg.reach_m * reach1 * w + ox1
+        leg.axp = belt.a + leg.reach_m * reach2 * w * w + ox2 + rate * rate * (
+            a * (ct * thigh2 - st * thigh1 * thigh1) + b * (cs * shank2 - ss * shank1 * shank1)
+        )  # fmt: skip
+        leg.zp = leg.lift_m - a * ct - b * cs + oz - FALL_MPS * late
+        leg.zp += leg.hike_m * hike + leg.fall_m * fall + leg.early_m * knee_up
+        leg.vzp = (a * st * thigh1 + b * ss * shank1) * rate + oz1 - (FALL_MPS if late > 0.0 else 0.0)
+        leg.vzp += (leg.hike_m * hike1 + leg.fall_m * fall1 + leg.early_m * knee_up1) * w
+        leg.azp = (leg.hike_m * hike2 + leg.fall_m * fall2 + leg.early_m * knee_up2) * w * w + oz2 + rate * rate * (
+            a * (st * thigh2 + ct * thigh1 * thigh1) + b * (ss * shank2 + cs * shank1 * shank1)
+        )  # fmt: skip
+        return
+    # on the ground the ankle stands, then turns about the ball
+    psi, psi1, psi2 = heel_rise(leg, t)
+    s, c = math.sin(psi), math.cos(psi)
+    x1, z1 = leg.ball_x * s + leg.sole_m * c, leg.ball_x * c - leg.sole_m * s
+    leg.xp = leg.stand_x + leg.ball_x * (1.0 - c) + leg.sole_m * s + ox
+    leg.vxp = x1 * psi1 + ox1
+    leg.axp = x1 * psi2 + z1 * psi1 * psi1 + ox2
+    leg.zp = leg.ball_x * s + leg.sole_m * c + oz
+    leg.vzp = z1 * psi1 + oz1
+    leg.azp = z1 * psi2 - x1 * psi1 * psi1 + oz2
+
+
+@jit
+def heel_rise(leg: Any, t: float) -> tuple[float, float, float]:
+    """The planned toe-down pitch in pre-swing: slow first, fastest as the foot leaves."""
+    if leg.mode != PRE_SWING:
+        return 0.0, 0.0, 0.0
+    u, w = (t - leg.rise_t) / leg.rise_s, 1.0 / leg.rise_s
+    a = leg.rise_rad
+    return a * u * u * (1.3 - 0.3 * u), a * u * (2.6 - 0.9 * u) * w, a * (2.6 - 1.8 * u) * w * w
+
+
+@jit
+def touch(at: float, x: float, z: float, vx: float, vz: float, stiff: float, slip: float) -> tuple[float, float, float]:
+    """Force of the ground on one point (forward, up) and its bristle's new anchor (NaN: in the air)."""
+    if z >= 0.0:
+        return 0.0, 0.0, math.nan
+    up = max(-stiff * z * (1.0 - GROUND_DAMP_S_PER_M * vz), 0.0)
+    if at != at:
+        at = x
+    forward = -BRISTLE_N_PER_M * (x - at) - BRISTLE_NS_PER_M * vx
+    most = slip * up
+    if abs(forward) > most:
+        forward = most if forward > 0.0 else -most
+        at = x + (forward + BRISTLE_NS_PER_M * vx) / BRISTLE_N_PER_M
+        if abs(x - at) > 0.004:
+            at = x + (0.004 if at > x else -0.004)
+    return forward, up, at
+
+
+@jit
+def load(leg: Any, t: float) -> float:
+    """Weight on this leg, N."""
+    if leg.mode == SWING:
+        return 0.0
+    on, _, _ = smooth((t - leg.load_t) / leg.load_s)
+    off, _, _ = smooth((t - leg.unload_t) / leg.unload_s)
+    weight: float = leg.weight_n * (leg.load_share + (1.0 - leg.load_share) * on) * (1.0 - off)
+    return weight
+
+
+@jit
+def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> float:
+    """All torques of tissue about the ankle, dorsiflexing positive, N·m."""
+    angle, rate = leg.pitch - leg.shank, leg.vpitch - leg.vshank
+    out: float = -leg.stiff * (angle - leg.rest_rad) - leg.damp * rate
+    if angle > 0.26:
+        out -= 300.0 * (angle - 0.26) + 2.0 * max(rate, 0.0)
+    elif angle < -0.70:
+        out -= 60.0 * (angle + 0.70)
+    # the stretch reflex of the calf, some 40 ms late
+    leg.stretch1 += (rate - leg.stretch1) * dt / 0.02
+    leg.stretch2 += (leg.stretch1 - leg.stretch2) * dt / 0.02
+    out -= leg.spastic * max(leg.stretch2 - 0.6, 0.0)
+    # voluntary dorsiflexors hold the normal angle, from just before foot off until the foot lies flat
+    wanted = 1.0 if leg.mode == SWING or (leg.mode == STANCE and leg.flat == 0) else 0.0
+    leg.own_act += (wanted - leg.own_act) * dt / 0.04
+    needed = leg.stiff * (leg.nominal - leg.rest_rad) + leg.foot_kg * GRAVITY * leg.com_x
+    needed += 30.0 * (leg.nominal - angle) + 0.9 * (leg.vnominal - rate)
+    out += leg.own * leg.own_act * min(max(needed, 0.0), 28.0)
+    out += leg.torque
+    # the calf of a standing leg: it carries the weight where the plan wants it, and lifts the heel
+    if leg.mode == SWING:
+        leg.hold -= leg.hold * dt / 0.015
+        return out
+    if leg.flat:
+        leg.hold += (1.0 - leg.hold) * dt / 0.03
+    psi, psi1, _ = heel_rise(leg, t)
+    hold = HOLD_NM_PER_RAD * (-psi - leg.pitch) + HOLD_NMS_PER_RAD * (-psi1 - leg.vpitch)
+    out += leg.hold * (hold - weight * lever)
+    return out
+
+
+@jit
+def step(leg: Any, belt: Any, t: float, dt: float) -> None:
+    """Advance one leg from ``t`` to ``t + dt``; ``plan`` must have been called for ``t``."""
+    muscle(leg, dt)
+    h, c, s = leg.sole_m, math.cos(leg.pitch), math.sin(leg.pitch)
+    hx, hz = leg.heel_x * c + h * s, leg.heel_x * s - h * c
+    bx, bz = leg.ball_x * c + h * s, leg.ball_x * s - h * c
+    # the toes lie along the ground as the heel rises and straighten early in swing
+    leg.toe_bend += ((0.0 if leg.mode == SWING else 1.0) - leg.toe_bend) * dt / 0.07
+    toes = leg.pitch * (1.0 - leg.toe_bend) if leg.pitch < 0.0 else leg.pitch
+    tx, tz = bx + leg.toe_m * math.cos(toes), bz + leg.toe_m * math.sin(toes)
+    w = leg.vpitch
+    fx, fz, leg.heel_at = touch(
+        leg.heel_at, leg.x + hx, leg.z + hz, leg.vx - w * hz, leg.vz + w * hx, GROUND_N_PER_M, leg.slip
+    )
+    gx, gz, leg.ball_at = touch(
+        leg.ball_at, leg.x + bx, leg.z + bz, leg.vx - w * bz, leg.vz + w * bx, GROUND_N_PER_M, leg.slip
+    )
+    px, pz = 0.0, 0.0
+    if leg.mode == SWING:
+        # unloaded at foot off: the toes press on the ground only when they meet it again
+        firm, _, _ = smooth(((t - leg.swing_t) / leg.swing_s - 0.05) / 0.2)
+        px, pz, leg.toe_at = touch(
+            leg.toe_at, leg.x + tx, leg.z + tz, leg.vx - w * tz, leg.vz + w * tx, TOE_N_PER_M * firm, leg.slip
+        )
+    else:
+        leg.toe_at = math.nan
+    leg.heel_n, leg.ball_n, leg.toe_n = fz, gz, pz
+    leg.heel_z, leg.toe_z = leg.z + hz, min(leg.z + tz, leg.z + bz)
+    weight = load(leg, t)
+    forward = (t - leg.flat_t) / max(leg.rise_t - leg.flat_t, 0.05) if leg.flat else 0.0
+    share, _, _ = smooth(forward)
+    lever = bx if leg.mode == PRE_SWING else 0.02 + share * (0.98 * leg.ball_x - 0.02)
+    moved = leg.moved_kg
+    leg.ax = leg.axp + (fx + gx + px - leg.leg_k * (leg.x - leg.xp) - leg.leg_d * (leg.vx - leg.vxp)) / moved
+    leg.az = leg.azp + (fz + gz + pz - weight - leg.leg_k * (leg.z - leg.zp) - leg.leg_d * (leg.vz - leg.vzp)) / moved
+    turn = ankle_torque(leg, t, weight, lever, dt)
+    turn += hx * fz - hz * fx + bx * gz - bz * gx + tx * pz - tz * px
+    com_x, com_z = leg.com_x * c + 0.5 * h * s, leg.com_x * s - 0.5 * h * c
+    turn -= leg.foot_kg * (com_x * (leg.az + GRAVITY) - com_z * leg.ax)
+    leg.apitch = turn / leg.inertia
+    leg.vx += leg.ax * dt
+    leg.vz += leg.az * dt
+    leg.vpitch += leg.apitch * dt
+    leg.x += leg.vx * dt
+    leg.z += leg.vz * dt
+    leg.pitch += leg.vpitch * dt
+    if leg.mode == SWING and (gz > 0.0 or pz > 0.0) and t - leg.swing_t > EARLY * leg.swing_s:
+        leg.drag_s += dt
+        leg.drag_ns += abs(gx + px) * dt
