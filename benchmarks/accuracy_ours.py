@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 from accuracy_bars import (
@@ -26,26 +25,28 @@ from accuracy_row import CAUSAL, OFFLINE, Row, row_of
 from ankle import evaluate as evaluate_shanks
 from clearance import marker_rows
 from event_cases import gaitmap_cases, stroke_tracks
-from events import METHODS, Score, holds, score, strike_angles, strike_score
+from events import METHODS as EVENT_METHODS
+from events import Score, holds, score, strike_angles, strike_score
 from lift import clearance_errors
 from orientation import orientation_rows as measure_orientation
 from orientation_methods import METHODS as FILTERS
-from peers.cases import Asked
+from peers.cases import OUR_ENDS, Asked
 from peers.judge import f1_row, orientation_row, own_border_errors, strides_hit
 from real_sets import PathWalk, Walk, gaitmap_walk
-from stride_length import BorderMaker, Method, belt_ratios, strides_of
+from stride_length import FUSED, METHODS, BorderMaker, afterwards, belt_ratios, settings_of, strides_of
 from stroke_treadmill import evaluate as evaluate_feet
 from zero_velocity import evaluate_detector, evaluate_loop, path_of
 from zero_velocity_sets import BorderedWalk, gaitmap, pyshoe, ruler, xio
 
 from fes.estimation.foot import FootTracker
 from fes.estimation.rest import Detector
-from fes.estimation.strides import StrideSettings
 from fes.ground_path import GroundPath, ground_path, together
 from fes.replay import calibrate_track
 from fes.signals import StrideResult
 
 NAMES = {"most_likely": "fes most likely (default)", "constrained": "fes constrained (Negård)"}
+NAMES[FUSED] = "fes analyse (most likely and ZUPT)"
+KNOWN = {"most_likely": CAUSAL, "constrained": CAUSAL, FUSED: OFFLINE}
 ZUPT = {False: "fes ZUPT filter, forward", True: "fes ZUPT filter, smoothed"}
 LEAST_IN_ORDER, LEAST_FOOT, MOST_FALSE = 0.995, 0.97, 0.1
 
@@ -53,7 +54,7 @@ LEAST_IN_ORDER, LEAST_FOOT, MOST_FALSE = 0.995, 0.97, 0.1
 def stride_rows(asked: list[Asked]) -> list[Row]:
     """Length and lift of the strides that our phase machine finds, each known when it ends."""
     rows = []
-    for method in get_args(Method):
+    for method in METHODS:
         walks = [(one, one.walk) for one in asked if one.walk is not None]
         for data_set in dict.fromkeys(one.data_set for one, _ in walks):
             errors, lifts, hit, swings = [], [], 0, 0
@@ -64,9 +65,9 @@ def stride_rows(asked: list[Asked]) -> list[Row]:
                 errors += own_border_errors(one, ends_s, np.array([s.stride_length_m for s in strides]))
                 lifts += [100.0 * (s.clearance_m - walk.true_clearance_m(s)) for s in strides]
                 hit, swings = hit + strides_hit(one.swings_s, ends_s), swings + len(one.swings_s)
-            rows.append(row_of(data_set, LENGTH_OWN, "cm", NAMES[method], CAUSAL, errors, hit / swings))
-            if np.isfinite(lifts).any():
-                rows.append(row_of(data_set, LIFT_OWN, "cm", NAMES[method], CAUSAL, lifts, hit / swings))
+            rows.append(row_of(data_set, LENGTH_OWN, "cm", NAMES[method], KNOWN[method], errors, hit / swings))
+            if np.isfinite(lifts).any() and method != FUSED:  # which takes heights as they are
+                rows.append(row_of(data_set, LIFT_OWN, "cm", NAMES[method], KNOWN[method], lifts, hit / swings))
     return rows
 
 
@@ -74,7 +75,7 @@ def given_rows(asked: list[Asked]) -> list[Row]:
     """Length and lift by our stride integration between the references' borders, each moved to quiet within 50 ms."""
     rows = []
     walks = [(one, one.walk) for one in asked if one.walk is not None]
-    for method in get_args(Method):
+    for method in METHODS:
         for data_set in dict.fromkeys(one.data_set for one, _ in walks):
             lengths, lifts = [], []
             for one, walk in ((one, walk) for one, walk in walks if one.data_set == data_set):
@@ -83,25 +84,31 @@ def given_rows(asked: list[Asked]) -> list[Row]:
                         lengths.append(100.0 * (stride.stride_length_m - walk.true_length_m(stride)))
                         lifts.append(100.0 * (stride.clearance_m - _true_lift_m(walk, stride)))
             for quantity, errors in ((LENGTH_GIVEN, lengths), (LIFT_GIVEN, lifts)):
-                if np.isfinite(errors).any():
+                if np.isfinite(errors).any() and (method != FUSED or quantity == LENGTH_GIVEN):
                     rows.append(
-                        row_of(data_set, quantity, "cm", NAMES[method], CAUSAL, errors, _share(errors, asked, data_set))
+                        row_of(
+                            data_set,
+                            quantity,
+                            "cm",
+                            NAMES[method],
+                            KNOWN[method],
+                            errors,
+                            _share(errors, asked, data_set),
+                        )
                     )
     return rows
 
 
-def _between_borders(one: Asked, walk: Walk, method: Method) -> list[StrideResult]:
+def _between_borders(one: Asked, walk: Walk, method: str) -> list[StrideResult]:
     calibration, track = calibrate_track(walk.track), walk.track
-    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), method=method)
-    maker = BorderMaker(track.sensor, settings, one.case.borders / one.case.rate_hz)
+    maker = BorderMaker(track.sensor, settings_of(calibration, method), one.case.borders / one.case.rate_hz)
     FootTracker(calibration, maker).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    return maker.solved
+    return afterwards(track, maker.solved, method)
 
 
 def _true_lift_m(walk: Walk, stride: StrideResult) -> float:
-    if isinstance(walk, PathWalk) and walk.lever_m is not None:
-        return walk.true_lift_m(stride)
-    return walk.true_clearance_m(stride)
+    arm = walk if isinstance(walk, PathWalk) and walk.lever_m is not None else None
+    return walk.true_clearance_m(stride) if arm is None else arm.true_lift_m(stride)
 
 
 def _share(errors: list[float], asked: list[Asked], data_set: str) -> float:
@@ -112,13 +119,13 @@ def _share(errors: list[float], asked: list[Asked], data_set: str) -> float:
 def arm_rows() -> list[Row]:
     """Lift on pyshoe_vicon, whose marker is not at the sensor, through the arm that fits best."""
     rows = []
-    for method in get_args(Method):
+    for method in METHODS[:-1]:
         for errors in clearance_errors(method, strides_of).values():
-            rows.append(row_of("pyshoe_vicon", LIFT_ARM, "cm", NAMES[method], CAUSAL, 100.0 * np.array(errors)))
+            rows.append(row_of("pyshoe_vicon", LIFT_ARM, "cm", NAMES[method], KNOWN[method], 100.0 * np.array(errors)))
     return rows
 
 
-def zupt_rows(folder: Path) -> list[Row]:
+def zupt_rows(folder: Path, asked: list[Asked]) -> list[Row]:
     """Length between the references' borders by the filter that runs through the whole recording; the loop's gap."""
     rows = []
     groups: list[list[BorderedWalk]] = [walks for walks in (pyshoe(folder), ruler(folder), gaitmap(folder)) if walks]
@@ -126,9 +133,10 @@ def zupt_rows(folder: Path) -> list[Row]:
     for smoothed, known in ((False, CAUSAL), (True, OFFLINE)):
         for walks in groups:
             errors = []
-            for walk in walks:
+            of_set = (one for one in asked if one.walk is not None and one.data_set == walks[0].data_set)
+            for walk, one in zip(walks, of_set, strict=True):
                 lengths = path_of(walk.track, smoothed=smoothed).stride_lengths(walk.begin_ns, walk.end_ns)
-                errors += (100.0 * (lengths - walk.length_m))[~walk.disputed].tolist()
+                errors += (100.0 * (lengths - one.length_m)).tolist()
             rows.append(row_of(walks[0].data_set, LENGTH_GIVEN, "cm", ZUPT[smoothed], known, errors, 1.0))
         if loop is not None:
             rows.append(
@@ -156,8 +164,8 @@ def stroke_rows(folder: Path) -> list[Row]:
         return []
     data_set = "stroke_treadmill"
     rows = [
-        row_of(data_set, BELT, "%", NAMES[method], CAUSAL, 100.0 * (np.array(belt_ratios(method)) - 1.0))
-        for method in get_args(Method)
+        row_of(data_set, BELT, "%", NAMES[method], KNOWN[method], 100.0 * (np.array(belt_ratios(method)) - 1.0))
+        for method in METHODS
     ]
     shanks = [shank for path in paths for shank in evaluate_shanks(path)]
     for name, key in (("fes shank, arm learnt", "learnt"), ("fes shank, velocity to zero", "zupt")):
@@ -190,7 +198,7 @@ def event_rows(folder: Path) -> list[Row]:
     """Initial contact and foot off against the markers' events; causal: the delay of the decision."""
     if not (folder / "gaitmap_walk").is_dir():
         return []
-    scores = [s for method in METHODS for s in score("gaitmap_walk", gaitmap_cases(folder), method)]
+    scores = [s for method in EVENT_METHODS for s in score("gaitmap_walk", gaitmap_cases(folder), method)]
     return [_event_row(s) for s in scores]
 
 
@@ -273,12 +281,13 @@ def _fitted_rms_m(walk: PathWalk, path: GroundPath) -> float:
 
 
 def our_rows(folder: Path, asked: list[Asked]) -> list[Row]:
-    """All of them."""
+    """All of them; what is put to peers alone is left out."""
+    asked = [one for one in asked if OUR_ENDS not in one.case.tasks]
     return [
         *stride_rows(asked),
         *given_rows(asked),
         *arm_rows(),
-        *zupt_rows(folder),
+        *zupt_rows(folder, asked),
         *rest_rows(folder),
         *stroke_rows(folder),
         *event_rows(folder),

@@ -13,10 +13,20 @@ PREAMBLE = """# Accuracy, ours and others'
 Made by `make bench-accuracy` from the recordings in `$FES_DATA` or `../shared/data`; do not edit.
 
 One default setting everywhere. Errors are estimate − truth; worst is the greatest absolute error; recall is the share
-of what the reference holds that was found. *causal*: known at the latest when the stride or event is over; *off-line*:
-the method looks at the whole recording. Reference borders are those of the data set; between own borders the reference
-is asked at the ends that each method found itself, and the strides it did not find show in the recall alone. On the
-treadmill, where no reference borders exist, peers get those that our tracker found; `own detection` is a peer's own.
+of what the reference holds that was found, n what the errors were counted on. *causal*: known at the latest when the
+stride or event is over; *off-line*: the method looks at the whole recording.
+
+*Reference borders* are those of the data set. Not all methods end a stride at exactly these instants: our two stride
+solvers move each border to the quietest instant within 50 ms, and are held against the truth between the moved borders;
+our ZUPT filter and the peers stay at the given ones, and are held against the truth there. So that one comparison is
+like for like, three peers are also run between the borders that our solver chose, against the same truth: the rows
+*our ends*. The strides that count are the same for all: those that the reference disputes, shuffles under 0.3 m and its
+glitches are left out. But our solvers leave out some more, which they call invalid or which lie outside the walking
+that the phase machine saw; n and recall show it.
+
+*Own detection*: the reference is asked at the ends that each method found itself, and the strides it did not find show
+in the recall alone. On the treadmill, where no reference borders exist, peers get those that our tracker found; `own
+detection` is a peer's own.
 
 Peers run with the defaults of their documentation, and all get axes x forward, y left, z up and a gyroscope free of the
 bias found in a standing second, which is more help than our own methods get. What they do and where that departs from

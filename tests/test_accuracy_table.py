@@ -101,6 +101,34 @@ def test_judging_lengths_lifts_and_failures(tmp_path):
     assert strides_hit(np.array([0.5, 1.5, 2.5]), np.array([[0.0, 1.0], [2.0, 3.0]])) == 2
 
 
+def test_our_ends_are_the_quietest_instants_nearby_and_the_truth_is_taken_there():
+    from peers.cases import OUR_ENDS, Asked, at_our_ends
+    from peers.exchange import Case
+    from real_sets import PathWalk, track_of
+
+    rate_hz, n = 100.0, 400
+    gyr = np.full((n, 3), 2.0)
+    for quiet in (104, 297):  # 40 ms after and 30 ms before what the reference says
+        gyr[quiet - 4 : quiet + 6] = 0.1
+    track = track_of("right_foot", rate_hz, np.tile([0.0, 0.0, 9.81], (n, 1)), gyr)
+    way = np.zeros((n, 3))
+    way[:, 0] = np.linspace(0.0, 3.99, n)  # a centimetre a sample: a border moved by one shows
+    walk = PathWalk("set", "one", track, position_m=way, rate_hz=rate_hz, at_sensor=True)
+    borders = np.array([[100, 300], [100, 300]])
+    asked = Asked(
+        Case("one", "right", rate_hz, track.acc_mps2, track.gyr_radps, borders, ("borders",)),
+        "set",
+        length_m=np.array([2.0, np.nan]),
+        walk=walk,
+    )
+    moved = at_our_ends(asked)
+    assert moved.case.tasks == (OUR_ENDS,)
+    assert moved.case.name != asked.case.name
+    assert np.abs(moved.case.borders[0] - [104, 297]).max() <= 1
+    assert moved.length_m[0] == pytest.approx(0.01 * np.diff(moved.case.borders[0])[0], abs=0.005)
+    assert np.isnan(moved.length_m[1])
+
+
 def test_the_page_lists_the_least_error_first_and_every_bar():
     from accuracy_row import Row
     from accuracy_text import in_order, markdown, verdicts
@@ -117,6 +145,7 @@ def test_the_page_lists_the_least_error_first_and_every_bar():
     assert verdicts(rows) == ["b, length: RMSE ≤ 2: NOT MET by any of our methods"]
     page = markdown(rows, ["Peers are not in this table."])
     assert "make bench-accuracy" in page
+    assert "quietest instant within 50 ms" in page
     assert "| **fes x** | causal | 2 |" in page
     assert "peer \\| one" in page
     assert page.index("## a") < page.index("## b")

@@ -53,6 +53,88 @@ def test_both_feet_come_in_order_of_time_and_agree_with_the_truth(analysed):
     assert abs(sum(errors) / len(errors)) < 0.017
 
 
+def without_geometry(recording: Recording) -> Recording:
+    return replace(recording, geometry={})
+
+
+@pytest.fixture(scope="module")
+def estimated(analysed):
+    return analyse(without_geometry(analysed.recording), analysed.calibrations)
+
+
+def test_toe_and_heel_clearance_agree_with_the_truth_whether_given_or_estimated(analysed, estimated):
+    with (TRIALS / "both_feet_100hz.strides.csv").open() as file:
+        truth = [row for row in csv.DictReader(file) if row["steady"] == "yes"]
+    for result, most_m in ((analysed, (0.003, 0.004)), (estimated, (0.004, 0.015))):
+        for quantity, bound_m in zip(("toe_clearance_m", "heel_clearance_m"), most_m, strict=True):
+            errors = []
+            for row in truth:
+                foot_off_ns = 1e9 * float(row["t_swing_s"])
+                found = next(
+                    s for s in result.strides if s.foot == row["foot"] and s.t_start_ns < foot_off_ns < s.t_end_ns
+                )
+                errors.append(getattr(found, quantity) - float(row[quantity]))
+            assert abs(sum(errors) / len(errors)) < bound_m, quantity
+    lengths = [[stride.stride_length_m for stride in result.strides] for result in (analysed, estimated)]
+    assert lengths[0] == pytest.approx(lengths[1], abs=0.005)
+
+
+def test_it_says_whether_toe_and_heel_were_given_or_estimated(analysed, estimated):
+    for foot, true in analysed.recording.geometry.items():
+        given, found = analysed.points[foot], estimated.points[foot]
+        assert given.to_json()["source"] == "given"
+        assert given.geometry == true
+        told = found.to_json()
+        assert (told["source"], told["observed"], told["reason"]) == ("estimated", True, "")
+        assert abs(found.geometry.toe_forward_m - true.toe_forward_m) < 2.0 * told["toe_forward_sd_m"]
+        assert abs(found.geometry.heel_forward_m - true.heel_forward_m) < 2.0 * told["heel_forward_sd_m"]
+        assert given.levels
+        assert found.levels
+        assert "estimated" in found.words()
+        assert "[geometry]" in given.words()
+    record = estimated.record("")
+    assert {note.source for note in record.notes} == {"left_foot", "right_foot"}
+    assert all(note.severity == "info" and "estimated" in note.text for note in record.notes)
+    assert record.header["toe_and_heel"]["left_foot"]["source"] == "estimated"
+
+
+def test_on_stairs_no_height_is_shifted_to_a_common_level(analysed):
+    stairs = analyse(analysed.recording, analysed.calibrations, level=False)
+    assert not any(known.levels for known in stairs.points.values())
+    assert all(known.to_json()["contact_levels"] is False for known in stairs.points.values())
+    assert any(stride.toe_clearance_m == stride.toe_clearance_m for stride in stairs.strides)
+
+
+def test_on_stairs_toe_and_heel_are_not_estimated(analysed):
+    stairs = analyse(without_geometry(analysed.recording), analysed.calibrations, level=False)
+    assert all(stride.toe_clearance_m != stride.toe_clearance_m for stride in stairs.strides)
+    assert {known.to_json()["source"] for known in stairs.points.values()} == {"unknown"}
+    notes = stairs.record("").notes
+    assert [note.severity for note in notes] == ["warning", "warning"]
+    assert all("give [geometry]" in note.text for note in notes)
+
+
+def test_few_strides_leave_the_prior_and_a_warning(analysed):
+    tracks = {}
+    for name, track in analysed.recording.tracks.items():
+        until = track.t_ns < track.t_ns[0] + 9_000_000_000
+        tracks[name] = Track(
+            name, track.rate_hz, track.t_ns[until], track.t_sensor_ns[until], track.acc_mps2[until],
+            track.gyr_radps[until],
+        )  # fmt: skip
+    short = analyse(replace(analysed.recording, tracks=tracks, geometry={}), analysed.calibrations)
+    assert short.points
+    for foot, known in short.points.items():
+        told = known.to_json()
+        assert told["strides"] < 3
+        assert told["observed"] is False
+        assert "3 are needed" in told["reason"]
+        assert told["toe_forward_sd_m"] > 0.02
+        note = next(note for note in short.record("").notes if note.source == foot)
+        assert note.severity == "warning"
+        assert "assumed, not measured" in note.text
+
+
 def test_rows_hold_every_stride_and_phase_change(analysed):
     strides, phases = analysed.stride_rows(), analysed.phase_rows()
     assert len(strides) == len(analysed.strides)
@@ -102,7 +184,10 @@ def test_command_writes_tables_and_report_and_takes_a_calibration(tmp_path):
         strides = list(csv.DictReader(file))
     assert len(strides) > 80
     assert all(row["toe_clearance_m"] for row in strides if row["valid"] == "True")
-    assert "<html" in (folder / "report.html").read_text()[:500]
+    report = (folder / "report.html").read_text()
+    assert "<html" in report[:500]
+    assert "toe and heel as the sidecar&#39;s [geometry] gives them" in report
+    assert "toe and heel as the sidecar's [geometry] gives them" in " ".join(done.output.split())
 
 
 @pytest.mark.parametrize("kind", ["parquet", "json"])
@@ -111,6 +196,7 @@ def test_tables_in_other_formats_hold_the_same(tmp_path, analysed, kind):
     assert done.exit_code == 0, done.output
     shown = json.loads(done.stdout)
     assert len(shown["strides"]) == len(analysed.strides)
+    assert shown["toe_and_heel"]["left_foot"]["source"] == "given"
     path = tmp_path / "both_feet_100hz-001" / f"strides.{kind}"
     rows = json.loads(path.read_text()) if kind == "json" else parquet.read_table(path).to_pylist()
     assert [row["stride_length_m"] for row in rows] == [s.stride_length_m for s in analysed.strides]

@@ -45,6 +45,14 @@ def test_the_message_says_what_to_do_and_names_the_columns(tmp_path: Path) -> No
         read_recording(path)
 
 
+def test_an_empty_sidecar_is_filled_like_a_missing_one(tmp_path: Path) -> None:
+    path = put(tmp_path / "own.csv", ["a", "b"], [np.arange(200.0), np.arange(200.0)])
+    path.with_suffix(".toml").touch()  # fes replay own.csv > own.toml
+    with pytest.raises(RecordingError, match=r"own\.toml: is empty\.") as caught:
+        read_recording(path)
+    assert str(caught.value).split("\n\n", 1)[1] == sidecar_template(path)
+
+
 def test_one_sensor_in_g_and_degrees_with_milliseconds(tmp_path: Path) -> None:
     track = walk()
     names = ["Time (ms)", *(f"Accelerometer {a} (g)" for a in "XYZ"), *(f"Gyroscope {a} (deg/s)" for a in "XYZ")]

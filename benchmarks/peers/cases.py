@@ -16,6 +16,7 @@ from stroke_treadmill import LAST_S
 from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
 
 from fes.estimation.calibration import FootCalibration
+from fes.estimation.stride_ends import quietest_near
 from fes.ground_path import GroundPath, ground_path
 from fes.recording import Track
 from fes.replay import calibrate_track
@@ -23,6 +24,7 @@ from fes.signals import FloatArray, IntArray, StrideResult
 from peers.exchange import Case
 
 WARM_UP_S = 10.0
+OUR_ENDS = "our ends"  # the task of those peers that are also asked between the borders that our solver chose
 
 
 @dataclass(frozen=True)
@@ -81,12 +83,14 @@ def bordered(walks: list[Walk], cut: list[BorderedWalk], tasks: tuple[str, ...])
     for walk, borders in zip(walks, cut, strict=True):
         ends = np.column_stack((borders.begin_ns, borders.end_ns))
         calibration, own = calibrate_track(walk.track), walk.data_set == "gaitmap_walk"
+        counts = ~borders.disputed & _countable(walk, ends)
+        lifts = [walk.true_clearance_m(between(walk.track, *pair)) for pair in ends.tolist()]
         asked.append(
             Asked(
                 case_of(f"{walk.data_set}-{walk.name}", walk.track, calibration, ends, tasks, own_axes=own),
                 walk.data_set,
-                length_m=np.where(borders.disputed | ~_countable(walk, ends), np.nan, borders.length_m),
-                lift_m=np.array([walk.true_clearance_m(between(walk.track, *pair)) for pair in ends.tolist()]),
+                length_m=np.where(counts, borders.length_m, np.nan),
+                lift_m=np.where(counts, lifts, np.nan),
                 walk=walk,
                 swings_s=0.5e-9 * ends.sum(axis=1),
                 path=ground_path(walk.track, calibration),
@@ -108,6 +112,28 @@ def between(track: Track, begin_ns: int, end_ns: int) -> StrideResult:
     unknown = float("nan")
     return StrideResult(
         track.sensor, 0, begin_ns, end_ns, unknown, unknown, unknown, unknown, unknown, None, None, None, None
+    )
+
+
+def at_our_ends(one: Asked) -> Asked:
+    """The same strides with each border where our own solver moves it, to the quietest instant within 50 ms.
+
+    Truth is taken at the moved borders, as for our solver; strides that do not count there do not count here.
+    """
+    assert one.walk is not None
+    track, walk = one.walk.track, one.walk
+    borders = np.array(
+        [quietest_near(track.t_ns, one.case.gyr_radps, int(track.t_ns[k])) for k in one.case.borders.ravel()]
+    ).reshape(-1, 2)
+    strides = [between(track, int(track.t_ns[first]), int(track.t_ns[last])) for first, last in borders]
+    known = np.isfinite(one.length_m)
+    arm = walk if isinstance(walk, PathWalk) and walk.lever_m is not None else None
+    lifts = [walk.true_clearance_m(s) if arm is None else arm.true_lift_m(s) for s in strides]
+    return replace(
+        one,
+        case=replace(one.case, name=f"{one.case.name}-our-ends", borders=borders, tasks=(OUR_ENDS,)),
+        length_m=np.where(known, [walk.true_length_m(s) for s in strides], np.nan),
+        lift_m=np.where(known, lifts, np.nan),
     )
 
 
@@ -165,10 +191,14 @@ def orientation_asked(folder: Path) -> list[Asked]:
 
 def all_asked(folder: Path) -> list[Asked]:
     """Everything that the folder holds."""
-    asked = [
+    walks = [
         *bordered(list(pyshoe_vicon(folder)), pyshoe(folder), ("borders", "detection", "rest")),
         *bordered(list(ruler_walks(folder)), ruler(folder), ("borders", "detection")),
         *gaitmap_asked(folder),
+    ]
+    asked = [
+        *walks,
+        *(at_our_ends(one) for one in walks),
         *stroke_asked(folder),
         *orientation_asked(folder),
     ]

@@ -15,7 +15,7 @@ from real_sets import STRAIGHT_RAD
 from zero_velocity import LIMIT_MPS, scores
 
 from fes.signals import FloatArray
-from peers.cases import Asked, between, moving_truth
+from peers.cases import OUR_ENDS, Asked, between, moving_truth
 
 Found = dict[str, np.ndarray]
 Pairs = list[tuple[Asked, Found]]
@@ -157,6 +157,7 @@ def _closure(data_set: str, method: str, known: str, pairs: Pairs) -> Iterable[R
 
 JUDGES: dict[str, Callable[[str, str, str, Pairs], Iterable[Row]]] = {
     "borders": _borders,
+    OUR_ENDS: _borders,
     "detection": _detection,
     "events": _events,
     "rest": _rest,

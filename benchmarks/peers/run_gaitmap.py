@@ -137,6 +137,8 @@ def closure(case: Case) -> Arrays:
 
 METHODS = [
     Method("gaitmap RtsKalman", "borders", "off-line", at_borders(rts_kalman)),
+    Method("gaitmap RtsKalman, our ends", "our ends", "off-line", at_borders(rts_kalman)),
+    Method("gaitmap default integration, our ends", "our ends", "causal", at_borders(integrated)),
     Method("gaitmap default integration", "borders", "causal", at_borders(integrated)),
     Method("gaitmap Madgwick, forward-backward", "borders", "causal", at_borders(madgwick)),
     Method(

@@ -163,6 +163,7 @@ METHODS = [
     Method("imufusion, linear dedrift", "borders", "causal", strides(by_imufusion)),
     Method("VQF, linear dedrift", "borders", "causal", strides(by_vqf)),
     Method("VQF off-line, linear dedrift", "borders", "off-line", strides(by_offline_vqf)),
+    Method("VQF off-line, linear dedrift, our ends", "our ends", "off-line", strides(by_offline_vqf)),
     Method("ahrs Madgwick, linear dedrift", "borders", "causal", strides(by_madgwick)),
     Method("ahrs EKF, linear dedrift", "borders", "causal", strides(by_ekf)),
     Method("imufusion, x-io's method", "closure", "causal", x_io_closure),

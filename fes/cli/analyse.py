@@ -7,6 +7,7 @@ import json
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
+from statistics import mean, stdev
 from typing import Any
 
 import click
@@ -43,8 +44,11 @@ def command(
     """Find phases and strides in RECORDINGS; write tables of strides, phase changes, events (initial contact, foot
     off) and the path over the ground, and a report of each.
 
-    The ground is taken to be level: height that a stride seems to gain is an error and taken out. On stairs and slopes
+    The ground is taken to be level: height that a stride seems to gain counts mostly as error. On stairs and slopes
     give --stairs or --slope (they do the same): the height gained is then measured, stride by stride.
+
+    Where toe and heel are is taken from [geometry] in the sidecar, or else, on level ground, estimated from the walking
+    itself, which takes the sensor to sit over the middle of the foot; the output says which.
 
     One recording that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
@@ -106,7 +110,12 @@ def _show(result: Analysis, folder: Path, *, as_json: bool, report: bool) -> Non
         write_report(record, folder / "report.html", paths=result.paths)
     summary = summarise(record)
     if as_json:
-        told = {**summary.to_json(), "paths": result.path_summary(), "files": {"folder": str(folder)}}
+        told = {
+            **summary.to_json(),
+            "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
+            "paths": result.path_summary(),
+            "files": {"folder": str(folder)},
+        }
         click.echo(json.dumps(told, indent=2, ensure_ascii=False))
         return
     from rich.console import Console
@@ -116,9 +125,23 @@ def _show(result: Analysis, folder: Path, *, as_json: bool, report: bool) -> Non
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     screen.print(stride_table(summary))
     screen.print(summary_block(summary))
-    for line in _path_lines(result):
-        screen.print(line)
+    for line in (*_clearance_lines(result), *_path_lines(result)):
+        screen.print(line, markup=False)
     screen.print(f"Tables and report  {folder}")
+
+
+def _clearance_lines(result: Analysis) -> list[str]:
+    """How high toe and heel went, and how it is known where on the foot they are, in words."""
+    lines = []
+    for foot, known in result.points.items():
+        valid = [stride for stride in result.strides if stride.valid and stride.foot == foot]
+        heights = {
+            "toe": [100.0 * s.toe_clearance_m for s in valid if s.toe_clearance_m == s.toe_clearance_m],
+            "heel": [100.0 * s.heel_clearance_m for s in valid if s.heel_clearance_m == s.heel_clearance_m],
+        }
+        said = (f"{name} {mean(cm):.1f} ± {stdev(cm):.1f} cm" for name, cm in heights.items() if len(cm) > 1)
+        lines.append(f"Clearance, {foot.removesuffix('_foot')}: {'; '.join([*said, known.words()])}")
+    return lines
 
 
 def _path_lines(result: Analysis) -> list[str]:

@@ -274,7 +274,8 @@ def _say_what_is_left_out(
     for reason in missing.values():
         click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
     if not session.channels:
-        why = f"{settings} has no channel for a foot in this recording" if settings else "no session settings given"
+        feet = ", ".join(sorted(driving(calibrations)))
+        why = f"{settings} has no channel for a foot in this recording ({feet})" if settings else "no --session given"
         click.secho(f"Nothing is stimulated: {why}. Phases and strides only.", fg="yellow", err=True)
     if left_out and session.channels:
         names = ", ".join(left_out)

@@ -36,10 +36,11 @@ def read_recording(path: Path) -> Recording:
     if not path.is_file():
         raise RecordingError(f"{path}: {'is a folder' if path.is_dir() else 'is not there'}. Name a recording's file.")
     sidecar_path = path.with_suffix(".toml")
-    if not sidecar_path.exists():
+    empty = sidecar_path.is_file() and sidecar_path.stat().st_size == 0
+    if empty or not sidecar_path.exists():
         raise RecordingError(
-            f"{sidecar_path}: is missing. This sidecar says what {path.name} holds. Save the following under that name "
-            f"and correct the lines marked with “?”:\n\n{sidecar_template(path)}"
+            f"{sidecar_path}: is {'empty' if empty else 'missing'}. This sidecar says what {path.name} holds. "
+            f"Save the following under that name and correct the lines marked with “?”:\n\n{sidecar_template(path)}"
         )
     sidecar = load_sidecar(sidecar_path)
     if suffix in CAN_SUFFIXES:
