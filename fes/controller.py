@@ -20,40 +20,48 @@ from fes.signals import (
     OperatorAct,
     OperatorAction,
     StimRequest,
+    StimStatus,
     StrideResult,
     Tick,
 )
 from fes.stimulation.plan import StimulationPlan
 from fes.stimulation.switch_fallback import SwitchFallback
+from fes.stimulation.tuning.reports import TuningReport
+from fes.stimulation.tuning.tuners import TUNING_ACTS, Tuners
 from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import Phase
 
 __all__ = ["NOTHING", "Controller", "Decision", "stride_settings"]
 
+CURRENT_STEP_MA = 0.5  # of most stimulators
 BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What came of one event: ``requests`` to put before the gate now, ``outcomes`` to record, in order."""
+    """What came of one event: ``requests`` to put before the gate now, ``outcomes`` and ``reports`` to record."""
 
     requests: tuple[StimRequest, ...] = ()
     outcomes: tuple[Outcome, ...] = ()
+    reports: tuple[TuningReport, ...] = ()
 
 
 NOTHING = Decision()
 
 
 class Controller:
-    """From events to requests: tracker per foot, walking judge per foot, one plan.
+    """From events to requests: tracker per foot, walking judge per foot, one plan, a tuner per channel that has one.
 
     Args:
         session: the settings.
         calibrations: by sensor name. A shank drives its side's foot where that has no sensor of its own; samples of
             sensors that drive nothing change nothing.
+        current_step_ma: the stimulator's; requests are rounded down to it.
     """
 
-    def __init__(self, session: Session, calibrations: Mapping[str, Calibration]) -> None:
+    def __init__(
+        self, session: Session, calibrations: Mapping[str, Calibration], *, current_step_ma: float = CURRENT_STEP_MA
+    ) -> None:
         drivers = driving(calibrations)
         self.trackers: dict[str, Tracker] = {  # by the foot whose phases they tell
             foot: tracker_of(session, calibrations[sensor]) for foot, sensor in drivers.items()
@@ -65,7 +73,9 @@ class Controller:
             for switch in session.foot_switches
             if switch.use == "fallback"
         }
-        self._plan = StimulationPlan(session.channels)
+        self._plan = StimulationPlan(session.channels, current_step_ma=current_step_ma)
+        self.tuning = Tuners(session)
+        self._reports: list[TuningReport] = []
         self._period_ns = round(NS_PER_S / session.stimulation.command_rate_hz)
         self._next_command_ns: int | None = None
         self._on = False
@@ -89,12 +99,15 @@ class Controller:
                 outcomes = tuple(self._advance(foot, event))
         elif isinstance(event, OperatorAct):
             self._on_act(event)
+        elif isinstance(event, StimStatus):
+            self.tuning.on_status(event)
         for fallback in self._fallbacks.values():
             for change in fallback.take(event):
                 self._plan.on_phase(change, permitted=True)
         # in a silence the gate must see how old the data have become, sooner than at the next command
         requests = self._due(event.t_ns, at_once=self._on and isinstance(event, Tick))
-        return Decision(requests, outcomes) if requests or outcomes else NOTHING
+        reports, self._reports = tuple(self._reports), []
+        return Decision(requests, outcomes, reports) if requests or outcomes or reports else NOTHING
 
     def _advance(self, foot: str, sample: ImuSample) -> list[Outcome]:
         outcomes = self.trackers[foot].advance(
@@ -104,6 +117,7 @@ class Controller:
         for outcome in outcomes:
             if isinstance(outcome, StrideResult):
                 judge.on_stride(outcome)
+                self._tune(self.tuning.on_stride(sample.t_ns, foot, outcome, self.intensity))
             else:
                 permitted = judge.on_phase(outcome)
                 fallback = self._fallbacks.get(foot)
@@ -113,7 +127,16 @@ class Controller:
                 self._plan.on_phase(replace(outcome, t_ns=sample.t_ns, foot=foot), permitted=permitted)
         return outcomes
 
+    def _tune(self, reports: tuple[TuningReport, ...]) -> None:
+        """What the tuning says; its parameters count from each channel's next burst."""
+        self._reports += reports
+        for number, parameters in self.tuning.parameters().items():
+            self._plan.set_parameters(number, parameters)
+
     def _on_act(self, act: OperatorAct) -> None:
+        self._tune(self.tuning.on_act(act))
+        if act.action in TUNING_ACTS:
+            return
         if act.action is OperatorAction.SET_INTENSITY:
             self.intensity = min(act.value, 1.0) if act.value > 0.0 else 0.0  # not-a-number is 0
         elif act.action in BY_HAND_NS:

@@ -131,6 +131,9 @@ class Runner:
                 self._log.stride(outcome)
             else:
                 self._log.phase(outcome)
+        for report in decision.reports:
+            text = f"channel {report.channel}: {report.text}"
+            self._log.note(Note(event.t_ns, report.severity, "tuning", text))
         if self.gate.latched != self._latched:
             self._note_latch()
             if self._latched:  # not at the next command: now

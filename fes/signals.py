@@ -60,6 +60,10 @@ class OperatorAction(StrEnum):
     TEST_BURST = "test_burst"
     TRIGGER = "trigger"
     SET_BELT_SPEED = "set_belt_speed"
+    FREEZE_TUNING = "freeze_tuning"
+    RESUME_TUNING = "resume_tuning"
+    ACCEPT_SUGGESTION = "accept_suggestion"
+    ROLL_BACK = "roll_back"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +71,8 @@ class OperatorAct:
     """A person acted.
 
     ``value`` is the intensity (0–1) for SET_INTENSITY, the channel's number for TEST_BURST (a short burst at rest) and
-    TRIGGER (a burst now, as at the start of a step), the belt's speed in m/s for SET_BELT_SPEED; unused otherwise.
+    TRIGGER (a burst now, as at the start of a step), ACCEPT_SUGGESTION (what its tuning last suggested) and ROLL_BACK
+    (to the session's own settings), the belt's speed in m/s for SET_BELT_SPEED; unused otherwise.
     """
 
     t_ns: int

@@ -2,11 +2,14 @@
 
 from fes.config.base import PHASE_ORDER, ConfigError, Foot, NotNegative, Phase, Positive, SensorName, Settings
 from fes.config.channel import Channel, ChannelLimits, Stimulation
-from fes.config.devices import Bus, FootSwitch, ImuDevice, StimulatorDevice
+from fes.config.devices import Bus, FootSwitch, ImuDevice, Live, StimulatorDevice, Switch
 from fes.config.session import FootGeometry, Phases, Session, Treadmill, load_session, validate_session
+from fes.config.tuning import Band, Bounds, Tuning, TuningBounds
 
 __all__ = [
     "PHASE_ORDER",
+    "Band",
+    "Bounds",
     "Bus",
     "Channel",
     "ChannelLimits",
@@ -15,6 +18,7 @@ __all__ = [
     "FootGeometry",
     "FootSwitch",
     "ImuDevice",
+    "Live",
     "NotNegative",
     "Phase",
     "Phases",
@@ -24,7 +28,10 @@ __all__ = [
     "Settings",
     "Stimulation",
     "StimulatorDevice",
+    "Switch",
     "Treadmill",
+    "Tuning",
+    "TuningBounds",
     "load_session",
     "validate_session",
 ]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator
 
 from fes import limits
 from fes.config.base import Foot, Phase, Settings
+from fes.config.tuning import Tuning, refuse_tuning
 
 
 class ChannelLimits(Settings):
@@ -48,6 +49,7 @@ class Channel(Settings):
     fall_s: float = Field(default=0.10, ge=0, le=1.0)
     never_with: tuple[int, ...] = Field(default=(), strict=False)  # TOML has lists, no tuples
     limits: ChannelLimits
+    tuning: Tuning | None = None
 
     @model_validator(mode="after")
     def _plan_fits_its_limits(self) -> Self:
@@ -72,6 +74,29 @@ class Channel(Settings):
         if self.start_phase == self.stop_phase:
             raise ValueError(f"start_phase and stop_phase are both {self.start_phase!r}")
         return self
+
+    @model_validator(mode="after")
+    def _tuning_stays_within_the_limits(self) -> Self:
+        if self.tuning is not None:
+            values = {
+                "current_ma": self.current_ma,
+                "pulse_width_us": self.pulse_width_us,
+                "start_delay_s": self.start_delay_s,
+                "extension_s": self.extension_s,
+            }
+            caps = self.limits.model_dump()
+            refuse_tuning(
+                self.tuning, self.start_phase, values, caps, self.frequency_hz, self.electrode_area_cm2, self.rise_s
+            )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_an_absent_tuning(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """So that a session without tuning reads, and identifies its replays, as it did before there was any."""
+        data: dict[str, Any] = handler(self)
+        if data.get("tuning") is None:
+            data.pop("tuning", None)
+        return data
 
 
 class Stimulation(Settings):

@@ -49,17 +49,33 @@ class StimulatorDevice(Settings):
         return self
 
 
-class FootSwitch(Settings):
-    """A switch under the foot: one bit of a CAN frame, or a serial line's input.
+class Switch(Settings):
+    """A switch: one bit of a CAN frame, or a serial line's input."""
+
+    source: Literal["can_bit", "serial_cts", "serial_dsr"]
+    port: str = Field(default="bus", min_length=1)
+    identifier: int = Field(default=0, ge=0, le=0x7FF)
+    bit: int = Field(default=0, ge=0, le=63)
+    pressed: Literal["high", "low"] = "high"
+
+
+class FootSwitch(Switch):
+    """A switch under the foot.
 
     ``use``: ``compare`` only records how it differs from the sensor's phases, ``fallback`` lets it time the
     stimulation when the sensor's side has no usable phases.
     """
 
     foot: Foot
-    source: Literal["can_bit", "serial_cts", "serial_dsr"]
-    port: str = Field(default="bus", min_length=1)
-    identifier: int = Field(default=0, ge=0, le=0x7FF)
-    bit: int = Field(default=0, ge=0, le=63)
-    pressed: Literal["high", "low"] = "high"
     use: Literal["compare", "fallback"] = "compare"
+
+
+class Live(Settings):
+    """What a live session needs beside its devices: emergency stops, and the folder that its results go below.
+
+    Paths are seen from where ``fes`` is started. An empty ``stop_file`` is ``stop`` in the session's own folder.
+    """
+
+    stop_button: Switch | None = None
+    stop_file: str = ""
+    folder: str = Field(default="out", min_length=1)

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from fes.config.base import ConfigError, Foot, Settings
 from fes.config.channel import Channel, Stimulation
-from fes.config.devices import Bus, FootSwitch, ImuDevice, StimulatorDevice
+from fes.config.devices import Bus, FootSwitch, ImuDevice, Live, StimulatorDevice
 from fes.config.explain import explain
 
 
@@ -51,6 +51,7 @@ class Session(Settings):
     foot_switches: tuple[FootSwitch, ...] = Field(default=(), strict=False)
     treadmill: Treadmill | None = None
     geometry: dict[Foot, FootGeometry] = Field(default_factory=dict)
+    live: Live = Field(default=Live(), exclude=True)  # of this machine; it changes no decision and is in no log
 
     @model_validator(mode="after")
     def _channels_are_distinct(self) -> Self:

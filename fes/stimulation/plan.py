@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from fes.config import PHASE_ORDER, Channel
 from fes.signals import StimRequest
 from fes.stimulation.envelope import Envelope, round_down, to_ns
+from fes.stimulation.parameters import BurstParameters
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FREQUENCY_STEP_HZ = 1.0
@@ -28,12 +29,15 @@ class _Line:
     """One channel and where it stands; ``on`` and ``off_since_ns`` are what was last requested and since when.
 
     ``by_hand_ns`` is how long a burst asked for by hand lasts before it falls; one to ``adopt`` passes to the phases.
+    ``upcoming`` are the parameters of the next burst, ``taken`` those of the burst awaited or under way.
     """
 
     channel: Channel
     start: Phase
     stop: Phase
     run: frozenset[Phase]
+    upcoming: BurstParameters
+    taken: BurstParameters
     partners: tuple[_Line, ...] = ()
     awaited_ns: int | None = None
     burst: Envelope | None = None
@@ -46,7 +50,7 @@ class _Line:
 class StimulationPlan:
     """Bursts from phases; a deterministic function of the calls made, in non-decreasing time.
 
-    A burst's parameters (current, width, frequency, times, intensity) are taken when it starts and stay, but a lower
+    A burst's parameters (current, widths, frequency, times, intensity) are taken when it starts and stay, but a lower
     intensity acts at once; a higher one waits for the next burst.
 
     Args:
@@ -77,8 +81,8 @@ class StimulationPlan:
                 if line.adopt and line.burst is not None and not line.burst.falls(change.t_ns):
                     line.burst = replace(line.burst, t_stop_ns=None)
                 else:
-                    line.burst = None
-                    line.awaited_ns = change.t_ns + to_ns(line.channel.start_delay_s) if permitted else None
+                    line.burst, line.taken = None, line.upcoming
+                    line.awaited_ns = change.t_ns + to_ns(line.taken.start_delay_s) if permitted else None
                 line.by_hand_ns, line.adopt = None, False
             elif change.destination == line.stop:
                 line.awaited_ns = None
@@ -92,6 +96,13 @@ class StimulationPlan:
         for line in self._lines:
             if line.channel.number == number and line.burst is None:
                 line.awaited_ns, line.by_hand_ns, line.adopt = t_ns, hold_ns, adopt
+                line.taken = line.upcoming
+
+    def set_parameters(self, number: int, parameters: BurstParameters) -> None:
+        """What one channel's bursts are to have from the next entry into its start phase on; no burst changes."""
+        for line in self._lines:
+            if line.channel.number == number:
+                line.upcoming = parameters
 
     def cancel(self, foot: str | None = None) -> None:
         """End every burst of a foot (None: of both) at once; the next entry into a start phase may start another."""
@@ -144,7 +155,7 @@ class StimulationPlan:
         t_start_ns = max(earliest_ns)
         if t_start_ns > t_ns:
             return None
-        burst = Envelope.of(line.channel, t_start_ns, intensity)
+        burst = Envelope.of(line.channel, t_start_ns, intensity, line.taken)
         return burst if line.by_hand_ns is None else burst.stopped(t_start_ns + line.by_hand_ns)
 
     def _request(self, line: _Line, burst: Envelope | None, t_ns: int) -> StimRequest:
@@ -152,7 +163,7 @@ class StimulationPlan:
         if burst is None:
             return StimRequest(number, False)
         current_ma = round_down(burst.level_ma(t_ns), self._current_step_ma)
-        pulse_width_us = round_down(burst.pulse_width_us, self._pulse_width_step_us)
+        pulse_width_us = round_down(burst.width_us(t_ns), self._pulse_width_step_us)
         frequency_hz = round_down(burst.frequency_hz, FREQUENCY_STEP_HZ)
         if min(current_ma, pulse_width_us, frequency_hz) <= 0.0:
             return StimRequest(number, False)
@@ -163,7 +174,8 @@ def _line(channel: Channel) -> _Line:
     first = PHASE_ORDER.index(channel.start_phase)
     length = (PHASE_ORDER.index(channel.stop_phase) - first) % len(PHASE_ORDER) + 1
     run = [Phase[PHASE_ORDER[(first + i) % len(PHASE_ORDER)].upper()] for i in range(length)]
-    return _Line(channel, run[0], run[-1], frozenset(run))
+    own = BurstParameters.of(channel)
+    return _Line(channel, run[0], run[-1], frozenset(run), own, own)
 
 
 def _exclusive(one: Channel, other: Channel) -> bool:

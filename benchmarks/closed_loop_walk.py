@@ -1,0 +1,138 @@
+"""One virtual patient in closed loop, many times faster than life: patient → controller → gate → pulses → patient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fes.config import Session
+from fes.controller import Controller
+from fes.driving import Calibration
+from fes.estimation.calibration import FootCalibration
+from fes.gate.of_session import gate_of
+from fes.patient.virtual import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
+from fes.recording import Track
+from fes.replay import calibrate_track
+from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimCommand, StimStatus, StrideResult, Tick
+from fes.stimulation.tuning.reports import TuningReport
+
+STEP_NS = 10_000_000
+CALIBRATION_S = 30.0
+
+
+@dataclass
+class Output:
+    """The stimulator of one channel: pulses at the commanded rate while a command is valid."""
+
+    command: StimCommand | None = None
+    next_ns: int = 0
+    counter: int = 0
+    pulses: list[DeliveredPulse] = field(default_factory=list)
+
+    def send(self, command: StimCommand) -> None:
+        """Take a command; a burst begins with a pulse."""
+        if self.command is None or not self.command.on:
+            self.next_ns = command.t_ns
+        self.command = command
+
+    def until(self, t_ns: int) -> StimStatus | None:
+        """Deliver what is due before ``t_ns``; the answer, None when nothing was delivered."""
+        now = self.command
+        if now is None or not now.on:
+            return None
+        count, end_ns = 0, min(t_ns, now.t_ns + now.validity_ms * 1_000_000)
+        while self.next_ns < end_ns:
+            self.pulses.append(DeliveredPulse(self.next_ns, now.channel, now.current_ma, now.pulse_width_us))
+            self.next_ns += round(NS_PER_S / now.frequency_hz)
+            count += 1
+        if not count:
+            return None
+        self.counter = (self.counter + 1) % 16
+        charge_uc = count * now.current_ma * now.pulse_width_us * 1e-3
+        levels = (now.current_ma, now.pulse_width_us, now.frequency_hz)
+        return StimStatus(t_ns, now.channel, self.counter, True, *levels, count, charge_uc)
+
+
+@dataclass
+class Walk:
+    """What a walk left: the patient's true strides of the affected foot, measured ones, the tuning's reports."""
+
+    strides: list[VirtualStride]
+    measured: list[StrideResult]
+    reports: list[TuningReport]
+    refused: set[str]
+    latched: str
+    charge_uc: float
+    controller: Controller
+
+
+def calibration_of(settings: PatientSettings) -> FootCalibration:
+    """From a walk of the same patient without stimulation."""
+    foot = settings.affected_foot
+    samples = [s for s in VirtualPatient(settings).advance(round(CALIBRATION_S * NS_PER_S)) if s.sensor == foot]
+    t_ns = np.array([sample.t_ns for sample in samples])
+    acc = np.array([sample.acc_mps2 for sample in samples])
+    gyr = np.array([sample.gyr_radps for sample in samples])
+    return calibrate_track(Track(foot, settings.rate_hz, t_ns, t_ns, acc, gyr, 16.0 * 9.80665, 34.9))
+
+
+def walk(
+    settings: PatientSettings,
+    session: Session,
+    calibration: FootCalibration,
+    seconds: float,
+    strides: int,
+    during: Callable[[VirtualPatient, int], None] | None = None,
+    lost: Callable[[int], bool] | None = None,
+) -> Walk:
+    """Walk until ``strides`` of the affected foot or ``seconds`` are over.
+
+    Args:
+        settings: of the patient.
+        session: of the controller.
+        calibration: of the affected foot.
+        seconds: at most.
+        strides: at most.
+        during: called every step with the patient and the time in ns, to do something to it.
+        lost: whether what the sensor says at a time in ns is lost.
+    """
+    patient, foot = VirtualPatient(settings), settings.affected_foot
+    calibrations: dict[str, Calibration] = {foot: calibration}
+    controller = Controller(session, calibrations)
+    gate = gate_of(session, {foot: calibration.up}, {})
+    output = Output()
+    done = Walk([], [], [], set(), "", 0.0, controller)
+
+    def handle(event: Event) -> None:
+        gate.observe(event)
+        decision = controller.step(event)
+        for request in decision.requests:
+            command = gate.judge(event.t_ns, request)
+            output.send(command)
+            if command.refused and "not armed" not in command.refused:
+                done.refused.add(command.refused)
+        done.reports.extend(decision.reports)
+        done.measured.extend(outcome for outcome in decision.outcomes if isinstance(outcome, StrideResult))
+
+    armed, t_ns = False, 0
+    while t_ns < seconds * NS_PER_S and len(done.strides) < strides:
+        t_ns += STEP_NS
+        pulses, output.pulses = output.pulses, []
+        done.charge_uc += sum(pulse.charge_uc for pulse in pulses)
+        for sample in patient.advance(t_ns, pulses):
+            if sample.sensor == foot and not (lost and lost(sample.t_ns)):
+                handle(sample)
+        handle(Tick(t_ns))
+        if during:
+            during(patient, t_ns)
+        if not armed and t_ns >= 2 * NS_PER_S:
+            armed = True
+            handle(OperatorAct(t_ns, OperatorAction.ARM))
+            handle(OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 1.0))
+        if (status := output.until(t_ns + STEP_NS)) is not None:
+            handle(replace(status, t_ns=t_ns))
+        done.strides = [one for one in patient.strides if one.foot == foot and one.walking]
+    done.latched = gate.latched
+    return done

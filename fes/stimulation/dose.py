@@ -1,0 +1,134 @@
+"""The dose ledger: charge per step, minute and session of each channel's electrodes, and a hint of fatigue.
+
+It books what the stimulator says it delivered, not what was asked for. Charge is that of one phase, summed over the
+pulses: with balanced pulses both electrodes of a pair get the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from statistics import median
+from typing import Any, Final
+
+from fes.limits import MAX_VALIDITY_MS, charge_per_phase_uc
+from fes.signals import NS_PER_S, StimStatus
+
+KEPT_NS: Final = 30 * NS_PER_S  # of single bookings; a stride is closed within 20 s
+MINUTE_NS: Final = 60 * NS_PER_S
+LONGEST_GAP_NS: Final = MAX_VALIDITY_MS * 1_000_000  # one answer stands for no more than a command's validity
+WINDOW: Final = 10  # stimulated strides whose median counts
+FALLEN: Final = 0.75  # of the first response per charge: worth a hint …
+HINT_STEP: Final = 0.15  # … and another each time it has fallen by this much more
+
+
+@dataclass(slots=True)
+class ElectrodeDose:
+    """What one channel's electrodes have been given.
+
+    ``by_minute_uc`` is by whole minutes of the session's clock; ``steps_uc`` by closed stride; ``estimated`` when some
+    of it was computed from the delivered current and time, because the device does not count its charge.
+    """
+
+    channel: int
+    pulses: int = 0
+    session_uc: float = 0.0
+    by_minute_uc: dict[int, float] = field(default_factory=dict)
+    steps_uc: list[float] = field(default_factory=list)
+    estimated: bool = False
+    _recent: deque[tuple[int, float]] = field(default_factory=deque, repr=False)
+    _answered_ns: int | None = field(default=None, repr=False)
+    _response: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW), repr=False)
+    _first: tuple[float, float] | None = field(default=None, repr=False)
+    _hinted: float = field(default=1.0, repr=False)
+
+    def take(self, status: StimStatus) -> None:
+        """Book one answer of the stimulator."""
+        charge_uc, pulses = status.charge_uc, status.pulses
+        if status.on and pulses == 0 and charge_uc == 0.0 and self._answered_ns is not None:
+            span_ns = min(max(status.t_ns - self._answered_ns, 0), LONGEST_GAP_NS)
+            per_phase_uc = charge_per_phase_uc(status.current_ma, status.pulse_width_us)
+            charge_uc = per_phase_uc * status.frequency_hz * span_ns / NS_PER_S
+            self.estimated = self.estimated or charge_uc > 0.0
+        self._answered_ns = status.t_ns
+        if not (math.isfinite(charge_uc) and charge_uc > 0.0):
+            return
+        self.pulses += pulses
+        self.session_uc += charge_uc
+        minute = status.t_ns // MINUTE_NS
+        self.by_minute_uc[minute] = self.by_minute_uc.get(minute, 0.0) + charge_uc
+        self._recent.append((status.t_ns, charge_uc))
+        while self._recent[0][0] < status.t_ns - KEPT_NS:
+            self._recent.popleft()
+
+    def between_uc(self, t_start_ns: int, t_end_ns: int) -> float:
+        """Charge delivered from start to end; of the last 30 s only."""
+        return sum(charge_uc for t_ns, charge_uc in self._recent if t_start_ns < t_ns <= t_end_ns)
+
+    def close_step(self, t_start_ns: int, t_end_ns: int) -> float:
+        """Book a stride's charge and return it, µC."""
+        charge_uc = self.between_uc(t_start_ns, t_end_ns)
+        self.steps_uc.append(charge_uc)
+        return charge_uc
+
+    def respond(self, response: float, charge_uc: float) -> str:
+        """Note what a step's charge achieved; a hint in words when the response per charge has fallen, else "".
+
+        Args:
+            response: what the foot did, greater being more (the tuner's measure); not-a-number is passed over.
+            charge_uc: of the same step; a step without charge says nothing.
+
+        The first ``WINDOW`` steps are the reference. Less response to less charge is no fatigue, so a hint needs at
+        least nearly the charge of then.
+        """
+        if not (charge_uc > 0.0 and math.isfinite(response)):
+            return ""
+        self._response.append((response, charge_uc))
+        if len(self._response) < WINDOW:
+            return ""
+        now = (median(r for r, _ in self._response), median(q for _, q in self._response))
+        if self._first is None:
+            self._first = now
+        if self._first[0] <= 0.0 or now[1] < 0.95 * self._first[1]:
+            return ""
+        left = now[0] * self._first[1] / (now[1] * self._first[0])
+        if left > FALLEN or left > self._hinted - HINT_STEP:
+            return ""
+        self._hinted = left
+        self._response.clear()
+        return (
+            f"response per charge has fallen to {max(left, 0.0):.0%} of what it was at first "
+            f"({now[1]:.0f} µC a step now, {self._first[1]:.0f} µC then): the muscle may be tiring, or an electrode "
+            "has come loose; consider a pause and look at the electrodes"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """For summaries and reports: numbers in µC."""
+        steps = self.steps_uc
+        return {
+            "channel": self.channel,
+            "pulses": self.pulses,
+            "session_uc": self.session_uc,
+            "by_minute_uc": {str(minute): charge for minute, charge in sorted(self.by_minute_uc.items())},
+            "steps": len(steps),
+            "median_step_uc": median(steps) if steps else 0.0,
+            "greatest_step_uc": max(steps, default=0.0),
+            "estimated": self.estimated,
+        }
+
+
+class DoseLedger:
+    """One :class:`ElectrodeDose` per channel; answers of channels that the session has not are booked too."""
+
+    def __init__(self, channels: Iterable[int]) -> None:
+        self.electrodes = {number: ElectrodeDose(number) for number in channels}
+
+    def take(self, status: StimStatus) -> None:
+        """Book one answer of the stimulator."""
+        self.electrodes.setdefault(status.channel, ElectrodeDose(status.channel)).take(status)
+
+    def to_dict(self) -> dict[str, Any]:
+        """All channels, by number, for summaries and reports."""
+        return {str(number): dose.to_dict() for number, dose in sorted(self.electrodes.items())}

@@ -1,0 +1,1 @@
+"""Stimulation that follows the measured foot, stride by stride, within bounds that the session sets."""

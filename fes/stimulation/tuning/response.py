@@ -1,0 +1,84 @@
+"""How this foot answers to stimulation, learnt from its own strides: level against drive.
+
+The drive is the stimulation relative to the session's (1 is what the session says), the level the place in the target
+band (:mod:`fes.stimulation.tuning.targets`). Between patients the slope differs tenfold, so it is estimated: a ridge
+regression over recent strides towards a prior, which is the Bayesian estimate for a normal prior and noise (Hoerl &
+Kennard 1970, Technometrics 12:55-67), kept within bounds. With it, strides walked under other settings still tell the
+level under the present ones, so that the median does not lag behind the changes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from itertools import pairwise
+from statistics import median
+from typing import Final
+
+REMEMBERED: Final = 12
+SLOPE: Final = 3.0  # of the level by the drive, before anything is known: the whole range moves the foot three bands
+SLOPE_SD: Final = 2.0
+SLOPE_BOUNDS: Final = (1.0, 12.0)
+NOISE: Final = 0.20  # of a stride's level, before anything is known
+NOISE_BOUNDS: Final = (0.08, 0.60)
+NEAR: Final = 0.05  # of drive: strides this near the present one need no trust in the slope
+LAST: Final = 3
+FADE: Final = 0.85  # weight of a stride against the one after it
+
+
+class Response:
+    """Recent strides' drives and levels; oldest first."""
+
+    def __init__(self) -> None:
+        self._strides: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
+
+    def add(self, drive: float, level: float) -> None:
+        """A valid stride."""
+        self._strides.append((drive, level))
+
+    def forget(self) -> None:
+        """What was learnt no longer holds."""
+        self._strides.clear()
+
+    @property
+    def count(self) -> int:
+        """Strides remembered."""
+        return len(self._strides)
+
+    @property
+    def slope(self) -> float:
+        """Level per drive, within ``SLOPE_BOUNDS``."""
+        weights = [FADE**age for age in range(len(self._strides) - 1, -1, -1)]
+        total = sum(weights)
+        if not total:
+            return SLOPE
+        mean_u = sum(w * u for w, (u, _) in zip(weights, self._strides, strict=True)) / total
+        mean_z = sum(w * z for w, (_, z) in zip(weights, self._strides, strict=True)) / total
+        ridge = (NOISE / SLOPE_SD) ** 2
+        uz = sum(w * (u - mean_u) * (z - mean_z) for w, (u, z) in zip(weights, self._strides, strict=True))
+        uu = sum(w * (u - mean_u) ** 2 for w, (u, _) in zip(weights, self._strides, strict=True))
+        return min(max((SLOPE * ridge + uz) / (ridge + uu), SLOPE_BOUNDS[0]), SLOPE_BOUNDS[1])
+
+    def level_at(self, drive: float) -> float:
+        """The level to expect under this drive: median of the last strides, moved there along the slope."""
+        slope = self.slope
+        moved = [(abs(u - drive), z + slope * (drive - u)) for u, z in self._strides]
+        newest = [z for _, z in moved[-LAST:]]
+        if all(z < 0.0 for z in newest) or all(z > 1.0 for z in newest):
+            return median(newest)  # all agree that the band is left: older strides would only slow it down
+        near = [z for i, (far, z) in enumerate(moved[-7:]) if far < NEAR or i >= len(moved[-7:]) - LAST]
+        return median(near)
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of a stride's level about its neighbour's, robustly, within ``NOISE_BOUNDS``."""
+        if len(self._strides) < 4:
+            return NOISE
+        slope = self.slope
+        free = [z - slope * u for u, z in self._strides]
+        steps = [abs(b - a) for a, b in pairwise(free)]  # differences: a slow drift is no noise
+        return min(max(1.4826 * median(steps) / math.sqrt(2.0), NOISE_BOUNDS[0]), NOISE_BOUNDS[1])
+
+    def last_levels(self, n: int) -> list[float]:
+        """Levels of the last ``n`` strides, oldest first."""
+        return [z for _, z in list(self._strides)[-n:]]

@@ -1,0 +1,288 @@
+"""One channel's tuner: a stride in, at most one bounded change of the next burst's parameters out, with the reason.
+
+Deterministic and without a clock: the same strides, charges and acts give the same changes, live and in replay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+from fes.config import Channel, FootGeometry, Tuning
+from fes.signals import StrideResult
+from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.tuning.guardrails import Trial, got_worse, limited, outside
+from fes.stimulation.tuning.learning import bin_errors, next_profile
+from fes.stimulation.tuning.reports import Kind, TuningReport, difference
+from fes.stimulation.tuning.response import Response
+from fes.stimulation.tuning.run_to_run import aim_of, drive_error, next_drive
+from fes.stimulation.tuning.skipping import StrideFilter, jolted
+from fes.stimulation.tuning.speed_timing import SpeedTiming
+from fes.stimulation.tuning.targets import Reading, level_track, read_stride, reason
+
+HOLD_STRIDES: Final = 4  # after a roll-back, before the next attempt
+MOST_ROLL_BACKS: Final = 3
+NEAR_AIM: Final = 0.5  # of the band: nearer than this a change must show its effect before the next
+UNREACHED_STRIDES: Final = 5
+TIMING_DEAD_S: Final = 0.015
+JOLTS: Final = 2  # strides in a row whose contact cannot be true: stimulation jerks the foot up
+OUTLIER: Final = 1.5  # of the band, or OUTLIER_SDS of the noise: once it may be chance, twice it is not
+OUTLIER_SDS: Final = 6.0
+
+
+class Tuner:
+    """Follows one channel's foot. ``parameters`` are what the next burst is to have.
+
+    Args:
+        channel: with its ``tuning``, which must not be None.
+        geometry: of its foot, where the session gives it.
+        min_stride_length_m: shorter strides are no walking.
+    """
+
+    def __init__(
+        self, channel: Channel, geometry: FootGeometry | None = None, min_stride_length_m: float = 0.15
+    ) -> None:
+        self.channel = channel
+        self.tuning = channel.tuning or Tuning()
+        self.start = BurstParameters.of(channel)
+        self.parameters = self.start
+        self.pending: BurstParameters | None = None
+        self.frozen = ""
+        self.response = Response()
+        self._geometry = geometry
+        self._filter = StrideFilter(self.tuning, min_stride_length_m)
+        self._timing = SpeedTiming()
+        self._trial: Trial | None = None
+        self._returning: BurstParameters | None = None
+        self._hold = 0
+        self._settle = 0
+        self._roll_backs = 0
+        self._other_way = False
+        self._unreached = 0
+        self._odd = 0.0
+        self._jolts = 0
+
+    # --- what a person does -------------------------------------------------------------------------------
+
+    def operator_changed(self, t_ns: int) -> None:
+        """The intensity was set, or stimulation switched: strides that saw it teach nothing."""
+        self._filter.operator_changed(t_ns)
+
+    def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
+        """Nothing changes any more until :meth:`resume`."""
+        self.frozen, self.pending, self._returning, self._trial = why, None, None, None
+        return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
+
+    def resume(self, t_ns: int) -> TuningReport:
+        """Go on after a freeze."""
+        self.frozen, self._roll_backs = "", 0
+        return self._report(t_ns, "frozen", "tuning goes on")
+
+    def accept(self, t_ns: int) -> TuningReport | None:
+        """Put the pending suggestion in force for the next burst; None when there is none."""
+        if self.pending is None or self.frozen:
+            return None
+        before, self.parameters, self.pending = self.parameters, self.pending, None
+        self._settle = 1
+        said = difference(before, self.parameters)
+        return self._report(t_ns, "change", f"suggestion accepted by the operator: {said}", before)
+
+    def roll_back(self, t_ns: int) -> TuningReport:
+        """Back to the session's own settings with the next burst, and freeze."""
+        before, self.parameters = self.parameters, self.start
+        self.freeze(t_ns, "rolled back by the operator")
+        said = difference(before, self.parameters) or "nothing had been changed"
+        return self._report(t_ns, "roll_back", f"back to the session's settings, tuning is frozen: {said}", before)
+
+    # --- what the foot does -------------------------------------------------------------------------------
+
+    def observe(self, t_ns: int, stride: StrideResult, charge_uc: float, intensity: float) -> TuningReport | None:
+        """Take in the newest stride of the channel's foot; what came of it, None when nothing is to be said.
+
+        Args:
+            t_ns: now.
+            stride: walked under :attr:`parameters`.
+            charge_uc: delivered in it.
+            intensity: the operator's setting, 0–1.
+        """
+        if self.tuning.mode == "off":
+            return None
+        drive = self.drive * intensity
+        if why := self._filter.why_skip(stride, charge_uc, drive):
+            return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
+        if why := jolted(stride):
+            return self._on_jolt(t_ns, stride, why, drive)
+        self._jolts = 0
+        reading = read_stride(stride, self.tuning)
+        if isinstance(reading, str):
+            return self._report(t_ns, "skip", f"stride {stride.number} skipped: {reading}")
+        if self._unlike_the_others(reading.level, drive):
+            text = f"stride {stride.number} skipped: {reading.measures[0].text()} is unlike the strides before"
+            return self._report(t_ns, "skip", text)
+        self.response.add(drive, reading.level)
+        self._timing.add(stride)
+        if self._trial is not None:
+            self._trial = replace(self._trial, strides=self._trial.strides + 1)
+        if self._returning is not None and (report := self._still_returning(t_ns)):
+            return report
+        if self.frozen:
+            return None
+        return self._roll_back_if_worse(t_ns, drive, reading) or self._tune(t_ns, stride, reading, drive, intensity)
+
+    @property
+    def drive(self) -> float:
+        """Stimulation in force relative to the session's, at full intensity."""
+        return _drive(self.parameters, self.start)
+
+    def _on_jolt(self, t_ns: int, stride: StrideResult, why: str, drive: float) -> TuningReport | None:
+        """One such stride may be chance and teaches nothing; when they go on, less is the way out."""
+        self._jolts += 1
+        if self._jolts >= JOLTS and not self.frozen and self._returning is None:
+            after = limited(self.parameters, self._lessened(self.parameters, -1.0), self.tuning)
+            if said := difference(self.parameters, after):
+                self.response.forget()
+                text = f"stride {stride.number}: {why}; stimulation may jerk the foot up, less is tried: {said}"
+                return self._propose(t_ns, after, text, drive, 0.0)
+        return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
+
+    def _unlike_the_others(self, level: float, drive: float) -> bool:
+        """Whether this stride stands alone; two of the same kind in a row are believed."""
+        odd, before = 0.0, self._odd
+        if self.response.count >= 3:
+            off = level - self.response.level_at(drive)
+            odd = off if abs(off) > max(OUTLIER, OUTLIER_SDS * self.response.noise) else 0.0
+        self._odd = odd
+        return odd != 0.0 and odd * before <= 0.0
+
+    def _roll_back_if_worse(self, t_ns: int, drive: float, reading: Reading) -> TuningReport | None:
+        if self._trial is None or self.tuning.mode != "act" or not got_worse(self._trial, drive, self.response):
+            return None
+        trial, self._trial = self._trial, None
+        before = self.parameters
+        # too little although more made it worse: next time less is tried, and the other way round
+        self._other_way = not self._other_way and (drive > trial.drive) == (trial.level < 0.5)
+        self._returning, self._hold = trial.parameters, HOLD_STRIDES
+        self._roll_backs += 1
+        now = reading.measures[0]
+        text = f"{now.text()} has got worse with the last changes"
+        if self._roll_backs > MOST_ROLL_BACKS:
+            self.freeze(t_ns, f"stopped itself after {self._roll_backs} roll-backs")
+            self._returning = self.start
+            text += " once more; tuning stops itself and goes back to the session's settings, look at the electrodes"
+        self._return()
+        said = difference(before, self.parameters)
+        return self._report(t_ns, "roll_back", f"{text}: rolled back, {said}", before)
+
+    def _return(self) -> None:
+        """A step on the way back; each stride no further than any change may go."""
+        if self._returning is not None:
+            self.parameters = limited(self.parameters, self._returning, self.tuning)
+            if self.parameters == self._returning or not difference(self.parameters, self._returning):
+                self._returning = None
+
+    def _still_returning(self, t_ns: int) -> TuningReport | None:
+        before = self.parameters
+        self._return()
+        said = difference(before, self.parameters)
+        return self._report(t_ns, "roll_back", f"still going back: {said}", before) if said else None
+
+    def _tune(
+        self, t_ns: int, stride: StrideResult, reading: Reading, drive: float, intensity: float
+    ) -> TuningReport | None:
+        before = self.parameters
+        self._hold = max(self._hold - 1, 0)
+        error = 0.0 if self._hold else drive_error(self.response, drive)
+        if self._other_way and outside(self.response.level_at(drive)) == 0.0:
+            error = 0.0  # this foot answers the other way round: inside the band nothing is to be gained
+        if self._settle and abs(error) < NEAR_AIM and outside(reading.level) == 0.0:
+            error = 0.0
+        self._settle = max(self._settle - 1, 0)
+        wanted = self._timed(before)
+        if error and self._other_way:
+            error = -error
+            wanted = self._lessened(wanted, error)
+        elif error:
+            wanted = self._driven(wanted, stride, reading, error, drive, intensity)
+        after = limited(before, wanted, self.tuning)
+        if said := difference(before, after):
+            return self._propose(t_ns, after, f"{self._why(reading, drive, error)}: {said}", drive, error)
+        self.pending = None
+        return self._hint_if_unreached(t_ns, reading)
+
+    def _driven(
+        self,
+        base: BurstParameters,
+        stride: StrideResult,
+        reading: Reading,
+        error: float,
+        drive: float,
+        intensity: float,
+    ) -> BurstParameters:
+        gain, slope = self.tuning.gain, self.response.slope
+        if self.tuning.method == "run_to_run":
+            wanted = next_drive(self.response, drive, gain) / intensity
+            return replace(base, current_ma=wanted * self.start.current_ma)
+        track = level_track(stride, reading, self._geometry)
+        if track is None:
+            return base
+        burst_s = base.start_delay_s
+        if self.channel.start_phase == "swing" and stride.t_pre_swing_ns is not None and stride.t_swing_ns is not None:
+            burst_s += 1e-9 * (stride.t_swing_ns - stride.t_pre_swing_ns)
+        errors, reached = bin_errors(track, burst_s, len(base.widths_us), aim_of(self.response), error)
+        width_us = self.channel.pulse_width_us / intensity
+        return replace(base, widths_us=tuple(next_profile(base.widths_us, errors, reached, width_us, gain, slope)))
+
+    def _lessened(self, base: BurstParameters, error: float) -> BurstParameters:
+        """All that one stride allows, away from where the last trial went."""
+        sign = 1.0 if error > 0.0 else -1.0
+        if self.tuning.method == "run_to_run":
+            return replace(base, current_ma=base.current_ma + sign * self.tuning.max_change_ma)
+        return replace(base, widths_us=tuple(width + sign * self.tuning.max_change_us for width in base.widths_us))
+
+    def _timed(self, base: BurstParameters) -> BurstParameters:
+        if not self.tuning.timing or not self._timing.known:
+            return base
+        delay_s, extension_s = self._timing.wanted(self.channel.start_phase, self.channel.rise_s, self.channel.fall_s)
+        if abs(delay_s - base.start_delay_s) > TIMING_DEAD_S:
+            base = replace(base, start_delay_s=delay_s)
+        if abs(extension_s - base.extension_s) > TIMING_DEAD_S:
+            base = replace(base, extension_s=extension_s)
+        return base
+
+    def _why(self, reading: Reading, drive: float, error: float) -> str:
+        return (
+            reason(reading, self.response.level_at(drive), error, self._other_way) if error else self._timing.reason()
+        )
+
+    def _propose(self, t_ns: int, after: BurstParameters, text: str, drive: float, error: float) -> TuningReport | None:
+        before = self.parameters
+        if self.tuning.mode == "suggest":
+            if self.pending == after:
+                return None
+            self.pending = after
+            return TuningReport(t_ns, self.channel.number, "suggestion", f"suggested: {text}", before, after)
+        if error:
+            self._begin_trial(before, drive, error)
+            self._settle = 1
+        self.parameters = after
+        return self._report(t_ns, "change", text, before)
+
+    def _begin_trial(self, before: BurstParameters, drive: float, error: float) -> None:
+        """Changes in one direction are one trial; the first in the other direction begins a new one."""
+        trial = self._trial
+        if trial is None or (drive - trial.drive) * error < 0.0:
+            self._trial = Trial(before, drive, self.response.level_at(drive))
+
+    def _hint_if_unreached(self, t_ns: int, reading: Reading) -> TuningReport | None:
+        self._unreached = self._unreached + 1 if reading.level < 0.0 else 0
+        if self._unreached != UNREACHED_STRIDES or self._hold:
+            return None
+        text = f"{reading.measures[0].text()} is not reached at the upper bound: look at electrodes, fatigue and target"
+        return self._report(t_ns, "hint", text)
+
+    def _report(self, t_ns: int, kind: Kind, text: str, before: BurstParameters | None = None) -> TuningReport:
+        return TuningReport(t_ns, self.channel.number, kind, text, before or self.parameters, self.parameters)
+
+
+def _drive(parameters: BurstParameters, start: BurstParameters) -> float:
+    return parameters.current_ma / start.current_ma * parameters.mean_width_us / start.mean_width_us

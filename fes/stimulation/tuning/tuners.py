@@ -1,0 +1,82 @@
+"""All channels' tuners and the dose ledger: what the controller feeds and asks."""
+
+from __future__ import annotations
+
+import math
+
+from fes.config import Session
+from fes.signals import OperatorAct, OperatorAction, StimStatus, StrideResult
+from fes.stimulation.dose import DoseLedger
+from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.tuning.reports import TuningReport
+from fes.stimulation.tuning.tuner import Tuner
+
+TUNING_ACTS = frozenset(
+    (
+        OperatorAction.FREEZE_TUNING,
+        OperatorAction.RESUME_TUNING,
+        OperatorAction.ACCEPT_SUGGESTION,
+        OperatorAction.ROLL_BACK,
+    )
+)
+
+
+class Tuners:
+    """Of one session; channels without tuning, or with mode "off", are only booked."""
+
+    def __init__(self, session: Session) -> None:
+        self.ledger = DoseLedger(channel.number for channel in session.channels)
+        geometry = {str(foot): value for foot, value in session.geometry.items()}
+        self._start = {channel.number: BurstParameters.of(channel) for channel in session.channels}
+        self._foot_of = {channel.number: str(channel.foot) for channel in session.channels}
+        self.tuners = {
+            channel.number: Tuner(channel, geometry.get(channel.foot), session.stimulation.min_stride_length_m)
+            for channel in session.channels
+            if channel.tuning is not None and channel.tuning.mode != "off"
+        }
+
+    def parameters(self) -> dict[int, BurstParameters]:
+        """What the next burst of each tuned channel is to have."""
+        return {number: tuner.parameters for number, tuner in self.tuners.items()}
+
+    def on_status(self, status: StimStatus) -> None:
+        """The stimulator answered."""
+        self.ledger.take(status)
+
+    def on_act(self, act: OperatorAct) -> tuple[TuningReport, ...]:
+        """A person acted; what does not concern the tuning only tells it that strides may be disturbed."""
+        if act.action not in TUNING_ACTS:
+            if act.action is not OperatorAction.SET_BELT_SPEED:
+                for tuner in self.tuners.values():
+                    tuner.operator_changed(act.t_ns)
+            return ()
+        if act.action is OperatorAction.FREEZE_TUNING:
+            return tuple(tuner.freeze(act.t_ns) for tuner in self.tuners.values())
+        if act.action is OperatorAction.RESUME_TUNING:
+            return tuple(tuner.resume(act.t_ns) for tuner in self.tuners.values() if tuner.frozen)
+        chosen = next((tuner for number, tuner in self.tuners.items() if number == act.value), None)
+        if chosen is None:
+            return ()
+        done = chosen.accept(act.t_ns) if act.action is OperatorAction.ACCEPT_SUGGESTION else chosen.roll_back(act.t_ns)
+        return () if done is None else (done,)
+
+    def on_stride(self, t_ns: int, foot: str, stride: StrideResult, intensity: float) -> tuple[TuningReport, ...]:
+        """A stride of this foot has been closed."""
+        reports: list[TuningReport] = []
+        for number, own_foot in self._foot_of.items():
+            if own_foot != foot:
+                continue
+            electrode = self.ledger.electrodes[number]
+            charge_uc = electrode.close_step(stride.t_start_ns, stride.t_end_ns)
+            tuner = self.tuners.get(number)
+            report = tuner.observe(t_ns, stride, charge_uc, intensity) if tuner else None
+            if report is not None:
+                reports.append(report)
+            if not stride.valid or (report is not None and report.kind == "skip"):
+                continue
+            toe_m = stride.toe_clearance_m
+            hint = electrode.respond(toe_m if math.isfinite(toe_m) else stride.clearance_m, charge_uc)
+            if hint:
+                now = tuner.parameters if tuner else self._start[number]
+                reports.append(TuningReport(t_ns, number, "hint", hint, now, now))
+        return tuple(reports)
