@@ -9,7 +9,7 @@ import serial
 
 from drivers.stimulator.bus import BusError, open_bus
 from fes.config import Bus
-from fes.config.devices import FootSwitch
+from fes.config.devices import Switch
 
 FRAMES_AT_ONCE: Final = 64
 
@@ -78,7 +78,7 @@ class SerialSwitch:
         self._line.close()
 
 
-def open_switch(settings: FootSwitch, bus: Bus) -> CanSwitch | SerialSwitch:
+def open_switch(settings: Switch, bus: Bus) -> CanSwitch | SerialSwitch:
     """The switch of these settings.
 
     Raises:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from drivers.imu.open import open_imus
+from drivers.imu.open import ON_CAN, open_imus
 from drivers.imu.port import ImuLost
 from drivers.stimulator.bus import BusError
 from fes.cli.exits import fail
 from fes.clocks import SensorClock
-from fes.config import ConfigError, Session
-from fes.config.devices import FootSwitch
+from fes.config import ConfigError, Session, Switch
 from fes.driving import driving
 from fes.live.sensors import SensorLine
 
@@ -42,7 +41,7 @@ def open_sensors(session: Session, stack: ExitStack) -> Found:
     return Found(tuple(lines))
 
 
-def stop_switch_settings(text: str) -> FootSwitch:
+def stop_switch_settings(text: str) -> Switch:
     """The stop button's settings from ``can_bit:0x1F0:3``, ``serial_cts:/dev/ttyUSB1``; ``:low`` behind it inverts.
 
     Raises:
@@ -57,9 +56,16 @@ def stop_switch_settings(text: str) -> FootSwitch:
             where = {"identifier": int(identifier, 0), "bit": int(bit)}
         else:
             where = {"port": ":".join(rest)}
-        return FootSwitch.model_validate({"foot": "left_foot", "source": source, "pressed": pressed, **where})
+        return Switch.model_validate({"source": source, "pressed": pressed, **where})
     except ValueError as error:
         raise ConfigError(
             f"--stop-input {text}: must be can_bit:IDENTIFIER:BIT, serial_cts:PORT or serial_dsr:PORT, and may end in "
             f":low for a button that is pressed when the level is low"
         ) from error
+
+
+def serial_ports_of(session: Session) -> list[str]:
+    """The serial ports that the session's sensors and stimulator are on, each once."""
+    ports = [each.port for each in session.sensors if each.device not in (*ON_CAN, "lsl")]
+    ports += [session.stimulator.port] if session.stimulator.device not in ("can", "canopen") else []
+    return list(dict.fromkeys(port for port in ports if "://" not in port))

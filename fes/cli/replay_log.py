@@ -27,6 +27,7 @@ from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, S
 from statemachine.phases import PhaseChange
 
 SAME: Final = 1e-6  # of a stride's numbers: another processor's last bit is no difference, another sample is
+LARGEST_STEP_MA: Final = 10.0
 REPORTED: Final = ("commands", "strides", "difference")
 ENDED_WHOLE: Final = ("complete", "different", "interrupted")  # every event logged was dealt with to its end
 
@@ -111,7 +112,7 @@ def repeat(path: Path) -> Repeated:
     record = read_session(path)
     try:
         session, calibrations, session_id = settings_of(record.header, path)
-        current_step_ma = float(record.header.get("current_step_ma", CURRENT_STEP_MA))
+        current_step_ma = _step_ma(record.header.get("current_step_ma", CURRENT_STEP_MA))
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, ConfigError):
             raise
@@ -149,6 +150,12 @@ def _cut_off(record: SessionRecord) -> bool:
     """Whether the log was recovered from one without its end: what the session did last is not in it."""
     recovered = record.summary.get("recovered")
     return isinstance(recovered, dict) and bool(recovered.get("end_missing"))
+
+
+def _step_ma(stated: object) -> float:
+    if isinstance(stated, bool) or not isinstance(stated, (int, float)) or not 0.0 < stated <= LARGEST_STEP_MA:
+        raise ValueError(f"current_step_ma = {stated!r} is no step of a current in mA")
+    return float(stated)
 
 
 def _frames_differ(

@@ -7,6 +7,7 @@ from typing import Any
 
 from fes import __version__
 from fes.config import Session
+from fes.controller import CURRENT_STEP_MA
 from fes.driving import Calibration
 from fes.replay import LOG_FORMAT
 
@@ -14,7 +15,12 @@ LIVE = "live"
 
 
 def live_header(
-    session: Session, calibrations: Mapping[str, Calibration], stim_session_id: int, created: str, t_ns: int
+    session: Session,
+    calibrations: Mapping[str, Calibration],
+    stim_session_id: int,
+    created: str,
+    t_ns: int,
+    current_step_ma: float = CURRENT_STEP_MA,
 ) -> dict[str, Any]:
     """All that a replay of the log needs beside the events; ``t_ns`` is the monotonic clock at ``created``."""
     return {
@@ -31,4 +37,5 @@ def live_header(
         "session": session.model_dump(mode="json"),
         "calibration": {sensor: calibration.to_dict() for sensor, calibration in calibrations.items()},
         "stim_session_id": stim_session_id,
+        "current_step_ma": current_step_ma,
     }

@@ -78,6 +78,8 @@ class Monitor:
         self.dropped_frames = 0
         self.switches = SwitchComparison()
         self.answered_ns: int | None = None
+        self.device_fault = ""
+        self.arrivals: dict[str, Timing] = {sensor: Timing() for sensor in watches}
         self.watches = watches
         self._foot_of = {sensor: foot for foot, sensor in drivers.items()}
         self._view = view
@@ -94,8 +96,12 @@ class Monitor:
         if isinstance(event, ImuSample):
             if (watch := self.watches.get(event.sensor)) is not None:
                 watch.note(event)
+                # later than the sensor's own clock says; both stamps are in the log, for every sample
+                self.arrivals[event.sensor].add(event.t_ns - event.t_sensor_ns)
         elif isinstance(event, (StimAlive, StimStatus)):
             self.answered_ns = event.t_ns
+            if isinstance(event, StimAlive):
+                self.device_fault = event.fault
         elif isinstance(event, FootSwitchEvent):
             self.switches.switch(event)
 

@@ -36,6 +36,7 @@ class Operator:
         note: where remarks go.
         answered_ns: when the stimulator last said anything; None: never yet.
         checks: further reasons against arming, each "" when there is none (log, stop file, free disk …).
+        unknown: what the stimulator cannot tell before it stimulates; said when armed.
     """
 
     def __init__(
@@ -48,6 +49,7 @@ class Operator:
         note: Callable[[Note], None],
         answered_ns: Callable[[], int | None],
         checks: Callable[[], list[str]] = list,
+        unknown: str = "",
     ) -> None:
         self.machine = SessionMachine()
         self.message = "warming up"
@@ -62,6 +64,7 @@ class Operator:
         self._note = note
         self._answered_ns = answered_ns
         self._checks = checks
+        self._unknown = unknown
         self._feet = sorted({str(channel.foot) for channel in session.channels} & drivers.keys())
         self._began_ns: int | None = None
         self._raised_ns = -RAISE_PAUSE_NS
@@ -150,7 +153,9 @@ class Operator:
 
     def _armed(self, t_ns: int) -> None:
         if self._gate.armed:
-            self._move(t_ns, Cause.ARM, "armed; + raises the intensity")
+            self._move(t_ns, Cause.ARM, "; ".join(filter(None, ("armed; + raises the intensity", self._unknown))))
+            if self._unknown:
+                self._note(Note(t_ns, "info", "session", self._unknown))
         else:
             self._refuse(t_ns, f"cannot arm: {self._gate.arming_refused}")
 

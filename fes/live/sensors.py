@@ -58,8 +58,12 @@ class SensorLine:
         except self._lost as error:
             yield from self._lose(t_ns, str(error))
 
-    def read(self, t_ns: int) -> Iterator[Event]:
-        """Samples since the last call, or the fault that the line is gone."""
+    def read(self, t_ns: int, clock_ns: Callable[[], int] | None = None) -> Iterator[Event]:
+        """Samples since the last call, or the fault that the line is gone.
+
+        With ``clock_ns`` a sample counts as arrived when the reading was over: taken for earlier than it was, even
+        once, it would seem the least delayed of all, and all others old for a minute.
+        """
         if self.port is None:
             return
         try:
@@ -67,10 +71,11 @@ class SensorLine:
         except self._lost as error:
             yield from self._lose(t_ns, str(error))
             return
+        took_ns = 0 if clock_ns is None or not raw else max(clock_ns() - t_ns, 0)
         for sample in raw:
             self._newest_ns = t_ns
-            t_sensor_ns = self._clocks[sample.sensor].map(sample.t_host_ns, sample.t_device_ns)
-            yield ImuSample(t_ns, sample.sensor, t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
+            t_sensor_ns = self._clocks[sample.sensor].map(sample.t_host_ns + took_ns, sample.t_device_ns)
+            yield ImuSample(t_ns + took_ns, sample.sensor, t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
 
     def tend(self, t_ns: int) -> Iterator[Event]:
         """Notice that a line says nothing any more; go on opening a lost one."""

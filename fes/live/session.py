@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fes.config import Session
-from fes.controller import Controller
+from fes.controller import CURRENT_STEP_MA, Controller
 from fes.driving import Calibration, driven_by, driving
 from fes.gate import gate_of
 from fes.journal import Note
@@ -36,6 +36,8 @@ class LiveSession:
     Args:
         clock_ns: the monotonic clock that everything is stamped by.
         duration_s: ends the session by itself after this long; None: the operator does.
+        current_step_ma: the stimulator's step of current.
+        unknown: what the stimulator cannot tell before it stimulates.
     """
 
     def __init__(
@@ -47,8 +49,11 @@ class LiveSession:
         clock_ns: Callable[[], int],
         view: ViewProcess | None = None,
         duration_s: float | None = None,
+        *,
+        current_step_ma: float = CURRENT_STEP_MA,
+        unknown: str = "",
     ) -> None:
-        self.controller = Controller(session, calibrations)
+        self.controller = Controller(session, calibrations, current_step_ma=current_step_ma)
         self.gate = gate_of(
             session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations)
         )
@@ -66,6 +71,7 @@ class LiveSession:
             self.monitor.note,
             lambda: self.monitor.answered_ns,
             self._doubts,
+            unknown,
         )
         self.stimulator = stimulator
         self.runner = Runner(self.controller, self.gate, stimulator, self.monitor, clock_ns, from_reading=True)
@@ -157,6 +163,7 @@ class LiveSession:
             "received": {sensor: watch.count for sensor, watch in self.monitor.watches.items()},
             "latency": self.monitor.latencies.to_dict(),
             "lateness": self.monitor.lateness.to_dict(),
+            "arrival": {sensor: timing.to_dict() for sensor, timing in self.monitor.arrivals.items()},
             "foot_switches": self.monitor.switches.to_dict(),
             "stalls": source.stalls if source else 0,
             "longest_stall_ms": round(source.longest_stall_ns * 1e-6, 1) if source else 0.0,
@@ -182,7 +189,13 @@ class LiveSession:
 
     def _doubts(self) -> list[str]:
         doubts = [each.doubt() for each in self._inputs if isinstance(each, (StopFile, StopSwitch))]
-        return [*doubts, self._log.healthy, "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}"]
+        doubts += [self._log.healthy, "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}"]
+        if fault := self.monitor.device_fault:
+            # a device keeps such a flag until a new session is opened; what still holds is flagged again
+            self.stimulator.renew(self.runner.t_ns)
+            self.monitor.device_fault = ""
+            doubts.append(f"the stimulator reports: {fault}; check the electrodes, its session is opened again")
+        return doubts
 
     def _publish(self, status: bytes) -> None:
         if self._control is not None:

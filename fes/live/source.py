@@ -21,6 +21,8 @@ from fes.sources import TICK_NS
 STALL_NS: Final = 40_000_000  # data must not be older when used, so a loop that was away longer has lost its ground
 LOOK_UP_AFTER: Final = 32  # samples of a backlog between two looks at the clock and the stop inputs
 LOOK_UP_NS: Final = 5_000_000
+LOOK_UPS: Final = 3  # in a row, at most
+PROMPT_NS: Final = 500_000
 POLLED_NS: Final = 1_000_000  # between two looks at a device that has nothing to wait on
 
 
@@ -50,7 +52,7 @@ class LiveSource:
         self._current_allowed = current_allowed
         self._selector = selectors.DefaultSelector()
         self._registered: dict[SensorLine | Input, int] = {}
-        self._checked_ns = clock_ns()
+        self._checked_ns = self._stamp_ns = clock_ns()  # the last look at everything; the newest event's time
         self.stalls = 0
         self.longest_stall_ns = 0
         self.on_lateness: Callable[[int], None] = _forget
@@ -64,35 +66,47 @@ class LiveSource:
     def _turns(self) -> Iterator[Event]:
         for line in self._lines:  # what queued up before anybody listened belongs to no session
             yield from line.discard(self._clock_ns())
-        self._checked_ns = heard_ns = self._clock_ns()
+        self._checked_ns = self._stamp_ns = heard_ns = self._clock_ns()
         while not self._ended():
             self._register()
             self._wait(heard_ns + TICK_NS)
-            yield from self._look_up()
+            yield from self._look_up_until_prompt()
             for line in self._lines:
-                for event in self._restamped(line.read(self._checked_ns)):
-                    heard_ns = self._checked_ns
+                for event in self._restamped(line.read(self._checked_ns, self._clock_ns)):
+                    heard_ns = self._stamp_ns
                     yield event
             if self._clock_ns() - heard_ns >= TICK_NS:
                 yield from self._look_up()
                 heard_ns = self._checked_ns
                 yield Tick(heard_ns)
             for line in self._lines:
-                yield from line.tend(self._checked_ns)
+                yield from line.tend(self._stamp_ns)
 
     def _restamped(self, events: Iterator[Event]) -> Iterator[Event]:
         """A backlog takes time to go through: look up now and then, and never let time run backward."""
         for number, event in enumerate(events, start=1):
-            if isinstance(event, ImuSample) and event.t_ns != self._checked_ns:
-                event = ImuSample(self._checked_ns, event.sensor, event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
+            if isinstance(event, ImuSample):
+                if event.t_ns - self._checked_ns > LOOK_UP_NS:  # held up between looking up and reading
+                    yield from self._look_up()
+                self._stamp_ns = max(self._stamp_ns, event.t_ns)
+                if event.t_ns != self._stamp_ns:
+                    event = ImuSample(self._stamp_ns, event.sensor, event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
             yield event
             if number % LOOK_UP_AFTER == 0 and self._clock_ns() - self._checked_ns > LOOK_UP_NS:
                 yield from self._look_up()
+
+    def _look_up_until_prompt(self) -> Iterator[Event]:
+        """What was looked up may take long to deal with; samples that came meanwhile must not be dated before it."""
+        for _ in range(LOOK_UPS):
+            yield from self._look_up()
+            if self._clock_ns() - self._checked_ns <= PROMPT_NS:
+                return
 
     def _look_up(self) -> Iterator[Event]:
         """What the clock, the stop inputs and the stimulator's line have to say; a stop waits for nobody."""
         now_ns = self._clock_ns()
         away_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
+        self._stamp_ns = now_ns
         if away_ns > STALL_NS:
             self.stalls += 1
             self.longest_stall_ns = max(self.longest_stall_ns, away_ns)

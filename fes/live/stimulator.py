@@ -87,6 +87,12 @@ class LiveStimulator:
             event = self._events.pop(0)
             yield SystemFault(t_ns, event.text) if isinstance(event, SystemFault) else event
 
+    def renew(self, t_ns: int) -> None:
+        """Open the device again, under a new session identifier, though it was not lost."""
+        if self._line is not None:
+            self.close()
+            self._attempts = Reopening(self._reopen, t_ns)
+
     def close(self) -> None:
         """Release the line."""
         if self._line is not None:

@@ -1,4 +1,4 @@
-"""`fes run` as a process of its own between a simulated sensor and a simulated stimulator, each in theirs."""
+"""`fes run` as a process of its own between simulated sensors and a simulated stimulator, each in theirs."""
 
 from __future__ import annotations
 
@@ -8,25 +8,44 @@ import pty
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+import can
 import numpy as np
-from replays import FES, MS, SETTINGS, cut, trial
+from replays import MS, SETTINGS, cut, edit, keep, trial
+from shank_walks import ShankWalk, shank_walk
 
+from drivers.stimulator.bus import open_bus
 from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
 from drivers.virtual.node_record import RecordEntry, read_record
 from drivers.virtual.spawn import NodeHandle, spawn_node
-from fes.calibrations import calibrate_drivers, save
+from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
+from fes.calibrations import Found, calibrate_drivers, calibrate_shank_track, save
+from fes.config import Bus
 from fes.live.status import Status
 from fes.recording import Recording, Track, write_recording
 
-STAND_S = 6
+STAND_S = 8  # so that a session that has just begun can be armed before the first step
 FOOT = "right_foot"
 RATE_HZ = 500.0
+EVERY = 5  # of its samples, for lines that carry less
+SLOW_RATE_HZ = RATE_HZ / EVERY
+SHANK = "right_shank"
+SHANK_RATE_HZ = 100.0
+INTENSITY = 0.6
+MOST_MA = 30.0 * INTENSITY
+LISTING = """
+import atexit, pathlib, sys
+from fes.cli import main
+atexit.register(lambda: pathlib.Path("loaded.txt").write_text("\\n".join(sys.modules)))
+main(prog_name="fes")
+"""
+PULSE_GAP_NS = 60 * MS  # a pulse train of 40 Hz with no pulse for so long is off
 
 
 def standing_first(recording: Recording, stand_s: int) -> Recording:
@@ -43,33 +62,145 @@ def standing_first(recording: Recording, stand_s: int) -> Recording:
     return replace(recording, tracks={name: longer(track) for name, track in recording.tracks.items()})
 
 
-def prepare(folder: Path) -> tuple[Path, Path]:
-    """A recording to play round and round (six seconds of standing, seven of walking), and its calibration."""
-    whole = trial("negard_patient2")
-    recording, calibration = folder / "loop.parquet", folder / "loop.calibration.json"
+def prepare(folder: Path, every: int = 1) -> tuple[Path, Path]:
+    """A recording to play round and round (standing, then seven seconds of walking), and its calibration.
+
+    Of its samples only every so manieth is kept.
+    """
+
+    def thinned(track: Track) -> Track:
+        return replace(keep(track, slice(None, None, every)), rate_hz=track.rate_hz / every)
+
+    whole = edit(trial("negard_patient2"), thinned)
+    recording, calibration = folder / f"loop{every}.parquet", folder / f"loop{every}.calibration.json"
     write_recording(standing_first(cut(whole, 3.0, 11.0), STAND_S), recording)
     save(calibrate_drivers(whole), calibration)
     return recording, calibration
 
 
-def session_text(node: NodeHandle, imu: ImuHandle) -> str:
-    at_once = SETTINGS.read_text().replace("strides_before_start = 2", "strides_before_start = 0")
+def prepare_shank(folder: Path) -> tuple[Path, Path]:
+    """The same for a shank: standing, six strides, standing."""
+    made = shank_walk(standing_s=STAND_S, strides=6, noise=0.02, rate_hz=SHANK_RATE_HZ, seed=3)
+    learnt = shank_walk(standing_s=2.0, strides=12, noise=0.02, rate_hz=SHANK_RATE_HZ, seed=3)
+    whole = trial("soft_contact")
+    (foot,) = whole.tracks.values()
+
+    def track_of(walk: ShankWalk) -> Track:
+        return replace(
+            foot,
+            sensor=SHANK,
+            rate_hz=SHANK_RATE_HZ,
+            t_ns=walk.t_ns,
+            t_sensor_ns=walk.t_ns,
+            acc_mps2=walk.acc,
+            gyr_radps=walk.gyr,
+        )
+
+    recording, calibration = folder / "shank.parquet", folder / "shank.calibration.json"
+    write_recording(replace(whole, tracks={SHANK: track_of(made)}), recording)
+    save(Found({SHANK: calibrate_shank_track(track_of(learnt))}), calibration)
+    return recording, calibration
+
+
+# --- what is connected -----------------------------------------------------------------------------------
+
+Stimulator = NodeHandle | DeviceHandle
+
+
+@dataclass
+class Rig:
+    """A sensor, a stimulator, and what the session file says of them."""
+
+    sensor: str
+    imu: ImuHandle
+    stimulator: Stimulator
+    text: str
+
+
+def sensor_text(
+    device: str, port: str, *, sensor: str = FOOT, rate_hz: float = RATE_HZ, options: str = "baudrate = 921600"
+) -> str:
     return (
-        f'{at_once}\n[bus]\ninterface = "{node.bus.interface}"\nchannel = "{node.bus.channel}"\n'
-        f"[bus.options]\nport = {node.bus.options['port']}\n"
-        f'[[sensors]]\nsensor = "{FOOT}"\ndevice = "xbus"\nport = "{imu.port}"\nrate_hz = {RATE_HZ}\n'
-        "acc_range_g = 16\ngyr_range_dps = 2000\n[sensors.options]\nbaudrate = 921600\n"
+        f'[[sensors]]\nsensor = "{sensor}"\ndevice = "{device}"\nport = "{port}"\nrate_hz = {rate_hz}\n'
+        f"acc_range_g = 16\ngyr_range_dps = 2000\n[sensors.options]\n{options}\n"
     )
+
+
+def bus_text(bus: Bus) -> str:
+    options = "".join(f"{name} = {json.dumps(value)}\n" for name, value in bus.options.items())
+    return f'[bus]\ninterface = "{bus.interface}"\nchannel = "{bus.channel}"\n[bus.options]\n{options}'
+
+
+def xbus_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+    """A foot's sensor on a serial line, the stimulator on CAN."""
+    node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
+    imu = stack.enter_context(spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ))
+    return Rig(FOOT, imu, node, bus_text(node.bus) + sensor_text("xbus", imu.port))
+
+
+def xsens_can_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+    """Both on one CAN bus."""
+    node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
+    imu = stack.enter_context(
+        spawn_imu("xsens_can", sensor=FOOT, recording=recording, rate_hz=SLOW_RATE_HZ, bus=node.bus, id_offset=0x400)
+    )
+    options = "id_offset = 0x400"
+    return Rig(
+        FOOT,
+        imu,
+        node,
+        bus_text(node.bus) + sensor_text("xsens_can", "bus", rate_hz=SLOW_RATE_HZ, options=options),
+    )
+
+
+def shank_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+    """No sensor on the foot: the shank's drives it."""
+    node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
+    imu = stack.enter_context(spawn_imu("xbus", sensor=SHANK, recording=recording, rate_hz=SHANK_RATE_HZ))
+    sensor = sensor_text("xbus", imu.port, sensor=SHANK, rate_hz=SHANK_RATE_HZ)
+    return Rig(SHANK, imu, node, bus_text(node.bus) + sensor)
+
+
+def lsl_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+    """A sensor's stream over Lab Streaming Layer."""
+    name = f"fes-run-{os.getpid()}"
+    node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
+    imu = stack.enter_context(spawn_imu("lsl", sensor=FOOT, recording=recording, rate_hz=SLOW_RATE_HZ, name=name))
+    return Rig(
+        FOOT, imu, node, bus_text(node.bus) + sensor_text("lsl", name, rate_hz=SLOW_RATE_HZ, options="timeout_s = 20")
+    )
+
+
+def serial_rig(device: str, kind: DeviceKind) -> Callable[[Path, Path, ExitStack], Rig]:
+    """An x-IMU3 and a serial stimulator, each on a pseudo-terminal; the stimulator's has a name that stays."""
+
+    def make(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+        stimulator = stack.enter_context(spawn_device(kind, record=folder / "device.jsonl"))
+        port = folder / "stimulator"
+        port.symlink_to(stimulator.port)
+        imu = stack.enter_context(spawn_imu("ximu3", sensor=FOOT, recording=recording, rate_hz=RATE_HZ))
+        stim = f'[stimulator]\ndevice = "{device}"\nport = "{port}"\n'
+        return Rig(FOOT, imu, stimulator, stim + sensor_text("ximu3", imu.port))
+
+    return make
+
+
+ximu3_and_p24 = serial_rig("p24_low_level", "sciencemode4")
+ximu3_and_rehastim2 = serial_rig("rehastim2", "sciencemode2")
+
+
+# --- the session -----------------------------------------------------------------------------------------
 
 
 class LiveRun:
     """A running session; orders go over its control socket, statuses come back."""
 
-    def __init__(self, process: subprocess.Popen[str], folder: Path, node: NodeHandle, imu: ImuHandle, keys: int):
+    def __init__(self, process: subprocess.Popen[str], folder: Path, rig: Rig, keys: int):
         self.process = process
         self.folder = folder
-        self.node = node
-        self.imu = imu
+        self.sensor = rig.sensor
+        self.stimulator: Stimulator = rig.stimulator
+        self.imu = rig.imu
         self.keys = keys
         self.link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.link.bind(str(folder / "me.sock"))
@@ -77,14 +208,18 @@ class LiveRun:
         self.status: Status | None = None
         self.answers: list[dict[str, object]] = []
 
+    def loaded(self) -> set[str]:
+        """The modules that the session's process had loaded when it ended."""
+        return set((self.folder / "loaded.txt").read_text().split())
+
     @property
     def log(self) -> Path:
-        return next(self.folder.glob("out/*/session.feslog"))
+        return next(self.folder.glob("*/*/session.feslog"))
 
     def order(self, ask: str, **more: object) -> None:
         self.link.sendto(json.dumps({"ask": ask, **more}).encode(), str(self.folder / "c.sock"))
 
-    def until(self, what: Callable[[Status], bool], repeat: str = "", timeout_s: float = 60.0) -> Status:
+    def until(self, what: Callable[[Status], bool], repeat: str = "", timeout_s: float = 120.0) -> Status:
         """Wait for a status; with ``repeat`` order that again and again meanwhile."""
         end_s, next_s = time.monotonic() + timeout_s, 0.0
         while time.monotonic() < end_s:
@@ -101,41 +236,83 @@ class LiveRun:
                 datagram = self.link.recv(65536)
             except TimeoutError:
                 continue
-            if b'"ok"' in datagram[:6]:
-                self.answers.append(json.loads(datagram))
-                continue
-            self.status = Status.decode(datagram)
-            if what(self.status):
+            if self._take(datagram) and self.status is not None and what(self.status):
                 return self.status
         raise AssertionError(f"it did not come; last: {self.status}")
 
-    def armed_at(self, intensity: float = 0.9) -> None:
+    def armed_at(self, intensity: float = INTENSITY) -> None:
         """Armed by hand, while the patient stands, and raised."""
         self.until(lambda status: status.state in ("armed", "running"), "arm")
-        self.until(lambda status: status.intensity >= intensity, "up")
+        self.until(lambda status: status.intensity >= intensity - 0.01, "up")
+
+    def children(self, module: str) -> list[int]:
+        """The session's own processes that run this module."""
+        pids = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
+        return [int(pid) for pid in pids if module in Path(f"/proc/{pid}/cmdline").read_text()]
+
+    # --- the stimulator's own record is the judge ---------------------------------------------------------
 
     def entries(self) -> list[RecordEntry]:
-        assert self.node.record is not None
-        return [entry for entry in read_record(self.node.record) if entry.channel == 0]
+        record = self.stimulator.record
+        assert record is not None
+        return [entry for entry in read_record(record) if entry.channel == 0] if record.exists() else []
+
+    @property
+    def gives_pulses(self) -> bool:
+        """Whether the record is of single pulses, not of levels that hold."""
+        return isinstance(self.stimulator, DeviceHandle)
 
     def current_ma(self) -> float:
+        """Of channel 0 now."""
         entries = self.entries()
-        return entries[-1].current_ma if entries else 0.0
+        if not entries or (self.gives_pulses and time.monotonic_ns() - entries[-1].t_ns > PULSE_GAP_NS):
+            return 0.0
+        return entries[-1].current_ma
 
-    def in_mid_burst(self, timeout_s: float = 40.0) -> None:
-        """Wait until the current is near its plateau."""
-        end_s = time.monotonic() + timeout_s
-        while self.current_ma() < 25.0:
+    def in_mid_burst(self, timeout_s: float = 120.0) -> None:
+        """Wait until the current is near its plateau.
+
+        Armed and raised by hand until then, as an operator would: a machine that is too busy may hold the session up
+        for longer than it allows itself, which switches off and latches before the test has begun.
+        """
+        end_s, next_s, armings = time.monotonic() + timeout_s, 0.0, 0
+        self.link.settimeout(0.004)
+        while self.current_ma() < 0.85 * MOST_MA:
             assert self.process.poll() is None, self.said()
             assert time.monotonic() < end_s, f"no burst; {self.status}"
-            time.sleep(0.004)
+            if time.monotonic() > next_s and self.status is not None:
+                next_s = time.monotonic() + 0.2
+                self.link.sendto(b"watch", str(self.folder / "c.sock"))
+                if self.status.state not in ("armed", "running"):
+                    self.order("arm", confirm=True)
+                    armings += 1
+                elif self.status.intensity < INTENSITY - 0.01:
+                    self.order("up", confirm=True)
+            with suppress(TimeoutError):
+                self._take(self.link.recv(65536))
+        self.link.settimeout(0.5)
+        if armings:
+            print(f"armed again, in {armings} attempts: {self.status and self.status.fault}")
+
+    def _take(self, datagram: bytes) -> bool:
+        """Keep an answer or a status; whether it was a status."""
+        if b'"ok"' in datagram[:6]:
+            self.answers.append(json.loads(datagram))
+            return False
+        self.status = Status.decode(datagram)
+        return True
 
     def off_after_ms(self, blow_ns: int, timeout_s: float = 5.0) -> float:
         """When the stimulator's output went off, ms after the blow, by the stimulator's own record."""
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
-            offs = [entry for entry in self.entries() if entry.t_ns >= blow_ns and entry.current_ma == 0.0]
-            if offs:
+            seen_ns = time.monotonic_ns()
+            entries = self.entries()
+            if self.gives_pulses:
+                last_ns = max((entry.t_ns for entry in entries if entry.current_ma > 0.0), default=blow_ns)
+                if seen_ns - max(last_ns, blow_ns) > 3 * PULSE_GAP_NS:
+                    return max(last_ns - blow_ns, 0) / MS
+            elif offs := [entry for entry in entries if entry.t_ns >= blow_ns and entry.current_ma == 0.0]:
                 return (offs[0].t_ns - blow_ns) / MS
             time.sleep(0.004)
         raise AssertionError("it is still on")
@@ -158,24 +335,41 @@ class LiveRun:
 
 
 @contextmanager
-def live_run(folder: Path, recording: Path, *options: str | Path, text: str = "") -> Iterator[LiveRun]:
-    with (
-        spawn_node(record=folder / "node.jsonl") as node,
-        spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ) as imu,
-    ):
+def live_run(
+    folder: Path,
+    recording: Path,
+    *options: str | Path,
+    text: str = "",
+    rig: Callable[[Path, Path, ExitStack], Rig] = xbus_and_can,
+) -> Iterator[LiveRun]:
+    """A session with what a rig connects; ``text`` is added to its settings. At its end it lists what it had loaded."""
+    with ExitStack() as stack:
+        connected = rig(folder, recording, stack)
         settings = folder / "live.toml"
-        settings.write_text(session_text(node, imu) + text)
+        at_once = SETTINGS.read_text().replace("strides_before_start = 2", "strides_before_start = 0")
+        settings.write_text(f"{at_once}\n{connected.text}\n{text}")
+        out = () if "folder" in text else ("--out", folder / "out")  # else below the folder that the settings name
         master, slave = pty.openpty()
         process = subprocess.Popen(
-            [*FES, "run", str(settings), "--out", str(folder / "out"), "--control", str(folder / "c.sock")]
-            + [str(option) for option in options],
+            (
+                sys.executable,
+                "-c",
+                LISTING,
+                "run",
+                settings,
+                "--control",
+                folder / "c.sock",
+                *out,
+                *options,
+            ),
+            cwd=folder,
             stdin=slave,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
         )
         os.close(slave)
-        run = LiveRun(process, folder, node, imu, master)
+        run = LiveRun(process, folder, connected, master)
         try:
             yield run
         finally:
@@ -185,3 +379,24 @@ def live_run(folder: Path, recording: Path, *options: str | Path, text: str = ""
                 process.communicate(timeout=10)
             run.link.close()
             os.close(master)
+
+
+class Button:
+    """A bit of a CAN frame, sent every 20 ms by whoever holds it."""
+
+    def __init__(self, bus: Bus, identifier: int, bit: int) -> None:
+        self._bus = open_bus(bus, frozenset())
+        self._identifier, self._bit = identifier, bit
+        self._task: can.CyclicSendTaskABC | None = None
+
+    def set(self, pressed: bool) -> None:
+        """Send it so, now and on."""
+        data = (int(pressed) << self._bit).to_bytes(2, "little")
+        message = can.Message(arbitration_id=self._identifier, data=data, is_extended_id=False)
+        if self._task is not None:
+            self._task.stop()
+        self._task = self._bus.send_periodic(message, 0.02)
+
+    def close(self) -> None:
+        self._bus.stop_all_periodic_tasks()
+        self._bus.shutdown()

@@ -70,6 +70,11 @@ def test_it_walks_and_stimulates_stops_by_file_and_replays_to_the_same_bytes(
         assert received == len(record.samples[FOOT].t_ns)
         again = repeat(run.log)
         assert (again.difference, again.commands) == ("", len(record.commands))
+        late = record.summary["arrival"][FOOT]
+        assert late["count"] == received
+        heavy = {"pyarrow", "jinja2", "matplotlib", "rich", "scipy.signal", "pandas", "mcap", "drivers.virtual"}
+        assert not heavy & run.loaded()
+        assert "fes.live.session" in run.loaded()
 
 
 def test_the_space_bar_stops_a_killed_view_does_not_and_arming_is_by_hand(
@@ -78,9 +83,8 @@ def test_the_space_bar_stops_a_killed_view_does_not_and_arming_is_by_hand(
     recording, calibration = loop
     with live_run(tmp_path, recording, "--calibration", calibration, "--view") as run:
         run.armed_at()
-        children = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()
-        (view,) = [pid for pid in children if "fes.live.view" in Path(f"/proc/{pid}/cmdline").read_text()]
-        os.kill(int(view), signal.SIGKILL)
+        (view,) = run.children("fes.live.view")
+        os.kill(view, signal.SIGKILL)
         run.in_mid_burst()
         blow_ns = time.monotonic_ns()
         os.write(run.keys, b" ")
@@ -125,6 +129,7 @@ def test_killed_in_mid_burst_the_lease_ends_it_and_the_log_is_there(loop: tuple[
         assert repeat(run.log).difference == ""
 
 
+@pytest.mark.slow
 def test_stopped_and_continued_it_notices_the_gap_and_stays_off(loop: tuple[Path, Path], tmp_path: Path) -> None:
     recording, calibration = loop
     with live_run(tmp_path, recording, "--calibration", calibration) as run:
@@ -143,6 +148,7 @@ def test_stopped_and_continued_it_notices_the_gap_and_stays_off(loop: tuple[Path
         assert repeat(run.log).difference == ""
 
 
+@pytest.mark.slow
 def test_an_unplugged_sensor_is_off_in_time_and_comes_back_without_arming(
     loop: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -164,15 +170,15 @@ def test_an_unplugged_sensor_is_off_in_time_and_comes_back_without_arming(
         assert repeat(run.log).difference == ""
 
 
+@pytest.mark.slow
 def test_a_dead_log_writer_ends_the_session_safely_within_a_second(loop: tuple[Path, Path], tmp_path: Path) -> None:
     recording, calibration = loop
     with live_run(tmp_path, recording, "--calibration", calibration) as run:
         run.armed_at()
         run.in_mid_burst()
-        children = Path(f"/proc/{run.process.pid}/task/{run.process.pid}/children").read_text().split()
-        (writer,) = [pid for pid in children if "log_process" in Path(f"/proc/{pid}/cmdline").read_text()]
+        (writer,) = run.children("log_process")
         blow_ns = time.monotonic_ns()
-        os.kill(int(writer), signal.SIGKILL)
+        os.kill(writer, signal.SIGKILL)
         off_ms = run.off_after_ms(blow_ns)
         print(f"off {off_ms:.1f} ms after the log's writer died")
         said = run.end()
@@ -185,6 +191,7 @@ def test_a_dead_log_writer_ends_the_session_safely_within_a_second(loop: tuple[P
         assert repeat(run.log).difference == ""
 
 
+@pytest.mark.slow
 def test_it_calibrates_in_the_session_where_no_calibration_is_given(loop: tuple[Path, Path], tmp_path: Path) -> None:
     recording, _ = loop
     with live_run(tmp_path, recording, "--strides", "3", "--duration", "6") as run:

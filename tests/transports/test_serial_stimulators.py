@@ -139,6 +139,7 @@ def test_what_is_commanded_is_delivered_and_off_is_off(host: Host, stimulator: D
         assert sum(status.pulses for status in host.statuses) == len(pulses)
 
 
+@pytest.mark.requirement("SR-12")
 def test_killed_controller(device: Device, stimulator: DeviceHandle) -> None:
     """kill -9 in mid-burst: no pulse later than the device's own rule allows."""
     settings = session_for(device, stimulator.port).model_dump_json()

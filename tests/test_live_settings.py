@@ -1,0 +1,119 @@
+"""What a session file says of the live session itself, and what follows from the stimulator that it names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from replays import SETTINGS
+from test_live_run import SENSOR, run
+
+from drivers.stimulator.open import electrodes_unknown
+from fes.cli.exits import UNUSABLE
+from fes.cli.live_devices import serial_ports_of
+from fes.cli.replay_log import repeat
+from fes.config import ConfigError, Live, Session, StimulatorDevice, load_session
+from fes.controller import Controller
+from fes.journal import SessionLogError
+from fes.journal.writer import SessionWriter
+from fes.live.header import live_header
+from fes.signals import OperatorAct, OperatorAction, StimRequest, Tick
+
+
+def session(folder: Path, text: str) -> Session:
+    path = folder / "session.toml"
+    path.write_text(f"{SETTINGS.read_text()}\n{text}")
+    return load_session(path)
+
+
+def test_stop_button_stop_file_and_folder_are_settings(tmp_path: Path) -> None:
+    text = (
+        '[live]\nfolder = "results"\nstop_file = "halt"\n[live.stop_button]\nsource = "can_bit"\nidentifier = 0x1F0\n'
+    )
+    live = session(tmp_path, text).live
+    assert (live.folder, live.stop_file) == ("results", "halt")
+    assert live.stop_button is not None
+    assert (live.stop_button.identifier, live.stop_button.pressed) == (0x1F0, "high")
+    assert load_session(SETTINGS).live == Live()
+
+
+def test_they_are_of_this_machine_and_in_no_log(tmp_path: Path) -> None:
+    named = session(tmp_path, '[live]\nfolder = "results"\n')
+    plain = load_session(SETTINGS)
+    assert named.model_dump_json() == plain.model_dump_json()  # so a replay is the same, too
+    assert "live" not in live_header(named, {}, 1, "", 0)["session"]
+
+
+def test_a_stop_button_of_another_kind_is_refused_with_its_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"session.toml:\d+: live.stop_button.source = 'gpio'"):
+        session(tmp_path, '[live.stop_button]\nsource = "gpio"\n')
+
+
+def test_results_go_below_the_folder_of_the_settings(tmp_path: Path) -> None:
+    (tmp_path / "taken").touch()
+    text = f'{SETTINGS.read_text()}\n{SENSOR}\n[live]\nfolder = "{tmp_path}/taken/results"\n'
+    path = tmp_path / "session.toml"
+    path.write_text(text)
+    from click.testing import CliRunner
+
+    from fes.cli.run import command
+
+    done = CliRunner().invoke(command, [str(path)])
+    assert done.exit_code == UNUSABLE
+    assert "taken/results" in done.output
+    code, said = run(tmp_path, text)  # --out counts before it
+    assert (code, "taken" in said) == (UNUSABLE, False)
+
+
+def requested(step_ma: float, intensity: float) -> set[float]:
+    controller = Controller(load_session(SETTINGS), {}, current_step_ma=step_ma)
+    controller.step(OperatorAct(0, OperatorAction.SET_INTENSITY, intensity))
+    controller.step(OperatorAct(1, OperatorAction.TEST_BURST, 0.0))
+    asked: list[StimRequest] = []
+    for t_ns in range(2, 400_000_000, 5_000_000):
+        asked += controller.step(Tick(t_ns)).requests
+    return {request.current_ma for request in asked if request.on}
+
+
+def test_currents_are_decided_in_the_stimulators_steps() -> None:
+    whole, half = requested(1.0, 0.55), requested(0.5, 0.55)  # of 30 mA: 16.5
+    assert max(half) == 16.5
+    assert max(whole) == 16.0
+    assert all(current_ma == int(current_ma) for current_ma in whole)
+
+
+@pytest.mark.parametrize(
+    ("device", "said"),
+    [
+        ("can", ""),
+        ("canopen", ""),
+        ("p24_low_level", "15 mA"),
+        ("p24_mid_level", "15 mA"),
+        ("rehastim2", "first pulse"),
+    ],
+)
+def test_what_a_stimulator_cannot_tell_of_its_electrodes_is_said(
+    device: Literal["can", "canopen", "p24_low_level", "p24_mid_level", "rehastim2"], said: str
+) -> None:
+    unknown = electrodes_unknown(StimulatorDevice(device=device, port="/dev/ttyUSB0"))
+    assert said in unknown
+    assert bool(said) == bool(unknown)
+
+
+def test_the_serial_ports_of_a_session_are_each_named_once(tmp_path: Path) -> None:
+    text = (
+        f"{SENSOR}\n{SENSOR.replace('right', 'left').replace('xbus', 'lsl')}\n"
+        '[stimulator]\ndevice = "rehastim2"\nport = "/dev/nothing-here"\n'
+    )
+    assert serial_ports_of(session(tmp_path, text)) == ["/dev/nothing-here"]
+    assert serial_ports_of(load_session(SETTINGS)) == []
+
+
+@pytest.mark.parametrize("step", ["wide", None, [], {}, 0, -0.5, 1e9, True])
+def test_a_log_with_nonsense_for_the_step_is_refused(tmp_path: Path, step: object) -> None:
+    header = live_header(load_session(SETTINGS), {}, 1, "", 0) | {"current_step_ma": step}
+    log = SessionWriter(tmp_path / "s.feslog", header)
+    log.close({"ended": "complete"})
+    with pytest.raises(SessionLogError, match="cannot be replayed"):
+        repeat(tmp_path / "s.feslog")

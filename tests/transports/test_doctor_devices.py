@@ -1,0 +1,60 @@
+"""`fes doctor` and `fes devices` beside simulated devices in processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from live_runs import bus_text, sensor_text
+from replays import SETTINGS
+
+from drivers.virtual.imu_spawn import spawn_imu
+from drivers.virtual.spawn import free_bus, spawn_node, why_silent
+from drivers.virtual.spawn_device import spawn_device
+from fes.cli import doctor_devices
+from fes.cli.exits import FAILED, OK
+from fes.cli.finding import Verdict
+from fes.cli.main import main
+from fes.config import load_session
+
+NO_BUS = why_silent(free_bus())
+pytestmark = [
+    pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}"),
+    pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this machine"),
+]
+
+
+def test_a_session_whose_devices_answer_passes_and_nothing_is_stimulated(tmp_path: Path) -> None:
+    with spawn_node(record=tmp_path / "node.jsonl") as node, spawn_imu("xbus", rate_hz=100.0) as imu:
+        path = tmp_path / "session.toml"
+        text = bus_text(node.bus) + sensor_text("xbus", imu.port, rate_hz=100.0)
+        path.write_text(f"{SETTINGS.read_text()}\n{text}")
+        done = CliRunner().invoke(main, ["doctor", str(path), "--out", str(tmp_path), "--json"])
+        assert done.exit_code == OK, done.output
+        told = {finding["name"]: finding for finding in json.loads(done.stdout)["findings"]}
+        assert "Hz" in told["right_foot"]["said"]
+        assert told["stimulator"]["said"].endswith(f"heartbeat of boot {node.boot_id}")
+        found = CliRunner().invoke(main, ["devices", str(path)])
+        assert found.exit_code == OK, found.output
+        assert "right_foot" in found.output
+        assert '"session"' not in (tmp_path / "node.jsonl").read_text()  # nobody opened one there
+        node.stop()
+        gone = CliRunner().invoke(main, ["doctor", str(path), "--out", str(tmp_path)])
+        assert gone.exit_code == FAILED
+        assert "no heartbeat" in gone.output
+        assert "termination" in gone.output
+
+
+def test_a_stimulator_that_reports_a_fault_fails(tmp_path: Path) -> None:
+    with spawn_device("sciencemode4", record=tmp_path / "device.jsonl") as device:
+        path = tmp_path / "session.toml"
+        path.write_text(f'{SETTINGS.read_text()}\n[stimulator]\ndevice = "p24_low_level"\nport = "{device.port}"\n')
+        assert doctor_devices.stimulator(load_session(path)).verdict is Verdict.OK
+        assert device.entries("pulse") == []
+        device.tell("mute")
+        silent = doctor_devices.stimulator(load_session(path))
+        assert silent.verdict is Verdict.FAILURE
+        assert silent.remedy

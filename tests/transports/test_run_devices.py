@@ -1,0 +1,242 @@
+"""`fes run` with each kind of line; each walks, stimulates, stops at once, and leaves a log that replays the same.
+
+The judge is the stimulator's own record. Then: devices lost and back, a full disk, switches on the bus.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import resource
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from live_runs import (
+    EVERY,
+    FOOT,
+    Button,
+    LiveRun,
+    Rig,
+    live_run,
+    lsl_and_can,
+    prepare,
+    prepare_shank,
+    shank_and_can,
+    xbus_and_can,
+    ximu3_and_p24,
+    ximu3_and_rehastim2,
+    xsens_can_and_can,
+)
+from replays import MS
+
+from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node, why_silent
+from drivers.virtual.spawn_device import DeviceHandle, spawn_device
+from fes.cli.exits import OK, STOPPED
+from fes.cli.replay_log import repeat
+from fes.journal import read_session
+
+STOP_MS = 50
+LEASE_MS = 60
+MARGIN_MS = 15  # two processes' wake-ups on a shared machine, beside the deadline that is claimed
+REHASTIM2_MS = 30  # it delivers what it has accepted, up to 24 ms later
+
+NO_BUS = why_silent(free_bus())
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}"),
+    pytest.mark.skipif(not hasattr(os, "openpty"), reason="no pseudo-terminals on this machine"),
+]
+Recordings = dict[str, tuple[Path, Path]]
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Recordings:
+    folder = tmp_path_factory.mktemp("recordings")
+    return {"foot": prepare(folder), "slow foot": prepare(folder, EVERY), "shank": prepare_shank(folder)}
+
+
+def faults_of(run: LiveRun) -> list[str]:
+    return [note.text for note in read_session(run.log).notes if note.severity == "fault"]
+
+
+@pytest.mark.parametrize(
+    ("rig", "moves"),
+    [
+        (ximu3_and_p24, "foot"),
+        (ximu3_and_rehastim2, "foot"),
+        (xsens_can_and_can, "slow foot"),
+        (shank_and_can, "shank"),
+        pytest.param(
+            lsl_and_can,
+            "slow foot",
+            marks=pytest.mark.skipif(not importlib.util.find_spec("pylsl"), reason="pylsl is not installed"),
+        ),
+    ],
+    ids=["ximu3 and p24", "ximu3 and rehastim2", "xsens and stimulator on one bus", "shank", "lsl"],
+)
+def test_it_walks_stimulates_stops_and_replays(
+    rig: Callable[[Path, Path, ExitStack], Rig], moves: str, recordings: Recordings, tmp_path: Path
+) -> None:
+    recording, calibration = recordings[moves]
+    with live_run(tmp_path, recording, "--calibration", calibration, rig=rig) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        blow_ns = time.monotonic_ns()
+        run.order("stop")
+        off_ms = run.off_after_ms(blow_ns)
+        print(f"off {off_ms:.1f} ms after the order")
+        assert off_ms <= STOP_MS + MARGIN_MS + (REHASTIM2_MS if rig is ximu3_and_rehastim2 else 0)
+        run.until(lambda status: status.state == "stopped" and status.fault == "emergency stop")
+        assert run.stays_off(blow_ns + 100 * MS, 0.5)
+        said = run.quit()
+        assert run.process.returncode == OK, said
+        record = read_session(run.log)
+        assert record.complete
+        assert len(record.samples[run.sensor].t_ns) == record.summary["received"][run.sensor]
+        asked = {command.current_ma for command in record.commands if command.on}
+        step_ma = record.header["current_step_ma"]
+        assert step_ma == (1.0 if rig is ximu3_and_rehastim2 else 0.5)
+        assert asked
+        assert all(current_ma % step_ma == 0.0 for current_ma in asked)
+        assert not {"pyarrow", "jinja2", "rich", "scipy.signal"} & run.loaded()
+        again = repeat(run.log)
+        assert (again.difference, again.commands) == ("", len(record.commands))
+
+
+def test_a_stimulator_on_the_bus_that_is_lost_comes_back_and_is_armed_by_hand(
+    recordings: Recordings, tmp_path: Path
+) -> None:
+    recording, calibration = recordings["foot"]
+    with ExitStack() as stack, live_run(tmp_path, recording, "--calibration", calibration) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        assert isinstance(run.stimulator, NodeHandle)
+        blow_ns = time.monotonic_ns()
+        run.stimulator.process.kill()
+        run.stimulator.process.wait(5)
+        fault = run.until(lambda status: status.state == "fault")
+        print(f"{fault.fault!r} after {(fault.t_ns - blow_ns) / MS:.0f} ms")
+        node = stack.enter_context(spawn_node(bus=run.stimulator.bus, record=tmp_path / "again.jsonl", boot_id=77))
+        run.stimulator = node
+        run.until(lambda status: status.stimulator == "open")
+        assert run.stays_off(blow_ns, 1.0)
+        run.armed_at()
+        run.in_mid_burst()
+        said = run.quit()
+        assert run.process.returncode == OK, said
+        assert any("heartbeat" in text or "no answer" in text or "lost" in text for text in faults_of(run))
+        assert repeat(run.log).difference == ""
+
+
+def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_hand(
+    recordings: Recordings, tmp_path: Path
+) -> None:
+    recording, calibration = recordings["foot"]
+    with ExitStack() as stack, live_run(tmp_path, recording, "--calibration", calibration, rig=ximu3_and_p24) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        assert isinstance(run.stimulator, DeviceHandle)
+        blow_ns = run.stimulator.tell("unplug")
+        assert run.off_after_ms(blow_ns) <= MARGIN_MS  # one pulse a command, and none can come any more
+        lost = run.until(lambda status: status.state == "fault" and "lost" in status.stimulator)
+        assert "stimulator lost" in lost.fault
+        time.sleep(0.6)  # so that an attempt or two fail
+        port = tmp_path / "stimulator"
+        device = stack.enter_context(spawn_device("sciencemode4", record=tmp_path / "again.jsonl"))
+        port.unlink()
+        port.symlink_to(device.port)
+        run.stimulator = device
+        run.until(lambda status: status.stimulator == "open")
+        assert run.stays_off(blow_ns, 1.0)
+        run.armed_at()
+        run.in_mid_burst()
+        said = run.quit()
+        assert run.process.returncode == OK, said
+        assert len(read_session(run.log).reopened) == 1
+        assert repeat(run.log).difference == ""
+
+
+def test_an_electrode_that_is_known_to_be_off_forbids_arming(recordings: Recordings, tmp_path: Path) -> None:
+    recording, calibration = recordings["foot"]
+    with live_run(tmp_path, recording, "--calibration", calibration) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        assert isinstance(run.stimulator, NodeHandle)
+        blow_ns = run.stimulator.tell("electrode", 0)
+        assert run.off_after_ms(blow_ns) <= 100
+        run.until(lambda status: status.state == "fault" and "output stage fault" in status.fault)
+        run.until(lambda status: "check the electrodes" in status.message, "arm")
+        assert run.status is not None
+        assert run.status.state == "fault"
+        run.stimulator.tell("electrode", -1)
+        run.until(lambda status: status.stimulator == "open")
+        run.armed_at()  # under a new session, by hand
+        run.in_mid_burst()
+        run.quit()
+        assert repeat(run.log).difference == ""
+
+
+def test_a_full_disk_ends_the_session_safely_within_a_second(recordings: Recordings, tmp_path: Path) -> None:
+    recording, calibration = recordings["foot"]
+    with live_run(tmp_path, recording, "--calibration", calibration) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        (writer,) = run.children("log_process")
+        blow_ns = time.monotonic_ns()
+        full = run.log.stat().st_size + 100  # from here on the file takes no more than this
+        resource.prlimit(writer, resource.RLIMIT_FSIZE, (full, full))
+        off_ms = run.off_after_ms(blow_ns)
+        print(f"off {off_ms:.1f} ms after the disk was full")
+        said = run.end()
+        assert off_ms <= 1000
+        assert run.process.returncode == STOPPED, said
+        assert "ALARM" in said
+        assert "cannot be written any more" in said
+        assert "Traceback" not in said
+        record = read_session(run.log)
+        assert blow_ns - int(record.samples[FOOT].t_ns[-1]) <= 250 * MS
+        assert repeat(run.log).difference == ""
+
+
+def test_a_stop_button_and_a_foot_switch_on_the_bus(recordings: Recordings, tmp_path: Path) -> None:
+    recording, calibration = recordings["foot"]
+    bus = free_bus()
+    text = (
+        '[live]\nfolder = "elsewhere"\n[live.stop_button]\nsource = "can_bit"\nidentifier = 0x1F0\nbit = 3\n'
+        f'[[foot_switches]]\nfoot = "{FOOT}"\nsource = "can_bit"\nidentifier = 0x1F1\nbit = 0\n'
+    )
+
+    def with_switches(folder: Path, path: Path, stack: ExitStack) -> Rig:
+        rig = xbus_and_can(folder, path, stack)
+        assert isinstance(rig.stimulator, NodeHandle)
+        nonlocal bus
+        bus = rig.stimulator.bus
+        return rig
+
+    with live_run(tmp_path, recording, "--calibration", calibration, rig=with_switches, text=text) as run:
+        button, switch = Button(bus, 0x1F0, 3), Button(bus, 0x1F1, 0)
+        try:
+            run.until(lambda status: "nothing is heard of the stop button" in status.message, "arm")
+            button.set(False)
+            switch.set(True)
+            run.armed_at()
+            run.in_mid_burst()
+            switch.set(False)
+            time.sleep(0.1)
+            blow_ns = time.monotonic_ns()
+            button.set(True)
+            off_ms = run.off_after_ms(blow_ns)
+            print(f"off {off_ms:.1f} ms after the button")
+            assert off_ms <= STOP_MS + MARGIN_MS
+            run.until(lambda status: status.state == "stopped")
+            run.until(lambda status: "the stop button is pressed" in status.message, "arm")
+            run.quit()
+        finally:
+            button.close()
+            switch.close()
+        assert run.log.parent.parent.name == "elsewhere"
+        assert [event.pressed for event in read_session(run.log).switches] == [True, False]
+        assert repeat(run.log).difference == ""
