@@ -9,7 +9,8 @@ PEERS := .venv-peers
 
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
-	@echo "make test     style, types and all tests"
+	@echo "make test     style, types and tests"
+	@echo "make test-live  the live sessions on every simulated device that take longer"
 	@echo "make lint     style and types only"
 	@echo "make bench    accuracy: bundled trials, and real recordings in FES_DATA or ../shared/data"
 	@echo "make bench-accuracy  one table of accuracy, ours and other libraries' on the same recordings (about 5 minutes)"
@@ -34,8 +35,13 @@ $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/run.stamp
 demo: $(VENV)/run.stamp
 	$(BIN)/fes demo
 
+# What meets real-time deadlines between processes runs by itself, the rest on two cores.
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --ignore=tests/transports
+	$(BIN)/python -m pytest tests/transports -m "not slow"
+
+test-live: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest tests/transports -m slow
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

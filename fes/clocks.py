@@ -38,7 +38,7 @@ class SensorClock:
     stamp that goes back by more than 1 s, or forward by 1 s more than the host's clock, is a device that restarted or
     had its clock set: the mapping begins anew, counted in :attr:`resets`. So does one whose samples have all been
     over 0.5 s late for 5 s, and one whose stamps are over 60 ms beyond their arrival three times in a row: one or two
-    such stamps are slips that move nothing. Stamps that go back by less are mapped as they are.
+    such stamps are slips, mapped to the stamp before. Stamps that go back by less are mapped as they are.
     """
 
     def __init__(self) -> None:
@@ -80,7 +80,7 @@ class SensorClock:
             self.resets += 1
             return self._begin(t_host_ns, t_device_ns)
         if slipped:
-            return t_device_ns + self.offset_ns
+            return self._mapped_ns  # as one that says nothing new: the estimator passes over it, the gate counts it
         self._take(time_s, excess_ns)
         if step_ns > 0:
             self._newest_ns = t_device_ns

@@ -11,7 +11,7 @@ from replays import Replays
 from drivers.virtual import spawn
 from fes.config import Bus
 
-# "interface:channel": the bus that CAN tests use instead of multicast, see tests/transports/socketcan
+# "interface:channel": the bus that CAN tests use instead of multicast, see tests/test_socketcan_guest.py
 if TEST_BUS := os.environ.get("FES_TEST_BUS", ""):
     plain_free_bus = spawn.free_bus
 

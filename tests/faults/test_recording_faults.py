@@ -104,15 +104,27 @@ def test_a_hole_of_30_ms_is_bridged(walking: Recording, sound: SessionRecord, tm
     assert not [note for note in record.notes if note.severity == "fault" and note.t_ns <= end_ns]
 
 
-def test_doubled_samples_change_nothing(walking: Recording, sound: SessionRecord, tmp_path: Path) -> None:
-    def doubled(track: Track) -> Track:
-        rows = np.sort(np.concatenate([np.arange(track.t_ns.size), np.arange(100, track.t_ns.size, 7)]))
-        return keep(track, rows)
+def doubled(recording: Recording, every: int) -> Recording:
+    return edit(
+        recording,
+        lambda track: keep(
+            track, np.sort(np.concatenate([np.arange(track.t_ns.size), np.arange(100, track.t_ns.size, every)]))
+        ),
+    )
 
-    record = replayed(edit(walking, doubled), tmp_path)
+
+@pytest.mark.requirement("SR-10")
+def test_more_than_one_doubled_sample_in_twenty_latches(walking: Recording, tmp_path: Path) -> None:
+    record = replayed(doubled(walking, 7), tmp_path)
+    assert not bursts(record.commands)
+    assert any("time stamps are out of order" in note.text for note in record.notes)
+
+
+def test_fewer_doubled_samples_change_nothing(walking: Recording, sound: SessionRecord, tmp_path: Path) -> None:
+    record = replayed(doubled(walking, 40), tmp_path)
     assert bursts(record.commands) == bursts(sound.commands)
     assert record.phases == sound.phases
-    count = len(range(100, walking.tracks["right_foot"].t_ns.size, 7))
+    count = len(range(100, walking.tracks["right_foot"].t_ns.size, 40))
     assert record.summary["samples"]["right_foot"]["doubled_or_backward"] == count
 
 

@@ -86,6 +86,7 @@ def test_interrupted_it_ends_all_its_processes(tmp_path: Path) -> None:
     assert processes_of(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_with_real_devices_it_wants_a_dummy_load_and_judges_by_what_the_bus_says(tmp_path: Path) -> None:
     """Devices started by somebody else stand for real ones; the witness is a second receiver on their bus."""
     bus = free_bus("loopback")

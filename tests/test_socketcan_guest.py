@@ -11,7 +11,6 @@ from guest import NoGuest, cache_folder, run_in_guest, unpacked
 SUITE = ["tests/transports/test_can_transport.py", "tests/transports/test_socketcan.py", "tests/test_lockstep.py"]
 
 
-@pytest.mark.slow
 def test_the_can_tests_pass_over_a_genuine_vcan0(tmp_path: Path) -> None:
     try:
         unpacked(cache_folder())

@@ -16,7 +16,7 @@ from pathlib import Path
 
 PACKAGES = ("user-mode-linux", "busybox-static")
 MODULES = ("net/can/can", "net/can/can-raw", "drivers/net/can/dev/can-dev", "drivers/net/can/vcan")
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 MEMORY = "1024M"
 
 INIT = """#!{busybox} sh
