@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 
 .DEFAULT_GOAL := help
-.PHONY: help hil demo test lint format bench bench-accuracy peers nightly mutants hazards docs trials lock clean
+.PHONY: help hil demo test test-live lint format bench bench-accuracy peers nightly mutants hazards docs trials lock clean
 
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
