@@ -5,6 +5,8 @@ Sagittal angles: the values at the ends of the eight phases of gait that Perry &
 them, then its first harmonics (Winter, *Biomechanics and Motor Control of Human Movement*, 4th ed., 2009, found six
 enough for gait), so that any number of derivatives is smooth. Segments and masses: Winter, table 4.1. Stride rate:
 Grieve & Gear, *Ergonomics* 9 (1966): ``64.8 (v/h)^0.57`` strides a minute.
+
+Entered from memory of these works and not yet compared with them; see docs/virtual_patient.md.
 """
 
 from __future__ import annotations
