@@ -25,6 +25,7 @@ COMMANDS: Final = {
     "convert": ("fes.cli.convert", "A session log as CSV, Parquet or MCAP, for other programs."),
     "recover": ("fes.cli.recover", "Repair a torn session log and say what was lost."),
     "simulate": ("fes.cli.simulate", "A virtual patient walks: sensors, truth, stimulation in closed loop."),
+    "cohort": ("fes.cli.cohort", "Analyse thousands of recordings with many processes; one data set, pages."),
     "trials": ("fes.cli.trials", "Generate the bundled recordings, with their truth, from their seeds."),
 }
 

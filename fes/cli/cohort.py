@@ -1,0 +1,125 @@
+"""``fes cohort``: many recordings, analysed by many processes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+import click
+
+from fes.cli.exits import FAILED, INTERRUPTED, Problem
+
+if TYPE_CHECKING:
+    from fes.cohort.one import Outcome
+    from fes.cohort.store import Store
+
+
+@click.command(name="cohort")
+@click.argument("recordings", nargs=-1, required=True)
+@click.option("--out", default="out/cohort", show_default=True, help="A folder or address for the results.")
+@click.option("--scheduler", default="", help="Address of a Dask scheduler. Default: processes of this machine.")
+@click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
+@click.option("--subject-from", default="", help="A regular expression that finds the subject in a file's address.")
+@click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
+@click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
+@click.option("--no-report", is_flag=True, help="Write no HTML pages.")
+def command(
+    recordings: tuple[str, ...],
+    out: str,
+    scheduler: str,
+    workers: int | None,
+    subject_from: str,
+    uneven: bool,
+    retry_failed: bool,
+    no_report: bool,
+) -> None:
+    """Analyse all RECORDINGS: files, folders, globs, or addresses on any storage that fsspec opens.
+
+    Each needs its sidecar beside it. Results are a Parquet data set (recordings, strides, events) and pages with
+    distributions, outliers and one page a subject. The subject is the sidecar's, else what --subject-from finds, else
+    the folder's name.
+
+    Run the same command again after a crash or Ctrl-C: what is finished is not done again. A recording that cannot be
+    used does not stop the others; it is listed with its reason, and the exit code is then 1.
+    """
+    from fes.cohort.engine import cluster, run, workers_here
+    from fes.cohort.one import Settings
+    from fes.cohort.sources import CohortError, find
+    from fes.cohort.store import Store
+
+    store, settings = Store(_absolute(out)), Settings(not uneven, subject_from)
+    try:
+        sources = find([_absolute(pattern) for pattern in recordings])
+        by_identity = {source.identity(settings.text()): source for source in sources}
+        store.prepare({"command": "fes cohort", "recordings": list(recordings), "settings": settings.text()})
+        finished = store.finished() & by_identity.keys()
+        if retry_failed:
+            again = {r["recording"] for r in _rows(store, finished) if r["status"] != "done"}
+            store.forget(again)
+            finished -= again
+        todo = [source for identity, source in by_identity.items() if identity not in finished]
+        if finished:
+            click.echo(f"{len(finished)} of {len(sources)} are finished already.", err=True)
+        if todo:
+            with cluster(workers or workers_here(), scheduler) as client, _Bar(len(todo)) as bar:
+                run(client, todo, store, settings, bar.tell)
+        rows = _rows(store, by_identity)
+        if not no_report:
+            from fes.cohort.report import write_pages
+
+            page = write_pages(store, by_identity)
+            click.echo(f"Report     {page}")
+    except CohortError as error:
+        raise Problem(str(error)) from error
+    except KeyboardInterrupt:
+        click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
+        raise SystemExit(INTERRUPTED) from None
+    click.echo(f"Data set   {store.place('')}")
+    failed = [row for row in rows if row["status"] != "done"]
+    strides = sum(row["valid_strides"] or 0 for row in rows)
+    click.echo(f"{len(rows) - len(failed)} of {len(rows)} recordings analysed, {strides} valid strides.")
+    for row in failed:
+        click.secho(f"Not used: {row['source']}: {row['reason']}", fg="red", err=True)
+    if failed:
+        raise SystemExit(FAILED)
+
+
+def _absolute(pattern: str) -> str:
+    """Workers may have another working folder."""
+    return pattern if "://" in pattern else str(Path(pattern).absolute())
+
+
+class _Bar:
+    """How far it has come, on stderr; lines of failures above it."""
+
+    def __init__(self, total: int) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        console = Console(stderr=True)
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+        self._progress = Progress(*columns, console=console, disable=not sys.stderr.isatty(), transient=True)
+        self._task = self._progress.add_task("analysing", total=total)
+        self._failed = 0
+
+    def tell(self, outcome: Outcome) -> None:
+        """One more is finished."""
+        self._failed += outcome.status != "done"
+        said = f"analysing, {self._failed} failed" if self._failed else "analysing"
+        self._progress.update(self._task, advance=1, description=said)
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+
+def _rows(store: Store, identities: Iterable[str]) -> list[dict[str, Any]]:
+    from fes.cohort.store import RECORDINGS
+
+    rows: list[dict[str, Any]] = store.table(RECORDINGS, identities).to_pylist()
+    return rows

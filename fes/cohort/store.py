@@ -1,0 +1,138 @@
+"""The cohort's results as a Parquet data set: ``strides/``, ``events/`` and ``recordings/``, one part a recording.
+
+A recording's row in ``recordings/`` is written last, in one step: it being there says that all of the recording is.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import fsspec
+import pyarrow as pa
+from pyarrow import parquet
+
+from fes.cohort.sources import CohortError
+
+RECORDINGS: Final = "recordings"
+STRIDES: Final = "strides"
+EVENTS: Final = "events"
+ABOUT: Final = "cohort.json"
+
+_TEXT, _NUMBER, _COUNT, _TRUTH = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+_OF: Final = [("recording", _TEXT), ("subject", _TEXT), ("foot", _TEXT)]
+
+
+def _numbers(*names: str) -> list[tuple[str, pa.DataType]]:
+    return [(name, _NUMBER) for name in names]
+
+
+SCHEMAS: Final[Mapping[str, pa.Schema]] = {
+    RECORDINGS: pa.schema(
+        [
+            *[(name, _TEXT) for name in ("recording", "source", "name", "subject", "status", "reason", "fes_version")],
+            *[(name, _COUNT) for name in ("samples", "missing", "clipped", "irregular", "strides", "valid_strides")],
+            *_numbers("duration_s", "belt_speed_mps", "stride_length_m", "speed_mps", "stride_time_s", "clearance_m"),
+        ]
+    ),
+    STRIDES: pa.schema(
+        [
+            *_OF,
+            ("number", _COUNT),
+            ("valid", _TRUTH),
+            ("reason", _TEXT),
+            *_numbers("t_start_s", "t_end_s", "t_pre_swing_s", "t_swing_s", "t_loading_response_s", "t_stance_s"),
+            *_numbers("stride_length_m", "speed_mps", "clearance_m", "toe_clearance_m", "heel_clearance_m"),
+            *_numbers("height_gained_m", "turn_rad", "x_m", "y_m", "z_m", "heading_rad"),
+        ]
+    ),
+    EVENTS: pa.schema(
+        [*_OF, *_numbers("t_foot_off_s", "t_mid_swing_s", "t_initial_contact_s", "foot_strike_angle_rad")]
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Store:
+    """A cohort's folder on any storage that fsspec opens.
+
+    Args:
+        url: of the folder.
+    """
+
+    url: str
+
+    def prepare(self, about: Mapping[str, Any]) -> None:
+        """Make the folder and say what is in it.
+
+        Raises:
+            CohortError: it cannot be written.
+        """
+        filesystem, root = self._open()
+        try:
+            for table in SCHEMAS:
+                filesystem.makedirs(f"{root}/{table}", exist_ok=True)
+            with filesystem.open(f"{root}/{ABOUT}", "wb") as file:
+                file.write(json.dumps(about, indent=1, ensure_ascii=False).encode() + b"\n")
+        except OSError as error:
+            raise CohortError(f"{self.url}: cannot be written: {error}. Choose another with --out.") from error
+
+    def put(self, identity: str, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
+        """Keep one recording's rows; its own row last, so that a crash leaves it to be done again.
+
+        Raises:
+            OSError: the storage is full or gone.
+        """
+        filesystem, root = self._open()
+        for table in sorted(tables, key=lambda name: name == RECORDINGS):
+            rows = pa.Table.from_pylist([dict(row) for row in tables[table]], schema=SCHEMAS[table])
+            draft, path = f"{root}/{table}/.{identity}.part", f"{root}/{table}/{identity}.parquet"
+            with filesystem.open(draft, "wb") as file:
+                parquet.write_table(rows, file)
+            filesystem.mv(draft, path)
+
+    def finished(self) -> set[str]:
+        """The recordings whose results are complete."""
+        filesystem, root = self._open()
+        folder = f"{root}/{RECORDINGS}"
+        if not filesystem.isdir(folder):
+            return set()
+        names = (str(name).rsplit("/", 1)[-1] for name in filesystem.ls(folder, detail=False, refresh=True))
+        return {name.removesuffix(".parquet") for name in names if name.endswith(".parquet")}
+
+    def forget(self, identities: Iterable[str]) -> None:
+        """Take these recordings' rows away, so that they are done again."""
+        filesystem, root = self._open()
+        for identity in identities:
+            filesystem.rm_file(f"{root}/{RECORDINGS}/{identity}.parquet")
+
+    def table(self, name: str, identities: Iterable[str]) -> pa.Table:
+        """The rows of these recordings; leftovers of other runs in the folder are not among them."""
+        filesystem, root = self._open()
+        parts = []
+        for identity in sorted(identities):
+            path = f"{root}/{name}/{identity}.parquet"
+            if filesystem.exists(path):
+                with filesystem.open(path, "rb") as file:
+                    parts.append(parquet.read_table(file))
+        return pa.concat_tables(parts) if parts else SCHEMAS[name].empty_table()
+
+    def write_text(self, name: str, text: str) -> None:
+        """A page beside the tables."""
+        filesystem, root = self._open()
+        filesystem.makedirs(f"{root}/{name}".rsplit("/", 1)[0], exist_ok=True)
+        with filesystem.open(f"{root}/{name}", "wb") as file:
+            file.write(text.encode())
+
+    def place(self, name: str) -> str:
+        """Where a page or table is, for people."""
+        return f"{self.url.rstrip('/')}/{name}"
+
+    def _open(self) -> tuple[Any, str]:
+        try:
+            filesystem, root = fsspec.core.url_to_fs(self.url)
+        except (ValueError, ImportError, OSError) as error:
+            raise CohortError(f"{self.url}: no storage for the results: {error}") from error
+        return filesystem, str(root).rstrip("/")
