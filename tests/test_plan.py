@@ -13,6 +13,7 @@ from fes.config import Channel
 from fes.gate import SafetyGate
 from fes.signals import ImuSample, OperatorAct, OperatorAction, StimCommand, StimRequest
 from fes.stimulation.envelope import Envelope, round_down
+from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.plan import StimulationPlan
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -451,7 +452,8 @@ def envelopes(draw: st.DrawFn) -> Envelope:
     whole = st.integers(0, 1000 * MS)
     current_ma, intensity = draw(st.floats(0.1, 130.0)), draw(st.floats(0.0, 1.0))
     rise_ns, fall_ns, most_ns = draw(whole) + 1, draw(whole), draw(st.integers(1, 3000 * MS))
-    return Envelope(0, current_ma, 300.0, 40.0, rise_ns, draw(whole), fall_ns, most_ns, intensity, stop)
+    parameters = BurstParameters(current_ma, 0.0, 0.0, (300.0,))
+    return Envelope(0, parameters, 40.0, rise_ns, draw(whole), fall_ns, most_ns, intensity, stop)
 
 
 @given(envelope=envelopes(), times=st.lists(st.integers(-100 * MS, 5000 * MS), min_size=2, max_size=30))
@@ -459,7 +461,7 @@ def envelopes(draw: st.DrawFn) -> Envelope:
 def test_envelope_is_within_bounds_rises_then_falls_and_ends(envelope: Envelope, times: list[int]) -> None:
     levels = [envelope.level_ma(t_ns) for t_ns in sorted(times)]
     peak = levels.index(max(levels))
-    assert all(0.0 <= level <= envelope.current_ma * envelope.intensity for level in levels)
+    assert all(0.0 <= level <= envelope.parameters.current_ma * envelope.intensity for level in levels)
     assert levels[: peak + 1] == sorted(levels[: peak + 1])
     assert levels[peak:] == sorted(levels[peak:], reverse=True)
     for t_ns, level in zip(sorted(times), levels, strict=True):

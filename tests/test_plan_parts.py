@@ -7,6 +7,7 @@ from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, make_channel
 
 from fes.config import Channel
 from fes.stimulation.envelope import Envelope, round_down
+from fes.stimulation.parameters import BIN_S, BurstParameters
 from fes.stimulation.plan import StimulationPlan
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -15,7 +16,7 @@ RISE = FALL = 100 * MS
 
 def envelope(**changes: int) -> Envelope:
     plain = {"rise_ns": RISE, "extension_ns": 0, "fall_ns": FALL, "max_on_ns": 2000 * MS} | changes
-    return Envelope(t_start_ns=1000, current_ma=20.0, pulse_width_us=300.0, frequency_hz=40.0, **plain)
+    return Envelope(t_start_ns=1000, parameters=BurstParameters(20.0, 0.0, 0.0, (300.0,)), frequency_hz=40.0, **plain)
 
 
 def test_rise_begins_at_nothing() -> None:
@@ -166,3 +167,62 @@ def test_antagonists_that_are_due_at_the_same_moment_do_not_start_together() -> 
         requests = bench.plan.requests(at_ms * MS, 1.0)
         assert not all(request.on for request in requests)
     assert requests[0].on
+
+
+# --- parameters that change from burst to burst -----------------------------------------------------------------
+
+
+def tuned(start_delay_s: float = 0.0) -> BurstParameters:
+    return BurstParameters(30.0, start_delay_s, 0.06, (100.0, 200.0, 300.0))
+
+
+def widths_us(bench: Bench, *at_ms: float) -> list[float]:
+    return [next(iter(bench.plan.requests(round(ms * MS), 1.0))).pulse_width_us for ms in at_ms]
+
+
+def test_the_profile_counts_from_the_start_of_the_burst_and_its_last_width_stays() -> None:
+    bench, bin_ms = Bench(), BIN_S * 1e3
+    bench.plan.set_parameters(0, tuned())
+    bench.enter(1000, STANCE, PRE_SWING, Transition.T1)
+    assert widths_us(bench, 1000) == [0.0], "no current yet"
+    found = widths_us(
+        bench, 1000 + bin_ms - 1, 1000 + bin_ms, 1000 + 2 * bin_ms - 1, 1000 + 2 * bin_ms, 1000 + 9 * bin_ms
+    )
+    assert found == [100.0, 200.0, 200.0, 300.0, 300.0]
+
+
+def test_new_parameters_wait_for_the_next_entry_and_leave_other_channels_alone() -> None:
+    bench = Bench(make_channel(), make_channel(number=1))
+    bench.enter(1000, STANCE, PRE_SWING, Transition.T1)
+    bench.current(1150)
+    bench.plan.set_parameters(0, tuned())
+    assert bench.current(1200) == 20.0, "the burst under way keeps its own"
+    bench.enter(1500, PRE_SWING, STANCE, Transition.T5)
+    bench.enter(3000, STANCE, PRE_SWING, Transition.T1)
+    bench.current(3000)
+    assert bench.current(3200, number=0) == 30.0
+    assert bench.current(3200, number=1) == 20.0
+
+
+def test_the_delay_of_new_parameters_counts_from_the_entry() -> None:
+    bench = Bench()
+    bench.plan.set_parameters(0, tuned(start_delay_s=0.2))
+    bench.enter(1000, STANCE, PRE_SWING, Transition.T1)
+    assert [bench.current(ms) for ms in (1100, 1200)] == [0.0, 0.0]
+    assert bench.current(1220) > 0.0
+
+
+def test_a_burst_by_hand_takes_the_newest_parameters() -> None:
+    bench = Bench()
+    bench.plan.set_parameters(0, tuned())
+    bench.plan.start(0, 1000 * MS, 500 * MS, adopt=False)
+    bench.current(1000)
+    assert bench.current(1200) == 30.0
+
+
+def test_unless_told_otherwise_a_burst_is_as_the_session_has_it() -> None:
+    bench = Bench()
+    bench.plan.start(0, 1000 * MS, 500 * MS, adopt=False)
+    bench.current(1000)
+    assert bench.current(1200) == 20.0
+    assert widths_us(bench, 1220) == [300.0]

@@ -21,8 +21,7 @@ class Envelope:
     """
 
     t_start_ns: int
-    current_ma: float
-    pulse_width_us: float
+    parameters: BurstParameters
     frequency_hz: float
     rise_ns: int
     extension_ns: int
@@ -30,25 +29,19 @@ class Envelope:
     max_on_ns: int
     intensity: float = 1.0
     t_stop_ns: int | None = None
-    profile: BurstParameters | None = None
 
     @classmethod
-    def of(
-        cls, channel: Channel, t_start_ns: int, intensity: float, parameters: BurstParameters | None = None
-    ) -> Envelope:
-        """The burst that these settings ask for from ``t_start_ns`` on; ``parameters`` where they have been tuned."""
-        parameters = parameters or BurstParameters.of(channel)
+    def of(cls, channel: Channel, t_start_ns: int, intensity: float, parameters: BurstParameters) -> Envelope:
+        """The burst that these settings ask for from ``t_start_ns`` on."""
         return cls(
             t_start_ns=t_start_ns,
-            current_ma=parameters.current_ma,
-            pulse_width_us=parameters.widths_us[0],
+            parameters=parameters,
             frequency_hz=channel.frequency_hz,
             rise_ns=to_ns(channel.rise_s),
             extension_ns=to_ns(parameters.extension_s),
             fall_ns=to_ns(channel.fall_s),
             max_on_ns=to_ns(channel.limits.max_on_s),
             intensity=intensity,
-            profile=parameters,
         )
 
     def dimmed(self, intensity: float) -> Envelope:
@@ -66,13 +59,11 @@ class Envelope:
         t_fall_ns = self._t_fall_ns()
         risen = min(1.0, max(0, min(t_ns, t_fall_ns) - self.t_start_ns) / self.rise_ns)
         fallen = (t_ns - t_fall_ns) / max(self.fall_ns, 1) if t_ns > t_fall_ns else 0.0
-        return self.current_ma * self.intensity * (risen * max(0.0, 1.0 - fallen))
+        return self.parameters.current_ma * self.intensity * (risen * max(0.0, 1.0 - fallen))
 
     def width_us(self, t_ns: int) -> float:
-        """Pulse width at ``t_ns``: the profile's where there is one."""
-        if self.profile is None:
-            return self.pulse_width_us
-        return self.profile.width_us((t_ns - self.t_start_ns) / NS_PER_S)
+        """Pulse width at ``t_ns``."""
+        return self.parameters.width_us((t_ns - self.t_start_ns) / NS_PER_S)
 
     def over(self, t_ns: int) -> bool:
         """Whether nothing comes any more at or after ``t_ns``."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 from fes.config import Session
 from fes.signals import OperatorAct, OperatorAction, StimStatus, StrideResult
@@ -27,6 +28,7 @@ class Tuners:
     def __init__(self, session: Session) -> None:
         self.ledger = DoseLedger(channel.number for channel in session.channels)
         geometry = {str(foot): value for foot, value in session.geometry.items()}
+        self.said: dict[tuple[int, str], TuningReport] = {}  # the newest of each kind, by channel and kind
         self._start = {channel.number: BurstParameters.of(channel) for channel in session.channels}
         self._foot_of = {channel.number: str(channel.foot) for channel in session.channels}
         self.tuners = {
@@ -51,14 +53,14 @@ class Tuners:
                     tuner.operator_changed(act.t_ns)
             return ()
         if act.action is OperatorAction.FREEZE_TUNING:
-            return tuple(tuner.freeze(act.t_ns) for tuner in self.tuners.values())
+            return self._remember(tuner.freeze(act.t_ns) for tuner in self.tuners.values())
         if act.action is OperatorAction.RESUME_TUNING:
-            return tuple(tuner.resume(act.t_ns) for tuner in self.tuners.values() if tuner.frozen)
+            return self._remember(tuner.resume(act.t_ns) for tuner in self.tuners.values() if tuner.frozen)
         chosen = next((tuner for number, tuner in self.tuners.items() if number == act.value), None)
         if chosen is None:
             return ()
         done = chosen.accept(act.t_ns) if act.action is OperatorAction.ACCEPT_SUGGESTION else chosen.roll_back(act.t_ns)
-        return () if done is None else (done,)
+        return () if done is None else self._remember((done,))
 
     def on_stride(self, t_ns: int, foot: str, stride: StrideResult, intensity: float) -> tuple[TuningReport, ...]:
         """A stride of this foot has been closed."""
@@ -79,4 +81,9 @@ class Tuners:
             if hint:
                 now = tuner.parameters if tuner else self._start[number]
                 reports.append(TuningReport(t_ns, number, "hint", hint, now, now))
-        return tuple(reports)
+        return self._remember(reports)
+
+    def _remember(self, reports: Iterable[TuningReport]) -> tuple[TuningReport, ...]:
+        told = tuple(reports)
+        self.said |= {(report.channel, report.kind): report for report in told}
+        return told
