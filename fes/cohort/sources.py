@@ -90,7 +90,7 @@ def _below(filesystem: Any, path: str, pattern: str) -> Iterator[Source]:
         return
     infos = filesystem.find(path, detail=True) if named else filesystem.glob(path, detail=True)
     for name, info in infos.items():
-        if info.get("type") != "file" or PurePosixPath(name).suffix.lower() not in SUFFIXES:
+        if info.get("type") == "directory" or PurePosixPath(name).suffix.lower() not in SUFFIXES:
             continue
         beside = infos.get(_sidecar(name))
         if beside is None and _has(filesystem, _sidecar(name)):
