@@ -2,9 +2,11 @@
 
     python benchmarks/plausibility.py
 
-Per set of recordings: the longest time that the force stays below and above the gate's bounds, the highest rate of any
-one axis, the longest time without a changing value, and the largest tilt from the calibrated upright in a rest that
-lasts as long as the gate asks for. The bundled simulated trials come first; real recordings lie in FES_DATA.
+Per set of recordings: the level of force that three quarters of a span of 80 ms stay below, at its least, and above, at
+its greatest; the greatest steps of the force (× from one sample to the next, samples lost left aside) that are followed
+by such a span below 7 m/s² or above the bound for a step up; the highest rate of any one axis; the longest time without
+a changing value; the largest tilt from the calibrated upright in a rest that lasts as long as the gate asks for, and of
+the force averaged over 0.3 s. The bundled simulated trials come first; real recordings lie in FES_DATA.
 """
 
 from __future__ import annotations
@@ -21,12 +23,13 @@ from ankle import load_shanks
 from real_sets import all_walks
 from rich.console import Console
 from rich.table import Table
+from scipy.signal import lfilter
 from stroke_treadmill import data_folder, load_run, track_of
 
+from fes.gate.force import FOOT, MOST_APART_NS, MOSTLY, SHANK, SPAN_MS, STEP
 from fes.gate.freshness import MAX_SAME_MS
 from fes.gate.plausible import (
-    LEAST_FORCE_MPS2,
-    MOST_FORCE_MPS2,
+    MEAN_NS,
     MOST_RATE_RADPS,
     MOST_TILT_RAD,
     REST_FORCE_MPS2,
@@ -35,21 +38,24 @@ from fes.gate.plausible import (
 )
 from fes.recording import Track, read_recording
 from fes.replay import calibrate_track
-from fes.signals import G_MPS2, FloatArray
+from fes.signals import G_MPS2, SHANK_SENSORS, FloatArray
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
 
 
 @dataclass
 class Extremes:
-    """The worst of a set: times in ms, rate in rad/s, tilt in degrees."""
+    """The worst of a set; ``strong`` is a share of its bound, steps are ratios, ``same_ms`` a time."""
 
     sensors: int = 0
-    weak_ms: float = 0.0
-    strong_ms: float = 0.0
+    weak_mps2: float = math.inf
+    strong: float = 0.0
+    down: float = 0.0
+    up: float = 0.0
     rate_radps: float = 0.0
     same_ms: float = 0.0
     tilt_deg: float = 0.0
+    mean_tilt_deg: float = 0.0
 
     def take(self, track: Track, up: FloatArray) -> None:
         """Count one sensor's track; ``up`` is its upright in its own frame."""
@@ -59,8 +65,7 @@ class Extremes:
         values = np.hstack((track.acc_mps2, track.gyr_radps))
         same = np.concatenate(([False], (np.diff(values, axis=0) == 0).all(axis=1)))
         self.sensors += 1
-        self.weak_ms = max([self.weak_ms, *lasting_ms(t_ms, force < LEAST_FORCE_MPS2)])
-        self.strong_ms = max([self.strong_ms, *lasting_ms(t_ms, force > MOST_FORCE_MPS2)])
+        self._take_force(track, force)
         self.rate_radps = max(self.rate_radps, float(rate.max()))
         self.same_ms = max([self.same_ms, *(t + 1000 / track.rate_hz for t in lasting_ms(t_ms, same))])
         resting = (np.abs(force - G_MPS2) <= REST_FORCE_MPS2) & (rate <= REST_RATE_RADPS)
@@ -72,11 +77,31 @@ class Extremes:
                 kept = np.lib.stride_tricks.sliding_window_view(tilt[begin:end], min(steps, end - begin)).min(axis=1)
                 self.tilt_deg = max(self.tilt_deg, float(kept.max()))
 
+        share = 1e9 / track.rate_hz / MEAN_NS
+        state = (1.0 - share) * G_MPS2 * up[None, :]
+        mean, _ = lfilter([share], [1.0, share - 1.0], track.acc_mps2, axis=0, zi=state)
+        cosine = mean @ up / np.maximum(np.linalg.norm(mean, axis=1), 1e-9)
+        self.mean_tilt_deg = max(self.mean_tilt_deg, float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).max()))
+
+    def _take_force(self, track: Track, force: FloatArray) -> None:
+        bounds = SHANK if track.sensor in SHANK_SENSORS else FOOT
+        samples = math.ceil(SPAN_MS * track.rate_hz / 1000 - 1e-6) + 1
+        ordered = np.sort(np.lib.stride_tricks.sliding_window_view(force, samples), axis=1)
+        most = math.ceil(MOSTLY[0] * samples / MOSTLY[1])
+        below, above = ordered[:, most - 1], ordered[:, samples - most]
+        self.weak_mps2 = min(self.weak_mps2, float(below.min()))
+        self.strong = max(self.strong, float(above.max()) / bounds.strong)
+        if 1e9 / track.rate_hz <= MOST_APART_NS:
+            step = np.maximum(force[1 : len(below)], 1e-9) / np.maximum(force[: len(below) - 1], 1e-9)
+            self.down = max(self.down, float((1.0 / step[below[1:] < bounds.low]).max(initial=0.0)))
+            self.up = max(self.up, float(step[above[1:] > bounds.high].max(initial=0.0)))
+
     @property
     def holds(self) -> bool:
         """Whether the gate would have let all of it pass."""
-        times = max(self.weak_ms, self.strong_ms) < SUSTAINED_MS and self.same_ms < MAX_SAME_MS
-        return times and self.rate_radps < MOST_RATE_RADPS and self.tilt_deg < math.degrees(MOST_TILT_RAD)
+        force = self.weak_mps2 > FOOT.weak and self.strong < 1.0 and max(self.down, self.up) < STEP
+        tilt = max(self.tilt_deg, self.mean_tilt_deg) < math.degrees(MOST_TILT_RAD)
+        return force and tilt and self.same_ms < MAX_SAME_MS and self.rate_radps < MOST_RATE_RADPS
 
 
 def spells(true: FloatArray) -> list[tuple[int, int]]:
@@ -113,21 +138,36 @@ def main() -> int:
     for name, track, up in sensors():
         found.setdefault(name, Extremes()).take(track, up)
     table = Table(title="How near living sensors come to the gate's bounds")
-    for column in ("recordings", "sensors", "weak ms", "strong ms", "rate rad/s", "unchanged ms", "tilt at rest °"):
+    for column in (
+        "recordings",
+        "sensors",
+        "weak m/s²",
+        "strong",
+        "step down ×",
+        "up ×",
+        "rate rad/s",
+        "unchanged ms",
+        "tilt at rest °",
+        "of mean °",
+    ):
         table.add_column(column, justify="left" if column == "recordings" else "right")
     table.add_row(
         "the gate's bounds",
         "",
-        f"{SUSTAINED_MS}",
-        f"{SUSTAINED_MS}",
+        f"{FOOT.weak:g}",
+        "100 %",
+        f"{STEP:g}",
+        f"{STEP:g}",
         f"{MOST_RATE_RADPS:g}",
         f"{MAX_SAME_MS}",
+        f"{math.degrees(MOST_TILT_RAD):.0f}",
         f"{math.degrees(MOST_TILT_RAD):.0f}",
         end_section=True,
     )
     for name, e in found.items():
-        numbers = (e.weak_ms, e.strong_ms, e.rate_radps, e.same_ms, e.tilt_deg)
-        table.add_row(name, str(e.sensors), *(f"{number:.0f}" for number in numbers))
+        force = (f"{e.weak_mps2:.1f}", f"{e.strong:.0%}", f"{e.down:.1f}", f"{e.up:.1f}")
+        numbers = (e.rate_radps, e.same_ms, e.tilt_deg, e.mean_tilt_deg)
+        table.add_row(name, str(e.sensors), *force, *(f"{number:.0f}" for number in numbers))
     Console(width=120).print(table)
     if len(found) < 2:
         print("no real recordings: set FES_DATA", file=sys.stderr)

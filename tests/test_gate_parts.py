@@ -13,6 +13,7 @@ from fes.config import ImuDevice, Session, Stimulation
 from fes.gate import SafetyGate, gate_of
 from fes.gate.dose import Dose
 from fes.gate.electrical import NUMBER_BOUND, is_number, no_number, shown
+from fes.gate.force import FOOT, MOST_SAMPLES, SHANK, Force
 from fes.gate.freshness import Freshness
 from fes.gate.line import ROUNDING_MA
 from fes.gate.plausible import MOST_TILT_RAD, Plausibility, Plausible
@@ -221,7 +222,7 @@ ACC_END, GYR_END = 0.995 * 4 * G_MPS2, 0.995 * math.radians(500)
 
 def lasting(acc: Vector3, gyr: Vector3, device: ImuDevice | None = NARROW, up: Vector3 | None = None) -> Plausibility:
     """After 200 ms of the same; ``said`` by the last sample is returned through ``fault``."""
-    judge = Plausibility(device, up)
+    judge = Plausibility("left_foot", device, up)
     for k in range(20):
         judge.fault(sample(k * 10 * MS, 0, acc, gyr))
     return judge
@@ -250,19 +251,188 @@ def test_each_axis_saturates_at_its_end_and_not_before(axis: int, sign: int) -> 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_force_counts_all_three_axes(axis: int) -> None:
-    assert fault(along(axis, 3.5)) == ""
-    assert fault(along(axis, 3.499)) == (
-        "left_foot shows 3.5 m/s² and less than gravity for 80 ms: is its unit g?"  # rounded to two digits
+    assert fault(along(axis, 2.5)) == ""
+    assert fault(along(axis, 2.499)) == (
+        "left_foot shows 2.5 m/s² and less than gravity for 80 ms: is its unit g?"  # rounded to two digits
     )
-    assert fault(along(axis, 60.0), device=None) == ""
-    assert fault(along(axis, 60.01), device=None) == (
-        "left_foot shows 60 m/s² and more than a foot can take for 80 ms: wrong unit?"
+    assert fault(along(axis, 80.0), device=None) == ""
+    assert fault(along(axis, 80.01), device=None) == (
+        "left_foot shows 80 m/s² and more than a foot can take for 80 ms: wrong unit?"
     )
-    assert fault(along(axis, 2.1, 2.1)) == "", "3.6 m/s² together"
+    assert fault(along(axis, 1.5, 1.5)) == "", "2.6 m/s² together"
+
+
+MEAN_TILT = math.radians(65)
+
+
+def averaged(acc: Vector3, samples: int, step_ms: float = 10.0) -> Plausibility:
+    """After moving with this force, which never counts as rest."""
+    judge = Plausibility("left_foot", None, (0.0, 0.0, 1.0))
+    for k in range(samples + 1):
+        judge.fault(sample(round(k * step_ms * MS), 0, acc, (0.0, 1.0, 1e-3 * k)))
+    return judge
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_mean_force_forgets_in_300_ms(axis: int, sign: int) -> None:
+    """From upright to level: the angle's tangent is what has come over what is left of gravity."""
+    level = along(axis, sign * G_MPS2)
+    left = math.log(1 / (1 + math.tan(MEAN_TILT))) / math.log(1 - 10 / 300)
+    assert averaged(level, math.floor(left)).doubt == ""
+    assert averaged(level, math.ceil(left)).doubt == (
+        "left_foot moves turned by more than 65° from its calibration: remounted?"
+    )
+
+
+def test_one_sample_after_a_silence_stands_for_40_ms() -> None:
+    """Three times: 0.87³ of what was is left, and as much as is missing has come: 26 °; the eighth exceeds 65°."""
+    level = (G_MPS2, 0.0, 0.0)
+    assert averaged(level, 8, 40.0).doubt == ""
+    assert averaged(level, 9, 40.0).doubt
+    assert averaged(level, 8, 5000.0).doubt == ""
+    assert averaged(level, 9, 5000.0).doubt
+
+
+def test_time_that_stands_or_runs_backward_does_not_turn_the_mean() -> None:
+    judge = Plausibility("left_foot", None, (0.0, 0.0, 1.0))
+    for k in range(100):
+        judge.fault(sample(10 * S - k * S, 0, (G_MPS2, 0.0, 0.0), (0.0, 1.0, 0.0)))
+    assert judge.doubt == ""
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e300])
+def test_mean_force_does_not_remember_what_is_no_number(bad: float) -> None:
+    judge = averaged((0.0, 0.0, G_MPS2), 50)
+    judge.fault(sample(600 * MS, 0, (0.0, 0.0, bad)))
+    assert judge.doubt == ""
+    for k in range(1, 50):
+        judge.fault(sample(600 * MS + k * 10 * MS, 0, (0.0, 0.0, -G_MPS2), (0.0, 1.0, 0.0)))
+    assert judge.doubt, "it still judges"
+
+
+# --- the force's unit ---------------------------------------------------------------------------------------
+
+IN_G, TOO_STRONG = "is its unit g?", "wrong unit?"
+
+
+def told(
+    forces: list[float], sensor: str = "left_foot", step_ns: int = 10 * MS, sent_ns: int | None = None
+) -> list[str]:
+    """What is said of these forces, sample by sample, by its last words."""
+    force, sent_ns = Force(sensor), step_ns if sent_ns is None else sent_ns
+    return [
+        force.fault(ImuSample(S + k * step_ns, sensor, S + k * sent_ns, UP, UP), size)[-14:].strip()
+        for k, size in enumerate(forces)
+    ]
+
+
+def first(said: list[str]) -> int | None:
+    return next((k for k, each in enumerate(said) if each), None)
+
+
+@pytest.mark.parametrize("sensor", ["left_foot", "right_shank"])
+def test_bounds_of_the_force_are_no_fault_themselves(sensor: str) -> None:
+    bounds = SHANK if "shank" in sensor else FOOT
+    assert first(told([bounds.weak] * 20, sensor)) is None
+    assert first(told([math.nextafter(bounds.weak, 0)] * 20, sensor)) == 8
+    assert first(told([bounds.strong] * 20, sensor)) is None
+    assert first(told([math.nextafter(bounds.strong, 99)] * 20, sensor)) == 8
+    down, up = 4.5 * bounds.low, bounds.high / 4.5
+    assert first(told([down] * 5 + [bounds.low] * 20, sensor)) is None
+    assert first(told([down] * 5 + [math.nextafter(bounds.low, 0)] * 20, sensor)) == 13
+    assert first(told([up] * 5 + [bounds.high] * 20, sensor)) is None
+    assert first(told([up] * 5 + [math.nextafter(bounds.high, 99)] * 20, sensor)) == 13
+
+
+def test_a_step_is_more_than_four_times() -> None:
+    assert first(told([24.0] * 5 + [6.0] * 20)) is None
+    assert first(told([24.1] * 5 + [6.0] * 20)) == 13
+    assert first(told([17.0] * 5 + [68.0] * 20)) is None
+    assert first(told([17.0] * 5 + [68.1] * 20)) == 13
+    assert first(told([6.0] * 20)) is None, "the first sample has none before"
+    assert first(told([68.0] * 20)) is None
+
+
+def test_says_which_way_the_unit_is_wrong() -> None:
+    assert told([1.0] * 9)[-1] == IN_G
+    assert told([90.0] * 9)[-1].endswith(TOO_STRONG)
+    assert told([40.0] * 5 + [5.0] * 9)[-1] == IN_G
+    assert told([16.0] * 5 + [70.0] * 9)[-1].endswith(TOO_STRONG)
+
+
+@pytest.mark.parametrize(("size", "before"), [(1.0, 9.8), (90.0, 30.0), (5.0, 40.0), (70.0, 16.0)])
+def test_three_in_four_samples_suffice_and_fewer_do_not(size: float, before: float) -> None:
+    """At 20 ms a span has five samples, so four; at 10 ms nine, so seven. Usual ones come last, steps first."""
+    usual = 9.8
+    lead = [before] * 5
+    assert any(told(lead + [size] * 7 + [usual] * 2))
+    assert not any(told(lead + [size] * 6 + [usual] * 3))
+    steps = (size, before) in [(5.0, 40.0), (70.0, 16.0)]
+    assert any(told([before, *[size] * 4, usual], step_ns=20 * MS)) is not steps, "a step takes less than 12.5 ms"
+
+
+def test_level_and_step_count_together_only_on_their_side() -> None:
+    """Weak samples count as low ones, strong ones as high ones; a step up makes nothing of low ones."""
+    assert first(told([40.0] * 5 + [1.0, 6.0, 6.0, 1.0, 6.0, 6.0, 1.0, 6.0, 1.0])) == 13
+    assert first(told([16.0] * 5 + [90.0, 70.0, 70.0, 90.0, 70.0, 70.0, 90.0, 70.0, 70.0])) == 13
+    assert first(told([1.1] * 3 + [5.0] * 20)) is None
+    assert first(told([300.0] * 3 + [70.0] * 20)) is None
+
+
+def test_a_step_between_samples_far_apart_is_none() -> None:
+    forces = [40.0] * 5 + [5.0] * 20
+    assert first(told(forces, sent_ns=12_500_000)) == 13
+    assert first(told(forces, sent_ns=12_500_001)) is None
+    assert first(told(forces, sent_ns=0)) is None
+    assert first(told(forces, sent_ns=-1)) is None
+    assert first(told(forces, sent_ns=1)) == 13
+
+
+@pytest.mark.parametrize(("gap_ns", "tells"), [(25 * MS, True), (25 * MS + 1, False)])
+@pytest.mark.parametrize("at", [6, 9, 13])
+def test_a_step_with_samples_missing_after_it_is_not_judged(at: int, gap_ns: int, tells: bool) -> None:
+    force, sent_ns, said = Force("left_foot"), S, []
+    for k, size in enumerate([40.0] * 5 + [5.0] * 9):
+        sent_ns += gap_ns if k == at else 10 * MS
+        said.append(force.fault(ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
+    assert bool(said[-1]) is tells
+
+
+def test_a_gap_before_the_span_does_not_matter() -> None:
+    force, sent_ns, said = Force("left_foot"), S, []
+    for k, size in enumerate([40.0] * 5 + [5.0] * 9):
+        sent_ns += 30 * MS if k in (0, 3) else 10 * MS
+        said.append(force.fault(ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
+    assert said[-1]
+
+
+def test_time_that_goes_back_begins_anew() -> None:
+    force = Force("left_foot")
+    for k in range(8):
+        assert force.fault(ImuSample(9 * S + k * 10 * MS, "left_foot", S, UP, UP), 1.0) == ""
+    said = [force.fault(ImuSample(S + k * 10 * MS, "left_foot", S, UP, UP), 1.0) for k in range(9)]
+    assert first(said) == 8
+    assert first([force.fault(ImuSample(S + k * 10 * MS, "left_foot", S, UP, UP), 9.8) for k in range(9, 40)]) in (0, 1)
+
+
+def test_a_sensor_that_floods_takes_no_more_memory() -> None:
+    force = Force("left_foot")
+    for _ in range(3 * MOST_SAMPLES):
+        assert force.fault(ImuSample(S, "left_foot", S, UP, UP), 1.0) == ""
+    assert len(force._seen) == MOST_SAMPLES
+    assert sum(force._counts) == MOST_SAMPLES
+    assert force.fault(ImuSample(S + 80 * MS, "left_foot", S, UP, UP), 1.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_rate_that_lasts_is_bounded_about_each_axis(axis: int) -> None:
+    assert fault(UP, along(axis, 15.0), None) == ""
+    assert fault(UP, along(axis, -15.1), None) == ("left_foot turns at more than 15 rad/s for 80 ms: is its unit °/s?")
 
 
 def test_nothing_is_doubted_before_the_first_sample() -> None:
-    assert Plausibility(None, None).doubt == ""
+    assert Plausibility("left_foot", None, None).doubt == ""
     assert Plausible((), {}).doubt("left_foot") == ""
 
 
@@ -289,7 +459,7 @@ def test_the_least_tilt_that_is_doubted() -> None:
 )
 def test_what_rests(force_mps2: float, rate_radps: float, rests: bool) -> None:
     judge = lasting((0.0, 0.0, -force_mps2), (0.0, -rate_radps, 0.0), up=(0.0, 0.0, 1.0))
-    assert bool(judge.doubt) is rests
+    assert ("rests" in judge.doubt) is rests
 
 
 def test_rest_includes_its_own_bound() -> None:

@@ -26,6 +26,7 @@ LIVE = {
     "fes.sources",
     "fes.driving",
     "fes.estimation",
+    "fes.stimulation",
 }
 LIVE |= {"fes.replay", "statemachine.phases", "rich"}  # what a live session is made of; rich is the view's, by itself
 PURE: tuple[str, ...] = (
@@ -189,6 +190,8 @@ def test_everything_imported_is_declared() -> None:
     """No module leans on a library that only happens to be installed."""
     declared = {"cantools", "click", "jinja2", "msgpack", "numba", "numpy", "pyarrow", "pydantic", "serial", "can"}
     declared |= {"rich", "scipy", "transitions", "markupsafe", *OURS}
+    declared |= {"starlette", "uvicorn"}  # the page's process
+    declared |= {"dask", "distributed", "fsspec"}  # cohorts only
     declared |= {"canopen"}  # an extra: only the simulated CANopen node is made with it
     declared |= {"mcap"}  # an extra: only `fes convert` to MCAP needs it, and says so where it is missing
     found = {name.split(".")[0] for module in modules() for name in imports(module)} - set(STDLIB)

@@ -13,6 +13,7 @@ late where its rise allows, and where that does not, it is refused in silence un
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from fes import limits
 from fes.config import Channel, ImuDevice
@@ -35,6 +36,13 @@ from fes.signals import (
 )
 
 NO_CHANNEL = -1  # stands in a command for a channel number that is not even a number, or a huge one
+
+
+class Flagged(NamedTuple):
+    """Faulty samples of one sensor that drives no channel: how many so far, what was wrong with the newest of them."""
+
+    samples: int
+    fault: str
 
 
 class SafetyGate:
@@ -70,6 +78,8 @@ class SafetyGate:
             named_by = {other.number for other in channels if channel.number in other.never_with}
             partners = frozenset(named_by | set(channel.never_with))
             self._lines[channel.number] = Line(channel, partners, self._validity_ms * 1_000_000)
+        self._relied_on = frozenset(self._sensor(line) for line in self._lines.values())
+        self._flagged: dict[str, Flagged] = {}
         self._event_ns: int | None = None
         self._judged_ns: int | None = None
         self._boot_id: int | None = None
@@ -99,6 +109,11 @@ class SafetyGate:
         return dict(self._stamps.slips)
 
     @property
+    def flagged(self) -> Mapping[str, Flagged]:
+        """By sensor, what was wrong with samples that no channel's timing rests on."""
+        return self._flagged
+
+    @property
     def arming_refused(self) -> str:
         """Why the last attempt at arming failed; "" when it did not."""
         return self._arming_refused
@@ -119,7 +134,7 @@ class SafetyGate:
             order, fault = self._stamps.fault(event), self._freshness.note(event)
             implausible = self._plausible.fault(event)
             if fault := fault or implausible or order:
-                self.latch(event.t_ns, fault)
+                self._on_fault_of(event, fault)
         elif isinstance(event, OperatorAct):
             self._on_act(event)
         elif isinstance(event, StimStatus):
@@ -130,6 +145,14 @@ class SafetyGate:
             self.latch(event.t_ns, event.text)
         # last, so that an act of arming that itself came from the past does not stand
         self._notice_backward(event.t_ns, earlier_ns)
+
+    def _on_fault_of(self, sample: ImuSample, fault: str) -> None:
+        """What drives a channel stops everything; what is only recorded must not stop the therapy of a sound foot."""
+        if sample.sensor in self._relied_on:
+            self.latch(sample.t_ns, fault)
+            return
+        before = self._flagged[sample.sensor].samples if sample.sensor in self._flagged else 0
+        self._flagged[sample.sensor] = Flagged(before + 1, fault)
 
     def _on_act(self, act: OperatorAct) -> None:
         if act.action is OperatorAction.ARM:

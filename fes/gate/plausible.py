@@ -1,7 +1,7 @@
 """Can these numbers come from this sensor, on this foot, mounted as it was? Units, range, mounting.
 
-Every bound was held against real recordings (docs/safety.md): gait never comes near them, a wrong unit is beyond them
-at once or within 80 ms.
+Every bound was held against real recordings (docs/safety.md): gait never comes near them; a wrong unit is beyond them
+at once, or after the 80 ms that :mod:`fes.gate.force` takes.
 """
 
 from __future__ import annotations
@@ -12,16 +12,20 @@ from dataclasses import dataclass
 from typing import Final
 
 from fes.config import ImuDevice
+from fes.gate.force import Force
 from fes.signals import G_MPS2, ImuSample, Vector3
 
 SUSTAINED_MS: Final = 80  # what one knock, one clipped heel strike or one free fall of the foot never lasts
-LEAST_FORCE_MPS2: Final = 3.5  # mostly below it for 80 ms: g taken for m/s²; real feet, 30 ms at most
-MOST_FORCE_MPS2: Final = 60.0  # above it for 80 ms: m/s² scaled by g once more; real feet, 30 ms at most
 MOST_RATE_RADPS: Final = 40.0  # in any one sample: degrees taken for radians; real feet turn at 13, shanks at 20
+FAST_RADPS: Final = 15.0  # about one axis for 80 ms: a turn in 0.4 s; real feet never are, shanks for one sample
 AT_RANGE: Final = 0.995  # of the range that the session states
 REST_RATE_RADPS: Final = 0.5
 REST_FORCE_MPS2: Final = 1.5  # of gravity
 MOST_TILT_RAD: Final = math.radians(65)  # at rest, from where it was at calibration; real feet reach 23°, shanks 30°
+MEAN_NS: Final = (
+    300_000_000  # over which gravity shows through a walk: the mean force of real legs tilts by 55° at most
+)
+MOST_STEP_NS: Final = 40_000_000  # one sample after a silence does not stand for all of it
 _TILT: Final = f"{math.degrees(MOST_TILT_RAD):.0f}°"
 
 
@@ -41,43 +45,24 @@ class _Lasting:
         return t_ns - self.since_ns >= SUSTAINED_MS * 1_000_000
 
 
-@dataclass(slots=True)
-class _Mostly:
-    """How long something has been so, all in all, where half of the time that it was not is taken off again.
-
-    In m/s² a foot's swing is never weak for long; in g it is, but for the spikes between.
-    """
-
-    before_ns: int | None = None
-    so_ns: int = 0
-    was_so: bool = False
-
-    def so(self, t_ns: int, is_so: bool) -> bool:
-        """Whether it has now been so for long enough."""
-        passed_ns = max(t_ns - self.before_ns, 0) if self.before_ns is not None else 0
-        if not is_so:
-            self.so_ns = max(self.so_ns - passed_ns // 2, 0)
-        elif self.was_so:
-            self.so_ns += passed_ns
-        self.before_ns, self.was_so = t_ns, is_so
-        return is_so and self.so_ns >= SUSTAINED_MS * 1_000_000
-
-
 class Plausibility:
     """One sensor's samples against what is possible.
 
     Args:
+        sensor: its name.
         device: its settings, for its ranges; without them saturation cannot be told.
         up: the upward direction in the sensor's frame when it was calibrated; without it the mounting is not judged.
     """
 
-    def __init__(self, device: ImuDevice | None, up: Vector3 | None) -> None:
+    def __init__(self, sensor: str, device: ImuDevice | None, up: Vector3 | None) -> None:
         self._acc_range_mps2 = AT_RANGE * device.acc_range_g * G_MPS2 if device else math.inf
         self._gyr_range_radps = AT_RANGE * math.radians(device.gyr_range_dps) if device else math.inf
         self._up = up
         self.doubt = ""  # no fault by itself: a foot may rest so, but not one that walks
-        self._weak = _Mostly()
-        self._strong, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting()
+        self._force = Force(sensor)
+        self._fast, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting()
+        self._mean_mps2 = self._upright()
+        self._mean_ns: int | None = None
 
     def fault(self, sample: ImuSample) -> str:
         """Take in a finite sample; what cannot be, in words, "" when all can."""
@@ -86,21 +71,21 @@ class Plausibility:
         force_mps2 = math.sqrt(x * x + y * y + z * z)
         rate_radps = max(map(abs, sample.gyr_radps))
         at_range = rate_radps >= self._gyr_range_radps or max(abs(x), abs(y), abs(z)) >= self._acc_range_mps2
-        weak = self._weak.so(t_ns, force_mps2 < LEAST_FORCE_MPS2)
-        strong = self._strong.so(t_ns, force_mps2 > MOST_FORCE_MPS2)
+        wrong_unit = self._force.fault(sample, force_mps2)
+        fast = self._fast.so(t_ns, rate_radps > FAST_RADPS)
         saturated = self._saturated.so(t_ns, at_range)
         tilted = self._tilted.so(t_ns, self._rests_tilted(sample, force_mps2))
-        self.doubt = f"{name} rests turned by more than {_TILT} from its calibration: remounted?" if tilted else ""
+        moves_tilted = self._moves_tilted(sample)
+        does = "rests" if tilted else "moves" if moves_tilted else ""
+        self.doubt = f"{name} {does} turned by more than {_TILT} from its calibration: remounted?" if does else ""
         if rate_radps > MOST_RATE_RADPS:
             return f"{name} turns at {rate_radps:.0f} rad/s, which no foot does: is its unit °/s?"
-        if weak:
-            return f"{name} shows {force_mps2:.2g} m/s² and less than gravity for {SUSTAINED_MS} ms: is its unit g?"
-        if strong:
-            return (
-                f"{name} shows {force_mps2:.0f} m/s² and more than a foot can take for {SUSTAINED_MS} ms: wrong unit?"
-            )
+        if wrong_unit:
+            return wrong_unit
         if saturated:
             return f"{name} is saturated: at the end of its range for {SUSTAINED_MS} ms"
+        if fast:
+            return f"{name} turns at more than {FAST_RADPS:.0f} rad/s for {SUSTAINED_MS} ms: is its unit °/s?"
         return ""
 
     def _rests_tilted(self, sample: ImuSample, force_mps2: float) -> bool:
@@ -110,6 +95,29 @@ class Plausibility:
             return False
         along = sum(a * u for a, u in zip(sample.acc_mps2, self._up, strict=True))
         return along < force_mps2 * math.cos(MOST_TILT_RAD)
+
+    def _moves_tilted(self, sample: ImuSample) -> bool:
+        """Whether the force, averaged over about 0.3 s, comes from elsewhere than gravity does in anybody's gait.
+
+        A stance need not hold a rest: of stroke survivors' shanks, most do not.
+        """
+        if self._up is None:
+            return False
+        before_ns, self._mean_ns = self._mean_ns, sample.t_ns
+        step_ns = min(max(sample.t_ns - before_ns, 0), MOST_STEP_NS) if before_ns is not None else 0
+        share = step_ns / MEAN_NS
+        (mx, my, mz), (x, y, z), (ux, uy, uz) = self._mean_mps2, sample.acc_mps2, self._up
+        mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
+        size = math.sqrt(mx * mx + my * my + mz * mz)
+        if not size < math.inf:  # told as a fault of its own; a mean would never forget it
+            self._mean_mps2 = self._upright()
+            return False
+        self._mean_mps2 = (mx, my, mz)
+        return mx * ux + my * uy + mz * uz < size * math.cos(MOST_TILT_RAD)
+
+    def _upright(self) -> Vector3:
+        x, y, z = self._up or (0.0, 0.0, 0.0)
+        return (G_MPS2 * x, G_MPS2 * y, G_MPS2 * z)
 
 
 class Plausible:
@@ -129,7 +137,7 @@ class Plausible:
         """Take in a sample; see :meth:`Plausibility.fault`."""
         known = self._sensors.get(sample.sensor)
         if known is None:
-            known = Plausibility(self._devices.get(sample.sensor), self._up.get(sample.sensor))
+            known = Plausibility(sample.sensor, self._devices.get(sample.sensor), self._up.get(sample.sensor))
             self._sensors[sample.sensor] = known
         return known.fault(sample)
 
