@@ -71,6 +71,30 @@ def test_a_late_answer_is_told_once() -> None:
     assert answers.overdue(10 * ANSWER_WITHIN_MS * MS) is None
 
 
+@pytest.mark.requirement("SR-13")
+@pytest.mark.parametrize("period_ms", [20, 30])
+def test_one_lost_answer_is_made_good_by_the_next_command_and_two_are_told_well_within_100_ms(period_ms: int) -> None:
+    for lost in (1, 2):
+        answers, told_ms = CommandAnswers(in_real_time=True), None
+        for t_ms in range(0, 200):
+            number = t_ms // period_ms
+            if t_ms % period_ms == 0:
+                answers.sent(number, replace(COMMAND, t_ns=t_ms * MS))
+            if t_ms % period_ms == 12 and number >= lost:  # a loaded bus
+                assert answers.settle(replace(STATUS, counter=number)) == ""
+            if told_ms is None and answers.overdue(t_ms * MS) is not None:
+                told_ms = t_ms
+        assert told_ms == (None if lost == 1 else ANSWER_WITHIN_MS + 1)
+
+
+@pytest.mark.requirement("SR-13")
+def test_an_answers_time_counts_from_when_the_command_was_written() -> None:
+    answers = CommandAnswers(in_real_time=True)
+    answers.sent(3, COMMAND, 30 * MS)
+    assert answers.overdue((30 + ANSWER_WITHIN_MS) * MS) is None
+    assert answers.overdue((30 + ANSWER_WITHIN_MS) * MS + 1) is COMMAND
+
+
 def test_nothing_is_late_where_times_are_not_the_walls() -> None:
     answers = waiting(in_real_time=False)
     answers.heard(0)

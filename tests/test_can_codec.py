@@ -5,7 +5,7 @@ from itertools import combinations
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from drivers.stimulator import can_codec, e2e
@@ -41,10 +41,11 @@ def test_crc_table_equals_long_division(data: bytes) -> None:
 
 
 GOLDEN = [
-    # CRC, counter 3 | channel 1 | on, session 0x1234, then 60 steps, 300 µs, 40 Hz, 60 ms packed from bit 32
-    (can_codec.encode_command(ON, 3, 0x1234), 0x120, "3d9334123c58a278"),
-    (can_codec.encode_command(OFF, 4, 0x1234), 0x120, "f414341200000078"),
-    (can_codec.encode_open(77, 0x1234), 0x128, "010100004d003412"),
+    # CRC, low count 3 | channel 1 | on, session 0x1234, then 60 steps, 300 µs, 40 Hz, 60 ms, high count 5 from bit 32
+    (can_codec.encode_command(ON, 0x53, 0x1234), 0x120, "259334123c58a2be"),
+    (can_codec.encode_command(OFF, 4, 0x1234), 0x120, "ce1434120000001e"),
+    (can_codec.encode_command(ON, 3 * 128 + 4, 0xFFFE), 0x120, "7b9402003c58a21e"),
+    (can_codec.encode_open(77, 0x1234), 0x128, "7a0200004d003412"),
     (can_codec.encode_alive(Alive(5, 1, 77, 0x1234, 255, 9)), 0x1B0, "33154d003412ff09"),
     (can_codec.encode_status(Status(3, 0x1234, 1, True, 30.0, 300.0, 40.0, Result.OK)), 0x1A1, "7f9334123c58a200"),
     (can_codec.encode_charge(Charge(3, 0x1234, 1, 2, 36000)), 0x1A0, "2913341202a08c00"),
@@ -59,9 +60,25 @@ def test_golden_frames(frame: Frame, identifier: int, payload: str) -> None:
 
 
 def test_command_layout_is_the_one_documented() -> None:
-    word = int.from_bytes(can_codec.encode_command(ON, 3, 0x1234)[1], "little")
-    fields = [(8, 4), (12, 3), (15, 1), (16, 16), (32, 9), (41, 9), (50, 7), (57, 7)]
-    assert [word >> start & (1 << length) - 1 for start, length in fields] == [3, 1, 1, 0x1234, 60, 300, 40, 60]
+    word = int.from_bytes(can_codec.encode_command(ON, 0x53, 0x1234)[1], "little")
+    fields = [(8, 4), (12, 3), (15, 1), (16, 16), (32, 9), (41, 9), (50, 7), (57, 4), (61, 3)]
+    assert [word >> start & (1 << length) - 1 for start, length in fields] == [3, 1, 1, 0x1234, 60, 300, 40, 15, 5]
+
+
+@pytest.mark.requirement("SR-14")
+@given(st.integers(1, 65535), st.integers(0, e2e.NUMBERS - 1))
+@example(65535, 127)
+@example(65535, 128)
+@example(1, e2e.NUMBERS - 1)
+def test_a_command_s_number_is_its_count_and_its_session(session_id: int, number: int) -> None:
+    command = can_codec.decode_command(*can_codec.encode_command(ON, number, session_id))
+    assert command.counter == number % 128
+    assert 1 <= command.session_id <= 65535
+    assert e2e.number_of(session_id, command.session_id, command.counter) == number
+    if number + 1 < e2e.NUMBERS:
+        carried_id, count = e2e.carried(session_id, number + 1)
+        follows = command.session_id % 65535 + 1 if command.counter == 127 else command.session_id
+        assert (carried_id, count) == (follows, (command.counter + 1) % 128)
 
 
 def test_off_carries_no_levels_and_off_reads_back_as_off() -> None:
@@ -70,12 +87,14 @@ def test_off_carries_no_levels_and_off_reads_back_as_off() -> None:
 
 
 def test_every_limit_of_the_project_can_be_expressed_and_so_can_more() -> None:
-    """Otherwise the node's own limits could never be put to the test."""
+    """Otherwise the node's own limits could never be put to the test. Only a validity cannot be too long."""
     assert limits.MAX_CURRENT_MA < can_codec.MAX_CURRENT_MA
     assert limits.MAX_PULSE_WIDTH_US < can_codec.MAX_PULSE_WIDTH_US
     assert limits.MAX_FREQUENCY_HZ < can_codec.MAX_FREQUENCY_HZ
     frame = can_codec.encode_command(StimCommand(0, 7, True, 130.0, 500.0, 100.0, limits.MAX_VALIDITY_MS), 15, 65535)
     assert can_codec.decode_command(*frame) == Command(15, 65535, 7, True, 130.0, 500.0, 100.0, 60)
+    longest = StimCommand(0, 7, True, 130.0, 500.0, 100.0, 63)
+    assert can_codec.decode_command(*can_codec.encode_command(longest, 15, 65535)).validity_ms == limits.MAX_VALIDITY_MS
 
 
 @pytest.mark.requirement("SR-14")
@@ -142,7 +161,7 @@ def test_values_beyond_a_field_raise_and_never_wrap(values: dict[str, Any]) -> N
         can_codec.encode_command(command, 0, 1)
 
 
-@pytest.mark.parametrize(("counter", "session_id"), [(16, 1), (-1, 1), (0, 0), (0, 65536)])
+@pytest.mark.parametrize(("counter", "session_id"), [(e2e.NUMBERS, 1), (-1, 1), (0, 0), (0, 65536)])
 def test_counter_and_session_beyond_their_fields_raise(counter: int, session_id: int) -> None:
     with pytest.raises(ValueError, match="does not fit its field"):
         can_codec.encode_command(ON, counter, session_id)
@@ -154,8 +173,8 @@ def test_counter_and_session_beyond_their_fields_raise(counter: int, session_id:
     current_ma=st.floats(0, 255.99),
     pulse_width_us=st.floats(0, 511.99),
     frequency_hz=st.floats(0, 127.99),
-    validity_ms=st.integers(0, 127),
-    counter=st.integers(0, 15),
+    validity_ms=st.integers(0, 63),
+    counter=st.integers(0, 127),
     session_id=st.integers(1, 65535),
 )
 def test_commands_round_trip_rounded_down(
@@ -170,7 +189,7 @@ def test_commands_round_trip_rounded_down(
 ) -> None:
     command = StimCommand(0, channel, on, current_ma, pulse_width_us, frequency_hz, validity_ms)
     got = can_codec.decode_command(*can_codec.encode_command(command, counter, session_id))
-    assert (got.channel, got.on, got.validity_ms) == (channel, on, validity_ms)
+    assert (got.channel, got.on, got.validity_ms) == (channel, on, validity_ms // 4 * 4)
     assert (got.counter, got.session_id) == (counter, session_id)
     if on:
         assert got.current_ma <= current_ma < got.current_ma + 0.5
@@ -203,7 +222,7 @@ def test_status_round_trips(counter: int, on: bool, current_steps: int, width: i
 
 
 def test_open_round_trips() -> None:
-    assert can_codec.decode(*can_codec.encode_open(65535, 1)) == SessionOpen(1, 65535, 1)
+    assert can_codec.decode(*can_codec.encode_open(65535, 1)) == SessionOpen(2, 65535, 1)
 
 
 def test_commands_are_found_among_logged_frames() -> None:
@@ -226,6 +245,20 @@ def test_byte_sink_is_deterministic_and_a_refused_command_takes_no_count() -> No
     assert one.send(OFF) == other.send(OFF)
     assert one.poll(0) == []
     assert ByteSink(8).send(ON).data != ByteSink(7).send(ON).data
+
+
+def test_a_check_that_told_ages_apart_would_be_used_up() -> None:
+    """Why the whole number is sent: were 8 bits of it only in the CRC, flips would make old frames into good ones."""
+    word = int.from_bytes(can_codec.encode_command(ON, 3, 0x1234)[1], "little")
+
+    def syndrome(age: int, flips: int) -> int:
+        data = (word ^ flips).to_bytes(8, "little")
+        return e2e.crc8h2f(data[1:] + can_codec.COMMAND_ID.to_bytes(2, "big") + bytes((age,))) ^ data[0]
+
+    levels = [bit for bit in range(64) if not (8 <= bit < 12 or 16 <= bit < 32)]  # the session and the 4 bits sent
+    flips = [1 << bit for bit in levels] + [1 << one | 1 << other for one, other in combinations(levels, 2)]
+    reached = {syndrome(0, each) ^ syndrome(0, 0) for each in flips}
+    assert sum(syndrome(age, 0) ^ syndrome(0, 0) in reached for age in range(1, 256)) == 171
 
 
 def test_fault_flags_read_as_words() -> None:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from drivers.stimulator import can_codec, e2e
-from drivers.stimulator.can_messages import Alive, Fault, Frame, Message, Result, Status
+from drivers.stimulator.can_messages import PROTOCOL_VERSION, Alive, Fault, Frame, Message, Result, Status
 from drivers.virtual import stimulator_node
 from drivers.virtual.node_faults import NodeFaults, parse_faults
 from drivers.virtual.node_record import RecordEntry, RecordWriter, read_record
@@ -29,7 +29,7 @@ def command(channel: int = 1, on: bool = True, **values: Any) -> StimCommand:
 
 
 class Bench:
-    """A node and its clock; counts the counters as a controller would."""
+    """A node and its clock; numbers the commands as a controller would."""
 
     def __init__(self, faults: str = "", *, opened: bool = True) -> None:
         self.node = StimulatorNode(BOOT, 0, parse_faults(faults))
@@ -44,21 +44,23 @@ class Bench:
         self.sent.append(frame)
         return self._read(self.node.receive(self.t_ns, *frame))
 
-    def open(self, session_id: int = SESSION, boot_id: int = BOOT, version: int = 1) -> Alive:
+    def open(self, session_id: int = SESSION, boot_id: int = BOOT, version: int = PROTOCOL_VERSION) -> Alive:
         self.counter = 0
         last = self.frame(can_codec.encode_open(boot_id, session_id, version))[-1]
         assert isinstance(last, Alive)
         return last
 
-    def send(self, wanted: StimCommand, counter: int | None = None, session_id: int = SESSION) -> Result:
-        number = self.counter if counter is None else counter
+    def send(self, wanted: StimCommand, number: int | None = None, session_id: int = SESSION) -> Result:
+        """One command; the session's next, or of another number."""
+        own = number is None
+        number = self.counter if number is None else number
         statuses = [
             m for m in self.frame(can_codec.encode_command(wanted, number, session_id)) if isinstance(m, Status)
         ]
-        if counter is None:
-            self.counter = (self.counter + 1) % 16
-        assert (statuses[-1].channel, statuses[-1].counter) == (wanted.channel, number)
-        assert statuses[-1].session_id == session_id
+        self.counter += own
+        assert (statuses[-1].channel, statuses[-1].counter) == (wanted.channel, number % 16)
+        stranger = statuses[-1].result is Result.BAD_SESSION
+        assert statuses[-1].session_id == (e2e.carried(session_id, number)[0] if stranger else session_id)
         return statuses[-1].result
 
     def run_to(self, t_ns: int) -> list[Message]:
@@ -105,7 +107,7 @@ def test_without_a_session_nothing_is_executed() -> None:
 
 
 @pytest.mark.requirement("SR-12")
-@given(validity_ms=st.integers(1, 60), sent_us=st.integers(0, 200_000))
+@given(validity_ms=st.integers(1, 15).map(lambda steps: 4 * steps), sent_us=st.integers(0, 200_000))
 def test_lease_ends_to_the_microsecond(validity_ms: int, sent_us: int) -> None:
     bench = Bench()
     bench.run_to(sent_us * 1000)
@@ -154,7 +156,7 @@ def test_refused_commands_keep_no_lease_alive() -> None:
     bench.send(command())
     for step in range(1, 4):
         bench.run_to(step * 15 * MS)
-        assert bench.send(command(), counter=0) is Result.BAD_COUNTER
+        assert bench.send(command(), number=0) is Result.BAD_COUNTER
     bench.run_to(60 * MS)
     assert bench.is_silent()
 
@@ -189,27 +191,34 @@ def test_no_two_pulses_come_closer_than_the_frequency_allows_whatever_is_command
         last_ns = newest_ns
 
 
-@given(st.integers(0, 15), st.integers(0, 15))
-def test_counter_rule(start: int, offered: int) -> None:
+@pytest.mark.requirement("SR-14")
+@given(st.integers(0, 300), st.integers(-300, 300))
+@example(126, 3)
+@example(127, 1)
+@example(127, 4)
+def test_counter_rule(start: int, step: int) -> None:
+    """Up to two lost commands are forgiven; all else is refused, and nearby named for what it is."""
     bench = Bench()
     for _ in range(start + 1):
         assert bench.send(command()) is Result.OK
-    step = (offered - start) % 16
-    expected = Result.OK if 1 <= step <= 3 else Result.BAD_COUNTER
-    assert bench.send(command(current_ma=10.0), counter=offered) is expected
+    offered = max(start + step, 0)
+    expected = Result.OK if 1 <= offered - start <= 3 else Result.BAD_COUNTER
+    if abs(offered // 128 - start // 128) > 1:
+        expected = Result.BAD_SESSION
+    assert bench.send(command(current_ma=10.0), number=offered) is expected
     assert bench.node.channels[1].current_ma == (10.0 if expected is Result.OK else 20.0)
 
 
 def test_one_count_runs_over_all_channels() -> None:
     bench = Bench()
     assert [bench.send(command(n % 8)) for n in range(40)] == [Result.OK] * 40
-    assert bench.send(command(3), counter=(bench.counter - 1) % 16) is Result.BAD_COUNTER
+    assert bench.send(command(3), number=bench.counter - 1) is Result.BAD_COUNTER
 
 
 def test_wrong_counters_in_a_row_close_the_session_until_a_new_one() -> None:
     bench = Bench()
     bench.send(command())
-    results = [bench.send(command(), counter=0) for _ in range(5)]
+    results = [bench.send(command(), number=0) for _ in range(5)]
     assert results == [Result.BAD_COUNTER] * 5
     assert bench.is_silent()
     assert bench.send(command()) is Result.FAULTED
@@ -229,7 +238,7 @@ def test_wrong_counters_in_a_row_close_the_session_until_a_new_one() -> None:
         ({"pulse_width_us": 501.0}, Result.OVER_LIMIT),
         ({"frequency_hz": 101.0}, Result.OVER_LIMIT),
         ({"validity_ms": 0}, Result.BAD_VALIDITY),
-        ({"validity_ms": 61}, Result.BAD_VALIDITY),
+        ({"validity_ms": 3}, Result.BAD_VALIDITY),
     ],
 )
 def test_the_node_s_own_limits_turn_the_channel_off(values: dict[str, Any], result: Result) -> None:
@@ -264,7 +273,8 @@ def test_three_seconds_on_is_the_end_until_an_off_command() -> None:
 def test_a_session_opens_only_for_this_boot_this_version_and_a_new_identifier() -> None:
     bench = Bench(opened=False)
     assert bench.open(boot_id=BOOT + 1).session_id == 0
-    assert bench.open(version=2).session_id == 0
+    assert bench.open(version=PROTOCOL_VERSION - 1).session_id == 0
+    assert bench.node.flags == Fault.VERSION
     assert bench.open(SESSION).session_id == SESSION
     assert bench.open(SESSION + 1).session_id == SESSION + 1
     assert bench.open(SESSION).session_id == SESSION + 1
@@ -285,8 +295,63 @@ def test_opening_a_session_turns_everything_off_and_restarts_the_count() -> None
         bench.send(command())
     bench.open(SESSION + 1)
     assert bench.is_silent()
-    assert bench.send(command(), counter=9, session_id=SESSION + 1) is Result.BAD_COUNTER
-    assert bench.send(command(), counter=0, session_id=SESSION + 1) is Result.OK
+    assert bench.send(command(), number=9, session_id=SESSION + 1) is Result.BAD_COUNTER
+    assert bench.send(command(), number=0, session_id=SESSION + 1) is Result.OK
+
+
+@pytest.mark.requirement("SR-14")
+def test_identifiers_that_commands_have_carried_open_no_session() -> None:
+    bench = Bench()
+    for number in range(3 * 128):
+        bench.run_to(number * 10 * MS)
+        assert bench.send(command(on=number % 2 == 0)) is Result.OK
+    for used in (SESSION, SESSION + 1, SESSION + 2):
+        assert (bench.open(used).session_id, bench.node.flags) == (SESSION, Fault.SESSION_USED)
+    assert bench.open(SESSION + 3).session_id == SESSION + 3
+
+
+@pytest.mark.requirement("SR-14")
+def test_a_session_ends_before_its_count_carries_into_identifiers_used_before() -> None:
+    bench = Bench()
+    assert bench.send(command(7)) is Result.OK
+    bench.open(SESSION - 1)
+    for number in range(128):
+        bench.run_to(number * 10 * MS)
+        assert bench.send(command(number % 2), session_id=SESSION - 1) is Result.OK
+    assert bench.send(command(3), session_id=SESSION - 1) is Result.FAULTED
+    assert bench.is_silent()
+    assert (bench.node.session_id, bench.node.flags) == (0, Fault.SESSION_USED)
+    assert bench.send(command(3), session_id=SESSION - 1) is Result.BAD_SESSION
+    assert bench.open(SESSION + 7).faults == 0
+
+
+@pytest.mark.requirement("SR-14")
+@pytest.mark.parametrize("closed", [False, True])
+def test_a_command_that_the_last_session_sent_unheard_opens_to_no_later_one(closed: bool) -> None:
+    """Sent after the identifier had gone up, lost, held somewhere, and handed over in another session."""
+    bench = Bench()
+    for _ in range(127):
+        assert bench.send(command(on=False)) is Result.OK
+    held = can_codec.encode_command(command(5), 128, SESSION)
+    for _ in range(5 * closed):
+        assert bench.send(command(5), number=3) is Result.BAD_COUNTER
+    assert (bench.node.session_id == 0) is closed
+    bench.open(SESSION + 7)
+    assert bench.open(SESSION + 1).session_id == SESSION + 7
+    bench.frame(held)
+    assert bench.is_silent()
+
+
+def test_no_command_is_of_session_0() -> None:
+    """65535 and 0 are the same modulo 65535: a session 65535 must not hear what names none."""
+    bench = Bench(opened=False)
+    bench.open(65535)
+    for number in range(3):
+        _, data = can_codec.encode_command(command(), number, 65535)
+        nobody = e2e.protect(can_codec.COMMAND_ID, data[:2] + bytes(2) + data[4:])
+        statuses = [m for m in bench.frame((can_codec.COMMAND_ID, nobody)) if isinstance(m, Status)]
+        assert [status.result for status in statuses] == [Result.BAD_SESSION]
+    assert bench.is_silent()
 
 
 @pytest.mark.requirement("SR-14")
@@ -359,8 +424,10 @@ def test_well_formed_random_commands_never_get_beyond_the_limits() -> None:
     accepted = 0
     for number in range(5000):
         bench.run_to(bench.t_ns + generator.randrange(30 * MS))
-        head = bytes((0, number % 16 | generator.randrange(16) << 4)) + SESSION.to_bytes(2, "little")
-        bench.frame((identifier, e2e.protect(identifier, head + generator.randbytes(4))))
+        carried_id, count = e2e.carried(SESSION, number)
+        head = bytes((0, count % 16 | generator.randrange(16) << 4)) + carried_id.to_bytes(2, "little")
+        tail = generator.randbytes(3) + bytes((generator.randrange(32) | count >> 4 << 5,))
+        bench.frame((identifier, e2e.protect(identifier, head + tail)))
     for entry in bench.events("on", "level"):
         accepted += 1
         assert entry.current_ma <= 130.0

@@ -10,7 +10,7 @@ import pytest
 
 from drivers.stimulator import can_codec
 from drivers.stimulator.bus import BusError, open_bus
-from drivers.stimulator.can_messages import Alive, Charge, Result, Status
+from drivers.stimulator.can_messages import PROTOCOL_VERSION, Alive, Charge, Result, Status, fault_text
 from drivers.stimulator.can_port import CanStimulator
 from drivers.stimulator.port import StimulatorLost
 from drivers.virtual.node_faults import parse_faults
@@ -98,6 +98,59 @@ def test_handshake_names_a_used_session_and_another_version(rig: Rig) -> None:
     rig.turn(rig.t_ns)
     with pytest.raises(StimulatorLost, match="protocol version 9"):
         rig.port.open(0, timeout_s=0.1, clock_ns=lambda: 0)
+
+
+@pytest.mark.parametrize("other", [PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1])
+def test_controller_and_node_of_different_versions_refuse_each_other(rig: Rig, other: int) -> None:
+    """Heartbeat and opening read the same in every version: each side can say what is wrong."""
+    (answer,) = rig.node.receive(0, *can_codec.encode_open(BOOT, SESSION, other))[-1:]
+    alive = can_codec.decode(*answer)
+    assert isinstance(alive, Alive)
+    assert (alive.version, alive.session_id) == (PROTOCOL_VERSION, 0)
+    assert fault_text(alive.faults) == "the controller speaks another protocol version"
+    identifier, data = can_codec.encode_alive(Alive(0, other, BOOT, 0, 0, 0))
+    rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+    with pytest.raises(StimulatorLost, match=f"protocol version {other}, this program {PROTOCOL_VERSION}"):
+        rig.port.open(0, timeout_s=0.1, clock_ns=lambda: 0)
+
+
+def test_every_command_is_answered_however_long_the_session(rig: Rig) -> None:
+    """Also where the session identifier that commands carry has gone up, and gone round."""
+    for number in range(700):
+        if number == 0:
+            rig.port.open(0, clock_ns=rig.clock)
+        rig.port.send(command(number % 8, number % 3 != 0))
+        rig.turn(rig.t_ns + 10 * MS)
+        (status,) = (s for s in statuses(rig.port.poll(rig.t_ns)) if "lease" not in s.fault)
+        assert (status.counter, status.fault, rig.port.outstanding) == (number % 16, "", 0)
+    assert rig.port.foreign == 0
+
+
+def test_a_session_without_numbers_left_is_lost(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("drivers.stimulator.can_port.NUMBERS", 5)
+    for _ in range(5):
+        rig.port.send(command())
+    with pytest.raises(StimulatorLost, match="no numbers left"):
+        rig.port.send(command())
+
+
+@pytest.mark.parametrize("sent", [1, 127, 128, 140, 300])
+def test_a_node_that_has_not_our_session_says_so_and_is_lost(sent: int) -> None:
+    """As after a restart: the answer names the identifier that the command carried."""
+    port = CanStimulator(can.Bus(interface="virtual", channel="rig", ignore_config=True), SESSION, in_real_time=True)
+    node = StimulatorNode(BOOT, 0)
+    for number in range(sent + 1):
+        wire = port.send(command())
+        frames = node.receive(0, wire.identifier, wire.data) if number == sent else []
+    frames = [frame for frame in frames if frame[0] != can_codec.ALIVE_ID]  # the heartbeat says so too, but later
+    bus = can.Bus(interface="virtual", channel="rig", ignore_config=True)
+    for identifier, data in frames:
+        bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+    assert "session is not open" in statuses(port.poll(0))[-1].fault
+    with pytest.raises(StimulatorLost, match="not our session open"):
+        port.poll(1)
+    port.close()
+    bus.shutdown()
 
 
 def test_status_carries_what_is_delivered_since_the_last_one(rig: Rig) -> None:
@@ -264,6 +317,16 @@ def test_a_mute_node_is_a_fault_when_time_is_real() -> None:
     (fault,) = statuses(port.poll(46 * MS))
     assert (fault.channel, fault.on, fault.fault) == (1, False, "no answer within 45 ms")
     assert port.outstanding == 0
+    port.close()
+
+
+def test_a_command_that_was_written_late_has_its_time_all_the_same() -> None:
+    bus = can.Bus(interface="virtual", channel="late", ignore_config=True)
+    port = CanStimulator(bus, SESSION, in_real_time=True, clock_ns=lambda: 35 * MS)
+    port.send(command())
+    assert port.poll(80 * MS) == []
+    (fault,) = statuses(port.poll(81 * MS))
+    assert fault.fault == "no answer within 45 ms"
     port.close()
 
 

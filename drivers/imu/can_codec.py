@@ -27,6 +27,7 @@ AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
 ACC_UNITS: Final = {"m/s2": 1.0, "m/s^2": 1.0, "g": G_MPS2}
 GYR_UNITS: Final = {"rad/s": 1.0, "deg/s": math.radians(1.0)}
 TIME_UNITS: Final = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+LONGEST: Final = 8  # bytes of a frame
 XSENS: Final = {
     "acc_x": "Acceleration.AccX", "acc_y": "Acceleration.AccY", "acc_z": "Acceleration.AccZ",
     "gyr_x": "RateOfTurn.GyrX", "gyr_y": "RateOfTurn.GyrY", "gyr_z": "RateOfTurn.GyrZ", "time": "SampleTime.Time",
@@ -49,6 +50,7 @@ class DbcSensor:
         self._signals: dict[str, tuple[Message, Signal]] = {
             what: _find(database, name, device.sensor, what) for what, name in names.items()
         }
+        _check(device, self._signals, names)
         self._messages = {message.frame_id + offset: message for message, _ in self._signals.values()}
         if not all(0 <= number <= 0x7FF for number in self._messages):
             raise ValueError(f"{device.sensor}: options.id_offset = {offset} leaves the identifiers 0 to 0x7ff")
@@ -65,8 +67,7 @@ class DbcSensor:
         self._stamps: StampClock | None = None
         if "time" in names:
             signal = self._signals["time"][1]
-            self._tick = float(signal.scale)
-            self._stamps = StampClock(int(signal.length), self._tick * self._time_factor)
+            self._stamps = StampClock(int(signal.length), float(signal.scale) * self._time_factor)
         self._group: dict[int, dict[str, float]] = {}
 
     @staticmethod
@@ -118,9 +119,14 @@ class DbcSensor:
             message, signal = self._signals[what]
             return named[message.name][signal.name]
 
-        counter = round(value("counter")) if "counter" in self._signals else None
+        def count(what: str) -> int:
+            # as sent: what its scale and offset make of it runs over elsewhere
+            signal = self._signals[what][1]
+            return round((value(what) - float(signal.offset)) / float(signal.scale)) % (1 << int(signal.length))
+
+        counter = count("counter") if "counter" in self._signals else None
         if self._stamps is not None:
-            stamp_ns = self._stamps.time_ns(round(value("time") / self._tick))
+            stamp_ns = self._stamps.time_ns(count("time"))
         else:
             stamp_ns = round(self._counters.unwrap(counter or 0) * self._period_ns)
         self._losses.note(stamp_ns, counter)
@@ -137,6 +143,19 @@ def _find(database: Database, name: str, sensor: str, what: str) -> tuple[Messag
     except KeyError:
         known = ", ".join(f"{m.name}.{s.name}" for m in database.messages for s in m.signals)
         raise ValueError(f"{sensor}: options.{what} = {name!r} is not in the DBC; it has: {known}") from None
+
+
+def _check(device: SensorDevice, signals: dict[str, tuple[Message, Signal]], names: dict[str, str]) -> None:
+    for what, (message, signal) in signals.items():
+        where = f"{device.sensor}: options.{what} = {names[what]!r}"
+        if message.is_extended_frame:
+            raise ValueError(f"{where} is in a message of 29 bit identifier; sensors here have 11 bits")
+        if message.length > LONGEST:
+            raise ValueError(f"{where} is in a message of {message.length} bytes; classical CAN carries {LONGEST}")
+        if message.is_multiplexed() and signal.multiplexer_ids:
+            raise ValueError(f"{where} is not in each of its messages (multiplexed); a sample needs all of its values")
+        if what in ("time", "counter") and (signal.is_float or signal.scale <= 0):
+            raise ValueError(f"{where} must be an integer that counts up: a float loses its steps as it grows")
 
 
 def _unit(device: SensorDevice, name: str, default: str, units: dict[str, float]) -> float:

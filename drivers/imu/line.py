@@ -16,6 +16,7 @@ import serial
 from drivers.imu.port import ImuLost
 
 READ_AT_MOST: Final = 65536
+READS_AT_MOST: Final = 1024  # datagrams, mostly: a flooded line must not hold the control loop
 _HINT: Final = "Check cable, power and that no other program uses it (Linux: group dialout)."
 
 
@@ -45,10 +46,10 @@ class ByteLine:
             raise ImuLost(f"{self.name} cannot be opened: {error}. {_HINT}") from error
 
     def read(self) -> bytes:
-        """All that has arrived."""
+        """All that has arrived; under a flood the rest with the next call."""
         parts: list[bytes] = []
         readable = False
-        while True:
+        for _ in range(READS_AT_MOST):
             try:
                 data = os.read(self._descriptor, READ_AT_MOST)
             except BlockingIOError:

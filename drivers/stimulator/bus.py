@@ -16,6 +16,7 @@ from fes.config import Bus
 
 MULTICAST: Final = "udp_multicast"
 LOOPBACK: Final = "loopback"
+SLCAN: Final = "slcan"
 _HINTS: Final = {
     MULTICAST: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number, and "
     "the machine needs a route for it; with no network at all use the interface loopback.",
@@ -35,6 +36,7 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
     """The bus of ``settings``, from these settings alone: python-can's own configuration files are not read.
 
     Only ``identifiers`` are wanted; where the kernel can filter, nothing else arrives. Classical CAN frames only.
+    A serial adapter (slcan) is never waited for: a frame that it does not take at once is lost, and the bus with it.
     Multicast does not leave this machine unless the option ``hop_limit`` says so.
 
     Raises:
@@ -56,6 +58,10 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
     try:
         if settings.interface == LOOPBACK:
             return LoopbackBus(settings.channel, **options)
+        if settings.interface == SLCAN:
+            from drivers.stimulator.slcan_bus import PromptSlcanBus
+
+            return PromptSlcanBus(settings.channel, **options)
         return can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
     except Exception as error:  # vendors' modules raise anything: OSError, NameError, ImportError, CanError …
         cause = error.__cause__ or error

@@ -24,15 +24,19 @@ class CommandAnswers:
 
     def __init__(self, *, in_real_time: bool) -> None:
         self._in_real_time = in_real_time
-        self._waiting: deque[tuple[int, StimCommand]] = deque(maxlen=REMEMBERED)
+        self._waiting: deque[tuple[int, StimCommand, int]] = deque(maxlen=REMEMBERED)
         self._heard_ns: int | None = None
 
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def sent(self, counter: int, command: StimCommand) -> None:
-        """A command went out."""
-        self._waiting.append((counter, command))
+    def sent(self, counter: int, command: StimCommand, written_ns: int | None = None) -> None:
+        """A command went out, at ``written_ns``; None: at its own time.
+
+        The device cannot answer before the bytes are on their way, and a loop that was held up between deciding and
+        writing has taken that time itself.
+        """
+        self._waiting.append((counter, command, command.t_ns if written_ns is None else written_ns))
 
     def settle(self, status: Status) -> str:
         """Take in an answer; how what is delivered differs from what was commanded, "" when it does not.
@@ -40,7 +44,7 @@ class CommandAnswers:
         An answer to nothing that waits (the end of a lease, a repetition) is held against nothing.
         """
         for position in range(len(self._waiting) - 1, -1, -1):
-            counter, command = self._waiting[position]
+            counter, command, _ = self._waiting[position]
             if counter == status.counter and command.channel == status.channel:
                 older = list(self._waiting)[: position + 1]
                 for entry in older:
@@ -54,11 +58,14 @@ class CommandAnswers:
         self._heard_ns = t_ns
 
     def overdue(self, t_ns: int) -> StimCommand | None:
-        """The oldest command that waits longer than it may; all that wait are then forgotten, to be told once."""
+        """The oldest command that waits longer than it may; all that wait are then forgotten, to be told once.
+
+        One lost answer is none yet: the next command, 20 to 30 ms later, is the retry, and its answer settles both.
+        """
         if not self._in_real_time or not self._waiting:
             return None
-        command = self._waiting[0][1]
-        if t_ns - command.t_ns <= ANSWER_WITHIN_MS * 1_000_000:
+        _, command, written_ns = self._waiting[0]
+        if t_ns - written_ns <= ANSWER_WITHIN_MS * 1_000_000:
             return None
         self._waiting.clear()
         return command

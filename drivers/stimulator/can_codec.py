@@ -16,6 +16,7 @@ from cantools.database.can import Message as DbcMessage
 
 from drivers.stimulator import e2e
 from drivers.stimulator.can_messages import (
+    ECHOED_COUNTS,
     PROTOCOL_VERSION,
     Alive,
     Charge,
@@ -65,27 +66,37 @@ FREQUENCY_STEP_HZ, MAX_FREQUENCY_HZ = _step_and_most(_COMMAND.get_signal_by_name
 CHARGE_STEP_UC: Final = CURRENT_STEP_MA * PULSE_WIDTH_STEP_US * 1e-3
 CHARGE_TOTAL_STEPS: Final = 2**24
 PULSES_TOTAL: Final = 2**8
+VALIDITY_STEP_MS: Final = int(_COMMAND.get_signal_by_name("Validity").scale)
+COUNTER_LOW: Final = _COMMAND.get_signal_by_name("Counter").length
 _MOST: Final[dict[str, int]] = {s.name: 2**s.length - 1 for m in DATABASE.messages for s in m.signals}
 
 
-def encode_command(command: StimCommand, counter: int, session_id: int) -> Frame:
+def encode_command(command: StimCommand, number: int, session_id: int) -> Frame:
     """STIM_COMMAND of what the gate let out; an off command carries no current, width or frequency.
+
+    Args:
+        number: how many commands of the session went before, on all channels.
+        session_id: as it was opened; the frame carries what :func:`~drivers.stimulator.e2e.carried` says.
 
     Raises:
         ValueError: a value is negative, not finite or beyond what its field holds.
     """
     on = command.on
+    carried_id, count = e2e.carried(
+        _whole("session_id", session_id, _MOST["Session"], least=1), _whole("number", number, e2e.NUMBERS - 1)
+    )
     raw = {
-        "Counter": _whole("counter", counter, _MOST["Counter"]),
+        "Counter": count & 2**COUNTER_LOW - 1,
+        "CounterHigh": count >> COUNTER_LOW,
         "Channel": _whole("channel", command.channel, _MOST["Channel"]),
         "On": int(on),
-        "Session": _whole("session_id", session_id, _MOST["Session"], least=1),
+        "Session": carried_id,
         "Current": _steps("current_ma", command.current_ma, CURRENT_STEP_MA, _MOST["Current"]) if on else 0,
         "PulseWidth": _steps("pulse_width_us", command.pulse_width_us, PULSE_WIDTH_STEP_US, _MOST["PulseWidth"])
         if on
         else 0,
         "Frequency": _steps("frequency_hz", command.frequency_hz, FREQUENCY_STEP_HZ, _MOST["Frequency"]) if on else 0,
-        "Validity": _whole("validity_ms", command.validity_ms, _MOST["Validity"]),
+        "Validity": _steps("validity_ms", command.validity_ms, VALIDITY_STEP_MS, _MOST["Validity"]),
     }
     return _pack(_COMMAND, raw)
 
@@ -153,8 +164,7 @@ def decode(identifier: int, data: bytes) -> Message:
         FrameRejected: unknown identifier, wrong length, wrong CRC, reserved bits set, or a result unknown here.
     """
     if identifier == COMMAND_ID:
-        raw = _unpack(_COMMAND, data)
-        return Command(raw["Counter"], raw["Session"], raw["Channel"], bool(raw["On"]), *_levels(raw), raw["Validity"])
+        return _command(_unpack(_COMMAND, data))
     if identifier == STATUS_ID:
         raw = _unpack(_STATUS, data)
         try:
@@ -182,12 +192,11 @@ def decode_command(identifier: int, data: bytes) -> Command:
     """
     if identifier != COMMAND_ID:
         raise FrameRejected(f"identifier 0x{identifier:x} is not STIM_COMMAND (0x{COMMAND_ID:x})")
-    raw = _unpack(_COMMAND, data)
-    return Command(raw["Counter"], raw["Session"], raw["Channel"], bool(raw["On"]), *_levels(raw), raw["Validity"])
+    return _command(_unpack(_COMMAND, data))
 
 
 def commands_of(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
-    """The commands with their counters among logged frames, as they read on the wire, in order.
+    """The commands among logged frames, as they read on the wire, each with the count by which answers name it.
 
     Raises:
         FrameRejected: a logged frame is no intact frame of this protocol.
@@ -197,8 +206,15 @@ def commands_of(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
         message = decode(frame.identifier, frame.data)
         if isinstance(message, Command):
             values = (message.on, message.current_ma, message.pulse_width_us, message.frequency_hz)
-            commands.append((StimCommand(frame.t_ns, message.channel, *values, message.validity_ms), message.counter))
+            command = StimCommand(frame.t_ns, message.channel, *values, message.validity_ms)
+            commands.append((command, message.counter % ECHOED_COUNTS))
     return commands
+
+
+def _command(raw: dict[str, int]) -> Command:
+    count = raw["CounterHigh"] << COUNTER_LOW | raw["Counter"]
+    validity_ms = raw["Validity"] * VALIDITY_STEP_MS
+    return Command(count, raw["Session"], raw["Channel"], bool(raw["On"]), *_levels(raw), validity_ms)
 
 
 def _levels(raw: dict[str, int]) -> tuple[float, float, float]:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 from typing import Final, TypeAlias
 
-PROTOCOL_VERSION: Final = 1
+PROTOCOL_VERSION: Final = 2
 NO_SESSION: Final = 0
+ECHOED_COUNTS: Final = 16  # answers name a command by the low 4 bits of its count
 
 
 class Result(IntEnum):
@@ -66,7 +67,7 @@ def fault_text(faults: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """STIM_COMMAND. ``counter`` 0–15 runs over all channels of the controller."""
+    """STIM_COMMAND. ``counter`` (0–127) runs over all channels of the controller and carries into ``session_id``."""
 
     counter: int
     session_id: int
@@ -104,7 +105,11 @@ class Charge:
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """STIM_STATUS: what the channel delivers from now on; ``counter`` and ``session_id`` echo the command."""
+    """STIM_STATUS: what the channel delivers from now on.
+
+    ``counter`` is the command's modulo 16. ``session_id`` is the open session's, as opened; with BAD_SESSION, the
+    command's own.
+    """
 
     counter: int
     session_id: int

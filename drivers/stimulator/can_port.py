@@ -13,36 +13,50 @@ import can
 from drivers.stimulator import can_codec
 from drivers.stimulator.can_answers import ANSWER_WITHIN_MS, HEARTBEAT_WITHIN_MS, CommandAnswers
 from drivers.stimulator.can_messages import (
+    ECHOED_COUNTS,
     PROTOCOL_VERSION,
     RESULT_TEXT,
     Alive,
     Charge,
     Frame,
     Message,
+    Result,
     Status,
     fault_text,
 )
+from drivers.stimulator.e2e import NUMBERS, carried
 from drivers.stimulator.port import StimulatorLost
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 
 POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
-COUNTERS: Final = 16
+COUNTERS: Final = ECHOED_COUNTS
 OPEN_AGAIN_AFTER_ALIVES: Final = 3  # without our session in them: SESSION_OPEN was lost, or refused
 _CAN_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
 
 
 class CommandEncoder:
-    """Gives a session's commands their counters; the same commands give the same bytes, bus or no bus."""
+    """Gives a session's commands their numbers; the same commands give the same bytes, bus or no bus."""
 
     def __init__(self, session_id: int) -> None:
         self.session_id = session_id
-        self.counter = 0
+        self.number = 0
+
+    @property
+    def counter(self) -> int:
+        """What the answer to the next command will carry."""
+        return self.number % COUNTERS
 
     def encode(self, command: StimCommand) -> Frame:
-        """The command's frame; the counter advances only when the command can be encoded."""
-        frame = can_codec.encode_command(command, self.counter, self.session_id)
-        self.counter = (self.counter + 1) % COUNTERS
+        """The command's frame; the number advances only when the command can be encoded."""
+        frame = can_codec.encode_command(command, self.number, self.session_id)
+        self.number += 1
         return frame
+
+    def names(self, session_id: int) -> bool:
+        """Whether an answer with this identifier is to one of the newest commands: as opened, or as they carried it."""
+        oldest = max(0, self.number - COUNTERS)
+        recent = (carried(self.session_id, number)[0] for number in (self.number, oldest))
+        return session_id == self.session_id or session_id in recent
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,17 +77,23 @@ class CanStimulator:
     Args:
         in_real_time: the times passed in are the wall's, so that a late answer and a silent heartbeat are faults. A
             node that has not our session open any more is first reported and then lost, to be opened again.
+        clock_ns: the wall's clock, read when a command is written, for its answer's time counts from there; None: it
+            counts from the command's own time.
     """
 
     current_step_ma: ClassVar[float] = can_codec.CURRENT_STEP_MA
+    heard: ClassVar[bytes] = b""  # what goes out depends on no answer
 
-    def __init__(self, bus: can.BusABC, session_id: int, *, in_real_time: bool = False) -> None:
+    def __init__(
+        self, bus: can.BusABC, session_id: int, *, in_real_time: bool = False, clock_ns: Callable[[], int] | None = None
+    ) -> None:
         self.session_id = session_id
         self.foreign = 0
         self._bus = bus
         self._encoder = CommandEncoder(session_id)
         self._answers = CommandAnswers(in_real_time=in_real_time)
         self._in_real_time = in_real_time
+        self._clock_ns = clock_ns
         self._session_gone = False
         self._boot_id = 0
         self._totals: dict[int, tuple[int, int]] = {}
@@ -124,13 +144,16 @@ class CanStimulator:
         """Write the command's frame now or fail.
 
         Raises:
-            StimulatorLost: the bus did not take it (transmit buffer full, bus off, interface gone).
+            StimulatorLost: the bus did not take it (transmit buffer full, bus off, interface gone), or the session has
+                used all its numbers.
             ValueError: a value does not fit its field; nothing was sent.
         """
+        if self._encoder.number == NUMBERS:
+            raise StimulatorLost(f"{self._bus.channel_info}: the session has no numbers left for commands")
         counter = self._encoder.counter
         identifier, data = self._encoder.encode(command)
         self._write(identifier, data)
-        self._answers.sent(counter, command)
+        self._answers.sent(counter, command, self._clock_ns() if self._clock_ns else None)
         return WireFrame(command.t_ns, identifier, data)
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
@@ -168,6 +191,8 @@ class CanStimulator:
 
     def _status(self, status: Status, t_ns: int) -> StimStatus:
         different = self._answers.settle(status)
+        if status.result is Result.BAD_SESSION:
+            self._session_gone = True
         pulses, steps = self._totals.get(status.channel, (0, 0))
         seen_pulses, seen_steps = self._delivered.get(status.channel, (0, 0))
         self._delivered[status.channel] = (pulses, steps)
@@ -215,7 +240,7 @@ class CanStimulator:
             except can_codec.FrameRejected:
                 self.foreign += 1
                 return None
-            if isinstance(message, Alive) or message.session_id == self.session_id:
+            if isinstance(message, Alive) or self._encoder.names(message.session_id):
                 return message
         if raw.arbitration_id not in can_codec.CONTROLLER_IDS:
             self.foreign += 1

@@ -57,6 +57,7 @@ class CanOpenStimulator:
     """
 
     one_pulse_per_command: ClassVar[bool] = True
+    heard: ClassVar[bytes] = b""  # its answers are not kept: a replay compares commands
 
     def __init__(self, bus: can.BusABC, session_id: int, channels: Sequence[int], settings: CanOpenSettings) -> None:
         self.session_id = session_id

@@ -4,7 +4,14 @@ Byte 0 holds a CRC-8H2F (polynomial 0x2F, initial value 0xFF, final xor 0xFF, no
 ``123456789`` is 0xDF), computed over data bytes 1 to 7 in order and then over the CAN identifier as two bytes, the
 high byte first (AUTOSAR appends one byte from a list of data IDs instead). Over these 72 bits and the CRC the Hamming
 distance is 4: any one, two or three flipped bits are seen, and so is a frame that arrives under another identifier.
-The low half of byte 1 holds the 4-bit counter.
+The low half of byte 1 holds a 4-bit counter.
+
+The profile's four bits are not enough: with two lost frames forgiven, a frame repeated 13 to 15 frames late looks like
+the next one. A command has therefore a **number** of 23 bits: 7 bits of count, and the session identifier above them. A
+session's first command carries the identifier that was opened, and after every 128 commands the identifier goes up by
+one (1 follows 65535). All of it is transmitted, so the CRC keeps its Hamming distance for frames of any age. Higher
+bits that are counted, not sent, but put into the CRC would spend its 256 values on telling ages apart: a frame repeated
+4093 frames late would pass, and so would one repeated sooner with two bits flipped.
 
 Source: AUTOSAR, Specification of SW-C End-to-End Communication Protection Library, profile 2; Specification of CRC
 Routines, ``Crc_CalculateCRC8H2F``.
@@ -15,6 +22,9 @@ from __future__ import annotations
 from typing import Final
 
 FRAME_LENGTH: Final = 8
+COUNTS: Final = 128  # values of a command's count; then the session identifier goes up by one
+SESSIONS: Final = 65_535  # values of the session identifier: 1 to 65,535
+NUMBERS: Final = COUNTS * SESSIONS  # commands of a session, at most
 _POLYNOMIAL: Final = 0x2F
 
 
@@ -54,6 +64,20 @@ def is_intact(identifier: int, data: bytes) -> bool:
     return len(data) == FRAME_LENGTH and data[0] == frame_crc(identifier, data)
 
 
-def counter_step(previous: int, counter: int) -> int:
-    """How many counts ``counter`` is ahead of ``previous``, modulo 16 (0: the same frame again)."""
-    return (counter - previous) % 16
+def carried(session_id: int, number: int) -> tuple[int, int]:
+    """The session identifier and the count that the command of this number carries; a session's first is number 0.
+
+    Args:
+        session_id: as it was opened, 1–65535.
+        number: at least 0.
+    """
+    spans, count = divmod(number, COUNTS)
+    return (session_id - 1 + spans) % SESSIONS + 1, count
+
+
+def number_of(session_id: int, carried_id: int, count: int) -> int:
+    """The number of a command of the session opened as ``session_id``: what :func:`carried` was given.
+
+    Unique among ``NUMBERS``, after which the identifiers have come round.
+    """
+    return (carried_id - session_id) % SESSIONS * COUNTS + count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Final
 
@@ -12,48 +13,52 @@ from drivers.stimulator.canopen_port import CanOpenStimulator
 from drivers.stimulator.sciencemode2_port import RehaStim2
 from drivers.stimulator.sciencemode4_low import LowLevelStimulator
 from drivers.stimulator.sciencemode4_mid import MidLevelStimulator, not_accepted
-from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, LineSettings, open_line
+from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, Line, LineSettings, open_line
 from fes.config import ConfigError, Session, StimulatorDevice
 
 CHANNELS_OF: Final = {"p24": 8, "rehamove3": 4}
 Port = CanStimulator | CanOpenStimulator | LowLevelStimulator | MidLevelStimulator | RehaStim2
 
 
-def open_stimulator(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+Opener = Callable[[str, LineSettings], Line]
+SERIAL: Final = ("p24_low_level", "p24_mid_level", "rehastim2")
+
+
+def open_stimulator(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener = open_line) -> Port:
     """The port, its line open and its handshake still to come (``port.open(t_ns)``).
 
     Options: ``model`` ("p24" or "rehamove3") and ``baudrate`` for the p24 devices, ``accept_watchdog_s`` for
     ``p24_mid_level``; those of ``canopen`` are the fields of
-    :class:`~drivers.stimulator.canopen_codec.CanOpenSettings`.
+    :class:`~drivers.stimulator.canopen_codec.CanOpenSettings`. ``opener`` opens the line of the :data:`SERIAL` ones.
 
     Raises:
         ConfigError: an option that this device does not have, or a session that it cannot serve.
         StimulatorLost: the line or bus cannot be opened.
     """
     make = _MAKERS[settings.device]
-    return make(settings, session, session_id)
+    return make(settings, session, session_id, opener)
 
 
-def electrodes_unknown(settings: StimulatorDevice) -> str:
-    """What such a device cannot tell of its electrodes before it stimulates; "" when its heartbeat tells."""
+def electrodes_told_from_ma(settings: StimulatorDevice) -> float | None:
+    """From which current on such a device notices an open lead, 0: any pulse; None when its heartbeat tells of it."""
     if settings.device in ("p24_low_level", "p24_mid_level"):
-        return "electrodes unknown: this stimulator tells them only while it stimulates, from 15 mA on"
-    return "" if settings.device in ("can", "canopen") else "electrodes unknown before the first pulse"
+        return 15.0
+    return None if settings.device in ("can", "canopen") else 0.0
 
 
-def _can(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+def _can(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
     _only(settings, frozenset())
-    return CanStimulator(open_bus(session.bus), session_id, in_real_time=True)
+    return CanStimulator(open_bus(session.bus), session_id, in_real_time=True, clock_ns=time.monotonic_ns)
 
 
-def _low_level(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+def _low_level(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
     _only(settings, frozenset(("model", "baudrate")))
     channels = _channels(settings, session)
     _rate_suffices(settings, session)
-    return LowLevelStimulator(open_line(settings.port, _line_settings(settings)), session_id, channels)
+    return LowLevelStimulator(opener(settings.port, _line_settings(settings)), session_id, channels)
 
 
-def _mid_level(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+def _mid_level(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
     _only(settings, frozenset(("model", "baudrate", "accept_watchdog_s")))
     channels = _channels(settings, session)
     accepted_s = settings.options.get("accept_watchdog_s", 0.0)
@@ -61,18 +66,18 @@ def _mid_level(settings: StimulatorDevice, session: Session, session_id: int) ->
         raise ConfigError(f"stimulator.options.accept_watchdog_s = {accepted_s!r} must be a number of seconds")
     if why := not_accepted(float(accepted_s)):
         raise ConfigError(why)
-    line = open_line(settings.port, _line_settings(settings))
+    line = opener(settings.port, _line_settings(settings))
     return MidLevelStimulator(line, session_id, channels, accept_watchdog_s=accepted_s)
 
 
-def _rehastim2(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+def _rehastim2(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
     _only(settings, frozenset())
     _rate_suffices(settings, session)
     numbers = _channel_numbers(settings, session)
-    return RehaStim2(open_line(settings.port, SCIENCEMODE2), session_id, numbers)
+    return RehaStim2(opener(settings.port, SCIENCEMODE2), session_id, numbers)
 
 
-def _canopen(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
+def _canopen(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
     try:
         node = CanOpenSettings.of(settings.options)
     except ValueError as error:
@@ -83,7 +88,7 @@ def _canopen(settings: StimulatorDevice, session: Session, session_id: int) -> P
     return CanOpenStimulator(bus, session_id, numbers, node)
 
 
-_MAKERS: Final[dict[str, Callable[[StimulatorDevice, Session, int], Port]]] = {
+_MAKERS: Final[dict[str, Callable[[StimulatorDevice, Session, int, Opener], Port]]] = {
     "can": _can,
     "p24_low_level": _low_level,
     "p24_mid_level": _mid_level,

@@ -41,6 +41,7 @@ class RehaStim2(ScienceModePort):
     current_step_ma: ClassVar[float] = 1.0
     numbers: ClassVar[int] = codec.NUMBERS
     identifiers: ClassVar[int] = 0x2000_0000
+    greetings: ClassVar[frozenset[int]] = frozenset((identifiers + Code.INIT_ACK, identifiers + Code.LIST_INIT))
 
     def __init__(self, line: Line, session_id: int, channels: Sequence[int]) -> None:
         codec.list_init(0, channels)

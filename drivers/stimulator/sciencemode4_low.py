@@ -37,6 +37,7 @@ class LowLevelStimulator(ScienceModePort):
     current_step_ma: ClassVar[float] = codec.CURRENT_STEP_MA
     numbers: ClassVar[int] = codec.NUMBERS
     identifiers: ClassVar[int] = 0x4000_0000
+    greetings: ClassVar[frozenset[int]] = frozenset((identifiers + Code.LOW_INIT,))
 
     def __init__(self, line: Line, session_id: int, channels: int = codec.CHANNELS) -> None:
         super().__init__(line, codec.Decoder(), session_id)

@@ -49,6 +49,7 @@ class MidLevelStimulator(ScienceModePort):
     current_step_ma: ClassVar[float] = codec.CURRENT_STEP_MA
     numbers: ClassVar[int] = codec.NUMBERS
     identifiers: ClassVar[int] = 0x4000_0000
+    greetings: ClassVar[frozenset[int]] = frozenset((identifiers + Code.MID_INIT,))
 
     def __init__(
         self, line: Line, session_id: int, channels: int = codec.CHANNELS, *, accept_watchdog_s: float

@@ -86,6 +86,11 @@ class FrameDecoder(ABC):
         self.noise = 0
         self._buffer = bytearray()
 
+    @property
+    def pending(self) -> bytes:
+        """What was fed and is in no packet yet."""
+        return bytes(self._buffer)
+
     def feed(self, data: bytes) -> list[Packet]:
         """All packets that are complete with these bytes."""
         packets: list[Packet] = []

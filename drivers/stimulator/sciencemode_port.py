@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import ClassVar, Final
 
 from drivers.stimulator.answers import ANSWER_WITHIN_NS, Answers, Awaited, Pulse
@@ -16,7 +16,7 @@ from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 
 ASK_AGAIN_NS: Final = 250_000_000
 REJECTED_MOST: Final = 255
-NOTHING_SENT: Final = 0  # identifier of a frame without data: this command put nothing on the wire
+NOTHING_SENT: Final = 0x6000_0000  # identifier of a frame without data: this command put nothing on the wire
 NO_ANSWER: Final = f"no answer within {ANSWER_WITHIN_NS // 1_000_000} ms"
 
 
@@ -25,9 +25,12 @@ class ScienceModePort(ABC):
 
     Every command takes one count (modulo 16), whether it put bytes on the wire or not; a :class:`StimStatus` carries
     the count of the command that it answers. A :class:`WireFrame` holds all bytes that a command put on the wire,
-    under :attr:`identifiers` plus the command of the first message; none: identifier 0 and no data. All keep-alives are
+    under :attr:`identifiers` plus the command of the first message; none: :data:`NOTHING_SENT`. All keep-alives are
     part of :meth:`send`: a controller that hangs sends none. A device that restarted is first told of by a
     :class:`StimAlive`, and is lost from then on: only a new handshake brings it back.
+
+    What goes out depends on the commands, on the handshake, on when :meth:`poll` was called and on what it
+    :attr:`heard` then, and on nothing else: another port given the same (:meth:`resume`) sends the same bytes.
     """
 
     one_pulse_per_command: ClassVar[bool]
@@ -35,6 +38,7 @@ class ScienceModePort(ABC):
     pulse_width_step_us: ClassVar[float] = 1.0
     numbers: ClassVar[int]
     identifiers: ClassVar[int]  # added to a command's number in the log: beyond every CAN identifier, never 0
+    greetings: ClassVar[frozenset[int]]  # identifiers of frames that only a handshake puts on the wire
 
     def __init__(self, line: Line, decoder: FrameDecoder, session_id: int) -> None:
         self.session_id = session_id
@@ -50,6 +54,8 @@ class ScienceModePort(ABC):
         self._sent_ns: int | None = None
         self._ended = ""
         self._told = False
+        self._carried = b""
+        self.heard = b""
 
     @property
     def outstanding(self) -> int:
@@ -75,7 +81,14 @@ class ScienceModePort(ABC):
         if why:
             raise StimulatorLost(f"{self._line.name}: {why}")
         self._sent_ns = None
+        self._carried = self._decoder.pending
         return Handshake(self._boot_id, tuple(frames), (StimAlive(t_ns, self._boot_id, 0),))
+
+    def resume(self, frames: Sequence[WireFrame]) -> None:
+        """Be as after an :meth:`open` that put ``frames`` on the wire: for replays, with nobody at the other end."""
+        packets = self._decoder.feed(b"".join(frame.data for frame in frames[-1:]))
+        if packets:
+            self._number = (packets[-1].number + 1) % self.numbers
 
     def send(self, command: StimCommand) -> WireFrame:
         """What this command is on the wire, written now.
@@ -95,7 +108,7 @@ class ScienceModePort(ABC):
         return WireFrame(command.t_ns, self.identifiers + packets[0].command, data)
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """All that has arrived, and what should have, stamped ``t_ns``.
+        """All that has arrived, and what should have, stamped ``t_ns``; :attr:`heard` is then what it came as.
 
         Raises:
             StimulatorLost: the line broke, or the device has restarted and the last call said so.
@@ -104,7 +117,9 @@ class ScienceModePort(ABC):
         for refused, why in self._refusals:
             self._confirm(t_ns, refused, why, pulses=0)
         self._refusals.clear()
-        for packet in self._decoder.feed(self._line.read()):
+        data = self._line.read()
+        self.heard, self._carried = self._carried + data, b""
+        for packet in self._decoder.feed(data):
             self._received(t_ns, packet)
         for awaited in self._answers.overdue(t_ns):
             self._fault(t_ns, awaited, NO_ANSWER)

@@ -2,7 +2,10 @@
 
 Frames of controllers pass from the front to the back, all others from the back to the front; so two buses, or a serial
 CAN adapter (slcan) and a bus, become one that can be cut. Faults are JSON lines on stdin, each confirmed: ``cut`` (1:
-nothing passes; 0: again), ``unplug`` (1: the adapter's serial line is gone; 0: it is there again).
+nothing passes; 0: again), ``bus_off`` (1: nothing passes either, and the controller's side says what an adapter says
+then), ``unplug`` (1: the adapter's serial line is gone; 0: it is there again), ``clog`` (1: the adapter takes nothing
+more from the controller, and its buffer is full; 0: it does again), ``reorder`` (so many of the controller's next
+frames change places with the one after).
 """
 
 from __future__ import annotations
@@ -24,13 +27,15 @@ import can
 
 from drivers.stimulator.bus import BusError, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS
-from drivers.virtual.can_node import become_real_time
 from drivers.virtual.device_lines import PtyEnd
+from drivers.virtual.process_end import become_real_time
 from drivers.virtual.slcan import SlcanDecoder, encode_frame
 from fes.config import Bus
 
 _STDIN: Final = 0
 FRAMES_AT_ONCE: Final = 64
+CAN_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
+REFUSED: Final = b"\a"
 
 
 class Front(Protocol):
@@ -52,6 +57,14 @@ class Front(Protocol):
 
     def plug(self, plugged: bool) -> None:
         """Pull the cable, or put it back."""
+        ...
+
+    def clog(self, clogged: bool) -> None:
+        """Take nothing more, or go on."""
+        ...
+
+    def bus_off(self, off: bool) -> None:
+        """The adapter has left the bus after too many errors, or is back."""
         ...
 
 
@@ -83,6 +96,19 @@ class BusFront:
         """
         raise ValueError("a bus has no cable to pull; use cut")
 
+    def clog(self, clogged: bool) -> None:
+        """Not possible.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError("a bus has no adapter whose buffer could be full")
+
+    def bus_off(self, off: bool) -> None:
+        """What SocketCAN hands on: an error frame of the class bus-off."""
+        if off:
+            self.write(can.Message(arbitration_id=CAN_ERR_BUSOFF, is_error_frame=True, data=bytes(8)))
+
 
 class SlcanFront:
     """A serial CAN adapter behind a pseudo-terminal; ``link`` is where its name can always be found."""
@@ -92,6 +118,7 @@ class SlcanFront:
         self._link = link
         self._end: PtyEnd | None = None
         self._decoder = SlcanDecoder()
+        self._bus_off = False
         self.plug(True)
 
     def descriptors(self) -> list[int]:
@@ -100,7 +127,13 @@ class SlcanFront:
 
     def read(self) -> list[can.Message]:
         """Frames among what the controller wrote."""
-        return [] if self._end is None else self._decoder.feed(self._end.read())
+        if self._end is None:
+            return []
+        frames = self._decoder.feed(self._end.read())
+        if self._bus_off and frames:
+            self._end.write(REFUSED * len(frames))
+            return []
+        return frames
 
     def write(self, message: can.Message) -> None:
         """As text, when the channel is open."""
@@ -117,6 +150,15 @@ class SlcanFront:
         if plugged:
             self._end = PtyEnd()
             self._link.symlink_to(self._end.port)
+
+    def clog(self, clogged: bool) -> None:
+        """Read nothing more from the serial line, or go on."""
+        if self._end is not None:
+            self._end.clog(clogged)
+
+    def bus_off(self, off: bool) -> None:
+        """Refuse every frame with BEL: all that such an adapter says unasked."""
+        self._bus_off = off
 
 
 def waiting(bus: can.BusABC) -> list[can.Message]:
@@ -141,6 +183,8 @@ class LinkLoop:
         self._back = back
         self._wake = wake
         self._cut = False
+        self._reorder = 0
+        self._held: can.Message | None = None
         self._typed = b""
 
     def run(self) -> None:
@@ -156,13 +200,23 @@ class LinkLoop:
         if any(descriptor in ready for descriptor in self._front.descriptors()):
             for message in self._front.read():
                 if message.arbitration_id in CONTROLLER_IDS and not self._cut:
-                    with contextlib.suppress(can.CanError, OSError):
-                        self._back.send(message, timeout=0)
+                    self._pass_on(message)
         if back in ready:
             for message in waiting(self._back):
                 if message.arbitration_id not in CONTROLLER_IDS and not self._cut:
                     self._front.write(message)
         return True
+
+    def _pass_on(self, message: can.Message) -> None:
+        """To the back; a frame that is held comes after this one."""
+        if self._held is None and self._reorder > 0:
+            self._reorder -= 1
+            self._held = message
+            return
+        for each in filter(None, (message, self._held)):
+            with contextlib.suppress(can.CanError, OSError):
+                self._back.send(each, timeout=0)
+        self._held = None
 
     def _listen(self) -> bool:
         data = os.read(_STDIN, 4096)
@@ -180,10 +234,17 @@ class LinkLoop:
     def _fault(self, name: str, value: float) -> None:
         if name == "cut":
             self._cut = bool(value)
+        elif name == "bus_off":
+            self._cut = bool(value)
+            self._front.bus_off(self._cut)
         elif name == "unplug":
             self._front.plug(not value)
+        elif name == "clog":
+            self._front.clog(bool(value))
+        elif name == "reorder":
+            self._reorder = int(value)
         else:
-            raise ValueError(f"fault {name!r} is not known; one of cut, unplug")
+            raise ValueError(f"fault {name!r} is not known; one of cut, bus_off, unplug, clog, reorder")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

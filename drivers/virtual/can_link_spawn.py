@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
-import tempfile
 from pathlib import Path
 
-from drivers.virtual.spawn import NodeFailed, NodeHandle, first_line
+from drivers.virtual.spawn import NodeHandle
 from fes.config import Bus
 
 
@@ -25,21 +21,7 @@ def spawn_link(
     Raises:
         NodeFailed: it ended, or was not ready within ``timeout_s``.
     """
-    command = [sys.executable, "-m", "drivers.virtual.can_link", "--back", back.model_dump_json()]
-    command += ["--front", front.model_dump_json()] if front is not None else ["--slcan", str(slcan)]
-    errors = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - lives as long as the handle
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
-    )
-    handle = NodeHandle(process, front or back, -1, False, None, errors)
-    line = first_line(process, timeout_s)
-    try:
-        handle.real_time = bool(json.loads(line)["real_time"])
-    except (ValueError, KeyError, TypeError) as error:
-        process.kill()
-        process.wait()
-        errors.seek(0)
-        said = errors.read().strip() or line.strip() or f"nothing within {timeout_s:g} s"
-        handle.stop()
-        raise NodeFailed(f"the simulated CAN line did not start ({' '.join(command)}); it said: {said}") from error
-    return handle
+    arguments = ["--back", back.model_dump_json()]
+    arguments += ["--front", front.model_dump_json()] if front is not None else ["--slcan", str(slcan)]
+    module = "drivers.virtual.can_link"
+    return NodeHandle("the simulated CAN line", module, arguments, front or back, timeout_s=timeout_s)

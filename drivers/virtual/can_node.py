@@ -11,13 +11,8 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import gc
-import json
-import os
 import secrets
 import select
-import signal
-import socket
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,12 +28,13 @@ from drivers.virtual.line_faults import LINE_FAULTS, LineFaults
 from drivers.virtual.node_clock import SIM_TIME_ID, BusClock, NodeClock, RealClock
 from drivers.virtual.node_faults import parse_faults
 from drivers.virtual.node_record import RecordWriter
+from drivers.virtual.process_end import STDIN, Orders, become_real_time, fault_orders, say_ready, stop_signals
+from drivers.virtual.pulses import PulseOutlet
 from drivers.virtual.stimulator_node import StimulatorNode
 from fes.config import Bus
 
 FRAMES_AT_ONCE: Final = 64
 READ_ERRORS_IN_A_ROW: Final = 100
-_STDIN: Final = 0
 
 
 class BusBroken(RuntimeError):
@@ -49,8 +45,15 @@ class NodeLoop:
     """Node, bus, record and the descriptors that end it: one wait per turn, until the next deadline or frame."""
 
     def __init__(
-        self, node: StimulatorNode, bus: can.BusABC, record: RecordWriter, stop: Sequence[int], clock: NodeClock
+        self,
+        node: StimulatorNode,
+        bus: can.BusABC,
+        record: RecordWriter,
+        stop: Sequence[int],
+        clock: NodeClock,
+        pulses: PulseOutlet | None = None,
     ) -> None:
+        self._pulses = pulses or PulseOutlet(None)
         self._clock = clock
         self._node = node
         self._bus = bus
@@ -58,7 +61,7 @@ class NodeLoop:
         self._stop = tuple(stop)
         self._read_errors = 0
         self._faults = LineFaults()
-        self._typed = b""
+        self._orders = Orders(fault_orders(self._fault), clock.now_ns)
 
     def run(self) -> None:
         """Until a stop descriptor speaks. The outputs are off afterwards.
@@ -95,6 +98,7 @@ class NodeLoop:
         return True
 
     def _put_out(self, frames: list[Frame]) -> None:
+        self._pulses.of_channels(self._node.channels)
         now_ns = self._clock.now_ns()
         self._faults.send(now_ns, [CAN_RECORD.pack(identifier, len(data), data) for identifier, data in frames])
         for identifier, length, data in CAN_RECORD.iter_unpack(self._faults.due(now_ns)):
@@ -117,35 +121,13 @@ class NodeLoop:
 
     def _is_over(self, descriptor: int) -> bool:
         """A byte from the signal pipe ends the node; so does the end of stdin, but not what is typed there."""
-        if descriptor != _STDIN:
-            return True
-        data = os.read(descriptor, 4096)
-        *lines, self._typed = (self._typed + data).split(b"\n")
-        for line in lines:
-            try:
-                asked = json.loads(line)
-                self._fault(str(asked["fault"]), float(asked.get("value", 1)))
-                answer = {"done": asked["fault"], "t_ns": self._clock.now_ns()}
-            except (ValueError, KeyError, TypeError, AttributeError) as error:
-                answer = {"error": f"{line.decode(errors='replace')!r}: {error}"}
-            print(json.dumps(answer), flush=True)
-        return not data
+        return descriptor != STDIN or not self._orders.read()
 
     def _fault(self, name: str, value: float) -> None:
         if name in LINE_FAULTS:
             self._faults.set(name, value)
         else:
             self._node.set_fault(self._clock.now_ns(), name, value)
-
-
-def become_real_time() -> bool:
-    """Ask for SCHED_FIFO, as a device's timers owe nothing to this computer's load; False where it is not allowed."""
-    gc.freeze()
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
-    except (AttributeError, OSError):
-        return False
-    return True
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -158,6 +140,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--port", type=int, help="UDP port, for udp_multicast and loopback")
     parser.add_argument("--boot-id", type=int, help="0 to 65535; default: random")
     parser.add_argument("--record", type=Path, help="write what was delivered to this file, JSON lines")
+    parser.add_argument("--pulses", type=Path, help="tell each pulse to the socket of this name")
     parser.add_argument("--faults", default="", help="electrode=CH,weak=CH,drop=N,reboot=SECONDS,mute=SECONDS")
     parser.add_argument(
         "--clock", choices=("real", "bus"), default="real", help="bus: a replay on a virtual bus tells the time"
@@ -176,24 +159,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         channel=options.channel,
         options={} if options.port is None else {"port": options.port},
     )
-    signalled, wake = socket.socketpair()
-    wake.setblocking(False)
-    signal.set_wakeup_fd(wake.fileno())
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: None)
-    stop = [signalled.fileno()] + ([_STDIN] if options.until_stdin_closes else [])
+    signalled = stop_signals()
+    stop = [signalled.fileno()] + ([STDIN] if options.until_stdin_closes else [])
     try:
+        record = RecordWriter(options.record)
         bus = open_bus(settings, CONTROLLER_IDS | {SIM_TIME_ID} if options.clock == "bus" else CONTROLLER_IDS)
-    except BusError as error:
+    except (BusError, OSError) as error:
         print(f"can_node: {error}", file=sys.stderr)
         return 2
-    record = RecordWriter(options.record)
-    ready = {"ready": True, "pid": os.getpid(), "boot_id": boot_id, "real_time": become_real_time()}
+    real_time = become_real_time()
     clock: NodeClock = BusClock() if options.clock == "bus" else RealClock()
     node = StimulatorNode(boot_id, clock.now_ns(), faults)
-    print(json.dumps(ready), flush=True)
+    say_ready(boot_id=boot_id, real_time=real_time)
     try:
-        NodeLoop(node, bus, record, stop, clock).run()
+        NodeLoop(node, bus, record, stop, clock, PulseOutlet(options.pulses)).run()
     except BusBroken as error:
         print(f"can_node: {error}", file=sys.stderr)
         return 1

@@ -1,4 +1,4 @@
-"""The simulated device's end of its line: a pseudo-terminal of its own, or a TCP port."""
+"""The simulated device's end of a line of bytes: a pseudo-terminal of its own, a TCP port, or UDP datagrams."""
 
 from __future__ import annotations
 
@@ -41,10 +41,11 @@ class PtyEnd:
         os.set_blocking(self._own, False)
         self.port = os.ttyname(self._other)
         self._plugged = True
+        self._clogged = False
 
     def descriptors(self) -> list[int]:
-        """Our end, while there is a cable."""
-        return [self._own] if self._plugged else []
+        """Our end, while there is a cable and it is read."""
+        return [self._own] if self._plugged and not self._clogged else []
 
     def read(self) -> bytes:
         """At most 4096 bytes."""
@@ -58,6 +59,19 @@ class PtyEnd:
         with contextlib.suppress(OSError):
             if self._plugged and data:
                 os.write(self._own, data)
+
+    def clog(self, clogged: bool) -> None:
+        """Take nothing more, with the host's buffer full at once; or throw away what is in it, and go on."""
+        if not self._plugged or clogged == self._clogged:
+            return
+        self._clogged = clogged
+        with contextlib.suppress(OSError):  # the end of each loop
+            if clogged:
+                os.set_blocking(self._other, False)
+                while os.write(self._other, bytes(1024)):
+                    pass
+            while not clogged and os.read(self._own, 4096):
+                pass
 
     def unplug(self) -> None:
         """The host's end reads as gone from now on."""
@@ -121,3 +135,37 @@ class TcpEnd:
         if self._host is not None:
             self._host.close()
             self._host = None
+
+
+class UdpEnd:
+    """Datagrams to a port on this machine, which the host opens as ``udp://127.0.0.1:PORT``; it says nothing back.
+
+    As on a real network nobody notices that the other end is gone: unplugged, there is silence.
+    """
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))  # first, so that the host's port below is another one
+        self._socket.setblocking(False)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            self._host: tuple[str, int] = probe.getsockname()
+        self.port = f"udp://127.0.0.1:{self._host[1]}"
+
+    def descriptors(self) -> list[int]:
+        """Nothing is listened to."""
+        return []
+
+    def read(self) -> bytes:
+        """Nothing."""
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """One datagram, lost when nobody listens."""
+        with contextlib.suppress(OSError):
+            if data:
+                self._socket.sendto(data, self._host)
+
+    def unplug(self) -> None:
+        """Nothing is sent any more."""
+        self._socket.close()

@@ -2,8 +2,11 @@
 
 Faults, besides the line's own (:mod:`drivers.virtual.line_faults`): ``reboot`` (now: silent for 0.3 s, then clock and
 counter from 0), ``unit`` (values times this; 0 ends it), ``stuck`` (1: repeats itself), ``clip`` (values held
-within ± this share of full scale; 0 ends it), ``full`` (1: every value at the end of its range), ``nan`` / ``doubled``
-(so many of the next samples), ``drift`` (ppm of its clock from now on), ``jump`` (its clock, by so many seconds).
+within ± this share of full scale; 0 ends it), ``full`` (1: every value at the end of its range), ``nan`` / ``inf`` /
+``doubled`` (so many of the next samples), ``axes`` (1: sits turned, x measures what y did, y what z did; 0 ends it),
+``drift`` (ppm of its clock from now on), ``jump`` (its clock, by so many seconds, once), ``jumping`` (every eighth
+stamp is ahead by so many seconds; 0 ends it). ``stand``: its wearer stays within the first so many seconds of the
+signal, in which they stand, once they come there; 0: goes on at their end.
 """
 
 from __future__ import annotations
@@ -15,9 +18,12 @@ from drivers.virtual.imu_signal import ImuSignal
 from drivers.virtual.imu_wire import Reading, Wire
 from fes.signals import G_MPS2, NS_PER_S, Vector3
 
-FAULTS: Final = frozenset(("reboot", "unit", "stuck", "clip", "full", "nan", "doubled", "drift", "jump"))
+LASTING: Final = ("unit", "stuck", "clip", "full", "nan", "inf", "doubled", "axes", "jumping")  # until set to 0
+FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
+JUMPING_EVERY: Final = 8  # more than one in twenty
 BOOT_NS: Final = 300_000_000
 _NAN: Final = (math.nan, math.nan, math.nan)
+_INF: Final = (math.inf, -math.inf, math.inf)
 
 
 class SimulatedImu:
@@ -58,11 +64,13 @@ class SimulatedImu:
         out: list[bytes] = []
         while self.next_deadline_ns() <= t_ns:
             own_ns = self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
+            if self._values["jumping"] and self._counter % JUMPING_EVERY == 0:
+                own_ns += int(self._values["jumping"] * NS_PER_S)
             messages = self._wire.say(self._reading(own_ns))
             out += messages + (messages if self._take("doubled") else [])
             self._counter += 1
             self._beat += 1
-            self._played += 1
+            self._played = self._next_played()
         return out
 
     def receive(self, t_ns: int, data: bytes) -> list[bytes]:
@@ -88,8 +96,19 @@ class SimulatedImu:
             self._start(due_ns, own_ns + (int(value * NS_PER_S) if name == "jump" else 0), drift_ppm)
             self._counter = counter
             return []
+        if name == "stand" and not value:
+            self._played = max(self._played, self._stood) % self._signal.size
         self._values[name] = value
         return []
+
+    @property
+    def _stood(self) -> int:
+        """How many samples of the signal are of standing, as far as was said."""
+        return round(self._values["stand"] * self._signal.rate_hz)
+
+    def _next_played(self) -> int:
+        number = (self._played + 1) % self._signal.size
+        return 0 if number == self._stood else number
 
     def _reading(self, own_ns: int) -> Reading:
         if not self._values["stuck"]:
@@ -104,8 +123,12 @@ class SimulatedImu:
             held_acc, held_gyr = _held(acc, factor, math.inf), _held(gyr, factor, math.inf)
         if self._values["full"]:
             held_acc, held_gyr = _held(acc, 1e9, self._acc_range), _held(gyr, 1e9, self._gyr_range)
+        if self._values["axes"]:
+            held_acc, held_gyr = _turned(held_acc), _turned(held_gyr)
         if self._take("nan"):
             held_acc = _NAN
+        if self._take("inf"):
+            held_acc = held_gyr = _INF
         return Reading(self._counter, own_ns, held_acc, held_gyr, clipped)
 
     def _take(self, name: str) -> bool:
@@ -113,6 +136,11 @@ class SimulatedImu:
             return False
         self._values[name] -= 1
         return True
+
+
+def _turned(values: Vector3) -> Vector3:
+    x, y, z = values
+    return y, z, x
 
 
 def _held(values: Vector3, factor: float, most: float) -> Vector3:

@@ -18,6 +18,11 @@ class ImuSignal:
     acc_mps2: FloatArray
     gyr_radps: FloatArray
 
+    @property
+    def size(self) -> int:
+        """N."""
+        return len(self.acc_mps2)
+
     def at(self, number: int) -> tuple[Vector3, Vector3]:
         """The ``number``-th sample from the start, beginning again at the end."""
         ax, ay, az = self.acc_mps2[number % len(self.acc_mps2)].tolist()

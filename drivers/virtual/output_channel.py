@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from typing import Final
 
 from drivers.stimulator.can_codec import CURRENT_STEP_MA, PULSE_WIDTH_STEP_US
@@ -21,6 +22,7 @@ class OutputChannel:
     """
 
     def __init__(self) -> None:
+        self.made: deque[tuple[int, float, float]] = deque(maxlen=64)  # newest pulses: time, mA, µs; for who takes them
         self.reset()
 
     def reset(self) -> None:
@@ -83,6 +85,7 @@ class OutputChannel:
         self.pulses += 1
         self.charge_steps += round(self.current_ma / CURRENT_STEP_MA) * round(self.pulse_width_us / PULSE_WIDTH_STEP_US)
         self.last_pulse_ns = self.next_pulse_ns
+        self.made.append((self.last_pulse_ns, self.current_ma, self.pulse_width_us))
         self.next_pulse_ns += self._period_ns()
 
     def _period_ns(self) -> int:

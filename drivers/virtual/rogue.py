@@ -38,6 +38,16 @@ def random_frames(count: int, seed: int, identifiers: tuple[int, ...] = ()) -> I
         yield identifier, random.randbytes(8)
 
 
+def asks_for_current(frame: Frame) -> bool:
+    """Whether this is an intact command that switches a channel on."""
+    identifier, data = frame
+    try:
+        message = decode(identifier, data) if identifier == COMMAND_ID else None
+    except FrameRejected:
+        return False
+    return isinstance(message, Command) and message.on
+
+
 class Rogue:
     """An open bus; use it as a context manager."""
 
@@ -69,17 +79,7 @@ class Rogue:
 
     def on_commands(self, seconds: float) -> list[Frame]:
         """The controller's commands of this time that ask for current."""
-        found = []
-        for identifier, data in self.hear(seconds):
-            if identifier != COMMAND_ID:
-                continue
-            try:
-                message = decode(identifier, data)
-            except FrameRejected:
-                continue
-            if isinstance(message, Command) and message.on:
-                found.append((identifier, data))
-        return found
+        return [frame for frame in self.hear(seconds) if asks_for_current(frame)]
 
     def send(self, frames: Iterable[Frame], per_s: float = FRAMES_PER_S) -> int:
         """Send them at this rate; returns how many got out."""

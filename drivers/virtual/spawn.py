@@ -1,89 +1,46 @@
-"""Start the simulated stimulator's process, on a bus of its own, and be sure to end it."""
+"""Start the simulated CAN stimulator's process, on a bus of its own, and be sure to end it."""
 
 from __future__ import annotations
 
-import json
-import select
 import socket
-import subprocess
-import sys
-import tempfile
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Final, Self
+from typing import Any, Final
 
 import can
 
 from drivers.stimulator.bus import LOOPBACK, MULTICAST, BusError, open_bus
 from drivers.stimulator.port import StimulatorLost
+from drivers.virtual.process_handle import ProcessHandle
 from fes.config import Bus
 
-_STOP_WAIT_S: Final = 3.0
 _PROBES: Final = frozenset((1,))
-_ANSWER_WAIT_S: Final = 10.0
 
 
 class NodeFailed(StimulatorLost):
     """The simulated stimulator did not start; the message holds what it said."""
 
 
-@dataclass(slots=True)
-class NodeHandle:
-    """A running node: ``bus`` reaches it, ``record`` is the file it writes (None: none).
+class NodeHandle(ProcessHandle):
+    """A running node, or a line to one: ``bus`` reaches it. ``boot_id`` is -1 for a line."""
 
-    Use as a context manager, or call :meth:`stop`. Should this process die first, the node sees its stdin close and
-    ends by itself.
-    """
-
-    process: subprocess.Popen[str]
-    bus: Bus
-    boot_id: int
-    real_time: bool
-    record: Path | None
-    _errors: IO[str]
-
-    def tell(self, fault: str, value: float = 1.0) -> int:
-        """Bring a fault about now; returns when it was, in CLOCK_MONOTONIC ns.
-
-        Raises:
-            NodeFailed: the node does not know it, or is gone.
-        """
-        if self.process.stdin is None:
-            raise NodeFailed("the simulated stimulator has no stdin")
-        try:
-            self.process.stdin.write(json.dumps({"fault": fault, "value": value}) + "\n")
-            self.process.stdin.flush()
-            answer = json.loads(first_line(self.process, _ANSWER_WAIT_S))
-            return int(answer["t_ns"])
-        except (OSError, ValueError) as error:
-            raise NodeFailed(f"the simulated stimulator is gone: {error}") from error
-        except KeyError:
-            raise NodeFailed(f"the simulated stimulator refused: {answer.get('error')}") from None
-
-    def stop(self) -> int:
-        """End the node and wait for it; returns its exit status. May be called twice."""
-        if self.process.stdin is not None:
-            self.process.stdin.close()
-        for last_resort in (self.process.terminate, self.process.kill):
-            try:
-                self.process.wait(_STOP_WAIT_S)
-                break
-            except subprocess.TimeoutExpired:
-                last_resort()
-        status = self.process.wait(_STOP_WAIT_S)
-        if self.process.stdout is not None:
-            self.process.stdout.close()
-        self._errors.close()
-        return status
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    def __init__(
+        self,
+        what: str,
+        module: str,
+        arguments: Sequence[str],
+        bus: Bus,
+        *,
+        timeout_s: float,
+        record: Path | None = None,
     ) -> None:
-        self.stop()
+        self.bus = bus
+        self.boot_id = -1
+        super().__init__(what, module, arguments, lost=NodeFailed, timeout_s=timeout_s, record=record)
+
+    def _take(self, ready: Mapping[str, Any]) -> None:
+        super()._take(ready)
+        self.boot_id = int(ready.get("boot_id", -1))
 
 
 def spawn_node(
@@ -93,6 +50,7 @@ def spawn_node(
     faults: str = "",
     bus: Bus | None = None,
     clock: str = "real",
+    pulses: Path | None = None,
     timeout_s: float = 20.0,
 ) -> NodeHandle:
     """Start ``python -m drivers.virtual.can_node`` and wait until it is ready.
@@ -104,31 +62,13 @@ def spawn_node(
         NodeFailed: it ended, or was not ready within ``timeout_s``.
     """
     settings = bus or free_bus()
-    command = [sys.executable, "-m", "drivers.virtual.can_node", "--until-stdin-closes"]
-    command += ["--clock", clock, "--interface", settings.interface, "--channel", settings.channel, "--faults", faults]
-    if "port" in settings.options:
-        command += ["--port", str(settings.options["port"])]
-    if boot_id is not None:
-        command += ["--boot-id", str(boot_id)]
-    if record is not None:
-        command += ["--record", str(record)]
-    errors = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - lives as long as the handle
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True
-    )
-    handle = NodeHandle(process, settings, -1, False, record, errors)
-    line = first_line(process, timeout_s)
-    try:
-        ready = json.loads(line)
-        handle.boot_id, handle.real_time = int(ready["boot_id"]), bool(ready["real_time"])
-    except (ValueError, KeyError, TypeError) as error:
-        process.kill()
-        process.wait(_STOP_WAIT_S)
-        errors.seek(0)
-        said = errors.read().strip() or line.strip() or f"nothing within {timeout_s:g} s"
-        handle.stop()
-        raise NodeFailed(f"the simulated stimulator did not start ({' '.join(command)}); it said: {said}") from error
-    return handle
+    arguments = ["--until-stdin-closes", "--clock", clock, "--faults", faults]
+    arguments += ["--interface", settings.interface, "--channel", settings.channel]
+    arguments += ["--port", str(settings.options["port"])] if "port" in settings.options else []
+    arguments += ["--boot-id", str(boot_id)] if boot_id is not None else []
+    arguments += ["--pulses", str(pulses)] if pulses is not None else []
+    module = "drivers.virtual.can_node"
+    return NodeHandle("the simulated stimulator", module, arguments, settings, timeout_s=timeout_s, record=record)
 
 
 def free_bus(interface: str = "") -> Bus:
@@ -154,11 +94,3 @@ def why_silent(settings: Bus) -> str:
     except (BusError, can.CanError) as error:
         return str(error)
     return "" if heard is not None else "frames are sent but do not come back on this machine"
-
-
-def first_line(process: subprocess.Popen[str], timeout_s: float) -> str:
-    """What the process says first; "" when nothing in time."""
-    if process.stdout is None:
-        return ""
-    ready, _, _ = select.select([process.stdout], [], [], timeout_s)
-    return process.stdout.readline() if ready else ""

@@ -1,10 +1,11 @@
 """The simulated CAN stimulator's firmware: frames and time in, frames and pulses out; no I/O, no clock.
 
-It trusts nobody: every command must be intact, of the open session, and 1 to 3 counts after the last one (one count
-over all channels: up to two lost frames are forgiven, a repeated or older frame never acts). Five wrong counters in
-a row close the session. A command over the node's own limits, or with a validity of 0 or over 60 ms, turns its
-channel off. It boots with everything off and no session; a session opens only for its own boot id and under an
-identifier not yet seen since boot, so a capture played back later does nothing.
+It trusts nobody: every command must be intact, of the open session, and numbered 1 to 3 after the last one (one count
+over all channels that carries into the session identifier, see ``e2e``: up to two lost frames are forgiven, a repeated
+or older frame never acts). Five wrong counts in a row close the session. A command over the node's own limits, or with
+a validity of 0 or over 60 ms, turns its channel off. It boots with everything off and no session. A session opens only
+for its own boot id and under an identifier that no executed command has carried since boot, and ends where its count
+would carry into one: no number acts twice, so a capture played back later does nothing.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from typing import Final
 
 from drivers.stimulator import can_codec
 from drivers.stimulator.can_messages import (
+    ECHOED_COUNTS,
     NO_SESSION,
     PROTOCOL_VERSION,
     Alive,
@@ -25,7 +27,7 @@ from drivers.stimulator.can_messages import (
     SessionOpen,
     Status,
 )
-from drivers.stimulator.e2e import counter_step
+from drivers.stimulator.e2e import COUNTS, carried, number_of
 from drivers.virtual.node_faults import NodeFaults
 from drivers.virtual.node_record import RecordEntry
 from drivers.virtual.output_channel import NEVER, OutputChannel
@@ -39,6 +41,7 @@ MAX_VALIDITY_MS: Final = 60
 MAX_COUNTER_STEP: Final = 3
 MAX_WRONG_COUNTERS: Final = 5
 ALIVE_PERIOD_NS: Final = 100_000_000
+ON_THEIR_WAY: Final = 64  # numbers that a session may have sent beyond the last one that was heard
 
 
 class StimulatorNode:
@@ -109,8 +112,9 @@ class StimulatorNode:
         self.session_id = NO_SESSION
         self.rejected = 0
         self.flags = Fault.NONE
-        self._seen_sessions: set[int] = set()
-        self._counter = 15
+        self._used_ids: set[int] = set()
+        self._number = -1
+        self._carried_id = NO_SESSION
         self._commanded = False
         self._wrong_counters = 0
         self._alive_counter = 0
@@ -142,34 +146,43 @@ class StimulatorNode:
             self._refuse(t_ns, -1, f"session: boot id {request.boot_id}")
         elif request.session_id == self.session_id and not self._commanded:
             pass  # asked twice because our answer was late or lost; there is nothing to reset yet
-        elif request.session_id == NO_SESSION or request.session_id in self._seen_sessions:
+        elif request.session_id == NO_SESSION or request.session_id in self._used_ids:
             self.flags |= Fault.SESSION_USED
             self._refuse(t_ns, -1, f"session: identifier {request.session_id} used before")
         else:
             for number in range(CHANNELS):
                 self._off(t_ns, number, "off")
                 self.channels[number].reset()
+            self._retire()
             self.session_id = request.session_id
-            self._seen_sessions.add(request.session_id)
+            self._used_ids.add(request.session_id)
             self.flags = Fault.NONE
-            self._counter, self._wrong_counters = 15, 0
+            self._number, self._carried_id, self._wrong_counters = -1, request.session_id, 0
             self._commanded = False
             self._note(t_ns, "session", detail=f"session {request.session_id}")
         return [self._alive()]
 
     def _command(self, t_ns: int, command: Command) -> list[Frame]:
         channel = self.channels[command.channel]
-        result = self._judge(command, channel)
+        number = number_of(self.session_id, command.session_id, command.counter)
+        result = self._judge(command, number, channel)
+        counter = command.counter % ECHOED_COUNTS
+        session_id = command.session_id if result is Result.BAD_SESSION else self.session_id or command.session_id
         frames: list[Frame] = []
         if result in (Result.BAD_SESSION, Result.BAD_COUNTER, Result.FAULTED):
             if result is Result.BAD_COUNTER:
                 self._wrong_counters += 1
                 if self._wrong_counters >= MAX_WRONG_COUNTERS:
-                    frames = self._close(t_ns)
+                    frames = self._close(t_ns, Fault.COUNTER)
+        elif command.session_id != self._carried_id and command.session_id in self._used_ids:
+            result = Result.FAULTED
+            frames = self._close(t_ns, Fault.SESSION_USED)
         else:
-            self._counter, self._wrong_counters = command.counter, 0
+            self._number, self._wrong_counters = number, 0
+            self._carried_id = command.session_id
+            self._used_ids.add(command.session_id)
             self._commanded = True
-            channel.counter = command.counter
+            channel.counter = counter
             if result is Result.OK and command.on:
                 self._on(t_ns, command)
             else:
@@ -178,14 +191,16 @@ class StimulatorNode:
             channel.blocked = channel.blocked and command.on
         else:
             self._refuse(t_ns, command.channel, result.name.lower())
-        return frames + self._status(command.channel, command.counter, command.session_id, result)
+        return frames + self._status(command.channel, counter, session_id, result)
 
-    def _judge(self, command: Command, channel: OutputChannel) -> Result:
+    def _judge(self, command: Command, number: int, channel: OutputChannel) -> Result:
         if self.flags & Fault.COUNTER:
             return Result.FAULTED
-        if command.session_id != self.session_id:
+        if NO_SESSION in (self.session_id, command.session_id):
             return Result.BAD_SESSION
-        if not 1 <= counter_step(self._counter, command.counter) <= MAX_COUNTER_STEP:
+        if abs(number // COUNTS - self._number // COUNTS) > 1:  # not the identifier expected, nor one next to it
+            return Result.BAD_SESSION
+        if not 1 <= number - self._number <= MAX_COUNTER_STEP:
             return Result.BAD_COUNTER
         if not command.on:
             return Result.OK  # whatever else it says: off is never refused
@@ -220,15 +235,21 @@ class StimulatorNode:
             self.channels[number].silence()
             self._note(t_ns, event, number)
 
-    def _close(self, t_ns: int) -> list[Frame]:
+    def _close(self, t_ns: int, why: Fault) -> list[Frame]:
         frames: list[Frame] = []
-        self.flags |= Fault.COUNTER
+        self.flags |= why
         for number, channel in enumerate(self.channels):
             if channel.on:
                 self._off(t_ns, number, "fault")
                 frames += self._status(number, channel.counter, self.session_id, Result.FAULTED)
+        self._retire()
         self.session_id = NO_SESSION
         return frames
+
+    def _retire(self) -> None:
+        """No later session may carry what this one's last commands may, should they turn up after all."""
+        if self.session_id != NO_SESSION:
+            self._used_ids.add(carried(self.session_id, self._number + ON_THEIR_WAY)[0])
 
     def _refuse(self, t_ns: int, number: int, why: str) -> None:
         self.rejected = min(self.rejected + 1, 255)

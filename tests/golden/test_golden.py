@@ -14,10 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from replays import MS, Replays, bursts
+from replays import MS, SETTINGS, Replays, bursts, write_cut
 
 from drivers.stimulator.can_codec import COMMAND_ID, decode
-from drivers.stimulator.can_messages import Command
+from drivers.stimulator.can_messages import PROTOCOL_VERSION, Command
+from fes.cli.replay import Options, replay_recording
+from fes.cli.replay_log import repeat
 from fes.journal import SessionRecord
 from fes.signals import WireFrame
 
@@ -113,3 +115,13 @@ def test_differences_are_said_in_words() -> None:
         "bursts: golden 2, now 1",
         "burst 1 at 100 ms: on +20 ms, peak -0.5 mA",
     ]
+
+
+def test_a_log_of_another_protocol_version_is_told_as_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not as a difference in the first command's bytes, which says nothing."""
+    options = Options(session=SETTINGS, out=tmp_path, stimulator="none", report=False, as_json=True)
+    log = replay_recording(write_cut(tmp_path), options)
+    assert repeat(log).difference == ""
+    monkeypatch.setattr("fes.cli.replay_log.PROTOCOL_VERSION", PROTOCOL_VERSION + 1)
+    words = f"version {PROTOCOL_VERSION}, this program speaks {PROTOCOL_VERSION + 1}"
+    assert repeat(log).difference.endswith(words)

@@ -4,46 +4,22 @@ from __future__ import annotations
 
 import itertools
 import math
-import select
 import time
-from collections.abc import Sequence
+from pathlib import Path
 
 import pytest
+from dbc_imu import dbc_options
+from imu_reading import collect, settings, until_lost
 
+from drivers.imu.line import READS_AT_MOST, ByteLine
 from drivers.imu.open import open_imus
-from drivers.imu.port import ImuLost, ImuPort, RawSample
+from drivers.imu.port import ImuLost, RawSample
 from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
 from drivers.virtual.spawn import free_bus, why_silent
 from fes.clocks import SensorClock
-from fes.config.devices import ImuDevice
+from fes.signals import G_MPS2
 
 NO_BUS = why_silent(free_bus())
-
-
-def settings(kind: str, port: str, sensor: str = "right_foot", rate_hz: float = 100.0, **options: object) -> ImuDevice:
-    values = {"sensor": sensor, "device": kind, "port": port, "rate_hz": rate_hz, "options": options}
-    return ImuDevice.model_validate(values | {"acc_range_g": 16.0, "gyr_range_dps": 2000.0})
-
-
-def collect(ports: Sequence[ImuPort], seconds: float) -> list[RawSample]:
-    """Wait on all descriptors, and read all ports after each wait, for so long."""
-    found: list[RawSample] = []
-    end_s = time.monotonic() + seconds
-    while time.monotonic() < end_s:
-        select.select([number for port in ports if (number := port.fileno()) is not None], [], [], 0.01)
-        for port in ports:
-            found += port.read(time.monotonic_ns())
-    return found
-
-
-def until_lost(port: ImuPort, seconds: float = 5.0) -> str:
-    end_s = time.monotonic() + seconds
-    while time.monotonic() < end_s:
-        try:
-            collect([port], 0.05)
-        except ImuLost as error:
-            return str(error)
-    return ""
 
 
 def test_two_sensors_at_500_hz_lose_nothing_and_keep_their_own_clocks() -> None:
@@ -190,6 +166,64 @@ def test_two_sensors_on_one_can_bus() -> None:
         collect(ports, 0.5)
         assert ports[0].counts["left_foot"].missing >= 1
         ports[0].close()
+
+
+@pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")
+def test_a_sensor_by_any_dbc(tmp_path: Path) -> None:
+    bus, options = free_bus(), dbc_options(tmp_path)
+    with spawn_imu("dbc_can", rate_hz=200, bus=bus, options=options, offset_s=30.0, drift_ppm=60.0) as handle:
+        (port,) = open_imus([settings("dbc_can", "bus", rate_hz=200.0, **options)], bus)
+        counts = port.counts["right_foot"]
+        collect([port], 0.1)  # the group that was under way when the bus was opened
+        begun = counts.bad_frames
+        found = collect([port], 0.6)
+        assert len(found) > 80
+        assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)} == {5_000_000}
+        assert (counts.missing, counts.doubled, counts.backward, counts.bad_frames) == (0, 0, 0, begun)
+        assert all(math.dist(sample.acc_mps2, (0, 0, 0)) == pytest.approx(9.8, abs=1.0) for sample in found[:20])
+        assert max(abs(rate) for sample in found[:20] for rate in sample.gyr_radps) < 0.5
+        handle.fault("drop", 1)  # a frame, and with it a sample
+        collect([port], 0.2)
+        assert counts.missing == 1
+        handle.fault("nan", 2)  # there is none in 16 bits: the least number stands for it
+        least = pytest.approx(-16.0 * G_MPS2)
+        assert [sample.acc_mps2[0] == least for sample in collect([port], 0.2)].count(True) == 2
+        handle.fault("mute")
+        collect([port], 0.1)
+        assert collect([port], 0.2) == []
+        port.close()
+
+
+def test_a_wireless_sensor_over_udp() -> None:
+    with spawn_imu("ximu3", rate_hz=400, line="udp", offset_s=20.0) as handle:
+        assert handle.port.startswith("udp://127.0.0.1:")
+        (port,) = open_imus([settings("ximu3", handle.port, rate_hz=400.0)])
+        with pytest.raises(ImuLost, match="in use"):
+            open_imus([settings("ximu3", handle.port, "left_foot", rate_hz=400.0)])
+        counts = port.counts["right_foot"]
+        found = collect([port], 0.6)
+        assert len(found) > 150
+        steps = {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)}
+        assert steps == {2_500_000}
+        assert (counts.missing, counts.bad_frames, counts.bytes_skipped) == (0, 0, 0)
+        late_ns = [s.t_host_ns - handle.t0_ns - (s.t_device_ns - 20_000_000_000) for s in found]
+        assert 0 <= min(late_ns) < 5_000_000
+        handle.fault("drop", 3)
+        collect([port], 0.2)
+        assert counts.missing == 3
+        handle.fault("unplug")
+        collect([port], 0.1)
+        assert collect([port], 0.2) == []  # nobody tells that the other end is gone
+        port.reopen()
+        assert collect([port], 0.1) == []
+        port.close()
+
+
+def test_a_flooded_line_lets_go_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    line = ByteLine("right_foot", "udp://127.0.0.1:0", 0)
+    monkeypatch.setattr("drivers.imu.line.os.read", lambda descriptor, most: b"x")  # there is always one more
+    assert len(line.read()) == READS_AT_MOST
+    line.close()
 
 
 def drop_one(left: ImuHandle, right: ImuHandle) -> None:

@@ -1,0 +1,117 @@
+"""A serial CAN adapter on a pseudo-terminal: frames in and out; one that takes none is a named fault, not a stall."""
+
+from __future__ import annotations
+
+import os
+import pty
+import time
+import tty
+from collections.abc import Iterator
+
+import can
+import pytest
+
+from drivers.stimulator.bus import open_bus
+from drivers.stimulator.can_port import CanStimulator
+from drivers.stimulator.port import StimulatorLost
+from fes.config import Bus
+from fes.live.stimulator import LiveStimulator
+from fes.signals import StimCommand, SystemFault
+
+MS = 1_000_000
+
+
+class Adapter:
+    """The other end of the line, and the bus that this program opened on it."""
+
+    def __init__(self) -> None:
+        self.end, slave = pty.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self.end, False)
+        settings = Bus(interface="slcan", channel=os.ttyname(slave), options={"bitrate": 500000, "sleep_after_open": 0})
+        self.bus = open_bus(settings)
+        os.close(slave)
+
+    def heard(self) -> bytes:
+        return os.read(self.end, 65536)
+
+    def close(self) -> None:
+        self.bus.shutdown()
+        if self.end >= 0:
+            os.close(self.end)
+
+
+@pytest.fixture
+def adapter() -> Iterator[Adapter]:
+    made = Adapter()
+    yield made
+    made.close()
+
+
+def test_the_channel_is_opened_and_frames_go_out_and_come_in(adapter: Adapter) -> None:
+    assert adapter.heard().split(b"\r")[0] == b"C"
+    adapter.bus.send(can.Message(arbitration_id=0x120, data=b"\x01\xab", is_extended_id=False), timeout=0)
+    assert adapter.heard() == b"t120201AB\r"
+    os.write(adapter.end, b"z\r\r\at1FF100\rt1F0")
+    first = adapter.bus.recv(timeout=0)
+    assert first is not None
+    assert (first.arbitration_id, bytes(first.data)) == (0x1FF, b"\0")
+    assert adapter.bus.recv(timeout=0) is None
+    os.write(adapter.end, b"201FF\rT000001F0111\r")
+    second, third = adapter.bus.recv(timeout=0), adapter.bus.recv(timeout=1)
+    assert second is not None
+    assert third is not None
+    assert (second.arbitration_id, bytes(second.data), second.is_extended_id) == (0x1F0, b"\x01\xff", False)
+    assert (third.arbitration_id, bytes(third.data), third.is_extended_id) == (0x1F0, b"\x11", True)
+
+
+def test_lines_that_are_no_frames_are_passed_over(adapter: Adapter) -> None:
+    os.write(adapter.end, b"t\rt12\rtXYZ100\rt120F00\rt1209\r\xff\xfe\r\rq\rT0000\rt1202zz11\rt12310A\r")
+    message = adapter.bus.recv(timeout=1)
+    assert message is not None
+    while message.arbitration_id != 0x123:  # one or the other of them may look like a frame
+        message = adapter.bus.recv(timeout=1)
+        assert message is not None
+    assert bytes(message.data) == b"\x0a"
+
+
+def test_nothing_to_read_takes_no_time(adapter: Adapter) -> None:
+    began_s = time.monotonic()
+    for _ in range(200):
+        assert adapter.bus.recv(timeout=0) is None
+    assert time.monotonic() - began_s < 0.1  # python-can's own waits a millisecond for each
+    assert adapter.bus.recv(timeout=0.05) is None
+    assert time.monotonic() - began_s > 0.05
+
+
+def test_an_adapter_that_does_not_read_is_named_and_nobody_waits_for_it(adapter: Adapter) -> None:
+    now_ns = 1_000 * MS
+    live = LiveStimulator(
+        CanStimulator(adapter.bus, 7), lambda: (_ for _ in ()).throw(OSError), StimulatorLost, lambda: now_ns
+    )
+    longest_s = 0.0
+    for _ in range(20_000):
+        began_s = time.monotonic()
+        live.send(StimCommand(now_ns, 0, True, 20.0, 300.0, 40.0, 60))
+        longest_s = max(longest_s, time.monotonic() - began_s)
+        if not live.is_open:
+            break
+    (fault,) = live.events(now_ns)
+    print(f"{fault}, the longest call took {1e3 * longest_s:.1f} ms")
+    assert isinstance(fault, SystemFault)
+    assert "stimulator lost" in fault.text
+    assert "the adapter takes no frames" in fault.text
+    assert longest_s < 0.04
+
+
+def test_an_adapter_that_is_gone_is_an_error_of_the_bus_and_the_port_is_released(adapter: Adapter) -> None:
+    os.close(adapter.end)
+    adapter.end = -1
+    with pytest.raises(can.CanOperationError, match="adapter"):
+        adapter.bus.recv(timeout=1)
+    with pytest.raises(can.CanOperationError, match="adapter"):
+        adapter.bus.send(can.Message(arbitration_id=1, is_extended_id=False), timeout=0)
+    adapter.bus.shutdown()
+    adapter.bus.shutdown()
+    with pytest.raises(can.CanError):
+        adapter.bus.fileno()

@@ -1,0 +1,87 @@
+"""Every kind of simulated device in its process: what it is told, what it answers, and why it is not there."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from drivers.imu.port import ImuLost
+from drivers.stimulator.bus import LOOPBACK
+from drivers.virtual.can_link_spawn import spawn_link
+from drivers.virtual.imu_spawn import spawn_imu
+from drivers.virtual.process_handle import ProcessHandle
+from drivers.virtual.spawn import NodeFailed, free_bus, spawn_node, why_silent
+from drivers.virtual.spawn_device import spawn_device
+from fes.config import Bus
+
+NO_BUS = why_silent(free_bus(LOOPBACK))
+needs_bus = pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")
+
+START: dict[str, Callable[[Path], ProcessHandle]] = {
+    "node": lambda folder: spawn_node(bus=free_bus(LOOPBACK), record=folder / "record.jsonl"),
+    "serial": lambda folder: spawn_device("sciencemode4", record=folder / "record.jsonl"),
+    "sensor": lambda folder: spawn_imu("xbus"),
+    "line": lambda folder: spawn_link(free_bus(LOOPBACK), front=free_bus(LOOPBACK)),
+}
+A_FAULT = {"node": "mute", "serial": "mute", "sensor": "mute", "line": "cut"}
+kinds = pytest.mark.parametrize("kind", [pytest.param("node", marks=needs_bus), "serial", "sensor", "line"])
+
+
+@kinds
+def test_all_of_them_start_take_faults_and_end_alike(tmp_path: Path, kind: str) -> None:
+    with START[kind](tmp_path) as handle:
+        first_ns, second_ns = handle.tell(A_FAULT[kind]), handle.tell(A_FAULT[kind], 0.0)
+        assert 0 < first_ns < second_ns
+        with pytest.raises((NodeFailed, ImuLost), match=r"refused: .*smoke.* is not known"):
+            handle.tell("smoke")
+        with pytest.raises((NodeFailed, ImuLost), match="refused"):
+            handle.ask({"no": "fault"})
+        assert handle.tell(A_FAULT[kind], 0.0) > second_ns  # and it goes on
+        assert handle.stop() == 0
+        assert handle.stop() == 0
+        with pytest.raises((NodeFailed, ImuLost), match="has been stopped"):
+            handle.tell("mute")
+    assert [entry.event for entry in handle.entries("boot")] == (["boot"] if handle.record else [])
+
+
+def test_one_that_was_killed_is_gone_and_its_status_is_told(tmp_path: Path) -> None:
+    with START["serial"](tmp_path) as handle:
+        handle.process.kill()
+        with pytest.raises(NodeFailed, match="is gone; it said: nothing; it ended with status -9"):
+            handle.tell("mute")
+
+
+@contextmanager
+def taken_port() -> Iterator[Bus]:
+    """A bus whose UDP port is another program's, which does not share it."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("", 0))
+        yield Bus(interface=LOOPBACK, options={"port": other.getsockname()[1]})
+
+
+def test_a_port_that_is_taken_is_named() -> None:
+    with taken_port() as bus:
+        port = bus.options["port"]
+        with pytest.raises(NodeFailed, match=rf"stimulator did not start \(.*--port {port}.*\); it said: .*in use"):
+            spawn_node(bus=bus)
+
+
+def test_a_recording_that_cannot_be_played_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "walk.csv"
+    path.write_bytes(b"\x00\xff" * 99)
+    with pytest.raises(ImuLost, match=r"sensor did not start \(.*\); it said: imu_process: .*walk.csv: is binary"):
+        spawn_imu("xbus", recording=path)
+
+
+def test_a_record_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    with pytest.raises(NodeFailed, match=r"it said: sciencemode2: .*No such file.*nowhere"):
+        spawn_device("sciencemode2", record=tmp_path / "nowhere" / "record.jsonl")
+
+
+def test_one_that_is_not_ready_in_time_is_ended_and_that_is_said() -> None:
+    with pytest.raises(NodeFailed, match=r"it said: nothing within 0.001 s"):
+        spawn_device("sciencemode4", timeout_s=0.001)
