@@ -30,7 +30,7 @@ from fes.live.header import live_header
 from fes.live.realtime import frozen_garbage
 from fes.live.sensors import SensorLine
 from fes.live.session import LiveSession
-from fes.live.stimulator import LiveStimulator
+from fes.live.stimulator import LiveStimulator, Opened
 from fes.signals import FOOT_SENSORS, NS_PER_S, StimAlive, StimCommand, StimStatus, Vector3, WireFrame
 
 RATE_HZ = 500.0
@@ -111,6 +111,7 @@ class Stimulator:
         self._next_ns = 0
         self._counter = 0
         self.on = 0
+        self.heard = b""
 
     def send(self, command: StimCommand) -> WireFrame:
         self._counter = (self._counter + 1) % 16
@@ -178,7 +179,7 @@ def measure(minutes: float) -> dict[str, float]:
     script |= {second * at: b"a" for second in (*range(3, 15), *range(42, 59))}  # until the feet rest
     log = CountedLog(Path("session.feslog"), live_header(session, calibrations, 1, "", clock()))
     live = LiveSession(
-        session, calibrations, log, LiveStimulator(stimulator, lambda: (stimulator, 2), Lost, clock), clock
+        session, calibrations, log, LiveStimulator(stimulator, lambda: Opened(stimulator, 2), Lost, clock), clock
     )
     live.add_keys(reading)
     warm_up()

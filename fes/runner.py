@@ -78,6 +78,7 @@ class Runner:
         self._channels: set[int] = set()
         self._refused: dict[int, str] = {}
         self._latched = ""
+        self._flagged: set[str] = set()
         self._t_ns = 0
 
     @property
@@ -134,6 +135,8 @@ class Runner:
         for report in decision.reports:
             text = f"channel {report.channel}: {report.text}"
             self._log.note(Note(event.t_ns, report.severity, "tuning", text))
+        if len(self.gate.flagged) > len(self._flagged):
+            self._note_flags()
         if self.gate.latched != self._latched:
             self._note_latch()
             if self._latched:  # not at the next command: now
@@ -159,6 +162,13 @@ class Runner:
         # a refusal whose numbers alone have moved on is the same refusal
         if command.refused and _NUMBER.sub("", command.refused) != _NUMBER.sub("", before):
             self._log.note(Note(t_ns, "warning", "gate", f"channel {command.channel} refused: {command.refused}"))
+
+    def _note_flags(self) -> None:
+        """A sensor's first fault; the gate counts the rest."""
+        for sensor in sorted(self.gate.flagged.keys() - self._flagged):
+            self._flagged.add(sensor)
+            text = f"{self.gate.flagged[sensor].fault}; {sensor} drives no channel, stimulation goes on"
+            self._log.note(Note(self._t_ns, "warning", "gate", text))
 
     def _note_latch(self) -> None:
         self._latched = self.gate.latched

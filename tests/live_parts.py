@@ -96,6 +96,7 @@ class FakeStimulator:
     answers: list[StimStatus | StimAlive] = field(default_factory=list)
     broken: str = ""
     closed: bool = False
+    heard: bytes = b""
 
     def send(self, command: StimCommand) -> WireFrame:
         if self.broken:

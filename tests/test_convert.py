@@ -20,7 +20,7 @@ from fes.cli.main import main
 from fes.export.files import to_csv, to_parquet
 from fes.export.mcap_file import epoch_offset_ns, to_mcap
 from fes.export.tables import SINGLES, Column, Exported, batches
-from fes.journal import Note, SessionRecord, SessionWriter, read_session
+from fes.journal import Note, Received, SessionRecord, SessionWriter, read_session
 from fes.signals import (
     FootSwitchEvent,
     ImuSample,
@@ -54,6 +54,7 @@ def everything(path: Path, seconds: float = 2.0, created: str = CREATED) -> Path
             command = StimCommand(t_ns, 0, k % 8 == 0, 10.5, 200.0, 40.0, 60, 'too "fast", really' if k == 4 else "")
             writer.command(command, WireFrame(t_ns, 0x123, bytes([k % 256, 1])))
             writer.event(StimStatus(t_ns, 0, k % 16, True, 10.5, 200.0, 40.0, 2, 1.5, ""))
+    writer.received(Received(2 * 10**9, b"\x0f\xf0"))
     writer.event(Tick(2 * 10**9))
     writer.event(OperatorAct(2 * 10**9, OperatorAction.SET_INTENSITY, 0.5))
     writer.event(StimAlive(2 * 10**9, 7, 0))
@@ -93,6 +94,7 @@ def counts(record: SessionRecord) -> dict[str, int]:
         "reopened": len(record.reopened),
         "foot_switches": len(record.switches),
         "system_faults": len(record.faults),
+        "received": len(record.received),
     }
     return {name: rows for name, rows in out.items() if rows}
 
@@ -123,6 +125,7 @@ def test_csv_holds_everything(log: Path, tmp_path: Path) -> None:
     assert commands[1]["refused"] == 'too "fast", really'
     assert csv_rows(folder, "notes")[0]["text"] == "two\nlines, and a comma"
     assert csv_rows(folder, "frames")[1]["data"] == "0401"
+    assert csv_rows(folder, "received")[0]["data"] == "0ff0"
     (phase,) = csv_rows(folder, "phases")
     assert (phase["transition"], phase["source"], phase["destination"], phase["phase"]) == (
         "T1",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import tempfile
 import threading
 import time
 import tty
@@ -21,6 +22,7 @@ from drivers.imu import ximu3_codec
 from drivers.stimulator.serial_line import latency_hint
 from fes.cli import doctor_devices, doctor_host
 from fes.cli.devices import Connected, wanted_by
+from fes.cli.doctor import settings
 from fes.cli.exits import FAILED, OK
 from fes.cli.finding import Finding, Verdict
 from fes.cli.main import main
@@ -317,3 +319,56 @@ def test_a_bus_that_cannot_be_opened(tmp_path: Path) -> None:
     found = doctor_devices.stimulator(session(tmp_path, '[bus]\ninterface = "socketcan"\nchannel = "can17"\n'))
     assert found.verdict is Verdict.FAILURE
     assert "can17" in found.said
+
+
+NOBODY = 65534
+
+
+def said_to_an_ordinary_user() -> list[str]:
+    """What is found of the session in the current folder; called as that user."""
+    session = load_session(Path("session.toml"))
+    findings = [
+        *settings(Path("session.toml"), session),
+        doctor_devices.port_fault("sensor", "hidden/port"),
+        doctor_devices.port_fault("sensor", "port"),
+        *doctor_host.disk(session, Path("hidden/out"), 1.0),
+    ]
+    said = [f"{each.verdict} {each.said} -> {each.remedy}" for each in findings if each]
+    return said + [f"{each.found} {each.said}" for each in wanted_by(session, Connected([], [], []))]
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can become another user")
+def test_an_ordinary_user_gets_a_verdict_where_nothing_may_be_looked_at() -> None:
+    with tempfile.TemporaryDirectory() as name:  # pytest's own folders are closed to others
+        folder = Path(name)
+        folder.chmod(0o755)
+        (folder / "hidden").mkdir(mode=0o700)
+        (folder / "hidden" / "port").touch()
+        (folder / "port").touch(mode=0o600)
+        sensor = 'sensor = "right_foot"\ndevice = "xbus"\nport = "hidden/port"\nrate_hz = 100.0\n'
+        (folder / "session.toml").write_text(
+            f'{SETTINGS.read_text()}\n[live]\nstop_file = "hidden/stop"\n[[sensors]]\n{sensor}'
+            "acc_range_g = 16\ngyr_range_dps = 2000\n"
+        )
+        reading, writing = os.pipe()
+        pid = os.fork()  # not a new interpreter: nobody may look into the folder where this one is
+        if pid == 0:
+            try:
+                os.chdir(folder)
+                os.setgroups([])
+                os.setgid(NOBODY)
+                os.setuid(NOBODY)
+                os.write(writing, "\n".join(said_to_an_ordinary_user()).encode())
+            except BaseException as error:
+                os.write(writing, repr(error).encode())
+            finally:
+                os._exit(0)
+        os.close(writing)
+        os.waitpid(pid, 0)
+        with os.fdopen(reading, "rb") as file:
+            said = file.read().decode()
+    assert "failure hidden/stop: cannot be looked for: Permission denied -> name a file" in said
+    assert "failure hidden/port: cannot be looked for: Permission denied -> run as" in said
+    assert "failure port: this user may not open it -> sudo usermod" in said
+    assert "cannot be written: Permission denied -> make room" in said
+    assert "False cannot be looked for: Permission denied" in said

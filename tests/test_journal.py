@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fes.journal import Note, SessionLogError, SessionWriter, iter_events, read_session
+from fes.journal import Note, Received, SessionLogError, SessionWriter, iter_events, iter_inputs, read_session
 from fes.signals import (
     SENSORS,
     ImuSample,
@@ -82,6 +82,7 @@ outputs = st.one_of(
     st.tuples(st.just("phase"), phases),
     st.tuples(st.just("stride"), strides()),
     st.tuples(st.just("note"), notes),
+    st.tuples(st.just("received"), st.builds(Received, times, st.binary(max_size=40))),
     st.tuples(st.just("latency"), latencies),
     st.tuples(st.just("flush_due"), near_times),
 )
@@ -110,6 +111,9 @@ def test_everything_comes_back(tmp_path: Path, what: list[tuple[Any, ...]]) -> N
     write(path, what, {"strides": 3})
     log = read_session(path)
     assert (log.complete, log.lost, log.header, log.summary) == (True, "", HEADER, {"strides": 3})
+    assert log.received == of(what, "received")
+    kept = [entry[1] for entry in what if entry[0] in ("event", "received")]
+    assert [each for each in iter_inputs(path) if not isinstance(each, WireFrame)] == kept, "in their order"
     happened = of(what, "event")
     replayed = list(iter_events(path))
     assert replayed == happened

@@ -13,6 +13,7 @@ import pytest
 
 from fes.journal import Note, SessionLogError, SessionRecord, SessionWriter, iter_events, read_session
 from fes.journal.framing import MAGIC, RecordType, framed
+from fes.journal.repair import recover, survey
 from fes.signals import ImuSample, OperatorAct, OperatorAction, StimCommand, StimStatus, StrideResult, Tick, WireFrame
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -153,8 +154,10 @@ def test_a_malformed_record_is_never_taken_for_data(tmp_path: Path, kind: Record
     path = tmp_path / "log"
     SessionWriter(path, {"format": 1}).flush()
     path.write_bytes(path.read_bytes() + framed(kind, payload))
-    with pytest.raises(SessionLogError, match=r"near byte .* a record is malformed"):
+    with pytest.raises(SessionLogError, match=r"near byte .* a record is malformed .* `fes recover \S+log`"):
         read_session(path)
+    recover(survey(path), tmp_path / "recovered")
+    assert read_session(tmp_path / "recovered").header == {"format": 1}
 
 
 def test_a_malformed_event_ends_a_replay_with_an_error(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from replays import SETTINGS
 from test_live_run import SENSOR, run
 
-from drivers.stimulator.open import electrodes_unknown
+from drivers.stimulator.open import electrodes_told_from_ma
 from fes.cli.exits import UNUSABLE
 from fes.cli.live_devices import serial_ports_of
 from fes.cli.replay_log import repeat
@@ -17,8 +17,9 @@ from fes.config import ConfigError, Live, Session, StimulatorDevice, load_sessio
 from fes.controller import Controller
 from fes.journal import SessionLogError
 from fes.journal.writer import SessionWriter
+from fes.live.electrodes import Electrodes
 from fes.live.header import live_header
-from fes.signals import OperatorAct, OperatorAction, StimRequest, Tick
+from fes.signals import OperatorAct, OperatorAction, StimOpened, StimRequest, StimStatus, Tick
 
 
 def session(folder: Path, text: str) -> Session:
@@ -88,17 +89,28 @@ def test_currents_are_decided_in_the_stimulators_steps() -> None:
     [
         ("can", ""),
         ("canopen", ""),
-        ("p24_low_level", "15 mA"),
-        ("p24_mid_level", "15 mA"),
-        ("rehastim2", "first pulse"),
+        ("p24_low_level", "electrode not known until the first pulse at 15 mA (channel 0, 3)"),
+        ("p24_mid_level", "electrode not known until the first pulse at 15 mA (channel 0, 3)"),
+        ("rehastim2", "electrode not known until the first pulse (channel 0, 3)"),
     ],
 )
 def test_what_a_stimulator_cannot_tell_of_its_electrodes_is_said(
     device: Literal["can", "canopen", "p24_low_level", "p24_mid_level", "rehastim2"], said: str
 ) -> None:
-    unknown = electrodes_unknown(StimulatorDevice(device=device, port="/dev/ttyUSB0"))
-    assert said in unknown
-    assert bool(said) == bool(unknown)
+    from_ma = electrodes_told_from_ma(StimulatorDevice(device=device, port="/dev/ttyUSB0"))
+    electrodes = Electrodes([3, 0], from_ma)
+    assert electrodes.unknown() == said
+    electrodes.note(StimStatus(1, 0, 0, True, (from_ma or 1.0) - 0.5, 300.0, 40.0, fault="open lead"))
+    electrodes.note(StimStatus(1, 0, 0, False, 0.0, 0.0, 0.0))
+    if from_ma:
+        electrodes.note(StimStatus(1, 0, 0, True, from_ma - 0.5, 300.0, 40.0))
+    assert electrodes.unknown() == said
+    electrodes.note(StimStatus(2, 0, 0, True, from_ma or 1.0, 300.0, 40.0))
+    assert electrodes.unknown() == said.replace("0, ", "")
+    electrodes.note(StimStatus(3, 3, 0, True, 20.0, 300.0, 40.0))
+    assert electrodes.unknown() == ""
+    electrodes.note(StimOpened(4, 9))
+    assert electrodes.unknown() == said
 
 
 def test_the_serial_ports_of_a_session_are_each_named_once(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from fes.live.orders import Ask, Order
 from fes.live.ports import Input
 from fes.live.sensors import SensorLine
 from fes.live.source import LiveSource
-from fes.live.stimulator import UNSENT, LiveStimulator
+from fes.live.stimulator import UNSENT, LiveStimulator, Opened
 from fes.signals import (
     Event,
     ImuSample,
@@ -26,6 +26,7 @@ from fes.signals import (
     StimOpened,
     SystemFault,
     Tick,
+    WireFrame,
 )
 
 FOOT = "right_foot"
@@ -240,10 +241,10 @@ def command(t_ns: int, *, on: bool = True) -> StimCommand:
 
 
 def wrapped(line: FakeStimulator, clock: SetClock, again: list[FakeStimulator] | None = None) -> LiveStimulator:
-    def reopen() -> tuple[FakeStimulator, int]:
+    def reopen() -> Opened:
         if not again:
             raise Lost("still away")
-        return again.pop(), 4711
+        return Opened(again.pop(), 4711, (WireFrame(clock.now_ns, 0x100, b"hello"),))
 
     return LiveStimulator(line, reopen, Lost, clock)
 
@@ -274,6 +275,8 @@ def test_a_lost_stimulator_is_one_fault_and_is_opened_again_under_another_sessio
     (fault,) = stimulator.events(clock.now_ns)
     assert isinstance(fault, SystemFault)
     assert fault.text == "stimulator lost: bus-off"
+    frames: list[WireFrame] = []
+    stimulator.on_frame = frames.append
     spares.append(again)
     end_s = time.monotonic() + 5
     events: list[Event] = []
@@ -283,6 +286,7 @@ def test_a_lost_stimulator_is_one_fault_and_is_opened_again_under_another_sessio
         assert time.monotonic() < end_s
         time.sleep(0.001)
     assert events == [StimOpened(clock.now_ns, 4711)]
+    assert [frame.data for frame in frames] == [b"hello"], "the new handshake is told of too"
     assert stimulator.is_open
     stimulator.send(command(clock.now_ns, on=False))
     assert len(again.sent) == 1

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, cast
 
@@ -188,6 +190,15 @@ def test_every_event_is_logged_and_every_command_as_it_went_out() -> None:
     assert [t_ns for t_ns, _ in latencies] == [event.t_ns for event in events if isinstance(event, ImuSample)]
     assert {latency_ns for _, latency_ns in latencies} == {1000}
     assert not bench.gate.latched
+
+
+def test_a_sensor_that_drives_no_channel_is_noted_once_however_often_it_fails() -> None:
+    bench = Bench()
+    bad = [replace(sample(ms), sensor="left_shank", acc_mps2=(math.nan, 0.0, 0.0)) for ms in (1, 2, 3)]
+    bench.run(bad)
+    (note,) = bench.world.notes()
+    assert (note.t_ns, note.severity, note.source) == (1 * MS, "warning", "gate")
+    assert note.text == "non-finite sample from left_shank; left_shank drives no channel, stimulation goes on"
 
 
 def breaks_controller(bench: Bench) -> Exception:

@@ -11,6 +11,7 @@ import click
 
 from drivers.discover import CanChannel, LslStream, SerialPort, can_channels, lsl_streams, serial_ports
 from fes.cli.exits import FAILED, fail
+from fes.cli.reachable import not_there
 from fes.config import Bus, ConfigError, Session, load_session
 
 ON_CAN = ("xsens_can", "dbc_can", "can", "canopen")
@@ -94,8 +95,8 @@ def _line(name: str, port: str, connected: Connected) -> Wanted:
     known = next((each for each in connected.ports if Path(each.port).resolve() == Path(port).resolve()), None)
     if known is not None:
         return Wanted(name, port, True, " ".join(part for part in (known.description, known.maker) if part))
-    there = Path(port).exists()
-    return Wanted(name, port, there, "is there" if there else "there is no such port")
+    why = not_there(port)
+    return Wanted(name, port, not why, why or "is there")
 
 
 def _bus(name: str, bus: Bus, connected: Connected) -> Wanted:

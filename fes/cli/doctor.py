@@ -9,6 +9,7 @@ import click
 
 from fes.cli.exits import FAILED
 from fes.cli.finding import Finding, Verdict, as_json, failure, ok, tell, warning
+from fes.cli.reachable import cannot_be_seen
 from fes.config import ConfigError, Session, load_session
 
 
@@ -77,7 +78,10 @@ def settings(path: Path, session: Session) -> Iterator[Finding]:
                 "add its [[sensors]]",
             )
     stop_file = session.live.stop_file
-    if stop_file and Path(stop_file).exists():
+    if stop_file and (hidden := cannot_be_seen(stop_file)):
+        remedy = "name a file in a folder that this user may enter; it would never be seen to appear"
+        yield failure("stop file", f"{stop_file}: {hidden}", remedy)
+    elif stop_file and Path(stop_file).exists():
         yield failure("stop file", f"{stop_file} is there; arming would be refused", "remove it")
     elif stop_file:
         yield ok("stop file", f"{stop_file} is not there")

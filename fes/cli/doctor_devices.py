@@ -22,6 +22,7 @@ from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
 from fes.cli.finding import Finding, failure, ok, warning
 from fes.cli.live_devices import serial_ports_of
+from fes.cli.reachable import cannot_be_seen
 from fes.config import ConfigError, ImuDevice, Session, Switch
 from fes.live.watch import ALIVE_NS, RATE_TOLERANCE
 from fes.signals import NS_PER_S
@@ -52,6 +53,8 @@ def port_fault(name: str, port: str) -> Finding | None:
     """Why a serial port cannot be opened, where that can be told without trying; None when nothing is wrong."""
     if "://" in port:
         return None
+    if hidden := cannot_be_seen(port):
+        return failure(name, f"{port}: {hidden}", "run as a user who may enter its folder, or name the port otherwise")
     if not Path(port).exists():
         return failure(name, f"{port}: there is no such port", "plug it in and switch it on; `fes devices` lists ports")
     if not os.access(port, os.R_OK | os.W_OK):

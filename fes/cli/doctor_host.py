@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from fes.cli.finding import Finding, failure, ok, warning
+from fes.cli.reachable import not_there
 from fes.config import Session
 from fes.estimation.warm import warm_up
 from fes.journal import SessionLogError
@@ -70,7 +71,7 @@ def _step_ns() -> int:
 def disk(session: Session | None, out: Path, hours: float) -> Iterator[Finding]:
     """Whether the results' folder takes a session of so many hours, at the rate that a log of it grows."""
     name = "disk"
-    place = next(each for each in (out, *out.absolute().parents) if each.exists())
+    place = next(each for each in (out, *out.absolute().parents) if not not_there(each))
     try:
         with tempfile.TemporaryDirectory(prefix=".fes-doctor-", dir=place) as folder:
             bytes_per_s = log_bytes_per_s(session, Path(folder))

@@ -32,7 +32,9 @@ def open_sensors(session: Session, stack: ExitStack) -> Found:
         ports = open_imus(session.sensors, session.bus)
     except (ImuLost, BusError, ConfigError, ValueError) as error:
         fail(error)
-    needed = frozenset(driving(str(device.sensor) for device in session.sensors).values())
+    drivers = driving(str(device.sensor) for device in session.sensors)
+    # what drives no channel must not stop the therapy of a sound foot; without channels there is none to stop
+    needed = frozenset(drivers[channel.foot] for channel in session.channels if channel.foot in drivers)
     lines = []
     for port in ports:
         line = SensorLine(port, SensorClock, ImuLost, needed)

@@ -15,10 +15,13 @@ from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import StimulatorLost
 from fes.calibrations import calibrate_drivers, drivers_from
 from fes.cli.clock import MonotonicClock
-from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail
+from fes.cli.exits import FAILED, INTERRUPTED, StoppedEarly, fail
 from fes.cli.folders import LOG_SUFFIX, fresh_folder
 from fes.cli.interrupt import Interrupt
+from fes.cli.latched import tell_latched
+from fes.cli.live_page import page_options
 from fes.cli.progress import ReplayProgress
+from fes.cli.replay_words import refuse_settings_of_a_recording, say_what_is_left_out, settings_beside
 from fes.cli.show import show
 from fes.cli.stimulators import (
     Opened,
@@ -30,10 +33,10 @@ from fes.cli.stimulators import (
     warn_of_real_device,
     wire_truth,
 )
-from fes.cli.timing import PARAMETERS, TimingOptions, check_timing, expected_of, tell, timing_options
+from fes.cli.timing import TimingOptions, check_timing, expected_of, tell, timing_options
 from fes.config import ConfigError, Session, load_session
 from fes.controller import Controller
-from fes.driving import Calibration, driven_by, driving
+from fes.driving import Calibration, driven_by
 from fes.estimation.calibration import CalibrationError
 from fes.estimation.warm import warm_up
 from fes.gate import gate_of
@@ -61,6 +64,8 @@ class Options:
     report: bool = True
     calibration: Path | None = None
     timing: TimingOptions | None = None
+    page: bool = False
+    page_port: int = 0
 
 
 @click.command(name="replay")
@@ -82,6 +87,7 @@ class Options:
 @click.option("--rearm-after", type=click.FloatRange(min=0), help="Operator arms again this long after a fault (s).")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
+@page_options
 @timing_options
 def command(
     recording: Path,
@@ -94,6 +100,8 @@ def command(
     rearm_after: float | None,
     as_json: bool,
     no_report: bool,
+    page: bool,
+    page_port: int,
     timing: TimingOptions | None,
 ) -> None:
     """Replay RECORDING (CSV or Parquet with its sidecar) or a session log (.feslog).
@@ -101,7 +109,11 @@ def command(
     Prints the table of strides and a summary; writes the session log and the report. A session log is replayed from its
     own settings and must give the bytes that it recorded.
 
+    --page shows it in a browser as it was, at recorded speed or --speed; the page's stop ends the replay.
+
     --check-timing compares with the truth beside RECORDING, a session log with what it recorded; either with --against.
+
+    A gate that latched is told of last and is no failure: the exit code says whether the replay went through.
 
     Exit code: 0 all is well, 1 a check failed, 2 unusable input, 3 stopped early, 4 a fault of fes itself, 130
     interrupted.
@@ -109,11 +121,26 @@ def command(
     if recording.suffix == LOG_SUFFIX:
         from fes.cli.replay_log import replay_log
 
-        _refuse_settings_of_a_recording()
+        refuse_settings_of_a_recording(*(("speed", "page_port") if page else ()))
+        if page:
+            from fes.cli.replay_page import play_log
+
+            play_log(recording, fresh_folder(out, recording.stem), speed or 1.0, page_port)
         replay_log(recording, as_json=as_json, timing=timing)
         return
     options = Options(
-        session, out, speed, stimulator, arm_after, rearm_after, as_json, not no_report, calibration, timing
+        session,
+        out,
+        speed or (1.0 if page else None),
+        stimulator,
+        arm_after,
+        rearm_after,
+        as_json,
+        not no_report,
+        calibration,
+        timing,
+        page,
+        page_port,
     )
     replay_recording(recording, options)
 
@@ -128,7 +155,7 @@ def replay_recording(path: Path, options: Options) -> Path:
     try:
         recording = read_recording(path)
         refuse_long_silence(recording)
-        settings = options.session or _beside(path)
+        settings = options.session or settings_beside(path)
         asked = load_session(settings) if settings else None
         if options.calibration:
             recording, found = drivers_from(options.calibration, recording)
@@ -140,7 +167,7 @@ def replay_recording(path: Path, options: Options) -> Path:
         fail(error)
     kept = {channel.number for channel in session.channels}
     left_out = [channel.name for channel in (asked.channels if asked else ()) if channel.number not in kept]
-    _say_what_is_left_out(session, settings, left_out, calibrations, missing)
+    say_what_is_left_out(session, settings, left_out, calibrations, missing)
     expected = expected_of(options.timing, path, calibrations) if options.timing else None
     sha256 = digest(path)
     numbers = identity(sha256, session)
@@ -176,7 +203,10 @@ def replay_recording(path: Path, options: Options) -> Path:
     if options.timing and expected:
         timing = check_timing(read_session(log_path), options.timing, expected)
     more = {"timing": timing.to_json()} if timing else None
-    show(log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None, more=more)
+    remarks = show(
+        log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None, more=more
+    )
+    tell_latched(remarks)
     if ended == "different":
         click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
         raise SystemExit(FAILED)
@@ -200,7 +230,13 @@ def _go(
     stimulation = session.stimulation
     gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
     log = SessionWriter(log_path, header)
-    runner = Runner(Controller(session, calibrations), gate, opened.stimulator, log, time.perf_counter_ns)
+    controller = Controller(session, calibrations)
+    stage = None
+    if options.page:
+        from fes.cli.replay_page import Stage
+
+        stage = Stage(log_path.parent, session, calibrations, header, log, controller, gate, options.page_port)
+    runner = Runner(controller, gate, opened.stimulator, stage.log if stage else log, time.perf_counter_ns)
     events = armed_after(
         with_ticks(samples_of(recording, set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS)))),
         options.arm_after_s,
@@ -209,7 +245,7 @@ def _go(
         lambda: bool(gate.latched),
     )
     if options.stimulator == "bus" or options.speed is not None:
-        events = paced(events, MonotonicClock(), options.speed or 1.0)
+        events = paced(events, stage.clock if stage else MonotonicClock(), options.speed or 1.0)
     begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
     end_ns = max(int(track.t_ns[-1]) for track in recording.tracks.values())
     ended = "complete"
@@ -224,6 +260,8 @@ def _go(
             def after(event: Event) -> None:
                 log.flush_due(time.monotonic_ns())
                 progress.at(event.t_ns)
+                if stage:
+                    stage.tell(event.t_ns)
                 interrupt.check()
 
             runner.run(events, after)
@@ -243,43 +281,6 @@ def _go(
         summary["ended"] = ended
         summary["samples"] = {foot: tracker.counts.to_dict() for foot, tracker in runner.controller.trackers.items()}
         log.close(summary)
+        if stage:
+            stage.close(ended)
     return ended
-
-
-def _refuse_settings_of_a_recording() -> None:
-    """A session log brings its own settings; one given here would change nothing, so say so."""
-    context = click.get_current_context()
-    given = [name for name in context.params if name not in ("recording", "as_json", *PARAMETERS)]
-    for name in given:
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
-            raise Problem(
-                f"--{name.replace('_', '-')} has no meaning for a session log, which is replayed with the settings it "
-                f"holds. Replay its recording instead, or leave the option out."
-            )
-
-
-def _beside(path: Path) -> Path | None:
-    """The session settings in the recording's folder, if there are any."""
-    settings = path.parent / "session.toml"
-    return settings if settings.is_file() else None
-
-
-def _say_what_is_left_out(
-    session: Session,
-    settings: Path | None,
-    left_out: list[str],
-    calibrations: dict[str, Calibration],
-    missing: dict[str, str],
-) -> None:
-    for reason in missing.values():
-        click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
-    if not session.channels:
-        feet = ", ".join(sorted(driving(calibrations)))
-        why = f"{settings} has no channel for a foot in this recording ({feet})" if settings else "no --session given"
-        click.secho(f"Nothing is stimulated: {why}. Phases and strides only.", fg="yellow", err=True)
-    if left_out and session.channels:
-        names = ", ".join(left_out)
-        click.secho(f"Left out, for the recording has no sensor on that foot: {names}.", fg="yellow", err=True)
-    for channel in session.channels:
-        if channel.foot not in driving(calibrations):
-            raise Problem(f"Channel {channel.name!r} follows the {channel.foot}, which cannot be calibrated.")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
@@ -10,16 +11,19 @@ from typing import Any, Final
 import click
 
 from drivers.stimulator.byte_sink import ByteSink
-from drivers.stimulator.can_codec import COMMAND_ID
+from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID
+from drivers.stimulator.can_messages import PROTOCOL_VERSION
 from fes import __version__
 from fes.cli.exits import FAILED, fail
+from fes.cli.latched import tell_latched
+from fes.cli.replay_serial import SerialSink, repeats_bytes
 from fes.cli.show import show
 from fes.cli.timing import TimingOptions, check_replayed, tell
 from fes.config import ConfigError
 from fes.controller import CURRENT_STEP_MA, Controller
 from fes.driving import driven_by
 from fes.gate import gate_of
-from fes.journal import Note, SessionLogError, SessionRecord, iter_events, read_session
+from fes.journal import Note, SessionLogError, SessionRecord, iter_events, iter_inputs, read_session
 from fes.live.stimulator import UNSENT
 from fes.replay import settings_of
 from fes.runner import Runner
@@ -76,6 +80,13 @@ class LoggedSink:
         """The stimulator was opened again."""
         self._sink = ByteSink(session_id)
 
+    def told(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events, and where the stimulator was opened again, that."""
+        for event in events:
+            if isinstance(event, StimOpened):
+                self.opened(event.session_id)
+            yield event
+
     def send(self, command: StimCommand) -> WireFrame:
         """The frame that the session sent, or left out."""
         number, self._number = self._number, self._number + 1
@@ -123,20 +134,27 @@ def repeat(path: Path) -> Repeated:
         ) from error
     gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
     now = Collected()
-    recorded = [frame for frame in record.frames if frame.identifier in (COMMAND_ID, UNSENT)]
-    sink = LoggedSink(session_id, [frame.identifier != UNSENT for frame in recorded])
+    sink: LoggedSink | SerialSink
+    if repeats_bytes(session, record.header):
+        sink = SerialSink(session)
+        recorded = sink.commands_of(record.frames)
+        sink.sent = [frame.identifier != UNSENT for frame in recorded]
+        events = sink.told(iter_inputs(path), session_id)
+        compares_bytes = True
+    else:
+        recorded = [frame for frame in record.frames if frame.identifier in (COMMAND_ID, UNSENT)]
+        sink = LoggedSink(session_id, [frame.identifier != UNSENT for frame in recorded])
+        events = sink.told(iter_events(path))
+        compares_bytes = session.stimulator.device == "can"  # what another driver made of a command is not known
     controller = Controller(session, calibrations, current_step_ma=current_step_ma)
     runner = Runner(controller, gate, sink, now, lambda: 0)
-    for event in iter_events(path):
-        if isinstance(event, StimOpened):
-            sink.opened(event.session_id)
+    for event in events:
         runner.handle(event)
     if record.complete and not _cut_off(record):
         runner.all_off()
     whole = record.complete and record.summary.get("ended") in ENDED_WHOLE
-    on_can = session.stimulator.device == "can"  # what other devices' drivers make of a command is theirs
     difference = (
-        (_frames_differ(record, recorded, now.frames, runner.t_ns, whole) if on_can else "")
+        (_frames_differ(record, recorded, now.frames, runner.t_ns, whole) if compares_bytes else "")
         or _commands_differ(record.commands, now.commands, whole)
         or _phases_differ(record.phases, now.phases, whole)
         or _strides_differ(record.strides, now.strides, whole)
@@ -161,6 +179,9 @@ def _step_ma(stated: object) -> float:
 def _frames_differ(
     record: SessionRecord, recorded: list[WireFrame], now: list[WireFrame], end_ns: int, whole: bool
 ) -> str:
+    opening = next((frame.data for frame in record.frames if frame.identifier == OPEN_ID), b"")
+    if len(opening) > 1 and opening[1] % 16 != PROTOCOL_VERSION:
+        return f"its frames are of the protocol's version {opening[1] % 16}, this program speaks {PROTOCOL_VERSION}"
     for number, (was, is_now) in enumerate(zip(recorded, now, strict=False)):
         if was == is_now:
             continue
@@ -225,9 +246,12 @@ def replay_log(path: Path, *, as_json: bool, timing: TimingOptions | None = None
         again = repeat(path)
         more: dict[str, Any] = {"replayed": {name: getattr(again, name) for name in REPORTED}}
         checked = check_replayed(path, timing, again.now.phases, again.now.commands) if timing else None
-        show(path, as_json=as_json, report=None, more=more | ({"timing": checked.to_json()} if checked else {}))
+        remarks = show(
+            path, as_json=as_json, report=None, more=more | ({"timing": checked.to_json()} if checked else {})
+        )
     except (SessionLogError, ConfigError) as error:
         fail(error)
+    tell_latched(remarks)
     if again.difference:
         click.secho(f"Not the same when replayed: {again.difference}", fg="red", err=True)
         if not checked:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from drivers.stimulator.open import electrodes_unknown, open_stimulator
+from drivers.stimulator.open import electrodes_told_from_ma, open_stimulator
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
@@ -20,6 +20,7 @@ from fes.cli.exits import INTERRUPTED, Problem, StoppedEarly, fail
 from fes.cli.folders import LOG_SUFFIX, fresh_folder
 from fes.cli.interrupt import Interrupt
 from fes.cli.live_devices import Found, open_sensors, serial_ports_of, stop_switch_settings
+from fes.cli.live_page import about_session, add_page, open_page, page_options
 from fes.cli.run_calibration import calibrate, open_log, utc_now
 from fes.config import ConfigError, Session, load_session
 from fes.driving import Calibration, driving
@@ -50,6 +51,8 @@ class Options:
     control: Path | None = None
     keys_from: int | None = None
     view: bool | None = None
+    page: bool = False
+    page_port: int = 0
 
 
 @click.command(name="run")
@@ -67,6 +70,7 @@ class Options:
 @click.option("--control", type=click.Path(path_type=Path), help="Control socket. Default: OUT/…/control.sock.")
 @click.option("--keys-from", type=click.IntRange(min=0), help="Read keys from this descriptor instead of the terminal.")
 @click.option("--view/--no-view", default=None, help="The terminal view. Default: where there is a terminal.")
+@page_options
 def command(
     session: Path,
     out: Path | None,
@@ -78,6 +82,8 @@ def command(
     control: Path | None,
     keys_from: int | None,
     view: bool | None,
+    page: bool,
+    page_port: int,
 ) -> None:
     """Run a live session with the settings in SESSION (TOML).
 
@@ -87,7 +93,9 @@ def command(
     Exit code: 0 ended as asked, 2 unusable settings or devices, 3 stopped early, 4 a fault of fes itself, 130
     interrupted.
     """
-    options = Options(out, calibration, strides, duration_s, stop_file, stop_input, control, keys_from, view)
+    options = Options(
+        out, calibration, strides, duration_s, stop_file, stop_input, control, keys_from, view, page, page_port
+    )
     run_session(session, options)
 
 
@@ -169,6 +177,7 @@ def _run(
         fail(error)
     log_path = folder / f"session{LOG_SUFFIX}"
     log = open_log(log_path, live_header(session, calibrations, session_id, utc_now(), opened_ns, port.current_step_ma))
+    page = open_page(folder, about_session(session, "live"), options.page_port, stack) if options.page else None
     terminal = sys.stdout.isatty()
     view = stack.enter_context(ViewProcess()) if (terminal if options.view is None else options.view) else None
     stimulator = LiveStimulator(port, lambda: _open_again(session), StimulatorLost, time.monotonic_ns)
@@ -182,9 +191,11 @@ def _run(
         view,
         options.duration_s,
         current_step_ma=port.current_step_ma,
-        unknown=electrodes_unknown(session.stimulator),
+        electrodes_told_from_ma=electrodes_told_from_ma(session.stimulator),
     )
     _give_inputs(live, session, options, folder, keys, stack)
+    if page is not None:
+        add_page(live, page)
     click.secho("A stimulator is connected. Nothing is stimulated until you arm.", fg="red", bold=True, err=True)
     for port_name in serial_ports_of(session):
         if hint := latency_hint(port_name):
@@ -200,11 +211,16 @@ def _run(
         ended = "interrupted"
     except SessionLogError as error:
         ended = str(error)
+    except Exception as error:
+        ended = f"stopped: {type(error).__name__}: {error}"
+        raise
     finally:
         try:
             log.close({"ended": ended, **live.summary()})
         except SessionLogError as error:
             ended = str(error) if ended == COMPLETE else ended
+    if page is not None and ended != COMPLETE:
+        page.over = f"The session has ended: {ended}. Stimulation is off."
     return log_path, ended
 
 
@@ -212,11 +228,11 @@ def _open_again(session: Session) -> Opened:
     session_id = new_session_id()
     port = open_stimulator(session.stimulator, session, session_id)
     try:
-        port.open(time.monotonic_ns())
+        handshake = port.open(time.monotonic_ns())
     except Exception:
         port.close()
         raise
-    return port, session_id
+    return Opened(port, session_id, handshake.frames)
 
 
 def new_session_id() -> int:

@@ -5,17 +5,22 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
 from fes.cli.exits import StoppedEarly
 
+if TYPE_CHECKING:
+    from fes.view.quality import Remark
+
 PIPED_COLUMNS: Final = 110  # where no terminal says how wide it is
 
 
-def show(log_path: Path, *, as_json: bool, report: Path | None, more: dict[str, Any] | None = None) -> None:
-    """Print what a session log holds and write its report; ``more`` joins the JSON.
+def show(
+    log_path: Path, *, as_json: bool, report: Path | None, more: dict[str, Any] | None = None
+) -> tuple[Remark, ...]:
+    """Print what a session log holds and write its report; ``more`` joins the JSON. Returns the log's remarks.
 
     Raises:
         SessionLogError: the log cannot be read.
@@ -42,10 +47,11 @@ def show(log_path: Path, *, as_json: bool, report: Path | None, more: dict[str, 
     if as_json:
         files = {"session_log": str(log_path), "report": str(report) if report else None}
         click.echo(json.dumps({**summary.to_json(), **(more or {}), "files": files}, indent=2, ensure_ascii=False))
-        return
+        return summary.remarks
     console = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     console.print(stride_table(summary))
     console.print(summary_block(summary))
     console.print(f"Session log  {log_path}")
     if report is not None:
         console.print(f"Report       {report}  (open it in a browser)")
+    return summary.remarks

@@ -13,15 +13,14 @@ import click
 
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.byte_sink import ByteSink
-from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, decode
-from drivers.stimulator.can_messages import Command
+from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, commands_of
 from drivers.stimulator.can_port import CanStimulator
 from drivers.virtual.lockstep import LockstepStimulator
 from drivers.virtual.spawn import spawn_node
 from fes.config import Session
 from fes.delivered import Delivered, compare_delivered
 from fes.runner import Stimulator
-from fes.signals import StimAlive, StimCommand, StimStatus, WireFrame
+from fes.signals import StimAlive, StimStatus, WireFrame
 
 LAST_ANSWERS_S = 0.5
 
@@ -96,23 +95,7 @@ def last_answers(stimulator: OpenStimulator, t_ns: int) -> list[StimStatus | Sti
 
 def wire_truth(frames: list[WireFrame], statuses: list[StimStatus]) -> Delivered:
     """Hold the command frames that went out against what the stimulator said it delivered."""
-    sent = []
-    for frame in frames:
-        if frame.identifier not in CONTROLLER_IDS:
-            continue
-        message = decode(frame.identifier, frame.data)
-        if isinstance(message, Command):
-            command = StimCommand(
-                frame.t_ns,
-                message.channel,
-                message.on,
-                message.current_ma,
-                message.pulse_width_us,
-                message.frequency_hz,
-                message.validity_ms,
-            )
-            sent.append((command, message.counter))
-    return compare_delivered(sent, statuses)
+    return compare_delivered(commands_of([f for f in frames if f.identifier in CONTROLLER_IDS]), statuses)
 
 
 def as_summary(truth: Delivered) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from fes.journal.codec import Rare
 from fes.journal.framing import RecordType
-from fes.journal.record import Note
+from fes.journal.record import Note, Received
 from fes.journal.runs import latency_arrays, sample_arrays
 from fes.journal.salvage import Damage, pieces
 from fes.signals import (
@@ -121,6 +121,7 @@ SINGLES: Final[dict[type, Table]] = {
     StrideResult: _of(StrideResult, "strides", "t_end_ns"),
     StimCommand: _of(StimCommand, "commands"),
     WireFrame: _of(WireFrame, "frames"),
+    Received: _of(Received, "received"),
     StimStatus: _of(StimStatus, "statuses"),
     StimAlive: _of(StimAlive, "heartbeats"),
     StimOpened: _of(StimOpened, "reopened"),

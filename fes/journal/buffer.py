@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from fes.journal.codec import Rare, encode, encode_json
 from fes.journal.framing import MAGIC, RecordType, framed
-from fes.journal.record import Note, SessionLogError
+from fes.journal.record import Note, Received, SessionLogError
 from fes.journal.runs import LatencyRun, SampleRun
 from fes.signals import NS_PER_S, Event, ImuSample, StimCommand, StrideResult, WireFrame
 from statemachine.phases import PhaseChange
@@ -69,6 +69,11 @@ class RecordBuffer(ABC):
     def frame(self, frame: WireFrame) -> None:
         """Log bytes that went onto the wire without a command (heartbeats)."""
         self._append(frame)
+
+    def received(self, received: Received) -> None:
+        """Log what a serial stimulator's line brought, in its place among the events."""
+        self._close_samples()
+        self._append(received)
 
     def phase(self, change: PhaseChange) -> None:
         """Log a phase change."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from fes.journal.framing import RecordType
-from fes.journal.record import Note
+from fes.journal.record import Note, Received
 from fes.signals import (
     SENSORS,
     FootSwitchEvent,
@@ -41,7 +41,7 @@ _STRIDE = struct.Struct("<III")
 _STRIDE_ARRAYS = ("trajectory_m", "pitch_rad")
 
 RareEvent = Tick | OperatorAct | StimStatus | StimAlive | StimOpened | FootSwitchEvent | SystemFault
-Rare = RareEvent | StimCommand | WireFrame | PhaseChange | StrideResult | Note
+Rare = RareEvent | StimCommand | WireFrame | PhaseChange | StrideResult | Note | Received
 
 
 def encode(value: Rare) -> tuple[RecordType, bytes]:
@@ -79,6 +79,8 @@ def encode(value: Rare) -> tuple[RecordType, bytes]:
             return RecordType.STIM_OPENED, _OPENED.pack(value.t_ns, value.session_id)
         case FootSwitchEvent():
             return RecordType.FOOT_SWITCH, _SWITCH.pack(value.t_ns, SENSORS.index(value.foot), value.pressed)
+        case Received():
+            return RecordType.RECEIVED, _TICK.pack(value.t_ns) + value.data
         case SystemFault():
             return RecordType.SYSTEM_FAULT, _TICK.pack(value.t_ns) + value.text.encode()
 
@@ -128,6 +130,9 @@ def decode(kind: int, payload: memoryview) -> Rare:
         case RecordType.SYSTEM_FAULT:
             (t_ns,) = _TICK.unpack_from(payload)
             return SystemFault(t_ns, str(payload[_TICK.size :], "utf-8"))
+        case RecordType.RECEIVED:
+            (t_ns,) = _TICK.unpack_from(payload)
+            return Received(t_ns, bytes(payload[_TICK.size :]))
         case _:
             raise ValueError(f"record type {kind} is no single value")
 

@@ -42,6 +42,7 @@ class RecordType(IntEnum):
     STIM_OPENED = 14
     FOOT_SWITCH = 15
     SYSTEM_FAULT = 16
+    RECEIVED = 17
 
 
 _KNOWN = frozenset(int(kind) for kind in RecordType)

@@ -11,12 +11,12 @@ import numpy as np
 
 from fes.journal.codec import RareEvent, decode, decode_json
 from fes.journal.framing import LogScan, RecordType
-from fes.journal.record import SessionLogError, SessionRecord
+from fes.journal.record import Received, SessionLogError, SessionRecord
 from fes.journal.runs import latency_arrays, sample_arrays, samples_of
-from fes.signals import Event
+from fes.signals import Event, WireFrame
 
 _BAD_PAYLOAD = (struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError)
-_SINGLE_EVENTS = frozenset(
+_SINGLE_INPUTS = frozenset(
     (
         RecordType.TICK,
         RecordType.ACT,
@@ -25,6 +25,8 @@ _SINGLE_EVENTS = frozenset(
         RecordType.STIM_OPENED,
         RecordType.FOOT_SWITCH,
         RecordType.SYSTEM_FAULT,
+        RecordType.RECEIVED,
+        RecordType.FRAME,
     )
 )
 
@@ -51,6 +53,7 @@ def read_session(path: Path) -> SessionRecord:
         RecordType.STIM_OPENED: record.reopened,
         RecordType.FOOT_SWITCH: record.switches,
         RecordType.SYSTEM_FAULT: record.faults,
+        RecordType.RECEIVED: record.received,
     }
     runs: dict[int, list[memoryview]] = {RecordType.SAMPLES: [], RecordType.LATENCY: [], RecordType.TICK: []}
     ended = False
@@ -82,6 +85,15 @@ def iter_events(path: Path) -> Iterator[Event]:
     Raises:
         SessionLogError: as :func:`read_session`.
     """
+    return (each for each in iter_inputs(path) if not isinstance(each, Received | WireFrame))
+
+
+def iter_inputs(path: Path) -> Iterator[Event | Received | WireFrame]:
+    """Yield the events in their original order, and among them what a serial line brought and what went onto the wire.
+
+    Raises:
+        SessionLogError: as :func:`read_session`.
+    """
     scan = LogScan(Path(path))
     records = iter(scan)
     _header(records, scan)
@@ -89,9 +101,9 @@ def iter_events(path: Path) -> Iterator[Event]:
         for kind, payload in records:
             if kind == RecordType.SAMPLES:
                 yield from samples_of(payload)
-            elif kind in _SINGLE_EVENTS:
+            elif kind in _SINGLE_INPUTS:
                 value = decode(kind, payload)
-                if isinstance(value, RareEvent):
+                if isinstance(value, RareEvent | Received | WireFrame):
                     yield value
     except _BAD_PAYLOAD as error:
         raise _malformed(scan, error) from error
@@ -112,4 +124,7 @@ def _header(records: Iterator[tuple[int, memoryview]], scan: LogScan) -> dict[st
 
 def _malformed(scan: LogScan, error: Exception) -> SessionLogError:
     """A record whose checksum is right and whose content is not: a fault of the program that wrote it."""
-    return SessionLogError(f"{scan.path}: near byte {scan.good_bytes}: a record is malformed ({error})")
+    return SessionLogError(
+        f"{scan.path}: near byte {scan.good_bytes}: a record is malformed ({error}). `fes recover {scan.path}` makes a "
+        f"new log of all that can be read."
+    )

@@ -43,6 +43,17 @@ class Note:
             raise ValueError(f"severity {self.severity!r} is none of {', '.join(SEVERITIES)}")
 
 
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Bytes that a serial stimulator's line brought, as they came; ``t_ns`` is the event that they were looked for at.
+
+    What such a port sends next depends on them (what is still unanswered, what must be asked), so a replay needs them.
+    """
+
+    t_ns: int
+    data: bytes
+
+
 @dataclass(frozen=True, eq=False)
 class SampleArrays:
     """One sensor's samples in the order they came: (N,) arrival and sensor times, (N, 3) m/s² and rad/s."""
@@ -79,6 +90,7 @@ class SessionRecord:
     reopened: list[StimOpened] = field(default_factory=list)
     switches: list[FootSwitchEvent] = field(default_factory=list)
     faults: list[SystemFault] = field(default_factory=list)
+    received: list[Received] = field(default_factory=list)
     latency_t_ns: IntArray = field(default_factory=_no_times)
     latency_ns: IntArray = field(default_factory=_no_times)
     summary: dict[str, Any] = field(default_factory=dict)

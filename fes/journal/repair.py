@@ -31,6 +31,7 @@ NAMES: Final = {
     RecordType.STIM_OPENED: ("reopening of the stimulator", "reopenings of the stimulator"),
     RecordType.FOOT_SWITCH: ("foot switch's event", "foot switch's events"),
     RecordType.SYSTEM_FAULT: ("system fault", "system faults"),
+    RecordType.RECEIVED: ("stimulator's bytes", "stimulator's bytes"),
 }
 _COPY_BYTES: Final = 1 << 20
 

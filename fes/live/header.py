@@ -38,4 +38,5 @@ def live_header(
         "calibration": {sensor: calibration.to_dict() for sensor, calibration in calibrations.items()},
         "stim_session_id": stim_session_id,
         "current_step_ma": current_step_ma,
+        "heard": True,  # what a serial stimulator answered is in the log as it came, so that its bytes can be repeated
     }

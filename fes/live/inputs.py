@@ -149,20 +149,26 @@ class StopFile:
     def __init__(self, path: Path, carry: Carry) -> None:
         self.path = path
         self._carry = carry
-        self._there = False
+        self._doubt = ""
 
     def fileno(self) -> int | None:
         """None: a file on any file system is looked for, not waited for."""
         return None
 
     def take(self, t_ns: int) -> list[Event]:
-        """A stop when the file has appeared."""
-        was, self._there = self._there, self.path.exists()
-        return self._carry(Order(Ask.STOP, origin=f"file {self.path.name}"), t_ns) if self._there and not was else []
+        """A stop when the file has appeared, or can no longer be looked for."""
+        was, self._doubt = self._doubt, self._look()
+        return self._carry(Order(Ask.STOP, origin=f"file {self.path.name}"), t_ns) if self._doubt and not was else []
 
     def doubt(self) -> str:
         """Why it forbids arming; "" when it does not."""
-        return f"the stop file {self.path} is there; remove it" if self._there else ""
+        return self._doubt
+
+    def _look(self) -> str:
+        try:
+            return f"the stop file {self.path} is there; remove it" if self.path.exists() else ""
+        except OSError as error:
+            return f"the stop file {self.path} cannot be looked for: {error.strerror}"
 
 
 class SwitchLine(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -13,8 +13,10 @@ from fes.gate import SafetyGate
 from fes.journal import Note
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import Operator
+from fes.live.remarks import Remarks
 from fes.live.status import FootStatus, Status
 from fes.live.switches import SwitchComparison
+from fes.live.tuning_status import tuning_status
 from fes.live.watch import SensorWatch
 from fes.signals import Event, FootSwitchEvent, ImuSample, StimAlive, StimCommand, StimStatus, StrideResult, WireFrame
 from statemachine.phases import PhaseChange
@@ -55,6 +57,30 @@ class Timing:
         return {"count": self.count, "most_ms": round(self.most_ms, 3), "longer_than_ms": over}
 
 
+class Page(Protocol):
+    """What a browser's page is told; see ``fes.page.feed``. ``lost``: why it is told nothing any more."""
+
+    lost: str
+
+    def event(self, event: Event) -> None:
+        """As the log's."""
+
+    def command(self, command: StimCommand) -> None:
+        """As the log's."""
+
+    def phase(self, change: PhaseChange) -> None:
+        """As the log's."""
+
+    def stride(self, result: StrideResult) -> None:
+        """As the log's."""
+
+    def note(self, note: Note) -> None:
+        """As the log's."""
+
+    def tell(self, status: bytes) -> None:
+        """Send the status and what has gathered; never waits."""
+
+
 class Monitor:
     """The loop's log: passes everything on to the real one and remembers what a status needs.
 
@@ -63,6 +89,7 @@ class Monitor:
         drivers: by foot, the sensor that tells its phases.
         view: the socket of the process that shows it; None where there is none.
         publish: further listeners.
+        remarks: what a person should know though nothing is latched; they are told of every event here.
     """
 
     def __init__(
@@ -72,10 +99,12 @@ class Monitor:
         drivers: Mapping[str, str],
         view: socket.socket | None,
         publish: Callable[[bytes], None] | None = None,
+        remarks: Remarks | None = None,
     ) -> None:
         self.log = log
         self.latencies, self.lateness = Timing(), Timing()
         self.dropped_frames = 0
+        self.page: Page | None = None
         self.switches = SwitchComparison()
         self.answered_ns: int | None = None
         self.device_fault = ""
@@ -84,6 +113,7 @@ class Monitor:
         self._foot_of = {sensor: foot for foot, sensor in drivers.items()}
         self._view = view
         self._publish = publish
+        self._remarks = remarks
         self._strides: dict[str, StrideResult] = {}
         self._on: set[int] = set()
         self._next_ns = 0
@@ -93,6 +123,8 @@ class Monitor:
     def event(self, event: Event) -> None:
         """As the log's."""
         self.log.event(event)
+        if self._remarks is not None:
+            self._remarks.take(event)
         if isinstance(event, ImuSample):
             if (watch := self.watches.get(event.sensor)) is not None:
                 watch.note(event)
@@ -104,25 +136,35 @@ class Monitor:
                 self.device_fault = event.fault
         elif isinstance(event, FootSwitchEvent):
             self.switches.switch(event)
+        if self.page is not None:
+            self.page.event(event)
 
     def command(self, command: StimCommand, frame: WireFrame) -> None:
         """As the log's."""
         self.log.command(command, frame)
         (self._on.add if command.on else self._on.discard)(command.channel)
+        if self.page is not None:
+            self.page.command(command)
 
     def phase(self, change: PhaseChange) -> None:
         """As the log's."""
         self.log.phase(change)
         self.switches.phase(change)
+        if self.page is not None:
+            self.page.phase(change)
 
     def stride(self, result: StrideResult) -> None:
         """As the log's."""
         self.log.stride(result)
         self._strides[result.foot] = result
+        if self.page is not None:
+            self.page.stride(result)
 
     def note(self, note: Note) -> None:
         """As the log's."""
         self.log.note(note)
+        if self.page is not None:
+            self.page.note(note)
 
     def latency(self, t_ns: int, latency_ns: int) -> None:
         """As the log's."""
@@ -154,6 +196,8 @@ class Monitor:
             samples=sum(watch.count for watch in self.watches.values()),
             stimulator=stimulator,
             dropped_frames=self.dropped_frames,
+            tuning=tuning_status(controller.tuning),
+            remarks=self._remarks.now() if self._remarks else [],
         )
         datagram = status.encode()
         if self._view is not None:
@@ -165,6 +209,12 @@ class Monitor:
                 self._view.close()
                 self._view = None
                 self.note(Note(t_ns, "warning", "view", "the terminal view has ended; the session goes on"))
+        if self.page is not None:
+            self.page.tell(datagram)
+            if self.page.lost:
+                operator.message = f"the page has ended ({self.page.lost}): no stop there; the session goes on"
+                self.page = None
+                self.note(Note(t_ns, "warning", "page", operator.message))
         if self._publish is not None:
             self._publish(datagram)
 

@@ -15,6 +15,7 @@ from fes.gate import SafetyGate
 from fes.journal import Note
 from fes.live.orders import Ask, Order
 from fes.live.states import CURRENT_ALLOWED, Cause, SessionMachine, State
+from fes.live.tuning_orders import Refusal, TuningOrders
 from fes.live.watch import SensorWatch
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, Tick
 
@@ -36,7 +37,7 @@ class Operator:
         note: where remarks go.
         answered_ns: when the stimulator last said anything; None: never yet.
         checks: further reasons against arming, each "" when there is none (log, stop file, free disk …).
-        unknown: what the stimulator cannot tell before it stimulates; said when armed.
+        unknown: what the stimulator cannot tell yet; said when armed.
     """
 
     def __init__(
@@ -49,7 +50,7 @@ class Operator:
         note: Callable[[Note], None],
         answered_ns: Callable[[], int | None],
         checks: Callable[[], list[str]] = list,
-        unknown: str = "",
+        unknown: Callable[[], str] = str,
     ) -> None:
         self.machine = SessionMachine()
         self.message = "warming up"
@@ -69,6 +70,7 @@ class Operator:
         self._began_ns: int | None = None
         self._raised_ns = -RAISE_PAUSE_NS
         self._intensity = 0.0
+        self._tuning = TuningOrders(controller)
 
     @property
     def state(self) -> State:
@@ -91,6 +93,10 @@ class Operator:
             Ask.BELT_UP: self._belt,
             Ask.BELT_DOWN: self._belt,
             Ask.QUIT: self._quit,
+            Ask.FREEZE_TUNING: self._tune,
+            Ask.RESUME_TUNING: self._tune,
+            Ask.ACCEPT_SUGGESTION: self._tune,
+            Ask.ROLL_BACK: self._tune,
         }[order.ask]
         return handler(order, t_ns)
 
@@ -153,9 +159,10 @@ class Operator:
 
     def _armed(self, t_ns: int) -> None:
         if self._gate.armed:
-            self._move(t_ns, Cause.ARM, "; ".join(filter(None, ("armed; + raises the intensity", self._unknown))))
-            if self._unknown:
-                self._note(Note(t_ns, "info", "session", self._unknown))
+            unknown = self._unknown()
+            self._move(t_ns, Cause.ARM, "; ".join(filter(None, ("armed; + raises the intensity", unknown))))
+            if unknown:
+                self._note(Note(t_ns, "info", "session", unknown))
         else:
             self._refuse(t_ns, f"cannot arm: {self._gate.arming_refused}")
 
@@ -218,6 +225,14 @@ class Operator:
         asked = order.value if step is None else (self.belt_speed_mps or 0.0) + step
         self.belt_speed_mps = round(min(max(asked, 0.0), BELT_MOST_MPS), 3)
         return [OperatorAct(t_ns, OperatorAction.SET_BELT_SPEED, self.belt_speed_mps)]
+
+    def _tune(self, order: Order, t_ns: int) -> list[Event]:
+        try:
+            events = self._tuning.take(order, self.channel, t_ns)
+        except Refusal as refusal:
+            return self._refuse(t_ns, str(refusal))
+        self.message = self._tuning.message
+        return list(events)
 
     def _quit(self, order: Order, t_ns: int) -> list[Event]:
         self.quitting = True

@@ -20,11 +20,15 @@ class Ask(StrEnum):
     DOWN = "down"
     TEST = "test"
     TRIGGER = "trigger"
-    CHANNEL = "channel"  # which one TEST and TRIGGER are for
+    CHANNEL = "channel"  # which one TEST, TRIGGER, ACCEPT_SUGGESTION and ROLL_BACK are for
     BELT = "belt"  # set to ``value`` m/s
     BELT_UP = "belt_up"
     BELT_DOWN = "belt_down"
     QUIT = "quit"
+    FREEZE_TUNING = "freeze_tuning"
+    RESUME_TUNING = "resume_tuning"
+    ACCEPT_SUGGESTION = "accept_suggestion"  # of the chosen channel
+    ROLL_BACK = "roll_back"  # the chosen channel to the session's own settings
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +53,14 @@ KEYS: Final = {
     ">": Ask.BELT_UP,
     "<": Ask.BELT_DOWN,
     "q": Ask.QUIT,
+    "f": Ask.FREEZE_TUNING,
+    "g": Ask.RESUME_TUNING,
+    "y": Ask.ACCEPT_SUGGESTION,
+    "r": Ask.ROLL_BACK,
 }
-NEEDS_CONFIRMATION: Final = frozenset((Ask.ARM, Ask.UP, Ask.TEST, Ask.TRIGGER))  # all that can lead to more current
+NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
+    (Ask.ARM, Ask.UP, Ask.TEST, Ask.TRIGGER, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK)
+)
 LONGEST_ORDER: Final = 1024
 
 

@@ -62,6 +62,10 @@ class SensorClock(Protocol):
 class StimulatorLine(Protocol):
     """An open stimulator; see ``drivers.stimulator.port``."""
 
+    @property
+    def heard(self) -> bytes:
+        """What the last ``poll`` read, where the bytes that go out depend on that: it belongs in the log."""
+
     def send(self, command: StimCommand) -> WireFrame:
         """Write at once."""
 

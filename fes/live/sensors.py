@@ -34,11 +34,12 @@ class SensorLine:
         self._held = port
         self._clock = clock
         self._lost = lost
-        self._needed = needed & set(self.sensors)
+        self.needed = needed & set(self.sensors)
         self._clocks = {sensor: clock() for sensor in self.sensors}
         self._newest_ns: int | None = None
         self._attempts: Reopening[Imu] | None = None
         self.losses = 0
+        self.why_lost = ""  # while it is lost
 
     def fileno(self) -> int | None:
         """Readable with samples; None while the line is lost, or where there is nothing to wait on."""
@@ -84,7 +85,7 @@ class SensorLine:
                 yield from self._lose(t_ns, "nothing has come for a second")
             return
         if self._attempts is not None and (port := self._attempts.poll(t_ns)) is not None:
-            self.port, self._attempts, self._newest_ns = port, None, None
+            self.port, self._attempts, self._newest_ns, self.why_lost = port, None, None, ""
             self._clocks = {sensor: self._clock() for sensor in self.sensors}
 
     def close(self) -> None:
@@ -96,8 +97,9 @@ class SensorLine:
         self.port = None
         self.losses += 1
         self._attempts = Reopening(self._again, t_ns)
-        if self._needed:
-            yield SystemFault(t_ns, f"{', '.join(sorted(self._needed))}: sensor lost: {why}"[:200])
+        self.why_lost = f"{', '.join(self.sensors)}: sensor lost: {why}"[:200]
+        if self.needed:
+            yield SystemFault(t_ns, f"{', '.join(sorted(self.needed))}: sensor lost: {why}"[:200])
 
     def _again(self) -> Imu:
         self._held.reopen()

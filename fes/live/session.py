@@ -11,13 +11,15 @@ from fes.config import Session
 from fes.controller import CURRENT_STEP_MA, Controller
 from fes.driving import Calibration, driven_by, driving
 from fes.gate import gate_of
-from fes.journal import Note
+from fes.journal import Note, Received
+from fes.live.electrodes import Electrodes
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopFile, StopSwitch, SwitchLine
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.operator import Operator
 from fes.live.ports import Input
 from fes.live.realtime import Grant
+from fes.live.remarks import Remarks
 from fes.live.sensors import SensorLine
 from fes.live.source import LiveSource
 from fes.live.states import CURRENT_ALLOWED
@@ -37,7 +39,7 @@ class LiveSession:
         clock_ns: the monotonic clock that everything is stamped by.
         duration_s: ends the session by itself after this long; None: the operator does.
         current_step_ma: the stimulator's step of current.
-        unknown: what the stimulator cannot tell before it stimulates.
+        electrodes_told_from_ma: see :class:`fes.live.electrodes.Electrodes`.
     """
 
     def __init__(
@@ -51,7 +53,7 @@ class LiveSession:
         duration_s: float | None = None,
         *,
         current_step_ma: float = CURRENT_STEP_MA,
-        unknown: str = "",
+        electrodes_told_from_ma: float | None = None,
     ) -> None:
         self.controller = Controller(session, calibrations, current_step_ma=current_step_ma)
         self.gate = gate_of(
@@ -61,7 +63,9 @@ class LiveSession:
             str(device.sensor): SensorWatch(device, calibrations.get(device.sensor)) for device in session.sensors
         }
         drivers = driving(calibrations)
-        self.monitor = Monitor(log, watches, drivers, view.link if view else None, self._publish)
+        electrodes = Electrodes((channel.number for channel in session.channels), electrodes_told_from_ma)
+        self.remarks = Remarks(self.gate, electrodes)
+        self.monitor = Monitor(log, watches, drivers, view.link if view else None, self._publish, self.remarks)
         self.operator = Operator(
             session,
             self.controller,
@@ -71,11 +75,13 @@ class LiveSession:
             self.monitor.note,
             lambda: self.monitor.answered_ns,
             self._doubts,
-            unknown,
+            electrodes.unknown,
         )
         self.stimulator = stimulator
         self.runner = Runner(self.controller, self.gate, stimulator, self.monitor, clock_ns, from_reading=True)
         self._log = log
+        stimulator.on_heard = lambda t_ns, data: log.received(Received(t_ns, data))
+        stimulator.on_frame = log.frame
         self._clock_ns = clock_ns
         self._duration_s = duration_s
         self._inputs: list[Input] = []
@@ -111,6 +117,10 @@ class LiveSession:
         """A switch under a foot."""
         self._inputs.append(FootSwitchInput(foot, line))
 
+    def add_input(self, each: Input) -> None:
+        """Anything else that can make something happen."""
+        self._inputs.append(each)
+
     # --- the session -------------------------------------------------------------------------------------
 
     def run(
@@ -133,6 +143,7 @@ class LiveSession:
             SessionLogError: the log cannot be written any more.
         """
         begin_ns = self._clock_ns()
+        self.remarks.lines = lines
         self._end_ns = None if self._duration_s is None else begin_ns + int(self._duration_s * NS_PER_S)
         for frame in handshake:
             self._log.frame(frame)
@@ -168,11 +179,14 @@ class LiveSession:
             "stalls": source.stalls if source else 0,
             "longest_stall_ms": round(source.longest_stall_ns * 1e-6, 1) if source else 0.0,
             "unsent": self.stimulator.unsent,
+            "flagged": {sensor: flag.samples for sensor, flag in self.gate.flagged.items()},
             "dropped_view_frames": self.monitor.dropped_frames,
         }
 
     def _after(self, event: Event, check: Callable[[], None]) -> None:
         self.operator.after(event)
+        for text in self.remarks.new_losses():
+            self.monitor.note(Note(event.t_ns, "warning", "session", text))
         if isinstance(event, SystemFault) and not self.gate.latched:
             self.monitor.note(Note(event.t_ns, "warning", "session", event.text))
         now_ns = self._clock_ns()

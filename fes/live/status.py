@@ -23,6 +23,27 @@ class FootStatus:
 
 
 @dataclass(frozen=True, slots=True)
+class TuningStatus:
+    """One channel's tuning and charge; texts are "" where there is nothing to say.
+
+    ``now``: the next burst's parameters. ``suggestion``: what would change, ``why`` with its reason. ``last_change``:
+    the last change or roll-back with its reason, at ``last_change_ns``. Charges in µC: last step, minute, session.
+    """
+
+    mode: str = "off"
+    frozen: str = ""
+    now: str = ""
+    suggestion: str = ""
+    why: str = ""
+    last_change: str = ""
+    last_change_ns: int = 0
+    hint: str = ""
+    step_uc: float = 0.0
+    minute_uc: float = 0.0
+    session_uc: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
 class Status:
     """A session at one moment; latency is from a sample's reading to the last byte written, since it began."""
 
@@ -41,6 +62,8 @@ class Status:
     samples: int = 0
     stimulator: str = ""
     dropped_frames: int = 0
+    tuning: dict[str, TuningStatus] = field(default_factory=dict)  # by channel number
+    remarks: list[str] = field(default_factory=list)  # what to know though nothing is latched
     version: int = VERSION
 
     def encode(self) -> bytes:
@@ -59,6 +82,7 @@ class Status:
             if data["version"] != VERSION:
                 raise ValueError(f"status of version {data['version']}, this program reads {VERSION}")
             feet = {name: FootStatus(**foot) for name, foot in data.pop("feet").items()}
-            return Status(**data, feet=feet)
+            tuning = {number: TuningStatus(**one) for number, one in data.pop("tuning", {}).items()}
+            return Status(**data, feet=feet, tuning=tuning)
         except (KeyError, TypeError, AttributeError) as error:
             raise ValueError(f"no status: {error}") from error

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Final, TypeAlias
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, NamedTuple
 
 from fes import limits
 from fes.live.ports import StimulatorLine
@@ -13,7 +13,13 @@ from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, S
 UNSENT: Final = 0  # the identifier of a frame that did not go out
 OPEN_WORD: Final = "open"
 
-Opened: TypeAlias = tuple[StimulatorLine, int]
+
+class Opened(NamedTuple):
+    """A line that was opened again, its new session identifier, and what its handshake put on the wire."""
+
+    line: StimulatorLine
+    session_id: int
+    frames: Sequence[WireFrame] = ()
 
 
 class LiveStimulator:
@@ -21,9 +27,11 @@ class LiveStimulator:
 
     Args:
         line: open.
-        reopen: opens it again; the line and its new session identifier.
+        reopen: opens it again.
         lost: the exception that says that the line is gone.
         clock_ns: the clock that events are stamped by.
+
+    ``on_heard`` and ``on_frame`` are told of what belongs in the log beside commands and events.
     """
 
     def __init__(
@@ -36,6 +44,8 @@ class LiveStimulator:
         self._attempts: Reopening[Opened] | None = None
         self._events: list[Event] = []
         self.unsent = 0
+        self.on_heard: Callable[[int, bytes], None] = _nobody_asked
+        self.on_frame: Callable[[WireFrame], None] = _nobody_asked
 
     @property
     def state(self) -> str:
@@ -72,17 +82,22 @@ class LiveStimulator:
         if self._line is None:
             return []
         try:
-            return self._line.poll(t_ns)
+            answers = self._line.poll(t_ns)
         except self._lost as error:
             self._lose(t_ns, error)
             return []
+        if heard := self._line.heard:
+            self.on_heard(t_ns, heard)
+        return answers
 
     def events(self, t_ns: int) -> Iterator[Event]:
         """Losses and reopenings since the last call."""
         if self._attempts is not None and (opened := self._attempts.poll(t_ns)) is not None:
             self._attempts = None
-            self._line, session_id = opened
-            self._events.append(StimOpened(t_ns, session_id))
+            self._line = opened.line
+            for frame in opened.frames:
+                self.on_frame(frame)
+            self._events.append(StimOpened(t_ns, opened.session_id))
         while self._events:
             event = self._events.pop(0)
             yield SystemFault(t_ns, event.text) if isinstance(event, SystemFault) else event
@@ -103,3 +118,7 @@ class LiveStimulator:
         self.close()
         self._attempts = Reopening(self._reopen, t_ns)
         self._events.append(SystemFault(t_ns, f"stimulator lost: {error}"[:200]))
+
+
+def _nobody_asked(*what: object) -> None:
+    """There is no log to tell."""

@@ -1,4 +1,7 @@
-"""The terminal view, a process of its own: ``python -m fes.live.view SOCKET_FD``. It shows; it decides nothing."""
+"""The terminal view, a process of its own: ``python -m fes.live.view SOCKET_FD PARENT_PID``.
+
+It shows; it decides nothing.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,8 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from fes.live.status import Status
+from fes.live.orphan import LOOK_EVERY_S, end_with, orphaned
+from fes.live.status import Status, TuningStatus
 
 COLOURS: Final = {
     "off": "dim",
@@ -26,6 +30,7 @@ COLOURS: Final = {
 }
 KEYS: Final = (
     "SPACE stop · a arm · d disarm · p pause · + − intensity · 0–7 channel · b test · t trigger · < > belt · q quit"
+    " · tuning: f freeze · g go on · y accept · r roll back"
 )
 LARGEST: Final = 1 << 16
 
@@ -56,9 +61,30 @@ def picture(status: Status) -> Group:
         f"stimulator {status.stimulator}"
     )
     lines: list[Text | Table | Panel] = [head, table, Text(timing, "dim"), Text(status.message)]
+    lines += [Text(f"! {remark}", "yellow") for remark in status.remarks]
+    lines += [text for number, one in status.tuning.items() if (text := _tuning(number, one))]
     if status.fault:
         lines.append(Panel(Text(f"{status.fault}\nOff until armed again by hand (a).", "bold red"), title="FAULT"))
     return Group(*lines, Text(KEYS, "dim"))
+
+
+def _tuning(number: str, one: TuningStatus) -> Text | None:
+    """The next burst, the suggestion, the last change with its reason, the charge; None where there is nothing yet."""
+    if one.mode == "off" and not one.session_uc:
+        return None
+    text = Text.assemble((f"channel {number}: ", "bold"))
+    if one.mode != "off":
+        text.append(f"tuning {one.mode}, next burst {one.now}")
+        text.append(f", FROZEN ({one.frozen})" if one.frozen else "", "bold yellow")
+        text.append(" · ")
+    text.append(f"{one.step_uc:.0f} µC a step, {one.minute_uc / 1e3:.2f} mC this minute, {one.session_uc / 1e3:.2f} mC")
+    if one.suggestion:
+        text.append(f"\n  {one.why} (y accepts)", "yellow")
+    if one.last_change:
+        text.append(f"\n  last change: {one.last_change}", "dim")
+    if one.hint:
+        text.append(f"\n  {one.hint}", "red")
+    return text
 
 
 def _number(value: float | None, digits: int) -> str:
@@ -72,13 +98,22 @@ def _against(speed_mps: float | None, belt_mps: float | None) -> Text:
 
 
 def main() -> int:
-    """Show what comes until the session closes its end."""
+    """Show what comes until the session says that it is over, or is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = int(sys.argv[2])
+    end_with(parent)
     with (
         socket.socket(fileno=int(sys.argv[1])) as link,
         Live(console=Console(), auto_refresh=False, transient=False) as live,
     ):
-        while datagram := link.recv(LARGEST):
+        link.settimeout(LOOK_EVERY_S)
+        while not orphaned(parent):
+            try:
+                datagram = link.recv(LARGEST)
+            except TimeoutError:
+                continue
+            if not datagram:
+                break
             try:
                 status = Status.decode(datagram)
             except ValueError:

@@ -39,6 +39,7 @@ class ElectrodeDose:
     steps_uc: list[float] = field(default_factory=list)
     estimated: bool = False
     _recent: deque[tuple[int, float]] = field(default_factory=deque, repr=False)
+    _counts: bool = field(default=False, repr=False)
     _answered_ns: int | None = field(default=None, repr=False)
     _response: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW), repr=False)
     _first: tuple[float, float] | None = field(default=None, repr=False)
@@ -47,7 +48,8 @@ class ElectrodeDose:
     def take(self, status: StimStatus) -> None:
         """Book one answer of the stimulator."""
         charge_uc, pulses = status.charge_uc, status.pulses
-        if status.on and pulses == 0 and charge_uc == 0.0 and self._answered_ns is not None:
+        self._counts = self._counts or pulses > 0  # between two pulses such a device counts none: that is no estimate
+        if status.on and not self._counts and charge_uc == 0.0 and self._answered_ns is not None:
             span_ns = min(max(status.t_ns - self._answered_ns, 0), LONGEST_GAP_NS)
             per_phase_uc = charge_per_phase_uc(status.current_ma, status.pulse_width_us)
             charge_uc = per_phase_uc * status.frequency_hz * span_ns / NS_PER_S

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fes.calibrations import calibrate_shank_track
 from fes.estimation.calibration import calibrate_foot
 from fes.gate.freshness import MAX_SAME_MS
 from fes.gate.plausible import Plausible
@@ -89,12 +90,28 @@ def test_real_sensors_are_plausible(path: Path) -> None:
     for segment in ("leftfoot", "rightfoot", "leftshank", "rightshank"):
         acc, gyr = (data[f"{what}_{segment}"].astype(np.float64) for what in ("acc", "gyr"))
         t_ns = np.round(np.arange(len(acc)) * NS_PER_S / rate_hz).astype(np.int64)
-        up = calibrate_foot(segment, rate_hz, t_ns, acc, gyr).up if "foot" in segment else None
         sensor = segment.replace("foot", "_foot").replace("shank", "_shank")
         track = replace(
             bundled, sensor=sensor, rate_hz=rate_hz, t_ns=t_ns, t_sensor_ns=t_ns, acc_mps2=acc, gyr_radps=gyr
         )
+        up = (
+            calibrate_foot(segment, rate_hz, t_ns, acc, gyr) if "foot" in segment else calibrate_shank_track(track)
+        ).up
         assert not complaints(track, up)
+        for at in range(2000, len(acc) - 2000, 997):
+            if np.abs(gyr[at]).max() > 1.5:
+                assert until_in_g_ms(track, at) <= 100.0
+
+
+def until_in_g_ms(track: Track, at: int) -> float:
+    """From sample ``at``, since which the force is in g, until the judge says so; infinite after half a second."""
+    judge = Plausible((), {})
+    for k in range(at - 20, at + 50):
+        acc = track.acc_mps2[k] / (G_MPS2 if k >= at else 1.0)
+        t_ns = int(track.t_ns[k])
+        if judge.fault(ImuSample(t_ns, track.sensor, t_ns, tuple(acc.tolist()), tuple(track.gyr_radps[k].tolist()))):
+            return 1e-6 * (t_ns - int(track.t_ns[at])) if k >= at else -1.0
+    return float("inf")
 
 
 @pytest.mark.requirement("SR-10")

@@ -219,7 +219,9 @@ class LiveRun:
     def order(self, ask: str, **more: object) -> None:
         self.link.sendto(json.dumps({"ask": ask, **more}).encode(), str(self.folder / "c.sock"))
 
-    def until(self, what: Callable[[Status], bool], repeat: str = "", timeout_s: float = 120.0) -> Status:
+    def until(
+        self, what: Callable[[Status], bool], repeat: str | Callable[[], str] = "", timeout_s: float = 120.0
+    ) -> Status:
         """Wait for a status; with ``repeat`` order that again and again meanwhile."""
         end_s, next_s = time.monotonic() + timeout_s, 0.0
         while time.monotonic() < end_s:
@@ -229,7 +231,7 @@ class LiveRun:
                 try:
                     self.link.sendto(b"watch", str(self.folder / "c.sock"))
                     if repeat:
-                        self.order(repeat, confirm=True)
+                        self.order(repeat if isinstance(repeat, str) else repeat(), confirm=True)
                 except OSError:
                     continue  # the socket is not there yet
             try:
@@ -241,9 +243,12 @@ class LiveRun:
         raise AssertionError(f"it did not come; last: {self.status}")
 
     def armed_at(self, intensity: float = INTENSITY) -> None:
-        """Armed by hand, while the patient stands, and raised."""
-        self.until(lambda status: status.state in ("armed", "running"), "arm")
-        self.until(lambda status: status.intensity >= intensity - 0.01, "up")
+        """Armed by hand, while the patient stands, and raised; again, as :meth:`in_mid_burst` does, if it latches."""
+
+        def order() -> str:
+            return "up" if self.status is not None and self.status.state in ("armed", "running") else "arm"
+
+        self.until(lambda status: order() == "up" and status.intensity >= intensity - 0.01, order)
 
     def children(self, module: str) -> list[int]:
         """The session's own processes that run this module."""

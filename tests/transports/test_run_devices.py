@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
+import live_runs
 import pytest
 from live_runs import (
     EVERY,
@@ -30,11 +31,12 @@ from live_runs import (
     ximu3_and_rehastim2,
     xsens_can_and_can,
 )
+from processes import gone_after_s
 from replays import MS
 
 from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node, why_silent
-from drivers.virtual.spawn_device import DeviceHandle, spawn_device
-from fes.cli.exits import OK, STOPPED
+from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
+from fes.cli.exits import BROKEN, OK, STOPPED
 from fes.cli.replay_log import repeat
 from fes.journal import read_session
 
@@ -104,6 +106,9 @@ def test_it_walks_stimulates_stops_and_replays(
         assert not {"pyarrow", "jinja2", "rich", "scipy.signal"} & run.loaded()
         again = repeat(run.log)
         assert (again.difference, again.commands) == ("", len(record.commands))
+        commands_of_the_log = {(frame.t_ns, frame.identifier, frame.data) for frame in record.frames}
+        assert {(frame.t_ns, frame.identifier, frame.data) for frame in again.now.frames} <= commands_of_the_log
+        assert any(frame.data for frame in again.now.frames)
 
 
 def test_a_stimulator_on_the_bus_that_is_lost_comes_back_and_is_armed_by_hand(
@@ -131,21 +136,35 @@ def test_a_stimulator_on_the_bus_that_is_lost_comes_back_and_is_armed_by_hand(
         assert repeat(run.log).difference == ""
 
 
+@pytest.mark.parametrize(
+    ("rig", "kind", "greeting", "late_ms"),
+    [
+        (ximu3_and_p24, "sciencemode4", 0x4000_0000, 0),
+        (ximu3_and_rehastim2, "sciencemode2", 0x2000_0000 + 30, REHASTIM2_MS),
+    ],
+    ids=["p24", "rehastim2"],
+)
 def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_hand(
-    recordings: Recordings, tmp_path: Path
+    rig: Callable[[Path, Path, ExitStack], Rig],
+    kind: DeviceKind,
+    greeting: int,
+    late_ms: int,
+    recordings: Recordings,
+    tmp_path: Path,
 ) -> None:
     recording, calibration = recordings["foot"]
-    with ExitStack() as stack, live_run(tmp_path, recording, "--calibration", calibration, rig=ximu3_and_p24) as run:
+    with ExitStack() as stack, live_run(tmp_path, recording, "--calibration", calibration, rig=rig) as run:
         run.armed_at()
         run.in_mid_burst()
         assert isinstance(run.stimulator, DeviceHandle)
         blow_ns = run.stimulator.tell("unplug")
-        assert run.off_after_ms(blow_ns) <= MARGIN_MS  # one pulse a command, and none can come any more
+        # one pulse a command, and none can come any more
+        assert run.off_after_ms(blow_ns) <= MARGIN_MS + late_ms
         lost = run.until(lambda status: status.state == "fault" and "lost" in status.stimulator)
         assert "stimulator lost" in lost.fault
         time.sleep(0.6)  # so that an attempt or two fail
         port = tmp_path / "stimulator"
-        device = stack.enter_context(spawn_device("sciencemode4", record=tmp_path / "again.jsonl"))
+        device = stack.enter_context(spawn_device(kind, record=tmp_path / "again.jsonl"))
         port.unlink()
         port.symlink_to(device.port)
         run.stimulator = device
@@ -155,8 +174,39 @@ def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_ha
         run.in_mid_burst()
         said = run.quit()
         assert run.process.returncode == OK, said
-        assert len(read_session(run.log).reopened) == 1
-        assert repeat(run.log).difference == ""
+        record = read_session(run.log)
+        assert len(record.reopened) == 1
+        # the handshake of the session's beginning and that of the reopening, perhaps repeated
+        greetings = [frame for frame in record.frames if frame.identifier == greeting]
+        assert len(greetings) >= 2
+        assert greetings[0].t_ns < blow_ns < greetings[-1].t_ns
+        again = repeat(run.log)
+        assert again.difference == ""
+        assert {frame.data for frame in again.now.frames} <= {frame.data for frame in record.frames}
+
+
+@pytest.mark.parametrize("rig", [ximu3_and_p24, ximu3_and_rehastim2], ids=["p24", "rehastim2"])
+def test_pulses_withheld_from_a_serial_stimulators_queue_are_withheld_in_the_replay(
+    rig: Callable[[Path, Path, ExitStack], Rig], recordings: Recordings, tmp_path: Path
+) -> None:
+    """It is mute for a while in mid-burst: what was not sent, and what was asked meanwhile, follows from what came."""
+    recording, calibration = recordings["foot"]
+    with live_run(tmp_path, recording, "--calibration", calibration, rig=rig) as run:
+        run.armed_at()
+        run.in_mid_burst()
+        assert isinstance(run.stimulator, DeviceHandle)
+        run.stimulator.tell("mute", 1)
+        run.until(lambda status: status.state == "fault")
+        time.sleep(0.3)
+        run.stimulator.tell("mute", 0)
+        run.armed_at()
+        run.in_mid_burst()
+        said = run.quit()
+        assert run.process.returncode == OK, said
+        record = read_session(run.log)
+        assert any("none was added to the stimulator's queue" in status.fault for status in record.statuses)
+        again = repeat(run.log)
+        assert (again.difference, again.commands) == ("", len(record.commands))
 
 
 def test_an_electrode_that_is_known_to_be_off_forbids_arming(recordings: Recordings, tmp_path: Path) -> None:
@@ -198,6 +248,62 @@ def test_a_full_disk_ends_the_session_safely_within_a_second(recordings: Recordi
         assert "Traceback" not in said
         record = read_session(run.log)
         assert blow_ns - int(record.samples[FOOT].t_ns[-1]) <= 250 * MS
+        assert repeat(run.log).difference == ""
+
+
+def test_a_killed_session_leaves_no_process_and_a_log_to_its_last_quarter_of_a_second(
+    recordings: Recordings, tmp_path: Path
+) -> None:
+    recording, calibration = recordings["foot"]
+    with live_run(tmp_path, recording, "--calibration", calibration, "--view") as run:
+        run.armed_at()
+        run.in_mid_burst()
+        helpers = [*run.children("log_process"), *run.children("fes.live.view")]
+        assert len(helpers) == 2
+        blow_ns = time.monotonic_ns()
+        run.process.kill()
+        off_ms = run.off_after_ms(blow_ns)
+        took_s = gone_after_s(helpers, blow_ns)
+        run.process.wait(5)
+        print(f"off {off_ms:.0f} ms, helpers gone {took_s:.2f} s after the kill")
+        assert off_ms <= LEASE_MS + MARGIN_MS
+        assert took_s < 1.0
+        record = read_session(run.log)
+        assert (record.complete, record.lost) == (False, "")
+        lost_ms = (blow_ns - int(record.samples[FOOT].t_ns[-1])) / MS
+        print(f"lost {lost_ms:.0f} ms")
+        assert lost_ms <= 250
+        assert repeat(run.log).difference == ""
+
+
+CRASHING = """
+from fes.cli import main
+from fes.live.operator import Operator
+def broken(self, order, t_ns):
+    raise ZeroDivisionError("made up")
+Operator._belt = broken
+main(prog_name="fes")
+"""
+
+
+def test_a_session_that_crashes_is_off_leaves_no_process_and_its_log_says_so(
+    recordings: Recordings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording, calibration = recordings["foot"]
+    monkeypatch.setattr(live_runs, "LISTING", CRASHING)
+    with live_run(tmp_path, recording, "--calibration", calibration, "--view") as run:
+        run.armed_at()
+        run.in_mid_burst()
+        helpers = [*run.children("log_process"), *run.children("fes.live.view")]
+        blow_ns = time.monotonic_ns()
+        run.order("belt_up")
+        assert run.off_after_ms(blow_ns) <= STOP_MS + MARGIN_MS
+        said = run.end()
+        assert run.process.returncode == BROKEN, said
+        gone_after_s(helpers, blow_ns)
+        record = read_session(run.log)
+        assert record.complete
+        assert record.summary["ended"] == "stopped: ZeroDivisionError: made up"
         assert repeat(run.log).difference == ""
 
 

@@ -1,0 +1,42 @@
+"""A serial port told again what it was told and what it heard sends the same bytes, whatever its device did."""
+
+from __future__ import annotations
+
+import pytest
+from test_sciencemode_ports import KINDS, MS, Rig, command
+
+from drivers.stimulator.sciencemode2_port import RehaStim2
+from drivers.stimulator.sciencemode4_low import LowLevelStimulator
+from drivers.stimulator.sciencemode4_mid import MidLevelStimulator
+from drivers.stimulator.sciencemode_port import ScienceModePort
+from fes.cli.replay_serial import LoggedLine
+from fes.signals import WireFrame
+
+
+@pytest.mark.parametrize("silent", [(), (20, 24), (20, 40)], ids=["well", "two answers lost", "mute for 0.4 s"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_was_heard_decides_what_goes_out(kind: str, silent: tuple[int, ...]) -> None:
+    rig, line = Rig(kind), LoggedLine()
+    if kind == "low":
+        again: ScienceModePort = LowLevelStimulator(line, 7)
+    elif kind == "mid":
+        again = MidLevelStimulator(line, 7, accept_watchdog_s=2.0)
+    else:
+        again = RehaStim2(line, 7, (1,))
+    again.resume(rig.handshake.frames)
+    sent: list[WireFrame] = []
+    repeated: list[WireFrame] = []
+    withheld = 0  # pulses that the queue had no room for
+    for turn in range(60):
+        rig.line.faults.set("mute", float(bool(silent) and silent[0] <= turn < silent[1]))
+        one = command(rig.t_ns, on=turn % 30 < 25, current_ma=5.0 + turn % 3)
+        sent.append(rig.port.send(one))
+        repeated.append(again.send(one))
+        for _ in range(10):
+            rig.line.advance(rig.t_ns + 2 * MS)
+            events = rig.port.poll(rig.t_ns)
+            withheld += sum("none was added" in event.fault for event in events)
+            line.brings += rig.port.heard
+            assert again.poll(rig.t_ns) == events
+    assert repeated == sent
+    assert bool(withheld) == bool(silent)
