@@ -4,34 +4,56 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import select
 import socket
+import subprocess
+import sys
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import can
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import COMMAND_ID, FrameRejected, decode, encode_command
 from drivers.stimulator.can_port import CanStimulator
+from drivers.switches import CanSwitch
+from drivers.virtual.can_link import LinkLoop, SlcanFront, waiting
 from drivers.virtual.can_node import NodeLoop
+from drivers.virtual.device_lines import PtyEnd
+from drivers.virtual.imu_device import SimulatedImu
+from drivers.virtual.imu_signal import ImuSignal
+from drivers.virtual.imu_wire import LSL_RECORD, LslWire
 from drivers.virtual.node_clock import RealClock
 from drivers.virtual.node_record import RecordEntry, RecordWriter
-from drivers.virtual.rogue import flipped, random_frames
+from drivers.virtual.rogue import Rogue, flipped, random_frames
 from drivers.virtual.slcan import SlcanDecoder, encode_frame
 from drivers.virtual.stimulator_node import StimulatorNode
+from drivers.virtual.stop_button import StopButton
 from fes.cli import main
 from fes.config import Bus, StimulatorDevice, load_session
-from fes.hil.baseline import Lateness
+from fes.hil.baseline import Baseline, Lateness
 from fes.hil.control import ScriptedOperator
+from fes.hil.controller import Child
 from fes.hil.devices import TRANSPORTS, point
+from fes.hil.hardware import BusWitness, Hardware
 from fes.hil.injections import INJECTIONS
-from fes.hil.judge import MS, began_after, off_after_ms, on_at, outputs
+from fes.hil.judge import MS, Outputs, began_after, off_after_ms, on_at, outputs
 from fes.hil.results import Attempt, Campaign, Row, Verdict
+from fes.hil.rig import Rig
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Effect
-from fes.hil.settings import CURRENT_MA, INTENSITY, session_text
+from fes.hil.settings import BUTTON_ID, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US, session_text
+from fes.hil.tail import RecordTail
+from fes.hil.withstood import judged
 from fes.live.status import Status
 from fes.signals import StimCommand
+
+PROJECT = Path(__file__).resolve().parents[1]
 
 
 def can_entry(t_ms: float, event: str, current_ma: float = 0.0, pulses: int = 0, channel: int = 0) -> RecordEntry:
@@ -94,6 +116,46 @@ def test_off_is_never_before_the_last_pulse(times: list[int], fault_ms: int) -> 
     assert off_after_ms(stretches, fault_ms * MS) == max(0, max(times) - fault_ms)
 
 
+@given(st.lists(st.integers(0, 5), max_size=30), st.lists(st.integers(1, 6), min_size=1, max_size=10))
+def test_a_record_read_bit_by_bit_tells_the_same_as_at_once(kinds: list[int], cuts: list[int]) -> None:
+    events = ("on", "level", "off", "pulse", "lease_expired", "boot")
+    entries = [
+        RecordEntry(k * 40 * MS, events[kind], -1 if kind == 5 else k % 2, 9.0, 300.0, 40.0, 0, k, k * 40 * MS)
+        for k, kind in enumerate(kinds)
+    ]
+    found, at = Outputs(), 0
+    for cut in cuts:
+        found.take(entries[at : at + cut])
+        found.so_far(entries[at].t_ns if at < len(entries) else 0)
+        at += cut
+    found.take(entries[at:])
+    now_ns = 2000 * MS
+    assert found.so_far(now_ns) == outputs(entries, now_ns)
+    recent = [each for each in outputs(entries, now_ns) if each.off_ns is None or each.off_ns >= 600 * MS]
+    assert [each for each in found.so_far(now_ns, 600 * MS) if each in recent] == recent
+    before = found.so_far(now_ns)
+    found.forget(0)
+    assert found.so_far(now_ns) == before
+    found.forget(now_ns)
+    assert [each for each in before if each.off_ns is None] == [
+        each for each in found.so_far(now_ns) if each.off_ns is None
+    ]
+
+
+def test_a_record_is_read_once_and_only_whole_lines(tmp_path: Path) -> None:
+    path = tmp_path / "record.jsonl"
+    tail = RecordTail(path)
+    assert tail.news() == []
+    with path.open("w") as file:
+        file.write('{"t_ns":1,"event":"boot"}\n{"t_ns":2,"ev')
+        file.flush()
+        assert [entry.t_ns for entry in tail.news()] == [1]
+        assert tail.news() == []
+        file.write('ent":"off"}\nnoise\n')
+    with pytest.raises(ValueError, match=r"record.jsonl:3"):
+        tail.news()
+
+
 # --- the table -------------------------------------------------------------------------------------------
 
 
@@ -106,6 +168,17 @@ def test_what_must_go_off_has_a_deadline() -> None:
     for scenario in SCENARIOS:
         if scenario.effect in (Effect.LATCHED, Effect.ENDED):
             assert scenario.deadline_ms, scenario.name
+
+
+def test_each_value_of_a_fault_comes_at_least_once() -> None:
+    stale = BY_NAME["stale_data"]
+    assert [stale.value(n) for n in range(stale.attempts(1))] == [0.06, 0.1, 0.2, 0.5]
+    assert stale.attempts(10) == 10
+    assert stale.value(9) == 0.1
+    assert BY_NAME["imu_nan"].attempts(1) == 1
+    assert all(
+        f"{value:g}" in scenario.fault or scenario.unit == "s" for scenario in SCENARIOS for value in scenario.values
+    )
 
 
 def campaign(rows: list[Row], machine_ms: float = 0.0) -> Campaign:
@@ -123,6 +196,80 @@ def test_verdicts() -> None:
     assert Row(silent).verdict(5.0) is Verdict.FAILED  # nothing was shown
     assert Row(silent, skipped="needs a line").verdict(0.0) is Verdict.SKIPPED
     assert campaign([Row(silent, [in_time]), Row(silent, [late])]).failed
+
+
+def test_a_machine_that_was_away_is_no_success() -> None:
+    row = Row(BY_NAME["imu_nan"], [Attempt(20.0, 1.0, "controller stalled for 51 ms", away=True)], away=["x", "y"])
+    assert row.verdict(1e9) is Verdict.FAILED
+    made_again = Row(BY_NAME["imu_nan"], [Attempt(20.0)], away=["controller stalled for 51 ms"])
+    assert made_again.verdict(0.0) is Verdict.MET
+    (remark,) = campaign([made_again]).remarks
+    assert "Machine away 1 times" in remark
+    assert remark in campaign([made_again]).to_markdown()
+
+
+def test_lost_time_counts_as_the_machines_only_where_an_idle_loop_lost_it_too() -> None:
+    rig = Rig(
+        Hardware(Path(), Path(), Path(), 1.0, BusWitness(Rogue(Bus(interface="virtual")))), frozenset(), ExitStack()
+    )
+    assert not rig.was_away("controller stalled for 51 ms", 0, 10**12)
+    rig.gaps = lambda since_ns: [(1000 * MS, 50.0)]
+    assert rig.was_away("controller stalled for 51 ms", 1040 * MS, 1100 * MS)
+    assert not rig.was_away("controller stalled for 51 ms", 1060 * MS, 1100 * MS)
+    assert not rig.was_away("controller stalled for 51 ms", 900 * MS, 990 * MS)
+    assert not rig.was_away("non-finite sample from right_foot", 900 * MS, 1100 * MS)
+
+
+def level(t_ms: float, event: str, current_ma: float = 18.0, detail: str = "") -> RecordEntry:
+    return RecordEntry(int(t_ms * MS), event, 0, current_ma, PULSE_WIDTH_US, FREQUENCY_HZ, detail=detail)
+
+
+def test_foreign_frames_are_judged_by_what_the_stimulator_noted() -> None:
+    refused = [level(10.0 + k, "refused", detail="bad_counter") for k in range(3)]
+    assert judged([level(5, "on"), *refused], 3, "command refused", random=False).faults == ()
+    assert "only 3 of 4 refused" in judged(refused, 4, "", random=False).faults
+    assert judged([*refused, level(20, "level", 40.0)], 3, "", random=False).faults
+    assert judged([*refused, level(200, "on")], 3, "", random=False).faults == ()  # the session goes on
+    assert judged([*refused, level(200, "on")], 3, "command refused", random=False).faults
+    noise = [level(k, "refused", detail="STIM_COMMAND: wrong CRC") for k in range(2000)]
+    few, many = ([level(k, "refused", detail="bad_session") for k in range(count)] for count in (8, 40))
+    assert judged(noise + few, 2008, "", random=True).faults == ()
+    assert "have a right CRC" in judged(noise + many, 2040, "", random=True).faults[0]
+
+
+def result(transport: str, rows: list[Row]) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(json.dumps(campaign(rows).to_dict())) | {"transport": transport}
+    return found
+
+
+def test_several_campaigns_make_one_table(tmp_path: Path) -> None:
+    silent, flipped_ = BY_NAME["imu_silent"], BY_NAME["commands_flipped"]
+    one = result("slcan", [Row(silent, [Attempt(40.0), Attempt(90.0)]), Row(flipped_, skipped="needs CAN")])
+    two = result("slcan", [Row(silent, [Attempt(101.0)])])
+    three = result("serial", [Row(silent, [Attempt(math.inf)]), Row(flipped_, [Attempt(remark="fine")])])
+    paths = []
+    for number, data in enumerate((one, two, three)):
+        paths.append(tmp_path / f"{number}.json")
+        paths[-1].write_text(json.dumps(data))
+    command = [sys.executable, str(PROJECT / "benchmarks/hil_table.py")]
+    said = subprocess.run([*command, *map(str, paths)], capture_output=True, text=True, check=True).stdout
+    assert "| fault | off within | slcan | serial |" in said
+    assert "| sensor silent | 100 ms | **101.0 ms, 2 of 3** | **still on, 0 of 1** |" in said
+    assert f"| {flipped_.fault} | – | – | 1 of 1 |" in said
+    page = tmp_path / "page.md"
+    page.write_text(
+        "before\n<!-- campaign: written by benchmarks/hil_table.py -->\nold\n<!-- end of campaign -->\nafter\n"
+    )
+    for _ in range(2):
+        subprocess.run([*command, str(paths[2]), "--write", str(page)], check=True)
+    assert page.read_text().startswith("before\n<!-- campaign")
+    assert page.read_text().endswith("<!-- end of campaign -->\nafter\n")
+    assert "old" not in page.read_text()
+    assert page.read_text().count("sensor silent") == 1
+    paths[0].write_text("{}")
+    refused = subprocess.run([*command, str(paths[0])], capture_output=True, text=True, check=False)
+    assert refused.returncode == 2
+    assert "0.json" in refused.stderr
 
 
 def test_the_table_says_it_all_and_the_data_are_json() -> None:
@@ -144,13 +291,15 @@ def test_the_table_says_it_all_and_the_data_are_json() -> None:
 # --- its sessions, its operator --------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("variant", ["", "stance", "dose", "view"])
+@pytest.mark.parametrize("variant", ["", "stance", "dose", "seen", "button"])
 def test_its_sessions_can_be_run(tmp_path: Path, variant: str) -> None:
     path = tmp_path / "session.toml"
     bus = Bus(interface="slcan", channel="/dev/x", options={"bitrate": 500000, "timeout": 0})
     path.write_text(session_text(variant, "/dev/sensor", bus, StimulatorDevice()))
     session = load_session(path)
     assert session.bus == bus
+    assert (session.live.stop_button is not None) == (variant == "button")
+    assert session.live.stop_button is None or session.live.stop_button.identifier == BUTTON_ID
     assert session.stimulation.intensity * session.channels[0].current_ma == CURRENT_MA * INTENSITY
     assert session.channels[0].start_phase == ("stance" if variant == "stance" else "swing")
     serial = StimulatorDevice.model_validate({"device": "rehastim2", "port": "/dev/y"})
@@ -214,6 +363,123 @@ def test_slcan_frames_survive_the_line_after_any_noise(identifier: int, data: by
 def test_what_is_no_frame_is_passed_over(line: bytes) -> None:
     decoder = SlcanDecoder()
     assert decoder.feed(b"O\r" + line + b"\r") == []
+
+
+def test_a_full_adapter_refuses_the_next_write_and_takes_new_ones_afterwards() -> None:
+    end = PtyEnd()
+    host = os.open(end.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        end.clog(True)
+        assert end.descriptors() == []
+        with pytest.raises(BlockingIOError):
+            os.write(host, b"t1208\r")
+        end.clog(False)
+        os.write(host, b"new")
+        assert select.select(end.descriptors(), [], [], 1.0)[0]
+        assert end.read() == b"new"
+    finally:
+        os.close(host)
+        end.unplug()
+
+
+def test_a_serial_adapter_that_is_bus_off_refuses_every_frame(tmp_path: Path) -> None:
+    front = SlcanFront(tmp_path / "adapter")
+    host = os.open(tmp_path / "adapter", os.O_RDWR | os.O_NOCTTY)
+    try:
+        front.bus_off(True)
+        os.write(host, b"O\rt12020102\rt12020102\r")
+        assert front.read() == []
+        assert os.read(host, 16) == b"\a\a"
+        front.bus_off(False)
+        os.write(host, b"t12020102\r")
+        assert [frame.arbitration_id for frame in front.read()] == [0x120]
+    finally:
+        os.close(host)
+        front.plug(False)
+
+
+def test_the_line_exchanges_pairs_of_commands(tmp_path: Path) -> None:
+    bus = Bus(interface="virtual", channel=f"exchange {tmp_path}")
+    with open_bus(bus, frozenset()) as here, open_bus(bus, frozenset()) as there:
+        front = SlcanFront(tmp_path / "adapter")
+        line = LinkLoop(front, here, -1)
+        line._fault("reorder", 2)
+        for number in range(6):
+            line._pass_on(can.Message(arbitration_id=COMMAND_ID, data=[number], is_extended_id=False))
+        assert [frame.data[0] for frame in waiting(there)] == [1, 0, 3, 2, 4, 5]
+        with pytest.raises(ValueError, match="coffee"):
+            line._fault("coffee", 1)
+        front.plug(False)
+
+
+def feeling(seconds: float = 1.0) -> SimulatedImu:
+    """A sensor whose x counts its samples, 100 a second."""
+    count = np.arange(int(100 * seconds), dtype=float)
+    acc = np.stack([count, count + 0.25, count + 0.5], axis=1)
+    return SimulatedImu(LslWire(), ImuSignal(100.0, acc, np.zeros((len(acc), 3))), 0, acc_range_g=100.0)
+
+
+def felt(imu: SimulatedImu, until_ms: int) -> list[tuple[float, ...]]:
+    return [LSL_RECORD.unpack(message)[:4] for message in imu.advance(until_ms * MS)]
+
+
+def test_a_wearer_stays_standing_and_walks_on_when_told() -> None:
+    imu = feeling()
+    imu.set_fault(0, "stand", 0.2)
+    assert [x for _, x, _, _ in felt(imu, 399)] == [*range(20), *range(20)]
+    imu.set_fault(0, "stand", 0.0)
+    assert [x for _, x, _, _ in felt(imu, 1199)][:3] == [20, 21, 22]
+    imu.set_fault(0, "stand", 0.2)  # it walks now: to its end, then it stands
+    assert max(x for _, x, _, _ in felt(imu, 1400)) == 99 or felt(imu, 3000)[-1][1] < 20
+
+
+def test_faults_of_values_axes_and_stamps() -> None:
+    imu = feeling()
+    imu.set_fault(0, "axes", 1.0)
+    assert felt(imu, 5)[0][1:] == (0.25, 0.5, 0.0)
+    imu.set_fault(0, "axes", 0.0)
+    imu.set_fault(0, "inf", 1.0)
+    assert not any(map(math.isfinite, felt(imu, 15)[0][1:]))
+    assert all(map(math.isfinite, felt(imu, 25)[0][1:]))
+    imu.set_fault(0, "jumping", 0.2)
+    stamps = [t_s for t_s, *_ in felt(imu, 995)]
+    ahead = [t_s for k, t_s in enumerate(stamps, start=3) if t_s > 0.01 * k + 0.1]
+    assert 0.05 < len(ahead) / len(stamps) < 0.2
+
+
+def test_a_stop_button_says_what_it_is(tmp_path: Path) -> None:
+    bus = Bus(interface="virtual", channel=f"button {tmp_path}")
+    with open_bus(bus, frozenset()) as host, StopButton(bus, BUTTON_ID) as button:
+        switch = CanSwitch(host, BUTTON_ID, 0, high=True)
+        first = host.recv(timeout=2.0)
+        assert first is not None
+        assert first.data == b"\0"
+        button.press()
+        assert switch.read() is True
+
+
+def test_the_idle_loops_tell_when_the_machine_was_away() -> None:
+    baseline = Baseline()
+    try:
+        assert baseline.gaps(2**62) == []
+        baseline.leave_out(True)
+        assert isinstance(baseline.gaps(0), list)
+    finally:
+        found = baseline.end()
+    assert found.most_ms >= found.p50_ms >= 0.0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in /proc")
+def test_a_child_is_known_until_it_has_ended() -> None:
+    process = subprocess.Popen([sys.executable, "-c", "input()", "fes.example"], stdin=subprocess.PIPE)
+    child = Child.of(process.pid)
+    assert child is not None
+    assert child.runs
+    assert not Child(child.pid, "another time", child.module).runs
+    child.kill()
+    process.wait(5.0)
+    assert not child.runs
+    assert Child.of(process.pid) is None
 
 
 def test_the_node_takes_its_faults_while_it_runs() -> None:

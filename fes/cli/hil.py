@@ -28,7 +28,13 @@ COLOURS: Final = {Verdict.MET: "green", Verdict.JITTER: "yellow", Verdict.FAILED
 @click.option("--transport", type=click.Choice(TRANSPORTS), default=TRANSPORTS[0], show_default=True)
 @click.option("--channel", default="vcan0", show_default=True, help="The interface, for --transport socketcan.")
 @click.option("--only", multiple=True, metavar="NAME", help="This fault only; may be given several times.")
-@click.option("--repeat", type=click.IntRange(1, 1000), default=1, show_default=True, help="Each fault so many times.")
+@click.option(
+    "--repeat",
+    type=click.IntRange(1, 1000),
+    default=1,
+    show_default=True,
+    help="Each fault so many times, each of its values once.",
+)
 @click.option("--list", "listing", is_flag=True, help="List the faults and end.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results below.")
 @click.option("--hardware", type=click.Path(path_type=Path), help="Real devices, as in this session file.")
@@ -123,13 +129,15 @@ class _Told:
     def __call__(self, scenario: Scenario, n: int, found: Attempt | None) -> None:
         if scenario.name not in self._names:
             self._names.append(scenario.name)
-        place = f"[{len(self._names)}/{self._rows}] {scenario.name}" + (f" {n + 1}" if self._repeat > 1 else "")
+        place = f"[{len(self._names)}/{self._rows}] {scenario.name}" + (
+            f" {n + 1}" if scenario.attempts(self._repeat) > 1 else ""
+        )
         if found is None:
             if sys.stderr.isatty():
                 click.echo(f"\r\x1b[K{place} …", nl=False, err=True)
             return
         measured = "" if found.off_ms is None else f"{found.off_ms:.1f} ms"
-        said = "; ".join(filter(None, (measured, found.remark, *found.faults)))
+        said = "; ".join(filter(None, (found.value, measured, found.remark, *found.faults)))
         start = "\r\x1b[K" if sys.stderr.isatty() else ""
         click.secho(f"{start}{place}: {said}", fg="red" if found.faults else None, err=True)
 
@@ -153,8 +161,8 @@ def _print(campaign: Campaign) -> None:
             f"[{COLOURS[verdict]}]{said}",
         )
     Console().print(table)
-    if campaign.unasked:
-        click.secho(f"Off {len(campaign.unasked)} times without a fault: {'; '.join(campaign.unasked)}", fg="yellow")
+    for remark in campaign.remarks:
+        click.secho(remark, fg="yellow")
     click.echo(f"{campaign.baseline}; {campaign.seconds:.0f} s in all.")
 
 

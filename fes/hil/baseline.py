@@ -1,8 +1,9 @@
 """How late this machine wakes an idle process, measured beside a campaign: ``python -m fes.hil.baseline``.
 
-A loop of 200 Hz by absolute deadlines that does nothing, under SCHED_FIFO where that is granted, like the simulated
-devices. ``pause`` and ``go`` on stdin leave out what is no baseline (a fault that takes the processor away); when stdin
-closes it says what it found, as JSON.
+On every processor a loop of 200 Hz by absolute deadlines that does nothing, under SCHED_FIFO where that is granted,
+like the simulated devices. ``pause`` and ``go`` on stdin leave out what is no baseline (a fault that takes the
+processor away); ``gaps N`` is answered with the wake-ups since N (CLOCK_MONOTONIC in ns) that were late by more than
+8 ms; when stdin closes it says what it found, as JSON.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ import os
 import select
 import subprocess
 import sys
+import threading
 import time
 from array import array
+from collections import deque
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -22,7 +25,12 @@ import numpy as np
 
 PERIOD_NS: Final = 5_000_000
 PRIORITY: Final = 10
-_STDIN: Final = 0
+GAP_MS: Final = 8.0
+GAPS_KEPT: Final = 1000
+ANSWER_WAIT_S: Final = 5.0
+
+Gap = tuple[int, float]
+"""When a wake-up was due, CLOCK_MONOTONIC in ns, and how late it was, ms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +53,7 @@ class Lateness:
 
 
 class Baseline:
-    """The process while it is entered."""
+    """The process while it runs; always :meth:`end` it."""
 
     def __init__(self) -> None:
         command = [sys.executable, "-m", "fes.hil.baseline"]
@@ -55,9 +63,18 @@ class Baseline:
 
     def leave_out(self, pausing: bool) -> None:
         """From now on, or no longer."""
-        if self._process.stdin is not None:
-            self._process.stdin.write("pause\n" if pausing else "go\n")
-            self._process.stdin.flush()
+        self._say("pause" if pausing else "go")
+
+    def gaps(self, since_ns: int) -> list[Gap]:
+        """When this machine was away for more than 8 ms since then; none where nobody answers."""
+        self._say(f"gaps {since_ns}")
+        stdout = self._process.stdout
+        try:
+            if stdout is None or not select.select([stdout], [], [], ANSWER_WAIT_S)[0]:
+                return []
+            return [(int(t_ns), float(late_ms)) for t_ns, late_ms in json.loads(stdout.readline())]
+        except (OSError, ValueError, TypeError):
+            return []
 
     def end(self) -> Lateness:
         """Stop it; what it found."""
@@ -70,33 +87,73 @@ class Baseline:
             self._process.wait()
             return Lateness()
 
+    def _say(self, line: str) -> None:
+        stdin = self._process.stdin
+        if stdin is not None and self._process.poll() is None:
+            stdin.write(line + "\n")
+            stdin.flush()
+
+
+class IdleLoop(threading.Thread):
+    """Wakes on one processor, 200 times a second, and notes how late."""
+
+    def __init__(self, processor: int | None) -> None:
+        super().__init__(daemon=True)
+        self.late_ms = array("d")
+        self.gaps: deque[Gap] = deque(maxlen=GAPS_KEPT)
+        self.paused = False
+        self.real_time = False
+        self._processor = processor
+        self._over = threading.Event()
+
+    def run(self) -> None:
+        """Until stopped. On Linux priority and processor are the calling thread's own."""
+        try:
+            if self._processor is not None:
+                os.sched_setaffinity(0, {self._processor})
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+            self.real_time = True
+        except (AttributeError, OSError):
+            self.real_time = False
+        due_ns = time.monotonic_ns() + PERIOD_NS
+        while not self._over.is_set():
+            time.sleep(max(0.0, (due_ns - time.monotonic_ns()) * 1e-9))
+            now_ns = time.monotonic_ns()
+            late_ms = (now_ns - due_ns) * 1e-6
+            if not self.paused:
+                self.late_ms.append(late_ms)
+                if late_ms > GAP_MS:
+                    self.gaps.append((due_ns, round(late_ms, 3)))
+            due_ns = now_ns + PERIOD_NS
+
+    def stop(self) -> None:
+        """And wait for it."""
+        self._over.set()
+        self.join()
+
 
 def main() -> int:
     """Measure until stdin closes."""
     gc.disable()
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
-        real_time = True
-    except (AttributeError, OSError):
-        real_time = False
-    late_ms = array("d")
-    paused = False
-    due_ns = time.monotonic_ns() + PERIOD_NS
-    while True:
-        left_s = max(0.0, (due_ns - time.monotonic_ns()) * 1e-9)
-        ready, _, _ = select.select([_STDIN], [], [], left_s)
-        if ready:
-            typed = os.read(_STDIN, 4096)
-            if not typed:
-                break
-            paused = typed.split()[-1] == b"pause"
-        now_ns = time.monotonic_ns()
-        if now_ns >= due_ns:
-            if not paused:
-                late_ms.append((now_ns - due_ns) * 1e-6)
-            due_ns = now_ns + PERIOD_NS
-    found = {"count": len(late_ms), "real_time": real_time}
-    if late_ms:
+    processors = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [None]
+    loops = [IdleLoop(processor) for processor in processors]
+    for loop in loops:
+        loop.start()
+    for line in sys.stdin:
+        word, _, value = line.strip().partition(" ")
+        if word == "gaps":
+            since_ns = int(value)
+            print(
+                json.dumps(sorted(gap for loop in loops for gap in list(loop.gaps) if gap[0] >= since_ns)), flush=True
+            )
+        else:
+            for loop in loops:
+                loop.paused = word == "pause"
+    for loop in loops:
+        loop.stop()
+    late_ms = np.concatenate([np.array(loop.late_ms) for loop in loops])
+    found = {"count": len(late_ms), "real_time": all(loop.real_time for loop in loops)}
+    if len(late_ms):
         names = ("p50_ms", "p99_ms", "p999_ms", "most_ms")
         found |= dict(zip(names, np.percentile(late_ms, [50, 99, 99.9, 100]).round(3).tolist(), strict=True))
     print(json.dumps(found))

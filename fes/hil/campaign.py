@@ -24,6 +24,7 @@ from fes.hil.scenarios import Needs, Scenario
 
 NOT_BASELINE: Final = ("cpu_hogs", "controller_starved")  # these take the processor away on purpose
 BROKEN_IN_A_ROW: Final = 3
+SPOILT_AT_MOST: Final = 4
 
 Tell = Callable[[Scenario, int, Attempt | None], None]
 """Told before (None) and after every attempt."""
@@ -78,6 +79,7 @@ def run_campaign(rig: Rig, name: str, scenarios: Sequence[Scenario], repeat: int
         stack.callback(rig.close)
         baseline = Baseline()
         stack.callback(baseline.end)
+        rig.gaps = baseline.gaps
         rows: list[Row] = []
         broken = 0
         for scenario in scenarios:
@@ -88,10 +90,10 @@ def run_campaign(rig: Rig, name: str, scenarios: Sequence[Scenario], repeat: int
                 continue
             if scenario.name in NOT_BASELINE:
                 baseline.leave_out(True)
-            for n in range(repeat):
+            for n in range(scenario.attempts(repeat)):
                 tell(scenario, n, None)
                 try:
-                    found = attempt(rig, scenario, n)
+                    found = _undisturbed(rig, row, n)
                     broken = 0
                 except (CampaignBroken, StimulatorLost, ImuLost, ProcessLookupError) as error:
                     broken += 1
@@ -105,7 +107,18 @@ def run_campaign(rig: Rig, name: str, scenarios: Sequence[Scenario], repeat: int
                 baseline.leave_out(False)
         rig.close()
         lateness = baseline.end()
-    return Campaign(name, tuple(rows), lateness, started, time.monotonic() - begin_s, repeat, tuple(rig.unasked))
+    seconds = time.monotonic() - begin_s
+    return Campaign(name, tuple(rows), lateness, started, seconds, repeat, tuple(rig.unasked), tuple(rig.away))
+
+
+def _undisturbed(rig: Rig, row: Row, n: int) -> Attempt:
+    """The n-th attempt; made again while the machine itself spoils it, a few times at most."""
+    for _ in range(SPOILT_AT_MOST):
+        found = attempt(rig, row.scenario, n)
+        if not found.away:
+            return found
+        row.away.append(found.named)
+    return found
 
 
 def machine_can_do() -> frozenset[Needs]:

@@ -8,11 +8,52 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlsplit
 
 LONGEST_S: Final = 3600
 _START: Final = "from fes.cli import main; main(prog_name='fes')"
+
+
+@dataclass(frozen=True, slots=True)
+class Child:
+    """A process that a session started; ``began`` tells it from a later one of the same number."""
+
+    pid: int
+    began: str
+    module: str
+
+    @staticmethod
+    def of(pid: int) -> Child | None:
+        """The process of this number; None when there is none any more."""
+        if not (began := _began(pid)):
+            return None
+        with suppress(OSError):
+            command = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8", errors="replace").split("\0")
+            return Child(pid, began, next((word for word in command if word.startswith("fes.")), command[0]))
+        return None
+
+    @property
+    def runs(self) -> bool:
+        """Whether it still does."""
+        return _began(self.pid) == self.began
+
+    def kill(self) -> None:
+        """If it still runs."""
+        with suppress(OSError):
+            if self.runs:
+                os.kill(self.pid, signal.SIGKILL)
+
+
+def _began(pid: int) -> str:
+    """When the process began, in the kernel's ticks; "" when it is gone or only waits to be reaped."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace").rpartition(")")[2].split()
+    except OSError:
+        return ""
+    return "" if fields[0] == "Z" else fields[19]
 
 
 class ControllerProcess:
@@ -23,9 +64,12 @@ class ControllerProcess:
         calibration: so that walking counts at once.
         folder: for its results, its socket (``control``) and its stop file (``stop``).
         view: with the terminal view.
+        page: with the live page.
     """
 
-    def __init__(self, settings: Path, calibration: Path, folder: Path, *, view: bool = False) -> None:
+    def __init__(
+        self, settings: Path, calibration: Path, folder: Path, *, view: bool = False, page: bool = False
+    ) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.control = folder / "control"
@@ -36,7 +80,7 @@ class ControllerProcess:
         command = [sys.executable, "-c", _START, "run", str(settings), "--out", str(folder)]
         command += ["--calibration", str(calibration), "--control", str(self.control)]
         command += ["--stop-file", str(self.stop_file), "--keys-from", str(reading), "--duration", str(LONGEST_S)]
-        command.append("--view" if view else "--no-view")
+        command += ["--view" if view else "--no-view", *(["--page"] if page else [])]
         self._said = (folder / "said.txt").open("a+", encoding="utf-8")
         try:
             self.process = subprocess.Popen(
@@ -64,16 +108,26 @@ class ControllerProcess:
         """Press a key."""
         os.write(self._keys, key)
 
+    def page_port(self) -> int:
+        """Where its page is served.
+
+        Raises:
+            ProcessLookupError: it has none.
+        """
+        for path in self.folder.glob("**/page.url"):
+            if port := urlsplit(path.read_text(encoding="utf-8").strip()).port:
+                return port
+        raise ProcessLookupError("the session has no page")
+
     def child(self, module: str) -> int:
         """The process id of its child that runs this module.
 
         Raises:
             ProcessLookupError: there is none.
         """
-        for name in Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text(encoding="ascii").split():
-            with suppress(OSError):
-                if module in Path(f"/proc/{name}/cmdline").read_text(encoding="utf-8", errors="replace"):
-                    return int(name)
+        for child in self.children():
+            if module in child.module:
+                return child.pid
         raise ProcessLookupError(f"the session has no process {module}")
 
     def log(self) -> Path | None:
@@ -94,7 +148,7 @@ class ControllerProcess:
 
     def end(self) -> None:
         """Be sure that it is gone, and everything that it started."""
-        children = self._children()
+        children = self.children()
         if self.alive:
             with suppress(OSError):
                 self.process.send_signal(signal.SIGCONT)
@@ -103,26 +157,18 @@ class ControllerProcess:
                 self.process.kill()
                 self.process.wait()
         end_s = time.monotonic() + 1.0
-        while time.monotonic() < end_s and any(_runs(pid) for pid in children):
+        while time.monotonic() < end_s and any(child.runs for child in children):
             time.sleep(0.02)
-        for pid in children:
-            with suppress(OSError):
-                os.kill(pid, signal.SIGKILL)
+        for child in children:
+            child.kill()
         with suppress(OSError):
             os.close(self._keys)
             self._said.close()
 
-    def _children(self) -> list[int]:
-        with suppress(OSError):
-            return [
-                int(name)
-                for name in Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text(encoding="ascii").split()
-            ]
-        return []
-
-
-def _runs(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
+    def children(self) -> list[Child]:
+        """Its processes now; none where there is no /proc."""
+        try:
+            names = Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text(encoding="ascii").split()
+        except OSError:
+            return []
+        return [child for name in names if (child := Child.of(int(name))) is not None]

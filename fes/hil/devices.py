@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,13 +12,15 @@ from drivers.imu.port import ImuLost
 from drivers.stimulator.port import StimulatorLost
 from drivers.virtual.can_link_spawn import spawn_link
 from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
-from drivers.virtual.node_record import RecordEntry, read_record
+from drivers.virtual.node_record import RecordEntry
 from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node, why_silent
 from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
+from drivers.virtual.stop_button import StopButton
 from fes.config import Bus, StimulatorDevice
 from fes.hil.scenarios import Needs
-from fes.hil.settings import INTENSITY, session_text
-from fes.hil.walk import FOOT, RATE_HZ, walker
+from fes.hil.settings import BUTTON_ID, INTENSITY, session_text
+from fes.hil.tail import RecordTail
+from fes.hil.walk import FOOT, RATE_HZ, STANDS_S, walker
 
 TRANSPORTS: Final = ("udp_multicast", "loopback", "slcan", "socketcan", "serial", "serial_rehastim2")
 SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
@@ -50,7 +53,15 @@ class Devices:
     spare: ImuHandle
     stack: ExitStack
     can_do: frozenset[Needs]
-    _records: list[Path] = field(default_factory=list)
+    button_bus: Bus | None = None
+    button: StopButton | None = None
+    _tail: RecordTail = field(init=False)
+    _left: list[RecordEntry] = field(default_factory=list)
+    _replaced: int = 0
+    _stands: bool = False
+
+    def __post_init__(self) -> None:
+        self._tail = self._tail_of(self.node)
 
     @property
     def sensor_port(self) -> Path:
@@ -65,35 +76,53 @@ class Devices:
     def session_file(self, number: int, variant: str) -> Path:
         """Settings for the campaign's next session."""
         path = self.folder / f"session{number}.toml"
-        text = session_text(variant, str(self.sensor_port), self.front, self.stimulator)
-        path.write_text(text, encoding="utf-8")
+        bus = self.button_bus if variant == "button" else self.front
+        path.write_text(session_text(variant, str(self.sensor_port), bus, self.stimulator), encoding="utf-8")
         return path
 
     def processes(self) -> list[int]:
         """Ids of those that must keep their time whatever happens to the controller."""
         return [self.node.process.pid, *([self.link.process.pid] if self.link is not None else [])]
 
-    def entries(self) -> list[RecordEntry]:
-        """What the stimulators of this campaign have recorded, oldest first; a replaced one's after all of its own."""
-        paths = [*self._records, *([self.node.record] if self.node.record is not None else [])]
-        return [entry for path in paths if path.is_file() for entry in read_record(path)]
+    def news(self) -> list[RecordEntry]:
+        """What the stimulators of this campaign have recorded since the last call; a replaced one's first."""
+        left, self._left = self._left, []
+        return left + self._tail.news()
+
+    def stand(self, stands: bool) -> None:
+        """The patient stays standing, once they stand; or walks on."""
+        self._stands = stands
+        self.imu.fault("stand", STANDS_S if stands else 0.0)
 
     def sensor_replugged(self) -> None:
         """Another sensor is plugged in where the unplugged one was; it plays the same walk from its beginning."""
         point(self.sensor_port, self.spare.port)
         self.imu.stop()
         self.imu, self.spare = self.spare, self._sensor()
+        self.stand(self._stands)
 
     def stimulator_replugged(self) -> None:
         """Another serial stimulator is plugged in where the unplugged one was."""
-        if self.node.record is not None:
-            self._records.append(self.node.record)
         self.node.stop()
+        self._left += self._tail.news()
+        self._replaced += 1
         kind, _ = SERIAL[self.transport]
-        again = spawn_device(kind, record=self.folder / f"stimulator{len(self._records)}.jsonl")
+        again = spawn_device(kind, record=self.folder / f"stimulator{self._replaced}.jsonl")
         self.stack.callback(again.stop)
-        self.node = again
+        self.node, self._tail = again, self._tail_of(again)
         point(self.folder / "stimulator", again.port)
+
+    def stop_button(self) -> StopButton:
+        """The button on its bus, made when it is first asked for; let go."""
+        if self.button is None and self.button_bus is not None:
+            self.button = self.stack.enter_context(StopButton(self.button_bus, BUTTON_ID))
+        if self.button is None:
+            raise Unavailable(f"{self.transport} has no bus for a stop button")
+        return self.button
+
+    @staticmethod
+    def _tail_of(node: NodeHandle | DeviceHandle) -> RecordTail:
+        return RecordTail(node.record or Path(os.devnull))
 
     def _sensor(self) -> ImuHandle:
         sensor = spawn_imu("xbus", sensor=FOOT, recording=self.recording, rate_hz=RATE_HZ)
@@ -131,6 +160,9 @@ def start_devices(transport: str, folder: Path, stack: ExitStack, channel: str =
     can_do |= {Needs.SERIAL, Needs.LINK} if transport in SERIAL else {Needs.CAN}
     can_do |= {Needs.LINK} if link is not None else set()
     can_do |= {Needs.SLCAN} if transport == "slcan" else set()
+    # nobody else can be on a serial adapter's line; a serial stimulator leaves the bus to the button
+    button_bus = None if transport == "slcan" else free_bus() if front is None else front
+    can_do |= {Needs.BUTTON} if button_bus is not None else set()
     return Devices(
         folder,
         transport,
@@ -145,6 +177,7 @@ def start_devices(transport: str, folder: Path, stack: ExitStack, channel: str =
         imus[1],
         stack,
         frozenset(can_do),
+        button_bus,
     )
 
 
@@ -170,7 +203,9 @@ def _stimulator(transport: str, folder: Path, stack: ExitStack, channel: str) ->
         back = free_bus()
         _need(back)
         adapter = folder / "adapter"
-        front = Bus(interface="slcan", channel=str(adapter), options={"bitrate": 500000, "timeout": 0})
+        front = Bus(
+            interface="slcan", channel=str(adapter), options={"bitrate": 500000, "timeout": 0, "sleep_after_open": 0.2}
+        )
         link = spawn_link(back, slcan=adapter)
     else:
         back, front = free_bus(transport), free_bus(transport)

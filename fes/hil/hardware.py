@@ -20,7 +20,7 @@ from drivers.virtual.rogue import Rogue
 from fes.config import ConfigError, Session, load_session
 from fes.hil.scenarios import SCENARIOS, Needs, Scenario
 
-WITHOUT_DEVICES: Final = ("imu_", "stamp", "clock", "stale", "commands", "random", "phase", "dose", "view")
+WITHOUT_DEVICES: Final = ("imu_", "stamp", "clock", "stale", "commands", "random", "phase", "dose", "view", "page")
 _ENDED_BY: Final = {Result.LEASE_EXPIRED: "lease_expired", Result.ON_TIME: "on_time"}
 
 
@@ -64,9 +64,9 @@ class Hardware:
         """The one that there is."""
         return self.path
 
-    def entries(self) -> list[RecordEntry]:
-        """What the stimulator said on the bus."""
-        return self.witness.entries()
+    def news(self) -> list[RecordEntry]:
+        """What the stimulator said on the bus since the last call."""
+        return self.witness.news()
 
     def processes(self) -> list[int]:
         """None: devices keep their own time."""
@@ -79,6 +79,7 @@ class BusWitness:
 
     rogue: Rogue
     _entries: list[RecordEntry] = field(default_factory=list)
+    _told: int = 0
     _on: set[int] = field(default_factory=set)
     _over: threading.Event = field(default_factory=threading.Event)
     _thread: threading.Thread | None = None
@@ -95,9 +96,10 @@ class BusWitness:
         if self._thread is not None:
             self._thread.join(2.0)
 
-    def entries(self) -> list[RecordEntry]:
-        """What was heard so far."""
-        return list(self._entries)
+    def news(self) -> list[RecordEntry]:
+        """What was heard since the last call."""
+        before, self._told = self._told, len(self._entries)
+        return self._entries[before : self._told]
 
     def take(self, t_ns: int, identifier: int, data: bytes) -> None:
         """A frame was heard."""

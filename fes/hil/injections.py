@@ -12,25 +12,22 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID
-from drivers.virtual.rogue import FRAMES_PER_S, Rogue, flipped, random_frames
+from fes.hil import on_bus
 from fes.hil.devices import SERIAL
 from fes.hil.rig import CampaignBroken, Rig
 from fes.hil.settings import CHANNEL
+from fes.page.press import press_stop
 
 Inject = Callable[[Rig, int], int]
 """Brings the fault about for the n-th time; returns when, by CLOCK_MONOTONIC in ns."""
 Heal = Callable[[Rig], None]
 
-DELAYS_S: Final = (0.06, 0.1, 0.2, 0.5)
-STOPS_S: Final = (0.2, 1.0, 5.0)
 STARVED_S: Final = 1.0
 HOGS: Final = 3
 HOGS_S: Final = 4.0
 CUT_S: Final = 0.5
 SILENT_S: Final = 1.3  # longer than a line may be silent before it is opened again
 STARVING_PRIORITY: Final = 60
-RANDOM_FRAMES: Final = 6000  # each time: two seconds' worth
 MANY: Final = 100_000
 
 
@@ -67,7 +64,7 @@ def _unmute_sensor(rig: Rig) -> None:
 
 
 def _delay_sensor(rig: Rig, n: int) -> int:
-    return rig.devices.imu.fault("delay", DELAYS_S[n % len(DELAYS_S)])
+    return rig.devices.imu.fault("delay", rig.value)
 
 
 def _undrift(rig: Rig) -> None:
@@ -78,6 +75,7 @@ def _undrift(rig: Rig) -> None:
 
 
 def _kill(rig: Rig, n: int) -> int:
+    rig.orphans = rig.session().children()
     t_ns = time.monotonic_ns()
     os.kill(rig.session().pid, signal.SIGKILL)
     rig.session().process.wait()
@@ -87,7 +85,7 @@ def _kill(rig: Rig, n: int) -> int:
 def _stop(rig: Rig, n: int) -> int:
     t_ns = time.monotonic_ns()
     os.kill(rig.session().pid, signal.SIGSTOP)
-    rig.watch(STOPS_S[n % len(STOPS_S)])
+    rig.watch(rig.value)
     os.kill(rig.session().pid, signal.SIGCONT)
     return t_ns
 
@@ -193,58 +191,31 @@ def _mend(rig: Rig) -> None:
         rig.devices.link.tell("cut", 0.0)
 
 
-def _unplug_adapter(rig: Rig, n: int) -> int:
-    if rig.devices.link is None:
-        raise CampaignBroken("there is no adapter to unplug")
-    return rig.devices.link.tell("unplug")
+def _line(name: str, value: float, healed: float = 0.0) -> tuple[Inject, Heal]:
+    """A fault of the line between controller and stimulator that ends after half a second."""
+
+    def tell(rig: Rig, worth: float) -> int:
+        if rig.devices.link is None:
+            raise CampaignBroken("there is no line between controller and stimulator")
+        return rig.devices.link.tell(name, worth)
+
+    def heal(rig: Rig) -> None:
+        rig.watch(CUT_S)
+        tell(rig, healed)
+
+    return lambda rig, n: tell(rig, value), heal
 
 
-def _plug_adapter(rig: Rig) -> None:
-    rig.watch(CUT_S)
-    if rig.devices.link is not None:
-        rig.devices.link.tell("unplug", 0.0)
-
-
-def _rogue(rig: Rig) -> Rogue:
-    if rig.devices.back is None:
-        raise CampaignBroken("there is no CAN bus")
-    return Rogue(rig.devices.back)
-
-
-def _flips(rig: Rig, n: int) -> int:
-    with _rogue(rig) as rogue:
-        commands = rogue.on_commands(0.1)
-        t_ns = time.monotonic_ns()
-        rig.sent = sum(rogue.send(flipped(command)) for command in commands[:1])
-    return t_ns
-
-
-def _repeats(rig: Rig, n: int) -> int:
-    """The burst's newest commands once more, the newest first."""
-    with _rogue(rig) as rogue:
-        commands = rogue.on_commands(0.12)
-        t_ns = time.monotonic_ns()
-        rig.sent = rogue.send(commands[-3:][::-1])
-    return t_ns
-
-
-def _old_session(rig: Rig, n: int) -> int:
-    """Commands of the present session, sent again in the next one, while its patient stands and it is armed."""
-    with _rogue(rig) as rogue:
-        commands = rogue.on_commands(0.25)
-        rig.end_session()
-        rig.prepare(rig.variant)
-        t_ns = time.monotonic_ns()
-        rig.sent = rogue.send([command for _ in range(20) for command in commands], 500.0)
-    return t_ns
-
-
-def _random(rig: Rig, n: int) -> int:
-    """Half of them anything, half with the identifiers that a controller uses."""
+def _stop_on_page(rig: Rig, n: int) -> int:
+    port = rig.session().page_port()
     t_ns = time.monotonic_ns()
-    with _rogue(rig) as rogue:
-        rogue.send(random_frames(RANDOM_FRAMES // 2, 2 * n), FRAMES_PER_S)
-        rig.sent = rogue.send(random_frames(RANDOM_FRAMES // 2, 2 * n + 1, (COMMAND_ID, OPEN_ID)), FRAMES_PER_S)
+    press_stop(port)
+    return t_ns
+
+
+def _press(rig: Rig, n: int) -> int:
+    t_ns = time.monotonic_ns()
+    rig.devices.stop_button().press()
     return t_ns
 
 
@@ -258,34 +229,45 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "imu_unplugged": (_unplug_sensor, _plug_sensor),
     "imu_frozen": _sensor("stuck"),
     "imu_nan": _sensor("nan", MANY),
+    "imu_inf": _sensor("inf", MANY),
     "imu_saturated": _sensor("full"),
+    "imu_remounted": _sensor("axes"),
+    "imu_remounted_in_swing": _sensor("axes"),
     "imu_unit_deg": _sensor("unit", 57.2958),
     "imu_unit_g": _sensor("unit", 1 / 9.80665),
     "stamp_doubled_once": _sensor("doubled", 1),
     "stamp_order_once": _sensor("reorder", 1),
     "stamps_doubled": _sensor("doubled", MANY),
+    "stamps_order": _sensor("reorder", MANY),
+    "stamps_jumping": _sensor("jumping", 0.2),
     "clock_jump": _sensor("jump", 0.5),
     "clock_drift": (_sensor("drift", 100.0)[0], _undrift),
     "stale_data": (_delay_sensor, lambda rig: rig.devices.imu.clear()),
-    "cpu_hogs": (_hogs, lambda rig: rig.watch(HOGS_S - 3.0)),
+    "cpu_hogs": (_hogs, lambda rig: rig.watch(HOGS_S - 1.5)),
     "controller_killed": (_kill, _nothing),
     "controller_stopped": (_stop, _nothing),
     "controller_starved": (_starve, _nothing),
     "link_lost": (_cut, _mend),
-    "adapter_unplugged": (_unplug_adapter, _plug_adapter),
+    "adapter_unplugged": _line("unplug", 1.0),
+    "bus_off": _line("bus_off", 1.0),
+    "adapter_full": _line("clog", 1.0),
     "node_reboot": (lambda rig, n: rig.devices.node.tell("reboot", 0.0), _nothing),
     "ack_missing": _stimulator("mute", 1.0, 0.0),
     "ack_late": _stimulator("delay", 0.15, 0.0),
     "delivered_differs": _stimulator("weak", CHANNEL, -1.0),
     "electrode": _stimulator("electrode", CHANNEL, -1.0),
-    "commands_flipped": (_flips, _nothing),
-    "commands_repeated": (_repeats, _nothing),
-    "commands_old_session": (_old_session, _nothing),
-    "random_frames": (_random, _nothing),
+    "commands_flipped": (on_bus.flips, _nothing),
+    "commands_repeated": (on_bus.repeats, _nothing),
+    "commands_reordered": (on_bus.exchange, _nothing),
+    "commands_old_session": (on_bus.old_session, _nothing),
+    "random_frames": (on_bus.random, _nothing),
     "stop_key": (_space, _nothing),
     "stop_file": (_stop_file, _no_stop_file),
     "stop_control": (_stop_order, _nothing),
-    "view_killed": (_kill_child("fes.live.view"), _nothing),
+    "stop_page": (_stop_on_page, _nothing),
+    "stop_button": (_press, lambda rig: rig.devices.stop_button().press(False)),
+    "view_killed": (_kill_child("fes.live.view"), Rig.end_session),
+    "page_killed": (_kill_child("fes.page"), Rig.end_session),
     "phase_stuck": (_by_itself, _nothing),
     "dose": (_by_itself, _nothing),
     "disk_full": (_full_disk, _nothing),

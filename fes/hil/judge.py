@@ -34,35 +34,55 @@ class Output:
     charge_uc: float = 0.0
 
 
-def outputs(entries: Iterable[RecordEntry], now_ns: int) -> list[Output]:
-    """The stretches of current of all channels, oldest first.
+class Outputs:
+    """The stretches of current of all channels, kept up with a record that grows: each entry is looked at once."""
 
-    Args:
-        entries: of one device, in order.
-        now_ns: the present; a stretch of pulses that are recent enough is still on.
-    """
-    found: list[Output] = []
-    open_: dict[int, list[RecordEntry]] = {}
-    trains: dict[int, list[RecordEntry]] = {}
-    for entry in entries:
-        if entry.event == "pulse":
-            train = trains.setdefault(entry.channel, [])
-            if train and entry.t_ns - train[-1].t_ns > GAP_NS:
-                found.append(_train(train, train[-1].t_ns))
-                train.clear()
-            train.append(entry)
-        elif entry.event in _BEGIN and entry.current_ma > 0:
-            open_.setdefault(entry.channel, []).append(entry)
-        elif entry.event in _END:
-            ended = [entry.channel] if entry.channel >= 0 else list(open_)
-            for channel in ended:
-                if levels := open_.pop(channel, None):
-                    found.append(_stretch([*levels, entry], entry.t_ns, entry.event))
-    for train in trains.values():
-        if train:
-            found.append(_train(train, None if now_ns - train[-1].t_ns <= GAP_NS else train[-1].t_ns))
-    found += [_stretch(levels, None, "") for levels in open_.values()]
-    return sorted(found, key=lambda output: output.on_ns)
+    def __init__(self) -> None:
+        self._over: list[Output] = []
+        self._open: dict[int, list[RecordEntry]] = {}
+        self._trains: dict[int, list[RecordEntry]] = {}
+
+    def take(self, entries: Iterable[RecordEntry]) -> None:
+        """The record goes on with these; each device's in order."""
+        for entry in entries:
+            if entry.event == "pulse":
+                train = self._trains.setdefault(entry.channel, [])
+                if train and entry.t_ns - train[-1].t_ns > GAP_NS:
+                    self._over.append(_train(train, train[-1].t_ns))
+                    train.clear()
+                train.append(entry)
+            elif entry.event in _BEGIN and entry.current_ma > 0:
+                self._open.setdefault(entry.channel, []).append(entry)
+            elif entry.event in _END:
+                ended = [entry.channel] if entry.channel >= 0 else list(self._open)
+                for channel in ended:
+                    if levels := self._open.pop(channel, None):
+                        self._over.append(_stretch([*levels, entry], entry.t_ns, entry.event))
+
+    def so_far(self, now_ns: int, since_ns: int = 0) -> list[Output]:
+        """The stretches that were on at ``since_ns`` or later, oldest first.
+
+        Args:
+            now_ns: the present; a stretch of pulses that are recent enough is still on.
+            since_ns: what had ended long before it is left out.
+        """
+        found = [output for output in self._over if (output.off_ns or output.on_ns) + GAP_NS >= since_ns]
+        for train in self._trains.values():
+            if train:
+                found.append(_train(train, None if now_ns - train[-1].t_ns <= GAP_NS else train[-1].t_ns))
+        found += [_stretch(levels, None, "") for levels in self._open.values()]
+        return sorted(found, key=lambda output: output.on_ns)
+
+    def forget(self, before_ns: int) -> None:
+        """Drop what had ended before this moment."""
+        self._over = [output for output in self._over if (output.off_ns or output.on_ns) >= before_ns]
+
+
+def outputs(entries: Iterable[RecordEntry], now_ns: int) -> list[Output]:
+    """All stretches of current of a whole record, oldest first; ``now_ns`` is the present."""
+    found = Outputs()
+    found.take(entries)
+    return found.so_far(now_ns)
 
 
 def _train(train: list[RecordEntry], off_ns: int | None) -> Output:

@@ -34,6 +34,9 @@ class Attempt:
         named: what the session gave as its reason.
         faults: what was wrong with the answer besides its time.
         remark: anything else worth a line.
+        value: what the fault was brought about with, in words.
+        away: something else took the session off: this machine lost time, and an idle loop beside it saw that. No
+            verdict; it is made again.
     """
 
     off_ms: float | None = None
@@ -41,15 +44,18 @@ class Attempt:
     named: str = ""
     faults: tuple[str, ...] = ()
     remark: str = ""
+    value: str = ""
+    away: bool = False
 
 
 @dataclass(slots=True)
 class Row:
-    """One fault's attempts; ``skipped`` says why there are none."""
+    """One fault's attempts; ``skipped`` says why there are none, ``away`` why some were made again."""
 
     scenario: Scenario
     attempts: list[Attempt] = field(default_factory=list)
     skipped: str = ""
+    away: list[str] = field(default_factory=list)
 
     def times_ms(self) -> list[float]:
         """Of the attempts in which something had to go off."""
@@ -64,7 +70,7 @@ class Row:
         """Given how late the machine was with an idle loop (its p99.9)."""
         if self.skipped:
             return Verdict.SKIPPED
-        if not self.attempts or any(attempt.faults for attempt in self.attempts):
+        if not self.attempts or any(attempt.faults or attempt.away for attempt in self.attempts):
             return Verdict.FAILED
         times_ms = self.times_ms()
         if self.within() == len(times_ms):
@@ -84,6 +90,21 @@ class Campaign:
     seconds: float
     repeat: int
     unasked: tuple[str, ...] = ()  # reasons for which the session went off when no fault had been injected
+    away: tuple[str, ...] = ()  # such reasons where an idle loop shows that this machine lost time just then
+
+    @property
+    def remarks(self) -> list[str]:
+        """What is to be said above the table; "machine away" is no fault of the session's, and no success either."""
+        again = [reason for row in self.rows for reason in row.away]
+        lines = []
+        if self.unasked:
+            lines.append(f"Off {len(self.unasked)} times without a fault: {_distinct(self.unasked)}.")
+        if self.away or again:
+            lines.append(
+                f"Machine away {len(self.away) + len(again)} times, as the idle loop saw as well, {len(again)} of them "
+                f"as a fault was injected; such attempts were made again: {_distinct([*self.away, *again])}."
+            )
+        return lines
 
     @property
     def failed(self) -> list[Row]:
@@ -98,6 +119,7 @@ class Campaign:
             "seconds": round(self.seconds, 1),
             "repeat": self.repeat,
             "unasked": list(self.unasked),
+            "away": list(self.away),
             "baseline": asdict(self.baseline),
             "rows": [_row(row, self.baseline.p999_ms) for row in self.rows],
         }
@@ -111,9 +133,8 @@ class Campaign:
             "last pulse (worst) | in time | named | verdict |",
             "|---|---|---|---|---|---|---|---|",
         ]
-        if self.unasked:
-            said = "; ".join(dict.fromkeys(self.unasked))
-            lines[1:1] = ["", f"Off {len(self.unasked)} times without a fault: {said}."]
+        for remark in reversed(self.remarks):
+            lines[1:1] = ["", remark]
         return "\n".join([*lines, *(_line(row, self.baseline.p999_ms) for row in self.rows), ""])
 
 
@@ -129,7 +150,8 @@ def summary(row: Row) -> str:
 
 def why(row: Row) -> str:
     """What was wrong, or why it was not run; "" when all is well."""
-    return row.skipped or "; ".join(dict.fromkeys(fault for attempt in row.attempts for fault in attempt.faults))
+    away = ["this machine was away in every try"] if any(attempt.away for attempt in row.attempts) else []
+    return row.skipped or _distinct([*away, *(fault for attempt in row.attempts for fault in attempt.faults)])
 
 
 def _ms(value: float) -> str:
@@ -146,6 +168,7 @@ def _row(row: Row, machine_ms: float) -> dict[str, Any]:
         "fault": scenario.fault,
         "response": scenario.response,
         "deadline_ms": scenario.deadline_ms,
+        "away": row.away,
         "attempts": [_attempt(attempt) for attempt in row.attempts],
         "in_time": row.within(),
         **dict(zip(names, spread, strict=True)),
@@ -164,7 +187,12 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "named": attempt.named,
         "faults": list(attempt.faults),
         "remark": attempt.remark,
+        "value": attempt.value,
     }
+
+
+def _distinct(reasons: Iterable[str]) -> str:
+    return "; ".join(dict.fromkeys(reasons))
 
 
 def _line(row: Row, machine_ms: float) -> str:

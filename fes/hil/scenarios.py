@@ -13,6 +13,8 @@ class Effect(StrEnum):
     LATCHED = "off until armed by hand"
     ENDED = "off, the session ends"
     NONE = "no effect"
+    HARMLESS = "no effect, or off until armed by hand"
+    SILENT = "no burst begins any more"
     NOT_EXECUTED = "nothing executed"
     BOUNDED = "the burst ends by itself"
 
@@ -24,6 +26,7 @@ class Needs(StrEnum):
     CAN = "a simulated stimulator on CAN"
     LINK = "a line that can be cut"
     SLCAN = "a serial CAN adapter"
+    BUTTON = "a CAN bus that a stop button can be on"
     SERIAL = "a simulated stimulator on a serial line"
     FIFO = "fixed priorities (SCHED_FIFO) and a second processor"
     PROC = "/proc (Linux)"
@@ -40,6 +43,8 @@ class Scenario:
         variant: which of the campaign's sessions it needs; "" is the usual one.
         restart: the controller is gone afterwards and is started again.
         watch_s: how long it must stay off (or go on) after the deadline; a stride and more.
+        values: what the fault is brought about with, by turns; however few repeats are asked for, each comes once.
+        unit: of the values.
     """
 
     name: str
@@ -52,6 +57,16 @@ class Scenario:
     variant: str = ""
     restart: bool = False
     watch_s: float = 1.5
+    values: tuple[float, ...] = ()
+    unit: str = ""
+
+    def attempts(self, repeat: int) -> int:
+        """How many are made when ``repeat`` are asked for."""
+        return max(repeat, len(self.values), 1)
+
+    def value(self, n: int) -> float:
+        """For the n-th attempt; 0 where there are none."""
+        return self.values[n % len(self.values)] if self.values else 0.0
 
 
 _SIM = frozenset((Needs.SIMULATED,))
@@ -72,13 +87,27 @@ def _row(
     variant: str = "",
     restart: bool = False,
     watch_s: float = 1.5,
+    values: tuple[float, ...] = (),
+    unit: str = "",
 ) -> Scenario:
     named = tuple(filter(None, words.split("|")))
-    return Scenario(name, fault, response, effect, deadline_ms, named, needs, variant, restart, watch_s)
+    return Scenario(name, fault, response, effect, deadline_ms, named, needs, variant, restart, watch_s, values, unit)
 
 
-def _harmless(name: str, fault: str, response: str, needs: frozenset[Needs] = _SIM, variant: str = "") -> Scenario:
-    return _row(name, fault, None, response=response, effect=Effect.NONE, needs=needs, variant=variant, watch_s=3.0)
+def _harmless(
+    name: str,
+    fault: str,
+    response: str,
+    needs: frozenset[Needs] = _SIM,
+    variant: str = "",
+    effect: Effect = Effect.NONE,
+) -> Scenario:
+    return _row(name, fault, None, response=response, effect=effect, needs=needs, variant=variant, watch_s=1.5)
+
+
+def _refused(name: str, fault: str, needs: frozenset[Needs], watch_s: float = 0.3) -> Scenario:
+    response = "none executed"
+    return _row(name, fault, None, response=response, effect=Effect.NOT_EXECUTED, needs=needs, watch_s=watch_s)
 
 
 _LEASE = "the stimulator's lease"
@@ -90,18 +119,61 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
     _row("imu_unplugged", "sensor unplugged, plugged in again", 100, "old|lost|no data", response=_BACK),
     _row("imu_frozen", "sensor repeats one value", 100, "frozen"),
     _row("imu_nan", "NaN in the sensor's values", 100, "non-finite"),
+    _row("imu_inf", "infinite values", 100, "non-finite"),
     _row("imu_saturated", "sensor at the end of its range", 100, "saturated|foot can take|unit"),
     _row("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
     _row("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
+    _row(
+        "imu_remounted",
+        "sensor remounted, axes exchanged: while standing, armed",
+        None,
+        "remounted|calibration",
+        response="no burst begins; arming refused, with the reason",
+        effect=Effect.SILENT,
+        watch_s=3.0,
+    ),
+    _row("imu_remounted_in_swing", "sensor's axes exchanged in mid-swing", 100, "remounted|calibration|unit|frozen"),
     _harmless("stamp_doubled_once", "one time stamp doubled", "counted, no effect"),
     _harmless("stamp_order_once", "two samples out of order, once", "counted, no effect"),
     _row("stamps_doubled", "more than 5 % of the stamps doubled", 1100, "stamps|clock"),
-    _row("clock_jump", "sensor's clock jumps by 0.5 s", 1100, "clock|old|stamps"),
+    _row("stamps_order", "more than 5 % of the stamps out of order", 1100, "stamps|clock"),
+    _row("stamps_jumping", "more than 5 % of the stamps ahead by 0.2 s", 1100, "stamps|clock"),
+    _harmless(
+        "clock_jump",
+        "sensor's clock set ahead by 0.5 s, once",
+        "counted, no effect; or off, and can be armed again",
+        effect=Effect.HARMLESS,
+    ),
     _harmless("clock_drift", "sensor's clock runs 100 ppm fast", "no effect"),
-    _row("stale_data", "samples delayed by 60 to 500 ms", 100, "old|stamps|clock|data"),
+    _row(
+        "stale_data",
+        "samples delayed by 60, 100, 200, 500 ms",
+        100,
+        "old|stamps|clock|data",
+        values=(0.06, 0.1, 0.2, 0.5),
+        unit="s",
+    ),
     _harmless("cpu_hogs", "three busy processes", "no effect under SCHED_FIFO", frozenset((Needs.FIFO,))),
-    _row("controller_killed", "controller kill -9", 65, response=_LEASE, needs=_NONE, restart=True, watch_s=1.0),
-    _row("controller_stopped", "controller SIGSTOP, 0.2 to 5 s", 65, "stalled|late|old", response=_STAYS, needs=_NONE),
+    _row(
+        "controller_killed",
+        "controller kill -9",
+        65,
+        response=_LEASE + "; its other processes end within 3 s",
+        needs=_NONE,
+        variant="seen",
+        restart=True,
+        watch_s=1.3,
+    ),
+    _row(
+        "controller_stopped",
+        "controller SIGSTOP for 0.2, 1, 5 s",
+        65,
+        "stalled|late|old",
+        response=_STAYS,
+        needs=_NONE,
+        values=(0.2, 1.0, 5.0),
+        unit="s",
+    ),
     _row(
         "controller_starved",
         "controller without processor for 1 s",
@@ -125,47 +197,47 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         response="off by lease; opened again; armed by hand",
         needs=frozenset((Needs.SIMULATED, Needs.SLCAN)),
     ),
+    _row(
+        "bus_off",
+        "CAN adapter goes bus-off, and comes back",
+        65,
+        "bus-off|answer|lost",
+        response="off by lease; opened again; armed by hand",
+        needs=_CAN | {Needs.LINK},
+    ),
+    _row(
+        "adapter_full",
+        "CAN adapter takes nothing more, its buffer is full",
+        65,
+        "stalled|late|answer|lost|old|lease expired",
+        response="off by lease; latched when it takes commands again",
+        needs=frozenset((Needs.SIMULATED, Needs.SLCAN)),
+    ),
     _row("node_reboot", "stimulator restarts", 100, "restart|session|initial|stimulator", response="comes up off; off"),
     _row("ack_missing", "stimulator's answers missing", 100, "answer|heartbeat", response="one retry, then off"),
     _row("ack_late", "stimulator's answers 150 ms late", 100, "answer|heartbeat", response="one retry, then off"),
     _row("delivered_differs", "delivers half of what it is told", 100, "delivered", needs=_CAN),
     _row("electrode", "electrode or lead open", 100, "electrode|output|lead"),
-    _row(
-        "commands_flipped",
-        "a valid command with every 1 and 2 bits flipped",
-        None,
-        response="none executed",
-        effect=Effect.NOT_EXECUTED,
-        needs=_CAN,
-    ),
-    _row(
-        "commands_repeated",
-        "valid commands repeated and reordered",
-        None,
-        response="none executed",
-        effect=Effect.NOT_EXECUTED,
-        needs=_CAN,
-    ),
-    _row(
-        "commands_old_session",
-        "valid commands of an earlier session",
-        None,
-        response="none executed",
-        effect=Effect.NOT_EXECUTED,
-        needs=_CAN,
-    ),
-    _row(
-        "random_frames",
-        "random frames on the bus",
-        None,
-        response="none executed",
-        effect=Effect.NOT_EXECUTED,
-        needs=_CAN,
-    ),
+    _refused("commands_flipped", "a valid command with every 1 and 2 bits flipped", _CAN),
+    _refused("commands_repeated", "valid commands repeated, 0 to 40 commands late", _CAN),
+    _refused("commands_reordered", "ten pairs of commands exchanged on the way", _CAN | {Needs.LINK}),
+    _refused("commands_old_session", "valid commands of an earlier session", _CAN),
+    _refused("random_frames", "random frames on the bus, 62,500 each time", _CAN),
     _row("stop_key", "emergency stop: space bar", 50, "emergency stop", needs=_NONE, response="off, latched"),
     _row("stop_file", "emergency stop: stop file", 50, "emergency stop", needs=_NONE, response="off, latched"),
     _row("stop_control", "emergency stop: control socket", 50, "emergency stop", needs=_NONE, response="off, latched"),
-    _harmless("view_killed", "terminal view kill -9", "no effect", frozenset((Needs.PROC,)), "view"),
+    _row("stop_page", "emergency stop: live page", 50, "emergency stop", response="off, latched", variant="seen"),
+    _row(
+        "stop_button",
+        "emergency stop: hardware button (a bit on CAN)",
+        50,
+        "emergency stop",
+        needs=_SIM | {Needs.BUTTON},
+        response="off, latched",
+        variant="button",
+    ),
+    _harmless("view_killed", "terminal view kill -9", "no effect", frozenset((Needs.PROC,)), "seen"),
+    _harmless("page_killed", "live page kill -9", "no effect", frozenset((Needs.PROC,)), "seen"),
     _row(
         "phase_stuck",
         "phase stuck: stance without end",

@@ -14,6 +14,14 @@ FREQUENCY_HZ: Final = 40.0
 INTENSITY: Final = 0.3  # 18 mA: an open lead is only told at 15 mA and above
 DOSE_MC: Final = 0.3  # three steps' worth
 CHANNEL: Final = 0
+BUTTON_ID: Final = 0x3A0
+_BUTTON: Final = f"""
+[live.stop_button]
+source = "can_bit"
+identifier = {BUTTON_ID}
+bit = 0
+pressed = "high"
+"""
 
 _CHANNEL: Final = """
 [[channels]]
@@ -48,9 +56,9 @@ def session_text(
 
     Args:
         variant: "" stimulates in swing; ``stance`` in stance, without end when the foot stands; ``dose`` as "" with
-            little charge a minute; ``view`` as "".
+            little charge a minute; ``button`` as "" with a stop button on the bus; ``seen`` as "".
         sensor_port: where the sensor is.
-        bus: for a CAN stimulator.
+        bus: for a CAN stimulator, or the stop button.
         stimulator: which.
     """
     start, stop = ("stance", "pre_swing") if variant == "stance" else ("swing", "loading_response")
@@ -71,11 +79,12 @@ def session_text(
     text += f'port = "{stimulator.port}"\n' if stimulator.port else ""
     if bus is not None:
         text += f'\n[bus]\ninterface = "{bus.interface}"\nchannel = "{bus.channel}"\n'
-        text += _table("bus.options", bus.options)
-    return text
+        text += table("bus.options", bus.options)
+    return text + (_BUTTON if variant == "button" else "")
 
 
-def _table(name: str, options: Mapping[str, str | int | float | bool]) -> str:
+def table(name: str, options: Mapping[str, str | int | float | bool]) -> str:
+    """A TOML table with a blank line before it; "" for none."""
     if not options:
         return ""
     lines = [f"[{name}]"]

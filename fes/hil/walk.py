@@ -13,8 +13,9 @@ from fes.recording import Recording, write_recording
 
 FOOT: Final = "right_foot"
 RATE_HZ: Final = 100.0
-STAND_BEFORE_S: Final = 3.0  # with the one after it longer than a burst may last
+STAND_BEFORE_S: Final = 1.0  # and the steps of the other foot: with the stand after it longer than a burst may last
 STAND_AFTER_S: Final = 1.2
+STANDS_S: Final = 2.0  # the foot is at rest for so long at the recording's beginning, and a little longer
 STRIDES: Final = 3
 SPEED_MPS: Final = 1.1
 CALIBRATION_STRIDES: Final = 12

@@ -1,0 +1,113 @@
+"""The whole closed loop on injected time: the same bytes every time, and the story that the demo tells."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from statistics import median
+
+import pytest
+from click.testing import CliRunner
+
+from fes.cli.demo import command as demo
+from fes.cli.demo_loop import patient, result_of
+from fes.config import Bus, StimulatorDevice, load_session, validate_session
+from fes.hil.course import WALK_S, Happening, course
+from fes.hil.one_process import run_in_one_process
+from fes.hil.patient_session import calibration_of, session_text
+from fes.journal import read_session
+from fes.patient.virtual import VirtualPatient
+
+
+def run(
+    folder: Path, name: str, seconds: float, *further: Happening, tuning: str = "act"
+) -> tuple[VirtualPatient, Path]:
+    settings = patient()
+    text = session_text(settings, current_ma=12.0, tuning=tuning)
+    session = validate_session(tomllib.loads(text), folder / "session.toml", text)
+    log = folder / name
+    return run_in_one_process(
+        settings, session, calibration_of(settings).calibrations, course(seconds, further), log, "2026-01-01T00:00:00"
+    ), log
+
+
+def test_two_runs_are_the_same_to_the_last_bit(tmp_path: Path) -> None:
+    one, first = run(tmp_path, "one.feslog", 22.0)
+    other, second = run(tmp_path, "other.feslog", 22.0)
+    assert first.read_bytes() == second.read_bytes()
+    assert one.strides == other.strides
+    log = read_session(first)
+    assert log.complete
+    assert not [note for note in log.notes if note.severity == "fault"]
+    assert sum(status.charge_uc for status in log.statuses) > 500.0
+    dose = log.summary["dose"]["0"]
+    assert dose["session_uc"] == pytest.approx(sum(status.charge_uc for status in log.statuses))
+
+
+def test_what_a_person_does_to_the_tuning_acts_in_the_run(tmp_path: Path) -> None:
+    _, log = run(tmp_path, "x.feslog", 24.0, Happening(17.0, "freeze_tuning"), Happening(20.0, "roll_back"))
+    texts = [note.text for note in read_session(log).notes if note.source == "tuning"]
+    assert any("12.0 → 14.0 mA" in text for text in texts)
+    assert any("frozen (on demand)" in text for text in texts)
+    assert any("back to the session's settings" in text and "14.0 → 12.0 mA" in text for text in texts)
+    assert not any("14.0 → 16.0" in text for text in texts)
+
+
+def test_the_demo_tells_its_story(tmp_path: Path) -> None:
+    done = CliRunner().invoke(demo, ["--closed-loop", "--fast", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    folder = tmp_path / "closed_loop-001"
+    result = json.loads((folder / "result.json").read_text())
+    first, before, last = (result[part] for part in ("first_8_strides", "before_the_slip", "last_10_strides"))
+    assert first["dragged"] >= 3
+    assert first["stumbled"] >= 2
+    assert first["median_toe_clearance_mm"] < 0.0
+    for part in (before, last):
+        assert (part["dragged"], part["stumbled"]) == (0, 0)
+        assert part["median_toe_clearance_mm"] > 10.0
+    assert last["charge_uc_a_step"] > 1.2 * before["charge_uc_a_step"]  # what the slipped electrode does not pass on
+    for words in ("stumbled", "clears", "12.0 → 14.0 mA", "an electrode has slipped", "the last 10 strides: 0 dragged"):
+        assert words in done.output
+    assert "\x1b" not in done.output  # no terminal: plain lines
+    assert "12.0 → 14.0 mA" in (folder / "report.html").read_text()
+    assert len((folder / "patient.strides.csv").read_text().splitlines()) == result["strides"] + 1
+
+
+def test_options_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
+    for options in (["--closed-loop", "--speed", "2"], ["--fast"], ["--json"]):
+        done = CliRunner().invoke(demo, [*options, "--out", str(tmp_path)])
+        assert done.exit_code == 2
+        assert "closed-loop" in done.output
+
+
+def test_a_run_without_strides_has_a_result() -> None:
+    assert result_of([])["last_10_strides"]["median_toe_clearance_mm"] is None
+
+
+def test_a_course_holds_only_what_can_happen() -> None:
+    planned = course(60.0, (Happening(50.0, "electrode", 0.7), Happening(2.0, "speed", 0.9)))
+    assert [one.what for one in planned.happenings] == ["speed", "arm", "full", "electrode"]
+    assert planned.happenings[2].t_s + 4.0 < WALK_S
+    with pytest.raises(ValueError, match="must be one of"):
+        Happening(1.0, "fly")
+
+
+@pytest.mark.parametrize("tuning", ["off", "suggest", "act"])
+def test_the_session_it_writes_is_one(tmp_path: Path, tuning: str) -> None:
+    stimulator = StimulatorDevice.model_validate({"device": "p24_low_level", "port": "/dev/pts/7"})
+    bus = Bus(interface="udp_multicast", options={"port": 4711})
+    settings = patient()
+    ports = {"left_foot": "/dev/pts/1", "right_foot": "/dev/pts/2"}
+    path = tmp_path / "session.toml"
+    path.write_text(session_text(settings, tuning=tuning, ports=ports, stimulator=stimulator, bus=bus), "utf-8")
+    session = load_session(path)
+    assert {device.sensor: device.port for device in session.sensors} == ports
+    assert session.stimulator == stimulator
+    assert session.bus == bus
+    assert session.geometry == VirtualPatient(settings).geometry
+    (channel,) = session.channels
+    assert (channel.foot, channel.number) == (settings.affected_foot, settings.channel)
+    assert channel.tuning is not None
+    assert channel.tuning.mode == tuning
+    assert median([channel.tuning.bounds.current_ma.low, 40.0]) == 25.0 if channel.tuning.bounds else False
