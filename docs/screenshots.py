@@ -1,0 +1,123 @@
+"""Make the pictures of the live page: ``python docs/screenshots.py``; needs Chromium.
+
+Nothing is staged: simulated sensors on both feet, a simulated stimulator, `fes run --page`, armed and raised over the
+control socket, and a real browser.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "transports")]
+
+from live_runs import LiveRun, Rig, bus_text, live_run, sensor_text, standing_first  # noqa: E402
+from page_browser import Page, chromium  # noqa: E402
+from replays import cut, trial  # noqa: E402
+from small_png import smaller  # noqa: E402
+
+from drivers.virtual.imu_spawn import spawn_imu  # noqa: E402
+from drivers.virtual.spawn import spawn_node  # noqa: E402
+from fes.calibrations import calibrate_drivers, save  # noqa: E402
+from fes.recording import write_recording  # noqa: E402
+
+TRIAL = "both_feet_200hz"
+RATE_HZ = 200.0
+STANDING_S = 12
+LARGEST_BYTES = 150_000
+CHANNEL = """
+[[channels]]
+name = "Peroneus, left"
+number = 1
+foot = "left_foot"
+muscle = "peroneus longus"
+electrode_area_cm2 = 25.0
+current_ma = 22.0
+pulse_width_us = 250.0
+frequency_hz = 40.0
+start_phase = "pre_swing"
+stop_phase = "loading_response"
+rise_s = 0.15
+extension_s = 0.06
+fall_s = 0.10
+
+[channels.limits]
+max_current_ma = 30.0
+max_pulse_width_us = 400.0
+max_frequency_hz = 50.0
+max_charge_per_phase_uc = 12.0
+max_charge_per_minute_mc = 20.0
+max_current_density_ma_per_cm2 = 0.5
+max_rise_ma_per_s = 400.0
+max_on_s = 3.0
+min_off_s = 0.1
+"""
+
+
+def both_feet(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+    """A sensor on each foot, each on a line of its own, the stimulator on CAN."""
+    node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
+    sensors = ("right_foot", "left_foot")
+    imus = [
+        stack.enter_context(spawn_imu("xbus", sensor=sensor, recording=recording, rate_hz=RATE_HZ))
+        for sensor in sensors
+    ]
+    lines = [
+        sensor_text("xbus", imu.port, sensor=sensor, rate_hz=RATE_HZ) for imu, sensor in zip(imus, sensors, strict=True)
+    ]
+    return Rig(sensors[0], imus[0], node, CHANNEL + bus_text(node.bus) + "".join(lines))
+
+
+def link_of(run: LiveRun) -> str:
+    """The page's link, once it is there."""
+    while not (found := list(run.folder.glob("*/*/page.url"))):
+        time.sleep(0.05)
+    return found[0].read_text().strip()
+
+
+def walking(page: Page) -> None:
+    """Until there are strides to see, in the middle of a step."""
+    page.until("document.querySelectorAll('#strides tr').length >= 10", 90)
+    page.until("document.getElementById('current').className === 'on'")
+
+
+def taken(page: Page, name: str) -> None:
+    """Keep the picture, and say how large it is."""
+    path = ROOT / "docs" / name
+    page.picture(path)
+    path.write_bytes(smaller(path.read_bytes()))
+    size = path.stat().st_size
+    print(f"{path.relative_to(ROOT)}  {size / 1000:.0f} kB")
+    if size > LARGEST_BYTES:
+        print(f"{name}: over {LARGEST_BYTES / 1000:.0f} kB")
+
+
+def main() -> None:
+    """Both pictures."""
+    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
+        folder = Path(name)
+        whole = trial(TRIAL)
+        recording, calibration = folder / "loop.parquet", folder / "loop.calibration.json"
+        write_recording(standing_first(cut(whole, 0.0, 30.0), STANDING_S), recording)
+        save(calibrate_drivers(whole), calibration)
+        run = stack.enter_context(live_run(folder, recording, "--calibration", calibration, "--page", rig=both_feet))
+        page = stack.enter_context(chromium(folder / "browser"))
+        page.size(1280, 800)
+        page.go(link_of(run))
+        run.armed_at()
+        walking(page)
+        taken(page, "page_desktop.png")
+        page.size(768, 1024, dark=True, touch=True)
+        page.press("#up")
+        page.until("!document.getElementById('question').hidden")
+        walking(page)
+        taken(page, "page_tablet.png")
+        run.quit()
+
+
+if __name__ == "__main__":
+    main()

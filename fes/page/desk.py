@@ -1,0 +1,148 @@
+"""One browser's words: what each means, what is answered, what goes on to the session. Pure: no clock, no I/O."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+from fes.live.orders import NEEDS_CONFIRMATION, Ask
+from fes.live.status import Status
+from fes.page.access import Access, Confirmations, Role, Situation
+
+RESUME: Final = "resume"
+CALMING: Final = frozenset((Ask.PAUSE, Ask.DOWN, Ask.DISARM))
+RAISING: Final = frozenset((Ask.ARM, Ask.UP, RESUME))
+LONGEST: Final = 512
+ORDERS_A_SECOND: Final = 10
+FRESH_NS: Final = 500_000_000
+CURRENT: Final = ("armed", "running")
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What to send back (None: nothing) and what to order (b"": nothing); ``stop`` goes before anything else."""
+
+    reply: dict[str, Any] | None = None
+    order: bytes = b""
+    stop: bool = False
+    entered: bool = False
+
+
+class Desk:
+    """Handles the messages of one connection.
+
+    Args:
+        access: shared by all connections.
+        about: what a browser that may see is told first: the session, its bounds.
+        newest: the session's newest status and its age (ns).
+        fresh: makes identifiers.
+    """
+
+    def __init__(
+        self,
+        access: Access,
+        about: dict[str, Any],
+        newest: Callable[[int], tuple[Status | None, int]],
+        fresh: Callable[[], str],
+    ) -> None:
+        self._access = access
+        self._about = about
+        self._newest = newest
+        self._confirmations = Confirmations(fresh)
+        self._secret = ""
+        self._recent_ns: list[int] = []
+
+    @property
+    def role(self) -> Role:
+        """What this browser may do now; it changes when another one comes in."""
+        return self._access.role(self._secret)
+
+    def take(self, text: str, t_ns: int) -> Outcome:
+        """One message; whatever it is, there is an outcome."""
+        try:
+            said = json.loads(text) if len(text) <= LONGEST else None
+        except (ValueError, RecursionError):
+            said = None
+        if not isinstance(said, dict):
+            return _refuse("not understood")
+        if said.get("ask") == Ask.STOP:  # before any look at who asks, or how often
+            return Outcome(stop=True)
+        if {"token", "secret"} & said.keys():
+            return self._enter(str(said.get("token", "")), str(said.get("secret", "")))
+        if self.role is Role.NOBODY:
+            return _refuse("this page has no valid link: only the stop works here")
+        if not self._in_time(t_ns):
+            return _refuse("too fast; not done")
+        if "confirm" in said:
+            return self._confirm(str(said["confirm"]), t_ns)
+        return self._ask(said.get("ask"), t_ns)
+
+    def _enter(self, token: str, secret: str) -> Outcome:
+        bought = self._access.enter(token) if token else ""
+        self._secret = bought or secret
+        if self.role is Role.NOBODY:
+            self._secret = ""
+            return Outcome({"refused": "This link was used already, or is of another session."})
+        return Outcome({"hello": self._about, "secret": self._secret}, entered=bool(bought))
+
+    def _ask(self, ask: object, t_ns: int) -> Outcome:
+        if self._about.get("mode") == "replay":
+            return _refuse("a replay can only be stopped")
+        if ask in CALMING:
+            return Outcome(order=json.dumps({"ask": ask}).encode())
+        if ask not in RAISING:
+            return _refuse("not understood")
+        status, why = self._raisable(t_ns)
+        if status is None:
+            return _refuse(why)
+        what, most = str(ask), float(self._about["most_intensity"])
+        if what == Ask.UP and status.intensity >= most - 1e-6:
+            return _refuse(f"{most:.0%} is the most that this session allows")
+        identifier = self._confirmations.ask(what, _situation(status), t_ns)
+        question = _question(what, status, float(self._about["intensity_step"]), most)
+        return Outcome({"question": {"id": identifier, "ask": what, "text": question}})
+
+    def _confirm(self, identifier: str, t_ns: int) -> Outcome:
+        status, why = self._raisable(t_ns)
+        if status is None:
+            return _refuse(why)
+        what, why = self._confirmations.answer(identifier, _situation(status), t_ns)
+        if not what:
+            return _refuse(why)
+        assert what == RESUME or what in NEEDS_CONFIRMATION
+        return Outcome(order=json.dumps({"ask": what, "confirm": True}, separators=(",", ":")).encode())
+
+    def _raisable(self, t_ns: int) -> tuple[Status | None, str]:
+        """The status that a raise may rest on, or why there is none."""
+        if self.role is not Role.CONTROL:
+            return None, "another browser has the newest link: here you can watch, pause, lower and stop"
+        status, age_ns = self._newest(t_ns)
+        if status is None or age_ns > FRESH_NS:
+            return None, "nothing is heard of the session"
+        return status, ""
+
+    def _in_time(self, t_ns: int) -> bool:
+        self._recent_ns = [each for each in self._recent_ns if t_ns - each < 1_000_000_000]
+        if len(self._recent_ns) >= ORDERS_A_SECOND:
+            return False
+        self._recent_ns.append(t_ns)
+        return True
+
+
+def _situation(status: Status) -> Situation:
+    # a patient who stops or starts to walk while somebody reads the question has not changed what it asks
+    return Situation("current" if status.state in CURRENT else status.state, status.intensity)
+
+
+def _question(what: str, status: Status, step: float, most: float) -> str:
+    if what == Ask.UP:
+        return f"Raise the intensity from {status.intensity:.0%} to {min(status.intensity + step, most):.0%}?"
+    if what == RESUME:
+        return f"Go on at {status.intensity:.0%} intensity? Current may flow at the next step."
+    return "Arm the stimulator? The intensity starts at 0 %."
+
+
+def _refuse(why: str) -> Outcome:
+    return Outcome({"said": why})

@@ -1,0 +1,230 @@
+// Ties the connection to what is shown and to the buttons.
+
+import { EnvelopeChart, StrideChart } from "/static/charts.js";
+import { Link } from "/static/link.js";
+import { SideView } from "/static/side.js";
+import { clock, foot, make, number, percent, phase, PHASES, side, STATES, unit, write } from "/static/words.js";
+
+const $ = (id) => document.getElementById(id);
+const STOP_WITHIN_MS = 500;
+const STALE_MS = 500;
+const SAID_MS = 5000;
+const ROWS = 10;
+const CURRENT = ["armed", "running"];
+const BESIDE = "Use the SPACE key at the computer, or the stop button beside you.";
+
+const view = { about: null, status: null, role: "nobody", stopAsked: 0, lost: "", refused: "", ended: "", asked: 0, said: "" };
+const sideView = new SideView($("side"));
+const lengths = new StrideChart($("length"), "length_m", 1, 0.8, 2);
+const clearances = new StrideChart($("clearance"), "clearance_m", 100, 10, 1);
+let envelope = null;
+
+// --- what comes ---------------------------------------------------------------------------------------
+
+function hello(about) {
+  view.refused = "";
+  view.lost = "";
+  if (!view.about) {
+    view.about = about;
+    document.body.classList.toggle("replay", about.mode === "replay");
+    write($("session-name"), `${about.name}${about.mode === "replay" ? " (replay)" : ""}`);
+    write($("most"), about.mode === "replay" ? "" : ` of at most ${percent(about.most_intensity)}`);
+    document.title = `FES: ${about.name}`;
+    envelope = new EnvelopeChart($("envelope"), about.channels);
+    const shown = about.channels[0];
+    write($("shaded"), shown ? `shaded: swing of the ${foot(shown.foot).toLowerCase()}` : "no channel");
+    about.channels.forEach((each, at) => {
+      const key = make("span", { class: "key" });
+      const [name, dash] = EnvelopeChart.line(at);
+      key.style.borderTopColor = `var(${name})`;
+      key.classList.toggle("dashed", dash.length > 0);
+      $("channels").append(make("span", {}, key, `${each.name}: `, make("b", { id: `sent-${each.number}` }, "0.0 mA")));
+    });
+    if (shown) {
+      const dot = make("span", {}, "●");
+      dot.style.color = "var(--given)";
+      $("channels").append(make("span", {}, dot, " answered by the stimulator"));
+    }
+  }
+  draw();
+}
+
+function frame(said) {
+  view.lost = "";
+  view.role = said.role;
+  if (said.ended) view.ended = said.ended;
+  for (const stride of said.strides ?? []) {
+    for (const each of [sideView, lengths, clearances]) each.add(stride);
+    row(stride);
+  }
+  for (const [ms, severity, text] of said.notes ?? []) note(ms, severity, text);
+  for (const [ms, which, name] of said.phases ?? []) if (which === view.about.channels[0]?.foot) envelope.phase(ms, name);
+  envelope.add(said.sent ?? [], said.answered ?? []);
+  for (const [, channel, ma] of said.sent ?? []) if ($(`sent-${channel}`)) write($(`sent-${channel}`), `${ma.toFixed(1)} mA`);
+  if (said.strides) for (const each of [sideView, lengths, clearances]) each.draw();
+  if (said.status) {
+    view.status = said.status;
+    if (view.ended) view.lost = "";
+    else if (said.age_ms > STALE_MS) view.lost = `Nothing is heard of the session for ${(said.age_ms / 1000).toFixed(1)} s.`;
+    envelope.draw(said.status.t_ms);
+    feet(said.status);
+    timing(said.status, said.browsers);
+  }
+  draw();
+}
+
+function row(stride) {
+  const cells = stride.valid
+    ? [number(stride.length_m, 2), number(stride.clearance_m === null ? null : 100 * stride.clearance_m, 1),
+       number(stride.toe_clearance_m === null ? null : 100 * stride.toe_clearance_m, 1), number(stride.speed_mps, 2)]
+    : [`not used: ${stride.reason}`];
+  const line = make("tr", { class: `${side(stride.foot)} ${stride.valid ? "" : "unused"}`, "data-stride": JSON.stringify(stride) });
+  line.append(make("td", {}, foot(stride.foot)), make("td", {}, String(stride.number)));
+  cells.forEach((text) => line.append(make("td", stride.valid ? {} : { colspan: "4" }, text)));
+  $("strides").prepend(line);
+  while ($("strides").children.length > ROWS) $("strides").lastChild.remove();
+}
+
+function note(ms, severity, text) {
+  if (severity === "info" && text.startsWith("state ")) return; // the head of the page says it
+  $("notes").prepend(make("li", { class: severity }, make("time", {}, clock(ms)), text));
+  while ($("notes").children.length > 40) $("notes").lastChild.remove();
+}
+
+// --- what is shown ------------------------------------------------------------------------------------
+
+function draw() {
+  const { status } = view;
+  const blind = view.refused || view.lost;
+  const [word, text] = view.ended ? ["ENDED", view.ended]
+    : blind ? ["NO CONNECTION", view.refused || "What you see may be old."]
+    : status ? STATES[status.state] ?? [status.state.toUpperCase(), ""] : ["CONNECTED", "Waiting for the session."];
+  document.body.dataset.state = view.ended ? "ended" : blind ? "lost" : status?.state ?? "unknown";
+  write($("state-word"), word);
+  write($("state-text"), !blind && !view.ended && status?.fault && status.fault !== "emergency stop" ? `${status.fault}. ${text}` : text);
+  const on = Boolean(status?.on) && !blind && !view.ended;
+  $("current").className = on ? "on" : "off";
+  write($("current"), on ? "⚡ Current ON" : blind && !view.ended ? "Current unknown" : "No current");
+  alarm(blind);
+  write($("link-text"), view.role === "control" ? "this page controls" : view.role === "watch" ? "this page watches" : "no valid link");
+  document.body.classList.toggle("watching", view.role === "watch");
+  write($("message"), view.said || [status?.message, ...(status?.remarks ?? []).map((each) => `! ${each}`)].filter(Boolean).join(" · "));
+  write($("intensity"), status ? percent(status.intensity) : "–");
+  buttons(status, Boolean(blind || view.ended));
+}
+
+function alarm(blind) {
+  const late = view.stopAsked && performance.now() - view.stopAsked > STOP_WITHIN_MS;
+  if (view.status?.state === "stopped" || view.ended) view.stopAsked = 0;
+  const text = view.stopAsked && late ? `STOP is not confirmed. ${BESIDE}`
+    : view.refused ? `${view.refused} Open the newest link: it is in the file page.url of the session's folder. STOP works here all the same.`
+    : blind && !view.ended ? `${blind} STOP here may not get through. ${BESIDE}` : "";
+  $("alarm").hidden = !text;
+  write($("alarm"), text);
+  $("stop").classList.toggle("pressed", Boolean(view.stopAsked));
+}
+
+function buttons(status, blind) {
+  const state = status?.state ?? "";
+  const current = CURRENT.includes(state);
+  const controls = view.role === "control";
+  write($("pause"), state === "paused" ? "Go on" : "Pause");
+  $("pause").disabled = blind || !(current || (state === "paused" && controls));
+  $("arm").disabled = blind || !controls || !["shadow", "stopped", "fault"].includes(state);
+  $("disarm").disabled = blind || !(current || state === "paused");
+  $("down").disabled = blind || !status || status.intensity <= 0;
+  $("up").disabled = blind || !controls || !(current || state === "shadow") || status.intensity >= view.about.most_intensity - 1e-6;
+}
+
+function feet(status) {
+  for (const [sensor, now] of Object.entries(status.feet).sort()) {
+    const id = `foot-${sensor}`;
+    const card = $(id) ?? $("feet").appendChild(footCard(id, sensor));
+    const set = (what, text) => write(card.querySelector(`.${what}`), text);
+    set("walks", now.walking ? "walking" : "not walking");
+    set("phase", now.phase ? phase(now.phase) : "–");
+    for (const each of card.querySelectorAll(".phases li")) each.classList.toggle("now", each.dataset.phase === now.phase);
+    set("strides", String(now.strides));
+    set("length", unit(now.stride_length_m, "m"));
+    set("speed", unit(now.speed_mps, "m/s"));
+    set("age", now.age_ms > 1000 ? "silent" : `${now.rate_hz.toFixed(0)} Hz`);
+    card.querySelector(".age").classList.toggle("bad", now.age_ms > 40);
+  }
+}
+
+function footCard(id, sensor) {
+  const card = make("section", { class: `foot ${side(sensor)}`, id });
+  card.append(make("h2", {}, foot(sensor), make("small", { class: "walks" })), make("p", { class: "phase" }));
+  const numbers = make("dl", { class: "numbers" });
+  for (const [key, label] of [["strides", "strides"], ["length", "last length"], ["speed", "speed"], ["age", "sensor"]])
+    numbers.append(make("div", {}, make("dt", {}, label), make("dd", { class: key }, "–")));
+  const bar = make("ol", { class: "phases" });
+  for (const [key, label] of PHASES) bar.append(make("li", { "data-phase": key }, label));
+  card.append(numbers, bar);
+  return card;
+}
+
+function timing(status, browsers) {
+  const belt = status.belt_speed_mps;
+  const rows = [
+    ["Sample to command, median", unit(status.latency_p50_ms, "ms")],
+    ["Sample to command, 99 % within", unit(status.latency_p99_ms, "ms")],
+    ["Loop woken late, 99 % within", unit(status.lateness_p99_ms, "ms")],
+    ["Stimulator", status.stimulator || "–"],
+    ["Treadmill", belt === null ? "–" : `${belt.toFixed(2)} m/s`],
+    ["Samples so far", String(status.samples)],
+    ["Session time", clock(status.t_ms)],
+    ["Browsers on this page", String(browsers)],
+  ];
+  const list = $("timing");
+  if (!list.children.length) for (const [name] of rows) list.append(make("dt", {}, name), make("dd"));
+  rows.forEach(([, value], at) => write(list.children[2 * at + 1], value));
+}
+
+// --- what is pressed ----------------------------------------------------------------------------------
+
+const link = new Link({
+  hello,
+  frame,
+  said,
+  question,
+  refused: (why) => { view.refused = why; draw(); },
+  lost: () => { if (!view.ended && !view.refused) { view.lost = "The connection to the session is lost."; draw(); } },
+});
+
+function said(text) {
+  $("question").hidden = true;
+  view.said = text;
+  draw();
+  clearTimeout(view.forget);
+  view.forget = setTimeout(() => { view.said = ""; }, SAID_MS);
+}
+
+function stop(event) {
+  event.preventDefault();
+  $("question").hidden = true;
+  link.stop();
+  view.stopAsked = performance.now();
+  draw();
+  setTimeout(draw, STOP_WITHIN_MS + 20);
+}
+
+function question(asked) {
+  write($("question-text"), asked.text);
+  write($("yes"), { up: "Yes, raise", arm: "Yes, arm" }[asked.ask] ?? "Yes, go on");
+  $("question").hidden = false;
+  $("question").dataset.id = asked.id;
+  view.asked = performance.now();
+}
+
+$("stop").addEventListener("pointerdown", stop); // when it goes down, not when it comes up
+$("stop").addEventListener("click", (event) => { if (event.detail === 0) stop(event); });
+document.addEventListener("keydown", (event) => { if (event.key === " ") stop(event); }, true);
+$("yes").addEventListener("click", () => {
+  if (performance.now() - view.asked < 300) return; // a second tap of the one that asked
+  $("question").hidden = true;
+  link.send({ confirm: $("question").dataset.id });
+});
+$("no").addEventListener("click", () => { $("question").hidden = true; });
+for (const what of ["arm", "disarm", "up", "down"]) $(what).addEventListener("click", () => link.send({ ask: what }));
+$("pause").addEventListener("click", () => link.send({ ask: view.status?.state === "paused" ? "resume" : "pause" }));
