@@ -1,16 +1,16 @@
-"""What only SocketCAN does: the kernel's filters, an interface that goes down and comes back.
-
-A full transmit queue cannot be had on ``vcan``, which has none; ``test_can_port`` lets the bus refuse a frame.
-"""
+"""What only SocketCAN does: the kernel's filters, an interface that goes down and comes back, a full transmit queue."""
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import time
+from pathlib import Path
 
 import can
 import pytest
+from full_queue import full_queue
 
 from drivers.stimulator.bus import BusError, open_bus
 from drivers.stimulator.can_codec import ALIVE_ID, NODE_IDS
@@ -97,6 +97,24 @@ def test_an_interface_that_goes_down_is_lost_and_comes_back() -> None:
         again = CanStimulator(open_bus(node.bus), 13)
         assert again.open(0, timeout_s=10.0).boot_id == 5
         again.close()
+
+
+def test_a_full_transmit_queue_is_told_at_once_and_the_stimulator_goes_off_by_its_lease(
+    tmp_path: Path,
+) -> None:
+    with spawn_node(boot_id=6, record=tmp_path / "node.jsonl") as node:
+        port = CanStimulator(open_bus(node.bus), 14)
+        port.open(0, timeout_s=10.0)
+        port.send(command(0))
+        assert answers(port)
+        with full_queue(CHANNEL):
+            begin_ns = time.monotonic_ns()
+            with pytest.raises(StimulatorLost, match=os.strerror(errno.ENOBUFS)):
+                port.send(command(0))
+            assert time.monotonic_ns() - begin_ns < 50_000_000, "never waits for room"
+            time.sleep(0.3)
+        assert node.entries()[-1].event == "lease_expired"
+        port.close()
 
 
 def test_an_interface_that_is_not_there_is_named_with_the_remedy() -> None:
