@@ -250,11 +250,11 @@ def frozen_for(bench: Bench, ms: int, step_ms: int = 4) -> None:
 @pytest.mark.requirement("SR-10")
 def test_frozen_sensor_is_no_ground_for_stimulating() -> None:
     bench = Bench()
-    frozen_for(bench, 76)
+    frozen_for(bench, 56)
     assert bench.gate.latched == ""
     bench.wait(4, sampling=False)
     bench.sample(acc_mps2=(0.1, 0.2, 9.7), gyr_radps=(0.01, 0.02, 0.03))
-    assert bench.gate.latched == "left_foot is frozen: the same values for 80 ms, limit 80 ms"
+    assert bench.gate.latched == "left_foot is frozen: the same values for 60 ms, limit 60 ms"
     assert not bench.gate.armed
 
 

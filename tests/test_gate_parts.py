@@ -166,10 +166,10 @@ def heard(*pairs: tuple[int, int]) -> Freshness:
 def test_first_sample_counts_for_being_frozen() -> None:
     freshness = Freshness(MAX_AGE)
     assert freshness.note(sample(0, 0, gyr=STILL)) == ""
-    assert freshness.note(sample(80 * MS, 80 * MS, gyr=STILL)) == (
-        "left_foot is frozen: the same values for 80 ms, limit 80 ms"
+    assert freshness.note(sample(60 * MS, 60 * MS, gyr=STILL)) == (
+        "left_foot is frozen: the same values for 60 ms, limit 60 ms"
     )
-    assert freshness.doubt("left_foot", 80 * MS) == "left_foot is frozen: the same values for 80 ms, limit 80 ms"
+    assert freshness.doubt("left_foot", 60 * MS) == "left_foot is frozen: the same values for 60 ms, limit 60 ms"
 
 
 def test_long_frozen_is_told_in_full_milliseconds() -> None:
@@ -203,7 +203,7 @@ def test_clock_that_was_set_is_trusted_anew_at_once(set_s: int, says: str) -> No
     assert freshness.note(sample(t_ns, t_ns + set_s * S, gyr=STILL)) == f"left_foot's clock went {says}"
     assert freshness.doubt("left_foot", t_ns + MAX_AGE) == "", "its mapping begins with this sample"
     assert "41 ms old" in freshness.doubt("left_foot", t_ns + MAX_AGE + 1)
-    later_ns = t_ns + 80 * MS
+    later_ns = t_ns + 60 * MS
     assert "frozen" in freshness.note(sample(later_ns, later_ns + set_s * S, gyr=STILL))
 
 

@@ -235,6 +235,10 @@ def test_foreign_frames_are_judged_by_what_the_stimulator_noted() -> None:
     few, many = ([level(k, "refused", detail="bad_session") for k in range(count)] for count in (8, 40))
     assert judged(noise + few, 2008, "", random=True).faults == ()
     assert "have a right CRC" in judged(noise + many, 2040, "", random=True).faults[0]
+    opened = RecordEntry(50, "session", detail="session 77")
+    assert "executed" in judged([*refused, opened], 3, "", random=False).faults[0]
+    own = frozenset({"session 77"})
+    assert judged([*refused, opened], 3, "", random=False, own_sessions=own).faults == (), "the controller's own"
 
 
 def result(transport: str, rows: list[Row]) -> dict[str, Any]:

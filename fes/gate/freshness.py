@@ -8,7 +8,7 @@ from typing import Final
 
 from fes.signals import NS_PER_S, ImuSample
 
-MAX_SAME_MS: Final = 80  # of bit-identical samples
+MAX_SAME_MS: Final = 60  # of bit-identical samples
 SLIPS_BELIEVED: Final = 3  # in a row: a stamp far off is a slip, three of them are a clock that was set
 MAX_CLOCK_DRIFT_PPM: Final = 200  # of a sensor's clock against the host's; a crystal keeps within 100
 
