@@ -39,7 +39,7 @@ class Analysis:
     Phases and strides carry the name of the sensor that told them: the foot's, or where there is none the shank's, for
     which there are no ``events`` and no path. ``paths`` are the feet's ways over the ground; ``no_path`` says of the
     other sensors why there is none. ``points`` says of each foot where its toe and heel were taken to be. ``level``:
-    the ground was taken to be level.
+    the ground was taken to be level. ``stride_paths``: of each foot's valid strides, the way at their own samples.
     """
 
     recording: Recording
@@ -52,6 +52,7 @@ class Analysis:
     no_path: dict[str, str] = field(default_factory=dict)
     points: dict[str, ToeAndHeel] = field(default_factory=dict)
     level: bool = True
+    stride_paths: dict[str, list[FootPath]] = field(default_factory=dict)
 
     def stride_rows(self) -> list[dict[str, Any]]:
         """One flat row per stride, units in the names; ready for CSV, Parquet and JSON.
@@ -169,6 +170,7 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
             strides = fused(strides, track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
             given = next((value for foot, value in session.geometry.items() if foot == sensor), None)
             strides, result.points[sensor] = toe_and_heel(strides, paths, given, level=level)
+            result.stride_paths[sensor] = paths
         result.strides.extend(strides)
         result.phases.extend(outcome for outcome in outcomes if not isinstance(outcome, StrideResult))
         result.counts[sensor] = tracker.counts
@@ -190,11 +192,28 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
     return result
 
 
-def _tracker(session: Session, calibration: Calibration, watch: Callable[[FootPath], None], *, level: bool) -> Tracker:
+def _tracker(
+    session: Session, calibration: Calibration, watch: Callable[[FootPath], None] | None, *, level: bool
+) -> Tracker:
     if isinstance(calibration, ShankCalibration):
         return shank_tracker(calibration, equal_height=None if level else False)
     settings = replace(stride_settings(session, calibration), equal_height=level, watch=watch)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
+
+
+def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]) -> dict[str, list[StrideResult]]:
+    """Every foot's strides, free to end higher or lower than they began: for who wants to know where there are stairs.
+
+    Calibrations may be from level walking or not: their accelerometer bias across gravity is not used.
+    """
+    session, found = session_for(recording, None), {}
+    for sensor in driving(calibrations).values():
+        calibration, track = calibrations[sensor], recording.tracks[sensor]
+        if isinstance(calibration, FootCalibration):
+            tracker = _tracker(session, _along_gravity(calibration), None, level=False)
+            outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+            found[sensor] = [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
+    return found
 
 
 def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Recording, Found]:

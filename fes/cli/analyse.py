@@ -8,7 +8,7 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import mean, stdev
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,6 +18,14 @@ from fes.cli.exits import FAILED, Problem
 from fes.cli.replay import fresh_folder
 from fes.estimation.calibration import CalibrationError
 from fes.recording import RecordingError, read_recording
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from fes.driving import Calibration
+    from fes.hemiparetic.walk import HemipareticWalk
+    from fes.parameters.gait import GaitParameters
+    from fes.recording import Recording
 
 FORMATS = ("csv", "parquet", "json")
 
@@ -31,6 +39,13 @@ FORMATS = ("csv", "parquet", "json")
 @click.option("--format", "kind", type=click.Choice(FORMATS), default="csv", show_default=True, help="Of the tables.")
 @click.option("--json", "as_json", is_flag=True, help="Print the strides as JSON instead of the table.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
+@click.option("--hemiparetic", is_flag=True, help="Tell the afflicted side; Wang et al.'s windows beside our strides.")
+@click.option(
+    "--afflicted",
+    type=click.Choice(["left", "right"]),
+    help="The afflicted side, where it is known; implies --hemiparetic.",
+)
+@click.option("--apart", is_flag=True, help="The feet were recorded apart: set the right one's clock by the walk.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 def command(
     recordings: tuple[Path, ...],
@@ -39,10 +54,17 @@ def command(
     kind: str,
     as_json: bool,
     uneven: bool,
+    hemiparetic: bool,
+    afflicted: str | None,
+    apart: bool,
     no_report: bool,
 ) -> None:
     """Find phases and strides in RECORDINGS; write tables of strides, phase changes, events (initial contact, foot
-    off) and the path over the ground, and a report of each.
+    off), the path over the ground and gait parameters, and a report of each.
+
+    With --hemiparetic, of a recording of both feet: which side is afflicted and how sure that is, the symmetry of the
+    sides, level ground and stairs told apart, and strides and paths by the method of Wang et al. (2013). Two feet whose
+    sensors ran on clocks of their own are brought together with --apart, by knocks or by the walk itself.
 
     The ground is taken to be level: height that a stride seems to gain counts mostly as error. On stairs and slopes
     give --stairs or --slope (they do the same): the height gained is then measured, stride by stride.
@@ -59,6 +81,8 @@ def command(
             recording, found = (
                 drivers_from(calibration, recording) if calibration else calibrations_of(recording, level=not uneven)
             )
+            if apart:
+                recording = _one_clock(recording, found.calibrations)
         except (RecordingError, CalibrationError) as error:
             if len(recordings) == 1:
                 raise Problem(str(error)) from error
@@ -73,10 +97,58 @@ def command(
         write_table(result.phase_rows(), folder / f"phases.{kind}")
         write_table(result.event_rows(), folder / f"events.{kind}")
         write_table(result.path_rows(), folder / f"path.{kind}")
-        _show(result, folder, as_json=as_json, report=not no_report)
+        gait = _gait(result, folder, kind, hemiparetic=hemiparetic or afflicted is not None, afflicted=afflicted)
+        _show(result, gait, folder, as_json=as_json, report=not no_report)
     if failures:
         click.secho(f"{failures} of {len(recordings)} recordings could not be used.", fg="red", err=True)
         raise SystemExit(FAILED)
+
+
+def _one_clock(recording: Recording, calibrations: Mapping[str, Calibration]) -> Recording:
+    """The recording with the right foot set to the left one's clock; says what was done and how sure it is.
+
+    Raises:
+        CalibrationError: it cannot be told.
+    """
+    from fes.hemiparetic.clocks import synchronised
+
+    try:
+        together, found = synchronised(recording, calibrations)
+    except ValueError as error:
+        raise CalibrationError(f"The feet cannot be brought together: {error}") from error
+    sure = "" if found.sure else ". NOT SURE which stride belongs to which: knock the sensors together next time"
+    click.secho(
+        f"Right foot's clock set forward by {found.offset_s:.3f} s (by {found.method}, "
+        f"off by up to {found.expected_s:.2f} s){sure}",
+        fg=None if found.sure else "yellow",
+        err=True,
+    )
+    return together
+
+
+def _gait(
+    result: Analysis, folder: Path, kind: str, *, hemiparetic: bool, afflicted: str | None
+) -> tuple[GaitParameters, HemipareticWalk | None]:
+    """Work out the gait parameters, as a hemiparetic walk's if asked, and write their tables."""
+    from fes.hemiparetic.walk import hemiparetic_walk
+    from fes.parameters.gait import gait_parameters
+    from fes.parameters.mean_stride import mean_strides
+
+    walk = None
+    if hemiparetic:
+        try:
+            walk = hemiparetic_walk(result, afflicted=afflicted)
+        except ValueError as error:
+            click.secho(f"Not looked at as a hemiparetic walk: {error}", fg="yellow", err=True)
+    parameters = gait_parameters(result) if walk is None else walk.parameters
+    write_table(parameters.rows() if walk is None else walk.rows(), folder / f"parameters.{kind}")
+    write_table(parameters.summary_rows(), folder / f"parameters_summary.{kind}")
+    mean = [row for one in mean_strides(result.strides, parameters.strides) for row in one.rows()]
+    write_table(mean, folder / f"mean_stride.{kind}")
+    if walk is not None:
+        write_table(walk.window_rows(), folder / f"windows.{kind}")
+        write_table(walk.track_rows(), folder / f"visualization.{kind}")
+    return parameters, walk
 
 
 def write_table(rows: list[dict[str, Any]], path: Path) -> None:
@@ -99,7 +171,14 @@ def _plain(row: dict[str, Any]) -> dict[str, Any]:
     return {key: None if isinstance(value, float) and value != value else value for key, value in row.items()}
 
 
-def _show(result: Analysis, folder: Path, *, as_json: bool, report: bool) -> None:
+def _show(
+    result: Analysis,
+    gait: tuple[GaitParameters, HemipareticWalk | None],
+    folder: Path,
+    *,
+    as_json: bool,
+    report: bool,
+) -> None:
     from fes.view.summary import summarise
     from fes.view.tables import stride_table, summary_block
 
@@ -109,11 +188,14 @@ def _show(result: Analysis, folder: Path, *, as_json: bool, report: bool) -> Non
 
         write_report(record, folder / "report.html", paths=result.paths)
     summary = summarise(record)
+    parameters, walk = gait
     if as_json:
         told = {
             **summary.to_json(),
             "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
             "paths": result.path_summary(),
+            "parameters": parameters.to_json(),
+            **({} if walk is None else {"hemiparetic": walk.to_json()}),
             "files": {"folder": str(folder)},
         }
         click.echo(json.dumps(told, indent=2, ensure_ascii=False))
@@ -121,11 +203,13 @@ def _show(result: Analysis, folder: Path, *, as_json: bool, report: bool) -> Non
     from rich.console import Console
 
     from fes.cli.show import PIPED_COLUMNS
+    from fes.parameters.show import parameter_lines, parameter_table
 
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     screen.print(stride_table(summary))
     screen.print(summary_block(summary))
-    for line in (*_clearance_lines(result), *_path_lines(result)):
+    screen.print(parameter_table(parameters))
+    for line in (*_clearance_lines(result), *_path_lines(result), *parameter_lines(parameters, walk)):
         screen.print(line, markup=False)
     screen.print(f"Tables and report  {folder}")
 

@@ -1,0 +1,124 @@
+"""What takes both feet: step times, double support, and step lengths where something ties the feet together.
+
+Definitions: Perry & Burnfield, *Gait Analysis*, 2nd ed. 2010. Two sensors do not see each other; how far apart they
+are is known only where both feet stand side by side. Where a straight walk begins and ends so (nobody can tell:
+standing for longer than a stride is taken for it), the feet's strides are added up, and what they differ by at the
+end is taken back in proportion to time; else there are no step lengths, for a few per mille of a hundred metres are
+as long as a step. In long walks the error grows with the square root of the strides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fes.parameters.contacts import Swing
+from fes.signals import NS_PER_S, IntArray, StrideResult
+
+LONGEST_STRIDE_S = 5.0  # from one contact to the next; beyond, the foot stood
+LONGEST_STANCE_S = 3.0  # beyond, the walk was interrupted
+MOST_TURN_RAD = math.radians(20.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The step that ends a foot's stride, and the stride that its contact ends; s, NaN where it is not known."""
+
+    stride_time_s: float
+    stance_s: float
+    step_time_s: float
+    double_support_s: float
+
+
+def steps_of(own: Sequence[Swing | None], other: Sequence[Swing | None]) -> list[Step]:
+    """One per stride of one foot, in order; ``other`` are those of the other foot (none: no steps)."""
+    contacts, offs = (
+        np.array(sorted(getattr(s, name) for s in other if s is not None), dtype=np.int64)
+        for name in ("contact_ns", "foot_off_ns")
+    )
+    found = []
+    before: Swing | None = None
+    for swing in own:
+        found.append(_step(before, swing, contacts, offs))
+        before = swing
+    return found
+
+
+def _step(before: Swing | None, swing: Swing | None, contacts: IntArray, offs: IntArray) -> Step:
+    nan = float("nan")
+    if swing is None:
+        return Step(nan, nan, nan, nan)
+    begin, off, end = swing.contact_ns, swing.foot_off_ns, swing.contact_ns
+    begin = before.contact_ns if before is not None else -1
+    stride = (end - begin) / NS_PER_S
+    walking = before is not None and 0.0 < stride <= LONGEST_STRIDE_S
+    last = int(np.searchsorted(contacts, end)) - 1
+    step = (end - int(contacts[last])) / NS_PER_S if last >= 0 else nan
+    step = step if step <= LONGEST_STRIDE_S else nan
+    if not walking:
+        return Step(nan, nan, step, nan)
+    # the other foot's swing within this foot's stance: both stand before and after it
+    inside = int(np.searchsorted(offs, begin))
+    support = nan
+    if inside < len(offs) and int(offs[inside]) < off:
+        landed = int(np.searchsorted(contacts, int(offs[inside])))
+        if landed < len(contacts) and int(contacts[landed]) <= off:
+            support = ((int(offs[inside]) - begin) + (off - int(contacts[landed]))) / NS_PER_S
+    return Step(stride, (off - begin) / NS_PER_S, step, support)
+
+
+def step_lengths(
+    strides: Mapping[str, Sequence[StrideResult]], swings: Mapping[str, Mapping[int, Swing]], span_ns: tuple[int, int]
+) -> tuple[dict[str, dict[int, float]], str]:
+    """Step lengths (m) by foot and stride number; and why there are none, else "".
+
+    Args:
+        strides: by foot, all its strides by time.
+        swings: by foot and stride number.
+        span_ns: the recording's first and last time.
+    """
+    why = _untied(strides, span_ns)
+    if why:
+        return {}, why
+    begin = min(own[0].t_start_ns for own in strides.values())
+    end = max(own[-1].t_end_ns for own in strides.values())
+    ways = {foot: np.cumsum([0.0] + [stride.stride_length_m for stride in own]) for foot, own in strides.items()}
+    names = list(strides)
+    found: dict[str, dict[int, float]] = {}
+    for foot, other in ((names[0], names[1]), (names[1], names[0])):
+        landed = np.array(sorted(swing.contact_ns for swing in swings[other].values()), dtype=np.int64)
+        left_over = float(ways[foot][-1] - ways[other][-1])
+        found[foot] = {}
+        if len(landed) != len(strides[other]):
+            return {}, f"{other}: not every stride shows its contact"
+        for k, stride in enumerate(strides[foot]):
+            swing = swings[foot].get(stride.number)
+            if swing is None:
+                continue
+            its = int(np.searchsorted(landed, swing.contact_ns))
+            drift = left_over * (swing.contact_ns - begin) / (end - begin)
+            found[foot][stride.number] = float(ways[foot][k + 1] - ways[other][its]) - drift
+    return found, ""
+
+
+def _untied(strides: Mapping[str, Sequence[StrideResult]], span_ns: tuple[int, int]) -> str:
+    """Why the feet's ways cannot be laid side by side, "" if they can."""
+    if len(strides) != 2 or not all(strides.values()):
+        return "strides of one foot only"
+    for foot, own in strides.items():
+        if not all(stride.valid for stride in own):
+            return f"{foot}: not all strides are valid"
+        if any(abs(stride.turn_rad) > MOST_TURN_RAD for stride in own):
+            return f"{foot}: the walk turns"
+        if any(b.t_start_ns - a.t_end_ns > LONGEST_STANCE_S * NS_PER_S for a, b in pairwise(own)):
+            return f"{foot}: the walk is interrupted"
+        usual = float(np.median(np.diff([stride.t_end_ns for stride in own]))) if len(own) > 1 else math.inf
+        before, after = own[0].t_start_ns - span_ns[0], span_ns[1] - own[-1].t_end_ns
+        # a recording that is cut off within a stance must not pass for one that ends in standing
+        if min(before, after) < usual:
+            return "no standing side by side both before and after the walk"
+    return ""

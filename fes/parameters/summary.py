@@ -1,0 +1,100 @@
+"""Means, spreads and symmetry over the steady strides of a walk."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fes.parameters.definitions import STRIDE_KEYS
+from fes.parameters.strides import NAN, StrideParameters
+
+NO_SIDES = ("height_gained_m", "turn_rad")  # small differences from zero: no symmetry to speak of
+
+
+@dataclass(frozen=True, slots=True)
+class Statistic:
+    """Mean, standard deviation (n − 1) and coefficient of variation (SD over the size of the mean) of ``n`` values."""
+
+    mean: float
+    sd: float
+    cv: float
+    n: int
+
+
+@dataclass(frozen=True, slots=True)
+class Symmetry:
+    """One parameter, side against side.
+
+    ``ratio``: Patterson et al. (2010), ``first`` over ``second``; NaN where the second is about zero.
+    ``index_percent``: Robinson et al. (1987), difference over the mean of both, in percent.
+    """
+
+    first: str
+    second: str
+    ratio: float
+    index_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """The whole walk: speed (m/s), cadence (steps/min), walk ratio (m·min), speed over belt (NaN without a belt)."""
+
+    walking_speed_mps: float
+    cadence_per_min: float
+    walk_ratio_m_min: float
+    belt_ratio: float
+
+
+def statistic(values: Iterable[float]) -> Statistic:
+    """Of the finite values; NaN where there are too few."""
+    kept = np.array([value for value in values if math.isfinite(value)])
+    mean = float(kept.mean()) if kept.size else NAN
+    sd = float(kept.std(ddof=1)) if kept.size > 1 else NAN
+    return Statistic(mean, sd, sd / abs(mean) if mean else NAN, int(kept.size))
+
+
+def statistics_of(strides: Sequence[StrideParameters]) -> dict[str, Statistic]:
+    """Of every parameter over one foot's steady strides."""
+    steady = [stride for stride in strides if stride.steady]
+    return {key: statistic(stride.values[key] for stride in steady) for key in STRIDE_KEYS}
+
+
+def symmetry(feet: Mapping[str, Mapping[str, Statistic]], afflicted: str | None = None) -> dict[str, Symmetry]:
+    """Of every parameter, afflicted over other side; left over right where ``afflicted`` is None.
+
+    Empty without two feet. Parameters that may be negative or pass through zero get the index only where both sides
+    have the same sign.
+    """
+    if set(feet) != {"left_foot", "right_foot"}:
+        return {}
+    first = "right" if afflicted == "right" else "left"
+    second = "left" if first == "right" else "right"
+    found = {}
+    for key in STRIDE_KEYS:
+        if key in NO_SIDES:
+            continue
+        a, b = feet[f"{first}_foot"][key].mean, feet[f"{second}_foot"][key].mean
+        same = a * b > 0.0
+        found[key] = Symmetry(first, second, a / b if same else NAN, 200.0 * (a - b) / (a + b) if same else NAN)
+    return found
+
+
+def walk_of(feet: Mapping[str, Sequence[StrideParameters]], belt_mps: float | None) -> Walk:
+    """Speed, cadence and walk ratio over the steady strides, mean of the feet."""
+    speeds, cadences, lengths = [], [], []
+    for strides in feet.values():
+        steady = [s for s in strides if s.steady and math.isfinite(s.values["stride_time_s"])]
+        time_s = sum(stride.values["stride_time_s"] for stride in steady)
+        if not steady or time_s <= 0.0:
+            continue
+        way_m = sum(stride.values["stride_length_m"] for stride in steady)
+        speeds.append(way_m / time_s)
+        cadences.append(120.0 * len(steady) / time_s)
+        lengths.append(way_m / len(steady))
+    if not speeds:
+        return Walk(NAN, NAN, NAN, NAN)
+    speed, cadence, length = (float(np.mean(values)) for values in (speeds, cadences, lengths))
+    return Walk(speed, cadence, 0.5 * length / cadence, speed / belt_mps if belt_mps else NAN)
