@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from io import StringIO
 
 import pytest
 from rich.console import Console
@@ -166,7 +167,7 @@ def test_the_status_tells_of_suggestion_change_reason_and_charge(calibrations: d
 
 
 def drawn(status: Status) -> str:
-    console = Console(width=200, record=True, file=open("/dev/null", "w"))  # noqa: SIM115, PTH123
+    console = Console(width=200, record=True, file=StringIO())
     console.print(picture(status))
     return console.export_text()
 

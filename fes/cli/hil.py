@@ -35,6 +35,7 @@ COLOURS: Final = {Verdict.MET: "green", Verdict.JITTER: "yellow", Verdict.FAILED
     show_default=True,
     help="Each fault so many times, each of its values once.",
 )
+@click.option("--closed-loop", is_flag=True, help="With a virtual patient, who feels what the stimulator delivers.")
 @click.option("--list", "listing", is_flag=True, help="List the faults and end.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results below.")
 @click.option("--hardware", type=click.Path(path_type=Path), help="Real devices, as in this session file.")
@@ -45,6 +46,7 @@ def command(
     channel: str,
     only: tuple[str, ...],
     repeat: int,
+    closed_loop: bool,
     listing: bool,
     out: Path,
     hardware: Path | None,
@@ -55,7 +57,8 @@ def command(
 
     A simulated patient walks; sensor, stimulator and `fes run` each run in a process of their own, joined by the
     transport. Each fault strikes while current flows in a swing. The judge is the stimulator's own record. The table
-    is printed and saved as hil.md and hil.json.
+    is printed and saved as hil.md and hil.json. With --closed-loop that patient is a virtual one, in a process of its
+    own, whose foot answers to the pulses that the stimulator really delivered.
 
     With --hardware the devices are real and STIMULATE: only into a dummy load, bursts triggered by hand, sensors at
     rest, only the faults of the host's side; the judge is what the stimulator says on its CAN bus.
@@ -82,7 +85,7 @@ def command(
         if hardware is not None and calibration is not None:
             campaign = hardware_campaign(hardware, calibration, scenarios, repeat, folder, told)
         else:
-            campaign = simulated_campaign(transport, scenarios, repeat, folder, told, channel)
+            campaign = simulated_campaign(transport, scenarios, repeat, folder, told, channel, closed_loop=closed_loop)
     except (Unavailable, ConfigError, StimulatorLost) as error:
         fail(error)
     except CampaignBroken as error:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -51,6 +50,14 @@ class Options:
     show_default=True,
     help="phase: by the controller, in closed loop with a simulated stimulator.",
 )
+@click.option("--live", is_flag=True, help="In real time, as devices that `fes run` meets in another terminal.")
+@click.option(
+    "--stimulator",
+    type=click.Choice(["can", "p24_low_level", "rehastim2"]),
+    default="can",
+    show_default=True,
+    help="With --live: which simulated stimulator.",
+)
 @click.option("--session", type=click.Path(path_type=Path), help="Settings of the stimulation (TOML).")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder.")
 @click.option("--name", default="simulated", show_default=True, help="Name of the files.")
@@ -66,6 +73,8 @@ def command(
     rate: float | None,
     seconds: float,
     stimulate: str,
+    live: bool,
+    stimulator: str,
     session: Path | None,
     out: Path,
     name: str,
@@ -77,6 +86,9 @@ def command(
     PATIENT is a settings file (TOML, table [patient]); options win over it. Writes NAME.parquet with its sidecar, the
     truth as `fes trials` does, NAME.virtual.csv (every stride: drag, stumble, angles, charge) and, stimulated, the
     session log.
+
+    With --live nothing is recorded here: patient and stimulator run as processes until q or --seconds, and a session
+    file for them is written to OUT/NAME-001.
     """
     given = {
         "pattern": pattern,
@@ -93,6 +105,13 @@ def command(
             settings = settings_for(severity or "moderate", **others)
     except ValueError as error:
         fail(error)
+    if live:
+        from fes.cli.simulate_live import LiveOptions, simulate_live
+
+        asked = click.get_current_context().get_parameter_source("seconds")
+        ends_s = seconds if asked is click.core.ParameterSource.COMMANDLINE else None
+        simulate_live(settings, LiveOptions(out, name, ends_s, stimulator))
+        return
     simulate(settings, Options(seconds, out, name, stimulate, session, overwrite, as_json))
 
 
@@ -102,6 +121,7 @@ def simulate(settings: Any, options: Options) -> None:
     Raises:
         Problem: files in the way, an unusable session, a foot that cannot be calibrated.
     """
+    from fes.cli.demo_loop import write_strides
     from fes.patient.truth import write_truth
     from fes.patient.virtual.patient import VirtualPatient
     from fes.patient.virtual.truth_of import recording_of, truth_of
@@ -130,7 +150,7 @@ def simulate(settings: Any, options: Options) -> None:
             recording_of(walker, samples, options.name, what), folder / f"{options.name}.parquet", overwrite=True
         )
         write_truth(truth_of(walker, options.name), folder)
-        _write_strides(folder / f"{options.name}.virtual.csv", walker.strides)
+        write_strides(folder / f"{options.name}.virtual.csv", walker.strides)
     except (RecordingError, ValueError, OSError) as error:
         fail(error, StoppedEarly)
     _say(walker, settings, folder, options)
@@ -195,15 +215,6 @@ def _make_way(folder: Path, options: Options) -> None:
     if there and not options.overwrite:
         raise Problem(f"{there[0]}: is there already. Choose another --name, or --overwrite.")
     (folder / f"{options.name}{LOG_SUFFIX}").unlink(missing_ok=True)
-
-
-def _write_strides(path: Path, strides: list[Any]) -> None:
-    from fes.patient.virtual.strides import VirtualStride
-
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, [item.name for item in fields(VirtualStride)], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(stride) for stride in strides)
 
 
 def _say(walker: Any, settings: Any, folder: Path, options: Options) -> None:

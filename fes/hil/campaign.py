@@ -31,20 +31,28 @@ Tell = Callable[[Scenario, int, Attempt | None], None]
 
 
 def simulated_campaign(
-    transport: str, scenarios: Sequence[Scenario], repeat: int, folder: Path, tell: Tell, channel: str = "vcan0"
+    transport: str,
+    scenarios: Sequence[Scenario],
+    repeat: int,
+    folder: Path,
+    tell: Tell,
+    channel: str = "vcan0",
+    *,
+    closed_loop: bool = False,
 ) -> Campaign:
     """Run these scenarios on simulated devices, each ``repeat`` times; whatever ends it, nothing is left running.
 
     Args:
         folder: for the devices' records and the sessions' logs; must exist.
         channel: the interface's name for ``socketcan``.
+        closed_loop: with a virtual patient, who feels what is delivered, in the place of a recorded walk.
 
     Raises:
         Unavailable: the transport is not to be had on this machine.
         CampaignBroken: three attempts in a row could not even be made.
     """
     with ExitStack() as stack:
-        devices = start_devices(transport, folder, stack, channel)
+        devices = start_devices(transport, folder, stack, channel, closed_loop=closed_loop)
         rig = Rig(devices, devices.can_do | machine_can_do(), stack)
         return run_campaign(rig, transport, scenarios, repeat, tell)
 

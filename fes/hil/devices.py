@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,12 +12,14 @@ from typing import Final
 from drivers.imu.port import ImuLost
 from drivers.stimulator.port import StimulatorLost
 from drivers.virtual.can_link_spawn import spawn_link
-from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
+from drivers.virtual.imu_spawn import spawn_imu
 from drivers.virtual.node_record import RecordEntry
 from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node, why_silent
 from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
 from drivers.virtual.stop_button import StopButton
 from fes.config import Bus, StimulatorDevice
+from fes.hil.patient_sensor import PatientSensor, Sensor, campaign_patient
+from fes.hil.patient_spawn import PatientHandle
 from fes.hil.scenarios import Needs
 from fes.hil.settings import BUTTON_ID, INTENSITY, session_text
 from fes.hil.tail import RecordTail
@@ -49,12 +52,14 @@ class Devices:
     back: Bus | None
     link: NodeHandle | None
     node: NodeHandle | DeviceHandle
-    imu: ImuHandle
-    spare: ImuHandle
+    imu: Sensor
+    spare: Sensor
     stack: ExitStack
     can_do: frozenset[Needs]
     button_bus: Bus | None = None
     button: StopButton | None = None
+    patient: PatientHandle | None = None
+    pulses: Path | None = None
     _tail: RecordTail = field(init=False)
     _left: list[RecordEntry] = field(default_factory=list)
     _replaced: int = 0
@@ -107,7 +112,7 @@ class Devices:
         self._left += self._tail.news()
         self._replaced += 1
         kind, _ = SERIAL[self.transport]
-        again = spawn_device(kind, record=self.folder / f"stimulator{self._replaced}.jsonl")
+        again = spawn_device(kind, record=self.folder / f"stimulator{self._replaced}.jsonl", pulses=self.pulses)
         self.stack.callback(again.stop)
         self.node, self._tail = again, self._tail_of(again)
         point(self.folder / "stimulator", again.port)
@@ -124,7 +129,9 @@ class Devices:
     def _tail_of(node: NodeHandle | DeviceHandle) -> RecordTail:
         return RecordTail(node.record or Path(os.devnull))
 
-    def _sensor(self) -> ImuHandle:
+    def _sensor(self) -> Sensor:
+        if self.patient is not None:
+            return PatientSensor(self.patient)
         sensor = spawn_imu("xbus", sensor=FOOT, recording=self.recording, rate_hz=RATE_HZ)
         self.stack.callback(sensor.stop)
         return sensor
@@ -138,19 +145,31 @@ def point(link: Path, target: str) -> None:
     beside.replace(link)
 
 
-def start_devices(transport: str, folder: Path, stack: ExitStack, channel: str = "vcan0") -> Devices:
+def start_devices(
+    transport: str, folder: Path, stack: ExitStack, channel: str = "vcan0", *, closed_loop: bool = False
+) -> Devices:
     """Start all of a transport's devices; ``stack`` ends them.
 
     Args:
         channel: the interface's name for ``socketcan``.
+        closed_loop: the sensor is worn by a virtual patient, who feels what the stimulator delivers.
 
     Raises:
         Unavailable: the transport is not to be had here, or a device does not start.
     """
     try:
         recording, calibration = walker(folder)
-        front, back, link, node, stimulator = _stimulator(transport, folder, stack, channel)
-        imus = [spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ) for _ in range(2)]
+        patient, pulses = None, None
+        if closed_loop:  # a socket's name may have 107 bytes, less than many a folder's
+            pulses = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fes-"))) / "pulses"
+            patient, calibration = campaign_patient(folder, pulses)
+            stack.callback(patient.stop)
+        front, back, link, node, stimulator = _stimulator(transport, folder, stack, channel, pulses)
+        imus: list[Sensor] = []
+        if patient is not None:
+            imus += [PatientSensor(patient, patient.ports[FOOT]), PatientSensor(patient)]
+        else:
+            imus += [spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ) for _ in range(2)]
     except (StimulatorLost, ImuLost) as error:
         raise Unavailable(f"{transport}: {error}") from error
     for each in imus:
@@ -178,17 +197,21 @@ def start_devices(transport: str, folder: Path, stack: ExitStack, channel: str =
         stack,
         frozenset(can_do),
         button_bus,
+        patient=patient,
+        pulses=pulses,
     )
 
 
 _Stimulator = tuple[Bus | None, Bus | None, NodeHandle | None, NodeHandle | DeviceHandle, StimulatorDevice]
 
 
-def _stimulator(transport: str, folder: Path, stack: ExitStack, channel: str) -> _Stimulator:
+def _stimulator(
+    transport: str, folder: Path, stack: ExitStack, channel: str, pulses: Path | None = None
+) -> _Stimulator:
     record = folder / "stimulator.jsonl"
     if transport in SERIAL:
         kind, name = SERIAL[transport]
-        device = spawn_device(kind, record=record)
+        device = spawn_device(kind, record=record, pulses=pulses)
         stack.callback(device.stop)
         point(folder / "stimulator", device.port)
         settings = StimulatorDevice.model_validate({"device": name, "port": str(folder / "stimulator")})
@@ -196,7 +219,7 @@ def _stimulator(transport: str, folder: Path, stack: ExitStack, channel: str) ->
     if transport == "socketcan":
         back = Bus(interface="socketcan", channel=channel)
         _need(back)
-        node = spawn_node(record=record, bus=back)
+        node = spawn_node(record=record, bus=back, pulses=pulses)
         stack.callback(node.stop)
         return back, back, None, node, StimulatorDevice()
     if transport == "slcan":
@@ -212,7 +235,7 @@ def _stimulator(transport: str, folder: Path, stack: ExitStack, channel: str) ->
         _need(back)
         link = spawn_link(back, front=front)
     stack.callback(link.stop)
-    node = spawn_node(record=record, bus=back)
+    node = spawn_node(record=record, bus=back, pulses=pulses)
     stack.callback(node.stop)
     return front, back, link, node, StimulatorDevice()
 

@@ -73,6 +73,7 @@ class PatientDevice:
         self._cycle_s = cycle_s
         self._walked, self._changed_ns = False, 0
         self._told = 0
+        self._held = False
         if waits or cycle_s:
             self.patient.stay()
         self._felt = {
@@ -145,6 +146,10 @@ class PatientDevice:
             raise ValueError(f"no sensor {sensor!r} is worn; there are {', '.join(self._imus)}")
         return self._imus[sensor].set_fault(t_ns, name, value)
 
+    def hold(self, held: bool) -> None:
+        """Of a patient who walks in turns: stand, once the steps are finished, for as long as this holds."""
+        self._held = held
+
     def new_strides(self) -> list[VirtualStride]:
         """The affected foot's strides, complete since the last call."""
         strides = self.patient.strides[self._told :]
@@ -173,7 +178,7 @@ class PatientDevice:
         if self.patient.walking != self._walked:
             self._walked, self._changed_ns = self.patient.walking, self.patient.now_ns
         since_s = (self.patient.now_ns - self._changed_ns) / NS_PER_S
-        if self._walked and since_s >= walk_s:
+        if self._held or (self._walked and since_s >= walk_s):
             self.patient.stop()
         elif not self._walked and since_s >= stand_s:
             self.patient.walk()

@@ -7,6 +7,7 @@ stride of the affected foot, and at the end ``{"summary": …}``. On stdin it ta
 
 - ``{"do": "walk"}``, and whatever else :mod:`fes.patient.virtual.deeds` knows, with ``value``;
 - ``{"fault": NAME, "value": NUMBER, "sensor": NAME}`` as simulated sensors do, without ``sensor`` for all of them;
+- ``{"hold": true}``: one who walks in turns (``--cycle``) stands until ``false``;
 - ``{"replug": SENSOR}``, answered with the new port; ``{"ask": "summary"}``; ``{"begin": true}`` after ``--held``.
 """
 
@@ -97,6 +98,8 @@ class PatientLoop:
     def _obey(self, asked: dict[str, Any]) -> dict[str, Any]:
         if "do" in asked:
             do_to(self._device.patient, str(asked["do"]), float(asked.get("value", 0.0)))
+        elif "hold" in asked:
+            self._device.hold(bool(asked["hold"]))
         elif "begin" in asked:
             start_ns = time.monotonic_ns()
             self._device.begin(start_ns)

@@ -67,6 +67,14 @@ class PatientHandle:
         """
         return int(self._ask({"fault": name, "value": value, "sensor": sensor})["t_ns"])
 
+    def hold(self, held: bool) -> int:
+        """A patient who walks in turns stands for as long as this holds; returns when it was told.
+
+        Raises:
+            ImuLost: it is gone.
+        """
+        return int(self._ask({"hold": held})["t_ns"])
+
     def begin(self) -> None:
         """Let the time of a patient begin that was started ``held``.
 

@@ -20,6 +20,7 @@ from fes.view.aggregate import Spread
 from fes.view.figures_gait import PHASE_COLORS, Figure, foot_color, path_figures, phase_figures, stride_figures
 from fes.view.figures_ground import ground_figures
 from fes.view.figures_stimulation import channel_color, latency_figure, stimulation_figures
+from fes.view.figures_tuning import tuning_figures
 from fes.view.findings import count_of, findings, mean_sd, words
 from fes.view.glossary import GLOSSARY
 from fes.view.jsonable import plain
@@ -75,6 +76,7 @@ def render_report(record: SessionRecord, *, paths: Mapping[str, GroundPath] | No
             stride_figures=_safe(stride_figures(view)),
             phase_figures=_safe(phase_figures(view)),
             stimulation_figures=_safe(stimulation_figures(view)),
+            tuning_figures=_safe(tuning_figures(view)),
             latency_figure=_safe([figure for figure in [latency_figure(view)] if figure]),
             phase_colors=PHASE_COLORS,
             long_table=len(summary.strides) > LONG_TABLE_ROWS,

@@ -24,6 +24,7 @@ from fes.view.jsonable import plain
 from fes.view.quality import Latency, Refusal, Remark, SensorQuality, all_sensors, group_refusals, latency_of, remarks
 from fes.view.strides import StrideRow, stride_rows
 from fes.view.timeline import PhaseTimeline, build_timeline
+from fes.view.tuning import DoseRow, TuningRow, dose_rows, tuning_rows
 
 FORMAT = 1
 NAN = float("nan")
@@ -54,6 +55,8 @@ class SessionSummary:
     sensors: tuple[SensorQuality, ...]
     run_summary: dict[str, Any]
     strides: tuple[StrideRow, ...]
+    dose: tuple[DoseRow, ...] = ()
+    tuning: tuple[TuningRow, ...] = ()
 
     @property
     def faults(self) -> tuple[Remark, ...]:
@@ -135,6 +138,8 @@ def view_session(record: SessionRecord) -> SessionView:
         sensors=all_sensors(record.samples),
         run_summary=plain(record.summary),
         strides=rows,
+        dose=dose_rows(record, settings, origin_ns),
+        tuning=tuning_rows(record.notes, origin_ns),
     )
     return SessionView(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)
 

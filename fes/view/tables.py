@@ -14,6 +14,7 @@ from rich.text import Text
 from fes.view.findings import Finding, count_of, findings, mean_sd, words
 from fes.view.strides import StrideRow
 from fes.view.summary import SessionSummary
+from fes.view.tuning import told
 
 MARKS = {"good": ("✓", "green"), "info": ("·", ""), "warning": ("!", "yellow"), "alert": ("✗", "bold red")}
 
@@ -112,6 +113,7 @@ def summary_block(summary: SessionSummary) -> RenderableType:
                     f"onset {mean_sd(channel.onset_after_pre_swing_ms, 0, 'ms')}"
                 )
             )
+    lines += [Text(f"  {line}") for line in told(summary.tuning, summary.dose)]
     lines += [_finding_line(finding) for finding in findings(summary)]
     return Group(*lines)
 

@@ -15,6 +15,9 @@ from fes.patient.virtual.patterns import Pattern
 from fes.patient.virtual.settings import PatientSettings
 from fes.signals import G_MPS2, FloatArray
 
+STANDING_RAD = math.radians(-3.0)  # the shank of a standing leg
+STILL_S = 0.6  # from the last step's landing until the shank rests
+_STANCES = np.linspace(0.02, 0.5, 481)  # phases at which a foot lies flat
 STANDING_PHASE = 0.30  # of the cycle, whose joint angles a standing leg has
 LOADING_S = 0.11
 PRE_SWING_SHARE = 0.21  # of the cycle, from heel off to foot off
@@ -93,7 +96,7 @@ class Planner:
         self.need_m = 0.0  # lift with which a hanging foot just clears, beyond the normal one
         self.set_speed(settings.speed_mps)
         self.leg["across_m"], self.leg["yaw_rad"] = self.sign * HALF_WIDTH_M, self.sign * TOE_OUT_RAD
-        self._lean(-10.0, math.radians(-3.0))
+        self._lean(-10.0, STANDING_RAD)
 
     def set_speed(self, speed_mps: float) -> None:
         """Take the joint curves of this speed, from the next event on."""
@@ -128,9 +131,14 @@ class Planner:
         self._fade(t_s, LOADING_S, still, before[2])
 
     def stand(self, t_s: float) -> None:
-        """No further step: half of the weight stays on this leg."""
+        """No further step: the shank comes to rest as it was before the walk, and the weight stays."""
         leg = self.leg
+        before = self._now(t_s)
         leg["due_s"] = leg["rise_t"] = leg["unload_t"] = math.inf
+        thigh, knee, _ = (_curve(series, _STANCES) for series in self._curves_now())
+        self._phase(t_s, float(_STANCES[np.abs(thigh - knee - STANDING_RAD).argmin()]), 0.0)
+        zero = (0.0, 0.0, 0.0)
+        self._fade(t_s, STILL_S, (zero, zero), before[2])
 
     def rise(self, t_s: float, off_s: float, stride_share: float, support_s: float) -> None:
         """The heel begins to rise; the foot shall leave at ``off_s``."""

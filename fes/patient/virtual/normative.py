@@ -6,7 +6,7 @@ them, then its first harmonics (Winter, *Biomechanics and Motor Control of Human
 enough for gait), so that any number of derivatives is smooth. Segments and masses: Winter, table 4.1. Stride rate:
 Grieve & Gear, *Ergonomics* 9 (1966): ``64.8 (v/h)^0.57`` strides a minute.
 
-Entered from memory of these works and not yet compared with them; see docs/virtual_patient.md.
+Entered from memory of these works; which numbers have been compared since is in docs/virtual_patient.md.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import Final
 
@@ -25,9 +26,13 @@ class VirtualPatient:
     """Stands for ``settings.stand_s``, then walks on a belt until told otherwise; time begins at 0.
 
     The same settings and the same pulses give the same samples to the last bit, however the time is cut into steps.
+
+    Args:
+        settings: who it is.
+        remember_s: how much of its own :meth:`trace` it keeps, at least 10 s; None: all of it.
     """
 
-    def __init__(self, settings: PatientSettings) -> None:
+    def __init__(self, settings: PatientSettings, *, remember_s: float | None = None) -> None:
         self.settings = settings
         self._walker = Walker(settings)
         self._step = -SETTLE_STEPS
@@ -40,7 +45,8 @@ class VirtualPatient:
         self._values = np.zeros((4, 6))
         self._pulse_step = np.zeros(0, np.int64)
         self._pulse_uc = np.zeros(0)
-        self._trace: list[FloatArray] = []
+        self._trace: deque[FloatArray] = deque()
+        self._kept_rows, self._most_rows = 0, None if remember_s is None else round(max(remember_s, 10.0) / TRACE_S)
         self._trace_rows = 0
         self._quality = settings.electrode_quality
         self._starts_at = round(settings.stand_s * NS_PER_S / STEP_NS)
@@ -84,6 +90,10 @@ class VirtualPatient:
     def walk(self) -> None:
         """Start the belt now (it starts by itself after ``stand_s``)."""
         self._walker.walk(self._step * STEP_NS / NS_PER_S)
+
+    def stay(self) -> None:
+        """Do not start by itself: stand until :meth:`walk`."""
+        self._starts_at = 1 << 60
 
     def set_speed(self, speed_mps: float) -> None:
         """Change the belt's speed.
@@ -133,16 +143,22 @@ class VirtualPatient:
         return self._walker.speed_mps
 
     @property
+    def walking(self) -> bool:
+        """Whether it walks now; until both feet stand again."""
+        return self._walker.walking
+
+    @property
     def walks(self) -> list[tuple[float, float]]:
         """When the patient walked: begin and end in s, the last one's end ``inf`` while it goes on."""
         return self._walker.walks
 
     def trace(self, foot: str) -> dict[str, FloatArray]:
-        """One foot's truth at 200 Hz, each (N,): ``t_s``, the entries of ``layout.TRACE`` and ``ankle_rad``."""
+        """One foot's truth at 200 Hz, as far as it is kept; (N,) ``t_s``, ``layout.TRACE``'s entries, ``ankle_rad``."""
         side = FOOT_SENSORS.index(foot)
         rows = self._rows(0, self._trace_rows)[:, side]
         out = {name: rows[:, k] for k, name in enumerate(TRACE)}
-        out["t_s"] = TRACE_S * np.arange(1, len(rows) + 1, dtype=np.float64)
+        first = self._trace_rows - len(rows)
+        out["t_s"] = TRACE_S * np.arange(first + 1, first + len(rows) + 1, dtype=np.float64)
         out["ankle_rad"] = out["pitch_rad"] - out["shank_rad"]
         return out
 
@@ -214,6 +230,9 @@ class VirtualPatient:
         if rows:
             self._trace.append(trace[:rows])
             self._trace_rows += rows
+            self._kept_rows += rows
+            while self._most_rows is not None and self._kept_rows - len(self._trace[0]) >= self._most_rows:
+                self._kept_rows -= len(self._trace.popleft())
         if what != NO_EVENT:
             walker.on_event(side, what, self._step * STEP_NS / NS_PER_S, self._swing_rows)
 

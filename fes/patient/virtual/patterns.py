@@ -1,6 +1,6 @@
 """The five hemiparetic walks of Wang et al. (Tables 1 and 2) as settings of the affected leg.
 
-The paper gives no names, only numbers: speed, stride length, durations, the foot's greatest height (MLH) and rotation
+The paper gives no names, only numbers: speed, stride length, durations, the foot's greatest height (MHL) and rotation
 (MLR), and how much strides differ (PV, OV). What moves those numbers here stands beside each; what a walk then shows
 follows from the model.
 """
@@ -21,7 +21,7 @@ class Pattern:
         stance_shift: share of the cycle that the affected leg stands less.
         toe_off_deg: toe-down pitch at foot off at comfortable speed (MLR, from stance to the steepest).
         knee: share of the normal knee flexion in swing (a stiff knee has little).
-        hike_m: lift of the whole leg by the pelvis in mid-swing, beyond the habitual compensation (MLH).
+        hike_m: lift of the whole leg by the pelvis in mid-swing, beyond the habitual compensation (MHL).
         circumduction_m: sideways excursion of the swing (MDD).
         swerve_deg: passing outward turn of the swing.
         invert_deg: inversion of the foot that hangs in swing.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
 from fes.patient.sensor import ImuModel
 from fes.patient.session import Placement
@@ -163,3 +165,28 @@ def setting_names() -> dict[str, tuple[str, ...]]:
         "patient": tuple(item.name for item in fields(PatientSettings)),
         "muscle": tuple(item.name for item in fields(MuscleSettings)),
     }
+
+
+def to_plain(settings: PatientSettings) -> dict[str, Any]:
+    """All of it in plain values, for another process; :func:`from_plain` reads them."""
+    return asdict(settings)
+
+
+def from_plain(values: Mapping[str, Any]) -> PatientSettings:
+    """Back from plain values, which may have been through JSON.
+
+    Raises:
+        ValueError, TypeError: they are no settings of a patient.
+    """
+    more: dict[str, Any] = dict(values)
+    if "muscle" in more:
+        more["muscle"] = MuscleSettings(**more["muscle"])
+    if "imu" in more:
+        more["imu"] = ImuModel(**more["imu"])
+    if "placements" in more:
+        more["placements"] = {
+            name: Placement(tuple(one["body_m"]), tuple(one["angles_deg"])) for name, one in more["placements"].items()
+        }
+    if "sensors" in more:
+        more["sensors"] = tuple(more["sensors"])
+    return PatientSettings(**more)

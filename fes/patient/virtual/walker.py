@@ -88,6 +88,8 @@ class Walker:
         for side, open_ in enumerate(self._open):
             open_.number, open_.last_step = 0, False
             planner = self.planners[side]
+            if math.isfinite(planner.leg["load_t"]):  # stands from an earlier walk, with all its weight
+                planner.leg["load_share"] = 1.0
             planner.leg["load_t"] = math.inf
             self._plan_next(side, t_s, first=True)
 

@@ -1,0 +1,240 @@
+"""``fes demo --closed-loop``: a drop-foot patient walks, stumbles, the controller tunes itself, the foot clears."""
+
+from __future__ import annotations
+
+import csv
+import json
+import tomllib
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
+from pathlib import Path
+from statistics import median
+from typing import Any, Final
+
+import click
+
+from fes.cli.exits import INTERRUPTED, Problem, StoppedEarly, fail
+from fes.cli.folders import LOG_SUFFIX, fresh_folder
+from fes.cli.interrupt import Interrupt
+from fes.cli.loop_view import LoopView
+from fes.hil.course import WALK_S, Course, Happening, course
+from fes.journal import Note
+from fes.live.status import Status
+from fes.patient.virtual import PatientSettings, VirtualStride, settings_for
+from fes.signals import FOOT_SENSORS, NS_PER_S, Event
+
+SECONDS: Final = 80.0
+SLIPS_S: Final = 48.0
+SLIPS_TO: Final = 0.7
+GO_ON: Final = 3  # times, where a busy computer makes the session switch off
+CURRENT_MA: Final = 12.0  # far too little for this patient
+LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
+TITLE: Final = "A simulated drop-foot patient on a treadmill, 0.8 m/s; the affected foot, stride by stride"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to run it: with an injected clock, or in real time between processes with this stimulator."""
+
+    out: Path
+    fast: bool = False
+    stimulator: str = "can"
+    seconds: float = SECONDS
+    as_json: bool = False
+
+
+def patient() -> PatientSettings:
+    """Who walks: a severe drop foot, feet sensors, and little habit of lifting the leg instead."""
+    return settings_for("severe", seed=1, compensation=0.3, stand_s=WALK_S, sensors=FOOT_SENSORS)
+
+
+def demo_course(seconds: float = SECONDS) -> Course:
+    """Walk, and let an electrode slip half-way."""
+    slip = (Happening(SLIPS_S, "electrode", SLIPS_TO),) if seconds > SLIPS_S else ()
+    return course(seconds, slip)
+
+
+def demo_closed_loop(options: Options) -> Path:
+    """Run it, show it, write log and report; the folder with the results.
+
+    Raises:
+        Problem: the folder cannot be used, or a device does not start.
+        StoppedEarly: the session switched off before the end.
+        SystemExit: interrupted.
+    """
+    folder = fresh_folder(options.out, "closed_loop").resolve()
+    if not options.fast and len(str(folder).encode()) > LONGEST_FOLDER:
+        raise Problem(f"{folder}: the name is too long for a control socket. Choose a shorter one with --out.")
+    settings, plan = patient(), demo_course(options.seconds)
+    strides: list[VirtualStride] = []
+    try:
+        with Interrupt() as interrupt, LoopView(TITLE, quiet=options.as_json) as view:
+
+            def on_stride(stride: VirtualStride) -> None:
+                strides.append(stride)
+                view.stride(stride)
+                if stride.t_flat_ns > SLIPS_S * NS_PER_S > (strides[-2].t_flat_ns if len(strides) > 1 else 0):
+                    view.said(SLIPS_S, f"an electrode has slipped: {SLIPS_TO:.0%} of the charge reaches the nerve")
+
+            if options.fast:
+                log = _in_one_process(settings, plan, folder, view, on_stride, interrupt)
+                more: dict[str, Any] = {}
+            else:
+                log, more = _between_processes(settings, plan, folder, view, on_stride, interrupt, options.stimulator)
+    except KeyboardInterrupt:
+        click.secho(f"Interrupted; everything is ended. What there is: {folder}", fg="yellow", err=True)
+        raise SystemExit(INTERRUPTED) from None
+    write_strides(folder / "patient.strides.csv", strides)
+    result = {**result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
+    _report(log, folder / "report.html")
+    (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    _say(result, as_json=options.as_json)
+    return folder
+
+
+def result_of(strides: Sequence[VirtualStride]) -> dict[str, Any]:
+    """What came of it: the same between processes and in one."""
+    walked = [stride for stride in strides if stride.walking]
+    slip_ns = round(SLIPS_S * NS_PER_S)
+    parts = {
+        "first_8_strides": walked[:8],
+        "before_the_slip": [stride for stride in walked if stride.t_flat_ns < slip_ns][-10:],
+        "last_10_strides": walked[-10:],
+    }
+    return {
+        "strides": len(walked),
+        "charge_mc": round(1e-3 * sum(stride.charge_uc for stride in walked), 2),
+        **{name: _part(part) for name, part in parts.items()},
+    }
+
+
+def _part(strides: Sequence[VirtualStride]) -> dict[str, Any]:
+    return {
+        "dragged": sum(stride.dragged for stride in strides),
+        "stumbled": sum(stride.stumbled for stride in strides),
+        "median_toe_clearance_mm": round(1e3 * median(s.toe_clearance_m for s in strides), 1) if strides else None,
+        "charge_uc_a_step": round(median(s.charge_uc for s in strides), 1) if strides else None,
+    }
+
+
+def _in_one_process(
+    settings: PatientSettings, plan: Course, folder: Path, view: LoopView, on_stride: Any, interrupt: Interrupt
+) -> Path:
+    from fes.config import validate_session
+    from fes.estimation.warm import warm_up
+    from fes.hil.one_process import run_in_one_process
+    from fes.hil.patient_session import calibration_of, session_text
+
+    text = session_text(settings, current_ma=CURRENT_MA)
+    (folder / "session.toml").write_text(text, encoding="utf-8")
+    session = validate_session(tomllib.loads(text), folder / "session.toml", text)
+    view.state("on injected time, in one process")
+    calibrations = calibration_of(settings).calibrations
+    warm_up()
+
+    def on_note(note: Note) -> None:
+        if note.source == "tuning" and " skipped: " not in note.text:
+            view.said(note.t_ns / NS_PER_S, note.text.partition(": ")[2])
+
+    def after(event: Event) -> None:
+        interrupt.check()
+
+    log = folder / f"session{LOG_SUFFIX}"
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    run_in_one_process(
+        settings, session, calibrations, plan, log, created, on_stride=on_stride, on_note=on_note, after=after
+    )
+    return log
+
+
+def _between_processes(
+    settings: PatientSettings,
+    plan: Course,
+    folder: Path,
+    view: LoopView,
+    on_stride: Any,
+    interrupt: Interrupt,
+    stimulator: str,
+) -> tuple[Path, dict[str, Any]]:
+    from drivers.imu.port import ImuLost
+    from drivers.stimulator.port import StimulatorLost
+    from fes.hil.patient_bench import start_patient_bench
+    from fes.hil.processes import run_between_processes
+    from fes.hil.rig import CampaignBroken
+
+    view.state("starting patient, stimulator and controller, each a process of its own")
+    told: dict[str, str] = {}
+
+    def on_status(status: Status) -> None:
+        now_s = max(bench.patient.now_s, 0.0) if bench.patient.start_ns < status.t_ns else 0.0
+        channel = status.tuning.get(str(settings.channel))
+        view.state(
+            f"{status.state}, intensity {status.intensity:.0%}" + (f", next burst {channel.now}" if channel else "")
+        )
+        for text in (channel.last_change, channel.hint) if channel else ():
+            if text and told.get(text[:24]) != text:
+                told[text[:24]] = text
+                view.said(now_s, text)
+
+    try:
+        with ExitStack() as stack:
+            bench = start_patient_bench(
+                settings, folder, stack, stimulator=stimulator, current_ma=CURRENT_MA, held=True
+            )
+            ran = run_between_processes(
+                bench, plan, on_stride=on_stride, on_status=on_status, look=interrupt.check, go_on=GO_ON
+            )
+    except (ImuLost, StimulatorLost) as error:
+        fail(error)
+    except CampaignBroken as error:
+        fail(error, StoppedEarly)
+    return ran.log, {"patient_process": ran.punctuality, "interruptions": list(ran.interruptions)}
+
+
+def write_strides(path: Path, strides: Sequence[VirtualStride]) -> None:
+    """The patient's own account of its strides, as CSV.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, [item.name for item in fields(VirtualStride)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(stride) for stride in strides)
+
+
+def _report(log: Path, path: Path) -> None:
+    from fes.journal import read_session
+    from fes.view.report import write_report
+
+    try:
+        write_report(read_session(log), path)
+    except OSError as error:
+        raise StoppedEarly(f"{path}: cannot be written: {error.strerror or error}. The log is whole: {log}") from error
+
+
+def _say(result: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(result, indent=2))
+        return
+    names = {
+        "first_8_strides": "the first 8 strides",
+        "before_the_slip": "10 strides before the electrode slipped",
+        "last_10_strides": "the last 10 strides",
+    }
+    for key, name in names.items():
+        part = result[key]
+        click.echo(
+            f"{name}: {part['dragged']} dragged, {part['stumbled']} stumbled, toe clearance "
+            f"{part['median_toe_clearance_mm']} mm, {part['charge_uc_a_step']} µC a step (medians)"
+        )
+    if process := result.get("patient_process"):
+        click.echo(
+            f"The patient's process was {process['latest_ms']:.1f} ms late at most, over 5 ms {process['late_5ms']} "
+            f"times in {process['intervals']}; {process['pulses']} pulses reached it, {process['pulses_late']} late."
+        )
+    for reason in result.get("interruptions", ()):
+        click.secho(f"Switched off on the way, and armed again by hand while the patient stood: {reason}", fg="yellow")
+    click.echo(f"Session log  {result['session_log']}\nReport       {result['report']}  (open it in a browser)")
