@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from fes.journal import Note
 from fes.live.orders import Ask, Order
 from fes.live.states import State
-from fes.live.status import Status
+from fes.live.status import FootStatus, Status
 from fes.page.access import Access, Confirmations, Role, Situation
 from fes.page.board import STRIDES, Board
 from fes.page.desk import ORDERS_A_SECOND, Desk, Outcome
@@ -353,7 +353,18 @@ def test_the_board_tells_each_browser_what_it_has_not_seen_and_keeps_little() ->
     board.end("over")
     board.end("again")
     assert board.since(seen, 0)["ended"] == "over"
-    json.dumps(whole)
+    json.dumps(whole, allow_nan=False)
+
+
+def test_what_is_no_number_is_none_in_a_frame() -> None:
+    board = Board()
+    foot = FootStatus("stance", False, 1, float("nan"), float("nan"), 500.0, float("inf"))
+    board.status(replace(SHOWN, feet={"left_foot": foot}, latency_p50_ms=float("nan")), 0)
+    board.detail(read_detail(detail([], [], [], [stride(1, stride_length_m=float("nan"), speed_mps=float("nan"))], [])))
+    frame = board.since(0, 0)
+    json.dumps(frame, allow_nan=False)
+    assert frame["status"]["feet"]["left_foot"]["stride_length_m"] is None
+    assert frame["strides"][0]["length_m"] is None
 
 
 @given(st.binary(max_size=200))

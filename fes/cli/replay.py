@@ -121,7 +121,7 @@ def command(
     if recording.suffix == LOG_SUFFIX:
         from fes.cli.replay_log import replay_log
 
-        refuse_settings_of_a_recording(*(("speed", "page_port") if page else ()))
+        refuse_settings_of_a_recording(*(("speed", "out", "page_port") if page else ()))
         if page:
             from fes.cli.replay_page import play_log
 

@@ -9,6 +9,7 @@ import signal
 import socket
 import sys
 import time
+from collections import deque
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -23,7 +24,7 @@ from fes.page.frames import DETAIL, END, LARGEST, STATUS, read_detail, read_hell
 from fes.page.server import Server
 
 STOP: Final = b'{"ask":"stop"}'
-TOGETHER_NS: Final = 20_000_000  # a press comes over both ways, web socket and request
+PRESSES: Final = 64  # remembered: each comes over both ways, web socket and request
 AGAIN_S: Final = 0.005
 TRIES: Final = 2000
 FAREWELL_S: Final = 0.2
@@ -50,7 +51,8 @@ class PageProcess:
             self._board, self._access, about, self._port, fresh, self.stop, self._order, self._entered
         )
         self._web = uvicorn.Server(self._config())
-        self._stopped_ns = 0
+        self._presses: deque[str] = deque(maxlen=PRESSES)
+        self._pending = False
         self._goodbye: asyncio.TimerHandle | None = None
 
     def _config(self) -> uvicorn.Config:
@@ -63,7 +65,7 @@ class PageProcess:
             "ws": "websockets-sansio",
             "ws_max_size": 2048,
             "ws_ping_interval": 5.0,
-            "ws_ping_timeout": 5.0,
+            "ws_ping_timeout": 10.0,
             "ws_per_message_deflate": False,
             "proxy_headers": False,
             "server_header": False,
@@ -79,15 +81,19 @@ class PageProcess:
         asyncio.get_running_loop().add_reader(self._link.fileno(), self._hear)
         await self._web.serve(sockets=[self._listening])
 
-    def stop(self, tries: int = TRIES) -> None:
-        """Hand a stop on now, and where the link is full, again until it is through."""
-        now_ns = time.monotonic_ns()
-        if now_ns - self._stopped_ns < TOGETHER_NS:
+    def stop(self, press: str) -> None:
+        """Hand a stop on; ``press`` is the same for both ways of one press, "" for a stop that has no other way."""
+        if press and press in self._presses:
             return
-        if self._order(STOP):
-            self._stopped_ns = now_ns
-        elif tries and not self._board.ended:
-            asyncio.get_running_loop().call_later(AGAIN_S, self.stop, tries - 1)
+        self._presses.append(press)
+        if not self._pending:
+            self._hand_on(TRIES)
+
+    def _hand_on(self, tries: int) -> None:
+        """Now, and where the link is full, again until it is through."""
+        self._pending = not self._order(STOP) and tries > 0 and not self._board.ended
+        if self._pending:
+            asyncio.get_running_loop().call_later(AGAIN_S, self._hand_on, tries - 1)
 
     def _order(self, message: bytes) -> bool:
         try:

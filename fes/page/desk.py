@@ -15,6 +15,7 @@ RESUME: Final = "resume"
 CALMING: Final = frozenset((Ask.PAUSE, Ask.DOWN, Ask.DISARM))
 RAISING: Final = frozenset((Ask.ARM, Ask.UP, RESUME))
 LONGEST: Final = 512
+NAME: Final = 40  # characters of a press's name
 ORDERS_A_SECOND: Final = 10
 FRESH_NS: Final = 500_000_000
 CURRENT: Final = ("armed", "running")
@@ -22,11 +23,15 @@ CURRENT: Final = ("armed", "running")
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What to send back (None: nothing) and what to order (b"": nothing); ``stop`` goes before anything else."""
+    """What to send back (None: nothing) and what to order (b"": nothing); ``stop`` goes before anything else.
+
+    ``press`` names a press of the button, which also comes as a request of its own; "" where it does not.
+    """
 
     reply: dict[str, Any] | None = None
     order: bytes = b""
     stop: bool = False
+    press: str = ""
     entered: bool = False
 
 
@@ -68,7 +73,7 @@ class Desk:
         if not isinstance(said, dict):
             return _refuse("not understood")
         if said.get("ask") == Ask.STOP:  # before any look at who asks, or how often
-            return Outcome(stop=True)
+            return Outcome(stop=True, press=str(said.get("press", ""))[:NAME])
         if {"token", "secret"} & said.keys():
             return self._enter(str(said.get("token", "")), str(said.get("secret", "")))
         if self.role is Role.NOBODY:

@@ -21,7 +21,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from fes.live.status import Status
 from fes.page.access import Access
 from fes.page.board import Board
-from fes.page.desk import Desk, Outcome
+from fes.page.desk import NAME, Desk, Outcome
 from fes.page.guard import Guard
 
 OWN: Final = ("page.css", "page.js", "link.js", "charts.js", "side.js", "words.js")
@@ -48,7 +48,7 @@ class Server:
     """The application, and the browsers that are connected.
 
     Args:
-        stop: hands an emergency stop on, at once.
+        stop: hands an emergency stop on, at once; it is given the press's name, which may be "".
         order: hands another order on; False where that was not possible.
         entered: called when a link has been used.
     """
@@ -60,7 +60,7 @@ class Server:
         about: dict[str, Any],
         port: int,
         fresh: Callable[[], str],
-        stop: Callable[[], None],
+        stop: Callable[[str], None],
         order: Callable[[bytes], bool],
         entered: Callable[[], None],
     ) -> None:
@@ -89,8 +89,8 @@ class Server:
             event.set()
 
     async def _on_stop(self, request: Request) -> Response:
-        """An emergency stop: no token, no body, no look at anything else."""
-        self._stop()
+        """An emergency stop: no token, no body, no look at who asks."""
+        self._stop(request.query_params.get("press", "")[:NAME])
         return PlainTextResponse("stop\n")
 
     async def _on_browser(self, socket: WebSocket) -> None:
@@ -105,7 +105,7 @@ class Server:
             while True:
                 outcome = desk.take(await socket.receive_text(), time.monotonic_ns())
                 if outcome.stop:
-                    self._stop()
+                    self._stop(outcome.press)
                 await self._follow(socket, outcome)
                 if outcome.reply and "hello" in outcome.reply and pushing is None:
                     pushing = asyncio.create_task(self._push(socket, desk))

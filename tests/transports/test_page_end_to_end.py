@@ -25,7 +25,6 @@ from fes.recording import write_recording
 from fes.signals import OperatorAction
 
 STOP_MS = 150
-HELD_S = 1.0
 
 NO_BUS = why_silent(free_bus())
 pytestmark = [
@@ -48,7 +47,7 @@ def standing(loop: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) 
     return recording, loop[1]
 
 
-def link_of(run: LiveRun, timeout_s: float = 60.0) -> str:
+def link_of(run: LiveRun, timeout_s: float = 120.0) -> str:
     """The newest link of the session's page."""
     end_s = time.monotonic() + timeout_s
     while not (found := [path for path in run.folder.glob("*/*/page.url") if path.read_text().strip()]):
@@ -201,6 +200,17 @@ def test_the_stop_button_again_and_again(standing: tuple[Path, Path], tmp_path: 
     ):
         page.size(768, 1024, touch=True)
         page.go(link_of(run))
+        run.armed_at(0.3)
+        page.until(state_is("armed", "running"))
+        page.tap("#pause")
+        run.until(lambda status: status.state == "paused")
+        page.until("document.getElementById('pause').textContent === 'Go on'")
+        page.tap("#pause")
+        page.until("!document.getElementById('question').hidden")
+        assert run.until(lambda status: True).state == "paused"
+        page.press("#no")
+        confirmed(page, "#pause")
+        assert run.until(lambda status: status.state in ("armed", "running")).intensity == pytest.approx(0.3)
         for _ in range(10):
             run.armed_at(0.3)
             with burst_by_hand(run):
@@ -220,16 +230,23 @@ def test_the_stop_button_again_and_again(standing: tuple[Path, Path], tmp_path: 
         assert off_ms[-1] <= STOP_MS
 
 
+@in_a_browser
 @pytest.mark.slow
 def test_stopped_or_killed_its_process_changes_nothing(loop: tuple[Path, Path], tmp_path: Path) -> None:
     recording, calibration = loop
-    with live_run(tmp_path, recording, "--calibration", calibration, "--page") as run:
-        port = int(link_of(run).split(":")[2].split("/")[0])
+    with (
+        live_run(tmp_path, recording, "--calibration", calibration, "--page") as run,
+        chromium(tmp_path / "browser") as browser,
+    ):
+        link = link_of(run)
+        port = int(link.split(":")[2].split("/")[0])
+        browser.go(link)
         run.armed_at()
         run.in_mid_burst()
         (page,) = run.children("fes.page")
         os.kill(page, signal.SIGSTOP)  # it reads nothing any more
-        time.sleep(HELD_S)
+        browser.until(state_is("lost"))
+        assert "SPACE" in browser.text("#alarm")
         assert run.until(lambda status: True).state in ("armed", "running")
         run.in_mid_burst()
         blow_ns = time.monotonic_ns()
@@ -240,6 +257,8 @@ def test_stopped_or_killed_its_process_changes_nothing(loop: tuple[Path, Path], 
         run.in_mid_burst()  # the next step is stimulated like those before
         with pytest.raises(OSError):
             press_stop(port)
+        browser.press("#stop")
+        browser.until("document.getElementById('alarm').textContent.includes('not confirmed')")
         os.write(run.keys, b" ")
         run.until(lambda status: status.state == "stopped")
         run.quit()
@@ -251,6 +270,7 @@ def test_stopped_or_killed_its_process_changes_nothing(loop: tuple[Path, Path], 
         assert repeat(run.log).difference == ""
 
 
+@pytest.mark.slow
 def test_a_stop_by_request_is_prompt(standing: tuple[Path, Path], tmp_path: Path) -> None:
     recording, calibration = standing
     with live_run(tmp_path, recording, "--calibration", calibration, "--page") as run:

@@ -24,7 +24,8 @@ function axis(more) {
 /** One number of each stride, by the stride's number; a stride that was not measured is a gap. */
 export class StrideChart {
   constructor(element, key, scale, most, digits) {
-    Object.assign(this, { key, scale, feet: {}, element });
+    Object.assign(this, { key, scale, element });
+    this.empty();
     const series = (name) => ({
       label: `${name} foot`,
       stroke: () => colour(`--${name}`),
@@ -45,12 +46,16 @@ export class StrideChart {
           y: { range: (_, low, high) => [0, Math.max(most, (high ?? 0) * 1.15)] },
         },
         series: [{ label: "stride" }, series("left"), series("right")],
-        axes: [axis({ size: 30 }), axis({ size: 44 })],
+        axes: [axis({ size: 30, incrs: [1, 2, 5, 10, 20] }), axis({ size: 44 })],
       },
       [[], [], []],
       element,
     );
     fitted(element, this.chart);
+  }
+
+  empty() {
+    this.feet = {};
   }
 
   add(stride) {
@@ -75,15 +80,13 @@ export class EnvelopeChart {
   constructor(element, channels) {
     this.channels = channels;
     this.element = element;
-    this.swings = [];
-    this.rows = [[], ...channels.flatMap(() => [[], []])];
-    this.last = channels.flatMap(() => [null, null]);
+    this.empty();
     const most = Math.max(10, ...channels.map((each) => each.current_ma));
     const series = channels.flatMap((each, at) => {
       const [name, dash] = EnvelopeChart.line(at);
       return [
-        { label: each.name, stroke: () => colour(name), width: 2.5, dash, points: { show: false }, paths: uPlot.paths.stepped({ align: 1 }) },
-        { label: "answered", stroke: () => colour("--given"), width: 0, paths: () => null, points: { show: true, size: 4, width: 1, fill: () => colour("--given") } },
+        { label: "answered", stroke: () => colour("--given"), width: 0, paths: () => null, points: { show: true, size: 5, width: 1, fill: () => colour("--given") } },
+        { label: each.name, stroke: () => colour(name), width: 2, dash, points: { show: false }, paths: uPlot.paths.stepped({ align: 1 }) },
       ];
     });
     this.chart = new uPlot(
@@ -104,12 +107,18 @@ export class EnvelopeChart {
     fitted(element, this.chart);
   }
 
+  empty() {
+    this.swings = [];
+    this.rows = [[], ...this.channels.flatMap(() => [[], []])];
+    this.last = this.channels.flatMap(() => [null, null]);
+  }
+
   static line(at) {
     return LINES[at % LINES.length];
   }
 
   take(kind, items) {
-    const offset = kind === "sent" ? 0 : 1;
+    const offset = kind === "sent" ? 1 : 0; // the line is drawn over the dots
     return items.flatMap(([ms, channel, ma]) => {
       const at = this.channels.findIndex((each) => each.number === channel);
       return at < 0 ? [] : [[ms / 1000, 2 * at + offset, ma]];
@@ -128,7 +137,7 @@ export class EnvelopeChart {
     const fresh = [...this.take("sent", sent), ...this.take("answered", answered)].sort((a, b) => a[0] - b[0]);
     for (const [t, at, ma] of fresh) {
       this.rows[0].push(Math.max(t, this.rows[0].at(-1) ?? t));
-      this.last = this.last.map((value, k) => (k % 2 ? null : value)); // an answer is a dot, not a level
+      this.last = this.last.map((value, k) => (k % 2 ? value : null)); // an answer is a dot, not a level
       this.last[at] = ma;
       this.last.forEach((value, k) => this.rows[k + 1].push(value));
     }

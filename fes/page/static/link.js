@@ -58,8 +58,9 @@ export class Link {
 
   /** Emergency stop: over the socket, and as a request of its own should the socket be stuck. */
   stop() {
-    this.send({ ask: "stop" });
-    fetch("/stop", { method: "POST", keepalive: true }).catch(() => this.on.lost("stop"));
+    const press = `${Date.now()}-${Math.random()}`.slice(0, 40); // the second to arrive is the same stop
+    this.send({ ask: "stop", press });
+    fetch(`/stop?press=${press}`, { method: "POST", keepalive: true }).catch(() => this.on.lost("stop"));
   }
 
   watch() {

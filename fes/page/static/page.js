@@ -24,7 +24,8 @@ let envelope = null;
 function hello(about) {
   view.refused = "";
   view.lost = "";
-  if (!view.about) {
+  if (view.about) empty();
+  else {
     view.about = about;
     document.body.classList.toggle("replay", about.mode === "replay");
     write($("session-name"), `${about.name}${about.mode === "replay" ? " (replay)" : ""}`);
@@ -47,6 +48,12 @@ function hello(about) {
     }
   }
   draw();
+}
+
+/** The connection was lost and is there again: everything that is kept comes anew. */
+function empty() {
+  for (const each of [sideView, lengths, clearances, envelope]) each.empty();
+  for (const id of ["strides", "notes"]) $(id).replaceChildren();
 }
 
 function frame(said) {

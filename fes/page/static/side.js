@@ -7,9 +7,13 @@ const STRIDES = 5;
 export class SideView {
   constructor(canvas) {
     this.canvas = canvas;
-    this.strides = {};
+    this.empty();
     new ResizeObserver(() => this.draw()).observe(canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+  }
+
+  empty() {
+    this.strides = {};
   }
 
   add(stride) {

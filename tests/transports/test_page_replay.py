@@ -1,0 +1,116 @@
+"""`fes replay --page`: a recording and a session log played to a browser, and stopped there."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from replays import FES, run_fes, write_cut
+from replays import replay as replay_here
+from websockets.sync.client import ClientConnection, connect
+
+from fes.cli.exits import INTERRUPTED, OK, UNUSABLE
+from fes.cli.replay_log import repeat
+from fes.journal import read_session
+from fes.page.press import press_stop
+
+RECORDING = Path(__file__).resolve().parents[2] / "sim_inputs" / "negard_patient2.parquet"
+
+
+@contextmanager
+def replay(folder: Path, *arguments: str | Path) -> Iterator[tuple[subprocess.Popen[str], str, int]]:
+    """The command, the token of its link, and its port."""
+    command = [*FES, "replay", *map(str, arguments), "--page"]
+    process = subprocess.Popen(
+        command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, encoding="utf-8"
+    )
+    try:
+        assert process.stderr is not None
+        found = next((each for line in process.stderr if (each := re.search(r":(\d+)/#(\S+)", line))), None)
+        assert found is not None
+        yield process, found.group(2), int(found.group(1))
+    finally:
+        process.kill()
+        process.communicate(timeout=10)
+
+
+def browser(port: int) -> Any:
+    """A web socket as the page opens it."""
+    own = f"127.0.0.1:{port}"
+    return connect(f"ws://{own}/live", additional_headers={"Origin": f"http://{own}"}, proxy=None)
+
+
+def strides_of(link: ClientConnection, count: int) -> tuple[list[dict[str, Any]], list[str]]:
+    """So many strides as they come, or all until the end; and the states that were told."""
+    found: list[dict[str, Any]] = []
+    states: list[str] = []
+    while len(found) < count:
+        frame = json.loads(link.recv(timeout=30))
+        found += frame.get("strides", [])
+        states += [frame["status"]["state"]] if "status" in frame else []
+        if "ended" in frame:
+            break
+    return found, states
+
+
+def test_a_recording_is_played_at_its_speed_and_a_stop_ends_it(tmp_path: Path) -> None:
+    with replay(tmp_path, RECORDING, "--speed", "8", "--no-report", "--out", "out") as (process, token, port):
+        with browser(port) as link:
+            link.send(json.dumps({"token": token}))
+            assert json.loads(link.recv(timeout=10))["hello"]["mode"] == "replay"
+            begin_s = time.monotonic()
+            shown, states = strides_of(link, 3)
+            took_s = time.monotonic() - begin_s
+            link.send('{"ask":"pause"}')  # has no meaning here
+            press_stop(port)
+            while "ended" not in (frame := json.loads(link.recv(timeout=10))):
+                pass
+            assert "interrupted" in frame["ended"]
+        assert process.wait(20) == INTERRUPTED
+    log = tmp_path / "out" / "negard_patient2-001" / "session.feslog"
+    record = read_session(log)
+    logged = {stride.number: stride for stride in record.strides}
+    for each in shown:
+        assert each["length_m"] == logged[each["number"]].stride_length_m
+        assert each["clearance_m"] == logged[each["number"]].clearance_m
+    assert {"armed", "running"} & set(states)
+    recorded_s = (logged[3].t_end_ns - int(record.samples["right_foot"].t_ns[0])) * 1e-9
+    assert took_s > 0.5 * recorded_s / 8  # not as fast as it goes
+    assert any("stopped on the page" in note.text for note in record.notes)
+    assert not record.commands[-1].on
+    assert repeat(log).difference == ""
+    assert not list(log.parent.glob("page.*"))
+
+
+@pytest.mark.slow
+def test_a_session_log_is_played_too_and_then_checked(tmp_path: Path) -> None:
+    replay_here(write_cut(tmp_path), tmp_path)
+    (log,) = tmp_path.glob("cut-*/session.feslog")
+    with replay(tmp_path, log, "--speed", "20", "--out", "out") as (process, token, port):
+        with browser(port) as link:
+            link.send(json.dumps({"token": token}))
+            shown, _ = strides_of(link, 10_000)
+        assert process.stderr is not None
+        said = process.stderr.read()
+        assert process.wait(30) == OK, said
+        assert "same byte for byte" in said
+    logged = {(each.foot, each.number): each.stride_length_m for each in read_session(log).strides}
+    assert len(shown) == len(logged)
+    assert all(each["length_m"] == logged[each["foot"], each["number"]] for each in shown if each["valid"])
+
+
+def test_a_taken_port_is_said(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        done = run_fes("replay", RECORDING, "--page", "--page-port", str(port), cwd=tmp_path)
+    assert done.returncode == UNUSABLE
+    assert "Choose another port" in done.stderr
+    assert "Traceback" not in done.stderr
