@@ -177,6 +177,17 @@ def test_pause_is_off_and_one_key_from_armed_with_its_intensity() -> None:
     assert bench.controller.intensity == pytest.approx(0.05)
 
 
+def test_a_pause_through_the_control_socket_never_goes_on_an_arm_does() -> None:
+    bench = Bench().armed()
+    for _ in range(2):
+        for event in bench.operator.order(order_of_message(b'{"ask": "pause"}'), bench.t_ns):
+            bench.handle(event)
+        assert bench.operator.state is State.PAUSED
+    assert "paused already" in bench.operator.message
+    bench.order(Ask.ARM)
+    assert bench.operator.state is State.ARMED
+
+
 @pytest.mark.parametrize("before", ["shadow", "armed", "paused"])
 def test_an_emergency_stop_latches_from_everywhere_and_arming_starts_from_nothing(before: str) -> None:
     bench = Bench()

@@ -13,7 +13,7 @@ from fes.config import Session
 from fes.controller import Controller
 from fes.gate import SafetyGate
 from fes.journal import Note
-from fes.live.orders import Ask, Order
+from fes.live.orders import CONTROL, Ask, Order
 from fes.live.states import CURRENT_ALLOWED, Cause, SessionMachine, State
 from fes.live.tuning_orders import Refusal, TuningOrders
 from fes.live.watch import SensorWatch
@@ -172,6 +172,8 @@ class Operator:
 
     def _pause(self, order: Order, t_ns: int) -> list[Event]:
         if self.state is State.PAUSED:
+            if order.origin == CONTROL:  # a script's pause that came twice must not go on; its arm is confirmed
+                return self._refuse(t_ns, "paused already; arm goes on")
             return self._arm(order, t_ns)
         if not self.machine.may(Cause.PAUSE):
             return self._refuse(t_ns, f"nothing to pause: the session is {self.state}")

@@ -61,6 +61,7 @@ KEYS: Final = {
 NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
     (Ask.ARM, Ask.UP, Ask.TEST, Ask.TRIGGER, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK)
 )
+CONTROL: Final = "control"  # the origin of what comes through the control socket
 LONGEST_ORDER: Final = 1024
 
 
@@ -98,4 +99,4 @@ def order_of_message(message: bytes) -> Order:
         raise OrderRefused("value must be a finite number")
     if ask in NEEDS_CONFIRMATION and data.get("confirm") is not True:
         raise OrderRefused(f'{ask} can lead to more current and needs "confirm": true')
-    return Order(ask, float(value), "control")
+    return Order(ask, float(value), CONTROL)
