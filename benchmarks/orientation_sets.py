@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from hdf5_old import OldHdf5
 from real_sets import _two_header_lines as two_header_lines
 from real_sets import stroke_feet
 
 from fes.estimation.rest import at_rest, calibrate_rest
+from fes.importing.hdf5 import OldHdf5
 from fes.signals import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]

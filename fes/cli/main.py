@@ -18,6 +18,8 @@ COMMANDS: Final = {
     "doctor": ("fes.cli.doctor", "Before a session: ports, buses, rates, clocks, disk and permissions, with remedies."),
     "replay": ("fes.cli.replay", "Replay a recording or a session log: phases, strides, stimulation, report."),
     "analyse": ("fes.cli.analyse", "Find phases and strides in recordings; tables and a report of each."),
+    "evaluate": ("fes.cli.evaluate", "Hold a recording against a reference: bias, limits of agreement, ICC, figures."),
+    "import": ("fes.cli.import_", "Public data sets, as downloaded, into recordings and references."),
     "calibrate": ("fes.cli.calibrate", "How the sensors sit and how this person moves, from a short recording."),
     "hil": ("fes.cli.hil", "A fault campaign: faults into a running session, judged at the stimulator's end."),
     "report": ("fes.cli.report", "Write the report of a session log again."),

@@ -20,6 +20,7 @@ from fes import __version__
 from fes.agreement import Interval
 from fes.reference.evaluation import BOTH, AgreementRow, Evaluation
 from fes.view.figures_agreement import agreement_figures
+from fes.view.figures_gait import foot_color
 from fes.view.findings import words
 from fes.view.jsonable import plain
 from fes.view.report import ReportError
@@ -175,6 +176,7 @@ def render_page(evaluation: Evaluation) -> str:
             rows=[cells(row) for row in evaluation.rows],
             counts=[count_words(evaluation, k) for k in range(len(evaluation.counts))],
             clock=clock_words(evaluation),
+            feet=[(words(foot), foot_color(foot)) for foot in sorted({pair.foot for pair in evaluation.pairs})],
             figures=[
                 {"title": figure.title, "svg": Markup(figure.svg), "caption": figure.caption}
                 for figure in agreement_figures(evaluation)

@@ -1,0 +1,22 @@
+"""How well two ways of measuring agree: matching, time lag, differences, limits of agreement, ICC, regression.
+
+Pure: arrays in, numbers out. Nothing here knows of files, feet or sensors.
+"""
+
+from fes.agreement.differences import Differences, Interval, differences
+from fes.agreement.icc import Icc, icc_2_1
+from fes.agreement.lag import Lag, lag_of, trains
+from fes.agreement.regression import Line, line_through
+
+__all__ = [
+    "Differences",
+    "Icc",
+    "Interval",
+    "Lag",
+    "Line",
+    "differences",
+    "icc_2_1",
+    "lag_of",
+    "line_through",
+    "trains",
+]

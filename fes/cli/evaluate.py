@@ -1,0 +1,168 @@
+"""``fes evaluate``: how far what was estimated agrees with a reference."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from fes.cli.exits import Problem, StoppedEarly, fail
+from fes.cli.folders import LOG_SUFFIX
+
+if TYPE_CHECKING:
+    from fes.reference.estimate import Estimate
+    from fes.reference.evaluation import Evaluation
+
+PIPED_COLUMNS = 132
+_PATH = click.Path(path_type=Path)
+_POSITIVE = click.FloatRange(min=0, min_open=True)
+
+
+@click.command(name="evaluate")
+@click.argument("recording", type=_PATH)
+@click.option("--reference", "references", multiple=True, type=_PATH, help="CSV or C3D, may be given again.")
+@click.option("--calibration", type=_PATH, help="From fes calibrate. Default: from the recording.")
+@click.option("--foot", type=click.Choice(["left", "right"]), help="Whose a reference is that does not say.")
+@click.option("--marker", "markers", multiple=True, metavar="LABEL=FOOT.POINT", help="C3D: as LHEE=left_foot.heel.")
+@click.option("--up", type=click.Choice(["x", "y", "z"]), default="z", show_default=True, help="C3D: vertical axis.")
+@click.option(
+    "--frame", type=click.Choice(["auto", "lab", "ground"]), default="auto", show_default=True, help="Of paths."
+)
+@click.option("--belt-speed", type=_POSITIVE, help="Of the treadmill, m/s. Default: the recording's own.")
+@click.option("--belt-axis", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Walking direction in the lab.")
+@click.option("--sync", type=click.Choice(["check", "fit"]), default="check", show_default=True, help="Of the clocks.")
+@click.option("--lag", type=float, help="Seconds to add to the reference's times.")
+@click.option("--max-lag", type=_POSITIVE, default=10.0, show_default=True, help="Seconds to search, either way.")
+@click.option("--tolerance-ms", type=_POSITIVE, default=150.0, show_default=True, help="Between events of a pair.")
+@click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
+@click.option("--out", type=_PATH, default=Path("out"), show_default=True, help="Results go below.")
+@click.option("--json", "as_json", is_flag=True, help="Print everything as JSON instead of the table.")
+@click.option("--no-report", is_flag=True, help="Write no files.")
+def command(
+    recording: Path,
+    references: tuple[Path, ...],
+    calibration: Path | None,
+    foot: str | None,
+    markers: tuple[str, ...],
+    up: str,
+    frame: str,
+    belt_speed: float | None,
+    belt_axis: str | None,
+    sync: str,
+    lag: float | None,
+    max_lag: float,
+    tolerance_ms: float,
+    uneven: bool,
+    out: Path,
+    as_json: bool,
+    no_report: bool,
+) -> None:
+    """Analyse RECORDING (or take a session log as it was) and hold it against references.
+
+    Without --reference: the files beside the recording, as fes import writes them (NAME.events.csv, NAME.strides.csv,
+    NAME.path.csv, NAME.reference.csv, NAME.belt.csv, NAME.mat.csv, NAME.switch.csv, NAME.c3d). What a CSV is, its
+    columns tell: strides, events, footfalls of a step mat, foot switches, a marker's path, a belt's speed.
+
+    Writes a page, all numbers as JSON, and the pairs as a table.
+    """
+    from fes.reference import ReferenceError
+    from fes.reference.evaluation import Settings, evaluate
+    from fes.reference.read import beside, read_references
+
+    if lag is not None and sync == "fit":
+        raise Problem("--lag gives the lag, --sync fit finds it; choose one")
+    files = list(references) or beside(recording)
+    if not files and belt_speed is None:
+        raise Problem(f"{recording}: no reference lies beside it. Name one: --reference FILE, or --belt-speed M/S")
+    estimate, own_belt = _estimated(recording, calibration, level=not uneven)
+    default = f"{foot}_foot" if foot else (estimate.feet[0] if len(estimate.feet) == 1 else None)
+    try:
+        reference = read_references(files, foot=default, markers=_markers(markers), up=up)
+        settings = Settings(
+            frame=frame,
+            belt_mps=belt_speed or own_belt,
+            belt_axis=belt_axis,
+            compare_belt=belt_speed is not None,
+            fit_lag=sync == "fit",
+            lag_s=lag,
+            most_lag_s=max_lag,
+            tolerance_s=1e-3 * tolerance_ms,
+        )
+        result = evaluate(estimate, reference, settings)
+    except ReferenceError as error:
+        fail(error)
+    folder = None if no_report else _written(result, out, recording)
+    _told(result, folder, as_json=as_json)
+
+
+def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tuple[Estimate, float | None]:
+    """What a session log says, or what an analysis finds; and the belt's speed, if the recording states it."""
+    from fes.reference.estimate import from_analysis, from_session
+
+    if recording.suffix == LOG_SUFFIX:
+        from fes.journal import SessionLogError, read_session
+
+        try:
+            record = read_session(recording)
+        except SessionLogError as error:
+            fail(error)
+        belt = record.header.get("recording", {}).get("belt_speed_mps")
+        return from_session(record, str(recording)), float(belt) if belt else None
+    from fes.analysis import analyse, calibrations_of
+    from fes.calibrations import drivers_from
+    from fes.estimation.calibration import CalibrationError
+    from fes.recording import RecordingError, read_recording
+
+    try:
+        read = read_recording(recording)
+        read, found = drivers_from(calibration, read) if calibration else calibrations_of(read, level=level)
+    except (RecordingError, CalibrationError) as error:
+        fail(error)
+    for reason in found.missing.values():
+        click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
+    return from_analysis(analyse(read, found.calibrations, level=level)), read.belt_speed_mps
+
+
+def _markers(given: tuple[str, ...]) -> dict[str, tuple[str, str]] | None:
+    found = {}
+    for text in given:
+        parts = re.fullmatch(r"(.+)=(left_foot|right_foot)\.(sensor|heel|toe)", text)
+        if parts is None:
+            raise Problem(f"--marker {text}: say LABEL=FOOT.POINT, as LHEE=left_foot.heel; points: sensor, heel, toe")
+        found[parts[1]] = (parts[2], parts[3])
+    return found or None
+
+
+def _written(result: Evaluation, out: Path, recording: Path) -> Path:
+    from fes.cli.analyse import write_table
+    from fes.cli.replay import fresh_folder
+    from fes.view.agreement import agreement_json, pair_rows, write_page
+
+    folder = fresh_folder(out, f"{recording.stem}-evaluation")
+    try:
+        write_page(result, folder / "agreement.html")
+        text = json.dumps(agreement_json(result), indent=1, ensure_ascii=False, allow_nan=False)
+        (folder / "agreement.json").write_text(text, encoding="utf-8")
+        write_table(pair_rows(result), folder / "pairs.csv")
+    except OSError as error:
+        raise StoppedEarly(f"{folder}: cannot be written: {error.strerror or error}") from error
+    return folder
+
+
+def _told(result: Evaluation, folder: Path | None, *, as_json: bool) -> None:
+    from fes.view.agreement import agreement_json, agreement_text
+
+    if as_json:
+        told = {**agreement_json(result), "files": {"folder": str(folder) if folder else None}}
+        click.echo(json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False))
+        return
+    from rich.console import Console
+
+    screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
+    screen.print(agreement_text(result))
+    if folder is not None:
+        screen.print(f"Page, JSON and pairs  {folder}", markup=False)

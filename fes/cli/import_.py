@@ -1,0 +1,82 @@
+"""``fes import``: public data sets, as downloaded, into recordings and references."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from fes.cli.exits import FAILED, Problem, fail
+
+
+@click.command(name="import")
+@click.argument("name", metavar="NAME")
+@click.argument("files", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for what is made.")
+@click.option("--format", "form", type=click.Choice(["parquet", "csv"]), default="parquet", show_default=True)
+@click.option(
+    "--foot", type=click.Choice(["left", "right"]), help="Whose, where the data set does not say. Default: right."
+)
+@click.option("--overwrite", is_flag=True, help="Replace what is there.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was made as JSON.")
+def command(
+    name: str,
+    files: tuple[Path, ...],
+    out: Path | None,
+    form: str,
+    foot: str | None,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Turn FILES (or a folder) of the data set NAME into recordings with sidecars, and references beside them.
+
+    NAME is gaitmap, stroke_treadmill, pyshoe, ruler, broad or xio; `fes import list` says what each is. Units
+    become SI, axes stay the sensors' own, known defects are noted in the sidecar. The data keeps its own licence,
+    which is named.
+
+    One file that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
+    """
+    from fes.importing import DATA_SETS, ImportProblem, files_of, read_file, write_imported
+
+    if name == "list":
+        for each in DATA_SETS.values():
+            click.echo(f"{each.name:<17} {each.about}\n{'':<17} {each.source}; licence: {each.licence}")
+        return
+    if name not in DATA_SETS:
+        raise Problem(f"{name}: is no data set known here; {', '.join(DATA_SETS)} are")
+    if not files or out is None:
+        raise Problem(
+            "name the files of the data set (or their folder) and where to write: fes import NAME FILES --out DIR"
+        )
+    about = DATA_SETS[name]
+    made: list[dict[str, Any]] = []
+    failures = 0
+    try:
+        todo = files_of(name, files)
+    except ImportProblem as error:
+        fail(error)
+    for file in todo:
+        try:
+            imported = read_file(name, file, foot=foot)
+            written = write_imported(imported, out, about.words(), form=form, overwrite=overwrite)
+        except ImportProblem as error:
+            if len(todo) == 1:
+                fail(error)
+            click.secho(f"Error: {error}", fg="red", err=True)
+            failures += 1
+            continue
+        references = [str(path) for path in written[2:]]
+        made.append({"recording": str(written[0]), "references": references, "notes": list(imported.notes)})
+        if not as_json:
+            click.echo(f"{written[0]}" + "".join(f"\n  reference {path.name}" for path in written[2:]))
+            for note in imported.notes:
+                click.echo(f"  note: {note}")
+    if as_json:
+        click.echo(json.dumps({**about.words(), "made": made}, indent=2, ensure_ascii=False))
+    else:
+        click.echo(f"From {about.source}; licence: {about.licence}")
+    if failures:
+        click.secho(f"{failures} of {len(todo)} files could not be used.", fg="red", err=True)
+        raise SystemExit(FAILED)

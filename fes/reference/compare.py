@@ -1,0 +1,175 @@
+"""A reference and an estimate → pairs of numbers, and what has no partner."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from fes.reference.estimate import Estimate, foot_of
+from fes.reference.types import EVENTS, Reference, ReferenceStride
+from fes.signals import NS_PER_S, FloatArray, StrideResult
+from fes.timing import pair
+
+TOLERANCE_S: Final = 0.15
+EDGE_S: Final = 1.0  # at a recording's ends a stride or event of the reference may be cut off: not missed
+_INSTANT: Final = {"IC": "initial_contact_s", "FO": "foot_off_s"}
+_OF_STRIDES: Final = ("stride_length_m", "clearance_m", "toe_clearance_m", "heel_clearance_m", "speed_mps")
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """One quantity of one foot, SI; ``t_s`` is when, on the recording's clock."""
+
+    quantity: str
+    foot: str
+    t_s: float
+    reference: float
+    estimate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Count:
+    """How the matching of one kind (IC, FO, stride, swing) of one foot came out.
+
+    ``left_out``: matched, but one of the sides says that its numbers must not be used.
+    """
+
+    what: str
+    foot: str
+    expected: int
+    found: int
+    missed: int
+    extra: int
+    left_out: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """All pairs and counts."""
+
+    pairs: tuple[Pair, ...]
+    counts: tuple[Count, ...]
+
+    def joined(self, other: Comparison) -> Comparison:
+        """Both together."""
+        return Comparison(self.pairs + other.pairs, self.counts + other.counts)
+
+
+def compare(reference: Reference, estimate: Estimate, *, tolerance_s: float = TOLERANCE_S) -> Comparison:
+    """Hold events and strides of a reference, already on the recording's clock, against the estimate.
+
+    Events of one kind and foot are paired one to one, nearest first, at most ``tolerance_s`` apart. A stride of the
+    reference is paired with the estimated one whose swing lies in it. Only the time that both cover counts.
+    """
+    result = Comparison((), ())
+    for foot in estimate.feet:
+        result = result.joined(_events(reference, estimate, foot, tolerance_s))
+        result = result.joined(_strides(reference, estimate, foot))
+    return result
+
+
+def _events(reference: Reference, estimate: Estimate, foot: str, tolerance_s: float) -> Comparison:
+    pairs: list[Pair] = []
+    counts: list[Count] = []
+    partner: dict[str, dict[float, float]] = {}
+    for what in EVENTS:
+        true = np.array([event.t_s for event in reference.events if event.foot == foot and event.what == what])
+        ours = np.sort(estimate.events.get(foot, {}).get(what, np.zeros(0)))
+        if not len(true):
+            continue
+        begin, end = true.min() - tolerance_s, true.max() + tolerance_s
+        ours = ours[(ours >= begin) & (ours <= end)]
+        expected = true[(true >= estimate.begin_s - tolerance_s) & (true <= estimate.end_s + tolerance_s)]
+        matched = pair(_ns(expected), _ns(ours), 1e9 * tolerance_s)
+        inner = (expected > estimate.begin_s + EDGE_S) & (expected < estimate.end_s - EDGE_S)
+        missed = int(inner.sum()) - sum(bool(inner[i]) for i, _ in matched)
+        counts.append(Count(what, foot, len(matched) + missed, len(ours), missed, len(ours) - len(matched)))
+        partner[what] = {float(expected[i]): float(ours[j]) for i, j in matched}
+        pairs += [Pair(_INSTANT[what], foot, t, t, partner[what][t]) for t in sorted(partner[what])]
+    pairs += _durations(reference, foot, partner)
+    return Comparison(tuple(pairs), tuple(counts))
+
+
+def _durations(reference: Reference, foot: str, partner: dict[str, dict[float, float]]) -> Iterator[Pair]:
+    """Times between successive events of the reference, both of which were found."""
+    mine = [event for event in reference.events if event.foot == foot]
+    contacts = [event.t_s for event in mine if event.what == "IC"]
+    ic, fo = partner.get("IC", {}), partner.get("FO", {})
+    for k, t in enumerate(contacts):
+        after = contacts[k + 1] if k + 1 < len(contacts) else None
+        if after is not None and after - t < 4.0 and t in ic and after in ic:
+            yield Pair("stride_time_s", foot, t, after - t, ic[after] - ic[t])
+    for first, second in pairwise(mine):
+        if second.t_s - first.t_s > 4.0 or first.what == second.what:
+            continue
+        of_first, of_second = (ic, fo) if first.what == "IC" else (fo, ic)
+        if first.t_s in of_first and second.t_s in of_second:
+            name = "stance_time_s" if first.what == "IC" else "swing_time_s"
+            ours = of_second[second.t_s] - of_first[first.t_s]
+            yield Pair(name, foot, first.t_s, second.t_s - first.t_s, ours)
+
+
+def _strides(reference: Reference, estimate: Estimate, foot: str) -> Comparison:
+    mine = [s for s in reference.strides if s.foot == foot and s.values]
+    if not mine:
+        return Comparison((), ())
+    ours = estimate.of(foot)
+    swings = np.array([swing_s(stride) for stride in ours])
+    pairs: list[Pair] = []
+    matched, missed, left_out = set[int](), 0, 0
+    for true in mine:
+        inside = [k for k in range(len(ours)) if true.t_start_s < swings[k] < true.t_end_s and k not in matched]
+        if not inside:
+            missed += estimate.begin_s + EDGE_S < true.t_start_s and true.t_end_s < estimate.end_s - EDGE_S
+            continue
+        chosen = max(inside, key=lambda k: _shared(true, ours[k]))
+        matched.add(chosen)
+        if not (true.usable and ours[chosen].valid):
+            left_out += 1
+            continue
+        pairs += _of_stride(true, ours[chosen], foot, estimate)
+    begin, end = mine[0].t_start_s, max(stride.t_end_s for stride in mine)
+    near = [k for k in range(len(ours)) if begin < swings[k] < end]
+    extra = sum(k not in matched and ours[k].valid for k in near)
+    count = Count("stride", foot, len(matched) + missed, len(matched) + extra, missed, extra, left_out)
+    return Comparison(tuple(pairs), (count,))
+
+
+def _of_stride(true: ReferenceStride, ours: StrideResult, foot: str, estimate: Estimate) -> Iterator[Pair]:
+    at = 0.5 * (true.t_start_s + true.t_end_s)
+    for name, value in true.values.items():
+        found = float("nan")
+        if name in _OF_STRIDES:
+            found = float(getattr(ours, name))
+        elif name == "foot_strike_rad" and foot in estimate.strike_rad:
+            times, angles = estimate.strike_rad[foot]
+            inside = np.flatnonzero((times > true.t_start_s) & (times <= true.t_end_s))
+            found = float(angles[inside[0]]) if len(inside) else found
+        elif name == "stride_time_s":
+            found = 1e-9 * (ours.t_end_ns - ours.t_start_ns)
+        if np.isfinite(found) and np.isfinite(value):
+            yield Pair(name, foot, at, value, found)
+
+
+def swing_s(stride: StrideResult) -> float:
+    """The middle of a stride's swing, or of the stride where its phases are not known."""
+    begin, end = stride.t_swing_ns, stride.t_loading_response_ns
+    if begin is None or end is None:
+        begin, end = stride.t_start_ns, stride.t_end_ns
+    return 0.5 * (begin + end) / NS_PER_S
+
+
+def _shared(true: ReferenceStride, ours: StrideResult) -> float:
+    """How much time two strides share."""
+    return min(true.t_end_s, 1e-9 * ours.t_end_ns) - max(true.t_start_s, 1e-9 * ours.t_start_ns)
+
+
+def _ns(seconds: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return np.round(np.asarray(seconds) * NS_PER_S).astype(np.int64)
+
+
+__all__ = ["Comparison", "Count", "Pair", "compare", "foot_of", "swing_s"]
