@@ -15,6 +15,7 @@ import numpy as np
 
 from fes.estimation.kernel import FootParameters, lags_at
 from fes.estimation.movements import movements, moving_mean, strapdown, travel, vertical_of
+from fes.estimation.rest_kernel import least_spread
 from fes.estimation.stride import double_integral, effects
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
@@ -175,13 +176,8 @@ def _vector(v: FloatArray) -> Vector3:
 def _standing(rate_hz: float, acc: FloatArray, gyr: FloatArray) -> tuple[FloatArray, bool]:
     """Gyroscope bias from the stillest second, zero where nobody stood still."""
     n = round(STANDING_S * rate_hz)
-    step = max(n // 4, 1)
-    best, bias = np.inf, np.zeros(3)
-    for begin in range(0, len(gyr) - n, step):
-        part = gyr[begin : begin + n]
-        spread = float(part.std(axis=0).max() + 0.1 * acc[begin : begin + n].std(axis=0).max())
-        if spread < best:
-            best, bias = spread, np.median(part, axis=0)
+    begin, best = least_spread(np.ascontiguousarray(acc), np.ascontiguousarray(gyr), n, max(n // 4, 1), 0.1)
+    bias = np.median(gyr[begin : begin + n], axis=0) if begin >= 0 else np.zeros(3)
     standing = best < STANDING_RATE_RADPS and float(np.linalg.norm(bias)) < 0.2
     return (bias if standing else np.zeros(3)), standing
 

@@ -71,9 +71,13 @@ def foot_path(
     contact_ns: int | None,
 ) -> FootPath:
     """A path from orientations (N, 4), sensor to world, and the foot's ``forward`` and ``up`` (3,) in the sensor."""
-    columns = [rotate_all(quaternion, axis) for axis in (forward, np.cross(up, forward), up)]
+    (fx, fy, fz), (ux, uy, uz) = forward.tolist(), up.tolist()
+    left = np.array((uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx))
+    axes = np.empty((len(quaternion), 3, 3))
+    for k, axis in enumerate((forward, left, up)):
+        axes[:, :, k] = rotate_all(quaternion, axis)
     # the tracker's buffer of times is used again: a path must keep its own
-    return FootPath(number, t_ns.copy(), position_m.copy(), np.stack(columns, axis=2), foot_off_ns, contact_ns)
+    return FootPath(number, t_ns.copy(), position_m.copy(), axes, foot_off_ns, contact_ns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -171,7 +171,9 @@ class _Walk:
     @staticmethod
     def _typical(falls: FloatArray) -> float:
         """The median of the upper third: some of the peaks are not swings."""
-        return float(np.median(np.sort(falls)[-max(3, len(falls) // 3) :]))
+        upper = np.sort(falls)[-max(3, len(falls) // 3) :].tolist()
+        middle = len(upper) // 2
+        return float(upper[middle] if len(upper) % 2 else 0.5 * (upper[middle - 1] + upper[middle]))
 
     def _is_step(self, mid: int, share: float, fall_radps: float) -> bool:
         """Is a small fall part of a movement as brisk as a step."""

@@ -42,6 +42,7 @@ from fes.estimation.rest_kernel import (
     RATE_TOLERANCE_RADPS,
     Detector,
     all_windows,
+    stillest,
     window_value,
 )
 from fes.signals import G_MPS2, FloatArray, Vector3
@@ -227,18 +228,12 @@ def _checked(acc: FloatArray, gyr: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 def _stillest(acc: FloatArray, gyr: FloatArray, n: int) -> tuple[int, bool]:
     """First sample of the stillest second, and whether it is standing."""
-    best, begin, standing = math.inf, 0, False
-    for i in range(0, len(acc) - n + 1, max(n // 8, 1)):
-        force, rate = acc[i : i + n], gyr[i : i + n]
-        turning = float(np.sqrt(rate.var(axis=0).sum()))
-        shaking = float(np.sqrt(force.var(axis=0).sum()))
-        spread = turning / STANDING_RATE_RADPS + shaking / STANDING_ACC_MPS2
-        if spread < best:
-            still = turning < STANDING_RATE_RADPS and shaking < STANDING_ACC_MPS2
-            level = abs(float(np.linalg.norm(force.mean(axis=0))) - G_MPS2) < 0.1 * G_MPS2
-            biased = float(np.linalg.norm(rate.mean(axis=0))) < GREATEST_BIAS_RADPS
-            best, begin, standing = spread, i, still and level and biased
-    return begin, standing
+    begin, turning, shaking = stillest(acc, gyr, n, max(n // 8, 1), STANDING_ACC_MPS2, STANDING_RATE_RADPS)
+    force, rate = acc[begin : begin + n], gyr[begin : begin + n]
+    still = turning < STANDING_RATE_RADPS and shaking < STANDING_ACC_MPS2
+    level = abs(float(np.linalg.norm(force.mean(axis=0))) - G_MPS2) < 0.1 * G_MPS2
+    biased = float(np.linalg.norm(rate.mean(axis=0))) < GREATEST_BIAS_RADPS
+    return begin, still and level and biased
 
 
 def _chi2_quantile(degrees: int) -> float:

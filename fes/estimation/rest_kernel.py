@@ -76,3 +76,75 @@ def all_windows(
         end = min(i + ahead + 1, n)
         begin = max(i + ahead + 1 - count, 0)
         out[i] = window_value(detector, acc, gyr, begin, end, g, bx, by, bz)
+
+
+@jit
+def _spread2(x: Any, begin: int, end: int, most: float) -> float:
+    """Summed variances of the three columns over ``begin`` … ``end - 1``; infinite once that exceeds ``most``."""
+    n = end - begin
+    mx = my = mz = 0.0
+    for i in range(begin, end):
+        mx += x[i, 0]
+        my += x[i, 1]
+        mz += x[i, 2]
+    mx, my, mz = mx / n, my / n, mz / n
+    total, enough = 0.0, most * n
+    for i in range(begin, end):
+        dx, dy, dz = x[i, 0] - mx, x[i, 1] - my, x[i, 2] - mz
+        total += dx * dx + dy * dy + dz * dz
+        if total > enough:
+            return math.inf
+    return total / n
+
+
+@jit
+def stillest(acc: Any, gyr: Any, n: int, step: int, acc_unit: float, gyr_unit: float) -> tuple[int, float, float]:
+    """Of the windows of ``n`` samples, every ``step``, that with the least spread: where it begins, and its spreads.
+
+    A window's spread is that of the rate and that of the force (root of the summed variances), each in its unit. A
+    window is left as soon as it cannot be the stillest any more, which most of them cannot after a few samples.
+    """
+    best, begin, turning, shaking = math.inf, 0, math.inf, math.inf
+    for i in range(0, acc.shape[0] - n + 1, step):
+        # a little more than the bound, so that rounding decides nothing
+        most = best * gyr_unit * 1.000001
+        turn = math.sqrt(_spread2(gyr, i, i + n, most * most))
+        if turn / gyr_unit >= best:
+            continue
+        most = (best - turn / gyr_unit) * acc_unit * 1.000001
+        shake = math.sqrt(_spread2(acc, i, i + n, most * most))
+        spread = turn / gyr_unit + shake / acc_unit
+        if spread < best:
+            best, begin, turning, shaking = spread, i, turn, shake
+    return begin, turning, shaking
+
+
+@jit
+def _greatest_sd(x: Any, begin: int, end: int) -> float:
+    """The greatest standard deviation of the three columns over ``begin`` … ``end - 1``."""
+    greatest = 0.0
+    for j in range(3):
+        mean = total = 0.0
+        for i in range(begin, end):
+            mean += x[i, j]
+        mean /= end - begin
+        for i in range(begin, end):
+            total += (x[i, j] - mean) * (x[i, j] - mean)
+        greatest = max(greatest, total / (end - begin))
+    return math.sqrt(greatest)
+
+
+@jit
+def least_spread(acc: Any, gyr: Any, n: int, step: int, acc_weight: float) -> tuple[int, float]:
+    """Of the windows of ``n`` samples, every ``step``, that with the least spread: where it begins (-1: no window).
+
+    A window's spread is the greatest standard deviation of a rate plus ``acc_weight`` times that of a force.
+    """
+    begin, best = -1, math.inf
+    for i in range(0, acc.shape[0] - n, step):
+        spread = _greatest_sd(gyr, i, i + n)
+        if spread < best:
+            spread += acc_weight * _greatest_sd(acc, i, i + n)
+        if spread < best:
+            begin, best = i, spread
+    return begin, best

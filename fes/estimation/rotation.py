@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -65,14 +66,30 @@ def from_gravity(fx: float, fy: float, fz: float) -> tuple[float, float, float, 
     return w, 0.5 * uy / w, -0.5 * ux / w, 0.0
 
 
+@jit
+def _rotate_rows(q: Any, x: float, y: float, z: float, out: Any) -> None:
+    for i in range(q.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2] = to_world(q[i, 0], q[i, 1], q[i, 2], q[i, 3], x, y, z)
+
+
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """Rotate the vector (3,) from the sensor into the world by the quaternion (4,)."""
-    t = 2.0 * np.cross(q[1:], v)
-    return np.asarray(v + q[0] * t + np.cross(q[1:], t))
+    return np.array(to_world(*q.tolist(), *v.tolist()))
 
 
 def rotate_all(quaternion: FloatArray, v: FloatArray) -> FloatArray:
     """Rotate one sensor vector (3,) by each quaternion (N, 4): (N, 3) in the world."""
-    axis = quaternion[:, 1:]
-    t = 2.0 * np.cross(axis, v)
-    return np.asarray(v + quaternion[:, :1] * t + np.cross(axis, t))
+    out = np.empty((len(quaternion), 3))
+    x, y, z = v.tolist()
+    _rotate_rows(quaternion, x, y, z, out)
+    return out
+
+
+@jit
+def without(x: Any, bias: Any) -> Any:
+    """Samples (N, 3) less a bias (3,)."""
+    out = np.empty(x.shape)
+    for i in range(x.shape[0]):
+        for j in range(3):
+            out[i, j] = x[i, j] - bias[j]
+    return out

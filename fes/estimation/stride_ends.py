@@ -6,10 +6,13 @@ rate gives the velocity of a foot that turns about its ground contact, its unres
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from fes.estimation.compiled import jit
 from fes.estimation.likely_noise import StrideNoise, end_variances
 from fes.signals import FloatArray, IntArray
 
@@ -44,14 +47,27 @@ class StrideEnd:
 def measure_end(k: int, period_s: float, acc: FloatArray, gyr: FloatArray) -> StrideEnd:
     """The end at sample ``k`` of a history ``acc`` (N, 3) m/s², ``gyr`` (N, 3) rad/s with the mean period given."""
     around = max(round(AROUND_S / period_s), 1)
-    rows = slice(max(k - around, 0), k + around + 1)
-    force, rate = acc[rows], gyr[rows]
-    return StrideEnd(
-        rate.mean(axis=0),
-        force.mean(axis=0),
-        float(np.linalg.norm(rate.std(axis=0))),
-        float(force.std(axis=0).max()),
-    )
+    begin, end = max(k - around, 0), min(k + around + 1, len(acc))
+    *rate, rx, ry, rz = _mean_and_variance(gyr, begin, end)
+    *force, fx, fy, fz = _mean_and_variance(acc, begin, end)
+    return StrideEnd(np.array(rate), np.array(force), math.sqrt(rx + ry + rz), math.sqrt(max(fx, fy, fz)))
+
+
+@jit
+def _mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, float, float, float, float]:
+    """Means, then variances, of the three columns over the rows ``begin`` … ``end - 1``."""
+    n = end - begin
+    m0 = m1 = m2 = v0 = v1 = v2 = 0.0
+    for i in range(begin, end):
+        m0 += x[i, 0]
+        m1 += x[i, 1]
+        m2 += x[i, 2]
+    m0, m1, m2 = m0 / n, m1 / n, m2 / n
+    for i in range(begin, end):
+        v0 += (x[i, 0] - m0) ** 2
+        v1 += (x[i, 1] - m1) ** 2
+        v2 += (x[i, 2] - m2) ** 2
+    return m0, m1, m2, v0 / n, v1 / n, v2 / n
 
 
 def quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) -> int:
@@ -63,8 +79,21 @@ def quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) 
         return min(begin, len(t_ns) - 1)
     period_s = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
     window = min(max(round(QUIET_WINDOW_S / period_s), 1), len(part))
-    energy = np.cumsum(np.concatenate(([0.0], np.einsum("ij,ij->i", part, part))))
-    return int(begin + np.argmin(energy[window:] - energy[:-window]) + window // 2)
+    return int(begin + _least_energy(part, window) + window // 2)
+
+
+@jit
+def _least_energy(gyr: Any, window: int) -> int:
+    """Where the ``window`` samples of least summed squares begin, the first of equals."""
+    n = gyr.shape[0]
+    energy = np.empty(n + 1)
+    energy[0] = 0.0
+    best, at = math.inf, 0
+    for i in range(n):
+        energy[i + 1] = energy[i] + (gyr[i, 0] * gyr[i, 0] + gyr[i, 1] * gyr[i, 1] + gyr[i, 2] * gyr[i, 2])
+        if i + 1 >= window and energy[i + 1] - energy[i + 1 - window] < best:
+            best, at = energy[i + 1] - energy[i + 1 - window], i + 1 - window
+    return at
 
 
 def quietest_near(t_ns: IntArray, gyr: FloatArray, at_ns: int) -> int:

@@ -22,6 +22,7 @@ from fes.estimation.likely_noise import StrideNoise
 from fes.estimation.rotation import rotate, rotate_all
 from fes.estimation.stride import integrate, orient
 from fes.estimation.stride_ends import NO_REST_RADPS, REST_RADPS, measure_end, quietest
+from fes.estimation.stride_shape import stride_shape
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange
 
@@ -162,12 +163,10 @@ def solve_stride(
     constrained = settings.method == "constrained" or unrest_radps > REST_RADPS
     fx, fy, fz = ends[1].force_mps2
     tilt = orient(t, w, start_quaternion, fx, fy, fz, END_TILT_GAIN if constrained else 0.0, quaternion)
-    lever = np.array([0.0, 0.0, settings.sensor_height_m])
     creep_mps = CREEP_MPS["constrained" if constrained else "most_likely"]
     end_velocities = np.array(
         [
-            np.cross(rotate(quaternion[k], end.rate_radps), lever)
-            + creep_mps * _level(rotate(quaternion[k], settings.forward))
+            _end_velocity(quaternion[k], end.rate_radps, settings, creep_mps)
             for k, end in zip((0, -1), ends, strict=True)
         ]
     )
@@ -210,28 +209,22 @@ def solve_stride(
     if reason:
         return _unusable(foot, number, start_ns, end_ns, times, reason)
 
-    forward = rotate_all(quaternion, settings.forward)
-    direction = position[-1, :2] / length if length > 0.05 else forward[0, :2] / np.hypot(*forward[0, :2])
-    walking = np.column_stack(
-        (position[:, :2] @ direction, position[:, :2] @ np.array([-direction[1], direction[0]]), position[:, 2])
-    )
-    pitch = np.arcsin(np.clip(forward[:, 2], -1.0, 1.0))
-    heading = np.arctan2(forward[[0, -1], 1], forward[[0, -1], 0])
-    turn = (heading[1] - heading[0] + math.pi) % (2.0 * math.pi) - math.pi
-    toe_clearance, heel_clearance = _toe_and_heel(t, times, quaternion, position, forward, settings)
+    shape = np.empty((TRAJECTORY_POINTS, 4))
+    fx, fy, fz = settings.forward.tolist()
+    highest, turn = stride_shape(t, quaternion, position, fx, fy, fz, shape)
+    toe_clearance, heel_clearance = _toe_and_heel(t, times, quaternion, position, settings)
     if settings.watch is not None:
         swing = times.get(Phase.SWING), times.get(Phase.LOADING_RESPONSE) or times.get(Phase.STANCE)
         settings.watch(foot_path(number, t, quaternion, position, settings.forward, settings.up, *swing))
-    at = np.linspace(start_ns, end_ns, TRAJECTORY_POINTS)
     return StrideResult(
         foot=foot,
         number=number,
         t_start_ns=start_ns,
         t_end_ns=end_ns,
         stride_length_m=length,
-        clearance_m=float(position[:, 2].max()),
+        clearance_m=highest,
         height_gained_m=float(position[-1, 2]),
-        turn_rad=float(turn),
+        turn_rad=turn,
         speed_mps=length / duration_s,
         t_pre_swing_ns=times.get(Phase.PRE_SWING),
         t_swing_ns=times.get(Phase.SWING),
@@ -239,8 +232,8 @@ def solve_stride(
         t_stance_ns=times.get(Phase.STANCE),
         toe_clearance_m=toe_clearance,
         heel_clearance_m=heel_clearance,
-        trajectory_m=np.column_stack([np.interp(at, t, walking[:, k]) for k in range(3)]),
-        pitch_rad=np.interp(at, t, pitch - pitch[0]),
+        trajectory_m=np.ascontiguousarray(shape[:, :3]),
+        pitch_rad=shape[:, 3].copy(),
         reason=f"no true rest: {unrest_radps:.1f} rad/s at its quietest" if unrest_radps > REST_RADPS else "",
     )
 
@@ -250,7 +243,6 @@ def _toe_and_heel(
     times: dict[Phase, int],
     quaternion: FloatArray,
     position: FloatArray,
-    forward: FloatArray,
     settings: StrideSettings,
 ) -> tuple[float, float]:
     """Least height of the toe in mid-swing and greatest of the heel, above the starting stance (m); NaN if unknown.
@@ -261,9 +253,9 @@ def _toe_and_heel(
     geometry = settings.geometry
     if geometry is None:
         return math.nan, math.nan
-    upward = rotate_all(quaternion, settings.up)[:, 2]
-    toe = position[:, 2] + geometry.toe_forward_m * forward[:, 2] + geometry.toe_up_m * upward
-    heel = position[:, 2] + geometry.heel_forward_m * forward[:, 2] + geometry.heel_up_m * upward
+    forward, upward = (rotate_all(quaternion, axis)[:, 2] for axis in (settings.forward, settings.up))
+    toe = position[:, 2] + geometry.toe_forward_m * forward + geometry.toe_up_m * upward
+    heel = position[:, 2] + geometry.heel_forward_m * forward + geometry.heel_up_m * upward
     begin = times.get(Phase.SWING)
     end = times.get(Phase.LOADING_RESPONSE) or times.get(Phase.STANCE)
     heel_clearance = float((heel - heel[0]).max())
@@ -273,9 +265,14 @@ def _toe_and_heel(
     return (float((toe - toe[0])[i:j].min()) if j > i else math.nan), heel_clearance
 
 
-def _level(v: FloatArray) -> FloatArray:
-    """The horizontal direction of a world vector, unit (3,)."""
-    return np.array([v[0], v[1], 0.0]) / max(float(np.hypot(v[0], v[1])), 1e-9)
+def _end_velocity(
+    quaternion: FloatArray, rate_radps: FloatArray, settings: StrideSettings, creep_mps: float
+) -> tuple[float, float, float]:
+    """``w × r`` in the world of a foot that turns about the ground below its sensor, and its creep forward (m/s)."""
+    wx, wy, _ = rotate(quaternion, rate_radps).tolist()
+    fx, fy, _ = rotate(quaternion, settings.forward).tolist()
+    creep_mps /= max(math.hypot(fx, fy), 1e-9)
+    return wy * settings.sensor_height_m + creep_mps * fx, creep_mps * fy - wx * settings.sensor_height_m, 0.0
 
 
 def _unusable(foot: str, number: int, start_ns: int, end_ns: int, times: dict[Phase, int], reason: str) -> StrideResult:

@@ -9,10 +9,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Protocol, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
+from fes.estimation.compiled import jit
+from fes.estimation.rotation import without
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine
@@ -20,6 +22,8 @@ from statemachine.phases import Phase, PhaseChange, Transition
 
 RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
 HISTORY_S = 20.0
+BLOCK = 256  # samples taken into the history at a time: most of a longer block would be taken again at the next phase
+LONG_AGO_NS, NEVER_NS = -(2**63), 2**63 - 1
 LARGEST_VALUE = 1e4  # m/s² and rad/s: beyond any sensor, and one such value would spoil the orientation for good
 
 Outcome: TypeAlias = PhaseChange | StrideResult
@@ -37,6 +41,36 @@ class SampleCounts:
     def to_dict(self) -> dict[str, int]:
         """For the session log."""
         return asdict(self)
+
+
+@jit
+def sift(t_ns: Any, acc: Any, gyr: Any, newest_ns: int, keep: Any) -> tuple[int, int]:
+    """Mark in ``keep`` (N,) the samples to be used; how many are not finite or too large, and how many not newer.
+
+    An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
+    """
+    not_finite = not_newer = 0
+    for i in range(t_ns.shape[0]):
+        usable = True
+        for j in range(3):  # a comparison with what is not a number is False
+            usable = usable and abs(acc[i, j]) < LARGEST_VALUE and abs(gyr[i, j]) < LARGEST_VALUE
+        keep[i] = usable and t_ns[i] > newest_ns
+        if not usable:
+            not_finite += 1
+        elif t_ns[i] > newest_ns:
+            newest_ns = t_ns[i]
+        else:
+            not_newer += 1
+    return not_finite, not_newer
+
+
+@jit
+def stretch(t_ns: Any, n: int, gap_ns: int, due_ns: int) -> int:
+    """How many of the first ``n`` samples to take: up to a silence, or to the first at which a stride is due."""
+    for i in range(n):
+        if t_ns[i] >= due_ns or (i + 1 < n and t_ns[i + 1] - t_ns[i] > gap_ns):
+            return i + 1
+    return n
 
 
 class Strides(Protocol):
@@ -128,16 +162,12 @@ class Tracker(ABC):
             acc_mps2: (N, 3) specific force.
             gyr_radps: (N, 3) angular rate.
         """
-        long_ago = np.iinfo(np.int64).min
-        newest = self.newest_t_ns if self._running else long_ago
-        usable = (np.abs(acc_mps2) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr_radps) < LARGEST_VALUE).all(axis=1)
-        # an unusable sample's stamp counts for nothing, or it would matter where the blocks are cut
-        stamps = np.where(usable, t_ns, long_ago)
-        newer = t_ns > np.maximum.accumulate(np.concatenate(([newest], stamps)))[:-1]
-        self.counts.not_finite += int(np.count_nonzero(~usable))
-        self.counts.doubled_or_backward += int(np.count_nonzero(usable & ~newer))
-        keep = usable & newer
-        if not keep.all():
+        keep = np.empty(len(t_ns), np.bool_)
+        newest = self.newest_t_ns if self._running else LONG_AGO_NS
+        not_finite, not_newer = sift(t_ns, acc_mps2, gyr_radps, newest, keep)
+        if not_finite or not_newer:
+            self.counts.not_finite += not_finite
+            self.counts.doubled_or_backward += not_newer
             t_ns, acc_mps2, gyr_radps = t_ns[keep], acc_mps2[keep], gyr_radps[keep]
         self.counts.used += len(t_ns)
         outcomes: list[Outcome] = []
@@ -152,14 +182,9 @@ class Tracker(ABC):
             self._restart(int(t_ns[0]), acc[0], outcomes)
         if self._filled == len(self._t_ns):
             self._forget_half()
-        n = min(len(t_ns), len(self._t_ns) - self._filled)
-        # stop at silences, and where a stride is due although the stance goes on
-        silent = np.flatnonzero(np.diff(t_ns[:n]) > RESTART_GAP_S * NS_PER_S)
-        if len(silent):
-            n = int(silent[0]) + 1
+        n = min(len(t_ns), len(self._t_ns) - self._filled, BLOCK)
         due_ns = self._strides.due_ns
-        if due_ns is not None:
-            n = min(n, int(np.searchsorted(t_ns[:n], due_ns)) + 1)
+        n = stretch(t_ns, n, int(RESTART_GAP_S * NS_PER_S), NEVER_NS if due_ns is None else due_ns)
         begin, end = self._filled, self._filled + n
         self._t_ns[begin:end] = t_ns[:n]
         self._acc[begin:end] = acc[:n]
@@ -184,7 +209,10 @@ class Tracker(ABC):
         """Hand the history, freed of bias, to the stride maker."""
         n = self._filled
         result = solve(
-            self._t_ns[:n], self._acc[:n] - self._acc_bias, self._gyr[:n] - self.gyr_bias_radps, self._trace[:n]
+            self._t_ns[:n],
+            without(self._acc[:n], self._acc_bias),
+            without(self._gyr[:n], self.gyr_bias_radps),
+            self._trace[:n],
         )
         if result is not None:
             outcomes.append(result)

@@ -16,9 +16,9 @@ resting foot's velocity is a measurement. Departures and additions:
   inertial sensor reads like one at rest. Should it last, or nothing be measured for long, the filter is lost
   instead; its uncertainty grows by what it was wrong, and it takes the measurement;
 - Joseph's form for the covariance;
-- smoothing in the modified form of Bryson and Frazier (Bierman 1973, "Fixed interval smoothing with discrete
-  measurements"): the estimates of Rauch, Tung and Striebel without inverting a covariance, which here is nearly
-  singular (nothing measures heading, and position but weakly).
+- smoothing by an adjoint (Bierman 1973, "Fixed interval smoothing with discrete measurements") and the disturbances it
+  shows (Koopman 1993): the estimates of Rauch, Tung and Striebel without inverting a covariance, which here is nearly
+  singular (nothing measures heading, and position but weakly), and without keeping one for every sample.
 """
 
 from __future__ import annotations
@@ -58,7 +58,8 @@ class ZuptPath:
         q_world_from_sensor: (N, 4), wxyz.
         gyr_bias_radps: (N, 3).
         acc_bias_mps2: (N, 3).
-        covariance: (N, 15, 15) of the errors of position, velocity, rotation in the world, both biases.
+        covariance: (N, 15, 15) of the errors of position, velocity, rotation in the world, both biases; no rows of a
+            smoothed path, which does not need it.
         rest: (N,) where the velocity was measured.
         smoothed: every sample knows the whole recording; else only what came before.
     """
@@ -157,22 +158,23 @@ def zupt_path(
         lever = LEVER_M * up / max(float(np.linalg.norm(up)), 1e-9)
     else:
         lever = np.array(lever_m, dtype=np.float64)
-    tape = new_tape(len(t))
+    tape = new_tape(len(t), covariance=not smoothed)
     acc_sd = clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0])
     gyr_sd = clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1])
     first = _first_rest(rest, rate_hz)
     part = slice(first, None)
     before = acc[max(first - round(START_S * rate_hz), 0) : first + 1].mean(axis=0)
-    ours = Tape(*(rows[part] for rows in tape))
+    ours = Tape(*(rows[part] if len(rows) else rows for rows in tape))
     ours.gyr_bias[0] = calibration.gyr_bias_radps
     noise = settings or ZuptSettings()
     forward(
         t[part], acc[part], gyr[part], acc_sd[part], gyr_sd[part], rest[part], before, lever, level_ground, noise, ours
     )
     if smoothed:
-        smooth(t[part], ours)
+        smooth(t[part], bool(rest[first]), noise, ours)
     for rows in tape[:6]:
-        rows[:first] = rows[first]
+        if len(rows):
+            rows[:first] = rows[first]
     return ZuptPath(t, *tape[:6], rest=rest, smoothed=smoothed)
 
 

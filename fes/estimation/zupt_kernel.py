@@ -1,12 +1,6 @@
 """Compiled core of the ZUPT-aided navigation filter: forward pass and smoothing, in scalar loops.
 
-The error state is p, v, psi, b_g, b_a (15): errors of position and velocity in the world, a small rotation in the world
-(``R_true = exp(psi) R``), and of the gyroscope's and accelerometer's bias in the sensor frame. With ``f`` the mean
-specific force of a sampling interval in the world and ``R`` the orientation in its middle::
-
-    dp/dt = v,  dv/dt = psi × f - R b_a,  dpsi/dt = -R b_g
-
-so the transition is the identity but for a few 3 × 3 blocks, which the loops below use.
+The error state is that of :mod:`fes.estimation.zupt_covariance`.
 """
 
 from __future__ import annotations
@@ -18,9 +12,9 @@ import numpy as np
 
 from fes.estimation.compiled import jit
 from fes.estimation.rotation import from_gravity, quaternion_step, to_sensor, to_world
+from fes.estimation.zupt_covariance import BIASES, DIAGONAL, STATES, WIDTH, predict, update
 from fes.signals import G_MPS2, FloatArray
 
-STATES = 15
 MEASURED = 4  # velocity (3), height
 LEAST_WAY_M = 0.15  # of a stride that has a direction
 
@@ -53,47 +47,29 @@ class ZuptSettings(NamedTuple):
 
 
 class Tape(NamedTuple):
-    """What the filter leaves behind, N rows each; the last five are for the smoother."""
+    """What the filter leaves behind, N rows each; all from ``force`` on is for the smoother."""
 
     position: FloatArray  # (N, 3) m
     velocity: FloatArray  # (N, 3) m/s
     quaternions: FloatArray  # (N, 4)
     gyr_bias: FloatArray  # (N, 3) rad/s
     acc_bias: FloatArray  # (N, 3) m/s²
-    covariance: FloatArray  # (N, 15, 15)
+    covariance: FloatArray  # (N, 15, 15), or no rows: not kept
     force: FloatArray  # (N, 3) mean specific force in the world over the interval before the sample
     rotation: FloatArray  # (N, 3, 3) in the middle of that interval
+    added: FloatArray  # (N, 3) variance of velocity and of rotation that the interval adds; of velocity, being lost
     residual: FloatArray  # (N, 4)
     residual_var: FloatArray  # (N, 4), 0: not measured
-    gain: FloatArray  # (N, 4, 15)
+    gain: FloatArray  # (N, 4, 15), of what was measured
 
 
-def new_tape(samples: int) -> Tape:
-    """An empty tape for N samples: about 3 kB each."""
+def new_tape(samples: int, *, covariance: bool = True) -> Tape:
+    """An empty tape for N samples: 0.8 kB each, 2.6 kB with their covariance."""
     n = samples
-    three, square = (n, 3), (n, STATES, STATES)
-    shapes = (three, three, (n, 4), three, three, square, three, (n, 3, 3), (n, 4), (n, 4), (n, 4, STATES))
+    three = (n, 3)
+    squares = (n if covariance else 0, STATES, STATES)
+    shapes = (three, three, (n, 4), three, three, squares, three, (n, 3, 3), three, (n, 4), (n, 4), (n, 4, STATES))
     return Tape(*(np.zeros(shape) for shape in shapes))
-
-
-@jit
-def carry(P: Any, r: Any, f: Any, dt: float) -> None:
-    """``P ← Φ P`` row by row; on the transposed view it gives ``P Φᵀ``."""
-    for c in range(STATES):
-        s0, s1, s2 = P[6, c], P[7, c], P[8, c]
-        b0, b1, b2 = P[12, c], P[13, c], P[14, c]
-        g0, g1, g2 = P[9, c], P[10, c], P[11, c]
-        d0 = dt * (s1 * f[2] - s2 * f[1] - (r[0, 0] * b0 + r[0, 1] * b1 + r[0, 2] * b2))
-        d1 = dt * (s2 * f[0] - s0 * f[2] - (r[1, 0] * b0 + r[1, 1] * b1 + r[1, 2] * b2))
-        d2 = dt * (s0 * f[1] - s1 * f[0] - (r[2, 0] * b0 + r[2, 1] * b1 + r[2, 2] * b2))
-        P[0, c] += dt * (P[3, c] + 0.5 * d0)
-        P[1, c] += dt * (P[4, c] + 0.5 * d1)
-        P[2, c] += dt * (P[5, c] + 0.5 * d2)
-        P[3, c] += d0
-        P[4, c] += d1
-        P[5, c] += d2
-        for j in range(3):
-            P[6 + j, c] -= dt * (r[j, 0] * g0 + r[j, 1] * g1 + r[j, 2] * g2)
 
 
 @jit
@@ -112,19 +88,15 @@ def turned(q: Any, x: float, y: float, z: float, out: Any) -> None:
 
 
 @jit
-def _update(P: Any, x: Any, j: int, residual: float, variance: float, gain: Any) -> float:
-    """One scalar measurement of state ``j`` in Joseph's form; fills ``gain`` (15,), returns the residual's variance."""
-    s = P[j, j] + variance
-    row = np.empty(STATES)
-    for a in range(STATES):
-        row[a] = P[a, j]
-        gain[a] = row[a] / s
-        x[a] += gain[a] * residual
-    for a in range(STATES):
-        for b in range(a + 1):
-            P[a, b] += -gain[a] * row[b] - row[a] * gain[b] + gain[a] * s * gain[b]
-            P[b, a] = P[a, b]
-    return float(s)
+def start_variances(at_rest: bool, p: ZuptSettings, out: Any) -> None:
+    """Variances (15,) of the state's errors before the first sample; heading is the frame's own choice."""
+    tilt = p.tilt_rad if at_rest else p.tilt_moving_rad
+    for j in range(3):
+        out[j] = 0.0
+        out[3 + j] = p.start_speed_mps**2 if at_rest else 1.0
+        out[6 + j] = tilt * tilt if j < 2 else 1e-10
+        out[9 + j] = p.rate_bias_radps * p.rate_bias_radps
+        out[12 + j] = p.acc_bias_mps2 * p.acc_bias_mps2
 
 
 @jit
@@ -156,15 +128,13 @@ def forward(
     row 0 holds the start value. ``start_force`` (3,) is the specific force that says where up is at the first sample.
     """
     n = t_ns.shape[0]
-    P = np.zeros((STATES, STATES))
-    x = np.zeros(STATES)
+    P, carried = np.zeros(STATES * WIDTH), np.empty(BIASES * WIDTH)
+    x, row, gain = np.zeros(STATES), np.empty(WIDTH), np.empty(WIDTH)
     q, mid = np.empty(4), np.empty(4)
-    tilt = p.tilt_rad if rest[0] else p.tilt_moving_rad
-    for j in range(3):
-        P[3 + j, 3 + j] = p.start_speed_mps**2 if rest[0] else 1.0
-        P[6 + j, 6 + j] = tilt * tilt if j < 2 else 1e-10  # heading is the frame's own choice
-        P[9 + j, 9 + j] = p.rate_bias_radps * p.rate_bias_radps
-        P[12 + j, 12 + j] = p.acc_bias_mps2 * p.acc_bias_mps2
+    keep = tape.covariance.shape[0] == n
+    start_variances(rest[0], p, x)
+    for j in range(STATES):
+        P[j * DIAGONAL] = x[j]
     q[0], q[1], q[2], q[3] = from_gravity(start_force[0], start_force[1], start_force[2])
     bg, ba, v, s = np.empty(3), np.zeros(3), np.zeros(3), np.zeros(3)
     for j in range(3):
@@ -197,9 +167,9 @@ def forward(
                 # whoever stands seems to accelerate by noise alone, which tells no heading
                 f[0] = f[1] = 0.0
             _matrix(mid, tape.rotation[i])
-            carry(P, tape.rotation[i], f, dt)
-            carry(P.T, tape.rotation[i], f, dt)
-            add_noise(P, acc, i, f, math.sqrt(wx * wx + wy * wy + wz * wz), acc_sd, gyr_sd, dt, p)
+            predict(P, carried, tape.rotation[i], f, dt)
+            rate = math.sqrt(wx * wx + wy * wy + wz * wz)
+            tape.added[i, 0], tape.added[i, 1] = add_noise(P, acc, i, f, rate, acc_sd, gyr_sd, dt, p)
         believed = False
         if rest[i]:
             if i > 0 and not rest[i - 1]:
@@ -216,13 +186,14 @@ def forward(
             ey += going * creep[1]
             spread = p.rest_speed_mps**2 + p.rest_speed_per_rate_m**2 * rate2
             off2 = (ex - v[0]) ** 2 + (ey - v[1]) ** 2 + (ez - v[2]) ** 2
-            sure = p.outlier_sigmas**2 * (P[3, 3] + P[4, 4] + P[5, 5] + 3.0 * spread)
+            sure = p.outlier_sigmas**2 * (P[3 * DIAGONAL] + P[4 * DIAGONAL] + P[5 * DIAGONAL] + 3.0 * spread)
             lasted_s, lost_s = 1e-9 * (t_ns[i] - rest_began_ns), 1e-9 * (t_ns[i] - measured_ns)
             believed = off2 < sure or lasted_s > p.outlier_rest_s or lost_s > p.outlier_lost_s
             if believed and off2 >= sure:  # the filter was wrong, and more than it knew
+                tape.added[i, 2] = off2
                 for j in range(3):
-                    P[3 + j, 3 + j] += off2
-                    P[6 + j, 6 + j] += p.lost_tilt_rad**2
+                    P[(3 + j) * DIAGONAL] += off2
+                    P[(6 + j) * DIAGONAL] += p.lost_tilt_rad**2
         if believed:
             measured_ns = t_ns[i]
             # neighbouring samples err alike: their information per second is fixed, whatever the rate
@@ -237,7 +208,9 @@ def forward(
                     state, var = 3 + j, spread
                     error = (ex if j == 0 else ey if j == 1 else ez) - v[j] - x[3 + j]
                 tape.residual[i, j] = error
-                tape.residual_var[i, j] = _update(P, x, state, error, var, tape.gain[i, j])
+                tape.residual_var[i, j] = update(P, x, state, error, var, row, gain)
+                for a in range(STATES):
+                    tape.gain[i, j, a] = gain[a]
             for j in range(3):
                 s[j] += x[j]
                 v[j] += x[3 + j]
@@ -254,14 +227,15 @@ def forward(
             )
         for j in range(4):
             tape.quaternions[i, j] = q[j]
-        tape.covariance[i] = P
+        if keep:
+            tape.covariance[i] = P.reshape(STATES, WIDTH)[:, :STATES]
 
 
 @jit
 def add_noise(
     P: Any, acc: Any, i: int, f: Any, rate: float, acc_sd: Any, gyr_sd: Any, dt: float, p: ZuptSettings
-) -> None:
-    """Add what one interval's noise does."""
+) -> tuple[float, float]:
+    """Add what one interval's noise does; gives back the variances of velocity and of rotation in it."""
     jump = 0.0
     for j in range(3):
         jump += (acc[i, j] - acc[i - 1, j]) ** 2
@@ -274,10 +248,11 @@ def add_noise(
     v_var = (p.acc_noise_mps2_rthz**2 + p.acc_scale_noise**2 * dynamic) * dt + missing * dt * dt
     psi_var = (p.rate_noise_radps_rthz**2 + p.rate_scale_noise**2 * rate * rate) * dt + lost * dt * dt
     for j in range(3):
-        P[j, j] += 0.25 * dt * dt * v_var
-        P[j, 3 + j] += 0.5 * dt * v_var
-        P[3 + j, j] += 0.5 * dt * v_var
-        P[3 + j, 3 + j] += v_var
-        P[6 + j, 6 + j] += psi_var
-        P[9 + j, 9 + j] += p.rate_walk_radps_rts**2 * dt
-        P[12 + j, 12 + j] += p.acc_walk_mps2_rts**2 * dt
+        P[j * DIAGONAL] += 0.25 * dt * dt * v_var
+        P[j * WIDTH + 3 + j] += 0.5 * dt * v_var
+        P[(3 + j) * WIDTH + j] += 0.5 * dt * v_var
+        P[(3 + j) * DIAGONAL] += v_var
+        P[(6 + j) * DIAGONAL] += psi_var
+        P[(9 + j) * DIAGONAL] += p.rate_walk_radps_rts**2 * dt
+        P[(12 + j) * DIAGONAL] += p.acc_walk_mps2_rts**2 * dt
+    return v_var, psi_var

@@ -1,0 +1,236 @@
+"""How fast: the whole analysis of two feet from file to strides, each of its stages, a live step, start-up, memory.
+
+    python benchmarks/speed.py [--minutes 10] [--json FILE] [--cold] [--hours 1 10]
+
+The recording is the first run of the stroke-treadmill set, or without that (docs/accuracy.md says where it is from) the
+bundled both_feet_200hz, repeated to ``--minutes``. A foot's sample counts as one. Times are this process's processor
+time, the least of several runs, so that other programs disturb them little. ``--cold`` also times `fes analyse` with an
+empty compiler cache, ``--hours`` the memory of analyses of that length (10 h takes 4 GB).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from speed_bare import bare_seconds
+from stroke_treadmill import data_folder, load_run
+
+from fes.analysis import analyse, calibrations_of
+from fes.config import load_session
+from fes.controller import Controller
+from fes.driving import stride_settings
+from fes.estimation.calibration import FootCalibration
+from fes.estimation.events_offline import find_events
+from fes.estimation.foot import FootTracker
+from fes.estimation.stride_fusion import fused
+from fes.estimation.strides import StrideMaker
+from fes.estimation.warm import warm_up
+from fes.gate.of_session import gate_of
+from fes.ground_path import ground_path
+from fes.recording import Recording, Track, read_recording, write_recording
+from fes.replay import increasing, session_for
+from fes.signals import StrideResult
+from fes.toe_and_heel import toe_and_heel
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLES_PER_S = 1_500_000.0
+BARE_RATIO = 2.0
+STEP_MEAN_US, STEP_P99_US = 15.0, 40.0
+HELP_S, WARM_S, COLD_S = 0.25, 1.5, 15.0
+REPEATS = 3
+
+
+def one_walk() -> Recording:
+    """A walk of two feet to repeat."""
+    runs = sorted((data_folder() / "stroke_treadmill").glob("*.npz"))
+    if not runs:
+        return read_recording(ROOT / "sim_inputs" / "both_feet_200hz.parquet")
+    tracks, belt_mps = load_run(runs[0])
+    return Recording(runs[0].stem, None, tracks, belt_mps if np.isfinite(belt_mps) else None)
+
+
+def repeated(recording: Recording, minutes: float) -> Recording:
+    """The recording again and again, until ``minutes`` are full."""
+    rate_hz = next(iter(recording.tracks.values())).rate_hz
+    span_ns = round(1e9 * (max(track.duration_s for track in recording.tracks.values()) + 1.0 / rate_hz))
+    times = max(round(60e9 * minutes / span_ns), 1)
+
+    def longer(track: Track) -> Track:
+        later = np.repeat(np.arange(times) * span_ns, len(track.t_ns))
+        return replace(
+            track,
+            t_ns=np.tile(track.t_ns, times) + later,
+            t_sensor_ns=np.tile(track.t_sensor_ns, times) + later,
+            acc_mps2=np.tile(track.acc_mps2, (times, 1)),
+            gyr_radps=np.tile(track.gyr_radps, (times, 1)),
+        )
+
+    return replace(recording, tracks={name: longer(track) for name, track in recording.tracks.items()})
+
+
+def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
+    """Least processor time of several runs, in s."""
+    taken = []
+    for _ in range(repeats):
+        begin = time.process_time()
+        work()
+        taken.append(time.process_time() - begin)
+    return min(taken)
+
+
+def stages(recording: Recording) -> dict[str, float]:
+    """Processor time of the parts of an analysis, in s, all feet together."""
+    recording, found = calibrations_of(recording)
+    session, seconds = (
+        session_for(recording, None),
+        dict.fromkeys(("phases and strides", "lengths fused", "toe and heel", "events", "path"), 0.0),
+    )
+    for sensor, calibration in found.calibrations.items():
+        assert isinstance(calibration, FootCalibration)
+        track, paths = recording.tracks[sensor], []
+        newer = increasing(track)
+        t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
+        settings = replace(stride_settings(session, calibration), watch=paths.append)
+
+        def follow(calibration: FootCalibration = calibration, settings: Any = settings, data: Any = (t_ns, acc, gyr)):
+            return FootTracker(calibration, StrideMaker(calibration.sensor, settings)).advance(*data)
+
+        strides = [outcome for outcome in follow() if isinstance(outcome, StrideResult)]
+        own = list(paths)
+        parts: dict[str, Callable[[], Any]] = {
+            "phases and strides": follow,
+            "lengths fused": lambda s=strides, d=(t_ns, acc, gyr): fused(s, *d),
+            "toe and heel": lambda s=strides, p=own: toe_and_heel(s, p, None, level=True),
+            "events": lambda d=(t_ns, acc, gyr), c=calibration: find_events(*d, c),
+            "path": lambda t=track, c=calibration: ground_path(t, c),
+        }
+        for name, work in parts.items():
+            seconds[name] += least(work)
+    return seconds
+
+
+def live_steps(recording: Recording) -> tuple[float, float]:
+    """Mean and 99th percentile (µs) of one sample's way from estimator to gate, on two feet."""
+    session = load_session(ROOT / "sim_inputs" / "session.toml")
+    recording, found = calibrations_of(recording)
+    warm_up()
+    up = {sensor: calibration.up for sensor, calibration in found.calibrations.items()}
+    controller, gate = Controller(session, found.calibrations), gate_of(session, up)
+    taken = []
+    for sample in recording.samples():
+        begin = time.perf_counter_ns()
+        gate.observe(sample)
+        for request in controller.step(sample).requests:
+            gate.judge(sample.t_ns, request)
+        taken.append(time.perf_counter_ns() - begin)
+    return 1e-3 * float(np.mean(taken)), 1e-3 * float(np.percentile(taken, 99))
+
+
+def command_seconds(*arguments: str | Path, repeats: int = REPEATS, cache: Path | None = None) -> float:
+    """Least processor time of `fes …` with all its processes, in s."""
+    environment = dict(os.environ) | ({"XDG_CACHE_HOME": str(cache)} if cache else {})
+    taken = []
+    for _ in range(repeats):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        command = [Path(sys.executable).with_name("fes"), *map(str, arguments)]
+        subprocess.run(command, env=environment, check=True, capture_output=True, cwd=ROOT)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        taken.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    return min(taken)
+
+
+def memory_mb(hours: float) -> float:
+    """Greatest resident memory (MB) of a process of its own that analyses that many hours, beyond the samples."""
+    work = (
+        "import resource, speed; from fes.analysis import analyse, calibrations_of\n"
+        f"r, f = calibrations_of(speed.repeated(speed.one_walk(), {60.0 * hours}))\n"
+        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
+        "analyse(r, f.calibrations)\n"
+        "print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", work], check=True, capture_output=True, text=True, cwd=Path(__file__).parent
+    )
+    return float(done.stdout)
+
+
+def measure(
+    minutes: float, folder: Path, *, cold: bool, hours: list[float]
+) -> list[tuple[str, float, str, float | None]]:
+    """Rows of what, value, unit and bar (None: none), the recording being written to ``folder``."""
+    recording = repeated(one_walk(), minutes)
+    samples = sum(len(track.t_ns) for track in recording.tracks.values())
+    rows: list[tuple[str, float, str, float | None]] = [("samples, both feet", float(samples), "", None)]
+    files = [folder / f"from_{suffix[1:]}{suffix}" for suffix in (".parquet", ".csv")]
+    reading = []
+    for path in files:
+        write_recording(recording, path)
+        read_recording(path)
+        reading.append(least(lambda path=path: read_recording(path)))
+    recording, found = calibrations_of(read_recording(files[0]))
+    analyse(recording, found.calibrations)
+    calibrating = least(lambda: calibrations_of(recording))
+    analysing = least(lambda: analyse(recording, found.calibrations))
+    for path, seconds in zip(files, reading, strict=True):
+        whole = seconds + calibrating + analysing
+        rows.append((f"whole pipeline from {path.suffix[1:]}", samples / whole, "samples/s", SAMPLES_PER_S))
+    per = 1e9 / samples
+    rows += [(f"read {path.suffix[1:]}", per * s, "ns/sample", None) for path, s in zip(files, reading, strict=True)]
+    rows += [("calibrate", per * calibrating, "ns/sample", None), ("analyse", per * analysing, "ns/sample", None)]
+    rows += [(f"  {name}", per * seconds, "ns/sample", None) for name, seconds in stages(recording).items()]
+    bare = bare_seconds(recording, found.calibrations)
+    rows.append(("  the same filters in a bare compiled loop", per * bare, "ns/sample", None))
+    rows.append(("analyse over bare loop", analysing / bare, "", BARE_RATIO))
+    mean_us, p99_us = live_steps(one_walk())
+    rows += [("live step, mean", mean_us, "µs", STEP_MEAN_US), ("live step, 99 %", p99_us, "µs", STEP_P99_US)]
+    trial = ROOT / "sim_inputs" / "both_feet_200hz.parquet"
+    rows.append(("fes --help", command_seconds("--help"), "s", HELP_S))
+    rows.append(("fes analyse, warm", command_seconds("analyse", trial, "--out", folder / "out"), "s", WARM_S))
+    if cold:
+        seconds = command_seconds("analyse", trial, "--out", folder / "out", repeats=1, cache=folder / "cache")
+        rows.append(("fes analyse, cold", seconds, "s", COLD_S))
+    rows += [(f"memory beyond the samples, {h:g} h", memory_mb(h), "MB", None) for h in hours]
+    return rows
+
+
+def main() -> int:
+    """Measure, print, and say by the exit code whether every bar is met."""
+    parser = argparse.ArgumentParser(description="Speed of analysis and of the live step.")
+    parser.add_argument("--minutes", type=float, default=10.0, help="length of the recording")
+    parser.add_argument("--json", type=Path, help="also write the figures here")
+    parser.add_argument("--cold", action="store_true", help="also time the first run with an empty compiler cache")
+    parser.add_argument("--hours", type=float, nargs="*", default=[], help="also the memory of analyses so long")
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        rows = measure(given.minutes, Path(folder), cold=given.cold, hours=given.hours)
+    table = Table("what", "figure", "unit", "bar", "met", title=f"Speed, {given.minutes:g} minutes of two feet")
+    missed = 0
+    for what, value, unit, bar in rows:
+        met = bar is None or (value >= bar if unit == "samples/s" else value <= bar)
+        missed += not met
+        table.add_row(
+            what, f"{value:,.4g}", unit, "" if bar is None else f"{bar:,.4g}", "" if bar is None else str(met)
+        )
+    Console().print(table)
+    if given.json:
+        fields = ("what", "value", "unit", "bar")
+        given.json.write_text(json.dumps([dict(zip(fields, row, strict=True)) for row in rows], indent=1), "utf-8")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""Compiled loops against the plain array formulas that they stand for."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from fes.estimation.rest_kernel import least_spread, stillest
+from fes.estimation.stride_shape import stride_shape
+from fes.estimation.zupt_covariance import BIASES, STATES, WIDTH, carry_one, predict, update
+
+RNG = np.random.default_rng(11)
+
+
+@pytest.mark.parametrize("n", [7, 50])
+def test_the_stillest_windows_are_those_of_the_plain_formula(n: int) -> None:
+    scale = 0.2 + np.abs(np.sin(np.arange(400) / 37.0))[:, None]
+    acc, gyr = RNG.normal(0.0, 1.0, (400, 3)) * scale + 9.0, RNG.normal(0.0, 0.3, (400, 3)) * scale
+    step = 5
+    spreads = [
+        (math.sqrt(gyr[i : i + n].var(axis=0).sum()) / 0.08 + math.sqrt(acc[i : i + n].var(axis=0).sum()) / 0.3, i)
+        for i in range(0, 400 - n + 1, step)
+    ]
+    begin, turning, shaking = stillest(acc, gyr, n, step, 0.3, 0.08)
+    assert (turning / 0.08 + shaking / 0.3, begin) == pytest.approx(min(spreads))
+    greatest = [
+        (gyr[i : i + n].std(axis=0).max() + 0.1 * acc[i : i + n].std(axis=0).max(), i) for i in range(0, 400 - n, step)
+    ]
+    begin, spread = least_spread(acc, gyr, n, step, 0.1)
+    assert (spread, begin) == pytest.approx(min(greatest))
+    assert least_spread(acc[:n], gyr[:n], n, step, 0.1)[0] == -1
+
+
+def test_prediction_and_measurement_are_those_of_matrices() -> None:
+    half = RNG.normal(0.0, 1.0, (STATES, STATES))
+    dense = half @ half.T
+    flat = np.ascontiguousarray(np.pad(dense, ((0, 0), (0, 1)))).ravel()
+    rotation, force, dt = np.linalg.qr(RNG.normal(0.0, 1.0, (3, 3)))[0].copy(), RNG.normal(0.0, 5.0, 3), 0.01
+    phi = np.eye(STATES)
+    for column in phi:
+        carry_one(column, column, rotation, force, dt)
+    phi = phi.T
+    predict(flat, np.empty(BIASES * WIDTH), rotation, force, dt)
+    wanted = phi @ dense @ phi.T
+    assert flat.reshape(STATES, WIDTH)[:, :STATES] == pytest.approx(wanted, rel=1e-10, abs=1e-12)
+    state, gain = np.zeros(STATES), np.empty(WIDTH)
+    variance = update(flat, state, 4, 0.5, 0.2, np.empty(WIDTH), gain)
+    assert variance == pytest.approx(wanted[4, 4] + 0.2)
+    assert state == pytest.approx(0.5 * wanted[:, 4] / variance)
+    after = flat.reshape(STATES, WIDTH)
+    assert after[:, :STATES] == pytest.approx(wanted - np.outer(wanted[4], wanted[4]) / variance, abs=1e-10)
+    assert np.array_equal(after[:, :STATES], after[:, :STATES].T)
+    assert not after[:, STATES].any()
+
+
+def test_a_strides_shape_is_interpolated_and_turned() -> None:
+    n = 90
+    t_ns = 10**15 + np.cumsum(RNG.integers(1_000_000, 9_000_000, n))
+    pitch = np.linspace(0.1, -0.4, n)
+    quaternion = np.column_stack((np.cos(pitch / 2), np.zeros(n), np.sin(pitch / 2), np.zeros(n)))
+    position = np.cumsum(RNG.normal(0.02, 0.01, (n, 3)), axis=0)
+    position -= position[0]
+    out = np.empty((101, 4))
+    highest, turn = stride_shape(t_ns, quaternion, position, 1.0, 0.0, 0.0, out)
+    assert highest == position[:, 2].max()
+    assert turn == pytest.approx(0.0, abs=1e-12)
+    dx, dy = position[-1, :2] / np.hypot(*position[-1, :2])
+    walking = position @ np.array([[dx, -dy, 0.0], [dy, dx, 0.0], [0.0, 0.0, 1.0]])
+    at, since = np.linspace(0.0, float(t_ns[-1] - t_ns[0]), 101), (t_ns - t_ns[0]).astype(np.float64)
+    for k in range(3):
+        assert out[:, k] == pytest.approx(np.interp(at, since, walking[:, k]), abs=1e-12)
+    assert out[:, 3] == pytest.approx(np.interp(at, since, -(pitch - pitch[0])), abs=1e-12)
