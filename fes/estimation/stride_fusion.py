@@ -119,6 +119,6 @@ def _mean(stride: StrideResult, path_m: float) -> StrideResult:
     return replace(
         stride,
         stride_length_m=length_m,
-        speed_mps=length_m * NS_PER_S / (stride.t_end_ns - stride.t_start_ns),
+        speed_mps=stride.speed_mps * length_m / own_m if own_m > 0.0 else stride.speed_mps,
         trajectory_m=stride.trajectory_m * stretched,
     )

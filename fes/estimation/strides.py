@@ -23,6 +23,7 @@ from fes.estimation.rotation import rotate, rotate_all
 from fes.estimation.stride import integrate, orient
 from fes.estimation.stride_ends import NO_REST_RADPS, REST_RADPS, measure_end, quietest
 from fes.estimation.stride_shape import stride_shape
+from fes.estimation.stride_time import at_walking_speed
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange
 
@@ -70,6 +71,7 @@ class StrideMaker:
         self.due_ns: int | None = None  # the stride under way is closed at this time at the latest
         self._settings = settings
         self._number = 0
+        self._before_ns: int | None = None  # the end of the stride before
         self._start_ns: int | None = None
         self._stance_ns = 0
         self._times: dict[Phase, int] = {}
@@ -77,7 +79,7 @@ class StrideMaker:
     def restart(self, t_ns: int) -> None:
         """Data were lost: forget the stride under way; stance from now on."""
         self.due_ns = None
-        self._start_ns = None
+        self._before_ns = self._start_ns = None
         self._stance_ns = t_ns
         self._times = {}
 
@@ -123,9 +125,11 @@ class StrideMaker:
         self._number += 1
         if first >= last or t_ns[first] != start_ns:
             return _unusable(self.foot, self._number, start_ns, int(t_ns[last]), times, "longer than the history kept")
-        return solve_stride(
+        solved = solve_stride(
             self.foot, self._number, times, first, last, t_ns, acc, gyr, quaternion[first], self._settings
         )
+        before_ns, self._before_ns = self._before_ns, solved.t_end_ns
+        return at_walking_speed(solved, before_ns)
 
 
 def solve_stride(

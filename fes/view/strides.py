@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from fes.estimation.stride_time import stride_time_ns
 from fes.signals import NS_PER_S, IntArray, StimCommand, StrideResult
 from fes.view.bursts import Burst
 from fes.view.channels import ChannelInfo
@@ -89,6 +90,7 @@ def stride_rows(
         ]
         own_refused = [command for command in in_time if foot_of.get(command.channel) == foot]
         refused_ns = np.array([command.t_ns for command in own_refused], dtype=np.int64)
+        before_ns: int | None = None
         for stride in own:
             low, high = np.searchsorted(refused_ns, [stride.t_start_ns, stride.t_end_ns])
             reasons = {without_numbers(command.refused): command.refused for command in own_refused[low:high][::-1]}
@@ -97,7 +99,9 @@ def stride_rows(
                 for info, all_bursts, start_ns in near
                 if (item := _stimulation_in(stride, info, all_bursts, start_ns)) is not None
             )
-            rows.append(_row(stride, timelines.get(foot), stimulation, tuple(reasons.values()), origin_ns))
+            time_ns = stride_time_ns(stride.t_start_ns, stride.t_end_ns, before_ns)
+            before_ns = stride.t_end_ns
+            rows.append(_row(stride, time_ns, timelines.get(foot), stimulation, tuple(reasons.values()), origin_ns))
     return tuple(sorted(rows, key=lambda row: (row.start_s, row.foot)))
 
 
@@ -127,6 +131,7 @@ def _stimulation_in(
 
 def _row(
     stride: StrideResult,
+    time_ns: int,
     timeline: PhaseTimeline | None,
     stimulation: tuple[StrideStimulation, ...],
     refused: tuple[str, ...],
@@ -141,7 +146,7 @@ def _row(
         foot=stride.foot,
         number=stride.number,
         start_s=(stride.t_start_ns - origin_ns) / NS_PER_S,
-        duration_s=(stride.t_end_ns - stride.t_start_ns) / NS_PER_S,
+        duration_s=time_ns / NS_PER_S,
         stride_length_m=stride.stride_length_m,
         speed_mps=stride.speed_mps,
         clearance_cm=stride.clearance_m * 100,
