@@ -285,6 +285,14 @@ def test_mean_force_forgets_in_300_ms(axis: int, sign: int) -> None:
     )
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_mean_force_is_held_against_an_upright_along_any_axis(axis: int) -> None:
+    judge = Plausibility("left_foot", None, along(axis, 1.0))
+    for k in range(100):
+        judge.fault(sample(k * 10 * MS, 0, along(axis, G_MPS2), (0.0, 1.0, 1e-3 * k)))
+        assert judge.doubt == ""
+
+
 def test_one_sample_after_a_silence_stands_for_40_ms() -> None:
     """Three times: 0.87³ of what was is left, and as much as is missing has come: 26 °; the eighth exceeds 65°."""
     level = (G_MPS2, 0.0, 0.0)
@@ -370,6 +378,32 @@ def test_three_in_four_samples_suffice_and_fewer_do_not(size: float, before: flo
     assert not any(told(lead + [size] * 6 + [usual] * 3))
     steps = (size, before) in [(5.0, 40.0), (70.0, 16.0)]
     assert any(told([before, *[size] * 4, usual], step_ns=20 * MS)) is not steps, "a step takes less than 12.5 ms"
+
+
+@pytest.mark.parametrize(("size", "before"), [(1.0, 9.8), (90.0, 30.0), (5.0, 40.0), (70.0, 16.0)])
+def test_exactly_three_in_four_samples_suffice(size: float, before: float) -> None:
+    """At 11.5 ms a span has eight samples."""
+    lead, step_ns = [before] * 5, 23 * MS // 2
+    assert any(told([*lead, *[size] * 6, 9.8, 9.8], step_ns=step_ns))
+    assert not any(told([*lead, *[size] * 5, 9.8, 9.8, 9.8], step_ns=step_ns))
+
+
+def test_samples_missing_after_a_step_down_make_no_step_up_of_it() -> None:
+    force, sent_ns, said = Force("left_foot"), S, []
+    for k, size in enumerate([300.0] * 5 + [70.0] * 9):
+        sent_ns += 30 * MS if k == 9 else 10 * MS
+        said.append(force.fault(ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
+    assert not any(said)
+
+
+@pytest.mark.parametrize(("sensor", "tells"), [("left_foot", False), ("right_shank", True)])
+def test_each_sensor_has_its_places_bounds(sensor: str, tells: bool) -> None:
+    """70 m/s² for 80 ms: too much for a shank, not for a foot."""
+    judge = Plausible((), {})
+    said = [
+        judge.fault(ImuSample(S + k * 10 * MS, sensor, S, (70.0, 0.0, 0.0), (0.0, 1e-3 * k, 0.0))) for k in range(9)
+    ]
+    assert bool(said[-1]) is tells
 
 
 def test_level_and_step_count_together_only_on_their_side() -> None:
@@ -465,7 +499,7 @@ def test_what_rests(force_mps2: float, rate_radps: float, rests: bool) -> None:
 def test_rest_includes_its_own_bound() -> None:
     force_mps2 = G_MPS2 + 1.5
     assert force_mps2 - G_MPS2 == 1.5
-    assert lasting((0.0, 0.0, -force_mps2), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)).doubt
+    assert "rests" in lasting((0.0, 0.0, -force_mps2), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)).doubt
 
 
 # --- words --------------------------------------------------------------------------------------------------

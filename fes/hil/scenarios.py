@@ -120,7 +120,7 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
     _row("imu_frozen", "sensor repeats one value", 100, "frozen"),
     _row("imu_nan", "NaN in the sensor's values", 100, "non-finite"),
     _row("imu_inf", "infinite values", 100, "non-finite"),
-    _row("imu_saturated", "sensor at the end of its range", 100, "saturated|foot can take|unit"),
+    _row("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit"),
     _row("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
     _row("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
     _row(
