@@ -52,4 +52,4 @@ def test_a_replay_and_its_logs_replay_say_it_last(tmp_path: Path, capsys: pytest
         assert ended.value.code == OK
         said = capsys.readouterr().err
         assert "The gate latched once at 6.0" in said
-        assert "right_foot is frozen: the same values for 80 ms, limit 80 ms. Nothing was stimulated from 6.0" in said
+        assert "right_foot is frozen: the same values for 60 ms, limit 60 ms. Nothing was stimulated from 6.0" in said

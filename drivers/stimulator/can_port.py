@@ -18,6 +18,7 @@ from drivers.stimulator.can_messages import (
     RESULT_TEXT,
     Alive,
     Charge,
+    Fault,
     Frame,
     Message,
     Result,
@@ -25,7 +26,7 @@ from drivers.stimulator.can_messages import (
     fault_text,
 )
 from drivers.stimulator.e2e import NUMBERS, carried
-from drivers.stimulator.port import StimulatorLost
+from drivers.stimulator.port import SessionUsed, StimulatorLost
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 
 POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
@@ -113,6 +114,7 @@ class CanStimulator:
         restarts meanwhile is opened again under its new boot id.
 
         Raises:
+            SessionUsed: the node has had commands under this session's identifier; another one may be opened.
             StimulatorLost: nobody answered, or the node did not open the session; the message says what to check.
         """
         deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
@@ -132,6 +134,8 @@ class CanStimulator:
             if message.boot_id == asked_boot_id and message.session_id == self.session_id:
                 self._alive_counter = message.counter
                 return Handshake(message.boot_id, tuple(frames), tuple(heard))
+            if message.boot_id == asked_boot_id and message.faults & Fault.SESSION_USED:
+                raise SessionUsed(self._why_not_open(message, timeout_s))
             alives_since += 1
             if message.boot_id != asked_boot_id or alives_since >= OPEN_AGAIN_AFTER_ALIVES:
                 asked_boot_id, alives_since = message.boot_id, 0

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import secrets
 import time
 from collections.abc import Callable
-from typing import Final
+from contextlib import suppress
+from typing import Final, NamedTuple
 
 from drivers.stimulator.bus import open_bus
-from drivers.stimulator.can_port import CanStimulator
+from drivers.stimulator.can_port import CanStimulator, Handshake
 from drivers.stimulator.canopen_codec import CanOpenSettings
 from drivers.stimulator.canopen_port import CanOpenStimulator
+from drivers.stimulator.port import SessionUsed
 from drivers.stimulator.sciencemode2_port import RehaStim2
 from drivers.stimulator.sciencemode4_low import LowLevelStimulator
 from drivers.stimulator.sciencemode4_mid import MidLevelStimulator, not_accepted
@@ -22,6 +25,46 @@ Port = CanStimulator | CanOpenStimulator | LowLevelStimulator | MidLevelStimulat
 
 Opener = Callable[[str, LineSettings], Line]
 SERIAL: Final = ("p24_low_level", "p24_mid_level", "rehastim2")
+IDENTIFIERS_TRIED: Final = 8  # a device that has been on for a day has had commands under a third of them
+
+
+class OpenedSession(NamedTuple):
+    """A stimulator with its session open, the session's identifier, and what opening it took."""
+
+    port: Port
+    session_id: int
+    handshake: Handshake
+
+
+def open_session(settings: StimulatorDevice, session: Session, t_ns: int) -> OpenedSession:
+    """A stimulator ready for commands, under an identifier drawn by chance; under another where it has had that one.
+
+    Args:
+        t_ns: the time with which the handshake is stamped.
+
+    Raises:
+        ConfigError: as for :func:`open_stimulator`.
+        StimulatorLost: the line cannot be opened, or the device does not answer.
+    """
+    for _ in range(IDENTIFIERS_TRIED - 1):
+        with suppress(SessionUsed):
+            return _open_once(settings, session, t_ns)
+    return _open_once(settings, session, t_ns)
+
+
+def _open_once(settings: StimulatorDevice, session: Session, t_ns: int) -> OpenedSession:
+    session_id = new_session_id()
+    port = open_stimulator(settings, session, session_id)
+    try:
+        return OpenedSession(port, session_id, port.open(t_ns))
+    except BaseException:
+        port.close()
+        raise
+
+
+def new_session_id() -> int:
+    """A number that the stimulator has most likely not seen since it was switched on (1–65535)."""
+    return secrets.randbelow(65535) + 1
 
 
 def open_stimulator(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener = open_line) -> Port:

@@ -14,6 +14,10 @@ class StimulatorLost(RuntimeError):
     """
 
 
+class SessionUsed(StimulatorLost):
+    """The device opens no session under this identifier, for it has carried commands before; another one it may."""
+
+
 class StimulatorPort(Protocol):
     """One stimulator. No method waits, none reads a clock, none repeats a command by itself."""
 

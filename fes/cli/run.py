@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 import sys
 import time
 from contextlib import ExitStack
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from drivers.stimulator.open import electrodes_told_from_ma, open_stimulator
+from drivers.stimulator.open import electrodes_told_from_ma, open_session
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
@@ -167,14 +166,12 @@ def _run(
     stack: ExitStack,
 ) -> tuple[Path, str]:
     """Open the stimulator, then the one loop; the log's path and how it ended."""
-    session_id = new_session_id()
     opened_ns = time.monotonic_ns()
     try:
-        port = open_stimulator(session.stimulator, session, session_id)
-        stack.callback(port.close)
-        handshake = port.open(opened_ns)
+        port, session_id, handshake = open_session(session.stimulator, session, opened_ns)
     except (StimulatorLost, ConfigError) as error:
         fail(error)
+    stack.callback(port.close)
     log_path = folder / f"session{LOG_SUFFIX}"
     log = open_log(log_path, live_header(session, calibrations, session_id, utc_now(), opened_ns, port.current_step_ma))
     page = open_page(folder, about_session(session, "live"), options.page_port, stack) if options.page else None
@@ -225,19 +222,8 @@ def _run(
 
 
 def _open_again(session: Session) -> Opened:
-    session_id = new_session_id()
-    port = open_stimulator(session.stimulator, session, session_id)
-    try:
-        handshake = port.open(time.monotonic_ns())
-    except Exception:
-        port.close()
-        raise
+    port, session_id, handshake = open_session(session.stimulator, session, time.monotonic_ns())
     return Opened(port, session_id, handshake.frames)
-
-
-def new_session_id() -> int:
-    """A number that the stimulator has most likely not seen since it was switched on (1–65535)."""
-    return secrets.randbelow(65535) + 1
 
 
 def _give_inputs(

@@ -61,6 +61,7 @@ def strides_of(link: ClientConnection, count: int) -> tuple[list[dict[str, Any]]
     return found, states
 
 
+@pytest.mark.slow
 def test_a_recording_is_played_at_its_speed_and_a_stop_ends_it(tmp_path: Path) -> None:
     with replay(tmp_path, RECORDING, "--speed", "8", "--no-report", "--out", "out") as (process, token, port):
         with browser(port) as link:

@@ -88,6 +88,7 @@ def test_stuck_it_says_the_same_again_and_again_with_new_stamps(handle: ImuHandl
     assert after[0] != numbers(found)[0]
 
 
+@pytest.mark.slow
 def test_clipped_its_values_end_early_and_its_flag_says_so(handle: ImuHandle, port: ImuPort) -> None:
     counts = port.counts["left_foot"]
     assert counts.clipped == 0
@@ -103,6 +104,7 @@ def test_clipped_its_values_end_early_and_its_flag_says_so(handle: ImuHandle, po
     assert collect([port], 0.3)[-1].acc_mps2[2] == pytest.approx(0.8 * G_MPS2, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_delayed_it_comes_late_with_the_stamps_of_when_it_was_taken(handle: ImuHandle, port: ImuPort) -> None:
     before_ns = least_late_ns(collect([port], 0.2))
     handle.fault("delay", 0.15)
@@ -112,6 +114,7 @@ def test_delayed_it_comes_late_with_the_stamps_of_when_it_was_taken(handle: ImuH
     assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)} == {PERIOD_NS}
 
 
+@pytest.mark.slow
 def test_its_clock_drifts_when_told_and_its_beat_with_it(handle: ImuHandle, port: ImuPort) -> None:
     assert gained(port) == pytest.approx(0.0, abs=0.2)
     handle.fault("drift", 500_000.0)  # far more than a busy machine adds
