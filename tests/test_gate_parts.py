@@ -380,7 +380,7 @@ def test_three_in_four_samples_suffice_and_fewer_do_not(size: float, before: flo
     assert any(told([before, *[size] * 4, usual], step_ns=20 * MS)) is not steps, "a step takes less than 12.5 ms"
 
 
-@pytest.mark.parametrize(("size", "before"), [(1.0, 9.8), (90.0, 30.0), (5.0, 40.0), (70.0, 16.0)])
+@pytest.mark.parametrize(("size", "before"), [(2.4, 9.0), (90.0, 30.0), (5.0, 40.0), (70.0, 16.0)])
 def test_exactly_three_in_four_samples_suffice(size: float, before: float) -> None:
     """At 11.5 ms a span has eight samples."""
     lead, step_ns = [before] * 5, 23 * MS // 2
