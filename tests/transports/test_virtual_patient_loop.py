@@ -99,9 +99,13 @@ def changes_ma(record: SessionRecord) -> list[tuple[float, float]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("stimulator", "toe_mm", "step_ma", "odd"), [("can", 2.0, 0.5, 0), ("p24_low_level", 4.0, 1.0, 1)]
+    ("stimulator", "toe_mm", "step_ma", "odd", "samples"),
+    [("can", 2.0, 0.5, 0, 1), ("p24_low_level", 4.0, 1.0, 1, 3)],
 )
-def test_between_processes_as_in_one(tmp_path: Path, stimulator: str, toe_mm: float, step_ma: float, odd: int) -> None:
+def test_between_processes_as_in_one(
+    tmp_path: Path, stimulator: str, toe_mm: float, step_ma: float, odd: int, samples: int
+) -> None:
+    """A phase changes at a sample; a foot that moves 3 mm otherwise may show it a sample or two earlier or later."""
     log, ran, start_ns = between_processes(tmp_path, stimulator)
     fast, strides = in_one_process(tmp_path)
     assert ran.punctuality["pulses_late"] == 0
@@ -129,7 +133,7 @@ def test_between_processes_as_in_one(tmp_path: Path, stimulator: str, toe_mm: fl
     )
     assert judged <= odd
     assert apart_mm <= toe_mm
-    assert phase_ms <= 10.0
+    assert phase_ms <= 10.0 * samples
     assert burst_ms <= 30.0
     assert min(len(tuned), len(expected)) >= 5
     assert abs(tuned[-1][1] - expected[-1][1]) <= step_ma
