@@ -10,30 +10,33 @@ import click
 from fes.cli.exits import fail
 from fes.journal import SessionLogError
 
-FORMATS = ("csv", "parquet", "mcap")
+FORMATS = ("csv", "parquet", "mcap", "c3d")
+ONE_FILE = ("mcap", "c3d")
 
 
 @click.command(name="convert")
 @click.argument("log", type=click.Path(path_type=Path))
 @click.option("--to", "form", type=click.Choice(FORMATS), help="Format. Default: what --out ends with, else csv.")
-@click.option("--out", type=click.Path(path_type=Path), help="New folder, or MCAP file. Default: beside LOG.")
+@click.option("--out", type=click.Path(path_type=Path), help="New folder, or MCAP or C3D file. Default: beside LOG.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
 def command(log: Path, form: str | None, out: Path | None, as_json: bool) -> None:
-    """Convert the session log LOG to CSV, Parquet or MCAP.
+    """Convert the session log LOG to CSV, Parquet, MCAP or C3D.
 
     CSV and Parquet: a new folder with a file for each table (samples of each sensor, phases, strides, commands,
-    answers, notes, latency …). MCAP: one file, which Foxglove and PlotJuggler open. Nothing is overwritten. Of a
+    answers, notes, latency …). MCAP: one file, which Foxglove and PlotJuggler open. C3D: one file for the programs of
+    motion laboratories, with signals, commanded current, foot off and foot strike. Nothing is overwritten. Of a
     damaged log everything that is whole is converted.
 
     Exit code: 0 converted, 2 unusable input.
     """
+    from fes.export.c3d_file import to_c3d
     from fes.export.files import to_csv, to_parquet
     from fes.export.mcap_file import to_mcap
 
     chosen = form or (out.suffix[1:] if out is not None and out.suffix[1:] in FORMATS else "csv")
-    target = out or log.with_name(f"{log.stem}.mcap" if chosen == "mcap" else f"{log.stem}-{chosen}")
+    target = out or log.with_name(f"{log.stem}.{chosen}" if chosen in ONE_FILE else f"{log.stem}-{chosen}")
     try:
-        exported = {"csv": to_csv, "parquet": to_parquet, "mcap": to_mcap}[chosen](log, target)
+        exported = {"csv": to_csv, "parquet": to_parquet, "mcap": to_mcap, "c3d": to_c3d}[chosen](log, target)
     except SessionLogError as error:
         fail(error)
     if exported.damages or not exported.ended:

@@ -74,6 +74,7 @@ DRIVEN_BY = {"right_foot": "right_shank"}  # the right foot's phases are told by
 SENSORS = ("left_foot", "right_foot", "right_shank")
 RELIED_ON = ("left_foot", "right_shank")  # what happens to another sensor stops nobody
 LASTING_NS = 80 * MS
+DRIFT_PPM = 200
 ACC_END, GYR_END = 0.995 * 4 * 9.80665, 0.995 * math.radians(1000)
 
 
@@ -131,6 +132,7 @@ class Oracle:
         self.t_ns = -1
         self.arrived: dict[str, int] = {}
         self.sent: dict[str, int] = {}
+        self.prompt: dict[str, int] = {}
         self.finite: dict[str, bool] = {}
         self.passed: dict[int, list[tuple[int, bool, float]]] = {channel.number: [] for channel in CHANNELS}
         self.samples: dict[str, list[ImuSample]] = {}
@@ -151,6 +153,8 @@ class Oracle:
                 del heard[:-400]
                 self.arrived[event.sensor] = event.t_ns
                 self.sent[event.sensor] = max(event.t_sensor_ns, self.sent.get(event.sensor, -1 << 60))
+                if event.t_sensor_ns == event.t_ns:
+                    self.prompt[event.sensor] = event.t_ns
             case OperatorAct(action=OperatorAction.ARM):
                 self.armed = self.fresh("left_foot", event.t_ns) and self.fresh("right_foot", event.t_ns)
                 self.trouble &= not self.armed
@@ -166,13 +170,18 @@ class Oracle:
         self.trouble |= backward
 
     def fresh(self, foot: str, t_ns: int) -> bool:
-        """In these trials the sensors' clocks agree with the host's, so a stamp's age is the data's age."""
+        """In these trials the sensors' clocks agree with the host's, so a stamp's age is the data's age.
+
+        The gate cannot know that: since the last sample that came without delay, the clocks may have gone apart by as
+        much as two crystals do, 12 ms in the minute of silence that a trial may hold.
+        """
         foot = DRIVEN_BY.get(foot, foot)
         if not self.finite.get(foot, False):
             return False
         if foot in UP and grown(self.samples[foot], rests_turned_over) >= LASTING_NS:
             return False
-        return t_ns - self.arrived[foot] <= AGE_MS * MS and t_ns - self.sent[foot] <= AGE_MS * MS
+        apart_ns = DRIFT_PPM * (t_ns - self.prompt.get(foot, t_ns)) // 1_000_000
+        return t_ns - self.arrived[foot] <= AGE_MS * MS and t_ns - self.sent[foot] <= AGE_MS * MS + apart_ns
 
     def check(self, t_ns: int, request: StimRequest, command: StimCommand) -> None:
         assert command.t_ns == t_ns
