@@ -5,14 +5,15 @@ BIN := $(VENV)/bin
 PEERS := .venv-peers
 
 .DEFAULT_GOAL := help
-.PHONY: help hil demo test test-live lint format bench bench-accuracy peers nightly mutants hazards docs trials lock clean
+.PHONY: help hil demo test test-live lint format bench bench-figures bench-accuracy peers nightly mutants hazards docs trials lock clean
 
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
 	@echo "make test     style, types and tests"
 	@echo "make test-live  the live sessions on every simulated device that take longer"
 	@echo "make lint     style and types only"
-	@echo "make bench    accuracy: bundled trials, and real recordings in FES_DATA or ../shared/data"
+	@echo "make bench    one table of speed, beside other libraries and the bare arithmetic (about half an hour)"
+	@echo "make bench-figures  the figures of docs/accuracy.md: bundled trials, and recordings in FES_DATA or ../shared/data"
 	@echo "make bench-accuracy  one table of accuracy, ours and other libraries' on the same recordings (about 5 minutes)"
 	@echo "make hil      the whole fault campaign on every transport of this machine; takes hours"
 	@echo "make docs     regenerate the generated parts of docs/"
@@ -52,7 +53,10 @@ format: $(VENV)/dev.stamp
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: $(VENV)/dev.stamp
+bench: $(VENV)/dev.stamp $(PEERS)/peers.stamp
+	$(BIN)/python benchmarks/speed_table.py --peers $(PEERS)/bin/python --write
+
+bench-figures: $(VENV)/dev.stamp
 	$(BIN)/python benchmarks/bundled_trials.py
 	$(BIN)/python benchmarks/stroke_treadmill.py
 	$(BIN)/python benchmarks/stride_length.py

@@ -10,16 +10,13 @@ Eq. (8) of Wu et al. The bar: mean 0.98–1.02 and no side off by more than 8 %.
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
+from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
-from stroke_treadmill import LAST_S, data_folder
+from stroke_treadmill import LAST_S, data_folder, runs_of
 
 from fes.estimation.ankle import AnkleSettings, ankle_strides
 from fes.estimation.ankle_calibration import ShankCalibration, calibrate_shank
@@ -123,13 +120,8 @@ def holds(results: list[ShankResult]) -> bool:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; 0 when the bar holds, 1 when not, 3 without data."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=data_folder(), help="folder with stroke_treadmill/ below")
-    parser.add_argument("--json", type=Path, help="write the results here as well")
-    options = parser.parse_args(arguments)
-    paths = sorted((options.data / "stroke_treadmill").glob("*.npz"))
-    if not paths:
-        print(f"No recordings in {options.data / 'stroke_treadmill'}; set FES_DATA or give --data.", file=sys.stderr)
+    options = parser_of(__doc__, data_folder()).parse_args(arguments)
+    if not (paths := runs_of(options.data)):
         return 3
     results = [result for path in paths for result in evaluate(path)]
     fixed = f"fixed {FIXED_ARM_M:.2f}"
@@ -148,7 +140,7 @@ def main(arguments: list[str] | None = None) -> int:
             f"{r.strides - r.invalid}/{r.strides}",
             f"prior: {r.reason}" if r.reason else "learnt",
         )
-    console = Console() if sys.stdout.isatty() else Console(width=150)
+    console = console_of(150)
     console.print(table)
     for name in ("zupt", "fixed", "learnt"):
         ratios_known = np.array([getattr(r, name) for r in results if not np.isnan(r.belt_mps)])
@@ -156,11 +148,8 @@ def main(arguments: list[str] | None = None) -> int:
             f"{name:>6}: speed over belt, {len(ratios_known)} sides: mean {ratios_known.mean():.4f}, "
             f"SD {ratios_known.std(ddof=1):.4f}, from {ratios_known.min():.4f} to {ratios_known.max():.4f}"
         )
-    if options.json:
-        options.json.write_text(json.dumps([asdict(r) for r in results], indent=1))
-    held = holds(results)
-    console.print("The bar holds." if held else "[red]The bar does not hold.[/]")
-    return 0 if held else 1
+    save([asdict(r) for r in results], options.json)
+    return verdict(console, holds(results))
 
 
 if __name__ == "__main__":

@@ -9,14 +9,11 @@ the truth): what an inertial sensor measures then is not the way on the belt.
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
+from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
 
 from fes.config import Session
@@ -124,9 +121,7 @@ def evaluate(name: str) -> list[Errors]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the results here as well")
-    options = parser.parse_args(arguments)
+    options = parser_of(__doc__).parse_args(arguments)
     results = [errors for name in NAMES for errors in evaluate(name)]
     table = Table(
         "trial",
@@ -145,14 +140,11 @@ def main(arguments: list[str] | None = None) -> int:
         cells = [_cell(v, 100.0, 2) for v in (e.length_m, e.clearance_m, e.toe_clearance_m, e.heel_clearance_m)]
         cells += [_cell(v, 1000.0, 0) for v in (e.initial_contact_s, e.foot_off_s)]
         table.add_row(e.trial, e.foot, str(e.strides), str(e.found), str(e.in_order), *cells)
-    console = Console() if sys.stdout.isatty() else Console(width=150)
+    console = console_of(150)
     console.print(table)
     console.print("Errors are estimate − truth, mean ± SD.")
-    if options.json:
-        options.json.write_text(json.dumps([asdict(e) for e in results], indent=1))
-    held = all(e.holds and e.found == e.strides for e in results)
-    console.print("The bar holds." if held else "[red]The bar does not hold.[/]")
-    return 0 if held else 1
+    save([asdict(e) for e in results], options.json)
+    return verdict(console, all(e.holds and e.found == e.strides for e in results))
 
 
 def _cell(value: tuple[float, float], scale: float, digits: int) -> str:

@@ -16,8 +16,6 @@ Each without and with the contact levels of the recording. Bar: mean within 0.3 
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -26,8 +24,8 @@ from pathlib import Path
 
 import numpy as np
 from bundled_trials import NAMES, TRIALS
+from command_line import console_of, parser_of, save
 from real_sets import STRAIGHT_RAD, _two_header_lines, gaitmap_walk
-from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, filtfilt
 from stroke_treadmill import data_folder
@@ -216,23 +214,20 @@ def _row(data: str, geometry: str, anchored: bool, errors: list[FloatArray]) -> 
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; 3 without the recordings with markers."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the figures here as well")
-    options = parser.parse_args(arguments)
+    options = parser_of(__doc__).parse_args(arguments)
     rows = [*trial_rows(), *marker_rows(data_folder())]
     table = Table("data", "geometry", "contact levels", "strides", "toe cm", "heel cm", "bar")
     for row in rows:
         cells = [f"{100.0 * mean:+.2f} ± {100.0 * sd:.2f}" for mean, sd in (row.toe_m, row.heel_m)]
         kept = "yes" if row.holds else "no"
         table.add_row(row.data, row.geometry, "yes" if row.anchored else "no", str(row.strides), *cells, kept)
-    console = Console() if sys.stdout.isatty() else Console(width=120)
+    console = console_of(120)
     console.print(table)
     for side, strides in marked_strides(data_folder()).items():
         for name, arms in arms_by_geometry(strides).items():
             toe, heel = (" ".join(f"{100.0 * part:+.1f}" for part in arm) for arm in (arms.toe_m, arms.heel_m))
             console.print(f"{side}, {name}: toe {toe}, heel {heel} cm (forward, left, up)")
-    if options.json:
-        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=1))
+    save([asdict(row) for row in rows], options.json)
     if not marked_strides(data_folder()):
         print(f"No gaitmap_walk in {data_folder()}; set FES_DATA.", file=sys.stderr)
         return 3

@@ -57,7 +57,7 @@ class Output:
 
 @dataclass
 class Walk:
-    """What a walk left: the patient's true strides of the affected foot, measured ones, the tuning's reports."""
+    """What a walk left: the patient's true strides of the affected foot, measured ones, reports, all pulses."""
 
     strides: list[VirtualStride]
     measured: list[StrideResult]
@@ -66,6 +66,7 @@ class Walk:
     latched: str
     charge_uc: float
     controller: Controller
+    pulses: list[DeliveredPulse] = field(default_factory=list)
 
 
 def calibration_of(settings: PatientSettings) -> FootCalibration:
@@ -121,6 +122,7 @@ def walk(
         t_ns += STEP_NS
         pulses, output.pulses = output.pulses, []
         done.charge_uc += sum(pulse.charge_uc for pulse in pulses)
+        done.pulses += pulses
         for sample in patient.advance(t_ns, pulses):
             if sample.sensor == foot and not (lost and lost(sample.t_ns)):
                 handle(sample)

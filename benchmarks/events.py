@@ -16,14 +16,11 @@ the exit code is 3.
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
+from command_line import console_of, parser_of, save, verdict
 from event_cases import Case, bundled_cases, data_folder, gaitmap_cases, stroke_tracks
 from rich.console import Console
 from rich.table import Table
@@ -184,11 +181,8 @@ def holds(s: Score) -> bool:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=data_folder(), help="folder of the recordings")
-    parser.add_argument("--json", type=Path, help="write the results here as well")
-    options = parser.parse_args(arguments)
-    console = Console() if sys.stdout.isatty() else Console(width=170)
+    options = parser_of(__doc__, data_folder()).parse_args(arguments)
+    console = console_of(170)
     there = (options.data / "gaitmap_walk").is_dir() and (options.data / "stroke_treadmill").is_dir()
     bundled = bundled_cases()
     sets = [(name, [c for c in bundled if c.name == name]) for name in dict.fromkeys(c.name for c in bundled)]
@@ -201,8 +195,7 @@ def main(arguments: list[str] | None = None) -> int:
         scores += [s for method in list(METHODS)[1:] for s in score("stroke, against off-line", known, method)]
     _print(console, scores)
     angles = strike_angles(tracks)
-    if options.json:
-        options.json.write_text(json.dumps({"events": [asdict(s) for s in scores], "strike": angles}, indent=1))
+    save({"events": [asdict(s) for s in scores], "strike": angles}, options.json)
     if not there:
         console.print(f"No gaitmap_walk and stroke_treadmill in {options.data}; set FES_DATA or --data.")
         return 3
@@ -215,8 +208,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     judged = [s for s in scores if s.data == "gaitmap_walk" and s.method in ("off-line", "causal, instants")]
     held = all(holds(s) for s in judged) and correlation >= STRIKE_BAR[0] and sd <= STRIKE_BAR[1]
-    console.print("The bars hold." if held else "[red]A bar does not hold.[/]")
-    return 0 if held else 1
+    return verdict(console, held, several=True)
 
 
 def _as_truth(run: str, track: Track) -> Case:

@@ -22,8 +22,8 @@ from typing import Literal
 
 import numpy as np
 
+from drivers.virtual.can_node_spawn import NodeHandle, free_bus, spawn_node
 from drivers.virtual.imu_spawn import ImuKind, spawn_imu
-from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node
 from fes.calibrations import calibrate_drivers, save
 from fes.hil.baseline import Baseline
 from fes.hil.control import ScriptedOperator

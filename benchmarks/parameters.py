@@ -14,17 +14,14 @@ that [geometry] names. The virtual foot bends at its ball, so its own number ("m
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
+from command_line import console_of, parser_of, save, verdict
 from event_cases import data_folder, gaitmap_cases
-from rich.console import Console
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
@@ -242,13 +239,12 @@ COLUMNS = {
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; 0 when all bars hold, 1 when not."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of(__doc__)
     parser.add_argument("--fast", action="store_true", help="the five patterns once, for half a minute each")
     parser.add_argument("--seed", type=int, default=0, help="added to the seeds of all virtual walks")
-    parser.add_argument("--json", type=Path, help="write the results here as well")
     options = parser.parse_args(arguments)
     results = [errors for case in cases(fast=options.fast, seed=options.seed) for errors in compare(case)[0]]
-    console = Console() if sys.stdout.isatty() else Console(width=170)
+    console = console_of(170)
     names = list(COLUMNS)
     for part in (names[:7], names[7:]):
         table = Table("walk", "foot", "strides", *(COLUMNS[key][0] for key in part))
@@ -263,11 +259,11 @@ def main(arguments: list[str] | None = None) -> int:
         for what, by, mean, sd, n in markers(data_folder()):
             table.add_row(what, by, f"{mean:+.1f} ± {sd:.1f}", str(n))
         console.print(table)
-    if options.json:
-        options.json.write_text(json.dumps([asdict(e) for e in results], indent=1))
-    missed = [(e.case, e.foot, key) for e in results for key in e.missed()]
-    console.print("The bars hold." if not missed else f"[red]{len(missed)} bars do not hold.[/]")
-    return 1 if missed else 0
+    save([asdict(e) for e in results], options.json)
+    missed = sum(len(e.missed()) for e in results)
+    if missed:
+        console.print(f"Missed: {missed}")
+    return verdict(console, not missed, several=True)
 
 
 def _cell(value: tuple[float, float], digits: int, missed: bool) -> str:

@@ -12,18 +12,16 @@ swings per 100 strides, and no side told wrongly that was told as sure.
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from ankle import calibrate, load_shanks
+from command_line import console_of, parser_of, save, verdict
 from rich.console import Console
 from rich.table import Table
-from stroke_treadmill import IN_ORDER, LAST_S, data_folder, load_run, mid_swings, track_foot, track_of
+from stroke_treadmill import IN_ORDER, LAST_S, data_folder, load_run, mid_swings, runs_of, track_foot, track_of
 
 from fes.estimation.calibration import CalibrationError, stretch_for_calibration
 from fes.estimation.shank import shank_tracker
@@ -183,25 +181,16 @@ def holds(results: list[SideResult], told: list[Told]) -> bool:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the tables; 0 when the bars hold, 1 when not, 3 without data."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=data_folder(), help="folder with stroke_treadmill/ below")
-    parser.add_argument("--json", type=Path, help="write the results here as well")
-    options = parser.parse_args(arguments)
-    paths = sorted((options.data / "stroke_treadmill").glob("*.npz"))
-    if not paths:
-        print(f"No recordings in {options.data / 'stroke_treadmill'}; set FES_DATA or give --data.", file=sys.stderr)
+    options = parser_of(__doc__, data_folder()).parse_args(arguments)
+    if not (paths := runs_of(options.data)):
         return 3
     results = [result for path in paths for result in evaluate(path)]
     told = tell_all(options.data)
-    console = Console() if sys.stdout.isatty() else Console(width=150)
+    console = console_of(150)
     show_phases(results, console)
     show_sides(told, console)
-    if options.json:
-        both = {"phases": [asdict(r) for r in results], "sides": [asdict(t) for t in told]}
-        options.json.write_text(json.dumps(both, indent=1))
-    held = holds(results, told)
-    console.print("The bars hold." if held else "[red]The bars do not hold.[/]")
-    return 0 if held else 1
+    save({"phases": [asdict(r) for r in results], "sides": [asdict(t) for t in told]}, options.json)
+    return verdict(console, holds(results, told), several=True)
 
 
 def show_phases(results: list[SideResult], console: Console) -> None:

@@ -1,7 +1,7 @@
 """What the arithmetic alone costs: the filters of an analysis in bare compiled loops over the whole recording.
 
-The live core sample by sample, and the ZUPT-aided filter forwards and smoothed: once for the path, and once more in the
-stretches, with their margins, of the stride lengths. Reading, events, strides and all bookkeeping are left out.
+The live core sample by sample; and of the ZUPT-aided filter the samples gathered into steps, and twice, for path and
+stride lengths, forwards and smoothed. Reading, events, strides and all bookkeeping are left out.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from fes.estimation.calibration import FootCalibration
 from fes.estimation.compiled import jit
 from fes.estimation.orientation import OrientationSettings
 from fes.estimation.rest import at_rest, calibrate_rest
-from fes.estimation.stride_fusion import MARGIN_S, STRETCH_S
-from fes.estimation.zupt_kernel import ZuptSettings, forward, new_tape
-from fes.estimation.zupt_smooth import smooth
+from fes.estimation.zupt_kernel import ZuptSettings
+from fes.estimation.zupt_step_filter import forward_steps, new_step_tape
+from fes.estimation.zupt_step_smooth import smooth_steps
+from fes.estimation.zupt_steps import MOVING_NS, RESTING_NS, gather, step_ends, steps_of
 from fes.recording import Recording
 from fes.replay import increasing
 
@@ -54,19 +55,16 @@ def bare_seconds(recording: Recording, calibrations: Mapping[str, Calibration], 
 
 def _once(calibration: FootCalibration, t_ns: Any, acc: Any, gyr: Any, rest: Any) -> float:
     state, settings, noise = np.zeros(1, kernel.STATE)[0], OrientationSettings(), ZuptSettings()
-    trace, extra, lever = np.zeros((len(t_ns), 4)), np.zeros(len(t_ns)), np.zeros(3)
-    whole = round((STRETCH_S + 2.0 * MARGIN_S) * calibration.rate_hz)
-    tape = new_tape(min(whole, len(t_ns)), covariance=False)
-    samples = (1.0 + (STRETCH_S + 2.0 * MARGIN_S) / STRETCH_S) * len(t_ns)  # of both solutions
+    trace, none, lever, bias = np.zeros((len(t_ns), 4)), np.zeros(len(t_ns)), np.zeros(3), np.zeros(3)
+    steps = steps_of(t_ns, acc, gyr, none, none, rest, (0.0, 0.0, 0.0))
+    tape = new_step_tape(len(steps.ends), int(np.count_nonzero(rest[steps.ends])))
+    ends = np.empty(len(t_ns), np.int64)
     kernel.start(state, int(t_ns[0]), *acc[0].tolist(), settings)
     begin = time.process_time()
     _follow(state, calibration.parameters(), calibration.thresholds(), settings, t_ns, acc, gyr, trace, AFTER)
-    spent, done = time.process_time() - begin, 0
-    begin = time.process_time()
-    for first in range(0, len(t_ns) - len(tape.position) + 1, len(tape.position)):
-        part = slice(first, first + len(tape.position))
-        quiet = rest[part]
-        forward(t_ns[part], acc[part], gyr[part], extra[part], extra[part], quiet, acc[first], lever, True, noise, tape)
-        smooth(t_ns[part], bool(quiet[0]), noise, tape)
-        done += len(tape.position)
-    return spent + (time.process_time() - begin) * samples / done
+    step_ends(t_ns, rest, MOVING_NS, RESTING_NS, ends)
+    gather(t_ns, acc, gyr, none, none, 0.0, 0.0, 0.0, noise, steps)
+    for level in (False, True):
+        forward_steps(t_ns, gyr, rest, steps, acc[0], lever, bias, level, noise, tape)
+        smooth_steps(t_ns, steps.ends, bool(rest[0]), noise, tape)
+    return time.process_time() - begin

@@ -26,17 +26,14 @@ and choosing by the mean ratio to the bars of the others gives on that set: PySh
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from collections import defaultdict
-from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
+from command_line import console_of, parser_of, save
 from lift import arm_fitted, clearance_errors
 from real_sets import PathWalk, all_walks, gaitmap_walk, stroke_feet
-from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder
 
@@ -156,9 +153,7 @@ def belt_ratios(method: str) -> list[float]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; 3 without data."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, help="write the figures here as well")
-    options = parser.parse_args(arguments)
+    options = parser_of(__doc__).parse_args(arguments)
     table = Table("data", "method", "n", "bias", "SD", "RMSE", "worst", "unit")
     figures = []
     for method in METHODS:
@@ -184,10 +179,8 @@ def main(arguments: list[str] | None = None) -> int:
             f"{row[key]:+.2f}" if key == "bias" else f"{row[key]:.2f}" for key in ("bias", "SD", "RMSE", "worst")
         ]
         table.add_row(str(row["data"]), str(row["method"]), str(row["n"]), *numbers, str(row["unit"]))
-    console = Console() if sys.stdout.isatty() else Console(width=120)
-    console.print(table)
-    if options.json:
-        options.json.write_text(json.dumps(figures, indent=1))
+    console_of(120).print(table)
+    save(figures, options.json)
     return 0
 
 

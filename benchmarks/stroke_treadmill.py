@@ -10,8 +10,6 @@ The recordings are not part of the project (see docs/accuracy.md); without them 
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import sys
 from dataclasses import asdict, dataclass
@@ -19,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
+from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
 from scipy.signal import butter, filtfilt, find_peaks
 
@@ -56,6 +54,14 @@ class FootResult:
 def data_folder() -> Path:
     """Where the recordings are: $FES_DATA, else ../shared/data beside the project."""
     return Path(os.environ.get("FES_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+
+
+def runs_of(folder: Path) -> list[Path]:
+    """All runs below a folder; where there are none, says what to do about that."""
+    paths = sorted((folder / "stroke_treadmill").glob("*.npz"))
+    if not paths:
+        print(f"No recordings in {folder / 'stroke_treadmill'}; set FES_DATA or give --data.", file=sys.stderr)
+    return paths
 
 
 def track_of(sensor: str, rate_hz: float, acc: FloatArray, gyr: FloatArray) -> Track:
@@ -138,13 +144,8 @@ def evaluate(path: Path) -> list[FootResult]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print the table; 0 when the bar holds, 1 when not, 3 without data."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=data_folder(), help="folder with stroke_treadmill/ below")
-    parser.add_argument("--json", type=Path, help="write the results here as well")
-    options = parser.parse_args(arguments)
-    paths = sorted((options.data / "stroke_treadmill").glob("*.npz"))
-    if not paths:
-        print(f"No recordings in {options.data / 'stroke_treadmill'}; set FES_DATA or give --data.", file=sys.stderr)
+    options = parser_of(__doc__, data_folder()).parse_args(arguments)
+    if not (paths := runs_of(options.data)):
         return 3
     results = [result for path in paths for result in evaluate(path)]
     table = Table("run", "foot", "belt m/s", "speed / belt", "strides", "in order", "%", "false swings", "rest rad/s")
@@ -161,7 +162,7 @@ def main(arguments: list[str] | None = None) -> int:
             str(r.false_swings),
             f"{r.rest_gyr_radps:.2f}",
         )
-    console = Console() if sys.stdout.isatty() else Console(width=120)
+    console = console_of(120)
     console.print(table)
     ratios = np.array([r.speed_ratio for r in results if not np.isnan(r.speed_ratio)])
     strides, in_order = sum(r.strides for r in results), sum(r.in_order for r in results)
@@ -176,11 +177,8 @@ def main(arguments: list[str] | None = None) -> int:
         f"{100 * worst.in_order / worst.strides:.1f} %; false swings per 100 strides: "
         f"{100 * sum(r.false_swings for r in results) / strides:.2f}"
     )
-    if options.json:
-        options.json.write_text(json.dumps([asdict(r) for r in results], indent=1))
-    held = share >= MIN_IN_ORDER and SPEED_BAR[0] <= ratios.min() and ratios.max() <= SPEED_BAR[1]
-    console.print("The bar holds." if held else "[red]The bar does not hold.[/]")
-    return 0 if held else 1
+    save([asdict(r) for r in results], options.json)
+    return verdict(console, share >= MIN_IN_ORDER and SPEED_BAR[0] <= ratios.min() and ratios.max() <= SPEED_BAR[1])
 
 
 if __name__ == "__main__":

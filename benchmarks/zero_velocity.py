@@ -11,13 +11,10 @@ over 8 cm are counted apart. The recordings are not part of the project; without
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import numpy as np
+from command_line import console_of, parser_of, save, verdict
 from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import data_folder
@@ -158,13 +155,12 @@ def show(console: Console, title: str, rows: list[list[str]], columns: list[str]
     console.print(table)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", type=Path, default=data_folder())
+def main(words: list[str] | None = None) -> int:
+    """Print the tables; 0 when all bars hold, 1 when not, 3 without data."""
+    parser = parser_of(__doc__, data_folder())
     parser.add_argument("--limit", type=float, default=LIMIT_MPS, help="slower is at rest, m/s")
-    parser.add_argument("--json", type=Path, help="write all results here")
-    arguments = parser.parse_args()
-    console = Console(width=110)
+    arguments = parser.parse_args(words)
+    console = console_of(110)
     walks = pyshoe(arguments.data)
     if not walks:
         console.print(f"No recordings in {arguments.data}/pyshoe_vicon. Set FES_DATA or --data.")
@@ -226,16 +222,15 @@ def main() -> int:
     ]
     for failure in failures:
         console.print(failure)
-    if arguments.json:
-        results = {
-            "detectors": [asdict(r) for r in detectors],
-            "lengths": [asdict(r) for r in lengths],
-            "speeds": [asdict(r) for r in speeds],
-            "loops": [asdict(r) for r in loops],
-        }
-        arguments.json.write_text(json.dumps(results, indent=1) + "\n")
-    return 1 if failures else 0
+    results = {
+        "detectors": [asdict(r) for r in detectors],
+        "lengths": [asdict(r) for r in lengths],
+        "speeds": [asdict(r) for r in speeds],
+        "loops": [asdict(r) for r in loops],
+    }
+    save(results, arguments.json)
+    return verdict(console, not failures, several=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -1,7 +1,7 @@
-"""Make the pictures of the live page: ``python docs/screenshots.py``; needs Chromium.
+"""Make the pictures of the live page and of the report: ``python docs/screenshots.py [page] [report]``; needs Chromium.
 
 Nothing is staged: simulated sensors on both feet, a simulated stimulator, `fes run --page`, armed and raised over the
-control socket, and a real browser.
+control socket, and a real browser; `fes demo` and `fes analyse --hemiparetic`. The printed page needs pdftoppm.
 """
 
 from __future__ import annotations
@@ -9,8 +9,10 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
+from base64 import b64decode
 from contextlib import ExitStack
 from pathlib import Path
+from subprocess import DEVNULL, run
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "transports")]
@@ -20,16 +22,21 @@ from page_browser import Page, chromium  # noqa: E402
 from replays import cut, trial  # noqa: E402
 from small_png import smaller  # noqa: E402
 
+from drivers.virtual.can_node_spawn import spawn_node  # noqa: E402
 from drivers.virtual.imu_spawn import spawn_imu  # noqa: E402
-from drivers.virtual.spawn import spawn_node  # noqa: E402
 from fes.calibrations import calibrate_drivers, save  # noqa: E402
-from fes.recording import write_recording  # noqa: E402
+from fes.patient.virtual import VirtualPatient, settings_for  # noqa: E402
+from fes.patient.virtual.truth_of import recording_of  # noqa: E402
+from fes.recording import Recording, write_recording  # noqa: E402
+from fes.signals import FOOT_SENSORS, NS_PER_S  # noqa: E402
 
 TRIAL = "both_feet_200hz"
 RATE_HZ = 200.0
 STANDING_S = 12
 SEEN_S = 7.0
-LARGEST_BYTES = 150_000
+WALKED_S = 45
+FES = Path(sys.executable).with_name("fes")
+LARGEST_BYTES = 250_000
 CHANNEL = """
 [[channels]]
 name = "Peroneus, left"
@@ -92,17 +99,22 @@ def walking(run: LiveRun, page: Page) -> None:
 
 def taken(page: Page, name: str) -> None:
     """Keep the picture, and say how large it is."""
+    page.picture(ROOT / "docs" / name)
+    kept(name, (ROOT / "docs" / name).read_bytes())
+
+
+def kept(name: str, png: bytes) -> None:
+    """The picture in 256 colours, in docs."""
     path = ROOT / "docs" / name
-    page.picture(path)
-    path.write_bytes(smaller(path.read_bytes()))
+    path.write_bytes(smaller(png))
     size = path.stat().st_size
     print(f"{path.relative_to(ROOT)}  {size / 1000:.0f} kB")
     if size > LARGEST_BYTES:
         print(f"{name}: over {LARGEST_BYTES / 1000:.0f} kB")
 
 
-def main() -> None:
-    """Both pictures."""
+def live_page() -> None:
+    """Both pictures of the live page."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         folder = Path(name)
         whole = trial(TRIAL)
@@ -124,5 +136,46 @@ def main() -> None:
         run.quit()
 
 
+def hemiparetic_walk() -> Recording:
+    """A virtual patient's, from standing to standing."""
+    patient = VirtualPatient(
+        settings_for("moderate", pattern="hemiparetic_3", seed=3, rate_hz=100.0, side="right", sensors=FOOT_SENSORS)
+    )
+    samples = patient.advance(WALKED_S * NS_PER_S)
+    patient.stop()
+    samples += patient.advance((WALKED_S + 10) * NS_PER_S)
+    return recording_of(patient, samples, "hemiparetic", "")
+
+
+def report() -> None:
+    """The demo's report on a screen, a hemiparetic walk's on a tablet, and the demo's first printed page."""
+    with tempfile.TemporaryDirectory() as name, chromium(Path(name) / "browser") as page:
+        folder = Path(name)
+        run([FES, "demo", "--out", folder / "demo"], check=True, stdout=DEVNULL)
+        (demo,) = (folder / "demo").glob("*/report.html")
+        page.size(1280, 900)
+        page.go(demo.as_uri())
+        taken(page, "report_desktop.png")
+        printed = b64decode(page.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+        (folder / "report.pdf").write_bytes(printed)
+        run(
+            ["pdftoppm", "-r", "110", "-l", "1", "-singlefile", "-png", folder / "report.pdf", folder / "print"],
+            check=True,
+        )
+        kept("report_print.png", (folder / "print.png").read_bytes())
+        write_recording(hemiparetic_walk(), folder / "hemiparetic.parquet")
+        run(
+            [FES, "analyse", folder / "hemiparetic.parquet", "--hemiparetic", "--out", folder],
+            check=True,
+            stdout=DEVNULL,
+        )
+        (walk,) = folder.glob("hemiparetic-*/report.html")
+        page.size(820, 1180, touch=True)
+        page.go(walk.as_uri())
+        page.run("document.getElementById('hemiparetic').scrollIntoView({behavior: 'instant'})")
+        taken(page, "report_tablet.png")
+
+
 if __name__ == "__main__":
-    main()
+    for each in sys.argv[1:] or ("page", "report"):
+        {"page": live_page, "report": report}[each]()

@@ -18,8 +18,9 @@ from fes.estimation.clearance import FootPath
 from fes.estimation.events_offline import GaitEvents, find_events
 from fes.estimation.foot import FootTracker
 from fes.estimation.foot_strike import foot_strike_angles
+from fes.estimation.foot_way import foot_samples
 from fes.estimation.shank import shank_tracker
-from fes.estimation.stride_fusion import fused
+from fes.estimation.stride_fusion import fused_along
 from fes.estimation.strides import StrideMaker
 from fes.estimation.tracker import SampleCounts, Tracker
 from fes.ground_path import GroundPath, ground_path, together
@@ -117,6 +118,7 @@ class Analysis:
 
     def record(self, created: str) -> SessionRecord:
         """The same as a session's record, for the tables and the report."""
+        tracks = self.recording.tracks
         header = {
             "format": LOG_FORMAT,
             "fes_version": __version__,
@@ -126,6 +128,7 @@ class Analysis:
                 "name": self.recording.name,
                 "rates_hz": {sensor: track.rate_hz for sensor, track in self.recording.tracks.items()},
                 "belt_speed_mps": self.recording.belt_speed_mps,
+                "ranges": {n: {"acc": t.acc_range_mps2, "gyr": t.gyr_range_radps} for n, t in tracks.items()},
             },
             "ground": {"level": self.level},
             "toe_and_heel": {foot: known.to_json() for foot, known in self.points.items()},
@@ -167,7 +170,12 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
         strides = [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
         if isinstance(calibration, FootCalibration):
             ranges = (track.acc_range_mps2, track.gyr_range_radps)
-            strides = fused(strides, track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
+            try:
+                foot = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
+                strides = fused_along(strides, foot)
+                result.paths[sensor] = ground_path(track, calibration, level=level, foot=foot)
+            except ValueError as error:
+                result.no_path[sensor] = f"{sensor}: {error}"
             given = next((value for foot, value in session.geometry.items() if foot == sensor), None)
             strides, result.points[sensor] = toe_and_heel(strides, paths, given, level=level)
             result.stride_paths[sensor] = paths
@@ -180,10 +188,6 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
         newer = increasing(track)
         t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
         result.events[sensor] = find_events(t_ns, acc, gyr, calibration)
-        try:
-            result.paths[sensor] = ground_path(track, calibration, level=level)
-        except ValueError as error:
-            result.no_path[sensor] = str(error)
     if set(FOOT_SENSORS) <= set(result.paths):
         left, right = (result.paths[foot] for foot in FOOT_SENSORS)
         result.paths.update(zip(FOOT_SENSORS, together(left, right), strict=True))

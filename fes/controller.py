@@ -6,9 +6,7 @@ Everything it knows came as an event, so the same events give the same decisions
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-
-import numpy as np
+from dataclasses import dataclass
 
 from fes.config import Session
 from fes.driving import Calibration, driving, stride_settings, tracker_of
@@ -29,7 +27,7 @@ from fes.stimulation.switch_fallback import SwitchFallback
 from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.tuners import TUNING_ACTS, Tuners
 from fes.stimulation.walking import WalkingJudge
-from statemachine.phases import Phase
+from statemachine.phases import Phase, PhaseChange
 
 __all__ = ["NOTHING", "Controller", "Decision", "stride_settings"]
 
@@ -110,9 +108,7 @@ class Controller:
         return Decision(requests, outcomes, reports) if requests or outcomes or reports else NOTHING
 
     def _advance(self, foot: str, sample: ImuSample) -> list[Outcome]:
-        outcomes = self.trackers[foot].advance(
-            np.array([sample.t_sensor_ns]), np.array([sample.acc_mps2]), np.array([sample.gyr_radps])
-        )
+        outcomes = self.trackers[foot].step(sample.t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
         judge = self._judges[foot]
         for outcome in outcomes:
             if isinstance(outcome, StrideResult):
@@ -124,7 +120,8 @@ class Controller:
                 if fallback is not None and not fallback.sensor(outcome):
                     continue
                 # stimulation keeps to the host's clock, whatever the sensor's does
-                self._plan.on_phase(replace(outcome, t_ns=sample.t_ns, foot=foot), permitted=permitted)
+                change = PhaseChange(sample.t_ns, foot, outcome.transition, outcome.source, outcome.destination)
+                self._plan.on_phase(change, permitted=permitted)
         return outcomes
 
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:

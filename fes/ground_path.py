@@ -1,9 +1,8 @@
 """Where a foot went over the ground: its path through a whole recording, for analysis after the fact.
 
-The path is that of the smoothed ZUPT-aided filter (``fes.estimation.zupt``). A long recording is cut into stretches at
-long rests, so that memory does not grow with it, and the stretches are joined there by place and heading. Nothing
-measures heading but the gyroscope, so it drifts; two feet that go the same way tell what part of that they do not
-share. On a treadmill the path is that over the belt.
+The path is that of the smoothed ZUPT-aided filter (``fes.estimation.foot_way``). Nothing measures heading but the
+gyroscope, so it drifts; two feet that go the same way tell what part of that they do not share. On a treadmill the path
+is that over the belt.
 """
 
 from __future__ import annotations
@@ -14,23 +13,16 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.calibration import FootCalibration
-from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest
-from fes.estimation.rotation import rotate_all
-from fes.estimation.zupt import stance_instants, with_quietest, zupt_path
+from fes.estimation.foot_way import FootSamples, foot_samples
+from fes.estimation.zupt_kernel import ZuptSettings
 from fes.recording import Track
-from fes.replay import increasing
 from fes.signals import FloatArray, IntArray
 
-STRETCH_S = 90.0
-SEARCH_S = 30.0  # around the end of a stretch, for a rest to cut it at
-LEAST_REST_S = 0.15  # of the rest to cut at: the filter begins once the foot has rested for 0.1 s
-JOIN_S = 0.12  # after the cut: there both stretches know where the foot is
+SETTINGS = ZuptSettings()
 AHEAD_M = 2.0
 KEPT_HZ = 50.0
 LEAST_STANCES = 12  # of either foot, to tell a drift of the headings from a turn
 MOST_STANCES = 400  # of a long walk, evenly picked
-
-BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,93 +74,46 @@ class GroundPath:
         ]
 
 
-def ground_path(track: Track, calibration: FootCalibration, *, level: bool = True) -> GroundPath:
+def ground_path(
+    track: Track, calibration: FootCalibration, *, level: bool = True, foot: FootSamples | None = None
+) -> GroundPath:
     """Follow one foot through a whole recording.
 
     Args:
         track: its samples.
         calibration: of the same sensor, for where the toe points.
         level: the foot rests at one height; not on stairs and slopes.
+        foot: the same samples where already prepared.
 
     Raises:
         ValueError: the recording is too short, or the foot never rests.
     """
-    newer = increasing(track)
-    t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
-    if len(t_ns) < 3:
-        raise ValueError(f"{track.sensor}: {len(t_ns)} samples make no path")
-    rest_calibration = calibrate_rest(acc, gyr, track.rate_hz)
-    rest = with_quietest(at_rest(rest_calibration, acc, gyr, track.rate_hz), gyr, track.rate_hz)
-    if not rest.any():
-        raise ValueError(f"{track.sensor}: the foot never rests, so nothing holds a path; check the units")
-    position, heading = np.empty((len(t_ns), 3)), np.empty(len(t_ns))
-    join = round(JOIN_S * track.rate_hz)
-    cuts = [0, *_cuts(t_ns, rest, track.rate_hz), len(t_ns)]
-    for k, begin in enumerate(cuts[:-1]):
-        span = slice(begin, min(cuts[k + 1] + join + 1, len(t_ns)))
-        found, pointing = _stretch(track, t_ns[span], acc[span], gyr[span], rest[span], rest_calibration, level)
-        headings = np.unwrap(np.arctan2(*(rotate_all(pointing, calibration.forward())[:, (1, 0)].T)))
-        at = begin + join if k else 0
-        if k:
-            turn = heading[at] - headings[at - begin]
-            found = found @ _about_z(turn).T
-            found += position[at] - found[at - begin]
-            headings = headings + turn
-        position[at : span.stop], heading[at : span.stop] = found[at - begin :], headings[at - begin :]
-    stances = stance_instants(rest, gyr, track.rate_hz)
-    way_m = float(np.hypot(*np.diff(position[stances, :2], axis=0).T).sum())
-    heading = _continuous(heading, stances)
-    keep = np.unique(np.append(np.arange(0, len(t_ns), max(round(track.rate_hz / KEPT_HZ), 1)), len(t_ns) - 1))
-    path = GroundPath(calibration.sensor, t_ns[keep], position[keep], heading[keep], way_m, t_ns[stances])
-    return ahead(path)
+    if foot is None:
+        ranges = track.acc_range_mps2, track.gyr_range_radps
+        try:
+            foot = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
+        except ValueError as error:
+            raise ValueError(f"{track.sensor}: {error}") from error
+    way = foot.way(SETTINGS, level=level)
+    t_ns, stances = foot.t_ns, foot.stances()
+    step = max(round(foot.rate_hz / KEPT_HZ), 1)
+    kept = t_ns[::step] if (len(t_ns) - 1) % step == 0 else np.append(t_ns[::step], t_ns[-1])
+    stance_ns = t_ns[stances]
+    way_m = float(np.hypot(*np.diff(way.at(stance_ns)[:, :2], axis=0).T).sum())
+    pointing = way.pointing(calibration.forward())
+    heading = _continuous(way.t_ns, np.unwrap(np.arctan2(pointing[:, 1], pointing[:, 0])), stance_ns)
+    heading = np.interp((kept - t_ns[0]).astype(np.float64), (way.t_ns - t_ns[0]).astype(np.float64), heading)
+    return ahead(GroundPath(calibration.sensor, kept, way.at(kept), heading, way_m, stance_ns))
 
 
-def _continuous(heading: FloatArray, stances: IntArray) -> FloatArray:
-    """The heading (N,) without false whole turns: a toe that points straight down in between has no heading."""
-    at_stance = heading[stances]
+def _continuous(t_ns: IntArray, heading: FloatArray, stance_ns: IntArray) -> FloatArray:
+    """The heading (K,) without false whole turns: a toe that points straight down in between has no heading."""
+    at_stance = np.interp(stance_ns.astype(np.float64), t_ns.astype(np.float64), heading)
     off = np.unwrap(at_stance) - at_stance
-    nearest = np.searchsorted((stances[1:] + stances[:-1]) // 2, np.arange(len(heading)), side="right")
+    if not off.any():
+        return heading
+    nearest = np.searchsorted((stance_ns[1:] + stance_ns[:-1]) // 2, t_ns, side="right")
     return np.asarray(heading + off[nearest])
-
-
-def _stretch(
-    track: Track,
-    t_ns: IntArray,
-    acc: FloatArray,
-    gyr: FloatArray,
-    rest: BoolArray,
-    calibration: RestCalibration,
-    level: bool,
-) -> tuple[FloatArray, FloatArray]:
-    """Position (N, 3) and orientation (N, 4) of one stretch."""
-    path = zupt_path(
-        t_ns,
-        acc,
-        gyr,
-        calibration=calibration,
-        rest=rest,
-        level_ground=level,
-        acc_range_mps2=track.acc_range_mps2,
-        gyr_range_radps=track.gyr_range_radps,
-    )
-    return path.position_m, path.q_world_from_sensor
-
-
-def _cuts(t_ns: IntArray, rest: BoolArray, rate_hz: float) -> list[int]:
-    """Where to cut: at the longest rest near the end of every stretch, if it is long enough."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], rest, [False])).astype(np.int8)))
-    begins, ends = edges[0::2], edges[1::2]
-    seconds = 1e-9 * (t_ns[begins] - t_ns[0])
-    cuts: list[int] = []
-    last_s, total_s = 0.0, 1e-9 * float(t_ns[-1] - t_ns[0])
-    while total_s - last_s > STRETCH_S + SEARCH_S:
-        near = np.flatnonzero(np.abs(seconds - last_s - STRETCH_S) <= SEARCH_S)
-        longest = near[np.argmax((ends - begins)[near])] if len(near) else -1
-        last_s += STRETCH_S
-        if longest >= 0 and ends[longest] - begins[longest] >= LEAST_REST_S * rate_hz:
-            cuts.append(int(begins[longest]))
-            last_s = float(seconds[longest])
-    return cuts
 
 
 def ahead(path: GroundPath) -> GroundPath:

@@ -8,18 +8,18 @@ import pytest
 from hypothesis import HealthCheck, settings
 from replays import Replays
 
-from drivers.virtual import spawn
+from drivers.virtual import can_node_spawn
 from fes.config import Bus
 
 # "interface:channel": the bus that CAN tests use instead of multicast, see tests/test_socketcan_guest.py
 if TEST_BUS := os.environ.get("FES_TEST_BUS", ""):
-    plain_free_bus = spawn.free_bus
+    plain_free_bus = can_node_spawn.free_bus
 
     def free_bus(interface: str = "") -> Bus:
         named, channel = TEST_BUS.split(":", 1)
         return plain_free_bus(interface) if interface else Bus(interface=named, channel=channel)
 
-    spawn.free_bus = free_bus
+    can_node_spawn.free_bus = free_bus
 
 if "MUTANT_UNDER_TEST" in os.environ:  # a busy machine must not look like a test that noticed the mutant
     settings.register_profile("mutants", derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))

@@ -32,7 +32,7 @@ OPTIONS = {
 }
 
 
-def dbc_options(folder: Path, text: str = DBC, **change: str | int) -> dict[str, str | int | float | bool]:
+def dbc_options(folder: Path, text: str = DBC, **change: str | float) -> dict[str, str | int | float | bool]:
     path = folder / "imu.dbc"
     path.write_text(text, encoding="ascii")
     return {**OPTIONS, "dbc": str(path), **change}

@@ -21,7 +21,7 @@ class SetClock:
     """Advances by a little whenever it is read, or a loop that waits for it would wait for ever."""
 
     now_ns: int = 1_000 * MS
-    step_ns: int = 1000
+    step_ns: int = 50_000
 
     def __call__(self) -> int:
         self.now_ns += self.step_ns

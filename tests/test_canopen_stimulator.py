@@ -13,12 +13,12 @@ from typing import Any
 import can
 import pytest
 
-from drivers.stimulator.bus import LOOPBACK, open_bus
+from drivers.stimulator.bus import LOOPBACK, bus_off_frame, open_bus
 from drivers.stimulator.canopen_codec import CanOpenSettings, Sdo, encode_download
 from drivers.stimulator.canopen_port import CanOpenStimulator
 from drivers.stimulator.port import StimulatorLost
+from drivers.virtual.can_node_spawn import free_bus, why_silent
 from drivers.virtual.node_record import read_record
-from drivers.virtual.spawn import free_bus, why_silent
 from fes.config import StimulatorDevice
 from fes.signals import StimAlive, StimCommand, StimStatus
 
@@ -40,6 +40,16 @@ NO_LOOPBACK = why_silent(free_bus(LOOPBACK))
 
 def virtual(name: str) -> can.BusABC:
     return can.Bus(interface="virtual", channel=name, ignore_config=True)
+
+
+def test_bus_off_is_a_lost_stimulator(tmp_path: Path) -> None:
+    bus = virtual(f"off {tmp_path}")
+    with virtual(f"off {tmp_path}") as adapter:
+        port = CanOpenStimulator(bus, 7, (0,), CanOpenSettings.of(OPTIONS))
+        adapter.send(bus_off_frame())
+        with pytest.raises(StimulatorLost, match="bus-off"):
+            port.poll(0)
+        port.close()
 
 
 class Rig:

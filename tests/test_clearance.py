@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pivoting_foot import ARMS, CONTACT_S, END_S, FOOT_OFF_S, rotation, stride, upstairs
 
@@ -34,6 +34,7 @@ SMALL = st.floats(-0.1, 0.1)
 SIM = Path(__file__).resolve().parents[1] / "sim_inputs"
 
 
+@settings(deadline=None)  # the first time it compiles
 @given(arm=st.tuples(SMALL, SMALL, SMALL), turn=st.tuples(*[st.floats(-1.2, 1.2)] * 6))
 def test_a_point_rises_as_its_lever_says_however_the_sensor_is_mounted(
     arm: tuple[float, float, float], turn: tuple[float, ...]

@@ -174,7 +174,10 @@ def test_unusable_recordings(tmp_path: Path, make: Callable[[Path], Path], words
 
 def test_a_recording_without_its_sidecar_gets_one_to_fill_in(tmp_path: Path) -> None:
     (tmp_path / "mine.csv").write_text(CSV.read_text())
-    refused(call("replay", tmp_path / "mine.csv"), UNUSABLE, "mine.toml: is missing", "[sensors", "?")
+    refused(
+        call("replay", tmp_path / "mine.csv"), UNUSABLE, "mine.toml was missing", "[sensors", "No answer is missing"
+    )
+    assert call("calibrate", tmp_path / "mine.csv", "--out", tmp_path / "c.json").exit_code == OK
 
 
 @pytest.mark.parametrize(

@@ -47,8 +47,8 @@ class ScriptedFoot:
         self.phase = Phase.STANCE
         self._changes = {change.t_ns: change for change in changes}
 
-    def advance(self, t_ns: Any, acc_mps2: Any, gyr_radps: Any) -> list[PhaseChange | StrideResult]:
-        change = self._changes.get(int(t_ns[0]))
+    def step(self, t_ns: int, acc_mps2: Any, gyr_radps: Any) -> list[PhaseChange | StrideResult]:
+        change = self._changes.get(t_ns)
         if change is None:
             return []
         self.phase = change.destination

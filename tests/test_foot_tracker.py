@@ -7,12 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from fes.estimation import foot as one_foot
 from fes.estimation import kernel
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.foot import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, FootTracker, Outcome
@@ -130,10 +132,41 @@ def test_sample_by_sample_is_the_whole_block(foot: str) -> None:
 
 
 @pytest.mark.parametrize("foot", FEET)
-def test_forgetting_changes_nothing(foot: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fes.estimation.foot.HISTORY_S", 200.0)
+def test_one_sample_at_a_time_as_live_is_the_whole_block(foot: str) -> None:
     samples, calibration = walk(foot)
-    assert facts(fed(tracker_of(calibration), samples)) == whole(foot)[0]
+    tracker = tracker_of(calibration)
+    outcomes: list[Outcome] = []
+    for t_ns, (ax, ay, az), (gx, gy, gz) in zip(
+        samples.t_ns.tolist(), samples.acc.tolist(), samples.gyr.tolist(), strict=True
+    ):
+        outcomes += tracker.step(t_ns, (ax, ay, az), (gx, gy, gz))
+    assert facts(outcomes) == whole(foot)[0]
+    assert tracker._state.tobytes() == whole(foot)[1]
+
+
+@pytest.mark.parametrize("foot", FEET)
+def test_forgetting_changes_nothing(foot: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fes.estimation.history.HISTORY_S", 200.0)
+    samples, calibration = walk(foot)
+    tracker = tracker_of(calibration)
+    assert len(tracker._history.t_ns) == 20_000
+    assert facts(fed(tracker, samples)) == whole(foot)[0]
+
+
+def test_arrays_of_any_kind_give_the_same() -> None:
+    """Every other kind would be compiled for once more, in the middle of a session."""
+    samples, calibration = walk("left_foot")
+    samples = samples[: samples.at_s(12.0)]
+    expected = facts(fed(tracker_of(calibration), samples))
+    frozen = Samples(samples.t_ns.copy(), samples.acc.copy(), samples.gyr.copy())
+    for column in (frozen.t_ns, frozen.acc, frozen.gyr):
+        column.flags.writeable = False
+    spread = Samples(np.repeat(samples.t_ns, 2)[::2], np.asfortranarray(samples.acc), np.repeat(samples.gyr, 2, 0)[::2])
+    compiled: Any = one_foot._advance
+    kinds = len(compiled.signatures)
+    for other in (frozen, spread):
+        assert facts(fed(tracker_of(calibration), other)) == expected
+    assert len(compiled.signatures) == kinds
 
 
 @given(

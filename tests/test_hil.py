@@ -22,6 +22,7 @@ from hypothesis import strategies as st
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import COMMAND_ID, FrameRejected, decode, encode_command
 from drivers.stimulator.can_port import CanStimulator
+from drivers.stimulator.pulse_train import PulseTrain
 from drivers.switches import CanSwitch
 from drivers.virtual.can_link import LinkLoop, SlcanFront, waiting
 from drivers.virtual.can_node import NodeLoop
@@ -43,7 +44,17 @@ from fes.hil.controller import Child
 from fes.hil.devices import TRANSPORTS, point
 from fes.hil.hardware import BusWitness, Hardware
 from fes.hil.injections import INJECTIONS
-from fes.hil.judge import MS, Outputs, began_after, off_after_ms, on_at, outputs
+from fes.hil.judge import (
+    MS,
+    Outputs,
+    began_after,
+    length_ms,
+    off_after_ms,
+    on_at,
+    outputs,
+    resumed_after,
+    with_late_pulses,
+)
 from fes.hil.results import Attempt, Campaign, Row, Verdict
 from fes.hil.rig import Rig
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Effect
@@ -106,8 +117,47 @@ def test_a_train_of_pulses_ends_with_its_last() -> None:
     assert first.charge_uc == pytest.approx(18.0)
     assert on_at([first], 160 * MS) is first  # the next pulse was due at 175
     assert on_at([first], 250 * MS) is None
-    assert second.off_ns is None  # another pulse may be due
-    assert outputs(entries, 1200 * MS)[1].off_ns == 925 * MS
+    assert second.off_ns == 925 * MS
+    assert outputs(entries, 960 * MS)[1].off_ns is None  # another pulse may be due
+
+
+def test_the_longest_on_time_is_that_of_one_burst() -> None:
+    """A heel lifted once more: 0.3 s of pulses, a pause of 80 ms, and then the stance that does not end, 3 s."""
+    entries = [pulse_entry(t) for t in [*range(0, 301, 25), *range(380, 3381, 25)]]
+    before, stuck = outputs(entries, 5000 * MS)
+    assert length_ms([before], 5000 * MS) == 300.0
+    assert length_ms(with_late_pulses([before, stuck], stuck), 5000 * MS) == 3000.0
+    # and what comes so soon after it that it may be its own is not left out
+    *_, again = late = outputs([*entries, pulse_entry(3480)], 5000 * MS)
+    assert length_ms(with_late_pulses(late, stuck), 5000 * MS) == 3100.0
+    assert again.on_ns == 3480 * MS
+    assert with_late_pulses(outputs([*entries, pulse_entry(3600)], 5000 * MS), stuck) == [stuck]
+
+
+@pytest.mark.parametrize(("pause_ms", "began", "resumed"), [(50, 0, 0), (60, 1, 0), (150, 1, 0), (151, 1, 1)])
+def test_a_late_pulse_is_no_current_again_but_its_time_counts(pause_ms: int, began: int, resumed: int) -> None:
+    stretches = outputs([pulse_entry(t) for t in (100, 125, 150, 150 + pause_ms)], 1000 * MS)
+    assert began_after(stretches, 155 * MS) == began
+    assert resumed_after(stretches, 155 * MS) == resumed
+    assert off_after_ms(stretches, 155 * MS) == max(pause_ms - 5, 0)
+    again = [*BURST, can_entry(410, "on", 5.0), can_entry(450, "off")]  # a record of levels knows no late pulses
+    assert resumed_after(outputs(again, 2000 * MS), 250 * MS) == 1
+
+
+@given(st.lists(st.integers(-7, 7), min_size=80, max_size=80), st.integers(50, 200), st.integers(0, 19))
+def test_a_burst_is_one_and_two_are_two(late_ms: list[int], pause_ms: int, at_ms: int) -> None:
+    """Pulses as the driver asks for them, commands late and early by 7 ms; between bursts the pause that must be."""
+    train, entries, asked = PulseTrain(), [], []
+    for number, late in enumerate(late_ms):
+        if number == 40:
+            train.off()
+        begin_ms = 0 if number < 40 else at_ms + pause_ms + 20
+        t_ms = begin_ms + number * 20 + (0 if number == 40 else late)
+        if train.due(t_ms * MS, FREQUENCY_HZ):
+            entries.append(pulse_entry(t_ms))
+            asked.append(number < 40)
+    stretches = outputs(entries, 10_000 * MS)
+    assert [output.pulses for output in stretches] == [asked.count(True), asked.count(False)]
 
 
 @given(st.lists(st.integers(1, 3000), min_size=1, max_size=40, unique=True), st.integers(0, 3000))

@@ -110,13 +110,13 @@ def test_the_vocabulary_knows_nobody(module: str) -> None:
         ("fes.gate", {"fes.gate", *VOCABULARY}),
         ("drivers", {"drivers", "serial", "can", "canopen", "cantools", "numpy", *SIMULATED, *VOCABULARY}),
         ("fes.stimulation", {"fes.stimulation", "statemachine.phases", *VOCABULARY}),
-        ("fes.estimation", {"fes.estimation", "statemachine", "numpy", "numba", "scipy", *VOCABULARY}),
+        ("fes.estimation", {"fes.estimation", "statemachine", "numpy", "numba", *VOCABULARY}),
         ("fes.driving", {"numpy", "fes.estimation", *VOCABULARY}),
         ("fes.delivered", VOCABULARY),
         ("fes.sources", VOCABULARY),
         (
             "fes.controller",
-            {"numpy", "statemachine.phases", "fes.driving", "fes.estimation", "fes.stimulation", *VOCABULARY},
+            {"statemachine.phases", "fes.driving", "fes.estimation", "fes.stimulation", *VOCABULARY},
         ),
         ("fes.runner", {"fes.controller", "fes.gate", "fes.journal", "statemachine.phases", *VOCABULARY}),
         ("fes.live", {"fes.live", "numpy", *LIVE, *VOCABULARY}),
@@ -223,6 +223,22 @@ def test_the_loop_loads_no_heavy_library() -> None:
     )
     assert all(importlib.util.find_spec(name) for name in heavy if name != "matplotlib")
     assert not loaded_after("import fes.controller, fes.runner, fes.gate, fes.journal, fes.sources", *heavy)
+
+
+NOT_FOR_A_SESSION = ("pyarrow", "jinja2", "rich", "starlette", "uvicorn", "dask", "distributed", "matplotlib", "mcap")
+NOT_FOR_A_SESSION += ("scipy.stats", "scipy.signal", "scipy.spatial", "scipy.interpolate", "scipy.optimize")
+NOT_FOR_A_SESSION += ("scipy.ndimage", "fes.view", "fes.analysis", "fes.parameters", "fes.hemiparetic", "fes.patient")
+
+
+def test_a_live_session_loads_nothing_that_it_does_not_need() -> None:
+    """Nor when all that it compiles has been compiled (or loaded from the cache)."""
+    code = "import fes.cli.run\nfrom fes.estimation.warm import warm_up\nwarm_up()"
+    assert not loaded_after(code, *NOT_FOR_A_SESSION)
+
+
+def test_an_analysis_loads_no_device() -> None:
+    heavy = ("can", "cantools", "serial", "drivers", "scipy.linalg", "scipy.signal", "rich", "jinja2", "pyarrow")
+    assert not loaded_after("import fes.cli.analyse", *heavy, "fes.gate", "fes.runner", "fes.hemiparetic")
 
 
 def test_help_loads_nothing_slow() -> None:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.io import savemat
 
 from fes.cli.main import main
+from fes.importing import ImportProblem
+from fes.importing.xsens_text import read_xsens_text
 from fes.recording import read_recording
 from fes.reference.read import beside, read_references
 from fes.signals import G_MPS2
@@ -75,6 +80,14 @@ def test_gaitmap(tmp_path):
     assert "--overwrite" in again["error"]
 
 
+def test_gaitmap_on_stairs_has_no_truth(tmp_path):
+    gaitmap(tmp_path)
+    (tmp_path / "imu_sample.csv").rename(tmp_path / "imu_sample_healthy_stair_up.csv")
+    made = imported("gaitmap", tmp_path, "--out", tmp_path / "out")["made"][0]
+    assert made["references"] == []
+    assert any("--stairs" in note for note in made["notes"])
+
+
 def test_stroke_treadmill(tmp_path):
     arrays = {}
     for place in ("leftfoot", "rightfoot", "leftshank", "rightshank"):
@@ -90,6 +103,95 @@ def test_stroke_treadmill(tmp_path):
     assert belt.extra["foot_strike_mean_deg"] == 12.0
     reference = read_references(beside(Path(made[1]["recording"])))
     assert reference.belt[:, 1].tolist() == [0.9] * 3
+
+
+XSENS_HEAD = """// General information: \n//  MT Manager version: 2019.2.0
+// Device information: \n//  DeviceId: {device}
+//  Firmware Version: 4.6.0\n// Coordinate system: ENU
+PacketCounter\tSampleTimeFine\tAcc_X\tAcc_Y\tAcc_Z\tFreeAcc_E\tGyr_X\tGyr_Y\tGyr_Z\tMag_X
+"""
+ONE_SET = {"00B4778E": "left_foot", "00B47793": "right_foot", "00B47786": "left_shank", "00B47795": "right_shank"}
+
+
+def xsens(folder: Path, device: str, acc: np.ndarray, gyr: np.ndarray, first: int, lost: tuple[int, ...] = ()) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    lines = []
+    for k in range(N):
+        a, g = ("\t".join(f"{value:.6f}" for value in row[k]) for row in (acc, gyr))
+        values = "\t\t\t\t\t\t\t" if k in lost else f"{a}\t0.1\t{g}\t-0.7"
+        lines.append(f"{(first + k) % 65536}\t\t{values}")
+    text = XSENS_HEAD.format(device=device) + "\n".join(lines) + "\n"
+    (folder / f"MT_012000E0_001-000_{device}.txt").write_text(text)
+
+
+def test_stroke_treadmill_as_its_authors_publish_it(tmp_path):
+    """Folders of Xsens texts as in the repository: counters that wrap, a lost packet, runs named in a text beside."""
+    person = tmp_path / "data" / "1019_pp02"
+    run, late = person / "Xsens" / "exported001", person / "Xsens" / "exported004"
+    truth = {}
+    for device, place in (*ONE_SET.items(), ("00B47791", "lumbar")):
+        truth[place] = samples()
+        first = 65000 + (3 if place == "right_foot" else 0)  # one sensor begins three packets later
+        xsens(run, device, *truth[place], first, lost=(100, 101) if place == "left_foot" else ())
+        xsens(late, device, *truth[place], 5)
+    (person / "corresponding_files.txt").write_text(
+        "1019_MR002_2303081Reg.c3d = exported000\n1019_MR002_2303081FBIC.c3d'] = exported001\n"
+        "1019_MR002_2303082FB.c3d'] = exported004 # Is the second trial without feedback\n"
+    )
+    made = imported("stroke_treadmill", tmp_path / "data", "--out", tmp_path / "out")["made"]
+    paths = sorted(Path(each["recording"]) for each in made)
+    assert [path.stem.removeprefix("stroke_treadmill_") for path in paths] == ["MR02_2Reg", "MR02_FBIC"]
+    free, belt = map(read_recording, paths)
+    assert (free.belt_speed_mps, belt.belt_speed_mps, belt.subject) == (None, 1.6, "MR02")
+    assert list(belt.tracks) == list(ONE_SET.values())
+    left, right = belt.tracks["left_foot"], belt.tracks["right_foot"]
+    kept = np.delete(np.arange(N), [100, 101])
+    np.testing.assert_allclose(left.acc_mps2, truth["left_foot"][0][kept], atol=1e-5)
+    np.testing.assert_allclose(left.gyr_radps, truth["left_foot"][1][kept], atol=1e-5)
+    np.testing.assert_allclose(1e-9 * left.t_sensor_ns, kept / 100.0, atol=1e-9)  # the counter wraps at 65536
+    assert right.t_sensor_ns[0] == 30_000_000
+    assert any("2 packets were lost" in note for note in made[-1]["notes"] + made[0]["notes"])
+    assert read_references(beside(Path(belt.path))).belt[:, 1].tolist() == [1.6] * 3
+    one = imported("stroke_treadmill", run, "--out", tmp_path / "again")["made"]
+    assert len(one) == 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.text(alphabet="0123456789.-\t\n/ einfa", max_size=400))
+def test_any_text_is_an_export_or_refused(tmp_path_factory, text):
+    path = tmp_path_factory.mktemp("any") / "MT_1_00B47787.txt"
+    path.write_text(XSENS_HEAD.format(device="00B47787") + text)
+    with suppress(ImportProblem):
+        assert (np.diff(read_xsens_text(path).counter) > 0).all()
+
+
+def test_stroke_treadmill_exports_say_what_is_wrong(tmp_path):
+    run = tmp_path / "1019_pp05" / "Xsens" / "exported003"
+    acc, gyr = samples()
+    xsens(run, "00B47787", acc, gyr, 10)
+    told = imported("stroke_treadmill", run, "--out", tmp_path / "a")["made"][0]
+    assert any("by the sensors' numbers" in note for note in told["notes"])
+    assert list(read_recording(Path(told["recording"])).tracks) == ["left_foot"]
+    (run / "sensorspec.json").write_text('{"rightfoot": "47787.txt"}')
+    told = imported("stroke_treadmill", run, "--out", tmp_path / "b")["made"][0]
+    assert list(read_recording(Path(told["recording"])).tracks) == ["right_foot"]
+    (run / "sensorspec.json").write_text("{not json")
+    assert "sensorspec.json" in imported("stroke_treadmill", run, "--out", tmp_path / "c", code=2)["error"]
+    (run / "sensorspec.json").unlink()
+    text = run / "MT_012000E0_001-000_00B47787.txt"
+    whole = text.read_text()
+    for spoilt, message in (
+        (whole[:-200], "holds no packet"),
+        (whole.replace("Acc_X", "Beschl_X"), "lacks the columns Acc_X"),
+        (whole.replace("\n300\t", "\n200\t"), "PacketCounter does not increase"),
+        (whole.replace("\n300\t", "\nnan\t"), "holds no packet"),
+        (whole.replace("\n300\t", "\n1e999\t"), "holds no packet"),
+        ("", "lacks the columns"),
+    ):
+        text.write_text(spoilt)
+        assert message in imported("stroke_treadmill", run, "--out", tmp_path / "d", code=2)["error"]
+    text.rename(run / "MT_012000E0_001-000_00B99999.txt")
+    assert "sensorspec.json" in imported("stroke_treadmill", run, "--out", tmp_path / "e", code=2)["error"]
 
 
 def test_pyshoe_leaves_jumps_out(tmp_path):
@@ -210,3 +312,8 @@ def test_real_files_of_every_set_import(tmp_path):
     for name, file in there.items():
         made = imported(name, file, "--out", tmp_path)["made"][0]
         assert read_recording(Path(made["recording"])).tracks
+        if name in ("xio", "broad"):
+            done = CliRunner().invoke(main, ["evaluate", made["recording"], "--no-report", "--json"])
+            assert done.exit_code == 0, done.output
+            rows = {row["quantity"]: row["differences"]["rmse"] for row in json.loads(done.stdout)["agreement"]}
+            assert rows["end_distance_m"] < 0.5 if name == "xio" else rows["inclination_z_rad"] < np.radians(1.5)

@@ -7,6 +7,7 @@ import math
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 from dbc_imu import DBC, dbc_options
 from hypothesis import HealthCheck, given, settings
@@ -15,7 +16,9 @@ from hypothesis import strategies as st
 from drivers.imu.can_codec import DbcSensor
 from drivers.imu.port import RawSample
 from drivers.virtual.imu_dbc import DbcWire, Options
-from drivers.virtual.imu_wire import CAN_RECORD, Reading
+from drivers.virtual.imu_device import SimulatedImu
+from drivers.virtual.imu_signal import ImuSignal
+from drivers.virtual.imu_wire import CAN_RECORD, Reading, Wire, XsensCanWire
 from fes.config.devices import ImuDevice
 from fes.signals import G_MPS2, Vector3
 
@@ -80,7 +83,71 @@ def test_its_clock_and_its_counter_run_over_unseen(tmp_path: Path) -> None:
     assert (part.counts.missing, part.counts.backward, part.counts.doubled) == (0, 0, 0)
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
+FLOAT_DBC = """VERSION ""
+BU_: A
+BO_ 300 Gyr: 8 A
+ SG_ X : 0|32@1- (1,0) [0|0] "rad/s" A
+ SG_ Y : 32|32@1- (1,0) [0|0] "rad/s" A
+BO_ 256 Acc: 8 A
+ SG_ X : 0|32@1- (1,0) [0|0] "m/s2" A
+ SG_ Y : 32|32@1- (1,0) [0|0] "m/s2" A
+BO_ 257 Rest: 8 A
+ SG_ AccZ : 0|32@1- (1,0) [0|0] "m/s2" A
+ SG_ GyrZ : 32|32@1- (1,0) [0|0] "rad/s" A
+BO_ 400 Clock: 3 A
+ SG_ Stamp : 0|16@1+ (0.5,-100) [0|0] "ms" A
+ SG_ Count : 16|8@1+ (1,0) [0|0] "" A
+SIG_VALTYPE_ 300 X : 1;
+SIG_VALTYPE_ 300 Y : 1;
+SIG_VALTYPE_ 256 X : 1;
+SIG_VALTYPE_ 256 Y : 1;
+SIG_VALTYPE_ 257 AccZ : 1;
+SIG_VALTYPE_ 257 GyrZ : 1;
+"""
+IN_FLOATS = {"acc_z": "Rest.AccZ", "gyr_z": "Rest.GyrZ", "acc_unit": "m/s2", "gyr_unit": "rad/s"}
+
+
+def at_rest(wire: Wire) -> SimulatedImu:
+    return SimulatedImu(wire, ImuSignal(100.0, np.array([[0.0, 0.0, 9.8]]), np.zeros((1, 3))), 0)
+
+
+def test_a_sensor_of_whole_numbers_has_no_nan_and_says_so(tmp_path: Path) -> None:
+    for wire in (DbcWire(dbc_options(tmp_path)), XsensCanWire()):
+        imu = at_rest(wire)
+        for name in ("nan", "inf"):
+            with pytest.raises(ValueError, match=rf"fault '{name}' does not exist here: .*full .*mute"):
+                imu.set_fault(0, name, 3.0)
+            imu.set_fault(0, name, 0.0)  # ended is ended
+        imu.set_fault(0, "full", 1.0)
+        assert imu.advance(0)
+
+
+@pytest.mark.parametrize("bad", [(math.nan, 0.0, 0.0), (0.0, math.inf, 0.0), (0.0, 0.0, -math.inf)])
+def test_no_number_stands_for_what_is_none(tmp_path: Path, bad: Vector3) -> None:
+    good: Vector3 = (0.0, 0.0, 0.0)
+    for wire in (DbcWire(dbc_options(tmp_path)), XsensCanWire()):
+        assert wire.say(Reading(0, 0, bad, good)) == wire.say(Reading(0, 0, good, bad)) == []
+        assert wire.say(Reading(0, 0, good, good))
+
+
+@pytest.mark.parametrize("name", ["nan", "inf"])
+def test_a_sensor_of_floating_point_has_both(tmp_path: Path, name: str) -> None:
+    options = dbc_options(tmp_path, FLOAT_DBC, **IN_FLOATS)
+    wire, part = DbcWire(options), sensor(options)
+    assert wire.carries_nan
+    imu = at_rest(wire)
+    imu.set_fault(0, name, 1.0)
+    found = []
+    for record in imu.advance(10_000_000):
+        identifier, length, data = CAN_RECORD.unpack(record)
+        found.append(part.receive(0, identifier, data[:length]))
+    spoilt, whole = [sample for sample in found if sample is not None]
+    assert math.isnan(spoilt.acc_mps2[0])
+    assert whole.acc_mps2 == pytest.approx((0.0, 0.0, 9.8))
+    assert part.counts.bad_values == 1
+
+
+@pytest.mark.parametrize("value", [1e9, -1e9])
 def test_what_no_signal_can_carry_is_refused_by_the_driver(tmp_path: Path, value: float) -> None:
     wide = DBC.replace("0.00048828125", "0.01")  # ± 327 g, far beyond the sensor's range
     wire, part = DbcWire(dbc_options(tmp_path, wide)), sensor(dbc_options(tmp_path, wide))
@@ -98,13 +165,14 @@ def test_what_no_signal_can_carry_is_refused_by_the_driver(tmp_path: Path, value
         ({"time": "", "counter": ""}, DBC, "time or counter"),
         ({"acc_unit": "feet"}, DBC, "feet"),
         ({"id_offset": 2000}, DBC, "id_offset"),
+        ({"id_offset": 1.5}, DBC, "id_offset = 1.5 must be a whole number"),
         ({}, "nonsense", "cannot be read"),
         ({}, LONG, "12 bytes"),
         ({}, MULTIPLEXED, "cannot be sent"),
     ],
 )
 def test_a_simulated_sensor_names_the_option_that_does_not_fit(
-    tmp_path: Path, change: dict[str, str | int], text: str, said: str
+    tmp_path: Path, change: dict[str, str | float], text: str, said: str
 ) -> None:
     with pytest.raises(ValueError, match=said):
         DbcWire(dbc_options(tmp_path, text, **change))

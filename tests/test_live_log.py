@@ -83,7 +83,7 @@ def test_a_controller_that_is_gone_with_answers_unread_costs_nothing(log: PipedL
 def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "session.feslog"
     path.write_bytes(b"precious")
-    with pytest.raises(SessionLogError, match="never overwritten"):
+    with pytest.raises(SessionLogError, match="not overwritten"):
         PipedLog(path, {})
     assert path.read_bytes() == b"precious"
 

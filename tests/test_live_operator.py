@@ -20,12 +20,15 @@ from fes.estimation.calibration import FootCalibration
 from fes.gate import gate_of
 from fes.journal import Note
 from fes.live.inputs import Control, FootSwitchInput, StopSwitch
+from fes.live.log_pipe import PipedLog
+from fes.live.monitor import Monitor
 from fes.live.operator import Operator
 from fes.live.orders import NEEDS_CONFIRMATION, Ask, Order, OrderRefused, order_of_message, orders_of_keys
 from fes.live.states import State
 from fes.live.status import FootStatus, Status
 from fes.live.switches import SwitchComparison
 from fes.live.watch import SensorWatch
+from fes.page.feed import PageFeed
 from fes.signals import Event, FootSwitchEvent, ImuSample, OperatorAct, OperatorAction, StimAlive, SystemFault, Vector3
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -383,6 +386,40 @@ def test_a_status_is_the_same_behind_the_line_and_nothing_else_is_one() -> None:
     for other in (b"", b"{}", b'{"version":99}', b"[]", b'{"version":1,"feet":{},"more":1}'):
         with pytest.raises(ValueError, match=r"."):
             Status.decode(other)
+
+
+def test_what_is_no_number_is_null_to_every_listener() -> None:
+    nan, inf = float("nan"), float("inf")
+    feet = {FOOT: FootStatus("stance", True, 3, nan, -inf, 500.0, 1.0)}
+    datagram = Status(5, "armed", feet=feet, belt_speed_mps=inf, latency_p99_ms=nan, remarks=["as is"]).encode()
+
+    def refuse(text: str) -> None:
+        raise AssertionError(text)
+
+    told = json.loads(datagram, parse_constant=refuse)
+    assert told["feet"][FOOT]["stride_length_m"] is told["feet"][FOOT]["speed_mps"] is None
+    assert told["belt_speed_mps"] is told["latency_p99_ms"] is None
+    assert Status.decode(datagram).feet[FOOT].rate_hz == 500.0
+
+
+def test_frames_that_a_page_missed_are_counted_to_the_end(tmp_path: Path) -> None:
+    bench = Bench()
+    log = PipedLog(tmp_path / "session.feslog", {})
+    monitor = Monitor(log, {FOOT: bench.watch}, {FOOT: FOOT}, None)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours:
+        monitor.page = PageFeed(ours)
+        for _ in range(2000):  # nobody reads
+            bench.t_ns += 100 * MS
+            monitor.tell(bench.t_ns, bench.operator, bench.controller, bench.gate)
+        missed = monitor.dropped_page_frames
+        assert missed > 1000
+        theirs.close()
+        bench.t_ns += 100 * MS
+        monitor.tell(bench.t_ns, bench.operator, bench.controller, bench.gate)
+        assert monitor.page is None
+        assert monitor.dropped_page_frames == missed
+    log.close({})
 
 
 def test_what_the_system_refuses_is_named_with_its_cost() -> None:

@@ -13,10 +13,10 @@ from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import NODE_IDS, commands_of
 from drivers.stimulator.port import StimulatorLost
 from drivers.virtual import lockstep, node_clock
+from drivers.virtual.can_node_spawn import free_bus, spawn_node, why_silent
 from drivers.virtual.lockstep import LockstepStimulator
 from drivers.virtual.node_clock import FALL_BACK_NS, BusClock, RealClock, encode_sim_time
 from drivers.virtual.node_record import RecordEntry, read_record
-from drivers.virtual.spawn import free_bus, spawn_node, why_silent
 from fes.delivered import compare_delivered
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 

@@ -66,7 +66,10 @@ def test_the_demo_tells_its_story(tmp_path: Path) -> None:
     first, before, last = (result[part] for part in ("first_8_strides", "before_the_slip", "last_10_strides"))
     assert first["dragged"] >= 3
     assert first["stumbled"] >= 2
-    assert first["median_toe_clearance_mm"] < 0.0
+    assert first["median_toe_clearance_mm"] < 3.0
+    assert result["strides_until_clear"] <= 12
+    assert result["strides_until_clear_again"] <= 8
+    assert "After the electrode slipped it took" in done.output
     for part in (before, last):
         assert (part["dragged"], part["stumbled"]) == (0, 0)
         assert part["median_toe_clearance_mm"] > 10.0

@@ -15,10 +15,10 @@ import pytest
 from click.testing import CliRunner
 from test_zupt import STRIDE_M, walk
 
-from fes import ground_path as module
 from fes.analysis import analyse, calibrations_of
 from fes.cli.main import main
 from fes.driving import Calibration
+from fes.estimation import foot_way
 from fes.estimation.calibration import FootCalibration
 from fes.ground_path import GroundPath, ground_path, together
 from fes.patient.truth import load_truth
@@ -97,11 +97,11 @@ def test_a_square_ends_where_it_began(side: float) -> None:
 
 def test_cutting_a_long_recording_changes_little(monkeypatch: pytest.MonkeyPatch, square, calibration) -> None:
     whole = ground_path(square, calibration)
-    monkeypatch.setattr(module, "STRETCH_S", 8.0)
-    monkeypatch.setattr(module, "SEARCH_S", 3.0)
+    monkeypatch.setattr(foot_way, "STRETCH_S", 8.0)
+    monkeypatch.setattr(foot_way, "SEARCH_S", 3.0)
     calls = []
-    inner = module.zupt_path
-    monkeypatch.setattr(module, "zupt_path", lambda *a, **k: calls.append(len(a[0])) or inner(*a, **k))
+    inner = foot_way.steps_of
+    monkeypatch.setattr(foot_way, "steps_of", lambda *a: calls.append(len(a[0])) or inner(*a))
     cut = ground_path(square, calibration)
     assert len(calls) >= 3
     assert max(calls) < 12 * RATE_HZ
@@ -201,7 +201,7 @@ def test_what_makes_no_path_says_why(samples: int, said: str, calibration) -> No
 
 def test_a_foot_without_a_path_is_told_and_costs_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_args: object, **_more: object) -> GroundPath:
-        raise ValueError("right_foot: no rest")
+        raise ValueError("no rest")
 
     monkeypatch.setattr("fes.analysis.ground_path", fail)
     recording = read_recording(TRIALS / "example_csv.csv")

@@ -81,7 +81,7 @@ def test_files_as_their_makers_left_them_read_with_the_template(
 ) -> None:
     path = tmp_path / "own.csv"
     shutil.copyfile(DATA / name, path)
-    template = sidecar_template(path).replace("rate_hz = 0", f"rate_hz = {rate_hz}")
+    template = sidecar_template(path).replace("rate_hz = 0", f"rate_hz = {rate_hz}").replace('"?"', "left_foot")
     path.with_suffix(".toml").write_text(template, encoding="utf-8")
     recording = read_recording(path)
     assert list(recording.tracks) == ["left_foot", "right_foot"][:feet]

@@ -20,12 +20,15 @@ def put(path: Path, names: list[str], columns: list[np.ndarray], *, delimiter: s
     return path
 
 
-def accept(path: Path) -> Recording:
-    """Do as the message says: save the template it shows; return the recording."""
+def accept(path: Path, **answers: str) -> Recording:
+    """Do as the message says: save the template it shows, with the answers for its “?”; return the recording."""
     with pytest.raises(RecordingError, match=rf"{path.stem}\.toml: is missing") as caught:
         read_recording(path)
     template = str(caught.value).split("\n\n", 1)[1]
     assert template == sidecar_template(path)
+    for asked, answer in answers.items():
+        template = re.sub(rf"^{asked} = .*$", f"{asked} = {answer}", template, flags=re.M)
+    template = template.replace('[sensors."?"]', f"[sensors.{answers.get('sensor', 'left_foot')}]")
     path.with_suffix(".toml").write_text(template, encoding="utf-8")
     return read_recording(path)
 
@@ -39,10 +42,17 @@ def test_the_message_says_what_to_do_and_names_the_columns(tmp_path: Path) -> No
     assert "Save the following under that name" in message
     assert "#   a\n#   b\n" in message
     content = tomllib.loads(message.split("\n\n", 1)[1])
-    assert content["sensors"]["left_foot"]["acc"] == ["? acc x", "? acc y", "? acc z"]
+    assert content["sensors"]["?"]["acc"] == ["? acc x", "? acc y", "? acc z"]
     path.with_suffix(".toml").write_text(message.split("\n\n", 1)[1], encoding="utf-8")
-    with pytest.raises(RecordingError, match=r"own\.toml:\d+: rate_hz = 0"):
+    with pytest.raises(RecordingError) as caught:
         read_recording(path)
+    for open_question in (
+        "rate_hz = 0: must",
+        "acc_unit = '?': must",
+        "gyr_unit = '?': must",
+        "sensors.?: which sensor",
+    ):
+        assert re.search(rf"own\.toml:\d+: {re.escape(open_question)}", str(caught.value)), open_question
 
 
 def test_an_empty_sidecar_is_filled_like_a_missing_one(tmp_path: Path) -> None:
@@ -64,8 +74,8 @@ def test_one_sensor_in_g_and_degrees_with_milliseconds(tmp_path: Path) -> None:
     assert read.rate_hz == pytest.approx(100.0)
     text = sidecar_template(tmp_path / "own.csv")
     assert re.findall(r"^(?!#).*\?.*$", text, re.M) == [
-        "[sensors.left_foot]  # ? one of left_foot, right_foot, left_shank, right_shank"
-    ], "only the sensor's place is a guess"
+        '[sensors."?"]  # ? which sensor: left_foot, right_foot, left_shank, right_shank'
+    ], "only the sensor's place is not known"
 
 
 @pytest.mark.parametrize(
@@ -104,7 +114,9 @@ def test_semicolons_decimal_commas_units_line_and_raw_counts(tmp_path: Path) -> 
     assert 'delimiter = ";"' in template
     assert 'decimal = ","' in template
     assert "skip_lines_after_header = 1" in template
-    read = accept(path).tracks["left_foot"]
+    would_be = re.search(r"at rest it reads .*: ([\d.]+) would make that gravity", template)
+    assert would_be
+    read = accept(path, acc_unit=would_be[1]).tracks["left_foot"]
     np.testing.assert_allclose(read.acc_mps2, track.acc_mps2, rtol=0.01, atol=0.05)
 
 

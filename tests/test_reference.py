@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -12,15 +14,18 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from fes.analysis import analyse, calibrations_of
 from fes.cli.main import main
-from fes.recording import read_recording
+from fes.recording import Recording, Track, read_recording, write_recording
 from fes.reference import MarkerPath, Reference, ReferenceError
 from fes.reference.belt import standing_speed, to_belt
 from fes.reference.estimate import Estimate, from_analysis
 from fes.reference.evaluation import Settings, evaluate
+from fes.reference.orientation import evaluate_orientation, read_orientation
 from fes.reference.read import beside, read_references
+from fes.signals import G_MPS2, StrideResult
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
 WALK = TRIALS / "example_csv.csv"
@@ -255,3 +260,105 @@ def test_c3d_markers_and_events(tmp_path):
     path.write_bytes(path.read_bytes()[:700])
     with pytest.raises(ReferenceError, match=r"walk\.c3d"):
         read_references([path])
+
+
+def turning_board(rate_hz: float = 100.0, seconds: float = 30.0) -> tuple[Recording, np.ndarray, np.ndarray]:
+    """A body that rests, then rolls and pitches by up to 0.6 rad; with it its true quaternions (N, 4)."""
+    t = np.arange(round(rate_hz * seconds)) / rate_hz
+    swell = np.clip((t - 3.0) / 2.0, 0.0, 1.0)
+    euler = np.column_stack((0.6 * swell * np.sin(1.7 * t), 0.4 * swell * np.sin(2.9 * t), 0.0 * t))
+    turn = Rotation.from_euler("xyz", euler)
+    rate = (turn[:-1].inv() * turn[1:]).as_rotvec() * rate_hz
+    gyr = np.vstack((np.zeros(3), rate))
+    acc = turn.inv().apply((0.0, 0.0, G_MPS2))
+    t_ns = np.round(t * 1e9).astype(np.int64)
+    track = Track("right_foot", rate_hz, t_ns, t_ns, acc, gyr)
+    return Recording("board", None, {"right_foot": track}), t, np.roll(turn.as_quat(), 1, axis=1)
+
+
+def test_orientation_is_held_against_the_sensor_alone(tmp_path):
+    recording, t, quaternion = turning_board()
+    write_recording(recording, tmp_path / "board.parquet")
+    heads = ("t_s", "q_w", "q_x", "q_y", "q_z", "moving")
+    rows = [[f"{v:.8f}" for v in (*row, float(row[0] > 5.0))] for row in np.column_stack((t, quaternion))]
+    for cells in rows:
+        cells[5] = cells[5][0]
+    for k in range(700, 720):
+        rows[k][1:5] = [""] * 4  # the cameras lost it
+    path = written(tmp_path, "\n".join(map(",".join, [heads, *rows])), "board.orientation.csv")
+    done = CliRunner().invoke(main, ["evaluate", str(tmp_path / "board.parquet"), "--no-report", "--json"])
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.stdout)
+    errors = {each["quantity"]: each["differences"] for each in told["agreement"]}
+    assert set(errors) == {"inclination_x_rad", "inclination_z_rad"}
+    assert max(each["rmse"] for each in errors.values()) < np.radians(0.3)
+    assert errors["inclination_z_rad"]["n"] == pytest.approx(250, abs=5)
+    assert any("RMS of 2479 samples" in note for note in told["notes"])
+    tilted = Rotation.from_rotvec((0.05, 0.0, 0.0)) * Rotation.from_quat(np.roll(quaternion, -1, axis=1))
+    wrong = replace(read_orientation(path), quaternion=np.roll(tilted.as_quat(), 1, axis=1))
+    found = re.search(r"off by ([0-9.]+)°", evaluate_orientation(recording, [wrong]).notes[0])
+    assert found
+    assert float(found[1]) == pytest.approx(np.degrees(0.05), abs=0.3)
+
+
+QUATERNIONS = "t_s,q_w,q_x,q_y,q_z,sensor\n"
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        ("0,1,0,0,0,\n1,0.5,0,0,0,\n2,1,0,0,0,\n", "quaternion has the length 0.500"),
+        ("0,1,0,0,0,a\n1,1,0,0,0,b\n2,1,0,0,0,a\n", "several sensors (a, b)"),
+        ("900,1,0,0,0,\n901,1,0,0,0,\n902,1,0,0,0,\n", "fewer than 10 of its orientations"),
+        ("0,1,0,0,0,left_foot\n1,1,0,0,0,left_foot\n2,1,0,0,0,left_foot\n", "of which sensor"),
+    ],
+)
+def test_orientations_that_cannot_be_used(tmp_path, rows, message):
+    path = written(tmp_path, QUATERNIONS + rows)
+    recording = turning_board(seconds=10.0)[0]
+    with pytest.raises(ReferenceError, match=re.escape(message)):
+        evaluate_orientation(recording, [read_orientation(path)])
+    with pytest.raises(ReferenceError, match="held against a sensor alone"):
+        read_references([path])
+
+
+def climbing(count: int = 8, rise_m: float = 0.34) -> Estimate:
+    """Strides on stairs as an analysis would give them, each of two risers and a little off."""
+    strides = []
+    for k in range(count):
+        ends = (round(1.5e9 * k), round(1.5e9 * (k + 1)))
+        entries = (round(1.5e9 * k + at) for at in (4e8, 6e8, 11e8, 12e8))
+        gained = rise_m + 0.002 * (k % 3)
+        strides.append(StrideResult("right_foot", k, *ends, 0.6, 0.3, gained, 0.0, 0.4, *entries))
+    ends_m = {"right_foot": (4.81, 2.75)}
+    return Estimate("stairs", "", 0.0, 1.5 * count, tuple(strides), {}, {}, ends_m, level=False)
+
+
+def test_stairs_by_a_table_of_heights_and_by_the_walks_end(tmp_path):
+    rows = "\n".join(f"right,{1.5 * k},{1.5 * k + 1.5},34" for k in range(8))
+    table = written(tmp_path, f"foot,t_start_s,t_end_s,height_gained_cm\n{rows}\n", "a.csv")
+    end = written(tmp_path, "foot,end_distance_m,end_height_m\nright,4.80,2.72\n", "b.csv")
+    result = evaluate(climbing(), read_references([table, end]))
+    gained = row(result, "height_gained_m").differences
+    assert gained.n == 8
+    assert gained.bias.value == pytest.approx(0.002 * 7 / 8)
+    assert row(result, "end_distance_m").differences.bias.value == pytest.approx(0.01)
+    assert row(result, "end_height_m").differences.bias.value == pytest.approx(0.03)
+    on_the_level = evaluate(replace(climbing(), level=True), read_references([end]))
+    assert [each.quantity for each in on_the_level.rows] == ["end_distance_m"]
+    for wrong in ("end_distance_m\n-1\n", "foot,end_height_m\nright,\n", "foot,end_height_m\nright,1\nright,2\n"):
+        with pytest.raises(ReferenceError, match="needs one row a foot"):
+            read_references([written(tmp_path, wrong)], foot="right_foot")
+
+
+def test_stairs_by_a_marker(tmp_path):
+    """Standing from 1.3 s of every stride to 0.3 s of the next, between them up and ahead."""
+    t = np.arange(0.0, 12.0, 0.01)
+    way = np.floor(t / 1.5) + np.clip((t % 1.5 - 0.3) / 0.9, 0.0, 1.0)
+    lines = [f"{a:.2f},{0.6 * w:.4f},0,{0.34 * w:.4f}" for a, w in zip(t, way, strict=True)]
+    path = written(tmp_path, "t_s,x_m,y_m,z_m\n" + "\n".join(lines))
+    result = evaluate(climbing(), read_references([path], foot="right_foot"))
+    assert row(result, "height_gained_m").differences.n >= 6
+    assert abs(row(result, "height_gained_m").differences.bias.value) < 0.005
+    level = evaluate(replace(climbing(), level=True), read_references([path], foot="right_foot"))
+    assert "height_gained_m" not in {each.quantity for each in level.rows}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fes.estimation import stride_fusion
+from fes.estimation import foot_way
 from fes.estimation.foot import FootTracker
 from fes.estimation.stride_fusion import fused, path_lengths
 from fes.estimation.strides import StrideMaker, StrideSettings
@@ -91,7 +91,8 @@ def test_samples_that_are_of_no_use_do_not_count(track: Track, strides: list[Str
 
 def test_stretches_do_not_show(track: Track, strides: list[StrideResult], monkeypatch: pytest.MonkeyPatch) -> None:
     whole = lengths_of(strides, track)
-    monkeypatch.setattr(stride_fusion, "STRETCH_S", 10.0)
+    monkeypatch.setattr(foot_way, "STRETCH_S", 25.0)
+    monkeypatch.setattr(foot_way, "SEARCH_S", 4.0)
     cut = lengths_of(strides, track)
     assert np.isfinite(whole).sum() > 40
     assert np.nanmedian(np.abs(cut - whole)) < 0.005

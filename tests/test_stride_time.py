@@ -21,7 +21,7 @@ def test_a_rest_no_longer_than_the_stride_is_part_of_it(before_ns: int | None, t
     assert stride_time_ns(1000, 1100, before_ns) == time_ns
 
 
-@pytest.mark.parametrize("speed_mps", [0.28, 0.6])
+@pytest.mark.parametrize("speed_mps", [0.2, 0.6])
 def test_in_slow_walking_the_speed_is_the_belts(speed_mps: float) -> None:
     patient = VirtualPatient(settings_for("moderate", speed_mps=speed_mps, seed=4))
     samples = patient.advance(60 * NS_PER_S)

@@ -11,7 +11,7 @@ import serial
 
 from drivers.stimulator.bus import open_bus
 from drivers.switches import CanSwitch, SerialSwitch, SwitchFailed, open_switch
-from drivers.virtual.spawn import free_bus, why_silent
+from drivers.virtual.can_node_spawn import free_bus, why_silent
 from fes.config import Bus
 from fes.config.devices import FootSwitch
 

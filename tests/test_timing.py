@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fes.cli.main import main
-from fes.cli.timing import marks_of_truth
 from fes.journal.framing import RecordType
 from fes.patient.truth import load_truth
 from fes.signals import StimCommand
@@ -29,6 +28,7 @@ from fes.timing import (
     pair,
     timing_rows,
 )
+from fes.truth_marks import marks_of_truth
 from statemachine.phases import Phase, PhaseChange, Transition
 from tests.replays import MS, TRIALS, rewritten
 

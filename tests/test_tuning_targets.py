@@ -9,16 +9,15 @@ import numpy as np
 import pytest
 from tuning_plant import channel, stride, tuning
 
-from fes.config import FootGeometry
 from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.tuning.learning import Zones, next_profile, zones_of
 from fes.stimulation.tuning.reports import difference
 from fes.stimulation.tuning.skipping import StrideFilter
-from fes.stimulation.tuning.targets import Reading, interpolate, level_track, pitch_at_contact_rad, read_stride
+from fes.stimulation.tuning.targets import Reading, interpolate, pitch_at_contact_rad, read_stride, swing_times
 
 NAN = float("nan")
 PITCH = {"low": 0.0, "high": 10.0}
 SENSOR = {"low": 0.1, "high": 0.2}
-GEOMETRY = FootGeometry(toe_forward_m=0.15, toe_up_m=-0.06, heel_forward_m=-0.1, heel_up_m=-0.06)
 
 
 def reading_of(*args: float, **settings: Any) -> Reading:
@@ -69,22 +68,25 @@ def test_interpolation_holds_its_ends() -> None:
     assert [interpolate(x, [1.0, 2.0], [5.0, 7.0]) for x in (0.0, 1.0, 1.5, 2.0, 9.0)] == [5.0, 5.0, 6.0, 7.0, 7.0]
 
 
-def test_the_track_shows_where_in_the_swing_the_toe_is_low() -> None:
-    """The trajectory dips in the middle of the swing; the track's least level is the stride's own clearance."""
-    times = np.linspace(0.0, 1.4, 101)
-    path = np.zeros((101, 3))
-    path[:, 2] = 0.05 + 0.04 * ((times - 0.85) / 0.25) ** 2  # lowest at the middle of the swing 0.6 … 1.1 s
-    one = stride(0, 0.005, trajectory_m=path, pitch_rad=np.zeros(101))
-    reading = read_stride(one, tuning())
-    assert isinstance(reading, Reading)
-    track = level_track(one, reading, GEOMETRY)
-    assert track is not None
-    assert min(track.level) == pytest.approx(reading.level)
-    mid = [n for n, t in enumerate(track.t_s) if t < 0.2 + 0.6 - 0.2 + 0.2]
-    lowest = min(mid, key=lambda n: track.level[n])
-    assert 0.2 + track.t_s[lowest] == pytest.approx(0.85, abs=0.02)
-    assert track.end_s == pytest.approx(0.9)
-    assert level_track(stride(0, 0.005, t_swing_ns=None), reading, GEOMETRY) is None
+def test_the_swing_is_parted_where_the_toe_has_passed_low() -> None:
+    times = swing_times(stride(0, 0.02))  # pre-swing 0.4 s, then swing 0.5 s
+    assert times is not None
+    assert times.middle_s == pytest.approx(0.4 + 0.8 * 0.5)
+    assert times.contact_s == pytest.approx(0.9)
+    assert swing_times(stride(0, 0.02, t_swing_ns=None)) is None
+    zones = zones_of(times, 0.2, 30)
+    assert (zones.middle, zones.reached) == (9, 14)  # mid-swing's pulses come 150 ms before; contact is at 0.7 s
+    assert zones_of(times, 5.0, 30) == Zones(0, 0)
+
+
+def test_each_part_of_the_profile_follows_its_own_measure() -> None:
+    widths = [200.0] * 30
+    profile = next_profile(widths, Zones(9, 14), (-0.5, 0.4), (3.0, 2.0), 200.0, 0.6)
+    assert profile[0] == pytest.approx(200.0 - 200.0 * 0.6 * 0.5 / 3.0)  # too much: less
+    assert profile[12] == pytest.approx(200.0 + 200.0 * 0.6 * 0.4 / 2.0)  # too little: more
+    assert profile[0] < profile[8] < profile[9] < profile[12]  # smoothed in between
+    assert set(profile[14:]) == {profile[13]}
+    assert next_profile(widths, Zones(0, 0), (1.0, 1.0), (3.0, 3.0), 200.0, 0.6) == widths
 
 
 # --- strides that teach nothing ------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fes.patient.virtual import DeliveredPulse, MuscleSettings, PatientSettings, VirtualPatient
+from fes.patient.virtual.kernel import passive
 from fes.patient.virtual.layout import LEG
 from fes.patient.virtual.leg import body_of
 from fes.patient.virtual.muscle import muscle, recruitment
@@ -116,7 +117,10 @@ def test_a_free_foot_comes_to_rest_where_gravity_and_tissue_balance() -> None:
         energy.append(0.5 * float(legs["inertia"][0]) * float(legs["vpitch"][0]) ** 2)
     leg = legs[0]
     lever = leg["com_x"] * math.cos(leg["pitch"]) + 0.5 * leg["sole_m"] * math.sin(leg["pitch"])
-    pull = -leg["stiff"] * (leg["pitch"] - leg["shank"] - leg["rest_rad"]) - leg["foot_kg"] * 9.80665 * lever
+    pull = (
+        passive(leg["pitch"] - leg["shank"], leg["bend"], leg["stiff"], leg["short_rad"])
+        - leg["foot_kg"] * 9.80665 * lever
+    )
     assert abs(pull) < 0.02
     assert energy[-1] < 1e-8 < max(energy)
     assert math.degrees(leg["pitch"]) == pytest.approx(-20.0, abs=8.0)

@@ -19,7 +19,7 @@ from typing import Final
 
 from cantools.database.can import Database, Message, Signal
 
-from drivers.imu.port import LineCounts, Ranges, RawSample, SensorDevice, number_option, text_option
+from drivers.imu.port import LineCounts, Ranges, RawSample, SensorDevice, flag_option, text_option, whole_option
 from drivers.imu.stamps import LossCounter, StampClock, Unwrapper
 from fes.signals import G_MPS2, NS_PER_S
 
@@ -27,6 +27,7 @@ AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
 ACC_UNITS: Final = {"m/s2": 1.0, "m/s^2": 1.0, "g": G_MPS2}
 GYR_UNITS: Final = {"rad/s": 1.0, "deg/s": math.radians(1.0)}
 TIME_UNITS: Final = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+LAST_ID: Final = 0x7FF
 LONGEST: Final = 8  # bytes of a frame
 XSENS: Final = {
     "acc_x": "Acceleration.AccX", "acc_y": "Acceleration.AccY", "acc_z": "Acceleration.AccZ",
@@ -46,13 +47,13 @@ class DbcSensor:
         self.counts = LineCounts()
         self._ranges = Ranges(device)
         database, names = self._layout(device)
-        offset = int(number_option(device, "id_offset", 0))
+        offset = whole_option(device, "id_offset", 0, -LAST_ID)
         self._signals: dict[str, tuple[Message, Signal]] = {
             what: _find(database, name, device.sensor, what) for what, name in names.items()
         }
         _check(device, self._signals, names)
         self._messages = {message.frame_id + offset: message for message, _ in self._signals.values()}
-        if not all(0 <= number <= 0x7FF for number in self._messages):
+        if not all(0 <= number <= LAST_ID for number in self._messages):
             raise ValueError(f"{device.sensor}: options.id_offset = {offset} leaves the identifiers 0 to 0x7ff")
         self.identifiers = frozenset(self._messages)
         first = self._signals["time" if "time" in names else "counter"][0]
@@ -76,7 +77,7 @@ class DbcSensor:
         if device.device == "xsens_can":
             text = resources.files(__package__).joinpath("xsens_mti.dbc").read_text(encoding="ascii")
             database.add_dbc_string(text)
-            counter = {"counter": "GroupCounter.Counter"} if device.options.get("group_counter", False) else {}
+            counter = {"counter": "GroupCounter.Counter"} if flag_option(device, "group_counter", False) else {}
             return database, XSENS | counter
         path = Path(text_option(device, "dbc", ""))
         try:

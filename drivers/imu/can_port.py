@@ -9,11 +9,10 @@ import can
 
 from drivers.imu.can_codec import DbcSensor
 from drivers.imu.port import ImuLost, LineCounts, RawSample, SensorDevice
-from drivers.stimulator.bus import BusError, bus_name, open_bus
+from drivers.stimulator.bus import BusError, bus_name, is_bus_off, open_bus
 from fes.config import Bus
 
 READ_AT_MOST: Final = 1024  # frames: a flooded bus must not hold the control loop
-_CAN_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
 
 
 class CanImus:
@@ -64,7 +63,7 @@ class CanImus:
                 raise ImuLost(f"{bus_name(self._settings)}: cannot be read: {error}") from error
             if message is None:
                 break
-            if message.is_error_frame and message.arbitration_id & _CAN_ERR_BUSOFF:
+            if is_bus_off(message):
                 raise ImuLost(f"{bus_name(self._settings)}: the adapter went bus-off. Check cable and termination.")
             part = self._of.get(message.arbitration_id)
             if part is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:

@@ -12,7 +12,7 @@ import math
 from typing import Any, Final
 
 from drivers.imu.can_codec import ACC_UNITS, AXES, GYR_UNITS
-from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, number_option, text_option
+from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, seconds_option, text_option
 from drivers.imu.stamps import LossCounter
 from fes.signals import NS_PER_S
 
@@ -42,7 +42,7 @@ class LslImu:
 
     def _open(self) -> None:
         device = self._device
-        timeout_s = number_option(device, "timeout_s", 5.0)
+        timeout_s = seconds_option(device, "timeout_s", 5.0)
         found = self._lsl.resolve_byprop("name", device.port, timeout=timeout_s)
         if not found:
             raise ImuLost(

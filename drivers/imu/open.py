@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 
-from drivers.imu.port import ImuLost, ImuPort, SensorDevice
+from drivers.imu.port import ImuLost, ImuPort, SensorDevice, flag_option
 from fes.config import Bus
 
 ON_CAN = ("xsens_can", "dbc_can")
@@ -73,7 +73,7 @@ def _serial(device: SensorDevice) -> Callable[[], ImuPort]:
         if device.device == "ximu3":
             from drivers.imu.ximu3_port import Ximu3Imu, Ximu3LibraryImu
 
-            return Ximu3LibraryImu(device) if device.options.get("library", False) else Ximu3Imu(device)
+            return Ximu3LibraryImu(device) if flag_option(device, "library", False) else Ximu3Imu(device)
         if device.device == "lsl":
             from drivers.imu.lsl_port import LslImu
 

@@ -145,13 +145,37 @@ def text_option(device: SensorDevice, name: str, default: str) -> str:
     return str(device.options.get(name, default))
 
 
-def number_option(device: SensorDevice, name: str, default: float) -> float:
-    """A setting of ``options`` that is a number.
+def seconds_option(device: SensorDevice, name: str, default: float) -> float:
+    """A setting of ``options`` that is a time in s.
 
     Raises:
-        ValueError: it is none.
+        ValueError: it is no number above 0.
     """
     value = device.options.get(name, default)
-    if isinstance(value, (str, bool)):
-        raise ValueError(f"{device.sensor}: options.{name} = {value!r} must be a number")
+    if isinstance(value, (str, bool)) or not math.isfinite(value) or value <= 0:
+        raise ValueError(f"{device.sensor}: options.{name} = {value!r} must be a number of seconds above 0")
+    return value
+
+
+def whole_option(device: SensorDevice, name: str, default: int, least: int) -> int:
+    """A setting of ``options`` that counts something.
+
+    Raises:
+        ValueError: it is no whole number, or less than ``least``.
+    """
+    value = device.options.get(name, default)
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise ValueError(f"{device.sensor}: options.{name} = {value!r} must be a whole number of at least {least}")
+    return value
+
+
+def flag_option(device: SensorDevice, name: str, default: bool) -> bool:
+    """A setting of ``options`` that is true or false; the text ``"false"`` is neither.
+
+    Raises:
+        ValueError: it is something else.
+    """
+    value = device.options.get(name, default)
+    if not isinstance(value, bool):
+        raise ValueError(f"{device.sensor}: options.{name} = {value!r} must be true or false")
     return value

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.imu.line import ByteLine
-from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, number_option
+from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, flag_option, whole_option
 from drivers.imu.stamps import LossCounter, StampClock
 from drivers.imu.xbus_codec import (
     ERRORS,
@@ -36,14 +36,19 @@ class XbusImu:
     """:class:`~drivers.imu.port.ImuPort` for one MTi.
 
     Raises:
-        ValueError: the rate does not fit the baud rate.
+        ValueError: the rate does not fit the baud rate, is not whole, or an option is not what it must be.
         ImuLost: no such line, or no MTi answers on it.
     """
 
     def __init__(self, device: SensorDevice, clock_ns: Callable[[], int] = time.monotonic_ns) -> None:
         self._device = device
         self._clock_ns = clock_ns
-        self._baudrate = int(number_option(device, "baudrate", 115200))
+        self._baudrate = whole_option(device, "baudrate", 115200, 1)
+        self._configures = flag_option(device, "configure", True)
+        if self._configures and device.rate_hz != round(device.rate_hz):
+            raise ValueError(
+                f"{device.sensor}: rate_hz = {device.rate_hz:g} must be whole: an MTi takes no other rates"
+            )
         self._needs = device.rate_hz * SAMPLE_BYTES * 10
         if self._needs > self._baudrate:
             raise ValueError(
@@ -62,7 +67,7 @@ class XbusImu:
         self._stamps = StampClock(32, TIME_FINE_TICK_NS)
         self._losses = LossCounter(counts, self._device.rate_hz, 16)
         self._line = ByteLine(self._device.sensor, self._device.port, self._baudrate)
-        if self._device.options.get("configure", True):
+        if self._configures:
             try:
                 self._configure()
             except ImuLost:

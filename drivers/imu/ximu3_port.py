@@ -17,7 +17,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from drivers.imu.line import ByteLine
-from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, number_option
+from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, whole_option
 from drivers.imu.stamps import LossCounter
 from drivers.imu.ximu3_codec import Inertial, Ximu3Decoder
 from fes.signals import G_MPS2, Vector3
@@ -34,7 +34,7 @@ class Ximu3Imu:
         self._open()
 
     def _open(self) -> None:
-        baudrate = int(number_option(self._device, "baudrate", 115200))
+        baudrate = whole_option(self._device, "baudrate", 115200, 1)
         self._decoder = Ximu3Decoder()
         self._seen_bad, self._seen_skipped = 0, 0
         self._losses = LossCounter(self.counts[self._device.sensor], self._device.rate_hz)
@@ -88,6 +88,7 @@ class Ximu3LibraryImu:
 
     def _open(self) -> None:
         device = self._device
+        baudrate = whole_option(device, "baudrate", 115200, 1)
         self._queue: deque[Inertial] = deque(maxlen=100_000)
         self._errors: deque[int] = deque(maxlen=100_000)
         self._losses = LossCounter(self.counts[device.sensor], device.rate_hz)
@@ -101,9 +102,7 @@ class Ximu3LibraryImu:
             elif where.scheme:
                 raise ImuLost(f"{device.sensor}: options.library has no {where.scheme}:// here; leave it out")
             else:
-                config = self._library.SerialConnectionConfig(
-                    device.port, int(number_option(device, "baudrate", 115200)), False
-                )
+                config = self._library.SerialConnectionConfig(device.port, baudrate, False)
             self._connection = self._library.Connection(config)
             self._connection.add_inertial_callback(self._heard)
             self._connection.add_receive_error_callback(self._errors.append)

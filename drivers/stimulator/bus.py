@@ -27,6 +27,9 @@ _HINTS: Final = {
     "slcan": "The channel is the adapter's serial port; its options are bitrate and tty_baudrate.",
 }
 
+LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."
+_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
+
 
 class BusError(StimulatorLost):
     """The bus of the settings cannot be opened; the message names it and what to check."""
@@ -70,6 +73,43 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
         raise BusError(
             f"CAN bus {settings.interface} {settings.channel!r} cannot be opened: {fault}. {hint}"
         ) from error
+
+
+def read_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:
+    """The next frame; None when there is none within the time.
+
+    Raises:
+        StimulatorLost: the bus cannot be read, or the adapter has left it.
+    """
+    try:
+        message = bus.recv(timeout=timeout_s)
+    except (can.CanError, OSError) as error:
+        raise StimulatorLost(f"{bus.channel_info}: cannot be read: {error}. {LINE_HINT}") from error
+    if message is not None and is_bus_off(message):
+        raise StimulatorLost(f"{bus.channel_info}: the adapter went bus-off. {LINE_HINT}")
+    return message
+
+
+def write_frame(bus: can.BusABC, identifier: int, data: bytes) -> None:
+    """Put a frame of 11 bit identifier out, at once or never.
+
+    Raises:
+        StimulatorLost: the bus did not take it.
+    """
+    try:
+        bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False), timeout=0)
+    except (can.CanError, OSError) as error:
+        raise StimulatorLost(f"{bus.channel_info}: did not take a command: {error}. {LINE_HINT}") from error
+
+
+def is_bus_off(message: can.Message) -> bool:
+    """Whether an adapter says with this frame that it has left the bus after too many errors."""
+    return bool(message.is_error_frame and message.arbitration_id & _ERR_BUSOFF)
+
+
+def bus_off_frame() -> can.Message:
+    """What SocketCAN hands on then: an error frame of the class bus-off."""
+    return can.Message(arbitration_id=_ERR_BUSOFF, is_error_frame=True, data=bytes(8))
 
 
 def bus_name(settings: Bus) -> str:

@@ -11,6 +11,7 @@ from typing import ClassVar, Final
 import can
 
 from drivers.stimulator import can_codec
+from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
 from drivers.stimulator.can_answers import ANSWER_WITHIN_MS, HEARTBEAT_WITHIN_MS, CommandAnswers
 from drivers.stimulator.can_messages import (
     ECHOED_COUNTS,
@@ -32,7 +33,6 @@ from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
 COUNTERS: Final = ECHOED_COUNTS
 OPEN_AGAIN_AFTER_ALIVES: Final = 3  # without our session in them: SESSION_OPEN was lost, or refused
-_CAN_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
 
 
 class CommandEncoder:
@@ -140,7 +140,7 @@ class CanStimulator:
             if message.boot_id != asked_boot_id or alives_since >= OPEN_AGAIN_AFTER_ALIVES:
                 asked_boot_id, alives_since = message.boot_id, 0
                 identifier, data = can_codec.encode_open(asked_boot_id, self.session_id)
-                self._write(identifier, data)
+                write_frame(self._bus, identifier, data)
                 frames.append(WireFrame(t_ns, identifier, data))
         raise StimulatorLost(self._why_not_open(last, timeout_s))
 
@@ -156,7 +156,7 @@ class CanStimulator:
             raise StimulatorLost(f"{self._bus.channel_info}: the session has no numbers left for commands")
         counter = self._encoder.counter
         identifier, data = self._encoder.encode(command)
-        self._write(identifier, data)
+        write_frame(self._bus, identifier, data)
         self._answers.sent(counter, command, self._clock_ns() if self._clock_ns else None)
         return WireFrame(command.t_ns, identifier, data)
 
@@ -170,7 +170,7 @@ class CanStimulator:
             raise StimulatorLost(f"{self._bus.channel_info}: {_SESSION_GONE}")
         events: list[StimStatus | StimAlive] = []
         for _ in range(POLL_AT_MOST):
-            raw = self._read(0.0)
+            raw = read_frame(self._bus, 0.0)
             if raw is None:
                 break
             message = self._decoded(raw)
@@ -233,7 +233,7 @@ class CanStimulator:
         return StimAlive(t_ns, alive.boot_id, alive.rejected, fault)
 
     def _receive(self, timeout_s: float) -> Message | None:
-        raw = self._read(timeout_s)
+        raw = read_frame(self._bus, timeout_s)
         return None if raw is None else self._decoded(raw)
 
     def _decoded(self, raw: can.Message) -> Message | None:
@@ -250,28 +250,12 @@ class CanStimulator:
             self.foreign += 1
         return None
 
-    def _read(self, timeout_s: float) -> can.Message | None:
-        try:
-            message = self._bus.recv(timeout=timeout_s)
-        except (can.CanError, OSError) as error:
-            raise StimulatorLost(f"{self._bus.channel_info}: cannot be read: {error}. {_LINE_HINT}") from error
-        if message is not None and message.is_error_frame and message.arbitration_id & _CAN_ERR_BUSOFF:
-            raise StimulatorLost(f"{self._bus.channel_info}: the adapter went bus-off. {_LINE_HINT}")
-        return message
-
-    def _write(self, identifier: int, data: bytes) -> None:
-        message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
-        try:
-            self._bus.send(message, timeout=0)
-        except (can.CanError, OSError) as error:
-            raise StimulatorLost(f"{self._bus.channel_info}: did not take a command: {error}. {_LINE_HINT}") from error
-
     def _why_not_open(self, last: Alive | None, timeout_s: float) -> str:
         where = self._bus.channel_info
         if last is None:
             return (
                 f"no stimulator was heard on {where} within {timeout_s:g} s ({self.foreign} other frames were). Is it "
-                f"powered and connected, is the channel right, is the bit rate the same on both sides? {_LINE_HINT}"
+                f"powered and connected, is the channel right, is the bit rate the same on both sides? {LINE_HINT}"
             )
         if last.version != PROTOCOL_VERSION:
             return (
@@ -286,4 +270,3 @@ class CanStimulator:
 
 
 _SESSION_GONE: Final = "the stimulator has not our session open (it restarted, or another controller took it)"
-_LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."

@@ -60,7 +60,7 @@ class CanOpenSettings:
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
                 raise ValueError(f"{name} = {value!r} must be a whole number from {least} to {most}")
-        if self.value_bytes not in _DOWNLOAD:
+        if isinstance(self.value_bytes, (bool, float)) or self.value_bytes not in _DOWNLOAD:
             raise ValueError(f"value_bytes = {self.value_bytes!r} must be 1, 2 or 4")
         for name in ("current_step_ma", "width_step_us", "max_current_ma", "max_width_us"):
             value = getattr(self, name)

@@ -20,6 +20,7 @@ from typing import ClassVar, Final
 import can
 
 from drivers.stimulator.answers import ANSWER_WITHIN_NS
+from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
 from drivers.stimulator.can_port import COUNTERS, POLL_AT_MOST, Handshake
 from drivers.stimulator.canopen_codec import OPERATIONAL, SYNC_ID, CanOpenSettings, Sdo, encode_download, encode_start
 from drivers.stimulator.port import StimulatorLost
@@ -28,7 +29,6 @@ from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 
 CURRENT, WIDTH = 0, 1
 HEARTBEATS_MISSED: Final = 3
-_LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."
 
 
 @dataclass(slots=True)
@@ -93,7 +93,7 @@ class CanOpenStimulator:
         asked: Sdo | None = None
         state = -1
         while (left_ns := deadline_ns - clock_ns()) > 0:
-            message = self._read(left_ns / NS_PER_S)
+            message = read_frame(self._bus, left_ns / NS_PER_S)
             if message is None:
                 continue
             if message.arbitration_id == self._settings.heartbeat_id and message.data:
@@ -112,11 +112,11 @@ class CanOpenStimulator:
                 asked = todo[0]
                 frame = encode_download(node, asked)
             if frame is not None:
-                self._write(*frame)
+                write_frame(self._bus, *frame)
                 frames.append(WireFrame(t_ns, *frame))
         raise StimulatorLost(
             f"no CANopen node {node} was heard on {self._bus.channel_info} within {timeout_s:g} s. Is it on, is the "
-            f"node number right, does it send a heartbeat? {_LINE_HINT}"
+            f"node number right, does it send a heartbeat? {LINE_HINT}"
             if state < 0
             else f"CANopen node {node} on {self._bus.channel_info} did not start within {timeout_s:g} s"
         )
@@ -132,10 +132,10 @@ class CanOpenStimulator:
         self._counter = (self._counter + 1) % COUNTERS
         sync = command.channel == self._last and self._sync_is_due(command.t_ns)
         if sync:
-            self._write(SYNC_ID, b"")
+            write_frame(self._bus, SYNC_ID, b"")
         frame = self._next_download(command.t_ns)
         if frame is not None:
-            self._write(*frame)
+            write_frame(self._bus, *frame)
         identifier = SYNC_ID if sync else frame[0] if frame is not None else 0
         return WireFrame(command.t_ns, identifier, frame[1] if frame is not None else b"")
 
@@ -147,7 +147,7 @@ class CanOpenStimulator:
         """
         events: list[StimStatus | StimAlive] = []
         for _ in range(POLL_AT_MOST):
-            message = self._read(0.0)
+            message = read_frame(self._bus, 0.0)
             if message is None:
                 break
             if message.arbitration_id == self._settings.heartbeat_id and message.data:
@@ -244,16 +244,3 @@ class CanOpenStimulator:
         return StimStatus(
             t_ns, channel, line.counter, on, current_ma, width_us, line.frequency_hz if on else 0.0, fault=fault
         )
-
-    def _read(self, timeout_s: float) -> can.Message | None:
-        try:
-            return self._bus.recv(timeout=timeout_s)
-        except (can.CanError, OSError) as error:
-            raise StimulatorLost(f"{self._bus.channel_info}: cannot be read: {error}. {_LINE_HINT}") from error
-
-    def _write(self, identifier: int, data: bytes) -> None:
-        message = can.Message(arbitration_id=identifier, data=data, is_extended_id=False)
-        try:
-            self._bus.send(message, timeout=0)
-        except (can.CanError, OSError) as error:
-            raise StimulatorLost(f"{self._bus.channel_info}: did not take a command: {error}. {_LINE_HINT}") from error

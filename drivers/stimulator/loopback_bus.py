@@ -36,7 +36,9 @@ class LoopbackBus(can.BusABC):
         self.channel_info = f"loopback {channel} port {port}"
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._address = (channel, int(port))
+            if isinstance(port, bool) or not isinstance(port, int):
+                raise ValueError("the port must be a whole number")
+            self._address = (channel, port)
             membership = socket.inet_aton(channel) + socket.inet_aton(_HOST)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             self._socket.bind(self._address)

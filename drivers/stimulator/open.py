@@ -105,7 +105,7 @@ def _mid_level(settings: StimulatorDevice, session: Session, session_id: int, op
     _only(settings, frozenset(("model", "baudrate", "accept_watchdog_s")))
     channels = _channels(settings, session)
     accepted_s = settings.options.get("accept_watchdog_s", 0.0)
-    if isinstance(accepted_s, str):
+    if isinstance(accepted_s, (str, bool)):
         raise ConfigError(f"stimulator.options.accept_watchdog_s = {accepted_s!r} must be a number of seconds")
     if why := not_accepted(float(accepted_s)):
         raise ConfigError(why)

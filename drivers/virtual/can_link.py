@@ -12,29 +12,22 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
-import os
 import select
-import signal
-import socket
 import sys
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Protocol
 
 import can
 
-from drivers.stimulator.bus import BusError, open_bus
+from drivers.stimulator.bus import BusError, bus_off_frame, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS
 from drivers.virtual.device_lines import PtyEnd
-from drivers.virtual.process_end import become_real_time
+from drivers.virtual.process_end import STDIN, Orders, become_real_time, fault_orders, say_ready, stop_signals
 from drivers.virtual.slcan import SlcanDecoder, encode_frame
 from fes.config import Bus
 
-_STDIN: Final = 0
 FRAMES_AT_ONCE: Final = 64
-CAN_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
 REFUSED: Final = b"\a"
 
 
@@ -107,7 +100,7 @@ class BusFront:
     def bus_off(self, off: bool) -> None:
         """What SocketCAN hands on: an error frame of the class bus-off."""
         if off:
-            self.write(can.Message(arbitration_id=CAN_ERR_BUSOFF, is_error_frame=True, data=bytes(8)))
+            self.write(bus_off_frame())
 
 
 class SlcanFront:
@@ -185,7 +178,7 @@ class LinkLoop:
         self._cut = False
         self._reorder = 0
         self._held: can.Message | None = None
-        self._typed = b""
+        self._orders = Orders(fault_orders(self._fault))
 
     def run(self) -> None:
         """Until a signal or the end of stdin."""
@@ -194,8 +187,8 @@ class LinkLoop:
 
     def _turn(self) -> bool:
         front, back = self._front.descriptors(), self._back.fileno()
-        ready, _, _ = select.select([self._wake, _STDIN, back, *front], [], [], 1.0)
-        if self._wake in ready or (_STDIN in ready and not self._listen()):
+        ready, _, _ = select.select([self._wake, STDIN, back, *front], [], [], 1.0)
+        if self._wake in ready or (STDIN in ready and not self._orders.read()):
             return False
         if any(descriptor in ready for descriptor in self._front.descriptors()):
             for message in self._front.read():
@@ -217,19 +210,6 @@ class LinkLoop:
             with contextlib.suppress(can.CanError, OSError):
                 self._back.send(each, timeout=0)
         self._held = None
-
-    def _listen(self) -> bool:
-        data = os.read(_STDIN, 4096)
-        *lines, self._typed = (self._typed + data).split(b"\n")
-        for line in lines:
-            try:
-                asked = json.loads(line)
-                self._fault(str(asked["fault"]), float(asked.get("value", 1)))
-                answer = {"done": asked["fault"], "t_ns": time.monotonic_ns()}
-            except (ValueError, KeyError, TypeError, AttributeError) as error:
-                answer = {"error": f"{line.decode(errors='replace')!r}: {error}"}
-            print(json.dumps(answer), flush=True)
-        return bool(data)
 
     def _fault(self, name: str, value: float) -> None:
         if name == "cut":
@@ -256,11 +236,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if (options.front is None) == (options.slcan is None):
         parser.error("give either --front or --slcan")
-    signalled, wake = socket.socketpair()
-    wake.setblocking(False)
-    signal.set_wakeup_fd(wake.fileno())
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: None)
+    stop = stop_signals()
     try:
         back = open_bus(Bus.model_validate_json(options.back), frozenset(range(0x800)))
         front: Front = (
@@ -269,10 +245,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BusError, OSError, ValueError) as error:
         print(f"can_link: {error}", file=sys.stderr)
         return 2
-    real_time = become_real_time()
-    print(json.dumps({"ready": True, "pid": os.getpid(), "port": front.port, "real_time": real_time}), flush=True)
+    say_ready(port=front.port, real_time=become_real_time())
     try:
-        LinkLoop(front, back, signalled.fileno()).run()
+        LinkLoop(front, back, stop.fileno()).run()
     finally:
         back.shutdown()
         if options.slcan:

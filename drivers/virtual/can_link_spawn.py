@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from drivers.virtual.spawn import NodeHandle
+from drivers.virtual.can_node_spawn import NodeHandle
 from fes.config import Bus
 
 

@@ -27,8 +27,8 @@ NS_PER_UNIT: Final = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
 class DbcWire:
     """Readings as records of ``CAN_RECORD``.
 
-    A value beyond what its signal can carry is sent as the signal's end. A signal of integers has no NaN: its least
-    number stands for it. Signals that no option names are sent as 0.
+    A value beyond what its signal can carry is sent as the signal's end. A signal of integers has no NaN: a sample with
+    one is not sent. Signals that no option names are sent as 0.
 
     Raises:
         ValueError: the DBC cannot be read, or an option does not fit it; the message names the option.
@@ -50,7 +50,11 @@ class DbcWire:
         if wanted == list(AXES):
             raise ValueError("options need time or counter as MESSAGE.SIGNAL")
         self._where = {what: str(options[what]).partition(".")[0] for what in wanted}
-        self._offset = int(options.get("id_offset", 0))
+        offset = options.get("id_offset", 0)
+        if isinstance(offset, bool) or not isinstance(offset, int):
+            raise ValueError(f"options.id_offset = {offset!r} must be a whole number")
+        self._offset = offset
+        self.carries_nan = all(self._signals[axis].is_float for axis in AXES)
         acc, gyr = (options.get("acc_unit", "m/s2"), options.get("gyr_unit", "rad/s"))
         self._units = dict(zip(AXES, [_unit(acc, PER_UNIT)] * 3 + [_unit(gyr, PER_UNIT)] * 3, strict=True))
         self._ns_per_time = _unit(options.get("time_unit", "s"), NS_PER_UNIT)
@@ -66,6 +70,8 @@ class DbcWire:
 
     def say(self, reading: Reading) -> list[bytes]:
         """The frames of one sample."""
+        if not (self.carries_nan or reading.finite):
+            return []
         values = dict(zip(AXES, (*reading.acc_mps2, *reading.gyr_radps), strict=True))
         frames: dict[str, dict[str, int | float]] = {
             name: {signal.name: 0 for signal in message.signals} for name, message in self._messages.items()
@@ -115,4 +121,4 @@ def _raw(signal: Signal, value: float) -> int | float:
     least, most = (-(1 << signal.length - 1), (1 << signal.length - 1) - 1)
     if not signal.is_signed:
         least, most = 0, (1 << signal.length) - 1
-    return least if math.isnan(raw) else round(min(max(raw, least), most))
+    return round(min(max(raw, least), most))

@@ -6,7 +6,8 @@ within ± this share of full scale; 0 ends it), ``full`` (1: every value at the 
 ``doubled`` (so many of the next samples), ``axes`` (1: sits turned, x measures what y did, y what z did; 0 ends it),
 ``drift`` (ppm of its clock from now on), ``jump`` (its clock, by so many seconds, once), ``jumping`` (every eighth
 stamp is ahead by so many seconds; 0 ends it). ``stand``: its wearer stays within the first so many seconds of the
-signal, in which they stand, once they come there; 0: goes on at their end.
+signal, in which they stand, once they come there; 0: goes on at their end. A sensor that sends whole numbers, as most
+do on CAN, has no ``nan`` and no ``inf``: what it cannot measure it says as the end of its range, or not at all.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from fes.signals import G_MPS2, NS_PER_S, Vector3
 
 LASTING: Final = ("unit", "stuck", "clip", "full", "nan", "inf", "doubled", "axes", "jumping")  # until set to 0
 FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
+NOT_FINITE: Final = ("nan", "inf")
 JUMPING_EVERY: Final = 8  # more than one in twenty
 BOOT_NS: Final = 300_000_000
 _NAN: Final = (math.nan, math.nan, math.nan)
@@ -81,8 +83,13 @@ class SimulatedImu:
         """Bring a fault about, or with 0 end it.
 
         Raises:
-            ValueError: no such fault.
+            ValueError: no such fault, or none that this kind of sensor can have.
         """
+        if name in NOT_FINITE and value and not self._wire.carries_nan:
+            raise ValueError(
+                f"fault {name!r} does not exist here: this sensor sends whole numbers, which have none. What it can do "
+                "instead: full (the end of its range) or mute (nothing)"
+            )
         if name not in FAULTS or not math.isfinite(value):
             raise ValueError(f"fault {name!r} = {value!r} is not known; one of {', '.join(sorted(FAULTS))}")
         if name == "reboot":

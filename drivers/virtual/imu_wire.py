@@ -27,9 +27,16 @@ class Reading:
     gyr_radps: Vector3
     clipped: bool = False
 
+    @property
+    def finite(self) -> bool:
+        """Whether every value is a number."""
+        return all(map(math.isfinite, (*self.acc_mps2, *self.gyr_radps)))
+
 
 class Wire(Protocol):
-    """A kind of device."""
+    """A kind of device. ``carries_nan``: it sends floating point, in which a value can be NaN or infinite."""
+
+    carries_nan: bool
 
     def say(self, reading: Reading) -> list[bytes]:
         """The messages of one sample."""
@@ -46,6 +53,8 @@ class Wire(Protocol):
 
 class XbusWire:
     """An MTi: configuration and measurement state, the host's choice of rate acknowledged if it is its own."""
+
+    carries_nan = True
 
     def __init__(self, rate_hz: float) -> None:
         self._rate = round(rate_hz)
@@ -94,6 +103,8 @@ class XbusWire:
 
 
 class _Mute:
+    carries_nan = True
+
     def hear(self, data: bytes) -> list[bytes]:
         """Not listened to."""
         return []
@@ -116,13 +127,20 @@ class Ximu3Wire(_Mute):
 
 
 class XsensCanWire(_Mute):
-    """An MTi-600 on CAN: SampleTime, GroupCounter, RateOfTurn, Acceleration, as records of ``CAN_RECORD``."""
+    """An MTi-600 on CAN: SampleTime, GroupCounter, RateOfTurn, Acceleration, as records of ``CAN_RECORD``.
+
+    Its values are of 16 bits, which have no NaN: a sample without numbers is not sent.
+    """
+
+    carries_nan = False
 
     def __init__(self, id_offset: int = 0) -> None:
         self._offset = id_offset
 
     def say(self, reading: Reading) -> list[bytes]:
         """Four frames."""
+        if not reading.finite:
+            return []
         frames = [
             (0x05, struct.pack(">I", reading.t_device_ns // xbus.TIME_FINE_TICK_NS % 2**32)),
             (0x06, struct.pack(">H", reading.counter % 2**16)),
@@ -141,6 +159,4 @@ class LslWire(_Mute):
 
 
 def _steps(values: Vector3, per_unit: int) -> bytes:
-    # the format has no NaN: the most negative number stands for it, beyond what the sensor's range lets through
-    raw = (round(v * per_unit) if math.isfinite(v) else -(2**15) for v in values)
-    return struct.pack(">3h", *(min(max(step, -(2**15)), 2**15 - 1) for step in raw))
+    return struct.pack(">3h", *(min(max(round(v * per_unit), -(2**15)), 2**15 - 1) for v in values))

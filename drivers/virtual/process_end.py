@@ -39,7 +39,7 @@ def become_real_time() -> bool:
     return True
 
 
-def say_ready(**facts: str | int | bool) -> None:
+def say_ready(**facts: str | int | bool | dict[str, str]) -> None:
     """Tell whoever started this process that the device runs, and how it is reached."""
     print(json.dumps({"ready": True, "pid": os.getpid(), **facts}), flush=True)
 

@@ -1,7 +1,7 @@
 """A simulated device's process, seen from whoever started it: started, told its faults, asked for its record, ended.
 
 The other end of the conversation is :mod:`drivers.virtual.process_end`. The handles of the single kinds of device add
-what their ready line says beyond this.
+what their ready line says beyond this, and what the device says unasked.
 """
 
 from __future__ import annotations
@@ -78,6 +78,10 @@ class ProcessHandle:
         """What the ready line says; each kind of device adds its own."""
         self.port, self.real_time = str(ready.get("port", "")), bool(ready["real_time"])
 
+    def _hear(self, said: Mapping[str, Any]) -> bool:
+        """Take in a line that the device may say unasked; whether it was one. A device that does so overrides this."""
+        return False
+
     def tell(self, fault: str, value: float = 1.0) -> int:
         """Bring a fault about now; returns when it had taken effect, by the device's clock (CLOCK_MONOTONIC), ns.
 
@@ -114,12 +118,15 @@ class ProcessHandle:
         if self.process.stdin is not None:
             with contextlib.suppress(OSError):  # it may be gone with something unread
                 self.process.stdin.close()
+        end_s = time.monotonic() + STOP_WAIT_S
+        self.listen(STOP_WAIT_S)  # its last words; and a pipe that is full would keep it from ending
         for last_resort in (self.process.terminate, self.process.kill):
             try:
-                self.process.wait(STOP_WAIT_S)
+                self.process.wait(max(0.0, end_s - time.monotonic()))
                 break
             except subprocess.TimeoutExpired:
                 last_resort()
+                end_s = time.monotonic() + STOP_WAIT_S
         status = self.process.wait(STOP_WAIT_S)
         if self.process.stdout is not None:
             self.process.stdout.close()
@@ -134,16 +141,30 @@ class ProcessHandle:
     ) -> None:
         self.stop()
 
+    def listen(self, timeout_s: float = 0.0) -> None:
+        """Take in what it says unasked, until it says no more or the time is over."""
+        end_s = time.monotonic() + timeout_s
+        while said := self._line(max(0.0, end_s - time.monotonic())):
+            with contextlib.suppress(ValueError, TypeError):  # nobody waits for a line that says nothing
+                self._is_answer(said)
+
     def _answer(self) -> dict[str, Any]:
-        while True:
-            said = self._line(ANSWER_WAIT_S)
-            if said is None:
-                self._overdue += 1  # its answer, should it still come, is none to the next order
-                raise self._lost(f"{self._what} has not answered within {ANSWER_WAIT_S:g} s")
-            answer: dict[str, Any] = json.loads(said)
-            if not self._overdue:
+        end_s = time.monotonic() + ANSWER_WAIT_S
+        while (said := self._line(max(0.0, end_s - time.monotonic()))) is not None:
+            if answer := self._is_answer(said):
                 return answer
+        self._overdue += 1  # its answer, should it still come, is none to the next order
+        raise self._lost(f"{self._what} has not answered within {ANSWER_WAIT_S:g} s")
+
+    def _is_answer(self, line: str) -> dict[str, Any]:
+        """The answer to the newest order; empty for what was said unasked and for an answer that is overdue."""
+        said: dict[str, Any] = json.loads(line)
+        if self._hear(said):
+            return {}
+        if self._overdue:
             self._overdue -= 1
+            return {}
+        return said
 
     def _line(self, timeout_s: float) -> str | None:
         """The next line it says; without its end when it says no more, None when there is none in time."""

@@ -11,11 +11,14 @@ from statistics import mean, stdev
 from typing import TYPE_CHECKING, Any
 
 import click
+import numba
 
 from fes.analysis import Analysis, analyse, calibrations_of
 from fes.calibrations import drivers_from
-from fes.cli.exits import FAILED, Problem
-from fes.cli.replay import fresh_folder
+from fes.cli.compile_ahead import compiled_ahead
+from fes.cli.exits import FAILED, fail
+from fes.cli.folders import fresh_folder
+from fes.cli.proposal import told
 from fes.estimation.calibration import CalibrationError
 from fes.recording import RecordingError, read_recording
 
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from fes.recording import Recording
 
 FORMATS = ("csv", "parquet", "json")
+DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
 
 
 @click.command(name="analyse")
@@ -77,20 +81,25 @@ def command(
     failures = 0
     for path in recordings:
         try:
-            recording = read_recording(path)
-            recording, found = (
-                drivers_from(calibration, recording) if calibration else calibrations_of(recording, level=not uneven)
-            )
+            with compiled_ahead(Path(vars(numba.config)["CACHE_DIR"])):
+                recording = read_recording(path)
+                recording, found = (
+                    drivers_from(calibration, recording)
+                    if calibration
+                    else calibrations_of(recording, level=not uneven)
+                )
             if apart:
                 recording = _one_clock(recording, found.calibrations)
         except (RecordingError, CalibrationError) as error:
             if len(recordings) == 1:
-                raise Problem(str(error)) from error
-            click.secho(f"Error: {error}", fg="red", err=True)
+                fail(error)
+            click.secho(f"Error: {told(error)}", fg="red", err=True)
             failures += 1
             continue
         for reason in found.missing.values():
             click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
+        if sys.stderr.isatty():
+            click.echo(f"Analysing {path.name} … (the first time on a computer takes a minute longer)", err=True)
         result = analyse(recording, found.calibrations, level=not uneven)
         folder = fresh_folder(out, path.stem)
         write_table(result.stride_rows(), folder / f"strides.{kind}")
@@ -130,12 +139,13 @@ def _gait(
     result: Analysis, folder: Path, kind: str, *, hemiparetic: bool, afflicted: str | None
 ) -> tuple[GaitParameters, HemipareticWalk | None]:
     """Work out the gait parameters, as a hemiparetic walk's if asked, and write their tables."""
-    from fes.hemiparetic.walk import hemiparetic_walk
     from fes.parameters.gait import gait_parameters
     from fes.parameters.mean_stride import mean_strides
 
     walk = None
     if hemiparetic:
+        from fes.hemiparetic.walk import hemiparetic_walk
+
         try:
             walk = hemiparetic_walk(result, afflicted=afflicted)
         except ValueError as error:
@@ -186,7 +196,7 @@ def _show(
     if report:
         from fes.view.report import write_report
 
-        write_report(record, folder / "report.html", paths=result.paths)
+        write_report(record, folder / "report.html", paths=result.paths, gait=gait[0], hemiparetic=gait[1])
     summary = summarise(record)
     parameters, walk = gait
     if as_json:
@@ -208,10 +218,29 @@ def _show(
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     screen.print(stride_table(summary))
     screen.print(summary_block(summary))
-    screen.print(parameter_table(parameters))
+    if (table := parameter_table(parameters)).row_count:
+        screen.print(table)
     for line in (*_clearance_lines(result), *_path_lines(result), *parameter_lines(parameters, walk)):
         screen.print(line, markup=False)
-    screen.print(f"Tables and report  {folder}")
+    for line in _doubts(result):
+        screen.print(line, markup=False, style="yellow")
+    click.echo(f"Tables  {folder}/")
+    if report:
+        click.echo(f"Report  {folder / 'report.html'}  (open it in a browser)")
+
+
+def _doubts(result: Analysis) -> list[str]:
+    """Feet of whose strides few could be measured: what the sidecar says of them may be wrong."""
+    lines = []
+    for sensor in dict.fromkeys(stride.foot for stride in result.strides):
+        found = [stride.valid for stride in result.strides if stride.foot == sensor]
+        if len(found) >= FEWEST_STRIDES and sum(found) < DOUBTFUL_SHARE * len(found):
+            lines.append(
+                f"! {sensor}: only {sum(found)} of {len(found)} strides could be measured. Does this sensor sit on "
+                f"the {sensor.replace('_', ' ')}, not on another part of the leg, and are units and rate in the "
+                f"sidecar right?"
+            )
+    return lines
 
 
 def _clearance_lines(result: Analysis) -> list[str]:

@@ -49,9 +49,9 @@ def command(
     from fes.cohort.sources import CohortError, find
     from fes.cohort.store import Store
 
-    store, settings = Store(_absolute(out)), Settings(not uneven, subject_from)
+    store, settings = Store(absolute(out)), Settings(not uneven, subject_from)
     try:
-        sources = find([_absolute(pattern) for pattern in recordings])
+        sources = find([absolute(pattern) for pattern in recordings])
         by_identity = {source.identity(settings.text()): source for source in sources}
         store.prepare({"command": "fes cohort", "recordings": list(recordings), "settings": settings.text()})
         finished = store.finished() & by_identity.keys()
@@ -63,7 +63,7 @@ def command(
         if finished:
             click.echo(f"{len(finished)} of {len(sources)} are finished already.", err=True)
         if todo:
-            with cluster(workers or workers_here(), scheduler) as client, _Bar(len(todo)) as bar:
+            with cluster(workers or workers_here(), scheduler) as client, ProgressBar(len(todo), "analysing") as bar:
                 run(client, todo, store, settings, bar.tell)
         rows = _rows(store, by_identity)
         if not no_report:
@@ -86,28 +86,28 @@ def command(
         raise SystemExit(FAILED)
 
 
-def _absolute(pattern: str) -> str:
+def absolute(pattern: str) -> str:
     """Workers may have another working folder."""
     return pattern if "://" in pattern else str(Path(pattern).absolute())
 
 
-class _Bar:
+class ProgressBar:
     """How far it has come, on stderr; lines of failures above it."""
 
-    def __init__(self, total: int) -> None:
+    def __init__(self, total: int, doing: str) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
         self._progress = Progress(*columns, console=console, disable=not sys.stderr.isatty(), transient=True)
-        self._task = self._progress.add_task("analysing", total=total)
-        self._failed = 0
+        self._task = self._progress.add_task(doing, total=total)
+        self._doing, self._failed = doing, 0
 
     def tell(self, outcome: Outcome) -> None:
         """One more is finished."""
         self._failed += outcome.status != "done"
-        said = f"analysing, {self._failed} failed" if self._failed else "analysing"
+        said = f"{self._doing}, {self._failed} failed" if self._failed else self._doing
         self._progress.update(self._task, advance=1, description=said)
 
     def __enter__(self) -> Self:

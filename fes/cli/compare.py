@@ -1,4 +1,4 @@
-"""``fes compare``: two session logs' differences, stride by stride."""
+"""``fes compare``: two session logs' differences, stride by stride; or sessions before and after, as a page."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from fes.cli.exits import FAILED, fail
+from fes.cli.exits import FAILED, Problem, fail
 from fes.journal import SessionLogError, read_session
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.console import RenderableType
 
     from fes.log_comparison import Comparison
@@ -38,22 +40,44 @@ _TITLES: Final = {
 
 
 @click.command(name="compare")
-@click.argument("a", type=click.Path(path_type=Path))
-@click.argument("b", type=click.Path(path_type=Path))
+@click.argument("sessions", nargs=-1, required=True, metavar="A B…", type=click.Path(path_type=Path))
+@click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write how the walks differ, as HTML.")
+@click.option(
+    "--label", "labels", multiple=True, metavar="WORDS", help="With --report: a session's name; once for each."
+)
+@click.option("--afflicted", type=click.Choice(["left", "right"]), help="With --report: symmetry from that side.")
 @click.option("--all", "every", is_flag=True, help=f"Show all strides, not only the first {ROWS} that differ.")
 @click.option("--json", "as_json", is_flag=True, help="Print the differences as JSON.")
-def command(a: Path, b: Path, every: bool, as_json: bool) -> None:
-    """Compare the session logs A and B: settings, strides, stimulation, bytes. Differences are B − A.
+def command(
+    sessions: tuple[Path, ...],
+    report: Path | None,
+    labels: tuple[str, ...],
+    afflicted: str | None,
+    every: bool,
+    as_json: bool,
+) -> None:
+    """Compare two session logs A and B: settings, strides, stimulation, bytes. Differences are B − A.
 
     Strides are matched by time, by the best shift if the clocks differ, else by number. When a log was made and how
-    long decisions took makes no difference.
+    long decisions took makes no difference. Exit code: 0 identical, 1 different, 2 unusable input.
 
-    Exit code: 0 identical, 1 different, 2 unusable input.
+    With --report FILE it asks instead how the walks differ, before and after, with and without stimulation: means of
+    each session, changes against the first with 95 % intervals, foot paths, phases, symmetry, charge, and what else
+    differs. Sessions are then two to six logs (.feslog), folders that hold one, or recordings (CSV, Parquet), each
+    analysed off-line in the same way. Exit code: 0 written, 2 unusable input.
     """
+    if report is not None:
+        _report(sessions, report, labels, afflicted, as_json)
+        return
+    if labels or afflicted:
+        raise Problem("--label and --afflicted belong to --report FILE")
+    if len(sessions) != 2:
+        raise Problem(f"name two session logs, not {len(sessions)}; for more say --report FILE")
     from rich.console import Console
 
     from fes.log_comparison import compare_logs
 
+    a, b = sessions
     try:
         result = compare_logs(read_session(a), read_session(b))
     except SessionLogError as error:
@@ -65,6 +89,41 @@ def command(a: Path, b: Path, every: bool, as_json: bool) -> None:
         console.print(_said(a, b, result, every))
     if not result.identical:
         raise SystemExit(FAILED)
+
+
+def _report(paths: Sequence[Path], report: Path, labels: Sequence[str], afflicted: str | None, as_json: bool) -> None:
+    from fes.view.comparison import MOST, compare_sessions, write_comparison
+    from fes.view.comparison_session import ComparisonProblem, read_compared
+    from fes.view.report import ReportError
+
+    if not 2 <= len(paths) <= MOST:
+        raise Problem(f"name two to {MOST} sessions, not {len(paths)}")
+    if labels and len(labels) != len(paths):
+        raise Problem(f"{len(labels)} labels for {len(paths)} sessions: give --label once for each, in their order")
+    if len(set(labels)) < len(labels) or not all(label.strip() for label in labels):
+        raise Problem("every --label must be different, and not empty")
+    if report.resolve() in {path.resolve() for path in paths}:
+        raise Problem(f"{report}: is one of the sessions; choose another --report")
+    names = labels or [f"{chr(65 + k)} {path.stem if path.is_file() else path.name}" for k, path in enumerate(paths)]
+    try:
+        comparison = compare_sessions(
+            [read_compared(path, name) for path, name in zip(paths, names, strict=True)], afflicted=afflicted
+        )
+        write_comparison(comparison, report)
+    except ComparisonProblem as error:
+        fail(error)
+    except ReportError as error:
+        fail(error)
+    if as_json:
+        told = {**comparison.to_json(), "report": str(report)}
+        click.echo(json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False))
+        return
+    for finding in (*comparison.confounders, *comparison.changes):
+        click.secho(
+            f"{'!' if finding.level in ('alert', 'warning') else '·'} {finding.text}",
+            fg="yellow" if finding.level in ("alert", "warning") else None,
+        )
+    click.echo(f"Report {report}")
 
 
 def to_json(result: Comparison) -> dict[str, Any]:

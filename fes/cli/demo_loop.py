@@ -18,7 +18,7 @@ import click
 from fes.cli.exits import INTERRUPTED, Problem, StoppedEarly, fail
 from fes.cli.folders import LOG_SUFFIX, fresh_folder
 from fes.cli.interrupt import Interrupt
-from fes.cli.loop_view import LoopView
+from fes.cli.loop_view import LoopView, outcome
 from fes.hil.course import WALK_S, Course, Happening, course
 from fes.journal import Note
 from fes.live.status import Status
@@ -31,7 +31,10 @@ SLIPS_TO: Final = 0.7
 GO_ON: Final = 3  # times, where a busy computer makes the session switch off
 CURRENT_MA: Final = 12.0  # far too little for this patient
 LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
-TITLE: Final = "A simulated drop-foot patient on a treadmill, 0.8 m/s; the affected foot, stride by stride"
+TITLE: Final = (
+    "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
+    "The strides' toe heights are the true ones; the controller measures some 10 mm more, and aims at that."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +76,10 @@ def demo_closed_loop(options: Options) -> Path:
         with Interrupt() as interrupt, LoopView(TITLE, quiet=options.as_json) as view:
 
             def on_stride(stride: VirtualStride) -> None:
+                if stride.t_flat_ns > SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
+                    view.said(SLIPS_S, f"an electrode has slipped: {SLIPS_TO:.0%} of the charge reaches the nerve")
                 strides.append(stride)
                 view.stride(stride)
-                if stride.t_flat_ns > SLIPS_S * NS_PER_S > (strides[-2].t_flat_ns if len(strides) > 1 else 0):
-                    view.said(SLIPS_S, f"an electrode has slipped: {SLIPS_TO:.0%} of the charge reaches the nerve")
 
             if options.fast:
                 log = _in_one_process(settings, plan, folder, view, on_stride, interrupt)
@@ -106,8 +109,16 @@ def result_of(strides: Sequence[VirtualStride]) -> dict[str, Any]:
     return {
         "strides": len(walked),
         "charge_mc": round(1e-3 * sum(stride.charge_uc for stride in walked), 2),
+        "strides_until_clear": _until_clear([stride for stride in walked if stride.t_flat_ns < slip_ns]),
+        "strides_until_clear_again": _until_clear([stride for stride in walked if stride.t_flat_ns >= slip_ns]),
         **{name: _part(part) for name, part in parts.items()},
     }
+
+
+def _until_clear(strides: Sequence[VirtualStride]) -> int | None:
+    """Which stride, counted from 1, is the first of three in a row that clear the ground; None for none."""
+    clear = [outcome(stride) == "clears" for stride in strides]
+    return next((n + 1 for n in range(len(clear) - 2) if all(clear[n : n + 3])), None)
 
 
 def _part(strides: Sequence[VirtualStride]) -> dict[str, Any]:
@@ -215,6 +226,18 @@ def _report(log: Path, path: Path) -> None:
         raise StoppedEarly(f"{path}: cannot be written: {error.strerror or error}. The log is whole: {log}") from error
 
 
+def _story(result: dict[str, Any]) -> str:
+    """What happened, in a sentence or two for people."""
+    first, last = result["first_8_strides"], result["last_10_strides"]
+    bad, still = first["dragged"], last["dragged"]
+    cleared, recovered = result["strides_until_clear"], result["strides_until_clear_again"]
+    said = f"At first the toe dragged ({bad} of 8 strides, {first['stumbled']} stumbles). "
+    said += f"Stimulation tuned itself; from stride {cleared} on it cleared. " if cleared else "It was not cleared. "
+    if recovered is not None:
+        said += f"After the electrode slipped it took {recovered} strides to clear again. "
+    return said + ("No stride of the last ten dragged." if not still else f"{still} of the last ten dragged.")
+
+
 def _say(result: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(result, indent=2))
@@ -230,6 +253,7 @@ def _say(result: dict[str, Any], *, as_json: bool) -> None:
             f"{name}: {part['dragged']} dragged, {part['stumbled']} stumbled, toe clearance "
             f"{part['median_toe_clearance_mm']} mm, {part['charge_uc_a_step']} µC a step (medians)"
         )
+    click.echo(_story(result))
     if process := result.get("patient_process"):
         click.echo(
             f"The patient's process was {process['latest_ms']:.1f} ms late at most, over 5 ms {process['late_5ms']} "

@@ -14,6 +14,8 @@ from fes.cli.exits import Problem, StoppedEarly, fail
 from fes.cli.folders import LOG_SUFFIX
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from fes.reference.estimate import Estimate
     from fes.reference.evaluation import Evaluation
 
@@ -64,8 +66,9 @@ def command(
     """Analyse RECORDING (or take a session log as it was) and hold it against references.
 
     Without --reference: the files beside the recording, as fes import writes them (NAME.events.csv, NAME.strides.csv,
-    NAME.path.csv, NAME.reference.csv, NAME.belt.csv, NAME.mat.csv, NAME.switch.csv, NAME.c3d). What a CSV is, its
-    columns tell: strides, events, footfalls of a step mat, foot switches, a marker's path, a belt's speed.
+    NAME.path.csv, NAME.reference.csv, NAME.belt.csv, NAME.mat.csv, NAME.switch.csv, NAME.orientation.csv,
+    NAME.end.csv, NAME.c3d). What a CSV is, its columns tell: strides, events, footfalls of a step mat, foot switches,
+    a marker's path, a belt's speed, a sensor's orientation, where the walk ended.
 
     Writes a page, all numbers as JSON, and the pairs as a table.
     """
@@ -78,6 +81,10 @@ def command(
     files = list(references) or beside(recording)
     if not files and belt_speed is None:
         raise Problem(f"{recording}: no reference lies beside it. Name one: --reference FILE, or --belt-speed M/S")
+    if oriented := _oriented(recording, files):
+        folder = None if no_report else _written(oriented, out, recording)
+        _told(oriented, folder, as_json=as_json)
+        return
     estimate, own_belt = _estimated(recording, calibration, level=not uneven)
     default = f"{foot}_foot" if foot else (estimate.feet[0] if len(estimate.feet) == 1 else None)
     try:
@@ -97,6 +104,20 @@ def command(
         fail(error)
     folder = None if no_report else _written(result, out, recording)
     _told(result, folder, as_json=as_json)
+
+
+def _oriented(recording: Path, files: Sequence[Path]) -> Evaluation | None:
+    """The evaluation of orientations, which need no walk; None where the references are others."""
+    from fes.recording import RecordingError, read_recording
+    from fes.reference import ReferenceError
+    from fes.reference.orientation import evaluate_orientation, only_orientations, read_orientation
+
+    try:
+        if not only_orientations(files):
+            return None
+        return evaluate_orientation(read_recording(recording), [read_orientation(path) for path in files])
+    except (ReferenceError, RecordingError) as error:
+        fail(error)
 
 
 def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tuple[Estimate, float | None]:

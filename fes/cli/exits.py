@@ -47,5 +47,7 @@ class Broken(Problem):
 
 
 def fail(error: Exception, kind: type[Problem] = Problem) -> NoReturn:
-    """End the command with an exception's own words."""
-    raise kind(str(error)) from error
+    """End the command with an exception's own words; a sidecar that is missing is proposed beside its recording."""
+    from fes.cli.proposal import told
+
+    raise kind(told(error)) from error

@@ -78,6 +78,8 @@ class LoopView:
 
             self._live = Live(auto_refresh=False, transient=False)
             self._live.start()
+        elif self._prints:
+            click.echo(self._title)
         return self
 
     def __exit__(

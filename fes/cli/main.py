@@ -28,6 +28,7 @@ COMMANDS: Final = {
     "recover": ("fes.cli.recover", "Repair a torn session log and say what was lost."),
     "simulate": ("fes.cli.simulate", "A virtual patient walks: sensors, truth, stimulation in closed loop."),
     "cohort": ("fes.cli.cohort", "Analyse thousands of recordings with many processes; one data set, pages."),
+    "sweep": ("fes.cli.sweep", "Many settings tried on recordings or virtual patients; the best, and their trade-off."),
     "trials": ("fes.cli.trials", "Generate the bundled recordings, with their truth, from their seeds."),
 }
 

@@ -15,8 +15,8 @@ from drivers.stimulator.bus import open_bus
 from drivers.stimulator.byte_sink import ByteSink
 from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, commands_of
 from drivers.stimulator.can_port import CanStimulator
+from drivers.virtual.can_node_spawn import spawn_node
 from drivers.virtual.lockstep import LockstepStimulator
-from drivers.virtual.spawn import spawn_node
 from fes.config import Session
 from fes.delivered import Delivered, compare_delivered
 from fes.runner import Stimulator

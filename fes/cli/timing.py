@@ -14,8 +14,8 @@ import click
 from fes.cli.exits import FAILED, Problem, fail
 from fes.cli.folders import LOG_SUFFIX
 from fes.journal import SessionLogError, SessionRecord, read_session
-from fes.patient.truth import Truth, load_truth
-from fes.signals import NS_PER_S, StimCommand
+from fes.patient.truth import load_truth
+from fes.signals import StimCommand
 from fes.timing import (
     LOG_TOLERANCE_MS,
     TRUTH_TOLERANCE_MS,
@@ -23,12 +23,12 @@ from fes.timing import (
     Mark,
     TimingCheck,
     check_latency,
-    heel_lifts,
     judged,
     marks_of_commands,
     marks_of_phases,
     timing_rows,
 )
+from fes.truth_marks import marks_of_truth
 from statemachine.phases import PhaseChange
 
 if TYPE_CHECKING:
@@ -99,24 +99,6 @@ def _packed(chosen: dict[str, Any]) -> TimingOptions | None:
     counts = {name: chosen[f"max_{name}"] or 0 for name in ("missed", "extra", "early", "late")}
     bounds = Bounds(**counts, latency_budget_ms=chosen["latency_budget_ms"])
     return TimingOptions(chosen["against"], chosen["tolerance_ms"], bounds)
-
-
-def marks_of_truth(truth: Truth, feet: set[str]) -> list[Mark]:
-    """The transitions that these feet really made; a soft contact, which no sensor sees, ends by T6."""
-    marks = []
-    for stride in truth.strides:
-        if stride.foot not in feet:
-            continue
-        times_s = {"T1": stride.t_pre_swing_s, "T2": stride.t_swing_s}
-        if stride.loading_detectable:
-            times_s |= {"T3": stride.t_loading_response_s, "T4": stride.t_stance_s}
-        else:
-            times_s["T6"] = stride.t_stance_s
-        marks += [Mark(round(t_s * NS_PER_S), stride.foot, what) for what, t_s in times_s.items()]
-    for foot, true in truth.feet.items():
-        if foot in feet:
-            marks += heel_lifts(true.t_ns, true.phase, foot)
-    return sorted(marks)
 
 
 def expected_from(path: Path, feet: set[str]) -> Expected:

@@ -56,7 +56,7 @@ def analyse_one(source: Source, store: Store, settings: Settings) -> Outcome:
     try:
         tables = _tables(source, identity, settings)
     except Exception as error:  # one bad recording, however bad, must not stop the others
-        reason = _reason(error)
+        reason = reason_of(error)
         row = {**base, "status": FAILED, "reason": reason, "subject": _subject(source, "", settings)}
         store.put(identity, {RECORDINGS: [row]})
         return Outcome(identity, source.url, FAILED, reason)
@@ -117,7 +117,8 @@ def _median(values: list[float]) -> float | None:
     return statistics.median(values) if values else None
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
+    """What went wrong in one line; the kind of an error that nobody foresaw."""
     first = str(error).split("\n", 1)[0]
     known = isinstance(error, CohortError | ValueError)
     return (first if known else f"{type(error).__name__}: {first}")[:LONGEST_REASON]

@@ -65,8 +65,13 @@ def write_pages(store: Store, identities: Iterable[str]) -> str:
     subjects = sorted({row["subject"] for row in rows})
     by_subject = {name: [row for row in rows if row["subject"] == name] for name in subjects}
     done = [row for row in rows if row["status"] == DONE]
-    page = _environment().get_template("cohort.html.j2")
-    common: dict[str, Any] = {"style": _style(), "version": __version__, "measures": MEASURES, "colors": FOOT_COLORS}
+    page = page_environment().get_template("cohort.html.j2")
+    common: dict[str, Any] = {
+        "style": page_style(),
+        "version": __version__,
+        "measures": MEASURES,
+        "colors": FOOT_COLORS,
+    }
     for name, own in by_subject.items():
         mask = strides["subject"] == name
         of_subject = {column: values[mask] for column, values in strides.items()}
@@ -271,12 +276,14 @@ def _file(subject: str) -> str:
 
 
 @cache
-def _style() -> Markup:
+def page_style() -> Markup:
+    """The report's own, for every page."""
     return Markup(files("fes.view").joinpath("static/report.css").read_text(encoding="utf-8"))
 
 
 @cache
-def _environment() -> Environment:
+def page_environment() -> Environment:
+    """The pages' templates."""
     environment = Environment(
         loader=PackageLoader("fes.cohort"),
         autoescape=True,

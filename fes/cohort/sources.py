@@ -123,8 +123,10 @@ def _url(filesystem: Any, path: str, pattern: str) -> str:
 
 
 @contextmanager
-def local_copy(source: Source) -> Iterator[Path]:
+def local_copy(source: Source, beside: Sequence[str] = ()) -> Iterator[Path]:
     """The recording as a file here, with its sidecar beside it, for as long as it is needed.
+
+    ``beside``: endings of further files of the same name that come too where they are there, as ``.strides.csv``.
 
     Raises:
         CohortError: it is gone, or the storage does not answer.
@@ -137,9 +139,10 @@ def local_copy(source: Source) -> Iterator[Path]:
         with tempfile.TemporaryDirectory(prefix="fes-cohort-") as folder:
             here = Path(folder) / PurePosixPath(path).name
             filesystem.get_file(path, str(here))
-            sidecar = _sidecar(path)
-            if _has(filesystem, sidecar):
-                filesystem.get_file(sidecar, str(here.with_suffix(SIDECAR)))
+            for ending in (SIDECAR, *beside):
+                other = str(PurePosixPath(path).with_suffix(ending))
+                if _has(filesystem, other):
+                    filesystem.get_file(other, str(here.with_suffix(ending)))
             yield here
     except OSError as error:
         raise CohortError(f"{source.url}: cannot be fetched: {error}") from error

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import fsspec
@@ -56,13 +56,17 @@ SCHEMAS: Final[Mapping[str, pa.Schema]] = {
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """A cohort's folder on any storage that fsspec opens.
+    """A folder of results on any storage that fsspec opens.
 
     Args:
         url: of the folder.
+        schemas: of its tables, by name.
+        last: the table that is written last and says what is finished.
     """
 
     url: str
+    schemas: Mapping[str, pa.Schema] = field(default_factory=lambda: SCHEMAS)
+    last: str = RECORDINGS
 
     def prepare(self, about: Mapping[str, Any]) -> None:
         """Make the folder and say what is in it.
@@ -72,7 +76,7 @@ class Store:
         """
         filesystem, root = self._open()
         try:
-            for table in SCHEMAS:
+            for table in self.schemas:
                 filesystem.makedirs(f"{root}/{table}", exist_ok=True)
             with filesystem.open(f"{root}/{ABOUT}", "wb") as file:
                 file.write(json.dumps(about, indent=1, ensure_ascii=False).encode() + b"\n")
@@ -80,23 +84,23 @@ class Store:
             raise CohortError(f"{self.url}: cannot be written: {error}. Choose another with --out.") from error
 
     def put(self, identity: str, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
-        """Keep one recording's rows; its own row last, so that a crash leaves it to be done again.
+        """Keep one piece of work's rows; those of the last table last, so that a crash leaves it to be done again.
 
         Raises:
             OSError: the storage is full or gone.
         """
         filesystem, root = self._open()
-        for table in sorted(tables, key=lambda name: name == RECORDINGS):
-            rows = pa.Table.from_pylist([dict(row) for row in tables[table]], schema=SCHEMAS[table])
+        for table in sorted(tables, key=lambda name: name == self.last):
+            rows = pa.Table.from_pylist([dict(row) for row in tables[table]], schema=self.schemas[table])
             draft, path = f"{root}/{table}/.{identity}.part", f"{root}/{table}/{identity}.parquet"
             with filesystem.open(draft, "wb") as file:
                 parquet.write_table(rows, file)
             filesystem.mv(draft, path)
 
     def finished(self) -> set[str]:
-        """The recordings whose results are complete."""
+        """What is complete, by identity."""
         filesystem, root = self._open()
-        folder = f"{root}/{RECORDINGS}"
+        folder = f"{root}/{self.last}"
         if not filesystem.isdir(folder):
             return set()
         names = (str(name).rsplit("/", 1)[-1] for name in filesystem.ls(folder, detail=False, refresh=True))
@@ -106,25 +110,29 @@ class Store:
         """Take these recordings' rows away, so that they are done again."""
         filesystem, root = self._open()
         for identity in identities:
-            filesystem.rm_file(f"{root}/{RECORDINGS}/{identity}.parquet")
+            filesystem.rm_file(f"{root}/{self.last}/{identity}.parquet")
 
     def table(self, name: str, identities: Iterable[str]) -> pa.Table:
         """The rows of these recordings; leftovers of other runs in the folder are not among them."""
         filesystem, root = self._open()
-        parts = []
-        for identity in sorted(identities):
-            path = f"{root}/{name}/{identity}.parquet"
-            if filesystem.exists(path):
-                with filesystem.open(path, "rb") as file:
-                    parts.append(parquet.read_table(file))
-        return pa.concat_tables(parts) if parts else SCHEMAS[name].empty_table()
+        folder = f"{root}/{name}"
+        listed = filesystem.ls(folder, detail=False, refresh=True) if filesystem.isdir(folder) else ()
+        there = {str(path).rsplit("/", 1)[-1] for path in listed}
+        paths = [f"{folder}/{identity}.parquet" for identity in sorted(identities) if f"{identity}.parquet" in there]
+        if not paths:
+            return self.schemas[name].empty_table()
+        return parquet.read_table(paths, schema=self.schemas[name], filesystem=filesystem)
 
     def write_text(self, name: str, text: str) -> None:
         """A page beside the tables."""
+        self.write_bytes(name, text.encode())
+
+    def write_bytes(self, name: str, data: bytes) -> None:
+        """A file beside the tables."""
         filesystem, root = self._open()
         filesystem.makedirs(f"{root}/{name}".rsplit("/", 1)[0], exist_ok=True)
         with filesystem.open(f"{root}/{name}", "wb") as file:
-            file.write(text.encode())
+            file.write(data)
 
     def place(self, name: str) -> str:
         """Where a page or table is, for people."""

@@ -17,19 +17,17 @@ on the whole, and each stride is shifted to agree, in proportion to time between
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.rotation import rotate_all
+from fes.estimation.clearance_kernel import UNSEEN_NS, clear, contact_heights, drift_correction, lowest_in_swing
+from fes.estimation.rotation import foot_axes
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 
-LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
 CONTACT_SPREAD_M = 0.003  # how much the true contact heights differ between strides (markers: 2.6 to 3.3 mm)
-MOST_DRIFT_M = 0.05  # what differs by more was no drift: a stumble, a kerb, another kind of step
 LEVEL_GROUND_M = 0.01  # ground that rises by less per stride, on the whole, is taken for level
 LEAST_STRIDES = 5  # for levels
 TRIM = 0.1  # share of the strides left out at either end when levels are averaged
@@ -59,6 +57,12 @@ class FootPath:
         """The sample at or after a time, within the stride."""
         return min(int(np.searchsorted(self.t_ns, t_ns)), len(self.t_ns) - 1)
 
+    @property
+    def swing_ns(self) -> tuple[int, int]:
+        """Foot off and contact for compiled code, ``UNSEEN_NS`` for what was not seen."""
+        off, contact = self.foot_off_ns, self.contact_ns
+        return UNSEEN_NS if off is None else off, UNSEEN_NS if contact is None else contact
+
 
 def foot_path(
     number: int,
@@ -71,11 +75,8 @@ def foot_path(
     contact_ns: int | None,
 ) -> FootPath:
     """A path from orientations (N, 4), sensor to world, and the foot's ``forward`` and ``up`` (3,) in the sensor."""
-    (fx, fy, fz), (ux, uy, uz) = forward.tolist(), up.tolist()
-    left = np.array((uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx))
     axes = np.empty((len(quaternion), 3, 3))
-    for k, axis in enumerate((forward, left, up)):
-        axes[:, :, k] = rotate_all(quaternion, axis)
+    foot_axes(quaternion, forward, up, axes)
     # the tracker's buffer of times is used again: a path must keep its own
     return FootPath(number, t_ns.copy(), position_m.copy(), axes, foot_off_ns, contact_ns)
 
@@ -118,22 +119,29 @@ class ContactLevels:
 
     def correction(self, path: FootPath, toe_m: FloatArray, heel_m: FloatArray) -> FloatArray:
         """What to add to the heights of a stride (N,), given those of its toe and heel."""
-        seen = _contacts(path, toe_m, heel_m)
-        if seen is None or path.foot_off_ns is None or path.contact_ns is None:
-            return np.zeros(len(path.t_ns))
-        times = [path.t_ns[0], path.foot_off_ns, path.contact_ns, path.t_ns[-1]]
-        levels = np.array([self.foot_off_m, self.contact_m, self.rise_m])
-        weights = np.array([self.foot_off_weight, self.contact_weight, self.rise_weight])
-        drift = levels - np.array(seen)
-        off, contact, end = np.where(np.abs(drift) <= MOST_DRIFT_M, weights * drift, 0.0).tolist()
-        seconds = [1e-9 * float(t - path.t_ns[0]) for t in times]
-        return np.asarray(np.interp(1e-9 * (path.t_ns - path.t_ns[0]), seconds, [0.0, off, contact + end, end]))
+        shift = np.empty(len(path.t_ns))
+        drift_correction(path.t_ns, *path.swing_ns, toe_m, heel_m, self.row(), shift)
+        return shift
+
+    def row(self) -> FloatArray:
+        """For compiled code (6,): levels, then weights."""
+        levels = (self.foot_off_m, self.contact_m, self.rise_m)
+        return np.array((*levels, self.foot_off_weight, self.contact_weight, self.rise_weight))
 
 
 def contact_levels(paths: Sequence[FootPath], arms: FootArms) -> ContactLevels | None:
-    """Levels of one foot's recording, from all its strides; None if fewer than five show both contacts."""
-    each = [_contacts(path, rise(path, arms.toe_m), rise(path, arms.heel_m)) for path in paths]
-    seen = np.array([heights for heights in each if heights is not None]).reshape(-1, 3)
+    """Levels of one foot's recording, from all its strides; None if fewer than five show both contacts.
+
+    Of each stride: the height of the toe at foot off over the stance before; of the lower of toe and heel at contact
+    over the next; and of the foot in the stance after over that before. So steps up and down do not make the first two
+    differ.
+    """
+    toe, heel, each = np.array(arms.toe_m), np.array(arms.heel_m), np.empty((len(paths), 3))
+    shown = [
+        contact_heights(path.t_ns, path.position_m, path.axes, *path.swing_ns, toe, heel, each[k])
+        for k, path in enumerate(paths)
+    ]
+    seen = each[np.array(shown, np.bool_)]
     if len(seen) < LEAST_STRIDES:
         return None
     cut = int(
@@ -144,20 +152,6 @@ def contact_levels(paths: Sequence[FootPath], arms: FootArms) -> ContactLevels |
     weight = 1.0 - np.minimum(CONTACT_SPREAD_M / np.maximum(spread, 1e-9), 1.0) ** 2
     off, contact, rises = level.tolist()
     return ContactLevels(off, contact, rises if abs(rises) > LEVEL_GROUND_M else 0.0, *weight.tolist())
-
-
-def _contacts(path: FootPath, toe_m: FloatArray, heel_m: FloatArray) -> tuple[float, float, float] | None:
-    """Height of the toe at foot off over the stance before, of the lower of toe and heel at contact over the next (m).
-
-    And of the foot in the stance after over that before. So steps up and down do not make the first two differ.
-    """
-    if path.foot_off_ns is None or path.contact_ns is None:
-        return None
-    off, contact = path.index(path.foot_off_ns), path.index(path.contact_ns)
-    if not 0 < off < contact:
-        return None
-    lowest = float(min(toe_m[contact] - toe_m[-1], heel_m[contact] - heel_m[-1]))
-    return float(toe_m[off]), lowest, float(0.5 * (toe_m[-1] + heel_m[-1]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,21 +173,17 @@ class Clearance:
 
 def clearance(path: FootPath, arms: FootArms, levels: ContactLevels | None = None) -> Clearance:
     """The clearances of one stride, shifted to the recording's contact levels if those are given."""
-    toe, heel, sensor = rise(path, arms.toe_m), rise(path, arms.heel_m), path.position_m[:, 2]
-    if levels is not None:
-        shift = levels.correction(path, toe, heel)
-        toe, heel, sensor = toe + shift, heel + shift, sensor + shift
-    highest = float(heel.max()), float(sensor.max())
-    if path.foot_off_ns is None or path.contact_ns is None:
-        return Clearance(math.nan, math.nan, math.nan, *highest, False)
-    begin, end = path.index(path.foot_off_ns), path.index(path.contact_ns) + 1
-    if end - begin < 3:
-        return Clearance(math.nan, math.nan, math.nan, *highest, False)
-    point = path.position_m[begin:end, :2] + path.axes[begin:end, :2, :] @ np.array(arms.toe_m)
-    swing = toe[begin:end]
-    lowest, dips = mid_swing(path.t_ns[begin:end], swing, point)
-    first, last = float(swing[: lowest + 1].max()), float(swing[lowest:].max())
-    return Clearance(float(swing[lowest]), first, last, *highest, dips)
+    row = np.zeros(0) if levels is None else levels.row()
+    return Clearance(*_clear(path, np.array(arms.toe_m), np.array(arms.heel_m), row))
+
+
+def _clear(
+    path: FootPath, toe: FloatArray, heel: FloatArray, levels: FloatArray
+) -> tuple[float, float, float, float, float, bool]:
+    out = np.empty(5)
+    dips = clear(path.t_ns, path.position_m, path.axes, *path.swing_ns, toe, heel, levels, out)
+    toe_m, first_m, last_m, heel_m, sensor_m = out.tolist()
+    return toe_m, first_m, last_m, heel_m, sensor_m, bool(dips)
 
 
 def mid_swing(t_ns: IntArray, height_m: FloatArray, level_m: FloatArray) -> tuple[int, bool]:
@@ -202,14 +192,8 @@ def mid_swing(t_ns: IntArray, height_m: FloatArray, level_m: FloatArray) -> tupl
     ``height_m`` (N,) and ``level_m`` (N, 2) are the toe's height and horizontal place. The minimum is the sample that
     lies deepest below the lower of the peaks before and after it; without one, that of the greatest horizontal speed.
     """
-    before = np.maximum.accumulate(height_m)
-    after = np.maximum.accumulate(height_m[::-1])[::-1]
-    depth = np.minimum(before, after) - height_m
-    deepest = int(np.argmax(depth))
-    if depth[deepest] >= LEAST_DIP_M:
-        return deepest, True
-    speed = np.linalg.norm(np.gradient(level_m, 1e-9 * (t_ns - t_ns[0]), axis=0), axis=1)
-    return int(np.argmax(speed)), False
+    lowest, dips = lowest_in_swing(*(np.ascontiguousarray(values) for values in (t_ns, height_m, level_m)))
+    return int(lowest), bool(dips)
 
 
 def with_clearance(
@@ -219,9 +203,11 @@ def with_clearance(
 
     A stride without a path of the same number is passed on as it is.
     """
-    found = {path.number: clearance(path, arms, levels) for path in paths}
+    toe, heel = np.array(arms.toe_m), np.array(arms.heel_m)
+    row = np.zeros(0) if levels is None else levels.row()
+    found = {path.number: _clear(path, toe, heel, row) for path in paths}
     return [
-        replace(stride, toe_clearance_m=found[stride.number].toe_m, heel_clearance_m=found[stride.number].heel_m)
+        replace(stride, toe_clearance_m=found[stride.number][0], heel_clearance_m=found[stride.number][3])
         if stride.number in found
         else stride
         for stride in strides

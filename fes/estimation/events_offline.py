@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fes.estimation.calibration import FootCalibration
+from fes.estimation.filters import greatest_of_late, low_pass, peaks_apart
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 SHAPE_HZ = 8.0  # low-pass that leaves one push-off and one mid-swing
@@ -141,12 +142,9 @@ class _Walk:
 
     def swings(self) -> list[tuple[int, int]]:
         """(push-off's peak, mid-swing) of every swing, in order."""
-        from scipy.ndimage import maximum_filter1d
-        from scipy.signal import find_peaks
-
         reach = round(FALL_S * self._rate_hz) | 1
-        fall = maximum_filter1d(self._shape, reach, origin=(reach - 1) // 2) - self._shape
-        peaks, _ = find_peaks(fall, distance=max(round(APART_S * self._rate_hz), 1))
+        fall = greatest_of_late(self._shape, reach) - self._shape
+        peaks = peaks_apart(fall, max(round(APART_S * self._rate_hz), 1))
         if len(peaks) == 0:
             return []
         near = [fall[peaks[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]] for k in range(len(peaks))]
@@ -156,7 +154,8 @@ class _Walk:
             np.sqrt(np.median([self._energy[max(p - reach, 0) : p + 1].max() for p in peaks[large]]))
         )
         small = np.array([self._is_step(p, fall[p] / t, t) for p, t in zip(peaks, typical, strict=True)])
-        alone = small & ~large & np.array([self._is_alone(p, peaks[large]) for p in peaks])
+        alone = small & ~large
+        alone[alone] = [self._is_alone(p, peaks[large]) for p in peaks[alone]]
         mids = peaks[large | alone]
         # a mid-swing is the first trough that comes near to the greatest fall
         begins = [max(int(m) - reach + 1, 0) for m in mids]
@@ -233,43 +232,37 @@ class _Walk:
         over = mid_swing + self._first_rest(flat, int(np.argmin(energy)))
         loading = mid_swing + int(np.argmax(self._shape[mid_swing : over + 1]))
         if self._shape[loading] > HEEL_SHARE * self._shape[push_off]:
-            at = _rising(self._turn - TURN_SHARE * self._shape[push_off], mid_swing, loading)
+            at = _rising(self._turn[mid_swing : loading + 1] - TURN_SHARE * self._shape[push_off])
             if at is not None:
-                return at, True
+                return mid_swing + at, True
         impact = mid_swing + int(np.argmax(self._jump[mid_swing : over + 1]))
         if self._jump[impact] > max(IMPACT_SHARE * self._typical_jump, IMPACT_MPS3):
             level = IMPACT_ONSET_SHARE * self._jump[impact]
             while impact > mid_swing + 1 and self._jump[impact - 1] > level:
                 impact -= 1
-            return float(impact), False
+            before, after = self._jump[impact - 1], self._jump[impact]
+            return impact - _share(after - level, after - before), False  # between samples: it began before this one
         # a soft contact: the heel begins to drop (or, failing that, the foot has come to rest)
         top = mid_swing
         while top < over and (
             self._shape[top + 1] > self._shape[top] or self._shape[top] < -SOFT_SHARE * self._shape[push_off]
         ):
             top += 1
-        at = _rising(-self._turn, top, over, first=True)
-        if at is None:
-            at = _rising(self._turn, mid_swing, over)
-        return (at if at is not None else float(over)), False
+        at = _rising(-self._turn[top : over + 1], first=True)
+        if at is not None:
+            return top + at, False
+        at = _rising(self._turn[mid_swing : over + 1])
+        return (mid_swing + at if at is not None else float(over)), False
 
 
 def _share(part: float, whole: float) -> float:
     return float(min(max(part / whole, 0.0), 1.0)) if whole > 0.0 else 0.0
 
 
-def _rising(x: FloatArray, begin: int, end: int, *, first: bool = False) -> float | None:
-    """Where ``x`` last (or first) rises through zero in begin … end, between samples; None if it does not."""
-    crossings = np.flatnonzero((x[begin:end] < 0.0) & (x[begin + 1 : end + 1] >= 0.0))
+def _rising(x: FloatArray, *, first: bool = False) -> float | None:
+    """Where ``x`` (N,) last (or first) rises through zero, between samples; None if it does not."""
+    crossings = ((x[:-1] < 0.0) & (x[1:] >= 0.0)).nonzero()[0]
     if len(crossings) == 0:
         return None
-    i = begin + int(crossings[0 if first else -1])
-    return i + float(-x[i] / (x[i + 1] - x[i]))
-
-
-def low_pass(x: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:
-    """Butterworth of second order run both ways: no lag; the cut-off is kept below 45 % of the sampling rate."""
-    from scipy.signal import butter, sosfiltfilt
-
-    sections = butter(2, min(cutoff_hz, 0.45 * rate_hz), fs=rate_hz, output="sos")
-    return np.asarray(sosfiltfilt(sections, x), dtype=float)
+    i = int(crossings[0 if first else -1])
+    return float(i - x[i] / (x[i + 1] - x[i]))

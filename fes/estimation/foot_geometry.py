@@ -23,6 +23,7 @@ import numpy as np
 
 from fes.config import FootGeometry
 from fes.estimation.clearance import FootPath
+from fes.estimation.foot_geometry_kernel import BALL, HEEL, OVER_HEEL, SIGNS, TOE, signs_of
 from fes.signals import FloatArray
 
 HEIGHT_M = (0.065, 0.03)  # prior mean and SD of an instep or lateral sensor's height
@@ -34,12 +35,7 @@ PLAUSIBLE_HEEL_M = (-0.28, 0.03)
 PLAUSIBLE_SOLE_M = (0.14, 0.32)
 MODEL_M = (0.01, 0.01, 0.015)  # height, toe, heel: a shoe bends and is round, however many strides there are
 LEAST_STRIDES = 3
-BALL_PITCH_RAD = (-0.09, -0.38)  # the heel has risen, and the foot still turns about the ball
-LEAST_TOE_TILT = 0.3  # sine of the angle at foot off, and …
-LEAST_HEEL_TILT = 0.14  # … at contact, below which an arm does not show
-LEAST_HEEL_TURN = 0.1  # change of that sine from which the centre's height shows
 HEEL_BEHIND_M = 0.01  # the back of the heel lies this far behind the point that touches the ground first: it is round
-HEEL_WINDOW_S = (0.005, 0.06)  # after contact is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +68,16 @@ def estimate_geometry(paths: Sequence[FootPath]) -> EstimatedGeometry:
 
     Always gives a usable geometry: what lies outside the plausible bounds is dropped, and the reason says so.
     """
-    ball = _seen("the sensor's height", [_ball(path) for path in paths], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
-    over_heel = _seen("", [_over_heel(path) for path in paths], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
+    signs = np.empty((len(paths), SIGNS))
+    for path, row in zip(paths, signs, strict=True):
+        signs_of(path.t_ns, path.position_m, path.axes, *path.swing_ns, row)
+    ball = _seen("the sensor's height", signs[:, BALL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
+    over_heel = _seen("", signs[:, OVER_HEEL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     height = ball if ball.missing or over_heel.missing else _mean(ball, over_heel)
     height_m, height_sd_m = _combine(height, *HEIGHT_M)
-    toe = _seen("the toe", [_toe(path, height_m) for path in paths], MODEL_M[1], PLAUSIBLE_TOE_M)
-    heel = _seen("the heel", [_heel(path, height_m) for path in paths], MODEL_M[2], PLAUSIBLE_HEEL_M)
+    toe = _seen("the toe", signs[:, TOE] + height_m * signs[:, TOE + 1], MODEL_M[1], PLAUSIBLE_TOE_M)
+    heels = signs[:, HEEL] + height_m * signs[:, HEEL + 1] - HEEL_BEHIND_M
+    heel = _seen("the heel", heels, MODEL_M[2], PLAUSIBLE_HEEL_M)
     if (
         not (toe.missing or heel.missing)
         and not PLAUSIBLE_SOLE_M[0] <= toe.value_m - heel.value_m <= PLAUSIBLE_SOLE_M[1]
@@ -109,8 +109,8 @@ def estimate_geometry(paths: Sequence[FootPath]) -> EstimatedGeometry:
     )
 
 
-def _seen(what: str, each: list[float | None], model_m: float, bounds_m: tuple[float, float]) -> _Seen:
-    values = np.array([value for value in each if value is not None and np.isfinite(value)])
+def _seen(what: str, each: FloatArray, model_m: float, bounds_m: tuple[float, float]) -> _Seen:
+    values = each[np.isfinite(each)]
     if len(values) < LEAST_STRIDES:
         return _Seen(0.0, np.inf, f"{what} shows in {len(values)} strides only, {LEAST_STRIDES} are needed")
     middle = float(np.median(values))
@@ -127,80 +127,3 @@ def _mean(one: _Seen, other: _Seen) -> _Seen:
 def _combine(seen: _Seen, mean_m: float, sd_m: float) -> tuple[float, float]:
     weight = seen.sd_m**-2 + sd_m**-2
     return (seen.value_m * seen.sd_m**-2 + mean_m * sd_m**-2) / weight, weight**-0.5
-
-
-def _foot_off(path: FootPath) -> int | None:
-    """The sample of the fastest turn toe-down up to foot off: a session may place foot off later than that."""
-    if path.foot_off_ns is None:
-        return None
-    end = path.index(path.foot_off_ns) + 1
-    return int(np.argmin(np.diff(_pitch(path, end + 1)))) if end > 3 else None
-
-
-def _pitch(path: FootPath, end: int) -> FloatArray:
-    """Pitch (rad), toe-up positive, from the start of the stride, of the first ``end`` samples."""
-    pitch = np.arcsin(np.clip(path.axes[:end, 2, 0], -1.0, 1.0))
-    return np.asarray(pitch - pitch[0])
-
-
-def _ball(path: FootPath) -> float | None:
-    """Height of the sensor over the point that stands still while the heel rises."""
-    off = _foot_off(path)
-    if off is None:
-        return None
-    pitch = _pitch(path, off + 1)
-    flat = np.flatnonzero(pitch > BALL_PITCH_RAD[0])
-    begin = int(flat[-1])
-    raised = np.flatnonzero(pitch[begin:] < BALL_PITCH_RAD[1])
-    end = begin + int(raised[0]) if len(raised) else off + 1
-    if end - begin < 4 or np.ptp(pitch[begin:end]) < 0.5 * (BALL_PITCH_RAD[0] - BALL_PITCH_RAD[1]):
-        return None
-    turned, moved = _changes(path, begin, end)
-    return -float(np.linalg.lstsq(turned[:, [0, 2]], -moved, rcond=None)[0][1])
-
-
-def _over_heel(path: FootPath) -> float | None:
-    """Height of the sensor over the point that stands still after a heel strike."""
-    window = _after_contact(path)
-    if window is None or np.ptp(path.axes[window[0] : window[1], 2, 0]) < LEAST_HEEL_TURN:
-        return None
-    turned, moved = _changes(path, *window)
-    return -float(np.linalg.lstsq(turned[:, [0, 2]], -moved, rcond=None)[0][1])
-
-
-def _toe(path: FootPath, height_m: float) -> float | None:
-    """Distance forward of a point of the sole that is on the ground at foot off."""
-    off = _foot_off(path)
-    if off is None:
-        return None
-    forward, _, up = path.tilt[off]
-    return None if forward > -LEAST_TOE_TILT else float((height_m * up - path.position_m[off, 2]) / forward)
-
-
-def _heel(path: FootPath, height_m: float) -> float | None:
-    """Distance forward (negative) of the heel: a point of the sole is on the ground, and still, after contact."""
-    window = _after_contact(path)
-    if window is None:
-        return None
-    begin, end = window
-    tilt = path.axes[begin:end, 2, :] - path.axes[-1, 2, :]
-    turned, moved = _changes(path, begin, end)
-    height = path.position_m[begin:end, 2] - path.position_m[-1, 2]
-    rows = np.concatenate((turned[:, 0], tilt[:, 0]))
-    values = np.concatenate((height_m * turned[:, 2] - moved, height_m * tilt[:, 2] - height))
-    return float(rows @ values / (rows @ rows)) - HEEL_BEHIND_M
-
-
-def _after_contact(path: FootPath) -> tuple[int, int] | None:
-    """The samples just after a heel strike; angles count from the stance that follows: it is nearer, and on stairs."""
-    if path.contact_ns is None:
-        return None
-    begin, end = (path.index(path.contact_ns + int(1e9 * after)) for after in HEEL_WINDOW_S)
-    struck = path.axes[begin, 2, 0] - path.axes[-1, 2, 0] >= LEAST_HEEL_TILT
-    return (begin, end) if struck and end - begin >= 3 else None
-
-
-def _changes(path: FootPath, begin: int, end: int) -> tuple[FloatArray, FloatArray]:
-    """How axes (3 K, 3) and position (3 K,) differ from their means over a window of K samples."""
-    axes, position = path.axes[begin:end], path.position_m[begin:end]
-    return (axes - axes.mean(axis=0)).reshape(-1, 3), (position - position.mean(axis=0)).reshape(-1)

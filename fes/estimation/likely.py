@@ -31,13 +31,10 @@ UNKNOWN_HEIGHT_M = 1e3
 
 
 @jit
-def _strapdown(t_ns: Any, acc: Any, gyr: Any, quaternion: Any, velocity: Any, position: Any) -> None:
-    """Trapezoid strapdown from row 0 of ``quaternion`` (N, 4) and ``velocity`` (N, 3); fills all rows."""
-    n = t_ns.shape[0]
+def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
+    """Trapezoid integration of the rates from row 0 of ``quaternion`` (N, 4); fills all rows."""
     w, x, y, z = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
-    position[0, 0], position[0, 1], position[0, 2] = 0.0, 0.0, 0.0
-    ax0, ay0, az0 = to_world(w, x, y, z, acc[0, 0], acc[0, 1], acc[0, 2])
-    for i in range(1, n):
+    for i in range(1, t_ns.shape[0]):
         dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
         w, x, y, z = quaternion_step(
             w,
@@ -49,12 +46,23 @@ def _strapdown(t_ns: Any, acc: Any, gyr: Any, quaternion: Any, velocity: Any, po
             0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s,
         )
         quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3] = w, x, y, z
+
+
+@jit
+def _move(t_ns: Any, acc: Any, quaternion: Any, velocity: Any, position: Any) -> None:
+    """Trapezoid integration of the specific force from row 0 of ``velocity`` (N, 3); fills all rows."""
+    position[0, 0], position[0, 1], position[0, 2] = 0.0, 0.0, 0.0
+    ax0 = ay0 = az0 = 0.0
+    for i in range(t_ns.shape[0]):
+        w, x, y, z = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
         ax, ay, az = to_world(w, x, y, z, acc[i, 0], acc[i, 1], acc[i, 2])
-        velocity[i, 0] = velocity[i - 1, 0] + 0.5 * dt_s * (ax0 + ax)
-        velocity[i, 1] = velocity[i - 1, 1] + 0.5 * dt_s * (ay0 + ay)
-        velocity[i, 2] = velocity[i - 1, 2] + dt_s * (0.5 * (az0 + az) - G_MPS2)
-        for j in range(3):
-            position[i, j] = position[i - 1, j] + 0.5 * dt_s * (velocity[i - 1, j] + velocity[i, j])
+        if i > 0:
+            dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
+            velocity[i, 0] = velocity[i - 1, 0] + 0.5 * dt_s * (ax0 + ax)
+            velocity[i, 1] = velocity[i - 1, 1] + 0.5 * dt_s * (ay0 + ay)
+            velocity[i, 2] = velocity[i - 1, 2] + dt_s * (0.5 * (az0 + az) - G_MPS2)
+            for j in range(3):
+                position[i, j] = position[i - 1, j] + 0.5 * dt_s * (velocity[i - 1, j] + velocity[i, j])
         ax0, ay0, az0 = ax, ay, az
 
 
@@ -92,6 +100,7 @@ def most_likely(
     quaternion: Any,
     velocity: Any,
     position: Any,
+    oriented: bool = False,
 ) -> bool:
     """Integrate one stride with the most likely errors taken out.
 
@@ -108,6 +117,7 @@ def most_likely(
         quaternion: (N, 4) to be filled.
         velocity: (N, 3) to be filled, m/s.
         position: (N, 3) to be filled, m from the start.
+        oriented: ``quaternion`` holds the rates' integral from ``start`` already.
 
     Returns:
         False where there is nothing to integrate.
@@ -120,7 +130,9 @@ def most_likely(
         quaternion[0, j] = start[j]
     for j in range(3):
         velocity[0, j] = end_velocities[0, j]
-    _strapdown(t_ns, acc, gyr, quaternion, velocity, position)
+    if not oriented:
+        _turn(t_ns, gyr, quaternion)
+    _move(t_ns, acc, quaternion, velocity, position)
 
     system = np.zeros((KNOWN, KNOWN + 1))  # covariance of what is left over, and what is left over
     of_cause = np.zeros((KNOWN, CAUSES))
@@ -166,7 +178,7 @@ def most_likely(
             system[a, a] += end_variances[end, 1] + doubt * doubt
         system[row, KNOWN] = per * uy
         system[row + 1, KNOWN] = -per * ux
-    if not solve(system, KNOWN):
+    if not solve(system, system.shape[0]):
         return False
     cause = np.zeros(CAUSES)
     for k in range(CAUSES):
@@ -274,4 +286,5 @@ def _apply(
     quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3] = quaternion_step(q0, q1, q2, q3, tx, ty, tz)
     for k in range(3):
         velocity[0, k] += cause[VELOCITY + k]
-    _strapdown(t_ns, forces, rates, quaternion, velocity, position)
+    _turn(t_ns, rates, quaternion)
+    _move(t_ns, forces, quaternion, velocity, position)

@@ -48,6 +48,7 @@ def variances(i: int, t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise) -> tupl
     return turn, push
 
 
+@jit
 def end_variances(
     rate_radps: float, rate_spread_radps: float, force_spread_mps2: float, noise: StrideNoise
 ) -> tuple[float, float]:

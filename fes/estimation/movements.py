@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from fes.estimation.rotation import from_gravity, rotate
+from fes.estimation.compiled import jit
+from fes.estimation.rotation import from_gravity, to_sensor
 from fes.estimation.stride import integrate, orient
 from fes.signals import FloatArray, IntArray
 
@@ -49,23 +52,51 @@ def strapdown(
     t_ns: IntArray, acc: FloatArray, gyr: FloatArray, first: int, last: int, end_tilt_gain: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Times, specific force and orientation (n, 4) of one movement, upright at its start as gravity says."""
+    quaternions = np.empty((last + 1 - first, 4))
+    _strapdown(t_ns, acc, gyr, first, last, end_tilt_gain, quaternions)
+    return t_ns[first : last + 1], acc[first : last + 1], quaternions
+
+
+@jit
+def _strapdown(t_ns: Any, acc: Any, gyr: Any, first: int, last: int, end_tilt_gain: float, out: Any) -> None:
+    """Fill ``out`` (n, 4) as :func:`strapdown` says."""
     around = max((last - first) // 50, 1)
-    t = np.ascontiguousarray(t_ns[first : last + 1])
-    quaternions = np.empty((len(t), 4))
-    start = np.array(from_gravity(*acc[max(first - around, 0) : first + around + 1].mean(axis=0)))
-    fx, fy, fz = acc[max(last - around, 0) : last + around + 1].mean(axis=0)
-    orient(t, gyr[first : last + 1], start, fx, fy, fz, end_tilt_gain, quaternions)
-    return t, acc[first : last + 1], quaternions
+    x, y, z = _mean_force(acc, first - around, first + around + 1)
+    start = np.array(from_gravity(x, y, z))
+    x, y, z = _mean_force(acc, last - around, last + around + 1)
+    orient(t_ns[first : last + 1], gyr[first : last + 1], start, x, y, z, end_tilt_gain, out)
+
+
+@jit
+def _mean_force(acc: Any, begin: int, end: int) -> tuple[float, float, float]:
+    """Mean of the rows ``begin`` … ``end - 1``, as far as there are such rows."""
+    begin, end = max(begin, 0), min(end, acc.shape[0])
+    x = y = z = 0.0
+    for i in range(begin, end):
+        x += acc[i, 0]
+        y += acc[i, 1]
+        z += acc[i, 2]
+    return x / (end - begin), y / (end - begin), z / (end - begin)
 
 
 def travel(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, first: int, last: int) -> FloatArray:
     """Displacement over one movement, in the sensor frame of its beginning (3,)."""
-    t, force, quaternions = strapdown(t_ns, acc, gyr, first, last, 1.0)
-    velocity, position, gamma = np.empty((len(t), 3)), np.empty((len(t), 3)), np.zeros((2, 3))
-    if not integrate(t, force, quaternions, np.zeros(3), np.zeros(3), True, velocity, position, gamma):
-        return np.zeros(3)
-    back = quaternions[0] * np.array([1.0, -1.0, -1.0, -1.0])
-    return rotate(back, position[-1])
+    out = np.zeros(3)
+    _travel(t_ns, acc, gyr, first, last, True, out)
+    return out
+
+
+@jit
+def _travel(t_ns: Any, acc: Any, gyr: Any, first: int, last: int, equal_height: bool, out: Any) -> None:
+    """Fill ``out`` (3,) as :func:`travel` says; as it is where the movement cannot be integrated."""
+    n = last + 1 - first
+    quaternions, velocity, position, gamma = np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 3)), np.zeros((2, 3))
+    _strapdown(t_ns, acc, gyr, first, last, 1.0, quaternions)
+    still, t, force = np.zeros(3), t_ns[first : last + 1], acc[first : last + 1]
+    if integrate(t, force, quaternions, still, still, equal_height, velocity, position, gamma):
+        x, y, z = position[n - 1, 0], position[n - 1, 1], position[n - 1, 2]
+        w, qx, qy, qz = quaternions[0, 0], quaternions[0, 1], quaternions[0, 2], quaternions[0, 3]
+        out[0], out[1], out[2] = to_sensor(w, qx, qy, qz, x, y, z)
 
 
 def vertical_of(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:

@@ -47,7 +47,16 @@ from fes.estimation.rest_kernel import (
 )
 from fes.signals import G_MPS2, FloatArray, Vector3
 
-__all__ = ["Detector", "RestCalibration", "RestStream", "at_rest", "calibrate_rest", "statistic", "window_samples"]
+__all__ = [
+    "Detector",
+    "RestCalibration",
+    "RestStream",
+    "at_rest",
+    "calibrate_rest",
+    "rate_energy",
+    "statistic",
+    "window_samples",
+]
 
 WINDOW_S = 0.05
 STANDING_S = 1.0
@@ -129,6 +138,11 @@ def statistic(
     bx, by, bz = gyr_bias_radps
     all_windows(int(detector), acc, gyr, count, ahead, gravity_mps2, bx, by, bz, out)
     return out
+
+
+def rate_energy(gyr_radps: FloatArray, rate_hz: float) -> FloatArray:
+    """Mean of the squared rate (N,) over 0.05 s around every sample, (rad/s)²: the statistic ARE."""
+    return statistic(Detector.ARE, gyr_radps, gyr_radps, rate_hz)
 
 
 def calibrate_rest(
@@ -242,6 +256,12 @@ def _chi2_quantile(degrees: int) -> float:
     return float((1.0 - share + NOISE_QUANTILE_SIGMAS * math.sqrt(share)) ** 3)
 
 
+def _middle(rising: FloatArray) -> float:
+    """The median of values (N,) in rising order."""
+    half = len(rising) // 2
+    return float(rising[half] if len(rising) % 2 else 0.5 * (rising[half - 1] + rising[half]))
+
+
 def _split(values: FloatArray, start: float, rate_hz: float) -> float:
     """Threshold between the recording's rest and movement (Ridler and Calvard 1978, on logarithms, with medians)."""
     logs = np.log(values + 1e-12)
@@ -250,13 +270,13 @@ def _split(values: FloatArray, start: float, rate_hz: float) -> float:
     keep = np.ones(len(logs), dtype=bool)
     for begin, end in zip(edges[0::2], edges[1::2], strict=True):
         keep[begin:end] = end - begin < LONG_STILL_S * rate_hz
-    logs = logs[keep]
+    logs = np.sort(logs[keep])
     cut = math.log(start)
     for _ in range(100):
-        below, above = logs[logs < cut], logs[logs >= cut]
-        if len(below) == 0 or len(above) == 0:
+        count = int(np.searchsorted(logs, cut))
+        if count in (0, len(logs)):
             return start  # all rest or all movement: nothing to learn from
-        new = 0.5 * float(np.median(below) + np.median(above))
+        new = 0.5 * (_middle(logs[:count]) + _middle(logs[count:]))
         if abs(new - cut) < 1e-6:
             break
         cut = new

@@ -72,6 +72,18 @@ def _rotate_rows(q: Any, x: float, y: float, z: float, out: Any) -> None:
         out[i, 0], out[i, 1], out[i, 2] = to_world(q[i, 0], q[i, 1], q[i, 2], q[i, 3], x, y, z)
 
 
+@jit
+def foot_axes(q: Any, forward: Any, up: Any, out: Any) -> None:
+    """Fill the columns of ``out`` (N, 3, 3) with ``forward``, left and ``up`` (3,) of the sensor frame in the world."""
+    fx, fy, fz, ux, uy, uz = forward[0], forward[1], forward[2], up[0], up[1], up[2]
+    lx, ly, lz = uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx
+    for i in range(q.shape[0]):
+        w, x, y, z = q[i, 0], q[i, 1], q[i, 2], q[i, 3]
+        out[i, 0, 0], out[i, 1, 0], out[i, 2, 0] = to_world(w, x, y, z, fx, fy, fz)
+        out[i, 0, 1], out[i, 1, 1], out[i, 2, 1] = to_world(w, x, y, z, lx, ly, lz)
+        out[i, 0, 2], out[i, 1, 2], out[i, 2, 2] = to_world(w, x, y, z, ux, uy, uz)
+
+
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
     """Rotate the vector (3,) from the sensor into the world by the quaternion (4,)."""
     return np.array(to_world(*q.tolist(), *v.tolist()))

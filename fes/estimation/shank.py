@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +17,13 @@ from fes.estimation import shank_kernel
 from fes.estimation.ankle import AnkleSettings, solve_ankle_stride
 from fes.estimation.ankle_calibration import ShankCalibration
 from fes.estimation.ankle_motion import FINE_WINDOW_PER_STRIDE, FINE_WINDOW_S, StrideSpan
-from fes.estimation.tracker import Tracker
+from fes.estimation.compiled import jit
+from fes.estimation.core import core_type, new_core
+from fes.estimation.history import History
+from fes.estimation.shank_kernel import ShankParameters
+from fes.estimation.tracker import Tracker, until_due
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
-from statemachine.guards import Features
+from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, PhaseChange
 
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
@@ -142,6 +147,28 @@ class ShankStrideMaker:
         return int(begin + np.argmin(energy[window:] - energy[:-window]))
 
 
+CORE = core_type(shank_kernel.STATE, parameters=ShankParameters, thresholds=Thresholds)
+
+
+@jit
+def _advance(
+    core: Any, t_ns: Any, acc: Any, gyr: Any, trace: Any, begin: int, end: int, due_ns: int
+) -> tuple[int, int]:
+    c = core[0]
+    end = until_due(t_ns, begin, end, due_ns)
+    return shank_kernel.advance(c.state, c.parameters, c.thresholds, t_ns, acc, gyr, begin, end, trace)
+
+
+@jit
+def _features(core: Any) -> Features:
+    return shank_kernel.features(core[0].state)
+
+
+@jit
+def _enter(core: Any, phase: int) -> None:
+    shank_kernel.enter(core[0].state, phase)
+
+
 class ShankTracker(Tracker):
     """Phases and strides of one shank; deterministic, no clock, no I/O."""
 
@@ -155,9 +182,9 @@ class ShankTracker(Tracker):
             calibration.levels.thresholds(swing_at_reversal=swing_at_reversal),
             strides,
         )
-        self._parameters = calibration.parameters()
         self._gyr_bias = np.array(calibration.gyr_bias_radps)
-        self._state = np.zeros(1, shank_kernel.STATE)[0]
+        self._all = new_core(CORE, parameters=calibration.parameters(), thresholds=self._thresholds)
+        self._state = self._all["state"][0]
 
     @property
     def newest_t_ns(self) -> int:
@@ -173,24 +200,14 @@ class ShankTracker(Tracker):
         fx, fy, fz = force
         shank_kernel.start(self._state, t_ns, fx, fy, fz)
 
-    def _core(self, begin: int, end: int) -> tuple[int, int]:
-        return shank_kernel.advance(
-            self._state,
-            self._parameters,
-            self._thresholds,
-            self._t_ns,
-            self._acc,
-            self._gyr,
-            begin,
-            end,
-            self._trace,
-        )
+    def _core(self, history: History, begin: int, end: int, due_ns: int) -> tuple[int, int]:
+        return _advance(self._all, history.t_ns, history.acc_mps2, history.gyr_radps, history.trace, begin, end, due_ns)
 
     def _features(self) -> Features:
-        return shank_kernel.features(self._state)
+        return _features(self._all)
 
-    def _enter(self, phase: Phase, force: FloatArray) -> None:
-        shank_kernel.enter(self._state, int(phase))
+    def _enter(self, phase: Phase, history: History, row: int) -> None:
+        _enter(self._all, phase.value)
 
 
 def shank_tracker(

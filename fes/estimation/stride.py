@@ -174,4 +174,6 @@ def effects(t_ns: Any, quaternions: Any, effect: Any) -> None:
                 for j in range(3):
                     effect[j, k] += 0.5 * dt_s * (before[j, k] + now[j, k])
                 effect[3, k] += 0.5 * dt_s * (height_rate + effect[2, k])
-        before[:, :] = now
+        for j in range(3):  # not as slices: their check of shapes would take seconds to compile
+            for k in range(6):
+                before[j, k] = now[j, k]

@@ -1,19 +1,18 @@
 """The ends of a stride: the quietest instant of a stance, and what the sensor shows there.
 
 The foot is never wholly at rest (Negård et al. 2005). What it still does at the chosen instant is measured: its mean
-rate gives the velocity of a foot that turns about its ground contact, its unrest says how far that is to be trusted.
+rate gives the velocity of a foot that turns about its ground contact, its unrest says how far that is to be trusted
+(``fes.estimation.stride_solution``).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from fes.estimation.compiled import jit
-from fes.estimation.likely_noise import StrideNoise, end_variances
 from fes.signals import FloatArray, IntArray
 
 QUIET_WINDOW_S = 0.1
@@ -25,36 +24,8 @@ REST_RADPS = 1.0
 NO_REST_RADPS = 3.0  # beyond this the velocity at the ends is a guess, and so is the stride
 
 
-@dataclass(frozen=True, slots=True)
-class StrideEnd:
-    """What the sensor shows around one end: means (3,) in its frame at that end, and standard deviations."""
-
-    rate_radps: FloatArray
-    force_mps2: FloatArray
-    rate_spread_radps: float
-    force_spread_mps2: float
-
-    @property
-    def unrest_radps(self) -> float:
-        """How fast the foot turns there."""
-        return float(np.linalg.norm(self.rate_radps))
-
-    def variances(self, noise: StrideNoise) -> tuple[float, float]:
-        """Of velocity and tilt, see :func:`fes.estimation.likely_noise.end_variances`."""
-        return end_variances(self.unrest_radps, self.rate_spread_radps, self.force_spread_mps2, noise)
-
-
-def measure_end(k: int, period_s: float, acc: FloatArray, gyr: FloatArray) -> StrideEnd:
-    """The end at sample ``k`` of a history ``acc`` (N, 3) m/s², ``gyr`` (N, 3) rad/s with the mean period given."""
-    around = max(round(AROUND_S / period_s), 1)
-    begin, end = max(k - around, 0), min(k + around + 1, len(acc))
-    *rate, rx, ry, rz = _mean_and_variance(gyr, begin, end)
-    *force, fx, fy, fz = _mean_and_variance(acc, begin, end)
-    return StrideEnd(np.array(rate), np.array(force), math.sqrt(rx + ry + rz), math.sqrt(max(fx, fy, fz)))
-
-
 @jit
-def _mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, float, float, float, float]:
+def mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, float, float, float, float]:
     """Means, then variances, of the three columns over the rows ``begin`` … ``end - 1``."""
     n = end - begin
     m0 = m1 = m2 = v0 = v1 = v2 = 0.0
@@ -70,18 +41,6 @@ def _mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, floa
     return m0, m1, m2, v0 / n, v1 / n, v2 / n
 
 
-def quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) -> int:
-    """Index of the middle of the tenth of a second with the least gyroscope energy between two times."""
-    begin = int(np.searchsorted(t_ns, earliest_ns))
-    end = int(np.searchsorted(t_ns, latest_ns, side="right"))
-    part = gyr[begin:end]
-    if len(part) < 3:
-        return min(begin, len(t_ns) - 1)
-    period_s = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
-    window = min(max(round(QUIET_WINDOW_S / period_s), 1), len(part))
-    return int(begin + _least_energy(part, window) + window // 2)
-
-
 @jit
 def _least_energy(gyr: Any, window: int) -> int:
     """Where the ``window`` samples of least summed squares begin, the first of equals."""
@@ -94,6 +53,16 @@ def _least_energy(gyr: Any, window: int) -> int:
         if i + 1 >= window and energy[i + 1] - energy[i + 1 - window] < best:
             best, at = energy[i + 1] - energy[i + 1 - window], i + 1 - window
     return at
+
+
+def quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) -> int:
+    """Index of the middle of the tenth of a second with the least gyroscope energy between two times."""
+    begin, end = int(t_ns.searchsorted(earliest_ns)), int(t_ns.searchsorted(latest_ns, side="right"))
+    if end - begin < 3:
+        return min(begin, len(t_ns) - 1)
+    period_s = 1e-9 * int(t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
+    window = min(max(round(QUIET_WINDOW_S / period_s), 1), end - begin)
+    return int(begin + _least_energy(gyr[begin:end], window) + window // 2)
 
 
 def quietest_near(t_ns: IntArray, gyr: FloatArray, at_ns: int) -> int:

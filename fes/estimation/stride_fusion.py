@@ -18,17 +18,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from fes.estimation.rest import at_rest, calibrate_rest
-from fes.estimation.tracker import LARGEST_VALUE
-from fes.estimation.zupt import with_quietest, zupt_path
+from fes.estimation.foot_way import FootSamples, foot_samples
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 
-STRETCH_S = 60.0  # filtered at a time, so that memory does not grow with the recording …
-MARGIN_S = 20.0  # … with this much more on either side, in which the filter settles
 # A path that is to close its loops trusts its rests less. The creep is chosen for the mean: 2 mm/s there and 8 mm/s
 # here make the 5 mm/s by which an instep creeps.
 SETTINGS = ZuptSettings(creep_mps=0.008, rest_speed_mps=0.005, rest_correlation_s=0.05)
+LONGEST_S = 20.0
 FAR_APART = 0.1  # share of the length
 FAR_APART_M = 0.05
 
@@ -54,40 +51,26 @@ def path_lengths(
         acc_range_mps2: the accelerometer's full scale; found from flat tops if not given.
         gyr_range_radps: the same of the gyroscope.
     """
+    try:
+        foot = foot_samples(t_ns, acc_mps2, gyr_radps, acc_range_mps2, gyr_range_radps)
+    except ValueError:  # too short to tell rest from movement, or no rest
+        return np.full(len(begin_ns), math.nan)
+    return lengths_along(foot, begin_ns, end_ns)
+
+
+def lengths_along(foot: FootSamples, begin_ns: IntArray, end_ns: IntArray) -> FloatArray:
+    """As :func:`path_lengths`, of samples already prepared."""
     begin, end = np.asarray(begin_ns, dtype=np.int64), np.asarray(end_ns, dtype=np.int64)
     lengths = np.full(len(begin), math.nan)
-    usable = (np.abs(acc_mps2) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr_radps) < LARGEST_VALUE).all(axis=1)
-    t_ns, acc_mps2, gyr_radps = t_ns[usable], acc_mps2[usable], gyr_radps[usable]
-    newer = np.ones(len(t_ns), dtype=np.bool_)
-    newer[1:] = t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]
-    t_ns, acc_mps2, gyr_radps = t_ns[newer], acc_mps2[newer], gyr_radps[newer]
-    if not len(begin) or len(t_ns) < 3:
-        return lengths
-    rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
-    try:
-        calibration = calibrate_rest(acc_mps2, gyr_radps, rate_hz)
-    except ValueError:  # too short to tell rest from movement
-        return lengths
-    rest = with_quietest(at_rest(calibration, acc_mps2, gyr_radps, rate_hz), gyr_radps, rate_hz)
-    stretch, margin = int(STRETCH_S * NS_PER_S), int(MARGIN_S * NS_PER_S)
-    inside = (begin >= t_ns[0]) & (end <= t_ns[-1]) & (begin < end) & (end - begin < margin)
-    for k in np.unique((begin[inside] - t_ns[0]) // stretch).tolist():
-        ours = inside & ((begin - t_ns[0]) // stretch == k)
-        first, last = t_ns[0] + k * stretch - margin, t_ns[0] + (k + 1) * stretch + margin
-        span = slice(*(int(at) for at in np.searchsorted(t_ns, (first, last))))
-        if not rest[span].any() or span.stop - span.start < 3:
-            continue
-        path = zupt_path(
-            t_ns[span],
-            acc_mps2[span],
-            gyr_radps[span],
-            calibration=calibration,
-            rest=rest[span],
-            acc_range_mps2=acc_range_mps2,
-            gyr_range_radps=gyr_range_radps,
-            settings=SETTINGS,
-        )
-        lengths[ours] = path.stride_lengths(begin[ours], end[ours])
+    inside = (begin >= foot.t_ns[0]) & (end <= foot.t_ns[-1]) & (begin < end) & (end - begin < LONGEST_S * NS_PER_S)
+    if inside.any():
+        way = foot.way(SETTINGS, level=False)
+        asked = np.concatenate((begin[inside], end[inside]))
+        order = np.argsort(asked, kind="stable")
+        places = np.empty((len(asked), 3))
+        places[order] = way.at(asked[order])
+        count = int(np.count_nonzero(inside))
+        lengths[inside] = np.hypot(*(places[count:] - places[:count])[:, :2].T)
     return lengths
 
 
@@ -104,9 +87,24 @@ def fused(
     Everything else is the stride's own, as are strides that are not valid, and those whose two lengths are farther
     apart than a tenth and 5 cm. Arguments as for :func:`path_lengths`.
     """
-    begin, end = (np.array([getattr(s, name) for s in strides], dtype=np.int64) for name in ("t_start_ns", "t_end_ns"))
-    lengths = path_lengths(begin, end, t_ns, acc_mps2, gyr_radps, acc_range_mps2, gyr_range_radps)
+    if not strides:
+        return []
+    lengths = path_lengths(*_ends(strides), t_ns, acc_mps2, gyr_radps, acc_range_mps2, gyr_range_radps)
     return [_mean(stride, length) for stride, length in zip(strides, lengths.tolist(), strict=True)]
+
+
+def fused_along(strides: Sequence[StrideResult], foot: FootSamples) -> list[StrideResult]:
+    """As :func:`fused`, of samples already prepared."""
+    lengths = lengths_along(foot, *_ends(strides))
+    return [_mean(stride, length) for stride, length in zip(strides, lengths.tolist(), strict=True)]
+
+
+def _ends(strides: Sequence[StrideResult]) -> tuple[IntArray, IntArray]:
+    """Where the strides begin and end (M,)."""
+    return (
+        np.array([stride.t_start_ns for stride in strides], dtype=np.int64),
+        np.array([stride.t_end_ns for stride in strides], dtype=np.int64),
+    )
 
 
 def _mean(stride: StrideResult, path_m: float) -> StrideResult:

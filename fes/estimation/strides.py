@@ -15,15 +15,11 @@ from typing import Literal
 import numpy as np
 
 from fes.config import FootGeometry
+from fes.estimation import stride_solution as solution
 from fes.estimation.clearance import FootPath, foot_path
-from fes.estimation.likely import most_likely
-from fes.estimation.likely_height import HeightNoise, settle_height
-from fes.estimation.likely_noise import StrideNoise
-from fes.estimation.rotation import rotate, rotate_all
-from fes.estimation.stride import integrate, orient
-from fes.estimation.stride_ends import NO_REST_RADPS, REST_RADPS, measure_end, quietest
-from fes.estimation.stride_shape import stride_shape
-from fes.estimation.stride_time import at_walking_speed
+from fes.estimation.rotation import rotate_all
+from fes.estimation.stride_ends import REST_RADPS, quietest
+from fes.estimation.stride_time import stride_time_ns
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange
 
@@ -31,16 +27,9 @@ STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is s
 STOPPED_SEARCH_S = 0.5  # of a stance that lasts longer than that the first half: a belt that stops carries the foot
 STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
 SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
-# forward, of an instep in mid-stance beyond w × r: shoe and skin give way, as optical systems see too. The constrained
-# method, which cannot tell a velocity from an acceleration error, needs more of it on the same recordings.
-CREEP_MPS = {"most_likely": 0.002, "constrained": 0.005}
-NOISE, HEIGHT_NOISE = StrideNoise(), HeightNoise()
-END_TILT_GAIN = 0.15
 TRAJECTORY_POINTS = 101
 DURATION_S = (0.4, 5.0)
 LONGEST_GAP_S = 0.04
-MOST_TILT_RAD = math.radians(30)
-LONGEST_STRIDE_M = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,10 +115,11 @@ class StrideMaker:
         if first >= last or t_ns[first] != start_ns:
             return _unusable(self.foot, self._number, start_ns, int(t_ns[last]), times, "longer than the history kept")
         solved = solve_stride(
-            self.foot, self._number, times, first, last, t_ns, acc, gyr, quaternion[first], self._settings
-        )
-        before_ns, self._before_ns = self._before_ns, solved.t_end_ns
-        return at_walking_speed(solved, before_ns)
+            self.foot, self._number, times, first, last, t_ns, acc, gyr, quaternion[first], self._settings,
+            self._before_ns,
+        )  # fmt: skip
+        self._before_ns = solved.t_end_ns
+        return solved
 
 
 def solve_stride(
@@ -143,79 +133,41 @@ def solve_stride(
     gyr: FloatArray,
     start_quaternion: FloatArray,
     settings: StrideSettings,
+    before_ns: int | None = None,
 ) -> StrideResult:
     """Integrate the samples ``first`` … ``last`` of a history into a stride's numbers.
 
     ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s free of bias; ``start_quaternion`` (4,) the orientation at ``first``;
-    ``times`` the entries into the phases. Source: Negård et al. (2005), Eq. (14)–(20), see ``fes.estimation.stride``
-    (method "constrained"), weighed as in ``fes.estimation.likely`` (method "most_likely").
+    ``times`` the entries into the phases; ``before_ns`` where the stride before ended, for the speed. Source: Negård
+    et al. (2005), Eq. (14)–(20), see ``fes.estimation.stride`` (method "constrained"), weighed as in
+    ``fes.estimation.likely`` (method "most_likely").
     """
-    span = slice(first, last + 1)
-    t, f, w = t_ns[span], acc[span], gyr[span]
+    t = t_ns[first : last + 1]
     n = last + 1 - first
     start_ns, end_ns = int(t[0]), int(t[-1])
     duration_s = 1e-9 * (end_ns - start_ns)
-    gap_s = 1e-9 * float(np.diff(t).max()) if n > 1 else math.inf
     if n < 10 or not DURATION_S[0] <= duration_s <= DURATION_S[1]:
         return _unusable(foot, number, start_ns, end_ns, times, f"lasts {duration_s:.2f} s")
-    if gap_s > max(LONGEST_GAP_S, 3.5e-9 * float(np.median(np.diff(t)))):
+    each_ns = t[1:] - t[:-1]
+    gap_s = 1e-9 * int(each_ns.max())
+    if gap_s > LONGEST_GAP_S and gap_s > 3.5e-9 * float(np.median(each_ns)):
         return _unusable(foot, number, start_ns, end_ns, times, f"samples missing for {1e3 * gap_s:.0f} ms")
-    period_s = duration_s / (n - 1)
-    ends = [measure_end(k, period_s, acc, gyr) for k in (first, last)]
-    unrest_radps = max(end.unrest_radps for end in ends)
-    quaternion = np.empty((n, 4))
-    constrained = settings.method == "constrained" or unrest_radps > REST_RADPS
-    fx, fy, fz = ends[1].force_mps2
-    tilt = orient(t, w, start_quaternion, fx, fy, fz, END_TILT_GAIN if constrained else 0.0, quaternion)
-    creep_mps = CREEP_MPS["constrained" if constrained else "most_likely"]
-    end_velocities = np.array(
-        [
-            _end_velocity(quaternion[k], end.rate_radps, settings, creep_mps)
-            for k, end in zip((0, -1), ends, strict=True)
-        ]
-    )
-    velocity, position = np.empty((n, 3)), np.empty((n, 3))
-    equal_height = settings.equal_height
-    if constrained:
-        gamma = np.empty((2, 3))
-        start, end = end_velocities
-        solved = integrate(t, f, quaternion, start, end, equal_height, velocity, position, gamma)
-    else:
-        forces, variances = np.array([end.force_mps2 for end in ends]), np.array([end.variances(NOISE) for end in ends])
-        solved = most_likely(
-            t,
-            f,
-            w,
-            start_quaternion,
-            end_velocities,
-            forces,
-            variances,
-            equal_height,
-            NOISE,
-            quaternion,
-            velocity,
-            position,
-        )
-        vertical = np.empty((n, 2))
-        if solved and equal_height:
-            solved = settle_height(t, f, quaternion, end_velocities[:, 2], variances[:, 0], HEIGHT_NOISE, vertical)
-            velocity[:, 2], position[:, 2] = vertical.T
-    length = float(np.hypot(position[-1, 0], position[-1, 1]))
-    reason = ""
-    if not solved:
-        reason = "the constraints cannot be met"
-    elif tilt > MOST_TILT_RAD:
-        reason = f"the orientation is {math.degrees(tilt):.0f}° off at its end"
-    elif not length <= LONGEST_STRIDE_M:
-        reason = f"{length:.2f} m is no stride length"
-    elif unrest_radps > NO_REST_RADPS:
-        reason = f"the foot never rests: {unrest_radps:.1f} rad/s at its quietest"
-    if reason:
-        return _unusable(foot, number, start_ns, end_ns, times, reason)
-
+    quaternion, position, numbers = np.empty((n, 4)), np.empty((n, 3)), np.empty(solution.NUMBERS)
     shape = np.empty((TRAJECTORY_POINTS, 4))
     fx, fy, fz = settings.forward.tolist()
-    highest, turn = stride_shape(t, quaternion, position, fx, fy, fz, shape)
+    came_of_it = solution.solve_span(
+        t_ns, acc, gyr, first, last, start_quaternion, fx, fy, fz, settings.sensor_height_m,
+        settings.method == "constrained", settings.equal_height, quaternion, position, shape, numbers,
+    )  # fmt: skip
+    tilt, unrest_radps, length, highest, turn, gained = numbers.tolist()
+    if came_of_it != solution.SOLVED:
+        reason = {
+            solution.NO_SOLUTION: "the constraints cannot be met",
+            solution.TILTED: f"the orientation is {math.degrees(tilt):.0f}° off at its end",
+            solution.NO_LENGTH: f"{length:.2f} m is no stride length",
+            solution.NO_REST: f"the foot never rests: {unrest_radps:.1f} rad/s at its quietest",
+        }[came_of_it]
+        return _unusable(foot, number, start_ns, end_ns, times, reason)
     toe_clearance, heel_clearance = _toe_and_heel(t, times, quaternion, position, settings)
     if settings.watch is not None:
         swing = times.get(Phase.SWING), times.get(Phase.LOADING_RESPONSE) or times.get(Phase.STANCE)
@@ -227,9 +179,9 @@ def solve_stride(
         t_end_ns=end_ns,
         stride_length_m=length,
         clearance_m=highest,
-        height_gained_m=float(position[-1, 2]),
+        height_gained_m=gained,
         turn_rad=turn,
-        speed_mps=length / duration_s,
+        speed_mps=length * NS_PER_S / stride_time_ns(start_ns, end_ns, before_ns),
         t_pre_swing_ns=times.get(Phase.PRE_SWING),
         t_swing_ns=times.get(Phase.SWING),
         t_loading_response_ns=times.get(Phase.LOADING_RESPONSE),
@@ -267,16 +219,6 @@ def _toe_and_heel(
         return math.nan, heel_clearance
     i, j = np.searchsorted(t_ns, (begin + 0.25 * (end - begin), begin + 0.8 * (end - begin)))
     return (float((toe - toe[0])[i:j].min()) if j > i else math.nan), heel_clearance
-
-
-def _end_velocity(
-    quaternion: FloatArray, rate_radps: FloatArray, settings: StrideSettings, creep_mps: float
-) -> tuple[float, float, float]:
-    """``w × r`` in the world of a foot that turns about the ground below its sensor, and its creep forward (m/s)."""
-    wx, wy, _ = rotate(quaternion, rate_radps).tolist()
-    fx, fy, _ = rotate(quaternion, settings.forward).tolist()
-    creep_mps /= max(math.hypot(fx, fy), 1e-9)
-    return wy * settings.sensor_height_m + creep_mps * fx, creep_mps * fy - wx * settings.sensor_height_m, 0.0
 
 
 def _unusable(foot: str, number: int, start_ns: int, end_ns: int, times: dict[Phase, int], reason: str) -> StrideResult:

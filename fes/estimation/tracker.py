@@ -1,76 +1,43 @@
 """One sensor from samples to phase changes and strides: what the trackers of feet and shanks have in common.
 
-``Tracker.advance`` takes one sample when live and a whole block in analysis; the results do not depend on where the
-blocks are cut.
+Live takes one sample at a time (:meth:`Tracker.step`), analysis whole blocks (:meth:`Tracker.advance`), by the same
+way; the results do not depend on where the blocks are cut.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
 from fes.estimation.compiled import jit
+from fes.estimation.history import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, History, SampleCounts
 from fes.estimation.rotation import without
-from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine
 from statemachine.phases import Phase, PhaseChange, Transition
 
-RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
-HISTORY_S = 20.0
-BLOCK = 256  # samples taken into the history at a time: most of a longer block would be taken again at the next phase
-LONG_AGO_NS, NEVER_NS = -(2**63), 2**63 - 1
-LARGEST_VALUE = 1e4  # m/s² and rad/s: beyond any sensor, and one such value would spoil the orientation for good
+__all__ = [
+    "HISTORY_S", "LARGEST_VALUE", "RESTART_GAP_S", "Outcome", "SampleCounts", "Strides", "Tracker", "until_due",
+]  # fmt: skip
+
+NEVER_NS = 2**63 - 1
+TRANSITIONS = tuple(Transition)  # by number
 
 Outcome: TypeAlias = PhaseChange | StrideResult
 
 
-@dataclass(slots=True)
-class SampleCounts:
-    """What became of the samples."""
-
-    used: int = 0
-    doubled_or_backward: int = 0
-    not_finite: int = 0
-    restarts: int = 0
-
-    def to_dict(self) -> dict[str, int]:
-        """For the session log."""
-        return asdict(self)
-
-
 @jit
-def sift(t_ns: Any, acc: Any, gyr: Any, newest_ns: int, keep: Any) -> tuple[int, int]:
-    """Mark in ``keep`` (N,) the samples to be used; how many are not finite or too large, and how many not newer.
-
-    An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
-    """
-    not_finite = not_newer = 0
-    for i in range(t_ns.shape[0]):
-        usable = True
-        for j in range(3):  # a comparison with what is not a number is False
-            usable = usable and abs(acc[i, j]) < LARGEST_VALUE and abs(gyr[i, j]) < LARGEST_VALUE
-        keep[i] = usable and t_ns[i] > newest_ns
-        if not usable:
-            not_finite += 1
-        elif t_ns[i] > newest_ns:
-            newest_ns = t_ns[i]
-        else:
-            not_newer += 1
-    return not_finite, not_newer
-
-
-@jit
-def stretch(t_ns: Any, n: int, gap_ns: int, due_ns: int) -> int:
-    """How many of the first ``n`` samples to take: up to a silence, or to the first at which a stride is due."""
-    for i in range(n):
-        if t_ns[i] >= due_ns or (i + 1 < n and t_ns[i + 1] - t_ns[i] > gap_ns):
-            return i + 1
-    return n
+def until_due(t_ns: Any, begin: int, end: int, due_ns: int) -> int:
+    """Where a run over the rows ``begin`` … ``end - 1`` must stop: behind the first at which a stride is due."""
+    if t_ns[end - 1] < due_ns:
+        return end
+    while t_ns[begin] < due_ns:
+        begin += 1
+    return begin + 1
 
 
 class Strides(Protocol):
@@ -101,31 +68,29 @@ class Tracker(ABC):
     """Phases and strides of one sensor; deterministic, no clock, no I/O."""
 
     def __init__(
-        self,
-        sensor: str,
-        rate_hz: float,
-        acc_bias_mps2: tuple[float, float, float],
-        thresholds: Thresholds,
-        strides: Strides,
+        self, sensor: str, rate_hz: float, acc_bias_mps2: Vector3, thresholds: Thresholds, strides: Strides
     ) -> None:
         self.foot = sensor
         self.machine = GaitPhaseMachine(sensor)
-        self.counts = SampleCounts()
         self._thresholds = thresholds
         self._acc_bias = np.array(acc_bias_mps2)
         self._strides = strides
-        self._running = False
-        capacity = max(int(HISTORY_S * rate_hz), 64)
-        self._t_ns: IntArray = np.zeros(capacity, np.int64)
-        self._acc: FloatArray = np.zeros((capacity, 3))
-        self._gyr: FloatArray = np.zeros((capacity, 3))
-        self._trace: FloatArray = np.zeros((capacity, 4))
-        self._filled = 0
+        self._history = History(rate_hz)
+        self._reached = 0  # rows of the history that the core has seen
+        self._restarts = 0
+        self._one_t_ns: IntArray = np.zeros(1, np.int64)
+        self._one_acc: FloatArray = np.zeros((1, 3))
+        self._one_gyr: FloatArray = np.zeros((1, 3))
 
     @property
     def phase(self) -> Phase:
         """The gait phase now."""
         return self.machine.phase
+
+    @property
+    def counts(self) -> SampleCounts:
+        """What became of the samples so far."""
+        return self._history.counts(self._restarts)
 
     @property
     @abstractmethod
@@ -142,16 +107,22 @@ class Tracker(ABC):
         """Begin the core in stance at a sample with this bias-free specific force (3,)."""
 
     @abstractmethod
-    def _core(self, begin: int, end: int) -> tuple[int, int]:
-        """Advance the core over these rows of the history; where it stopped and which transition fired (0: none)."""
+    def _core(self, history: History, begin: int, end: int, due_ns: int) -> tuple[int, int]:
+        """Advance the core over these rows, at most to the first at ``due_ns``; where it stopped, which transition
+        fired (0: none)."""
 
     @abstractmethod
     def _features(self) -> Features:
         """What the guards saw at the newest sample."""
 
     @abstractmethod
-    def _enter(self, phase: Phase, force: FloatArray) -> None:
-        """Tell the core of a phase change at the newest sample."""
+    def _enter(self, phase: Phase, history: History, row: int) -> None:
+        """Tell the core of a phase change at the newest sample, which is this row."""
+
+    def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[Outcome]:
+        """Take one sample in, as :meth:`advance` does a block of one."""
+        self._one_t_ns[0], self._one_acc[0], self._one_gyr[0] = t_ns, acc_mps2, gyr_radps
+        return self._take(self._one_t_ns, self._one_acc, self._one_gyr)
 
     def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Outcome]:
         """Take samples in; give back what happened, in order.
@@ -162,75 +133,63 @@ class Tracker(ABC):
             acc_mps2: (N, 3) specific force.
             gyr_radps: (N, 3) angular rate.
         """
-        keep = np.empty(len(t_ns), np.bool_)
-        newest = self.newest_t_ns if self._running else LONG_AGO_NS
-        not_finite, not_newer = sift(t_ns, acc_mps2, gyr_radps, newest, keep)
-        if not_finite or not_newer:
-            self.counts.not_finite += not_finite
-            self.counts.doubled_or_backward += not_newer
-            t_ns, acc_mps2, gyr_radps = t_ns[keep], acc_mps2[keep], gyr_radps[keep]
-        self.counts.used += len(t_ns)
+        # one kind of array only: for any other the core would be compiled once more
+        return self._take(
+            np.require(t_ns, np.int64, ("C", "W")),
+            np.require(acc_mps2, np.float64, ("C", "W")),
+            np.require(gyr_radps, np.float64, ("C", "W")),
+        )
+
+    def _take(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray) -> list[Outcome]:
         outcomes: list[Outcome] = []
-        done = 0
-        while done < len(t_ns):
-            done += self._take(t_ns[done:], acc_mps2[done:], gyr_radps[done:], outcomes)
+        taken = 0
+        while taken < len(t_ns):
+            taken, filled, silence = self._history.take_in(t_ns, acc, gyr, taken)
+            while self._reached < filled:
+                self._follow(filled, outcomes)
+            if silence:
+                self._restart(int(t_ns[taken]), acc[taken], outcomes)
+            elif taken < len(t_ns):
+                self._reached = self._history.forget_half()
         return outcomes
 
-    def _take(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, outcomes: list[Outcome]) -> int:
-        """Advance to the next thing that Python must handle; returns how many samples were taken."""
-        if not self._running or t_ns[0] - self.newest_t_ns > RESTART_GAP_S * NS_PER_S:
-            self._restart(int(t_ns[0]), acc[0], outcomes)
-        if self._filled == len(self._t_ns):
-            self._forget_half()
-        n = min(len(t_ns), len(self._t_ns) - self._filled, BLOCK)
+    def _follow(self, filled: int, outcomes: list[Outcome]) -> None:
+        """Advance to the next thing that Python must handle."""
         due_ns = self._strides.due_ns
-        n = stretch(t_ns, n, int(RESTART_GAP_S * NS_PER_S), NEVER_NS if due_ns is None else due_ns)
-        begin, end = self._filled, self._filled + n
-        self._t_ns[begin:end] = t_ns[:n]
-        self._acc[begin:end] = acc[:n]
-        self._gyr[begin:end] = gyr[:n]
-        reached, number = self._core(begin, end)
-        self._filled = reached
+        due_ns = NEVER_NS if due_ns is None else due_ns
+        self._reached, number = self._core(self._history, self._reached, filled, due_ns)
         if number:
-            self._transition(Transition(number), outcomes)
-        if self._strides.due_ns is not None and self.newest_t_ns >= self._strides.due_ns:
+            self._transition(TRANSITIONS[number], outcomes)
+        due_ns = self._strides.due_ns
+        if due_ns is not None and self._history.t_ns[self._reached - 1] >= due_ns:
             self._stride(outcomes, self._strides.close)
-        return int(reached - begin)
 
     def _transition(self, transition: Transition, outcomes: list[Outcome]) -> None:
-        change = self.machine.fire(transition, self.newest_t_ns, self._features(), self._thresholds)
-        self._enter(change.destination, self._acc[self._filled - 1] - self._acc_bias)
-        if change.transition is Transition.T1:
+        row = self._reached - 1
+        change = self.machine.fire(transition, int(self._history.t_ns[row]), self._features(), self._thresholds)
+        self._enter(change.destination, self._history, row)
+        if transition is Transition.T1:
             self._stride(outcomes, self._strides.leave_stance)
         self._strides.on_phase(change)
         outcomes.append(change)
 
     def _stride(self, outcomes: list[Outcome], solve: Callable[..., StrideResult | None]) -> None:
         """Hand the history, freed of bias, to the stride maker."""
-        n = self._filled
+        n, history = self._reached, self._history
         result = solve(
-            self._t_ns[:n],
-            without(self._acc[:n], self._acc_bias),
-            without(self._gyr[:n], self.gyr_bias_radps),
-            self._trace[:n],
+            history.t_ns[:n],
+            without(history.acc_mps2[:n], self._acc_bias),
+            without(history.gyr_radps[:n], self.gyr_bias_radps),
+            history.trace[:n],
         )
         if result is not None:
             outcomes.append(result)
 
     def _restart(self, t_ns: int, acc: FloatArray, outcomes: list[Outcome]) -> None:
         """Begin anew in stance; what was under way is dropped."""
-        if self._running:
-            self.counts.restarts += 1
+        if self._history.restart(t_ns):
+            self._restarts += 1
             outcomes.append(self.machine.restart(t_ns))
-        self._running = True
-        self._filled = 0
+        self._reached = 0
         self._strides.restart(t_ns)
         self._start(t_ns, acc - self._acc_bias)
-
-    def _forget_half(self) -> None:
-        """Make room: the older half of the history goes."""
-        half = len(self._t_ns) // 2
-        rest = len(self._t_ns) - half
-        for column in (self._t_ns, self._acc, self._gyr, self._trace):
-            column[:rest] = column[half:].copy()
-        self._filled = rest

@@ -4,15 +4,37 @@ from __future__ import annotations
 
 import numpy as np
 
+from fes.config import FootGeometry
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.foot import FootTracker
 from fes.estimation.shank_warm import warm_up_shank
 from fes.estimation.strides import StrideMaker, StrideSettings
-from fes.signals import G_MPS2
+from fes.signals import G_MPS2, FloatArray, IntArray
+
+GEOMETRY = FootGeometry(toe_forward_m=0.12, toe_up_m=-0.06, heel_forward_m=-0.1, heel_up_m=-0.06)
 
 
 def warm_up() -> None:
-    """Run the compiled core once on two seconds of made-up steps, through every function that the loop may call."""
+    """Run the compiled core once on four seconds of made-up steps, through every function that the loop may call."""
+    t_ns, acc, gyr = made_up_steps()
+    warm_up_foot(t_ns, acc, gyr)
+    warm_up_shank(t_ns, acc, gyr)
+
+
+def made_up_steps() -> tuple[IntArray, FloatArray, FloatArray]:
+    """Two steps of a foot at 100 Hz: stamps (N,), specific force (N, 3) and rate (N, 3), z up and y to the left."""
+    n = 400
+    at = np.arange(n)
+    phase = (at % 200) / 200.0
+    toe_down = np.where(phase < 0.5, 0.0, np.where(phase < 0.65, 4.0 * np.sin((phase - 0.5) / 0.15 * np.pi), 0.0))
+    toe_down = np.where((phase >= 0.65) & (phase < 0.85), -3.0 * np.sin((phase - 0.65) / 0.2 * np.pi), toe_down)
+    gyr = np.column_stack((np.zeros(n), toe_down, np.zeros(n)))
+    acc = np.column_stack((3.0 * toe_down, np.zeros(n), np.full(n, G_MPS2) + np.where((at % 200) == 172, 60.0, 0.0)))
+    return at * 10_000_000, acc, gyr
+
+
+def warm_up_foot(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> None:
+    """Run a foot's core over these steps, sample by sample, with all that a session may ask of its strides."""
     calibration = FootCalibration(
         sensor="left_foot",
         rate_hz=100.0,
@@ -28,15 +50,7 @@ def warm_up() -> None:
         strides=0,
         standing=True,
     )
-    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up))
+    settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), geometry=GEOMETRY)
     tracker = FootTracker(calibration, StrideMaker(calibration.sensor, settings))
-    n = 400
-    at = np.arange(n)
-    phase = (at % 200) / 200.0
-    toe_down = np.where(phase < 0.5, 0.0, np.where(phase < 0.65, 4.0 * np.sin((phase - 0.5) / 0.15 * np.pi), 0.0))
-    toe_down = np.where((phase >= 0.65) & (phase < 0.85), -3.0 * np.sin((phase - 0.65) / 0.2 * np.pi), toe_down)
-    gyr = np.column_stack((np.zeros(n), toe_down, np.zeros(n)))
-    acc = np.column_stack((3.0 * toe_down, np.zeros(n), np.full(n, G_MPS2) + np.where((at % 200) == 172, 60.0, 0.0)))
-    for k in range(n):
-        tracker.advance(at[k : k + 1] * 10_000_000, acc[k : k + 1], gyr[k : k + 1])
-    warm_up_shank(at * 10_000_000, acc, gyr)
+    for t, acc, gyr in zip(t_ns.tolist(), acc_mps2.tolist(), gyr_radps.tolist(), strict=True):
+        tracker.step(t, acc, gyr)

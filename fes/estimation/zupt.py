@@ -15,7 +15,6 @@ resting foot's velocity is a measurement. Departures and additions:
 - a rest at which the foot is sure to travel (beyond 4 standard deviations) is none: in a dragged or slow, even swing an
   inertial sensor reads like one at rest. Should it last, or nothing be measured for long, the filter is lost
   instead; its uncertainty grows by what it was wrong, and it takes the measurement;
-- Joseph's form for the covariance;
 - smoothing by an adjoint (Bierman 1973, "Fixed interval smoothing with discrete measurements") and the disturbances it
   shows (Koopman 1993): the estimates of Rauch, Tung and Striebel without inverting a covariance, which here is nearly
   singular (nothing measures heading, and position but weakly), and without keeping one for every sample.
@@ -28,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.rest import Detector, RestCalibration, at_rest, calibrate_rest, statistic
+from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest, rate_energy
 from fes.estimation.zupt_kernel import Tape, ZuptSettings, forward, new_tape
 from fes.estimation.zupt_smooth import smooth
 from fes.signals import FloatArray, IntArray, Vector3
@@ -161,7 +160,7 @@ def zupt_path(
     tape = new_tape(len(t), covariance=not smoothed)
     acc_sd = clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0])
     gyr_sd = clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1])
-    first = _first_rest(rest, rate_hz)
+    first = first_rest(rest, rate_hz)
     part = slice(first, None)
     before = acc[max(first - round(START_S * rate_hz), 0) : first + 1].mean(axis=0)
     ours = Tape(*(rows[part] if len(rows) else rows for rows in tape))
@@ -178,7 +177,7 @@ def zupt_path(
     return ZuptPath(t, *tape[:6], rest=rest, smoothed=smoothed)
 
 
-def _first_rest(rest: BoolArray, rate_hz: float) -> int:
+def first_rest(rest: BoolArray, rate_hz: float) -> int:
     """Where the filter begins: rest has lasted ``START_S`` for the first time, or else at the start."""
     count = round(START_S * rate_hz) + 1
     whole = np.convolve(rest.astype(np.float64), np.ones(count))[: len(rest)] > count - 0.5
@@ -194,7 +193,7 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
     if count < 2 * longest or not size.any():
         return 0.0
-    spectrum = np.fft.rfft(size, 2 * count)
+    spectrum = np.fft.rfft(size, 1 << (2 * count - 1).bit_length())  # a power of two is fast, and long enough
     alike = np.fft.irfft(spectrum * np.conj(spectrum))[: longest + 2]
     alike /= alike[0] * (1.0 - np.arange(longest + 2) / count)
     inner = np.arange(shortest, longest + 1)
@@ -204,18 +203,21 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     return float(peak[alike[peak] >= 0.8 * alike[peak].max()][0] * step / rate_hz)
 
 
-def with_quietest(rest: BoolArray, gyr_radps: FloatArray, rate_hz: float) -> BoolArray:
+def with_quietest(
+    rest: BoolArray, gyr_radps: FloatArray, rate_hz: float, energy: FloatArray | None = None
+) -> BoolArray:
     """Add the quietest instant of a movement too long to be one swing: a fast foot rests less than any threshold says.
 
-    ``rest`` (N,), ``gyr_radps`` (N, 3). What lasts longer than a stride holds a stance that the detector missed; it is
-    sought where the rate's energy over 0.05 s is least, away from the ends, and counts as 0.02 s of rest. How much
-    that is worth the measurement's noise says, which grows with the rate.
+    ``rest`` (N,), ``gyr_radps`` (N, 3), ``energy`` (N,) of it where already known. What lasts longer than a stride
+    holds a stance that the detector missed; it is sought where the rate's energy over 0.05 s is least, away from the
+    ends, and counts as 0.02 s of rest. How much that is worth the measurement's noise says, which grows with the rate.
     """
     out = rest.copy()
     longest = 1.1 * stride_time_s(gyr_radps, rate_hz) * rate_hz
     if longest == 0.0:
         return out
-    energy = statistic(Detector.ARE, gyr_radps, gyr_radps, rate_hz)
+    if energy is None:
+        energy = rate_energy(gyr_radps, rate_hz)
     half, margin = max(round(0.01 * rate_hz), 1), round(0.32 * longest)
     edges = np.flatnonzero(np.diff(np.concatenate(([True], out, [True])).astype(np.int8)))
     spans = list(zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True))
@@ -235,15 +237,19 @@ def stance_instants(rest: BoolArray, gyr_radps: FloatArray, rate_hz: float) -> I
     ``rest`` (N,), ``gyr_radps`` (N, 3). Rests less than ``SHORTEST_MOVE_S`` apart count as one. Quietest is the least
     rate energy over 0.05 s.
     """
+    return least_in_rests(rest, rate_energy(gyr_radps, rate_hz), rate_hz)
+
+
+def least_in_rests(rest: BoolArray, energy: FloatArray, rate_hz: float) -> IntArray:
+    """As :func:`stance_instants`, of a rate energy (N,) already known."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], rest, [False])).astype(np.int8)))
     begins, ends = edges[0::2], edges[1::2]
     if len(begins) == 0:
         return np.zeros(0, dtype=np.int64)
     apart = begins[1:] - ends[:-1] >= SHORTEST_MOVE_S * rate_hz
     begins, ends = begins[np.append(True, apart)], ends[np.append(apart, True)]
-    energy = statistic(Detector.ARE, gyr_radps, gyr_radps, rate_hz)
     spans = zip(begins.tolist(), ends.tolist(), strict=True)
-    return np.array([begin + int(np.argmin(energy[begin:end])) for begin, end in spans], dtype=np.int64)
+    return np.array([begin + int(energy[begin:end].argmin()) for begin, end in spans], dtype=np.int64)
 
 
 def clipped_sd(values: FloatArray, full_scale: float | None, least: float, share: float) -> FloatArray:
@@ -251,7 +257,8 @@ def clipped_sd(values: FloatArray, full_scale: float | None, least: float, share
 
     An unknown full scale is the greatest value, if several samples stop there (within 0.1 %) and it is above ``least``.
     """
-    size = np.abs(values).max(axis=1)
+    x, y, z = np.abs(values).T
+    size = np.maximum(np.maximum(x, y), z)
     if full_scale is None:
         top = float(size.max())
         if top < least or np.count_nonzero(size > 0.999 * top) < 3:

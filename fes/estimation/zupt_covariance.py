@@ -85,8 +85,9 @@ def predict(P: Any, half: Any, r: Any, f: Any, dt: float) -> None:
 
 @jit
 def update(P: Any, x: Any, j: int, residual: float, variance: float, row: Any, gain: Any) -> float:
-    """One scalar measurement of state ``j`` in Joseph's form; returns the residual's variance.
+    """One scalar measurement of state ``j``; returns the residual's variance.
 
+    ``P`` loses ``row rowᵀ / s`` and nothing else, so it stays symmetric and, but for rounding, positive.
     ``row`` (16,) is filled with the row of ``P`` before the measurement, ``gain`` (16,) with the gain.
     """
     s = P[j * WIDTH + j] + variance
@@ -96,8 +97,8 @@ def update(P: Any, x: Any, j: int, residual: float, variance: float, row: Any, g
         gain[b] = row[b] * share
     for a in range(STATES):
         x[a] += gain[a] * residual
-    for b in range(WIDTH):
-        row_b, gain_b = row[b], gain[b]
+    for b in range(WIDTH):  # columns outside, rows inside: so the compiler takes columns that lie side by side together
+        of_b = gain[b]
         for a in range(STATES):
-            P[a * WIDTH + b] += s * (gain[a] * gain_b) - (gain[a] * row_b + row[a] * gain_b)
+            P[a * WIDTH + b] -= s * (gain[a] * of_b)
     return float(s)

@@ -100,7 +100,7 @@ def start_variances(at_rest: bool, p: ZuptSettings, out: Any) -> None:
 
 
 @jit
-def _creep(s: Any, anchor: Any, speed: float, creep: Any) -> None:
+def creep_velocity(s: Any, anchor: Any, speed: float, creep: Any) -> None:
     """Velocity of a foot that has just come to rest at ``s``, along the way from the last rest; none after no way."""
     x, y = s[0] - anchor[0], s[1] - anchor[1]
     way = math.sqrt(x * x + y * y)
@@ -174,7 +174,7 @@ def forward(
         if rest[i]:
             if i > 0 and not rest[i - 1]:
                 rest_began_ns = t_ns[i]
-                _creep(s, anchor, p.creep_mps, creep)
+                creep_velocity(s, anchor, p.creep_mps, creep)
             going = 1.0 if 1e-9 * (t_ns[i] - rest_began_ns) < p.creep_s else 0.0
             ux, uy, uz = gyr[i, 0] - bg[0], gyr[i, 1] - bg[1], gyr[i, 2] - bg[2]
             rate2 = ux * ux + uy * uy + uz * uz

@@ -8,8 +8,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
-from fes.export.tables import Exported, Table, batches, known
-from fes.journal.record import SessionLogError
+from fes.export.tables import ANOTHER, Exported, Table, batches, known
+from fes.journal.record import SessionLogError, not_made
 
 ABOUT: Final = "session.json"
 
@@ -87,12 +87,8 @@ class _new_folder:
     def __enter__(self) -> None:
         try:
             self._folder.mkdir(parents=True)
-        except FileExistsError as error:
-            raise SessionLogError(
-                f"{self._folder}: is there already and is not overwritten; choose another with --out"
-            ) from error
         except OSError as error:
-            raise SessionLogError(f"{self._folder}: cannot be made: {error.strerror or error}") from error
+            raise not_made(self._folder, error, ANOTHER) from error
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if isinstance(error, SessionLogError) and not any(self._folder.iterdir()):

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from fes import __version__
-from fes.export.tables import Batch, Exported, Table, batches, known
-from fes.journal.record import SessionLogError
+from fes.export.tables import ANOTHER, Batch, Exported, Table, batches, known
+from fes.journal.record import SessionLogError, not_made
 
 EXTRA: Final = "mcap"
 _LARGEST_TIME: Final = (1 << 63) - 1
@@ -35,12 +35,8 @@ def to_mcap(log: Path, target: Path) -> Exported:
     exported = Exported()
     try:
         file: BinaryIO = target.open("xb")
-    except FileExistsError as error:
-        raise SessionLogError(
-            f"{target}: is there already and is not overwritten; choose another with --out"
-        ) from error
     except OSError as error:
-        raise SessionLogError(f"{target}: cannot be made: {error.strerror or error}") from error
+        raise not_made(target, error, ANOTHER) from error
     try:
         with file:
             writer: Any = Writer(file)

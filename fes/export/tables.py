@@ -33,6 +33,7 @@ from fes.signals import (
 from statemachine.phases import PhaseChange
 
 BATCH_ROWS: Final = 20_000
+ANOTHER: Final = "choose another with --out"
 UNITS: Final = {
     "mps2": "m/s²",
     "radps": "rad/s",

@@ -9,7 +9,7 @@ from typing import Final
 
 from fes.hil.bounded import burst_without_end, charge_without_end
 from fes.hil.injections import INJECTIONS
-from fes.hil.judge import MS, began_after, off_after_ms, on_at
+from fes.hil.judge import MS, off_after_ms, on_at, resumed_after
 from fes.hil.naming import LATCHED, badly_named, named_now
 from fes.hil.results import Attempt
 from fes.hil.rig import CampaignBroken, Rig
@@ -63,7 +63,7 @@ def _goes_off(rig: Rig, scenario: Scenario, n: int, into_burst_ms: float) -> Att
             continue
         last_ms = max((o.last_pulse_ns - t_ns) / MS for o in stretches)
         off_ms = off_after_ms(stretches, t_ns)
-        if began_after(stretches, t_ns):
+        if resumed_after(stretches, t_ns):
             faults.append("current again without arming")
         misnamed = badly_named(named, scenario) if scenario.effect is Effect.LATCHED else []
         if misnamed and not faults and off_ms <= deadline_s * 1e3:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Final
 
-from fes.hil.judge import MS, began_after, length_ms, off_after_ms
+from fes.hil.judge import MS, length_ms, resumed_after, with_late_pulses
 from fes.hil.naming import LATCHED, badly_named, named_now
 from fes.hil.results import Attempt
 from fes.hil.rig import Rig
@@ -26,12 +26,13 @@ def burst_without_end(rig: Rig, scenario: Scenario) -> Attempt:
     rig.watch((scenario.deadline_ms or 0.0) * 1e-3 - 1e-3 * STUCK_MS + 0.3)
     named = named_now(rig)
     stretches = rig.outputs(burst.on_ns)
-    longest = next(output for output in stretches if output.on_ns == burst.on_ns)
-    off_ms = off_after_ms([longest], burst.on_ns) if longest.off_ns else length_ms(longest, time.monotonic_ns())
+    first = next(output for output in stretches if output.on_ns == burst.on_ns)
+    longest = with_late_pulses(stretches, first)
     faults = badly_named(named, scenario)
-    if began_after(stretches, burst.on_ns):
+    if resumed_after(stretches, burst.on_ns):
         faults.append("current again without arming")
-    return Attempt(off_ms, (longest.last_pulse_ns - burst.on_ns) / MS, named, tuple(faults))
+    last_ms = (longest[-1].last_pulse_ns - burst.on_ns) / MS
+    return Attempt(length_ms(longest, time.monotonic_ns()), last_ms, named, tuple(faults))
 
 
 def charge_without_end(rig: Rig, scenario: Scenario) -> Attempt:

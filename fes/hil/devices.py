@@ -12,10 +12,10 @@ from typing import Final
 from drivers.imu.port import ImuLost
 from drivers.stimulator.port import StimulatorLost
 from drivers.virtual.can_link_spawn import spawn_link
+from drivers.virtual.can_node_spawn import NodeHandle, free_bus, spawn_node, why_silent
+from drivers.virtual.device_spawn import DeviceHandle, DeviceKind, spawn_device
 from drivers.virtual.imu_spawn import spawn_imu
 from drivers.virtual.node_record import RecordEntry
-from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node, why_silent
-from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
 from drivers.virtual.stop_button import StopButton
 from fes.config import Bus, StimulatorDevice
 from fes.hil.patient_sensor import PatientSensor, Sensor, campaign_patient

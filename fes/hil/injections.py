@@ -27,6 +27,7 @@ HOGS: Final = 3
 HOGS_S: Final = 4.0
 CUT_S: Final = 0.5
 SILENT_S: Final = 1.3  # longer than a line may be silent before it is opened again
+FROZEN_S: Final = 2.0
 STARVING_PRIORITY: Final = 60
 MANY: Final = 100_000
 
@@ -137,14 +138,29 @@ def _full_disk(rig: Rig, n: int) -> int:
     return t_ns
 
 
-def _kill_child(module: str) -> Inject:
+def _to_child(module: str, do: Callable[[Rig, int], None]) -> Inject:
+    """Something happens to one of the session's processes."""
+
     def inject(rig: Rig, n: int) -> int:
         child = rig.session().child(module)
         t_ns = time.monotonic_ns()
-        os.kill(child, signal.SIGKILL)
+        do(rig, child)
         return t_ns
 
     return inject
+
+
+def _killed(rig: Rig, pid: int) -> None:
+    os.kill(pid, signal.SIGKILL)
+
+
+def _frozen(rig: Rig, pid: int) -> None:
+    """It reads nothing for a while, and everything that it is sent has to stay somewhere or be given up."""
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        rig.watch(FROZEN_S)
+    finally:
+        os.kill(pid, signal.SIGCONT)
 
 
 # --- the operator ----------------------------------------------------------------------------------------
@@ -266,10 +282,12 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "stop_control": (_stop_order, _nothing),
     "stop_page": (_stop_on_page, _nothing),
     "stop_button": (_press, lambda rig: rig.devices.stop_button().press(False)),
-    "view_killed": (_kill_child("fes.live.view"), Rig.end_session),
-    "page_killed": (_kill_child("fes.page"), Rig.end_session),
+    "view_killed": (_to_child("fes.live.view", _killed), Rig.end_session),
+    "page_killed": (_to_child("fes.page", _killed), Rig.end_session),
+    "view_frozen": (_to_child("fes.live.view", _frozen), _nothing),
+    "page_frozen": (_to_child("fes.page", _frozen), _nothing),
     "phase_stuck": (_by_itself, _nothing),
     "dose": (_by_itself, _nothing),
     "disk_full": (_full_disk, _nothing),
-    "log_writer_killed": (_kill_child("fes.live.log_process"), _nothing),
+    "log_writer_killed": (_to_child("fes.live.log_process", _killed), _nothing),
 }

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
 from drivers.virtual.node_record import RecordEntry
-from fes.signals import NS_PER_S
 
 MS: Final = 1_000_000
-GAP_NS: Final = 150 * MS  # pulses further apart than this are two bursts; the slowest train is 20 Hz
-PERIOD_NS: Final = 55 * MS  # between pulses of one train, at most
+PERIOD_NS: Final = 55 * MS  # between pulses of one burst, at most: see Outputs
+LATE_NS: Final = 150 * MS  # a pulse so soon after the one before may be of the same burst, held up by a busy machine
 LAST_PULSE: Final = "last pulse"
 _BEGIN: Final = frozenset(("on", "level"))
 _END: Final = frozenset(("off", "lease_expired", "on_time", "fault", "boot", "watchdog", "emergency"))
@@ -35,7 +34,12 @@ class Output:
 
 
 class Outputs:
-    """The stretches of current of all channels, kept up with a record that grows: each entry is looked at once."""
+    """The stretches of current of all channels, kept up with a record that grows: each entry is looked at once.
+
+    Where the record is of pulses, a pause longer than the pulse period ends a burst, as it does for the stimulator: the
+    campaign's 40 Hz out of commands every 20 ms come 20 or 40 ms apart, and the shortest pause between two bursts
+    (``min_off_s`` of 50 ms) makes 70 ms from pulse to pulse. :data:`PERIOD_NS` lies between.
+    """
 
     def __init__(self) -> None:
         self._over: list[Output] = []
@@ -47,7 +51,7 @@ class Outputs:
         for entry in entries:
             if entry.event == "pulse":
                 train = self._trains.setdefault(entry.channel, [])
-                if train and entry.t_ns - train[-1].t_ns > GAP_NS:
+                if train and entry.t_ns - train[-1].t_ns > PERIOD_NS:
                     self._over.append(_train(train, train[-1].t_ns))
                     train.clear()
                 train.append(entry)
@@ -66,10 +70,10 @@ class Outputs:
             now_ns: the present; a stretch of pulses that are recent enough is still on.
             since_ns: what had ended long before it is left out.
         """
-        found = [output for output in self._over if (output.off_ns or output.on_ns) + GAP_NS >= since_ns]
+        found = [output for output in self._over if (output.off_ns or output.on_ns) + LATE_NS >= since_ns]
         for train in self._trains.values():
             if train:
-                found.append(_train(train, None if now_ns - train[-1].t_ns <= GAP_NS else train[-1].t_ns))
+                found.append(_train(train, None if now_ns - train[-1].t_ns <= PERIOD_NS else train[-1].t_ns))
         found += [_stretch(levels, None, "") for levels in self._open.values()]
         return sorted(found, key=lambda output: output.on_ns)
 
@@ -127,6 +131,27 @@ def began_after(stretches: Iterable[Output], t_ns: int) -> int:
     return sum(output.on_ns > t_ns for output in stretches)
 
 
-def length_ms(output: Output, now_ns: int) -> float:
-    """How long a stretch of current lasted, in ms."""
-    return ((now_ns if output.off_ns is None else output.off_ns) - output.on_ns) / NS_PER_S * 1e3
+def resumed_after(stretches: Iterable[Output], t_ns: int) -> int:
+    """As :func:`began_after`, without late pulses of a burst that was on before: :func:`off_after_ms` counts those."""
+    known = list(stretches)
+    pulses_ns = [output.last_pulse_ns for output in known if output.ended_by == LAST_PULSE]
+    return sum(
+        not (output.ended_by == LAST_PULSE and any(0 < output.on_ns - last_ns <= LATE_NS for last_ns in pulses_ns))
+        for output in known
+        if output.on_ns > t_ns
+    )
+
+
+def with_late_pulses(stretches: Iterable[Output], first: Output) -> list[Output]:
+    """A stretch of current and what came so soon after it that it may be its own; what was before it is not."""
+    chain = [first]
+    for output in sorted(stretches, key=lambda each: each.on_ns):
+        late_ns = output.on_ns - chain[-1].last_pulse_ns
+        if output.ended_by == first.ended_by == LAST_PULSE and output.on_ns > first.on_ns and late_ns <= LATE_NS:
+            chain.append(output)
+    return chain
+
+
+def length_ms(chain: Sequence[Output], now_ns: int) -> float:
+    """How long a stretch of current lasted, in ms, with what followed it."""
+    return ((now_ns if chain[-1].off_ns is None else chain[-1].off_ns) - chain[0].on_ns) / MS

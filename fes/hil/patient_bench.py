@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from drivers.virtual.spawn import NodeHandle, spawn_node
-from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
+from drivers.virtual.can_node_spawn import NodeHandle, spawn_node
+from drivers.virtual.device_spawn import DeviceHandle, DeviceKind, spawn_device
 from fes.calibrations import save
 from fes.config import StimulatorDevice
 from fes.hil.patient_session import CURRENT_MA, calibration_of, session_text

@@ -15,10 +15,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import select
-import signal
-import socket
 import sys
 import time
 from collections.abc import Sequence
@@ -28,14 +25,13 @@ from typing import Any, Final
 
 from drivers.virtual.device_lines import PtyEnd
 from drivers.virtual.line_faults import LINE_FAULTS, LineFaults
-from drivers.virtual.process_end import become_real_time
+from drivers.virtual.process_end import STDIN, Orders, become_real_time, say_ready, stop_signals
 from drivers.virtual.pulses import PulseInlet
 from fes.hil.patient_device import HELD, PatientDevice
 from fes.patient.virtual.deeds import do_to
 from fes.patient.virtual.settings import from_plain
 from fes.signals import NS_PER_S, SENSORS
 
-_STDIN: Final = 0
 LONGEST_WAIT_S: Final = 1.0
 
 
@@ -48,7 +44,7 @@ class PatientLoop:
         self._wake = wake
         self.ends = {sensor: PtyEnd() for sensor in sensors}
         self._faults = {sensor: LineFaults() for sensor in sensors}
-        self._typed = b""
+        self._orders = Orders(self._obey)
 
     def run(self) -> None:
         """Until a signal or the end of stdin."""
@@ -70,8 +66,8 @@ class PatientLoop:
         deadline_ns = min(self._device.next_deadline_ns(), *(f.next_deadline_ns() for f in self._faults.values()))
         wait_s = min(max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_S), LONGEST_WAIT_S)
         lines = {line: sensor for sensor, end in self.ends.items() for line in end.descriptors()}
-        ready, _, _ = select.select([self._wake, _STDIN, *lines], [], [], wait_s)
-        if self._wake in ready or (_STDIN in ready and not self._listen()):
+        ready, _, _ = select.select([self._wake, STDIN, *lines], [], [], wait_s)
+        if self._wake in ready or (STDIN in ready and not self._orders.read()):
             return False
         for line in ready:
             if line in lines and (data := self.ends[lines[line]].read()):
@@ -84,17 +80,6 @@ class PatientLoop:
         if data := self._faults[sensor].due(now_ns):
             self.ends[sensor].write(data)
 
-    def _listen(self) -> bool:
-        data = os.read(_STDIN, 4096)
-        *lines, self._typed = (self._typed + data).split(b"\n")
-        for line in lines:
-            try:
-                answer = {"done": True, **self._obey(json.loads(line)), "t_ns": time.monotonic_ns()}
-            except (ValueError, KeyError, TypeError, AttributeError) as error:
-                answer = {"error": f"{line.decode(errors='replace')!r}: {error}"}
-            print(json.dumps(answer), flush=True)
-        return bool(data)
-
     def _obey(self, asked: dict[str, Any]) -> dict[str, Any]:
         if "do" in asked:
             do_to(self._device.patient, str(asked["do"]), float(asked.get("value", 0.0)))
@@ -103,18 +88,18 @@ class PatientLoop:
         elif "begin" in asked:
             start_ns = time.monotonic_ns()
             self._device.begin(start_ns)
-            return {"start_ns": start_ns}
+            return {"done": True, "start_ns": start_ns}
         elif "replug" in asked:
             sensor = str(asked["replug"])
             self.ends[sensor].unplug()
             self.ends[sensor] = PtyEnd()
-            return {"port": self.ends[sensor].port}
+            return {"done": True, "port": self.ends[sensor].port}
         elif "ask" in asked:
-            return {"summary": self._device.counts.to_dict(), "now_s": self._device.now_s}
+            return {"done": True, "summary": self._device.counts.to_dict(), "now_s": self._device.now_s}
         else:
             for sensor in [str(asked["sensor"])] if asked.get("sensor") else list(self.ends):
                 self._fault(sensor, str(asked["fault"]), float(asked.get("value", 1)))
-        return {}
+        return {"done": True}
 
     def _fault(self, sensor: str, name: str, value: float) -> None:
         now_ns = time.monotonic_ns()
@@ -135,11 +120,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--waits", action="store_true", help="stand until told to walk")
     parser.add_argument("--held", action="store_true", help="its time begins when it is told to, not at once")
     options = parser.parse_args(arguments)
-    signalled, wake = socket.socketpair()
-    wake.setblocking(False)
-    signal.set_wakeup_fd(wake.fileno())
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: None)
+    stop = stop_signals()
     try:
         settings = from_plain(json.loads(options.settings))
         PatientDevice(settings, 0).advance(NS_PER_S, [])  # everything compiled before time begins
@@ -152,10 +133,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     real_time = become_real_time()
     start_ns = HELD if options.held else time.monotonic_ns()
     device = PatientDevice(settings, start_ns, cycle_s=cycle_s, waits=options.waits)
-    loop = PatientLoop(device, worn, inlet, signalled.fileno())
-    ports = {sensor: end.port for sensor, end in loop.ends.items()}
-    ready = {"ready": True, "pid": os.getpid(), "ports": ports, "start_ns": start_ns, "real_time": real_time}
-    print(json.dumps(ready), flush=True)
+    loop = PatientLoop(device, worn, inlet, stop.fileno())
+    say_ready(ports={sensor: end.port for sensor, end in loop.ends.items()}, start_ns=start_ns, real_time=real_time)
     try:
         loop.run()
     finally:

@@ -3,42 +3,43 @@
 from __future__ import annotations
 
 import json
-import os
-import select
-import subprocess
-import sys
-import tempfile
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Any, Final, Self
+from typing import Any
 
 from drivers.imu.port import ImuLost
+from drivers.virtual.process_handle import ProcessHandle
 from fes.patient.virtual import PatientSettings, VirtualStride
 from fes.patient.virtual.settings import to_plain
 
-_STOP_WAIT_S: Final = 5.0
-_ANSWER_WAIT_S: Final = 10.0
 
-
-@dataclass(slots=True)
-class PatientHandle:
+class PatientHandle(ProcessHandle):
     """A running patient: ``ports`` by sensor, ``start_ns`` the host's time at which its own began.
 
-    Use as a context manager, or call :meth:`stop`. Should this process die first, the patient ends by itself.
+    ``summary`` is known once it has stopped.
     """
 
-    process: subprocess.Popen[bytes]
-    ports: dict[str, str]
-    start_ns: int
-    real_time: bool
-    summary: dict[str, Any] = field(default_factory=dict)  # known once it has stopped
-    _errors: IO[str] | None = None
-    _heard: bytes = b""
-    _answers: list[dict[str, Any]] = field(default_factory=list)
-    _strides: list[VirtualStride] = field(default_factory=list)
+    def __init__(self, arguments: Sequence[str], timeout_s: float) -> None:
+        self.ports: dict[str, str] = {}
+        self.start_ns = 0
+        self.summary: dict[str, Any] = {}
+        self._strides: list[VirtualStride] = []
+        module = "fes.hil.patient_process"
+        super().__init__("the virtual patient", module, arguments, lost=ImuLost, timeout_s=timeout_s)
+
+    def _take(self, ready: Mapping[str, Any]) -> None:
+        super()._take(ready)
+        self.ports, self.start_ns = dict(ready["ports"]), int(ready["start_ns"])
+
+    def _hear(self, said: Mapping[str, Any]) -> bool:
+        if "stride" in said:
+            self._strides.append(VirtualStride(**said["stride"]))
+        elif "summary" in said and "done" not in said:
+            self.summary = said["summary"]
+        else:
+            return False
+        return True
 
     @property
     def now_s(self) -> float:
@@ -47,7 +48,7 @@ class PatientHandle:
 
     def new_strides(self) -> list[VirtualStride]:
         """Strides of the affected foot that were completed since the last call."""
-        self._listen(0.0)
+        self.listen()
         strides, self._strides = self._strides, []
         return strides
 
@@ -57,7 +58,7 @@ class PatientHandle:
         Raises:
             ImuLost: it does not know that, or is gone.
         """
-        return int(self._ask({"do": deed, "value": value})["t_ns"])
+        return int(self.ask({"do": deed, "value": value})["t_ns"])
 
     def fault(self, name: str, value: float = 1.0, sensor: str = "") -> int:
         """Bring a fault of a worn sensor about, without ``sensor`` of all; returns when.
@@ -65,7 +66,7 @@ class PatientHandle:
         Raises:
             ImuLost: it does not know it, or is gone.
         """
-        return int(self._ask({"fault": name, "value": value, "sensor": sensor})["t_ns"])
+        return int(self.ask({"fault": name, "value": value, "sensor": sensor})["t_ns"])
 
     def hold(self, held: bool) -> int:
         """A patient who walks in turns stands for as long as this holds; returns when it was told.
@@ -73,7 +74,7 @@ class PatientHandle:
         Raises:
             ImuLost: it is gone.
         """
-        return int(self._ask({"hold": held})["t_ns"])
+        return int(self.ask({"hold": held})["t_ns"])
 
     def begin(self) -> None:
         """Let the time of a patient begin that was started ``held``.
@@ -81,7 +82,7 @@ class PatientHandle:
         Raises:
             ImuLost: it has begun already, or is gone.
         """
-        self.start_ns = int(self._ask({"begin": True})["start_ns"])
+        self.start_ns = int(self.ask({"begin": True})["start_ns"])
 
     def replug(self, sensor: str) -> str:
         """Another line in the place of a sensor's; its port.
@@ -89,7 +90,7 @@ class PatientHandle:
         Raises:
             ImuLost: it is gone.
         """
-        self.ports[sensor] = str(self._ask({"replug": sensor})["port"])
+        self.ports[sensor] = str(self.ask({"replug": sensor})["port"])
         return self.ports[sensor]
 
     def punctuality(self) -> dict[str, Any]:
@@ -98,84 +99,8 @@ class PatientHandle:
         Raises:
             ImuLost: it is gone.
         """
-        found: dict[str, Any] = self._ask({"ask": "summary"})["summary"]
+        found: dict[str, Any] = self.ask({"ask": "summary"})["summary"]
         return found
-
-    def stop(self) -> int:
-        """End it and wait for it; its exit status. May be called twice."""
-        if self.process.stdin is not None and not self.process.stdin.closed:
-            self.process.stdin.close()
-        end_s = time.monotonic() + _STOP_WAIT_S
-        while time.monotonic() < end_s and self._listen(0.2):
-            pass
-        for last_resort in (self.process.terminate, self.process.kill):
-            try:
-                self.process.wait(_STOP_WAIT_S)
-                break
-            except subprocess.TimeoutExpired:
-                last_resort()
-        status = self.process.wait(_STOP_WAIT_S)
-        if self.process.stdout is not None:
-            self.process.stdout.close()
-        if self._errors is not None:
-            self._errors.close()
-        return status
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.stop()
-
-    # --- inside -----------------------------------------------------------------------------------------
-
-    def _ask(self, what: Mapping[str, Any]) -> dict[str, Any]:
-        if self.process.stdin is None or self.process.stdin.closed:
-            raise ImuLost("the virtual patient has been stopped")
-        try:
-            self.process.stdin.write(json.dumps(what).encode() + b"\n")
-            self.process.stdin.flush()
-        except OSError as error:
-            raise ImuLost(f"the virtual patient is gone: {error}") from error
-        end_s = time.monotonic() + _ANSWER_WAIT_S
-        while not self._answers:
-            if time.monotonic() > end_s or not self._listen(0.1):
-                raise ImuLost(f"the virtual patient does not answer{self.said()}")
-        answer = self._answers.pop(0)
-        if "error" in answer:
-            raise ImuLost(f"the virtual patient refused: {answer['error']}")
-        return answer
-
-    def said(self) -> str:
-        """The end of what it said on stderr, after a colon; "" for nothing."""
-        if self._errors is None or self._errors.closed:
-            return ""
-        self._errors.seek(0)
-        text = self._errors.read().strip()
-        return f": {text[-500:]}" if text else ""
-
-    def _listen(self, timeout_s: float) -> bool:
-        """Take in what it has said; False when its stdout has ended."""
-        if self.process.stdout is None or self.process.stdout.closed:
-            return False
-        descriptor = self.process.stdout.fileno()
-        while select.select([descriptor], [], [], timeout_s)[0]:
-            data = os.read(descriptor, 1 << 16)
-            if not data:
-                return False
-            *lines, self._heard = (self._heard + data).split(b"\n")
-            for line in lines:
-                said = json.loads(line)
-                if "stride" in said:
-                    self._strides.append(VirtualStride(**said["stride"]))
-                elif "summary" in said and "done" not in said:
-                    self.summary = said["summary"]
-                else:
-                    self._answers.append(said)
-            timeout_s = 0.0
-        return True
 
 
 def spawn_patient(
@@ -200,26 +125,7 @@ def spawn_patient(
     Raises:
         ImuLost: it ended, or was not ready in time.
     """
-    command = [sys.executable, "-m", "fes.hil.patient_process", "--pulses", str(pulses)]
-    command += ["--settings", json.dumps(to_plain(settings))]
-    command += [] if cycle_s is None else ["--cycle", *map(str, cycle_s)]
-    command += (["--waits"] if waits else []) + (["--held"] if held else [])
-    errors = tempfile.TemporaryFile("w+", encoding="utf-8")  # noqa: SIM115 - lives as long as the handle
-    process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, start_new_session=True
-    )
-    handle = PatientHandle(process, {}, 0, False, _errors=errors)
-    end_s = time.monotonic() + timeout_s
-    while not handle._answers and time.monotonic() < end_s and handle._listen(0.2):
-        pass
-    try:
-        ready = handle._answers.pop(0)
-        handle.ports, handle.start_ns = dict(ready["ports"]), int(ready["start_ns"])
-        handle.real_time = bool(ready["real_time"])
-    except (IndexError, KeyError, TypeError, ValueError) as error:
-        process.kill()
-        process.wait()
-        said = handle.said() or f": nothing within {timeout_s:g} s"
-        handle.stop()
-        raise ImuLost(f"the virtual patient did not start{said}") from error
-    return handle
+    arguments = ["--pulses", str(pulses), "--settings", json.dumps(to_plain(settings))]
+    arguments += [] if cycle_s is None else ["--cycle", *map(str, cycle_s)]
+    arguments += (["--waits"] if waits else []) + (["--held"] if held else [])
+    return PatientHandle(arguments, timeout_s)

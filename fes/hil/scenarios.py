@@ -238,6 +238,8 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
     ),
     _harmless("view_killed", "terminal view kill -9", "no effect", frozenset((Needs.PROC,)), "seen"),
     _harmless("page_killed", "live page kill -9", "no effect", frozenset((Needs.PROC,)), "seen"),
+    _harmless("view_frozen", "terminal view SIGSTOP for 2 s", "no effect", frozenset((Needs.PROC,)), "seen"),
+    _harmless("page_frozen", "live page SIGSTOP for 2 s", "no effect", frozenset((Needs.PROC,)), "seen"),
     _row(
         "phase_stuck",
         "phase stuck: stance without end",

@@ -8,7 +8,7 @@ from typing import Final
 
 from drivers.virtual.node_record import RecordEntry
 from fes.hil.injections import INJECTIONS
-from fes.hil.judge import began_after
+from fes.hil.judge import began_after, resumed_after
 from fes.hil.naming import badly_named, is_latched, named_now
 from fes.hil.results import Attempt
 from fes.hil.rig import ALLOWED, CampaignBroken, Rig
@@ -35,9 +35,9 @@ def no_effect(rig: Rig, scenario: Scenario, n: int, into_burst_ms: float) -> Att
     rig.in_burst(into_burst_ms)
     t_ns = inject(rig, n)
     rig.watch(scenario.watch_s)
-    rig.watch(AGAIN_S, lambda: began_after(rig.outputs(t_ns), t_ns) > 0 or is_latched(rig))
+    rig.watch(AGAIN_S, lambda: resumed_after(rig.outputs(t_ns), t_ns) > 0 or is_latched(rig))
     latched, named, ended = is_latched(rig), named_now(rig), not rig.session().alive
-    bursts = began_after(rig.outputs(t_ns), t_ns)
+    bursts = resumed_after(rig.outputs(t_ns), t_ns)
     heal(rig)
     if latched and scenario.effect is Effect.HARMLESS and not ended:
         rig.arm()

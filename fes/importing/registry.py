@@ -13,7 +13,7 @@ from fes.importing.common import Imported, ImportProblem
 
 @dataclass(frozen=True, slots=True)
 class DataSet:
-    """One data set. ``looks_like`` are the file names (patterns) searched for in a folder."""
+    """One data set. ``looks_like``: names (patterns) of files, or of folders of one run, searched for in a folder."""
 
     name: str
     about: str
@@ -36,10 +36,10 @@ _SETS: Final = (
     ),
     DataSet(
         "stroke_treadmill",
-        "stroke survivors on a treadmill, feet and shanks 100 Hz; belt speed, mean foot-strike angle",
+        "stroke survivors on a treadmill, feet and shanks 100 Hz (folders of Xsens texts, or packed); belt speed",
         "Sint Maartenskliniek, MovingReality; cite 10.3390/s24020710",
         "MIT",
-        ("MR*.npz",),
+        ("MR*.npz", "exported[0-9]*"),
     ),
     DataSet(
         "pyshoe",
@@ -67,7 +67,7 @@ _SETS: Final = (
         "one foot, nominally 400 Hz; a loop that ends where it starts",
         "xioTechnologies/Gait-Tracking",
         "MIT",
-        ("*walk*.csv",),
+        ("*walk.csv",),
     ),
 )
 DATA_SETS: Final = {each.name: each for each in _SETS}
@@ -86,7 +86,8 @@ def files_of(name: str, paths: Sequence[Path]) -> list[Path]:
         if not path.exists():
             raise ImportProblem(f"{path}: is not there. Name the files of the data set, or their folder.")
         shapes = DATA_SETS[name].looks_like
-        files = sorted({file for shape in shapes for file in path.rglob(shape)}) if path.is_dir() else [path]
+        one = not path.is_dir() or any(path.resolve().match(shape) for shape in shapes)
+        files = [path] if one else sorted({file for shape in shapes for file in path.rglob(shape)})
         if not files:
             raise ImportProblem(f"{path}: holds no file like {', '.join(shapes)}")
         found += files

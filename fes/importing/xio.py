@@ -42,9 +42,10 @@ def read(path: Path, foot: str | None = None) -> Imported:
     notes = (
         f"{int((~kept).sum())} of {len(t_s)} rows carried the stamp of the row before and were left out",
         f"which foot is not documented: taken for the {sensor.replace('_', ' ')}",
-        "the walk ends where it starts: see the path's end in fes analyse; no reference for fes evaluate",
+        "the walk ends where it starts: the only reference (.end.csv)",
     )
     rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
     track = stamped_track(sensor, rate_hz, t_ns, acc, gyr)
+    references = {".end.csv": (["foot", "end_distance_m", "end_height_m"], [(sensor, 0.0, 0.0)])}
     extra = {"closed_loop": True, "nominal_rate_hz": NOMINAL_HZ}
-    return Imported(Recording(f"xio_{path.stem}", None, {sensor: track}, extra=extra), {}, notes)
+    return Imported(Recording(f"xio_{path.stem}", None, {sensor: track}, extra=extra), references, notes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,13 @@ SEVERITIES = ("info", "warning", "fault")
 
 class SessionLogError(ValueError):
     """A session log cannot be written or read; the message names the file and says what to do."""
+
+
+def not_made(path: Path, error: OSError, instead: str) -> SessionLogError:
+    """Why a new file or folder cannot be made; ``instead``: what to do where it is there already."""
+    if isinstance(error, FileExistsError):
+        return SessionLogError(f"{path}: is there already and is not overwritten; {instead}")
+    return SessionLogError(f"{path}: cannot be made: {error.strerror or error}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fes.journal.buffer import RecordBuffer
-from fes.journal.record import SessionLogError
+from fes.journal.record import SessionLogError, not_made
 
 
 def create(path: Path) -> int:
@@ -18,12 +18,8 @@ def create(path: Path) -> int:
     """
     try:
         return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
-    except FileExistsError as error:
-        raise SessionLogError(
-            f"{path}: is there already and session logs are never overwritten; choose another name or move it"
-        ) from error
     except OSError as error:
-        raise SessionLogError(f"{path}: cannot be made: {error.strerror or error}") from error
+        raise not_made(path, error, "choose another name or move it") from error
 
 
 class SessionWriter(RecordBuffer):

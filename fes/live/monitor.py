@@ -58,9 +58,13 @@ class Timing:
 
 
 class Page(Protocol):
-    """What a browser's page is told; see ``fes.page.feed``. ``lost``: why it is told nothing any more."""
+    """What a browser's page is told; see ``fes.page.feed``.
+
+    ``lost``: why it is told nothing any more. ``dropped``: how many frames it missed.
+    """
 
     lost: str
+    dropped: int
 
     def event(self, event: Event) -> None:
         """As the log's."""
@@ -105,6 +109,7 @@ class Monitor:
         self.latencies, self.lateness = Timing(), Timing()
         self.dropped_frames = 0
         self.page: Page | None = None
+        self._missed_by_lost_page = 0
         self.switches = SwitchComparison()
         self.answered_ns: int | None = None
         self.device_fault = ""
@@ -171,6 +176,11 @@ class Monitor:
         self.log.latency(t_ns, latency_ns)
         self.latencies.add(latency_ns)
 
+    @property
+    def dropped_page_frames(self) -> int:
+        """Frames that a page did not take in time."""
+        return self._missed_by_lost_page + (self.page.dropped if self.page is not None else 0)
+
     # --- the status --------------------------------------------------------------------------------------
 
     def tell(
@@ -212,6 +222,7 @@ class Monitor:
         if self.page is not None:
             self.page.tell(datagram)
             if self.page.lost:
+                self._missed_by_lost_page = self.page.dropped
                 operator.message = f"the page has ended ({self.page.lost}): no stop there; the session goes on"
                 self.page = None
                 self.note(Note(t_ns, "warning", "page", operator.message))

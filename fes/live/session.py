@@ -181,6 +181,7 @@ class LiveSession:
             "unsent": self.stimulator.unsent,
             "flagged": {sensor: flag.samples for sensor, flag in self.gate.flagged.items()},
             "dropped_view_frames": self.monitor.dropped_frames,
+            "dropped_page_frames": self.monitor.dropped_page_frames,
         }
 
     def _after(self, event: Event, check: Callable[[], None]) -> None:

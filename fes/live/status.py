@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 VERSION = 1
+
+
+def finite(value: Any) -> Any:
+    """The same with None for every number that is none: a stride that was not measured is NaN, which JSON has not."""
+    if isinstance(value, dict):
+        return {name: finite(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +76,14 @@ class Status:
     remarks: list[str] = field(default_factory=list)  # what to know though nothing is latched
     version: int = VERSION
 
+    def plain(self) -> dict[str, Any]:
+        """As data for JSON: null for what is no number."""
+        found: dict[str, Any] = finite(asdict(self))
+        return found
+
     def encode(self) -> bytes:
         """The datagram."""
-        return json.dumps(asdict(self), separators=(",", ":")).encode()
+        return json.dumps(self.plain(), separators=(",", ":"), allow_nan=False).encode()
 
     @staticmethod
     def decode(datagram: bytes) -> Status:

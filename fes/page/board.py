@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -16,15 +15,6 @@ STRIDES: Final = 80
 PHASES: Final = 256
 NOTES: Final = 60
 NS_PER_MS: Final = 1e6
-
-
-def finite(value: Any) -> Any:
-    """The same with None for every number that is none: a stride that was not measured is NaN, which JSON has not."""
-    if isinstance(value, dict):
-        return {name: finite(each) for name, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 class Board:
@@ -74,7 +64,7 @@ class Board:
             name: fresh for name, ring in self._rings.items() if (fresh := [value for at, value in ring if at > number])
         }
         if self.newest is not None and self.heard_ns is not None:
-            found["status"] = finite(asdict(self.newest)) | {"t_ms": self._ms(self.newest.t_ns)}
+            found["status"] = self.newest.plain() | {"t_ms": self._ms(self.newest.t_ns)}
             found["age_ms"] = round((now_ns - self.heard_ns) / NS_PER_MS)
         if self.ended:
             found["ended"] = self.ended

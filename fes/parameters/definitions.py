@@ -77,7 +77,7 @@ _ALL = (
         "greatest sideways distance of the sensor from the straight line of its stride", f"{WANG}, 4.2"),
     _of("circumduction_m", "circumduction", "", "m", _CM,
         "greatest outward distance of the sensor from the straight line of its stride", "Kerrigan et al. 2000"),
-    _of("lift_m", "lifting height", "MLH", "m", _CM,
+    _of("lift_m", "lift of the sensor", "MLH", "m", _CM,
         "greatest height of the sensor above the stance before", f"{WANG}, 4.2"),
     _of("toe_clearance_m", "minimum toe clearance", "MTC", "m", _CM,
         "least height of the toe in mid-swing above the stance before; where the toe does not dip, its height at its "

@@ -12,7 +12,7 @@ from fes.estimation.clearance import FootArms, arms_of
 from fes.parameters.common_way import common_way
 from fes.parameters.contacts import Swing, swing_of
 from fes.parameters.definitions import DEFINITIONS
-from fes.parameters.steps import Step, step_lengths, steps_of
+from fes.parameters.steps import Step, step_lengths, steps_by_number
 from fes.parameters.strides import StrideParameters, stride_parameters
 from fes.parameters.summary import Statistic, Symmetry, Walk, statistics_of, symmetry, walk_of
 from fes.signals import FOOT_SENSORS, StrideResult
@@ -111,10 +111,8 @@ def _swings(analysis: Analysis, foot: str) -> dict[int, Swing]:
 
 def _steps(foot: str, swings: Mapping[str, Mapping[int, Swing]], strides: Sequence[StrideResult]) -> dict[int, Step]:
     other = next((name for name in swings if name != foot), None)
-    numbers = [stride.number for stride in strides]
-    own = [swings[foot].get(number) for number in numbers]
     others = list(swings[other].values()) if other is not None else []
-    return dict(zip(numbers, steps_of(own, others), strict=True))
+    return steps_by_number(strides, swings[foot], others)
 
 
 def _lengths(

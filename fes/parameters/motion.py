@@ -70,8 +70,9 @@ class Motion:
 
 def _rotation_vector(r: FloatArray) -> FloatArray:
     """Axis times angle (3,) of a rotation matrix (3, 3)."""
-    skew = 0.5 * np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
-    sine, cosine = float(np.linalg.norm(skew)), 0.5 * (float(np.trace(r)) - 1.0)
+    (a, b, c), (d, e, f), (g, h, i) = r.tolist()
+    skew = 0.5 * np.array([h - f, c - g, d - b])
+    sine, cosine = 0.5 * math.hypot(h - f, c - g, d - b), 0.5 * (a + e + i - 1.0)
     angle = math.atan2(sine, cosine)
     if sine > 1e-6:
         return np.asarray(skew * (angle / sine))

@@ -33,7 +33,7 @@ def parameter_table(parameters: GaitParameters) -> Table:
         if not any(value.n for value in values):
             continue
         known = DEFINITIONS[key]
-        cells = [f"{known.symbol or known.name}, {known.shown}"]
+        cells = [f"{known.name}{f' ({known.symbol})' if known.symbol else ''}, {known.shown}"]
         for value in values:
             cells += [_mean_sd(value, known.factor, DIGITS[known.shown]), _number(100.0 * value.cv, 1)]
         if parameters.sides:
@@ -46,6 +46,8 @@ def parameter_table(parameters: GaitParameters) -> Table:
 def parameter_lines(parameters: GaitParameters, hemiparetic: HemipareticWalk | None) -> list[str]:
     """Sentences for people."""
     walk = parameters.walk
+    if not any(value.n for foot in parameters.feet.values() for value in foot.values()):
+        return [f"No gait parameters: {parameters.no_step_lengths or 'no steady stride'}"]
     lines = [
         f"Walk: {_number(walk.walking_speed_mps, 2)} m/s, {_number(walk.cadence_per_min, 1)} steps/min, "
         f"walk ratio {_number(1000.0 * walk.walk_ratio_m_min, 1)} mm/(steps/min)"

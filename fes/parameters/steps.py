@@ -21,6 +21,7 @@ from fes.signals import NS_PER_S, IntArray, StrideResult
 
 LONGEST_STRIDE_S = 5.0  # from one contact to the next; beyond, the foot stood
 LONGEST_STANCE_S = 3.0  # beyond, the walk was interrupted
+ROOM_SHARE = 0.7  # of the usual stride time between two strides: room for one; in slow walks half of it is stance
 MOST_TURN_RAD = math.radians(20.0)
 
 
@@ -48,6 +49,32 @@ def steps_of(own: Sequence[Swing | None], other: Sequence[Swing | None]) -> list
     return found
 
 
+def steps_by_number(
+    strides: Sequence[StrideResult], swings: Mapping[int, Swing], other: Sequence[Swing | None]
+) -> dict[int, Step]:
+    """One per valid stride of one foot, by its number.
+
+    Where a stride is missing between two (its numbers must not be used, or samples were lost for so long that it was
+    not seen: then there is room for one), the contact before is not the one that began the stride: stride time, stance
+    and double support are not known.
+    """
+    starts = np.array([stride.t_start_ns for stride in strides], dtype=np.int64)
+    room_ns = ROOM_SHARE * float(np.median(np.diff(starts))) if len(strides) > 1 else math.inf
+    own: list[Swing | None] = []
+    places: dict[int, int] = {}
+    before: StrideResult | None = None
+    for stride in strides:
+        if before is not None and (
+            stride.number != before.number + 1 or stride.t_start_ns - before.t_end_ns >= room_ns
+        ):
+            own.append(None)
+        places[stride.number] = len(own)
+        own.append(swings.get(stride.number))
+        before = stride
+    found = steps_of(own, other)
+    return {number: found[place] for number, place in places.items()}
+
+
 def _step(before: Swing | None, swing: Swing | None, contacts: IntArray, offs: IntArray) -> Step:
     nan = float("nan")
     if swing is None:
@@ -58,7 +85,8 @@ def _step(before: Swing | None, swing: Swing | None, contacts: IntArray, offs: I
     walking = before is not None and 0.0 < stride <= LONGEST_STRIDE_S
     last = int(np.searchsorted(contacts, end)) - 1
     step = (end - int(contacts[last])) / NS_PER_S if last >= 0 else nan
-    step = step if step <= LONGEST_STRIDE_S else nan
+    missed = last >= 0 and int(contacts[last]) <= begin  # the other foot's step in between was not seen
+    step = step if step <= LONGEST_STRIDE_S and not missed else nan
     if not walking:
         return Step(nan, nan, step, nan)
     # the other foot's swing within this foot's stance: both stand before and after it

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from fes.parameters.definitions import STRIDE_KEYS
 from fes.parameters.strides import NAN, StrideParameters
 
 NO_SIDES = ("height_gained_m", "turn_rad")  # small differences from zero: no symmetry to speak of
+NO_CV = (*NO_SIDES, "angle_contact_rad", "angle_off_rad")  # may be about zero, which a spread cannot be a share of
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +58,10 @@ def statistic(values: Iterable[float]) -> Statistic:
 
 
 def statistics_of(strides: Sequence[StrideParameters]) -> dict[str, Statistic]:
-    """Of every parameter over one foot's steady strides."""
+    """Of every parameter over one foot's steady strides; no coefficient of variation for what may be about zero."""
     steady = [stride for stride in strides if stride.steady]
-    return {key: statistic(stride.values[key] for stride in steady) for key in STRIDE_KEYS}
+    found = {key: statistic(stride.values[key] for stride in steady) for key in STRIDE_KEYS}
+    return {key: replace(value, cv=NAN) if key in NO_CV else value for key, value in found.items()}
 
 
 def symmetry(feet: Mapping[str, Mapping[str, Statistic]], afflicted: str | None = None) -> dict[str, Symmetry]:

@@ -2,12 +2,13 @@
 
 from fes.recording.read import read_recording
 from fes.recording.template import sidecar_template
-from fes.recording.tracks import Recording, RecordingError, Track, TrackQuality
+from fes.recording.tracks import Recording, RecordingError, SidecarMissingError, Track, TrackQuality
 from fes.recording.write import write_recording
 
 __all__ = [
     "Recording",
     "RecordingError",
+    "SidecarMissingError",
     "Track",
     "TrackQuality",
     "read_recording",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from fes.recording.tracks import RecordingError
 NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*|\s*[+-]?(nan|inf|infinity)\s*", re.IGNORECASE)
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*")
 _DELIMITERS = (",", ";", "\t", "|")
+_ENCODING_BYTES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,26 @@ def lines(path: Path, dialect: Dialect) -> Iterator[tuple[int, list[str]]]:
         raise RecordingError(f'{path}: encoding = "{dialect.encoding}" is no known encoding; try "utf-8"') from error
     except csv.Error as error:
         raise RecordingError(f"{path}: is not a CSV file: {error}") from error
+
+
+def likely_encoding(path: Path) -> str:
+    """Return “utf-8” where a file's start is that, and what older programs write otherwise.
+
+    Raises:
+        RecordingError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            start = file.read(_ENCODING_BYTES)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    for encoding in ("utf-8", "cp1252"):
+        try:
+            codecs.getincrementaldecoder(encoding)().decode(start)  # a letter cut in two at the end is no fault
+        except UnicodeDecodeError:
+            continue
+        return encoding
+    return "latin-1"
 
 
 def _joined(stacked: list[list[str]]) -> list[str]:

@@ -37,23 +37,32 @@ class RawTrack:
 
 
 def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, RawTrack]:
-    """Return sensor → what a CSV or Parquet file has of it.
+    """Return sensor → what a CSV or Parquet file, or the file that the sidecar names for it, has of it.
 
     Raises:
         RecordingError: the file is damaged, lacks a column or a cell, or holds what is no number.
     """
     if sidecar.can is not None:
         raise RecordingError(f"{sidecar_path}: [can] is for CAN logs; leave it out, {path.name} is none")
-    values = [name for columns in sidecar.sensors.values() for name in (*columns.acc, *columns.gyr)]
-    times = [sidecar.time_of(sensor) for sensor in sidecar.sensors]
-    times += [columns.arrival_column for columns in sidecar.sensors.values()]
+    raw: dict[str, RawTrack] = {}
+    for file in dict.fromkeys(columns.file for columns in sidecar.sensors.values()):
+        sensors = [sensor for sensor, columns in sidecar.sensors.items() if columns.file == file]
+        raw |= _of_one_file(path.with_name(file) if file else path, sidecar_path, sidecar, sensors)
+    return raw
+
+
+def _of_one_file(path: Path, sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> dict[str, RawTrack]:
+    described = [sidecar.sensors[sensor] for sensor in sensors]
+    values = [name for columns in described for name in (*columns.acc, *columns.gyr)]
+    times = [sidecar.time_of(sensor) for sensor in sensors]
+    times += [columns.arrival_column for columns in described]
     time_names = list(dict.fromkeys(name for name in times if name))
     confused = [name for name in time_names if name in values]
     if confused:
         raise RecordingError(f"{sidecar_path}: column {confused[0]!r} is named as a time and as a measurement")
     dialect = Dialect(**{field.name: getattr(sidecar, field.name) for field in fields(Dialect)})
     table = Table(path, time_names + values, time_names, dialect)
-    return {sensor: _raw_track(table, sidecar, sensor) for sensor in sidecar.sensors}
+    return {sensor: _raw_track(table, sidecar, sensor) for sensor in sensors}
 
 
 def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor) -> RawTrack:

@@ -11,7 +11,14 @@ from fes.recording.raw import RawTrack, read_table
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
 from fes.recording.template import sidecar_template
 from fes.recording.timebase import MIN_DURATION_S, judge_stamps
-from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, Track, TrackQuality
+from fes.recording.tracks import (
+    UNLABELLED_FEET,
+    Recording,
+    RecordingError,
+    SidecarMissingError,
+    Track,
+    TrackQuality,
+)
 from fes.signals import SENSORS
 
 TABLE_SUFFIXES = (".csv", ".parquet")
@@ -24,7 +31,8 @@ def read_recording(path: Path) -> Recording:
 
     Raises:
         RecordingError: a file is missing or damaged, the sidecar does not fit it, or the numbers cannot be what the
-            sidecar says; the message names the file, the place and the fix. Without a sidecar it holds a template.
+            sidecar says; the message names the file, the place and the fix.
+        SidecarMissingError: there is no sidecar; the error holds a proposal.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -38,9 +46,11 @@ def read_recording(path: Path) -> Recording:
     sidecar_path = path.with_suffix(".toml")
     empty = sidecar_path.is_file() and sidecar_path.stat().st_size == 0
     if empty or not sidecar_path.exists():
-        raise RecordingError(
+        raise SidecarMissingError(
             f"{sidecar_path}: is {'empty' if empty else 'missing'}. This sidecar says what {path.name} holds. "
-            f"Save the following under that name and correct the lines marked with “?”:\n\n{sidecar_template(path)}"
+            f"Save the following under that name and answer what is marked with “?”:",
+            sidecar_path,
+            sidecar_template(path),
         )
     sidecar = load_sidecar(sidecar_path)
     if suffix in CAN_SUFFIXES:
@@ -72,7 +82,7 @@ def read_recording(path: Path) -> Recording:
 def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack) -> Track:
     name: Sensor = next(key for key in sidecar.sensors if key == sensor)
     columns = sidecar.sensors[name]
-    where = f"{path}: {sensor}"
+    where = f"{path.with_name(columns.file) if columns.file else path}: {sensor}"
     timing = judge_stamps(raw.stamps_ns, sidecar.rate_of(name), where, raw.place, sidecar.time_unit_of(name))
     span_s = float(raw.t_sensor_ns.max() - raw.t_sensor_ns.min()) * 1e-9
     if span_s + 1.0 / timing.rate_hz < MIN_DURATION_S:
@@ -106,5 +116,6 @@ def _check_overlap(path: Path, tracks: dict[str, Track]) -> None:
     if gap_s > 0:
         raise RecordingError(
             f"{path}: {first_end.sensor} ends {gap_s:.3f} s before {last_start.sensor} starts: their clocks have "
-            f"different origins. Subtract each sensor's start, or synchronise the sensors."
+            f"different origins. Subtract each sensor's start, or synchronise the sensors; or say rate_hz instead of "
+            f"time_column, which lets all begin at once, and set one foot's clock by the walk (fes analyse --apart)."
         )

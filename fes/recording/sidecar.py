@@ -57,9 +57,12 @@ class SensorColumns(Settings):
     gyr_range_radps: Positive | None = None
     gyr_range_degps: Positive | None = None
     mounting: Mounting | None = None
+    file: str | None = None  # of its own, beside the recording's
 
     @model_validator(mode="after")
     def _said_once(self) -> Self:
+        if self.file is not None and (not self.file or Path(self.file).name != self.file):
+            raise ValueError(f"file = {self.file!r} must be the name of a file that lies beside the sidecar")
         names = (*self.acc, *self.gyr)
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
@@ -116,12 +119,12 @@ class Sidecar(Settings):
             raise ValueError("names no sensor; give at least one table such as [sensors.left_foot]")
         if self.delimiter == self.decimal:
             raise ValueError('delimiter and decimal are both ","; one of them must be another')
-        owner: dict[str, str] = {}
+        owner: dict[tuple[str | None, str], str] = {}
         for sensor, columns in self.sensors.items():
             for name in (*columns.acc, *columns.gyr):
-                if name in owner:
-                    raise ValueError(f"column {name!r} is given to {owner[name]} and to {sensor}")
-                owner[name] = sensor
+                if (columns.file, name) in owner:
+                    raise ValueError(f"column {name!r} is given to {owner[columns.file, name]} and to {sensor}")
+                owner[columns.file, name] = sensor
             for key, allowed in (("acc_unit", '"m/s^2" or "g"'), ("gyr_unit", '"rad/s" or "deg/s"')):
                 if getattr(columns, key) is None and getattr(self, key) is None:
                     raise ValueError(f"{key} is missing for {sensor}; say {key} = {allowed} at the top")

@@ -21,6 +21,13 @@ def explain_sidecar(error: ValidationError, model: type[BaseModel], path: Path, 
         message = fault["msg"].removeprefix("Value error, ")
         if fault["type"] == "missing":
             message = "is required and missing"
+        elif place[:1] == ("sensors",) and len(place) == 2 and fault["type"] == "literal_error":
+            message = (
+                "which sensor is it? Write one of 'left_foot', 'right_foot', 'left_shank', 'right_shank' instead "
+                "(or foot_a and foot_b for two feet of which nobody knows the side)"
+            )
+        elif place[-1:] == ("rate_hz",) and fault.get("input") == 0:
+            message = "must be greater than 0: how many samples a second was the sensor set to?"
         elif fault["type"] == "tuple_type":
             message = 'must be a list of three column names, x, y, z: ["…", "…", "…"]'
         elif fault["type"] == "extra_forbidden":

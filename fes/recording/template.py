@@ -1,176 +1,191 @@
-"""A sidecar to start from: guessed from a file's column names and numbers, for whoever brings their own sensor."""
+"""A sidecar to start from: what a file's text, names and numbers tell, for whoever brings their own sensor.
+
+What nothing tells is not guessed: it stands as “?”, and reading refuses it until someone has answered.
+"""
 
 from __future__ import annotations
 
-import re
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from fes.recording import csv_text
+from fes.recording import hints
 from fes.recording.csv_text import Dialect
-from fes.recording.plausible import quiet_level
+from fes.recording.layout import Layout, csv_layout, settings_of
+from fes.recording.naming import Group, group_columns, stated_unit, time_columns
 from fes.recording.table import Table
+from fes.recording.timebase import RATE_TOLERANCE
 from fes.recording.toml_text import string_text, value_text
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GYR_UNITS, TIME_UNITS_NS
-from fes.signals import G_MPS2, SENSORS, FloatArray
+from fes.signals import G_MPS2, NS_PER_S, SENSORS
 
-_KINDS = {
-    "acc": re.compile(r"linacc|acceleration|accelerometer|accel|acc(?![a-z])|acc(?=[xyz]\b)|\ba(?=[xyz]\b)"),
-    "gyr": re.compile(r"gyroscope|gyro|gyr|angular ?(velocity|rate|vel)|angvel|omega|\b[gw](?=[xyz]\b)"),
-}
-_OTHER = re.compile(r"mag|quat|temp|press|euler|roll|pitch|yaw|lin ?acc|free ?acc|linear ?acc")
-_UNIT = re.compile(r"[(\[][^)\]]*[)\]]|\b(deg|rad|m) ?/ ?s(ec)?(\^?2|²)?|\b(mps2|radps|degps|dps)\b")
-_AXIS = re.compile(r"\b([xyz])\b|([xyz])$")
-_LEFT = re.compile(r"\bleft|\bl\b|\bl(?=foot|shank|shoe|f\b|s\b)|\bli\b|left")
-_RIGHT = re.compile(r"\bright|\br\b|\br(?=foot|shank|shoe|f\b|s\b)|\bre\b|right")
-_SHANK = re.compile(r"shank|shin|tibia|calf|lower ?leg|\b[lr]s\b")
-_TIME = re.compile(r"\b(time|timestamp|t|sec|seconds|ms|millis|micros|ticks|sampletime\w*|zeit)\b|timestamp")
 _PROBE_ROWS = 100_000
+_WHICH = f"? which sensor: {', '.join(SENSORS)}"
 
 
 @dataclass
-class _Group:
-    """Columns whose names differ by kind and axis only: one sensor."""
+class _Probe:
+    """What could be read of the first sensor's numbers and of the times."""
 
-    columns: dict[str, dict[str, str]] = field(default_factory=lambda: {"acc": {}, "gyr": {}})
-    sensor: str = ""
-    sure: bool = False
-
-    def names(self, kind: str) -> list[str]:
-        """Column names x, y, z; a placeholder where none was recognised."""
-        return [self.columns[kind].get(axis, f"? {kind} {axis}") for axis in "xyz"]
-
-    @property
-    def whole(self) -> bool:
-        """Are all six columns known?"""
-        return all(len(axes) == 3 for axes in self.columns.values())
+    numbers: hints.Numbers | None = None
+    steps: dict[str, float] = field(default_factory=dict)  # time column → its usual step, in its own unit
 
 
 def sidecar_template(path: Path) -> str:
-    """Return the text of a sidecar for a recording that has none; guesses that need a look are marked with “?”.
+    """Return the text of a sidecar for a recording that has none; what is to be answered is marked with “?”.
 
     Raises:
         RecordingError: the file itself is empty, damaged or no text.
     """
     if path.suffix.lower() not in (".csv", ".parquet"):
         return _can_template()
-    dialect, names = _layout(path)
-    groups = _group(names)
-    time_name = next((name for name in names if _TIME.search(_plain(name)) and not _kind(_plain(name))), None)
-    probe = _probe(path, dialect, groups, time_name)
-    lines = [f"# {path.name} has these columns:", *(f"#   {name}" for name in names), ""]
-    for setting in fields(Dialect):
-        if getattr(dialect, setting.name) != setting.default:
-            lines.append(f"{setting.name} = {value_text(getattr(dialect, setting.name))}")
-    lines += _time_lines(time_name, probe, path)
-    lines += _unit_lines(groups, probe)
-    for group in groups:
-        lines += ["", f"[sensors.{group.sensor}]{'' if group.sure else '  # ? one of ' + ', '.join(SENSORS)}"]
+    if path.suffix.lower() == ".parquet":
+        names = Table.parquet_names(path)
+        layout = Layout(Dialect(), names, {}, [], set(names))
+    else:
+        layout = csv_layout(path)
+    groups = group_columns(layout.names)
+    why = _place(path, layout, groups)
+    times = [name for name in time_columns(layout.names) if name in layout.filled]
+    probe = _probe(path, layout, groups, times)
+    lines = [f"# {path.name} has these columns:", *(f"#   {name}" for name in layout.names if name), ""]
+    lines += [f"{key} = {value_text(value)}" for key, value in settings_of(layout.dialect).items()]
+    lines += _time_lines(layout, times, probe)
+    lines += [_acc_line(layout, groups, probe), _gyr_line(layout, groups, probe)]
+    for number, group in enumerate(groups, start=1):
+        key = group.sensor or (f'"? {number}"' if len(groups) > 1 else '"?"')
+        lines += ["", f"[sensors.{key}]{why.get(number, '') if group.sensor else f'  # {_WHICH}'}"]
         lines += [f"{kind} = {value_text(group.names(kind))}" for kind in ("acc", "gyr")]
     if not all(group.whole for group in groups):
         lines.append("# ? put the columns' names, x, y, z, where a name starts with “?”")
+    lines += _other_foot(path, layout, groups)
     lines += [
         "",
-        "# if known: belt_speed_mps, subject, description at the top; acc_range_g, gyr_range_degps per sensor",
+        "# if known, at the top: belt_speed_mps, subject, description; for each sensor: acc_range_g, gyr_range_degps",
     ]
     return "\n".join(lines) + "\n"
 
 
-def _layout(path: Path) -> tuple[Dialect, list[str]]:
-    if path.suffix.lower() == ".parquet":
-        return Dialect(), Table.parquet_names(path)
-    best = max((",", ";", "\t", "|"), key=lambda mark: len(csv_text.header(path, Dialect(mark))))
-    rows = csv_text.lines(path, Dialect(best))
-    names = next(rows)[1]
-    first, second = next(rows, (0, []))[1], next(rows, (0, []))[1]
-    dialect = Dialect(best)
-    if first and not any(csv_text.NUMBER.fullmatch(cell.replace(",", ".")) for cell in first):
-        stacked = len(set(names)) < len(names)
-        dialect = Dialect(best, header_lines=2) if stacked else Dialect(best, skip_lines_after_header=1)
-        names = csv_text.header(path, dialect)
-    if best != "," and any(re.fullmatch(r"\s*[+-]?\d+,\d+\s*", cell) for cell in [*first, *second]):
-        dialect = replace(dialect, decimal=",")
-    return dialect, names
+def _place(path: Path, layout: Layout, groups: list[Group]) -> dict[int, str]:
+    """Name a lone sensor by what the file tells; return group number → the comment that says what told."""
+    why = {}
+    for number, group in enumerate(groups, start=1):
+        if group.sensor.endswith("foot") and "foot" not in group.called and "shoe" not in group.called:
+            why[number] = "  # taken for the foot: no name says shank"
+    if len(groups) == 1 and not groups[0].sensor:
+        side, part, told = hints.place_of(path, layout.above)
+        if side:
+            groups[0].sensor = f"{side}_{part or 'foot'}"
+            why[1] = f"  # by {told}" + ("" if part else "; taken for the foot: no name says shank")
+    return why
 
 
-def _plain(name: str) -> str:
-    """Lower case, words apart: ``LeftFoot_AccX`` → ``left foot acc x``."""
-    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", name)
-    return re.sub(r"[_\-.:\s]+", " ", spaced).strip().lower()
-
-
-def _kind(plain: str) -> str:
-    if _OTHER.search(plain):
-        return ""
-    return next((kind for kind, pattern in _KINDS.items() if pattern.search(plain)), "")
-
-
-def _group(names: list[str]) -> list[_Group]:
-    """Sort columns into sensors by what of their names is neither kind, axis nor unit."""
-    groups: dict[str, _Group] = {}
-    for name in names:
-        plain = re.sub(r"\s+", " ", _UNIT.sub(" ", _plain(name))).strip()
-        kind = _kind(plain)
-        axis = _AXIS.search(_KINDS[kind].sub(" ", plain)) if kind else None
-        if not kind or axis is None:
-            continue
-        rest = _AXIS.sub(" ", _KINDS[kind].sub(" ", plain), count=1)
-        group = groups.setdefault(" ".join(rest.split()), _Group())
-        group.columns[kind].setdefault(axis.group(1) or axis.group(2), name)
-    whole = {key: group for key, group in groups.items() if group.whole}
-    chosen = dict(list((whole or groups).items())[: len(SENSORS)]) or {"": _Group()}
-    for key, group in chosen.items():
-        side = "left" if _LEFT.search(key) else "right" if _RIGHT.search(key) else ""
-        sensor = f"{side or 'left'}_{'shank' if _SHANK.search(key) else 'foot'}"
-        taken = {other.sensor for other in chosen.values()}
-        group.sure = bool(side) and sensor not in taken
-        group.sensor = sensor if sensor not in taken else next(name for name in SENSORS if name not in taken)
-    return sorted(chosen.values(), key=lambda group: SENSORS.index(group.sensor))
-
-
-def _probe(path: Path, dialect: Dialect, groups: list[_Group], time_name: str | None) -> dict[str, Any]:
-    """Read the first sensor's numbers and the times, as far as they can be read."""
-    out: dict[str, Any] = {}
-    times = [time_name] if time_name else []
+def _probe(path: Path, layout: Layout, groups: list[Group], times: list[str]) -> _Probe:
+    probe = _Probe()
+    values = [*groups[0].names("acc"), *groups[0].names("gyr")] if groups[0].whole else []
+    for name in times:
+        try:
+            steps = np.diff(
+                Table(path, [name], [name], layout.dialect).times_ns(name, 1_000).astype(np.float64) / 1_000
+            )
+            probe.steps[name] = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        except (RecordingError, ValueError, IndexError):
+            continue  # stays to be answered; reading with the finished sidecar tells what is wrong
     try:
-        values = [*groups[0].names("acc"), *groups[0].names("gyr")] if groups[0].whole else []
-        table = Table(path, times + values, times, dialect)
-        if time_name:
-            steps = np.diff(table.times_ns(time_name, 1_000).astype(np.float64) / 1_000)
-            out["step"] = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
         if values:
-            data: FloatArray = np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values])
-            data = data[np.isfinite(data).all(axis=1)]
-            quiet = quiet_level(np.ascontiguousarray(data[:, :3]), np.ascontiguousarray(data[:, 3:]), 100.0)
-            out["gravity"] = quiet.acc
-            out["peak"] = float(np.percentile(np.linalg.norm(data[:, 3:], axis=1), 99.0))
+            table = Table(path, values, [], layout.dialect)
+            data = np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values])
+            probe.numbers = hints.look(data[np.isfinite(data).all(axis=1)])
     except (RecordingError, ValueError, IndexError):
-        return out  # the guesses stay marked; reading with the finished sidecar tells what is wrong
-    return out
+        return probe
+    return probe
 
 
-def _time_lines(time_name: str | None, probe: dict[str, Any], path: Path) -> list[str]:
-    if time_name is None:
-        return ["rate_hz = 0  # ? samples per second (not guessed); or time_column = … and time_unit = …"]
-    step = probe.get("step", 0.0)
-    fitting = [unit for unit, ns in TIME_UNITS_NS.items() if step > 0 and 20.0 <= 1e9 / (step * ns) <= 5000.0]
-    mark = "" if len(fitting) == 1 else '  # ? "s", "ms", "us" or "ns"'
-    return [f"time_column = {string_text(time_name)}", f'time_unit = "{fitting[0] if fitting else "s"}"{mark}']
+def _time_lines(layout: Layout, times: list[str], probe: _Probe) -> list[str]:
+    stated = hints.stated_rate(layout.above)
+    by_rate = [f"rate_hz = {stated[0]:g}  # by {stated[1]}"] if stated else []
+    for name in times:
+        step = probe.steps.get(name, 0.0)
+        unit = stated_unit("time", name, layout.units.get(name, ""))
+        if unit and not _fits(step, unit):
+            unit = ""
+        fitting = [unit] if unit else [one for one in TIME_UNITS_NS if _fits(step, one)]
+        counter = step == 1.0 and not unit
+        if len(fitting) != 1 or counter:
+            continue
+        rate = NS_PER_S / (step * TIME_UNITS_NS[fitting[0]])
+        agree = stated is not None and abs(rate / stated[0] - 1.0) <= RATE_TOLERANCE
+        told = "the file says so" if unit else f"steps of {step:g}"
+        lines = [
+            f"time_column = {string_text(name)}",
+            f"time_unit = {string_text(fitting[0])}  # {told}: {rate:.5g} Hz",
+        ]
+        if stated and not agree:
+            lines.append(f"# rate_hz = {stated[0]:g} stands in {stated[1]}, and the times say {rate:.5g}")
+        return lines + (by_rate if agree else [])
+    if by_rate:
+        return by_rate
+    wanted = "? samples per second, as the sensor was set"
+    return [f"rate_hz = 0  # {wanted}; or time_column = … and time_unit = … instead"]
 
 
-def _unit_lines(groups: list[_Group], probe: dict[str, Any]) -> list[str]:
-    gravity, peak = probe.get("gravity", 0.0), probe.get("peak", 0.0)
-    acc = next((unit for unit, size in ACC_UNITS.items() if 0.75 <= gravity * size / G_MPS2 <= 1.33), "")
-    gyr = next((unit for unit, size in GYR_UNITS.items() if 1.0 <= peak * size <= 40.0), "")
-    acc_line = f'acc_unit = "{acc}"' if acc else 'acc_unit = "m/s^2"  # ? "m/s^2" or "g"'
-    if not acc and gravity > 20.0:
-        acc_line = f"acc_unit = {G_MPS2 / gravity:.6g}  # ? m/s² per count: at rest it reads {gravity:.5g}"
-    gyr_line = f'gyr_unit = "{gyr}"' if gyr else 'gyr_unit = "deg/s"  # ? "rad/s" or "deg/s"'
-    return [acc_line, gyr_line]
+def _fits(step: float, unit: str) -> bool:
+    return step > 0 and hints.RATES_HZ[0] <= NS_PER_S / (step * TIME_UNITS_NS[unit]) <= hints.RATES_HZ[1]
+
+
+def _acc_line(layout: Layout, groups: list[Group], probe: _Probe) -> str:
+    stated = {stated_unit("acc", name, layout.units.get(name, "")) for name in groups[0].names("acc")}
+    said = stated.pop() if len(stated) == 1 else ""
+    if probe.numbers is None:
+        return f'acc_unit = "{said}"' if said else 'acc_unit = "?"  # ? "m/s^2", "g" or "mg"'
+    gravity, found = probe.numbers.gravity, hints.acc_unit_of(probe.numbers)
+    rest = f"at rest it reads {gravity:.4g}"
+    if said and found and said != found:
+        return f'acc_unit = "?"  # ? its name says {said}, but {rest}, as {found} would'
+    if found:
+        return f'acc_unit = "{found}"  # {rest}, gravity is {G_MPS2 / ACC_UNITS[found]:.4g} {found}'
+    if gravity > 20.0 and not said:
+        return f'acc_unit = "?"  # ? m/s² per count, for {rest}: {G_MPS2 / gravity:.6g} would make that gravity'
+    return f'acc_unit = "?"  # ? {f"its name says {said}, but " if said else ""}{rest}, and gravity is due there'
+
+
+def _gyr_line(layout: Layout, groups: list[Group], probe: _Probe) -> str:
+    stated = {stated_unit("gyr", name, layout.units.get(name, "")) for name in groups[0].names("gyr")}
+    said = stated.pop() if len(stated) == 1 else ""
+    if probe.numbers is None:
+        return f'gyr_unit = "{said}"' if said else 'gyr_unit = "?"  # ? "rad/s" or "deg/s"'
+    found = hints.gyr_unit_of(probe.numbers, hints.acc_unit_of(probe.numbers))
+    peaks = f"peaks of {probe.numbers.peak:.4g}"
+    if said and found and said != found:
+        return f'gyr_unit = "?"  # ? its name says {said}, but {peaks} (99th percentile) look like {found}'
+    if said:
+        return f'gyr_unit = "{said}"  # the file says so; {peaks} (99th percentile)'
+    if found:
+        degrees = np.degrees(probe.numbers.peak * GYR_UNITS[found])
+        return f'gyr_unit = "{found}"  # {peaks} (99th percentile): {degrees:.0f} deg/s, as legs walk'
+    return f'gyr_unit = "?"  # ? "rad/s" or "deg/s": {peaks} (99th percentile) do not tell'
+
+
+def _other_foot(path: Path, layout: Layout, groups: list[Group]) -> list[str]:
+    """A lone sensor's other side from the file beside it, as lines to uncomment."""
+    if len(groups) != 1 or not groups[0].sensor or path.suffix.lower() != ".csv":
+        return []
+    other = hints.other_side(path)
+    try:
+        if other is None or csv_layout(other).names != layout.names:
+            return []
+    except RecordingError:
+        return []
+    side, part = groups[0].sensor.split("_")
+    return [
+        "",
+        "# If this file holds the other side of the same walk, delete the “# ” of these lines:",
+        f"# [sensors.{'right' if side == 'left' else 'left'}_{part}]",
+        f"# file = {string_text(other.name)}",
+        *(f"# {kind} = {value_text(groups[0].names(kind))}" for kind in ("acc", "gyr")),
+    ]
 
 
 def _can_template() -> str:
@@ -183,7 +198,7 @@ def _can_template() -> str:
             "[can]",
             'dbc = "sensors.dbc"  # ? beside this file',
             "",
-            f"[sensors.left_foot]  # ? one of {', '.join(SENSORS)}",
+            f'[sensors."?"]  # {_WHICH}',
             *sensor,
             "",
         ]

@@ -19,6 +19,21 @@ class RecordingError(ValueError):
     """A recording cannot be used; the message names the file, the place and what would be right."""
 
 
+class SidecarMissingError(RecordingError):
+    """A recording has no sidecar yet.
+
+    Attributes:
+        sidecar: where it is due.
+        proposal: text to begin it with.
+    """
+
+    def __init__(self, said: str, sidecar: Path, proposal: str) -> None:
+        """``said``: what to do; the proposal follows it in the message."""
+        super().__init__(f"{said}\n\n{proposal}")
+        self.sidecar = sidecar
+        self.proposal = proposal
+
+
 @dataclass(frozen=True, slots=True)
 class TrackQuality:
     """How a sensor's samples came: counts, all 0 for a perfect track except ``samples``.

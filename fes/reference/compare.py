@@ -17,7 +17,14 @@ from fes.timing import pair
 TOLERANCE_S: Final = 0.15
 EDGE_S: Final = 1.0  # at a recording's ends a stride or event of the reference may be cut off: not missed
 _INSTANT: Final = {"IC": "initial_contact_s", "FO": "foot_off_s"}
-_OF_STRIDES: Final = ("stride_length_m", "clearance_m", "toe_clearance_m", "heel_clearance_m", "speed_mps")
+_OF_STRIDES: Final = (
+    "stride_length_m",
+    "clearance_m",
+    "toe_clearance_m",
+    "heel_clearance_m",
+    "height_gained_m",
+    "speed_mps",
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""References as CSV: which of six kinds a table is, told by its columns.
+"""References as CSV: which of eight kinds a table is, told by its columns.
 
 | kind | columns (units in the names: ``t_s``, ``t_ms``, ``x_mm`` …) |
 |---|---|
@@ -8,6 +8,8 @@
 | switch | t, and a column for each switch whose name begins with left or right |
 | path | t, x, y, z; or t and columns such as left_heel_x, left_heel_y, left_heel_z |
 | belt | t, speed |
+| orientation | t, q_w, q_x, q_y, q_z (sensor to world, z up), and perhaps sensor, moving |
+| end | end_distance and end_height: where the whole walk ended, seen from its start; and perhaps foot |
 """
 
 from __future__ import annotations
@@ -17,17 +19,27 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from fes.reference.footfalls import footfalls
 from fes.reference.switches import switch_events
 from fes.reference.table import Table, foot_of, read_columns
-from fes.reference.types import POINTS, MarkerPath, Reference, ReferenceError, ReferenceEvent, ReferenceStride
+from fes.reference.types import (
+    POINTS,
+    MarkerPath,
+    Reference,
+    ReferenceEnd,
+    ReferenceError,
+    ReferenceEvent,
+    ReferenceStride,
+)
 from fes.signals import FloatArray
 
 LATEST_S: Final = 4e9  # seconds since 1970 are below it; as ns they still fit 64 bits
-KINDS: Final = ("strides", "events", "mat", "switch", "path", "belt")
+KINDS: Final = ("strides", "events", "mat", "switch", "path", "belt", "orientation", "end")
 TIME: Final = ("t", "time", "seconds", "timestamp")
 CONTACT: Final = ("t_contact", "t_initial_contact", "t_loading_response", "first_contact", "contact_time")
+QUATERNION: Final = ("q_w", "q_x", "q_y", "q_z")
 OFF: Final = ("t_off", "t_foot_off", "t_swing", "last_contact", "off_time")
 _EVENT_NAMES: Final = {
     "IC": ("ic", "initialcontact", "footstrike", "heelstrike", "hs", "contact", "footcontact"),
@@ -38,6 +50,7 @@ _VALUES: Final = {
     "clearance": "clearance_m",
     "toe_clearance": "toe_clearance_m",
     "heel_clearance": "heel_clearance_m",
+    "height_gained": "height_gained_m",
     "foot_strike": "foot_strike_rad",
     "foot_strike_angle": "foot_strike_rad",
     "stride_time": "stride_time_s",
@@ -46,6 +59,7 @@ _VALUES: Final = {
     "speed": "speed_mps",
     "stride_velocity": "speed_mps",
 }
+_ENDS: Final = ("end_distance", "end_height")
 _MARKER: Final = re.compile(r"(left|right|l|r)_(?:foot_)?(\w+)_x")
 
 
@@ -61,7 +75,8 @@ def read_csv(path: Path, *, foot: str | None = None, kind: str | None = None) ->
         raise ReferenceError(
             f"{path}: its columns ({', '.join(table.columns)}) are those of no known kind of reference. Needed are "
             f"foot, t_start, t_end (strides); foot, event, t (events); foot, t_contact (step mat); t and left…, right… "
-            f"(foot switches); t, x, y, z (a marker's path); or t, speed (a belt)"
+            f"(foot switches); t, x, y, z (a marker's path); t, speed (a belt); t, q_w, q_x, q_y, q_z (orientation); "
+            f"or end_distance, end_height (a walk's end)"
         )
     readers = {
         "strides": _strides,
@@ -70,6 +85,8 @@ def read_csv(path: Path, *, foot: str | None = None, kind: str | None = None) ->
         "switch": _switch,
         "path": _paths,
         "belt": _belt,
+        "orientation": _no_orientation,
+        "end": _end,
     }
     try:
         found = readers[chosen](table, foot)
@@ -85,6 +102,10 @@ def read_csv(path: Path, *, foot: str | None = None, kind: str | None = None) ->
 def kind_of(table: Table) -> str | None:
     """One of :data:`KINDS`, None where the columns fit none."""
     names = set(table.columns)
+    if set(QUATERNION) <= names and table.first_of(*TIME):
+        return "orientation"
+    if names & {"end_distance", "end_height"}:
+        return "end"
     if {"t_start", "t_end"} <= names:
         return "strides"
     if "event" in names and table.first_of(*TIME):
@@ -232,3 +253,24 @@ def _belt(table: Table, foot: str | None) -> Reference:
             f"{table.path}: a belt's speed is known at all times and below 10 m/s; is it in km/h (speed_kmh)?"
         )
     return Reference((str(table.path),), belt=np.column_stack([t_s, speed]))
+
+
+def orientation_columns(table: Table) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Times (N,), quaternions (N, 4) and where the body is said to move (N,), everywhere if nothing says so."""
+    t_s = _increasing(table)
+    quaternion = np.column_stack([table.numbers(name) for name in QUATERNION])
+    moving = np.array(table.flags("moving")) if "moving" in table.columns else np.ones(table.rows, dtype=np.bool_)
+    return t_s, quaternion, moving
+
+
+def _no_orientation(table: Table, foot: str | None) -> Reference:
+    raise ReferenceError(f"{table.path}: orientations are held against a sensor alone; name no other reference")
+
+
+def _end(table: Table, foot: str | None) -> Reference:
+    feet = table.feet(foot)
+    known = [table.numbers(name) if name in table.columns else np.full(table.rows, np.nan) for name in _ENDS]
+    if len(set(feet)) < len(feet) or not np.isfinite(known).any() or np.nanmin(known[0], initial=0.0) < 0.0:
+        raise ReferenceError(f"{table.path}: needs one row a foot, with end_distance (not negative) or end_height")
+    ends = (ReferenceEnd(feet[k], float(known[0][k]), float(known[1][k])) for k in range(table.rows))
+    return Reference((str(table.path),), ends=tuple(ends))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +21,7 @@ class Estimate:
     """Strides of both feet, and per foot the times (s) of IC and FO, and angles (rad) at some of the ICs.
 
     Feet are named left_foot and right_foot whatever sensor told them. ``begin_s`` and ``end_s`` are the recording's.
+    ``ends``: by foot, how far from its start and how much higher (m) its path ended. ``level``: no stairs, no slope.
     """
 
     source: str
@@ -30,6 +31,8 @@ class Estimate:
     strides: tuple[StrideResult, ...]
     events: Mapping[str, Mapping[str, FloatArray]]
     strike_rad: Mapping[str, tuple[FloatArray, FloatArray]]
+    ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    level: bool = True
 
     @property
     def feet(self) -> tuple[str, ...]:
@@ -70,6 +73,8 @@ def from_analysis(analysis: Analysis) -> Estimate:
         tuple(analysis.strides),
         events,
         strike,
+        {foot: (path.closure_m, path.height_gained_m) for foot, path in analysis.paths.items()},
+        analysis.level,
     )
 
 

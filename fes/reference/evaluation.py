@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -83,7 +84,11 @@ def evaluate(estimate: Estimate, reference: Reference, settings: Settings | None
         paths.append(moved)
         notes += said
     reference = replace(reference, paths=tuple(paths))
-    synchrony = synchronise(reference, estimate, fit=chosen.fit_lag, given_s=chosen.lag_s, most_s=chosen.most_lag_s)
+    timeless = not (reference.events or reference.strides or reference.paths)  # a belt's speed, a walk's end
+    if timeless and not chosen.fit_lag:
+        synchrony = Synchrony(chosen.lag_s or 0.0, "", None)
+    else:
+        synchrony = synchronise(reference, estimate, fit=chosen.fit_lag, given_s=chosen.lag_s, most_s=chosen.most_lag_s)
     reference = reference.shifted(synchrony.applied_s)
     warnings = list(synchrony.warnings)
     comparison = compare(reference, estimate, tolerance_s=chosen.tolerance_s)
@@ -91,6 +96,7 @@ def evaluate(estimate: Estimate, reference: Reference, settings: Settings | None
         comparison = _added(comparison, compare_path(path, estimate))
     if chosen.compare_belt or len(reference.belt):
         comparison = _added(comparison, _belt_speed(reference, estimate, chosen))
+    comparison = comparison.joined(_ends(reference, estimate))
     if not comparison.pairs:
         raise ReferenceError(
             f"{', '.join(reference.sources)}: nothing in it fits what was found in the recording; "
@@ -147,7 +153,8 @@ def _own_feet(reference: Reference, estimate: Estimate) -> Reference:
         ReferenceError: nothing is left.
     """
     feet = set(estimate.feet)
-    others = {each.foot for part in (reference.events, reference.strides, reference.paths) for each in part} - feet
+    parts = (reference.events, reference.strides, reference.paths, reference.ends)
+    others = {each.foot for part in parts for each in part} - feet
     if not others:
         return reference
     left = replace(
@@ -155,6 +162,7 @@ def _own_feet(reference: Reference, estimate: Estimate) -> Reference:
         events=tuple(event for event in reference.events if event.foot in feet),
         strides=tuple(stride for stride in reference.strides if stride.foot in feet),
         paths=tuple(path for path in reference.paths if path.foot in feet),
+        ends=tuple(end for end in reference.ends if end.foot in feet),
         notes=(*reference.notes, f"not looked at, for the recording has no such sensor: {', '.join(sorted(others))}"),
     )
     if not left:
@@ -199,6 +207,19 @@ def _belt_speed(reference: Reference, estimate: Estimate, settings: Settings) ->
                 speed = float(np.interp(np.linspace(begin, end, 50), t_s, known).mean())
             if stride.valid and speed > 0.05:
                 pairs.append(Pair("speed_mps", foot, at, speed, stride.speed_mps))
+    return Comparison(tuple(pairs), ())
+
+
+def _ends(reference: Reference, estimate: Estimate) -> Comparison:
+    """Where whole walks ended; heights only where the ground was not said to be level."""
+    pairs = []
+    for end in reference.ends:
+        if end.foot not in estimate.ends:
+            continue
+        values = (("end_distance_m", end.distance_m), ("end_height_m", math.nan if estimate.level else end.height_m))
+        for (name, true), ours in zip(values, estimate.ends[end.foot], strict=True):
+            if math.isfinite(true):
+                pairs.append(Pair(name, end.foot, estimate.end_s, true, ours))
     return Comparison(tuple(pairs), ())
 
 

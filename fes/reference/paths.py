@@ -43,6 +43,8 @@ def compare_path(path: MarkerPath, estimate: Estimate) -> Comparison:
     left_out = 0
     for stride in ours:
         found = _values(path, stride, speed) if stride.valid else {}
+        if estimate.level:
+            found.pop("height_gained_m", None)
         inside = path.t_s[0] <= 1e-9 * stride.t_start_ns and 1e-9 * stride.t_end_ns <= path.t_s[-1]
         left_out += inside and not found
         at = 0.5e-9 * (stride.t_start_ns + stride.t_end_ns)
@@ -99,7 +101,7 @@ def _values(path: MarkerPath, stride: StrideResult, speed: FloatArray) -> dict[s
     if length < SHORTEST_M or (path.point != "sensor" and abs(stride.turn_rad) > STRAIGHT_RAD):
         return {}
     height = rows[:, 2] - start[2]
-    found = {"stride_length_m": length}
+    found = {"stride_length_m": length, "height_gained_m": float(end[2] - start[2])}
     if path.point == "toe":
         lowest = _toe_clearance(stride, times, rows, height)
         return found if lowest is None else {**found, "toe_clearance_m": lowest}

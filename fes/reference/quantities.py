@@ -8,7 +8,10 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """``factor`` from SI to ``unit``. An ``instant`` is a moment: its size says nothing, only its error."""
+    """``factor`` from SI to ``unit``.
+
+    An ``instant`` is a moment, or a single value of a whole walk: its size says nothing, only its error.
+    """
 
     name: str
     label: str
@@ -18,6 +21,8 @@ class Quantity:
     about: str
     instant: bool = False
 
+
+_DEG: Final = 57.29577951308232
 
 _TABLE: Final = (
     Quantity("initial_contact_s", "Initial contact", "ms", 1e3, 1, "when the foot touches the ground", True),
@@ -29,7 +34,14 @@ _TABLE: Final = (
     Quantity("clearance_m", "Clearance, sensor", "cm", 100.0, 2, "greatest height of the sensor above its start"),
     Quantity("toe_clearance_m", "Clearance, toe", "cm", 100.0, 2, "least height of the toe in mid-swing"),
     Quantity("heel_clearance_m", "Clearance, heel", "cm", 100.0, 2, "greatest height of the heel"),
-    Quantity("foot_strike_rad", "Foot-strike angle", "deg", 57.29577951308232, 2, "sole at contact, toe-up positive"),
+    Quantity("height_gained_m", "Height gained", "cm", 100.0, 2, "height of the stride's end above its start; stairs"),
+    Quantity("foot_strike_rad", "Foot-strike angle", "deg", _DEG, 2, "sole at contact, toe-up positive"),
     Quantity("speed_mps", "Walking speed", "m/s", 1.0, 3, "stride length over stride time"),
+    Quantity(
+        "end_distance_m", "End from start", "cm", 100.0, 1, "horizontal way from the walk's start to its end", True
+    ),
+    Quantity("end_height_m", "End above start", "cm", 100.0, 1, "height of the walk's end above its start", True),
+    Quantity("inclination_x_rad", "Inclination of x", "deg", _DEG, 2, "angle of the sensor's x axis to the vertical"),
+    Quantity("inclination_z_rad", "Inclination of z", "deg", _DEG, 2, "angle of the sensor's z axis to the vertical"),
 )
 QUANTITIES: Final = {quantity.name: quantity for quantity in _TABLE}

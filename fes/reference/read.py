@@ -8,7 +8,8 @@ from pathlib import Path
 from fes.reference.csv_file import read_csv
 from fes.reference.types import Reference, ReferenceError
 
-BESIDE = (".events.csv", ".strides.csv", ".path.csv", ".reference.csv", ".belt.csv", ".mat.csv", ".switch.csv", ".c3d")
+TABLES = ("events", "strides", "path", "reference", "belt", "mat", "switch", "orientation", "end")
+BESIDE = (*(f".{kind}.csv" for kind in TABLES), ".c3d")
 
 
 def read_references(

@@ -40,6 +40,15 @@ class ReferenceStride:
     usable: bool = True
 
 
+@dataclass(frozen=True, slots=True, order=True)
+class ReferenceEnd:
+    """Where a walk ended, seen from where it began: horizontal ``distance_m`` and ``height_m``, NaN if not known."""
+
+    foot: str
+    distance_m: float
+    height_m: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerPath:
     """Where a point of a foot was: (N,) increasing times and (N, 3) in m, z up; NaN rows where it was not seen.
@@ -70,6 +79,7 @@ class Reference:
         paths: one per foot and point.
         belt: (N, 2) time (s) and speed (m/s) of a treadmill's belt; empty where unknown.
         notes: what was assumed on reading, in words.
+        ends: where whole walks ended.
     """
 
     sources: tuple[str, ...] = ()
@@ -78,9 +88,10 @@ class Reference:
     paths: tuple[MarkerPath, ...] = ()
     belt: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     notes: tuple[str, ...] = ()
+    ends: tuple[ReferenceEnd, ...] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.events or self.strides or self.paths or len(self.belt))
+        return bool(self.events or self.strides or self.paths or len(self.belt) or self.ends)
 
     def joined(self, other: Reference) -> Reference:
         """Both together.
@@ -101,6 +112,7 @@ class Reference:
             self.paths + other.paths,
             self.belt if len(self.belt) else other.belt,
             self.notes + other.notes,
+            self.ends + other.ends,
         )
 
     def shifted(self, lag_s: float) -> Reference:

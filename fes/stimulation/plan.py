@@ -115,7 +115,11 @@ class StimulationPlan:
 
         Lets the controller send at once at such a moment and otherwise keep to its command period.
         """
-        return any(self._request(line, self._burst(line, t_ns, intensity), t_ns).on != line.on for line in self._lines)
+        for line in self._lines:
+            burst = self._burst(line, t_ns, intensity)
+            if (burst is not None and self._pulse(burst, t_ns) is not None) != line.on:
+                return True
+        return False
 
     def requests(self, t_ns: int, intensity: float) -> tuple[StimRequest, ...]:
         """One request per channel, in the session's order; call it when they are sent, for the plan remembers them.
@@ -160,14 +164,17 @@ class StimulationPlan:
 
     def _request(self, line: _Line, burst: Envelope | None, t_ns: int) -> StimRequest:
         number = line.channel.number
-        if burst is None:
-            return StimRequest(number, False)
+        pulse = self._pulse(burst, t_ns) if burst is not None else None
+        return StimRequest(number, False) if pulse is None else StimRequest(number, True, *pulse)
+
+    def _pulse(self, burst: Envelope, t_ns: int) -> tuple[float, float, float] | None:
+        """Current (mA), width (µs) and frequency (Hz) in the device's steps; None where one is nothing."""
         current_ma = round_down(burst.level_ma(t_ns), self._current_step_ma)
         pulse_width_us = round_down(burst.width_us(t_ns), self._pulse_width_step_us)
         frequency_hz = round_down(burst.frequency_hz, FREQUENCY_STEP_HZ)
         if min(current_ma, pulse_width_us, frequency_hz) <= 0.0:
-            return StimRequest(number, False)
-        return StimRequest(number, True, current_ma, pulse_width_us, frequency_hz)
+            return None
+        return current_ma, pulse_width_us, frequency_hz
 
 
 def _line(channel: Channel) -> _Line:

@@ -12,6 +12,7 @@ import numpy as np
 from fes.journal import Note, SampleArrays, SessionRecord
 from fes.signals import NS_PER_S, IntArray, StimAlive, StimCommand
 
+CLOCKS_AGREE_NS = NS_PER_S
 GAP_FACTOR = 1.8  # an interval this many times the usual one has at least one sample missing
 NAN = float("nan")
 
@@ -59,6 +60,12 @@ class Remark:
     severity: str
     source: str
     text: str
+
+
+def sample_times(samples: SampleArrays) -> IntArray:
+    """The sensor's own stamps, which are even where arrival comes in batches; arrival if the clocks do not agree."""
+    agree = abs(float(np.median(samples.t_ns - samples.t_sensor_ns))) < CLOCKS_AGREE_NS
+    return samples.t_sensor_ns if agree else samples.t_ns
 
 
 def sensor_quality(sensor: str, samples: SampleArrays) -> SensorQuality:

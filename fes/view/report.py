@@ -9,42 +9,64 @@ from datetime import datetime
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from fes.ground_path import GroundPath
 from fes.journal import SessionRecord
-from fes.view.aggregate import Spread
-from fes.view.figures_gait import PHASE_COLORS, Figure, foot_color, path_figures, phase_figures, stride_figures
+from fes.parameters.gait import GaitParameters
+from fes.view.curves import foot_curves
+from fes.view.figures_butterfly import butterfly_figures
+from fes.view.figures_gait import PHASE_COLORS, Figure, foot_color, phase_figures, stride_figures
 from fes.view.figures_ground import ground_figures
+from fes.view.figures_space import space_of
 from fes.view.figures_stimulation import channel_color, latency_figure, stimulation_figures
+from fes.view.figures_stride import curve_figures
 from fes.view.figures_tuning import tuning_figures
-from fes.view.findings import count_of, findings, mean_sd, words
-from fes.view.glossary import GLOSSARY
+from fes.view.findings import mean_sd, words
+from fes.view.flags import Flag, all_flags, stride_flags, told
+from fes.view.front_page import front_page
+from fes.view.gait import gait_of_strides
 from fes.view.jsonable import plain
+from fes.view.parameter_table import KEY_NUMBERS, compared, parameter_rows, walk_rows
 from fes.view.summary import SessionView, view_session
 from fes.view.tables import number, path_mark
+from fes.view.template_cache import TemplateCache
+from fes.view.terms import parameter_slugs, slug, terms
 from fes.view.timeseries import chart_data
 
+if TYPE_CHECKING:
+    from fes.hemiparetic.walk import HemipareticWalk
+
 LONG_TABLE_ROWS = 200  # on paper a longer table stops here
+STYLES = ("uPlot.min.css", "report.css", "report_page.css")
+SCRIPTS = ("report.js", "terms.js", "space.js")
 
 
 class ReportError(OSError):
     """The report cannot be written; the message names the file and what to do."""
 
 
-def write_report(record: SessionRecord, path: Path, *, paths: Mapping[str, GroundPath] | None = None) -> None:
+def write_report(
+    record: SessionRecord,
+    path: Path,
+    *,
+    paths: Mapping[str, GroundPath] | None = None,
+    gait: GaitParameters | None = None,
+    hemiparetic: HemipareticWalk | None = None,
+) -> None:
     """Write the report of a session as one self-contained HTML file, replacing an older one.
 
-    ``paths``: where each foot went over the ground, if that was worked out. The same record always gives the same
-    bytes.
+    ``paths``: where each foot went over the ground, if that was worked out. ``gait``: its parameters from the samples;
+    else they are worked out from the strides. ``hemiparetic``: what was found of the walk as a hemiparetic one. The
+    same record always gives the same bytes.
 
     Raises:
         ReportError: the file cannot be written.
     """
-    text = render_report(record, paths=paths)
+    text = render_report(record, paths=paths, gait=gait, hemiparetic=hemiparetic)
     draft = path.with_name(path.name + ".part")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -59,22 +81,55 @@ def write_report(record: SessionRecord, path: Path, *, paths: Mapping[str, Groun
         raise failure from error
 
 
-def render_report(record: SessionRecord, *, paths: Mapping[str, GroundPath] | None = None) -> str:
-    """The report of a session as HTML text."""
+def render_report(
+    record: SessionRecord,
+    *,
+    paths: Mapping[str, GroundPath] | None = None,
+    gait: GaitParameters | None = None,
+    hemiparetic: HemipareticWalk | None = None,
+) -> str:
+    """The report of a session as HTML text; arguments as of :func:`write_report`."""
     view = view_session(record)
     summary = view.summary
+    measured = gait if gait is not None else gait_of_strides(record.strides, summary.belt_speed_mps)
+    sensors = all_flags(record, view.settings)
+    flags = stride_flags(record, summary.strides, sensors)
+    curves = foot_curves(record.strides, measured, list(view.timelines))
+    care = _care(flags, {foot: one.numbers for foot, one in curves.items()})
+    over_stride = curve_figures(curves, care)
+    space = space_of(curves)
+    section = None
+    if hemiparetic is not None:
+        from fes.view.hemiparetic_section import hemiparetic_section
+
+        section = hemiparetic_section(hemiparetic)
+    spaces = [figure for figure in (space, section.space if section else None) if figure is not None]
     return (
         _environment()
         .get_template("report.html.j2")
         .render(
             s=summary,
             title=f"{summary.name} – gait and stimulation",
-            findings=findings(summary),
-            cards=_cards(view),
-            glossary=GLOSSARY,
-            path_figures=_safe([*path_figures(view), *ground_figures(view, paths or {})]),
-            stride_figures=_safe(stride_figures(view)),
-            phase_figures=_safe(phase_figures(view)),
+            front=front_page(summary, flags, sensors, [section.finding] if section else []),
+            front_figures=_safe(over_stride[:2]),
+            gait=measured,
+            from_samples=gait is not None,
+            compared=compared(measured),
+            key_rows=parameter_rows(measured, flags, KEY_NUMBERS),
+            walk_rows=walk_rows(measured),
+            front_walk=[row for row in walk_rows(measured) if row.norm],
+            parameter_rows=parameter_rows(measured, flags),
+            hemiparetic=section,
+            flags=flags,
+            flags_told=told(flags.values()),
+            sensors=sensors,
+            terms=terms(),
+            parameter_slugs=parameter_slugs(),
+            stride_figures=_safe([*over_stride, *butterfly_figures(curves, care), *([space.figure] if space else [])]),
+            window_figures=_safe([section.space.figure] if section and section.space else []),
+            ground_figures=_safe(ground_figures(view, paths or {})),
+            each_figures=_safe(stride_figures(view, flags)),
+            phase_figures=_safe(phase_figures(view, flags)),
             stimulation_figures=_safe(stimulation_figures(view)),
             tuning_figures=_safe(tuning_figures(view)),
             latency_figure=_safe([figure for figure in [latency_figure(view)] if figure]),
@@ -82,9 +137,9 @@ def render_report(record: SessionRecord, *, paths: Mapping[str, GroundPath] | No
             long_table=len(summary.strides) > LONG_TABLE_ROWS,
             run_summary=json.dumps(summary.run_summary, indent=2, ensure_ascii=False),
             header_parts=_header_parts(record.header),
-            data=Markup(embed(chart_data(view))),
-            style=Markup(_asset("uPlot.min.css") + _asset("report.css")),
-            script=Markup(_asset("report.js")),
+            data=Markup(embed(chart_data(view, sensors) | {"spaces": [figure.to_data() for figure in spaces]})),
+            style=Markup("".join(_asset(name) for name in STYLES) + _running_head(view)),
+            script=Markup("".join(_asset(name) for name in SCRIPTS)),
             uplot=Markup(f"/*\n{_asset('uPlot.LICENSE')}*/\n{_asset('uPlot.iife.min.js')}"),
         )
     )
@@ -105,6 +160,11 @@ def when(created: str) -> str:
     return f"{moment:%Y-%m-%d %H:%M} {moment.tzname() or ''}".strip()
 
 
+def css_text(text: str) -> str:
+    """Any text as a string of a style sheet: everything but plain letters and figures is escaped by its number."""
+    return '"' + "".join(c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in text) + '"'
+
+
 @cache
 def _environment() -> Environment:
     environment = Environment(
@@ -113,8 +173,10 @@ def _environment() -> Environment:
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        bytecode_cache=TemplateCache(),
     )
     environment.filters |= {"num": number, "words": words, "mark": path_mark, "mean_sd": mean_sd, "when": when}
+    environment.filters |= {"slug": slug}
     environment.globals |= {"foot_color": foot_color, "channel_color": channel_color}
     return environment
 
@@ -122,6 +184,19 @@ def _environment() -> Environment:
 @cache
 def _asset(name: str) -> str:
     return files("fes.view").joinpath("static", name).read_text(encoding="utf-8")
+
+
+def _running_head(view: SessionView) -> str:
+    """What stands at the top of every printed page but the first."""
+    s = view.summary
+    text = " – ".join(part[:60] for part in (s.name, s.subject, when(s.created)) if part)
+    return f"@page {{ @top-left {{ content: {css_text(text)}; }} }}\n"
+
+
+def _care(flags: Mapping[tuple[str, int], tuple[Flag, ...]], numbers: Mapping[str, tuple[int, ...]]) -> str:
+    """What is to be said of the drawn strides' flags."""
+    said = told(flags.get((foot, number), ()) for foot, own in numbers.items() for number in own)
+    return f" With care: {said}." if said else ""
 
 
 def _safe(figures: list[Figure]) -> list[dict[str, Any]]:
@@ -133,44 +208,3 @@ def _header_parts(header: dict[str, Any]) -> list[tuple[str, str]]:
     """The parts of a log's header as indented text, one per key that holds more than a word."""
     parts = [(key, value) for key, value in header.items() if isinstance(value, (dict, list)) and value]
     return [(words(str(key)), json.dumps(plain(value), indent=2, ensure_ascii=False)) for key, value in parts]
-
-
-def _cards(view: SessionView) -> list[dict[str, str]]:
-    """The key figures: a name from the glossary, a value with its unit, and a small line below."""
-    s = view.summary
-    total = len(s.strides)
-    four, valid = sum(row.four_phases for row in s.strides), sum(row.valid for row in s.strides)
-    share = f"{100 * four / total:.0f} %" if total else "–"
-    belt = "no belt known"
-    if s.belt_speed_mps > 0:
-        belt = f"belt {s.belt_speed_mps:.2f} m/s, ratio {number(s.speed_over_belt, 3)}"
-    cards = [
-        _card("stride", "Strides", f"{total}", f"{valid} valid"),
-        _card("four phases", "All four phases", share, f"{four} of {total} strides"),
-        _card("walking speed", "Walking speed", f"{number(s.walking_speed_mps, 2)} m/s", belt),
-    ]
-    feet = [(words(foot.foot).removesuffix(" foot"), foot) for foot in s.feet.values() if foot.valid]
-    for side, foot in feet:
-        length, below = foot.stride_length_m, _plus_minus(foot.stride_length_m, 3, "m")
-        cards.append(_card("stride length", f"Stride, {side}", f"{number(length.mean, 2)} m", below))
-    for side, foot in feet:
-        height, below = foot.clearance_cm, _plus_minus(foot.clearance_cm, 1, "cm")
-        cards.append(_card("clearance", f"Clearance, {side}", f"{number(height.mean, 1)} cm", below))
-    if feet:
-        cadence = sum(foot.cadence_steps_per_min for _, foot in feet) / len(feet)
-        cards.append(_card("cadence", "Cadence", f"{number(cadence, 0)} /min", "steps"))
-    if s.channels:
-        bursts, on_s = sum(channel.bursts for channel in s.channels), sum(channel.on_time_s for channel in s.channels)
-        charge_mc = sum(channel.charge_uc for channel in s.channels) / 1e3
-        cards.append(_card("burst", "Stimulation", count_of(bursts, "burst"), f"{on_s:.1f} s on, {charge_mc:.2f} mC"))
-    if s.latency.count:
-        cards.append(_card("latency", "Latency p99", f"{s.latency.p99_ms:.2f} ms", f"median {s.latency.p50_ms:.2f} ms"))
-    return cards
-
-
-def _card(term: str, name: str, value: str, below: str) -> dict[str, str]:
-    return {"term": GLOSSARY[term], "name": name, "value": value, "below": below}
-
-
-def _plus_minus(values: Spread, digits: int, unit: str) -> str:
-    return f"± {number(values.sd, digits)} {unit}"

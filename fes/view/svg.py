@@ -54,10 +54,14 @@ class Plot:
         *,
         width: int = 560,
         height: int = 290,
+        ticks_from: float = -math.inf,
+        mirrored: bool = False,
     ) -> None:
+        """``ticks_from``: the y axis has no ticks below; ``mirrored``: x is counted from 0 to both sides."""
         self.label, self.x_label, self.y_label = label, x_label, y_label
         self.x_range, self.y_range = x_range, y_range
         self.width, self.height = width, height
+        self.ticks_from, self.mirrored = ticks_from, mirrored
         self._marks: list[str] = []
 
     def _x(self, x: FloatArray) -> FloatArray:
@@ -87,6 +91,27 @@ class Plot:
         if ok.sum() > 1:
             path = self._path(np.append(x[ok], x[ok][::-1]), np.append(low[ok], high[ok][::-1]))
             self._marks.append(f'<path d="{path}Z" fill="{color}" fill-opacity="{opacity:g}"/>')
+
+    def area(self, x: FloatArray, y: FloatArray, color: str, opacity: float = 0.2) -> None:
+        """The inside of a closed curve."""
+        self._marks.append(f'<path d="{self._path(x, y)}Z" fill="{color}" fill-opacity="{opacity:g}"/>')
+
+    def text(self, x: float, y: float, words: str, color: str, *, anchor: str = "start") -> None:
+        """Words at a place."""
+        px, py = float(self._x(np.array(x))), float(self._y(np.array(y)))
+        self._marks.append(
+            f'<text class="halo" x="{px:.1f}" y="{py:.1f}" text-anchor="{anchor}" fill="{color}">{escape(words)}</text>'
+        )
+
+    def rings(self, x: FloatArray, y: FloatArray, color: str) -> None:
+        """A ring around every finite point."""
+        ok = np.isfinite(x) & np.isfinite(y)
+        path = "".join(
+            f"M{a - 6:.1f} {b:.1f}a6 6 0 1 0 12 0a6 6 0 1 0 -12 0"
+            for a, b in zip(self._x(x[ok]), self._y(y[ok]), strict=True)
+        )
+        if path:
+            self._marks.append(f'<path class="ring" d="{path}" fill="none" stroke="{color}" stroke-width="1.4"/>')
 
     def bars(self, x: FloatArray, low: FloatArray, high: FloatArray, width: float, color: str, name: str = "") -> None:
         """Bars from ``low`` to ``high`` (N,), ``width`` wide in units of x, as one shape."""
@@ -143,13 +168,15 @@ class Plot:
         floor, end = height - BOTTOM, width - RIGHT
         grid, texts = [], []
         for value in nice_ticks(*self.y_range):
+            if value < self.ticks_from:
+                continue
             at = float(self._y(np.array(value)))
             grid.append(f"M{LEFT} {at:.1f}H{end}")
             texts.append(f'<text x="{LEFT - 7}" y="{at + 4:.1f}" text-anchor="end">{_tick(value)}</text>')
         for value in nice_ticks(*self.x_range, about=7):
-            at = float(self._x(np.array(value)))
+            at, shown = float(self._x(np.array(value))), abs(value) if self.mirrored else value
             grid.append(f"M{at:.1f} {floor}v5")
-            texts.append(f'<text x="{at:.1f}" y="{floor + 18}" text-anchor="middle">{_tick(value)}</text>')
+            texts.append(f'<text x="{at:.1f}" y="{floor + 18}" text-anchor="middle">{_tick(shown)}</text>')
         middle, center = (TOP + floor) / 2, (LEFT + end) / 2
         return (
             f'<svg class="plot" viewBox="0 0 {width} {height}" role="img" aria-label="{escape(self.label)}">'

@@ -37,7 +37,7 @@ def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
     rows = summary.strides if limit is None else summary.strides[max(len(summary.strides) - limit, 0) :]
     remarks = list(dict.fromkeys(text for row in rows for text in _remarks(row)))
     legend = [
-        "len.: stride length; clr.: clearance; pre to stance: time in phase",
+        "len.: stride length; clr.: greatest height of the sensor; pre to stance: time",
         "path: 4 = all four phases, T6 = no loading response, +T5 = heel put back",
         "onset: after pre-swing began; dose: charge of one phase of all pulses",
         *(f"note {index}: {text}" for index, text in enumerate(remarks, 1)),
@@ -135,7 +135,7 @@ def _foot_line(summary: SessionSummary, name: str) -> Text:
         )
         times = ", ".join(f"{label} {number(s.mean, 2)} s ±{number(s.sd_percent, 0)}%" for label, s in phases)
         text += (
-            f", length {mean_sd(foot.stride_length_m, 2, 'm')}, clearance {mean_sd(foot.clearance_cm, 1, 'cm')}"
+            f", length {mean_sd(foot.stride_length_m, 2, 'm')}, sensor lifted {mean_sd(foot.clearance_cm, 1, 'cm')}"
             f"\n    {times}"
         )
     return Text(text)

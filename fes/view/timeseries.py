@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -13,24 +14,29 @@ from fes.view.channels import ChannelInfo
 from fes.view.figures_gait import PHASE_COLORS, foot_color
 from fes.view.figures_stimulation import channel_color
 from fes.view.findings import words
+from fes.view.flags import SensorFlags
+from fes.view.quality import sample_times
 from fes.view.summary import SessionView
 from fes.view.timeline import PhaseTimeline
 from statemachine.phases import Phase
 
-FULL_DETAIL_S = 600.0  # a longer session keeps half as many points a second
-POINTS_PER_S = 200
+DETAIL = ((600.0, 200), (1800.0, 100), (float("inf"), 80))  # sessions up to so long (s) keep so many points a second
 GAP_INTERVALS = 2.5  # a pause this many intervals long is drawn as a gap
-CLOCKS_AGREE_NS = NS_PER_S
 MISSING = -32768
 FULL_SCALE = 32000
 
 
-def chart_data(view: SessionView) -> dict[str, Any]:
-    """All that the script draws, in plain values: per foot its signals and phases, and the channels' current."""
+def chart_data(view: SessionView, sensors: Mapping[str, SensorFlags] | None = None) -> dict[str, Any]:
+    """All that the script draws, in plain values: per foot its signals and phases, and the channels' current.
+
+    ``sensors``: by foot, what is wrong with the samples; drawn where it is.
+    """
+    wrong = sensors or {}
     seconds = (view.end_ns - view.origin_ns) / NS_PER_S
-    points_per_s = POINTS_PER_S if seconds <= FULL_DETAIL_S else POINTS_PER_S // 2
+    points_per_s = next(points for longest_s, points in DETAIL if seconds <= longest_s)
     feet = [
         _foot(view.record.samples[foot], timeline, view.origin_ns, points_per_s)
+        | {"wrong": wrong[foot].spans(view.origin_ns) if foot in wrong else []}
         for foot, timeline in view.timelines.items()
         if foot in view.record.samples and view.record.samples[foot].t_ns.size > 1
     ]
@@ -110,7 +116,7 @@ def _opening_s(view: SessionView) -> float:
 
 
 def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points_per_s: int) -> dict[str, Any]:
-    t_ns = _sample_times(samples)
+    t_ns = sample_times(samples)
     order = np.argsort(t_ns, kind="stable")
     t_s = (t_ns[order] - origin_ns) / NS_PER_S
     rate, signed = main_axis_rate_radps(samples, timeline)
@@ -130,12 +136,6 @@ def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points
         "phase_end_s": _rounded((timeline.end_ns - origin_ns) / NS_PER_S),
         "phase": timeline.phase.tolist(),
     }
-
-
-def _sample_times(samples: SampleArrays) -> IntArray:
-    """The sensor's own stamps, which are even where arrival comes in batches; arrival if the clocks do not agree."""
-    agree = abs(float(np.median(samples.t_ns - samples.t_sensor_ns))) < CLOCKS_AGREE_NS
-    return samples.t_sensor_ns if agree else samples.t_ns
 
 
 def _channel(view: SessionView, info: ChannelInfo, grid_ns: IntArray) -> dict[str, Any]:

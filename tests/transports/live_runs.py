@@ -21,10 +21,10 @@ from replays import MS, SETTINGS, cut, edit, keep, trial
 from shank_walks import ShankWalk, shank_walk
 
 from drivers.stimulator.bus import open_bus
+from drivers.virtual.can_node_spawn import NodeHandle, spawn_node
+from drivers.virtual.device_spawn import DeviceHandle, DeviceKind, spawn_device
 from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
 from drivers.virtual.node_record import RecordEntry, read_record
-from drivers.virtual.spawn import NodeHandle, spawn_node
-from drivers.virtual.spawn_device import DeviceHandle, DeviceKind, spawn_device
 from fes.calibrations import Found, calibrate_drivers, calibrate_shank_track, save
 from fes.config import Bus
 from fes.live.status import Status

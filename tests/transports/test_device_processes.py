@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,11 +13,13 @@ import pytest
 from drivers.imu.port import ImuLost
 from drivers.stimulator.bus import LOOPBACK
 from drivers.virtual.can_link_spawn import spawn_link
+from drivers.virtual.can_node_spawn import NodeFailed, free_bus, spawn_node, why_silent
+from drivers.virtual.device_spawn import spawn_device
 from drivers.virtual.imu_spawn import spawn_imu
 from drivers.virtual.process_handle import ProcessHandle
-from drivers.virtual.spawn import NodeFailed, free_bus, spawn_node, why_silent
-from drivers.virtual.spawn_device import spawn_device
 from fes.config import Bus
+from fes.hil.patient_spawn import spawn_patient
+from fes.patient.virtual import settings_for
 
 NO_BUS = why_silent(free_bus(LOOPBACK))
 needs_bus = pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")
@@ -26,9 +29,11 @@ START: dict[str, Callable[[Path], ProcessHandle]] = {
     "serial": lambda folder: spawn_device("sciencemode4", record=folder / "record.jsonl"),
     "sensor": lambda folder: spawn_imu("xbus"),
     "line": lambda folder: spawn_link(free_bus(LOOPBACK), front=free_bus(LOOPBACK)),
+    "patient": lambda folder: spawn_patient(folder / "pulses", WALKER),
 }
-A_FAULT = {"node": "mute", "serial": "mute", "sensor": "mute", "line": "cut"}
-kinds = pytest.mark.parametrize("kind", [pytest.param("node", marks=needs_bus), "serial", "sensor", "line"])
+WALKER = settings_for("moderate", seed=3, sensors=("right_foot",), rate_hz=100.0)
+A_FAULT = {"node": "mute", "serial": "mute", "sensor": "mute", "line": "cut", "patient": "mute"}
+kinds = pytest.mark.parametrize("kind", [pytest.param("node", marks=needs_bus), "serial", "sensor", "line", "patient"])
 
 
 @kinds
@@ -53,6 +58,19 @@ def test_one_that_was_killed_is_gone_and_its_status_is_told(tmp_path: Path) -> N
         handle.process.kill()
         with pytest.raises(NodeFailed, match="is gone; it said: nothing; it ended with status -9"):
             handle.tell("mute")
+
+
+def test_what_a_patient_says_unasked_is_no_answer_and_none_of_it_is_lost(tmp_path: Path) -> None:
+    with spawn_patient(tmp_path / "pulses", WALKER) as patient:
+        strides, end_s = patient.new_strides(), time.monotonic() + 30.0
+        while len(strides) < 2 and time.monotonic() < end_s:
+            assert patient.punctuality()["pulses"] == 0  # an answer, whatever came before it
+            strides += patient.new_strides()
+        assert [stride.foot for stride in strides[:2]] == [WALKER.affected_foot] * 2
+        intervals = patient.punctuality()["intervals"]
+        assert patient.summary == {}
+        assert patient.stop() == 0
+        assert patient.summary["intervals"] >= intervals
 
 
 @contextmanager

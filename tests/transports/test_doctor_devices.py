@@ -11,9 +11,9 @@ from click.testing import CliRunner
 from live_runs import bus_text, sensor_text
 from replays import SETTINGS
 
+from drivers.virtual.can_node_spawn import free_bus, spawn_node, why_silent
+from drivers.virtual.device_spawn import spawn_device
 from drivers.virtual.imu_spawn import spawn_imu
-from drivers.virtual.spawn import free_bus, spawn_node, why_silent
-from drivers.virtual.spawn_device import spawn_device
 from fes.cli import doctor_devices
 from fes.cli.exits import FAILED, OK
 from fes.cli.finding import Verdict

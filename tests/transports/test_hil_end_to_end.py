@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 from replays import FES
 
+from drivers.virtual.can_node_spawn import free_bus, spawn_node, why_silent
 from drivers.virtual.imu_spawn import spawn_imu
-from drivers.virtual.spawn import free_bus, spawn_node, why_silent
 from fes.cli.exits import FAILED, INTERRUPTED, OK, UNUSABLE
 from fes.config import StimulatorDevice
 from fes.hil.settings import session_text

@@ -16,7 +16,7 @@ from live_runs import LiveRun, live_run, prepare, standing_first
 from page_browser import CHROMIUM, Page, chromium
 from replays import MS, cut, trial
 
-from drivers.virtual.spawn import free_bus, why_silent
+from drivers.virtual.can_node_spawn import free_bus, why_silent
 from fes.cli.exits import OK
 from fes.cli.replay_log import repeat
 from fes.journal import SessionRecord, read_session

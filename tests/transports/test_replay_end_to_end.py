@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from replays import FES, MS, SETTINGS, bursts, run_fes, write_cut
 
+from drivers.virtual.can_node_spawn import NodeHandle, free_bus, spawn_node, why_silent
 from drivers.virtual.node_record import RecordEntry, read_record
-from drivers.virtual.spawn import NodeHandle, free_bus, spawn_node, why_silent
 from fes.cli.exits import FAILED, INTERRUPTED, OK, STOPPED
 from fes.cli.replay_log import repeat
 from fes.journal import read_session

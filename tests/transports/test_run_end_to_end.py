@@ -11,7 +11,7 @@ import pytest
 from live_runs import FOOT, LiveRun, live_run, prepare
 from replays import MS
 
-from drivers.virtual.spawn import free_bus, why_silent
+from drivers.virtual.can_node_spawn import free_bus, why_silent
 from fes.cli.exits import INTERRUPTED, OK, STOPPED
 from fes.cli.replay_log import repeat
 from fes.journal import read_session

@@ -7,8 +7,8 @@ What "the same" means between a run in real time and one on injected time, over 
 - the same strides, dragged and stumbled alike, toe clearance within 2 mm;
 - as many tuning changes, each within one step of the stimulator (0.5 mA).
 
-A P24 is told each pulse by the host, so that a burst may have one of its ten pulses more or less: there 4 mm, one
-stride judged otherwise, and 1 mA after the last change.
+A P24 is told each pulse by the host, so that a burst may have one of its forty pulses more or less: there 4 mm, three
+sampling intervals, one stride judged otherwise, and 1 mA after the last change.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ import pytest
 
 from drivers.imu.port import ImuLost
 from drivers.stimulator.open import Port, open_stimulator
+from drivers.virtual.can_node_spawn import free_bus, why_silent
 from drivers.virtual.node_record import read_record
-from drivers.virtual.spawn import free_bus, why_silent
 from fes.calibrations import load
 from fes.cli.demo_loop import CURRENT_MA, patient
 from fes.config import load_session, validate_session
@@ -105,7 +105,9 @@ def changes_ma(record: SessionRecord) -> list[tuple[float, float]]:
 def test_between_processes_as_in_one(
     tmp_path: Path, stimulator: str, toe_mm: float, step_ma: float, odd: int, samples: int
 ) -> None:
-    """A phase changes at a sample; a foot that moves 3 mm otherwise may show it a sample or two earlier or later."""
+    """Three samples for a P24: a pulse more or less in every burst, in eight runs in one process, moved no phase but T4
+    of the stimulated foot, by two samples (its toe by 3.4 mm); the one that CAN may differ by comes on top.
+    """
     log, ran, start_ns = between_processes(tmp_path, stimulator)
     fast, strides = in_one_process(tmp_path)
     assert ran.punctuality["pulses_late"] == 0

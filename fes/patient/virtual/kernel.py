@@ -4,8 +4,9 @@ A leg is a point (the ankle) that the rest of the body carries along a planned p
 rigid foot that turns about it. What acts on the foot: gravity, the swinging leg's inertia, passive tissue, voluntary
 and stimulated dorsiflexors, the calf, its stretch reflex, and the ground at heel, ball and toe. Semi-implicit Euler.
 
-Ground: springs with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction by bristles. The
-muscle is in :mod:`fes.patient.virtual.muscle`.
+Ground: springs with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction by bristles. In
+pre-swing the foot rolls over its ball and then, as the shoe bends no further, over the tip of its toe. Passive tissue
+about the ankle: Riener & Edrich, *J Biomech* 32 (1999). The muscle is in :mod:`fes.patient.virtual.muscle`.
 
 Angles: foot pitch and shank tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is forward in
 the belt's frame, z up from the ground.
@@ -17,16 +18,13 @@ import math
 from typing import Any
 
 from fes.estimation.compiled import jit
+from fes.patient.virtual.ground import BALL_N_PER_M15, HEEL_M, HEEL_N_PER_M15, TOE_N_PER_M15, touch
 from fes.patient.virtual.layout import HARMONICS, PRE_SWING, STANCE, SWING
 from fes.patient.virtual.muscle import muscle
 
 TURN = 2.0 * math.pi
 GRAVITY = 9.80665
-GROUND_N_PER_M = 8.0e4  # shoe sole and heel pad
-TOE_N_PER_M = 2.5e4  # toes give way
-GROUND_DAMP_S_PER_M = 1.8
-BRISTLE_N_PER_M = 4.0e4
-BRISTLE_NS_PER_M = 120.0
+BEND_RAD = math.radians(45.0)  # how far a shod forefoot bends at the toes' joints before it rolls over the toe's tip
 HOLD_NM_PER_RAD = 320.0  # quasi-stiffness of the loaded ankle, about 5 N·m a degree
 HOLD_NMS_PER_RAD = 6.0
 FALL_MPS = 0.5  # how fast a foot goes on down that has not met the ground when it should
@@ -113,7 +111,7 @@ def plan(leg: Any, belt: Any, t: float) -> None:
     leg.vshank = shank1 * rate + off1
     leg.ashank = shank2 * rate * rate + off2
     nominal, nominal1, _ = fourier(leg.ankle, phase)
-    leg.nominal, leg.vnominal = nominal, nominal1 * rate
+    leg.nominal, leg.vnominal, leg.bend = nominal, nominal1 * rate, knee
     ox, ox1, ox2 = fade(leg.offset_x, leg.offset_t, leg.offset_s, t)
     oz, oz1, oz2 = fade(leg.offset_z, leg.offset_t, leg.offset_s, t)
     if leg.mode == SWING:
@@ -139,16 +137,21 @@ def plan(leg: Any, belt: Any, t: float) -> None:
             a * (st * thigh2 + ct * thigh1 * thigh1) + b * (ss * shank2 + cs * shank1 * shank1)
         )  # fmt: skip
         return
-    # on the ground the ankle stands, then turns about the ball
+    # on the ground the ankle stands, then turns about the ball, and the ball about the toe's tip
     psi, psi1, psi2 = heel_rise(leg, t)
     s, c = math.sin(psi), math.cos(psi)
     x1, z1 = leg.ball_x * s + leg.sole_m * c, leg.ball_x * c - leg.sole_m * s
-    leg.xp = leg.stand_x + leg.ball_x * (1.0 - c) + leg.sole_m * s + ox
-    leg.vxp = x1 * psi1 + ox1
-    leg.axp = x1 * psi2 + z1 * psi1 * psi1 + ox2
-    leg.zp = leg.ball_x * s + leg.sole_m * c + oz
-    leg.vzp = z1 * psi1 + oz1
-    leg.azp = z1 * psi2 - x1 * psi1 * psi1 + oz2
+    bent = math.tanh(psi / BEND_RAD)
+    toes, slope = psi - BEND_RAD * bent, bent * bent
+    toes1 = slope * psi1
+    toes2 = slope * psi2 + 2.0 * bent * (1.0 - slope) / BEND_RAD * psi1 * psi1
+    ts, tc = leg.toe_m * math.sin(toes), leg.toe_m * math.cos(toes)
+    leg.xp = leg.stand_x + leg.ball_x * (1.0 - c) + leg.sole_m * s + leg.toe_m - tc + ox
+    leg.vxp = x1 * psi1 + ts * toes1 + ox1
+    leg.axp = x1 * psi2 + z1 * psi1 * psi1 + ts * toes2 + tc * toes1 * toes1 + ox2
+    leg.zp = leg.ball_x * s + leg.sole_m * c + ts + oz
+    leg.vzp = z1 * psi1 + tc * toes1 + oz1
+    leg.azp = z1 * psi2 - x1 * psi1 * psi1 + tc * toes2 - ts * toes1 * toes1 + oz2
 
 
 @jit
@@ -159,24 +162,6 @@ def heel_rise(leg: Any, t: float) -> tuple[float, float, float]:
     u, w = (t - leg.rise_t) / leg.rise_s, 1.0 / leg.rise_s
     a = leg.rise_rad
     return a * u * u * (1.3 - 0.3 * u), a * u * (2.6 - 0.9 * u) * w, a * (2.6 - 1.8 * u) * w * w
-
-
-@jit
-def touch(at: float, x: float, z: float, vx: float, vz: float, stiff: float, slip: float) -> tuple[float, float, float]:
-    """Force of the ground on one point (forward, up) and its bristle's new anchor (NaN: in the air)."""
-    if z >= 0.0:
-        return 0.0, 0.0, math.nan
-    up = max(-stiff * z * (1.0 - GROUND_DAMP_S_PER_M * vz), 0.0)
-    if at != at:
-        at = x
-    forward = -BRISTLE_N_PER_M * (x - at) - BRISTLE_NS_PER_M * vx
-    most = slip * up
-    if abs(forward) > most:
-        forward = most if forward > 0.0 else -most
-        at = x + (forward + BRISTLE_NS_PER_M * vx) / BRISTLE_N_PER_M
-        if abs(x - at) > 0.004:
-            at = x + (0.004 if at > x else -0.004)
-    return forward, up, at
 
 
 @jit
@@ -191,14 +176,22 @@ def load(leg: Any, t: float) -> float:
 
 
 @jit
+def passive(angle: float, knee: float, stiff: float, short: float) -> float:
+    """Torque of relaxed tissue about the ankle, dorsiflexing positive, N·m: Riener & Edrich (1999).
+
+    ``exp(2.1016 - 0.0843 a - 0.0176 k) - exp(-7.9763 + 0.1949 a + 0.0008 k) - 1.792`` plantarflexes, with ``a`` degrees
+    of plantarflexion and ``k`` of knee flexion: the calf crosses both joints. ``stiff`` multiplies it, ``short`` (rad)
+    is how much earlier a shortened calf pulls; 1 and 0 are normal. ``angle``, ``knee`` in rad, dorsiflexion positive.
+    """
+    a, k = -math.degrees(angle + short), math.degrees(knee)
+    return -stiff * (math.exp(2.1016 - 0.0843 * a - 0.0176 * k) - math.exp(-7.9763 + 0.1949 * a + 0.0008 * k) - 1.792)
+
+
+@jit
 def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> float:
     """All torques of tissue about the ankle, dorsiflexing positive, N·m."""
     angle, rate = leg.pitch - leg.shank, leg.vpitch - leg.vshank
-    out: float = -leg.stiff * (angle - leg.rest_rad) - leg.damp * rate
-    if angle > 0.26:
-        out -= 300.0 * (angle - 0.26) + 2.0 * max(rate, 0.0)
-    elif angle < -0.70:
-        out -= 60.0 * (angle + 0.70)
+    out: float = passive(min(max(angle, -1.2), 0.8), leg.bend, leg.stiff, leg.short_rad) - leg.damp * rate
     # the stretch reflex of the calf, some 40 ms late
     leg.stretch1 += (rate - leg.stretch1) * dt / 0.02
     leg.stretch2 += (leg.stretch1 - leg.stretch2) * dt / 0.02
@@ -206,7 +199,7 @@ def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> 
     # voluntary dorsiflexors hold the normal angle, from just before foot off until the foot lies flat
     wanted = 1.0 if leg.mode == SWING or (leg.mode == STANCE and leg.flat == 0) else 0.0
     leg.own_act += (wanted - leg.own_act) * dt / 0.04
-    needed = leg.stiff * (leg.nominal - leg.rest_rad) + leg.foot_kg * GRAVITY * leg.com_x
+    needed = leg.foot_kg * GRAVITY * leg.com_x - passive(leg.nominal, leg.bend, leg.stiff, leg.short_rad)
     needed += 30.0 * (leg.nominal - angle) + 0.9 * (leg.vnominal - rate)
     out += leg.own * leg.own_act * min(max(needed, 0.0), 28.0)
     out += leg.torque
@@ -227,34 +220,50 @@ def step(leg: Any, belt: Any, t: float, dt: float) -> None:
     """Advance one leg from ``t`` to ``t + dt``; ``plan`` must have been called for ``t``."""
     muscle(leg, dt)
     h, c, s = leg.sole_m, math.cos(leg.pitch), math.sin(leg.pitch)
-    hx, hz = leg.heel_x * c + h * s, leg.heel_x * s - h * c
+    # the heel is round: the ground presses below its middle, the sole's flat part beginning there
+    middle = leg.heel_x + HEEL_M
+    hx, hz = middle * c + (h - HEEL_M) * s, middle * s - (h - HEEL_M) * c - HEEL_M
     bx, bz = leg.ball_x * c + h * s, leg.ball_x * s - h * c
-    # the toes lie along the ground as the heel rises and straighten early in swing
+    # the toes bend as the heel rises and straighten early in swing
     leg.toe_bend += ((0.0 if leg.mode == SWING else 1.0) - leg.toe_bend) * dt / 0.07
-    toes = leg.pitch * (1.0 - leg.toe_bend) if leg.pitch < 0.0 else leg.pitch
+    toes = leg.pitch
+    if toes < 0.0:
+        toes -= leg.toe_bend * BEND_RAD * math.tanh(toes / BEND_RAD)
     tx, tz = bx + leg.toe_m * math.cos(toes), bz + leg.toe_m * math.sin(toes)
     w = leg.vpitch
     fx, fz, leg.heel_at = touch(
-        leg.heel_at, leg.x + hx, leg.z + hz, leg.vx - w * hz, leg.vz + w * hx, GROUND_N_PER_M, leg.slip
+        leg.heel_at,
+        leg.x + hx + HEEL_M * leg.pitch,
+        leg.z + hz,
+        leg.vx - w * hz,
+        leg.vz + w * hx,
+        HEEL_N_PER_M15,
+        leg.slip,
     )
     gx, gz, leg.ball_at = touch(
-        leg.ball_at, leg.x + bx, leg.z + bz, leg.vx - w * bz, leg.vz + w * bx, GROUND_N_PER_M, leg.slip
+        leg.ball_at, leg.x + bx, leg.z + bz, leg.vx - w * bz, leg.vz + w * bx, BALL_N_PER_M15, leg.slip
     )
     px, pz = 0.0, 0.0
-    if leg.mode == SWING:
-        # unloaded at foot off: the toes press on the ground only when they meet it again
+    if leg.mode != STANCE:
+        # unloaded at foot off: from then on the toes press on the ground only when they meet it again
         firm, _, _ = smooth(((t - leg.swing_t) / leg.swing_s - 0.05) / 0.2)
+        if leg.mode == PRE_SWING:
+            firm = 1.0
         px, pz, leg.toe_at = touch(
-            leg.toe_at, leg.x + tx, leg.z + tz, leg.vx - w * tz, leg.vz + w * tx, TOE_N_PER_M * firm, leg.slip
+            leg.toe_at, leg.x + tx, leg.z + tz, leg.vx - w * tz, leg.vz + w * tx, TOE_N_PER_M15 * firm, leg.slip
         )
     else:
         leg.toe_at = math.nan
     leg.heel_n, leg.ball_n, leg.toe_n = fz, gz, pz
-    leg.heel_z, leg.toe_z = leg.z + hz, min(leg.z + tz, leg.z + bz)
+    leg.heel_z = leg.z + (hz if s > 0.0 else leg.heel_x * s - h * c)
+    leg.toe_z = min(leg.z + tz, leg.z + bz)
     weight = load(leg, t)
     forward = (t - leg.flat_t) / max(leg.rise_t - leg.flat_t, 0.05) if leg.flat else 0.0
     share, _, _ = smooth(forward)
-    lever = bx if leg.mode == PRE_SWING else 0.02 + share * (0.98 * leg.ball_x - 0.02)
+    lever = 0.02 + share * (0.98 * leg.ball_x - 0.02)
+    if leg.mode == PRE_SWING:  # from the ball to the toe's tip as the shoe bends
+        psi, _, _ = heel_rise(leg, t)
+        lever = bx + (tx - bx) * math.tanh(psi / BEND_RAD) ** 2
     moved = leg.moved_kg
     leg.ax = leg.axp + (fx + gx + px - leg.leg_k * (leg.x - leg.xp) - leg.leg_d * (leg.vx - leg.vxp)) / moved
     leg.az = leg.azp + (fz + gz + pz - weight - leg.leg_k * (leg.z - leg.zp) - leg.leg_d * (leg.vz - leg.vzp)) / moved

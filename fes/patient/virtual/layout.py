@@ -25,7 +25,7 @@ _BODY = (
     "heel_x", "ball_x", "toe_m",  # heel and ball ahead of the ankle, toe ahead of the ball
     "foot_kg", "com_x", "inertia", "moved_kg",  # the foot; its inertia about the ankle; what moves with the ankle
     "weight_n", "leg_k", "leg_d",  # load on one leg; how firmly the leg keeps to its path
-    "rest_rad", "stiff", "damp",  # passive ankle
+    "short_rad", "stiff", "damp",  # passive ankle: how short and stiff the calf is beyond the normal
     "spastic", "own", "own_rad",  # reflex gain; share of voluntary dorsiflexion
     "threshold_uc", "saturation_uc", "torque_max", "tau_ca", "tau_up", "tau_down", "tau_fat", "tau_rec", "fit_floor",
     "slip", "trip_ns",  # friction coefficient; drag impulse at which the foot is caught, N·s
@@ -46,7 +46,7 @@ _PLAN = (
 _STATE = (
     "x", "vx", "ax", "z", "vz", "az", "pitch", "vpitch", "apitch", "roll", "vroll", "aroll", "toe_bend",
     "y", "vy", "ay", "yaw", "vyaw", "ayaw", "shank", "vshank", "ashank",
-    "xp", "vxp", "axp", "zp", "vzp", "azp", "nominal", "vnominal",
+    "xp", "vxp", "axp", "zp", "vzp", "azp", "nominal", "vnominal", "bend",
     "heel_at", "ball_at", "toe_at", "heel_n", "ball_n", "toe_n", "drag_n",  # bristle anchors (NaN: off the ground)
     "hold", "flat_t", "own_act", "stretch1", "stretch2",
     "calcium", "recruited", "active", "fit", "torque",

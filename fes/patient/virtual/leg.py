@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fes.patient.virtual import normative
+from fes.patient.virtual.ground import HEEL_M
 from fes.patient.virtual.integrate import plan_at
 from fes.patient.virtual.layout import LEG, PRE_SWING, STANCE, SWING
 from fes.patient.virtual.patterns import Pattern
@@ -66,13 +67,13 @@ def body_of(settings: PatientSettings, *, affected: bool) -> Any:
         "inertia": foot_kg * (com**2 + (0.5 * sole) ** 2 + (0.25 * length) ** 2),
         "moved_kg": foot_kg + 0.5 * normative.SHANK_OF_MASS * mass,
         "weight_n": 0.97 * mass * G_MPS2, "leg_k": 3000.0, "leg_d": 150.0,
-        # passive ankle: about 10 N·m/rad near neutral, more and shorter with spasticity (Lorentzen et al., 2010)
-        "rest_rad": -0.26 - 0.12 * weak, "stiff": 9.0 + 8.0 * weak, "damp": 0.50 + 0.25 * weak,
+        # stiffer and shorter with spasticity (Lorentzen et al., 2010)
+        "short_rad": 0.12 * weak, "stiff": 1.0 + 0.9 * weak, "damp": 0.50 + 0.25 * weak,
         "spastic": 5.0 * weak, "own": own,
         "threshold_uc": muscle.threshold_uc, "saturation_uc": muscle.saturation_uc, "torque_max": muscle.max_torque_nm,
         "tau_ca": muscle.tau_calcium_s, "tau_up": muscle.tau_rise_s, "tau_down": muscle.tau_fall_s,
         "tau_fat": muscle.fatigue_s, "tau_rec": muscle.recovery_s, "fit_floor": muscle.fatigue_floor,
-        "slip": 0.55, "trip_ns": 1.1, "fit": 1.0,
+        "slip": 0.8, "trip_ns": 1.1, "fit": 1.0,
         "mode": STANCE, "flat": 1, "due_s": math.inf, "phase0": STANDING_PHASE, "load_share": 0.5, "load_t": math.inf,
         "load_s": 1.0, "unload_t": math.inf, "unload_s": 1.0, "rise_t": math.inf, "rise_s": 1.0, "swing_t": -10.0,
         "swing_s": 1.0, "offset_s": 1.0, "offset_t": -10.0, "flat_t": -10.0, "hold": 1.0, "toe_bend": 1.0,
@@ -117,8 +118,11 @@ class Planner:
         before = self._now(t_s)
         heel = float(leg["heel_n"]) > 0.0
         c, s, h = math.cos(leg["pitch"]), math.sin(leg["pitch"]), float(leg["sole_m"])
-        point = float(leg["heel_x"] if heel else leg["ball_x"])
-        stand_x = float(leg["x"]) + point * c + h * s - point
+        if heel:  # it rolls over the round heel until it lies flat
+            middle = float(leg["heel_x"]) + HEEL_M
+            stand_x = float(leg["x"]) + middle * c + (h - HEEL_M) * s + HEEL_M * float(leg["pitch"]) - middle
+        else:
+            stand_x = float(leg["x"]) + float(leg["ball_x"]) * (c - 1.0) + h * s
         leg["mode"], leg["flat"], leg["stand_x"] = STANCE, 0, stand_x
         leg["due_s"], leg["rise_t"] = next_rise_s, next_rise_s
         leg["load_t"], leg["load_s"], leg["load_share"] = t_s, max(0.9 * support_s, 0.08), 0.0
@@ -181,7 +185,7 @@ class Planner:
             leg["early_m"] += max(self._needed(swing.clearance_m + EARLY_M, _EARLY), -float(leg["early_m"]))
         leg["hike_m"] = 0.0
         normal = self._needed(swing.clearance_m, _MIDDLE)
-        hanging = self._needed(0.0, _MIDDLE, self.hanging_rad())
+        hanging = self._needed(0.0, _MIDDLE, hanging=True)
         self.need_m = max(hanging - normal, 0.0) * (1.0 - float(leg["own"]))
         leg["hike_m"] = normal + swing.habit * self.need_m + swing.extra_lift_m
 
@@ -208,7 +212,8 @@ class Planner:
         shank = thigh - knee
         pitch = shank + ankle
         above = float(leg["thigh_m"]) * math.cos(thigh) + float(leg["shank_m"]) * math.cos(shank)
-        return above + float(leg["sole_m"]) * math.cos(pitch) - float(leg["heel_x"]) * math.sin(max(pitch, 0.0))
+        middle, high = float(leg["heel_x"]) + HEEL_M, float(leg["sole_m"]) - HEEL_M
+        return above + high * math.cos(pitch) + HEEL_M - middle * math.sin(max(pitch, 0.0))
 
     def _landing_mps(self) -> float:
         """Upward speed of the ankle as the swing ends, by the joint curves alone."""
@@ -217,10 +222,10 @@ class Planner:
         high = -leg["thigh_m"] * np.cos(thigh) - leg["shank_m"] * np.cos(thigh - knee)
         return float(high[1] - high[0]) / e * float(leg["phase_rate"])
 
-    def _needed(self, clearance_m: float, u: FloatArray, ankle_rad: float | None = None) -> float:
+    def _needed(self, clearance_m: float, u: FloatArray, *, hanging: bool = False) -> float:
         """How much of the early or the middle lift (m) gives this toe clearance over the part ``u`` of the swing.
 
-        From the path planned so far; ``ankle_rad`` is the ankle's angle, None the normal one.
+        From the path planned so far, the ankle at its normal angle or ``hanging``.
         """
         leg = self.leg
         share = normative.TOE_OFF_SHARE
@@ -229,16 +234,19 @@ class Planner:
         v = np.minimum(u * leg["swing_s"] / leg["offset_s"], 1.0)
         off = np.where(v < 1.0, np.polynomial.polynomial.polyval(v, leg["offset_z"]), 0.0)
         high = leg["lift_m"] - leg["thigh_m"] * np.cos(thigh) - leg["shank_m"] * np.cos(shank) + off
-        pitch = shank + (ankle if ankle_rad is None else ankle_rad)
+        pitch = shank + (self.hanging_rad(knee) if hanging else ankle)
         toe = high + (leg["ball_x"] + leg["toe_m"]) * np.sin(pitch) - leg["sole_m"] * np.cos(pitch)
         middle, first = 64.0 * (u * (1.0 - u)) ** 3, 198.8 * u**3 * (1.0 - u) ** 5
         toe += leg["fall_m"] * u**5 * (1.0 - u) + leg["hike_m"] * middle + leg["early_m"] * first
         return max(float(((clearance_m - toe) / (first if u is _EARLY else middle)).max()), -0.08)
 
-    def hanging_rad(self) -> float:
-        """The ankle's angle where a foot without muscles hangs."""
+    def hanging_rad(self, knee_rad: FloatArray) -> FloatArray:
+        """The ankle's angles where a foot without muscles hangs, at these angles of the knee; see :func:`passive`."""
         leg = self.leg
-        return float(leg["rest_rad"] - leg["foot_kg"] * G_MPS2 * leg["com_x"] / leg["stiff"])
+        left = 1.792 - float(leg["foot_kg"] * G_MPS2 * leg["com_x"] / leg["stiff"])
+        a_deg = (2.1016 - 0.0176 * np.degrees(knee_rad) - math.log(max(left, 0.1))) / 0.0843
+        out: FloatArray = -np.radians(a_deg) - float(leg["short_rad"])
+        return out
 
     def _curves_now(self) -> tuple[FloatArray, FloatArray, FloatArray]:
         return self._curves.thigh, self._curves.knee, self._curves.ankle

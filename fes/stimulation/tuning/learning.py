@@ -4,62 +4,68 @@
 so only what the last swing reached is updated (variable pass length); inside the reference band the error is 0. It
 converges if ``|Q (1 - L G)| < 1``: with ``L = gain / slope`` and Q an average over neighbours (no greater than 1 at any
 frequency), for a true slope G from 0 to ``2 / gain`` times the estimated one. After Seel, Werner, Raisch & Schauer,
-*Control Engineering Practice* 48 (2016), with a profile of widths and a band instead of a reference curve.
+*Control Engineering Practice* 48 (2016), with a profile of widths and bands instead of a reference curve: until the end
+of mid-swing the error is the clearance's, from there to contact the pitch's. So the part of the burst that holds the
+toe up to meet the ground, the calf being stretched by then, can be stronger than the part that carries it over.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import fmean
 from typing import Final
 
 from fes.stimulation.parameters import BIN_S
-from fes.stimulation.tuning.targets import LevelTrack, interpolate
+from fes.stimulation.tuning.targets import SwingTimes
 
 DELAY_S: Final = 0.15  # electromechanical delay 20–50 ms, rise of the activation 50 ms, and the foot's own inertia
 SIDE: Final = 0.15  # weight of each neighbour in Q
 MOST_AT_ONCE: Final = 1.0  # of the band: one bad moment must not move the profile further
 
 
-def bin_errors(
-    track: LevelTrack, burst_s: float, bins: int, aim: float, overall: float
-) -> tuple[list[float], list[bool]]:
-    """Error that each bin of the profile is answerable for, and whether the swing reached the bin at all.
+@dataclass(frozen=True, slots=True)
+class Zones:
+    """Bins ``0 … middle`` carry the foot through mid-swing, ``middle … reached`` hold it until contact."""
 
-    Args:
-        track: levels over the swing.
-        burst_s: when the burst began, since entry into pre-swing.
-        bins: how many.
-        aim: where in the band the strides should lie.
-        overall: the error of the stride as a whole (run-to-run's); negative ones lower the profile evenly.
+    middle: int
+    reached: int
 
-    A level below the band is missing where it was measured, ``DELAY_S`` after the pulses; pulses before mid-swing are
-    answerable for its beginning, those after the last measured moment for none.
-    """
-    errors, reached = [0.0] * bins, [False] * bins
-    for k in range(bins):
-        centre_s = burst_s + (k + 0.5) * BIN_S
-        if centre_s > track.end_s:
-            break
-        reached[k] = True
-        seen_s = centre_s + DELAY_S
-        level = interpolate(seen_s, track.t_s, track.level)
-        short = aim - level if level < 0.0 else 0.0
-        errors[k] = min(max(short, overall), MOST_AT_ONCE) if overall > 0.0 else max(overall, -MOST_AT_ONCE)
-        if overall <= 0.0 and short > 0.0:
-            errors[k] = 0.0  # too much on the whole, but not here
-    return errors, reached
+    def means(self, widths: Sequence[float]) -> tuple[float, float]:
+        """Mean width of each, the other's where one has no bins."""
+        first, last = widths[: self.middle], widths[self.middle : self.reached]
+        return fmean(first or last or widths), fmean(last or first or widths)
+
+
+def zones_of(times: SwingTimes, burst_s: float, bins: int) -> Zones:
+    """Which bins the stride's mid-swing and its end are answerable to; ``burst_s`` is the burst's begin."""
+    reached = min(max(int((times.contact_s - burst_s) / BIN_S + 0.5), 0), bins)
+    middle = int((times.middle_s - DELAY_S - burst_s) / BIN_S + 0.5)
+    return Zones(min(max(middle, 0), reached), reached)
 
 
 def next_profile(
-    widths: Sequence[float], errors: Sequence[float], reached: Sequence[bool], base: float, gain: float, slope: float
-) -> list[float]:
+    widths: Sequence[float], zones: Zones, errors: tuple[float, float], slopes: tuple[float, float],
+    base: float, gain: float,
+) -> list[float]:  # fmt: skip
     """The next stride's profile in µs, before any limit or bound.
 
-    ``base`` is the width that counts as drive 1, ``gain / slope`` the learning gain L. The smoothing Q works on the
-    bins reached; beyond them the profile goes on with the width of the last, which the next, longer swing will judge.
+    Args:
+        widths: the last stride's.
+        zones: of the last stride.
+        errors: of each zone, in bands.
+        slopes: of each zone, in bands per drive.
+        base: the width that counts as drive 1; ``gain / slope`` is the learning gain L.
+        gain: share of the error to take away at once.
+
+    The smoothing Q works on the bins reached; beyond them the profile goes on with the width of the last, which the
+    next, longer swing will judge.
     """
-    raised = [width + base * gain / slope * error for width, error in zip(widths, errors, strict=True)]
-    n = sum(reached)
+    n = zones.reached
+    raised = list(widths)
+    for k in range(n):
+        zone = 0 if k < zones.middle else 1
+        raised[k] += base * gain / slopes[zone] * min(max(errors[zone], -MOST_AT_ONCE), MOST_AT_ONCE)
     smooth = list(widths)
     for k in range(n):
         before, after = raised[max(k - 1, 0)], raised[min(k + 1, n - 1)]

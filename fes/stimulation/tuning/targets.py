@@ -11,10 +11,11 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from fes.config import Band, FootGeometry, Tuning
+from fes.config import Band, Tuning
 from fes.signals import StrideResult
 
-MID_SWING = (0.25, 0.80)  # of the swing: where the toe passes low, as the stride's own toe clearance has it
+PITCH = "foot pitch at contact"
+MID_SWING_END = 0.80  # of the swing: until there the toe passes low, as the stride's own toe clearance has it
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +27,11 @@ class Measure:
     band: Band
     scale: float
     unit: str
+
+    @property
+    def at_contact(self) -> bool:
+        """Whether it is measured at initial contact rather than in mid-swing."""
+        return self.name == PITCH
 
     @property
     def level(self) -> float:
@@ -71,32 +77,12 @@ def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
     if pitch is not None:
         angle = pitch_at_contact_rad(stride)
         if math.isfinite(angle):
-            measures.append(Measure("foot pitch at contact", math.degrees(angle), pitch, 1.0, "°"))
+            measures.append(Measure(PITCH, math.degrees(angle), pitch, 1.0, "°"))
         else:
             missing.append("initial contact was not seen")
     if not measures:
         return "; ".join(missing)
     return Reading(tuple(sorted(measures, key=lambda measure: measure.level)), stand_in)
-
-
-def reason(reading: Reading, usual: float, error: float, other_way: bool) -> str:
-    """Why the intensity changes, in words.
-
-    Args:
-        reading: of the newest stride.
-        usual: level of the last strides on the whole.
-        error: > 0 when more is to be given, < 0 when less.
-        other_way: the foot answers the other way round.
-    """
-    where = "below" if usual < 0.0 else "above" if usual > 1.0 else "within"
-    if other_way:
-        why = f"the other way made it worse, so {'less' if error < 0.0 else 'more'} is tried"
-    elif error < 0.0:
-        why = "less will do"
-    else:
-        why = "more is needed" if usual < 0.0 else "a little more keeps them there safely"
-    said = f"{reading.measures[0].text()} in this stride, the last ones lie {where} the target, {why}"
-    return f"{said} ({reading.stand_in})" if reading.stand_in else said
 
 
 def pitch_at_contact_rad(stride: StrideResult) -> float:
@@ -117,55 +103,21 @@ def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class LevelTrack:
-    """The level over the swing: ``t_s`` (M,) since entry into pre-swing, ``level`` (M,); until contact at ``end_s``."""
+class SwingTimes:
+    """When mid-swing ended and when contact was, s since entry into pre-swing."""
 
-    t_s: tuple[float, ...]
-    level: tuple[float, ...]
-    end_s: float
+    middle_s: float
+    contact_s: float
 
 
-def level_track(stride: StrideResult, reading: Reading, geometry: FootGeometry | None) -> LevelTrack | None:
-    """The reading's levels over the swing, None where the stride did not pass its phases or has no track.
-
-    Mid-swing follows the toe's height where the session gives the geometry, ``z + f sin p + u (cos p - 1)`` with the
-    toe ``f`` forward and ``u`` up of the sensor, else the stride's one clearance. From there to contact it is the
-    pitch's, where that has a target, else the clearance's. A track can only be lower than the stride's own reading
-    where the toe is (it is its minimum), so it is lifted to agree with it.
-    """
+def swing_times(stride: StrideResult) -> SwingTimes | None:
+    """Of a stride that passed its phases, else None."""
     begin_ns, swing_ns = stride.t_pre_swing_ns, stride.t_swing_ns
     contact_ns = stride.t_loading_response_ns or stride.t_stance_ns
     if begin_ns is None or swing_ns is None or contact_ns is None or not begin_ns <= swing_ns < contact_ns:
         return None
-    if len(stride.pitch_rad) < 2 or len(stride.trajectory_m) != len(stride.pitch_rad):
-        return None
-    by_name = {measure.name: measure for measure in reading.measures}
-    pitch = by_name.get("foot pitch at contact")
-    clearance = by_name.get("toe clearance") or by_name.get("sensor lift") or reading.measures[0]
-    toe = by_name.get("toe clearance")
-    swing_ns_long = contact_ns - swing_ns
-    shares = [(t_ns, (t_ns - swing_ns) / swing_ns_long) for t_ns in _times_ns(stride)]
-    rows = [(k, t_ns, share) for k, (t_ns, share) in enumerate(shares) if MID_SWING[0] <= share <= 1.0]
-    if not rows:
-        return None
-    heights = [_toe_height_m(stride, k, geometry) for k, _, _ in rows] if toe is not None and geometry else []
-    lowest_m = min((h for h, row in zip(heights, rows, strict=False) if row[2] < MID_SWING[1]), default=0.0)
-    levels = []
-    for n, (_, _, share) in enumerate(rows):
-        if share >= MID_SWING[1]:  # towards contact the toe rises by itself
-            levels.append((pitch or clearance).level)
-        elif toe is not None and heights:
-            levels.append((toe.value + heights[n] - lowest_m - toe.band.low) / (toe.band.high - toe.band.low))
-        else:
-            levels.append(clearance.level)
-    since_s = tuple(1e-9 * (t_ns - begin_ns) for _, t_ns, _ in rows)
-    return LevelTrack(since_s, tuple(levels), 1e-9 * (contact_ns - begin_ns))
-
-
-def _toe_height_m(stride: StrideResult, k: int, geometry: FootGeometry) -> float:
-    pitch = float(stride.pitch_rad[k])
-    arm = geometry.toe_forward_m * math.sin(pitch) + geometry.toe_up_m * (math.cos(pitch) - 1.0)
-    return float(stride.trajectory_m[k, 2]) + arm
+    middle_ns = swing_ns + MID_SWING_END * (contact_ns - swing_ns)
+    return SwingTimes(1e-9 * (middle_ns - begin_ns), 1e-9 * (contact_ns - begin_ns))
 
 
 def _times_ns(stride: StrideResult) -> list[float]:

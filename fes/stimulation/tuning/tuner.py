@@ -8,17 +8,17 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from fes.config import Channel, FootGeometry, Tuning
+from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.guardrails import Trial, got_worse, limited, outside
-from fes.stimulation.tuning.learning import bin_errors, next_profile
+from fes.stimulation.tuning.demand import Demand, Responses, leading, reason
+from fes.stimulation.tuning.guardrails import Watch, limited, outside
+from fes.stimulation.tuning.learning import Zones, next_profile, zones_of
 from fes.stimulation.tuning.reports import Kind, TuningReport, difference
 from fes.stimulation.tuning.response import Response
-from fes.stimulation.tuning.run_to_run import aim_of, drive_error, next_drive
 from fes.stimulation.tuning.skipping import StrideFilter, jolted
 from fes.stimulation.tuning.speed_timing import SpeedTiming
-from fes.stimulation.tuning.targets import Reading, level_track, read_stride, reason
+from fes.stimulation.tuning.targets import Reading, read_stride, swing_times
 
 HOLD_STRIDES: Final = 4  # after a roll-back, before the next attempt
 MOST_ROLL_BACKS: Final = 3
@@ -35,13 +35,10 @@ class Tuner:
 
     Args:
         channel: with its ``tuning``, which must not be None.
-        geometry: of its foot, where the session gives it.
         min_stride_length_m: shorter strides are no walking.
     """
 
-    def __init__(
-        self, channel: Channel, geometry: FootGeometry | None = None, min_stride_length_m: float = 0.15
-    ) -> None:
+    def __init__(self, channel: Channel, min_stride_length_m: float = 0.15) -> None:
         self.channel = channel
         self.tuning = channel.tuning or Tuning()
         self.start = BurstParameters.of(channel)
@@ -49,15 +46,14 @@ class Tuner:
         self.pending: BurstParameters | None = None
         self.frozen = ""
         self.response = Response()
-        self._geometry = geometry
+        self._responses = Responses()
         self._filter = StrideFilter(self.tuning, min_stride_length_m)
         self._timing = SpeedTiming()
-        self._trial: Trial | None = None
+        self._watch = Watch()
         self._returning: BurstParameters | None = None
         self._hold = 0
         self._settle = 0
         self._roll_backs = 0
-        self._other_way = False
         self._unreached = 0
         self._odd = 0.0
         self._jolts = 0
@@ -70,7 +66,8 @@ class Tuner:
 
     def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
         """Nothing changes any more until :meth:`resume`."""
-        self.frozen, self.pending, self._returning, self._trial = why, None, None, None
+        self.frozen, self.pending, self._returning = why, None, None
+        self._watch.forget()
         return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
 
     def resume(self, t_ns: int) -> TuningReport:
@@ -119,15 +116,19 @@ class Tuner:
         if self._unlike_the_others(reading.level, drive):
             text = f"stride {stride.number} skipped: {reading.measures[0].text()} is unlike the strides before"
             return self._report(t_ns, "skip", text)
+        zones = self._zones(stride)
+        drives = self._drives(reading, zones, intensity)
         self.response.add(drive, reading.level)
+        self._responses.add(reading, drives)
         self._timing.add(stride)
-        if self._trial is not None:
-            self._trial = replace(self._trial, strides=self._trial.strides + 1)
+        harmful = self._watch.stride(drive, self.response)
         if self._returning is not None and (report := self._still_returning(t_ns)):
             return report
         if self.frozen:
             return None
-        return self._roll_back_if_worse(t_ns, drive, reading) or self._tune(t_ns, stride, reading, drive, intensity)
+        if harmful is not None and self.tuning.mode == "act":
+            return self._roll_back_to(t_ns, harmful, reading)
+        return self._tune(t_ns, reading, self._responses.demands(reading, drives), drive, zones, intensity)
 
     @property
     def drive(self) -> float:
@@ -141,6 +142,7 @@ class Tuner:
             after = limited(self.parameters, self._lessened(self.parameters, -1.0), self.tuning)
             if said := difference(self.parameters, after):
                 self.response.forget()
+                self._responses.forget()
                 text = f"stride {stride.number}: {why}; stimulation may jerk the foot up, less is tried: {said}"
                 return self._propose(t_ns, after, text, drive, 0.0)
         return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
@@ -154,14 +156,9 @@ class Tuner:
         self._odd = odd
         return odd != 0.0 and odd * before <= 0.0
 
-    def _roll_back_if_worse(self, t_ns: int, drive: float, reading: Reading) -> TuningReport | None:
-        if self._trial is None or self.tuning.mode != "act" or not got_worse(self._trial, drive, self.response):
-            return None
-        trial, self._trial = self._trial, None
+    def _roll_back_to(self, t_ns: int, parameters: BurstParameters, reading: Reading) -> TuningReport:
         before = self.parameters
-        # too little although more made it worse: next time less is tried, and the other way round
-        self._other_way = not self._other_way and (drive > trial.drive) == (trial.level < 0.5)
-        self._returning, self._hold = trial.parameters, HOLD_STRIDES
+        self._returning, self._hold = parameters, HOLD_STRIDES
         self._roll_backs += 1
         now = reading.measures[0]
         text = f"{now.text()} has got worse with the last changes"
@@ -187,50 +184,69 @@ class Tuner:
         return self._report(t_ns, "roll_back", f"still going back: {said}", before) if said else None
 
     def _tune(
-        self, t_ns: int, stride: StrideResult, reading: Reading, drive: float, intensity: float
-    ) -> TuningReport | None:
+        self, t_ns: int, reading: Reading, demands: tuple[Demand, ...], drive: float, zones: Zones | None,
+        intensity: float,
+    ) -> TuningReport | None:  # fmt: skip
         before = self.parameters
-        self._hold = max(self._hold - 1, 0)
-        error = 0.0 if self._hold else drive_error(self.response, drive)
-        if self._other_way and outside(self.response.level_at(drive)) == 0.0:
+        if self._hold:
+            self._hold -= 1
+            if not self._hold:
+                self._watch.returned(self.response)
+        other_way = self._watch.other_way
+        worst = demands[0] if self.tuning.method == "run_to_run" or other_way else leading(demands)
+        error = 0.0 if self._hold else worst.error
+        if other_way and outside(self.response.level_at(drive)) == 0.0:
             error = 0.0  # this foot answers the other way round: inside the band nothing is to be gained
         if self._settle and abs(error) < NEAR_AIM and outside(reading.level) == 0.0:
             error = 0.0
         self._settle = max(self._settle - 1, 0)
         wanted = self._timed(before)
-        if error and self._other_way:
+        if error and other_way:
             error = -error
             wanted = self._lessened(wanted, error)
-        elif error:
-            wanted = self._driven(wanted, stride, reading, error, drive, intensity)
+        elif error and self.tuning.method == "run_to_run":
+            wanted_ma = (drive + self.tuning.gain * worst.step) / intensity * self.start.current_ma
+            wanted = replace(wanted, current_ma=wanted_ma)
+        elif error and zones is not None:
+            wanted = self._reshaped(wanted, demands, zones, intensity)
         after = limited(before, wanted, self.tuning)
         if said := difference(before, after):
-            return self._propose(t_ns, after, f"{self._why(reading, drive, error)}: {said}", drive, error)
+            why = self._timing.reason()
+            if error:
+                why = reason(replace(worst, error=error), other_way=other_way, stand_in=reading.stand_in)
+            return self._propose(t_ns, after, f"{why}: {said}", drive, error)
         self.pending = None
         return self._hint_if_unreached(t_ns, reading)
 
-    def _driven(
-        self,
-        base: BurstParameters,
-        stride: StrideResult,
-        reading: Reading,
-        error: float,
-        drive: float,
-        intensity: float,
-    ) -> BurstParameters:
-        gain, slope = self.tuning.gain, self.response.slope
-        if self.tuning.method == "run_to_run":
-            wanted = next_drive(self.response, drive, gain) / intensity
-            return replace(base, current_ma=wanted * self.start.current_ma)
-        track = level_track(stride, reading, self._geometry)
-        if track is None:
-            return base
-        burst_s = base.start_delay_s
+    def _zones(self, stride: StrideResult) -> Zones | None:
+        """Which part of the profile this stride's mid-swing and its end were answerable to; None for one drive."""
+        times = swing_times(stride) if self.tuning.method == "learning" else None
+        if times is None:
+            return None
+        burst_s = self.parameters.start_delay_s
         if self.channel.start_phase == "swing" and stride.t_pre_swing_ns is not None and stride.t_swing_ns is not None:
             burst_s += 1e-9 * (stride.t_swing_ns - stride.t_pre_swing_ns)
-        errors, reached = bin_errors(track, burst_s, len(base.widths_us), aim_of(self.response), error)
+        return zones_of(times, burst_s, len(self.parameters.widths_us))
+
+    def _drives(self, reading: Reading, zones: Zones | None, intensity: float) -> dict[str, float]:
+        """The drive that each measure has seen: the pitch at contact the late part's, the others the first's."""
+        whole = self.drive * intensity
+        if zones is None:
+            return {measure.name: whole for measure in reading.measures}
+        mean_us = self.parameters.mean_width_us
+        first, last = (whole * width / mean_us for width in zones.means(self.parameters.widths_us))
+        return {measure.name: last if measure.at_contact else first for measure in reading.measures}
+
+    def _reshaped(
+        self, base: BurstParameters, demands: tuple[Demand, ...], zones: Zones, intensity: float
+    ) -> BurstParameters:
+        late = next((demand for demand in demands if demand.measure.at_contact), demands[0])
+        middle = next((demand for demand in demands if not demand.measure.at_contact), demands[0])
         width_us = self.channel.pulse_width_us / intensity
-        return replace(base, widths_us=tuple(next_profile(base.widths_us, errors, reached, width_us, gain, slope)))
+        profile = next_profile(
+            base.widths_us, zones, (middle.error, late.error), (middle.slope, late.slope), width_us, self.tuning.gain
+        )
+        return replace(base, widths_us=tuple(profile))
 
     def _lessened(self, base: BurstParameters, error: float) -> BurstParameters:
         """All that one stride allows, away from where the last trial went."""
@@ -249,11 +265,6 @@ class Tuner:
             base = replace(base, extension_s=extension_s)
         return base
 
-    def _why(self, reading: Reading, drive: float, error: float) -> str:
-        return (
-            reason(reading, self.response.level_at(drive), error, self._other_way) if error else self._timing.reason()
-        )
-
     def _propose(self, t_ns: int, after: BurstParameters, text: str, drive: float, error: float) -> TuningReport | None:
         before = self.parameters
         if self.tuning.mode == "suggest":
@@ -262,16 +273,10 @@ class Tuner:
             self.pending = after
             return TuningReport(t_ns, self.channel.number, "suggestion", f"suggested: {text}", before, after)
         if error:
-            self._begin_trial(before, drive, error)
+            self._watch.changed(before, drive, error, self.response)
             self._settle = 1
         self.parameters = after
         return self._report(t_ns, "change", text, before)
-
-    def _begin_trial(self, before: BurstParameters, drive: float, error: float) -> None:
-        """Changes in one direction are one trial; the first in the other direction begins a new one."""
-        trial = self._trial
-        if trial is None or (drive - trial.drive) * error < 0.0:
-            self._trial = Trial(before, drive, self.response.level_at(drive))
 
     def _hint_if_unreached(self, t_ns: int, reading: Reading) -> TuningReport | None:
         self._unreached = self._unreached + 1 if reading.level < 0.0 else 0

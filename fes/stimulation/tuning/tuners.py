@@ -27,12 +27,11 @@ class Tuners:
 
     def __init__(self, session: Session) -> None:
         self.ledger = DoseLedger(channel.number for channel in session.channels)
-        geometry = {str(foot): value for foot, value in session.geometry.items()}
         self.said: dict[tuple[int, str], TuningReport] = {}  # the newest of each kind, by channel and kind
         self._start = {channel.number: BurstParameters.of(channel) for channel in session.channels}
         self._foot_of = {channel.number: str(channel.foot) for channel in session.channels}
         self.tuners = {
-            channel.number: Tuner(channel, geometry.get(channel.foot), session.stimulation.min_stride_length_m)
+            channel.number: Tuner(channel, session.stimulation.min_stride_length_m)
             for channel in session.channels
             if channel.tuning is not None and channel.tuning.mode != "off"
         }

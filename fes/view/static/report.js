@@ -52,6 +52,22 @@
     ctx.restore();
   };
 
+  // Along the top edge: solid where the sensor was at its limit, hollow where samples are missing.
+  const marks = (foot) => (u) => {
+    const { min, max } = u.scales.x;
+    const ctx = u.ctx, tall = 7 * devicePixelRatio;
+    ctx.save();
+    ctx.fillStyle = ctx.strokeStyle = "#000";
+    for (const one of foot.wrong) {
+      if (one.end_s < min || one.start_s > max) continue;
+      const from = u.valToPos(Math.max(one.start_s, min), "x", true);
+      const wide = Math.max(u.valToPos(Math.min(one.end_s, max), "x", true) - from, 3);
+      if (one.kind === "clipped") ctx.fillRect(from, u.bbox.top, wide, tall);
+      else ctx.strokeRect(from, u.bbox.top + tall + 2, wide, tall);
+    }
+    ctx.restore();
+  };
+
   const phaseAt = (foot, t) => {
     let low = 0, high = foot.phase.length - 1;
     while (low < high) {
@@ -93,7 +109,7 @@
       ],
       hooks: {
         drawClear: foot ? [bands(foot)] : [],
-        draw: [done],
+        draw: foot ? [marks(foot), done] : [done],
         setSelect: [(u) => {
           if (u.select.width > 4) {
             show(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
@@ -219,7 +235,7 @@
       show(start, start + wide);
     });
     document.addEventListener("keydown", (event) => {
-      if (event.target.matches("input, summary, [tabindex]") || event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.target.matches("input, summary, [tabindex], a") || event.ctrlKey || event.metaKey || event.altKey) return;
       const act = { ArrowLeft: "back", ArrowRight: "on", "+": "in", "-": "out" }[event.key];
       if (act) { event.preventDefault(); acts[act](); }
     });

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from drivers.virtual.can_node_spawn import NodeFailed
 from drivers.virtual.process_handle import ProcessHandle
-from drivers.virtual.spawn import NodeFailed
 
 DeviceKind = Literal["sciencemode4", "sciencemode2"]
 

@@ -1,0 +1,119 @@
+"""The cohort of ``benchmarks/tuning.py``: who takes part, and what a clinic would set for them once.
+
+Taking part needs a drop foot: without stimulation at least half the strides clear the ground by less than the band's
+low end. Who does not have one is passed over, as in a trial, and the seed's next draw is looked at.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from random import Random
+from statistics import median
+from typing import Any
+
+from closed_loop_walk import calibration_of, walk
+
+from fes.config import Channel, FootGeometry, Session
+from fes.estimation.calibration import CalibrationError, FootCalibration
+from fes.patient.virtual import MuscleSettings, PatientSettings, VirtualPatient, VirtualStride
+from fes.signals import NS_PER_S
+
+BAND_MM = (10.0, 40.0)  # of the true least toe clearance in mid-swing
+PITCH_DEG = (4.0, 25.0)  # at contact: the heel comes first
+SCREENED_S = 30.0
+TITRATED_MA = tuple(float(ma) for ma in range(12, 42, 2))
+TITRATION_STRIDES, JUDGED_STRIDES = 12, 6
+RESERVE = 1.2  # what a therapist adds for tiring and for the electrodes of another day
+MOST_MA, WIDTH_US = 40.0, 300.0
+
+
+def drawn(seed: int, attempt: int) -> PatientSettings:
+    """A person of the cohort's ranges: severity, speed 0.3–1.4 m/s, variation, fatigue, electrodes, muscle."""
+    r = Random(f"{seed}/{attempt}")
+    threshold = r.uniform(2.5, 5.0)
+    muscle = MuscleSettings(
+        threshold_uc=threshold,
+        saturation_uc=threshold + r.uniform(5.0, 8.0),
+        max_torque_nm=r.uniform(9.0, 15.0),
+        fatigue_s=r.choice((float("inf"), 600.0, 250.0, 120.0)),
+    )
+    return PatientSettings(
+        seed=1000 * attempt + seed,
+        sensors=("right_foot",),
+        speed_mps=round(r.uniform(0.3, 1.4), 2),
+        voluntary_dorsiflexion=r.choice((0.0, 0.0, 0.1, 0.3)),
+        spasticity=r.uniform(0.0, 0.8),
+        compensation=r.uniform(0.2, 0.9),
+        variability=r.uniform(1.0, 1.8),
+        electrode_quality=r.uniform(0.6, 1.0),
+        muscle=muscle,
+    )
+
+
+def has_a_drop_foot(settings: PatientSettings) -> bool:
+    """Whether at least half the strides without stimulation clear the ground by less than the band's low end."""
+    alone = VirtualPatient(settings)
+    alone.advance(round(SCREENED_S * NS_PER_S))
+    strides = [one for one in alone.strides if one.foot == settings.affected_foot and one.walking][3:]
+    return median(one.toe_clearance_m for one in strides) < 1e-3 * BAND_MM[0]
+
+
+def patient(seed: int) -> tuple[PatientSettings, FootCalibration, int]:
+    """The cohort's patient of this seed, the sensor's calibration, and how many draws were passed over."""
+    for attempt in range(100):
+        settings = drawn(seed, attempt)
+        if has_a_drop_foot(settings):
+            try:
+                return settings, calibration_of(settings), attempt
+            except CalibrationError as error:
+                print(f"{seed}: draw {attempt} not calibrated: {error}", flush=True)
+    raise ValueError(f"seed {seed}: no drop foot in 100 draws")
+
+
+def channel_of(
+    current_ma: float, width_us: float = WIDTH_US, *, extension_s: float = 0.06, tuning: dict[str, Any] | None = None
+) -> Channel:
+    """The one channel, 40 Hz, with limits that a session of this kind has."""
+    settings: dict[str, Any] = {
+        "name": "Tibialis anterior, right", "number": 0, "foot": "right_foot", "electrode_area_cm2": 25.0,
+        "current_ma": current_ma, "pulse_width_us": width_us, "frequency_hz": 40.0, "extension_s": extension_s,
+        "limits": {
+            "max_current_ma": MOST_MA, "max_pulse_width_us": 400.0, "max_frequency_hz": 50.0,
+            "max_charge_per_phase_uc": 12.0, "max_charge_per_minute_mc": 40.0, "max_current_density_ma_per_cm2": 0.5,
+            "max_rise_ma_per_s": 400.0, "max_on_s": 3.0, "min_off_s": 0.1,
+        },
+    }  # fmt: skip
+    if tuning is not None:
+        settings["tuning"] = tuning
+    return Channel(**settings)
+
+
+def session_with(geometry: FootGeometry, *channels: Channel) -> Session:
+    """A session of the right foot."""
+    return Session(name="virtual", channels=channels, geometry={"right_foot": geometry})
+
+
+def walks_well(strides: list[VirtualStride]) -> bool:
+    """What a therapist can see: the toe passes clear of the ground and the heel comes first, but for one stride."""
+    good = [
+        1e3 * one.toe_clearance_m >= BAND_MM[0] and one.pitch_at_contact_rad * 57.3 >= PITCH_DEG[0] for one in strides
+    ]
+    return sum(good) >= len(good) - 1
+
+
+def clinic_ma(settings: PatientSettings, geometry: FootGeometry, calibration: FootCalibration) -> float:
+    """The current set once: the least with which this patient walks well, fresh and with well-placed electrodes, and a
+    reserve. Found by halving, in steps of 2 mA; the greatest where none does.
+    """
+    fresh = replace(settings, electrode_quality=1.0)
+    low, high = 0, len(TITRATED_MA)
+    while low < high:
+        middle = (low + high) // 2
+        session = session_with(geometry, channel_of(TITRATED_MA[middle]))
+        done = walk(fresh, session, calibration, 60.0, TITRATION_STRIDES)
+        if walks_well(done.strides[-JUDGED_STRIDES:]):
+            high = middle
+        else:
+            low = middle + 1
+    least = TITRATED_MA[low] if low < len(TITRATED_MA) else MOST_MA
+    return min(round(2.0 * RESERVE * least) / 2.0, MOST_MA)

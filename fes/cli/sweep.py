@@ -1,0 +1,196 @@
+"""``fes sweep``: many combinations of settings, tried on recordings or on virtual patients, by many processes."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fes.cli.cohort import ProgressBar, absolute
+from fes.cli.exits import FAILED, INTERRUPTED, Problem
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from fes.cohort.engine import Task
+    from fes.cohort.store import Store
+    from fes.cohort.sweep_grid import Point
+    from fes.cohort.sweep_one import Bench, Case
+    from fes.cohort.sweep_table import Combination, Measure
+
+LISTED = 10
+PAGE, TABLE = "index.html", "combinations.parquet"
+
+
+def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    if asked:
+        from fes.cohort.sweep_grid import names
+
+        click.echo("\n".join(names()))
+        context.exit()
+
+
+@click.command(name="sweep")
+@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("recordings", nargs=-1)
+@click.option("--set", "asked", multiple=True, metavar="NAME=VALUES", help="A setting and its values; repeat it.")
+@click.option("--sample", type=click.IntRange(1), help="Try so many combinations by chance instead of all.")
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the sample and the patients.")
+@click.option("--patients", type=click.IntRange(1, 10_000), help="Try on so many virtual patients, in closed loop.")
+@click.option(
+    "--seconds", type=click.FloatRange(20, 3600), default=90.0, show_default=True, help="A virtual patient walks for."
+)
+@click.option("--out", default="out/sweep", show_default=True, help="A folder or address for the results.")
+@click.option("--scheduler", default="", help="Address of a Dask scheduler. Default: processes of this machine.")
+@click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
+@click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
+@click.option("--no-report", is_flag=True, help="Write no HTML page.")
+@click.option(
+    "--names", is_flag=True, is_eager=True, expose_value=False, callback=_list_names, help="List what can be swept."
+)
+def command(
+    session: Path,
+    recordings: tuple[str, ...],
+    asked: tuple[str, ...],
+    sample: int | None,
+    seed: int,
+    patients: int | None,
+    seconds: float,
+    out: str,
+    scheduler: str,
+    workers: int | None,
+    retry_failed: bool,
+    no_report: bool,
+) -> None:
+    """Try combinations of settings of SESSION on RECORDINGS, or with --patients on virtual ones.
+
+    NAME is a setting of the session file (phases.swing_begins, stimulation.strides_before_start, channels.tuning.gain;
+    channels.0.… for one channel) or a guard's threshold (thresholds.rest_gyr_radps). VALUES are separated by commas;
+    LOW:HIGH:COUNT is COUNT values from LOW to HIGH, and x1.2, for thresholds, is 1.2 times what calibration gives.
+
+    A recording with its truth beside it is judged by missed, extra and mistimed transitions, one without by its
+    strides, a virtual patient by toe clearance, stumbles and charge. The session as it is comes along for comparison.
+
+    Run the same command again after a crash or Ctrl-C, or with more values: what is finished is not done again. A
+    combination that fails does not stop the others; it is listed with its reason, and the exit code is then 1.
+    """
+    from fes.cohort.engine import cluster, run_tasks, workers_here
+    from fes.cohort.one import DONE
+    from fes.cohort.sources import CohortError, find
+    from fes.cohort.sweep_grid import axis, points
+    from fes.cohort.sweep_one import Bench, Patient
+    from fes.cohort.sweep_table import RESULTS, combinations, measures_of, store_at
+    from fes.config import ConfigError, load_session
+
+    if bool(recordings) == bool(patients):
+        raise Problem("Give RECORDINGS to try on, or --patients N; one of the two.")
+    if not asked:
+        raise Problem("Nothing to sweep. Give --set NAME=VALUE,VALUE; `fes sweep --names` lists the names.")
+    try:
+        axes = [axis(each) for each in asked]
+        tried = points(axes, sample, seed)
+        bench = Bench(load_session(session), str(session), seconds if patients else 0.0)
+        cases: list[Case] = [Patient(number, seed) for number in range(patients or 0)]
+        cases += find([absolute(pattern) for pattern in recordings]) if recordings else []
+        store = store_at(absolute(out))
+        store.prepare({"command": "fes sweep", "session": str(session), "set": list(asked), "seed": seed})
+        tasks = {task.key: task for task in _tasks(cases, tried, bench, store)}
+        finished = store.finished() & tasks.keys()
+        if retry_failed:
+            rows = store.table(RESULTS, finished).to_pylist()
+            again = {row["result"] for row in rows if row["status"] != DONE}
+            store.forget(again)
+            finished -= again
+        todo = [task for key, task in tasks.items() if key not in finished]
+        if finished:
+            click.echo(f"{len(finished)} of {len(tasks)} are finished already.", err=True)
+        if todo:
+            number = min(workers or workers_here(), len(todo))
+            with cluster(number, scheduler) as client, ProgressBar(len(todo), "trying") as bar:
+                run_tasks(client, todo, store.url, bar.tell)
+        rows = store.table(RESULTS, tasks).to_pylist()
+        measures = measures_of(rows)
+        found = combinations(rows, measures)
+        _write(store, found, measures)
+        if not no_report:
+            from fes.cohort.sweep_report import sweep_page
+
+            store.write_text(PAGE, sweep_page(axes, found, measures, [case.url for case in cases], bench.session.name))
+            click.echo(f"Report     {store.place(PAGE)}")
+    except (CohortError, ConfigError) as error:
+        raise Problem(str(error)) from error
+    except KeyboardInterrupt:
+        click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
+        raise SystemExit(INTERRUPTED) from None
+    click.echo(f"Table      {store.place(TABLE)}")
+    _tell(found, measures)
+    failed = sum(one.failed for one in found)
+    if failed:
+        for one in [one for one in found if one.failed][:LISTED]:
+            click.secho(f"Failed: {_words(one)}: {'; '.join(one.reasons)}", fg="red", err=True)
+        click.secho(f"{failed} of {len(rows)} trials failed.", fg="red", err=True)
+        raise SystemExit(FAILED)
+
+
+def _tasks(cases: Sequence[Case], tried: Sequence[Point], bench: Bench, store: Store) -> list[Task]:
+    """Every combination on every case; those of one case follow each other, which a worker reads once."""
+    from fes.cohort.engine import Task
+    from fes.cohort.one import FAILED as NOT_DONE
+    from fes.cohort.sweep_one import case_identity, keep, try_one
+
+    def lost(case: Case, point: Point, why: str) -> Any:
+        return keep(case, bench, point, store, NOT_DONE, why, {})
+
+    return [
+        Task(
+            bench.identity(case_identity(case), point),
+            try_one,
+            (case, bench, point, store),
+            partial(lost, case, point),
+        )
+        for case in cases
+        for point in tried
+    ]
+
+
+def _write(store: Store, found: Sequence[Combination], measures: Sequence[Measure]) -> None:
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    from fes.cohort.sweep_table import table_of
+
+    sink = pa.BufferOutputStream()
+    parquet.write_table(table_of(found, measures), sink)
+    store.write_bytes(TABLE, sink.getvalue().to_pybytes())
+
+
+def _tell(found: Sequence[Combination], measures: Sequence[Measure]) -> None:
+    """The best, and the session as it is, on the terminal."""
+    import sys
+
+    from rich.console import Console
+    from rich.table import Table
+
+    from fes.cli.show import PIPED_COLUMNS
+    from fes.cohort.sweep_report import figure_words
+
+    judged = [measure for measure in measures if measure.best] or list(measures[:3])
+    table = Table(title=f"Best of {len(found)} combinations", title_justify="left")
+    table.add_column("settings", no_wrap=True)
+    for measure in judged:
+        table.add_column(f"{measure.title}{f', {measure.unit}' if measure.unit else ''}", justify="right")
+    listed = [one for at, one in enumerate(found) if not one.failed and (at < LISTED or not one.settings)]
+    for one in listed:
+        table.add_row(
+            _words(one).replace(", ", "\n"), *(figure_words(measure, one.figures[measure.name]) for measure in judged)
+        )
+    if listed:
+        Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS).print(table)
+
+
+def _words(one: Combination) -> str:
+    from fes.cohort.sweep_report import setting_words
+
+    return setting_words(one.settings)

@@ -1,0 +1,245 @@
+"""What a sweep tries: settings by name with their values, the grid or a sample of it, a session changed by one point.
+
+Names are those of the session file, with dots: ``phases.swing_begins``, ``stimulation.strides_before_start``,
+``channels.tuning.gain`` (of every channel), ``channels.0.current_ma`` (of the channel with that number). The guards'
+thresholds are ``thresholds.rest_gyr_radps`` and so on; ``x1.2`` is 1.2 times what it would be for this person.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import itertools
+import json
+import math
+import random
+import re
+import tomllib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, get_args
+
+from fes.cohort.sources import CohortError
+from fes.config import Session, validate_session
+from fes.config.base import Settings
+from statemachine.guards import Thresholds
+
+SWEPT: Final = ("phases", "stimulation", "channels")  # of a session; the rest is of devices and persons
+FIXED: Final = ("name", "number", "foot", "muscle", "electrode_area_cm2", "never_with", "limits")  # of a channel
+THRESHOLDS: Final = "thresholds"
+MOST: Final = 100_000  # combinations; more is a slip, or needs --sample
+MOST_VALUES: Final = 10_000
+_RANGE: Final = re.compile(r"([^:]+):([^:]+):(\d+)")
+
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class Factor:
+    """Times what it would be."""
+
+    times: float
+
+    def __str__(self) -> str:
+        return f"x{self.times:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One setting and the values to try."""
+
+    name: str
+    values: tuple[Value | Factor, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One combination: settings by name; empty for the session as it is."""
+
+    values: tuple[tuple[str, Value | Factor], ...] = ()
+
+    @property
+    def plain(self) -> dict[str, Value]:
+        """For tables and JSON; a factor as its text."""
+        return {name: str(value) if isinstance(value, Factor) else value for name, value in self.values}
+
+    def text(self) -> str:
+        """The same for the same combination, whatever the order it was asked in."""
+        return json.dumps(self.plain, sort_keys=True)
+
+    @property
+    def identity(self) -> str:
+        """A short name."""
+        return hashlib.sha256(self.text().encode()).hexdigest()[:12]
+
+
+def axis(asked: str) -> Axis:
+    """``name=a,b,c`` or ``name=low:high:count``.
+
+    Raises:
+        CohortError: it is neither, or there is no such setting.
+    """
+    name, equals, values = asked.partition("=")
+    name = name.strip()
+    if not equals or not values.strip():
+        raise CohortError(f"--set {asked}: write NAME=VALUE,VALUE,… or NAME=LOW:HIGH:COUNT.")
+    _check_name(name)
+    found = tuple(dict.fromkeys(each for part in values.split(",") for each in _values(asked, part.strip())))
+    wrong = [each for each in found if isinstance(each, Factor) and not name.startswith(f"{THRESHOLDS}.")]
+    if wrong:
+        raise CohortError(f"--set {asked}: {wrong[0]} is for {THRESHOLDS}; write the value itself.")
+    return Axis(name, found)
+
+
+def points(axes: Sequence[Axis], sample: int | None = None, seed: int = 1) -> list[Point]:
+    """The session as it is, then all combinations, or ``sample`` different ones drawn by ``seed``.
+
+    Raises:
+        CohortError: a setting is named twice, or there are too many combinations.
+    """
+    names = [each.name for each in axes]
+    for name in names:
+        if names.count(name) > 1:
+            raise CohortError(f"--set {name}: is there twice; give all its values in one.")
+    total = math.prod(len(each.values) for each in axes)
+    if sample is None and total > MOST:
+        raise CohortError(f"{total} combinations are more than {MOST}; give fewer values, or --sample N.")
+    if sample is None or sample >= total:
+        chosen: Iterator[tuple[Value | Factor, ...]] = itertools.product(*(each.values for each in axes))
+    else:
+        chosen = (_nth(axes, number) for number in sorted(random.Random(seed).sample(range(total), sample)))
+    return [Point(), *(Point(tuple(zip(names, values, strict=True))) for values in chosen)]
+
+
+def session_at(base: Session, point: Point, path: Path) -> Session:
+    """The session with a combination's settings.
+
+    Raises:
+        CohortError: it has no such channel, or no tuning to change.
+        ConfigError: the combination is not allowed; says why.
+    """
+    data = base.model_dump()
+    for name, value in point.values:
+        root, *parts = name.split(".")
+        if root == THRESHOLDS:
+            continue
+        if root != "channels":
+            data[root][parts[0]] = value
+            continue
+        number = int(parts.pop(0)) if parts[0].isdigit() else None
+        chosen = [channel for channel in data["channels"] if number in (None, channel["number"])]
+        if not chosen:
+            raise CohortError(f"{name}: the session has no such channel.")
+        for channel in chosen:
+            _put(channel, parts, value, name)
+    return validate_session(data, path)
+
+
+def thresholds_at(point: Point) -> dict[str, Value | Factor]:
+    """The guards' thresholds that a combination changes, by name."""
+    named = (name.partition(".") for name, _ in point.values)
+    return {name: value for (root, _, name), (_, value) in zip(named, point.values, strict=True) if root == THRESHOLDS}
+
+
+def changed(thresholds: Thresholds, changes: dict[str, Value | Factor]) -> Thresholds:
+    """Thresholds with a combination's.
+
+    Raises:
+        CohortError: a value is not of the threshold's kind.
+    """
+    now, new = thresholds._asdict(), {}
+    for name, value in changes.items():
+        kind = bool if isinstance(now[name], bool) else float
+        if isinstance(value, Factor) and kind is float:
+            new[name] = now[name] * value.times
+        elif kind is bool and isinstance(value, bool):
+            new[name] = value
+        elif kind is float and isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0:
+            new[name] = float(value)
+        else:
+            raise CohortError(
+                f"{THRESHOLDS}.{name} = {value}: must be {'true or false' if kind is bool else 'a number, 0 or more'}"
+            )
+    return thresholds._replace(**new)
+
+
+def names() -> list[str]:
+    """All settings that can be swept."""
+    of_session = [name for root in SWEPT for name in _leaves(Session.model_fields[root].annotation, root)]
+    of_session = [name for name in of_session if not re.match(rf"channels\.({'|'.join(FIXED)})(\.|$)", name)]
+    return [*(f"{THRESHOLDS}.{name}" for name in Thresholds._fields), *of_session]
+
+
+def _check_name(name: str) -> None:
+    """Refuse what is no setting, with the nearest that is."""
+    known = names()
+    if re.sub(r"^channels\.\d+\.", "channels.", name) in known:
+        return
+    last = name.rpartition(".")[2]
+    near = difflib.get_close_matches(name, known, 3, 0.5)
+    near += [other for other in known if other.rpartition(".")[2] == last or last.lower() in other]
+    words = {word for word in re.split(r"[._]", last.lower()) if len(word) > 3}
+    near += sorted(known, key=lambda other: -len(words & set(re.split(r"[._]", other))))[:3] if words else []
+    best = ", ".join(dict.fromkeys(near[:4]))
+    raise CohortError(f"--set {name}: is no setting that can be swept. Nearest: {best}. `fes sweep --names` lists all.")
+
+
+def _values(asked: str, part: str) -> list[Value | Factor]:
+    if found := _RANGE.fullmatch(part):
+        low, high, count = _number(asked, found[1]), _number(asked, found[2]), int(found[3])
+        if not 2 <= count <= MOST_VALUES:
+            raise CohortError(f"--set {asked}: COUNT of {part} must be 2 to {MOST_VALUES}.")
+        return [float(f"{low + (high - low) * k / (count - 1):.12g}") for k in range(count)]
+    if re.fullmatch(r"x[\d.]+(e-?\d+)?", part):
+        return [Factor(_number(asked, part[1:]))]
+    if not part:
+        raise CohortError(f"--set {asked}: a value between two commas is missing.")
+    try:
+        value = tomllib.loads(f"value = {part}")["value"]
+    except tomllib.TOMLDecodeError:
+        return [part]
+    if isinstance(value, float) and not math.isfinite(value):
+        raise CohortError(f"--set {asked}: {part} is no number.")
+    return [value if isinstance(value, (bool, int, float, str)) else part]
+
+
+def _number(asked: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise CohortError(f"--set {asked}: {text} is no number.")
+    return value
+
+
+def _nth(axes: Sequence[Axis], number: int) -> tuple[Value | Factor, ...]:
+    """Of the grid, without laying all of it out."""
+    chosen = []
+    for each in reversed(axes):
+        number, at = divmod(number, len(each.values))
+        chosen.append(each.values[at])
+    return tuple(reversed(chosen))
+
+
+def _put(table: dict[str, Any], parts: Sequence[str], value: Any, name: str) -> None:
+    for part in parts[:-1]:
+        inner = table.get(part)
+        if not isinstance(inner, dict):
+            raise CohortError(f"{name}: the session's channel {table.get('name', '')!r} has no {part}; add it there.")
+        table = inner
+    table[parts[-1]] = value
+
+
+def _leaves(annotation: Any, name: str) -> Iterator[str]:
+    """Dotted names of a setting, or of all in a table of them."""
+    table = annotation if isinstance(annotation, type) and issubclass(annotation, Settings) else None
+    if table is None:
+        inner = [each for each in get_args(annotation) if isinstance(each, type) and issubclass(each, Settings)]
+        table = inner[0] if inner else None
+    if table is None:
+        yield name
+        return
+    for key, field in table.model_fields.items():
+        yield from _leaves(field.annotation, f"{name}.{key}")

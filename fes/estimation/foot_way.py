@@ -1,0 +1,213 @@
+"""Where a foot's sensor went through a whole recording, by the off-line ZUPT filter.
+
+The filter and its smoothing are those of ``fes.estimation.zupt``, but from step to step (``fes.estimation.zupt_steps``)
+instead of from sample to sample, for speed: some few times faster, and the same stride lengths within a millimetre.
+A long recording is cut into stretches at long rests, so that memory does not grow with it, and the stretches are joined
+there by place and heading.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest, rate_energy
+from fes.estimation.rotation import rotate_all
+from fes.estimation.tracker import LARGEST_VALUE
+from fes.estimation.zupt import (
+    CLIPPED_SD,
+    LEAST_RANGE,
+    LEVER_M,
+    START_S,
+    clipped_sd,
+    first_rest,
+    least_in_rests,
+    with_quietest,
+)
+from fes.estimation.zupt_kernel import ZuptSettings
+from fes.estimation.zupt_step_filter import forward_steps, new_step_tape
+from fes.estimation.zupt_step_smooth import path_at, smooth_steps
+from fes.estimation.zupt_steps import Steps, steps_of
+from fes.signals import FloatArray, IntArray
+
+STRETCH_S = 300.0
+SEARCH_S = 30.0  # around the end of a stretch, for a rest to cut it at
+LEAST_REST_S = 0.15  # of the rest to cut at: the filter begins once the foot has rested for 0.1 s
+JOIN_S = 0.12  # after the cut: there both stretches know where the foot is
+
+BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
+
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """The smoothed way of one foot at K instants a few hundredths of a second apart, z up; it begins at 0, at rest."""
+
+    t_ns: IntArray
+    position_m: FloatArray
+    velocity_mps: FloatArray
+    q_world_from_sensor: FloatArray
+
+    def at(self, t_ns: IntArray) -> FloatArray:
+        """Positions (M, 3) in m at M instants that never go back; beyond the ends it stands still."""
+        out = np.empty((len(t_ns), 3))
+        path_at(self.t_ns, self.position_m, self.velocity_mps, np.ascontiguousarray(t_ns, np.int64), out)
+        return out
+
+    def pointing(self, axis: FloatArray) -> FloatArray:
+        """Directions (K, 3) in the world of an axis (3,) of the sensor."""
+        return rotate_all(self.q_world_from_sensor, axis)
+
+
+@dataclass(slots=True, eq=False)
+class FootSamples:
+    """One foot's usable samples, and where it rests; N of them.
+
+    Attributes:
+        t_ns: (N,) strictly increasing time stamps.
+        acc_mps2: (N, 3) specific force.
+        gyr_radps: (N, 3) angular rate.
+        rate_hz: one over the usual interval.
+        calibration: of the rest detector.
+        rest: (N,) where the foot rests.
+        energy: (N,) of the rate over 0.05 s, (rad/s)².
+        noise: (N,) twice: extra standard deviation of clipped samples, m/s² and rad/s.
+    """
+
+    t_ns: IntArray
+    acc_mps2: FloatArray
+    gyr_radps: FloatArray
+    rate_hz: float
+    calibration: RestCalibration
+    rest: BoolArray
+    energy: FloatArray
+    noise: tuple[FloatArray, FloatArray]
+    _steps: dict[tuple[int, int], tuple[Steps, FloatArray]] = field(default_factory=dict)
+
+    def stances(self) -> IntArray:
+        """Sample numbers (M,) of the quietest instant of every rest."""
+        return least_in_rests(self.rest, self.energy, self.rate_hz)
+
+    def way(self, settings: ZuptSettings, *, level: bool) -> Way:
+        """The foot's way by these settings; ``level``: it rests at one height."""
+        join = round(JOIN_S * self.rate_hz)
+        cuts = [0, *_cuts(self.t_ns, self.rest, self.rate_hz), len(self.t_ns)]
+        whole: Way | None = None
+        for begin, end in pairwise(cuts):
+            part = self._stretch(begin, min(end + join + 1, len(self.t_ns)), settings, level)
+            whole = part if whole is None else _joined(whole, part)
+        assert whole is not None
+        return whole
+
+    def _stretch(self, begin: int, end: int, settings: ZuptSettings, level: bool) -> Way:
+        begin += first_rest(self.rest[begin:end], self.rate_hz)
+        span = slice(begin, end)
+        t_ns, acc, gyr, rest = self.t_ns[span], self.acc_mps2[span], self.gyr_radps[span], self.rest[span]
+        bias = self.calibration.gyr_bias_radps
+        if (begin, end) not in self._steps:
+            acc_sd, gyr_sd = self.noise
+            up = acc[rest].mean(axis=0) if rest.any() else acc.mean(axis=0)
+            lever = LEVER_M * up / max(float(np.linalg.norm(up)), 1e-9)
+            self._steps[begin, end] = steps_of(t_ns, acc, gyr, acc_sd[span], gyr_sd[span], rest, bias), lever
+        steps, lever = self._steps[begin, end]
+        tape = new_step_tape(len(steps.ends), int(np.count_nonzero(rest[steps.ends])))
+        before = self.acc_mps2[max(begin - round(START_S * self.rate_hz), 0) : begin + 1].mean(axis=0)
+        forward_steps(t_ns, gyr, rest, steps, before, lever, np.array(bias), level, settings, tape)
+        smooth_steps(t_ns, steps.ends, bool(rest[0]), settings, tape)
+        return Way(t_ns[steps.ends], tape.position, tape.velocity, tape.quaternions)
+
+
+def foot_samples(
+    t_ns: IntArray,
+    acc_mps2: FloatArray,
+    gyr_radps: FloatArray,
+    acc_range_mps2: float | None = None,
+    gyr_range_radps: float | None = None,
+) -> FootSamples:
+    """Prepare a recording of one foot.
+
+    Args:
+        t_ns: (N,) time stamps; samples not newer than all before them are left out, and those that are not finite or
+            larger than any sensor's.
+        acc_mps2: (N, 3) specific force.
+        gyr_radps: (N, 3) angular rate.
+        acc_range_mps2: the accelerometer's full scale; found from flat tops if not given.
+        gyr_range_radps: the same of the gyroscope.
+
+    Raises:
+        ValueError: too short, or the foot never rests.
+    """
+    if not ((np.abs(acc_mps2) < LARGEST_VALUE).all() and (np.abs(gyr_radps) < LARGEST_VALUE).all()):
+        usable = (np.abs(acc_mps2) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr_radps) < LARGEST_VALUE).all(axis=1)
+        t_ns, acc_mps2, gyr_radps = t_ns[usable], acc_mps2[usable], gyr_radps[usable]
+    if len(t_ns) < 3:
+        raise ValueError(f"{len(t_ns)} samples make no path")
+    if not (t_ns[1:] > t_ns[:-1]).all():
+        newer = np.append(True, t_ns[1:] > np.maximum.accumulate(t_ns)[:-1])
+        t_ns, acc_mps2, gyr_radps = t_ns[newer], acc_mps2[newer], gyr_radps[newer]
+    t_ns = np.ascontiguousarray(t_ns, dtype=np.int64)
+    acc, gyr = np.ascontiguousarray(acc_mps2, dtype=np.float64), np.ascontiguousarray(gyr_radps, dtype=np.float64)
+    if len(t_ns) < 3:
+        raise ValueError(f"{len(t_ns)} samples make no path")
+    rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
+    calibration = calibrate_rest(acc, gyr, rate_hz)
+    energy = rate_energy(gyr, rate_hz)
+    rest = with_quietest(at_rest(calibration, acc, gyr, rate_hz), gyr, rate_hz, energy)
+    if not rest.any():
+        raise ValueError("the foot never rests, so nothing holds a path; check the units")
+    noise = (
+        clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0]),
+        clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1]),
+    )
+    return FootSamples(t_ns, acc, gyr, rate_hz, calibration, rest, energy, noise)
+
+
+def _cuts(t_ns: IntArray, rest: BoolArray, rate_hz: float) -> list[int]:
+    """Where to cut: at the longest rest near the end of every stretch, if it is long enough."""
+    total_s = 1e-9 * float(t_ns[-1] - t_ns[0])
+    if total_s <= STRETCH_S + SEARCH_S:
+        return []
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], rest, [False])).astype(np.int8)))
+    begins, ends = edges[0::2], edges[1::2]
+    seconds = 1e-9 * (t_ns[begins] - t_ns[0])
+    cuts: list[int] = []
+    last_s = 0.0
+    while total_s - last_s > STRETCH_S + SEARCH_S:
+        near = np.flatnonzero(np.abs(seconds - last_s - STRETCH_S) <= SEARCH_S)
+        longest = near[np.argmax((ends - begins)[near])] if len(near) else -1
+        last_s += STRETCH_S
+        if longest >= 0 and ends[longest] - begins[longest] >= LEAST_REST_S * rate_hz:
+            cuts.append(int(begins[longest]))
+            last_s = float(seconds[longest])
+    return cuts
+
+
+def _joined(one: Way, other: Way) -> Way:
+    """The second way from the first one's end on, turned and shifted so that it begins there as the first one ends."""
+    end_ns = one.t_ns[-1]
+    after = int(np.searchsorted(other.t_ns, end_ns, side="right"))
+    a, b = one.q_world_from_sensor[-1], other.q_world_from_sensor[max(after - 1, 0)]
+    # by how much about the vertical the first frame differs: w and z of a ⊗ conj(b)
+    w, z = a @ b, a[3] * b[0] - a[0] * b[3] + a[2] * b[1] - a[1] * b[2]
+    turn = 2.0 * float(np.arctan2(z, w))
+    c, s = float(np.cos(turn)), float(np.sin(turn))
+    about_z = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # for rows
+    shift = one.position_m[-1] - (other.at(one.t_ns[-1:]) @ about_z)[0]
+    half = float(np.cos(0.5 * turn)), float(np.sin(0.5 * turn))
+    qw, qx, qy, qz = other.q_world_from_sensor[after:].T
+    turned = np.column_stack(
+        (
+            half[0] * qw - half[1] * qz,
+            half[0] * qx - half[1] * qy,
+            half[0] * qy + half[1] * qx,
+            half[0] * qz + half[1] * qw,
+        )
+    )
+    return Way(
+        np.concatenate((one.t_ns, other.t_ns[after:])),
+        np.concatenate((one.position_m, other.position_m[after:] @ about_z + shift)),
+        np.concatenate((one.velocity_mps, other.velocity_mps[after:] @ about_z)),
+        np.concatenate((one.q_world_from_sensor, turned)),
+    )

@@ -1,0 +1,128 @@
+"""The last twenty seconds of one sensor: which samples are used, and where strides find them later."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from fes.estimation.compiled import jit
+from fes.signals import FloatArray, IntArray
+
+RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
+RESTART_GAP_NS = round(1e9 * RESTART_GAP_S)
+HISTORY_S = 20.0
+LARGEST_VALUE = 1e4  # m/s² and rad/s: beyond any sensor, and one such value would spoil the orientation for good
+LONG_AGO_NS = -(2**63)
+
+BOOK = np.dtype(
+    [
+        ("running", np.bool_),
+        ("newest_ns", np.int64),
+        ("filled", np.int64),
+        ("used", np.int64),
+        ("doubled_or_backward", np.int64),
+        ("not_finite", np.int64),
+    ],
+    align=True,
+)
+
+
+@dataclass(slots=True)
+class SampleCounts:
+    """What became of the samples."""
+
+    used: int = 0
+    doubled_or_backward: int = 0
+    not_finite: int = 0
+    restarts: int = 0
+
+    def to_dict(self) -> dict[str, int]:
+        """For the session log."""
+        return asdict(self)
+
+
+@jit
+def _take_in(
+    book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: Any, acc: Any, gyr: Any, begin: int
+) -> tuple[int, int, bool]:
+    """Copy the samples from ``begin`` on; see :meth:`History.take_in`.
+
+    An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
+    """
+    b = book[0]
+    for i in range(begin, t_ns.shape[0]):
+        usable = True
+        for j in range(3):  # a comparison with what is not a number is False
+            usable = usable and abs(acc[i, j]) < LARGEST_VALUE and abs(gyr[i, j]) < LARGEST_VALUE
+        if not usable:
+            b.not_finite += 1
+            continue
+        if b.running and t_ns[i] <= b.newest_ns:
+            b.doubled_or_backward += 1
+            continue
+        waited_ns = t_ns[i] - b.newest_ns
+        if not b.running or not 0 < waited_ns <= RESTART_GAP_NS:  # stamps may be so far apart that this overflows
+            return i, b.filled, True
+        n = b.filled
+        if n == kept_t_ns.shape[0]:
+            return i, n, False
+        kept_t_ns[n] = t_ns[i]
+        for j in range(3):
+            kept_acc[n, j] = acc[i, j]
+            kept_gyr[n, j] = gyr[i, j]
+        b.newest_ns = t_ns[i]
+        b.filled += 1
+        b.used += 1
+    return t_ns.shape[0], b.filled, False
+
+
+class History:
+    """Samples as measured, oldest first, and beside each what the core left there.
+
+    ``t_ns`` (N,), ``acc_mps2`` (N, 3), ``gyr_radps`` (N, 3), ``trace`` (N, 4); how many of the rows are filled is what
+    :meth:`take_in` and :meth:`forget_half` last said.
+    """
+
+    def __init__(self, rate_hz: float) -> None:
+        capacity = max(int(HISTORY_S * rate_hz), 64)
+        self.t_ns: IntArray = np.zeros(capacity, np.int64)
+        self.acc_mps2: FloatArray = np.zeros((capacity, 3))
+        self.gyr_radps: FloatArray = np.zeros((capacity, 3))
+        self.trace: FloatArray = np.zeros((capacity, 4))
+        self._book = np.zeros(1, BOOK)
+
+    def counts(self, restarts: int) -> SampleCounts:
+        """What became of the samples so far."""
+        _, _, _, used, doubled_or_backward, not_finite = self._book[0].tolist()
+        return SampleCounts(used, doubled_or_backward, not_finite, restarts)
+
+    def take_in(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, begin: int) -> tuple[int, int, bool]:
+        """Copy the samples from ``begin`` on, up to a silence or until there is no room.
+
+        Samples not newer than the one before, and samples that are not finite or beyond ``LARGEST_VALUE``, are counted
+        and passed over. Returns the first sample not yet seen to, how many rows are filled, and whether that sample
+        comes after a silence (as the first of all does): then :meth:`restart` first. Where it does not and there is
+        still one, :meth:`forget_half`.
+        """
+        taken: tuple[int, int, bool] = _take_in(
+            self._book, self.t_ns, self.acc_mps2, self.gyr_radps, t_ns, acc, gyr, begin
+        )
+        return taken
+
+    def restart(self, t_ns: int) -> bool:
+        """Forget everything; the next sample is that of ``t_ns``. Returns whether there was anything before."""
+        was_running = bool(self._book["running"][0])
+        self._book["running"], self._book["filled"] = True, 0
+        self._book["newest_ns"] = max(t_ns - 1, LONG_AGO_NS)
+        return was_running
+
+    def forget_half(self) -> int:
+        """Make room: the older half goes. Returns how many rows remain."""
+        half = len(self.t_ns) // 2
+        rest = len(self.t_ns) - half
+        for column in (self.t_ns, self.acc_mps2, self.gyr_radps, self.trace):
+            column[:rest] = column[half:].copy()
+        self._book["filled"] = rest
+        return rest

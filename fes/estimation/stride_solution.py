@@ -1,0 +1,143 @@
+"""A stride's whole solution in one compiled call: its ends, its orientation, its way, and the numbers of them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from fes.estimation.compiled import jit
+from fes.estimation.likely import most_likely
+from fes.estimation.likely_height import HeightNoise, settle_height
+from fes.estimation.likely_noise import StrideNoise, end_variances
+from fes.estimation.rotation import to_world
+from fes.estimation.stride import integrate, orient
+from fes.estimation.stride_ends import AROUND_S, NO_REST_RADPS, REST_RADPS, mean_and_variance
+from fes.estimation.stride_shape import stride_shape
+
+NOISE, HEIGHT_NOISE = StrideNoise(), HeightNoise()
+# forward, of an instep in mid-stance beyond w × r: shoe and skin give way, as optical systems see too. The constrained
+# method, which cannot tell a velocity from an acceleration error, needs more of it on the same recordings.
+CREEP_MPS = {"most_likely": 0.002, "constrained": 0.005}
+_CREEP_LIKELY, _CREEP_CONSTRAINED = CREEP_MPS["most_likely"], CREEP_MPS["constrained"]
+END_TILT_GAIN = 0.15
+MOST_TILT_RAD = math.radians(30)
+LONGEST_STRIDE_M = 3.0
+SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST = range(5)  # what came of it
+TILT, UNREST, LENGTH, HIGHEST, TURN, GAINED, NUMBERS = range(7)  # where the numbers are
+
+
+@jit
+def end_velocity(
+    qw: float, qx: float, qy: float, qz: float, wx: float, wy: float, wz: float,
+    fx: float, fy: float, fz: float, height_m: float, creep_mps: float, row: int, out: Any,
+) -> None:  # fmt: skip
+    """``w × r`` in the world of a foot that turns about the ground below its sensor, and its creep forward (m/s).
+
+    ``w`` is the rate and ``f`` the unit vector towards the toe, in the sensor frame; fills ``row`` of ``out`` (2, 3).
+    """
+    wx, wy, _ = to_world(qw, qx, qy, qz, wx, wy, wz)
+    fx, fy, _ = to_world(qw, qx, qy, qz, fx, fy, fz)
+    creep_mps /= max(math.sqrt(fx * fx + fy * fy), 1e-9)
+    out[row, 0], out[row, 1], out[row, 2] = wy * height_m + creep_mps * fx, creep_mps * fy - wx * height_m, 0.0
+
+
+@jit
+def solve_span(
+    t_ns: Any,
+    acc: Any,
+    gyr: Any,
+    first: int,
+    last: int,
+    start: Any,
+    fx: float,
+    fy: float,
+    fz: float,
+    height_m: float,
+    constrained: bool,
+    equal_height: bool,
+    quaternion: Any,
+    position: Any,
+    shape: Any,
+    numbers: Any,
+) -> int:
+    """Solve the rows ``first`` … ``last`` (n of them) of a history.
+
+    Args:
+        t_ns: (N,) time stamps.
+        acc: (N, 3) specific force in m/s², free of bias.
+        gyr: (N, 3) rad/s, free of bias.
+        first: row.
+        last: row.
+        start: (4,) orientation at ``first``.
+        fx: unit vector towards the toe in the sensor frame, with ``fy`` and ``fz``.
+        fy: see ``fx``.
+        fz: see ``fx``.
+        height_m: of the sensor above the ground contact.
+        constrained: not the most likely errors, but Negård et al.'s constraints; these also where there is no rest.
+        equal_height: the end is as high as the start.
+        quaternion: (n, 4) to be filled.
+        position: (n, 3) to be filled, m from the start.
+        shape: (K, 4) to be filled as by :func:`fes.estimation.stride_shape.stride_shape`.
+        numbers: (6,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest height
+            (m), turn (rad), height gained (m).
+
+    Returns:
+        ``SOLVED``, or why the stride cannot be used.
+    """
+    n = last + 1 - first
+    t, f, w = t_ns[first : last + 1], acc[first : last + 1], gyr[first : last + 1]
+    period_s = 1e-9 * (t[n - 1] - t[0]) / (n - 1)
+    around = max(round(AROUND_S / period_s), 1)
+    rates, forces, variances = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 2))
+    unrest = 0.0
+    for e in range(2):
+        k = last if e else first
+        begin, end = max(k - around, 0), min(k + around + 1, t_ns.shape[0])
+        r0, r1, r2, s0, s1, s2 = mean_and_variance(gyr, begin, end)
+        f0, f1, f2, p0, p1, p2 = mean_and_variance(acc, begin, end)
+        rates[e, 0], rates[e, 1], rates[e, 2] = r0, r1, r2
+        forces[e, 0], forces[e, 1], forces[e, 2] = f0, f1, f2
+        rate = math.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
+        spread = math.sqrt(max(p0, p1, p2))
+        variances[e, 0], variances[e, 1] = end_variances(rate, math.sqrt(s0 + s1 + s2), spread, NOISE)
+        unrest = max(unrest, rate)
+    constrained = constrained or unrest > REST_RADPS
+    gain = END_TILT_GAIN if constrained else 0.0
+    tilt = orient(t, w, start, forces[1, 0], forces[1, 1], forces[1, 2], gain, quaternion)
+    creep = _CREEP_CONSTRAINED if constrained else _CREEP_LIKELY
+    ends = np.empty((2, 3))
+    for e in range(2):
+        k = n - 1 if e else 0
+        end_velocity(
+            quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3],
+            rates[e, 0], rates[e, 1], rates[e, 2], fx, fy, fz, height_m, creep, e, ends,
+        )  # fmt: skip
+    velocity = np.empty((n, 3))
+    if constrained:
+        gamma = np.empty((2, 3))
+        solved = integrate(t, f, quaternion, ends[0], ends[1], equal_height, velocity, position, gamma)
+    else:
+        solved = most_likely(
+            t, f, w, start, ends, forces, variances, equal_height, NOISE, quaternion, velocity, position, True
+        )  # fmt: skip
+        if solved and equal_height:
+            vertical = np.empty((n, 2))
+            solved = settle_height(t, f, quaternion, ends[:, 2], variances[:, 0], HEIGHT_NOISE, vertical)
+            for i in range(n):
+                position[i, 2] = vertical[i, 1]
+    numbers[TILT], numbers[UNREST] = tilt, unrest
+    if not solved:
+        return NO_SOLUTION
+    length = math.hypot(position[n - 1, 0], position[n - 1, 1])
+    numbers[LENGTH] = length
+    if tilt > MOST_TILT_RAD:
+        return TILTED
+    if not length <= LONGEST_STRIDE_M:
+        return NO_LENGTH
+    if unrest > NO_REST_RADPS:
+        return NO_REST
+    numbers[HIGHEST], numbers[TURN] = stride_shape(t, quaternion, position, fx, fy, fz, shape)
+    numbers[GAINED] = position[n - 1, 2]
+    return SOLVED

@@ -1,0 +1,97 @@
+"""The stroke survivors' walks as their authors publish them: a folder of Xsens text exports for each run.
+
+``data/1019_ppNN/Xsens/exportedKKK`` holds a text a sensor (two feet, two shanks, lumbar). Which run it is stands in
+``data/1019_ppNN/corresponding_files.txt``; which sensor sat where in ``sensorspec.json`` (or ``.json.txt``) in one of a
+participant's folders. Where that is missing the sensors' numbers tell: two sets were used, and each sat the same way in
+all folders that say so. The belt's speed is none of the files: it is the authors' table of comfortable speeds
+(``MovingReality_functions.py``), which holds for the runs with feedback; the others are self-paced. Checked against the
+repository's files at the first samples of two participants (one of each set), which are those of the packed archives.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fes.importing.common import ImportProblem, checked, stamped_track
+from fes.importing.xsens_text import WRAP, XsensText, read_xsens_text
+from fes.recording import Track
+from fes.signals import SENSORS
+
+RATE_HZ: Final = 100.0
+PLACES: Final = (
+    {"4778E": "left_foot", "47793": "right_foot", "47786": "left_shank", "47795": "right_shank"},
+    {"47787": "left_foot", "47796": "right_foot", "47783": "left_shank", "47792": "right_shank"},
+)
+BELT_MPS: Final = {1: 0.4, 2: 1.6, 3: 0.4, 4: 1.2, 5: 0.9, 6: 1.2, 7: 1.0, 8: 1.2, 9: 0.9, 10: 1.4, 11: 0.8, 12: 1.1}
+WITH_FEEDBACK: Final = ("FBIC", "FBPO", "2FB")
+_RUN: Final = re.compile(r"\s*1019_MR(\d+)_(\w+?)\.c3d\S*\s*=\s*(exported\d+)\s*(.*)")
+_TRIAL: Final = re.compile(r"(1Reg|2Reg|FBIC|FBPO|2FB)(?:0\d)?$")
+
+
+def read_tracks(folder: Path) -> tuple[dict[str, Track], list[str]]:
+    """The sensors of one run on their common clock, and notes.
+
+    Raises:
+        ImportProblem: the folder holds no sensor whose place is known, or a file is damaged.
+    """
+    places, how = _places(folder)
+    texts: dict[str, XsensText] = {}
+    for path in sorted(folder.glob("MT_*.txt")):
+        place = next((place for end, place in places.items() if path.stem.upper().endswith(end)), None)
+        if place in SENSORS:
+            texts[place] = read_xsens_text(path)
+            checked(path, texts[place].acc_mps2, texts[place].gyr_radps)
+    if not texts:
+        raise ImportProblem(f"{folder}: holds no sensor on foot or shank. Add a sensorspec.json: leftfoot, rightfoot …")
+    begin = int(next(iter(texts.values())).counter[0])
+    offsets = {place: (int(t.counter[0]) - begin + WRAP // 2) % WRAP - WRAP // 2 for place, t in texts.items()}
+    earliest = min(offsets.values())
+    tracks, lost = {}, 0
+    for place in (name for name in SENSORS if name in texts):
+        text = texts[place]
+        packets = text.counter - text.counter[0] + offsets[place] - earliest
+        lost += int(packets[-1] - packets[0]) + 1 - len(packets)
+        rate_hz = text.rate_hz or RATE_HZ
+        t_ns = np.round(packets * 1e9 / rate_hz).astype(np.int64)
+        tracks[place] = stamped_track(place, rate_hz, t_ns, text.acc_mps2, text.gyr_radps)
+    return tracks, [how, f"{lost} packets were lost"] if lost else [how]
+
+
+def run_of(folder: Path) -> tuple[str, str, float | None]:
+    """A name for the run, its participant, and the belt's speed (m/s), None where it is self-paced or not known."""
+    told = folder.parents[1] / "corresponding_files.txt"
+    lines = told.read_text(encoding="utf-8", errors="replace").splitlines() if told.is_file() else []
+    for line in lines:
+        found = _RUN.match(line)
+        trial = _TRIAL.search(found[2]) if found else None
+        if found is None or trial is None or found[3] != folder.name:
+            continue
+        number = int(found[1])
+        run = "2Reg" if "second trial without feedback" in found[4] else trial[1]  # one file is misnamed, and says so
+        return f"MR{number:02d}_{run}", f"MR{number:02d}", BELT_MPS.get(number) if run in WITH_FEEDBACK else None
+    return f"{folder.parents[1].name}_{folder.name}", folder.parents[1].name, None
+
+
+def _places(folder: Path) -> tuple[dict[str, str], str]:
+    """End of a sensor's number (upper case) → sensor name; and how that is known."""
+    near = [*sorted(folder.glob("sensorspec.json*")), *sorted(folder.parent.glob("exported*/sensorspec.json*"))]
+    for spec in near:
+        try:
+            told = json.loads(spec.read_text(encoding="utf-8-sig"))
+            found = {
+                str(number).upper().removesuffix(".TXT"): f"{place[:-4]}_foot"
+                if place.endswith("foot")
+                else f"{place[:-5]}_shank"
+                for place, number in told.items()
+                if place in ("leftfoot", "rightfoot", "leftshank", "rightshank")
+            }
+        except (OSError, ValueError, AttributeError) as error:
+            raise ImportProblem(f"{spec}: is no table of sensors: {error}") from error
+        return found, f"which sensor sat where: {spec.parent.name}/{spec.name}"
+    both = {end: place for places in PLACES for end, place in places.items()}
+    return both, "which sensor sat where: by the sensors' numbers, as in the participants who say so"

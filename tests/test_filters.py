@@ -1,0 +1,53 @@
+"""Our small filters against scipy's, whose results they must give."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.ndimage import maximum_filter1d
+from scipy.signal import butter, find_peaks, sosfiltfilt
+
+from fes.estimation.filters import PADDING, greatest_of_late, low_pass, peaks_apart
+from fes.signals import FloatArray
+
+ANY = st.floats(-50.0, 50.0)
+FEW = st.sampled_from([-1.5, 0.0, 0.5, 1.0, 2.0])  # so that ties and flat tops are common
+
+
+def signals(least: int, elements: st.SearchStrategy[float] = ANY) -> st.SearchStrategy[FloatArray]:
+    return arrays(np.float64, st.integers(least, 200), elements=elements)
+
+
+@settings(deadline=None)
+@given(x=signals(PADDING + 1), rate_hz=st.floats(25.0, 2000.0), cutoff_hz=st.floats(1.0, 100.0))
+def test_the_low_pass_is_scipys(x: FloatArray, rate_hz: float, cutoff_hz: float) -> None:
+    sections = butter(2, min(cutoff_hz, 0.45 * rate_hz), fs=rate_hz, output="sos")
+    before = x.copy()
+    assert low_pass(x, rate_hz, cutoff_hz) == pytest.approx(sosfiltfilt(sections, x), rel=1e-8, abs=1e-8)
+    assert np.array_equal(x, before)
+
+
+@pytest.mark.parametrize("n", [0, 1, PADDING])
+def test_too_few_samples_to_filter(n: int) -> None:
+    with pytest.raises(ValueError, match=f"{n} samples are too few to filter"):
+        low_pass(np.zeros(n), 100.0, 8.0)
+
+
+@settings(deadline=None)
+@given(x=st.one_of(signals(1), signals(1, FEW)), half=st.integers(0, 40))
+def test_the_greatest_of_late_is_scipys(x: FloatArray, half: int) -> None:
+    n = 2 * half + 1
+    assert np.array_equal(greatest_of_late(x, n), maximum_filter1d(x, n, origin=half))
+
+
+def test_the_greatest_of_nothing() -> None:
+    assert len(greatest_of_late(np.zeros(0), 5)) == 0
+
+
+@settings(deadline=None)
+@given(x=st.one_of(signals(0), signals(0, FEW)), apart=st.integers(1, 30))
+def test_peaks_are_scipys(x: FloatArray, apart: int) -> None:
+    assert np.array_equal(peaks_apart(x, apart), find_peaks(x, distance=apart)[0])
