@@ -10,8 +10,9 @@ import math
 
 from fes.estimation.compiled import jit
 
-# Hertz's law of a sphere, N/m^1.5: half the weight presses a heel in by 8 mm; see docs/virtual_patient.md
-HEEL_N_PER_M15, BALL_N_PER_M15, TOE_N_PER_M15 = 5.5e5, 5.5e5, 2.0e5
+# Hertz's law of a sphere, N/m^1.5: half the weight presses a heel in by 8 mm; see docs/virtual_patient.md.
+# The ball is two of them, beside the first and the fifth toe, and gives way by 5 mm.
+HEEL_N_PER_M15, BALL_N_PER_M15, TOE_N_PER_M15 = 5.5e5, 1.1e6, 2.0e5
 HEEL_M = 0.035  # radius of the heel, over which the foot rolls
 GROUND_DAMP_S_PER_M = 1.8
 BRISTLE_N_PER_M = 4.0e4

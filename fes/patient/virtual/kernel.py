@@ -29,6 +29,7 @@ HOLD_NM_PER_RAD = 320.0  # quasi-stiffness of the loaded ankle, about 5 N·m a d
 HOLD_NMS_PER_RAD = 6.0
 FALL_MPS = 0.5  # how fast a foot goes on down that has not met the ground when it should
 EARLY = 0.2  # share of the swing in which the toe leaves the ground: no dragging yet
+LET_GO = 0.05  # share of the swing in which the toes cease to press
 
 
 @jit
@@ -216,6 +217,25 @@ def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> 
 
 
 @jit
+def toes_press(leg: Any, t: float) -> float:
+    """Share of their stiffness with which the toes press on the ground; without a jump at heel rise and foot off.
+
+    The bending shoe presses them down in pre-swing. Unloaded at foot off, they press again when they meet the ground.
+    """
+    if leg.mode == PRE_SWING:
+        psi, _, _ = heel_rise(leg, t)
+        firm, _, _ = smooth(psi / BEND_RAD)
+        return firm
+    u = (t - leg.swing_t) / leg.swing_s
+    if u < LET_GO:
+        pressed, _, _ = smooth(leg.rise_rad / BEND_RAD)
+        gone, _, _ = smooth(u / LET_GO)
+        return pressed * (1.0 - gone)
+    firm, _, _ = smooth((u - LET_GO) / EARLY)
+    return firm
+
+
+@jit
 def step(leg: Any, belt: Any, t: float, dt: float) -> None:
     """Advance one leg from ``t`` to ``t + dt``; ``plan`` must have been called for ``t``."""
     muscle(leg, dt)
@@ -245,10 +265,7 @@ def step(leg: Any, belt: Any, t: float, dt: float) -> None:
     )
     px, pz = 0.0, 0.0
     if leg.mode != STANCE:
-        # unloaded at foot off: from then on the toes press on the ground only when they meet it again
-        firm, _, _ = smooth(((t - leg.swing_t) / leg.swing_s - 0.05) / 0.2)
-        if leg.mode == PRE_SWING:
-            firm = 1.0
+        firm = toes_press(leg, t)
         px, pz, leg.toe_at = touch(
             leg.toe_at, leg.x + tx, leg.z + tz, leg.vx - w * tz, leg.vz + w * tx, TOE_N_PER_M15 * firm, leg.slip
         )
