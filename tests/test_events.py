@@ -172,6 +172,21 @@ def test_a_swing_cut_off_by_the_end_is_left_out() -> None:
     assert len(find_events(t_ns[:cut], acc[:cut], gyr[:cut], calibration())) == 5
 
 
+@pytest.mark.parametrize("rebound", [-1.0, 0.3])
+def test_a_foot_that_stimulation_snaps_up_before_it_swings_has_swung_once(rebound: float) -> None:
+    t_ns, acc, gyr = made_walk()
+    t = 1e-9 * t_ns
+    for k in range(12):  # an earlier push-off, the snap at its end, and little until the swing's own turn
+        for height, at, width in ((9.0, 0.10, 0.05), (-9.0, 0.40, 0.07), (-6.0, 0.18, 0.02), (rebound, 0.3, 0.03)):
+            gyr = gyr + (height * np.exp(-0.5 * ((t - 1.0 - k * STRIDE_S - at) / width) ** 2))[:, None] * AXIS
+    events = find_events(t_ns, acc, gyr, calibration())
+    start = 1.0 + STRIDE_S * np.arange(12)
+    assert len(events) == 12
+    assert np.abs(1e-9 * events.fo_ns - start - 0.12).max() < 0.03
+    assert np.abs(1e-9 * events.mid_swing_ns - start - 0.60).max() < 0.02
+    assert np.abs(1e-9 * events.ic_ns - start - 0.73).max() < 0.03
+
+
 def test_nothing_comes_of_standing_still_or_of_too_little() -> None:
     t_ns, acc, gyr = made_walk()
     assert len(find_events(t_ns, acc, 0.0 * gyr, calibration())) == 0

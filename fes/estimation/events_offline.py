@@ -5,7 +5,8 @@ peak the other way is IC and the second FO. Kept is the frame (mid-swing to mid-
 
 - mid-swing is found by the *fall* from push-off's toe-down rate to the swing's toe-up rate, measured against this
   walk's own falls, not by the height of a peak: a dragged foot hardly turns toe-up, a forefoot landing turns toe-up
-  twice;
+  twice. Every swing has a push-off of its own: a second fall before which the foot has not turned toe-down belongs to
+  the same swing (a stimulated muscle snaps the foot up as it leaves; the swing's own turn comes 0.4 s later);
 - IC is where the rate turns from toe-up to toe-down (the foot is at its greatest pitch), not the peak that follows:
   that peak is 55–60 ms late in healthy walks and 50–95 ms in stroke. The turn counts once the rate has reached
   ``TURN_SHARE`` of push-off's peak, some 3 ms later, for a foot may stop turning before it lands. What is left is a
@@ -35,6 +36,7 @@ FALL_S = 0.35  # push-off's peak lies at most this long before mid-swing
 APART_S = 0.4  # no two mid-swings are closer
 FALL_SHARE = 0.45  # of this walk's typical fall
 NEIGHBOURS = 10  # falls before and after that say what is typical
+TOE_DOWN_SHARE = 0.2  # of the fall is push-off's toe-down rate; less, and the swing before goes on
 PAUSE_SHARE = 0.5  # … and of the whole recording's at least this: in a pause all falls are small
 SMALL_FALL_SHARE = 0.15  # of a step between two rests, as in turning on the spot
 SMALL_TROUGH_SHARE = 0.08  # … that turns toe-up by this share of a typical fall
@@ -162,9 +164,11 @@ class _Walk:
         offs = [b + int(np.argmax(self._shape[b : m + 1])) for b, m in zip(begins, mids, strict=True)]
         self._typical_jump = float(np.median([self._jump[m : m + reach].max() for m in mids]))
         kept: list[tuple[int, int]] = []
-        for off, mid in zip(offs, mids, strict=True):
-            if off < mid and (not kept or off > kept[-1][1]):
-                kept.append((off, int(mid)))
+        for off, mid in zip(offs, mids.tolist(), strict=True):
+            if kept and float(self._shape[kept[-1][1] : mid].max()) < TOE_DOWN_SHARE * float(fall[mid]):
+                kept[-1] = kept[-1][0], min(kept[-1][1], mid, key=lambda at: float(self._shape[at]))
+            elif off < mid and (not kept or off > kept[-1][1]):
+                kept.append((off, mid))
         return kept
 
     @staticmethod

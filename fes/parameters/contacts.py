@@ -7,8 +7,8 @@ it falls. The path of the stride shows both, and moves the event only where it c
 
 - FO: a foot that rolls slowly over its forefoot and the tip of its toe turns evenly and hardly accelerates. Where that
   lasted for ``QUIET_S`` and ends shortly before the off-line FO, be it in the foot's turning (a weak foot drops) or in
-  its acceleration (it is pulled up), nothing holds the toe any more, and the end is FO. A brisk push-off is never
-  that quiet, and keeps its event.
+  its acceleration upward (it is pulled up), nothing holds the toe any more, and the end is FO. Forward the leg drives
+  the foot while its toe still holds. A brisk push-off is never that quiet, and keeps its event.
 - IC: the heel falls faster and faster until the ground stops it: contact is its fastest descent after the off-line IC.
   A shoe gives way for a few hundredths of a second, so up to ``GIVES_WAY_S`` apart the off-line event (which agrees
   with optical markers) stays, beyond twice that the descent is believed, and in between the two are mixed.
@@ -32,6 +32,7 @@ from fes.signals import NS_PER_S, FloatArray
 TURNS_RADPS2 = 30.0  # a change of turning that a foot does not show while it rolls over its forefoot
 LEAVES_MPS2 = 3.0  # … and an acceleration, …
 BEGINS_MPS2 = 2.0  # … which began where it passed this
+SLOW_RADPS = 3.0  # the acceleration tells only of a foot that rolls more slowly
 QUIET_S = 0.08  # the foot has to have rolled quietly for this long
 EARLIER_S = 0.1  # and to stop no earlier than this before the off-line FO
 SMOOTH_S = 0.02  # mean of both: skin and shoe ring
@@ -83,17 +84,19 @@ def _foot_off(path: FootPath, off_ns: int) -> int:
     smooth = np.column_stack([np.convolve(column, mean, "same") for column in acceleration.T])
     off_s = 1e-9 * (off_ns - int(path.t_ns[0]))
     ends = (
-        _quiet_ends(t, changes, TURNS_RADPS2, TURNS_RADPS2, off_s),
-        _quiet_ends(t, np.linalg.norm(smooth, axis=1), BEGINS_MPS2, LEAVES_MPS2, off_s),
+        _quiet_ends(t, changes, changes, TURNS_RADPS2, TURNS_RADPS2, off_s),
+        _quiet_ends(t, smooth[:, 2], np.linalg.norm(smooth, axis=1), BEGINS_MPS2, LEAVES_MPS2, off_s),
     )
-    earlier_s = min(ends)
+    before = int(np.searchsorted(t, off_s - EARLIER_S))
+    earlier_s = min(ends) if abs(turning[before]) < SLOW_RADPS else ends[0]  # a fast foot is lifted by its own roll
     return off_ns if earlier_s >= off_s else int(path.t_ns[0]) + round(earlier_s * NS_PER_S)
 
 
-def _quiet_ends(t: FloatArray, x: FloatArray, begins: float, level: float, off_s: float) -> float:
-    """When ``x`` begins to rise to ``level``, if it does so about the last ``EARLIER_S`` and was below for ``QUIET_S``.
+def _quiet_ends(t: FloatArray, x: FloatArray, size: FloatArray, begins: float, level: float, off_s: float) -> float:
+    """When ``x`` begins to rise to ``level``, if it does so about the last ``EARLIER_S``.
 
-    ``off_s`` if not. What stays below ``level`` is a bump, and no end of the quiet.
+    ``off_s`` if not, or if its size in all directions, ``size``, was not below ``level`` for ``QUIET_S`` before. What
+    stays below ``level`` is a bump, and no end of the quiet.
     """
     first, last = (int(k) for k in np.searchsorted(t, (off_s - EARLIER_S, off_s + SMOOTH_S)))
     above = np.flatnonzero(x[first:last] >= level)
@@ -102,7 +105,7 @@ def _quiet_ends(t: FloatArray, x: FloatArray, begins: float, level: float, off_s
     at = first + int(above[0])
     while at > 0 and x[at - 1] >= begins:
         at -= 1
-    if at == 0 or off_s - t[at] > EARLIER_S or (x[(t >= t[at] - QUIET_S) & (t < t[at])] >= level).any():
+    if at == 0 or off_s - t[at] > EARLIER_S or (size[(t >= t[at] - QUIET_S) & (t < t[at])] >= level).any():
         return off_s
     share = (begins - float(x[at - 1])) / (float(x[at]) - float(x[at - 1]))
     return float(t[at - 1]) + share * float(t[at] - t[at - 1])
