@@ -13,7 +13,8 @@ import pytest
 import report_records as make
 
 from fes.journal import Note, SampleArrays, SessionRecord
-from fes.view.report import ReportError, embed, render_report, when, write_report
+from fes.view.page_file import ReportError
+from fes.view.report import embed, render_report, when, write_report
 from fes.view.summary import view_session
 from fes.view.svg import Plot, nice_ticks, padded
 from fes.view.timeseries import MISSING, chart_data, even_grid, main_axis_rate_radps, pack

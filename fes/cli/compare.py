@@ -94,7 +94,7 @@ def command(
 def _report(paths: Sequence[Path], report: Path, labels: Sequence[str], afflicted: str | None, as_json: bool) -> None:
     from fes.view.comparison import MOST, compare_sessions, write_comparison
     from fes.view.comparison_session import ComparisonProblem, read_compared
-    from fes.view.report import ReportError
+    from fes.view.page_file import ReportError
 
     if not 2 <= len(paths) <= MOST:
         raise Problem(f"name two to {MOST} sessions, not {len(paths)}")

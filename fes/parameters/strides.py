@@ -98,7 +98,7 @@ def stride_parameters(
         if n in motions:
             values |= _of_motion(motions[n], swing, stride.foot.removesuffix("_foot"))
         if swing is not None:
-            values |= _of_times(swing, steps.get(n), stride.stride_length_m)
+            values |= times_of(swing, steps.get(n), stride.stride_length_m)
         off, contact = (NAN, NAN) if swing is None else (1e-9 * swing.foot_off_ns, 1e-9 * swing.contact_ns)
         rows.append(
             StrideParameters(
@@ -121,7 +121,9 @@ def _of_motion(motion: Motion, swing: Swing | None, side: str) -> dict[str, floa
     return found
 
 
-def _of_times(swing: Swing, step: Step | None, length_m: float) -> dict[str, float]:
+def times_of(swing: Swing, step: Step | None, length_m: float) -> dict[str, float]:
+    """A stride's times and speed by the keys of :data:`~fes.parameters.definitions.DEFINITIONS`; without its step
+    only the swing's."""
     swing_s = (swing.contact_ns - swing.foot_off_ns) / NS_PER_S
     found = {"swing_s": swing_s}
     if step is not None:

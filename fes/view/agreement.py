@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -23,7 +22,7 @@ from fes.view.figures_agreement import agreement_figures
 from fes.view.figures_gait import foot_color
 from fes.view.findings import words
 from fes.view.jsonable import plain
-from fes.view.report import ReportError
+from fes.view.page_file import write_page_file
 from fes.view.tables import number
 
 
@@ -152,16 +151,7 @@ def write_page(evaluation: Evaluation, path: Path) -> None:
     Raises:
         ReportError: it cannot be written.
     """
-    text = render_page(evaluation)
-    draft = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            draft.unlink(missing_ok=True)
-        raise ReportError(f"{path}: cannot be written: {error.strerror or error}. Choose another --out.") from error
+    write_page_file(render_page(evaluation), path, "Choose another --out.")
 
 
 def render_page(evaluation: Evaluation) -> str:

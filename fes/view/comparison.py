@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -24,7 +23,8 @@ from fes.view.figures_gait import PHASE_COLORS, Figure, foot_color
 from fes.view.findings import Finding, words
 from fes.view.glossary import GLOSSARY
 from fes.view.jsonable import plain
-from fes.view.report import ReportError, when
+from fes.view.page_file import write_page_file
+from fes.view.report import when
 from fes.view.tables import number
 
 FORMAT: Final = 1
@@ -90,16 +90,7 @@ def write_comparison(comparison: SessionComparison, path: Path) -> None:
     Raises:
         ReportError: it cannot be written.
     """
-    text = render_comparison(comparison)
-    draft = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            draft.unlink(missing_ok=True)
-        raise ReportError(f"{path}: cannot be written: {error.strerror or error}. Choose another --report.") from error
+    write_page_file(render_comparison(comparison), path, "Choose another --report.")
 
 
 def render_comparison(comparison: SessionComparison) -> str:

@@ -18,7 +18,7 @@ from fes.parameters.contacts import Swing
 from fes.parameters.definitions import STRIDE_KEYS
 from fes.parameters.gait import GaitParameters
 from fes.parameters.steps import LONGEST_STANCE_S, MOST_TURN_RAD, Step, steps_by_number
-from fes.parameters.strides import STEADY_SHARE, StrideParameters
+from fes.parameters.strides import STEADY_SHARE, StrideParameters, times_of
 from fes.parameters.summary import statistics_of, symmetry, walk_of
 from fes.parameters.variation import warped
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, StrideResult
@@ -87,7 +87,7 @@ def _parameters(
             "position_variation_m": changes.get(stride.number, NAN),
         }
         values |= _of_path(stride, swing) if drawable(stride) else {}
-        values |= _of_times(swing, step, stride.stride_length_m) if swing is not None else {}
+        values |= times_of(swing, step, stride.stride_length_m) if swing is not None else {}
         off, contact = (NAN, NAN) if swing is None else (1e-9 * swing.foot_off_ns, 1e-9 * swing.contact_ns)
         near = abs(stride.stride_length_m - usual) <= STEADY_SHARE * usual
         steady = bool(near and abs(stride.turn_rad) <= MOST_TURN_RAD)
@@ -110,21 +110,6 @@ def _of_path(stride: StrideResult, swing: Swing | None) -> dict[str, float]:
         for key, at_ns in (("angle_off_rad", swing.foot_off_ns), ("angle_contact_rad", swing.contact_ns)):
             found[key] = float(np.interp(float(at_ns - stride.t_start_ns), places, pitch))
     return found
-
-
-def _of_times(swing: Swing, step: Step, length_m: float) -> dict[str, float]:
-    swing_s = (swing.contact_ns - swing.foot_off_ns) / NS_PER_S
-    return {
-        "swing_s": swing_s,
-        "stride_time_s": step.stride_time_s,
-        "speed_mps": length_m / step.stride_time_s,
-        "stance_s": step.stance_s,
-        "step_time_s": step.step_time_s,
-        "double_support_s": step.double_support_s,
-        "swing_share": swing_s / step.stride_time_s,
-        "stance_share": step.stance_s / step.stride_time_s,
-        "double_support_share": step.double_support_s / step.stride_time_s,
-    }
 
 
 def _variations(strides: Sequence[StrideResult]) -> Mapping[int, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from contextlib import suppress
 from datetime import datetime
 from functools import cache
 from importlib.resources import files
@@ -30,6 +29,7 @@ from fes.view.flags import Flag, all_flags, stride_flags, told
 from fes.view.front_page import front_page
 from fes.view.gait import gait_of_strides
 from fes.view.jsonable import plain
+from fes.view.page_file import write_page_file
 from fes.view.parameter_table import KEY_NUMBERS, compared, parameter_rows, walk_rows
 from fes.view.summary import SessionView, view_session
 from fes.view.tables import number, path_mark
@@ -43,10 +43,6 @@ if TYPE_CHECKING:
 LONG_TABLE_ROWS = 200  # on paper a longer table stops here
 STYLES = ("uPlot.min.css", "report.css", "report_page.css")
 SCRIPTS = ("report.js", "terms.js", "space.js")
-
-
-class ReportError(OSError):
-    """The report cannot be written; the message names the file and what to do."""
 
 
 def write_report(
@@ -67,18 +63,7 @@ def write_report(
         ReportError: the file cannot be written.
     """
     text = render_report(record, paths=paths, gait=gait, hemiparetic=hemiparetic)
-    draft = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft.write_text(text, encoding="utf-8")
-        draft.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            draft.unlink(missing_ok=True)
-        why = error.strerror or str(error)
-        failure = ReportError(f"{path}: the report cannot be written: {why}. Choose a place that can be written to.")
-        failure.strerror = why
-        raise failure from error
+    write_page_file(text, path, "Choose a place that can be written to.")
 
 
 def render_report(
