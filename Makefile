@@ -10,7 +10,7 @@ PEERS := .venv-peers
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
 	@echo "make test     style, types and tests"
-	@echo "make test-live  the live sessions on every simulated device that take longer"
+	@echo "make test-live  the tests that take longer, most of them live sessions on every simulated device"
 	@echo "make lint     style and types only"
 	@echo "make bench    one table of speed, beside other libraries and the bare arithmetic (about half an hour)"
 	@echo "make bench-figures  the figures of docs/accuracy.md: bundled trials, and recordings in FES_DATA or ../shared/data"
@@ -38,11 +38,11 @@ demo: $(VENV)/run.stamp
 
 # What meets real-time deadlines between processes runs by itself, the rest on two cores.
 test: lint
-	$(BIN)/python -m pytest -n 2 --ignore=tests/transports
+	$(BIN)/python -m pytest -n 2 --ignore=tests/transports -m "not slow"
 	$(BIN)/python -m pytest tests/transports -m "not slow"
 
 test-live: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest tests/transports -m slow
+	$(BIN)/python -m pytest -m slow
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
