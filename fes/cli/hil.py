@@ -78,7 +78,7 @@ def command(
     if hardware is not None:
         scenarios = _for_hardware(scenarios, only, calibration, dummy_load)
     folder = fresh_folder(out, f"hil-{'hardware' if hardware else transport}").resolve()
-    for number in (signal.SIGTERM, signal.SIGHUP):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a shell's background job ignores SIGINT else
         signal.signal(number, _interrupt)
     try:
         told = _Told(len(scenarios), repeat)
