@@ -249,7 +249,7 @@ def full_disk(size: int) -> Callable[[], None]:
 
 def test_a_full_disk_ends_the_session_and_keeps_what_there_is(tmp_path: Path) -> None:
     path = write_cut(tmp_path)
-    call("replay", path, "--session", SETTINGS, "--stimulator", "none", "--out", tmp_path / "compiled")
+    run_fes("replay", path, "--session", SETTINGS, "--stimulator", "none", "--out", tmp_path / "compiled")
     done = run_fes(  # the limit holds for the compiler's files too, so all is compiled by now
         "replay", path, "--session", SETTINGS, "--stimulator", "none", "--out", tmp_path, preexec_fn=full_disk(100_000)
     )
