@@ -195,7 +195,7 @@ def test_a_run_ends_where_a_sample_does_not_fit(tmp_path: Path) -> None:
     made = [
         (0, 0, single),
         (4_000_000_000, 4_000_000_000, single),
-        (5_000_000_000, 5_000_000_000, single),  # further from the run's first than 32 bits hold
+        (5_000_000_000, 5_000_000_000, single),  # further from the run's first than a run lasts
         (5_001_000_000, 5_001_000_000, double),
         (5_002_000_000, 5_002_000_000, single),
         (5_001_500_000, 5_001_500_000, single),
@@ -217,6 +217,19 @@ def test_a_run_ends_where_a_sample_does_not_fit(tmp_path: Path) -> None:
     log = read_session(tmp_path / "log")
     assert log.samples["left_foot"].t_ns.tolist() == [t_ns for t_ns, _, _ in made]
     assert list(zip(log.latency_t_ns.tolist(), log.latency_ns.tolist(), strict=True)) == latencies
+
+
+def test_a_tear_costs_a_quarter_of_a_second_of_a_fast_replay(tmp_path: Path) -> None:
+    """A replay logs minutes between two deliveries, so that a cut anywhere goes through a run of samples."""
+    writer = SessionWriter(tmp_path / "log", HEADER)
+    for t_ns in range(0, 60 * 10**9, 2_000_000):
+        writer.event(ImuSample(t_ns, "left_foot", t_ns, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0)))
+    writer.close({})
+    whole = (tmp_path / "log").read_bytes()
+    at = len(whole) // 2
+    (tmp_path / "torn").write_bytes(whole[:at])
+    kept = read_session(tmp_path / "torn").samples["left_foot"].t_ns.size
+    assert kept > 30_000 * at / len(whole) - 0.25 * 500 - 5
 
 
 def test_flush_due_hands_over_every_50_ms_and_not_more_often(tmp_path: Path) -> None:

@@ -2,7 +2,8 @@
 
 A run's payload is ``u8 layout | i64 base_t_ns | entry …``. Times are offsets from the base, the sensor's time an
 offset from the sample's own. Values are float32 where that keeps every bit of them, else float64; a run takes the
-narrowest layout its first sample fits and ends at the first sample that does not fit.
+narrowest layout its first sample fits and ends at the first sample that does not fit. It also ends after a quarter of a
+second: a replay logs minutes between two deliveries, and a tear costs the record it goes through.
 """
 
 from __future__ import annotations
@@ -14,13 +15,14 @@ from typing import Any, Final
 import numpy as np
 
 from fes.journal.record import SampleArrays
-from fes.signals import SENSORS, ImuSample, IntArray
+from fes.signals import NS_PER_S, SENSORS, ImuSample, IntArray
 
 WIDE_TIME: Final = 1  # bit 0 of the layout
 DOUBLE: Final = 2  # bit 1
+LONGEST_RUN_NS: Final = NS_PER_S // 4
 
 _START = struct.Struct("<Bq")
-_LARGEST_OFFSET: Final = 0xFFFF_FFFF
+_LARGEST_LATENCY: Final = 0xFFFF_FFFF
 _LARGEST_LAG: Final = 0x7FFF_FFFF
 _SIX_DOUBLES = struct.Struct("<6d")
 _SIX_SINGLES = struct.Struct("<6f")
@@ -49,7 +51,7 @@ class SampleRun:
         return len(self._payload)
 
     def add(self, sample: ImuSample) -> bool:
-        """Append a sample; False, with nothing changed, if this run cannot hold it.
+        """Append a sample; False, with nothing changed, if this run cannot hold it or is long enough.
 
         Raises:
             KeyError: the sensor is none of SENSORS.
@@ -61,8 +63,10 @@ class SampleRun:
         if not self._payload:
             self._open(t_ns, lag, values)
         offset = t_ns - self._base_ns
+        if offset > LONGEST_RUN_NS:
+            return False
         layout = self._layout
-        if layout & WIDE_TIME == 0 and not (0 <= offset <= _LARGEST_OFFSET and -_LARGEST_LAG <= lag <= _LARGEST_LAG):
+        if layout & WIDE_TIME == 0 and not (offset >= 0 and -_LARGEST_LAG <= lag <= _LARGEST_LAG):
             return False
         packed = _doubles(values) if layout & DOUBLE else singles(values)
         if not packed:
@@ -156,17 +160,19 @@ class LatencyRun:
         return len(self._payload)
 
     def add(self, t_ns: int, latency_ns: int) -> bool:
-        """Append a pair; False, with nothing changed, if this run cannot hold it.
+        """Append a pair; False, with nothing changed, if this run cannot hold it or is long enough.
 
         Raises:
             struct.error: a time beyond 64 bits.
         """
         if not self._payload:
-            self._wide = 0 if 0 <= latency_ns <= _LARGEST_OFFSET else 1
+            self._wide = 0 if 0 <= latency_ns <= _LARGEST_LATENCY else 1
             self._base_ns = t_ns
             self._payload += _START.pack(self._wide, t_ns)
         offset = t_ns - self._base_ns
-        if not self._wide and not (0 <= offset <= _LARGEST_OFFSET and 0 <= latency_ns <= _LARGEST_OFFSET):
+        if offset > LONGEST_RUN_NS:
+            return False
+        if not self._wide and not (offset >= 0 and 0 <= latency_ns <= _LARGEST_LATENCY):
             return False
         self._payload += _PAIRS[self._wide].pack(offset, latency_ns)
         return True
