@@ -24,7 +24,7 @@ from real_sets import all_walks
 from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import data_folder, load_run, track_foot, track_of
-from tuning import patient
+from tuning_cohort import patient
 from zero_velocity_sets import xio
 
 from fes.calibrations import calibrate_shank_track
@@ -69,7 +69,7 @@ def sensors(patients: int) -> Iterator[tuple[str, Track]]:
         if "truth" not in path.name:
             yield from (("bundled trials (simulated)", track) for track in read_recording(path).tracks.values())
     for seed in range(patients):
-        samples = VirtualPatient(patient(seed)).advance(40 * NS_PER_S)
+        samples = VirtualPatient(patient(seed)[0]).advance(40 * NS_PER_S)
         acc, gyr = (np.array([getattr(s, name) for s in samples]) for name in ("acc_mps2", "gyr_radps"))
         yield "virtual patients (simulated)", track_of("right_foot", 100.0, acc, gyr)
     folder = data_folder()
@@ -166,21 +166,20 @@ def main() -> int:
             print(f"{name}: {error}", file=sys.stderr)
     real = [told for name, told in found.items() if "simulated" not in name]
     table = Table(title=f"Told within {WITHIN_MS:.0f} ms of a change in swing, and the longest time in ms")
-    for column in ("recordings", "sensors", "false", *UNITS, "turned: worst", "before next burst"):
+    for column in ("recordings", "sensors", "false", *UNITS, "turned", "before next burst"):
         table.add_column(column, justify="left" if column == "recordings" else "right")
     shares: dict[str, float] = {}
     for name, told in found.items():
-        cells = [f"{share(told.times_ms[unit]):.2%} {max(told.times_ms[unit]):.0f}" for unit in UNITS]
-        worst, before = max(told.times_ms["turned"]), np.mean(told.before_next)
-        table.add_row(name, str(told.sensors), str(len(told.said)), *cells, f"{worst:.0f}", f"{before:.1%}")
+        cells = [f"{share(told.times_ms[kind]):.2%} {max(told.times_ms[kind]):.0f}" for kind in (*UNITS, "turned")]
+        before = np.mean(told.before_next)
+        table.add_row(name, str(told.sensors), str(len(told.said)), *cells, f"{before:.1%}")
     if real:
         pooled = {unit: [t for told in real for t in told.times_ms[unit]] for unit in (*UNITS, "turned")}
         shares = {unit: share(times) for unit, times in pooled.items() if unit in UNITS}
         before = np.mean([each for told in real for each in told.before_next])
-        cells = [f"{shares[unit]:.2%} {max(pooled[unit]):.0f}" for unit in UNITS]
+        cells = [f"{share(times):.2%} {max(times):.0f}" for times in pooled.values()]
         false = str(sum(len(told.said) for told in real))
-        row = ("all real ones", str(sum(t.sensors for t in real)), false, *cells, f"{max(pooled['turned']):.0f}")
-        table.add_row(*row, f"{before:.1%}")
+        table.add_row("all real ones", str(sum(t.sensors for t in real)), false, *cells, f"{before:.1%}")
     Console(width=140).print(table)
     for name, told in found.items():
         for said in sorted(told.said):

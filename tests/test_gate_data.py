@@ -434,6 +434,20 @@ def test_sensor_turned_in_swing_is_told_before_the_next_burst_though_it_never_re
     assert_latched(bench, bench.ask(current_ma=1.0), "left_foot moves turned by more than 65° from its calibration")
 
 
+@pytest.mark.requirement("SR-10")
+def test_axes_exchanged_in_a_burst_latch_within_100_ms(bench: Bench) -> None:
+    """As a sensor does that starts anew with other axes; two samples later."""
+    assert bench.ask(current_ma=0.5).on
+    for k in range(13):
+        assert bench.gate.latched == ""
+        bench.wait(10, sampling=False)
+        x, y, z = 6.0 + 0.1 * k, -7.0, 12.0
+        p, q, r = 3.0, 5.0 - 0.1 * k, -2.0
+        turned = k >= 10
+        bench.sample(acc_mps2=(y, z, x) if turned else (x, y, z), gyr_radps=(q, r, p) if turned else (p, q, r))
+    assert_latched(bench, bench.ask(current_ma=0.5), "the axes of left_foot changed from one sample to the next")
+
+
 def test_shank_that_drives_a_foots_channel_is_the_one_that_counts() -> None:
     bench = Bench(arm=False, driven_by={"left_foot": "left_shank"})
     bench.sample()

@@ -1,7 +1,7 @@
 """Can these numbers come from this sensor, on this foot, mounted as it was? Units, range, mounting.
 
 Every bound was held against real recordings (docs/safety.md): gait never comes near them; a wrong unit is beyond them
-at once, or after the 80 ms that :mod:`fes.gate.force` takes.
+at once, or after the 80 ms that :mod:`fes.gate.force` takes; :mod:`fes.gate.axes` sees axes change.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from fes.config import ImuDevice
+from fes.gate.axes import Axes
 from fes.gate.force import Force
 from fes.signals import G_MPS2, ImuSample, Vector3
 
@@ -59,7 +60,7 @@ class Plausibility:
         self._gyr_range_radps = AT_RANGE * math.radians(device.gyr_range_dps) if device else math.inf
         self._up = up
         self.doubt = ""  # no fault by itself: a foot may rest so, but not one that walks
-        self._force = Force(sensor)
+        self._force, self._axes = Force(sensor), Axes()
         self._fast, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting()
         self._mean_mps2 = self._upright()
         self._mean_ns: int | None = None
@@ -71,7 +72,7 @@ class Plausibility:
         force_mps2 = math.sqrt(x * x + y * y + z * z)
         rate_radps = max(map(abs, sample.gyr_radps))
         at_range = rate_radps >= self._gyr_range_radps or max(abs(x), abs(y), abs(z)) >= self._acc_range_mps2
-        wrong_unit = self._force.fault(sample, force_mps2)
+        wrong_unit, exchanged = self._force.fault(sample, force_mps2), self._axes.fault(sample)
         fast = self._fast.so(t_ns, rate_radps > FAST_RADPS)
         saturated = self._saturated.so(t_ns, at_range)
         tilted = self._tilted.so(t_ns, self._rests_tilted(sample, force_mps2))
@@ -82,6 +83,8 @@ class Plausibility:
             return f"{name} turns at {rate_radps:.0f} rad/s, which no foot does: is its unit °/s?"
         if wrong_unit:
             return wrong_unit
+        if exchanged:
+            return exchanged
         if saturated:
             return f"{name} is saturated: at the end of its range for {SUSTAINED_MS} ms"
         if fast:

@@ -100,14 +100,15 @@ def changes_ma(record: SessionRecord) -> list[tuple[float, float]]:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("stimulator", "toe_mm", "step_ma", "odd", "samples"),
-    [("can", 3.0, 0.5, 0, 1), ("p24_low_level", 4.0, 1.0, 1, 3)],
+    [("can", 3.0, 0.5, 0, 1), ("p24_low_level", 6.0, 1.0, 1, 3)],
 )
 def test_between_processes_as_in_one(
     tmp_path: Path, stimulator: str, toe_mm: float, step_ma: float, odd: int, samples: int
 ) -> None:
     """Three samples for a P24: a pulse more or less in every burst, in eight runs in one process, moved no phase but T4
     of the stimulated foot, by two samples (its toe by 3.4 mm); the one that CAN may differ by comes on top. A current
-    that is rounded to the next 0.5 mA the other way moves the toe by up to 2.5 mm.
+    that is rounded to the next 0.5 mA the other way moves the toe by up to 2.5 mm, which may add up. A sample's time on
+    the host's clock also carries what the line and the machine took to deliver it, a millisecond or so.
     """
     log, ran, start_ns = between_processes(tmp_path, stimulator)
     fast, strides = in_one_process(tmp_path)
@@ -136,7 +137,7 @@ def test_between_processes_as_in_one(
     )
     assert judged <= odd
     assert apart_mm <= toe_mm
-    assert phase_ms <= 10.0 * samples
+    assert phase_ms <= 10.0 * samples + 1.5
     assert burst_ms <= 30.0
     assert min(len(tuned), len(expected)) >= 5
     assert abs(tuned[-1][1] - expected[-1][1]) <= step_ma
