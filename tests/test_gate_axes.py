@@ -112,8 +112,8 @@ JUMP = (13**2 + 19**2 + 6**2) / 229 + (2**2 + 7**2 + 5**2) / 38
 
 
 @pytest.mark.parametrize("at", [4, 5])
-def test_steps_after_it_are_below_a_tenth_of_it(at: int) -> None:
-    force, rate = math.sqrt(0.1 * JUMP * 229), math.sqrt(0.1 * JUMP * 38)
+def test_steps_after_it_are_below_an_eighth_of_it(at: int) -> None:
+    force, rate = math.sqrt(0.13 * JUMP * 229), math.sqrt(0.13 * JUMP * 38)
     assert unsmooth(at, 0.999 * force, False) == [5]
     assert unsmooth(at, 1.001 * force, False) == []
     assert unsmooth(at, 0.999 * rate, True) == [5]
@@ -125,8 +125,8 @@ def test_a_step_after_those_does_not_matter() -> None:
 
 
 @pytest.mark.parametrize("of_rate", [False, True])
-def test_the_step_before_it_is_below_a_tenth_of_it(of_rate: bool) -> None:
-    size = math.sqrt(0.1 * JUMP * (38 if of_rate else 229))
+def test_the_step_before_it_is_below_an_eighth_of_it(of_rate: bool) -> None:
+    size = math.sqrt(0.13 * JUMP * (38 if of_rate else 229))
 
     def with_step(by: float) -> list[int]:
         first = (FORCE, moved(RATE, by, 2)) if of_rate else (moved(FORCE, by, 2), RATE)
@@ -222,12 +222,12 @@ def expected(pairs: list[Pair]) -> list[int]:
             apart(acc, exchanged(acc_before, *each)) / force + apart(gyr, exchanged(gyr_before, *each)) / rate
             for each in EXCHANGES
         )
-        if jump < 0.7 or max(before, left) > 0.1 * jump:
+        if jump < 0.7 or before > 0.13 * jump or left > 0.1 * jump:
             k += 1
-        elif first > 0.1 * jump:
+        elif first > 0.13 * jump:
             k += 2
         else:
-            at += [k + 2] * (second <= 0.1 * jump)
+            at += [k + 2] * (second <= 0.13 * jump)
             k += 3
     return at
 

@@ -13,8 +13,8 @@ from typing import Final
 from fes.signals import ImuSample, Vector3
 
 LEAST_JUMP: Final = 0.7  # of force and rate together, each squared and against its own size
-SMOOTH: Final = 0.1  # of the jump: the steps before and after it are smaller; real ones of this kind stay above 0.15
-EXPLAINED: Final = 0.1  # of the jump: what an exchange of axes leaves of it; real ones of this kind stay above 0.15
+SMOOTH: Final = 0.13  # of the jump: the steps before and after it are smaller; nearest real case 0.18
+EXPLAINED: Final = 0.1  # of the jump: what an exchange of axes leaves of it; nearest real case 0.17
 LEAST_FORCE_MPS2: Final = 4.0  # smaller forces and rates are not taken as larger jumps for their size
 LEAST_RATE_RADPS: Final = 1.0
 STEPS_AFTER: Final = 2  # that have to be smooth
