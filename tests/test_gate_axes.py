@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fes.gate import axes
 from fes.gate.axes import LEAST_FORCE_MPS2, LEAST_RATE_RADPS, MOST_APART_NS, Axes
 from fes.gate.plausible import Plausibility
 from fes.signals import ImuSample, Vector3
@@ -37,9 +38,9 @@ def apart(a: Vector3, b: Vector3) -> float:
 
 def told(pairs: list[Pair], step_ns: int = 10 * MS) -> list[int]:
     """At which of these samples it is said that the axes changed."""
-    axes, at = Axes(), []
+    judge, at = Axes(), []
     for k, (acc, gyr) in enumerate(pairs):
-        said = axes.fault(ImuSample(0, "left_foot", 5 + k * step_ns, acc, gyr))
+        said = judge.fault(ImuSample(0, "left_foot", 5 + k * step_ns, acc, gyr))
         assert said in ("", SAID)
         if said:
             at.append(k)
@@ -170,8 +171,32 @@ def test_the_larger_of_both_sizes_counts() -> None:
     assert told([(zero, zero)] * 2 + [(zero, RATE)] * 3) == []
 
 
+def test_at_a_bound_it_is_still_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With bounds that binary numbers can hold: the jump is 2 of its size, or 3 halves with a third of them left."""
+    zero, along, across = (0.0, 0.0, 0.0), (4.0, 0.0, 0.0), (0.0, 4.0, 0.0)
+    monkeypatch.setattr(axes, "LEAST_JUMP", 2.0)
+    assert told([(along, zero)] * 2 + [(across, zero)] * 3) == [4]
+    monkeypatch.setattr(axes, "SMOOTH", 0.125)
+    assert told([(moved(along, -2.0), zero), (along, zero)] + [(across, zero)] * 3) == [4]
+    assert told([(along, zero)] * 2 + [(across, zero)] + [(moved(across, 2.0, 2), zero)] * 2) == [4]
+    monkeypatch.setattr(axes, "LEAST_JUMP", 0.7)
+    monkeypatch.setattr(axes, "EXPLAINED", 1 / 3)
+    assert told([(along, zero)] * 2 + [((0.0, 4.0, 4.0), zero)] * 3) == [4]
+
+
+@pytest.mark.parametrize("least", [2.0, 3.0])
+def test_the_least_sizes_are_squared(monkeypatch: pytest.MonkeyPatch, least: float) -> None:
+    zero = (0.0, 0.0, 0.0)
+    monkeypatch.setattr(axes, "LEAST_FORCE_MPS2", least)
+    monkeypatch.setattr(axes, "LEAST_RATE_RADPS", least)
+    for share, expected in ((0.593, [4]), (0.590, [])):
+        size = share * least
+        assert told([((size, 0.0, 0.0), zero)] * 2 + [((0.0, size, 0.0), zero)] * 3) == expected
+        assert told([(zero, (size, 0.0, 0.0))] * 2 + [(zero, (0.0, size, 0.0))] * 3) == expected
+
+
 @pytest.mark.parametrize(
-    ("apart_ns", "seen"), [(MOST_APART_NS, True), (MOST_APART_NS + 1, False), (0, False), (-9, False)]
+    ("apart_ns", "seen"), [(MOST_APART_NS, True), (MOST_APART_NS + 1, False), (1, True), (0, False), (-9, False)]
 )
 def test_only_samples_that_follow_each_other_are_compared(apart_ns: int, seen: bool) -> None:
     pairs = [(FORCE, RATE)] * 2 + [TURNED] * 3
@@ -180,11 +205,11 @@ def test_only_samples_that_follow_each_other_are_compared(apart_ns: int, seen: b
 
 @pytest.mark.parametrize("gap_at", range(6))
 def test_a_gap_begins_anew(gap_at: int) -> None:
-    axes, said, t_ns = Axes(), [], 0
+    judge, said, t_ns = Axes(), [], 0
     for k in range(6):
         t_ns += 100 * MS if k == gap_at else 10 * MS
         acc, gyr = (FORCE, RATE) if k < 3 else TURNED
-        said.append(bool(axes.fault(ImuSample(0, "left_foot", t_ns, acc, gyr))))
+        said.append(bool(judge.fault(ImuSample(0, "left_foot", t_ns, acc, gyr))))
     assert said == [False] * 5 + [gap_at in (0, 1)]
 
 

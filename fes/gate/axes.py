@@ -7,6 +7,7 @@ and on how many real recordings it speaks wrongly (docs/safety.md).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import permutations, product
 from typing import Final
 
@@ -24,51 +25,68 @@ _ORDERS = tuple(permutations(range(3)))
 _SIGNS = tuple(product((1.0, -1.0), repeat=3))
 
 
+@dataclass(slots=True)
+class _Jump:
+    """One that exchanged axes explain, and what has to follow it.
+
+    Attributes:
+        force: the square that a step of the force is measured by.
+        rate: likewise for the rate.
+        smooth: what a step after it may measure.
+        steps: so many are still to come.
+    """
+
+    force: float
+    rate: float
+    smooth: float
+    steps: int
+
+
 class Axes:
     """The axes of one sensor, sample by sample."""
 
     def __init__(self) -> None:
-        self._acc: Vector3 = (0.0, 0.0, 0.0)
-        self._gyr: Vector3 = (0.0, 0.0, 0.0)
-        self._step = (0.0, 0.0)  # the last one's square, of force and of rate
-        self._t_sensor_ns: int | None = None
-        self._steps = 0  # without a gap
-        self._after = 0  # smooth steps still to come after a jump, 0: there was none
-        self._jump = self._force = self._rate = 0.0  # of that jump: its size, and the squares that it is measured by
+        self._before: ImuSample | None = None
+        self._step: tuple[float, float] | None = None  # the last one's square, of force and of rate
+        self._jump: _Jump | None = None
 
     def fault(self, sample: ImuSample) -> str:
         """Take in a finite sample; in words that the axes changed two samples ago, "" when they did not."""
-        acc, gyr, before_ns = sample.acc_mps2, sample.gyr_radps, self._t_sensor_ns
-        step = (_square_apart(acc, self._acc), _square_apart(gyr, self._gyr))
-        said = ""
-        if before_ns is None or not 0 < sample.t_sensor_ns - before_ns <= MOST_APART_NS:
-            self._steps = self._after = 0
-        else:
-            self._steps += 1
-            if self._after:
-                smooth = step[0] / self._force + step[1] / self._rate <= SMOOTH * self._jump
-                self._after = self._after - 1 if smooth else 0
-                if smooth and not self._after:
-                    said = f"the axes of {sample.sensor} changed from one sample to the next: remounted?"
-            elif self._steps > 1:
-                self._look_for_jump(acc, gyr, step)
-        self._acc, self._gyr, self._step, self._t_sensor_ns = acc, gyr, step, sample.t_sensor_ns
-        return said
-
-    def _look_for_jump(self, acc: Vector3, gyr: Vector3, step: tuple[float, float]) -> None:
-        force = max(_square(acc), _square(self._acc), LEAST_FORCE_MPS2**2)
-        rate = max(_square(gyr), _square(self._gyr), LEAST_RATE_RADPS**2)
-        jump = step[0] / force + step[1] / rate
-        if jump < LEAST_JUMP or self._step[0] / force + self._step[1] / rate > SMOOTH * jump:
-            return
-        left = min(
-            _square_apart(acc, _exchanged(self._acc, order, signs)) / force
-            + _square_apart(gyr, _exchanged(self._gyr, order, signs)) / rate
-            for order in _ORDERS
-            for signs in _SIGNS
+        before, last, jump = self._before, self._step, self._jump
+        self._before = sample
+        if before is None or not 0 < sample.t_sensor_ns - before.t_sensor_ns <= MOST_APART_NS:
+            self._step = self._jump = None
+            return ""
+        force, rate = self._step = (
+            _square_apart(sample.acc_mps2, before.acc_mps2),
+            _square_apart(sample.gyr_radps, before.gyr_radps),
         )
-        if left <= EXPLAINED * jump:
-            self._after, self._jump, self._force, self._rate = STEPS_AFTER, jump, force, rate
+        if jump is None:
+            self._jump = _jump(before, sample, last, self._step) if last else None
+            return ""
+        jump.steps -= 1
+        smooth = force / jump.force + rate / jump.rate <= jump.smooth
+        if smooth and jump.steps:
+            return ""
+        self._jump = None
+        return f"the axes of {sample.sensor} changed from one sample to the next: remounted?" if smooth else ""
+
+
+def _jump(before: ImuSample, after: ImuSample, last: tuple[float, float], step: tuple[float, float]) -> _Jump | None:
+    acc, gyr, acc_before, gyr_before = after.acc_mps2, after.gyr_radps, before.acc_mps2, before.gyr_radps
+    force = max(_square(acc), _square(acc_before), LEAST_FORCE_MPS2**2)
+    rate = max(_square(gyr), _square(gyr_before), LEAST_RATE_RADPS**2)
+    size = step[0] / force + step[1] / rate
+    smooth = SMOOTH * size
+    if size < LEAST_JUMP or last[0] / force + last[1] / rate > smooth:
+        return None
+    left = min(
+        _square_apart(acc, _exchanged(acc_before, order, signs)) / force
+        + _square_apart(gyr, _exchanged(gyr_before, order, signs)) / rate
+        for order in _ORDERS
+        for signs in _SIGNS
+    )
+    return _Jump(force, rate, smooth, STEPS_AFTER) if left <= EXPLAINED * size else None
 
 
 def _square(a: Vector3) -> float:

@@ -40,5 +40,6 @@ class Dose:
             charge_uc = self._rate_uc_per_s * (end_ns - self._since_ns) / NS_PER_S
             self._by_second[second] = self._by_second.get(second, 0.0) + charge_uc
             self._since_ns = end_ns
-        for old in [booked for booked in self._by_second if booked < second - MINUTE_S]:
-            del self._by_second[old]
+        # booked in order: behind the first that still counts there is nothing to forget
+        while self._by_second and next(iter(self._by_second)) < second - MINUTE_S:
+            del self._by_second[next(iter(self._by_second))]

@@ -85,16 +85,16 @@ class Freshness:
             return f"no data from {sensor}"
         if not known.finite:
             return f"non-finite sample from {sensor}"
-        limit = f"limit {self._max_age_ns / 1e6:.0f} ms"
         arrival_ns = t_ns - known.t_ns
         if arrival_ns < 0:
             return f"{sensor} data are dated {-arrival_ns / 1e6:.3g} ms ahead"
+        age_ns = t_ns - known.t_sensor_ns - known.offset_ns
+        if max(arrival_ns, age_ns) <= self._max_age_ns:
+            return self._frozen(sensor, known)
+        limit = f"limit {self._max_age_ns / 1e6:.0f} ms"
         if arrival_ns > self._max_age_ns:
             return f"{sensor} data {math.ceil(arrival_ns / 1e6)} ms old, {limit}"
-        age_ns = t_ns - known.t_sensor_ns - known.offset_ns
-        if age_ns > self._max_age_ns:
-            return f"{sensor} data {math.ceil(age_ns / 1e6)} ms old by the sensor's own clock, {limit}"
-        return self._frozen(sensor, known)
+        return f"{sensor} data {math.ceil(age_ns / 1e6)} ms old by the sensor's own clock, {limit}"
 
     @staticmethod
     def _frozen(sensor: str, known: _Sensor) -> str:
