@@ -1,11 +1,13 @@
 """A cohort's scaling from one worker process to two, and what is lost when a worker is killed.
 
-Recordings are the bundled trial of two feet under as many names. The time is that of the analysis, from the first
-recording handed out to the last one kept, with the workers up and their compiled code loaded. Beside it the processor
-time of each worker and of this process, which hands out and collects: on a busy computer the ratio of the workers'
-processor time tells more than the clock.
+    python benchmarks/cohort.py                      2,000 recordings: two to three minutes on two free processors
+    python benchmarks/cohort.py --recordings 40      as a check that it works; too short to tell the scaling
 
-    python benchmarks/cohort.py --recordings 2000
+Recordings are made here: the bundled trial of two feet, cut off at 20 to 40 s, each with noise of its own.
+The clock runs from the first recording handed out to the last one kept, with the workers up and their compiled code
+loaded. Beside it stands the processor time of the workers and of this process, which hands out and collects: on a busy
+computer the scaling that these allow, were both processors free, tells more than the clock. Ctrl-C ends it at any time;
+what has been measured by then is printed.
 """
 
 from __future__ import annotations
@@ -13,55 +15,72 @@ from __future__ import annotations
 import argparse
 import os
 import resource
+import shutil
 import signal
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
 from speed_row import Row, print_rows
 
 from fes.cohort.engine import cluster, run
-from fes.cohort.one import DONE, Outcome, Settings
+from fes.cohort.one import DONE, Outcome, Settings, analyse_one
 from fes.cohort.report import write_pages
 from fes.cohort.sources import Source, find
 from fes.cohort.store import RECORDINGS, Store
 
 TRIAL = Path(__file__).parents[1] / "sim_inputs" / "both_feet_100hz"
 GROUP = "a cohort"
-KILL_AFTER = 0.3  # share of the recordings
+LENGTH_S, RATE_HZ = (20.0, 40.0), 100.0
+NOISE = 1e-3  # m/s² and rad/s, much below the sensors' own
+KILLED, KILL_AFTER = 64, 0.3  # recordings of the run in which a worker is killed; after which share of them
 REQUIRED = 1.8
+INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
 class Run:
-    """Seconds by the clock; processor time (s) of all workers and of this process; how each recording went."""
+    """Seconds by the clock, and those until the workers were ready; processor time (s) of all workers and of this
+    process; how each recording went."""
 
     seconds: float
+    ready_s: float
     workers_s: float
     own_s: float
     outcomes: list[Outcome]
 
 
-def lay(folder: Path, count: int) -> list[Source]:
-    """The trial under ``count`` names, ten a subject."""
+def make(folder: Path, count: int) -> None:
+    """That many recordings with their sidecars below ``folder``."""
+    trial = parquet.read_table(TRIAL.with_suffix(".parquet"))
+    chance = np.random.default_rng(1)
     for number in range(count):
         subject = folder / f"P{number // 10:04d}"
-        subject.mkdir(exist_ok=True)
-        for suffix in (".parquet", ".toml"):
-            (subject / f"walk{number}{suffix}").symlink_to(TRIAL.with_suffix(suffix))
-    return find([str(folder)])
+        subject.mkdir(parents=True, exist_ok=True)
+        piece = trial.slice(0, round(RATE_HZ * chance.uniform(*LENGTH_S)))
+        for at, field in enumerate(piece.schema):
+            if pa.types.is_floating(field.type):
+                values = piece.column(at).to_numpy()
+                own = pa.array(values + NOISE * chance.standard_normal(len(values)), field.type)
+                piece = piece.set_column(at, field, own)
+        parquet.write_table(piece, subject / f"walk{number}.parquet")
+        shutil.copy(TRIAL.with_suffix(".toml"), subject / f"walk{number}.toml")
 
 
 def timed(sources: list[Source], store: Store, workers: int, kill: bool = False) -> Run:
     """Analyse them all, with one of the workers killed on the way if asked."""
     store.prepare({})
-    seen = 0
+    seen, start_s = 0, time.perf_counter()
     with cluster(workers) as client:
         warm = Store(store.url + "-warm")
         warm.prepare({})
-        run(client, sources[: 16 * workers], warm, Settings(), lambda _: None)
+        client.run(analyse_one, sources[0], warm, Settings())  # in each worker
         victim = min(client.run(os.getpid).values())
 
         def tell(_: Outcome) -> None:
@@ -70,12 +89,12 @@ def timed(sources: list[Source], store: Store, workers: int, kill: bool = False)
             if kill and seen == int(KILL_AFTER * len(sources)):
                 os.kill(victim, signal.SIGKILL)
 
-        # the warm-up's futures are gone: these run anew
         spent_s = sum(client.run(_spent).values())
         own_s, begin_s = time.process_time(), time.perf_counter()
         outcomes = run(client, sources, store, Settings(), tell)
         seconds, own_s = time.perf_counter() - begin_s, time.process_time() - own_s
-        return Run(seconds, sum(client.run(_spent).values()) - spent_s, own_s, outcomes)
+        spent_s = sum(client.run(_spent).values()) - spent_s  # nonsense where a worker was killed, and not used then
+        return Run(seconds, begin_s - start_s, spent_s, own_s, outcomes)
 
 
 def _spent() -> float:
@@ -84,33 +103,46 @@ def _spent() -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def cohort_rows(count: int, folder: Path) -> list[Row]:
-    """The figures of a cohort of ``count`` recordings."""
-    (folder / "in").mkdir()
-    sources = lay(folder / "in", count)
-    rows, runs, whole = [], {}, True
+def cohort_rows(count: int, folder: Path) -> Iterator[Row]:
+    """The figures of a cohort of ``count`` recordings, as they are had."""
+    begin_s = time.process_time()
+    make(folder / "in", count)
+    _tell(f"{count} recordings made, {time.process_time() - begin_s:.0f} s")
+    begin_s = time.process_time()
+    sources = find([str(folder / "in")])
+    yield Row(GROUP, f"finding {count} recordings", time.process_time() - begin_s, "s")
+    runs, whole = dict[int, Run](), True
     for workers in (1, 2):
         done = runs[workers] = timed(sources, Store(str(folder / f"out{workers}")), workers)
         good = sum(outcome.status == DONE for outcome in done.outcomes)
         whole = whole and good == count
         note = (
-            f"{good} of {count} done; {1e3 * done.workers_s / count:.0f} ms of a worker and "
-            f"{1e3 * done.own_s / count:.1f} ms of the scheduler each"
+            f"{good} done in {done.seconds:.1f} s; {1e3 * done.workers_s / count:.1f} ms of a worker and "
+            f"{1e3 * done.own_s / count:.2f} ms of the scheduler each; ready after {done.ready_s:.1f} s"
         )
         name = f"{workers} worker{'s' if workers > 1 else ''}, {count} recordings"
-        rows.append(Row(GROUP, name, count / done.seconds, "recordings/s", higher=True, note=note))
-    scaling = runs[1].seconds / runs[2].seconds if whole else float("nan")
+        _tell(f"{name}: {note}")
+        yield Row(GROUP, name, count / done.seconds, "recordings/s", higher=True, note=note)
+    one, two = runs[1], runs[2]
+    scaling = one.seconds / two.seconds if whole else float("nan")
     note = "by the clock" if whole else "not all were done, so the times tell nothing"
-    rows.append(Row(GROUP, "scaling, 1 → 2 workers", scaling, "", REQUIRED, higher=True, note=note))
-    store = Store(str(folder / "killed"))
-    timed(sources, store, 2, kill=True)
-    finished = store.table(RECORDINGS, store.finished()).to_pylist()
-    lost = count - len({row["source"] for row in finished if row["status"] == DONE})
-    rows.append(Row(GROUP, "lost with a worker killed", lost, "", 0.0))
+    yield Row(GROUP, "scaling, 1 → 2 workers", scaling, "", REQUIRED, higher=True, note=note)
+    # one worker has a processor to itself, two share both with the scheduler
+    allowed = 2.0 * one.workers_s / (two.workers_s + two.own_s) if whole else float("nan")
+    yield Row(GROUP, "scaling that processor times allow", allowed, higher=True, note="both processors free")
     begin_s = time.process_time()
-    write_pages(store, store.finished())
-    rows.append(Row(GROUP, f"pages of {count} recordings", time.process_time() - begin_s, "s"))
-    return rows
+    write_pages(Store(str(folder / "out2")), Store(str(folder / "out2")).finished())
+    yield Row(GROUP, f"pages of {count} recordings", time.process_time() - begin_s, "s")
+    few, store = sources[:KILLED], Store(str(folder / "killed"))
+    killed = timed(few, store, 2, kill=True)
+    rows = store.table(RECORDINGS, store.finished(), ("source", "status")).to_pylist()
+    lost = len(few) - len({row["source"] for row in rows if row["status"] == DONE})
+    note = f"{killed.seconds:.1f} s; a new worker starts meanwhile"
+    yield Row(GROUP, f"lost of {len(few)} with a worker killed", lost, "", 0.0, note=note)
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
 
 
 def main() -> int:
@@ -118,8 +150,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--recordings", type=int, default=2000)
     options = parser.parse_args()
+    rows: list[Row] = []
     with tempfile.TemporaryDirectory(prefix="fes-cohort-") as name:
-        return print_rows(cohort_rows(options.recordings, Path(name)), "A cohort")
+        try:
+            for row in cohort_rows(options.recordings, Path(name)):
+                rows.append(row)
+        except KeyboardInterrupt:
+            _tell("Interrupted.")
+            print_rows(rows, "A cohort, interrupted")
+            return INTERRUPTED
+    return print_rows(rows, "A cohort")
 
 
 if __name__ == "__main__":

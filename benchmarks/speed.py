@@ -1,4 +1,4 @@
-"""How fast: the whole analysis of two feet from file to strides, each of its stages, a live step, start-up, memory.
+"""How fast: the whole analysis of two feet from file to strides, each of its stages, start-up, memory.
 
     python benchmarks/speed.py [--minutes 10] [--json FILE] [--cold] [--hours 1 10]
 
@@ -30,16 +30,12 @@ from speed_bare import bare_seconds
 from stroke_treadmill import data_folder, load_run
 
 from fes.analysis import analyse, calibrations_of
-from fes.config import load_session
-from fes.controller import Controller
 from fes.driving import stride_settings
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.events_offline import find_events
 from fes.estimation.foot import FootTracker
 from fes.estimation.stride_fusion import fused
 from fes.estimation.strides import StrideMaker
-from fes.estimation.warm import warm_up
-from fes.gate.of_session import gate_of
 from fes.ground_path import ground_path
 from fes.recording import Recording, Track, read_recording, write_recording
 from fes.replay import increasing, session_for
@@ -49,7 +45,6 @@ from fes.toe_and_heel import toe_and_heel
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES_PER_S = 1_500_000.0
 BARE_RATIO = 2.0
-STEP_MEAN_US, STEP_P99_US = 15.0, 40.0
 HELP_S, WARM_S, COLD_S = 0.25, 1.5, 15.0
 REPEATS = 3
 
@@ -123,23 +118,6 @@ def stages(recording: Recording) -> dict[str, float]:
     return seconds
 
 
-def live_steps(recording: Recording) -> tuple[float, float]:
-    """Mean and 99th percentile (µs) of one sample's way from estimator to gate, on two feet."""
-    session = load_session(ROOT / "sim_inputs" / "session.toml")
-    recording, found = calibrations_of(recording)
-    warm_up()
-    up = {sensor: calibration.up for sensor, calibration in found.calibrations.items()}
-    controller, gate = Controller(session, found.calibrations), gate_of(session, up)
-    taken = []
-    for sample in recording.samples():
-        begin = time.perf_counter_ns()
-        gate.observe(sample)
-        for request in controller.step(sample).requests:
-            gate.judge(sample.t_ns, request)
-        taken.append(time.perf_counter_ns() - begin)
-    return 1e-3 * float(np.mean(taken)), 1e-3 * float(np.percentile(taken, 99))
-
-
 def command_seconds(*arguments: str | Path, repeats: int = REPEATS, cache: Path | None = None) -> float:
     """Least processor time of `fes …` with all its processes, in s."""
     environment = dict(os.environ) | ({"XDG_CACHE_HOME": str(cache)} if cache else {})
@@ -195,8 +173,6 @@ def measure(
     bare = bare_seconds(recording, found.calibrations)
     rows.append(("  the same filters in a bare compiled loop", per * bare, "ns/sample", None))
     rows.append(("analyse over bare loop", analysing / bare, "", BARE_RATIO))
-    mean_us, p99_us = live_steps(one_walk())
-    rows += [("live step, mean", mean_us, "µs", STEP_MEAN_US), ("live step, 99 %", p99_us, "µs", STEP_P99_US)]
     trial = ROOT / "sim_inputs" / "both_feet_200hz.parquet"
     rows.append(("fes --help", command_seconds("--help"), "s", HELP_S))
     rows.append(("fes analyse, warm", command_seconds("analyse", trial, "--out", folder / "out"), "s", WARM_S))
@@ -209,7 +185,7 @@ def measure(
 
 def main() -> int:
     """Measure, print, and say by the exit code whether every bar is met."""
-    parser = argparse.ArgumentParser(description="Speed of analysis and of the live step.")
+    parser = argparse.ArgumentParser(description="Speed of the analysis and of starting.")
     parser.add_argument("--minutes", type=float, default=10.0, help="length of the recording")
     parser.add_argument("--json", type=Path, help="also write the figures here")
     parser.add_argument("--cold", action="store_true", help="also time the first run with an empty compiler cache")

@@ -20,6 +20,7 @@ from fes.recording import Recording
 
 GROUP = "beside others, on the same recording"
 STEPPED_SAMPLES = 5_000
+EKF = "ahrs EKF, a call a sample"
 STEP_OVER_EKF = 1.0  # a live step, with all that it does, costs no more than an EKF's orientation in Python
 
 
@@ -42,15 +43,16 @@ def peer_rows(recording: Recording, python: Path, live_step_us: float) -> list[R
             return [Row(GROUP, "peers: not measured", float("nan"), note=done.stderr.strip().splitlines()[-1][:120])]
         theirs = json.loads((folder / "speed.json").read_text(encoding="utf-8"))
     ours = our_costs(recording)
+    stepped = {"live step": live_step_us, "orientation alone, a call a sample": ours["orientation, stepped"]}
     beside = {
-        "VQF (C++), a call a sample": ("live step", live_step_us),
-        "VQF (C++), a call for all": ("orientation, all at once", ours["orientation"]),
-        "PyVQF, a call a sample": ("live step", live_step_us),
-        "imufusion (C), a call a sample": ("live step", live_step_us),
-        "ahrs EKF, a call a sample": ("live step", live_step_us),
-        "gaitmap pipeline (Herzer), RtsKalman": ("whole analysis", ours["analysis"]),
-        "gaitmap pipeline (Rampp), integration": ("whole analysis", ours["analysis"]),
-        "gaitmap RtsKalman": ("path, smoothed", ours["path"]),
+        "VQF (C++), a call a sample": stepped,
+        "VQF (C++), a call for all": {"orientation, all at once": ours["orientation"]},
+        "PyVQF, a call a sample": stepped,
+        "imufusion (C), a call a sample": stepped,
+        EKF: stepped,
+        "gaitmap pipeline (Herzer), RtsKalman": {"whole analysis": ours["analysis"]},
+        "gaitmap pipeline (Rampp), integration": {"whole analysis": ours["analysis"]},
+        "gaitmap RtsKalman": {"path, smoothed": ours["path"]},
     }
     rows = [
         Row(GROUP, "ours: orientation alone, a call a sample", ours["orientation, stepped"], "µs/sample"),
@@ -60,8 +62,10 @@ def peer_rows(recording: Recording, python: Path, live_step_us: float) -> list[R
         Row(GROUP, "ours: live step, all of it", live_step_us, "µs/sample"),
     ]
     for name, value in theirs["us"].items():
-        what, own = beside[name]
-        rows.append(Row(GROUP, name, value, "µs/sample", note=f"{value / own:.3g} times our {what}"))
+        times = (f"{value / own:.3g} times our {what}" for what, own in beside[name].items())
+        rows.append(Row(GROUP, name, value, "µs/sample", note=", ".join(times)))
+        if name == EKF:
+            rows.append(Row(GROUP, "our live step over that EKF", live_step_us / value, "", STEP_OVER_EKF))
     rows += [Row(GROUP, f"{part}: failed", float("nan"), note=why[:120]) for part, why in theirs["failed"].items()]
     return rows
 

@@ -1,7 +1,7 @@
 """One table of speed: the analysis and its stages, a live step, start-up, growth, an hour's session, a cohort, peers.
 
     make bench                                       (both environments, then this with --write)
-    python benchmarks/speed_table.py --quick         everything shorter: about a minute
+    python benchmarks/speed_table.py --quick         everything shorter: a few minutes
     python benchmarks/speed_table.py --write         also into docs/speed.md and benchmarks/results/speed.json;
                                                      with --only, what is not measured keeps its last figures
 
@@ -17,6 +17,8 @@ import os
 import platform
 import shutil
 import sys
+import time
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +27,7 @@ from tempfile import TemporaryDirectory
 import speed
 from cohort import cohort_rows
 from speed_growth import growth_rows
+from speed_live import PASSES, live_rows, live_step, recordings
 from speed_peers import peer_rows
 from speed_row import Row, markdown, print_rows
 from speed_session import session_rows
@@ -32,7 +35,8 @@ from speed_session import session_rows
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS, PAGE = ROOT / "benchmarks" / "results" / "speed.json", ROOT / "docs" / "speed.md"
 BEGIN, END = "<!-- figures: written by benchmarks/speed_table.py -->", "<!-- end of figures -->"
-PARTS = ("analysis", "peers", "growth", "session", "cohort")
+BUSY = 0.15  # processors that others take: from there on what counts by the clock counts little
+PARTS = ("analysis", "live", "peers", "growth", "session", "cohort")
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -46,28 +50,46 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--peers", type=Path, default=ROOT / ".venv-peers" / "bin" / "python", help="their Python")
     parser.add_argument("--write", action="store_true", help=f"into {RESULTS.name} and {PAGE.name}")
     given = parser.parse_args(arguments)
+    if given.quick and given.write:
+        parser.error("--quick is too short for figures that stay; leave --write away")
     parts = read_parts(RESULTS) if given.write else {}
+    done, failed = list[str](), list[str]()
     with TemporaryDirectory(prefix="fes-speed-") as name:
         quick = given.quick
         measured: dict[str, Callable[[Path], list[Row]]] = {
             "analysis": lambda folder: analysis_rows(1.0 if quick else 10.0, folder, cold=not quick),
-            "peers": lambda _: peer_rows(speed.one_walk(), given.peers, speed.live_steps(speed.one_walk())[0]),
+            "live": lambda _: live_rows(recordings(), 2 if quick else PASSES),
+            "peers": lambda _: peer_rows(speed.one_walk(), given.peers, live_step(speed.one_walk(), 2).mean_us),
             "growth": lambda folder: growth_rows([0.2, 0.6] if quick else [1.0, 3.0, 10.0], folder),
             "session": lambda folder: session_rows(0.05 if quick else 1.0, folder),
-            "cohort": lambda folder: cohort_rows(given.recordings or (32 if quick else 2000), folder),
+            "cohort": lambda folder: list(cohort_rows(given.recordings or (32 if quick else 2000), folder)),
         }
         for part in (part for part in PARTS if part in given.only):
-            folder, load = Path(name) / part, os.getloadavg()[0]
+            folder, begin = Path(name) / part, Spent.now()
             folder.mkdir()
-            rows = measured[part](folder)
-            parts[part] = Part(rows, machine(max(load, os.getloadavg()[0])))
-            shutil.rmtree(folder)
-            print(f"{part}: measured", file=sys.stderr, flush=True)
+            try:
+                rows = measured[part](folder)
+            except KeyboardInterrupt:
+                print(f"Interrupted; {part} and what follows are not measured.", file=sys.stderr, flush=True)
+                failed.append(part)
+                break
+            except Exception:  # the others are measured all the same
+                traceback.print_exc()
+                failed.append(part)
+                continue
+            finally:
+                shutil.rmtree(folder, ignore_errors=True)
+            parts[part] = Part(rows, machine(begin.others_until(Spent.now())))
+            done.append(part)
+            print(f"{part}: measured in {Spent.now().clock_s - begin.clock_s:.0f} s", file=sys.stderr, flush=True)
             if given.write:
                 RESULTS.parent.mkdir(parents=True, exist_ok=True)
                 RESULTS.write_text(to_json(parts), encoding="utf-8")
                 PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), parts), encoding="utf-8")
-    return print_rows([row for part in given.only for row in parts[part].rows], "Speed")
+    missed = print_rows([row for part in done for row in parts[part].rows], "Speed")
+    if failed:
+        print(f"Not measured: {', '.join(failed)}", file=sys.stderr)
+    return missed or bool(failed)
 
 
 @dataclass(frozen=True)
@@ -78,11 +100,35 @@ class Part:
     machine: str
 
 
-def machine(load: float) -> str:
-    """In words; a busy one is said to be."""
+@dataclass(frozen=True)
+class Spent:
+    """Up to now, in s: by the clock, processor time of the whole machine, and of this process with its children."""
+
+    clock_s: float
+    machine_s: float
+    own_s: float
+
+    @staticmethod
+    def now() -> Spent:
+        """From the system; where it does not tell, the machine's is this process's."""
+        own_s = sum(os.times()[:4])
+        stat = Path("/proc/stat")
+        if not stat.is_file():
+            return Spent(time.monotonic(), own_s, own_s)
+        user, nice, system, _, _, *interrupts = (int(word) for word in stat.read_text().splitlines()[0].split()[1:9])
+        return Spent(time.monotonic(), (user + nice + system + sum(interrupts)) / os.sysconf("SC_CLK_TCK"), own_s)
+
+    def others_until(self, end: Spent) -> float:
+        """How many processors other programs took from now to ``end``, on average."""
+        taken_s = (end.machine_s - self.machine_s) - (end.own_s - self.own_s)
+        return max(taken_s, 0.0) / max(end.clock_s - self.clock_s, 1e-9)
+
+
+def machine(others: float) -> str:
+    """In words; one that others keep busy is said to be."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     told = f"{platform.machine()}, {processors} processors, {platform.system()}, Python {platform.python_version()}"
-    return f"{told}; load {load:.1f}{', so a BUSY machine' if load > processors else ''}"
+    return f"{told}; other programs took {others:.2f} of them{', so a BUSY machine' if others > BUSY else ''}"
 
 
 def read_parts(path: Path) -> dict[str, Part]:
@@ -104,8 +150,6 @@ def analysis_rows(minutes: float, folder: Path, *, cold: bool) -> list[Row]:
 
 def group_of(what: str, minutes: float) -> str:
     """Where a figure of ``speed.py`` belongs."""
-    if what.startswith("live step"):
-        return "a live step"
     return "start-up" if what.startswith("fes ") else f"analysis of {minutes:g} minutes of two feet"
 
 

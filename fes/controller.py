@@ -94,7 +94,10 @@ class Controller:
         if isinstance(event, ImuSample):
             foot = self._foot_of.get(event.sensor)
             if foot is not None:
-                outcomes = tuple(self._advance(foot, event))
+                found = self.trackers[foot].step(event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
+                if found:
+                    self._follow(foot, event, found)
+                    outcomes = tuple(found)
         elif isinstance(event, OperatorAct):
             self._on_act(event)
         elif isinstance(event, StimStatus):
@@ -104,11 +107,13 @@ class Controller:
                 self._plan.on_phase(change, permitted=True)
         # in a silence the gate must see how old the data have become, sooner than at the next command
         requests = self._due(event.t_ns, at_once=self._on and isinstance(event, Tick))
-        reports, self._reports = tuple(self._reports), []
-        return Decision(requests, outcomes, reports) if requests or outcomes or reports else NOTHING
+        if self._reports:
+            reports, self._reports = tuple(self._reports), []
+            return Decision(requests, outcomes, reports)
+        return Decision(requests, outcomes) if requests or outcomes else NOTHING
 
-    def _advance(self, foot: str, sample: ImuSample) -> list[Outcome]:
-        outcomes = self.trackers[foot].step(sample.t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
+    def _follow(self, foot: str, sample: ImuSample, outcomes: list[Outcome]) -> None:
+        """What one foot did at this sample, for its judge, its tuning and the plan."""
         judge = self._judges[foot]
         for outcome in outcomes:
             if isinstance(outcome, StrideResult):
@@ -122,7 +127,6 @@ class Controller:
                 # stimulation keeps to the host's clock, whatever the sensor's does
                 change = PhaseChange(sample.t_ns, foot, outcome.transition, outcome.source, outcome.destination)
                 self._plan.on_phase(change, permitted=permitted)
-        return outcomes
 
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:
         """What the tuning says; its parameters count from each channel's next burst."""

@@ -207,6 +207,11 @@ def test_clock_that_was_set_is_trusted_anew_at_once(set_s: int, says: str) -> No
     assert "frozen" in freshness.note(sample(later_ns, later_ns + set_s * S, gyr=STILL))
 
 
+def test_data_that_came_just_in_time_are_too_old_by_the_sensors_own_clock() -> None:
+    freshness = heard((0, 0), (100 * MS, 90 * MS))
+    assert "50 ms old by the sensor's own clock" in freshness.doubt("left_foot", 100 * MS + MAX_AGE)
+
+
 def test_ages_are_told_in_full_milliseconds() -> None:
     freshness = heard((0, 0), (2000 * S, 0))
     drift_ms = 400  # 200 ppm of the time waited

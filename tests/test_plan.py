@@ -270,6 +270,12 @@ def test_each_foot_has_its_own_channels() -> None:
     assert walk.current() == 20.0
 
 
+def test_a_channel_is_due_though_the_one_before_it_rests() -> None:
+    walk = Walk(make_channel(0), make_channel(1, "right_foot"))
+    walk.enter(PRE_SWING, foot="right_foot")
+    assert [walk.plan.due(t_ms * MS, 1.0) for t_ms in (0, 2, 3)] == [False, False, True]
+
+
 def test_calf_from_stance_to_swing() -> None:
     """Push-off: starts with a delay in stance, is held through pre-swing, and stops in swing."""
     walk = Walk(make_channel(start_phase="stance", start_delay_s=0.2, stop_phase="swing", extension_s=0.0))

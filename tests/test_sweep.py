@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -260,6 +261,19 @@ def test_a_patient_answers_to_the_settings_and_is_the_same_again(tmp_path: Path)
     assert Patient(1, 7).settings("left_foot", 2) != Patient(2, 7).settings("left_foot", 2)
 
 
+def test_another_session_file_is_another_trial(tmp_path: Path) -> None:
+    """By what it says: a copy elsewhere is the same, a changed one is not, whatever its time."""
+    point, case = Point((("stimulation.intensity", 0.5),)), str(TRIAL)
+    path = tmp_path / "session.toml"
+    path.write_text(SESSION.read_text(encoding="utf-8"), encoding="utf-8")
+    assert bench(path).identity(case, point) == bench().identity(case, point)
+    before, time = bench(path).identity(case, point), path.stat()
+    path.write_text(path.read_text(encoding="utf-8").replace("extension_s = 0.06", "extension_s = 0.07"), "utf-8")
+    os.utime(path, ns=(time.st_atime_ns, time.st_mtime_ns))
+    assert bench(path).identity(case, point) != before
+    assert replace(bench(), program="another").identity(case, point) != before
+
+
 def test_a_failing_combination_stops_nothing_and_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
     for path in TRIALS.glob("soft_contact.*"):
         shutil.copy(path, tmp_path / path.name)
@@ -290,20 +304,20 @@ def test_what_kills_its_process_is_given_up_alone(tmp_path: Path, monkeypatch: p
     store, settings = store_at(str(tmp_path / "out")), bench()
     store.prepare({})
     (source,) = find([str(TRIAL)])
-    told = [Point((("stimulation.intensity", 0.1 * number),)) for number in range(3)]
+    told = [Point((("stimulation.intensity", 0.05 * number),)) for number in range(12)]  # the first go by themselves
 
     def lost(point: Point, why: str) -> Outcome:
         return keep(source, settings, point, store, FAILED, why, {})
 
     tasks = [
-        Task(point.identity, _die if number == 1 else _done, (point.identity,), partial(lost, point))
+        Task(point.identity, _die if number == 9 else _done, (point.identity,), partial(lost, point))
         for number, point in enumerate(told)
     ]
     with cluster(1) as client:
         outcomes = run_tasks(client, tasks, str(tmp_path), lambda _: None)
-    assert sorted(outcome.status for outcome in outcomes) == [DONE, DONE, FAILED]
+    assert sorted(outcome.status for outcome in outcomes) == [*[DONE] * 11, FAILED]
     (given_up,) = store.table(RESULTS, store.finished()).to_pylist()
-    assert given_up["settings"] == told[1].text()
+    assert given_up["settings"] == told[9].text()
     assert "died" in given_up["reason"]
 
 

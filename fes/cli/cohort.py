@@ -45,7 +45,8 @@ def command(
     used does not stop the others; it is listed with its reason, and the exit code is then 1.
     """
     from fes.cohort.engine import cluster, run, workers_here
-    from fes.cohort.one import Settings
+    from fes.cohort.one import Settings, drop_replaced
+    from fes.cohort.program import program
     from fes.cohort.sources import CohortError, find
     from fes.cohort.store import Store
 
@@ -53,7 +54,8 @@ def command(
     try:
         sources = find([absolute(pattern) for pattern in recordings])
         by_identity = {source.identity(settings.text()): source for source in sources}
-        store.prepare({"command": "fes cohort", "recordings": list(recordings), "settings": settings.text()})
+        about = {"command": "fes cohort", "recordings": list(recordings), "settings": settings.text()}
+        store.prepare(about | {"program": program()})
         finished = store.finished() & by_identity.keys()
         if retry_failed:
             again = {r["recording"] for r in _rows(store, finished) if r["status"] != "done"}
@@ -63,16 +65,21 @@ def command(
         if finished:
             click.echo(f"{len(finished)} of {len(sources)} are finished already.", err=True)
         if todo:
-            with cluster(workers or workers_here(), scheduler) as client, ProgressBar(len(todo), "analysing") as bar:
+            number = min(workers or workers_here(), len(todo))
+            with cluster(number, scheduler) as client, ProgressBar(len(todo), "analysing") as bar:
                 run(client, todo, store, settings, bar.tell)
+        if replaced := drop_replaced(store, sources, settings):
+            click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
         rows = _rows(store, by_identity)
         if not no_report:
             from fes.cohort.report import write_pages
 
-            page = write_pages(store, by_identity)
+            page = write_pages(store, by_identity, rows)
             click.echo(f"Report     {page}")
     except CohortError as error:
         raise Problem(str(error)) from error
+    except OSError as error:
+        raise Problem(f"{store.url}: the results cannot be kept there: {error}") from error
     except KeyboardInterrupt:
         click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED) from None

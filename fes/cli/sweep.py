@@ -80,7 +80,7 @@ def command(
     from fes.cohort.one import DONE
     from fes.cohort.sources import CohortError, find
     from fes.cohort.sweep_grid import axis, points
-    from fes.cohort.sweep_one import Bench, Patient
+    from fes.cohort.sweep_one import TRUTH_FILES, Bench, Patient
     from fes.cohort.sweep_table import RESULTS, combinations, measures_of, store_at
     from fes.config import ConfigError, load_session
 
@@ -93,7 +93,7 @@ def command(
         tried = points(axes, sample, seed)
         bench = Bench(load_session(session), str(session), seconds if patients else 0.0)
         cases: list[Case] = [Patient(number, seed) for number in range(patients or 0)]
-        cases += find([absolute(pattern) for pattern in recordings]) if recordings else []
+        cases += find([absolute(pattern) for pattern in recordings], TRUTH_FILES) if recordings else []
         store = store_at(absolute(out))
         store.prepare({"command": "fes sweep", "session": str(session), "set": list(asked), "seed": seed})
         tasks = {task.key: task for task in _tasks(cases, tried, bench, store)}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import pickle
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,8 +12,8 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-from fes import __version__
 from fes.cohort.one import Outcome, Settings, analyse_one, keep_failure
+from fes.cohort.program import program
 from fes.cohort.sources import CohortError, Source
 from fes.cohort.store import Store
 
@@ -19,12 +21,17 @@ if TYPE_CHECKING:
     from distributed import Client
 
 AHEAD: Final = 4  # batches a worker process may have waiting: the queue stays short however long the list is
-BATCHES: Final = (
-    12  # a worker gets at least so many, as long as there are that many tasks: the last ones end together …
-)
-LARGEST_BATCH: Final = 8  # … and at most so many tasks in each: handing one over costs as much as reading a recording
+BATCH_S: Final = 1.0  # of work in a batch, about: handing one over costs as much as reading a recording …
+BATCHES: Final = 6  # … but of what is left no more than this part of a worker's share, so that all end together …
+LARGEST_BATCH: Final = 64  # … and never more tasks than this
 CONNECT_S: Final = 10.0
 DEATHS: Final = 3  # of its process, after which a task is given up
+QUIET: Final = {  # what Dask does besides the work every 10, 20 and 100 ms took 4 % of two processors from the work
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.admin.system-monitor.interval": "5s",
+}
 
 Tell = Callable[[Outcome], None]
 
@@ -59,6 +66,7 @@ def cluster(workers: int, scheduler: str = "") -> Iterator[Client]:
     from distributed import Client, LocalCluster
 
     dask.config.set({"distributed.scheduler.allowed-failures": DEATHS, "distributed.comm.timeouts.connect": CONNECT_S})
+    dask.config.set(QUIET)
     if scheduler:
         try:
             client = Client(scheduler, timeout=CONNECT_S)
@@ -87,18 +95,14 @@ def cluster(workers: int, scheduler: str = "") -> Iterator[Client]:
 def _check(client: Client, scheduler: str) -> None:
     """All workers must be able to do what this process would do."""
     try:
-        versions = client.run(_version)
+        versions = client.run(program)
     except Exception as error:  # whatever a foreign worker raises
-        raise CohortError(f"{scheduler}: its workers cannot import fes: {error}. Install fes {__version__}.") from error
+        raise CohortError(f"{scheduler}: its workers cannot import fes: {error}. Install fes {program()}.") from error
     if not versions:
         raise CohortError(f"{scheduler}: has no worker. Start some with `dask worker {scheduler}`.")
     for address, version in versions.items():
-        if version != __version__:
-            raise CohortError(f"{address}: has fes {version}, not {__version__}. Install the same version on all.")
-
-
-def _version() -> str:
-    return __version__
+        if version != program():
+            raise CohortError(f"{address}: has fes {version}, not {program()}. Install the same version on all.")
 
 
 def run(client: Client, sources: Sequence[Source], store: Store, settings: Settings, tell: Tell) -> list[Outcome]:
@@ -127,31 +131,35 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
     from distributed import KilledWorker, as_completed
 
     workers = max(sum(client.nthreads().values()), 1)
-    size = min(max(len(tasks) // (BATCHES * workers), 1), LARGEST_BATCH)
-    waiting = [list(tasks[at : at + size]) for at in range(0, len(tasks), size)][::-1]
-    suspects: list[list[Task]] = []
+    waiting = list(tasks)[::-1]
+    suspects: list[Task] = []
     of: dict[str, list[Task]] = {}
     outcomes: list[Outcome] = []
-    numbers = count()
+    numbers, pace_s = count(), BATCH_S  # a task takes: long ones go one by one, so do the first
 
     def submitted(batch: list[Task]) -> object:
         key = f"fes-{batch[0].key}-{next(numbers)}"
         of[key] = batch
-        return client.submit(_do, [(task.work, task.arguments) for task in batch], key=key, pure=False)
+        return client.submit(_do, pickle.dumps([(task.work, task.arguments) for task in batch]), key=key, pure=False)
 
-    running = as_completed([submitted(waiting.pop()) for _ in range(min(AHEAD * workers, len(waiting)))])
+    def following() -> list[Task]:
+        most = min(int(BATCH_S / max(pace_s, 1e-6)), len(waiting) // (BATCHES * workers), LARGEST_BATCH)
+        return [waiting.pop() for _ in range(max(most, 1))]
+
+    running = as_completed([submitted(following()) for _ in range(min(AHEAD * workers, len(waiting)))])
     alone = False
     for future in running:
         batch = of.pop(future.key)
         finished: list[Outcome] = []
         try:
-            finished = future.result()
+            finished, seconds = future.result()
+            pace_s = seconds / len(batch)
         except KilledWorker:
             if alone:
                 why = f"the process that worked on it died {DEATHS} times; is it too long for a worker's memory?"
                 finished = [batch[0].lost(why)]
             else:
-                suspects += [[task] for task in batch]
+                suspects += batch
         except OSError as error:
             raise CohortError(
                 f"{place}: results cannot be kept: {error}. {len(outcomes)} are; make room and run the same "
@@ -162,15 +170,18 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
             tell(outcome)
         future.release()
         while waiting and len(of) < AHEAD * workers:
-            running.add(submitted(waiting.pop()))
+            running.add(submitted(following()))
         if suspects and not of:
             alone = True
-            running.add(submitted(suspects.pop()))
+            running.add(submitted([suspects.pop()]))
     return outcomes
 
 
-def _do(batch: list[tuple[Callable[..., Outcome], tuple[Any, ...]]]) -> list[Outcome]:
-    return [work(*arguments) for work, arguments in batch]
+def _do(pickled: bytes) -> tuple[list[Outcome], float]:
+    """Work on a batch; the outcomes, and how long it took in s. In one piece, or Dask looks into all of it."""
+    begin_s = time.perf_counter()
+    outcomes = [work(*arguments) for work, arguments in pickle.loads(pickled)]
+    return outcomes, time.perf_counter() - begin_s
 
 
 def workers_here() -> int:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
@@ -72,6 +72,23 @@ def keep_failure(source: Source, store: Store, settings: Settings, reason: str) 
     row = {"recording": identity, "source": source.url, "fes_version": __version__, "status": FAILED}
     store.put(identity, {RECORDINGS: [{**row, "reason": reason[:LONGEST_REASON], "subject": subject}]})
     return Outcome(identity, source.url, FAILED, reason)
+
+
+def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -> int:
+    """Take away what earlier files, settings or programs left of recordings that are finished anew; how many.
+
+    Else whoever reads the folder as one table would find these recordings twice.
+
+    Raises:
+        OSError: the storage does not let it.
+    """
+    finished = store.finished()
+    now = {source.url: source.identity(settings.text()) for source in sources}
+    others = finished - set(now.values())
+    told = store.table(RECORDINGS, others, ("recording", "source")).to_pylist() if others else []
+    replaced = {row["recording"] for row in told if now.get(row["source"]) in finished}
+    store.remove(replaced)
+    return len(replaced)
 
 
 def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list[dict[str, Any]]]:

@@ -28,10 +28,7 @@ MAD_TO_SD: Final = 0.6745
 LEAST: Final = 5  # recordings from which on an outlier means something
 BINS: Final = 40
 MISSING_SHARE: Final = 0.01
-SHARES: Final = (
-    0.005,
-    0.995,
-)  # of the strides that a histogram shows: a few wild ones would leave no room for the rest
+SHARES: Final = (0.005, 0.995)  # of the strides that a histogram shows: a few wild ones would leave no room
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,27 +48,27 @@ MEASURES: Final = (
     Measure("stride_time_s", "Stride time", "s"),
     Measure("clearance_m", "Greatest sensor height", "cm", 100.0, 1),
 )
+NAMES: Final = ("recording", "subject", "foot")
+COLUMNS: Final = (*NAMES, "valid", "t_start_s", "t_end_s", "stride_length_m", "speed_mps", "clearance_m")
 
 
-def write_pages(store: Store, identities: Iterable[str]) -> str:
+def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str, Any]] | None = None) -> str:
     """Write the cohort's page and one for each subject; where the first is.
+
+    ``rows``: of the recordings, where they have been read already.
 
     Raises:
         OSError: they cannot be written.
     """
     wanted = set(identities)
-    rows: list[dict[str, Any]] = sorted(store.table(RECORDINGS, wanted).to_pylist(), key=lambda row: row["source"])
-    strides = _columns(store.table(STRIDES, wanted))
+    rows = store.table(RECORDINGS, wanted).to_pylist() if rows is None else rows
+    rows = sorted(rows, key=lambda row: str(row["source"]))
+    strides = _columns(store.table(STRIDES, wanted, COLUMNS))
     subjects = sorted({row["subject"] for row in rows})
     by_subject = {name: [row for row in rows if row["subject"] == name] for name in subjects}
     done = [row for row in rows if row["status"] == DONE]
     page = page_environment().get_template("cohort.html.j2")
-    common: dict[str, Any] = {
-        "style": page_style(),
-        "version": __version__,
-        "measures": MEASURES,
-        "colors": FOOT_COLORS,
-    }
+    common = {"style": page_style(), "version": __version__, "measures": MEASURES, "colors": FOOT_COLORS}
     for name, own in by_subject.items():
         mask = strides["subject"] == name
         of_subject = {column: values[mask] for column, values in strides.items()}
@@ -112,8 +109,7 @@ def write_pages(store: Store, identities: Iterable[str]) -> str:
 
 def _columns(table: Any) -> dict[str, Any]:
     """Arrays of what the pages show; times of strides are worked out."""
-    names = ("recording", "subject", "foot")
-    found = {name: np.array(table[name].to_pylist(), dtype=object) for name in names}
+    found = {name: np.array(table[name].to_pylist(), dtype=object) for name in NAMES}
     found["valid"] = np.array(table["valid"].to_pylist(), dtype=bool)
 
     def numbers(name: str) -> FloatArray:

@@ -7,17 +7,17 @@ import re
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import fsspec
 
-from fes import __version__
+from fes.cohort.beside import LARGEST_SIDECAR, SIDECAR, fetch, mark_beside, mark_of_info, sidecar_of
+from fes.cohort.program import program
 from fes.recording.read import CAN_SUFFIXES, TABLE_SUFFIXES
 
 SUFFIXES: Final = TABLE_SUFFIXES + CAN_SUFFIXES
-SIDECAR: Final = ".toml"
 
 
 class CohortError(RuntimeError):
@@ -30,11 +30,14 @@ class Source:
 
     Attributes:
         url: with its protocol; what a worker opens.
-        mark: size and time or tag of the data file and its sidecar, as the storage tells: another file, another mark.
+        mark: size and time or tag of the data file, as the storage tells; what is in its sidecar; and size and time of
+            all that the sidecar names. Another file, another mark.
+        program: that was asked to work on it; a worker takes the asker's word.
     """
 
     url: str
     mark: str
+    program: str = field(default_factory=program)
 
     @property
     def path(self) -> PurePosixPath:
@@ -42,8 +45,8 @@ class Source:
         return PurePosixPath(re.sub(r"^\w+://", "", self.url.split("::", 1)[0]))
 
     def identity(self, settings: str) -> str:
-        """The name of this recording's results: the same for the same files, settings and version of this program."""
-        text = "\n".join((self.url, self.mark, settings, __version__))
+        """The name of this recording's results: the same for the same files, settings and program."""
+        text = "\n".join((self.url, self.mark, settings, self.program))
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
     def subject(self, pattern: str) -> str:
@@ -54,11 +57,11 @@ class Source:
         return str(found.groupdict().get("subject") or (found.group(1) if found.groups() else found.group(0)))
 
 
-def find(patterns: Sequence[str]) -> list[Source]:
+def find(patterns: Sequence[str], beside: Sequence[str] = ()) -> list[Source]:
     """All recordings below folders, matching globs or named, each once, in the order of their addresses.
 
     In folders and globs only files that have a sidecar beside them count; a file that is named outright always does,
-    so that a missing sidecar is told.
+    so that a missing sidecar is told. ``beside``: endings of files of the same name that results rest on too.
 
     Raises:
         CohortError: a storage cannot be opened, or nothing is found.
@@ -67,7 +70,7 @@ def find(patterns: Sequence[str]) -> list[Source]:
     for pattern in patterns:
         try:
             filesystem, path = fsspec.core.url_to_fs(pattern)
-            for source in _below(filesystem, path, pattern):
+            for source in _below(filesystem, path, pattern, tuple(beside)):
                 found.setdefault(source.url, source)
         except (OSError, ValueError, ImportError) as error:
             raise CohortError(f"{pattern}: cannot be opened: {error}") from error
@@ -78,40 +81,35 @@ def find(patterns: Sequence[str]) -> list[Source]:
     return [found[url] for url in sorted(found)]
 
 
-def _below(filesystem: Any, path: str, pattern: str) -> Iterator[Source]:
+def _below(filesystem: Any, path: str, pattern: str, endings: tuple[str, ...]) -> Iterator[Source]:
     named = not any(mark in path for mark in "*?[")
-    if named and filesystem.isfile(path):
-        sidecar = _sidecar(path)
-        mark = _mark(filesystem.info(path))
-        yield Source(
-            _url(filesystem, path, pattern),
-            mark + (_mark(filesystem.info(sidecar)) if _has(filesystem, sidecar) else ""),
-        )
-        return
-    infos = filesystem.find(path, detail=True) if named else filesystem.glob(path, detail=True)
-    for name, info in infos.items():
-        if info.get("type") == "directory" or PurePosixPath(name).suffix.lower() not in SUFFIXES:
-            continue
-        beside = infos.get(_sidecar(name))
-        if beside is None and _has(filesystem, _sidecar(name)):
-            beside = filesystem.info(_sidecar(name))
-        if beside is not None:
-            yield Source(_url(filesystem, name, pattern), _mark(info) + _mark(beside))
-
-
-def _has(filesystem: Any, path: str) -> bool:
-    return bool(filesystem.isfile(path))
-
-
-def _sidecar(path: str) -> str:
-    return str(PurePosixPath(path).with_suffix(SIDECAR))
-
-
-def _mark(info: dict[str, Any]) -> str:
-    told = [
-        info.get(key) for key in ("size", "mtime", "ETag", "etag", "LastModified", "last_modified", "date_time", "CRC")
+    outright = named and filesystem.isfile(path)
+    if outright:
+        infos = {path: filesystem.info(path)}
+    else:
+        infos = filesystem.find(path, detail=True) if named else filesystem.glob(path, detail=True)
+    names = [
+        name
+        for name, info in infos.items()
+        if outright or (info.get("type") != "directory" and PurePosixPath(name).suffix.lower() in SUFFIXES)
     ]
-    return "|".join(str(value) for value in told if value is not None) + ";"
+    for name in names:
+        sidecar = sidecar_of(name)
+        if sidecar not in infos and filesystem.isfile(sidecar):
+            infos[sidecar] = filesystem.info(sidecar)
+    sidecars = _texts(filesystem, {sidecar: infos[sidecar] for sidecar in map(sidecar_of, names) if sidecar in infos})
+    for name in names:
+        sidecar = sidecar_of(name)
+        if sidecar in infos or outright:
+            mark = mark_of_info(infos[name]) + mark_beside(filesystem, name, sidecars.get(sidecar), infos, endings)
+            yield Source(_url(filesystem, name, pattern), mark)
+
+
+def _texts(filesystem: Any, infos: dict[str, Any]) -> dict[str, bytes]:
+    """What is in these files, all asked for at once; those that are too long or cannot be read are left out."""
+    paths = [path for path, info in infos.items() if (info.get("size") or 0) <= LARGEST_SIDECAR]
+    texts = filesystem.cat_ranges(paths, None, None, on_error="return") if paths else []
+    return {path: text for path, text in zip(paths, texts, strict=True) if isinstance(text, bytes)}
 
 
 def _url(filesystem: Any, path: str, pattern: str) -> str:
@@ -124,7 +122,7 @@ def _url(filesystem: Any, path: str, pattern: str) -> str:
 
 @contextmanager
 def local_copy(source: Source, beside: Sequence[str] = ()) -> Iterator[Path]:
-    """The recording as a file here, with its sidecar beside it, for as long as it is needed.
+    """The recording as a file here, with its sidecar and what that names, for as long as it is needed.
 
     ``beside``: endings of further files of the same name that come too where they are there, as ``.strides.csv``.
 
@@ -137,13 +135,7 @@ def local_copy(source: Source, beside: Sequence[str] = ()) -> Iterator[Path]:
             yield Path(path)
             return
         with tempfile.TemporaryDirectory(prefix="fes-cohort-") as folder:
-            here = Path(folder) / PurePosixPath(path).name
-            filesystem.get_file(path, str(here))
-            for ending in (SIDECAR, *beside):
-                other = str(PurePosixPath(path).with_suffix(ending))
-                if _has(filesystem, other):
-                    filesystem.get_file(other, str(here.with_suffix(ending)))
-            yield here
+            yield fetch(filesystem, path, Path(folder), tuple(beside))
     except OSError as error:
         raise CohortError(f"{source.url}: cannot be fetched: {error}") from error
 

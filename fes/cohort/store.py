@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -103,7 +104,9 @@ class Store:
         folder = f"{root}/{self.last}"
         if not filesystem.isdir(folder):
             return set()
-        names = (str(name).rsplit("/", 1)[-1] for name in filesystem.ls(folder, detail=False, refresh=True))
+        listed = filesystem.ls(folder, detail=True, refresh=True)
+        # a power cut may leave a name without its bytes
+        names = (str(each["name"]).rsplit("/", 1)[-1] for each in listed if each.get("size") != 0)
         return {name.removesuffix(".parquet") for name in names if name.endswith(".parquet")}
 
     def forget(self, identities: Iterable[str]) -> None:
@@ -112,16 +115,30 @@ class Store:
         for identity in identities:
             filesystem.rm_file(f"{root}/{self.last}/{identity}.parquet")
 
-    def table(self, name: str, identities: Iterable[str]) -> pa.Table:
-        """The rows of these recordings; leftovers of other runs in the folder are not among them."""
+    def remove(self, identities: Iterable[str]) -> None:
+        """Take all rows of these away; those of the last table last, so that a crash on the way leaves them known.
+
+        Raises:
+            OSError: the storage does not let it.
+        """
+        filesystem, root = self._open()
+        for identity in identities:
+            for table in sorted(self.schemas, key=lambda name: name == self.last):
+                with suppress(FileNotFoundError):
+                    filesystem.rm_file(f"{root}/{table}/{identity}.parquet")
+
+    def table(self, name: str, identities: Iterable[str], columns: Sequence[str] | None = None) -> pa.Table:
+        """The rows of these recordings, with all columns or some; leftovers of other runs are not among them."""
         filesystem, root = self._open()
         folder = f"{root}/{name}"
         listed = filesystem.ls(folder, detail=False, refresh=True) if filesystem.isdir(folder) else ()
         there = {str(path).rsplit("/", 1)[-1] for path in listed}
         paths = [f"{folder}/{identity}.parquet" for identity in sorted(identities) if f"{identity}.parquet" in there]
         if not paths:
-            return self.schemas[name].empty_table()
-        return parquet.read_table(paths, schema=self.schemas[name], filesystem=filesystem)
+            empty = self.schemas[name].empty_table()
+            return empty if columns is None else empty.select(list(columns))
+        wanted = None if columns is None else list(columns)
+        return parquet.read_table(paths, columns=wanted, schema=self.schemas[name], filesystem=filesystem)
 
     def write_text(self, name: str, text: str) -> None:
         """A page beside the tables."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import tempfile
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from pathlib import Path
 from random import Random
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from fes import __version__
 from fes.cohort.one import DONE, FAILED, LONGEST_REASON, Outcome, reason_of
+from fes.cohort.program import program
 from fes.cohort.sources import CohortError, Source, local_copy
 from fes.cohort.store import Store
 from fes.cohort.sweep_grid import Factor, Point, Value, changed, session_at, thresholds_at
@@ -42,15 +43,17 @@ class Bench:
         session: the settings that combinations change.
         path: its file, for messages.
         seconds: a virtual patient walks for.
+        program: that was asked to try them.
     """
 
     session: Session
     path: str
     seconds: float = 90.0
+    program: str = field(default_factory=program)
 
     def identity(self, case: str, point: Point) -> str:
-        """The name of a result: the same for the same case, session, settings and version of this program."""
-        text = "\n".join((case, self.session.model_dump_json(), str(self.seconds), point.text(), __version__))
+        """The name of a result: the same for the same case, session, settings and program."""
+        text = "\n".join((case, self.session.model_dump_json(), str(self.seconds), point.text(), self.program))
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 

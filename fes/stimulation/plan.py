@@ -116,6 +116,8 @@ class StimulationPlan:
         Lets the controller send at once at such a moment and otherwise keep to its command period.
         """
         for line in self._lines:
+            if line.burst is None and line.awaited_ns is None and not line.on:  # the usual case, at every sample
+                continue
             burst = self._burst(line, t_ns, intensity)
             if (burst is not None and self._pulse(burst, t_ns) is not None) != line.on:
                 return True

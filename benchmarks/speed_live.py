@@ -1,0 +1,176 @@
+"""A live step: one sample's way from the gate that sees it, through estimator, phases, strides and plan, to commands.
+
+    python benchmarks/speed_live.py [--passes 5]
+
+The session is armed as by an operator and stimulates at full intensity, and the garbage collector is off, as it is in a
+live session (``fes/live/realtime.py``). Two figures: the *mean* is this process's processor time for all samples, by
+passes without a clock in between, the least of them. The *99th percentile* is over samples, each being the least of
+several identical passes: what is left is the work, not what other programs did to one of the passes. Beside it what the
+clock said in the best single pass. Not part of a step: the driver's codec, the log, the stimulator's line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from speed_row import Row, print_rows
+
+from fes.analysis import calibrations_of
+from fes.config import load_session
+from fes.controller import Controller
+from fes.driving import driven_by
+from fes.estimation.warm import warm_up
+from fes.gate import SafetyGate, gate_of
+from fes.recording import Recording
+from fes.replay import samples_of, session_for
+from fes.signals import Event, FloatArray, ImuSample, StrideResult
+from fes.sources import armed_after, with_ticks
+
+ROOT = Path(__file__).resolve().parents[1]
+GROUP = "a live step"
+MEAN_US, P99_US = 15.0, 40.0
+PASSES = 5
+
+
+@dataclass(frozen=True)
+class LiveStep:
+    """What one sample takes (µs): mean of processor time; 99th percentile of each sample's least; mean and 99th
+    percentile by the clock in one pass. ``stride_share`` of the samples end a stride, ``bursts_share`` of the commands
+    have current."""
+
+    mean_us: float
+    p99_us: float
+    clock_mean_us: float
+    clock_p99_us: float
+    stride_share: float
+    bursts_share: float
+
+
+def live_step(recording: Recording, passes: int = PASSES) -> LiveStep:
+    """Measure it on a recording of two feet."""
+    recording, found = calibrations_of(recording)
+    session = session_for(recording, load_session(ROOT / "sim_inputs" / "session.toml"))
+    up = {sensor: calibration.up for sensor, calibration in found.calibrations.items()}
+    source = armed_after(with_ticks(samples_of(recording, set(found.calibrations))), 0.5, 1.0)
+    events = list(source)
+    is_sample = np.array([isinstance(event, ImuSample) for event in events])
+    warm_up()
+
+    def parts() -> tuple[SafetyGate, Controller]:
+        return gate_of(session, up, driven_by(found.calibrations)), Controller(session, found.calibrations)
+
+    with _as_in_a_session():
+        spent_s = min(_spent_s(events, *parts()) for _ in range(passes))
+        taken_us = [_clocked_us(events, *parts()) for _ in range(passes)]
+    strides, commands, on = _counts(events, *parts())
+    samples = int(is_sample.sum())
+    best = min((each[is_sample] for each in taken_us), key=lambda each: float(each.sum()))
+    return LiveStep(
+        1e6 * spent_s / samples,
+        float(np.percentile(np.min(taken_us, axis=0)[is_sample], 99)),
+        float(best.mean()),
+        float(np.percentile(best, 99)),
+        strides / samples,
+        on / max(commands, 1),
+    )
+
+
+def live_rows(named: dict[str, Callable[[], Recording]], passes: int = PASSES) -> list[Row]:
+    """The rows of a table, for each recording."""
+    rows = []
+    for name, recording in named.items():
+        found = live_step(recording(), passes)
+        rows += [
+            Row(GROUP, f"live step, mean, {name}", found.mean_us, "µs", MEAN_US, note="processor time"),
+            Row(
+                GROUP,
+                f"live step, 99 %, {name}",
+                found.p99_us,
+                "µs",
+                P99_US,
+                note=f"{100 * found.stride_share:.2g} % of the samples end a stride",
+            ),
+            Row(
+                GROUP,
+                f"live step, by the clock, {name}",
+                found.clock_mean_us,
+                "µs",
+                note=f"99 %: {found.clock_p99_us:.3g} µs; current in {100 * found.bursts_share:.0f} % of the commands",
+            ),
+        ]
+    return rows
+
+
+@contextmanager
+def _as_in_a_session() -> Iterator[None]:
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+        gc.unfreeze()
+
+
+def _spent_s(events: list[Event], gate: SafetyGate, controller: Controller) -> float:
+    begin_s = time.process_time()
+    for event in events:
+        gate.observe(event)
+        for request in controller.step(event).requests:
+            gate.judge(event.t_ns, request)
+    return time.process_time() - begin_s
+
+
+def _clocked_us(events: list[Event], gate: SafetyGate, controller: Controller) -> FloatArray:
+    taken = np.zeros(len(events))
+    clock = time.perf_counter_ns
+    for at, event in enumerate(events):
+        begin_ns = clock()
+        gate.observe(event)
+        for request in controller.step(event).requests:
+            gate.judge(event.t_ns, request)
+        taken[at] = clock() - begin_ns
+    return 1e-3 * taken
+
+
+def _counts(events: list[Event], gate: SafetyGate, controller: Controller) -> tuple[int, int, int]:
+    strides = commands = on = 0
+    for event in events:
+        gate.observe(event)
+        decision = controller.step(event)
+        strides += sum(isinstance(outcome, StrideResult) for outcome in decision.outcomes)
+        for request in decision.requests:
+            commands += 1
+            on += gate.judge(event.t_ns, request).on
+    return strides, commands, on
+
+
+def recordings() -> dict[str, Callable[[], Recording]]:
+    """The walk of ``speed.py``, and two minutes of a virtual patient at 500 Hz."""
+    from speed import one_walk
+    from speed_session import RATE_HZ, WALK_S, walk
+
+    first = one_walk()
+    rate_hz = next(iter(first.tracks.values())).rate_hz
+    return {f"2 × {rate_hz:.0f} Hz": lambda: first, f"2 × {RATE_HZ:.0f} Hz": lambda: walk(WALK_S / 3600.0)}
+
+
+def main() -> int:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--passes", type=int, default=PASSES)
+    given = parser.parse_args()
+    return print_rows(live_rows(recordings(), given.passes), "A live step")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
