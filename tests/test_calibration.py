@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import os
 from dataclasses import fields, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +23,16 @@ from fes.estimation.calibration import (
 )
 from fes.estimation.foot import FootTracker
 from fes.estimation.strides import StrideMaker, StrideSettings
-from fes.patient.sensor import mounting
+from fes.patient.sensor import ImuModel, mounting
 from fes.patient.trials import TRIALS
 from fes.patient.truth import load_truth
+from fes.patient.virtual import VirtualPatient, settings_for
+from fes.patient.virtual.truth_of import recording_of
 from fes.recording import Recording, Track, read_recording
 from fes.replay import calibrate, calibrate_track
-from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
+from fes.signals import FOOT_SENSORS, G_MPS2, NS_PER_S, FloatArray, IntArray, StrideResult
 from statemachine.guards import Thresholds
+from statemachine.phases import Phase, PhaseChange
 
 FOLDER = Path(__file__).resolve().parents[1] / "sim_inputs"
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -181,6 +187,59 @@ def test_the_accelerometers_bias_across_gravity() -> None:
     assert abs(forward @ true) > 0.05
     assert abs(forward @ (found.acc_bias_mps2 - true)) < 0.4 * abs(forward @ true)
     assert np.linalg.norm(across @ (found.acc_bias_mps2 - true)) < np.linalg.norm(across @ true)
+
+
+@pytest.mark.parametrize(("pattern", "rate_hz", "side", "seed"), [(4, 100.0, "right", 4), (5, 200.0, "left", 105)])
+def test_a_foot_that_still_sinks_does_not_pass_for_a_foot_at_rest(
+    pattern: int, rate_hz: float, side: str, seed: int
+) -> None:
+    """A soft sole gives way for a quarter of a second after contact: of a sensor without bias none must be found."""
+    faultless = replace(ImuModel(), acc_bias_mps2=0.0, scale_error=0.0, cross_axis=0.0)
+    settings = settings_for(
+        "moderate", pattern=f"hemiparetic_{pattern}", seed=seed, rate_hz=rate_hz, side=side, sensors=FOOT_SENSORS,
+        imu=faultless,
+    )  # fmt: skip
+    patient = VirtualPatient(settings)
+    track = recording_of(patient, patient.advance(40 * NS_PER_S), "soft sole", "").tracks[f"{side}_foot"]
+    found = calibrate_track(track)
+    assert abs(np.dot(found.up, found.acc_bias_mps2)) < 0.0025
+    assert abs(np.dot(found.toe_down, found.acc_bias_mps2)) < 0.01
+
+
+def loading_responses_s(track: Track, calibration: FootCalibration) -> list[float]:
+    """How long the phase machine stayed in loading response, each time."""
+    maker = StrideMaker(track.sensor, StrideSettings(calibration.forward(), np.array(calibration.up)))
+    outcomes = FootTracker(calibration, maker).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    phases = [change for change in outcomes if isinstance(change, PhaseChange)]
+    return [
+        1e-9 * (after.t_ns - change.t_ns)
+        for change, after in pairwise(phases)
+        if change.destination is Phase.LOADING_RESPONSE
+    ]
+
+
+def test_a_foot_that_has_landed_is_not_held_up_by_what_its_reckoned_speed_has_drifted() -> None:
+    foot = ("both_feet_100hz", "right_foot")
+    spent = loading_responses_s(recording(foot[0]).tracks[foot[1]], calibrated(*foot))
+    assert len(spent) > 40
+    assert max(spent) < 0.4  # it had been half a second
+
+
+DATA = Path(os.environ.get("FES_DATA") or Path(__file__).resolve().parents[2] / "shared" / "data")
+BRISK = DATA / "stroke_treadmill" / "MR02_FBIC.npz"
+
+
+@pytest.mark.skipif(not BRISK.is_file(), reason="the stroke-treadmill recordings are not here (FES_DATA)")
+@pytest.mark.parametrize("more_mps2", [-0.02, 0.02])
+def test_a_bias_a_little_off_does_not_strand_the_phases(monkeypatch: pytest.MonkeyPatch, more_mps2: float) -> None:
+    """A brisk foot that hardly rests: with most biases the machine got lost in loading response, for up to 27 s."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "benchmarks"))
+    track = importlib.import_module("stroke_treadmill").load_run(BRISK)[0]["right_foot"]
+    found = calibrate_track(track)
+    x, y, z = (np.array(found.acc_bias_mps2) + more_mps2 * np.array(found.up)).tolist()
+    spent = loading_responses_s(track, replace(found, acc_bias_mps2=(x, y, z)))
+    assert len(spent) > 180
+    assert max(spent) < 2.0
 
 
 # --- this person's thresholds ----------------------------------------------------------------------------

@@ -1,9 +1,10 @@
 """How the sensor sits and how this person moves, from a recording: gravity, biases, mediolateral axis, rest level.
 
 Nothing about the mounting is assumed. At rest the accelerometer shows which way is up; its magnitude there differs from
-gravity by a bias (a scale fits real sensors worse). Walking shows the mediolateral axis as the one that most of the
-rotation is about; which of its two directions is toe-down follows from where the foot travels: forward is where each
-swing carries it.
+gravity by a bias (a scale fits real sensors worse). Rest is where both sensors are still: a foot goes on sinking into
+its sole after contact, and while it does it stops turning for an instant, which the gyroscope alone takes for rest.
+Walking shows the mediolateral axis as the one that most of the rotation is about; which of its two directions is
+toe-down follows from where the foot travels: forward is where each swing carries it.
 """
 
 from __future__ import annotations
@@ -15,12 +16,14 @@ import numpy as np
 
 from fes.estimation.kernel import FootParameters, lags_at
 from fes.estimation.movements import movements, moving_mean, strapdown, travel, vertical_of
-from fes.estimation.rest_kernel import least_spread
+from fes.estimation.rest_kernel import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
 from fes.estimation.stride import double_integral, effects
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
 
 QUIET_WINDOW_S = 0.1
+QUIET_PERCENT = 15
+QUIET_PASSES = 3  # the force at rest is that of the quietest samples, and these are found by it; it settles at once
 STANDING_S = 1.0
 STANDING_RATE_RADPS = 0.08  # standing still: no window of a second exceeds this spread
 MIN_STRIDES = 3
@@ -35,6 +38,7 @@ ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
 SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
 CONTACT_SHARE = 0.3  # of the typical jump at contact
 CONTACT_JUMP_BOUNDS_MPS3 = (150.0, 600.0)
+MOST_PUSH_OFF_RADPS = 12.0  # real feet's typical peaks are 5–11; a toe that catches turns the foot faster
 PUSH_OFF_SHARE = 0.4  # the least peak that counts as a push-off, as a share of this person's
 
 
@@ -119,9 +123,7 @@ def calibrate_foot(
     rate_bias, standing = _standing(rate_hz, acc_mps2, gyr_radps)
     gyr = gyr_radps - rate_bias
     energy = moving_mean(np.einsum("ij,ij->i", gyr, gyr), window)
-    quiet = energy <= np.percentile(energy, 15)
-    rest_force = np.median(acc_mps2[quiet], axis=0)
-    rest_norm = float(np.median(np.linalg.norm(acc_mps2[quiet], axis=1)))
+    unrest, rest_force, rest_norm = _rest(energy, acc_mps2, window)
     if not 0.7 * G_MPS2 < rest_norm < 1.3 * G_MPS2:
         raise CalibrationError(
             f"{sensor}: at its quietest the accelerometer reads {rest_norm:.2f} m/s² instead of about 9.81. "
@@ -129,7 +131,7 @@ def calibrate_foot(
         )
     up = rest_force / np.linalg.norm(rest_force)
     acc = acc_mps2 - up * (rest_norm - G_MPS2)
-    swings = movements(energy, rate_hz)
+    swings = movements(energy, rate_hz, unrest)
     ways = [travel(t_ns, acc, gyr, *span) for span in swings]
     walked = [(swing, d) for swing, d in zip(swings, ways, strict=True) if np.linalg.norm(d) > MIN_TRAVEL_M]
     if len(walked) < MIN_STRIDES:
@@ -160,7 +162,7 @@ def calibrate_foot(
         acc_bias_mps2=_vector(acc_bias),
         gyr_bias_radps=_vector(rate_bias),
         rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
-        min_toe_down_peak_radps=float(PUSH_OFF_SHARE * peak),
+        min_toe_down_peak_radps=float(PUSH_OFF_SHARE * min(peak, MOST_PUSH_OFF_RADPS)),
         rest_hold_s=_rest_hold_s([1e-9 * float(t_ns[begin]) for (begin, _), _ in walked]),
         contact_jump_mps3=_contact_jump(t_ns, acc_mps2 - acc_bias, gyr, [s for s, _ in walked], axis, rate_hz),
         axis_confidence=float(confidence),
@@ -180,6 +182,23 @@ def _standing(rate_hz: float, acc: FloatArray, gyr: FloatArray) -> tuple[FloatAr
     bias = np.median(gyr[begin : begin + n], axis=0) if begin >= 0 else np.zeros(3)
     standing = best < STANDING_RATE_RADPS and float(np.linalg.norm(bias)) < 0.2
     return (bias if standing else np.zeros(3)), standing
+
+
+def _rest(energy: FloatArray, acc: FloatArray, window: int) -> tuple[FloatArray, FloatArray, float]:
+    """How far from rest each sample is (N,), and at the quietest of them the force (3,) and its size, in m/s².
+
+    The statistic is the rate's and the force's, each in the tolerance of the zero-velocity detectors
+    (:mod:`fes.estimation.rest_kernel`), after Skog et al., IEEE Trans Biomed Eng 57, 2010; of the force its mean over
+    the window, for that is what moves the foot. ``energy`` (N,) is the rate's square over the window.
+    """
+    size = np.linalg.norm(acc, axis=1)
+    force, turning = moving_mean(size, window), energy / RATE_TOLERANCE_RADPS**2
+    unrest = turning
+    for _ in range(QUIET_PASSES + 1):
+        quiet = unrest <= np.percentile(unrest, QUIET_PERCENT)
+        norm = float(np.median(size[quiet]))
+        unrest = turning + ((force - norm) / ACC_TOLERANCE_MPS2) ** 2
+    return unrest, np.median(acc[quiet], axis=0), norm
 
 
 def _acc_bias_across(

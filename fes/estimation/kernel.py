@@ -20,6 +20,7 @@ from statemachine.guards import Features, Thresholds
 
 LAGS = 64  # longest look-back in samples: 20 ms at over 2 kHz
 LONG_AGO_NS = 3_600_000_000_000
+LANDED_S = 0.3  # after a contact: no swing goes on for so long once it was seen
 STANCE_MEAN_S = 0.25  # over which the stance's mean specific force forgets
 
 STATE = np.dtype(
@@ -253,6 +254,8 @@ def _observe(
         # a foot that swings slowly and evenly feels no force but gravity: it rests only if it has also come to a stop
         # (and, with the heel lifted, back to where it stood), or if it has been still for long
         travelling = speed > max(thresholds.still_speed_mps, thresholds.still_speed_share * s.peak_speed)
+        if s.phase == 3 and s.t_ns - s.phase_since_ns > 1e9 * LANDED_S:
+            travelling = False  # what is left is the reckoning's own drift, which nothing would ever take back
         still_ns = s.t_ns - max(s.a_moving_ns, s.g_moving_ns)
         if (travelling or (s.phase == 1 and turned)) and still_ns < 1e9 * thresholds.long_rest_s:
             s.a_rest = False

@@ -24,11 +24,13 @@ def moving_mean(x: FloatArray, window: int) -> FloatArray:
     return np.asarray((total[end] - total[begin]) / (end - begin))
 
 
-def movements(energy: FloatArray, rate_hz: float) -> list[tuple[int, int]]:
+def movements(energy: FloatArray, rate_hz: float, unrest: FloatArray | None = None) -> list[tuple[int, int]]:
     """Movements as long as a swing with its push-off and contact, from quietest instant to quietest instant around it.
 
-    Indices (first, last), both ends included; the quietest instant is sought within a second of the movement.
+    Indices (first, last), both ends included; the quietest instant is sought within a second of the movement: where
+    ``unrest`` (N,) is least, or without it the ``energy`` (N,).
     """
+    unrest = energy if unrest is None else unrest
     level = QUIET_SHARE * np.sqrt(np.percentile(energy, 99))
     moving = np.concatenate(([False], np.sqrt(energy) > level, [False]))
     edges = np.flatnonzero(moving[1:] != moving[:-1])
@@ -44,7 +46,7 @@ def movements(energy: FloatArray, rate_hz: float) -> list[tuple[int, int]]:
             continue
         before = max(ends[k - 1] if k else 0, begin - reach)
         after = min(begins[k + 1] if k + 1 < len(begins) else len(energy), end + reach)
-        spans.append((int(before + np.argmin(energy[before:begin])), int(end + np.argmin(energy[end:after]))))
+        spans.append((int(before + np.argmin(unrest[before:begin])), int(end + np.argmin(unrest[end:after]))))
     return spans
 
 
