@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from transitions import Event, Machine, MachineError
 
 from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, PhaseChange, Transition
-from statemachine.table import TABLE
+from statemachine.table import TABLE, Row
+
+
+_ROWS: dict[tuple[int, int], Row] = {(row.source, row.transition): row for row in TABLE}
 
 
 class GuardDisagreement(RuntimeError):
@@ -61,6 +65,24 @@ class GaitPhaseMachine:
         if not done:
             raise GuardDisagreement(f"{transition.name} from {source.name} of {self.foot}: guard refuses {x}")
         return PhaseChange(t_ns, self.foot, transition, source, self.phase)
+
+    def follow(self, gone: Iterable[tuple[int, int, int]]) -> list[PhaseChange]:
+        """Take over transitions (time in ns, number, source) that the compiled core went through by the same guards.
+
+        For recordings: only whether such a transition may leave the present phase is asked here.
+
+        Raises:
+            GuardDisagreement: the table has no such row, or the core was in another phase.
+        """
+        changes, phase = [], self.phase
+        for t_ns, number, source in gone:
+            row = _ROWS.get((phase, number))
+            if row is None or source != phase:
+                raise GuardDisagreement(f"T{number} from {phase.name} of {self.foot}: the core was in {source}")
+            changes.append(PhaseChange(t_ns, self.foot, row.transition, phase, row.destination))
+            phase = row.destination
+        self._model.state = phase.name
+        return changes
 
     def restart(self, t_ns: int) -> PhaseChange:
         """Begin anew in stance after a gap in the data; reported as a change without a transition."""

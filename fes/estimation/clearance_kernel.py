@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.compiled import jit
+from fes.estimation.stride_time import UNSEEN_NS
 
 LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
 MOST_DRIFT_M = 0.05  # what differs by more was no drift: a stumble, a kerb, another kind of step
-UNSEEN_NS = -(2**63)  # of a swing that does not begin, or not end
 
 
 @jit

@@ -18,6 +18,7 @@ import numba
 
 import fes.signals
 import statemachine.guards
+import statemachine.table
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -27,7 +28,7 @@ def _sources() -> list[Path]:
     here = Path(__file__).parent
     beside = [*sorted(here.glob("*.py")), *sorted((here.parent / "patient" / "virtual").glob("*.py"))]
     compiling = [path for path in beside if "jit" in path.read_text(encoding="utf-8")]
-    return [*compiling, Path(statemachine.guards.__file__), Path(fes.signals.__file__)]
+    return [*compiling, *(Path(str(m.__file__)) for m in (statemachine.guards, statemachine.table, fes.signals))]
 
 
 def _cache_folder() -> Path:

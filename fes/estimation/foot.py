@@ -6,22 +6,27 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation import kernel
+from fes.estimation import kernel, stride_course
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.compiled import jit
 from fes.estimation.core import core_type, new_core
 from fes.estimation.history import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, History, SampleCounts
 from fes.estimation.kernel import FootParameters
 from fes.estimation.orientation import OrientationSettings
+from fes.estimation.stride_course import CHANGES, ROWS, STRIDES, Out
 from fes.estimation.strides import StrideMaker
-from fes.estimation.tracker import Outcome, Tracker, until_due
-from fes.signals import FloatArray
+from fes.estimation.tracker import Outcome, Outcomes, Tracker, of_one_kind, until_due
+from fes.estimation.walked import CHANGE, Walked
+from fes.signals import FloatArray, IntArray
 from statemachine.guards import Features, Thresholds
-from statemachine.phases import Phase
+from statemachine.phases import Phase, Transition
+from statemachine.table import TABLE
 
 __all__ = ["HISTORY_S", "LARGEST_VALUE", "RESTART_GAP_S", "FootTracker", "Outcome", "SampleCounts"]
 
 CORE = core_type(kernel.STATE, parameters=FootParameters, thresholds=Thresholds, settings=OrientationSettings)
+_T1 = Transition.T1.value
+_DESTINATIONS = (0, *(row.destination.value for row in TABLE))  # by the transition's number
 
 
 @jit
@@ -47,6 +52,38 @@ def _enter(core: Any, phase: int, acc: Any, row: int) -> None:
     kernel.enter(core[0].state, phase, fx, fy, fz)
 
 
+@jit
+def _walk(
+    core: Any, course: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, begin: int, end: int,
+    changes: Any, out: Out,
+) -> int:  # fmt: skip
+    """Go through the rows ``begin`` … ``end - 1`` with all phase changes and strides, as far as there is room for them.
+
+    What :class:`Tracker` does from one change to the next, in one call. Returns how far it came.
+    """
+    s, p, told = core[0].state, core[0].parameters, out.filled
+    biases = np.empty((2, 3))
+    biases[0, 0], biases[0, 1], biases[0, 2] = p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2
+    room = out.t_ns.shape[0] - t_ns.shape[0]
+    while begin < end and told[CHANGES] < len(changes) and told[STRIDES] < len(out.strides) and told[ROWS] <= room:
+        begin, number = _advance(core, t_ns, acc, gyr, quaternions, begin, end, course[0].state.due_ns)
+        biases[1, 0] = p.gyr_bias_x_radps + s.bias_radps[0]
+        biases[1, 1] = p.gyr_bias_y_radps + s.bias_radps[1]
+        biases[1, 2] = p.gyr_bias_z_radps + s.bias_radps[2]
+        now = t_ns[begin - 1]
+        if number > 0:
+            change = changes[told[CHANGES]]
+            change.t_ns, change.transition, change.source = now, number, s.phase
+            _enter(core, _DESTINATIONS[number], acc, begin - 1)
+            if number == _T1:
+                stride_course.leave_stance(course, begin, t_ns, acc, gyr, quaternions, biases, out)
+            stride_course.on_phase(course, s.phase, now)
+            told[CHANGES] += 1
+        if now >= course[0].state.due_ns:
+            stride_course.close(course, begin, t_ns, acc, gyr, quaternions, biases, out)
+    return begin
+
+
 class FootTracker(Tracker):
     """Phases and strides of one foot; deterministic, no clock, no I/O. The trace is the orientation."""
 
@@ -64,6 +101,7 @@ class FootTracker(Tracker):
             CORE, parameters=calibration.parameters(), thresholds=self._thresholds, settings=self._settings
         )
         self._state = self._all["state"][0]
+        self._maker = strides
 
     @property
     def newest_t_ns(self) -> int:
@@ -74,6 +112,33 @@ class FootTracker(Tracker):
     def gyr_bias_radps(self) -> FloatArray:
         """The gyroscope's bias as estimated now (3,): calibrated plus what the filter has found since."""
         return np.asarray(self._gyr_bias + self._state["bias_radps"])
+
+    def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Outcome]:
+        """Take samples in; see :meth:`Tracker.advance`."""
+        if type(self._maker) is not StrideMaker:  # one that wants to be asked at every stride
+            return super().advance(t_ns, acc_mps2, gyr_radps)
+        walked = self.walk(t_ns, acc_mps2, gyr_radps)
+        watch = self._maker.settings.watch
+        for path in walked.paths() if watch is not None else ():
+            watch(path)
+        return walked.outcomes()
+
+    def walk(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Walked:
+        """Take samples in, as :meth:`advance`, and give back what happened as arrays."""
+        walked = Walked(self.foot, self._maker.settings, len(self._history.t_ns))
+        self._take(*of_one_kind(t_ns, acc_mps2, gyr_radps), walked)
+        return walked
+
+    def _follow(self, filled: int, outcomes: Outcomes) -> None:
+        if not isinstance(outcomes, Walked):
+            super()._follow(filled, outcomes)
+            return
+        h = self._history
+        self._reached = _walk(
+            self._all, self._maker.course, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace, self._reached, filled,
+            outcomes.room, outcomes.out,
+        )  # fmt: skip
+        outcomes.keep(self.machine)
 
     def _start(self, t_ns: int, force: FloatArray) -> None:
         fx, fy, fz = force

@@ -42,27 +42,48 @@ def mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, float
 
 
 @jit
-def _least_energy(gyr: Any, window: int) -> int:
-    """Where the ``window`` samples of least summed squares begin, the first of equals."""
-    n = gyr.shape[0]
-    energy = np.empty(n + 1)
+def around_ends(t_ns: Any, first: int, last: int) -> int:
+    """How many samples on either side of its ends a stride is measured over."""
+    return max(round(AROUND_S / (1e-9 * (t_ns[last] - t_ns[first]) / (last - first))), 1)
+
+
+@jit
+def rows_before(t_ns: Any, n: int, at_ns: int) -> int:
+    """How many of the first ``n`` rising stamps are earlier than a time."""
+    low, high = 0, n
+    while low < high:
+        middle = (low + high) // 2
+        if t_ns[middle] < at_ns:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@jit
+def quietest_of(
+    t_ns: Any, gyr: Any, n: int, bx: float, by: float, bz: float, earliest_ns: int, latest_ns: int
+) -> int:
+    """As :func:`quietest`, of the first ``n`` samples of a gyroscope with a bias."""
+    begin, end = rows_before(t_ns, n, earliest_ns), rows_before(t_ns, n, latest_ns + 1)
+    if end - begin < 3:
+        return min(begin, n - 1)
+    period_s = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
+    window = min(max(round(QUIET_WINDOW_S / period_s), 1), end - begin)
+    energy = np.empty(end - begin + 1)
     energy[0] = 0.0
     best, at = math.inf, 0
-    for i in range(n):
-        energy[i + 1] = energy[i] + (gyr[i, 0] * gyr[i, 0] + gyr[i, 1] * gyr[i, 1] + gyr[i, 2] * gyr[i, 2])
+    for i in range(end - begin):
+        x, y, z = gyr[begin + i, 0] - bx, gyr[begin + i, 1] - by, gyr[begin + i, 2] - bz
+        energy[i + 1] = energy[i] + (x * x + y * y + z * z)
         if i + 1 >= window and energy[i + 1] - energy[i + 1 - window] < best:
             best, at = energy[i + 1] - energy[i + 1 - window], i + 1 - window
-    return at
+    return begin + at + window // 2
 
 
 def quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) -> int:
     """Index of the middle of the tenth of a second with the least gyroscope energy between two times."""
-    begin, end = int(t_ns.searchsorted(earliest_ns)), int(t_ns.searchsorted(latest_ns, side="right"))
-    if end - begin < 3:
-        return min(begin, len(t_ns) - 1)
-    period_s = 1e-9 * int(t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
-    window = min(max(round(QUIET_WINDOW_S / period_s), 1), end - begin)
-    return int(begin + _least_energy(gyr[begin:end], window) + window // 2)
+    return int(quietest_of(t_ns, gyr, len(t_ns), 0.0, 0.0, 0.0, earliest_ns, latest_ns))
 
 
 def quietest_near(t_ns: IntArray, gyr: FloatArray, at_ns: int) -> int:

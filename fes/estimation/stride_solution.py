@@ -13,7 +13,7 @@ from fes.estimation.likely_height import HeightNoise, settle_height
 from fes.estimation.likely_noise import StrideNoise, end_variances
 from fes.estimation.rotation import to_world
 from fes.estimation.stride import integrate, orient
-from fes.estimation.stride_ends import AROUND_S, NO_REST_RADPS, REST_RADPS, mean_and_variance
+from fes.estimation.stride_ends import NO_REST_RADPS, REST_RADPS, around_ends, mean_and_variance
 from fes.estimation.stride_shape import stride_shape
 
 NOISE, HEIGHT_NOISE = StrideNoise(), HeightNoise()
@@ -88,8 +88,7 @@ def solve_span(
     """
     n = last + 1 - first
     t, f, w = t_ns[first : last + 1], acc[first : last + 1], gyr[first : last + 1]
-    period_s = 1e-9 * (t[n - 1] - t[0]) / (n - 1)
-    around = max(round(AROUND_S / period_s), 1)
+    around = around_ends(t_ns, first, last)
     rates, forces, variances = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 2))
     unrest = 0.0
     for e in range(2):

@@ -2,7 +2,8 @@
 
 Negård et al. (2005) integrate "from the beginning to the end of every step" and note that the foot is never wholly at
 rest. Here the ends are the quietest tenths of a second of the stances around the swing, not the instants at which rest
-happened to be detected, and the velocity there is that of a foot turning about its ground contact.
+happened to be detected, and the velocity there is that of a foot turning about its ground contact. The work is done in
+``fes.estimation.stride_course``.
 """
 
 from __future__ import annotations
@@ -10,26 +11,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from fes.config import FootGeometry
+from fes.estimation import stride_course as course
 from fes.estimation import stride_solution as solution
 from fes.estimation.clearance import FootPath, foot_path
-from fes.estimation.rotation import rotate_all
-from fes.estimation.stride_ends import REST_RADPS, quietest
-from fes.estimation.stride_time import stride_time_ns
-from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+from fes.estimation.core import new_core
+from fes.estimation.stride_course import CourseSettings, Out, new_out
+from fes.estimation.stride_ends import REST_RADPS
+from fes.estimation.stride_time import UNSEEN_NS
+from fes.signals import FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange
 
-STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
-STOPPED_SEARCH_S = 0.5  # of a stance that lasts longer than that the first half: a belt that stops carries the foot
-STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
 SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
 TRAJECTORY_POINTS = 101
-DURATION_S = (0.4, 5.0)
-LONGEST_GAP_S = 0.04
+Rows = np.ndarray[Any, np.dtype[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,38 +50,42 @@ class StrideSettings:
     method: Literal["most_likely", "constrained"] = "most_likely"
     watch: Callable[[FootPath], None] | None = None  # is shown the path of every valid stride
 
+    def compiled(self) -> CourseSettings:
+        """For the compiler."""
+        known = self.geometry
+        arms = (0.0,) * 4
+        if known is not None:
+            arms = known.toe_forward_m, known.toe_up_m, known.heel_forward_m, known.heel_up_m
+        forward, up = self.forward.tolist(), self.up.tolist()
+        constrained = self.method == "constrained"
+        return CourseSettings(
+            *forward, *up, self.sensor_height_m, constrained, self.equal_height, known is not None, *arms
+        )
+
 
 class StrideMaker:
     """Follows the phases of one foot and closes a stride when the stance after its swing is over, or a second old."""
 
     def __init__(self, foot: str, settings: StrideSettings) -> None:
         self.foot = foot
-        self.due_ns: int | None = None  # the stride under way is closed at this time at the latest
-        self._settings = settings
-        self._number = 0
-        self._before_ns: int | None = None  # the end of the stride before
-        self._start_ns: int | None = None
-        self._stance_ns = 0
-        self._times: dict[Phase, int] = {}
+        self.settings = settings
+        self.course = new_core(course.COURSE, settings=settings.compiled())
+        self._out: Out | None = None
+        course.restart(self.course, 0)
+
+    @property
+    def due_ns(self) -> int | None:
+        """The stride under way is closed at this time at the latest; None while there is none."""
+        due_ns = int(self.course["state"]["due_ns"][0])
+        return None if due_ns == course.NEVER_NS else due_ns
 
     def restart(self, t_ns: int) -> None:
         """Data were lost: forget the stride under way; stance from now on."""
-        self.due_ns = None
-        self._before_ns = self._start_ns = None
-        self._stance_ns = t_ns
-        self._times = {}
+        course.restart(self.course, t_ns)
 
     def on_phase(self, change: PhaseChange) -> None:
         """Note a phase change (after :meth:`leave_stance` for T1)."""
-        if change.destination is Phase.STANCE:
-            self._stance_ns = change.t_ns
-            if Phase.SWING in self._times:
-                self._times[Phase.STANCE] = change.t_ns
-                self.due_ns = change.t_ns + int(STANCE_SEARCH_S * NS_PER_S)
-            else:  # the heel was lifted and put back: no stride
-                self._times = {}
-        else:
-            self._times[change.destination] = change.t_ns
+        course.on_phase(self.course, change.destination.value, change.t_ns)
 
     def leave_stance(
         self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray
@@ -92,34 +95,20 @@ class StrideMaker:
         History up to now: ``t_ns`` (N,); ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s, free of bias; ``quaternion``
         (N, 4).
         """
-        result = self.close(t_ns, acc, gyr, quaternion) if self.due_ns is not None else None
-        now = int(t_ns[-1])
-        earliest = max(self._stance_ns - int(STANCE_LEAD_S * NS_PER_S), now - int(STANCE_SEARCH_S * NS_PER_S))
-        self._start_ns = int(t_ns[quietest(t_ns, gyr, earliest, now)])
-        self._times = {}
-        return result
+        return self._closed(course.leave_stance, t_ns, acc, gyr, quaternion)
 
     def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
         """Solve the stride that ended with this stance; arguments as for :meth:`leave_stance`."""
-        times, self._times, self.due_ns = self._times, {}, None
-        start_ns, self._start_ns = self._start_ns, None
-        if start_ns is None or Phase.STANCE not in times:
+        return self._closed(course.close, t_ns, acc, gyr, quaternion)
+
+    def _closed(self, how: Callable[..., bool], *history: Any) -> StrideResult | None:
+        n = len(history[0])
+        if self._out is None or len(self._out.t_ns) < n:
+            self._out = new_out(1, n, TRAJECTORY_POINTS)
+        self._out.filled[:] = 0
+        if not how(self.course, n, *history, np.zeros((2, 3)), self._out):
             return None
-        earliest = self._stance_ns - int(STANCE_LEAD_S * NS_PER_S)
-        still_standing = t_ns[-1] - self._stance_ns >= STANCE_SEARCH_S * NS_PER_S
-        search_s = STOPPED_SEARCH_S if still_standing else STANCE_SEARCH_S
-        latest = min(int(t_ns[-1]), self._stance_ns + int(search_s * NS_PER_S))
-        last = quietest(t_ns, gyr, earliest, latest)
-        first = int(np.searchsorted(t_ns, start_ns))
-        self._number += 1
-        if first >= last or t_ns[first] != start_ns:
-            return _unusable(self.foot, self._number, start_ns, int(t_ns[last]), times, "longer than the history kept")
-        solved = solve_stride(
-            self.foot, self._number, times, first, last, t_ns, acc, gyr, quaternion[first], self._settings,
-            self._before_ns,
-        )  # fmt: skip
-        self._before_ns = solved.t_end_ns
-        return solved
+        return _shown(self.foot, self._out, self.settings)
 
 
 def solve_stride(
@@ -142,100 +131,81 @@ def solve_stride(
     et al. (2005), Eq. (14)–(20), see ``fes.estimation.stride`` (method "constrained"), weighed as in
     ``fes.estimation.likely`` (method "most_likely").
     """
-    t = t_ns[first : last + 1]
-    n = last + 1 - first
-    start_ns, end_ns = int(t[0]), int(t[-1])
-    duration_s = 1e-9 * (end_ns - start_ns)
-    if n < 10 or not DURATION_S[0] <= duration_s <= DURATION_S[1]:
-        return _unusable(foot, number, start_ns, end_ns, times, f"lasts {duration_s:.2f} s")
-    each_ns = t[1:] - t[:-1]
-    gap_s = 1e-9 * int(each_ns.max())
-    if gap_s > LONGEST_GAP_S and gap_s > 3.5e-9 * float(np.median(each_ns)):
-        return _unusable(foot, number, start_ns, end_ns, times, f"samples missing for {1e3 * gap_s:.0f} ms")
-    quaternion, position, numbers = np.empty((n, 4)), np.empty((n, 3)), np.empty(solution.NUMBERS)
-    shape = np.empty((TRAJECTORY_POINTS, 4))
-    fx, fy, fz = settings.forward.tolist()
-    came_of_it = solution.solve_span(
-        t_ns, acc, gyr, first, last, start_quaternion, fx, fy, fz, settings.sensor_height_m,
-        settings.method == "constrained", settings.equal_height, quaternion, position, shape, numbers,
+    out = new_out(1, len(t_ns), TRAJECTORY_POINTS)
+    row = out.strides[0]
+    row["number"], row["t_start_ns"], row["t_end_ns"] = number, t_ns[first], t_ns[last]
+    names = "stance_ns", "pre_swing_ns", "swing_ns", "loading_response_ns"
+    for name, phase in zip(names, Phase, strict=True):
+        row[name] = times.get(phase, UNSEEN_NS)
+    out.filled[course.STRIDES] = 1
+    course.solve_rows(
+        new_core(course.COURSE, settings=settings.compiled()), first, last, len(t_ns), t_ns, acc, gyr, start_quaternion,
+        np.zeros((2, 3)), UNSEEN_NS if before_ns is None else before_ns, row, out,
     )  # fmt: skip
-    tilt, unrest_radps, length, highest, turn, gained = numbers.tolist()
-    if came_of_it != solution.SOLVED:
-        reason = {
-            solution.NO_SOLUTION: "the constraints cannot be met",
-            solution.TILTED: f"the orientation is {math.degrees(tilt):.0f}° off at its end",
-            solution.NO_LENGTH: f"{length:.2f} m is no stride length",
-            solution.NO_REST: f"the foot never rests: {unrest_radps:.1f} rad/s at its quietest",
-        }[came_of_it]
-        return _unusable(foot, number, start_ns, end_ns, times, reason)
-    toe_clearance, heel_clearance = _toe_and_heel(t, times, quaternion, position, settings)
-    if settings.watch is not None:
-        swing = times.get(Phase.SWING), times.get(Phase.LOADING_RESPONSE) or times.get(Phase.STANCE)
-        settings.watch(foot_path(number, t, quaternion, position, settings.forward, settings.up, *swing))
-    return StrideResult(
-        foot=foot,
-        number=number,
-        t_start_ns=start_ns,
-        t_end_ns=end_ns,
-        stride_length_m=length,
-        clearance_m=highest,
-        height_gained_m=gained,
-        turn_rad=turn,
-        speed_mps=length * NS_PER_S / stride_time_ns(start_ns, end_ns, before_ns),
-        t_pre_swing_ns=times.get(Phase.PRE_SWING),
-        t_swing_ns=times.get(Phase.SWING),
-        t_loading_response_ns=times.get(Phase.LOADING_RESPONSE),
-        t_stance_ns=times.get(Phase.STANCE),
-        toe_clearance_m=toe_clearance,
-        heel_clearance_m=heel_clearance,
-        trajectory_m=np.ascontiguousarray(shape[:, :3]),
-        pitch_rad=shape[:, 3].copy(),
-        reason=f"no true rest: {unrest_radps:.1f} rad/s at its quietest" if unrest_radps > REST_RADPS else "",
+    return _shown(foot, out, settings)
+
+
+def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
+    """The only stride in ``out``; its path is shown to who watches."""
+    result = stride_results(foot, out.strides, out.shapes)[0]
+    if settings.watch is not None and result.valid:
+        settings.watch(stride_paths(out.strides, out, settings)[0])
+    return result
+
+
+def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> list[FootPath]:
+    """The paths of the valid ones of (K,) strides, whose ways are in ``out``; they keep no hold of ``out``."""
+    end = max(((rows["first"] + rows["rows"]).tolist()), default=0)
+    whole = foot_path(
+        0, out.t_ns[:end], out.quaternion[:end], out.position[:end], settings.forward, settings.up, None, None
     )
+    paths = []
+    names = ["outcome", "number", "first", "rows", "swing_ns", "loading_response_ns", "stance_ns"]
+    for outcome, number, first, count, off, contact, stance in zip(*(rows[n].tolist() for n in names), strict=True):
+        if outcome == solution.SOLVED:
+            part = slice(first, first + count)
+            contact_ns = _seen(stance if contact == UNSEEN_NS else contact)
+            paths.append(
+                FootPath(number, whole.t_ns[part], whole.position_m[part], whole.axes[part], _seen(off), contact_ns)
+            )
+    return paths
 
 
-def _toe_and_heel(
-    t_ns: IntArray,
-    times: dict[Phase, int],
-    quaternion: FloatArray,
-    position: FloatArray,
-    settings: StrideSettings,
-) -> tuple[float, float]:
-    """Least height of the toe in mid-swing and greatest of the heel, above the starting stance (m); NaN if unknown.
-
-    Mid-swing is the middle of the time from foot off to contact: the toe leaves the ground and, after its first peak,
-    passes low once more before it rises for the contact.
-    """
-    geometry = settings.geometry
-    if geometry is None:
-        return math.nan, math.nan
-    forward, upward = (rotate_all(quaternion, axis)[:, 2] for axis in (settings.forward, settings.up))
-    toe = position[:, 2] + geometry.toe_forward_m * forward + geometry.toe_up_m * upward
-    heel = position[:, 2] + geometry.heel_forward_m * forward + geometry.heel_up_m * upward
-    begin = times.get(Phase.SWING)
-    end = times.get(Phase.LOADING_RESPONSE) or times.get(Phase.STANCE)
-    heel_clearance = float((heel - heel[0]).max())
-    if begin is None or end is None:
-        return math.nan, heel_clearance
-    i, j = np.searchsorted(t_ns, (begin + 0.25 * (end - begin), begin + 0.8 * (end - begin)))
-    return (float((toe - toe[0])[i:j].min()) if j > i else math.nan), heel_clearance
+def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResult]:
+    """Results of (K,) strides from their rows and shapes (K, ``TRAJECTORY_POINTS``, 4)."""
+    ways, pitches = np.ascontiguousarray(shapes[:, :, :3]), np.ascontiguousarray(shapes[:, :, 3])
+    results = []
+    for k, row in enumerate(rows.tolist()):
+        number, start_ns, end_ns, *times_ns, outcome, _, _, _, gap_s, tilt, unrest, length = row[:15]
+        pre_swing_ns, swing_ns, loading_response_ns, stance_ns = (_seen(t_ns) for t_ns in times_ns)
+        valid = outcome == solution.SOLVED
+        reason = "" if valid and unrest <= REST_RADPS else _reason(outcome, start_ns, end_ns, gap_s, tilt, unrest, length)
+        speed, highest, turn, gained, toe, heel = row[15:] if valid else (math.nan,) * 6
+        results.append(
+            StrideResult(
+                foot, number, start_ns, end_ns, length if valid else math.nan, highest, gained, turn, speed,
+                pre_swing_ns, swing_ns, loading_response_ns, stance_ns, toe, heel, valid, reason,
+                *((ways[k], pitches[k]) if valid else ()),
+            )  # fmt: skip
+        )
+    return results
 
 
-def _unusable(foot: str, number: int, start_ns: int, end_ns: int, times: dict[Phase, int], reason: str) -> StrideResult:
-    return StrideResult(
-        foot=foot,
-        number=number,
-        t_start_ns=start_ns,
-        t_end_ns=end_ns,
-        stride_length_m=math.nan,
-        clearance_m=math.nan,
-        height_gained_m=math.nan,
-        turn_rad=math.nan,
-        speed_mps=math.nan,
-        t_pre_swing_ns=times.get(Phase.PRE_SWING),
-        t_swing_ns=times.get(Phase.SWING),
-        t_loading_response_ns=times.get(Phase.LOADING_RESPONSE),
-        t_stance_ns=times.get(Phase.STANCE),
-        valid=False,
-        reason=reason,
-    )
+def _seen(t_ns: int) -> int | None:
+    return None if t_ns == UNSEEN_NS else t_ns
+
+
+def _reason(
+    outcome: int, start_ns: int, end_ns: int, gap_s: float, tilt: float, unrest_radps: float, length_m: float
+) -> str:
+    """Why a stride is not valid, or not as good as others."""
+    return {
+        solution.SOLVED: f"no true rest: {unrest_radps:.1f} rad/s at its quietest",
+        solution.NO_SOLUTION: "the constraints cannot be met",
+        solution.TILTED: f"the orientation is {math.degrees(tilt):.0f}° off at its end",
+        solution.NO_LENGTH: f"{length_m:.2f} m is no stride length",
+        solution.NO_REST: f"the foot never rests: {unrest_radps:.1f} rad/s at its quietest",
+        course.FORGOTTEN: "longer than the history kept",
+        course.NO_STRIDE_TIME: f"lasts {1e-9 * (end_ns - start_ns):.2f} s",
+        course.GAP: f"samples missing for {1e3 * gap_s:.0f} ms",
+    }[outcome]

@@ -40,14 +40,31 @@ def until_due(t_ns: Any, begin: int, end: int, due_ns: int) -> int:
     return begin + 1
 
 
+def of_one_kind(t_ns: IntArray, acc: FloatArray, gyr: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Samples as one kind of array: for any other the core would be compiled once more."""
+    return (
+        np.require(t_ns, np.int64, ("C", "W")),
+        np.require(acc, np.float64, ("C", "W")),
+        np.require(gyr, np.float64, ("C", "W")),
+    )
+
+
+class Outcomes(Protocol):
+    """Where outcomes go, in order."""
+
+    def append(self, outcome: Outcome, /) -> None:
+        """Take one more."""
+
+
 class Strides(Protocol):
     """Follows the phases and closes strides; the arrays are the history up to now, free of bias.
 
-    ``due_ns`` is when the stride under way is closed at the latest, None while there is none. ``trace`` (N, 4) is what
-    the core left at each sample.
+    ``trace`` (N, 4) is what the core left at each sample.
     """
 
-    due_ns: int | None
+    @property
+    def due_ns(self) -> int | None:
+        """When the stride under way is closed at the latest, None while there is none."""
 
     def restart(self, t_ns: int) -> None:
         """Data were lost; stance from now on."""
@@ -122,7 +139,9 @@ class Tracker(ABC):
     def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[Outcome]:
         """Take one sample in, as :meth:`advance` does a block of one."""
         self._one_t_ns[0], self._one_acc[0], self._one_gyr[0] = t_ns, acc_mps2, gyr_radps
-        return self._take(self._one_t_ns, self._one_acc, self._one_gyr)
+        outcomes: list[Outcome] = []
+        self._take(self._one_t_ns, self._one_acc, self._one_gyr, outcomes)
+        return outcomes
 
     def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Outcome]:
         """Take samples in; give back what happened, in order.
@@ -133,15 +152,11 @@ class Tracker(ABC):
             acc_mps2: (N, 3) specific force.
             gyr_radps: (N, 3) angular rate.
         """
-        # one kind of array only: for any other the core would be compiled once more
-        return self._take(
-            np.require(t_ns, np.int64, ("C", "W")),
-            np.require(acc_mps2, np.float64, ("C", "W")),
-            np.require(gyr_radps, np.float64, ("C", "W")),
-        )
-
-    def _take(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray) -> list[Outcome]:
         outcomes: list[Outcome] = []
+        self._take(*of_one_kind(t_ns, acc_mps2, gyr_radps), outcomes)
+        return outcomes
+
+    def _take(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, outcomes: Outcomes) -> None:
         taken = 0
         while taken < len(t_ns):
             taken, filled, silence = self._history.take_in(t_ns, acc, gyr, taken)
@@ -151,9 +166,8 @@ class Tracker(ABC):
                 self._restart(int(t_ns[taken]), acc[taken], outcomes)
             elif taken < len(t_ns):
                 self._reached = self._history.forget_half()
-        return outcomes
 
-    def _follow(self, filled: int, outcomes: list[Outcome]) -> None:
+    def _follow(self, filled: int, outcomes: Outcomes) -> None:
         """Advance to the next thing that Python must handle."""
         due_ns = self._strides.due_ns
         due_ns = NEVER_NS if due_ns is None else due_ns
@@ -164,7 +178,7 @@ class Tracker(ABC):
         if due_ns is not None and self._history.t_ns[self._reached - 1] >= due_ns:
             self._stride(outcomes, self._strides.close)
 
-    def _transition(self, transition: Transition, outcomes: list[Outcome]) -> None:
+    def _transition(self, transition: Transition, outcomes: Outcomes) -> None:
         row = self._reached - 1
         change = self.machine.fire(transition, int(self._history.t_ns[row]), self._features(), self._thresholds)
         self._enter(change.destination, self._history, row)
@@ -173,7 +187,7 @@ class Tracker(ABC):
         self._strides.on_phase(change)
         outcomes.append(change)
 
-    def _stride(self, outcomes: list[Outcome], solve: Callable[..., StrideResult | None]) -> None:
+    def _stride(self, outcomes: Outcomes, solve: Callable[..., StrideResult | None]) -> None:
         """Hand the history, freed of bias, to the stride maker."""
         n, history = self._reached, self._history
         result = solve(
@@ -185,7 +199,7 @@ class Tracker(ABC):
         if result is not None:
             outcomes.append(result)
 
-    def _restart(self, t_ns: int, acc: FloatArray, outcomes: list[Outcome]) -> None:
+    def _restart(self, t_ns: int, acc: FloatArray, outcomes: Outcomes) -> None:
         """Begin anew in stance; what was under way is dropped."""
         if self._history.restart(t_ns):
             self._restarts += 1
