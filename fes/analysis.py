@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,16 +20,17 @@ from fes.estimation.foot import FootTracker
 from fes.estimation.foot_strike import foot_strike_angles
 from fes.estimation.foot_way import foot_samples
 from fes.estimation.shank import shank_tracker
-from fes.estimation.stride_fusion import fused_along
+from fes.estimation.stride_fusion import fuse
+from fes.estimation.stride_solution import SOLVED
 from fes.estimation.strides import StrideMaker
-from fes.estimation.tracker import SampleCounts, Tracker
+from fes.estimation.tracker import SampleCounts
 from fes.ground_path import GroundPath, ground_path, together
 from fes.journal import Note, SampleArrays, SessionRecord
 from fes.recording import Recording
 from fes.recording.tracks import UNLABELLED_FEET
 from fes.replay import LOG_FORMAT, increasing, session_for
 from fes.signals import FOOT_SENSORS, StrideResult
-from fes.toe_and_heel import ToeAndHeel, toe_and_heel
+from fes.toe_and_heel import ToeAndHeel, point_heights
 from statemachine.phases import PhaseChange
 
 
@@ -163,31 +164,10 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
     session: Session = session_for(recording, None)
     result = Analysis(recording, dict(calibrations), [], [], {}, {}, level=level)
     for sensor in driving(calibrations).values():
-        calibration, track = calibrations[sensor], recording.tracks[sensor]
-        paths: list[FootPath] = []
-        tracker = _tracker(session, calibration, paths.append, level=level)
-        outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-        strides = [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
-        if isinstance(calibration, FootCalibration):
-            ranges = (track.acc_range_mps2, track.gyr_range_radps)
-            try:
-                foot = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
-                strides = fused_along(strides, foot)
-                result.paths[sensor] = ground_path(track, calibration, level=level, foot=foot)
-            except ValueError as error:
-                result.no_path[sensor] = f"{sensor}: {error}"
-            given = next((value for foot, value in session.geometry.items() if foot == sensor), None)
-            strides, result.points[sensor] = toe_and_heel(strides, paths, given, level=level)
-            result.stride_paths[sensor] = paths
-        result.strides.extend(strides)
-        result.phases.extend(outcome for outcome in outcomes if not isinstance(outcome, StrideResult))
-        result.counts[sensor] = tracker.counts
-        if isinstance(calibration, ShankCalibration):
-            result.no_path[sensor] = f"{sensor}: a path needs a sensor that rests at every step, as on the foot"
-            continue
-        newer = increasing(track)
-        t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
-        result.events[sensor] = find_events(t_ns, acc, gyr, calibration)
+        if isinstance(calibrations[sensor], ShankCalibration):
+            _analyse_shank(result, sensor)
+        else:
+            _analyse_foot(result, sensor, session)
     if set(FOOT_SENSORS) <= set(result.paths):
         left, right = (result.paths[foot] for foot in FOOT_SENSORS)
         result.paths.update(zip(FOOT_SENSORS, together(left, right), strict=True))
@@ -196,12 +176,48 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
     return result
 
 
-def _tracker(
-    session: Session, calibration: Calibration, watch: Callable[[FootPath], None] | None, *, level: bool
-) -> Tracker:
-    if isinstance(calibration, ShankCalibration):
-        return shank_tracker(calibration, equal_height=None if level else False)
-    settings = replace(stride_settings(session, calibration), equal_height=level, watch=watch)
+def _analyse_shank(result: Analysis, sensor: str) -> None:
+    calibration, track = result.calibrations[sensor], result.recording.tracks[sensor]
+    assert isinstance(calibration, ShankCalibration)
+    tracker = shank_tracker(calibration, equal_height=None if result.level else False)
+    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    result.strides.extend(outcome for outcome in outcomes if isinstance(outcome, StrideResult))
+    result.phases.extend(outcome for outcome in outcomes if not isinstance(outcome, StrideResult))
+    result.counts[sensor] = tracker.counts
+    result.no_path[sensor] = f"{sensor}: a path needs a sensor that rests at every step, as on the foot"
+
+
+def _analyse_foot(result: Analysis, sensor: str, session: Session) -> None:
+    calibration, track, level = result.calibrations[sensor], result.recording.tracks[sensor], result.level
+    assert isinstance(calibration, FootCalibration)
+    tracker = _foot_tracker(session, calibration, level=level)
+    walked = tracker.walk(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    rows, shapes, paths = walked.rows, walked.shapes, walked.paths()
+    try:
+        ranges = (track.acc_range_mps2, track.gyr_range_radps)
+        foot = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
+        fuse(rows, shapes, foot)
+        result.paths[sensor] = ground_path(track, calibration, level=level, foot=foot)
+    except ValueError as error:
+        result.no_path[sensor] = f"{sensor}: {error}"
+    given = next((value for name, value in session.geometry.items() if name == sensor), None)
+    heights, result.points[sensor] = point_heights(paths, given, level=level)
+    if heights is not None:
+        valid = rows["outcome"] == SOLVED
+        rows["toe_m"][valid], rows["heel_m"][valid] = heights.T
+    result.stride_paths[sensor] = paths.each()
+    result.strides.extend(walked.strides())
+    result.phases.extend(walked.changes)
+    result.counts[sensor] = tracker.counts
+    t_ns, acc, gyr = track.t_sensor_ns, track.acc_mps2, track.gyr_radps
+    newer = increasing(track)
+    if not newer.all():
+        t_ns, acc, gyr = t_ns[newer], acc[newer], gyr[newer]
+    result.events[sensor] = find_events(t_ns, acc, gyr, calibration)
+
+
+def _foot_tracker(session: Session, calibration: FootCalibration, *, level: bool) -> FootTracker:
+    settings = replace(stride_settings(session, calibration), equal_height=level)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
 
 
@@ -214,7 +230,7 @@ def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]
     for sensor in driving(calibrations).values():
         calibration, track = calibrations[sensor], recording.tracks[sensor]
         if isinstance(calibration, FootCalibration):
-            tracker = _tracker(session, _along_gravity(calibration), None, level=False)
+            tracker = _foot_tracker(session, _along_gravity_foot(calibration), level=False)
             outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
             found[sensor] = [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
     return found
@@ -243,8 +259,10 @@ def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Record
 
 
 def _along_gravity(calibration: Calibration) -> Calibration:
-    if isinstance(calibration, ShankCalibration):
-        return calibration
+    return calibration if isinstance(calibration, ShankCalibration) else _along_gravity_foot(calibration)
+
+
+def _along_gravity_foot(calibration: FootCalibration) -> FootCalibration:
     up, bias = np.array(calibration.up), np.array(calibration.acc_bias_mps2)
     x, y, z = (float(v) for v in up * (up @ bias))
     return replace(calibration, acc_bias_mps2=(x, y, z))

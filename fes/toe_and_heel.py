@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from fes.config import FootGeometry
-from fes.estimation.clearance import FootPath, arms_of, contact_levels, with_clearance
+from fes.estimation.clearance import AnyPaths, FootPath, arms_of, clearances, contact_levels, in_one
 from fes.estimation.foot_geometry import EstimatedGeometry, estimate_geometry
-from fes.signals import StrideResult
+from fes.signals import FloatArray, StrideResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,19 +70,36 @@ class ToeAndHeel:
 def toe_and_heel(
     strides: Sequence[StrideResult], paths: Sequence[FootPath], given: FootGeometry | None, *, level: bool
 ) -> tuple[list[StrideResult], ToeAndHeel]:
-    """One foot's strides with the clearance of toe and heel, and where these were taken to be.
+    """One foot's strides with the clearance of toe and heel, and where these were taken to be; see :func:`point_heights`.
 
-    ``paths`` are those of the valid strides. Without a ``given`` geometry it is estimated from them, on level ground
-    only: on stairs a foot pushes off, and lands, with another part of the sole. ``level`` False also leaves the heights
-    as they are, for where strides climb by different amounts the recording has no common level to shift to.
+    ``paths`` are those of the valid strides.
     """
-    if not paths:
-        return list(strides), ToeAndHeel(None, reason="no stride could be used")
+    heights, known = point_heights(paths, given, level=level)
+    found = {} if heights is None else dict(zip((path.number for path in paths), heights.tolist(), strict=True))
+    told = [
+        replace(stride, toe_clearance_m=found[stride.number][0], heel_clearance_m=found[stride.number][1])
+        if stride.number in found
+        else stride
+        for stride in strides
+    ]
+    return told, known
+
+
+def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -> tuple[FloatArray | None, ToeAndHeel]:
+    """Clearance of toe and heel (K, 2) of strides with these paths, None if not known, and where the two are.
+
+    Without a ``given`` geometry it is estimated from the paths, on level ground only: on stairs a foot pushes off, and
+    lands, with another part of the sole. ``level`` False also leaves the heights as they are, for where strides climb
+    by different amounts the recording has no common level to shift to.
+    """
+    if not len(paths):
+        return None, ToeAndHeel(None, reason="no stride could be used")
     if given is None and not level:
-        return list(strides), ToeAndHeel(None, reason="they show on level ground only; give [geometry] in the sidecar")
+        return None, ToeAndHeel(None, reason="they show on level ground only; give [geometry] in the sidecar")
+    paths = in_one(paths)
     estimate = estimate_geometry(paths) if given is None else None
     geometry = given if estimate is None else estimate.geometry
     assert geometry is not None
     arms = arms_of(geometry)
     levels = contact_levels(paths, arms) if level else None
-    return with_clearance(strides, paths, arms, levels), ToeAndHeel(geometry, estimate, levels is not None)
+    return clearances(paths, arms, levels)[:, [0, 3]], ToeAndHeel(geometry, estimate, levels is not None)

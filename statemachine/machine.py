@@ -11,7 +11,6 @@ from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, PhaseChange, Transition
 from statemachine.table import TABLE, Row
 
-
 _ROWS: dict[tuple[int, int], Row] = {(row.source, row.transition): row for row in TABLE}
 
 

@@ -19,12 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.clearance_kernel import UNSEEN_NS, clear, contact_heights, drift_correction, lowest_in_swing
+from fes.estimation.clearance_kernel import all_clear, all_contact_heights, drift_correction, lowest_in_swing
 from fes.estimation.rotation import foot_axes
+from fes.estimation.stride_time import UNSEEN_NS
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 
 CONTACT_SPREAD_M = 0.003  # how much the true contact heights differ between strides (markers: 2.6 to 3.3 mm)
@@ -62,6 +64,57 @@ class FootPath:
         """Foot off and contact for compiled code, ``UNSEEN_NS`` for what was not seen."""
         off, contact = self.foot_off_ns, self.contact_ns
         return UNSEEN_NS if off is None else off, UNSEEN_NS if contact is None else contact
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FootPaths:
+    """The ways of one foot's K strides as one: rows ``spans`` (K, 2) of ``t_ns`` (R,), ``position_m`` and ``axes``.
+
+    ``numbers`` (K,) are the strides', ``swings_ns`` (K, 2) foot off and contact, ``UNSEEN_NS`` for what was not seen.
+    """
+
+    numbers: IntArray
+    spans: IntArray
+    swings_ns: IntArray
+    t_ns: IntArray
+    position_m: FloatArray
+    axes: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def each(self) -> list[FootPath]:
+        """One by one."""
+        return [
+            FootPath(
+                number,
+                self.t_ns[a:b],
+                self.position_m[a:b],
+                self.axes[a:b],
+                *(None if t == UNSEEN_NS else t for t in swing),
+            )
+            for number, (a, b), swing in zip(
+                self.numbers.tolist(), self.spans.tolist(), self.swings_ns.tolist(), strict=True
+            )
+        ]
+
+
+AnyPaths: TypeAlias = FootPaths | Sequence[FootPath]
+
+
+def in_one(paths: AnyPaths) -> FootPaths:
+    """The same paths as one."""
+    if isinstance(paths, FootPaths):
+        return paths
+    ends = np.cumsum([len(path.t_ns) for path in paths], dtype=np.int64)
+    return FootPaths(
+        np.array([path.number for path in paths], dtype=np.int64),
+        np.column_stack((np.append(0, ends[:-1]), ends))[: len(paths)],
+        np.array([path.swing_ns for path in paths], dtype=np.int64).reshape(len(paths), 2),
+        np.concatenate([np.zeros(0, np.int64), *(path.t_ns for path in paths)]),
+        np.concatenate([np.zeros((0, 3)), *(path.position_m for path in paths)]),
+        np.concatenate([np.zeros((0, 3, 3)), *(path.axes for path in paths)]),
+    )
 
 
 def foot_path(
@@ -129,19 +182,19 @@ class ContactLevels:
         return np.array((*levels, self.foot_off_weight, self.contact_weight, self.rise_weight))
 
 
-def contact_levels(paths: Sequence[FootPath], arms: FootArms) -> ContactLevels | None:
+def contact_levels(paths: AnyPaths, arms: FootArms) -> ContactLevels | None:
     """Levels of one foot's recording, from all its strides; None if fewer than five show both contacts.
 
     Of each stride: the height of the toe at foot off over the stance before; of the lower of toe and heel at contact
     over the next; and of the foot in the stance after over that before. So steps up and down do not make the first two
     differ.
     """
-    toe, heel, each = np.array(arms.toe_m), np.array(arms.heel_m), np.empty((len(paths), 3))
-    shown = [
-        contact_heights(path.t_ns, path.position_m, path.axes, *path.swing_ns, toe, heel, each[k])
-        for k, path in enumerate(paths)
-    ]
-    seen = each[np.array(shown, np.bool_)]
+    paths, toe, heel = in_one(paths), np.array(arms.toe_m), np.array(arms.heel_m)
+    each, shown = np.empty((len(paths), 3)), np.empty(len(paths), np.bool_)
+    all_contact_heights(
+        paths.t_ns, paths.position_m, paths.axes, paths.spans, paths.swings_ns, toe, heel, each, shown
+    )  # fmt: skip
+    seen = each[shown]
     if len(seen) < LEAST_STRIDES:
         return None
     cut = int(
@@ -173,17 +226,19 @@ class Clearance:
 
 def clearance(path: FootPath, arms: FootArms, levels: ContactLevels | None = None) -> Clearance:
     """The clearances of one stride, shifted to the recording's contact levels if those are given."""
+    *heights, dips = clearances([path], arms, levels)[0].tolist()
+    return Clearance(*heights, bool(dips))
+
+
+def clearances(paths: AnyPaths, arms: FootArms, levels: ContactLevels | None) -> FloatArray:
+    """What :class:`Clearance` holds of every stride (K, 6), in its order; ``dips`` is 0 or 1."""
+    paths, out = in_one(paths), np.empty((len(paths), 6))
     row = np.zeros(0) if levels is None else levels.row()
-    return Clearance(*_clear(path, np.array(arms.toe_m), np.array(arms.heel_m), row))
-
-
-def _clear(
-    path: FootPath, toe: FloatArray, heel: FloatArray, levels: FloatArray
-) -> tuple[float, float, float, float, float, bool]:
-    out = np.empty(5)
-    dips = clear(path.t_ns, path.position_m, path.axes, *path.swing_ns, toe, heel, levels, out)
-    toe_m, first_m, last_m, heel_m, sensor_m = out.tolist()
-    return toe_m, first_m, last_m, heel_m, sensor_m, bool(dips)
+    all_clear(
+        paths.t_ns, paths.position_m, paths.axes, paths.spans, paths.swings_ns, np.array(arms.toe_m),
+        np.array(arms.heel_m), row, out,
+    )  # fmt: skip
+    return out
 
 
 def mid_swing(t_ns: IntArray, height_m: FloatArray, level_m: FloatArray) -> tuple[int, bool]:
@@ -203,9 +258,7 @@ def with_clearance(
 
     A stride without a path of the same number is passed on as it is.
     """
-    toe, heel = np.array(arms.toe_m), np.array(arms.heel_m)
-    row = np.zeros(0) if levels is None else levels.row()
-    found = {path.number: _clear(path, toe, heel, row) for path in paths}
+    found = dict(zip((path.number for path in paths), clearances(paths, arms, levels).tolist(), strict=True))
     return [
         replace(stride, toe_clearance_m=found[stride.number][0], heel_clearance_m=found[stride.number][3])
         if stride.number in found

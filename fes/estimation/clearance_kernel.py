@@ -63,6 +63,17 @@ def contact_heights(
 
 
 @jit
+def all_contact_heights(
+    t_ns: Any, position: Any, axes: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any, seen: Any
+) -> None:
+    """As :func:`contact_heights` of every stride: rows ``spans`` (K, 2), swings (K, 2); ``out`` (K, 3), ``seen`` (K,)."""
+    for k in range(spans.shape[0]):
+        a, b = spans[k, 0], spans[k, 1]
+        off, contact = swings[k, 0], swings[k, 1]
+        seen[k] = contact_heights(t_ns[a:b], position[a:b], axes[a:b], off, contact, toe_arm, heel_arm, out[k])
+
+
+@jit
 def drift_correction(t_ns: Any, off_ns: int, contact_ns: int, toe: Any, heel: Any, levels: Any, out: Any) -> None:
     """Fill ``out`` (N,) with what to add to the heights; ``levels`` (6,): of foot off, contact, rise, their weights."""
     seen = np.empty(3)
@@ -165,3 +176,15 @@ def clear(
     for i in range(lowest, end):
         out[2] = max(out[2], toe[i])
     return dips
+
+
+@jit
+def all_clear(
+    t_ns: Any, position: Any, axes: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, levels: Any, out: Any
+) -> None:
+    """As :func:`clear` of every stride: rows ``spans`` (K, 2), swings (K, 2); ``out`` (K, 6): and whether the toe dips."""
+    for k in range(spans.shape[0]):
+        a, b = spans[k, 0], spans[k, 1]
+        off, contact = swings[k, 0], swings[k, 1]
+        dips = clear(t_ns[a:b], position[a:b], axes[a:b], off, contact, toe_arm, heel_arm, levels, out[k, :5])
+        out[k, 5] = 1.0 if dips else 0.0

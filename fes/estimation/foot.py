@@ -16,7 +16,7 @@ from fes.estimation.orientation import OrientationSettings
 from fes.estimation.stride_course import CHANGES, ROWS, STRIDES, Out
 from fes.estimation.strides import StrideMaker
 from fes.estimation.tracker import Outcome, Outcomes, Tracker, of_one_kind, until_due
-from fes.estimation.walked import CHANGE, Walked
+from fes.estimation.walked import Walked
 from fes.signals import FloatArray, IntArray
 from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, Transition
@@ -119,13 +119,13 @@ class FootTracker(Tracker):
             return super().advance(t_ns, acc_mps2, gyr_radps)
         walked = self.walk(t_ns, acc_mps2, gyr_radps)
         watch = self._maker.settings.watch
-        for path in walked.paths() if watch is not None else ():
+        for path in walked.paths().each() if watch is not None else ():
             watch(path)
         return walked.outcomes()
 
     def walk(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Walked:
         """Take samples in, as :meth:`advance`, and give back what happened as arrays."""
-        walked = Walked(self.foot, self._maker.settings, len(self._history.t_ns))
+        walked = Walked(self.foot, self._maker.settings, len(t_ns), len(self._history.t_ns))
         self._take(*of_one_kind(t_ns, acc_mps2, gyr_radps), walked)
         return walked
 

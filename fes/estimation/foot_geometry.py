@@ -16,14 +16,13 @@ Sideways nothing is found (roll is small, and in step with pitch): the sensor is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.clearance import FootPath
-from fes.estimation.foot_geometry_kernel import BALL, HEEL, OVER_HEEL, SIGNS, TOE, signs_of
+from fes.estimation.clearance import AnyPaths, in_one
+from fes.estimation.foot_geometry_kernel import BALL, HEEL, OVER_HEEL, SIGNS, TOE, all_signs
 from fes.signals import FloatArray
 
 HEIGHT_M = (0.065, 0.03)  # prior mean and SD of an instep or lateral sensor's height
@@ -63,14 +62,14 @@ class _Seen:
     missing: str = ""
 
 
-def estimate_geometry(paths: Sequence[FootPath]) -> EstimatedGeometry:
+def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
     """Estimate one foot's geometry from the strides of one recording; the prior where they do not show it.
 
     Always gives a usable geometry: what lies outside the plausible bounds is dropped, and the reason says so.
     """
+    paths = in_one(paths)
     signs = np.empty((len(paths), SIGNS))
-    for path, row in zip(paths, signs, strict=True):
-        signs_of(path.t_ns, path.position_m, path.axes, *path.swing_ns, row)
+    all_signs(paths.t_ns, paths.position_m, paths.axes, paths.spans, paths.swings_ns, signs)
     ball = _seen("the sensor's height", signs[:, BALL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     over_heel = _seen("", signs[:, OVER_HEEL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     height = ball if ball.missing or over_heel.missing else _mean(ball, over_heel)

@@ -76,6 +76,14 @@ def signs_of(t_ns: Any, position: Any, axes: Any, off_ns: int, contact_ns: int, 
 
 
 @jit
+def all_signs(t_ns: Any, position: Any, axes: Any, spans: Any, swings: Any, out: Any) -> None:
+    """As :func:`signs_of` of every stride: rows ``spans`` (K, 2), swings (K, 2); ``out`` (K, 6)."""
+    for k in range(spans.shape[0]):
+        a, b = spans[k, 0], spans[k, 1]
+        signs_of(t_ns[a:b], position[a:b], axes[a:b], swings[k, 0], swings[k, 1], out[k])
+
+
+@jit
 def _ball(position: Any, axes: Any, off: int, out: Any) -> None:
     """While the heel rises, up to foot off."""
     level = _pitch(axes, 0)

@@ -142,9 +142,7 @@ def on_phase(course: Any, destination: int, t_ns: int) -> None:
 
 
 @jit
-def leave_stance(
-    course: Any, n: int, t_ns: Any, acc: Any, gyr: Any, quaternion: Any, biases: Any, out: Out
-) -> bool:
+def leave_stance(course: Any, n: int, t_ns: Any, acc: Any, gyr: Any, quaternion: Any, biases: Any, out: Out) -> bool:
     """T1: close the stride that this stance ended, and begin the next at the stance's quietest instant.
 
     Arguments and what is returned as for :func:`close`.
@@ -159,9 +157,7 @@ def leave_stance(
 
 
 @jit
-def close(
-    course: Any, n: int, t_ns: Any, acc: Any, gyr: Any, quaternion: Any, biases: Any, out: Out
-) -> bool:
+def close(course: Any, n: int, t_ns: Any, acc: Any, gyr: Any, quaternion: Any, biases: Any, out: Out) -> bool:
     """Solve the stride that ended with this stance; whether there was one, and a row of ``out`` was filled.
 
     Args:

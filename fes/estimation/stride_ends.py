@@ -61,9 +61,7 @@ def rows_before(t_ns: Any, n: int, at_ns: int) -> int:
 
 
 @jit
-def quietest_of(
-    t_ns: Any, gyr: Any, n: int, bx: float, by: float, bz: float, earliest_ns: int, latest_ns: int
-) -> int:
+def quietest_of(t_ns: Any, gyr: Any, n: int, bx: float, by: float, bz: float, earliest_ns: int, latest_ns: int) -> int:
     """As :func:`quietest`, of the first ``n`` samples of a gyroscope with a bias."""
     begin, end = rows_before(t_ns, n, earliest_ns), rows_before(t_ns, n, latest_ns + 1)
     if end - begin < 3:

@@ -19,6 +19,8 @@ from dataclasses import replace
 import numpy as np
 
 from fes.estimation.foot_way import FootSamples, foot_samples
+from fes.estimation.stride_solution import SOLVED
+from fes.estimation.strides import Rows
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 
@@ -93,10 +95,16 @@ def fused(
     return [_mean(stride, length) for stride, length in zip(strides, lengths.tolist(), strict=True)]
 
 
-def fused_along(strides: Sequence[StrideResult], foot: FootSamples) -> list[StrideResult]:
-    """As :func:`fused`, of samples already prepared."""
-    lengths = lengths_along(foot, *_ends(strides))
-    return [_mean(stride, length) for stride, length in zip(strides, lengths.tolist(), strict=True)]
+def fuse(rows: Rows, shapes: FloatArray, foot: FootSamples) -> None:
+    """As :func:`fused`, in place, of strides (K,) as the compiled core leaves them; see ``fes.estimation.strides``."""
+    own_m, path_m = rows["length_m"], lengths_along(foot, rows["t_start_ns"], rows["t_end_ns"])
+    with np.errstate(invalid="ignore"):  # where one of them is not known
+        near = np.abs(path_m - own_m) <= np.maximum(FAR_APART * own_m, FAR_APART_M)
+    k = np.flatnonzero(near & (rows["outcome"] == SOLVED) & (own_m > 0.0))
+    own_m, length_m = own_m[k], 0.5 * (own_m[k] + path_m[k])
+    rows["speed_mps"][k] = rows["speed_mps"][k] * length_m / own_m
+    rows["length_m"][k] = length_m
+    shapes[k, :, 0] *= (length_m / own_m)[:, None]
 
 
 def _ends(strides: Sequence[StrideResult]) -> tuple[IntArray, IntArray]:

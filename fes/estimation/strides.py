@@ -8,6 +8,7 @@ happened to be detected, and the velocity there is that of a foot turning about 
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,8 +19,9 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.estimation import stride_course as course
 from fes.estimation import stride_solution as solution
-from fes.estimation.clearance import FootPath, foot_path
+from fes.estimation.clearance import FootPath, FootPaths
 from fes.estimation.core import new_core
+from fes.estimation.rotation import foot_axes
 from fes.estimation.stride_course import CourseSettings, Out, new_out
 from fes.estimation.stride_ends import REST_RADPS
 from fes.estimation.stride_time import UNSEEN_NS
@@ -149,26 +151,25 @@ def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
     """The only stride in ``out``; its path is shown to who watches."""
     result = stride_results(foot, out.strides, out.shapes)[0]
     if settings.watch is not None and result.valid:
-        settings.watch(stride_paths(out.strides, out, settings)[0])
+        settings.watch(copy.deepcopy(stride_paths(out.strides, out, settings).each()[0]))
     return result
 
 
-def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> list[FootPath]:
-    """The paths of the valid ones of (K,) strides, whose ways are in ``out``; they keep no hold of ``out``."""
-    end = max(((rows["first"] + rows["rows"]).tolist()), default=0)
-    whole = foot_path(
-        0, out.t_ns[:end], out.quaternion[:end], out.position[:end], settings.forward, settings.up, None, None
+def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
+    """The paths of the valid ones of (K,) strides, whose ways are in ``out`` and stay there."""
+    rows = rows[rows["outcome"] == solution.SOLVED]
+    contact = np.where(rows["loading_response_ns"] == UNSEEN_NS, rows["stance_ns"], rows["loading_response_ns"])
+    end = int((rows["first"] + rows["rows"]).max(initial=0))
+    axes = np.empty((end, 3, 3))
+    foot_axes(out.quaternion[:end], settings.forward, settings.up, axes)
+    return FootPaths(
+        rows["number"].copy(),
+        np.column_stack((rows["first"], rows["first"] + rows["rows"])),
+        np.column_stack((rows["swing_ns"], contact)),
+        out.t_ns[:end],
+        out.position[:end],
+        axes,
     )
-    paths = []
-    names = ["outcome", "number", "first", "rows", "swing_ns", "loading_response_ns", "stance_ns"]
-    for outcome, number, first, count, off, contact, stance in zip(*(rows[n].tolist() for n in names), strict=True):
-        if outcome == solution.SOLVED:
-            part = slice(first, first + count)
-            contact_ns = _seen(stance if contact == UNSEEN_NS else contact)
-            paths.append(
-                FootPath(number, whole.t_ns[part], whole.position_m[part], whole.axes[part], _seen(off), contact_ns)
-            )
-    return paths
 
 
 def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResult]:
@@ -179,12 +180,29 @@ def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResu
         number, start_ns, end_ns, *times_ns, outcome, _, _, _, gap_s, tilt, unrest, length = row[:15]
         pre_swing_ns, swing_ns, loading_response_ns, stance_ns = (_seen(t_ns) for t_ns in times_ns)
         valid = outcome == solution.SOLVED
-        reason = "" if valid and unrest <= REST_RADPS else _reason(outcome, start_ns, end_ns, gap_s, tilt, unrest, length)
+        reason = (
+            "" if valid and unrest <= REST_RADPS else _reason(outcome, start_ns, end_ns, gap_s, tilt, unrest, length)
+        )
         speed, highest, turn, gained, toe, heel = row[15:] if valid else (math.nan,) * 6
         results.append(
             StrideResult(
-                foot, number, start_ns, end_ns, length if valid else math.nan, highest, gained, turn, speed,
-                pre_swing_ns, swing_ns, loading_response_ns, stance_ns, toe, heel, valid, reason,
+                foot,
+                number,
+                start_ns,
+                end_ns,
+                length if valid else math.nan,
+                highest,
+                gained,
+                turn,
+                speed,
+                pre_swing_ns,
+                swing_ns,
+                loading_response_ns,
+                stance_ns,
+                toe,
+                heel,
+                valid,
+                reason,
                 *((ways[k], pitches[k]) if valid else ()),
             )  # fmt: skip
         )

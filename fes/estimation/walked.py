@@ -2,36 +2,36 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from fes.estimation.clearance import FootPath
-from fes.estimation.stride_course import CHANGES, ROWS, STRIDE, STRIDES, new_out
+from fes.estimation.clearance import FootPaths
+from fes.estimation.stride_course import STRIDES, new_out
 from fes.estimation.strides import TRAJECTORY_POINTS, Rows, StrideSettings, stride_paths, stride_results
 from fes.estimation.tracker import Outcome
 from fes.signals import FloatArray, StrideResult
 from statemachine.machine import GaitPhaseMachine
 from statemachine.phases import PhaseChange
 
-AT_ONCE = (128, 32)  # phase changes and strides for which there is room
 CHANGE = np.dtype([("t_ns", np.int64), ("transition", np.int64), ("source", np.int64)], align=True)
+
+
+USUAL_STRIDES = 25  # in a history of twenty seconds
 
 
 class Walked:
     """Phase changes and strides in order, the strides' ways beside them.
 
-    ``room`` and ``out`` are what the compiled core fills; :meth:`keep` takes it over. ``capacity``: rows of the history.
+    ``room`` and ``out`` are what the compiled core fills from ``samples`` samples after a history of ``capacity`` (twenty
+    seconds); where it stops for want of room, :meth:`keep` makes more.
     """
 
-    def __init__(self, foot: str, settings: StrideSettings, capacity: int) -> None:
+    def __init__(self, foot: str, settings: StrideSettings, samples: int, capacity: int) -> None:
         self.changes: list[PhaseChange] = []
-        self.room: Rows = np.zeros(AT_ONCE[0], CHANGE)
-        self.out = new_out(AT_ONCE[1], 2 * capacity, TRAJECTORY_POINTS)
+        strides = USUAL_STRIDES * samples // capacity + 2
+        self.room: Rows = np.empty(6 * strides, CHANGE)
+        self.out = new_out(strides, samples + 2 * capacity, TRAJECTORY_POINTS)
         self._foot, self._settings = foot, settings
-        self._rows: list[Rows] = []
-        self._shapes: list[FloatArray] = []
-        self._paths: list[FootPath] = []
+        self._taken, self._capacity = 0, capacity
 
     def append(self, outcome: Outcome) -> None:
         """A restart, which the compiled core knows nothing of."""
@@ -40,39 +40,47 @@ class Walked:
 
     def keep(self, machine: GaitPhaseMachine) -> None:
         """Take over what the core has found, and lead the phase machine after it."""
-        strides, _, changes = self.out.filled.tolist()
-        if strides:
-            rows = self.out.strides[:strides].copy()
-            if self._settings.watch is not None:
-                self._paths += stride_paths(rows, self.out, self._settings)
-            rows["changes"] += len(self.changes)
-            self._rows.append(rows)
-            self._shapes.append(self.out.shapes[:strides].copy())
-        self.changes += machine.follow(self.room[:changes].tolist())
-        self.out.filled[:] = 0
+        strides, rows, changes = self.out.filled.tolist()
+        self.changes += machine.follow(self.room[self._taken : changes].tolist())
+        self._taken = changes
+        out = self.out
+        if changes == len(self.room):
+            self.room = _twice(self.room)
+        if strides == len(out.strides):
+            self.out = out._replace(strides=_twice(out.strides), shapes=_twice(out.shapes))
+        if rows > len(out.t_ns) - self._capacity:
+            ways = {name: _twice(getattr(out, name)) for name in ("t_ns", "position", "quaternion")}
+            self.out = self.out._replace(**ways)
 
+    @property
     def rows(self) -> Rows:
         """The strides (K,), of ``fes.estimation.stride_course.STRIDE``."""
-        return np.concatenate(self._rows) if self._rows else np.zeros(0, STRIDE)
+        return self.out.strides[: self.out.filled[STRIDES]]
 
+    @property
     def shapes(self) -> FloatArray:
         """Their shapes (K, ``TRAJECTORY_POINTS``, 4)."""
-        return np.concatenate(self._shapes) if self._shapes else np.zeros((0, TRAJECTORY_POINTS, 4))
+        return np.asarray(self.out.shapes[: self.out.filled[STRIDES]])
 
-    def paths(self) -> list[FootPath]:
-        """The ways of the valid strides, where the settings have somebody who watches."""
-        return self._paths
+    def paths(self) -> FootPaths:
+        """The ways of the valid strides."""
+        return stride_paths(self.rows, self.out, self._settings)
 
     def strides(self) -> list[StrideResult]:
         """The strides' results."""
-        return stride_results(self._foot, self.rows(), self.shapes())
+        return stride_results(self._foot, self.rows, self.shapes)
 
     def outcomes(self) -> list[Outcome]:
         """Strides and phase changes in the order in which they came."""
         outcomes: list[Outcome] = []
         told = 0
-        for stride, before in zip(self.strides(), self.rows()["changes"].tolist(), strict=True):
+        for stride, before in zip(self.strides(), self.rows["changes"].tolist(), strict=True):
             outcomes += self.changes[told:before]
             outcomes.append(stride)
             told = before
         return outcomes + self.changes[told:]
+
+
+def _twice(array: Rows) -> Rows:
+    """The same with as much room again."""
+    return np.concatenate((array, np.empty_like(array)))
