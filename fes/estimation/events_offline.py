@@ -26,6 +26,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from fes.estimation.calibration import FootCalibration
+from fes.estimation.events_kernel import (
+    REST_SHARE,
+    Signals,
+    all_greatest_at,
+    instants,
+    join_swings,
+    jumps,
+    typical_falls,
+)
 from fes.estimation.filters import greatest_of_late, low_pass, peaks_apart
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
@@ -35,23 +44,11 @@ TURN_HZ = 40.0  # low-pass for the turn of the rate at contact
 FALL_S = 0.35  # push-off's peak lies at most this long before mid-swing
 APART_S = 0.4  # no two mid-swings are closer
 FALL_SHARE = 0.45  # of this walk's typical fall
-NEIGHBOURS = 10  # falls before and after that say what is typical
-TOE_DOWN_SHARE = 0.2  # of the fall is push-off's toe-down rate; less, and the swing before goes on
 PAUSE_SHARE = 0.5  # … and of the whole recording's at least this: in a pause all falls are small
 SMALL_FALL_SHARE = 0.15  # of a step between two rests, as in turning on the spot
 SMALL_TROUGH_SHARE = 0.08  # … that turns toe-up by this share of a typical fall
 SMALL_RATE_SHARE = 0.4  # the same of the greatest rate about any axis
-REST_SHARE = 0.06  # of the typical greatest rate: below, the foot rests between two steps …
 REST_S = 0.15  # … if for this long
-FLAT_SHARE = 0.03  # the same: below, loading is over for certain
-FLAT_S = 0.1  # … if for this long: a slow swing turns at about zero
-FO_FALL_SHARE = 0.75  # of push-off's peak
-HEEL_SHARE = 0.2  # of push-off's peak: a toe-down peak after contact above it is a heel strike
-SOFT_SHARE = 0.1  # the same: a swing's rate has died down once it is below
-TURN_SHARE = 0.04  # the same: the rate at which it has turned
-IMPACT_SHARE = 0.3  # of this walk's typical jump at contact: a jump above it is an impact …
-IMPACT_MPS3 = 150.0  # … if above this as well
-IMPACT_ONSET_SHARE = 0.3  # of the jump: there the impact begins
 JUMP_S = 0.01
 
 IC_OFFSET_S = -0.005
@@ -103,26 +100,12 @@ def find_events(
         return GaitEvents(nothing, nothing, nothing, np.zeros(0, np.bool_))
     rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
     walk = _Walk(rate_hz, acc_mps2, gyr_radps - np.array(calibration.gyr_bias_radps), np.array(calibration.toe_down))
-    swings: list[tuple[float, int, int]] = []  # foot off, push-off's peak, mid-swing
-    for push_off, mid_swing in walk.swings():
-        off = walk.foot_off(push_off)
-        if off < mid_swing and (not swings or off > swings[-1][2] + 2):
-            swings.append((off, push_off, mid_swing))
-    lead = IC_OFFSET_S * rate_hz
-    found = []
-    for k, (off, push_off, mid_swing) in enumerate(swings):
-        cut_off = k + 1 == len(swings)
-        end = len(t_ns) - 1 if cut_off else int(swings[k + 1][0])
-        contact = walk.initial_contact(push_off, mid_swing, end, cut_off=cut_off)
-        if contact is not None:
-            at = contact[0] + (lead if contact[1] else 0.0)
-            found.append((off, float(mid_swing), min(max(at, mid_swing + 1.0), end - 0.5), contact[1]))
+    found = walk.instants()
     index = np.arange(len(t_ns), dtype=float)
     off_at, mid_at, contact_at = (
-        np.round(np.interp([row[j] for row in found], index, t_ns - t_ns[0])).astype(np.int64) + t_ns[0]
-        for j in range(3)
+        np.round(np.interp(found[:, j], index, t_ns - t_ns[0])).astype(np.int64) + t_ns[0] for j in range(3)
     )
-    return GaitEvents(off_at, mid_at, contact_at, np.array([row[3] for row in found], np.bool_))
+    return GaitEvents(off_at, mid_at, contact_at, found[:, 3] != 0.0)
 
 
 class _Walk:
@@ -131,142 +114,79 @@ class _Walk:
     def __init__(self, rate_hz: float, acc: FloatArray, gyr: FloatArray, toe_down: FloatArray) -> None:
         self._rate_hz = rate_hz
         rate = gyr @ toe_down
-        self._shape = low_pass(rate, rate_hz, SHAPE_HZ)
-        self._feature = low_pass(rate, rate_hz, FEATURE_HZ)
-        self._turn = low_pass(rate, rate_hz, TURN_HZ)
         window = max(round(0.1 * rate_hz), 3)
-        self._energy = np.convolve(np.einsum("ij,ij->i", gyr, gyr), np.ones(window) / window, "same")
-        lag = max(round(JUMP_S * rate_hz), 1)
-        self._jump = np.zeros(len(rate))  # ends at its sample
-        self._jump[lag:] = np.linalg.norm(acc[lag:] - acc[:-lag], axis=1) * rate_hz / lag
+        jump = np.empty(len(rate))  # ends at its sample
+        jumps(acc, max(round(JUMP_S * rate_hz), 1), rate_hz, jump)
+        self._signals = Signals(
+            shape=low_pass(rate, rate_hz, SHAPE_HZ),
+            feature=low_pass(rate, rate_hz, FEATURE_HZ),
+            turn=low_pass(rate, rate_hz, TURN_HZ),
+            energy=np.convolve(np.einsum("ij,ij->i", gyr, gyr), np.ones(window) / window, "same"),
+            jump=jump,
+        )
         self._peak_rate = 0.0
         self._typical_jump = 0.0
 
-    def swings(self) -> list[tuple[int, int]]:
-        """(push-off's peak, mid-swing) of every swing, in order."""
-        reach = round(FALL_S * self._rate_hz) | 1
-        fall = greatest_of_late(self._shape, reach) - self._shape
+    def instants(self) -> FloatArray:
+        """FO, mid-swing, IC, and whether the heel struck first (K, 4)."""
+        swings = self._swings()
+        out = np.empty((len(swings), 4))
+        lead = IC_OFFSET_S * self._rate_hz
+        return out[: instants(self._signals, swings, self._rate_hz, lead, self._peak_rate, self._typical_jump, out)]
+
+    def _swings(self) -> IntArray:
+        """(K, 2) push-off's peak and mid-swing of every swing, in order."""
+        s, reach = self._signals, round(FALL_S * self._rate_hz) | 1
+        fall = greatest_of_late(s.shape, reach) - s.shape
         peaks = peaks_apart(fall, max(round(APART_S * self._rate_hz), 1))
         if len(peaks) == 0:
-            return []
-        near = [fall[peaks[max(k - NEIGHBOURS, 0) : k + NEIGHBOURS + 1]] for k in range(len(peaks))]
-        typical = np.maximum([self._typical(falls) for falls in near], PAUSE_SHARE * self._typical(fall[peaks]))
-        large = fall[peaks] > FALL_SHARE * typical
+            return np.zeros((0, 2), np.int64)
+        falls, typical = fall[peaks], np.empty(len(peaks))
+        typical_falls(falls, typical)
+        typical = np.maximum(typical, PAUSE_SHARE * _typical(falls))
+        large = falls > FALL_SHARE * typical
         self._peak_rate = float(
-            np.sqrt(np.median([self._energy[max(p - reach, 0) : p + 1].max() for p in peaks[large]]))
+            np.sqrt(np.median(_greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)))
         )
-        small = np.array([self._is_step(p, fall[p] / t, t) for p, t in zip(peaks, typical, strict=True)])
-        alone = small & ~large
+        # of a small fall: is it part of a movement as brisk as a step
+        around = round(FALL_S * self._rate_hz)
+        brisk = np.sqrt(_greatest(s.energy, np.maximum(peaks - around, 0), peaks + around))
+        small = (falls / typical > SMALL_FALL_SHARE) & (-s.shape[peaks] > SMALL_TROUGH_SHARE * typical)
+        alone = small & (brisk > SMALL_RATE_SHARE * self._peak_rate) & ~large
         alone[alone] = [self._is_alone(p, peaks[large]) for p in peaks[alone]]
         mids = peaks[large | alone]
         # a mid-swing is the first trough that comes near to the greatest fall
-        begins = [max(int(m) - reach + 1, 0) for m in mids]
-        offs = [b + int(np.argmax(self._shape[b : m + 1])) for b, m in zip(begins, mids, strict=True)]
-        self._typical_jump = float(np.median([self._jump[m : m + reach].max() for m in mids]))
-        kept: list[tuple[int, int]] = []
-        for off, mid in zip(offs, mids.tolist(), strict=True):
-            if kept and float(self._shape[kept[-1][1] : mid].max()) < TOE_DOWN_SHARE * float(fall[mid]):
-                kept[-1] = kept[-1][0], min(kept[-1][1], mid, key=lambda at: float(self._shape[at]))
-            elif off < mid and (not kept or off > kept[-1][1]):
-                kept.append((off, mid))
-        return kept
-
-    @staticmethod
-    def _typical(falls: FloatArray) -> float:
-        """The median of the upper third: some of the peaks are not swings."""
-        upper = np.sort(falls)[-max(3, len(falls) // 3) :].tolist()
-        middle = len(upper) // 2
-        return float(upper[middle] if len(upper) % 2 else 0.5 * (upper[middle - 1] + upper[middle]))
-
-    def _is_step(self, mid: int, share: float, fall_radps: float) -> bool:
-        """Is a small fall part of a movement as brisk as a step."""
-        around = round(FALL_S * self._rate_hz)
-        greatest = float(np.sqrt(self._energy[max(mid - around, 0) : mid + around].max()))
-        toe_up = -self._shape[mid] > SMALL_TROUGH_SHARE * fall_radps
-        return bool(share > SMALL_FALL_SHARE and toe_up and greatest > SMALL_RATE_SHARE * self._peak_rate)
+        offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
+        self._typical_jump = float(np.median(_greatest(s.jump, mids, mids + reach)))
+        kept = np.empty((len(mids), 2), np.int64)
+        return kept[: join_swings(s.shape, fall, offs, mids, kept)]
 
     def _is_alone(self, mid: int, others: IntArray) -> bool:
         """Does the foot rest between this movement and the swings before and after it."""
         after = int(np.searchsorted(others, mid))
         begin = int(others[after - 1]) if after else 0
-        end = int(others[after]) if after < len(others) else len(self._energy)
+        end = int(others[after]) if after < len(others) else len(self._signals.energy)
         reach = round(FALL_S * self._rate_hz)
         return self._rests(begin, mid - reach) and (after == len(others) or self._rests(mid, end - reach))
 
     def _rests(self, begin: int, end: int) -> bool:
-        quiet = self._energy[begin : max(begin, end)] < (REST_SHARE * self._peak_rate) ** 2
+        quiet = self._signals.energy[begin : max(begin, end)] < (REST_SHARE * self._peak_rate) ** 2
         edges = np.flatnonzero(np.diff(np.concatenate(([0], quiet.astype(np.int8), [0]))))
         return bool(len(edges)) and int((edges[1::2] - edges[0::2]).max()) >= REST_S * self._rate_hz
 
-    def _first_rest(self, flat: np.ndarray[tuple[int], np.dtype[np.bool_]], quietest: int) -> int:
-        """Where the first rest of some length ends its first part; the quietest instant if there is none."""
-        run = max(round(FLAT_S * self._rate_hz), 1)
-        lasting = np.convolve(flat, np.ones(run), "valid") > run - 0.5
-        return int(np.argmax(lasting)) + run - 1 if lasting.any() else quietest
 
-    def foot_off(self, push_off: int) -> float:
-        """Half-way between push-off's last peak and the fall to a share of its greatest."""
-        x = self._feature
-        around = round(0.1 * self._rate_hz)
-        begin = max(push_off - around, 1)
-        top = begin + int(np.argmax(x[begin : push_off + around]))
-        level = FO_FALL_SHARE * x[top]
-        below = top
-        while below + 1 < len(x) and x[below] > level:
-            below += 1
-        crossing = below - 1 + _share(x[below - 1] - level, x[below - 1] - x[below])
-        last = below - 1
-        while last > top and not (x[last] >= x[last - 1] and x[last] >= x[last + 1]):
-            last -= 1
-        left, here, right = x[last - 1 : last + 2] if 0 < last < len(x) - 1 else (0.0, 0.0, 0.0)
-        bend = left - 2.0 * here + right
-        peak = last + (min(max(0.5 * (left - right) / bend, -0.5), 0.5) if bend < 0.0 else 0.0)
-        return 0.5 * float(peak + crossing)
-
-    def initial_contact(self, push_off: int, mid_swing: int, end: int, *, cut_off: bool) -> tuple[float, bool] | None:
-        """IC after this mid-swing and before ``end``, and whether the heel struck first.
-
-        ``cut_off``: the recording ends at ``end``; None where it does so before the contact has been seen.
-        """
-        energy = self._energy[mid_swing : end + 1]
-        least = float(energy.min())
-        flat = energy <= max(2.0 * least, (FLAT_SHARE * self._peak_rate) ** 2)
-        if cut_off and least > (2.0 * REST_SHARE * self._peak_rate) ** 2:
-            return None
-        over = mid_swing + self._first_rest(flat, int(np.argmin(energy)))
-        loading = mid_swing + int(np.argmax(self._shape[mid_swing : over + 1]))
-        if self._shape[loading] > HEEL_SHARE * self._shape[push_off]:
-            at = _rising(self._turn[mid_swing : loading + 1] - TURN_SHARE * self._shape[push_off])
-            if at is not None:
-                return mid_swing + at, True
-        impact = mid_swing + int(np.argmax(self._jump[mid_swing : over + 1]))
-        if self._jump[impact] > max(IMPACT_SHARE * self._typical_jump, IMPACT_MPS3):
-            level = IMPACT_ONSET_SHARE * self._jump[impact]
-            while impact > mid_swing + 1 and self._jump[impact - 1] > level:
-                impact -= 1
-            before, after = self._jump[impact - 1], self._jump[impact]
-            return impact - _share(after - level, after - before), False  # between samples: it began before this one
-        # a soft contact: the heel begins to drop (or, failing that, the foot has come to rest)
-        top = mid_swing
-        while top < over and (
-            self._shape[top + 1] > self._shape[top] or self._shape[top] < -SOFT_SHARE * self._shape[push_off]
-        ):
-            top += 1
-        at = _rising(-self._turn[top : over + 1], first=True)
-        if at is not None:
-            return top + at, False
-        at = _rising(self._turn[mid_swing : over + 1])
-        return (mid_swing + at if at is not None else float(over)), False
+def _greatest_at(x: FloatArray, begins: IntArray, ends: IntArray) -> IntArray:
+    """Where the greatest of ``x`` lies in each of K spans."""
+    at = np.empty(len(begins), np.int64)
+    all_greatest_at(x, begins, ends, at)
+    return at
 
 
-def _share(part: float, whole: float) -> float:
-    return float(min(max(part / whole, 0.0), 1.0)) if whole > 0.0 else 0.0
+def _greatest(x: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:
+    """The greatest of ``x`` in each of K spans."""
+    return np.asarray(x[_greatest_at(x, begins, ends)])
 
 
-def _rising(x: FloatArray, *, first: bool = False) -> float | None:
-    """Where ``x`` (N,) last (or first) rises through zero, between samples; None if it does not."""
-    crossings = ((x[:-1] < 0.0) & (x[1:] >= 0.0)).nonzero()[0]
-    if len(crossings) == 0:
-        return None
-    i = int(crossings[0 if first else -1])
-    return float(i - x[i] / (x[i + 1] - x[i]))
+def _typical(falls: FloatArray) -> float:
+    """The median of the upper third: some of the peaks are not swings."""
+    return float(np.median(np.sort(falls)[-max(3, len(falls) // 3) :]))

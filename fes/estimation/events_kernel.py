@@ -1,0 +1,217 @@
+"""Compiled rules of :mod:`fes.estimation.events_offline`, which says what they are; all positions are sample indices."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fes.estimation.compiled import jit
+
+NEIGHBOURS = 10  # falls before and after that say what is typical
+TOE_DOWN_SHARE = 0.2  # of the fall is push-off's toe-down rate; less, and the swing before goes on
+REST_SHARE = 0.06  # of the typical greatest rate: below, the foot rests between two steps …
+FLAT_SHARE = 0.03  # the same: below, loading is over for certain
+FLAT_S = 0.1  # … if for this long: a slow swing turns at about zero
+FO_FALL_SHARE = 0.75  # of push-off's peak
+HEEL_SHARE = 0.2  # of push-off's peak: a toe-down peak after contact above it is a heel strike
+SOFT_SHARE = 0.1  # the same: a swing's rate has died down once it is below
+TURN_SHARE = 0.04  # the same: the rate at which it has turned
+IMPACT_SHARE = 0.3  # of this walk's typical jump at contact: a jump above it is an impact …
+IMPACT_MPS3 = 150.0  # … if above this as well
+IMPACT_ONSET_SHARE = 0.3  # of the jump: there the impact begins
+NONE = -1.0  # where there is no instant
+
+
+class Signals(NamedTuple):
+    """What the rules look at, (N,) each: the toe-down rate thrice smoothed, the rate's energy, the jump of the force."""
+
+    shape: Any
+    feature: Any
+    turn: Any
+    energy: Any
+    jump: Any
+
+
+@jit
+def jumps(acc: Any, lag: int, rate_hz: float, out: Any) -> None:
+    """Change of the specific force (N, 3) over ``lag`` samples, per second; ends at its sample."""
+    for i in range(out.shape[0]):
+        out[i] = 0.0
+        if i >= lag:
+            x, y, z = acc[i, 0] - acc[i - lag, 0], acc[i, 1] - acc[i - lag, 1], acc[i, 2] - acc[i - lag, 2]
+            out[i] = math.sqrt(x * x + y * y + z * z) * rate_hz / lag
+
+
+@jit
+def greatest_at(x: Any, begin: int, end: int) -> int:
+    """The first greatest of ``x[begin:end]``."""
+    at = begin
+    for i in range(begin + 1, min(end, x.shape[0])):
+        if x[i] > x[at]:
+            at = i
+    return at
+
+
+@jit
+def all_greatest_at(x: Any, begins: Any, ends: Any, out: Any) -> None:
+    """As :func:`greatest_at` of K spans."""
+    for k in range(begins.shape[0]):
+        out[k] = greatest_at(x, begins[k], ends[k])
+
+
+@jit
+def typical_falls(falls: Any, out: Any) -> None:
+    """At each of K falls the median of the upper third of it and its neighbours: some of the peaks are not swings."""
+    near = np.empty(2 * NEIGHBOURS + 1)
+    for k in range(falls.shape[0]):
+        begin, end = max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, falls.shape[0])
+        n = end - begin
+        for i in range(n):
+            j = i
+            while j > 0 and near[j - 1] > falls[begin + i]:
+                near[j] = near[j - 1]
+                j -= 1
+            near[j] = falls[begin + i]
+        upper = min(max(3, n // 3), n)
+        out[k] = 0.5 * (near[n - upper + upper // 2] + near[n - upper + (upper - 1) // 2])
+
+
+@jit
+def join_swings(shape: Any, fall: Any, offs: Any, mids: Any, kept: Any) -> int:
+    """Fill ``kept`` (K, 2) with (push-off's peak, mid-swing) of every swing; how many they are.
+
+    A fall before which the foot has not turned toe-down belongs to the swing before.
+    """
+    count = 0
+    for k in range(mids.shape[0]):
+        off, mid = offs[k], mids[k]
+        if count > 0:
+            last = kept[count - 1, 1]
+            if shape[greatest_at(shape, last, mid)] < TOE_DOWN_SHARE * fall[mid]:
+                if shape[mid] < shape[last]:
+                    kept[count - 1, 1] = mid
+                continue
+            if off <= last:
+                continue
+        if off < mid:
+            kept[count, 0], kept[count, 1] = off, mid
+            count += 1
+    return count
+
+
+@jit
+def _share(part: float, whole: float) -> float:
+    return min(max(part / whole, 0.0), 1.0) if whole > 0.0 else 0.0
+
+
+@jit
+def _foot_off(x: Any, push_off: int, around: int) -> float:
+    """Half-way between push-off's last peak and the fall to a share of its greatest."""
+    top = greatest_at(x, max(push_off - around, 1), push_off + around)
+    level = FO_FALL_SHARE * x[top]
+    below = top
+    while below + 1 < x.shape[0] and x[below] > level:
+        below += 1
+    crossing = below - 1 + _share(x[below - 1] - level, x[below - 1] - x[below])
+    last = below - 1
+    while last > top and not (x[last] >= x[last - 1] and x[last] >= x[last + 1]):
+        last -= 1
+    peak = float(last)
+    if 0 < last < x.shape[0] - 1:
+        left, right = x[last - 1], x[last + 1]
+        bend = left - 2.0 * x[last] + right
+        if bend < 0.0:
+            peak += min(max(0.5 * (left - right) / bend, -0.5), 0.5)
+    return 0.5 * (peak + crossing)
+
+
+@jit
+def _rising(x: Any, sign: float, level: float, begin: int, end: int, first: bool) -> float:
+    """Where ``sign · x - level`` of ``begin`` … ``end`` last (or first) rises through zero, between samples, or NONE."""
+    at = -1
+    for i in range(begin, end):
+        if sign * x[i] - level < 0.0 and sign * x[i + 1] - level >= 0.0:
+            at = i
+            if first:
+                break
+    if at < 0:
+        return NONE
+    here, there = sign * x[at] - level, sign * x[at + 1] - level
+    return begin + ((at - begin) - here / (there - here))
+
+
+@jit
+def _contact(
+    s: Signals, push_off: int, mid: int, end: int, cut_off: bool, run: int, peak_rate: float, typical_jump: float
+) -> tuple[float, bool]:
+    """IC after a mid-swing and before ``end``, and whether the heel struck first.
+
+    ``cut_off``: the recording ends at ``end``; NONE where it does so before the contact has been seen. ``run``: samples
+    for which rest must last.
+    """
+    quietest = mid
+    for i in range(mid, end + 1):
+        if s.energy[i] < s.energy[quietest]:
+            quietest = i
+    least = s.energy[quietest]
+    if cut_off and least > (2.0 * REST_SHARE * peak_rate) ** 2:
+        return NONE, False
+    over, flat, level = quietest, 0, max(2.0 * least, (FLAT_SHARE * peak_rate) ** 2)
+    for i in range(mid, end + 1):  # where the first rest of some length ends its first part
+        flat = flat + 1 if s.energy[i] <= level else 0
+        if flat >= run:
+            over = i
+            break
+    strongest = s.shape[push_off]
+    loading = greatest_at(s.shape, mid, over + 1)
+    if s.shape[loading] > HEEL_SHARE * strongest:
+        at = _rising(s.turn, 1.0, TURN_SHARE * strongest, mid, loading, False)
+        if at != NONE:
+            return at, True
+    impact = greatest_at(s.jump, mid, over + 1)
+    if s.jump[impact] > max(IMPACT_SHARE * typical_jump, IMPACT_MPS3):
+        level = IMPACT_ONSET_SHARE * s.jump[impact]
+        while impact > mid + 1 and s.jump[impact - 1] > level:
+            impact -= 1
+        before, after = s.jump[impact - 1], s.jump[impact]
+        return impact - _share(after - level, after - before), False  # between samples: it began before this one
+    # a soft contact: the heel begins to drop (or, failing that, the foot has come to rest)
+    top = mid
+    while top < over and (s.shape[top + 1] > s.shape[top] or s.shape[top] < -SOFT_SHARE * strongest):
+        top += 1
+    at = _rising(s.turn, -1.0, 0.0, top, over, True)
+    if at == NONE:
+        at = _rising(s.turn, 1.0, 0.0, mid, over, False)
+    return (at if at != NONE else float(over)), False
+
+
+@jit
+def instants(
+    s: Signals, swings: Any, rate_hz: float, lead: float, peak_rate: float, typical_jump: float, out: Any
+) -> int:
+    """Fill ``out`` (K, 4) with FO, mid-swing, IC and whether the heel struck first; how many of the swings have them.
+
+    ``swings`` (K, 2) as :func:`join_swings` left them, and is worked in; ``lead`` goes onto the IC of a heel strike.
+    """
+    count, last = 0, s.shape.shape[0] - 1
+    around, run = round(0.1 * rate_hz), max(round(FLAT_S * rate_hz), 1)
+    for k in range(swings.shape[0]):
+        off = _foot_off(s.feature, swings[k, 0], around)
+        if off < swings[k, 1] and (count == 0 or off > swings[count - 1, 1] + 2):
+            swings[count, 0], swings[count, 1] = swings[k, 0], swings[k, 1]
+            out[count, 0] = off
+            count += 1
+    found = 0
+    for k in range(count):
+        cut_off = k + 1 == count
+        end = last if cut_off else int(out[k + 1, 0])
+        mid = swings[k, 1]
+        at, heel = _contact(s, swings[k, 0], mid, end, cut_off, run, peak_rate, typical_jump)
+        if at != NONE:
+            at += lead if heel else 0.0
+            out[found, 0], out[found, 1] = out[k, 0], mid
+            out[found, 2], out[found, 3] = min(max(at, mid + 1.0), end - 0.5), 1.0 if heel else 0.0
+            found += 1
+    return found
