@@ -21,7 +21,7 @@ import numpy as np
 from fes.estimation.compiled import jit
 from fes.estimation.likely_noise import StrideNoise, variances
 from fes.estimation.linear import solve
-from fes.estimation.rotation import quaternion_step, to_sensor, to_world
+from fes.estimation.rotation import axes_in_world, quaternion_step, to_sensor, to_world
 from fes.signals import G_MPS2
 
 KNOWN = 8  # velocity (3) and height at the end, tilt about x and y at the end and at the start
@@ -67,23 +67,22 @@ def _move(t_ns: Any, acc: Any, quaternion: Any, velocity: Any, position: Any) ->
 
 
 @jit
-def _turn_effect(i: int, last: int, left_s: float, velocity: Any, position: Any, out: Any) -> None:
-    """What a small turn of the world by e_j at sample ``i`` does at the end, columns j of ``out`` (6, 3).
+def _later(
+    i: int, last: int, left_s: float, velocity: Any, position: Any
+) -> tuple[float, float, float, float, float]:
+    """First integral (x, y, z) and second (x, y) of the specific force in the world, from sample ``i`` to the end.
 
-    Rows: velocity (3), height, tilt about x and y. A turn by θ changes all later specific force by θ × (R f).
+    They say what a small turn θ of the world at ``i`` does at the end, for it changes all later specific force by
+    θ × (R f): of columns x, y, z of θ, velocity ``(0, z, -y), (-z, 0, x), (y, -x, 0)``, height ``(y₂, -x₂, 0)``, tilt
+    about x and y ``(1, 0, 0), (0, 1, 0)``.
     """
-    # first and second integral of R f from sample i to the end
-    dx = velocity[last, 0] - velocity[i, 0]
-    dy = velocity[last, 1] - velocity[i, 1]
-    dz = velocity[last, 2] - velocity[i, 2] + G_MPS2 * left_s
-    ex = position[last, 0] - position[i, 0] - velocity[i, 0] * left_s
-    ey = position[last, 1] - position[i, 1] - velocity[i, 1] * left_s
-    out[0, 0], out[0, 1], out[0, 2] = 0.0, dz, -dy
-    out[1, 0], out[1, 1], out[1, 2] = -dz, 0.0, dx
-    out[2, 0], out[2, 1], out[2, 2] = dy, -dx, 0.0
-    out[3, 0], out[3, 1], out[3, 2] = ey, -ex, 0.0
-    out[4, 0], out[4, 1], out[4, 2] = 1.0, 0.0, 0.0
-    out[5, 0], out[5, 1], out[5, 2] = 0.0, 1.0, 0.0
+    return (
+        velocity[last, 0] - velocity[i, 0],
+        velocity[last, 1] - velocity[i, 1],
+        velocity[last, 2] - velocity[i, 2] + G_MPS2 * left_s,
+        position[last, 0] - position[i, 0] - velocity[i, 0] * left_s,
+        position[last, 1] - position[i, 1] - velocity[i, 1] * left_s,
+    )
 
 
 @jit
@@ -202,40 +201,55 @@ def _gather(
 ) -> None:
     """Add what the samples' noise does to the covariance, and fill ``of_cause``: what each cause does per unit."""
     last = t_ns.shape[0] - 1
-    effect = np.zeros((6, 3))
+    xx = yy = zz = xy = xz = yz = hx = hy = hz = hh = tx = ty = tz = th = ux = uz = uh = tt = 0.0
     for i in range(1, last + 1):
         left_s = 1e-9 * (t_ns[last] - t_ns[i])
         dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-        q0, q1, q2, q3 = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
-        _turn_effect(i, last, left_s, velocity, position, effect)
+        dx, dy, dz, ex, ey = _later(i, last, left_s, velocity, position)
         turn, push = variances(i, t_ns, acc, gyr, noise)
-        for a in range(6):
-            for b in range(6):
-                system[a, b] += turn * (
-                    effect[a, 0] * effect[b, 0] + effect[a, 1] * effect[b, 1] + effect[a, 2] * effect[b, 2]
-                )
-        for a in range(3):
-            system[a, a] += push
-        system[2, 3] += push * left_s
-        system[3, 2] += push * left_s
-        system[3, 3] += push * left_s * left_s
+        # only what is not zero of effect · effectᵀ; t and u are the tilts about x and y
+        xx = xx + turn * (dz * dz + dy * dy) + push
+        yy = yy + turn * (dz * dz + dx * dx) + push
+        zz = zz + turn * (dy * dy + dx * dx) + push
+        xy -= turn * (dy * dx)
+        xz -= turn * (dz * dx)
+        yz -= turn * (dz * dy)
+        hx -= turn * (dz * ex)
+        hy -= turn * (dz * ey)
+        hz = hz + turn * (dy * ey + dx * ex) + push * left_s
+        hh = hh + turn * (ey * ey + ex * ex) + push * left_s * left_s
+        ty -= turn * dz
+        tz += turn * dy
+        th += turn * ey
+        ux += turn * dz
+        uz -= turn * dx
+        uh -= turn * ex
+        tt += turn
+        axes = axes_in_world(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3])
         for k in range(3):
-            rx, ry, rz = to_world(
-                q0, q1, q2, q3, 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0
-            )
+            rx, ry, rz = axes[k]
             of_cause[0, ACC + k] += rx * dt_s
             of_cause[1, ACC + k] += ry * dt_s
             of_cause[2, ACC + k] += rz * dt_s
             of_cause[3, ACC + k] += rz * dt_s * left_s
-            for a in range(6):
-                of_cause[a, GYR + k] += (effect[a, 0] * rx + effect[a, 1] * ry + effect[a, 2] * rz) * dt_s
+            of_cause[0, GYR + k] += (dz * ry - dy * rz) * dt_s
+            of_cause[1, GYR + k] += (dx * rz - dz * rx) * dt_s
+            of_cause[2, GYR + k] += (dy * rx - dx * ry) * dt_s
+            of_cause[3, GYR + k] += (ey * rx - ex * ry) * dt_s
+    system[0, 0], system[1, 1], system[2, 2], system[3, 3], system[4, 4], system[5, 5] = xx, yy, zz, hh, tt, tt
+    system[0, 1], system[0, 2], system[0, 3], system[0, 4], system[0, 5] = xy, xz, hx, tx, ux
+    system[1, 2], system[1, 3], system[1, 4], system[1, 5] = yz, hy, ty, 0.0
+    system[2, 3], system[2, 4], system[2, 5], system[3, 4], system[3, 5], system[4, 5] = hz, tz, uz, th, uh, 0.0
+    for a in range(6):
+        for b in range(a):
+            system[a, b] = system[b, a]
     span_s = 1e-9 * (t_ns[last] - t_ns[0])
-    _turn_effect(0, last, span_s, velocity, position, effect)
-    for k in range(2):
-        for a in range(6):
-            of_cause[a, TILT + k] = effect[a, k]
-        of_cause[6 + k, TILT + k] = 1.0
+    dx, dy, dz, ex, ey = _later(0, last, span_s, velocity, position)
+    of_cause[1, TILT], of_cause[2, TILT], of_cause[3, TILT], of_cause[4, TILT] = -dz, dy, ey, 1.0
+    of_cause[0, TILT + 1], of_cause[2, TILT + 1], of_cause[3, TILT + 1], of_cause[5, TILT + 1] = dz, -dx, -ex, 1.0
+    of_cause[6, TILT] = of_cause[7, TILT + 1] = 1.0
     for k in range(3):
+        of_cause[4, GYR + k], of_cause[5, GYR + k] = of_cause[0, ACC + k], of_cause[1, ACC + k]
         of_cause[k, VELOCITY + k] = 1.0
     of_cause[3, VELOCITY + 2] = span_s
 
@@ -256,20 +270,19 @@ def _apply(
     n = t_ns.shape[0]
     last = n - 1
     rates, forces = np.empty((n, 3)), np.empty((n, 3))
-    effect = np.zeros((6, 3))
     for i in range(n):
         q0, q1, q2, q3 = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
         wx = wy = wz = px = py = pz = 0.0
         if i > 0:
             left_s = 1e-9 * (t_ns[last] - t_ns[i])
             dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-            _turn_effect(i, last, left_s, velocity, position, effect)
+            dx, dy, dz, ex, ey = _later(i, last, left_s, velocity, position)
             turn, push = variances(i, t_ns, acc, gyr, noise)
-            for a in range(6):
-                share = turn * system[a, KNOWN] / dt_s
-                wx += effect[a, 0] * share
-                wy += effect[a, 1] * share
-                wz += effect[a, 2] * share
+            vx, vy, vz = turn * system[0, KNOWN] / dt_s, turn * system[1, KNOWN] / dt_s, turn * system[2, KNOWN] / dt_s
+            height = turn * system[3, KNOWN] / dt_s
+            wx = dy * vz - dz * vy + ey * height + turn * system[4, KNOWN] / dt_s
+            wy = dz * vx - dx * vz - ex * height + turn * system[5, KNOWN] / dt_s
+            wz = dx * vy - dy * vx
             px = push * system[0, KNOWN] / dt_s
             py = push * system[1, KNOWN] / dt_s
             pz = push * (system[2, KNOWN] + system[3, KNOWN] * left_s) / dt_s

@@ -51,6 +51,19 @@ def to_sensor(
 
 
 @jit
+def axes_in_world(
+    w: float, x: float, y: float, z: float
+) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
+    """The sensor's three axes in the world: :func:`to_world` of unit vectors, to the bit."""
+    a, b, c = 2.0 * x, 2.0 * y, 2.0 * z
+    return (
+        (1.0 - y * b - z * c, w * c + x * b, x * c - w * b),
+        (y * a - w * c, 1.0 - z * c - x * a, w * a + y * c),
+        (w * b + z * a, z * b - w * a, 1.0 - x * a - y * b),
+    )
+
+
+@jit
 def from_gravity(fx: float, fy: float, fz: float) -> tuple[float, float, float, float]:
     """The smallest rotation that brings the specific force ``f`` of a resting sensor onto the world's z axis.
 
