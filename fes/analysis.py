@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -171,8 +172,8 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
     if set(FOOT_SENSORS) <= set(result.paths):
         left, right = (result.paths[foot] for foot in FOOT_SENSORS)
         result.paths.update(zip(FOOT_SENSORS, together(left, right), strict=True))
-    result.phases.sort(key=lambda change: change.t_ns)
-    result.strides.sort(key=lambda stride: stride.t_start_ns)
+    result.phases.sort(key=attrgetter("t_ns"))
+    result.strides.sort(key=attrgetter("t_start_ns"))
     return result
 
 

@@ -87,16 +87,13 @@ class FootPaths:
         """One by one."""
         return [
             FootPath(
-                number,
-                self.t_ns[a:b],
-                self.position_m[a:b],
-                self.axes[a:b],
-                *(None if t == UNSEEN_NS else t for t in swing),
+                number, self.t_ns[a:b], self.position_m[a:b], self.axes[a:b],
+                None if off == UNSEEN_NS else off, None if contact == UNSEEN_NS else contact,
             )
-            for number, (a, b), swing in zip(
+            for number, (a, b), (off, contact) in zip(
                 self.numbers.tolist(), self.spans.tolist(), self.swings_ns.tolist(), strict=True
             )
-        ]
+        ]  # fmt: skip
 
 
 AnyPaths: TypeAlias = FootPaths | Sequence[FootPath]

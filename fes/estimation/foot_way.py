@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest, rate_energy
+from fes.estimation.rest import RestCalibration, find_rest, rate_energy
 from fes.estimation.rotation import rotate_all
 from fes.estimation.tracker import LARGEST_VALUE
 from fes.estimation.zupt import (
@@ -139,7 +139,7 @@ def foot_samples(
     Raises:
         ValueError: too short, or the foot never rests.
     """
-    if not ((np.abs(acc_mps2) < LARGEST_VALUE).all() and (np.abs(gyr_radps) < LARGEST_VALUE).all()):
+    if len(t_ns) and not all(-LARGEST_VALUE < x.min() and x.max() < LARGEST_VALUE for x in (acc_mps2, gyr_radps)):
         usable = (np.abs(acc_mps2) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr_radps) < LARGEST_VALUE).all(axis=1)
         t_ns, acc_mps2, gyr_radps = t_ns[usable], acc_mps2[usable], gyr_radps[usable]
     if len(t_ns) < 3:
@@ -152,9 +152,9 @@ def foot_samples(
     if len(t_ns) < 3:
         raise ValueError(f"{len(t_ns)} samples make no path")
     rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
-    calibration = calibrate_rest(acc, gyr, rate_hz)
     energy = rate_energy(gyr, rate_hz)
-    rest = with_quietest(at_rest(calibration, acc, gyr, rate_hz), gyr, rate_hz, energy)
+    calibration, rest = find_rest(acc, gyr, rate_hz, energy)
+    rest = with_quietest(rest, gyr, rate_hz, energy)
     if not rest.any():
         raise ValueError("the foot never rests, so nothing holds a path; check the units")
     noise = (

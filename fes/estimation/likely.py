@@ -67,9 +67,7 @@ def _move(t_ns: Any, acc: Any, quaternion: Any, velocity: Any, position: Any) ->
 
 
 @jit
-def _later(
-    i: int, last: int, left_s: float, velocity: Any, position: Any
-) -> tuple[float, float, float, float, float]:
+def _later(i: int, last: int, left_s: float, velocity: Any, position: Any) -> tuple[float, float, float, float, float]:
     """First integral (x, y, z) and second (x, y) of the specific force in the world, from sample ``i`` to the end.
 
     They say what a small turn θ of the world at ``i`` does at the end, for it changes all later specific force by

@@ -161,7 +161,28 @@ def calibrate_rest(
     Raises:
         ValueError: as :func:`statistic`, or less than two seconds.
     """
+    return _calibrated(*_checked(acc_mps2, gyr_radps), rate_hz, detector, window_s, use_standing)[0]
+
+
+def find_rest(
+    acc_mps2: FloatArray, gyr_radps: FloatArray, rate_hz: float, energy: FloatArray
+) -> tuple[RestCalibration, np.ndarray[Any, np.dtype[np.bool_]]]:
+    """:func:`calibrate_rest` and then :func:`at_rest` in one go; ``energy`` (N,) as :func:`rate_energy` gives it."""
     acc, gyr = _checked(acc_mps2, gyr_radps)
+    calibration, values = _calibrated(acc, gyr, rate_hz, Detector.SHOE, WINDOW_S, True, energy)
+    return calibration, np.asarray(values < calibration.threshold)
+
+
+def _calibrated(
+    acc: FloatArray,
+    gyr: FloatArray,
+    rate_hz: float,
+    detector: Detector,
+    window_s: float,
+    use_standing: bool,
+    energy: FloatArray | None = None,
+) -> tuple[RestCalibration, FloatArray]:
+    """A detector's calibration, and its statistic (N,)."""
     n = round(STANDING_S * rate_hz)
     if len(acc) < 2 * n:
         raise ValueError(f"{len(acc) / rate_hz:.1f} s is too short to tell rest from movement: record at least 2 s")
@@ -171,7 +192,8 @@ def calibrate_rest(
     if standing:
         gravity = float(np.linalg.norm(acc[begin : begin + n].mean(axis=0)))
     else:
-        energy = statistic(Detector.ARE, acc, gyr, rate_hz, window_s=window_s)
+        if energy is None:
+            energy = statistic(Detector.ARE, acc, gyr, rate_hz, window_s=window_s)
         gravity = float(np.median(np.linalg.norm(acc[energy <= np.percentile(energy, 15.0)], axis=1)))
     vector = (float(bias[0]), float(bias[1]), float(bias[2]))
     values = statistic(detector, acc, gyr, rate_hz, window_s=window_s, gravity_mps2=gravity, gyr_bias_radps=vector)
@@ -183,7 +205,7 @@ def calibrate_rest(
     else:
         bound = SPLIT_FACTOR**2
         threshold = min(max(_split(values, tolerance, rate_hz), tolerance / bound), tolerance * bound)
-    return RestCalibration(detector, threshold, gravity, vector, window_s, standing)
+    return RestCalibration(detector, threshold, gravity, vector, window_s, standing), values
 
 
 def at_rest(

@@ -178,7 +178,7 @@ def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResu
     results = []
     for k, row in enumerate(rows.tolist()):
         number, start_ns, end_ns, *times_ns, outcome, _, _, _, gap_s, tilt, unrest, length = row[:15]
-        pre_swing_ns, swing_ns, loading_response_ns, stance_ns = (_seen(t_ns) for t_ns in times_ns)
+        pre_swing_ns, swing_ns, loading_response_ns, stance_ns = [None if t == UNSEEN_NS else t for t in times_ns]
         valid = outcome == solution.SOLVED
         reason = (
             "" if valid and unrest <= REST_RADPS else _reason(outcome, start_ns, end_ns, gap_s, tilt, unrest, length)
@@ -207,10 +207,6 @@ def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResu
             )  # fmt: skip
         )
     return results
-
-
-def _seen(t_ns: int) -> int | None:
-    return None if t_ns == UNSEEN_NS else t_ns
 
 
 def _reason(

@@ -69,7 +69,9 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor) -> RawTrack:
     columns = sidecar.sensors[sensor]
     names = (*columns.acc, *columns.gyr)
     where = f"{table.path}: {sensor}"
-    data = np.column_stack([table.numbers(name) for name in names])
+    data = [np.empty((table.rows, 3)) for _ in range(2)]  # acc, gyr
+    for number, name in enumerate(names):
+        data[number // 3][:, number % 3] = table.numbers(name)
     dropped = _dropped_rows(table, names, where)
     _check_finite(table, data, names, dropped)
     time_name = sidecar.time_of(sensor)
@@ -88,6 +90,9 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor) -> RawTrack:
                 f"({untimed.size} such rows); fill it in, or state rate_hz instead of time_column"
             )
     kept, with_time = np.flatnonzero(~dropped), np.flatnonzero(timed)
+    acc, gyr = data
+    if kept.size < table.rows:
+        acc, gyr = acc[kept], gyr[kept]
     if not kept.size:
         raise RecordingError(f"{where}: all of its cells are empty; leave the sensor out of the sidecar")
     arrival = None
@@ -96,8 +101,8 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor) -> RawTrack:
     return RawTrack(
         stamps[kept],
         arrival,
-        np.ascontiguousarray(data[kept, :3]),
-        np.ascontiguousarray(data[kept, 3:]),
+        acc,
+        gyr,
         stamps[with_time],
         lambda index: table.place(int(with_time[index])),
     )
@@ -121,9 +126,12 @@ def _dropped_rows(table: Table, names: tuple[str, ...], where: str) -> npt.NDArr
     return np.asarray(dropped)
 
 
-def _check_finite(table: Table, data: FloatArray, names: tuple[str, ...], dropped: npt.NDArray[np.bool_]) -> None:
-    if data.min() > -LARGEST_VALUE and data.max() < LARGEST_VALUE:  # the usual case; false for NaN
+def _check_finite(
+    table: Table, acc_and_gyr: list[FloatArray], names: tuple[str, ...], dropped: npt.NDArray[np.bool_]
+) -> None:
+    if all(-LARGEST_VALUE < each.min() and each.max() < LARGEST_VALUE for each in acc_and_gyr):  # false for NaN
         return
+    data = np.hstack(acc_and_gyr)
     bad = ~(np.abs(data) < LARGEST_VALUE) & ~dropped[:, None]
     rows = np.flatnonzero(bad.any(axis=1))
     if rows.size:

@@ -89,7 +89,7 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack) -> Track:
         raise RecordingError(f"{where}: lasts {span_s:.3f} s; a recording needs at least {MIN_DURATION_S:g} s")
     factors = sidecar.factors_of(name)
     check_units(where, raw.acc, raw.gyr, timing.rate_hz, sidecar.acc_unit_of(name), sidecar.gyr_unit_of(name), factors)
-    acc, gyr = raw.acc * factors[0], raw.gyr * factors[1]
+    acc, gyr = (values if by == 1.0 else values * by for values, by in zip((raw.acc, raw.gyr), factors, strict=True))
     clipped = np.zeros(len(acc), bool)
     for values, full_scale in ((acc, columns.acc_range), (gyr, columns.gyr_range)):
         if full_scale is not None:
