@@ -34,13 +34,13 @@ from fes.driving import stride_settings
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.events_offline import find_events
 from fes.estimation.foot import FootTracker
-from fes.estimation.stride_fusion import fused
+from fes.estimation.foot_way import foot_samples
+from fes.estimation.stride_fusion import fuse
 from fes.estimation.strides import StrideMaker
 from fes.ground_path import ground_path
 from fes.recording import Recording, Track, read_recording, write_recording
-from fes.replay import increasing, session_for
-from fes.signals import StrideResult
-from fes.toe_and_heel import toe_and_heel
+from fes.replay import newer_samples, session_for
+from fes.toe_and_heel import point_heights
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES_PER_S = 1_500_000.0
@@ -90,31 +90,28 @@ def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
 def stages(recording: Recording) -> dict[str, float]:
     """Processor time of the parts of an analysis, in s, all feet together."""
     recording, found = calibrations_of(recording)
-    session, seconds = (
-        session_for(recording, None),
-        dict.fromkeys(("phases and strides", "lengths fused", "toe and heel", "events", "path"), 0.0),
-    )
+    session, seconds = session_for(recording, None), dict[str, float]()
     for sensor, calibration in found.calibrations.items():
         assert isinstance(calibration, FootCalibration)
-        track, paths = recording.tracks[sensor], []
-        newer = increasing(track)
-        t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
-        settings = replace(stride_settings(session, calibration), watch=paths.append)
+        track = recording.tracks[sensor]
+        data = newer_samples(track)
+        settings = stride_settings(session, calibration)
 
-        def follow(calibration: FootCalibration = calibration, settings: Any = settings, data: Any = (t_ns, acc, gyr)):
-            return FootTracker(calibration, StrideMaker(calibration.sensor, settings)).advance(*data)
+        def follow(calibration: FootCalibration = calibration, settings: Any = settings, data: Any = data) -> Any:
+            return FootTracker(calibration, StrideMaker(calibration.sensor, settings)).walk(*data)
 
-        strides = [outcome for outcome in follow() if isinstance(outcome, StrideResult)]
-        own = list(paths)
+        walked, foot = follow(), foot_samples(*data)
         parts: dict[str, Callable[[], Any]] = {
             "phases and strides": follow,
-            "lengths fused": lambda s=strides, d=(t_ns, acc, gyr): fused(s, *d),
-            "toe and heel": lambda s=strides, p=own: toe_and_heel(s, p, None, level=True),
-            "events": lambda d=(t_ns, acc, gyr), c=calibration: find_events(*d, c),
-            "path": lambda t=track, c=calibration: ground_path(t, c),
+            "rest": lambda d=data: foot_samples(*d),
+            "lengths fused": lambda w=walked, f=foot: fuse(w.rows.copy(), w.shapes.copy(), f),
+            "path": lambda t=track, c=calibration, f=foot: ground_path(t, c, foot=f),
+            "toe and heel": lambda w=walked: point_heights(w.paths(), None, level=True),
+            "strides as results": lambda w=walked: (w.strides(), w.paths().each()),
+            "events": lambda d=data, c=calibration: find_events(*d, c),
         }
         for name, work in parts.items():
-            seconds[name] += least(work)
+            seconds[name] = seconds.get(name, 0.0) + least(work)
     return seconds
 
 

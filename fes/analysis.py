@@ -29,7 +29,7 @@ from fes.ground_path import GroundPath, ground_path, together
 from fes.journal import Note, SampleArrays, SessionRecord
 from fes.recording import Recording
 from fes.recording.tracks import UNLABELLED_FEET
-from fes.replay import LOG_FORMAT, increasing, session_for
+from fes.replay import LOG_FORMAT, newer_samples, session_for
 from fes.signals import FOOT_SENSORS, StrideResult
 from fes.toe_and_heel import ToeAndHeel, point_heights
 from statemachine.phases import PhaseChange
@@ -100,10 +100,10 @@ class Analysis:
         rows = []
         for foot, events in self.events.items():
             track = self.recording.tracks[foot]
-            newer = increasing(track)
             calibration = self.calibrations[foot]
             assert isinstance(calibration, FootCalibration)
-            angles = foot_strike_angles(track.t_sensor_ns[newer], track.gyr_radps[newer], events, calibration)
+            t_ns, _, gyr = newer_samples(track)
+            angles = foot_strike_angles(t_ns, gyr, events, calibration)
             for fo_ns, mid_ns, ic_ns, angle in zip(
                 events.fo_ns, events.mid_swing_ns, events.ic_ns, angles, strict=True
             ):
@@ -210,11 +210,7 @@ def _analyse_foot(result: Analysis, sensor: str, session: Session) -> None:
     result.strides.extend(walked.strides())
     result.phases.extend(walked.changes)
     result.counts[sensor] = tracker.counts
-    t_ns, acc, gyr = track.t_sensor_ns, track.acc_mps2, track.gyr_radps
-    newer = increasing(track)
-    if not newer.all():
-        t_ns, acc, gyr = t_ns[newer], acc[newer], gyr[newer]
-    result.events[sensor] = find_events(t_ns, acc, gyr, calibration)
+    result.events[sensor] = find_events(*newer_samples(track), calibration)
 
 
 def _foot_tracker(session: Session, calibration: FootCalibration, *, level: bool) -> FootTracker:

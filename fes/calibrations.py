@@ -21,7 +21,7 @@ from fes.estimation.calibration import CalibrationError, FootCalibration, stretc
 from fes.estimation.sides import SideVerdict, side_signs, tell_sides
 from fes.recording import Recording, Track
 from fes.recording.tracks import UNLABELLED_FEET
-from fes.replay import calibrate_track, increasing
+from fes.replay import calibrate_track, newer_samples
 from fes.signals import FOOT_SENSORS, SENSORS, SHANK_SENSORS
 
 FORMAT = 1
@@ -101,8 +101,7 @@ def calibrate_all(recording: Recording, *, level: bool = True) -> Found:
 
 def calibrate_shank_track(track: Track, *, level: bool = True) -> ShankCalibration:
     """Calibrate one shank from its first minute, or from all of the track where that minute shows too little."""
-    newer = increasing(track)
-    t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
+    t_ns, acc, gyr = newer_samples(track)
     n = stretch_for_calibration(t_ns)
     try:
         return calibrate_shank(track.sensor, track.rate_hz, t_ns[:n], acc[:n], gyr[:n], level=level)
@@ -231,8 +230,7 @@ def _sides(recording: Recording, calibrations: Mapping[str, Calibration], feet: 
     for name in feet:
         track, calibration = recording.tracks[name], calibrations[name]
         assert isinstance(calibration, FootCalibration)
-        newer = increasing(track)
-        signs.append(side_signs(track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer], calibration))
+        signs.append(side_signs(*newer_samples(track), calibration))
     one, other = signs
     return None if one is None or other is None else tell_sides(one, other)
 

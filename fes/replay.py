@@ -16,7 +16,7 @@ from fes.config import Session, validate_session
 from fes.driving import Calibration, calibration_from_dict, driving
 from fes.estimation.calibration import CalibrationError, FootCalibration, calibrate_foot, stretch_for_calibration
 from fes.recording import Recording, RecordingError, Track
-from fes.signals import FOOT_SENSORS, NS_PER_S, Event, ImuSample
+from fes.signals import FOOT_SENSORS, NS_PER_S, Event, FloatArray, ImuSample, IntArray
 
 LOG_FORMAT = 1
 LONGEST_SILENCE_S = 600.0  # a longer one is a clock that was set, or two recordings in one file
@@ -73,8 +73,7 @@ def calibrate(recording: Recording) -> tuple[dict[str, FootCalibration], dict[st
 
 def calibrate_track(track: Track) -> FootCalibration:
     """Calibrate one foot from its first minute, or from all of the track where that minute shows too little."""
-    newer = increasing(track)
-    t_ns, acc, gyr = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
+    t_ns, acc, gyr = newer_samples(track)
     n = stretch_for_calibration(t_ns)
     try:
         return calibrate_foot(track.sensor, track.rate_hz, t_ns[:n], acc[:n], gyr[:n])
@@ -88,6 +87,14 @@ def increasing(track: Track) -> npt.NDArray[np.bool_]:
     """Which samples (N,) are newer than all before them: what is left without doubled and backward stamps."""
     before = np.maximum.accumulate(track.t_sensor_ns)[:-1]
     return np.concatenate(([True], track.t_sensor_ns[1:] > before))
+
+
+def newer_samples(track: Track) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Stamps (N,), specific force and rate (N, 3) of the samples that are newer than all before them."""
+    newer = increasing(track)
+    if newer.all():  # the usual case; nothing to copy
+        return track.t_sensor_ns, track.acc_mps2, track.gyr_radps
+    return track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
 
 
 def samples_of(recording: Recording, sensors: set[str]) -> Iterator[Event]:

@@ -70,7 +70,7 @@ class ToeAndHeel:
 def toe_and_heel(
     strides: Sequence[StrideResult], paths: Sequence[FootPath], given: FootGeometry | None, *, level: bool
 ) -> tuple[list[StrideResult], ToeAndHeel]:
-    """One foot's strides with the clearance of toe and heel, and where these were taken to be; see :func:`point_heights`.
+    """One foot's strides with the clearance of toe and heel, and where these are; see :func:`point_heights`.
 
     ``paths`` are those of the valid strides.
     """

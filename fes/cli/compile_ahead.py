@@ -51,14 +51,14 @@ def compile_part(part: str) -> None:
     """
     from fes.estimation.foot_way import foot_samples
     from fes.estimation.stride_fusion import lengths_along
-    from fes.estimation.warm import made_up_steps, warm_up_foot
+    from fes.estimation.warm import made_up_foot, made_up_steps
 
     t_ns, acc, gyr = made_up_steps()
 
     def path() -> None:
         lengths_along(foot_samples(t_ns, acc, gyr), t_ns[[50]], t_ns[[250]])
 
-    {"strides": lambda: warm_up_foot(t_ns, acc, gyr), "path": path}[part]()
+    {"strides": lambda: made_up_foot().walk(t_ns, acc, gyr).strides(), "path": path}[part]()
 
 
 if __name__ == "__main__":

@@ -103,10 +103,11 @@ def in_one(paths: AnyPaths) -> FootPaths:
     """The same paths as one."""
     if isinstance(paths, FootPaths):
         return paths
-    ends = np.cumsum([len(path.t_ns) for path in paths], dtype=np.int64)
+    counts = np.array([len(path.t_ns) for path in paths], dtype=np.int64)
+    ends = np.cumsum(counts)
     return FootPaths(
         np.array([path.number for path in paths], dtype=np.int64),
-        np.column_stack((np.append(0, ends[:-1]), ends))[: len(paths)],
+        np.column_stack((ends - counts, ends)),
         np.array([path.swing_ns for path in paths], dtype=np.int64).reshape(len(paths), 2),
         np.concatenate([np.zeros(0, np.int64), *(path.t_ns for path in paths)]),
         np.concatenate([np.zeros((0, 3)), *(path.position_m for path in paths)]),
@@ -223,8 +224,8 @@ class Clearance:
 
 def clearance(path: FootPath, arms: FootArms, levels: ContactLevels | None = None) -> Clearance:
     """The clearances of one stride, shifted to the recording's contact levels if those are given."""
-    *heights, dips = clearances([path], arms, levels)[0].tolist()
-    return Clearance(*heights, bool(dips))
+    toe_m, first_m, last_m, heel_m, sensor_m, dips = clearances([path], arms, levels)[0].tolist()
+    return Clearance(toe_m, first_m, last_m, heel_m, sensor_m, bool(dips))
 
 
 def clearances(paths: AnyPaths, arms: FootArms, levels: ContactLevels | None) -> FloatArray:

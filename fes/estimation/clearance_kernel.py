@@ -66,7 +66,7 @@ def contact_heights(
 def all_contact_heights(
     t_ns: Any, position: Any, axes: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any, seen: Any
 ) -> None:
-    """As :func:`contact_heights` of every stride: rows ``spans`` (K, 2), swings (K, 2); ``out`` (K, 3), ``seen`` (K,)."""
+    """As :func:`contact_heights` of K strides: rows ``spans``, ``swings`` (K, 2); ``out`` (K, 3), ``seen`` (K,)."""
     for k in range(spans.shape[0]):
         a, b = spans[k, 0], spans[k, 1]
         off, contact = swings[k, 0], swings[k, 1]
@@ -182,7 +182,7 @@ def clear(
 def all_clear(
     t_ns: Any, position: Any, axes: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, levels: Any, out: Any
 ) -> None:
-    """As :func:`clear` of every stride: rows ``spans`` (K, 2), swings (K, 2); ``out`` (K, 6): and whether the toe dips."""
+    """As :func:`clear` of K strides: rows ``spans``, ``swings`` (K, 2); ``out`` (K, 6), last whether it dips."""
     for k in range(spans.shape[0]):
         a, b = spans[k, 0], spans[k, 1]
         off, contact = swings[k, 0], swings[k, 1]

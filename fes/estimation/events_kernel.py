@@ -1,4 +1,4 @@
-"""Compiled rules of :mod:`fes.estimation.events_offline`, which says what they are; all positions are sample indices."""
+"""Compiled rules of :mod:`fes.estimation.events_offline`, which says what they are; positions are sample indices."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ NONE = -1.0  # where there is no instant
 
 
 class Signals(NamedTuple):
-    """What the rules look at, (N,) each: the toe-down rate thrice smoothed, the rate's energy, the jump of the force."""
+    """What the rules look at, (N,) each: the toe-down rate smoothed in three ways, its energy, the force's jump."""
 
     shape: Any
     feature: Any
@@ -129,7 +129,7 @@ def _foot_off(x: Any, push_off: int, around: int) -> float:
 
 @jit
 def _rising(x: Any, sign: float, level: float, begin: int, end: int, first: bool) -> float:
-    """Where ``sign · x - level`` of ``begin`` … ``end`` last (or first) rises through zero, between samples, or NONE."""
+    """Where ``sign · x - level`` last (or first) rises through 0 in ``begin`` … ``end``, or NONE; between samples."""
     at = -1
     for i in range(begin, end):
         if sign * x[i] - level < 0.0 and sign * x[i + 1] - level >= 0.0:
@@ -139,7 +139,8 @@ def _rising(x: Any, sign: float, level: float, begin: int, end: int, first: bool
     if at < 0:
         return NONE
     here, there = sign * x[at] - level, sign * x[at + 1] - level
-    return begin + ((at - begin) - here / (there - here))
+    before: float = (at - begin) - here / (there - here)
+    return begin + before
 
 
 @jit

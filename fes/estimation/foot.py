@@ -119,8 +119,9 @@ class FootTracker(Tracker):
             return super().advance(t_ns, acc_mps2, gyr_radps)
         walked = self.walk(t_ns, acc_mps2, gyr_radps)
         watch = self._maker.settings.watch
-        for path in walked.paths().each() if watch is not None else ():
-            watch(path)
+        if watch is not None:
+            for path in walked.paths().each():
+                watch(path)
         return walked.outcomes()
 
     def walk(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Walked:

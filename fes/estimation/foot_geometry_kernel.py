@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fes.estimation.clearance_kernel import UNSEEN_NS, index_at
+from fes.estimation.clearance_kernel import index_at
 from fes.estimation.compiled import jit
+from fes.estimation.stride_time import UNSEEN_NS
 
 BALL_PITCH_RAD = (-0.09, -0.38)  # the heel has risen, and the foot still turns about the ball
 LEAST_TOE_TILT = 0.3  # sine of the angle at foot off, and …

@@ -139,7 +139,7 @@ def foot_samples(
     Raises:
         ValueError: too short, or the foot never rests.
     """
-    if len(t_ns) and not all(-LARGEST_VALUE < x.min() and x.max() < LARGEST_VALUE for x in (acc_mps2, gyr_radps)):
+    if len(t_ns) and not all(x.min() > -LARGEST_VALUE and x.max() < LARGEST_VALUE for x in (acc_mps2, gyr_radps)):
         usable = (np.abs(acc_mps2) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr_radps) < LARGEST_VALUE).all(axis=1)
         t_ns, acc_mps2, gyr_radps = t_ns[usable], acc_mps2[usable], gyr_radps[usable]
     if len(t_ns) < 3:

@@ -55,7 +55,7 @@ def settle_height(
         return False
     last = n - 1
     pushes = np.zeros(n)  # variance of each interval's velocity increment
-    shaken, before = 0.0, 0.0
+    shaken, before, fades, fades_s = 0.0, 0.0, 0.0, 0.0
     out[0, 0], out[0, 1] = end_velocities[0], 0.0
     for i in range(n):
         _, _, up = to_world(
@@ -64,7 +64,9 @@ def settle_height(
         if i > 0:
             dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
             jx, jy, jz = acc[i, 0] - acc[i - 1, 0], acc[i, 1] - acc[i - 1, 1], acc[i, 2] - acc[i - 1, 2]
-            shaken = max(math.sqrt(jx * jx + jy * jy + jz * jz), shaken * math.exp(-dt_s / noise.shaken_s))
+            if dt_s != fades_s:
+                fades, fades_s = math.exp(-dt_s / noise.shaken_s), dt_s
+            shaken = max(math.sqrt(jx * jx + jy * jy + jz * jz), shaken * fades)
             pushes[i] = noise.push_mps2_rthz**2 * dt_s + (noise.shaken_share * shaken * dt_s) ** 2
             out[i, 0] = out[i - 1, 0] + dt_s * (0.5 * (before + up) - G_MPS2)
             out[i, 1] = out[i - 1, 1] + 0.5 * dt_s * (out[i - 1, 0] + out[i, 0])

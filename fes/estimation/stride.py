@@ -57,12 +57,15 @@ def _integrate(t_ns: Any, gyr: Any, start: Any, dx: float, dy: float, dz: float,
     """Trapezoid integration of the rates, plus a turn by the world vector ``d`` (rad) spread evenly over the time."""
     n = t_ns.shape[0]
     span_ns = t_ns[n - 1] - t_ns[0]
+    turning = dx != 0.0 or dy != 0.0 or dz != 0.0
     w, x, y, z = start[0], start[1], start[2], start[3]
     out[0, 0], out[0, 1], out[0, 2], out[0, 3] = w, x, y, z
     for i in range(1, n):
         dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-        share = (t_ns[i] - t_ns[i - 1]) / span_ns
-        ex, ey, ez = to_sensor(w, x, y, z, dx * share, dy * share, dz * share)
+        ex = ey = ez = 0.0
+        if turning:
+            share = (t_ns[i] - t_ns[i - 1]) / span_ns
+            ex, ey, ez = to_sensor(w, x, y, z, dx * share, dy * share, dz * share)
         w, x, y, z = quaternion_step(
             w,
             x,

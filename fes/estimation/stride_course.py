@@ -1,7 +1,7 @@
-"""The compiled side of a foot's strides: from phase changes to where each begins and ends, and its numbers as a row.
+"""The compiled side of a foot's strides: from phase changes to where each begins and ends, and its numbers.
 
-``fes.estimation.strides`` says what a stride is. What evolves is in one ``COURSE`` record, so that live (one sample) and
-analysis (all of a recording's samples in one call) go the same way.
+``fes.estimation.strides`` says what a stride is. What evolves is in one ``COURSE`` record, so that live (one sample)
+and analysis (many in one call) go the same way.
 """
 
 from __future__ import annotations
@@ -253,7 +253,8 @@ def _usual_step(t_ns: Any, first: int, last: int) -> float:
             steps[j] = steps[j - 1]
             j -= 1
         steps[j] = step
-    return 0.5 * (steps[n // 2] + steps[(n - 1) // 2])
+    usual: float = 0.5 * (steps[n // 2] + steps[(n - 1) // 2])
+    return usual
 
 
 @jit

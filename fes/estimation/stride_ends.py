@@ -44,7 +44,8 @@ def mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, float
 @jit
 def around_ends(t_ns: Any, first: int, last: int) -> int:
     """How many samples on either side of its ends a stride is measured over."""
-    return max(round(AROUND_S / (1e-9 * (t_ns[last] - t_ns[first]) / (last - first))), 1)
+    period_s: float = 1e-9 * (t_ns[last] - t_ns[first]) / (last - first)
+    return max(round(AROUND_S / period_s), 1)
 
 
 @jit
@@ -66,7 +67,7 @@ def quietest_of(t_ns: Any, gyr: Any, n: int, bx: float, by: float, bz: float, ea
     begin, end = rows_before(t_ns, n, earliest_ns), rows_before(t_ns, n, latest_ns + 1)
     if end - begin < 3:
         return min(begin, n - 1)
-    period_s = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
+    period_s: float = 1e-9 * (t_ns[end - 1] - t_ns[begin]) / (end - 1 - begin)
     window = min(max(round(QUIET_WINDOW_S / period_s), 1), end - begin)
     energy = np.empty(end - begin + 1)
     energy[0] = 0.0

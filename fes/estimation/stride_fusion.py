@@ -89,42 +89,39 @@ def fused(
     Everything else is the stride's own, as are strides that are not valid, and those whose two lengths are farther
     apart than a tenth and 5 cm. Arguments as for :func:`path_lengths`.
     """
-    if not strides:
-        return []
-    lengths = path_lengths(*_ends(strides), t_ns, acc_mps2, gyr_radps, acc_range_mps2, gyr_range_radps)
-    return [_mean(stride, length) for stride, length in zip(strides, lengths.tolist(), strict=True)]
+    begin = np.array([stride.t_start_ns for stride in strides], np.int64)
+    end = np.array([stride.t_end_ns for stride in strides], np.int64)
+    path_m = path_lengths(begin, end, t_ns, acc_mps2, gyr_radps, acc_range_mps2, gyr_range_radps)
+    own_m = np.array([stride.stride_length_m if stride.valid else math.nan for stride in strides])
+    lengths = _means(own_m, path_m).tolist()
+    return [_with_length(stride, m) for stride, m in zip(strides, lengths, strict=True)]
 
 
 def fuse(rows: Rows, shapes: FloatArray, foot: FootSamples) -> None:
     """As :func:`fused`, in place, of strides (K,) as the compiled core leaves them; see ``fes.estimation.strides``."""
-    own_m, path_m = rows["length_m"], lengths_along(foot, rows["t_start_ns"], rows["t_end_ns"])
-    with np.errstate(invalid="ignore"):  # where one of them is not known
-        near = np.abs(path_m - own_m) <= np.maximum(FAR_APART * own_m, FAR_APART_M)
-    k = np.flatnonzero(near & (rows["outcome"] == SOLVED) & (own_m > 0.0))
-    own_m, length_m = own_m[k], 0.5 * (own_m[k] + path_m[k])
-    rows["speed_mps"][k] = rows["speed_mps"][k] * length_m / own_m
-    rows["length_m"][k] = length_m
-    shapes[k, :, 0] *= (length_m / own_m)[:, None]
+    own_m = np.where(rows["outcome"] == SOLVED, rows["length_m"], math.nan)
+    lengths = _means(own_m, lengths_along(foot, rows["t_start_ns"], rows["t_end_ns"]))
+    k = np.flatnonzero(lengths == lengths)
+    own_m, lengths = own_m[k], lengths[k]
+    rows["speed_mps"][k] = rows["speed_mps"][k] * lengths / own_m
+    rows["length_m"][k] = lengths
+    shapes[k, :, 0] *= (lengths / own_m)[:, None]
 
 
-def _ends(strides: Sequence[StrideResult]) -> tuple[IntArray, IntArray]:
-    """Where the strides begin and end (M,)."""
-    return (
-        np.array([stride.t_start_ns for stride in strides], dtype=np.int64),
-        np.array([stride.t_end_ns for stride in strides], dtype=np.int64),
-    )
+def _means(own_m: FloatArray, path_m: FloatArray) -> FloatArray:
+    """Mean of the two lengths (K,); NaN where one is not known, or they are too far apart: the stride's own stays."""
+    with np.errstate(invalid="ignore"):  # a comparison with NaN is false
+        near = (own_m > 0.0) & (np.abs(path_m - own_m) <= np.maximum(FAR_APART * own_m, FAR_APART_M))
+    return np.where(near, 0.5 * (own_m + path_m), math.nan)
 
 
-def _mean(stride: StrideResult, path_m: float) -> StrideResult:
-    own_m = stride.stride_length_m
-    allowed_m = max(FAR_APART * own_m, FAR_APART_M)
-    if not (stride.valid and abs(path_m - own_m) <= allowed_m):  # also where one of them is not known
+def _with_length(stride: StrideResult, length_m: float) -> StrideResult:
+    if math.isnan(length_m):
         return stride
-    length_m = 0.5 * (own_m + path_m)
-    stretched = np.array([length_m / own_m, 1.0, 1.0]) if own_m > 0.0 else 1.0
+    own_m = stride.stride_length_m
     return replace(
         stride,
         stride_length_m=length_m,
-        speed_mps=stride.speed_mps * length_m / own_m if own_m > 0.0 else stride.speed_mps,
-        trajectory_m=stride.trajectory_m * stretched,
+        speed_mps=stride.speed_mps * length_m / own_m,
+        trajectory_m=stride.trajectory_m * np.array([length_m / own_m, 1.0, 1.0]),
     )

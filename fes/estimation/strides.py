@@ -54,14 +54,22 @@ class StrideSettings:
 
     def compiled(self) -> CourseSettings:
         """For the compiler."""
-        known = self.geometry
-        arms = (0.0,) * 4
-        if known is not None:
-            arms = known.toe_forward_m, known.toe_up_m, known.heel_forward_m, known.heel_up_m
-        forward, up = self.forward.tolist(), self.up.tolist()
-        constrained = self.method == "constrained"
+        known, (fx, fy, fz), (ux, uy, uz) = self.geometry, self.forward.tolist(), self.up.tolist()
         return CourseSettings(
-            *forward, *up, self.sensor_height_m, constrained, self.equal_height, known is not None, *arms
+            forward_x=fx,
+            forward_y=fy,
+            forward_z=fz,
+            up_x=ux,
+            up_y=uy,
+            up_z=uz,
+            sensor_height_m=self.sensor_height_m,
+            constrained=self.method == "constrained",
+            equal_height=self.equal_height,
+            known=known is not None,
+            toe_forward_m=known.toe_forward_m if known else 0.0,
+            toe_up_m=known.toe_up_m if known else 0.0,
+            heel_forward_m=known.heel_forward_m if known else 0.0,
+            heel_up_m=known.heel_up_m if known else 0.0,
         )
 
 
@@ -186,25 +194,26 @@ def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResu
         speed, highest, turn, gained, toe, heel = row[15:] if valid else (math.nan,) * 6
         results.append(
             StrideResult(
-                foot,
-                number,
-                start_ns,
-                end_ns,
-                length if valid else math.nan,
-                highest,
-                gained,
-                turn,
-                speed,
-                pre_swing_ns,
-                swing_ns,
-                loading_response_ns,
-                stance_ns,
-                toe,
-                heel,
-                valid,
-                reason,
-                *((ways[k], pitches[k]) if valid else ()),
-            )  # fmt: skip
+                foot=foot,
+                number=number,
+                t_start_ns=start_ns,
+                t_end_ns=end_ns,
+                stride_length_m=length if valid else math.nan,
+                clearance_m=highest,
+                height_gained_m=gained,
+                turn_rad=turn,
+                speed_mps=speed,
+                t_pre_swing_ns=pre_swing_ns,
+                t_swing_ns=swing_ns,
+                t_loading_response_ns=loading_response_ns,
+                t_stance_ns=stance_ns,
+                toe_clearance_m=toe,
+                heel_clearance_m=heel,
+                valid=valid,
+                reason=reason,
+                trajectory_m=ways[k] if valid else np.zeros((0, 3)),
+                pitch_rad=pitches[k] if valid else np.zeros(0),
+            )
         )
     return results
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fes.estimation.clearance import FootPaths
-from fes.estimation.stride_course import STRIDES, new_out
+from fes.estimation.stride_course import CHANGES, STRIDES, new_out
 from fes.estimation.strides import TRAJECTORY_POINTS, Rows, StrideSettings, stride_paths, stride_results
 from fes.estimation.tracker import Outcome
 from fes.signals import FloatArray, StrideResult
@@ -21,8 +21,8 @@ USUAL_STRIDES = 25  # in a history of twenty seconds
 class Walked:
     """Phase changes and strides in order, the strides' ways beside them.
 
-    ``room`` and ``out`` are what the compiled core fills from ``samples`` samples after a history of ``capacity`` (twenty
-    seconds); where it stops for want of room, :meth:`keep` makes more.
+    ``room`` and ``out`` are what the compiled core fills from ``samples`` samples, after a history of ``capacity``
+    (twenty seconds); where it stops for want of room, :meth:`keep` makes more.
     """
 
     def __init__(self, foot: str, settings: StrideSettings, samples: int, capacity: int) -> None:
@@ -37,6 +37,8 @@ class Walked:
         """A restart, which the compiled core knows nothing of."""
         assert isinstance(outcome, PhaseChange)
         self.changes.append(outcome)
+        self.out.filled[CHANGES] += 1
+        self._taken += 1
 
     def keep(self, machine: GaitPhaseMachine) -> None:
         """Take over what the core has found, and lead the phase machine after it."""
@@ -44,7 +46,7 @@ class Walked:
         self.changes += machine.follow(self.room[self._taken : changes].tolist())
         self._taken = changes
         out = self.out
-        if changes == len(self.room):
+        if changes >= len(self.room):
             self.room = _twice(self.room)
         if strides == len(out.strides):
             self.out = out._replace(strides=_twice(out.strides), shapes=_twice(out.shapes))
@@ -55,7 +57,8 @@ class Walked:
     @property
     def rows(self) -> Rows:
         """The strides (K,), of ``fes.estimation.stride_course.STRIDE``."""
-        return self.out.strides[: self.out.filled[STRIDES]]
+        rows: Rows = self.out.strides[: self.out.filled[STRIDES]]
+        return rows
 
     @property
     def shapes(self) -> FloatArray:

@@ -35,6 +35,13 @@ def made_up_steps() -> tuple[IntArray, FloatArray, FloatArray]:
 
 def warm_up_foot(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> None:
     """Run a foot's core over these steps, sample by sample, with all that a session may ask of its strides."""
+    tracker = made_up_foot()
+    for t, acc, gyr in zip(t_ns.tolist(), acc_mps2.tolist(), gyr_radps.tolist(), strict=True):
+        tracker.step(t, acc, gyr)
+
+
+def made_up_foot() -> FootTracker:
+    """A tracker of such a foot, with known geometry."""
     calibration = FootCalibration(
         sensor="left_foot",
         rate_hz=100.0,
@@ -51,6 +58,4 @@ def warm_up_foot(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) ->
         standing=True,
     )
     settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), geometry=GEOMETRY)
-    tracker = FootTracker(calibration, StrideMaker(calibration.sensor, settings))
-    for t, acc, gyr in zip(t_ns.tolist(), acc_mps2.tolist(), gyr_radps.tolist(), strict=True):
-        tracker.step(t, acc, gyr)
+    return FootTracker(calibration, StrideMaker(calibration.sensor, settings))

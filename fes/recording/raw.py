@@ -129,7 +129,7 @@ def _dropped_rows(table: Table, names: tuple[str, ...], where: str) -> npt.NDArr
 def _check_finite(
     table: Table, acc_and_gyr: list[FloatArray], names: tuple[str, ...], dropped: npt.NDArray[np.bool_]
 ) -> None:
-    if all(-LARGEST_VALUE < each.min() and each.max() < LARGEST_VALUE for each in acc_and_gyr):  # false for NaN
+    if all(each.min() > -LARGEST_VALUE and each.max() < LARGEST_VALUE for each in acc_and_gyr):  # false for NaN
         return
     data = np.hstack(acc_and_gyr)
     bad = ~(np.abs(data) < LARGEST_VALUE) & ~dropped[:, None]
