@@ -75,12 +75,16 @@ def _walk(
             change = changes[told[CHANGES]]
             change.t_ns, change.transition, change.source = now, number, s.phase
             _enter(core, _DESTINATIONS[number], acc, begin - 1)
-            if number == _T1:
-                stride_course.leave_stance(course, begin, t_ns, acc, gyr, quaternions, biases, out)
+        if now >= course[0].state.due_ns or (number == _T1 and course[0].state.due_ns != stride_course.NEVER_NS):
+            first, last = stride_course.close(course, begin, t_ns, gyr, biases, out)
+            if first < last:
+                q = quaternions[first]
+                stride_course.solve_rows(course, first, last, begin, t_ns, acc, gyr, q, biases, out)
+        if number == _T1:
+            stride_course.begin(course, begin, t_ns, gyr, biases)
+        if number > 0:
             stride_course.on_phase(course, s.phase, now)
             told[CHANGES] += 1
-        if now >= course[0].state.due_ns:
-            stride_course.close(course, begin, t_ns, acc, gyr, quaternions, biases, out)
     return begin
 
 

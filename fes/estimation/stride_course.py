@@ -119,16 +119,23 @@ def new_out(strides: int, rows: int, points: int) -> Out:
 
 
 @jit
+def _forget(times_ns: Any) -> None:
+    """No phase has been entered."""
+    for k in range(4):
+        times_ns[k] = UNSEEN_NS
+
+
+@jit
 def restart(course: Any, t_ns: int) -> None:
     """Data were lost: forget the stride under way; stance from now on."""
     s = course[0].state
     s.due_ns, s.before_ns, s.start_ns, s.stance_ns = NEVER_NS, UNSEEN_NS, UNSEEN_NS, t_ns
-    s.times_ns[:] = UNSEEN_NS
+    _forget(s.times_ns)
 
 
 @jit
 def on_phase(course: Any, destination: int, t_ns: int) -> None:
-    """Note a phase change, after :func:`leave_stance` for T1."""
+    """Note a phase change, after :func:`close` and :func:`begin` for T1."""
     s = course[0].state
     if destination != STANCE:
         s.times_ns[destination] = t_ns
@@ -138,44 +145,40 @@ def on_phase(course: Any, destination: int, t_ns: int) -> None:
         s.times_ns[STANCE] = t_ns
         s.due_ns = t_ns + _SEARCH_NS
     else:  # the heel was lifted and put back: no stride
-        s.times_ns[:] = UNSEEN_NS
+        _forget(s.times_ns)
 
 
 @jit
-def leave_stance(course: Any, n: int, t_ns: Any, acc: Any, gyr: Any, quaternion: Any, biases: Any, out: Out) -> bool:
-    """T1: close the stride that this stance ended, and begin the next at the stance's quietest instant.
-
-    Arguments and what is returned as for :func:`close`.
-    """
+def begin(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any) -> None:
+    """T1: the next stride begins at the quietest instant of the stance that ends; arguments as for :func:`close`."""
     s = course[0].state
-    closed = s.due_ns != NEVER_NS and close(course, n, t_ns, acc, gyr, quaternion, biases, out)
     now = t_ns[n - 1]
     earliest = max(s.stance_ns - _LEAD_NS, now - _SEARCH_NS)
     s.start_ns = t_ns[quietest_of(t_ns, gyr, n, biases[1, 0], biases[1, 1], biases[1, 2], earliest, now)]
-    s.times_ns[:] = UNSEEN_NS
-    return closed
+    _forget(s.times_ns)
 
 
 @jit
-def close(course: Any, n: int, t_ns: Any, acc: Any, gyr: Any, quaternion: Any, biases: Any, out: Out) -> bool:
-    """Solve the stride that ended with this stance; whether there was one, and a row of ``out`` was filled.
+def close(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tuple[int, int]:
+    """End the stride that ended with this stance, if there was one, with a row of ``out``.
 
     Args:
         course: (1,) of ``COURSE``.
         n: how many rows of the history there are up to now.
         t_ns: its time stamps.
-        acc: (…, 3) m/s².
         gyr: (…, 3) rad/s.
-        quaternion: (…, 4).
-        biases: (2, 3) of ``acc`` and ``gyr``.
+        biases: (2, 3) of the accelerometer and of the gyroscope.
         out: where the stride goes.
+
+    Returns:
+        Its first and last row for :func:`solve_rows`, (0, 0) where there is nothing to solve.
     """
     s = course[0].state
     start_ns, stance_ns = s.start_ns, s.times_ns[STANCE]
     s.due_ns, s.start_ns = NEVER_NS, UNSEEN_NS
     if start_ns == UNSEEN_NS or stance_ns == UNSEEN_NS:
-        s.times_ns[:] = UNSEEN_NS
-        return False
+        _forget(s.times_ns)
+        return 0, 0
     now = t_ns[n - 1]
     still_standing = now - s.stance_ns >= _SEARCH_NS
     latest = min(now, s.stance_ns + (_STOPPED_NS if still_standing else _SEARCH_NS))
@@ -188,25 +191,24 @@ def close(course: Any, n: int, t_ns: Any, acc: Any, gyr: Any, quaternion: Any, b
     row.pre_swing_ns, row.swing_ns = s.times_ns[PRE_SWING], s.times_ns[SWING]
     row.loading_response_ns, row.stance_ns = s.times_ns[LOADING_RESPONSE], stance_ns
     row.rows, row.changes = 0, out.filled[CHANGES]
-    s.times_ns[:] = UNSEEN_NS
+    _forget(s.times_ns)
     out.filled[STRIDES] += 1
     if first >= last or t_ns[first] != start_ns:
         row.outcome = FORGOTTEN
-        return True
-    solve_rows(course, first, last, n, t_ns, acc, gyr, quaternion[first], biases, s.before_ns, row, out)
-    s.before_ns = row.t_end_ns
-    return True
+        return 0, 0
+    return first, last
 
 
 @jit
 def solve_rows(
-    course: Any, first: int, last: int, n: int, t_ns: Any, acc: Any, gyr: Any, start: Any, biases: Any,
-    before_ns: int, row: Any, out: Out,
-) -> None:  # fmt: skip
-    """Integrate the samples ``first`` … ``last`` of a history into the newest ``row`` of ``out``.
+    course: Any, first: int, last: int, n: int, t_ns: Any, acc: Any, gyr: Any, start: Any, biases: Any, out: Out
+) -> None:
+    """Integrate the samples ``first`` … ``last`` of a history into the newest row of ``out``.
 
-    ``start`` (4,) is the orientation at ``first``, ``before_ns`` the end of the stride before; else as :func:`close`.
+    ``acc`` (…, 3) m/s²; ``start`` (4,) is the orientation at ``first``; else as :func:`close`.
     """
+    row, before_ns = out.strides[out.filled[STRIDES] - 1], course[0].state.before_ns
+    course[0].state.before_ns = row.t_end_ns
     p = course[0].settings
     count, most_ns = last + 1 - first, 0
     for i in range(first, last):
@@ -222,7 +224,8 @@ def solve_rows(
     k, at = out.filled[STRIDES] - 1, out.filled[ROWS]
     row.first, row.rows = at, count
     out.filled[ROWS] = at + count
-    out.t_ns[at : at + count] = t_ns[first : last + 1]
+    for i in range(count):  # not as slices: their check of shapes would take a second to compile
+        out.t_ns[at + i] = t_ns[first + i]
     position, quaternion = out.position[at : at + count], out.quaternion[at : at + count]
     around = around_ends(t_ns, first, last)
     begin, end = max(first - around, 0), min(last + around + 1, n)

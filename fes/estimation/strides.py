@@ -31,6 +31,7 @@ from statemachine.phases import Phase, PhaseChange
 SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
 TRAJECTORY_POINTS = 101
 Rows = np.ndarray[Any, np.dtype[Any]]
+NO_BIASES = np.zeros((2, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,20 +106,20 @@ class StrideMaker:
         History up to now: ``t_ns`` (N,); ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s, free of bias; ``quaternion``
         (N, 4).
         """
-        return self._closed(course.leave_stance, t_ns, acc, gyr, quaternion)
+        result = self.close(t_ns, acc, gyr, quaternion) if self.due_ns is not None else None
+        course.begin(self.course, len(t_ns), t_ns, gyr, NO_BIASES)
+        return result
 
     def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
         """Solve the stride that ended with this stance; arguments as for :meth:`leave_stance`."""
-        return self._closed(course.close, t_ns, acc, gyr, quaternion)
-
-    def _closed(self, how: Callable[..., bool], *history: Any) -> StrideResult | None:
-        n = len(history[0])
+        n = len(t_ns)
         if self._out is None or len(self._out.t_ns) < n:
             self._out = new_out(1, n, TRAJECTORY_POINTS)
         self._out.filled[:] = 0
-        if not how(self.course, n, *history, np.zeros((2, 3)), self._out):
-            return None
-        return _shown(self.foot, self._out, self.settings)
+        first, last = course.close(self.course, n, t_ns, gyr, NO_BIASES, self._out)
+        if first < last:
+            course.solve_rows(self.course, first, last, n, t_ns, acc, gyr, quaternion[first], NO_BIASES, self._out)
+        return _shown(self.foot, self._out, self.settings) if self._out.filled[course.STRIDES] else None
 
 
 def solve_stride(
@@ -148,10 +149,9 @@ def solve_stride(
     for name, phase in zip(names, Phase, strict=True):
         row[name] = times.get(phase, UNSEEN_NS)
     out.filled[course.STRIDES] = 1
-    course.solve_rows(
-        new_core(course.COURSE, settings=settings.compiled()), first, last, len(t_ns), t_ns, acc, gyr, start_quaternion,
-        np.zeros((2, 3)), UNSEEN_NS if before_ns is None else before_ns, row, out,
-    )  # fmt: skip
+    own = new_core(course.COURSE, settings=settings.compiled())
+    own["state"]["before_ns"] = UNSEEN_NS if before_ns is None else before_ns
+    course.solve_rows(own, first, last, len(t_ns), t_ns, acc, gyr, start_quaternion, NO_BIASES, out)
     return _shown(foot, out, settings)
 
 
