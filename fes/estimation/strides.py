@@ -81,13 +81,14 @@ class StrideMaker:
         self.foot = foot
         self.settings = settings
         self.course = new_core(course.COURSE, settings=settings.compiled())
+        self._due_ns = self.course["state"]["due_ns"]  # (1,) of the same memory: asked at every sample
         self._out: Out | None = None
         course.restart(self.course, 0)
 
     @property
     def due_ns(self) -> int | None:
         """The stride under way is closed at this time at the latest; None while there is none."""
-        due_ns = int(self.course["state"]["due_ns"][0])
+        due_ns: int = self._due_ns.item()
         return None if due_ns == course.NEVER_NS else due_ns
 
     def restart(self, t_ns: int) -> None:

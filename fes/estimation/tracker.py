@@ -170,11 +170,11 @@ class Tracker(ABC):
     def _follow(self, filled: int, outcomes: Outcomes) -> None:
         """Advance to the next thing that Python must handle."""
         due_ns = self._strides.due_ns
-        due_ns = NEVER_NS if due_ns is None else due_ns
-        self._reached, number = self._core(self._history, self._reached, filled, due_ns)
+        latest_ns = NEVER_NS if due_ns is None else due_ns
+        self._reached, number = self._core(self._history, self._reached, filled, latest_ns)
         if number:
             self._transition(TRANSITIONS[number], outcomes)
-        due_ns = self._strides.due_ns
+            due_ns = self._strides.due_ns
         if due_ns is not None and self._history.t_ns[self._reached - 1] >= due_ns:
             self._stride(outcomes, self._strides.close)
 
