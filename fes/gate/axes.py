@@ -7,6 +7,7 @@ and on how many real recordings it speaks wrongly (docs/safety.md).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import permutations, product
 from typing import Final
@@ -15,14 +16,19 @@ from fes.signals import ImuSample, Vector3
 
 LEAST_JUMP: Final = 0.7  # of force and rate together, each squared and against its own size
 SMOOTH: Final = 0.13  # of the jump: the steps before and after it are smaller; nearest real case 0.18
-EXPLAINED: Final = 0.1  # of the jump: what an exchange of axes leaves of it; nearest real case 0.17
+EXPLAINED: Final = 0.1  # of the jump: what an exchange of axes leaves of it; nearest real case 0.22
 LEAST_FORCE_MPS2: Final = 4.0  # smaller forces and rates are not taken as larger jumps for their size
 LEAST_RATE_RADPS: Final = 1.0
 STEPS_AFTER: Final = 2  # that have to be smooth
 MOST_APART_NS: Final = 12_500_000  # by the sensor's own clock, between two samples; in a longer time a foot may turn
 
-_ORDERS = tuple(permutations(range(3)))
-_SIGNS = tuple(product((1.0, -1.0), repeat=3))
+# a box turned, never mirrored: (order, signs); a mirrored force alone is what many a hard heel strike looks like
+_TURNS = tuple(
+    (order, signs)
+    for order in permutations(range(3))
+    for signs in product((1.0, -1.0), repeat=3)
+    if math.prod(signs) * (1.0 if order in ((0, 1, 2), (1, 2, 0), (2, 0, 1)) else -1.0) > 0.0
+)
 
 
 @dataclass(slots=True)
@@ -83,8 +89,7 @@ def _jump(before: ImuSample, after: ImuSample, last: tuple[float, float], step: 
     left = min(
         _square_apart(acc, _exchanged(acc_before, order, signs)) / force
         + _square_apart(gyr, _exchanged(gyr_before, order, signs)) / rate
-        for order in _ORDERS
-        for signs in _SIGNS
+        for order, signs in _TURNS
     )
     return _Jump(force, rate, smooth, STEPS_AFTER) if left <= EXPLAINED * size else None
 
