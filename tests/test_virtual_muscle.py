@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fes.patient.virtual import DeliveredPulse, MuscleSettings, PatientSettings, VirtualPatient
-from fes.patient.virtual.kernel import passive
 from fes.patient.virtual.layout import LEG
 from fes.patient.virtual.leg import body_of
 from fes.patient.virtual.muscle import muscle, recruitment
+from fes.patient.virtual.tissue import DAMPING_RATIO, damping, passive
 from fes.signals import NS_PER_S
 
 DT = 0.0005
@@ -124,3 +124,23 @@ def test_a_free_foot_comes_to_rest_where_gravity_and_tissue_balance() -> None:
     assert abs(pull) < 0.02
     assert energy[-1] < 1e-8 < max(energy)
     assert math.degrees(leg["pitch"]) == pytest.approx(-20.0, abs=8.0)
+
+
+@settings(deadline=None)
+@given(st.floats(-1.2, 0.8), st.floats(0.0, 1.2))
+def test_tight_tissue_keeps_the_damping_ratio(angle: float, knee: float) -> None:
+    step, inertia = 1e-5, 0.0126
+    slope = (passive(angle - step, knee, 1.0, 0.0) - passive(angle + step, knee, 1.0, 0.0)) / (2.0 * step)
+    critical = 2.0 * math.sqrt(inertia * slope)
+    assert damping(angle, knee, 1.0, 0.0, 0.5, inertia) == pytest.approx(max(0.5, DAMPING_RATIO * critical), rel=1e-3)
+
+
+def test_the_end_of_the_range_does_not_throw_the_foot_back() -> None:
+    inertia, pitch, rate, stored, fastest = 0.0126, math.radians(-62.0), 0.0, 0.0, 0.0
+    for _ in range(400):
+        pull = passive(pitch, 0.8, 1.0, 0.0)
+        stored += max(pull, 0.0) * rate * DT
+        rate += (pull - damping(pitch, 0.8, 1.0, 0.0, 0.5, inertia) * rate) / inertia * DT
+        pitch += rate * DT
+        fastest = max(fastest, rate)
+    assert fastest < 0.6 * math.sqrt(2.0 * stored / inertia)  # of a spring that loses nothing

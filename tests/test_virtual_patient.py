@@ -218,6 +218,23 @@ def test_speed_stop_and_walking_on() -> None:
         patient.set_speed(0.0)
 
 
+@pytest.mark.parametrize("speed_mps", [0.4, 1.3])
+def test_the_feet_come_to_stand_below_the_hip_and_walk_on_without_a_jerk(speed_mps: float) -> None:
+    patient = VirtualPatient(settings_for("mild", speed_mps=speed_mps, seed=4))
+    walked = [s for s in patient.advance(20 * NS_PER_S) if s.t_ns > 8 * NS_PER_S]
+    patient.stop()
+    stopped = patient.advance(26 * NS_PER_S)
+    for foot in ("left_foot", "right_foot"):
+        stood = patient.trace(foot)["x_m"][-1] - float(patient._walker.belt["x"][0])
+        assert abs(stood) < 0.12
+    patient.walk()
+    again = patient.advance(32 * NS_PER_S)
+    hardest = {s.sensor: max(math.hypot(*x.acc_mps2) for x in walked if x.sensor == s.sensor) for s in walked[:4]}
+    for sample in stopped + again:
+        if "foot" in sample.sensor:
+            assert math.hypot(*sample.acc_mps2) < 1.5 * hardest[sample.sensor]
+
+
 def test_turning_feet() -> None:
     patient = VirtualPatient(DROP)
     patient.advance(12 * NS_PER_S)

@@ -10,6 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from virtual_walks import walk
 
+from fes.estimation.calibration import PUSH_OFF_SHARE
 from fes.estimation.foot import FootTracker
 from fes.estimation.strides import StrideMaker, StrideSettings
 from fes.patient.sensor import PERFECT
@@ -105,3 +106,19 @@ def test_acceleration_integrates_to_the_path() -> None:
         q = q * Rotation.from_rotvec(row * 0.001)
     end = Rotation.from_quat(truth.q_world_from_sensor[700], scalar_first=True)
     assert np.degrees((q.inv() * end).magnitude()) < 1.5
+
+
+def test_a_toe_that_catches_is_not_taken_for_the_usual_push_off() -> None:
+    """Calibrated on a walk that stumbles at most strides, a lifted foot's push-off is seen all the same."""
+    levels = {}
+    for own in (0.0, 1.0):
+        patient = VirtualPatient(
+            PatientSettings(
+                seed=2, speed_mps=1.35, compensation=0.2, voluntary_dorsiflexion=own, sensors=("right_foot",)
+            )
+        )
+        walked = recording_of(patient, patient.advance(30 * NS_PER_S), "walk", "")
+        levels[own] = calibrate_track(walked.tracks["right_foot"]).min_toe_down_peak_radps
+        stumbled = sum(stride.stumbled for stride in patient.strides if stride.foot == "right_foot")
+        assert (stumbled > 10) == (own == 0.0)
+    assert levels[0.0] < 0.6 * levels[1.0] / PUSH_OFF_SHARE

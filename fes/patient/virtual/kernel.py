@@ -6,7 +6,7 @@ and stimulated dorsiflexors, the calf, its stretch reflex, and the ground at hee
 
 Ground: springs with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction by bristles. In
 pre-swing the foot rolls over its ball and then, as the shoe bends no further, over the tip of its toe. Passive tissue
-about the ankle: Riener & Edrich, *J Biomech* 32 (1999). The muscle is in :mod:`fes.patient.virtual.muscle`.
+about the ankle is in :mod:`fes.patient.virtual.tissue`, the muscle in :mod:`fes.patient.virtual.muscle`.
 
 Angles: foot pitch and shank tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is forward in
 the belt's frame, z up from the ground.
@@ -21,6 +21,7 @@ from fes.estimation.compiled import jit
 from fes.patient.virtual.ground import BALL_N_PER_M15, HEEL_M, HEEL_N_PER_M15, TOE_N_PER_M15, touch
 from fes.patient.virtual.layout import HARMONICS, PRE_SWING, STANCE, SWING
 from fes.patient.virtual.muscle import muscle
+from fes.patient.virtual.tissue import damping, passive
 
 TURN = 2.0 * math.pi
 GRAVITY = 9.80665
@@ -177,22 +178,12 @@ def load(leg: Any, t: float) -> float:
 
 
 @jit
-def passive(angle: float, knee: float, stiff: float, short: float) -> float:
-    """Torque of relaxed tissue about the ankle, dorsiflexing positive, N·m: Riener & Edrich (1999).
-
-    ``exp(2.1016 - 0.0843 a - 0.0176 k) - exp(-7.9763 + 0.1949 a + 0.0008 k) - 1.792`` plantarflexes, with ``a`` degrees
-    of plantarflexion and ``k`` of knee flexion: the calf crosses both joints. ``stiff`` multiplies it, ``short`` (rad)
-    is how much earlier a shortened calf pulls; 1 and 0 are normal. ``angle``, ``knee`` in rad, dorsiflexion positive.
-    """
-    a, k = -math.degrees(angle + short), math.degrees(knee)
-    return -stiff * (math.exp(2.1016 - 0.0843 * a - 0.0176 * k) - math.exp(-7.9763 + 0.1949 * a + 0.0008 * k) - 1.792)
-
-
-@jit
 def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> float:
     """All torques of tissue about the ankle, dorsiflexing positive, N·m."""
     angle, rate = leg.pitch - leg.shank, leg.vpitch - leg.vshank
-    out: float = passive(min(max(angle, -1.2), 0.8), leg.bend, leg.stiff, leg.short_rad) - leg.damp * rate
+    held = min(max(angle, -1.2), 0.8)
+    out: float = passive(held, leg.bend, leg.stiff, leg.short_rad)
+    out -= damping(held, leg.bend, leg.stiff, leg.short_rad, leg.damp, leg.inertia) * rate
     # the stretch reflex of the calf, some 40 ms late
     leg.stretch1 += (rate - leg.stretch1) * dt / 0.02
     leg.stretch2 += (leg.stretch1 - leg.stretch2) * dt / 0.02

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fes.patient.virtual import normative
+from fes.patient.virtual.curves import curve_at, quintic
 from fes.patient.virtual.ground import HEEL_M
 from fes.patient.virtual.integrate import plan_at
 from fes.patient.virtual.layout import LEG, PRE_SWING, STANCE, SWING
@@ -25,6 +26,7 @@ PRE_SWING_SHARE = 0.21  # of the cycle, from heel off to foot off
 LANDING_MPS = -0.38  # the ankle's vertical speed at contact, at the least
 CLEARANCE_M = 0.017  # mean least toe clearance of healthy walkers (Winter, *Phys Ther* 72, 1992: 1.3 cm)
 HALF_WIDTH_M = 0.08
+TO_PLAN, NEAR_M = 0.55, 0.1  # share of the swing until the foot is on its planned path, when it begins this near it
 EARLY_M = 0.015  # the toe's clearance in early swing is this much above the least, in mid-swing
 _EARLY, _MIDDLE = np.linspace(0.24, 0.38, 8), np.linspace(0.44, 0.75, 16)
 TOE_OUT_RAD = math.radians(7.0)
@@ -139,7 +141,7 @@ class Planner:
         leg = self.leg
         before = self._now(t_s)
         leg["due_s"] = leg["rise_t"] = leg["unload_t"] = math.inf
-        thigh, knee, _ = (_curve(series, _STANCES) for series in self._curves_now())
+        thigh, knee, _ = (curve_at(series, _STANCES) for series in self._curves_now())
         self._phase(t_s, float(_STANCES[np.abs(thigh - knee - STANDING_RAD).argmin()]), 0.0)
         zero = (0.0, 0.0, 0.0)
         self._fade(t_s, STILL_S, (zero, zero), before[2])
@@ -176,7 +178,7 @@ class Planner:
         leg["lift_m"], leg["hike_m"] = self.hip_m(), 0.0
         leg["fall_m"] = max(self._landing_mps() - LANDING_MPS, 0.0) * span
         here = (float(leg["x"]), float(leg["vx"]), before[0][2]), (float(leg["z"]), float(leg["vz"]), before[1][2])
-        self._fade(t_s, 0.55 * span, here, before[2])
+        self._fade(t_s, self._share_to_plan(t_s) * span, here, before[2])
         leg["early_m"] = 0.0
         for _ in range(3):  # each depends a little on the other
             leg["hike_m"] = 0.0
@@ -188,6 +190,13 @@ class Planner:
         hanging = self._needed(0.0, _MIDDLE, hanging=True)
         self.need_m = max(hanging - normal, 0.0) * (1.0 - float(leg["own"]))
         leg["hike_m"] = normal + swing.habit * self.need_m + swing.extra_lift_m
+
+    def _share_to_plan(self, t_s: float) -> float:
+        """Share of the swing until the foot is on its planned path: all of it where far ahead, as from standing."""
+        leg = self.leg
+        leg["offset_x"] = 0.0
+        ahead_m = float(leg["x"]) - self._now(t_s)[0][0]
+        return TO_PLAN + (1.0 - TO_PLAN) * min(max((ahead_m - NEAR_M) / NEAR_M, 0.0), 1.0)
 
     def trip(self, t_s: float, short_m: float) -> None:
         """The toe is caught: the swing goes on from where it is, and lands short by ``short_m``."""
@@ -201,14 +210,14 @@ class Planner:
 
     def reach(self, end_s: float, belt_m: float, target_m: float) -> float:
         """How far beyond the normal landing place (m) lies ``target_m``, when the belt will have gone ``belt_m``."""
-        thigh, knee, _ = (float(_curve(series, np.ones(1))[0]) for series in self._curves_now())
+        thigh, knee, _ = (float(curve_at(series, np.ones(1))[0]) for series in self._curves_now())
         ahead = float(self.leg["thigh_m"]) * math.sin(thigh) + float(self.leg["shank_m"]) * math.sin(thigh - knee)
         return target_m - belt_m - ahead
 
     def hip_m(self) -> float:
         """Height of the hip over the ground (m) at which the heel just touches as the swing ends, the ankle normal."""
         leg, one = self.leg, np.ones(1)
-        thigh, knee, ankle = (float(_curve(series, one)[0]) for series in self._curves_now())
+        thigh, knee, ankle = (float(curve_at(series, one)[0]) for series in self._curves_now())
         shank = thigh - knee
         pitch = shank + ankle
         above = float(leg["thigh_m"]) * math.cos(thigh) + float(leg["shank_m"]) * math.cos(shank)
@@ -218,7 +227,7 @@ class Planner:
     def _landing_mps(self) -> float:
         """Upward speed of the ankle as the swing ends, by the joint curves alone."""
         leg, e = self.leg, 1e-4
-        thigh, knee, _ = (_curve(series, np.array([1.0 - e, 1.0])) for series in self._curves_now())
+        thigh, knee, _ = (curve_at(series, np.array([1.0 - e, 1.0])) for series in self._curves_now())
         high = -leg["thigh_m"] * np.cos(thigh) - leg["shank_m"] * np.cos(thigh - knee)
         return float(high[1] - high[0]) / e * float(leg["phase_rate"])
 
@@ -229,7 +238,7 @@ class Planner:
         """
         leg = self.leg
         share = normative.TOE_OFF_SHARE
-        thigh, knee, ankle = (_curve(series, share + (1.0 - share) * u) for series in self._curves_now())
+        thigh, knee, ankle = (curve_at(series, share + (1.0 - share) * u) for series in self._curves_now())
         shank = thigh - knee
         v = np.minimum(u * leg["swing_s"] / leg["offset_s"], 1.0)
         off = np.where(v < 1.0, np.polynomial.polynomial.polyval(v, leg["offset_z"]), 0.0)
@@ -282,17 +291,4 @@ class Planner:
         base = (new[0], new[1]) if leg["mode"] == SWING else ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
         names = ("offset_x", "offset_z", "offset_shank")
         for name, was, now in zip(names, (*path, shank), (*base, new[2]), strict=True):
-            leg[name] = _quintic([a - b for a, b in zip(was, now, strict=True)], span_s)
-
-
-def _quintic(at_start: list[float], span_s: float) -> list[float]:
-    """Coefficients by ``u = t/span`` of the quintic with this value, rate and acceleration at 0 and none at 1."""
-    a, b, c = at_start[0], at_start[1] * span_s, 0.5 * at_start[2] * span_s * span_s
-    return [a, b, c, -10 * a - 6 * b - 3 * c, 15 * a + 8 * b + 3 * c, -6 * a - 3 * b - c]
-
-
-def _curve(series: FloatArray, phase: FloatArray) -> FloatArray:
-    k = np.arange(1, (len(series) - 1) // 2 + 1)
-    angle = 2.0 * math.pi * np.outer(phase, k)
-    out: FloatArray = series[0] + np.cos(angle) @ series[1::2] + np.sin(angle) @ series[2::2]
-    return out
+            leg[name] = quintic([a - b for a, b in zip(was, now, strict=True)], span_s)

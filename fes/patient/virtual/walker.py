@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from fes.patient.virtual import normative
+from fes.patient.virtual.belt import to_rest_m, travel_m
 from fes.patient.virtual.layout import BELT, CONTACT, FLAT, LEG, PRE_SWING, STUMBLE, TRACE
 from fes.patient.virtual.leg import CLEARANCE_M, HALF_WIDTH_M, PRE_SWING_SHARE, Planner, Swing, body_of
 from fes.patient.virtual.patterns import PATTERNS
@@ -22,6 +23,7 @@ LANDING_SPREAD_M = 0.012
 CLEARANCE_SPREAD_M = 0.0035  # Winter (1992): 4.5 mm from stride to stride
 RELAX, BUILD = 0.35, 0.25  # how fast the habit of lifting the leg goes and comes, per stride
 COMFORTABLE_M = 0.02
+HALF_A_FOOT_M = 0.1  # nearer than this to where it is to stand, a foot takes no further step
 _PITCH, _ROLL, _TOE, _HEEL, _TORQUE = (
     TRACE.index(n) for n in ("pitch_rad", "roll_rad", "toe_m", "heel_m", "torque_nm")
 )
@@ -120,7 +122,7 @@ class Walker:
             self._contact(side, t_s, trace)
         elif what == STUMBLE:
             self._note(side, t_s, "stumble")
-            open_.stumbled = True
+            open_.stumbled, open_.last_step = True, False
             short = (0.10 + 0.08 * self._rng.uniform()) * self._stride_m()
             self.planners[side].trip(t_s, short)
         elif what == FLAT:
@@ -135,7 +137,7 @@ class Walker:
     def _heel_off(self, side: int, t_s: float) -> None:
         open_ = self._open[side]
         apart_m = abs(float(self.legs["stand_x"][0] - self.legs["stand_x"][1]))
-        if self._stopping and (open_.last_step or apart_m < 0.05):
+        if self._stopping and (open_.last_step or apart_m < HALF_A_FOOT_M):
             self.planners[side].stand(t_s)
             if math.isinf(self.legs[1 - side]["due_s"]) and self.legs[1 - side]["mode"] == 0:
                 self.walking = False
@@ -147,7 +149,10 @@ class Walker:
         open_.t_heel_off_s, open_.from_x = t_s, float(self.legs[side]["stand_x"])
         self._note(side, t_s, "heel_off")
         planner = self.planners[side]
-        planner.rise(t_s, max(open_.next_off_s, t_s + 0.12), self._stride_share(), self._support_s())
+        share = self._stride_share()
+        if self._stopping:  # the slower the belt, the less there is to push off for
+            share *= min(float(self.belt["v"][0]) / self.speed_mps, 1.0)
+        planner.rise(t_s, max(open_.next_off_s, t_s + 0.12), share, self._support_s())
 
     def _foot_off(self, side: int, t_s: float) -> None:
         open_, planner = self._open[side], self.planners[side]
@@ -157,11 +162,11 @@ class Walker:
         end = max(self._contact_time(side, open_.number), t_s + 0.22)
         vary = self.settings.variability * planner.pattern.variation
         draw = np.clip(self._rng.normal(size=5), -2.5, 2.5)
-        slow = 0.6 + 0.4 * min(self._stride_share(), 1.2)
-        reach = float(draw[0]) * LANDING_SPREAD_M * vary * slow
+        reach = float(draw[0]) * LANDING_SPREAD_M * vary * (0.6 + 0.4 * min(self._stride_share(), 1.2))
         if self._stopping:
-            open_.last_step = True
-            reach = self._beside(side, end)
+            beside = self._beside(side, t_s, end)
+            open_.last_step = beside < reach + HALF_A_FOOT_M
+            reach = beside if open_.last_step else reach
         turn = float(np.clip(self._turn_rad[side], -math.radians(30), math.radians(30)))
         self._turn_rad[side] -= turn
         lift = planner.pattern.hike_m
@@ -283,10 +288,12 @@ class Walker:
         """Length of one double support."""
         return (normative.stance_share(self.speed_mps) - 0.5) * self._rhythm.cycle_s(self.speed_mps)
 
-    def _beside(self, side: int, end_s: float) -> float:
-        """Reach that sets the foot down beside the other one, as the belt comes to rest."""
-        belt_m = float(self.belt["x"][0]) + 0.4 * float(self.belt["v"][0])
-        return self.planners[side].reach(end_s, belt_m, float(self.legs["stand_x"][1 - side]))
+    def _beside(self, side: int, t_s: float, end_s: float) -> float:
+        """Reach that sets the foot down below the hip, where that will be when the belt has come to rest."""
+        belt = self.belt[0]
+        now_m = float(belt["x"])
+        at_end_m = now_m + travel_m(belt, end_s - t_s)
+        return self.planners[side].reach(end_s, at_end_m, now_m + to_rest_m(belt))
 
 
 def _ns(t_s: float) -> int:

@@ -6,6 +6,7 @@ has its own slope, noise and aim (:mod:`fes.stimulation.tuning.run_to_run`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -64,6 +65,13 @@ class Responses:
 def leading(demands: tuple[Demand, ...]) -> Demand:
     """The demand that a change is for: the greatest, or, where nothing is missing, the greatest excess."""
     return demands[0] if demands[0].error > 0.0 else min(demands, key=lambda demand: demand.step)
+
+
+def room(demands: tuple[Demand, ...]) -> float:
+    """How much drive may be added before another measure than the leading one leaves its band at the high end."""
+    return min(
+        (max((1.0 - demand.noise - demand.usual) / demand.slope, 0.0) for demand in demands[1:]), default=math.inf
+    )
 
 
 def reason(demand: Demand, *, other_way: bool = False, stand_in: str = "") -> str:

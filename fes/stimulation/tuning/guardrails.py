@@ -38,6 +38,15 @@ def limited(before: BurstParameters, wanted: BurstParameters, tuning: Tuning) ->
     )
 
 
+def used(parameters: BurstParameters, tuning: Tuning) -> float:
+    """Share of the intensity's upper bound that is in use where the burst is strongest; 1 without bounds."""
+    if tuning.bounds is None:
+        return 1.0
+    if tuning.method == "run_to_run":
+        return parameters.current_ma / tuning.bounds.current_ma.high
+    return max(parameters.widths_us) / tuning.bounds.pulse_width_us.high
+
+
 def _step(before: float, wanted: float, most: float, quantum: float, bounds: Bounds) -> float:
     """``wanted`` on the grid of ``quantum`` (or of ``most``, where that is finer), no further than ``most`` away."""
     change = min(max(wanted - before, -most), most)

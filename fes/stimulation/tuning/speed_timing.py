@@ -2,9 +2,12 @@
 
 A trapezoid that rises while the heel does must have the foot up as the toe begins to pass low, a quarter of the swing
 after foot off, and its current up at foot off at the latest; a quick swing needs it earlier, for the muscle does not
-hurry. Past contact it must let the foot down, which takes as long as the loading response does. All last a share of the
-stride that hardly differs from stride to stride, while the stride's duration follows the speed: so the next stride's
-are the usual shares of the newest duration.
+hurry. While what is asked for is reached with intensity to spare, the start is put off, step by step, until the foot is
+up a third of the swing after foot off: of every pulse, what lies below the muscle's threshold is charge for nothing, so
+later and stronger costs less. Past contact it must let the foot down, which takes as long as the loading response does;
+the force outlives the pulses, so these end sooner by that. All last a share of the stride that hardly differs from
+stride to stride, while the stride's duration follows the speed: so the next stride's are the usual shares of the newest
+duration.
 """
 
 from __future__ import annotations
@@ -18,7 +21,11 @@ from fes.signals import NS_PER_S, StrideResult
 REMEMBERED: Final = 6
 NEEDED: Final = 3
 FORCE_S: Final = 0.15  # from the end of the rise until the foot is up: delay, activation, and the foot's own inertia
-LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low
+OUTLIVES_S: Final = 0.10  # by which force outlives the pulses: delay 20–50 ms, then the activation's own fall, 60 ms
+LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low …
+LATEST: Final = 0.35  # … and here the foot must be up, where the intensity suffices for so late a start
+SPENT: Final = 0.99  # of the intensity's bound: from there on only an earlier start can give more
+PATIENCE: Final = 0.25  # of the way from the one to the other, with one stride
 SPREADS: Final = 1.5  # strides whose foot leaves early must find the current up as well
 
 
@@ -29,6 +36,19 @@ class SpeedTiming:
         self._shares: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED)
         self._duration_s = 0.0
         self._speed_mps = 0.0
+        self._late = 0.0  # 0 … 1: how far the start has been put off
+
+    def put_off(self, missing: float, used: float) -> None:
+        """Let the start come later, or sooner again.
+
+        Args:
+            missing: > 0 when more stimulation is needed, 0 when it suffices.
+            used: share of the intensity's bound in use.
+        """
+        if missing > 0.0 and used >= SPENT:
+            self._late = max(self._late - PATIENCE, 0.0)
+        elif missing <= 0.0:
+            self._late = min(self._late + PATIENCE, 1.0)
 
     def add(self, stride: StrideResult) -> None:
         """A valid stride; one that did not pass all phases says nothing."""
@@ -58,14 +78,17 @@ class SpeedTiming:
         spread = 1.4826 * median(abs(share - usual) for share in pre)
         pre_swing_s = max(usual - SPREADS * spread, 0.0) * self._duration_s
         swing_s = median(share for _, share, _ in self._shares) * self._duration_s
-        up_s = pre_swing_s + min(LOW_FROM * swing_s - FORCE_S, 0.0)
+        first_s = min(LOW_FROM * swing_s - FORCE_S, 0.0)
+        last_s = max(LATEST * swing_s - FORCE_S, first_s)
+        up_s = pre_swing_s + first_s + self._late * (last_s - first_s)
         delay_s = max(up_s - rise_s, 0.0) if start_phase == "pre_swing" else 0.0
         loading_s = median(share for _, _, share in self._shares) * self._duration_s
-        return delay_s, max(loading_s - fall_s, 0.0)
+        return delay_s, max(loading_s - fall_s - OUTLIVES_S, 0.0)
 
     def reason(self) -> str:
         """Why, in words."""
+        up = ", as late as it suffices" if self._late else ""
         return (
             f"timing follows the speed ({self._speed_mps:.1f} m/s, stride {self._duration_s:.2f} s): current up as the "
-            "toe leaves the ground, down as the foot lies flat"
+            f"toe leaves the ground{up}, force gone as the foot lies flat"
         )

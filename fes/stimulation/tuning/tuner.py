@@ -11,8 +11,8 @@ from typing import Final
 from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.demand import Demand, Responses, leading, reason
-from fes.stimulation.tuning.guardrails import Watch, limited, outside
+from fes.stimulation.tuning.demand import Demand, Responses, leading, reason, room
+from fes.stimulation.tuning.guardrails import Watch, limited, outside, used
 from fes.stimulation.tuning.learning import Zones, next_profile, zones_of
 from fes.stimulation.tuning.reports import Kind, TuningReport, difference
 from fes.stimulation.tuning.response import Response
@@ -200,12 +200,15 @@ class Tuner:
         if self._settle and abs(error) < NEAR_AIM and outside(reading.level) == 0.0:
             error = 0.0
         self._settle = max(self._settle - 1, 0)
+        if not self._hold:
+            self._timing.put_off(demands[0].error, used(before, self.tuning))
         wanted = self._timed(before)
         if error and other_way:
             error = -error
             wanted = self._lessened(wanted, error)
         elif error and self.tuning.method == "run_to_run":
-            wanted_ma = (drive + self.tuning.gain * worst.step) / intensity * self.start.current_ma
+            step = min(self.tuning.gain * worst.step, room(demands))
+            wanted_ma = (drive + step) / intensity * self.start.current_ma
             wanted = replace(wanted, current_ma=wanted_ma)
         elif error and zones is not None:
             wanted = self._reshaped(wanted, demands, zones, intensity)
