@@ -406,6 +406,15 @@ def test_due_speaks_up_exactly_when_a_channel_goes_on_or_off() -> None:
     assert [walk.plan.due(t_ms * MS, 1.0) for t_ms in (200, 260, 357, 358, 400)] == [False, False, False, True, True]
 
 
+def test_a_burst_that_rises_is_due_when_it_reaches_its_first_step() -> None:
+    """It was asked for before there was anything to send."""
+    walk = Walk(make_channel())
+    walk.enter(PRE_SWING)
+    assert walk.current(0) == 0.0
+    assert walk.current(1) == 0.0
+    assert [walk.plan.due(t_ms * MS, 1.0) for t_ms in (1, 2, 3, 4)] == [False, False, True, True]
+
+
 def test_due_changes_nothing() -> None:
     asked, unasked = Walk(), Walk()
     for walk in (asked, unasked):
