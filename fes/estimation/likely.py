@@ -4,8 +4,7 @@ Negård et al. (2005) let an artificial accelerometer bias absorb all that is le
 left over has several causes: tilt at the start, biases of gyroscope and accelerometer, noise of both, which grows where
 the sensor is jolted or turned fast, and a foot that is not quite at rest at the ends. Each has its size
 (``fes.estimation.likely_noise``), and the most likely set of errors is found that explains what is known: velocity (3)
-and height (1) at the end, the direction of gravity at the end (2) and at the start (2). Eight equations, solved in
-their dual form; the inputs are corrected and integrated again.
+and height (1) at the end, gravity's direction at the end (2) and the start (2): eight equations, in their dual form.
 
 A jump of the specific force by more than ``jolt_mps3`` between samples is a contact that clips the sensor, or that it
 is too slow for: what it measured there is nearly worthless, and the correction goes there first.
