@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.compiled import jit
+from fes.estimation.stride_ends import rows_before
 from fes.estimation.stride_time import UNSEEN_NS
 
 LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
@@ -17,14 +18,7 @@ MOST_DRIFT_M = 0.05  # what differs by more was no drift: a stumble, a kerb, ano
 @jit
 def index_at(t_ns: Any, at_ns: int) -> int:
     """The sample of (N,) at or after a time, the last if there is none."""
-    low, high = 0, t_ns.shape[0] - 1
-    while low < high:
-        middle = (low + high) // 2
-        if t_ns[middle] < at_ns:
-            low = middle + 1
-        else:
-            high = middle
-    return low
+    return rows_before(t_ns, t_ns.shape[0] - 1, at_ns)
 
 
 @jit
