@@ -19,11 +19,10 @@ from typing import Final
 
 from cantools.database.can import Database, Message, Signal
 
-from drivers.imu.port import LineCounts, Ranges, RawSample, SensorDevice, flag_option, text_option, whole_option
+from drivers.imu.port import AXES, LineCounts, Ranges, RawSample, SensorDevice, flag_option, text_option, whole_option
 from drivers.imu.stamps import LossCounter, StampClock, Unwrapper
 from fes.signals import G_MPS2, NS_PER_S
 
-AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
 ACC_UNITS: Final = {"m/s2": 1.0, "m/s^2": 1.0, "g": G_MPS2}
 GYR_UNITS: Final = {"rad/s": 1.0, "deg/s": math.radians(1.0)}
 TIME_UNITS: Final = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}

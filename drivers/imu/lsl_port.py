@@ -11,8 +11,8 @@ import importlib
 import math
 from typing import Any, Final
 
-from drivers.imu.can_codec import ACC_UNITS, AXES, GYR_UNITS
-from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, seconds_option, text_option
+from drivers.imu.can_codec import ACC_UNITS, GYR_UNITS
+from drivers.imu.port import AXES, ImuLost, LineCounts, Ranges, RawSample, SensorDevice, seconds_option, text_option
 from drivers.imu.stamps import LossCounter
 from fes.signals import NS_PER_S
 

@@ -5,10 +5,17 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 
-from drivers.imu.port import ImuLost, ImuPort, SensorDevice, flag_option
+from drivers.imu.port import AXES, ImuLost, ImuPort, SensorDevice, flag_option
 from fes.config import Bus
 
 ON_CAN = ("xsens_can", "dbc_can")
+OPTIONS = {
+    "xbus": ("baudrate", "configure"),
+    "xsens_can": ("id_offset", "group_counter"),
+    "dbc_can": ("dbc", *AXES, "time", "counter", "acc_unit", "gyr_unit", "time_unit", "id_offset"),
+    "ximu3": ("baudrate", "library"),
+    "lsl": (*AXES, "acc_unit", "gyr_unit", "timeout_s"),
+}  # that each kind of device has
 
 
 def open_imus(sensors: Sequence[SensorDevice], bus: Bus | None = None) -> list[ImuPort]:
@@ -38,6 +45,7 @@ def _plan(sensors: Sequence[SensorDevice], bus: Bus) -> list[Callable[[], ImuPor
     plan: list[Callable[[], ImuPort]] = []
     buses: dict[str, list[SensorDevice]] = {}
     for device in sensors:
+        _has_its_options(device)
         if device.device not in ON_CAN:
             plan.append(_serial(device))
         elif device.port in buses:
@@ -46,6 +54,15 @@ def _plan(sensors: Sequence[SensorDevice], bus: Bus) -> list[Callable[[], ImuPor
             buses[device.port] = [device]
             plan.append(_can(buses[device.port], device, bus))
     return plan
+
+
+def _has_its_options(device: SensorDevice) -> None:
+    """A misspelt option would leave the sensor at its default, such as a unit, without a word."""
+    known = OPTIONS.get(device.device, ())
+    if unknown := sorted(device.options.keys() - set(known)):
+        raise ValueError(
+            f"{device.sensor}: device {device.device!r} has no option {', '.join(unknown)}; it has {', '.join(known)}"
+        )
 
 
 def _can(group: list[SensorDevice], device: SensorDevice, bus: Bus) -> Callable[[], ImuPort]:

@@ -8,6 +8,7 @@ from typing import Final, Protocol
 
 from fes.signals import G_MPS2, Vector3
 
+AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")  # as options name them
 BEYOND_RANGE: Final = 1.05  # a sensor's own calibration may stretch its full scale a little, not more
 _NAN: Final = (math.nan, math.nan, math.nan)
 

@@ -142,6 +142,20 @@ def test_nobody_there() -> None:
         open_imus([settings("xbus", "/dev/nothing", rate_hz=1000.0)])
 
 
+@pytest.mark.parametrize(
+    ("kind", "option", "has"),
+    [
+        ("xbus", "baud", "baudrate, configure"), ("ximu3", "libary", "library"), ("lsl", "acc_units", "acc_unit"),
+        ("dbc_can", "acc_units", "acc_unit"), ("xsens_can", "acc_unit", "id_offset, group_counter"),
+    ],
+)  # fmt: skip
+def test_an_option_that_the_device_has_not_is_refused_before_any_line_is_opened(
+    kind: str, option: str, has: str
+) -> None:
+    with pytest.raises(ValueError, match=rf"right_foot: device '{kind}' has no option {option}; it has .*{has}"):
+        open_imus([settings(kind, "/dev/nothing", **{option: "g"})])
+
+
 @pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")
 def test_two_sensors_on_one_can_bus() -> None:
     bus = free_bus()
