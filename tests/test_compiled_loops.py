@@ -9,7 +9,7 @@ import pytest
 
 from fes.estimation.rest_kernel import least_spread, stillest
 from fes.estimation.stride_shape import stride_shape
-from fes.estimation.zupt_covariance import BIASES, STATES, WIDTH, carry_one, predict, update
+from fes.estimation.zupt_covariance import BIASES, STATES, WIDTH, carry_one, predict, update, update_velocity
 
 RNG = np.random.default_rng(11)
 
@@ -53,6 +53,23 @@ def test_prediction_and_measurement_are_those_of_matrices() -> None:
     assert after[:, :STATES] == pytest.approx(wanted - np.outer(wanted[4], wanted[4]) / variance, abs=1e-10)
     assert np.array_equal(after[:, :STATES], after[:, :STATES].T)
     assert not after[:, STATES].any()
+
+
+def test_a_velocity_measured_at_once_is_as_one_axis_after_the_other() -> None:
+    half = RNG.normal(0.0, 1.0, (STATES, STATES))
+    one = np.ascontiguousarray(np.pad(half @ half.T, ((0, 0), (0, 1)))).ravel()
+    at_once, state, wanted, off = one.copy(), np.empty(STATES), np.zeros(STATES), RNG.normal(0.0, 1.0, 3)
+    residual, variance, gains = off.copy(), np.empty(3), np.empty(6 * WIDTH)
+    update_velocity(at_once, state, residual, 0.2, variance, gains)
+    for j in range(3):
+        left, gain = off[j] - wanted[3 + j], np.empty(WIDTH)
+        assert update(one, wanted, 3 + j, left, 0.2, np.empty(WIDTH), gain) == pytest.approx(variance[j])
+        assert residual[j] == pytest.approx(left)
+        assert gains[j * WIDTH : j * WIDTH + STATES] == pytest.approx(gain[:STATES])
+    assert state == pytest.approx(wanted)
+    assert at_once == pytest.approx(one, abs=1e-12)
+    after = at_once.reshape(STATES, WIDTH)[:, :STATES]
+    assert np.array_equal(after, after.T)
 
 
 def test_a_strides_shape_is_interpolated_and_turned() -> None:

@@ -25,7 +25,7 @@ NO_BIAS = (0.0, 0.0, 0.0)
 def transition(r: FloatArray, f: FloatArray, dt: float) -> FloatArray:
     phi = np.eye(STATES)
     for column in phi:
-        carry_one(column, column, r, f, dt)
+        carry_one(column, 0, r[None], f[None], dt)
     return phi.T
 
 
@@ -69,7 +69,7 @@ def test_prediction_is_that_of_matrices_and_the_adjoint_its_transpose() -> None:
     P = np.zeros((STATES, WIDTH))
     P[:, :STATES] = root @ root.T
     wanted, flat = phi @ P[:, :STATES] @ phi.T, P.ravel().copy()
-    predict(flat, np.empty(BIASES * WIDTH), r, f, dt)
+    predict(flat, np.empty(BIASES * WIDTH), 0, r[None], f[None], dt)
     found = flat.reshape(STATES, WIDTH)[:, :STATES]
     assert found == pytest.approx(wanted, abs=1e-10)
     assert np.array_equal(found, found.T)
@@ -89,12 +89,12 @@ def test_a_steps_noise_is_that_of_its_samples() -> None:
     steps = steps_of(t_ns, acc, gyr, none, none, rest, NO_BIAS)
     gather(t_ns, acc, gyr, none, none, *NO_BIAS, p, steps)
     assert steps.ends.tolist() == [0, 9]
-    q, m, f = np.zeros(16), np.eye(3), np.zeros((3, 3))
-    f[0], f[1] = steps.push[1], steps.shift[1]
-    f[2] = f[0] - f[1] / (9 * dt)
+    q, m, f = np.zeros((2, 16)), np.eye(3).ravel(), np.zeros((2, 3, 3))
+    f[1, 0], f[1, 1] = steps.push[1], steps.shift[1]
+    f[1, 2] = f[1, 0] - f[1, 1] / (9 * dt)
     step_noise(1, steps, m, f, 9 * dt, p, q)
     at_once = np.zeros(STATES * WIDTH)
-    add_noise(at_once, q, 9 * dt, p)
+    add_noise(at_once, 1, q, 9 * dt, p)
 
     one_by_one, scratch = np.zeros(STATES * WIDTH), np.empty(BIASES * WIDTH)
     turn = np.eye(3)
@@ -119,7 +119,7 @@ def test_a_steps_noise_is_that_of_its_samples() -> None:
     assert places[0] == pytest.approx(places[1], rel=0.05)
 
     adjoint, x = rng.normal(size=(2, STATES)), np.zeros(STATES)
-    spread_noise(0, x, q[None], adjoint, 9 * dt, p)
+    spread_noise(0, x, q[1:], adjoint, 9 * dt, p)
     assert x == pytest.approx(-at_once.reshape(STATES, WIDTH)[:, :STATES] @ adjoint[0], rel=1e-9)
 
 

@@ -53,3 +53,17 @@ setattr(numba.config, "CACHE_DIR", str(_cache_folder()))  # noqa: B010 - numba f
 def jit(function: Function) -> Function:
     """Compile for plain numbers and arrays: cached on disk, IEEE arithmetic in the order written, no GIL held."""
     return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True)(function))
+
+
+def inlined(function: Function) -> Function:
+    """As :func:`jit`, for a few lines of arithmetic that become part of what calls them: no call that could fail."""
+    return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True, inline="always")(function))
+
+
+def jit_ieee(function: Function) -> Function:
+    """As :func:`jit`, but that x / 0 is infinite as in IEEE, and no error.
+
+    Where nothing in a function can fail, neither a division nor a call, its arrays need not be counted in and out: a
+    locked instruction for each of them, which costs more than the arithmetic of one step of a filter.
+    """
+    return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True, error_model="numpy")(function))

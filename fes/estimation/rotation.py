@@ -7,29 +7,46 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import inlined, jit
 from fes.signals import FloatArray
 
 
-@jit
+SMALL_TURN2 = 0.25  # rad²: below, the series of half_turn lack less than the last bit
+NEARLY_ONE = 1e-8
+
+
+@inlined
+def half_turn(angle2: float) -> tuple[float, float]:
+    """``cos(a/2)`` and ``sin(a/2) / a`` of the squared angle ``a²``; turns between samples are small, and fast here."""
+    if angle2 < SMALL_TURN2:
+        x = 0.25 * angle2
+        c = 1.0 + x * (
+            -1 / 2 + x * (1 / 24 + x * (-1 / 720 + x * (1 / 40320 + x * (-1 / 3628800 + x * (1 / 479001600)))))
+        )
+        s = 1.0 + x * (-1 / 6 + x * (1 / 120 + x * (-1 / 5040 + x * (1 / 362880 + x * (-1 / 39916800)))))
+        return c, 0.5 * s
+    angle = math.sqrt(angle2)
+    return math.cos(0.5 * angle), math.sin(0.5 * angle) / angle
+
+
+@inlined
 def quaternion_step(
     qw: float, qx: float, qy: float, qz: float, rx: float, ry: float, rz: float
 ) -> tuple[float, float, float, float]:
     """``q ⊗ exp(r/2)``: turn by the rotation vector ``r`` (rad) given in the sensor frame; normalised."""
-    angle = math.sqrt(rx * rx + ry * ry + rz * rz)
-    half = 0.5 * angle
-    s = math.sin(half) / angle if angle > 1e-9 else 0.5
-    c = math.cos(half)
+    c, s = half_turn(rx * rx + ry * ry + rz * rz)
     ax, ay, az = s * rx, s * ry, s * rz
     w = qw * c - qx * ax - qy * ay - qz * az
     x = qw * ax + qx * c + qy * az - qz * ay
     y = qw * ay - qx * az + qy * c + qz * ax
     z = qw * az + qx * ay - qy * ax + qz * c
-    n = 1.0 / math.sqrt(w * w + x * x + y * y + z * z)
+    square = w * w + x * x + y * y + z * z
+    # what was of length one is so but for rounding, of which one of Newton's steps leaves nothing
+    n = 1.5 - 0.5 * square if abs(square - 1.0) < NEARLY_ONE else 1.0 / math.sqrt(square)
     return w * n, x * n, y * n, z * n
 
 
-@jit
+@inlined
 def to_world(qw: float, qx: float, qy: float, qz: float, vx: float, vy: float, vz: float) -> tuple[float, float, float]:
     """Rotate a sensor vector into the world."""
     tx = 2.0 * (qy * vz - qz * vy)
@@ -42,7 +59,7 @@ def to_world(qw: float, qx: float, qy: float, qz: float, vx: float, vy: float, v
     )
 
 
-@jit
+@inlined
 def to_sensor(
     qw: float, qx: float, qy: float, qz: float, vx: float, vy: float, vz: float
 ) -> tuple[float, float, float]:
@@ -50,7 +67,7 @@ def to_sensor(
     return to_world(qw, -qx, -qy, -qz, vx, vy, vz)
 
 
-@jit
+@inlined
 def axes_in_world(
     w: float, x: float, y: float, z: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:

@@ -14,10 +14,11 @@ knows, so that most of the work is done for eight elements at a time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit, jit_ieee
 
 STATES = 15
 BIASES = 9  # where they begin
@@ -68,7 +69,7 @@ _carry_columns = carrier(WIDTH, 1, WIDTH, 1, WIDTH)
 _carry_rows = carrier(1, WIDTH, WIDTH, 1, BIASES)  # what goes in as a row comes out as a column
 
 
-@jit
+@jit_ieee
 def predict(P: Any, half: Any, r: Any, f: Any, dt: float) -> None:
     """``P ← Φ P Φᵀ`` for a symmetric ``P``, 15 rows of 16 in flat storage (the last column fills the registers).
 
@@ -83,7 +84,7 @@ def predict(P: Any, half: Any, r: Any, f: Any, dt: float) -> None:
             P[a * WIDTH + b] = P[b * WIDTH + a] = half[a * WIDTH + b]
 
 
-@jit
+@jit_ieee
 def update(P: Any, x: Any, j: int, residual: float, variance: float, row: Any, gain: Any) -> float:
     """One scalar measurement of state ``j``; returns the residual's variance.
 
@@ -102,3 +103,42 @@ def update(P: Any, x: Any, j: int, residual: float, variance: float, row: Any, g
         for a in range(STATES):
             P[a * WIDTH + b] -= s * (gain[a] * of_b)
     return float(s)
+
+
+@jit_ieee
+def update_velocity(P: Any, x: Any, residual: Any, variance: float, var: Any, gain: Any) -> None:
+    """Three measurements of the states 3, 4, 5, as one after the other by :func:`update`, but for rounding.
+
+    ``residual`` (3,) is that of a state of zero, and on return of each measurement that after those before it;
+    ``var`` (3,) is filled with their variances, ``gain`` (6, 16), flat, with the gains and then with these times the
+    roots of the variances. ``x`` is filled. ``P`` is gone through once.
+    """
+    j, k, n = 3 * WIDTH, 4 * WIDTH, 5 * WIDTH
+    p34, p35 = P[j + 4], P[j + 5]
+    s0 = P[j + 3] + variance
+    i0 = 1.0 / s0
+    l10, l20 = p34 * i0, p35 * i0
+    s1 = P[k + 4] + variance - l10 * p34
+    i1 = 1.0 / s1
+    row15 = P[k + 5] - l10 * p35
+    l21 = row15 * i1
+    s2 = P[n + 5] + variance - l20 * p35 - l21 * row15
+    i2 = 1.0 / s2
+    e0 = residual[0]
+    e1 = residual[1] - l10 * e0
+    e2 = residual[2] - l20 * e0 - l21 * e1
+    residual[1], residual[2] = e1, e2
+    var[0], var[1], var[2] = s0, s1, s2
+    h0, h1, h2 = math.sqrt(i0), math.sqrt(i1), math.sqrt(i2)
+    for b in range(WIDTH):
+        row0 = P[j + b]
+        row1 = P[k + b] - l10 * row0
+        row2 = P[n + b] - l20 * row0 - l21 * row1
+        gain[b], gain[WIDTH + b], gain[2 * WIDTH + b] = row0 * i0, row1 * i1, row2 * i2
+        gain[3 * WIDTH + b], gain[4 * WIDTH + b], gain[5 * WIDTH + b] = row0 * h0, row1 * h1, row2 * h2
+    for a in range(STATES):
+        x[a] = gain[a] * e0 + gain[WIDTH + a] * e1 + gain[2 * WIDTH + a] * e2
+    for b in range(WIDTH):  # as in update
+        g0, g1, g2 = gain[3 * WIDTH + b], gain[4 * WIDTH + b], gain[5 * WIDTH + b]
+        for a in range(STATES):
+            P[a * WIDTH + b] -= gain[3 * WIDTH + a] * g0 + gain[4 * WIDTH + a] * g1 + gain[5 * WIDTH + a] * g2

@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.estimation.rotation import from_gravity, to_world
-from fes.estimation.zupt_covariance import BIASES, DIAGONAL, STATES, WIDTH, update
+from fes.estimation.zupt_covariance import BIASES, DIAGONAL, STATES, WIDTH, update, update_velocity
 from fes.estimation.zupt_kernel import MEASURED, ZuptSettings, creep_velocity, start_variances, turned
 from fes.estimation.zupt_step_covariance import add_noise, predict, step_noise
 from fes.estimation.zupt_steps import Steps, matrix
@@ -54,36 +54,43 @@ def new_step_tape(steps: int, resting: int) -> StepTape:
     )
 
 
-@jit
+@jit_ieee
 def _carry_state(
     k: int, dt: float, steps: Steps, m: Any, r: Any, f: Any, s: Any, v: Any, q: Any, bg: Any, ba: Any
 ) -> None:
     """Strapdown over step ``k``: position, velocity and orientation, in place.
 
-    Receive what the errors' way needs, in the world: ``m`` (3, 3) the orientation before, ``r`` (3, 3) its integral,
-    ``f`` (3, 3) push, shift, and how much of the push is late.
+    Receive what the errors' way needs, in the world: ``m`` (9,) the orientation before, and rows ``k`` of ``r``
+    (K, 3, 3) its integral, ``f`` (K, 3, 3) push, shift, and how much of the push is late.
     """
-    matrix(q[0], q[1], q[2], q[3], m)
-    for a in range(3):
-        f[0, a] = m[a, 0] * steps.push[k, 0] + m[a, 1] * steps.push[k, 1] + m[a, 2] * steps.push[k, 2]
-        f[1, a] = m[a, 0] * steps.shift[k, 0] + m[a, 1] * steps.shift[k, 1] + m[a, 2] * steps.shift[k, 2]
-        f[2, a] = f[0, a] - f[1, a] / dt
-        for b in range(3):
-            r[a, b] = m[a, 0] * steps.mean[k, 0, b] + m[a, 1] * steps.mean[k, 1, b] + m[a, 2] * steps.mean[k, 2, b]
-    hx = r[0, 0] * bg[0] + r[0, 1] * bg[1] + r[0, 2] * bg[2]
-    hy = r[1, 0] * bg[0] + r[1, 1] * bg[1] + r[1, 2] * bg[2]
-    hz = r[2, 0] * bg[0] + r[2, 1] * bg[1] + r[2, 2] * bg[2]
-    f[0, 0] += f[2, 1] * hz - f[2, 2] * hy
-    f[0, 1] += f[2, 2] * hx - f[2, 0] * hz
-    f[0, 2] += f[2, 0] * hy - f[2, 1] * hx
-    for a in range(3):
-        e = r[a, 0] * ba[0] + r[a, 1] * ba[1] + r[a, 2] * ba[2]
-        f[0, a] -= e
-        f[1, a] -= 0.5 * dt * e
-        g = G_MPS2 if a == 2 else 0.0
-        s[a] += dt * (v[a] - 0.5 * dt * g) + f[1, a]
-        v[a] += f[0, a] - dt * g
     w, x, y, z = q[0], q[1], q[2], q[3]
+    m0, m1, m2, m3, m4, m5, m6, m7, m8 = matrix(w, x, y, z)
+    m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8] = m0, m1, m2, m3, m4, m5, m6, m7, m8
+    px, py, pz = steps.push[k, 0], steps.push[k, 1], steps.push[k, 2]
+    b0, b1, b2 = m0 * px + m1 * py + m2 * pz, m3 * px + m4 * py + m5 * pz, m6 * px + m7 * py + m8 * pz
+    px, py, pz = steps.shift[k, 0], steps.shift[k, 1], steps.shift[k, 2]
+    a0, a1, a2 = m0 * px + m1 * py + m2 * pz, m3 * px + m4 * py + m5 * pz, m6 * px + m7 * py + m8 * pz
+    per = 1.0 / dt
+    c0, c1, c2 = b0 - a0 * per, b1 - a1 * per, b2 - a2 * per
+    hx = hy = hz = ex = ey = ez = 0.0
+    for j in range(3):
+        tx, ty, tz = steps.mean[k, 0, j], steps.mean[k, 1, j], steps.mean[k, 2, j]
+        tx, ty, tz = m0 * tx + m1 * ty + m2 * tz, m3 * tx + m4 * ty + m5 * tz, m6 * tx + m7 * ty + m8 * tz
+        r[k, 0, j], r[k, 1, j], r[k, 2, j] = tx, ty, tz
+        hx, hy, hz = hx + tx * bg[j], hy + ty * bg[j], hz + tz * bg[j]
+        ex, ey, ez = ex + tx * ba[j], ey + ty * ba[j], ez + tz * ba[j]
+    b0, b1, b2 = b0 + (c1 * hz - c2 * hy) - ex, b1 + (c2 * hx - c0 * hz) - ey, b2 + (c0 * hy - c1 * hx) - ez
+    half = 0.5 * dt
+    a0, a1, a2 = a0 - half * ex, a1 - half * ey, a2 - half * ez
+    f[k, 0, 0], f[k, 0, 1], f[k, 0, 2] = b0, b1, b2
+    f[k, 1, 0], f[k, 1, 1], f[k, 1, 2] = a0, a1, a2
+    f[k, 2, 0], f[k, 2, 1], f[k, 2, 2] = c0, c1, c2
+    s[0] += dt * v[0] + a0
+    s[1] += dt * v[1] + a1
+    s[2] += dt * (v[2] - half * G_MPS2) + a2
+    v[0] += b0
+    v[1] += b1
+    v[2] += b2 - dt * G_MPS2
     tw, tx, ty, tz = steps.turn[k, 0], steps.turn[k, 1], steps.turn[k, 2], steps.turn[k, 3]
     q[0] = w * tw - x * tx - y * ty - z * tz
     q[1] = w * tx + x * tw + y * tz - z * ty
@@ -92,7 +99,7 @@ def _carry_state(
     turned(q, -hx, -hy, -hz, q)
 
 
-@jit
+@jit_ieee
 def forward_steps(
     t_ns: Any,
     gyr: Any,
@@ -114,11 +121,12 @@ def forward_steps(
     sample_ns = (t_ns[ends[count - 1]] - t_ns[0]) / (ends[count - 1])
     P = np.zeros(STATES * WIDTH)
     half = np.empty(BIASES * WIDTH)
-    x, row, gain = np.zeros(STATES), np.empty(WIDTH), np.empty(WIDTH)
+    x, row, gain = np.zeros(STATES), np.empty(WIDTH), np.empty(6 * WIDTH)
+    error, var = np.empty(3), np.empty(3)
     start_variances(rest[0], p, x)
     for j in range(STATES):
         P[j * DIAGONAL] = x[j]
-    q, m, r, f, noise = np.empty(4), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty(ADDED)
+    q, m, r, f = np.empty(4), np.empty(9), tape.mean, tape.push
     q[0], q[1], q[2], q[3] = from_gravity(start_force[0], start_force[1], start_force[2])
     bg, ba, v, s = np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     anchor, creep = np.zeros(2), np.zeros(2)  # where the last rest ended; how the foot creeps in this one
@@ -128,18 +136,13 @@ def forward_steps(
         if k > 0:
             dt = 1e-9 * (t_ns[i] - t_ns[ends[k - 1]])
             _carry_state(k, dt, steps, m, r, f, s, v, q, bg, ba)
-            step_noise(k, steps, m, f, dt, p, noise)
+            step_noise(k, steps, m, f, dt, p, tape.added)
             if rest[i] and 1e-9 * (t_ns[i] - rest_began_ns) > p.creep_s and measured_ns > rest_began_ns:
                 # whoever stands seems to accelerate by noise alone, which tells no heading
                 for j in range(3):
-                    f[j, 0] = f[j, 1] = 0.0
-            predict(P, half, r, f, dt)
-            add_noise(P, noise, dt, p)
-            for a in range(3):
-                for b in range(3):
-                    tape.mean[k, a, b], tape.push[k, a, b] = r[a, b], f[a, b]
-            for j in range(ADDED):
-                tape.added[k, j] = noise[j]
+                    f[k, j, 0] = f[k, j, 1] = 0.0
+            predict(P, half, k, r, f, dt)
+            add_noise(P, k, tape.added, dt, p)
         else:
             tape.added[k, ADDED - 1] = 0.0
         tape.slot[k] = -1
@@ -179,19 +182,19 @@ def forward_steps(
             alike = max(2e9 * p.rest_correlation_s / stands_ns, 1.0)
             spread *= alike
             tape.slot[k] = measured
-            for j in range(STATES):
-                x[j] = 0.0
-            tape.residual_var[measured, 3] = 0.0
-            for j in range(4 if level else 3):
-                if j == 3:
-                    state, error, var = 2, -s[2] - x[2], alike * p.rest_height_m * p.rest_height_m
-                else:
-                    state, var = 3 + j, spread
-                    error = (ex if j == 0 else ey if j == 1 else ez) - v[j] - x[3 + j]
-                tape.residual[measured, j] = error
-                tape.residual_var[measured, j] = update(P, x, state, error, var, row, gain)
+            error[0], error[1], error[2] = ex - v[0], ey - v[1], ez - v[2]
+            update_velocity(P, x, error, spread, var, gain)
+            for j in range(3):
+                tape.residual[measured, j], tape.residual_var[measured, j] = error[j], var[j]
                 for a in range(STATES):
-                    tape.gain[measured, j, a] = gain[a]
+                    tape.gain[measured, j, a] = gain[j * WIDTH + a]
+            tape.residual_var[measured, 3] = 0.0
+            if level:
+                height, doubt = -s[2] - x[2], alike * p.rest_height_m * p.rest_height_m
+                tape.residual[measured, 3] = height
+                tape.residual_var[measured, 3] = update(P, x, 2, height, doubt, row, gain)
+                for a in range(STATES):
+                    tape.gain[measured, 3, a] = gain[a]
             measured += 1
             for j in range(3):
                 s[j] += x[j]

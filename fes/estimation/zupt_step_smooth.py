@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.estimation.rotation import quaternion_step, to_sensor
 from fes.estimation.zupt_covariance import STATES
 from fes.estimation.zupt_kernel import MEASURED, ZuptSettings, start_variances
@@ -17,7 +17,7 @@ from fes.estimation.zupt_step_covariance import carry_one, spread_noise
 from fes.estimation.zupt_step_filter import ADDED, StepTape
 
 
-@jit
+@jit_ieee
 def _carry_back(k: int, x: Any, r: Any, f: Any, dt: float) -> None:
     """``λ ← Φᵀ λ`` for the adjoint (15,) over step ``k``."""
     p0, p1, p2, v0, v1, v2 = x[0], x[1], x[2], x[3], x[4], x[5]
@@ -34,7 +34,7 @@ def _carry_back(k: int, x: Any, r: Any, f: Any, dt: float) -> None:
     x[3], x[4], x[5] = v0 + dt * p0, v1 + dt * p1, v2 + dt * p2
 
 
-@jit
+@jit_ieee
 def _adjoints(t_ns: Any, ends: Any, tape: StepTape, out: Any) -> None:
     """The adjoint (K, 15) before each step's measurement: what all that follows says of the error there."""
     x = np.zeros(STATES)
@@ -54,23 +54,20 @@ def _adjoints(t_ns: Any, ends: Any, tape: StepTape, out: Any) -> None:
             _carry_back(k, x, tape.mean, tape.push, 1e-9 * (t_ns[ends[k]] - t_ns[ends[k - 1]]))
 
 
-@jit
+@jit_ieee
 def smooth_steps(t_ns: Any, ends: Any, at_rest: bool, p: ZuptSettings, tape: StepTape) -> None:
     """Smoothing, in place, of position, velocity and orientation that ``forward_steps`` left."""
     count = ends.shape[0]
     adjoint = np.empty((count, STATES))
     _adjoints(t_ns, ends, tape, adjoint)
-    dx, start, r, f = np.zeros(STATES), np.empty(STATES), np.empty((3, 3)), np.empty((3, 3))
+    dx, start = np.zeros(STATES), np.empty(STATES)
     start_variances(at_rest, p, start)
     for a in range(STATES):
         dx[a] = -start[a] * adjoint[0, a]
     for k in range(count):
         if k > 0:
             dt = 1e-9 * (t_ns[ends[k]] - t_ns[ends[k - 1]])
-            for a in range(3):
-                for b in range(3):
-                    r[a, b], f[a, b] = tape.mean[k, a, b], tape.push[k, a, b]
-            carry_one(dx, dx, r, f, dt)
+            carry_one(dx, k, tape.mean, tape.push, dt)
             spread_noise(k, dx, tape.added, adjoint, dt, p)
         lost = tape.added[k, ADDED - 1]
         if lost > 0.0:
@@ -93,7 +90,7 @@ def smooth_steps(t_ns: Any, ends: Any, at_rest: bool, p: ZuptSettings, tape: Ste
         tape.quaternions[k, 2], tape.quaternions[k, 3] = q2, q3
 
 
-@jit
+@jit_ieee
 def path_at(known_ns: Any, position: Any, velocity: Any, asked_ns: Any, out: Any) -> None:
     """Fill ``out`` (M, 3) with the place at instants (M,) that never go back: cubic between K places and velocities.
 

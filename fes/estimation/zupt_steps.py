@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import inlined, jit_ieee
 from fes.estimation.rotation import quaternion_step
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.signals import FloatArray, IntArray, Vector3
@@ -29,7 +29,6 @@ from fes.signals import FloatArray, IntArray, Vector3
 MOVING_NS = 44_500_000  # longest step of a foot that moves, but for a sample, and …
 RESTING_NS = 19_500_000  # … of one that rests: its velocity is measured at every step's end
 NOISES = 19  # columns of ``noise``
-FORCE, MISSED, TURNED, FORCE_TWICE, CROSS, SQUARE = 0, 3, 6, 7, 10, 13  # where its parts begin
 
 
 class Steps(NamedTuple):
@@ -48,7 +47,7 @@ class Steps(NamedTuple):
     noise: FloatArray  # (K, 19)
 
 
-@jit
+@jit_ieee
 def step_ends(t_ns: Any, rest: Any, moving_ns: int, resting_ns: int, out: Any) -> int:
     """Fill ``out`` (N,) with the last sample of every step; how many there are."""
     count, n = 1, t_ns.shape[0]
@@ -62,98 +61,96 @@ def step_ends(t_ns: Any, rest: Any, moving_ns: int, resting_ns: int, out: Any) -
     return count
 
 
-@jit
-def matrix(w: float, x: float, y: float, z: float, out: Any) -> None:
-    """The rotation matrix (3, 3) of a quaternion."""
-    out[0, 0], out[0, 1], out[0, 2] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)
-    out[1, 0], out[1, 1], out[1, 2] = 2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)
-    out[2, 0], out[2, 1], out[2, 2] = 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+@inlined
+def matrix(
+    w: float, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """The rotation matrix of a quaternion, row by row."""
+    a, b, c = 2.0 * x, 2.0 * y, 2.0 * z
+    xx, yy, zz, xy, xz, yz, wx, wy, wz = a * x, b * y, c * z, a * y, a * z, b * z, a * w, b * w, c * w
+    return 1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz), yz - wx, xz - wy, yz + wx, 1.0 - (xx + yy)
 
 
-@jit
+@jit_ieee
 def gather(
     t_ns: Any, acc: Any, gyr: Any, acc_sd: Any, gyr_sd: Any, bx: float, by: float, bz: float, p: ZuptSettings, s: Steps
 ) -> None:
     """Fill all of the steps but their ``ends``; arguments as for ``fes.estimation.zupt_kernel.forward``."""
-    before, now = np.empty((3, 3)), np.empty((3, 3))
-    square, mean, o = np.empty(6), np.empty((3, 3)), np.empty(NOISES)
+    rate_noise, scale_noise = p.rate_noise_radps_rthz**2, p.rate_scale_noise**2
     for k in range(1, s.ends.shape[0]):
         begin, end = s.ends[k - 1], s.ends[k]
-        o[:] = 0.0
-        mean[:, :] = 0.0
-        square[:] = 0.0
         qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
-        matrix(qw, qx, qy, qz, before)
+        a0, a1, a2, a3, a4, a5, a6, a7, a8 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0  # orientation before
+        m0 = m1 = m2 = m3 = m4 = m5 = m6 = m7 = m8 = 0.0  # its integral
         fx0, fy0, fz0 = acc[begin, 0], acc[begin, 1], acc[begin, 2]
         vx = vy = vz = px = py = pz = sx = sy = sz = 0.0
+        force_0 = force_1 = force_2 = missed_0 = missed_1 = missed_2 = tx = ty = tz = all_ = 0.0
+        xx = xy = xz = yy = yz = zz = 0.0
         for i in range(begin + 1, end + 1):
             dt = 1e-9 * (t_ns[i] - t_ns[i - 1])
             wx = 0.5 * (gyr[i - 1, 0] + gyr[i, 0]) - bx
             wy = 0.5 * (gyr[i - 1, 1] + gyr[i, 1]) - by
             wz = 0.5 * (gyr[i - 1, 2] + gyr[i, 2]) - bz
             qw, qx, qy, qz = quaternion_step(qw, qx, qy, qz, wx * dt, wy * dt, wz * dt)
-            matrix(qw, qx, qy, qz, now)
+            b0, b1, b2, b3, b4, b5, b6, b7, b8 = matrix(qw, qx, qy, qz)
             gx, gy, gz = acc[i, 0], acc[i, 1], acc[i, 2]
-            fx1 = now[0, 0] * gx + now[0, 1] * gy + now[0, 2] * gz
-            fy1 = now[1, 0] * gx + now[1, 1] * gy + now[1, 2] * gz
-            fz1 = now[2, 0] * gx + now[2, 1] * gy + now[2, 2] * gz
+            fx1, fy1, fz1 = b0 * gx + b1 * gy + b2 * gz, b3 * gx + b4 * gy + b5 * gz, b6 * gx + b7 * gy + b8 * gz
             fx, fy, fz = 0.5 * (fx0 + fx1), 0.5 * (fy0 + fy1), 0.5 * (fz0 + fz1)
-            px += dt * (vx + 0.5 * dt * fx)
-            py += dt * (vy + 0.5 * dt * fy)
-            pz += dt * (vz + 0.5 * dt * fz)
+            half = 0.5 * dt
+            px += dt * (vx + half * fx)
+            py += dt * (vy + half * fy)
+            pz += dt * (vz + half * fz)
             vx += dt * fx
             vy += dt * fy
             vz += dt * fz
-            for a in range(3):
-                for b in range(3):
-                    mean[a, b] += 0.5 * dt * (before[a, b] + now[a, b])
-                    before[a, b] = now[a, b]
-            jx, jy, jz = gx - acc[i - 1, 0], gy - acc[i - 1, 1], gz - acc[i - 1, 2]
-            beyond = max(math.sqrt(jx * jx + jy * jy + jz * jz) - p.jump_mps3 * dt, 0.0)
-            # a step somewhere within the interval: the trapezoid errs by up to half of it, evenly distributed
-            missed = dt * dt * (0.25 * (acc_sd[i - 1] + acc_sd[i]) ** 2 + beyond * beyond / 12.0)
+            m0, m1, m2 = m0 + half * (a0 + b0), m1 + half * (a1 + b1), m2 + half * (a2 + b2)
+            m3, m4, m5 = m3 + half * (a3 + b3), m4 + half * (a4 + b4), m5 + half * (a5 + b5)
+            m6, m7, m8 = m6 + half * (a6 + b6), m7 + half * (a7 + b7), m8 + half * (a8 + b8)
+            a0, a1, a2, a3, a4, a5, a6, a7, a8 = b0, b1, b2, b3, b4, b5, b6, b7, b8
             force2 = dt * (fx * fx + fy * fy + fz * fz)
-            left = 1e-9 * (t_ns[end] - t_ns[i]) + 0.5 * dt
-            o[FORCE] += force2
-            o[FORCE + 1] += force2 * left
-            o[FORCE + 2] += force2 * left * left
-            o[MISSED] += missed
-            o[MISSED + 1] += missed * left
-            o[MISSED + 2] += missed * left * left
-            o[FORCE_TWICE] += dt * left * left * fx
-            o[FORCE_TWICE + 1] += dt * left * left * fy
-            o[FORCE_TWICE + 2] += dt * left * left * fz
-            rate2 = wx * wx + wy * wy + wz * wz
-            turned = (p.rate_noise_radps_rthz**2 + p.rate_scale_noise**2 * rate2) * dt
-            turned += 0.25 * (gyr_sd[i - 1] + gyr_sd[i]) ** 2 * dt * dt
-            o[TURNED] += turned
-            sx += turned * vx
-            sy += turned * vy
-            sz += turned * vz
-            square[0] += turned * vx * vx
-            square[1] += turned * vx * vy
-            square[2] += turned * vx * vz
-            square[3] += turned * vy * vy
-            square[4] += turned * vy * vz
-            square[5] += turned * vz * vz
+            left = 1e-9 * (t_ns[end] - t_ns[i]) + half
+            force_0 += force2
+            force_1 += force2 * left
+            force_2 += force2 * left * left
+            jx, jy, jz = gx - acc[i - 1, 0], gy - acc[i - 1, 1], gz - acc[i - 1, 2]
+            jump2, follows = jx * jx + jy * jy + jz * jz, p.jump_mps3 * dt
+            clipped = acc_sd[i - 1] + acc_sd[i]
+            if clipped > 0.0 or jump2 > follows * follows:
+                beyond = max(math.sqrt(jump2) - follows, 0.0)
+                # a step somewhere within the interval: the trapezoid errs by up to half of it, evenly distributed
+                missed = dt * dt * (0.25 * clipped * clipped + beyond * beyond / 12.0)
+                missed_0 += missed
+                missed_1 += missed * left
+                missed_2 += missed * left * left
+            late = dt * left * left
+            tx, ty, tz = tx + late * fx, ty + late * fy, tz + late * fz
+            turned = (rate_noise + scale_noise * (wx * wx + wy * wy + wz * wz)) * dt
+            clipped = gyr_sd[i - 1] + gyr_sd[i]
+            turned += 0.25 * clipped * clipped * dt * dt
+            all_ += turned
+            ux, uy, uz = turned * vx, turned * vy, turned * vz
+            sx, sy, sz = sx + ux, sy + uy, sz + uz
+            xx, xy, xz = xx + ux * vx, xy + ux * vy, xz + ux * vz
+            yy, yz, zz = yy + uy * vy, yz + uy * vz, zz + uz * vz
             fx0, fy0, fz0 = fx1, fy1, fz1
         s.turn[k, 0], s.turn[k, 1], s.turn[k, 2], s.turn[k, 3] = qw, qx, qy, qz
         s.push[k, 0], s.push[k, 1], s.push[k, 2] = vx, vy, vz
         s.shift[k, 0], s.shift[k, 1], s.shift[k, 2] = px, py, pz
-        for a in range(3):
-            for b in range(3):
-                s.mean[k, a, b] = mean[a, b]
+        s.mean[k, 0, 0], s.mean[k, 0, 1], s.mean[k, 0, 2] = m0, m1, m2
+        s.mean[k, 1, 0], s.mean[k, 1, 1], s.mean[k, 1, 2] = m3, m4, m5
+        s.mean[k, 2, 0], s.mean[k, 2, 1], s.mean[k, 2, 2] = m6, m7, m8
+        o = s.noise
+        o[k, 0], o[k, 1], o[k, 2] = force_0, force_1, force_2
+        o[k, 3], o[k, 4], o[k, 5], o[k, 6] = missed_0, missed_1, missed_2, all_
+        o[k, 7], o[k, 8], o[k, 9] = tx, ty, tz
         # the velocity still to come is the whole less what came before
-        all_ = o[TURNED]
-        o[CROSS], o[CROSS + 1], o[CROSS + 2] = vx * all_ - sx, vy * all_ - sy, vz * all_ - sz
-        o[SQUARE] = vx * vx * all_ - 2.0 * vx * sx + square[0]
-        o[SQUARE + 1] = vx * vy * all_ - vx * sy - vy * sx + square[1]
-        o[SQUARE + 2] = vx * vz * all_ - vx * sz - vz * sx + square[2]
-        o[SQUARE + 3] = vy * vy * all_ - 2.0 * vy * sy + square[3]
-        o[SQUARE + 4] = vy * vz * all_ - vy * sz - vz * sy + square[4]
-        o[SQUARE + 5] = vz * vz * all_ - 2.0 * vz * sz + square[5]
-        for j in range(NOISES):
-            s.noise[k, j] = o[j]
+        o[k, 10], o[k, 11], o[k, 12] = vx * all_ - sx, vy * all_ - sy, vz * all_ - sz
+        o[k, 13] = vx * vx * all_ - 2.0 * vx * sx + xx
+        o[k, 14] = vx * vy * all_ - vx * sy - vy * sx + xy
+        o[k, 15] = vx * vz * all_ - vx * sz - vz * sx + xz
+        o[k, 16] = vy * vy * all_ - 2.0 * vy * sy + yy
+        o[k, 17] = vy * vz * all_ - vy * sz - vz * sy + yz
+        o[k, 18] = vz * vz * all_ - 2.0 * vz * sz + zz
 
 
 def steps_of(
