@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from fes.estimation.compiled import jit
-from fes.estimation.rotation import quaternion_step, to_sensor
+from fes.estimation.compiled import jit, jit_ieee
+from fes.estimation.rotation import half_turn, quaternion_step, to_sensor
 from fes.signals import G_MPS2
 
 
@@ -46,17 +46,16 @@ def start_covariance(covariance: Any, settings: OrientationSettings) -> None:
         covariance[i + 3, i + 3] = settings.start_bias_radps**2
 
 
-@jit
+@jit_ieee
 def propagate(covariance: Any, wx: float, wy: float, wz: float, dt_s: float, settings: OrientationSettings) -> None:
     """Carry the covariance over one sample: ``P ← Φ P Φᵀ + Q``, ``Φ = [[exp(-S(w)dt), dt/2], [0, exp(-dt/T)]]``.
 
-    ``covariance`` (6, 6) changes in place; ``w`` in rad/s.
+    ``covariance`` (6, 6) changes in place, and stays symmetrical to the bit; ``w`` in rad/s.
     """
+    p = covariance
     rx, ry, rz = wx * dt_s, wy * dt_s, wz * dt_s
-    square = rx * rx + ry * ry + rz * rz
-    angle = math.sqrt(square)
-    s = math.sin(angle) / angle if angle > 1e-6 else 1.0
-    c = (1.0 - math.cos(angle)) / square if angle > 1e-6 else 0.5
+    cosine, sine = half_turn(rx * rx + ry * ry + rz * rz)
+    s, c = 2.0 * sine * cosine, 2.0 * sine * sine
     # rotation by -w dt (Rodrigues)
     a00 = 1.0 - c * (ry * ry + rz * rz)
     a11 = 1.0 - c * (rx * rx + rz * rz)
@@ -65,40 +64,35 @@ def propagate(covariance: Any, wx: float, wy: float, wz: float, dt_s: float, set
     a02, a20 = c * rx * rz - s * ry, c * rx * rz + s * ry
     a12, a21 = c * ry * rz + s * rx, c * ry * rz - s * rx
     h = 0.5 * dt_s
-    m = math.exp(-dt_s / settings.bias_time_s)
-    for side in range(2):  # first Φ P, then (Φ P) Φᵀ as Φ (Φ P)ᵀ
-        for j in range(6):
-            p0, p1, p2 = covariance[0, j], covariance[1, j], covariance[2, j]
-            p3, p4, p5 = covariance[3, j], covariance[4, j], covariance[5, j]
-            covariance[0, j] = a00 * p0 + a01 * p1 + a02 * p2 + h * p3
-            covariance[1, j] = a10 * p0 + a11 * p1 + a12 * p2 + h * p4
-            covariance[2, j] = a20 * p0 + a21 * p1 + a22 * p2 + h * p5
-            covariance[3, j] = m * p3
-            covariance[4, j] = m * p4
-            covariance[5, j] = m * p5
-        if side == 0:
-            for i in range(6):
-                for j in range(i):
-                    covariance[i, j], covariance[j, i] = covariance[j, i], covariance[i, j]
-    _make_symmetric(covariance)
+    x = dt_s / settings.bias_time_s
+    m = 1.0 - x * (1.0 - x * (1 / 2 - x * (1 / 6 - x * (1 / 24)))) if x < 1e-3 else math.exp(-x)
     rate2 = (wx * wx + wy * wy + wz * wz) * settings.rate_scale_noise**2
     q_e = 0.25 * (settings.rate_noise_radps_rthz**2 + rate2) * dt_s
     q_b = settings.bias_walk_radps2_rthz**2 * dt_s
-    for i in range(3):
-        covariance[i, i] += q_e
-        covariance[i + 3, i + 3] += q_b
+    for j in range(6):  # the upper three rows of Φ P
+        p0, p1, p2 = p[0, j], p[1, j], p[2, j]
+        p[0, j] = a00 * p0 + a01 * p1 + a02 * p2 + h * p[3, j]
+        p[1, j] = a10 * p0 + a11 * p1 + a12 * p2 + h * p[4, j]
+        p[2, j] = a20 * p0 + a21 * p1 + a22 * p2 + h * p[5, j]
+    for i in range(3):  # that times Φᵀ: of what is symmetrical, the lower half
+        d0, d1, d2, b0, b1, b2 = p[i, 0], p[i, 1], p[i, 2], p[i, 3], p[i, 4], p[i, 5]
+        p[i, 0] = p[0, i] = a00 * d0 + a01 * d1 + a02 * d2 + h * b0
+        if i > 0:
+            p[i, 1] = p[1, i] = a10 * d0 + a11 * d1 + a12 * d2 + h * b1
+        if i > 1:
+            p[i, 2] = a20 * d0 + a21 * d1 + a22 * d2 + h * b2
+        p[i, i] += q_e
+        p[i, 3] = p[3, i] = m * b0
+        p[i, 4] = p[4, i] = m * b1
+        p[i, 5] = p[5, i] = m * b2
+    m2 = m * m
+    for i in range(3, 6):
+        for j in range(3, 6):
+            p[i, j] *= m2
+        p[i, i] += q_b
 
 
-@jit
-def _make_symmetric(covariance: Any) -> None:
-    for i in range(6):
-        for j in range(i):
-            mean = 0.5 * (covariance[i, j] + covariance[j, i])
-            covariance[i, j] = mean
-            covariance[j, i] = mean
-
-
-@jit
+@jit_ieee
 def correct_by_gravity(
     quaternion: Any,
     bias: Any,
@@ -112,63 +106,48 @@ def correct_by_gravity(
 ) -> None:
     """Measurement update with the specific force ``f`` (m/s²) of a resting foot; inject the error and reset it.
 
-    ``quaternion`` (4,), ``bias`` (3,) in rad/s and ``covariance`` (6, 6) change in place; ``scratch`` (6, 12) is
-    working memory.
+    ``quaternion`` (4,), ``bias`` (3,) in rad/s and ``covariance`` (6, 6), symmetrical to the bit, change in place;
+    ``scratch`` (6, 12) is working memory.
+
+    Of ``g^ - f = 2 S(g^) e`` the component along ``g^`` says nothing. The others are taken along the world's horizontal
+    axes as the sensor sees them, ``t_x`` and ``t_y``, so that ``H = 2 g (-t_y, t_x)ᵀ``. With ``W = P Hᵀ``, ``U`` the
+    same without what turns about ``g^``, ``D`` that, and the gain ``K = U S⁻¹``, Joseph's form comes to
+    ``P - K Uᵀ - K Dᵀ - D Kᵀ``.
     """
-    gx, gy, gz = to_sensor(quaternion[0], quaternion[1], quaternion[2], quaternion[3], 0.0, 0.0, G_MPS2)
-    # y = g^ - f = H e, H = 2 S(g^); samples closer than the correlation time carry less than one measurement
-    y0, y1, y2 = gx - fx, gy - fy, gz - fz
+    p, twice = covariance, 2.0 * G_MPS2
+    qw, qx, qy, qz = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
+    x0, x1, x2 = to_sensor(qw, qx, qy, qz, 1.0, 0.0, 0.0)
+    y0, y1, y2 = to_sensor(qw, qx, qy, qz, 0.0, 1.0, 0.0)
+    z0, z1, z2 = to_sensor(qw, qx, qy, qz, 0.0, 0.0, 1.0)
+    # samples closer than the correlation time carry less than one measurement
     variance = settings.acc_noise_mps2**2 * max(settings.acc_correlation_s / dt_s, 1.0)
-    ph, gain = scratch[:, 0:3], scratch[:, 3:6]
-    for i in range(6):  # P Hᵀ
-        p0, p1, p2 = covariance[i, 0], covariance[i, 1], covariance[i, 2]
-        ph[i, 0] = 2.0 * (-gz * p1 + gy * p2)
-        ph[i, 1] = 2.0 * (gz * p0 - gx * p2)
-        ph[i, 2] = 2.0 * (-gy * p0 + gx * p1)
-    s00 = 2.0 * (-gz * ph[1, 0] + gy * ph[2, 0]) + variance
-    s01 = 2.0 * (-gz * ph[1, 1] + gy * ph[2, 1])
-    s02 = 2.0 * (-gz * ph[1, 2] + gy * ph[2, 2])
-    s11 = 2.0 * (gz * ph[0, 1] - gx * ph[2, 1]) + variance
-    s12 = 2.0 * (gz * ph[0, 2] - gx * ph[2, 2])
-    s22 = 2.0 * (-gy * ph[0, 2] + gx * ph[1, 2]) + variance
-    i00, i01, i02 = s11 * s22 - s12 * s12, s02 * s12 - s01 * s22, s01 * s12 - s02 * s11
-    i11, i12, i22 = s00 * s22 - s02 * s02, s01 * s02 - s00 * s12, s00 * s11 - s01 * s01
-    d = 1.0 / (s00 * i00 + s01 * i01 + s02 * i02)
-    for i in range(6):  # K = P Hᵀ S⁻¹
-        b0, b1, b2 = ph[i, 0] * d, ph[i, 1] * d, ph[i, 2] * d
-        gain[i, 0] = b0 * i00 + b1 * i01 + b2 * i02
-        gain[i, 1] = b0 * i01 + b1 * i11 + b2 * i12
-        gain[i, 2] = b0 * i02 + b1 * i12 + b2 * i22
-    for j in range(3):  # no heading from gravity: take out what would turn about g^
-        along = (gx * gain[0, j] + gy * gain[1, j] + gz * gain[2, j]) / (G_MPS2 * G_MPS2)
-        gain[0, j] -= gx * along
-        gain[1, j] -= gy * along
-        gain[2, j] -= gz * along
-    e0 = gain[0, 0] * y0 + gain[0, 1] * y1 + gain[0, 2] * y2
-    e1 = gain[1, 0] * y0 + gain[1, 1] * y1 + gain[1, 2] * y2
-    e2 = gain[2, 0] * y0 + gain[2, 1] * y1 + gain[2, 2] * y2
-    for i in range(3):
-        bias[i] += gain[i + 3, 0] * y0 + gain[i + 3, 1] * y1 + gain[i + 3, 2] * y2
-    # q~ = q* ⊗ q^, so the truth is q^ ⊗ q~*: turn back by 2 e
-    quaternion[0], quaternion[1], quaternion[2], quaternion[3] = quaternion_step(
-        quaternion[0], quaternion[1], quaternion[2], quaternion[3], -2.0 * e0, -2.0 * e1, -2.0 * e2
-    )
-    # Joseph: A = I - K H;  P ← A P Aᵀ + K R Kᵀ
-    product = scratch[:, 6:12]
-    for i in range(6):  # A P, with (K H) columns 0..2 only
-        kh0 = 2.0 * (gain[i, 1] * gz - gain[i, 2] * gy)
-        kh1 = 2.0 * (-gain[i, 0] * gz + gain[i, 2] * gx)
-        kh2 = 2.0 * (gain[i, 0] * gy - gain[i, 1] * gx)
-        ph[i, 0], ph[i, 1], ph[i, 2] = kh0, kh1, kh2  # P Hᵀ is used up; keep K H in its place
-        for j in range(6):
-            product[i, j] = covariance[i, j] - (
-                kh0 * covariance[0, j] + kh1 * covariance[1, j] + kh2 * covariance[2, j]
-            )
+    u, v, a, b, d, z = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]
     for i in range(6):
-        for j in range(6):
-            covariance[i, j] = (
-                product[i, j]
-                - (product[i, 0] * ph[j, 0] + product[i, 1] * ph[j, 1] + product[i, 2] * ph[j, 2])
-                + variance * (gain[i, 0] * gain[j, 0] + gain[i, 1] * gain[j, 1] + gain[i, 2] * gain[j, 2])
-            )
-    _make_symmetric(covariance)
+        p0, p1, p2 = p[0, i], p[1, i], p[2, i]
+        u[i] = -twice * (p0 * y0 + p1 * y1 + p2 * y2)
+        v[i] = twice * (p0 * x0 + p1 * x1 + p2 * x2)
+    u0, u1, u2, v0, v1, v2 = u[0], u[1], u[2], v[0], v[1], v[2]
+    s00 = variance - twice * (u0 * y0 + u1 * y1 + u2 * y2)
+    s01 = twice * (u0 * x0 + u1 * x1 + u2 * x2)
+    s11 = variance + twice * (v0 * x0 + v1 * x1 + v2 * x2)
+    along_u, along_v = u0 * z0 + u1 * z1 + u2 * z2, v0 * z0 + v1 * z1 + v2 * z2
+    u[0], u[1], u[2] = u0 - along_u * z0, u1 - along_u * z1, u2 - along_u * z2
+    v[0], v[1], v[2] = v0 - along_v * z0, v1 - along_v * z1, v2 - along_v * z2
+    per = 1.0 / (s00 * s11 - s01 * s01)
+    i00, i01, i11 = s11 * per, -s01 * per, s00 * per
+    for i in range(6):
+        a[i] = u[i] * i00 + v[i] * i01
+        b[i] = u[i] * i01 + v[i] * i11
+        d[i] = a[i] * along_u + b[i] * along_v
+    z[0], z[1], z[2], z[3], z[4], z[5] = z0, z1, z2, 0.0, 0.0, 0.0
+    for i in range(6):
+        for j in range(i + 1):
+            p[i, j] -= (a[i] * u[j] + b[i] * v[j]) + (z[i] * d[j] + d[i] * z[j])
+            p[j, i] = p[i, j]
+    along_x, along_y = -(fx * x0 + fy * x1 + fz * x2), -(fx * y0 + fy * y1 + fz * y2)
+    for i in range(3):
+        bias[i] += a[i + 3] * along_x + b[i + 3] * along_y
+    # q~ = q* ⊗ q^, so the truth is q^ ⊗ q~*: turn back by 2 e
+    along_x, along_y = -2.0 * along_x, -2.0 * along_y
+    rx, ry, rz = a[0] * along_x + b[0] * along_y, a[1] * along_x + b[1] * along_y, a[2] * along_x + b[2] * along_y
+    quaternion[0], quaternion[1], quaternion[2], quaternion[3] = quaternion_step(qw, qx, qy, qz, rx, ry, rz)
