@@ -10,14 +10,24 @@ from fes.estimation import kernel, stride_course
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.compiled import jit
 from fes.estimation.core import core_type, new_core
-from fes.estimation.history import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, History, SampleCounts
+from fes.estimation.history import (
+    HISTORY_S,
+    KEPT,
+    LARGEST_VALUE,
+    PASSED_OVER,
+    RESTART_GAP_S,
+    SILENCE,
+    History,
+    SampleCounts,
+    take_one,
+)
 from fes.estimation.kernel import FootParameters
 from fes.estimation.orientation import OrientationSettings
-from fes.estimation.stride_course import CHANGES, ROWS, STRIDES, Out
-from fes.estimation.strides import StrideMaker
-from fes.estimation.tracker import Outcome, Outcomes, Tracker, of_one_kind, until_due
+from fes.estimation.stride_course import CHANGES, ROWS, STRIDES, Out, new_out
+from fes.estimation.strides import TRAJECTORY_POINTS, StrideMaker
+from fes.estimation.tracker import PACK_ONE, TRANSITIONS, Outcome, Outcomes, Tracker, of_one_kind, until_due
 from fes.estimation.walked import Walked
-from fes.signals import FloatArray, IntArray
+from fes.signals import FloatArray, IntArray, Vector3
 from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, Transition
 from statemachine.table import TABLE
@@ -25,6 +35,8 @@ from statemachine.table import TABLE
 __all__ = ["HISTORY_S", "LARGEST_VALUE", "RESTART_GAP_S", "FootTracker", "Outcome", "SampleCounts"]
 
 CORE = core_type(kernel.STATE, parameters=FootParameters, thresholds=Thresholds, settings=OrientationSettings)
+# what may have happened at a sample, beside the transitions 1 … 6
+NOTHING, DUE, AFTER_SILENCE, NO_ROOM = 0, 7, 8, 9
 _T1 = Transition.T1.value
 _DESTINATIONS = (0, *(row.destination.value for row in TABLE))  # by the transition's number
 
@@ -53,37 +65,76 @@ def _enter(core: Any, phase: int, acc: Any, row: int) -> None:
 
 
 @jit
+def _change(core: Any, course: Any, number: int, acc: Any, row: int) -> None:
+    """Go through a transition at this row, the newest; T1 after its strides."""
+    _enter(core, _DESTINATIONS[number], acc, row)
+    stride_course.on_phase(course, core[0].state.phase, core[0].state.t_ns)
+
+
+@jit
+def _step(core: Any, course: Any, book: Any, one: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any) -> int:
+    """Take one sample in and advance over it; the number of what happened, which is then to be gone through."""
+    x = one[0]
+    became = take_one(
+        book[0], t_ns, acc, gyr, x.t_ns, x.acc[0], x.acc[1], x.acc[2], x.gyr[0], x.gyr[1], x.gyr[2]
+    )  # fmt: skip
+    if became == PASSED_OVER:
+        return NOTHING
+    if became != KEPT:
+        return AFTER_SILENCE if became == SILENCE else NO_ROOM
+    c, row = core[0], book[0].filled - 1
+    _, number = kernel.advance(
+        c.state, c.parameters, c.thresholds, c.settings, t_ns, acc, gyr, row, row + 1, quaternions
+    )  # fmt: skip
+    return DUE if number == 0 and x.t_ns >= course[0].state.due_ns else number
+
+
+@jit
+def _strides(
+    core: Any, course: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, number: int, n: int,
+    strides: Any, shapes: Any, way_ns: Any, way: Any, turns: Any, filled: Any,
+) -> None:  # fmt: skip
+    """What T1 (by its ``number``), or the time, does to the strides at row ``n - 1``: one ends, and T1 begins the next.
+
+    The last six are those of :class:`Out`: one by one the compiler takes them over in half the time.
+    """
+    s, p = core[0].state, core[0].parameters
+    out = Out(strides, shapes, way_ns, way, turns, filled)
+    biases = np.empty((2, 3))
+    biases[0, 0], biases[0, 1], biases[0, 2] = p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2
+    biases[1, 0] = p.gyr_bias_x_radps + s.bias_radps[0]
+    biases[1, 1] = p.gyr_bias_y_radps + s.bias_radps[1]
+    biases[1, 2] = p.gyr_bias_z_radps + s.bias_radps[2]
+    if course[0].state.due_ns != stride_course.NEVER_NS:
+        first, last = stride_course.close(course, n, t_ns, gyr, biases, out)
+        if first < last:
+            q = quaternions[first]
+            stride_course.solve_rows(course, first, last, n, t_ns, acc, gyr, q, biases, out)
+    if number == _T1:
+        stride_course.begin(course, n, t_ns, gyr, biases)
+
+
+@jit
 def _walk(
     core: Any, course: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, begin: int, end: int,
     changes: Any, out: Out,
 ) -> int:  # fmt: skip
     """Go through the rows ``begin`` … ``end - 1`` with all phase changes and strides, as far as there is room for them.
 
-    What :class:`Tracker` does from one change to the next, in one call. Returns how far it came.
+    What :func:`_step` and what follows it do at each sample. Returns how far it came.
     """
-    s, p, told = core[0].state, core[0].parameters, out.filled
-    biases = np.empty((2, 3))
-    biases[0, 0], biases[0, 1], biases[0, 2] = p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2
-    room = out.t_ns.shape[0] - t_ns.shape[0]
+    told, room = out.filled, out.t_ns.shape[0] - t_ns.shape[0]
     while begin < end and told[CHANGES] < len(changes) and told[STRIDES] < len(out.strides) and told[ROWS] <= room:
         begin, number = _advance(core, t_ns, acc, gyr, quaternions, begin, end, course[0].state.due_ns)
-        biases[1, 0] = p.gyr_bias_x_radps + s.bias_radps[0]
-        biases[1, 1] = p.gyr_bias_y_radps + s.bias_radps[1]
-        biases[1, 2] = p.gyr_bias_z_radps + s.bias_radps[2]
-        now = t_ns[begin - 1]
-        if number > 0:
+        if number == _T1 or t_ns[begin - 1] >= course[0].state.due_ns:
+            _strides(
+                core, course, t_ns, acc, gyr, quaternions, number, begin,
+                out.strides, out.shapes, out.t_ns, out.position, out.quaternion, out.filled,
+            )  # fmt: skip
+        if number != NOTHING:
             change = changes[told[CHANGES]]
-            change.t_ns, change.transition, change.source = now, number, s.phase
-            _enter(core, _DESTINATIONS[number], acc, begin - 1)
-        if now >= course[0].state.due_ns or (number == _T1 and course[0].state.due_ns != stride_course.NEVER_NS):
-            first, last = stride_course.close(course, begin, t_ns, gyr, biases, out)
-            if first < last:
-                q = quaternions[first]
-                stride_course.solve_rows(course, first, last, begin, t_ns, acc, gyr, q, biases, out)
-        if number == _T1:
-            stride_course.begin(course, begin, t_ns, gyr, biases)
-        if number > 0:
-            stride_course.on_phase(course, s.phase, now)
+            change.t_ns, change.transition, change.source = t_ns[begin - 1], number, core[0].state.phase
+            _change(core, course, number, acc, begin - 1)
             told[CHANGES] += 1
     return begin
 
@@ -106,6 +157,11 @@ class FootTracker(Tracker):
         )
         self._state = self._all["state"][0]
         self._maker = strides
+        self._asks = type(strides) is not StrideMaker  # one that wants to be asked at every stride
+        h = self._history
+        self._rows = self._all, strides.course, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
+        self._live = self._all, strides.course, h.book, self._one, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
+        self._out = new_out(1, len(h.t_ns), TRAJECTORY_POINTS)
 
     @property
     def newest_t_ns(self) -> int:
@@ -117,9 +173,43 @@ class FootTracker(Tracker):
         """The gyroscope's bias as estimated now (3,): calibrated plus what the filter has found since."""
         return np.asarray(self._gyr_bias + self._state["bias_radps"])
 
+    def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[Outcome]:
+        """Take one sample in; see :meth:`Tracker.step`."""
+        if self._asks:
+            return super().step(t_ns, acc_mps2, gyr_radps)
+        PACK_ONE(self._one_bytes, 0, t_ns, *acc_mps2, *gyr_radps)
+        number = _step(*self._live)
+        return [] if number == NOTHING else self._happened(number)
+
+    def _happened(self, number: int) -> list[Outcome]:
+        """What the newest sample led to."""
+        outcomes: list[Outcome] = []
+        while number >= AFTER_SILENCE:
+            if number == NO_ROOM:
+                self._history.forget_half()
+            else:
+                self._restart(int(self._one["t_ns"][0]), self._one["acc"][0], outcomes)
+            number = _step(*self._live)
+        if number == NOTHING:
+            return outcomes
+        h = self._history
+        n = h.filled
+        change = None
+        if number != DUE:
+            change = self.machine.fire(TRANSITIONS[number], int(h.t_ns[n - 1]), _features(self._all), self._thresholds)
+        if number in (_T1, DUE):
+            self._out.filled[:] = 0
+            _strides(*self._rows, number, n, *self._out)
+            if self._out.filled[STRIDES]:
+                outcomes.append(self._maker.told(self._out))
+        if change is not None:
+            outcomes.append(change)
+            _change(self._all, self._maker.course, number, h.acc_mps2, n - 1)
+        return outcomes
+
     def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Outcome]:
         """Take samples in; see :meth:`Tracker.advance`."""
-        if type(self._maker) is not StrideMaker:  # one that wants to be asked at every stride
+        if self._asks:
             return super().advance(t_ns, acc_mps2, gyr_radps)
         walked = self.walk(t_ns, acc_mps2, gyr_radps)
         watch = self._maker.settings.watch
@@ -138,11 +228,7 @@ class FootTracker(Tracker):
         if not isinstance(outcomes, Walked):
             Tracker._follow(self, filled, outcomes)  # at every sample: super() is slower
             return
-        h = self._history
-        self._reached = _walk(
-            self._all, self._maker.course, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace, self._reached, filled,
-            outcomes.room, outcomes.out,
-        )  # fmt: skip
+        self._reached = _walk(*self._rows, self._reached, filled, outcomes.room, outcomes.out)
         outcomes.keep(self.machine)
 
     def _start(self, t_ns: int, force: FloatArray) -> None:

@@ -43,38 +43,53 @@ class SampleCounts:
         return asdict(self)
 
 
+KEPT, PASSED_OVER, SILENCE, FULL = range(4)  # what became of a sample
+
+
+@jit
+def take_one(
+    b: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: int, ax: float, ay: float, az: float,
+    gx: float, gy: float, gz: float,
+) -> int:  # fmt: skip
+    """Copy one sample into the history of the book ``b``, or say why not: ``SILENCE`` and ``FULL`` wait for Python.
+
+    An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
+    """
+    usable = abs(ax) < LARGEST_VALUE and abs(ay) < LARGEST_VALUE and abs(az) < LARGEST_VALUE
+    usable = usable and abs(gx) < LARGEST_VALUE and abs(gy) < LARGEST_VALUE and abs(gz) < LARGEST_VALUE
+    if not usable:  # a comparison with what is not a number is False
+        b.not_finite += 1
+        return PASSED_OVER
+    if b.running and t_ns <= b.newest_ns:
+        b.doubled_or_backward += 1
+        return PASSED_OVER
+    waited_ns = t_ns - b.newest_ns
+    if not b.running or not 0 < waited_ns <= RESTART_GAP_NS:  # stamps may be so far apart that this overflows
+        return SILENCE
+    n = b.filled
+    if n == kept_t_ns.shape[0]:
+        return FULL
+    kept_t_ns[n] = t_ns
+    kept_acc[n, 0], kept_acc[n, 1], kept_acc[n, 2] = ax, ay, az
+    kept_gyr[n, 0], kept_gyr[n, 1], kept_gyr[n, 2] = gx, gy, gz
+    b.newest_ns = t_ns
+    b.filled += 1
+    b.used += 1
+    return KEPT
+
+
 @jit
 def _take_in(
     book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: Any, acc: Any, gyr: Any, begin: int
 ) -> tuple[int, int, bool]:
-    """Copy the samples from ``begin`` on; see :meth:`History.take_in`.
-
-    An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
-    """
+    """Copy the samples from ``begin`` on; see :meth:`History.take_in`."""
     b = book[0]
     for i in range(begin, t_ns.shape[0]):
-        usable = True
-        for j in range(3):  # a comparison with what is not a number is False
-            usable = usable and abs(acc[i, j]) < LARGEST_VALUE and abs(gyr[i, j]) < LARGEST_VALUE
-        if not usable:
-            b.not_finite += 1
-            continue
-        if b.running and t_ns[i] <= b.newest_ns:
-            b.doubled_or_backward += 1
-            continue
-        waited_ns = t_ns[i] - b.newest_ns
-        if not b.running or not 0 < waited_ns <= RESTART_GAP_NS:  # stamps may be so far apart that this overflows
-            return i, b.filled, True
-        n = b.filled
-        if n == kept_t_ns.shape[0]:
-            return i, n, False
-        kept_t_ns[n] = t_ns[i]
-        for j in range(3):
-            kept_acc[n, j] = acc[i, j]
-            kept_gyr[n, j] = gyr[i, j]
-        b.newest_ns = t_ns[i]
-        b.filled += 1
-        b.used += 1
+        became = take_one(
+            b, kept_t_ns, kept_acc, kept_gyr, t_ns[i], acc[i, 0], acc[i, 1], acc[i, 2], gyr[i, 0], gyr[i, 1], gyr[i, 2]
+        )
+        if became >= SILENCE:
+            return i, b.filled, became == SILENCE
     return t_ns.shape[0], b.filled, False
 
 
@@ -82,7 +97,7 @@ class History:
     """Samples as measured, oldest first, and beside each what the core left there.
 
     ``t_ns`` (N,), ``acc_mps2`` (N, 3), ``gyr_radps`` (N, 3), ``trace`` (N, 4); how many of the rows are filled is what
-    :meth:`take_in` and :meth:`forget_half` last said.
+    :meth:`take_in` and :meth:`forget_half` last said. ``book`` (1,) of ``BOOK`` is for :func:`take_one`.
     """
 
     def __init__(self, rate_hz: float) -> None:
@@ -91,11 +106,16 @@ class History:
         self.acc_mps2: FloatArray = np.zeros((capacity, 3))
         self.gyr_radps: FloatArray = np.zeros((capacity, 3))
         self.trace: FloatArray = np.zeros((capacity, 4))
-        self._book = np.zeros(1, BOOK)
+        self.book = np.zeros(1, BOOK)
+
+    @property
+    def filled(self) -> int:
+        """How many rows are filled."""
+        return int(self.book["filled"][0])
 
     def counts(self, restarts: int) -> SampleCounts:
         """What became of the samples so far."""
-        _, _, _, used, doubled_or_backward, not_finite = self._book[0].tolist()
+        _, _, _, used, doubled_or_backward, not_finite = self.book[0].tolist()
         return SampleCounts(used, doubled_or_backward, not_finite, restarts)
 
     def take_in(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, begin: int) -> tuple[int, int, bool]:
@@ -107,15 +127,15 @@ class History:
         still one, :meth:`forget_half`.
         """
         taken: tuple[int, int, bool] = _take_in(
-            self._book, self.t_ns, self.acc_mps2, self.gyr_radps, t_ns, acc, gyr, begin
+            self.book, self.t_ns, self.acc_mps2, self.gyr_radps, t_ns, acc, gyr, begin
         )
         return taken
 
     def restart(self, t_ns: int) -> bool:
         """Forget everything; the next sample is that of ``t_ns``. Returns whether there was anything before."""
-        was_running = bool(self._book["running"][0])
-        self._book["running"], self._book["filled"] = True, 0
-        self._book["newest_ns"] = max(t_ns - 1, LONG_AGO_NS)
+        was_running = bool(self.book["running"][0])
+        self.book["running"], self.book["filled"] = True, 0
+        self.book["newest_ns"] = max(t_ns - 1, LONG_AGO_NS)
         return was_running
 
     def forget_half(self) -> int:
@@ -124,5 +144,5 @@ class History:
         rest = len(self.t_ns) - half
         for column in (self.t_ns, self.acc_mps2, self.gyr_radps, self.trace):
             column[:rest] = column[half:].copy()
-        self._book["filled"] = rest
+        self.book["filled"] = rest
         return rest

@@ -27,6 +27,7 @@ from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, PhaseChange
 
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
+MARGIN_NS = NS_PER_S  # before a stride: more than half of any fine window
 USUAL_STRIDE_S = 1.2  # before one has been seen
 QUIET_LEANS = 1.5  # a stance is quiet when its rate is at most this many times the level of rest
 MOST_LEAN_CHANGE_RAD = math.radians(20)  # a leg that leans otherwise than before has been put elsewhere, not stepped
@@ -64,6 +65,11 @@ class ShankStrideMaker:
         self._stance_ns = 0
         self._stride_s = USUAL_STRIDE_S
         self._times: dict[Phase, int] = {}
+
+    @property
+    def since_ns(self) -> int:
+        """Of the history only what is newer is asked for: the stride and the stances around it."""
+        return (self._stance_ns if self._start_ns is None else min(self._start_ns, self._stance_ns)) - MARGIN_NS
 
     def restart(self, t_ns: int) -> None:
         """Data were lost: forget the stride under way; stance from now on."""

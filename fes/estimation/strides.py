@@ -91,6 +91,11 @@ class StrideMaker:
         due_ns: int = self._due_ns.item()
         return None if due_ns == course.NEVER_NS else due_ns
 
+    @property
+    def since_ns(self) -> int:
+        """All of the history is asked for."""
+        return UNSEEN_NS
+
     def restart(self, t_ns: int) -> None:
         """Data were lost: forget the stride under way; stance from now on."""
         course.restart(self.course, t_ns)
@@ -120,7 +125,11 @@ class StrideMaker:
         first, last = course.close(self.course, n, t_ns, gyr, NO_BIASES, self._out)
         if first < last:
             course.solve_rows(self.course, first, last, n, t_ns, acc, gyr, quaternion[first], NO_BIASES, self._out)
-        return _shown(self.foot, self._out, self.settings) if self._out.filled[course.STRIDES] else None
+        return self.told(self._out) if self._out.filled[course.STRIDES] else None
+
+    def told(self, out: Out) -> StrideResult:
+        """The only stride in ``out``; its path is shown to who watches."""
+        return _shown(self.foot, out, self.settings)
 
 
 def solve_stride(
@@ -158,7 +167,8 @@ def solve_stride(
 
 def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
     """The only stride in ``out``; its path is shown to who watches."""
-    result = stride_results(foot, out.strides, out.shapes)[0]
+    shape = out.shapes[0]
+    result = _result(foot, out.strides.item(0), shape[:, :3].copy(), shape[:, 3].copy())
     if settings.watch is not None and result.valid:
         settings.watch(copy.deepcopy(stride_paths(out.strides, out, settings).each()[0]))
     return result
@@ -183,40 +193,30 @@ def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
 
 def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResult]:
     """Results of (K,) strides from their rows and shapes (K, ``TRAJECTORY_POINTS``, 4)."""
-    ways, pitches = np.ascontiguousarray(shapes[:, :, :3]), np.ascontiguousarray(shapes[:, :, 3])
-    results = []
-    for k, row in enumerate(rows.tolist()):
-        number, start_ns, end_ns, *times_ns, outcome, _, _, _, gap_s, tilt, unrest, length = row[:15]
-        pre_swing_ns, swing_ns, loading_response_ns, stance_ns = [None if t == UNSEEN_NS else t for t in times_ns]
-        valid = outcome == solution.SOLVED
-        reason = (
-            "" if valid and unrest <= REST_RADPS else _reason(outcome, start_ns, end_ns, gap_s, tilt, unrest, length)
-        )
-        speed, highest, turn, gained, toe, heel = row[15:] if valid else (math.nan,) * 6
-        results.append(
-            StrideResult(
-                foot=foot,
-                number=number,
-                t_start_ns=start_ns,
-                t_end_ns=end_ns,
-                stride_length_m=length if valid else math.nan,
-                clearance_m=highest,
-                height_gained_m=gained,
-                turn_rad=turn,
-                speed_mps=speed,
-                t_pre_swing_ns=pre_swing_ns,
-                t_swing_ns=swing_ns,
-                t_loading_response_ns=loading_response_ns,
-                t_stance_ns=stance_ns,
-                toe_clearance_m=toe,
-                heel_clearance_m=heel,
-                valid=valid,
-                reason=reason,
-                trajectory_m=ways[k] if valid else np.zeros((0, 3)),
-                pitch_rad=pitches[k] if valid else np.zeros(0),
-            )
-        )
-    return results
+    ways, pitches = shapes[:, :, :3].copy(), shapes[:, :, 3].copy()
+    return [_result(foot, row, ways[k], pitches[k]) for k, row in enumerate(rows.tolist())]
+
+
+def _result(foot: str, row: tuple[Any, ...], way: FloatArray, pitch: FloatArray) -> StrideResult:
+    """Result of one stride from its row and shape."""
+    (
+        number, start_ns, end_ns, pre_swing_ns, swing_ns, loading_response_ns, stance_ns, outcome, _, _, _,
+        gap_s, tilt, unrest, length, speed, highest, turn, gained, toe, heel,
+    ) = row  # fmt: skip
+    valid, reason = outcome == solution.SOLVED, ""
+    if not valid or unrest > REST_RADPS:
+        reason = _reason(outcome, start_ns, end_ns, gap_s, tilt, unrest, length)
+    if not valid:
+        length = highest = gained = turn = speed = toe = heel = math.nan
+        way, pitch = np.zeros((0, 3)), np.zeros(0)
+    return StrideResult(
+        foot, number, start_ns, end_ns, length, highest, gained, turn, speed,
+        None if pre_swing_ns == UNSEEN_NS else pre_swing_ns,
+        None if swing_ns == UNSEEN_NS else swing_ns,
+        None if loading_response_ns == UNSEEN_NS else loading_response_ns,
+        None if stance_ns == UNSEEN_NS else stance_ns,
+        toe, heel, valid, reason, way, pitch,
+    )  # fmt: skip
 
 
 def _reason(

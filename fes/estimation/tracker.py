@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from struct import Struct
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from fes.estimation.compiled import jit
 from fes.estimation.history import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, History, SampleCounts
 from fes.estimation.rotation import without
+from fes.estimation.stride_ends import rows_before
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine
@@ -26,6 +28,8 @@ __all__ = [
 
 NEVER_NS = 2**63 - 1
 TRANSITIONS = tuple(Transition)  # by number
+ONE = np.dtype([("t_ns", np.int64), ("acc", np.float64, 3), ("gyr", np.float64, 3)], align=True)
+PACK_ONE = Struct("=q6d").pack_into  # by assignment to the fields it would take three times as long
 
 Outcome: TypeAlias = PhaseChange | StrideResult
 
@@ -57,7 +61,7 @@ class Outcomes(Protocol):
 
 
 class Strides(Protocol):
-    """Follows the phases and closes strides; the arrays are the history up to now, free of bias.
+    """Follows the phases and closes strides; the arrays are the history since ``since_ns``, free of bias.
 
     ``trace`` (N, 4) is what the core left at each sample.
     """
@@ -65,6 +69,10 @@ class Strides(Protocol):
     @property
     def due_ns(self) -> int | None:
         """When the stride under way is closed at the latest, None while there is none."""
+
+    @property
+    def since_ns(self) -> int:
+        """Of the history only what is newer is asked for."""
 
     def restart(self, t_ns: int) -> None:
         """Data were lost; stance from now on."""
@@ -95,9 +103,8 @@ class Tracker(ABC):
         self._history = History(rate_hz)
         self._reached = 0  # rows of the history that the core has seen
         self._restarts = 0
-        self._one_t_ns: IntArray = np.zeros(1, np.int64)
-        self._one_acc: FloatArray = np.zeros((1, 3))
-        self._one_gyr: FloatArray = np.zeros((1, 3))
+        self._one = np.zeros(1, ONE)
+        self._one_bytes = self._one.view(np.uint8).data
 
     @property
     def phase(self) -> Phase:
@@ -138,9 +145,9 @@ class Tracker(ABC):
 
     def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[Outcome]:
         """Take one sample in, as :meth:`advance` does a block of one."""
-        self._one_t_ns[0], self._one_acc[0], self._one_gyr[0] = t_ns, acc_mps2, gyr_radps
+        PACK_ONE(self._one_bytes, 0, t_ns, *acc_mps2, *gyr_radps)
         outcomes: list[Outcome] = []
-        self._take(self._one_t_ns, self._one_acc, self._one_gyr, outcomes)
+        self._take(self._one["t_ns"], self._one["acc"], self._one["gyr"], outcomes)
         return outcomes
 
     def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Outcome]:
@@ -157,7 +164,7 @@ class Tracker(ABC):
         return outcomes
 
     def _take(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, outcomes: Outcomes) -> None:
-        taken = 0
+        taken, self._reached = 0, self._history.filled
         while taken < len(t_ns):
             taken, filled, silence = self._history.take_in(t_ns, acc, gyr, taken)
             while self._reached < filled:
@@ -189,12 +196,13 @@ class Tracker(ABC):
 
     def _stride(self, outcomes: Outcomes, solve: Callable[..., StrideResult | None]) -> None:
         """Hand the history, freed of bias, to the stride maker."""
-        n, history = self._reached, self._history
+        history = self._history
+        rows = slice(rows_before(history.t_ns, self._reached, self._strides.since_ns), self._reached)
         result = solve(
-            history.t_ns[:n],
-            without(history.acc_mps2[:n], self._acc_bias),
-            without(history.gyr_radps[:n], self.gyr_bias_radps),
-            history.trace[:n],
+            history.t_ns[rows],
+            without(history.acc_mps2[rows], self._acc_bias),
+            without(history.gyr_radps[rows], self.gyr_bias_radps),
+            history.trace[rows],
         )
         if result is not None:
             outcomes.append(result)

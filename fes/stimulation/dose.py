@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import takewhile
 from statistics import median
 from typing import Any, Final
 
@@ -67,7 +68,8 @@ class ElectrodeDose:
 
     def between_uc(self, t_start_ns: int, t_end_ns: int) -> float:
         """Charge delivered from start to end; of the last 30 s only."""
-        return sum(charge_uc for t_ns, charge_uc in self._recent if t_start_ns < t_ns <= t_end_ns)
+        since = list(takewhile(lambda booked: booked[0] > t_start_ns, reversed(self._recent)))
+        return sum(charge_uc for t_ns, charge_uc in reversed(since) if t_ns <= t_end_ns)
 
     def close_step(self, t_start_ns: int, t_end_ns: int) -> float:
         """Book a stride's charge and return it, µC."""
