@@ -12,6 +12,7 @@ from statemachine.phases import Phase, PhaseChange, Transition
 from statemachine.table import TABLE, Row
 
 _ROWS: dict[tuple[int, int], Row] = {(row.source, row.transition): row for row in TABLE}
+_PHASES: dict[str, Phase] = {phase.name: phase for phase in Phase}
 
 
 class GuardDisagreement(RuntimeError):
@@ -48,7 +49,7 @@ class GaitPhaseMachine:
     @property
     def phase(self) -> Phase:
         """The phase now."""
-        return Phase[self._model.state]
+        return _PHASES[self._model.state]
 
     def fire(self, transition: Transition, t_ns: int, x: Features, p: Thresholds) -> PhaseChange:
         """Go through one transition.
@@ -109,7 +110,10 @@ class _Event(Event):
         if rows is None:
             raise MachineError(f"Can't trigger event {self.name} from state {model.state}!")
         for row in rows:
-            if all(condition.func(*args) == condition.target for condition in row.conditions):
+            for condition in row.conditions:
+                if condition.func(*args) != condition.target:
+                    break
+            else:
                 model.state = row.dest
                 return True
         return False
