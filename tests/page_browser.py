@@ -82,6 +82,16 @@ class Page:
         )
         return box[0], box[1]
 
+    def scroll_to(self, selector: str) -> None:
+        """Bring an element to the middle of the window; the page has been told of the scrolling when this returns.
+
+        It is told with the next frame. A pointer that came sooner would have its effect undone by that.
+        """
+        self.run(
+            f"document.querySelector({json.dumps(selector)}).scrollIntoView({{block: 'center', behavior: 'instant'}}), "
+            "new Promise(told => requestAnimationFrame(() => requestAnimationFrame(told)))"
+        )
+
     def press(self, selector: str) -> int:
         """Press and release in the middle of an element; when the press was sent (ns)."""
         x, y = self.middle(selector)

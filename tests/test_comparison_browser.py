@@ -52,12 +52,12 @@ def test_a_term_explains_itself_by_keyboard_and_by_touch(page: Page):
     page.run(f"{TERM}.focus()")
     assert page.run(f"getComputedStyle({TIP}).display") == "block"
     assert len(page.run(f"{TIP}.textContent")) > 30
-    page.run(f"{TERM}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
+    page.scroll_to(".compare tbody .term")
     box = page.run(f"(r => [r.left, r.right])({TIP}.getBoundingClientRect())")
     assert 0 <= box[0] < box[1] <= 1280
     page.run(f"{TERM}.blur()")
     page.size(820, 1180, touch=True)
-    page.run(f"{TERM}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
+    page.scroll_to(".compare tbody .term")
     page.tap(".compare tbody .term")
     assert page.until(f"getComputedStyle({TIP}).display === 'block'")
 

@@ -73,7 +73,7 @@ def test_nothing_is_asked_of_any_network_and_nothing_complained_of(page: Page):
 
 
 def test_a_definition_shows_on_hover_focus_and_touch(page: Page):
-    page.run(f"{TERM}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
+    page.scroll_to("#parameters tbody a.term")
     assert page.run(f"{TIP}.hidden")
     x, y = page.middle("#parameters tbody a.term")
     page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
@@ -94,7 +94,7 @@ def test_a_definition_shows_on_hover_focus_and_touch(page: Page):
     page.run(f"{TERM}.blur()")
 
     page.size(820, 1180, touch=True)
-    page.run(f"{TERM}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
+    page.scroll_to("#parameters tbody a.term")
     place = page.run("location.hash")
     page.tap("#parameters tbody a.term")
     assert page.until(f"!{TIP}.hidden && {TIP}.textContent") == shown
@@ -116,7 +116,7 @@ def test_the_space_figure_turns_by_keys_buttons_and_pointer(page: Page):
     np.testing.assert_allclose(numbers[0], numbers[1], atol=0.2)
     page.run("document.querySelector('.turn button[aria-label=\"Look from above\"]').click()")
     assert page.run(first) != drawn
-    page.run("document.querySelector('svg.space').scrollIntoView({block: 'center', behavior: 'instant'})")
+    page.scroll_to("svg.space")
     x, y = page.middle("svg.space")
     before = page.run(first)
     for kind, at in (("mousePressed", x), ("mouseMoved", x + 40), ("mouseReleased", x + 40)):
