@@ -199,6 +199,37 @@ def test_delivering_over_a_limit_latches(bench: Bench, delivered: tuple[float, f
     assert bench.gate.latched == reason
 
 
+def delivered(bench: Bench, pulses: int = 1, number: int = 0) -> None:
+    bench.observe(StimStatus(bench.t_ns, number, 1, True, 20.0, 300.0, 40.0, pulses=pulses))
+
+
+UNASKED = "channel 0: stimulator delivers pulses that nobody asked for"
+
+
+@pytest.mark.requirement("SR-13")
+def test_pulses_that_nobody_asked_for_latch(bench: Bench) -> None:
+    delivered(bench, pulses=0)  # on, without a pulse
+    delivered(bench, number=5)  # a channel of somebody else's session
+    assert bench.gate.latched == ""
+    delivered(bench)
+    assert bench.gate.latched == UNASKED
+
+
+@pytest.mark.requirement("SR-13")
+@pytest.mark.parametrize(("late_ms", "latched"), [(250, ""), (251, UNASKED)])
+def test_an_answer_may_come_a_little_after_the_burst_that_it_tells_of(
+    bench: Bench, late_ms: float, latched: str
+) -> None:
+    bench.wait(20)
+    assert bench.ask().on
+    delivered(bench)
+    bench.wait(20)
+    bench.off()
+    bench.wait(late_ms)
+    delivered(bench)
+    assert bench.gate.latched == latched
+
+
 # --- antagonists ---------------------------------------------------------------------------------------------------
 
 

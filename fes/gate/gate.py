@@ -171,10 +171,14 @@ class SafetyGate:
         if status.fault:
             self.latch(status.t_ns, f"stimulator fault on channel {status.channel}: {status.fault}")
         line = self._lines.get(status.channel)
-        if status.on and line is not None:
+        if line is None:
+            return
+        if status.on:
             over = over_a_cap(Pulse.of(status, line.channel), line.channel.limits)
             if over:
                 self.latch(status.t_ns, f"{line.channel.name}: stimulator delivers {over}")
+        if status.pulses > 0 and line.unasked(status.t_ns):
+            self.latch(status.t_ns, f"{line.channel.name}: stimulator delivers pulses that nobody asked for")
 
     def _on_alive(self, alive: StimAlive) -> None:
         if alive.fault:

@@ -12,6 +12,7 @@ from fes.signals import NS_PER_S
 
 RISE_STEP_MA: Final = 0.5  # the devices' finest step: a ramp rounded to it may run this far ahead of its line
 ROUNDING_MA: Final = 1e-6  # of sums of floating-point numbers
+ANSWERED_NS: Final = NS_PER_S // 4  # longer after its last command no answer tells of pulses that it asked for
 
 
 @dataclass(slots=True)
@@ -54,6 +55,10 @@ class Line:
         if self.on and self.commanded_ns is not None and t_ns - self.commanded_ns > self.validity_ns:
             self.command_off(self.commanded_ns + self.validity_ns)
             self.held_back = True
+
+    def unasked(self, t_ns: int) -> bool:
+        """Whether pulses that the device tells of now were asked for by no command."""
+        return not self.on and (self.off_since_ns is None or t_ns - self.off_since_ns > ANSWERED_NS)
 
     def on_too_long(self, t_ns: int) -> str:
         """Says so when the burst has lasted longer than a burst may."""
