@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import repeat
 from operator import attrgetter
 from typing import Any
 
@@ -24,15 +27,18 @@ from fes.estimation.shank import shank_tracker
 from fes.estimation.stride_fusion import fuse
 from fes.estimation.stride_solution import SOLVED
 from fes.estimation.strides import StrideMaker
-from fes.estimation.tracker import SampleCounts
+from fes.estimation.tracker import Outcome, SampleCounts
+from fes.estimation.walked import Walked
 from fes.ground_path import GroundPath, ground_path, together
 from fes.journal import Note, SampleArrays, SessionRecord
 from fes.recording import Recording
 from fes.recording.tracks import UNLABELLED_FEET
 from fes.replay import LOG_FORMAT, newer_samples, session_for
-from fes.signals import FOOT_SENSORS, StrideResult
+from fes.signals import FOOT_SENSORS, IntArray, StrideResult
 from fes.toe_and_heel import ToeAndHeel, point_heights
 from statemachine.phases import PhaseChange
+
+PLACE = ("x_m", "y_m", "z_m", "heading_rad")
 
 
 @dataclass(frozen=True)
@@ -42,27 +48,52 @@ class Analysis:
     Phases and strides carry the name of the sensor that told them: the foot's, or where there is none the shank's, for
     which there are no ``events`` and no path. ``paths`` are the feet's ways over the ground; ``no_path`` says of the
     other sensors why there is none. ``points`` says of each foot where its toe and heel were taken to be. ``level``:
-    the ground was taken to be level. ``stride_paths``: of each foot's valid strides, the way at their own samples.
+    the ground was taken to be level. ``walked`` is what the feet's trackers found, as arrays, and ``outcomes`` what the
+    shanks' found; phase changes, strides and the strides' ways are made from them when they are first asked for.
     """
 
     recording: Recording
     calibrations: dict[str, Calibration]
-    phases: list[PhaseChange]
-    strides: list[StrideResult]
-    events: dict[str, GaitEvents]
-    counts: dict[str, SampleCounts]
+    events: dict[str, GaitEvents] = field(default_factory=dict)
+    counts: dict[str, SampleCounts] = field(default_factory=dict)
     paths: dict[str, GroundPath] = field(default_factory=dict)
     no_path: dict[str, str] = field(default_factory=dict)
     points: dict[str, ToeAndHeel] = field(default_factory=dict)
     level: bool = True
-    stride_paths: dict[str, list[FootPath]] = field(default_factory=dict)
+    walked: dict[str, Walked] = field(default_factory=dict)
+    outcomes: dict[str, list[Outcome]] = field(default_factory=dict)
+
+    @cached_property
+    def phases(self) -> list[PhaseChange]:
+        """All feet's phase changes by time."""
+        found = [change for walked in self.walked.values() for change in walked.changes]
+        found += [each for own in self.outcomes.values() for each in own if isinstance(each, PhaseChange)]
+        return sorted(found, key=attrgetter("t_ns"))
+
+    @cached_property
+    def strides(self) -> list[StrideResult]:
+        """All feet's strides by their beginnings."""
+        found = [stride for walked in self.walked.values() for stride in walked.strides()]
+        found += [each for own in self.outcomes.values() for each in own if isinstance(each, StrideResult)]
+        return sorted(found, key=attrgetter("t_start_ns"))
+
+    @cached_property
+    def stride_paths(self) -> dict[str, list[FootPath]]:
+        """Of each foot's valid strides, the way at their own samples."""
+        return {foot: walked.paths().each() for foot, walked in self.walked.items()}
 
     def stride_rows(self) -> list[dict[str, Any]]:
         """One flat row per stride, units in the names; ready for CSV, Parquet and JSON.
 
         ``x_m``, ``y_m``, ``z_m`` and ``heading_rad`` are where the stride ends on the foot's path, NaN without a path.
         """
-        return [{**_stride_row(stride), **self._place(stride)} for stride in self.strides]
+        places = {foot: path.at(self._ends_ns(foot)).tolist() for foot, path in self.paths.items()}
+        following = {foot: iter(rows) for foot, rows in places.items()}
+        unknown = (math.nan,) * len(PLACE)
+        return [
+            {**_stride_row(stride), **dict(zip(PLACE, next(following.get(stride.foot, repeat(unknown))), strict=True))}
+            for stride in self.strides
+        ]
 
     def path_rows(self) -> list[dict[str, Any]]:
         """One flat row per foot and tenth of a second: place (m) and heading (rad) on its path."""
@@ -75,12 +106,9 @@ class Analysis:
             for foot, path in self.paths.items()
         }
 
-    def _place(self, stride: StrideResult) -> dict[str, float]:
-        names = ("x_m", "y_m", "z_m", "heading_rad")
-        path = self.paths.get(stride.foot)
-        if path is None:
-            return dict.fromkeys(names, float("nan"))
-        return dict(zip(names, path.at(np.array([stride.t_end_ns]))[0].tolist(), strict=True))
+    def _ends_ns(self, foot: str) -> IntArray:
+        """Where this foot's strides end (K,), in their order."""
+        return np.array([stride.t_end_ns for stride in self.strides if stride.foot == foot], np.int64)
 
     def phase_rows(self) -> list[dict[str, Any]]:
         """One flat row per phase change; T2 is foot off (FO), T3 initial contact (IC)."""
@@ -163,7 +191,7 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
     measured instead.
     """
     session: Session = session_for(recording, None)
-    result = Analysis(recording, dict(calibrations), [], [], {}, {}, level=level)
+    result = Analysis(recording, dict(calibrations), level=level)
     for sensor in driving(calibrations).values():
         if isinstance(calibrations[sensor], ShankCalibration):
             _analyse_shank(result, sensor)
@@ -172,8 +200,6 @@ def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, le
     if set(FOOT_SENSORS) <= set(result.paths):
         left, right = (result.paths[foot] for foot in FOOT_SENSORS)
         result.paths.update(zip(FOOT_SENSORS, together(left, right), strict=True))
-    result.phases.sort(key=attrgetter("t_ns"))
-    result.strides.sort(key=attrgetter("t_start_ns"))
     return result
 
 
@@ -181,9 +207,7 @@ def _analyse_shank(result: Analysis, sensor: str) -> None:
     calibration, track = result.calibrations[sensor], result.recording.tracks[sensor]
     assert isinstance(calibration, ShankCalibration)
     tracker = shank_tracker(calibration, equal_height=None if result.level else False)
-    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    result.strides.extend(outcome for outcome in outcomes if isinstance(outcome, StrideResult))
-    result.phases.extend(outcome for outcome in outcomes if not isinstance(outcome, StrideResult))
+    result.outcomes[sensor] = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
     result.counts[sensor] = tracker.counts
     result.no_path[sensor] = f"{sensor}: a path needs a sensor that rests at every step, as on the foot"
 
@@ -206,9 +230,7 @@ def _analyse_foot(result: Analysis, sensor: str, session: Session) -> None:
     if heights is not None:
         valid = rows["outcome"] == SOLVED
         rows["toe_m"][valid], rows["heel_m"][valid] = heights.T
-    result.stride_paths[sensor] = paths.each()
-    result.strides.extend(walked.strides())
-    result.phases.extend(walked.changes)
+    result.walked[sensor] = walked
     result.counts[sensor] = tracker.counts
     result.events[sensor] = find_events(*newer_samples(track), calibration)
 

@@ -11,7 +11,8 @@ from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, PhaseChange, Transition
 from statemachine.table import TABLE, Row
 
-_ROWS: dict[tuple[int, int], Row] = {(row.source, row.transition): row for row in TABLE}
+_ROWS: dict[tuple[int, int], Row] = {(row.source.value, row.transition.value): row for row in TABLE}
+_DESTINATIONS: dict[tuple[int, int], int] = {key: row.destination.value for key, row in _ROWS.items()}
 _PHASES: dict[str, Phase] = {phase.name: phase for phase in Phase}
 
 
@@ -66,29 +67,40 @@ class GaitPhaseMachine:
             raise GuardDisagreement(f"{transition.name} from {source.name} of {self.foot}: guard refuses {x}")
         return PhaseChange(t_ns, self.foot, transition, source, self.phase)
 
-    def follow(self, gone: Iterable[tuple[int, int, int]]) -> list[PhaseChange]:
+    def follow(self, gone: Iterable[tuple[int, int, int]]) -> None:
         """Take over transitions (time in ns, number, source) that the compiled core went through by the same guards.
 
-        For recordings: only whether such a transition may leave the present phase is asked here.
+        For recordings: only whether such a transition may leave the present phase is asked here. What they are as
+        phase changes :func:`changes_of` says.
 
         Raises:
             GuardDisagreement: the table has no such row, or the core was in another phase.
         """
-        changes, phase = [], self.phase
-        for t_ns, number, source in gone:
-            row = _ROWS.get((phase, number))
-            if row is None or source != phase:
-                raise GuardDisagreement(f"T{number} from {phase.name} of {self.foot}: the core was in {source}")
-            changes.append(PhaseChange(t_ns, self.foot, row.transition, phase, row.destination))
-            phase = row.destination
-        self._model.state = phase.name
-        return changes
+        phase = int(self.phase)
+        for _, number, source in gone:
+            destination = _DESTINATIONS.get((source, number))
+            if destination is None or source != phase:
+                raise GuardDisagreement(f"T{number} from {Phase(phase).name} of {self.foot}: the core was in {source}")
+            phase = destination
+        self._model.state = Phase(phase).name
 
     def restart(self, t_ns: int) -> PhaseChange:
         """Begin anew in stance after a gap in the data; reported as a change without a transition."""
         source = self.phase
         self._machine.set_state(Phase.STANCE.name, model=self._model)
         return PhaseChange(t_ns, self.foot, Transition.NONE, source, Phase.STANCE)
+
+
+def changes_of(foot: str, gone: Iterable[tuple[int, int, int]]) -> list[PhaseChange]:
+    """Transitions (time in ns, number, source) that a machine went through, as phase changes; number 0: a restart."""
+    changes = []
+    for t_ns, number, source in gone:
+        if number == Transition.NONE:
+            changes.append(PhaseChange(t_ns, foot, Transition.NONE, Phase(source), Phase.STANCE))
+        else:
+            row = _ROWS[source, number]
+            changes.append(PhaseChange(t_ns, foot, row.transition, row.source, row.destination))
+    return changes
 
 
 class _Model:

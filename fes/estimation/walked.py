@@ -9,7 +9,7 @@ from fes.estimation.stride_course import CHANGES, STRIDES, new_out
 from fes.estimation.strides import TRAJECTORY_POINTS, Rows, StrideSettings, stride_paths, stride_results
 from fes.estimation.tracker import Outcome
 from fes.signals import FloatArray, StrideResult
-from statemachine.machine import GaitPhaseMachine
+from statemachine.machine import GaitPhaseMachine, changes_of
 from statemachine.phases import PhaseChange
 
 CHANGE = np.dtype([("t_ns", np.int64), ("transition", np.int64), ("source", np.int64)], align=True)
@@ -26,7 +26,6 @@ class Walked:
     """
 
     def __init__(self, foot: str, settings: StrideSettings, samples: int, capacity: int) -> None:
-        self.changes: list[PhaseChange] = []
         strides = USUAL_STRIDES * samples // capacity + 2
         self.room: Rows = np.empty(6 * strides, CHANGE)
         self.out = new_out(strides, samples + 2 * capacity, TRAJECTORY_POINTS)
@@ -36,14 +35,16 @@ class Walked:
     def append(self, outcome: Outcome) -> None:
         """A restart, which the compiled core knows nothing of."""
         assert isinstance(outcome, PhaseChange)
-        self.changes.append(outcome)
-        self.out.filled[CHANGES] += 1
+        self.room[self._taken] = outcome.t_ns, outcome.transition, outcome.source
         self._taken += 1
+        self.out.filled[CHANGES] = self._taken
+        if self._taken == len(self.room):
+            self.room = _twice(self.room)
 
     def keep(self, machine: GaitPhaseMachine) -> None:
         """Take over what the core has found, and lead the phase machine after it."""
         strides, rows, changes = self.out.filled.tolist()
-        self.changes += machine.follow(self.room[self._taken : changes].tolist())
+        machine.follow(self.room[self._taken : changes].tolist())
         self._taken = changes
         out = self.out
         if changes >= len(self.room):
@@ -53,6 +54,11 @@ class Walked:
         if rows > len(out.t_ns) - self._capacity:
             ways = {name: _twice(getattr(out, name)) for name in ("t_ns", "position", "quaternion")}
             self.out = self.out._replace(**ways)
+
+    @property
+    def changes(self) -> list[PhaseChange]:
+        """The phase changes, made anew at every call."""
+        return changes_of(self._foot, self.room[: self._taken].tolist())
 
     @property
     def rows(self) -> Rows:
@@ -76,12 +82,12 @@ class Walked:
     def outcomes(self) -> list[Outcome]:
         """Strides and phase changes in the order in which they came."""
         outcomes: list[Outcome] = []
-        told = 0
+        changes, told = self.changes, 0
         for stride, before in zip(self.strides(), self.rows["changes"].tolist(), strict=True):
-            outcomes += self.changes[told:before]
+            outcomes += changes[told:before]
             outcomes.append(stride)
             told = before
-        return outcomes + self.changes[told:]
+        return outcomes + changes[told:]
 
 
 def _twice(array: Rows) -> Rows:
