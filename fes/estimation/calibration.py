@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.kernel import FootParameters, lags_at
-from fes.estimation.movements import movements, moving_mean, strapdown, travel, vertical_of
+from fes.estimation.movements import contact_jumps, left_over, movements, moving_mean, travels
 from fes.estimation.rest_kernel import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
-from fes.estimation.stride import double_integral, effects
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
 
@@ -131,17 +130,18 @@ def calibrate_foot(
         )
     up = rest_force / np.linalg.norm(rest_force)
     acc = acc_mps2 - up * (rest_norm - G_MPS2)
-    swings = movements(energy, rate_hz, unrest)
-    ways = [travel(t_ns, acc, gyr, *span) for span in swings]
-    walked = [(swing, d) for swing, d in zip(swings, ways, strict=True) if np.linalg.norm(d) > MIN_TRAVEL_M]
-    if len(walked) < MIN_STRIDES:
+    spans = np.array(movements(energy, rate_hz, unrest), np.int64).reshape(-1, 2)
+    ways = travels(t_ns, acc, gyr, spans)
+    far = np.linalg.norm(ways, axis=1) > MIN_TRAVEL_M
+    swings, ways = spans[far], ways[far]
+    if len(swings) < MIN_STRIDES:
         raise CalibrationError(
-            f"{sensor}: {len(walked)} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
+            f"{sensor}: {len(swings)} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
             "Record at least five strides of walking straight ahead."
         )
-    axis = _mediolateral(gyr, [swing for swing, _ in walked], up)
+    axis = _mediolateral(gyr, swings, up)
     forward = np.cross(axis, up)
-    along = np.array([float(d @ forward) for _, d in walked])
+    along = np.array([float(d @ forward) for d in ways])
     confidence = abs(along.sum()) / np.abs(along).sum()
     if confidence < 0.6:
         raise CalibrationError(
@@ -151,8 +151,9 @@ def calibrate_foot(
     if along.sum() < 0:
         axis = -axis
     acc_bias = up * (rest_norm - G_MPS2)
-    acc_bias += _acc_bias_across(t_ns, acc, gyr, [swing for swing, _ in walked], up)
-    peak, floor = _levels(gyr @ axis, np.sqrt(energy), [swing for swing, _ in walked])
+    acc_bias += _acc_bias_across(t_ns, acc, gyr, swings, up)
+    toe_down = gyr @ axis
+    peak, floor = _levels(toe_down, np.sqrt(energy), swings)
     low, high = REST_BOUNDS_RADPS
     return FootCalibration(
         sensor=sensor,
@@ -163,10 +164,10 @@ def calibrate_foot(
         gyr_bias_radps=_vector(rate_bias),
         rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
         min_toe_down_peak_radps=float(PUSH_OFF_SHARE * min(peak, MOST_PUSH_OFF_RADPS)),
-        rest_hold_s=_rest_hold_s([1e-9 * float(t_ns[begin]) for (begin, _), _ in walked]),
-        contact_jump_mps3=_contact_jump(t_ns, acc_mps2 - acc_bias, gyr, [s for s, _ in walked], axis, rate_hz),
+        rest_hold_s=_rest_hold_s(1e-9 * t_ns[swings[:, 0]].astype(np.float64)),
+        contact_jump_mps3=_contact_jump(t_ns, acc_mps2 - acc_bias, gyr, swings, toe_down, rate_hz),
         axis_confidence=float(confidence),
-        strides=len(walked),
+        strides=len(swings),
         standing=standing,
     )
 
@@ -201,26 +202,18 @@ def _rest(energy: FloatArray, acc: FloatArray, window: int) -> tuple[FloatArray,
     return unrest, np.median(acc[quiet], axis=0), norm
 
 
-def _acc_bias_across(
-    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray
-) -> FloatArray:
+def _acc_bias_across(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray, up: FloatArray) -> FloatArray:
     """The accelerometer's bias across gravity (3,) in m/s², as far as walking shows it.
 
     Rest shows only the part along gravity. In swing the foot pitches, and the other parts appear in the vertical: the
     mean vertical velocity and height left over at the strides' ends speak of them. How loudly depends on how brisk the
     walk is, for scale errors leave something over too; so each is weighed against a share of the stride's acceleration.
     """
-    left, effect_sum, floor = np.zeros(2), np.zeros((2, 3)), np.zeros(2)
-    zero = np.zeros(3)
-    for span in spans:
-        t, force, quaternions = strapdown(t_ns, acc, gyr, *span, 0.3)
-        velocity, position, effect = np.empty((len(t), 3)), np.empty((len(t), 3)), np.zeros((4, 6))
-        double_integral(t, force, quaternions, zero, np.zeros((2, 3)), velocity, position)
-        effects(t, quaternions, effect)
-        left += velocity[-1, 2], position[-1, 2]
-        effect_sum += effect[2:4, :3]
-        span_s = 1e-9 * float(t[-1] - t[0])
-        briskness = span_s * float(np.abs(np.linalg.norm(force, axis=1) - G_MPS2).mean())
+    left, effect_sum = left_over(t_ns, acc, gyr, spans)
+    floor, liveliness = np.zeros(2), np.abs(np.linalg.norm(acc, axis=1) - G_MPS2)
+    for first, last in spans.tolist():
+        span_s = 1e-9 * float(t_ns[last] - t_ns[first])
+        briskness = span_s * float(liveliness[first : last + 1].mean())
         floor += SCALE_ERROR * briskness, SCALE_ERROR * briskness * 0.5 * span_s
     across = np.eye(3) - np.outer(up, up)
     rows = np.vstack(((effect_sum @ across) / floor[:, None], np.eye(3) / ACC_BIAS_SD_MPS2))
@@ -228,10 +221,10 @@ def _acc_bias_across(
     return np.asarray(across @ np.linalg.lstsq(rows, values, rcond=None)[0])
 
 
-def _mediolateral(gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray) -> FloatArray:
+def _mediolateral(gyr: FloatArray, spans: IntArray, up: FloatArray) -> FloatArray:
     """The horizontal axis that most of the strides' rotation is about, unit (3,), sign open."""
     moment = np.zeros((3, 3))
-    for begin, end in spans:
+    for begin, end in spans.tolist():
         moment += gyr[begin:end].T @ gyr[begin:end]
     level = np.eye(3) - np.outer(up, up)
     _, vectors = np.linalg.eigh(level @ moment @ level)
@@ -239,13 +232,13 @@ def _mediolateral(gyr: FloatArray, spans: list[tuple[int, int]], up: FloatArray)
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def _levels(toe_down: FloatArray, rate: FloatArray, spans: list[tuple[int, int]]) -> tuple[float, float]:
+def _levels(toe_down: FloatArray, rate: FloatArray, spans: IntArray) -> tuple[float, float]:
     """Typical peak of the toe-down rate per stride, and the rate at the quietest instant between strides (rad/s)."""
-    peaks = [float(toe_down[first : last + 1].max()) for first, last in spans]
-    return float(np.median(peaks)), float(np.median([rate[last] for _, last in spans]))
+    peaks = [float(toe_down[first : last + 1].max()) for first, last in spans.tolist()]
+    return float(np.median(peaks)), float(np.median(rate[spans[:, 1]]))
 
 
-def _rest_hold_s(starts_s: list[float]) -> float:
+def _rest_hold_s(starts_s: FloatArray) -> float:
     """How long rest must last to count: slow walkers pause between contact and foot flat, fast ones hardly rest."""
     between = np.diff(starts_s)
     stride_s = float(np.median(between[between < 4.0])) if np.any(between < 4.0) else 1.0
@@ -254,24 +247,15 @@ def _rest_hold_s(starts_s: list[float]) -> float:
 
 
 def _contact_jump(
-    t_ns: IntArray,
-    acc: FloatArray,
-    gyr: FloatArray,
-    spans: list[tuple[int, int]],
-    axis: FloatArray,
-    rate_hz: float,
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray, toe_down: FloatArray, rate_hz: float
 ) -> float:
     """Threshold (m/s³) for this person's first contacts: a share of the greatest jump after the toe-up peak."""
     lag, _ = lags_at(rate_hz)
-    jumps = []
-    for first, last in spans:
-        _, force, quaternions = strapdown(t_ns, acc, gyr, first, last, 0.3)
-        vertical = vertical_of(quaternions, force)
-        after = int(np.argmin(gyr[first : last + 1] @ axis))
-        if after + lag < len(vertical):
-            jumps.append(float(np.abs(vertical[after + lag :] - vertical[after:-lag]).max()) * rate_hz / lag)
+    peaks = np.array([first + int(toe_down[first : last + 1].argmin()) for first, last in spans.tolist()], np.int64)
+    jumps = contact_jumps(t_ns, acc, gyr, spans, peaks, lag)
+    jumps = jumps[~np.isnan(jumps)] * rate_hz / lag
     low, high = CONTACT_JUMP_BOUNDS_MPS3
-    return min(max(CONTACT_SHARE * float(np.median(jumps)), low), high) if jumps else high
+    return min(max(CONTACT_SHARE * float(np.median(jumps)), low), high) if len(jumps) else high
 
 
 def stretch_for_calibration(t_ns: IntArray, longest_s: float = 60.0) -> int:
