@@ -38,6 +38,7 @@ from fes.estimation.foot_way import foot_samples
 from fes.estimation.stride_fusion import fuse
 from fes.estimation.strides import StrideMaker
 from fes.ground_path import ground_path
+from fes.memory import keep_freed_memory
 from fes.recording import Recording, Track, read_recording, write_recording
 from fes.replay import newer_samples, session_for
 from fes.toe_and_heel import point_heights
@@ -147,6 +148,7 @@ def measure(
     minutes: float, folder: Path, *, cold: bool, hours: list[float]
 ) -> list[tuple[str, float, str, float | None]]:
     """Rows of what, value, unit and bar (None: none), the recording being written to ``folder``."""
+    keep_freed_memory()
     recording = repeated(one_walk(), minutes)
     samples = sum(len(track.t_ns) for track in recording.tracks.values())
     rows: list[tuple[str, float, str, float | None]] = [("samples, both feet", float(samples), "", None)]

@@ -156,9 +156,9 @@ def _drift_apart(left: GroundPath, right: GroundPath) -> float:
     apart = np.unwrap(np.unwrap(left.at(common)[:, 3]) - of_right)
     count = min(len(common), MOST_STANCES)
     picked = np.linspace(0, len(common) - 1, count).round().astype(int)
-    i, j = np.triu_indices(count, k=count // 4)
-    slopes = (apart[picked[j]] - apart[picked[i]]) / (picked[j] - picked[i])
-    return float(np.median(slopes))
+    apart = apart[picked]
+    slopes = [(apart[k:] - apart[:-k]) / (picked[k:] - picked[:-k]) for k in range(count // 4, count)]
+    return float(np.median(np.concatenate(slopes)))
 
 
 def _turned(path: GroundPath, stance_ns: IntArray, per_stride_rad: float) -> GroundPath:

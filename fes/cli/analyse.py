@@ -20,6 +20,7 @@ from fes.cli.exits import FAILED, fail
 from fes.cli.folders import fresh_folder
 from fes.cli.proposal import told
 from fes.estimation.calibration import CalibrationError
+from fes.memory import keep_freed_memory
 from fes.recording import RecordingError, read_recording
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def command(
     One recording that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
     failures = 0
+    keep_freed_memory()
     for path in recordings:
         try:
             with compiled_ahead(Path(vars(numba.config)["CACHE_DIR"])):

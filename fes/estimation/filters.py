@@ -32,17 +32,23 @@ def low_pass(x: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:
     whole = 1.0 + damped + k * k
     b, a1, a2 = k * k / whole, 2.0 * (k * k - 1.0) / whole, (1.0 - damped + k * k) / whole
     padded = np.concatenate((2.0 * x[0] - x[PADDING:0:-1], x, 2.0 * x[-1] - x[-2 : -PADDING - 2 : -1]))
-    for _ in range(2):  # forwards, and what comes out of that backwards
-        _section(padded, b, a1, a2)
-        padded = padded[::-1].copy()
+    _section(padded, b, a1, a2)
     return padded[PADDING:-PADDING]
 
 
 @jit
 def _section(x: Any, b: float, a1: float, a2: float) -> None:
-    """``b (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²)`` over ``x`` (N,) in place, begun as if it had always been ``x[0]``."""
+    """``b (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²)`` over ``x`` (N,) in place, forwards and then backwards, each begun as if
+    it had always been what it is there."""
+    last = x.shape[0] - 1
     early, late = (1.0 - b) * x[0], (b - a2) * x[0]
-    for i in range(x.shape[0]):
+    for i in range(last + 1):
+        y = b * x[i] + early
+        early = 2.0 * b * x[i] - a1 * y + late
+        late = b * x[i] - a2 * y
+        x[i] = y
+    early, late = (1.0 - b) * x[last], (b - a2) * x[last]
+    for i in range(last, -1, -1):
         y = b * x[i] + early
         early = 2.0 * b * x[i] - a1 * y + late
         late = b * x[i] - a2 * y

@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest, rate_energy
+from fes.estimation.rest_spans import quietest_of_rests, rest_in_long_moves
 from fes.estimation.zupt_kernel import Tape, ZuptSettings, forward, new_tape
 from fes.estimation.zupt_smooth import smooth
 from fes.signals import FloatArray, IntArray, Vector3
@@ -193,7 +194,9 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
     if count < 2 * longest or not size.any():
         return 0.0
-    spectrum = np.fft.rfft(size, 1 << (2 * count - 1).bit_length())  # a power of two is fast, and long enough
+    long = count + longest + 2  # enough that what wraps around lies beyond the longest
+    fast = min(odd << max((-(-long // odd) - 1).bit_length(), 0) for odd in (1, 3, 5))  # few small factors are fast
+    spectrum = np.fft.rfft(size, fast)
     alike = np.fft.irfft(spectrum * np.conj(spectrum))[: longest + 2]
     alike /= alike[0] * (1.0 - np.arange(longest + 2) / count)
     inner = np.arange(shortest, longest + 1)
@@ -219,15 +222,7 @@ def with_quietest(
     if energy is None:
         energy = rate_energy(gyr_radps, rate_hz)
     half, margin = max(round(0.01 * rate_hz), 1), round(0.32 * longest)
-    edges = np.flatnonzero(np.diff(np.concatenate(([True], out, [True])).astype(np.int8)))
-    spans = list(zip(edges[0::2].tolist(), edges[1::2].tolist(), strict=True))
-    while spans:
-        begin, end = spans.pop()
-        if end - begin <= longest:
-            continue
-        quiet = begin + margin + int(np.argmin(energy[begin + margin : end - margin]))
-        out[quiet - half : quiet + half + 1] = True
-        spans += [(begin, quiet - half), (quiet + half + 1, end)]
+    rest_in_long_moves(out, energy, longest, half, margin)
     return out
 
 
@@ -242,14 +237,8 @@ def stance_instants(rest: BoolArray, gyr_radps: FloatArray, rate_hz: float) -> I
 
 def least_in_rests(rest: BoolArray, energy: FloatArray, rate_hz: float) -> IntArray:
     """As :func:`stance_instants`, of a rate energy (N,) already known."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], rest, [False])).astype(np.int8)))
-    begins, ends = edges[0::2], edges[1::2]
-    if len(begins) == 0:
-        return np.zeros(0, dtype=np.int64)
-    apart = begins[1:] - ends[:-1] >= SHORTEST_MOVE_S * rate_hz
-    begins, ends = begins[np.append(True, apart)], ends[np.append(apart, True)]
-    spans = zip(begins.tolist(), ends.tolist(), strict=True)
-    return np.array([begin + int(energy[begin:end].argmin()) for begin, end in spans], dtype=np.int64)
+    out = np.empty(len(rest) // 2 + 1, np.int64)
+    return out[: quietest_of_rests(rest, energy, SHORTEST_MOVE_S * rate_hz, out)].copy()
 
 
 def clipped_sd(values: FloatArray, full_scale: float | None, least: float, share: float) -> FloatArray:

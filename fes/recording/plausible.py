@@ -20,6 +20,8 @@ GRAVITY_BAND = (0.75, 1.33)  # quiet shanks and lively feet still read within it
 MAX_RATE_RADPS = 60.0  # 3400 deg/s: no leg turns so fast, no usual sensor measures it
 MOVING_MPS2 = 3.0  # walking feet leave 1 g by more than 10 m/s², idle ones by less than 1
 MIN_MOVING_RADPS = 0.35  # 20 deg/s: a foot that walks peaks at 200 to 600
+LOOKED_AT_S = 10.0  # of a long recording so long stretches are looked at …
+STRETCHES = 24  # … so many of them, evenly apart: units do not change in between
 
 
 @dataclass(frozen=True)
@@ -60,12 +62,23 @@ def check_units(
 ) -> None:
     """Check (N, 3) vectors in the file's units against what the sidecar says of them.
 
+    Of more than four minutes, stretches from beginning to end that make four minutes together are looked at.
+
     Raises:
         RecordingError: gravity or the turning rates do not fit; the message says which unit would.
     """
+    acc, gyr = (_stretches(values, round(LOOKED_AT_S * rate_hz)) for values in (acc, gyr))
     quiet = quiet_level(acc, gyr, rate_hz)
     _check_gravity(where, quiet, acc_unit, factors[0])
     _check_turning(where, acc, gyr, gyr_unit, factors)
+
+
+def _stretches(values: FloatArray, size: int) -> FloatArray:
+    """Evenly spread stretches of ``size`` rows as one array, or all (N, 3) of them where they are no more."""
+    if len(values) <= STRETCHES * size:
+        return values
+    begins = np.linspace(0, len(values) - size, STRETCHES).astype(np.int64)
+    return np.concatenate([values[begin : begin + size] for begin in begins.tolist()])
 
 
 def _spread(windows: FloatArray) -> FloatArray:

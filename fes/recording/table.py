@@ -125,7 +125,8 @@ class Table:
 
         self._check_names(self.parquet_names(self.path), wanted)
         try:
-            return parquet.read_table(self.path, columns=wanted, page_checksum_verification=True)
+            with parquet.ParquetFile(self.path, page_checksum_verification=True) as file:
+                return file.read(columns=wanted)
         except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
             raise RecordingError(
                 f"{self.path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."

@@ -124,4 +124,8 @@ def _write_table(columns: dict[str, Any], path: Path, suffix: str) -> None:
     else:
         from pyarrow import parquet
 
-        parquet.write_table(table, path, compression="zstd", write_page_checksum=True)
+        # bytes of like weight side by side: smaller, and read faster, than a dictionary of numbers that hardly recur
+        split = [name for name in table.column_names if pa.types.is_floating(table.schema.field(name).type)]
+        parquet.write_table(
+            table, path, compression="zstd", use_dictionary=False, use_byte_stream_split=split, write_page_checksum=True
+        )
