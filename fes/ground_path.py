@@ -7,6 +7,7 @@ is that over the belt.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -63,10 +64,12 @@ class GroundPath:
         columns = (*self.position_m.T, self.heading_rad)
         return np.column_stack([np.interp(asked, known, column) for column in columns])
 
-    def rows(self, rate_hz: float = 10.0) -> list[dict[str, Any]]:
-        """One flat row per instant, units in the names."""
-        seconds = (self.t_ns - self.t_ns[0]) * 1e-9
-        instants = self.t_ns[0] + np.round(np.arange(0.0, seconds[-1] + 1e-9, 1.0 / rate_hz) * 1e9).astype(np.int64)
+    def rows(self, rate_hz: float = 10.0, origin_ns: int | None = None) -> list[dict[str, Any]]:
+        """One flat row per instant, units in the names; instants count from the path's beginning, or the origin."""
+        origin = int(self.t_ns[0]) if origin_ns is None else origin_ns
+        begin_s, end_s = ((int(t) - origin) * 1e-9 for t in (self.t_ns[0], self.t_ns[-1]))
+        numbers = np.arange(math.ceil(begin_s * rate_hz), math.floor((end_s + 1e-9) * rate_hz) + 1)
+        instants = origin + np.round(numbers * (1.0 / rate_hz) * 1e9).astype(np.int64)
         names = ("x_m", "y_m", "z_m", "heading_rad")
         return [
             {"foot": self.foot, "t_s": 1e-9 * t, **dict(zip(names, row, strict=True))}
@@ -129,6 +132,23 @@ def ahead(path: GroundPath) -> GroundPath:
 def _about_z(angle_rad: float) -> FloatArray:
     c, s = float(np.cos(angle_rad)), float(np.sin(angle_rad))
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def way_within(path: GroundPath, stance_ns: IntArray) -> float:
+    """Horizontal distances from each of these stances (M,) to the next, summed, in m."""
+    return float(np.hypot(*np.diff(path.at(stance_ns)[:, :2], axis=0).T).sum())
+
+
+def continued(before: GroundPath, path: GroundPath, at_ns: int) -> GroundPath:
+    """The path turned and shifted so that it goes on where the one before is at a time that both know.
+
+    They are joined in the stance next to that time, where a foot has a heading for certain.
+    """
+    t_ns = path.stance_ns[[int(np.argmin(np.abs(path.stance_ns - at_ns)))]]
+    turn = float(before.at(t_ns)[0, 3] - path.at(t_ns)[0, 3])
+    position = path.position_m @ _about_z(turn).T
+    turned = replace(path, position_m=position, heading_rad=path.heading_rad + turn)
+    return replace(turned, position_m=position + (before.at(t_ns) - turned.at(t_ns))[0, :3])
 
 
 def together(left: GroundPath, right: GroundPath) -> tuple[GroundPath, GroundPath]:

@@ -99,9 +99,12 @@ def contact_jumps(
     return out
 
 
-def _whole(*arrays: Any) -> tuple[Any, ...]:
+def _whole(
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray
+) -> tuple[IntArray, FloatArray, FloatArray, IntArray]:
     """As the compiled code knows them: C-contiguous."""
-    return tuple(np.ascontiguousarray(array) for array in arrays)
+    contiguous = np.ascontiguousarray
+    return contiguous(t_ns), contiguous(acc), contiguous(gyr), contiguous(spans)
 
 
 @jit

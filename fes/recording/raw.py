@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -51,7 +51,26 @@ def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, Ra
     return raw
 
 
+def read_parts(path: Path, sidecar_path: Path, sidecar: Sidecar, rows: int) -> Iterator[dict[str, RawTrack]]:
+    """As :func:`read_table` of a Parquet file alone, so many rows at a time; a sensor that is silent there is left out.
+
+    Raises:
+        RecordingError: as there.
+    """
+    sensors = list(sidecar.sensors)
+    wanted, _, dialect = _columns(sidecar_path, sidecar, sensors)
+    for table in Table.parts(path, wanted, rows, dialect):
+        found = {sensor: _raw_track(table, sidecar, sensor, silent=True) for sensor in sensors}
+        yield {sensor: raw for sensor, raw in found.items() if raw.t_sensor_ns.size}
+
+
 def _of_one_file(path: Path, sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> dict[str, RawTrack]:
+    table = Table(path, *_columns(sidecar_path, sidecar, sensors))
+    return {sensor: _raw_track(table, sidecar, sensor) for sensor in sensors}
+
+
+def _columns(sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> tuple[list[str], list[str], Dialect]:
+    """Which columns to read, which of them are times, and how the text is laid out."""
     described = [sidecar.sensors[sensor] for sensor in sensors]
     values = [name for columns in described for name in (*columns.acc, *columns.gyr)]
     times = [sidecar.time_of(sensor) for sensor in sensors]
@@ -61,11 +80,11 @@ def _of_one_file(path: Path, sidecar_path: Path, sidecar: Sidecar, sensors: list
     if confused:
         raise RecordingError(f"{sidecar_path}: column {confused[0]!r} is named as a time and as a measurement")
     dialect = Dialect(**{field.name: getattr(sidecar, field.name) for field in fields(Dialect)})
-    table = Table(path, time_names + values, time_names, dialect)
-    return {sensor: _raw_track(table, sidecar, sensor) for sensor in sensors}
+    return time_names + values, time_names, dialect
 
 
-def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor) -> RawTrack:
+def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool = False) -> RawTrack:
+    """``silent``: it may be that all of its cells are empty."""
     columns = sidecar.sensors[sensor]
     names = (*columns.acc, *columns.gyr)
     where = f"{table.path}: {sensor}"
@@ -78,7 +97,7 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor) -> RawTrack:
     timed = np.ones(table.rows, bool)
     if time_name is None:
         rate_hz = sidecar.rate_of(sensor)
-        stamps = stamps_from_rate(table.rows, rate_hz or 1.0)
+        stamps = stamps_from_rate(table.rows, rate_hz or 1.0, table.first)
     else:
         stamps = table.times_ns(time_name, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])
         empty = table.empty(time_name)
@@ -93,7 +112,7 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor) -> RawTrack:
     acc, gyr = data
     if kept.size < table.rows:
         acc, gyr = acc[kept], gyr[kept]
-    if not kept.size:
+    if not kept.size and not silent:
         raise RecordingError(f"{where}: all of its cells are empty; leave the sensor out of the sidecar")
     arrival = None
     if columns.arrival_column:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from fes.recording.plausible import check_units
-from fes.recording.raw import RawTrack, read_table
+from fes.recording.raw import RawTrack, read_parts, read_table
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
+from fes.recording.table import Table
 from fes.recording.template import sidecar_template
-from fes.recording.timebase import MIN_DURATION_S, judge_stamps
+from fes.recording.timebase import MIN_DURATION_S, RATE_TOLERANCE, judge_stamps
 from fes.recording.tracks import (
     UNLABELLED_FEET,
     Recording,
@@ -19,10 +23,11 @@ from fes.recording.tracks import (
     Track,
     TrackQuality,
 )
-from fes.signals import SENSORS
+from fes.signals import NS_PER_S, SENSORS
 
 TABLE_SUFFIXES = (".csv", ".parquet")
 CAN_SUFFIXES = (".asc", ".blf", ".log")
+FIRST_ROWS = 32_768  # these tell the rate
 CLIPPED_FROM = 0.999  # share of full scale: the last count may be one short of it
 
 
@@ -34,6 +39,58 @@ def read_recording(path: Path) -> Recording:
             sidecar says; the message names the file, the place and the fix.
         SidecarMissingError: there is no sidecar; the error holds a proposal.
     """
+    path, sidecar_path, sidecar = _described(path)
+    if path.suffix.lower() in CAN_SUFFIXES:
+        from fes.recording.can_log import read_can_log
+
+        raw = read_can_log(path, sidecar_path, sidecar)
+    else:
+        raw = read_table(path, sidecar_path, sidecar)
+    return _recording(path, sidecar, _tracks(path, sidecar, raw))
+
+
+def follow_recording(path: Path, part_s: float) -> Iterator[Recording]:
+    """As :func:`read_recording`, in parts of equal length that follow each other, of ``part_s`` at most.
+
+    Only Parquet whose sensors share one time column, or have none, comes in parts. ``quality`` is each part's own.
+
+    Raises:
+        RecordingError: as there.
+    """
+    path, sidecar_path, sidecar = _described(path)
+    rows = _part_rows(path, sidecar_path, sidecar, part_s)
+    if not rows:
+        yield read_recording(path)
+        return
+    before: dict[str, Track] = {}
+    for raw in read_parts(path, sidecar_path, sidecar, rows):
+        tracks = _tracks(path, sidecar, raw, before)
+        if tracks:
+            yield _recording(path, sidecar, tracks)
+        before |= {name: _newest(track) for name, track in tracks.items()}
+
+
+def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float) -> int:
+    """How many rows make a part; 0 where all is one, or has to be read at once."""
+    columns = sidecar.sensors.values()
+    if path.suffix.lower() != ".parquet" or sidecar.can is not None or any(each.file for each in columns):
+        return 0
+    if len({(sidecar.time_of(sensor), sidecar.time_unit_of(sensor)) for sensor in sidecar.sensors}) > 1:
+        return 0
+    rows = Table.parquet_rows(path)
+    if rows <= FIRST_ROWS:
+        return 0
+    begun = next(read_parts(path, sidecar_path, sidecar, FIRST_ROWS), {})
+    steps = {name: np.diff(raw.t_sensor_ns) for name, raw in begun.items()}
+    rates = [NS_PER_S / float(np.median(each[each > 0])) for each in steps.values() if (each > 0).any()]
+    if not rates or max(rates) > (1.0 + RATE_TOLERANCE) * min(rates):
+        return 0
+    parts = math.ceil(rows / (part_s * max(rates)))
+    return math.ceil(rows / parts) if parts > 1 else 0
+
+
+def _described(path: Path) -> tuple[Path, Path, Sidecar]:
+    """A recording's file, its sidecar's path and what that says."""
     path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in TABLE_SUFFIXES + CAN_SUFFIXES:
@@ -52,17 +109,28 @@ def read_recording(path: Path) -> Recording:
             sidecar_path,
             sidecar_template(path),
         )
-    sidecar = load_sidecar(sidecar_path)
-    if suffix in CAN_SUFFIXES:
-        from fes.recording.can_log import read_can_log
+    return path, sidecar_path, load_sidecar(sidecar_path)
 
-        raw = read_can_log(path, sidecar_path, sidecar)
-    else:
-        raw = read_table(path, sidecar_path, sidecar)
-    tracks = {
-        sensor: _track(path, sidecar, sensor, raw[sensor]) for sensor in SENSORS + UNLABELLED_FEET if sensor in raw
-    }
-    _check_overlap(path, tracks)
+
+def _tracks(
+    path: Path, sidecar: Sidecar, raw: Mapping[str, RawTrack], before: Mapping[str, Track] | None = None
+) -> dict[str, Track]:
+    """Tracks of what was read; ``before``: where each ended in the part before."""
+    before = before or {}
+    ordered = [sensor for sensor in SENSORS + UNLABELLED_FEET if sensor in raw]
+    tracks = {sensor: _track(path, sidecar, sensor, raw[sensor], before.get(sensor)) for sensor in ordered}
+    if tracks:
+        _check_overlap(path, tracks)
+    return tracks
+
+
+def _newest(track: Track) -> Track:
+    """The newest sample alone."""
+    at = int(np.argmax(track.t_sensor_ns))
+    return replace(track.part(slice(at, at + 1)), t_ns=track.t_ns[-1:].copy())
+
+
+def _recording(path: Path, sidecar: Sidecar, tracks: dict[str, Track]) -> Recording:
     extra = dict(sidecar.extra)
     mounting = {sensor: columns.mounting for sensor, columns in sidecar.sensors.items() if columns.mounting}
     if mounting:
@@ -79,11 +147,15 @@ def read_recording(path: Path) -> Recording:
     )
 
 
-def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack) -> Track:
+def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, before: Track | None = None) -> Track:
     name: Sensor = next(key for key in sidecar.sensors if key == sensor)
     columns = sidecar.sensors[name]
     where = f"{path.with_name(columns.file) if columns.file else path}: {sensor}"
-    timing = judge_stamps(raw.stamps_ns, sidecar.rate_of(name), where, raw.place, sidecar.time_unit_of(name))
+    stamps_ns, place = raw.stamps_ns, raw.place
+    if before is not None:
+        stamps_ns = np.append(before.t_sensor_ns, stamps_ns)
+        place = lambda index: raw.place(max(index - 1, 0))  # noqa: E731
+    timing = judge_stamps(stamps_ns, sidecar.rate_of(name), where, place, sidecar.time_unit_of(name))
     span_s = float(raw.t_sensor_ns.max() - raw.t_sensor_ns.min()) * 1e-9
     if span_s + 1.0 / timing.rate_hz < MIN_DURATION_S:
         raise RecordingError(f"{where}: lasts {span_s:.3f} s; a recording needs at least {MIN_DURATION_S:g} s")
@@ -103,9 +175,10 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack) -> Track:
         clipped=int(clipped.sum()),
     )
     arrival = np.maximum.accumulate(raw.t_sensor_ns if raw.t_arrival_ns is None else raw.t_arrival_ns)
-    return Track(
-        sensor, timing.rate_hz, arrival, raw.t_sensor_ns, acc, gyr, columns.acc_range, columns.gyr_range, quality
-    )
+    rate_hz = timing.rate_hz
+    if before is not None:
+        arrival, rate_hz = np.maximum(arrival, before.t_ns), before.rate_hz
+    return Track(sensor, rate_hz, arrival, raw.t_sensor_ns, acc, gyr, columns.acc_range, columns.gyr_range, quality)
 
 
 def _check_overlap(path: Path, tracks: dict[str, Track]) -> None:

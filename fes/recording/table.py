@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from fes.recording.tracks import RecordingError
 from fes.signals import FloatArray, IntArray
 
 _PARQUET_MAGIC = b"PAR1"
+_BATCH_ROWS = 65_536
 
 
 class Table:
@@ -27,6 +30,7 @@ class Table:
     def __init__(self, path: Path, wanted: list[str], times: list[str], dialect: Dialect) -> None:
         """``wanted``: columns to read; ``times``: those of them that are times."""
         self.path = path
+        self.first = 0  # row of the file
         self.is_csv = path.suffix.lower() == ".csv"
         self._dialect = dialect
         self._table = self._read_csv(wanted, times) if self.is_csv else self._read_parquet(wanted)
@@ -34,9 +38,50 @@ class Table:
         if self.rows == 0:
             raise RecordingError(f"{path}: holds a header and no samples")
 
+    @classmethod
+    def parts(cls, path: Path, wanted: list[str], rows: int, dialect: Dialect) -> Iterator[Table]:
+        """A Parquet file's tables of so many rows each, the last of what is left; no more is read than is asked for.
+
+        Raises:
+            RecordingError: as the constructor.
+        """
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        part = cls.__new__(cls)
+        part.path, part.is_csv, part._dialect = path, False, dialect
+        part._check_names(cls.parquet_names(path), wanted)
+        first, taken, batches = 0, 0, list[Any]()
+        try:
+            with parquet.ParquetFile(path, page_checksum_verification=True) as file:
+                for batch in file.iter_batches(batch_size=min(rows, _BATCH_ROWS), columns=wanted):
+                    while batch.num_rows:
+                        head = batch.slice(0, rows - taken)
+                        batches.append(head)
+                        taken, batch = taken + head.num_rows, batch.slice(head.num_rows)
+                        if taken == rows:
+                            yield part._of(pa.Table.from_batches(batches), first)
+                            first, taken, batches = first + rows, 0, []
+        except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
+            if isinstance(error, RecordingError):
+                raise
+            raise RecordingError(
+                f"{path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
+            ) from error
+        if batches:
+            yield part._of(pa.Table.from_batches(batches), first)
+
+    def _of(self, table: Any, first: int) -> Table:
+        """The same file's rows from ``first`` on."""
+        part = copy.copy(self)
+        part._table, part.rows, part.first = table, int(table.num_rows), first
+        return part
+
     def place(self, row: int) -> str:
         """Return where a row is, for messages: “line 17” of a CSV file, “row 16” (from 1) of Parquet."""
-        return f"line {csv_text.line_of_row(self.path, self._dialect, row)}" if self.is_csv else f"row {row + 1}"
+        if self.is_csv:
+            return f"line {csv_text.line_of_row(self.path, self._dialect, row)}"
+        return f"row {self.first + row + 1}"
 
     def numbers(self, name: str) -> FloatArray:
         """Return a column as (rows,) float64, NaN where empty.
@@ -131,6 +176,14 @@ class Table:
             raise RecordingError(
                 f"{self.path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
             ) from error
+
+    @staticmethod
+    def parquet_rows(path: Path) -> int:
+        """Return how many rows a Parquet file has; errors as of :meth:`parquet_names`."""
+        from pyarrow import parquet
+
+        Table.parquet_names(path)
+        return int(parquet.read_metadata(path).num_rows)
 
     @staticmethod
     def parquet_names(path: Path) -> list[str]:

@@ -29,9 +29,9 @@ class Timing:
     irregular: int
 
 
-def stamps_from_rate(rows: int, rate_hz: float) -> IntArray:
-    """Return (rows,) times in ns of samples at an even rate, from 0."""
-    stamps: IntArray = np.rint(np.arange(rows) * (NS_PER_S / rate_hz)).astype(np.int64)
+def stamps_from_rate(rows: int, rate_hz: float, first: int = 0) -> IntArray:
+    """Return (rows,) times in ns of samples at an even rate, the ``first`` after the recording's beginning."""
+    stamps: IntArray = np.rint(np.arange(first, first + rows) * (NS_PER_S / rate_hz)).astype(np.int64)
     return stamps
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +102,16 @@ class Track:
                 )
             if not array.flags.c_contiguous:
                 object.__setattr__(self, name, np.ascontiguousarray(array))
+
+    def part(self, rows: slice) -> Track:
+        """The same with these samples alone, as copies: the whole need not be kept for them."""
+        return replace(
+            self,
+            t_ns=self.t_ns[rows].copy(),
+            t_sensor_ns=self.t_sensor_ns[rows].copy(),
+            acc_mps2=self.acc_mps2[rows].copy(),
+            gyr_radps=self.gyr_radps[rows].copy(),
+        )
 
     @property
     def duration_s(self) -> float:
