@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import mean, stdev
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 import numba
 
 from fes.analysis import Analysis, analyse, calibrations_of
 from fes.calibrations import drivers_from
+from fes.cli.analyse_long import analyse_long, calibrated
 from fes.cli.compile_ahead import compiled_ahead
 from fes.cli.exits import FAILED, fail
 from fes.cli.folders import fresh_folder
 from fes.cli.proposal import told
+from fes.cli.table_file import write_table
 from fes.estimation.calibration import CalibrationError
 from fes.memory import keep_freed_memory
 from fes.recording import RecordingError, read_recording
+from fes.recording.pieces import Piece, recording_pieces
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -77,6 +79,8 @@ def command(
     Where toe and heel are is taken from [geometry] in the sidecar, or else, on level ground, estimated from the walking
     itself, which takes the sensor to sit over the middle of the foot; the output says which.
 
+    A recording of more than half an hour is analysed in pieces, with a report of each: memory does not grow with it.
+
     One recording that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
     failures = 0
@@ -84,12 +88,16 @@ def command(
     for path in recordings:
         try:
             with compiled_ahead(Path(vars(numba.config)["CACHE_DIR"])):
-                recording = read_recording(path)
-                recording, found = (
-                    drivers_from(calibration, recording)
-                    if calibration
-                    else calibrations_of(recording, level=not uneven)
-                )
+                # --apart and --hemiparetic look at the walk as a whole
+                together = apart or hemiparetic or afflicted is not None
+                first = Piece(read_recording(path)) if together else next(recording_pieces(path))
+                recording = first.recording
+                if not first.whole:
+                    found = calibrated(path, calibration, level=not uneven)
+                elif calibration:
+                    recording, found = drivers_from(calibration, recording)
+                else:
+                    recording, found = calibrations_of(recording, level=not uneven)
             if apart:
                 recording = _one_clock(recording, found.calibrations)
         except (RecordingError, CalibrationError) as error:
@@ -102,6 +110,10 @@ def command(
             click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
         if sys.stderr.isatty():
             click.echo(f"Analysing {path.name} … (the first time on a computer takes a minute longer)", err=True)
+        if not first.whole:
+            del first, recording  # a piece that need not stay
+            analyse_long(path, found, out, kind, level=not uneven, as_json=as_json, report=not no_report)
+            continue
         result = analyse(recording, found.calibrations, level=not uneven)
         folder = fresh_folder(out, path.stem)
         write_table(result.stride_rows(), folder / f"strides.{kind}")
@@ -161,26 +173,6 @@ def _gait(
         write_table(walk.window_rows(), folder / f"windows.{kind}")
         write_table(walk.track_rows(), folder / f"visualization.{kind}")
     return parameters, walk
-
-
-def write_table(rows: list[dict[str, Any]], path: Path) -> None:
-    """Write flat rows as CSV, Parquet or JSON, by the suffix; a number that is none becomes empty or null."""
-    if path.suffix == ".json":
-        path.write_text(json.dumps([_plain(row) for row in rows], indent=1, ensure_ascii=False), encoding="utf-8")
-    elif path.suffix == ".parquet":
-        import pyarrow as pa
-        from pyarrow import parquet
-
-        parquet.write_table(pa.Table.from_pylist([_plain(row) for row in rows]), path)
-    else:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.DictWriter(file, fieldnames=list(rows[0]) if rows else [], lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(_plain(row) for row in rows)
-
-
-def _plain(row: dict[str, Any]) -> dict[str, Any]:
-    return {key: None if isinstance(value, float) and value != value else value for key, value in row.items()}
 
 
 def _show(

@@ -159,8 +159,8 @@ def _markers(given: tuple[str, ...]) -> dict[str, tuple[str, str]] | None:
 
 
 def _written(result: Evaluation, out: Path, recording: Path) -> Path:
-    from fes.cli.analyse import write_table
     from fes.cli.replay import fresh_folder
+    from fes.cli.table_file import write_table
     from fes.view.agreement import agreement_json, pair_rows, write_page
 
     folder = fresh_folder(out, f"{recording.stem}-evaluation")

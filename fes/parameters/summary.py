@@ -84,19 +84,36 @@ def symmetry(feet: Mapping[str, Mapping[str, Statistic]], afflicted: str | None 
     return found
 
 
+@dataclass(frozen=True, slots=True)
+class Travelled:
+    """How far one foot's steady strides led, how long they took, and how many they are."""
+
+    way_m: float = 0.0
+    time_s: float = 0.0
+    strides: int = 0
+
+    def __add__(self, other: Travelled) -> Travelled:
+        return Travelled(self.way_m + other.way_m, self.time_s + other.time_s, self.strides + other.strides)
+
+
+def travelled(strides: Sequence[StrideParameters]) -> Travelled:
+    """Of one foot's steady strides whose time is known."""
+    steady = [s for s in strides if s.steady and math.isfinite(s.values["stride_time_s"])]
+    time_s = sum(stride.values["stride_time_s"] for stride in steady)
+    return Travelled(sum(stride.values["stride_length_m"] for stride in steady), time_s, len(steady))
+
+
 def walk_of(feet: Mapping[str, Sequence[StrideParameters]], belt_mps: float | None) -> Walk:
     """Speed, cadence and walk ratio over the steady strides, mean of the feet."""
-    speeds, cadences, lengths = [], [], []
-    for strides in feet.values():
-        steady = [s for s in strides if s.steady and math.isfinite(s.values["stride_time_s"])]
-        time_s = sum(stride.values["stride_time_s"] for stride in steady)
-        if not steady or time_s <= 0.0:
-            continue
-        way_m = sum(stride.values["stride_length_m"] for stride in steady)
-        speeds.append(way_m / time_s)
-        cadences.append(120.0 * len(steady) / time_s)
-        lengths.append(way_m / len(steady))
-    if not speeds:
+    return walk_of_sums([travelled(strides) for strides in feet.values()], belt_mps)
+
+
+def walk_of_sums(feet: Iterable[Travelled], belt_mps: float | None) -> Walk:
+    """As :func:`walk_of`, of what is already added up."""
+    went = [foot for foot in feet if foot.strides and foot.time_s > 0.0]
+    if not went:
         return Walk(NAN, NAN, NAN, NAN)
-    speed, cadence, length = (float(np.mean(values)) for values in (speeds, cadences, lengths))
+    speed = float(np.mean([foot.way_m / foot.time_s for foot in went]))
+    cadence = float(np.mean([120.0 * foot.strides / foot.time_s for foot in went]))
+    length = float(np.mean([foot.way_m / foot.strides for foot in went]))
     return Walk(speed, cadence, 0.5 * length / cadence, speed / belt_mps if belt_mps else NAN)

@@ -1,0 +1,183 @@
+"""``fes analyse`` of a recording of more than half an hour: the same tables, piece by piece, and a report of each."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from fes.analysis import Analysis, analyse_pieces, calibrations_of
+from fes.calibrations import Found, drivers_from, labelled
+from fes.cli.folders import fresh_folder
+from fes.cli.table_file import TableFile, write_table
+from fes.estimation.calibration import CalibrationError
+from fes.recording.pieces import ALWAYS_NS, NEVER_NS, Piece, recording_pieces
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from fes.parameters.gait import GaitParameters
+    from fes.parameters.pieces import GaitInPieces
+    from fes.recording import Recording
+
+TABLES = ("strides", "phases", "events", "path", "parameters")
+
+
+def calibrated(path: Path, stored: Path | None, *, level: bool) -> Found:
+    """Calibrations for a long recording, of each sensor from the first piece that shows it; reads all of the file.
+
+    Raises:
+        RecordingError: a piece of the file cannot be used.
+        CalibrationError: no piece showed any sensor.
+    """
+    found: Found | None = None
+    failed: CalibrationError | None = None
+    for piece in recording_pieces(path):
+        if found is not None and (stored or not found.missing):
+            continue  # what is wrong with the rest of the file is told before anything is written
+        try:
+            new = (
+                drivers_from(stored, piece.recording)
+                if stored
+                else calibrations_of(_named(piece.recording, found), level=level)
+            )[1]
+        except CalibrationError as error:
+            failed = failed or error
+            if stored:
+                raise
+            continue
+        found = new if found is None else _both(found, new)
+    if found is None:
+        raise failed or CalibrationError(f"{path}: it holds no samples.")
+    return found
+
+
+def _both(first: Found, later: Found) -> Found:
+    calibrations = {**later.calibrations, **first.calibrations}
+    missing = {sensor: why for sensor, why in first.missing.items() if sensor not in calibrations}
+    return replace(first, calibrations=calibrations, missing=missing)
+
+
+def _named(recording: Recording, found: Found | None) -> Recording:
+    return recording if found is None else labelled(recording, found.sides)
+
+
+def analyse_long(path: Path, found: Found, out: Path, kind: str, *, level: bool, as_json: bool, report: bool) -> None:
+    """Analyse piece by piece and write the tables as they come; what is kept does not grow with the recording."""
+    from fes.parameters.gait import gait_parameters
+    from fes.parameters.pieces import GaitInPieces
+
+    folder = fresh_folder(out, path.stem)
+    named = (replace(piece, recording=labelled(piece.recording, found.sides)) for piece in recording_pieces(path))
+    told: list[_Told] = []
+    gait: GaitInPieces | None = None
+    with ExitStack() as stack:
+        files = {name: stack.enter_context(TableFile(folder / f"{name}.{kind}")) for name in TABLES}
+        for result in analyse_pieces(named, found.calibrations, level=level):
+            parameters = gait_parameters(result)
+            if gait is None:
+                gait = GaitInPieces(result.recording.belt_speed_mps)
+            gait.add(parameters, result.strides)
+            files["strides"].add(result.stride_rows())
+            files["phases"].add(result.phase_rows())
+            files["events"].add(result.event_rows())
+            files["path"].add(result.path_rows())
+            files["parameters"].add(parameters.rows())
+            told.append(_Told.of(result, len(told) + 1))
+            _report(result, parameters, folder, told[-1], as_json=as_json, report=report)
+    assert gait is not None
+    every = gait.parameters()
+    write_table(every.summary_rows(), folder / f"parameters_summary.{kind}")
+    write_table([row for one in gait.mean_strides() for row in one.rows()], folder / f"mean_stride.{kind}")
+    if as_json:
+        last = {"parameters": every.to_json(), "files": {"folder": str(folder)}}
+        click.echo("],\n" + json.dumps(last, indent=2, ensure_ascii=False)[2:])
+        return
+    _show(told, every, folder, report=report)
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What stays of a piece for the table on the screen."""
+
+    number: int
+    begin_s: float
+    end_s: float
+    strides: dict[str, tuple[int, int, float]] = field(default_factory=dict)  # all, valid, m on the way
+    no_path: tuple[str, ...] = ()
+
+    @staticmethod
+    def of(result: Analysis, number: int) -> _Told:
+        """Of one piece."""
+        piece = result.piece or Piece(result.recording)
+        tracks = result.recording.tracks.values()
+        first = min(int(track.t_sensor_ns[0]) for track in tracks)
+        last = max(int(track.t_sensor_ns[-1]) for track in tracks)
+        begin = first if piece.begin_ns == ALWAYS_NS else piece.begin_ns
+        end = last if piece.end_ns == NEVER_NS else piece.end_ns
+        feet = {}
+        for foot in dict.fromkeys(stride.foot for stride in result.strides):
+            own = [stride for stride in result.strides if stride.foot == foot]
+            valid = [stride.stride_length_m for stride in own if stride.valid]
+            feet[foot] = len(own), len(valid), math.fsum(valid)
+        return _Told(number, 1e-9 * begin, 1e-9 * end, feet, tuple(result.no_path.values()))
+
+
+def _report(
+    result: Analysis, parameters: GaitParameters, folder: Path, told: _Told, *, as_json: bool, report: bool
+) -> None:
+    """One piece's report, and its numbers where JSON is asked for."""
+    if not (report or as_json):
+        return
+    record = result.record(datetime.now(UTC).isoformat(timespec="seconds"))
+    if report:
+        from fes.view.report import write_report
+
+        write_report(record, folder / f"report-{told.number:02d}.html", paths=result.paths, gait=parameters)
+    if as_json:
+        from fes.view.summary import summarise
+
+        one: dict[str, Any] = {
+            **summarise(record).to_json(),
+            "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
+            "parameters": parameters.to_json(),
+        }
+        click.echo('{"pieces": [' if told.number == 1 else ",")
+        click.echo(json.dumps(one, indent=2, ensure_ascii=False), nl=False)
+
+
+def _show(told: list[_Told], every: GaitParameters, folder: Path, *, report: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from fes.cli.show import PIPED_COLUMNS
+    from fes.parameters.show import parameter_lines, parameter_table
+
+    screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
+    feet = list(dict.fromkeys(foot for each in told for foot in each.strides))
+    columns = [text for foot in feet for text in (f"{foot}, strides", "measured", "way, m")]
+    table = Table("piece", "from s", "to s", *columns, title="Pieces")
+    for each in told:
+        cells = [each.strides.get(foot, (0, 0, 0.0)) for foot in feet]
+        shown = [text for count, valid, way_m in cells for text in (str(count), str(valid), f"{way_m:.1f}")]
+        table.add_row(str(each.number), f"{each.begin_s:.0f}", f"{each.end_s:.0f}", *shown)
+    screen.print(table)
+    if (parameters := parameter_table(every)).row_count:
+        screen.print(parameters)
+    for line in (*parameter_lines(every, None), *_no_paths(told)):
+        screen.print(line, markup=False)
+    click.echo(f"Tables  {folder}/")
+    if report:
+        click.echo(f"Reports {folder / 'report-01.html'} and on, one a piece  (open them in a browser)")
+
+
+def _no_paths(told: list[_Told]) -> Iterator[str]:
+    for each in told:
+        yield from (f"No path in piece {each.number}: {reason}" for reason in each.no_path)
