@@ -63,7 +63,8 @@ def in_pieces(parts: Iterable[Recording], *, around_s: float = AROUND_S) -> Iter
         recording = part if tail is None else _after(tail, part)
         end_ns = NEVER_NS
         if following is not None:
-            end_ns = max(int(track.t_sensor_ns.max()) for track in recording.tracks.values()) - around_ns
+            newest_ns = max(int(track.t_sensor_ns.max()) for track in recording.tracks.values())
+            end_ns = max(newest_ns - around_ns, begin_ns)
         yield Piece(recording, begin_ns, end_ns)
         tail, begin_ns, part = _newer(recording, end_ns - around_ns), end_ns, following
 
