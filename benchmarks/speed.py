@@ -1,11 +1,11 @@
-"""How fast: the whole analysis of two feet from file to strides, each of its stages, start-up, memory.
+"""How fast: the whole analysis of two feet from file to strides, each of its stages, start-up.
 
-    python benchmarks/speed.py [--minutes 10] [--json FILE] [--cold] [--hours 1 10]
+    python benchmarks/speed.py [--minutes 10] [--json FILE] [--cold]
 
 The recording is the first run of the stroke-treadmill set, or without that (docs/accuracy.md says where it is from) the
 bundled both_feet_200hz, repeated to ``--minutes``. A foot's sample counts as one. Times are this process's processor
 time, the least of several runs, so that other programs disturb them little. ``--cold`` also times `fes analyse` with an
-empty compiler cache, ``--hours`` the memory of analyses of that length (10 h takes 4 GB).
+empty compiler cache. What long recordings take ``speed_growth.py`` measures.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def stages(recording: Recording) -> dict[str, float]:
             "lengths fused": lambda w=walked, f=foot: fuse(w.rows.copy(), w.shapes.copy(), f),
             "path": lambda t=track, c=calibration, f=foot: ground_path(t, c, foot=f),
             "toe and heel": lambda w=walked: point_heights(w.paths(), None, level=True),
-            "strides as results": lambda w=walked: (w.strides(), w.paths().each()),
+            "strides as results, when asked for": lambda w=walked: (w.strides(), w.paths().each()),
             "events": lambda d=data, c=calibration: find_events(*d, c),
         }
         for name, work in parts.items():
@@ -129,24 +129,7 @@ def command_seconds(*arguments: str | Path, repeats: int = REPEATS, cache: Path 
     return min(taken)
 
 
-def memory_mb(hours: float) -> float:
-    """Greatest resident memory (MB) of a process of its own that analyses that many hours, beyond the samples."""
-    work = (
-        "import resource, speed; from fes.analysis import analyse, calibrations_of\n"
-        f"r, f = calibrations_of(speed.repeated(speed.one_walk(), {60.0 * hours}))\n"
-        "before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss\n"
-        "analyse(r, f.calibrations)\n"
-        "print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", work], check=True, capture_output=True, text=True, cwd=Path(__file__).parent
-    )
-    return float(done.stdout)
-
-
-def measure(
-    minutes: float, folder: Path, *, cold: bool, hours: list[float]
-) -> list[tuple[str, float, str, float | None]]:
+def measure(minutes: float, folder: Path, *, cold: bool) -> list[tuple[str, float, str, float | None]]:
     """Rows of what, value, unit and bar (None: none), the recording being written to ``folder``."""
     keep_freed_memory()
     recording = repeated(one_walk(), minutes)
@@ -178,7 +161,6 @@ def measure(
     if cold:
         seconds = command_seconds("analyse", trial, "--out", folder / "out", repeats=1, cache=folder / "cache")
         rows.append(("fes analyse, cold", seconds, "s", COLD_S))
-    rows += [(f"memory beyond the samples, {h:g} h", memory_mb(h), "MB", None) for h in hours]
     return rows
 
 
@@ -188,10 +170,9 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=10.0, help="length of the recording")
     parser.add_argument("--json", type=Path, help="also write the figures here")
     parser.add_argument("--cold", action="store_true", help="also time the first run with an empty compiler cache")
-    parser.add_argument("--hours", type=float, nargs="*", default=[], help="also the memory of analyses so long")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        rows = measure(given.minutes, Path(folder), cold=given.cold, hours=given.hours)
+        rows = measure(given.minutes, Path(folder), cold=given.cold)
     table = Table("what", "figure", "unit", "bar", "met", title=f"Speed, {given.minutes:g} minutes of two feet")
     missed = 0
     for what, value, unit, bar in rows:

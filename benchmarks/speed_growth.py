@@ -1,6 +1,6 @@
 """How the analysis grows with the recording: time an hour and greatest memory of `fes analyse`, file to tables.
 
-    python benchmarks/speed_growth.py [--hours 1 3 10]
+    python benchmarks/speed_growth.py [--hours 1 2 5 10]
 
 The walk of ``speed.py``, repeated; each length is a process of its own.
 """
@@ -71,7 +71,7 @@ def growth_rows(lengths: list[float], folder: Path) -> list[Row]:
 def main() -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--hours", type=float, nargs="+", default=[1.0, 3.0, 10.0])
+    parser.add_argument("--hours", type=float, nargs="+", default=[1.0, 2.0, 5.0, 10.0])
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         return print_rows(growth_rows(given.hours, Path(name)), "Growth")

@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
             "analysis": lambda folder: analysis_rows(1.0 if quick else 10.0, folder, cold=not quick),
             "live": lambda _: live_rows(recordings(), 2 if quick else PASSES),
             "peers": lambda _: peer_rows(speed.one_walk(), given.peers, live_step(speed.one_walk(), 2).mean_us),
-            "growth": lambda folder: growth_rows([0.2, 0.6] if quick else [1.0, 3.0, 10.0], folder),
+            "growth": lambda folder: growth_rows([0.2, 0.6] if quick else [1.0, 2.0, 5.0, 10.0], folder),
             "session": lambda folder: session_rows(0.05 if quick else 1.0, folder),
             "cohort": lambda folder: list(cohort_rows(given.recordings or (32 if quick else 2000), folder)),
         }
@@ -141,7 +141,7 @@ def read_parts(path: Path) -> dict[str, Part]:
 
 def analysis_rows(minutes: float, folder: Path, *, cold: bool) -> list[Row]:
     """The rows of ``speed.py``, by group."""
-    measured = speed.measure(minutes, folder, cold=cold, hours=[])
+    measured = speed.measure(minutes, folder, cold=cold)
     return [
         Row(group_of(what, minutes), what.strip(), value, unit, bar, higher=unit == "samples/s")
         for what, value, unit, bar in measured

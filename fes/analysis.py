@@ -52,7 +52,10 @@ def analyse_pieces(
     """
     course = _Course(calibrations, level=level)
     for piece in pieces:
-        yield course.take(piece)
+        result = course.take(piece)
+        del piece  # it stays as long as whoever takes the result keeps that
+        yield result
+        del result
 
 
 class _Course:

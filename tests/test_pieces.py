@@ -151,14 +151,14 @@ def test_a_fault_late_in_the_file_is_told_with_its_row(tmp_path, monkeypatch):
     place = table.column_names.index("left_foot_gyr_x")
     parquet.write_table(table.set_column(place, "left_foot_gyr_x", [damaged]), path)
     with pytest.raises(RecordingError, match=r"row 5877, column 'left_foot_gyr_x'"):
-        list(recording_pieces(path, piece_s=20.0))
+        list(recording_pieces(path, piece_s=20.0, whole_s=60.0))
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "json"])
 def test_a_long_recording_s_tables_are_those_of_a_short_one(kind, tmp_path, monkeypatch, walk):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
     for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_pieces", partial(recording_pieces, piece_s=35.0))
+        monkeypatch.setattr(module, "recording_pieces", partial(recording_pieces, piece_s=35.0, whole_s=60.0))
     report = [] if kind == "csv" else ["--no-report"]
     done = CliRunner().invoke(main, ["analyse", str(TRIAL), "--out", str(tmp_path), "--format", kind, *report])
     assert done.exit_code == 0, done.output
@@ -176,7 +176,7 @@ def test_a_long_recording_s_tables_are_those_of_a_short_one(kind, tmp_path, monk
 def test_a_long_recording_as_json(tmp_path, monkeypatch):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
     for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_pieces", partial(recording_pieces, piece_s=35.0))
+        monkeypatch.setattr(module, "recording_pieces", partial(recording_pieces, piece_s=35.0, whole_s=60.0))
     done = CliRunner().invoke(main, ["analyse", str(TRIAL), "--out", str(tmp_path), "--json", "--no-report"])
     told = json.loads(done.stdout)
     assert len(told["pieces"]) == 2

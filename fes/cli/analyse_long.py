@@ -92,6 +92,7 @@ def analyse_long(path: Path, found: Found, out: Path, kind: str, *, level: bool,
             files["parameters"].add(parameters.rows())
             told.append(_Told.of(result, len(told) + 1))
             _report(result, parameters, folder, told[-1], as_json=as_json, report=report)
+            del result, parameters  # or it would stay while the next piece is worked on
     assert gait is not None
     every = gait.parameters()
     write_table(every.summary_rows(), folder / f"parameters_summary.{kind}")

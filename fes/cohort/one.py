@@ -93,8 +93,10 @@ def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -
 
 def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list[dict[str, Any]]]:
     from fes.analysis import analyse, calibrations_of  # the numeric libraries load where the work is done
+    from fes.memory import keep_freed_memory
     from fes.recording import read_recording
 
+    keep_freed_memory()
     with local_copy(source) as path:
         recording, found = calibrations_of(read_recording(path), level=settings.level)
         result = analyse(recording, found.calibrations, level=settings.level)

@@ -12,7 +12,8 @@ from fes.recording.read import follow_recording
 from fes.recording.tracks import Recording, Track
 from fes.signals import NS_PER_S, IntArray
 
-PIECE_S = 1800.0
+WHOLE_S = 1800.0  # a recording that is no longer is one piece, …
+PIECE_S = 900.0  # … of a longer one each is so long at most
 AROUND_S = 30.0  # on either side of a piece, for what needs neighbours: strides, rests, filters without lag
 ALWAYS_NS, NEVER_NS = -(2**63), 2**63 - 1
 
@@ -44,13 +45,15 @@ class Piece:
         return self.begin_ns == ALWAYS_NS and self.end_ns == NEVER_NS
 
 
-def recording_pieces(path: Path, *, piece_s: float = PIECE_S) -> Iterator[Piece]:
-    """Read a recording in pieces of equal length, of ``piece_s`` at most; errors as of ``read_recording``.
+def recording_pieces(path: Path, *, piece_s: float = PIECE_S, whole_s: float = WHOLE_S) -> Iterator[Piece]:
+    """Read a recording of more than ``whole_s`` in pieces of equal length, of ``piece_s`` at most.
+
+    Errors are those of ``read_recording``.
 
     Parquet whose sensors share one time column is read from the file piece by piece, anything else at once. The rate is
     that stated, or else that of the first piece.
     """
-    return in_pieces(follow_recording(path, piece_s))
+    return in_pieces(follow_recording(path, piece_s, whole_s))
 
 
 def in_pieces(parts: Iterable[Recording], *, around_s: float = AROUND_S) -> Iterator[Piece]:
@@ -65,8 +68,12 @@ def in_pieces(parts: Iterable[Recording], *, around_s: float = AROUND_S) -> Iter
         if following is not None:
             newest_ns = max(int(track.t_sensor_ns.max()) for track in recording.tracks.values())
             end_ns = max(newest_ns - around_ns, begin_ns)
-        yield Piece(recording, begin_ns, end_ns)
-        tail, begin_ns, part = _newer(recording, end_ns - around_ns), end_ns, following
+        tail = _newer(recording, end_ns - around_ns) if following is not None else None
+        piece = Piece(recording, begin_ns, end_ns)
+        del part, recording  # whoever takes the piece decides how long it stays
+        yield piece
+        del piece
+        begin_ns, part, following = end_ns, following, None
 
 
 def _newer(recording: Recording, than_ns: int) -> Recording:

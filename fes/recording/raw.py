@@ -60,8 +60,13 @@ def read_parts(path: Path, sidecar_path: Path, sidecar: Sidecar, rows: int) -> I
     sensors = list(sidecar.sensors)
     wanted, _, dialect = _columns(sidecar_path, sidecar, sensors)
     for table in Table.parts(path, wanted, rows, dialect):
-        found = {sensor: _raw_track(table, sidecar, sensor, silent=True) for sensor in sensors}
-        yield {sensor: raw for sensor, raw in found.items() if raw.t_sensor_ns.size}
+        found: dict[str, RawTrack] = {}
+        for sensor in sensors:
+            raw = _raw_track(table, sidecar, sensor, silent=True)
+            if raw.t_sensor_ns.size:
+                found[sensor] = raw
+        del table, raw  # who clears what is yielded lets go of the file's columns too
+        yield found
 
 
 def _of_one_file(path: Path, sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> dict[str, RawTrack]:

@@ -49,8 +49,10 @@ def read_recording(path: Path) -> Recording:
     return _recording(path, sidecar, _tracks(path, sidecar, raw))
 
 
-def follow_recording(path: Path, part_s: float) -> Iterator[Recording]:
+def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterator[Recording]:
     """As :func:`read_recording`, in parts of equal length that follow each other, of ``part_s`` at most.
+
+    A recording of no more than ``whole_s`` is one part.
 
     Only Parquet whose sensors share one time column, or have none, comes in parts. ``quality`` is each part's own.
 
@@ -58,19 +60,21 @@ def follow_recording(path: Path, part_s: float) -> Iterator[Recording]:
         RecordingError: as there.
     """
     path, sidecar_path, sidecar = _described(path)
-    rows = _part_rows(path, sidecar_path, sidecar, part_s)
+    rows = _part_rows(path, sidecar_path, sidecar, part_s, whole_s)
     if not rows:
         yield read_recording(path)
         return
     before: dict[str, Track] = {}
     for raw in read_parts(path, sidecar_path, sidecar, rows):
-        tracks = _tracks(path, sidecar, raw, before)
-        if tracks:
-            yield _recording(path, sidecar, tracks)
-        before |= {name: _newest(track) for name, track in tracks.items()}
+        recording = _recording(path, sidecar, _tracks(path, sidecar, raw, before))
+        before |= {name: _newest(track) for name, track in recording.tracks.items()}
+        raw.clear()  # the file's columns need not stay while the part is worked on
+        if recording.tracks:
+            yield recording
+        del recording
 
 
-def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float) -> int:
+def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, whole_s: float) -> int:
     """How many rows make a part; 0 where all is one, or has to be read at once."""
     columns = sidecar.sensors.values()
     if path.suffix.lower() != ".parquet" or sidecar.can is not None or any(each.file for each in columns):
@@ -85,7 +89,7 @@ def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float) 
     rates = [NS_PER_S / float(np.median(each[each > 0])) for each in steps.values() if (each > 0).any()]
     if not rates or max(rates) > (1.0 + RATE_TOLERANCE) * min(rates):
         return 0
-    parts = math.ceil(rows / (part_s * max(rates)))
+    parts = math.ceil(rows / (part_s * max(rates))) if rows > whole_s * max(rates) else 1
     return math.ceil(rows / parts) if parts > 1 else 0
 
 

@@ -46,22 +46,24 @@ class Table:
             RecordingError: as the constructor.
         """
         import pyarrow as pa
-        from pyarrow import parquet
 
         part = cls.__new__(cls)
         part.path, part.is_csv, part._dialect = path, False, dialect
         part._check_names(cls.parquet_names(path), wanted)
         first, taken, batches = 0, 0, list[Any]()
         try:
-            with parquet.ParquetFile(path, page_checksum_verification=True) as file:
-                for batch in file.iter_batches(batch_size=min(rows, _BATCH_ROWS), columns=wanted):
-                    while batch.num_rows:
-                        head = batch.slice(0, rows - taken)
-                        batches.append(head)
-                        taken, batch = taken + head.num_rows, batch.slice(head.num_rows)
-                        if taken == rows:
-                            yield part._of(pa.Table.from_batches(batches), first)
-                            first, taken, batches = first + rows, 0, []
+            for batch in _batches(path, min(rows, _BATCH_ROWS), wanted):
+                while batch.num_rows:
+                    head = batch.slice(0, rows - taken)
+                    batches.append(head)
+                    taken, batch = taken + head.num_rows, batch.slice(head.num_rows)
+                    if taken == rows:
+                        table, batches = pa.Table.from_batches(batches), []
+                        del head
+                        yield part._of(table, first)
+                        del table
+                        pa.default_memory_pool().release_unused()
+                        first, taken = first + rows, 0
         except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
             if isinstance(error, RecordingError):
                 raise
@@ -240,3 +242,12 @@ class Table:
         raise RecordingError(
             f"{self.path}: has no column {missing[0]!r}{more}.{guess} Its columns are: {', '.join(map(repr, names))}"
         )
+
+
+def _batches(path: Path, rows: int, wanted: list[str]) -> Iterator[Any]:
+    """A Parquet file's record batches, one row group after the other: of all at once the reader keeps more."""
+    from pyarrow import parquet
+
+    with parquet.ParquetFile(path, page_checksum_verification=True) as file:
+        for group in range(file.num_row_groups):
+            yield from file.iter_batches(batch_size=rows, row_groups=[group], columns=wanted)
