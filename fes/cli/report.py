@@ -15,11 +15,12 @@ from fes.cli.exits import Problem, fail
 def command(log: Path, out: Path | None) -> None:
     """Write the HTML report of the session log LOG."""
     from fes.journal import SessionLogError, read_session
+    from fes.journal.framing import RecordType
     from fes.view.report import write_report
 
     target = out or log.with_name("report.html")
     try:
-        write_report(read_session(log), target)
+        write_report(read_session(log, frozenset({RecordType.FRAME})), target)  # bytes are not shown
     except SessionLogError as error:
         fail(error)
     except OSError as error:

@@ -31,6 +31,7 @@ STANCE, PRE_SWING, SWING, LOADING_RESPONSE = range(4)
 _SEARCH_NS, _LEAD_NS = int(STANCE_SEARCH_S * NS_PER_S), int(STANCE_LEAD_S * NS_PER_S)
 _STOPPED_NS = int(STOPPED_SEARCH_S * NS_PER_S)
 _SHORTEST_S, _LONGEST_S = DURATION_S
+_time_of = jit(time_of)
 
 STATE = np.dtype(
     [
@@ -239,7 +240,7 @@ def solve_rows(
     row.highest_m, row.turn_rad, row.gained_m = numbers[HIGHEST], numbers[TURN], numbers[GAINED]
     if row.outcome != SOLVED:
         return
-    row.speed_mps = row.length_m * NS_PER_S / time_of(row.t_start_ns, row.t_end_ns, before_ns)
+    row.speed_mps = row.length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_m = row.heel_m = math.nan
     if p.known:
         _toe_and_heel(p, row, out.t_ns[at : at + count], position, quaternion)

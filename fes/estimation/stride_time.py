@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from fes.estimation.compiled import jit
 from fes.signals import NS_PER_S, StrideResult
 
 UNSEEN_NS = -(2**63)  # of what did not happen, for compiled code
 
 
-@jit
 def time_of(start_ns: int, end_ns: int, before_ns: int) -> int:
-    """As :func:`stride_time_ns`, with ``UNSEEN_NS`` for a stride before that there is not."""
+    """As :func:`stride_time_ns`, with ``UNSEEN_NS`` for a stride before that there is not; ready for ``jit``."""
     lasted_ns = end_ns - start_ns
     if before_ns == UNSEEN_NS or not 0 <= start_ns - before_ns <= lasted_ns:
         return lasted_ns
@@ -31,7 +29,7 @@ def stride_time_ns(start_ns: int, end_ns: int, before_ns: int | None) -> int:
         end_ns: its end.
         before_ns: the end of the stride before, None when there is none.
     """
-    return int(time_of(start_ns, end_ns, UNSEEN_NS if before_ns is None else before_ns))
+    return time_of(start_ns, end_ns, UNSEEN_NS if before_ns is None else before_ns)
 
 
 def at_walking_speed(stride: StrideResult, before_ns: int | None) -> StrideResult:

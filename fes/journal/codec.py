@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -135,6 +136,36 @@ def decode(kind: int, payload: memoryview) -> Rare:
             return Received(t_ns, bytes(payload[_TICK.size :]))
         case _:
             raise ValueError(f"record type {kind} is no single value")
+
+
+def decode_many(kind: int, payloads: Sequence[memoryview]) -> list[Any]:
+    """Return the values of many single records of one type, as :func:`decode` each; what comes often in a third of
+    the time.
+
+    Raises:
+        struct.error, ValueError, KeyError, IndexError, TypeError: as :func:`decode`.
+    """
+    if kind == RecordType.COMMAND:
+        return [_usual_command(each) or decode(kind, each) for each in payloads]
+    if kind == RecordType.STATUS:
+        return [_usual_status(each) or decode(kind, each) for each in payloads]
+    return [decode(kind, each) for each in payloads]
+
+
+def _usual_command(payload: memoryview) -> StimCommand | None:
+    """A command in the narrowest form that was not refused; None for any other."""
+    if len(payload) != _COMMAND[0].size or payload[0] > 1:
+        return None
+    on, t_ns, channel, validity_ms, current_ma, pulse_width_us, frequency_hz = _COMMAND[0].unpack(payload)
+    return StimCommand(t_ns, channel, on == 1, current_ma, pulse_width_us, frequency_hz, validity_ms)
+
+
+def _usual_status(payload: memoryview) -> StimStatus | None:
+    """An answer in the narrowest form without a fault; None for any other."""
+    if len(payload) != _STATUS[0].size or payload[0] > 1:
+        return None
+    on, t_ns, channel, counter, pulses, current_ma, width_us, frequency_hz, charge_uc = _STATUS[0].unpack(payload)
+    return StimStatus(t_ns, channel, counter, on == 1, current_ma, width_us, frequency_hz, pulses, charge_uc)
 
 
 def _pack(forms: tuple[struct.Struct, ...], on: bool, *fields: float) -> bytes:

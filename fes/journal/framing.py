@@ -11,12 +11,13 @@ import zlib
 from collections.abc import Iterator
 from enum import IntEnum
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from fes.journal.record import SessionLogError
 
 MAGIC: Final = b"\x89FESLOG\x01"  # the last byte is the format's version
 MAX_RECORD_BYTES: Final = 1 << 26
+BLOCK_BYTES: Final = 1 << 20  # read at a time
 
 _HEAD = struct.Struct("<IIB")
 _FRONT = struct.Struct("<II")
@@ -70,13 +71,15 @@ class LogScan:
     def __iter__(self) -> Iterator[tuple[int, memoryview]]:
         try:
             # not mapped into memory: a file cut short while it is read would end the process
-            view = memoryview(self.path.read_bytes())
+            with self.path.open("rb", buffering=0) as file:
+                size = file.seek(0, 2)
+                file.seek(0)
+                self._check_magic(file.read(len(MAGIC)))
+                yield from self._records(file, size)
         except OSError as error:
             raise SessionLogError(
                 f"{self.path}: cannot be read: {error.strerror or error}. Name an existing session log."
             ) from error
-        self._check_magic(bytes(view[: len(MAGIC)]))
-        yield from self._records(view)
 
     def _check_magic(self, start: bytes) -> None:
         if start == MAGIC:
@@ -96,28 +99,41 @@ class LogScan:
             f"A session log is what `fes run` or `fes replay` leaves."
         )
 
-    def _records(self, view: memoryview) -> Iterator[tuple[int, memoryview]]:
-        unpack, crc32, known = _HEAD.unpack_from, zlib.crc32, _KNOWN
-        at, size = len(MAGIC), len(view)
+    def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, memoryview]]:
+        unpack, crc32, known, head = _HEAD.unpack_from, zlib.crc32, _KNOWN, HEAD_BYTES
+        at, block_at, block = len(MAGIC), len(MAGIC), memoryview(b"")
         while at < size:
-            fault = ""
-            if size - at < HEAD_BYTES:
+            here, fault = at - block_at, ""
+            if len(block) - here < head:
+                block, block_at, here = _further(file, block[here:], BLOCK_BYTES), at, 0
+            if len(block) < head:
                 fault = "a record's first bytes only"
             else:
-                length, checksum, kind = unpack(view, at)
-                end = at + 8 + length
+                length, checksum, kind = unpack(block, here)
+                end = here + 8 + length
+                if end > len(block) and 0 < length <= MAX_RECORD_BYTES:
+                    block, block_at, here, end = _further(file, block[here:], length), at, 0, 8 + length
                 if not 0 < length <= MAX_RECORD_BYTES:
                     fault = "no record starts there"
-                elif end > size:
+                elif end > len(block):
                     fault = "a record cut short"
-                elif crc32(view[at + 8 : end], length) != checksum:
+                elif crc32(block[here + 8 : end], length) != checksum:
                     fault = "a damaged record (its checksum differs)"
                 elif kind not in known:
                     fault = f"a record of unknown type {kind}"
             if fault:
                 self.lost = f"the last {size - at} of {size} bytes, from byte {at} on: {fault}"
                 break
-            yield kind, view[at + HEAD_BYTES : end]
-            at = end
-            self.good_bytes = at
+            payload = block[here + head : end]
+            at = self.good_bytes = block_at + end
+            yield kind, payload
         self.good_bytes = at
+
+
+def _further(file: BinaryIO, left: memoryview, most: int) -> memoryview:
+    """What is left of a block, and at least ``most`` bytes more of the file, if it has as many."""
+    parts, wanted = [bytes(left)], max(most, BLOCK_BYTES)
+    while wanted > 0 and (part := file.read(wanted)):
+        parts.append(part)
+        wanted -= len(part)
+    return memoryview(b"".join(parts))

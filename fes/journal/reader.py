@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import gc
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fes.journal.codec import RareEvent, decode, decode_json
+from fes.journal.codec import RareEvent, decode, decode_json, decode_many
 from fes.journal.framing import LogScan, RecordType
 from fes.journal.record import Received, SessionLogError, SessionRecord
-from fes.journal.runs import latency_arrays, sample_arrays, samples_of
+from fes.journal.runs import Growing, SampleParts, latency_arrays, samples_of
 from fes.signals import Event, WireFrame
+
+TOGETHER = 10_000  # records that are decoded in one go
 
 _BAD_PAYLOAD = (struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError)
 _SINGLE_INPUTS = frozenset(
@@ -31,8 +35,8 @@ _SINGLE_INPUTS = frozenset(
 )
 
 
-def read_session(path: Path) -> SessionRecord:
-    """Read all that a session left behind.
+def read_session(path: Path, leave_out: frozenset[RecordType] = frozenset()) -> SessionRecord:
+    """Read all that a session left behind; types of single records to ``leave_out`` stay empty.
 
     Raises:
         SessionLogError: the file cannot be read, is no session log, or was stopped before its header was stored.
@@ -41,42 +45,99 @@ def read_session(path: Path) -> SessionRecord:
     scan = LogScan(Path(path))
     records = iter(scan)
     record = SessionRecord(_header(records, scan))
-    singles: dict[int, list[Any]] = {
-        RecordType.ACT: record.acts,
-        RecordType.STATUS: record.statuses,
-        RecordType.ALIVE: record.alive,
-        RecordType.PHASE: record.phases,
-        RecordType.STRIDE: record.strides,
-        RecordType.COMMAND: record.commands,
-        RecordType.FRAME: record.frames,
-        RecordType.NOTE: record.notes,
-        RecordType.STIM_OPENED: record.reopened,
-        RecordType.FOOT_SWITCH: record.switches,
-        RecordType.SYSTEM_FAULT: record.faults,
-        RecordType.RECEIVED: record.received,
-    }
-    runs: dict[int, list[memoryview]] = {RecordType.SAMPLES: [], RecordType.LATENCY: [], RecordType.TICK: []}
+    gathered = _Gathered(record, leave_out)
     ended = False
     try:
-        for kind, payload in records:
-            ended = False
-            if kind in runs:
-                runs[kind].append(payload)
-                if kind == RecordType.TICK and len(payload) != 8:
-                    raise ValueError(f"a tick of {len(payload)} bytes")
-            elif kind in singles:
-                singles[kind].append(decode(kind, payload))
-            elif kind == RecordType.SUMMARY:
-                record.summary = decode_json(payload)
-                ended = True
-        record.samples = sample_arrays(runs[RecordType.SAMPLES])
-        record.latency_t_ns, record.latency_ns = latency_arrays(runs[RecordType.LATENCY])
-        record.ticks_ns = np.frombuffer(b"".join(runs[RecordType.TICK]), "<i8").astype(np.int64)
+        with _nothing_collected():
+            for kind, payload in records:
+                ended = kind == RecordType.SUMMARY
+                if ended:
+                    record.summary = decode_json(payload)
+                else:
+                    gathered.add(kind, payload)
+            gathered.end()
     except _BAD_PAYLOAD as error:
         raise _malformed(scan, error) from error
     record.lost = scan.lost
     record.complete = ended and not scan.lost
     return record
+
+
+@contextmanager
+def _nothing_collected() -> Iterator[None]:
+    """Without the garbage collector, which goes through all values again and again while they grow, for nothing."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+class _Gathered:
+    """A log's records on their way into a :class:`SessionRecord`, many of a type at a time."""
+
+    def __init__(self, record: SessionRecord, leave_out: frozenset[RecordType]) -> None:
+        self._record = record
+        self._singles: dict[int, list[Any]] = {
+            RecordType.ACT: record.acts,
+            RecordType.STATUS: record.statuses,
+            RecordType.ALIVE: record.alive,
+            RecordType.PHASE: record.phases,
+            RecordType.STRIDE: record.strides,
+            RecordType.COMMAND: record.commands,
+            RecordType.FRAME: record.frames,
+            RecordType.NOTE: record.notes,
+            RecordType.STIM_OPENED: record.reopened,
+            RecordType.FOOT_SWITCH: record.switches,
+            RecordType.SYSTEM_FAULT: record.faults,
+            RecordType.RECEIVED: record.received,
+        }
+        runs = (RecordType.SAMPLES, RecordType.LATENCY, RecordType.TICK)
+        self._waiting: dict[int, list[memoryview]] = {
+            kind: [] for kind in (*self._singles, *runs) if kind not in leave_out
+        }
+        self._count = 0
+        self._samples = SampleParts()
+        self._latency_t_ns, self._latency_ns, self._ticks_ns = Growing(np.int64), Growing(np.int64), Growing(np.int64)
+
+    def add(self, kind: int, payload: memoryview) -> None:
+        """Take one record in."""
+        waiting = self._waiting.get(kind)
+        if waiting is not None:
+            waiting.append(payload)
+            self._count += 1
+            if self._count == TOGETHER:
+                self._take_all()
+
+    def end(self) -> None:
+        """All is there."""
+        self._take_all()
+        self._record.samples = self._samples.arrays()
+        self._record.latency_t_ns, self._record.latency_ns = self._latency_t_ns.whole(), self._latency_ns.whole()
+        self._record.ticks_ns = self._ticks_ns.whole()
+
+    def _take_all(self) -> None:
+        self._count = 0
+        for kind, waiting in self._waiting.items():
+            self._take(kind, waiting)
+            waiting.clear()
+
+    def _take(self, kind: int, waiting: list[memoryview]) -> None:
+        if kind == RecordType.SAMPLES:
+            self._samples.add(waiting)
+        elif kind == RecordType.LATENCY:
+            t_ns, latency_ns = latency_arrays(waiting)
+            self._latency_t_ns.add(t_ns)
+            self._latency_ns.add(latency_ns)
+        elif kind == RecordType.TICK:
+            odd = next((len(payload) for payload in waiting if len(payload) != 8), None)
+            if odd is not None:
+                raise ValueError(f"a tick of {odd} bytes")
+            self._ticks_ns.add(np.frombuffer(b"".join(waiting), "<i8"))
+        else:
+            self._singles[kind] += decode_many(kind, waiting)
 
 
 def iter_events(path: Path) -> Iterator[Event]:

@@ -9,7 +9,9 @@ second: a replay logs minutes between two deliveries, and a tear costs the recor
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
@@ -35,6 +37,7 @@ _DTYPES = tuple(
     for offset, lag in (("<u4", "<i4"), ("<i8", "<i8"))
 )
 _PAIRS = (struct.Struct("<II"), struct.Struct("<qq"))
+_PAIR_DTYPES = tuple(np.dtype([("offset", number), ("latency", number)]) for number in ("<u4", "<i8"))
 _NUMBER_OF = {sensor: number for number, sensor in enumerate(SENSORS)}
 
 
@@ -114,38 +117,82 @@ def samples_of(payload: memoryview) -> Iterator[ImuSample]:
         yield ImuSample(t_ns, SENSORS[sensor], t_ns - lag, (ax, ay, az), (gx, gy, gz))
 
 
-def sample_arrays(payloads: list[memoryview]) -> dict[str, SampleArrays]:
+class Growing:
+    """An array to which rows are added; it grows in place, so that its rows are never there twice."""
+
+    def __init__(self, kind: type, *width: int) -> None:
+        self._array: np.ndarray[Any, np.dtype[Any]] = np.empty((0, *width), kind)
+        self._filled = 0
+
+    def add(self, rows: Any) -> None:
+        """Append rows (N, …), of any kind of number that the array's takes."""
+        end = self._filled + len(rows)
+        if end > len(self._array):
+            self._resize(max(end, len(self._array) + len(self._array) // 4))
+        self._array[self._filled : end] = rows
+        self._filled = end
+
+    def whole(self) -> Any:
+        """All rows; nothing may be added afterwards."""
+        self._resize(self._filled)
+        return self._array
+
+    def _resize(self, rows: int) -> None:
+        self._array.resize((rows, *self._array.shape[1:]), refcheck=False)
+
+
+class SampleParts:
+    """Sensors' samples gathered from many runs, some at a time: what has been read need not be kept."""
+
+    def __init__(self) -> None:
+        self._columns: dict[int, tuple[Growing, Growing, Growing, Growing]] = {}
+
+    def add(self, payloads: Iterable[memoryview]) -> None:
+        """Take runs in, in order.
+
+        Raises:
+            struct.error, IndexError, ValueError: a payload is no run.
+        """
+        starts = [(*_START.unpack_from(payload), payload) for payload in payloads]
+        for layout, alike in groupby(starts, key=itemgetter(0)):
+            base_ns, rows = _joined(alike, _DTYPES[layout])
+            t_ns = base_ns + rows["offset"]
+            for number in np.flatnonzero(np.bincount(rows["sensor"])).tolist():
+                if number >= len(SENSORS):
+                    raise ValueError(f"sensor number {number}")
+                if number not in self._columns:
+                    times = Growing(np.int64), Growing(np.int64)
+                    self._columns[number] = (*times, Growing(np.float64, 3), Growing(np.float64, 3))
+                mine = np.flatnonzero(rows["sensor"] == number)
+                own_ns, values = t_ns[mine], rows["values"][mine]
+                own = (own_ns, own_ns - rows["lag"][mine], values[:, :3], values[:, 3:])
+                for column, more in zip(self._columns[number], own, strict=True):
+                    column.add(more)
+
+    def arrays(self) -> dict[str, SampleArrays]:
+        """Each sensor's samples, in order; nothing may be added afterwards."""
+        return {SENSORS[k]: SampleArrays(*(own.whole() for own in self._columns[k])) for k in sorted(self._columns)}
+
+
+def _joined(alike: Iterable[tuple[int, int, memoryview]], dtype: np.dtype[Any]) -> tuple[IntArray, Any]:
+    """Entries of runs of one layout as one array (N,), and the base of each entry's run (N,)."""
+    runs = [(base_ns, payload[_START.size :]) for _, base_ns, payload in alike]
+    if any(len(entries) % dtype.itemsize for _, entries in runs):
+        raise ValueError("a run with a fraction of an entry")
+    counts = [len(entries) // dtype.itemsize for _, entries in runs]
+    base_ns = np.repeat(np.array([base_ns for base_ns, _ in runs], np.int64), counts)
+    return base_ns, np.frombuffer(b"".join([entries for _, entries in runs]), dtype)
+
+
+def sample_arrays(payloads: Iterable[memoryview]) -> dict[str, SampleArrays]:
     """Return each sensor's samples of many runs, in order.
 
     Raises:
         struct.error, IndexError, ValueError: a payload is no run.
     """
-    starts = [_START.unpack_from(payload) for payload in payloads]
-    for payload, (layout, _) in zip(payloads, starts, strict=True):
-        if (len(payload) - _START.size) % _DTYPES[layout].itemsize:
-            raise ValueError("a run of samples with a fraction of one")
-    parts: list[tuple[Any, IntArray, IntArray]] = []
-    for layout, dtype in enumerate(_DTYPES):
-        chosen = [number for number, start in enumerate(starts) if start[0] == layout]
-        rows = np.frombuffer(b"".join([payloads[number][_START.size :] for number in chosen]), dtype)
-        counts = [(len(payloads[number]) - _START.size) // dtype.itemsize for number in chosen]
-        base_ns = np.repeat(np.array([starts[number][1] for number in chosen], np.int64), counts)
-        parts.append((rows, base_ns, np.repeat(np.array(chosen, np.int64), counts)))
-    run = np.concatenate([part[2] for part in parts])
-    order = np.argsort(run, kind="stable")
-    sensor = np.concatenate([rows["sensor"] for rows, _, _ in parts])[order]
-    t_ns = np.concatenate([base_ns + rows["offset"].astype(np.int64) for rows, base_ns, _ in parts])[order]
-    lag = np.concatenate([rows["lag"].astype(np.int64) for rows, _, _ in parts])[order]
-    values = np.concatenate([rows["values"].astype(np.float64) for rows, _, _ in parts])[order]
-    if sensor.size and sensor.max() >= len(SENSORS):
-        raise ValueError(f"sensor number {sensor.max()}")
-    out = {}
-    for number, name in enumerate(SENSORS):
-        mine = np.flatnonzero(sensor == number)
-        if mine.size:
-            acc, gyr = np.ascontiguousarray(values[mine, :3]), np.ascontiguousarray(values[mine, 3:])
-            out[name] = SampleArrays(t_ns[mine], t_ns[mine] - lag[mine], acc, gyr)
-    return out
+    parts = SampleParts()
+    parts.add(payloads)
+    return parts.arrays()
 
 
 class LatencyRun:
@@ -184,16 +231,16 @@ class LatencyRun:
         return payload
 
 
-def latency_arrays(payloads: list[memoryview]) -> tuple[IntArray, IntArray]:
+def latency_arrays(payloads: Iterable[memoryview]) -> tuple[IntArray, IntArray]:
     """Return (t_ns, latency_ns) of many latency runs.
 
     Raises:
         struct.error, IndexError, ValueError: a payload is no run.
     """
     times, latencies = [np.zeros(0, np.int64)], [np.zeros(0, np.int64)]
-    for payload in payloads:
-        wide, base_ns = _START.unpack_from(payload)
-        pairs = np.frombuffer(payload[_START.size :], ("<u4", "<i8")[wide]).astype(np.int64).reshape(-1, 2)
-        times.append(base_ns + pairs[:, 0])
-        latencies.append(pairs[:, 1])
+    starts = [(*_START.unpack_from(payload), payload) for payload in payloads]
+    for wide, alike in groupby(starts, key=itemgetter(0)):
+        base_ns, pairs = _joined(alike, _PAIR_DTYPES[wide])
+        times.append(base_ns + pairs["offset"])
+        latencies.append(pairs["latency"].astype(np.int64))
     return np.concatenate(times), np.concatenate(latencies)

@@ -131,7 +131,10 @@ class DoseLedger:
 
     def take(self, status: StimStatus) -> None:
         """Book one answer of the stimulator."""
-        self.electrodes.setdefault(status.channel, ElectrodeDose(status.channel)).take(status)
+        dose = self.electrodes.get(status.channel)
+        if dose is None:
+            dose = self.electrodes[status.channel] = ElectrodeDose(status.channel)
+        dose.take(status)
 
     def to_dict(self) -> dict[str, Any]:
         """All channels, by number, for summaries and reports."""

@@ -112,15 +112,18 @@ class SensorFlags:
 def sensor_flags(samples: SampleArrays, ranges: Mapping[str, float] | None = None) -> SensorFlags:
     """What is wrong with one sensor's samples; ``ranges`` by "acc" (m/s²) and "gyr" (rad/s), where they are known."""
     t_ns = sample_times(samples)
-    order = np.argsort(t_ns, kind="stable")
-    t_ns = t_ns[order]
-    values = {"acc": samples.acc_mps2[order], "gyr": samples.gyr_radps[order]}
+    values = {"acc": samples.acc_mps2, "gyr": samples.gyr_radps}
+    if (t_ns[1:] < t_ns[:-1]).any():
+        order = np.argsort(t_ns, kind="stable")
+        t_ns, values = t_ns[order], {name: of[order] for name, of in values.items()}
     limits: dict[str, float] = {}
     at_limit: dict[str, BoolArray] = {}
     for name, of in values.items():
         limit = (ranges or {}).get(name) or _told_limit(of, LEAST_LIMIT[name])
         limits[name] = limit
-        at_limit[name] = np.asarray((np.abs(of) >= AT_LIMIT * limit).any(axis=1))
+        at_limit[name] = np.zeros(t_ns.size, np.bool_)
+        for axis in of.T:  # one by one: hours of samples are not to be there twice
+            at_limit[name] |= np.abs(axis) >= AT_LIMIT * limit
     lost = np.zeros(t_ns.size, dtype=np.int64)
     whole = np.flatnonzero(np.isfinite(values["acc"]).all(axis=1) & np.isfinite(values["gyr"]).all(axis=1))
     step_ns = np.diff(t_ns[whole])
@@ -134,12 +137,10 @@ def sensor_flags(samples: SampleArrays, ranges: Mapping[str, float] | None = Non
 
 def _told_limit(values: FloatArray, least: float) -> float:
     """The greatest size in (N, 3), if it stands so often in a row that it must be a limit; else NaN."""
-    size = np.abs(values)
-    finite = np.isfinite(size)
-    greatest = float(size[finite].max()) if finite.any() else 0.0
+    greatest = max(float(np.abs(axis).max(where=np.isfinite(axis), initial=0.0)) for axis in values.T)
     if greatest < least:
         return float("nan")
-    full = np.append(size >= greatest, np.zeros((1, values.shape[1]), np.bool_), axis=0).T.ravel()
+    full = np.concatenate([part for axis in values.T for part in (np.abs(axis) >= greatest, [False])])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], full]).astype(np.int8)))
     longest = int((edges[1::2] - edges[::2]).max()) if edges.size > 1 else 0
     return greatest if longest >= IN_A_ROW else float("nan")

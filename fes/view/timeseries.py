@@ -94,7 +94,8 @@ def main_axis_rate_radps(samples: SampleArrays, timeline: PhaseTimeline) -> tupl
     that makes the mean rate of all pre-swings, in which the heel rises, positive.
     """
     gyr = samples.gyr_radps
-    good = gyr[np.isfinite(gyr).all(axis=1)]
+    finite = np.isfinite(gyr).all(axis=1)
+    good = gyr if finite.all() else gyr[finite]
     if good.shape[0] < 2:
         return np.full(gyr.shape[0], np.nan), False
     axis = np.linalg.eigh(good.T @ good)[1][:, -1]
@@ -117,12 +118,15 @@ def _opening_s(view: SessionView) -> float:
 
 def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points_per_s: int) -> dict[str, Any]:
     t_ns = sample_times(samples)
-    order = np.argsort(t_ns, kind="stable")
-    t_s = (t_ns[order] - origin_ns) / NS_PER_S
+    t_s = (t_ns - origin_ns) / NS_PER_S
     rate, signed = main_axis_rate_radps(samples, timeline)
-    acc = np.linalg.norm(samples.acc_mps2, axis=1)
-    start, step, gyr_even = even_grid(t_s, np.degrees(rate[order]), points_per_s)
-    _, _, acc_even = even_grid(t_s, acc[order], points_per_s)
+    x, y, z = samples.acc_mps2.T  # not by its norm, which would have hours of samples there twice more
+    acc = np.sqrt(x * x + y * y + z * z)
+    if (t_ns[1:] < t_ns[:-1]).any():
+        order = np.argsort(t_ns, kind="stable")
+        t_s, rate, acc = t_s[order], rate[order], acc[order]
+    start, step, gyr_even = even_grid(t_s, np.degrees(rate), points_per_s)
+    _, _, acc_even = even_grid(t_s, acc, points_per_s)
     return {
         "name": words(timeline.foot),
         "color": foot_color(timeline.foot),

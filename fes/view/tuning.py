@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 from typing import Final
 
 from fes.config import Session
 from fes.journal import Note, SessionRecord
-from fes.signals import NS_PER_S
+from fes.signals import NS_PER_S, StimStatus
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
 
 SOURCE: Final = "tuning"
@@ -82,10 +82,18 @@ def dose_rows(record: SessionRecord, settings: Session | None, origin_ns: int) -
         while closed < len(strides) and strides[closed].t_end_ns < status.t_ns:
             _close(ledger, feet, strides[closed].foot, strides[closed].t_start_ns, strides[closed].t_end_ns, origin_ns)
             closed += 1
-        ledger.take(replace(status, t_ns=status.t_ns - origin_ns))
+        ledger.take(_since(status, origin_ns))
     for stride in strides[closed:]:
         _close(ledger, feet, stride.foot, stride.t_start_ns, stride.t_end_ns, origin_ns)
     return tuple(_row(dose, names) for _, dose in sorted(ledger.electrodes.items()) if dose.session_uc > 0.0)
+
+
+def _since(s: StimStatus, origin_ns: int) -> StimStatus:
+    """The answer by the session's own time; field by field, for there are hundreds of thousands."""
+    return StimStatus(
+        s.t_ns - origin_ns, s.channel, s.counter, s.on, s.current_ma, s.pulse_width_us, s.frequency_hz, s.pulses,
+        s.charge_uc, s.fault,
+    )  # fmt: skip
 
 
 def _close(
