@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 from fes.estimation import foot as one_foot
 from fes.estimation import kernel
 from fes.estimation.calibration import FootCalibration
+from fes.estimation.clearance import FootPath
 from fes.estimation.foot import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, FootTracker, Outcome
 from fes.estimation.orientation import OrientationSettings
 from fes.estimation.strides import StrideMaker, StrideSettings
@@ -135,13 +137,65 @@ def test_sample_by_sample_is_the_whole_block(foot: str) -> None:
 def test_one_sample_at_a_time_as_live_is_the_whole_block(foot: str) -> None:
     samples, calibration = walk(foot)
     tracker = tracker_of(calibration)
+    assert facts(stepped(tracker, samples)) == whole(foot)[0]
+    assert tracker._state.tobytes() == whole(foot)[1]
+
+
+def stepped(tracker: FootTracker, samples: Samples) -> list[Outcome]:
+    """All outcomes of the samples, one at a time as live."""
     outcomes: list[Outcome] = []
     for t_ns, (ax, ay, az), (gx, gy, gz) in zip(
         samples.t_ns.tolist(), samples.acc.tolist(), samples.gyr.tolist(), strict=True
     ):
         outcomes += tracker.step(t_ns, (ax, ay, az), (gx, gy, gz))
-    assert facts(outcomes) == whole(foot)[0]
-    assert tracker._state.tobytes() == whole(foot)[1]
+    return outcomes
+
+
+def test_samples_live_and_in_blocks_may_take_turns() -> None:
+    samples, calibration = walk("left_foot")
+    tracker, outcomes = tracker_of(calibration), list[Outcome]()
+    edges = [0, 700, 1990, 2010, 3300, 4000, 5100, len(samples)]
+    for number, (begin, end) in enumerate(pairwise(edges)):
+        part = samples[begin:end]
+        outcomes += stepped(tracker, part) if number % 2 else fed(tracker, part)
+    assert facts(outcomes) == whole("left_foot")[0]
+    assert tracker._state.tobytes() == whole("left_foot")[1]
+
+
+def test_who_watches_sees_the_same_path_live() -> None:
+    samples, calibration = walk("right_foot")
+    samples = samples[: samples.at_s(24.0)]
+    seen: list[list[FootPath]] = []
+    for give in (fed, stepped):
+        paths: list[FootPath] = []
+        settings = StrideSettings(calibration.forward(), np.array(calibration.up), watch=paths.append)
+        give(FootTracker(calibration, StrideMaker(calibration.sensor, settings)), samples)
+        seen.append(paths)
+    assert len(seen[0]) == len(seen[1]) > 8
+    for one, other in zip(*seen, strict=True):
+        assert (one.number, one.t_ns.tolist()) == (other.number, other.t_ns.tolist())
+        assert one.position_m.tobytes() == other.position_m.tobytes()
+
+
+class AskedMaker(StrideMaker):
+    """Wants to be asked at every stride; notes how much history it was shown."""
+
+    def __init__(self, foot: str, settings: StrideSettings) -> None:
+        super().__init__(foot, settings)
+        self.shown: list[int] = []
+
+    def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
+        self.shown.append(len(t_ns))
+        return super().close(t_ns, acc, gyr, quaternion)
+
+
+@pytest.mark.parametrize("give", [fed, stepped])
+def test_a_maker_that_wants_to_be_asked_gives_the_same(give: Callable[[FootTracker, Samples], list[Outcome]]) -> None:
+    samples, calibration = walk("left_foot")
+    maker = AskedMaker(calibration.sensor, StrideSettings(calibration.forward(), np.array(calibration.up)))
+    assert facts(give(FootTracker(calibration, maker), samples)) == whole("left_foot")[0]
+    assert len(maker.shown) == 46
+    assert max(maker.shown) > 1900  # all of the history
 
 
 @pytest.mark.parametrize("foot", FEET)
@@ -162,10 +216,26 @@ def test_arrays_of_any_kind_give_the_same() -> None:
     for column in (frozen.t_ns, frozen.acc, frozen.gyr):
         column.flags.writeable = False
     spread = Samples(np.repeat(samples.t_ns, 2)[::2], np.asfortranarray(samples.acc), np.repeat(samples.gyr, 2, 0)[::2])
-    compiled: Any = one_foot._advance
+    compiled: Any = one_foot._walk
     kinds = len(compiled.signatures)
     for other in (frozen, spread):
         assert facts(fed(tracker_of(calibration), other)) == expected
+    assert len(compiled.signatures) == kinds
+
+
+def test_numbers_of_any_kind_give_the_same_live() -> None:
+    """As whole numbers, or as numpy's: whatever a driver or a caller has."""
+    samples, calibration = walk("left_foot")
+    samples = samples[: samples.at_s(8.0)]
+    rounded = Samples(samples.t_ns, np.round(samples.acc), samples.gyr.astype(np.float32).astype(np.float64))
+    expected = facts(stepped(tracker_of(calibration), rounded))
+    compiled: Any = one_foot._step
+    kinds = len(compiled.signatures)
+    tracker, outcomes = tracker_of(calibration), list[Outcome]()
+    single = rounded.gyr.astype(np.float32)
+    for t_ns, acc, gyr in zip(rounded.t_ns, rounded.acc.astype(np.int64).tolist(), single, strict=True):
+        outcomes += tracker.step(t_ns, acc, gyr)
+    assert facts(outcomes) == expected
     assert len(compiled.signatures) == kinds
 
 
@@ -181,10 +251,12 @@ def test_blocks_of_hostile_samples_may_be_cut_anywhere(seed: int, kinds: list[st
     rng = np.random.default_rng(seed)
     for kind in kinds:
         spoiled = spoil(spoiled, kind, int(rng.integers(1, len(spoiled) - 60)))
-    one, other = tracker_of(calibration), tracker_of(calibration)
+    one, other, live = (tracker_of(calibration) for _ in range(3))
     assert facts(fed(one, spoiled)) == facts(fed(other, spoiled, [min(cut, len(spoiled)) for cut in cuts]))
     assert one._state.tobytes() == other._state.tobytes()
     assert one.counts == other.counts
+    assert facts(stepped(live, spoiled)) == facts(fed(tracker_of(calibration), spoiled))
+    assert (one._state.tobytes(), one.counts) == (live._state.tobytes(), live.counts)
 
 
 def spoil(s: Samples, kind: str, k: int) -> Samples:

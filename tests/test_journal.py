@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import math
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,17 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fes.journal import Note, Received, SessionLogError, SessionWriter, iter_events, iter_inputs, read_session
+from fes.journal import (
+    Note,
+    Received,
+    SessionLogError,
+    SessionWriter,
+    framing,
+    iter_events,
+    iter_inputs,
+    read_session,
+    reader,
+)
 from fes.signals import (
     SENSORS,
     ImuSample,
@@ -103,9 +114,14 @@ def of(what: list[tuple[Any, ...]], method: str, kind: type = object, place: int
     return [entry[place] for entry in what if entry[0] == method and isinstance(entry[place], kind)]
 
 
-@given(entries)
+@given(entries, st.sampled_from([framing.BLOCK_BYTES, 100, 16]), st.sampled_from([reader.TOGETHER, 3, 1]))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None)
-def test_everything_comes_back(tmp_path: Path, what: list[tuple[Any, ...]]) -> None:
+def test_everything_comes_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: list[tuple[Any, ...]], block_bytes: int, together: int
+) -> None:
+    """However much of the file is read at a time, and however many records are decoded."""
+    monkeypatch.setattr(framing, "BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr(reader, "TOGETHER", together)
     path = tmp_path / "session.feslog"
     path.unlink(missing_ok=True)
     write(path, what, {"strides": 3})
@@ -143,6 +159,29 @@ def test_everything_comes_back(tmp_path: Path, what: list[tuple[Any, ...]]) -> N
             assert arrays.t_sensor_ns.tolist() == [sample.t_sensor_ns for sample in mine]
             assert [tuple(row) for row in arrays.acc_mps2.tolist()] == [sample.acc_mps2 for sample in mine]
             assert [tuple(row) for row in arrays.gyr_radps.tolist()] == [sample.gyr_radps for sample in mine]
+
+
+def test_what_is_left_out_stays_empty_and_the_rest_comes(tmp_path: Path) -> None:
+    path = tmp_path / "session.feslog"
+    frame = WireFrame(5, 1, b"x")
+    write(path, [("event", Tick(5)), ("frame", frame), ("note", Note(5, "info", "here", "words"))])
+    log = read_session(path, frozenset({framing.RecordType.FRAME}))
+    assert (log.frames, log.notes, log.ticks_ns.tolist()) == ([], [Note(5, "info", "here", "words")], [5])
+    assert read_session(path).frames == [frame]
+
+
+def test_reading_leaves_the_garbage_collector_as_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "session.feslog"
+    write(path, [("event", Tick(5))])
+    assert gc.isenabled()
+    read_session(path)
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        read_session(path)
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
 
 
 def test_nan_survives(tmp_path: Path) -> None:
