@@ -220,14 +220,16 @@ def _observe(
     """Turn one bias-free sample into the features that the guards look at."""
     now = s.samples % LAGS
     toe_down = p.toe_down_x * wx + p.toe_down_y * wy + p.toe_down_z * wz
-    vertical = to_world(s.quaternion[0], s.quaternion[1], s.quaternion[2], s.quaternion[3], fx, fy, fz)[2] - G_MPS2
+    q = s.quaternion
+    ax, ay, az = to_world(q[0], q[1], q[2], q[3], fx, fy, fz)
+    vertical = az - G_MPS2
     s.vertical_mps2[now] = vertical
     s.toe_down[now] = toe_down
     s.toe_down_peak = max(s.toe_down_peak, toe_down)
     s.toe_up_peak = max(s.toe_up_peak, -toe_down)
 
     resting_before = s.phase == 0 and s.a_rest and s.g_rest
-    speed = _dead_reckon(s, dt_s, fx, fy, fz, resting_before)
+    speed = _dead_reckon(s, dt_s, ax, ay, vertical, resting_before)
 
     # what rests counts as moving only above the higher limit, what moves as resting only below the lower
     excess = abs(math.sqrt(fx * fx + fy * fy + fz * fz) - G_MPS2)
@@ -269,11 +271,10 @@ def _observe(
 
 
 @jit
-def _dead_reckon(s: Any, dt_s: float, fx: float, fy: float, fz: float, resting: bool) -> float:
-    """Speed of the sensor (m/s) integrated since it last rested in stance: good for a second or two."""
-    q = s.quaternion
-    ax, ay, az = to_world(q[0], q[1], q[2], q[3], fx, fy, fz)
-    az -= G_MPS2
+def _dead_reckon(s: Any, dt_s: float, ax: float, ay: float, az: float, resting: bool) -> float:
+    """Speed of the sensor (m/s) integrated from its acceleration in the world since it last rested in stance: good for
+    a second or two.
+    """
     v, a = s.velocity, s.acceleration
     if resting:
         v[0], v[1], v[2] = 0.0, 0.0, 0.0
