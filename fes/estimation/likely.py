@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.estimation.likely_noise import StrideNoise, variances
 from fes.estimation.linear import solve
 from fes.estimation.rotation import axes_in_world, quaternion_step, to_sensor, to_world
@@ -29,7 +29,7 @@ TILT, VELOCITY, GYR, ACC, CAUSES = 0, 2, 5, 8, 11
 UNKNOWN_HEIGHT_M = 1e3
 
 
-@jit
+@jit_ieee
 def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
     """Trapezoid integration of the rates from row 0 of ``quaternion`` (N, 4); fills all rows."""
     w, x, y, z = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
@@ -47,25 +47,30 @@ def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
         quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3] = w, x, y, z
 
 
-@jit
+@jit_ieee
 def _move(t_ns: Any, acc: Any, quaternion: Any, velocity: Any, position: Any) -> None:
     """Trapezoid integration of the specific force from row 0 of ``velocity`` (N, 3); fills all rows."""
-    position[0, 0], position[0, 1], position[0, 2] = 0.0, 0.0, 0.0
+    vx, vy, vz, sx, sy, sz = velocity[0, 0], velocity[0, 1], velocity[0, 2], 0.0, 0.0, 0.0
     ax0 = ay0 = az0 = 0.0
     for i in range(t_ns.shape[0]):
         w, x, y, z = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
         ax, ay, az = to_world(w, x, y, z, acc[i, 0], acc[i, 1], acc[i, 2])
         if i > 0:
             dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-            velocity[i, 0] = velocity[i - 1, 0] + 0.5 * dt_s * (ax0 + ax)
-            velocity[i, 1] = velocity[i - 1, 1] + 0.5 * dt_s * (ay0 + ay)
-            velocity[i, 2] = velocity[i - 1, 2] + dt_s * (0.5 * (az0 + az) - G_MPS2)
-            for j in range(3):
-                position[i, j] = position[i - 1, j] + 0.5 * dt_s * (velocity[i - 1, j] + velocity[i, j])
+            half = 0.5 * dt_s
+            ux, uy, uz = vx, vy, vz
+            vx += half * (ax0 + ax)
+            vy += half * (ay0 + ay)
+            vz += dt_s * (0.5 * (az0 + az) - G_MPS2)
+            sx += half * (ux + vx)
+            sy += half * (uy + vy)
+            sz += half * (uz + vz)
+            velocity[i, 0], velocity[i, 1], velocity[i, 2] = vx, vy, vz
+        position[i, 0], position[i, 1], position[i, 2] = sx, sy, sz
         ax0, ay0, az0 = ax, ay, az
 
 
-@jit
+@jit_ieee
 def _later(i: int, last: int, left_s: float, velocity: Any, position: Any) -> tuple[float, float, float, float, float]:
     """First integral (x, y, z) and second (x, y) of the specific force in the world, from sample ``i`` to the end.
 
@@ -82,7 +87,7 @@ def _later(i: int, last: int, left_s: float, velocity: Any, position: Any) -> tu
     )
 
 
-@jit
+@jit_ieee
 def most_likely(
     t_ns: Any,
     acc: Any,
@@ -184,7 +189,7 @@ def most_likely(
     return True
 
 
-@jit
+@jit_ieee
 def _gather(
     t_ns: Any,
     acc: Any,
@@ -251,7 +256,7 @@ def _gather(
     of_cause[3, VELOCITY + 2] = span_s
 
 
-@jit
+@jit_ieee
 def _apply(
     t_ns: Any,
     acc: Any,
@@ -267,6 +272,8 @@ def _apply(
     n = t_ns.shape[0]
     last = n - 1
     rates, forces = np.empty((n, 3)), np.empty((n, 3))
+    along_x, along_y, along_z = system[0, KNOWN], system[1, KNOWN], system[2, KNOWN]
+    along_height, along_tx, along_ty = system[3, KNOWN], system[4, KNOWN], system[5, KNOWN]
     for i in range(n):
         q0, q1, q2, q3 = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
         wx = wy = wz = px = py = pz = 0.0
@@ -275,14 +282,12 @@ def _apply(
             dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
             dx, dy, dz, ex, ey = _later(i, last, left_s, velocity, position)
             turn, push = variances(i, t_ns, acc, gyr, noise)
-            vx, vy, vz = turn * system[0, KNOWN] / dt_s, turn * system[1, KNOWN] / dt_s, turn * system[2, KNOWN] / dt_s
-            height = turn * system[3, KNOWN] / dt_s
-            wx = dy * vz - dz * vy + ey * height + turn * system[4, KNOWN] / dt_s
-            wy = dz * vx - dx * vz - ex * height + turn * system[5, KNOWN] / dt_s
+            turn, push = turn / dt_s, push / dt_s
+            vx, vy, vz, height = turn * along_x, turn * along_y, turn * along_z, turn * along_height
+            wx = dy * vz - dz * vy + ey * height + turn * along_tx
+            wy = dz * vx - dx * vz - ex * height + turn * along_ty
             wz = dx * vy - dy * vx
-            px = push * system[0, KNOWN] / dt_s
-            py = push * system[1, KNOWN] / dt_s
-            pz = push * (system[2, KNOWN] + system[3, KNOWN] * left_s) / dt_s
+            px, py, pz = push * along_x, push * along_y, push * (along_z + along_height * left_s)
         wx, wy, wz = to_sensor(q0, q1, q2, q3, wx, wy, wz)
         px, py, pz = to_sensor(q0, q1, q2, q3, px, py, pz)
         rates[i, 0] = gyr[i, 0] + cause[GYR] + wx

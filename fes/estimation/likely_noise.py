@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.signals import G_MPS2
 
 
@@ -34,21 +34,22 @@ class StrideNoise(NamedTuple):
     end_tilt_per_push: float = 0.2  # share of the specific force's spread at the end that may be a steady push
 
 
-@jit
+@jit_ieee
 def variances(i: int, t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise) -> tuple[float, float]:
     """Variance of sample ``i``'s turn (rad²) over its interval, and of its velocity increment ((m/s)²)."""
     dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-    rate2 = gyr[i, 0] ** 2 + gyr[i, 1] ** 2 + gyr[i, 2] ** 2
+    wx, wy, wz = gyr[i, 0], gyr[i, 1], gyr[i, 2]
+    rate2 = wx * wx + wy * wy + wz * wz
     turn = (noise.gyr_noise_radps_rthz**2 + noise.gyr_scale**2 * rate2) * dt_s
     jx, jy, jz = acc[i, 0] - acc[i - 1, 0], acc[i, 1] - acc[i - 1, 1], acc[i, 2] - acc[i - 1, 2]
-    excess = math.sqrt(jx * jx + jy * jy + jz * jz) - noise.jolt_mps3 * dt_s
+    jump2, most = jx * jx + jy * jy + jz * jz, noise.jolt_mps3 * dt_s
     push = noise.acc_noise_mps2_rthz**2 * dt_s
-    if excess > 0.0:
-        push += (noise.jolt_share * excess * dt_s) ** 2
+    if jump2 > most * most:
+        push += (noise.jolt_share * (math.sqrt(jump2) - most) * dt_s) ** 2
     return turn, push
 
 
-@jit
+@jit_ieee
 def end_variances(
     rate_radps: float, rate_spread_radps: float, force_spread_mps2: float, noise: StrideNoise
 ) -> tuple[float, float]:

@@ -279,8 +279,10 @@ def _split(values: FloatArray, start: float, rate_hz: float) -> float:
     still = np.concatenate(([False], values < start, [False]))
     edges = np.flatnonzero(still[1:] != still[:-1])
     keep = np.ones(len(logs), dtype=bool)
-    for begin, end in zip(edges[0::2], edges[1::2], strict=True):
-        keep[begin:end] = end - begin < LONG_STILL_S * rate_hz
+    begins, ends = edges[0::2], edges[1::2]
+    long = ends - begins >= LONG_STILL_S * rate_hz
+    for begin, end in zip(begins[long].tolist(), ends[long].tolist(), strict=True):
+        keep[begin:end] = False
     logs = np.sort(logs[keep])
     cut = math.log(start)
     for _ in range(100):

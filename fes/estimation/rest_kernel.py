@@ -6,7 +6,7 @@ import math
 from enum import IntEnum
 from typing import Any
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit, jit_ieee
 
 
 class Detector(IntEnum):
@@ -26,7 +26,7 @@ RATE_TOLERANCE_RADPS = SPEED_TOLERANCE_MPS / PIVOT_M
 ACC_TOLERANCE_MPS2 = SPEED_TOLERANCE_MPS / SETTLING_S
 
 
-@jit
+@jit_ieee
 def window_value(
     detector: int, acc: Any, gyr: Any, begin: int, end: int, g: float, bx: float, by: float, bz: float
 ) -> float:
@@ -66,7 +66,7 @@ def window_value(
     ) / n
 
 
-@jit
+@jit_ieee
 def all_windows(
     detector: int, acc: Any, gyr: Any, count: int, ahead: int, g: float, bx: float, by: float, bz: float, out: Any
 ) -> None:

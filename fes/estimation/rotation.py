@@ -10,7 +10,6 @@ import numpy as np
 from fes.estimation.compiled import inlined, jit
 from fes.signals import FloatArray
 
-
 SMALL_TURN2 = 0.25  # rad²: below, the series of half_turn lack less than the last bit
 NEARLY_ONE = 1e-8
 

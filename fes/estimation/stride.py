@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit, jit_ieee
 from fes.estimation.linear import solve
 from fes.estimation.rotation import quaternion_step, to_sensor, to_world
 from fes.signals import G_MPS2
@@ -52,7 +52,7 @@ def orient(
     return tilt
 
 
-@jit
+@jit_ieee
 def _integrate(t_ns: Any, gyr: Any, start: Any, dx: float, dy: float, dz: float, out: Any) -> None:
     """Trapezoid integration of the rates, plus a turn by the world vector ``d`` (rad) spread evenly over the time."""
     n = t_ns.shape[0]
