@@ -35,15 +35,10 @@ def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
     w, x, y, z = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
     for i in range(1, t_ns.shape[0]):
         dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
-        w, x, y, z = quaternion_step(
-            w,
-            x,
-            y,
-            z,
-            0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s,
-            0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s,
-            0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s,
-        )
+        rx = 0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s
+        ry = 0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s
+        rz = 0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s
+        w, x, y, z = quaternion_step(w, x, y, z, rx, ry, rz)
         quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3] = w, x, y, z
 
 
