@@ -312,7 +312,7 @@ def test_turning_and_starting_strides_are_not_steady(walk):
 def test_one_foot_alone_has_parameters_too(analysed):
     one = replace(
         analysed,
-        strides=[s for s in analysed.strides if s.foot == "left_foot"],
+        walked={"left_foot": analysed.walked["left_foot"]},
         events={"left_foot": analysed.events["left_foot"]},
     )
     found = gait_parameters(one)
