@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from fes.analysis import analyse, analyse_pieces, calibrations_of
+from fes.calibrations import calibrate_all, save
 from fes.cli import analyse as cli_analyse
 from fes.cli import analyse_long
 from fes.cli.main import main
@@ -181,6 +182,46 @@ def test_a_long_recording_as_json(tmp_path, monkeypatch):
     told = json.loads(done.stdout)
     assert len(told["pieces"]) == 2
     assert told["parameters"]["feet"]["left_foot"]["stride_length_m"]["n"] > 20
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_feet_that_are_not_labelled_are_named_in_every_piece(stored, tmp_path, monkeypatch, walk):
+    monkeypatch.setattr(read, "FIRST_ROWS", 1000)
+    for module in (cli_analyse, analyse_long):
+        monkeypatch.setattr(module, "recording_pieces", partial(recording_pieces, piece_s=35.0, whole_s=60.0))
+    path = tmp_path / "walk.parquet"
+    feet = {"foot_a": "right_foot", "foot_b": "left_foot"}
+    tracks = {name: replace(walk[0].tracks[foot], sensor=name) for name, foot in feet.items()}
+    write_recording(replace(walk[0], tracks=tracks, geometry={}), path)
+    options = ["--calibration", str(tmp_path / "known.json")] if stored else []
+    if stored:
+        save(calibrate_all(read_recording(path)), tmp_path / "known.json")
+    out = tmp_path / "out"
+    done = CliRunner().invoke(main, ["analyse", str(path), "--out", str(out), "--no-report", *options])
+    assert done.exit_code == 0, done.output
+    strides = read_table(next(out.iterdir()) / "strides.csv")
+    assert {(row["foot"], int(row["number"])) for row in strides} == {(s.foot, s.number) for s in walk[2].strides}
+
+
+def test_a_sensor_that_falls_silent_does_not_end_the_analysis(tmp_path, monkeypatch, walk):
+    monkeypatch.setattr(read, "FIRST_ROWS", 1000)
+    for module in (cli_analyse, analyse_long):
+        monkeypatch.setattr(module, "recording_pieces", partial(recording_pieces, piece_s=25.0, whole_s=60.0))
+    path = tmp_path / "walk.parquet"
+    write_recording(walk[0], path)
+    table = parquet.read_table(path)
+    for name in [name for name in table.column_names if name.startswith("right_foot")]:
+        values = table.column(name).to_pylist()
+        table = table.set_column(
+            table.column_names.index(name), name, [values[:4_000] + [None] * (len(values) - 4_000)]
+        )
+    parquet.write_table(table, path)
+    done = CliRunner().invoke(main, ["analyse", str(path), "--out", str(tmp_path / "out"), "--no-report"])
+    assert done.exit_code == 0, done.output
+    strides = read_table(next((tmp_path / "out").iterdir()) / "strides.csv")
+    ends = {foot: max(float(row["t_end_s"]) for row in strides if row["foot"] == foot) for foot in walk[1]}
+    assert ends["right_foot"] < 40.0
+    assert ends["left_foot"] > 55.0
 
 
 def read_table(path: Path) -> list[dict[str, object]]:

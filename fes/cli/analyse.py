@@ -16,6 +16,7 @@ from fes.analysis import Analysis, analyse, calibrations_of
 from fes.calibrations import drivers_from
 from fes.cli.analyse_long import analyse_long, calibrated
 from fes.cli.compile_ahead import compiled_ahead
+from fes.cli.doubts import doubts
 from fes.cli.exits import FAILED, fail
 from fes.cli.folders import fresh_folder
 from fes.cli.proposal import told
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from fes.recording import Recording
 
 FORMATS = ("csv", "parquet", "json")
-DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
 
 
 @click.command(name="analyse")
@@ -216,25 +216,20 @@ def _show(
         screen.print(table)
     for line in (*_clearance_lines(result), *_path_lines(result), *parameter_lines(parameters, walk)):
         screen.print(line, markup=False)
-    for line in _doubts(result):
+    for line in doubts(_counted(result)):
         screen.print(line, markup=False, style="yellow")
     click.echo(f"Tables  {folder}/")
     if report:
         click.echo(f"Report  {folder / 'report.html'}  (open it in a browser)")
 
 
-def _doubts(result: Analysis) -> list[str]:
-    """Feet of whose strides few could be measured: what the sidecar says of them may be wrong."""
-    lines = []
-    for sensor in dict.fromkeys(stride.foot for stride in result.strides):
-        found = [stride.valid for stride in result.strides if stride.foot == sensor]
-        if len(found) >= FEWEST_STRIDES and sum(found) < DOUBTFUL_SHARE * len(found):
-            lines.append(
-                f"! {sensor}: only {sum(found)} of {len(found)} strides could be measured. Does this sensor sit on "
-                f"the {sensor.replace('_', ' ')}, not on another part of the leg, and are units and rate in the "
-                f"sidecar right?"
-            )
-    return lines
+def _counted(result: Analysis) -> dict[str, tuple[int, int]]:
+    """By sensor: strides, and how many of them are valid."""
+    found: dict[str, tuple[int, int]] = {}
+    for stride in result.strides:
+        count, valid = found.get(stride.foot, (0, 0))
+        found[stride.foot] = count + 1, valid + stride.valid
+    return found
 
 
 def _clearance_lines(result: Analysis) -> list[str]:

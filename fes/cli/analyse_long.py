@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fes.analysis import Analysis, analyse_pieces, calibrations_of
-from fes.calibrations import Found, drivers_from, labelled
+from fes.calibrations import Found, drivers_from, labelled, load
+from fes.cli.doubts import doubts
 from fes.cli.folders import fresh_folder
 from fes.cli.table_file import TableFile, write_table
 from fes.estimation.calibration import CalibrationError
@@ -56,7 +57,7 @@ def calibrated(path: Path, stored: Path | None, *, level: bool) -> Found:
         found = new if found is None else _both(found, new)
     if found is None:
         raise failed or CalibrationError(f"{path}: it holds no samples.")
-    return found
+    return replace(found, sides=load(stored).sides) if stored else found
 
 
 def _both(first: Found, later: Found) -> Found:
@@ -113,6 +114,7 @@ class _Told:
     end_s: float
     strides: dict[str, tuple[int, int, float]] = field(default_factory=dict)  # all, valid, m on the way
     no_path: tuple[str, ...] = ()
+    points: tuple[str, ...] = ()  # where toe and heel are, in words
 
     @staticmethod
     def of(result: Analysis, number: int) -> _Told:
@@ -128,7 +130,7 @@ class _Told:
             own = [stride for stride in result.strides if stride.foot == foot]
             valid = [stride.stride_length_m for stride in own if stride.valid]
             feet[foot] = len(own), len(valid), math.fsum(valid)
-        return _Told(number, 1e-9 * begin, 1e-9 * end, feet, tuple(result.no_path.values()))
+        return _Told(number, 1e-9 * begin, 1e-9 * end, feet, tuple(result.no_path.values()), _points(result))
 
 
 def _report(
@@ -172,11 +174,22 @@ def _show(told: list[_Told], every: GaitParameters, folder: Path, *, report: boo
     screen.print(table)
     if (parameters := parameter_table(every)).row_count:
         screen.print(parameters)
-    for line in (*parameter_lines(every, None), *_no_paths(told)):
+    for line in (*told[-1].points, *parameter_lines(every, None), *_no_paths(told)):
         screen.print(line, markup=False)
+    counted = {
+        foot: (sum(of[0] for of in found), sum(of[1] for of in found))
+        for foot in feet
+        for found in [[each.strides[foot] for each in told if foot in each.strides]]
+    }
+    for line in doubts(counted):
+        screen.print(line, markup=False, style="yellow")
     click.echo(f"Tables  {folder}/")
     if report:
         click.echo(f"Reports {folder / 'report-01.html'} and on, one a piece  (open them in a browser)")
+
+
+def _points(result: Analysis) -> tuple[str, ...]:
+    return tuple(f"Clearance, {foot.removesuffix('_foot')}: {known.words()}" for foot, known in result.points.items())
 
 
 def _no_paths(told: list[_Told]) -> Iterator[str]:
