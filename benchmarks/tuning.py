@@ -3,6 +3,7 @@
     python benchmarks/tuning.py --first 0 --patients 100 --results dev.jsonl    # 5 s a patient
     python benchmarks/tuning.py --first 100 --patients 100 --results held.jsonl
     python benchmarks/tuning.py --tables dev.jsonl held.jsonl --write docs/tuning.md
+    python benchmarks/tuning.py --first 300 --patients 40 --measured            # how the target is to be set
 
 Each patient (:mod:`tuning_cohort`) walks the same walk with no stimulation, with fixed stimulation from heel rise to
 contact as a foot switch times it, with the fixed phase-triggered trapezoid, and tuned from there run-to-run and by
@@ -19,6 +20,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import median, quantiles
 from typing import Any
 
 from closed_loop_walk import Walk, walk
@@ -34,9 +36,10 @@ EVERYBODY_MA = 30.0
 METHODS = ("none", "foot switch", "phase", "run-to-run", "learning")
 TUNED = ("run-to-run", "learning")
 GRID_MA = (14.0, 18.0, 22.0, 26.0, 34.0, 40.0)
-MEASURED_HIGHER_MM = 10.0  # the live toe clearance of these patients against the true one: the target allows for it
+MEASURED_HIGHER_MM = 6.0  # for three of four patients at most (--measured): the target allows for it
 REACHED = 4  # of 5 strides in a row in the band
 LAST = 20
+SAME_CONTACT_NS = 200_000_000
 
 
 def tuning_of(method: str, current_ma: float) -> dict[str, Any]:
@@ -49,7 +52,7 @@ def tuning_of(method: str, current_ma: float) -> dict[str, Any]:
         "bounds": {
             "current_ma": {"low": 10.0, "high": MOST_MA},
             "pulse_width_us": {"low": 3000.0 / MOST_MA, "high": 12000.0 / current_ma},
-            "start_delay_s": {"low": 0.0, "high": 0.4}, "extension_s": {"low": 0.0, "high": 0.1},
+            "start_delay_s": {"low": 0.0, "high": 0.4}, "extension_s": {"low": -0.1, "high": 0.1},
         },
     }  # fmt: skip
 
@@ -134,6 +137,22 @@ def one_patient(seed: int, methods: Sequence[str] = METHODS, known: dict[str, An
     }
 
 
+def measured_higher_mm(seed: int) -> float:
+    """How far the live toe clearance lies above the true one under fixed stimulation, median of a patient's strides."""
+    settings, calibration, _ = patient(seed)
+    geometry = VirtualPatient(settings).geometry["right_foot"]
+    session = session_of(geometry, "phase", clinic_ma(settings, geometry, calibration))
+    done = walk(settings, session, calibration, SECONDS, 20)
+    differ = []
+    for one in done.measured:
+        contact_ns = one.t_loading_response_ns
+        if contact_ns is not None:
+            true = min(done.strides, key=lambda stride: abs(stride.t_contact_ns - contact_ns))
+            if abs(true.t_contact_ns - contact_ns) < SAME_CONTACT_NS:
+                differ.append(1e3 * (one.toe_clearance_m - true.toe_clearance_m))
+    return median(differ)
+
+
 def said(row: dict[str, Any]) -> str:
     """One patient in a line: later share in the band, strides to reach it, stumbles, drags, charge, ! if stopped."""
     shown = " | ".join(
@@ -156,9 +175,15 @@ def main() -> None:
     parser.add_argument(
         "--again", nargs="+", choices=METHODS, help="make these walks anew for the patients that are known"
     )
+    parser.add_argument("--measured", action="store_true", help="only compare measured with true toe clearance")
     parser.add_argument("--tables", type=Path, nargs="+", help="only make the tables of these results")
     parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
     asked = parser.parse_args()
+    if asked.measured:
+        found = [measured_higher_mm(seed) for seed in range(asked.first, asked.first + asked.patients)]
+        low, middle, high = quantiles(found, n=4)
+        print(f"measured above true, mm: {min(found):.1f} {low:.1f} {middle:.1f} {high:.1f} {max(found):.1f}")
+        return
     if not asked.tables:
         rows = [json.loads(line) for line in asked.results.open()] if asked.results.exists() else []
         known = {row["seed"]: row for row in rows}

@@ -23,6 +23,17 @@ pulse_width_us = { low = 200.0, high = 350.0 }
 start_delay_s = { low = 0.0, high = 0.2 }
 extension_s = { low = 0.0, high = 0.1 }
 """
+EARLY = BOUNDS | {"extension_s": {"low": -0.1, "high": 0.1}}
+PITCH = {"low": 4.0, "high": 25.0}
+
+
+def test_an_end_before_contact_is_allowed_where_its_effect_is_measured() -> None:
+    bounds = channel(tuning(bounds=EARLY, pitch_at_contact_deg=PITCH)).tuning
+    assert bounds is not None
+    assert bounds.bounds is not None
+    assert bounds.bounds.extension_s.low == -0.1
+    with pytest.raises(ValidationError):
+        channel(extension_s=-0.05)  # the channel's own, without a tuning that learns when contact comes
 
 
 def test_tuning_is_off_unless_asked_for() -> None:
@@ -62,6 +73,8 @@ def test_a_misspelt_setting_is_named_with_its_line(tmp_path: Path) -> None:
         ({"toe_clearance_m": None}, "needs a target"),
         ({"toe_clearance_m": {"low": 0.03, "high": 0.01}}, "must be below"),
         ({"bounds": BOUNDS | {"current_ma": {"low": 40.0, "high": 10.0}}}, "must not be above"),
+        ({"bounds": BOUNDS | {"extension_s": {"low": -0.2, "high": 0.1}}}, "greater than or equal to -0.1"),
+        ({"bounds": BOUNDS | {"start_delay_s": {"low": -0.1, "high": 0.1}}}, "greater than or equal to 0"),
         ({"max_change_ma": 0.0}, "greater than 0"),
         ({"max_change_ma": 20.0}, "less than or equal to 5"),
         ({"gain": 1.5}, "less than or equal to 1"),
@@ -82,6 +95,8 @@ def test_a_tuning_that_says_too_little_or_too_much_is_refused(changes: dict[str,
         ({}, {"pulse_width_us": 400.0, "current_ma": 20.0, "rise_s": 0.09}, "max_rise_ma_per_s"),
         ({}, {"start_phase": "stance", "stop_phase": "swing"}, "start in"),
         ({"bounds": BOUNDS | {"extension_s": {"low": 0.0, "high": 0.9}}}, {}, "extension_s to 0.5"),
+        ({"bounds": EARLY}, {}, "needs pitch_at_contact_deg"),
+        ({"bounds": EARLY, "pitch_at_contact_deg": PITCH}, {"stop_phase": "stance"}, 'stop_phase = "loading_response"'),
     ],
 )
 def test_a_tuning_that_could_leave_the_limits_is_refused(

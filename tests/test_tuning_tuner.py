@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from random import Random
 from typing import Any
 
 import pytest
@@ -15,8 +17,9 @@ from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.demand import Demand, room
 from fes.stimulation.tuning.guardrails import used
 from fes.stimulation.tuning.reports import TuningReport
-from fes.stimulation.tuning.response import SLOPE_BOUNDS, Response
-from fes.stimulation.tuning.speed_timing import SpeedTiming
+from fes.stimulation.tuning.response import NOISE, SLOPE_BOUNDS, Response
+from fes.stimulation.tuning.run_to_run import SAFE_SDS
+from fes.stimulation.tuning.speed_timing import WEAK, SpeedTiming
 from fes.stimulation.tuning.targets import Measure
 from fes.stimulation.tuning.tuner import MOST_ROLL_BACKS, Tuner
 
@@ -219,6 +222,29 @@ def test_the_slope_is_learnt_from_the_foot_and_stays_within_bounds() -> None:
     assert backward.slope == SLOPE_BOUNDS[0]
 
 
+def test_the_noise_is_that_of_the_surprises_and_at_first_what_is_usual() -> None:
+    for spread in (0.05, 0.3):
+        response, random = Response(), Random(5)
+        assert response.surprise == NOISE
+        found = []
+        for _ in range(40):
+            response.add(1.0, 0.5 + random.gauss(0.0, spread))
+            found.append(response.surprise)
+        assert found[2] == NOISE  # three strides: nothing was expected yet
+        assert all(min(spread, NOISE) * 0.7 < noise < max(spread, NOISE) * 1.5 for noise in found)
+        assert abs(found[-1] - NOISE) > 0.03
+    calm = Response(usual_noise=0.06)
+    calm.add(1.0, 0.2)
+    assert calm.surprise == calm.noise == 0.06
+
+
+def test_a_wave_that_neighbours_share_counts_as_noise() -> None:
+    response = Response()
+    for n in range(40):
+        response.add(1.0, 0.5 + 0.4 * math.sin(n / 2.5))
+    assert response.noise < 0.15 < 0.2 < response.surprise
+
+
 def paced(number: int, factor: float) -> Any:
     return stride(number, 0.02, duration_s=1.4 * factor, pre_swing_s=0.4 * factor, swing_s=0.5 * factor)
 
@@ -241,14 +267,30 @@ def test_the_start_is_put_off_while_it_suffices_and_comes_sooner_when_nothing_el
         timing.add(paced(number, 1.0))
     first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
     for _ in range(9):
-        timing.put_off(0.0, 0.5)
+        timing.put_off(0.0, 0.5, 3.0)
     latest_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
     assert latest_s - first_s == pytest.approx(0.10 * 0.5, abs=0.001)  # a quarter of the swing, then a third
-    assert "as late as it suffices" in timing.reason()
-    timing.put_off(0.2, 0.5)  # more is needed, and the intensity can give it
+    assert "as late as it suffices" in timing.reason(0.0)
+    timing.put_off(0.2, 0.5, 3.0)  # more is needed, and the intensity can give it
     assert timing.wanted("pre_swing", 0.15, 0.1)[0] == latest_s
     for _ in range(9):
-        timing.put_off(0.2, 1.0)
+        timing.put_off(0.2, 1.0, 3.0)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
+
+
+def test_a_foot_that_hardly_answers_to_more_gets_it_sooner() -> None:
+    timing = SpeedTiming()
+    for number in range(4):
+        timing.add(paced(number, 1.0))
+    first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
+    for _ in range(9):
+        timing.put_off(0.0, 0.5, 0.9 * WEAK)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s  # not put off, though nothing is missing
+    for _ in range(9):
+        timing.put_off(0.0, 0.5, WEAK)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] > first_s
+    for _ in range(9):
+        timing.put_off(0.2, 0.5, 0.9 * WEAK)
     assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
 
 
@@ -268,7 +310,7 @@ def test_the_pulses_end_sooner_by_what_the_force_outlives_them() -> None:
 def test_room_is_what_keeps_the_other_measure_in_its_band() -> None:
     pitch = Demand(Measure("pitch", 2.0, Band(low=4.0, high=24.0), 1.0, "°"), -0.1, 0.3, 1.0, 0.2, 0.1)
     toe = Demand(Measure("toe", 0.04, Band(low=0.02, high=0.05), 1e3, "mm"), 0.7, -0.3, 2.0, 0.4, 0.1)
-    assert room((pitch, toe)) == pytest.approx((1.0 - 0.1 - 0.7) / 2.0)
+    assert room((pitch, toe)) == pytest.approx((1.0 - SAFE_SDS * 0.1 - 0.7) / 2.0)
     high = replace(toe, usual=1.2)
     assert room((pitch, high)) == 0.0
     assert room((pitch,)) == float("inf")

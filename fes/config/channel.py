@@ -86,8 +86,9 @@ class Channel(Settings):
             }
             caps = self.limits.model_dump()
             refuse_tuning(
-                self.tuning, self.start_phase, values, caps, self.frequency_hz, self.electrode_area_cm2, self.rise_s
-            )
+                self.tuning, self.start_phase, self.stop_phase, values, caps, self.frequency_hz,
+                self.electrode_area_cm2, self.rise_s,
+            )  # fmt: skip
         return self
 
     @model_serializer(mode="wrap")

@@ -36,13 +36,19 @@ class Bounds(Settings):
         return self
 
 
+class EndBounds(Bounds):
+    """Of ``extension_s``: below 0 the burst begins to fall before contact."""
+
+    low: float = Field(ge=-0.1)
+
+
 class TuningBounds(Settings):
     """How far each parameter may go. All are required: what must not move gets its own value at both ends."""
 
     current_ma: Bounds
     pulse_width_us: Bounds
     start_delay_s: Bounds
-    extension_s: Bounds
+    extension_s: EndBounds
 
 
 Step = Annotated[float, Field(gt=0)]
@@ -89,6 +95,7 @@ class Tuning(Settings):
 def refuse_tuning(
     tuning: Tuning,
     start_phase: str,
+    stop_phase: str,
     values: dict[str, float],
     caps: dict[str, float],
     frequency_hz: float,
@@ -99,7 +106,8 @@ def refuse_tuning(
 
     Args:
         tuning: as set.
-        start_phase: of the channel.
+        start_phase: of the channel, as the next.
+        stop_phase: where it ends.
         values: the channel's own current_ma, pulse_width_us, start_delay_s and extension_s.
         caps: the channel's limits by name (``ChannelLimits``).
         frequency_hz: of the channel, as the next two.
@@ -122,6 +130,11 @@ def refuse_tuning(
             )
     if bounds.start_delay_s.high > 1.0 or bounds.extension_s.high > 0.5:
         raise ValueError("tuning.bounds: start_delay_s goes to 1.0 at most, extension_s to 0.5")
+    if bounds.extension_s.low < 0.0 and (tuning.pitch_at_contact_deg is None or stop_phase != "loading_response"):
+        raise ValueError(
+            "tuning.bounds.extension_s below 0 (an end before contact) needs pitch_at_contact_deg, which shows whether "
+            'the heel still comes first, and stop_phase = "loading_response"'
+        )
     learns = tuning.method == "learning"
     current_ma = values["current_ma"] if learns else bounds.current_ma.high
     width_us = bounds.pulse_width_us.high if learns else values["pulse_width_us"]

@@ -16,8 +16,9 @@ class Envelope:
 
     ``t_start_ns`` is the foot of the rise (the start delay is over). ``t_stop_ns`` is the entry into the stop phase,
     None as long as that has not come; the burst goes on for ``extension_ns`` after it, still rising if it was, and
-    then falls from the level reached. Whatever happens it is over ``max_on_ns`` after its start, and begins to fall
-    early enough to end in a ramp where the settings leave room for one.
+    then falls from the level reached. At ``t_due_ns`` it falls even if that entry has not come. Whatever happens it is
+    over ``max_on_ns`` after its start, and begins to fall early enough to end in a ramp where the settings leave room
+    for one.
     """
 
     t_start_ns: int
@@ -29,6 +30,7 @@ class Envelope:
     max_on_ns: int
     intensity: float = 1.0
     t_stop_ns: int | None = None
+    t_due_ns: int | None = None
 
     @classmethod
     def of(cls, channel: Channel, t_start_ns: int, intensity: float, parameters: BurstParameters) -> Envelope:
@@ -38,7 +40,7 @@ class Envelope:
             parameters=parameters,
             frequency_hz=channel.frequency_hz,
             rise_ns=to_ns(channel.rise_s),
-            extension_ns=to_ns(parameters.extension_s),
+            extension_ns=max(to_ns(parameters.extension_s), 0),
             fall_ns=to_ns(channel.fall_s),
             max_on_ns=to_ns(channel.limits.max_on_s),
             intensity=intensity,
@@ -75,6 +77,8 @@ class Envelope:
 
     def _t_fall_ns(self) -> int:
         latest_ns = self.t_start_ns + max(self.max_on_ns - self.fall_ns, min(self.rise_ns, self.max_on_ns))
+        if self.t_due_ns is not None:
+            latest_ns = min(self.t_due_ns, latest_ns)
         return latest_ns if self.t_stop_ns is None else min(self.t_stop_ns + self.extension_ns, latest_ns)
 
 

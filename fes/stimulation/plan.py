@@ -4,6 +4,8 @@ How one channel's burst comes and goes, after the trapezoid of the drop-foot sti
 
 - the foot enters ``start_phase``, and stimulation is permitted: a burst starts ``start_delay_s`` later;
 - it enters ``stop_phase``: the burst goes on for ``extension_s`` and then falls; one not yet started is dropped;
+- with a negative ``extension_s`` it falls that long before the entry into ``stop_phase`` is expected, which is as long
+  after the entry into the phase before as the longest of the last times; not known, or sooner there: at the entry;
 - it enters a phase outside start … stop, or its phase was lost (``Transition.NONE``): off at once;
 - it enters ``start_phase`` again: off at once, and a new burst.
 
@@ -13,7 +15,8 @@ A burst starts late rather than break a rule that the gate would enforce: not be
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections import deque
+from dataclasses import dataclass, field, replace
 
 from fes.config import PHASE_ORDER, Channel
 from fes.signals import StimRequest
@@ -22,6 +25,7 @@ from fes.stimulation.parameters import BurstParameters
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FREQUENCY_STEP_HZ = 1.0
+EXPECTED_FROM, REMEMBERED = 3, 5  # strides; the longest of their times counts, for to end late is to end at contact
 
 
 @dataclass(slots=True, eq=False)
@@ -29,13 +33,15 @@ class _Line:
     """One channel and where it stands; ``on`` and ``off_since_ns`` are what was last requested and since when.
 
     ``by_hand_ns`` is how long a burst asked for by hand lasts before it falls; one to ``adopt`` passes to the phases.
-    ``upcoming`` are the parameters of the next burst, ``taken`` those of the burst awaited or under way.
+    ``upcoming`` are the parameters of the next burst, ``taken`` those of the burst awaited or under way. ``before`` is
+    the phase before the stop phase, entered at ``before_ns`` in this cycle; ``approaches_ns`` is how long it took last.
     """
 
     channel: Channel
     start: Phase
     stop: Phase
     run: frozenset[Phase]
+    before: Phase
     upcoming: BurstParameters
     taken: BurstParameters
     partners: tuple[_Line, ...] = ()
@@ -45,6 +51,30 @@ class _Line:
     off_since_ns: int | None = None
     by_hand_ns: int | None = None
     adopt: bool = False
+    before_ns: int | None = None
+    approaches_ns: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+
+    def note(self, change: PhaseChange) -> None:
+        """How long the phase before the stop phase takes; a cycle that was lost, or went another way, is forgotten."""
+        if change.transition == Transition.NONE or change.destination not in self.run:
+            self.before_ns = None
+            if change.transition == Transition.NONE:
+                self.approaches_ns.clear()
+        elif change.destination == self.stop:
+            if self.before_ns is not None:
+                self.approaches_ns.append(change.t_ns - self.before_ns)
+            self.before_ns = None
+        elif change.destination == self.before:
+            self.before_ns = change.t_ns
+        elif change.destination == self.start:
+            self.before_ns = None
+
+    def due_ns(self) -> int | None:
+        """When this cycle's burst is to fall though the stop phase has not come; None for not before it."""
+        early_ns = to_ns(-self.taken.extension_s)
+        if early_ns <= 0 or self.before_ns is None or len(self.approaches_ns) < EXPECTED_FROM:
+            return None
+        return self.before_ns + max(max(self.approaches_ns) - early_ns, 0)
 
 
 class StimulationPlan:
@@ -74,6 +104,7 @@ class StimulationPlan:
         for line in self._lines:
             if line.channel.foot != change.foot:
                 continue
+            line.note(change)
             lost = change.transition == Transition.NONE
             if lost or change.destination not in line.run:
                 line.awaited_ns, line.burst = None, None
@@ -87,6 +118,8 @@ class StimulationPlan:
             elif change.destination == line.stop:
                 line.awaited_ns = None
                 line.burst = line.burst.stopped(change.t_ns) if line.burst else None
+            if line.burst is not None and change.destination == line.before:
+                line.burst = replace(line.burst, t_due_ns=line.due_ns())
 
     def start(self, number: float, t_ns: int, hold_ns: int, *, adopt: bool) -> None:
         """Start a burst of one channel by hand; it falls after ``hold_ns``, and what the foot does may end it sooner.
@@ -162,7 +195,9 @@ class StimulationPlan:
         if t_start_ns > t_ns:
             return None
         burst = Envelope.of(line.channel, t_start_ns, intensity, line.taken)
-        return burst if line.by_hand_ns is None else burst.stopped(t_start_ns + line.by_hand_ns)
+        if line.by_hand_ns is not None:
+            return burst.stopped(t_start_ns + line.by_hand_ns)
+        return replace(burst, t_due_ns=line.due_ns())
 
     def _request(self, line: _Line, burst: Envelope | None, t_ns: int) -> StimRequest:
         number = line.channel.number
@@ -184,7 +219,7 @@ def _line(channel: Channel) -> _Line:
     length = (PHASE_ORDER.index(channel.stop_phase) - first) % len(PHASE_ORDER) + 1
     run = [Phase[PHASE_ORDER[(first + i) % len(PHASE_ORDER)].upper()] for i in range(length)]
     own = BurstParameters.of(channel)
-    return _Line(channel, run[0], run[-1], frozenset(run), own, own)
+    return _Line(channel, run[0], run[-1], frozenset(run), run[-2], own, own)
 
 
 def _exclusive(one: Channel, other: Channel) -> bool:

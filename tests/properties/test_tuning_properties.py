@@ -13,6 +13,7 @@ from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.tuner import Tuner
 
 EPSILON = 1e-6
+EARLY = BOUNDS | {"extension_s": {"low": -0.1, "high": 0.2}}
 STEPS = {"max_change_ma": 1.7, "max_change_us": 13.0, "max_change_s": 0.012}
 NUMBERS = st.floats(-1.0, 1.0) | st.sampled_from([float("nan"), float("inf"), -float("inf"), 0.0, 0.02])
 ACTS = st.sampled_from(["", "", "", "", "freeze", "resume", "accept"])
@@ -60,19 +61,20 @@ STEP_OF = {
     st.lists(anything(), min_size=5, max_size=40),
     st.sampled_from(["run_to_run", "learning"]),
     st.sampled_from(["act", "suggest"]),
+    st.sampled_from([BOUNDS, EARLY]),
 )
 def test_any_strides_leave_the_parameters_where_they_may_be(
-    walked: list[tuple[dict[str, Any], float, float, str]], method: str, mode: str
+    walked: list[tuple[dict[str, Any], float, float, str]], method: str, mode: str, bounds: dict[str, Any]
 ) -> None:
-    pitch = {"low": -5.0, "high": 10.0}
-    tuner = Tuner(channel(tuning(method=method, mode=mode, timing=True, pitch_at_contact_deg=pitch, **STEPS)))
+    asked: dict[str, Any] = {"timing": True, "pitch_at_contact_deg": {"low": -5.0, "high": 10.0}, "bounds": bounds}
+    tuner = Tuner(channel(tuning(method=method, mode=mode, **asked, **STEPS)))
     for number, (fields, charge_uc, intensity, act) in enumerate(walked):
         before, frozen = tuner.parameters, tuner.frozen
         report = tuner.observe(number, made(number, fields), charge_uc, intensity)
         after = tuner.parameters
         for name, old in values_of(before).items():
             for was, now in zip(old, values_of(after)[name], strict=True):
-                assert BOUNDS[name]["low"] - EPSILON <= now <= BOUNDS[name]["high"] + EPSILON
+                assert bounds[name]["low"] - EPSILON <= now <= bounds[name]["high"] + EPSILON
                 assert abs(now - was) <= STEP_OF[name] + EPSILON
         if not fields["valid"] or charge_uc == 0.0 or intensity == 0.0:
             assert after == before

@@ -10,8 +10,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from fes.stimulation.tuning.response import Response
-from fes.stimulation.tuning.run_to_run import LEAST_AIM, LEAST_AIM_AT_CONTACT, aim_of, drive_error
+from fes.stimulation.tuning.response import NOISE, NOISE_AT_CONTACT, Response
+from fes.stimulation.tuning.run_to_run import LEAST_AIM, LEAST_AIM_AT_CONTACT, SAFE_SDS, aim_of, drive_error
 from fes.stimulation.tuning.targets import Measure, Reading
 
 
@@ -20,7 +20,7 @@ class Demand:
     """One measure's: the newest value, the level to expect under the present drive, and what is missing.
 
     ``error`` is in bands, > 0 when more stimulation is needed, < 0 when less will do, 0 when it is near enough;
-    ``slope`` in bands per drive, ``aim`` and ``noise`` (of a stride) in bands.
+    ``slope`` in bands per drive, ``aim`` and ``noise`` (of a stride about what was expected) in bands.
     """
 
     measure: Measure
@@ -45,7 +45,9 @@ class Responses:
     def add(self, reading: Reading, drives: Mapping[str, float]) -> None:
         """A valid stride, and the drive that each measure has seen."""
         for measure in reading.measures:
-            self._by_name.setdefault(measure.name, Response()).add(drives[measure.name], measure.level)
+            self._by_name.setdefault(measure.name, Response(NOISE_AT_CONTACT if measure.at_contact else NOISE)).add(
+                drives[measure.name], measure.level
+            )
 
     def forget(self) -> None:
         """What was learnt no longer holds."""
@@ -58,7 +60,7 @@ class Responses:
             response, drive = self._by_name[measure.name], drives[measure.name]
             least = LEAST_AIM_AT_CONTACT if measure.at_contact else LEAST_AIM
             error, usual = drive_error(response, drive, least), response.level_at(drive)
-            found.append(Demand(measure, usual, error, response.slope, aim_of(response, least), response.noise))
+            found.append(Demand(measure, usual, error, response.slope, aim_of(response, least), response.surprise))
         return tuple(sorted(found, key=lambda demand: -demand.step))
 
 
@@ -67,10 +69,22 @@ def leading(demands: tuple[Demand, ...]) -> Demand:
     return demands[0] if demands[0].error > 0.0 else min(demands, key=lambda demand: demand.step)
 
 
+def in_mid_swing(demands: tuple[Demand, ...]) -> Demand:
+    """Of what is measured in mid-swing; where nothing is, the one that asks for most."""
+    return next((demand for demand in demands if not demand.measure.at_contact), demands[0])
+
+
+def at_contact(demands: tuple[Demand, ...]) -> tuple[float | None, float]:
+    """Of what is measured at contact the lower of usual and newest level, and the error; (None, 0) where nothing is."""
+    found = next((demand for demand in demands if demand.measure.at_contact), None)
+    return (None, 0.0) if found is None else (min(found.usual, found.measure.level), found.error)
+
+
 def room(demands: tuple[Demand, ...]) -> float:
     """How much drive may be added before another measure than the leading one leaves its band at the high end."""
     return min(
-        (max((1.0 - demand.noise - demand.usual) / demand.slope, 0.0) for demand in demands[1:]), default=math.inf
+        (max((1.0 - SAFE_SDS * demand.noise - demand.usual) / demand.slope, 0.0) for demand in demands[1:]),
+        default=math.inf,
     )
 
 

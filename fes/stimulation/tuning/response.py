@@ -20,6 +20,9 @@ SLOPE: Final = 3.0  # of the level by the drive, before anything is known: the w
 SLOPE_SD: Final = 2.0
 SLOPE_BOUNDS: Final = (1.0, 12.0)
 NOISE: Final = 0.20  # of a stride's level, before anything is known
+NOISE_AT_CONTACT: Final = 0.06  # so of the foot's pitch at contact
+BELIEVED: Final = 4  # strides' worth of trust in it
+MOST_SURPRISE: Final = 3.0  # times the usual noise: one stumble says little about the others
 NOISE_BOUNDS: Final = (0.04, 0.60)
 NEAR: Final = 0.05  # of drive: strides this near the present one need no trust in the slope
 LAST: Final = 3
@@ -27,18 +30,24 @@ FADE: Final = 0.85  # weight of a stride against the one after it
 
 
 class Response:
-    """Recent strides' drives and levels; oldest first."""
+    """Recent strides' drives and levels; oldest first. ``usual_noise`` is what is believed before any are known."""
 
-    def __init__(self) -> None:
+    def __init__(self, usual_noise: float = NOISE) -> None:
+        self._usual_noise = usual_noise
         self._strides: deque[tuple[float, float]] = deque(maxlen=REMEMBERED)
+        self._surprises: deque[float] = deque(maxlen=REMEMBERED)
 
     def add(self, drive: float, level: float) -> None:
         """A valid stride."""
+        if len(self._strides) >= LAST:
+            most = MOST_SURPRISE * self._usual_noise
+            self._surprises.append(min(max(level - self.level_at(drive), -most), most))
         self._strides.append((drive, level))
 
     def forget(self) -> None:
         """What was learnt no longer holds."""
         self._strides.clear()
+        self._surprises.clear()
 
     @property
     def count(self) -> int:
@@ -73,11 +82,22 @@ class Response:
     def noise(self) -> float:
         """Standard deviation of a stride's level about its neighbour's, robustly, within ``NOISE_BOUNDS``."""
         if len(self._strides) < 4:
-            return NOISE
+            return self._usual_noise
         slope = self.slope
         free = [z - slope * u for u, z in self._strides]
         steps = [abs(b - a) for a, b in pairwise(free)]  # differences: a slow drift is no noise
         return min(max(1.4826 * median(steps) / math.sqrt(2.0), NOISE_BOUNDS[0]), NOISE_BOUNDS[1])
+
+    @property
+    def surprise(self) -> float:
+        """Standard deviation of a stride's level about the expected one, within ``NOISE_BOUNDS``.
+
+        Greater than the noise by what comes in waves of several strides and by what is wrong with the expectation. From
+        the strides' own surprises and from what is usual, each by the number of strides that speak for it.
+        """
+        total = BELIEVED * self._usual_noise**2 + sum(off * off for off in self._surprises)
+        found = math.sqrt(total / (BELIEVED + len(self._surprises)))
+        return min(max(found, NOISE_BOUNDS[0]), NOISE_BOUNDS[1])
 
     def last_levels(self, n: int) -> list[float]:
         """Levels of the last ``n`` strides, oldest first."""

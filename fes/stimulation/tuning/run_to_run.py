@@ -22,7 +22,7 @@ DEAD_ABOVE: Final = 0.06  # above it, where more is only charge
 
 def aim_of(response: Response, least: float = LEAST_AIM) -> float:
     """Where in the band strides should lie, 0–1; not below ``least``."""
-    return min(max(SAFE_SDS * response.noise, least), GREATEST_AIM)
+    return min(max(SAFE_SDS * response.surprise, least), GREATEST_AIM)
 
 
 def drive_error(response: Response, drive: float, least: float = LEAST_AIM) -> float:

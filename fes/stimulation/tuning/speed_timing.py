@@ -4,10 +4,15 @@ A trapezoid that rises while the heel does must have the foot up as the toe begi
 after foot off, and its current up at foot off at the latest; a quick swing needs it earlier, for the muscle does not
 hurry. While what is asked for is reached with intensity to spare, the start is put off, step by step, until the foot is
 up a third of the swing after foot off: of every pulse, what lies below the muscle's threshold is charge for nothing, so
-later and stronger costs less. Past contact it must let the foot down, which takes as long as the loading response does;
-the force outlives the pulses, so these end sooner by that. All last a share of the stride that hardly differs from
-stride to stride, while the stride's duration follows the speed: so the next stride's are the usual shares of the newest
-duration.
+later and stronger costs less. A foot that hardly answers to a stronger burst gets an earlier one.
+
+Past contact it must let the foot down, which takes as long as the loading response does; the force outlives the pulses,
+so these end sooner by that. They end before contact, step by step, where foot pitch at contact is reached and the toe
+comes down no faster for it: a pulse works after an electromechanical delay of 30-50 ms, so the last ones before contact
+hold nothing up until it.
+
+All last a share of the stride that hardly differs from stride to stride, while the stride's duration follows the speed:
+so the next stride's are the usual shares of the newest duration.
 """
 
 from __future__ import annotations
@@ -17,14 +22,17 @@ from statistics import median
 from typing import Final
 
 from fes.signals import NS_PER_S, StrideResult
+from fes.stimulation.tuning.lowering import Lowering
 
 REMEMBERED: Final = 6
 NEEDED: Final = 3
 FORCE_S: Final = 0.15  # from the end of the rise until the foot is up: delay, activation, and the foot's own inertia
 OUTLIVES_S: Final = 0.10  # by which force outlives the pulses: delay 20–50 ms, then the activation's own fall, 60 ms
 LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low …
+SOONER_S: Final = 0.10  # at most: what falls to nothing until contact leaves nine tenths of the force there
 LATEST: Final = 0.35  # … and here the foot must be up, where the intensity suffices for so late a start
 SPENT: Final = 0.99  # of the intensity's bound: from there on only an earlier start can give more
+WEAK: Final = 1.5  # bands per drive: half of what is usual
 PATIENCE: Final = 0.25  # of the way from the one to the other, with one stride
 SPREADS: Final = 1.5  # strides whose foot leaves early must find the current up as well
 
@@ -37,18 +45,36 @@ class SpeedTiming:
         self._duration_s = 0.0
         self._speed_mps = 0.0
         self._late = 0.0  # 0 … 1: how far the start has been put off
+        self._soon = 0.0  # 0 … 1: how far the end has been brought forward to before contact
 
-    def put_off(self, missing: float, used: float) -> None:
+    def put_off(self, missing: float, used: float, slope: float) -> None:
         """Let the start come later, or sooner again.
 
         Args:
             missing: > 0 when more stimulation is needed, 0 when it suffices.
             used: share of the intensity's bound in use.
+            slope: of what is reached in mid-swing, in bands per drive: where it hardly answers to a stronger burst,
+                the burst comes too late for it rather than too weak.
         """
-        if missing > 0.0 and used >= SPENT:
+        if missing > 0.0 and (used >= SPENT or slope < WEAK):
             self._late = max(self._late - PATIENCE, 0.0)
-        elif missing <= 0.0:
+        elif missing <= 0.0 and slope >= WEAK:
             self._late = min(self._late + PATIENCE, 1.0)
+
+    def bring_forward(self, reached: float | None, missing: float, lowering: Lowering, extension_s: float) -> None:
+        """Let the end come before contact, or no longer.
+
+        Args:
+            reached: level of the foot's pitch at contact, < 0 below its band; None when there is none.
+            missing: > 0 when it asks for more stimulation.
+            lowering: how the foot comes down after contact.
+            extension_s: in force.
+        """
+        soon = max(-extension_s / SOONER_S, 0.0)
+        if reached is None or reached < 0.0 or lowering.too_fast:
+            self._soon = max(soon - PATIENCE, 0.0)
+        elif missing <= 0.0 and lowering.well:
+            self._soon = min(soon + PATIENCE, 1.0)
 
     def add(self, stride: StrideResult) -> None:
         """A valid stride; one that did not pass all phases says nothing."""
@@ -72,7 +98,10 @@ class SpeedTiming:
         return len(self._shares) >= NEEDED
 
     def wanted(self, start_phase: str, rise_s: float, fall_s: float) -> tuple[float, float]:
-        """Start delay after the entry into the start phase and extension past contact that suit the next stride, s."""
+        """Start delay after the entry into the start phase and extension past contact that suit the next stride, s.
+
+        The extension is negative where the fall is to begin before contact.
+        """
         pre = [share for share, _, _ in self._shares]
         usual = median(pre)
         spread = 1.4826 * median(abs(share - usual) for share in pre)
@@ -83,12 +112,13 @@ class SpeedTiming:
         up_s = pre_swing_s + first_s + self._late * (last_s - first_s)
         delay_s = max(up_s - rise_s, 0.0) if start_phase == "pre_swing" else 0.0
         loading_s = median(share for _, _, share in self._shares) * self._duration_s
-        return delay_s, max(loading_s - fall_s - OUTLIVES_S, 0.0)
+        return delay_s, max(loading_s - fall_s - OUTLIVES_S, 0.0) - self._soon * SOONER_S
 
-    def reason(self) -> str:
-        """Why, in words."""
+    def reason(self, extension_s: float) -> str:
+        """Why, in words; ``extension_s`` is what follows."""
         up = ", as late as it suffices" if self._late else ""
+        end = ", pulses that no longer hold it up left out" if extension_s < 0.0 else ""
         return (
             f"timing follows the speed ({self._speed_mps:.1f} m/s, stride {self._duration_s:.2f} s): current up as the "
-            f"toe leaves the ground{up}, force gone as the foot lies flat"
+            f"toe leaves the ground{up}, force gone as the foot lies flat{end}"
         )

@@ -90,7 +90,7 @@ def pitch_at_contact_rad(stride: StrideResult) -> float:
     contact_ns = stride.t_loading_response_ns
     if contact_ns is None or len(stride.pitch_rad) < 2 or not stride.t_start_ns <= contact_ns <= stride.t_end_ns:
         return math.nan
-    return interpolate(contact_ns, _times_ns(stride), [float(pitch) for pitch in stride.pitch_rad])
+    return interpolate(contact_ns, times_ns(stride), [float(pitch) for pitch in stride.pitch_rad])
 
 
 def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
@@ -120,7 +120,8 @@ def swing_times(stride: StrideResult) -> SwingTimes | None:
     return SwingTimes(1e-9 * (middle_ns - begin_ns), 1e-9 * (contact_ns - begin_ns))
 
 
-def _times_ns(stride: StrideResult) -> list[float]:
+def times_ns(stride: StrideResult) -> list[float]:
+    """When the stride's trajectory and pitch were."""
     n = len(stride.pitch_rad)
     step = (stride.t_end_ns - stride.t_start_ns) / (n - 1)
     return [stride.t_start_ns + k * step for k in range(n)]

@@ -11,9 +11,10 @@ from typing import Final
 from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.demand import Demand, Responses, leading, reason, room
+from fes.stimulation.tuning.demand import Demand, Responses, at_contact, in_mid_swing, leading, reason, room
 from fes.stimulation.tuning.guardrails import Watch, limited, outside, used
 from fes.stimulation.tuning.learning import Zones, next_profile, zones_of
+from fes.stimulation.tuning.lowering import Lowering
 from fes.stimulation.tuning.reports import Kind, TuningReport, difference
 from fes.stimulation.tuning.response import Response
 from fes.stimulation.tuning.skipping import StrideFilter, jolted
@@ -49,6 +50,7 @@ class Tuner:
         self._responses = Responses()
         self._filter = StrideFilter(self.tuning, min_stride_length_m)
         self._timing = SpeedTiming()
+        self._lowering = Lowering()
         self._watch = Watch()
         self._returning: BurstParameters | None = None
         self._hold = 0
@@ -121,6 +123,7 @@ class Tuner:
         self.response.add(drive, reading.level)
         self._responses.add(reading, drives)
         self._timing.add(stride)
+        self._lowering.add(stride, self.parameters.extension_s)
         harmful = self._watch.stride(drive, self.response)
         if self._returning is not None and (report := self._still_returning(t_ns)):
             return report
@@ -201,7 +204,8 @@ class Tuner:
             error = 0.0
         self._settle = max(self._settle - 1, 0)
         if not self._hold:
-            self._timing.put_off(demands[0].error, used(before, self.tuning))
+            self._timing.put_off(demands[0].error, used(before, self.tuning), in_mid_swing(demands).slope)
+            self._timing.bring_forward(*at_contact(demands), self._lowering, before.extension_s)
         wanted = self._timed(before)
         if error and other_way:
             error = -error
@@ -214,7 +218,7 @@ class Tuner:
             wanted = self._reshaped(wanted, demands, zones, intensity)
         after = limited(before, wanted, self.tuning)
         if said := difference(before, after):
-            why = self._timing.reason()
+            why = self._timing.reason(after.extension_s)
             if error:
                 why = reason(replace(worst, error=error), other_way=other_way, stand_in=reading.stand_in)
             return self._propose(t_ns, after, f"{why}: {said}", drive, error)
@@ -244,7 +248,7 @@ class Tuner:
         self, base: BurstParameters, demands: tuple[Demand, ...], zones: Zones, intensity: float
     ) -> BurstParameters:
         late = next((demand for demand in demands if demand.measure.at_contact), demands[0])
-        middle = next((demand for demand in demands if not demand.measure.at_contact), demands[0])
+        middle = in_mid_swing(demands)
         width_us = self.channel.pulse_width_us / intensity
         profile = next_profile(
             base.widths_us, zones, (middle.error, late.error), (middle.slope, late.slope), width_us, self.tuning.gain
