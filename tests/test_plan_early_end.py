@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, Walk, make_channel
 
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.plan import EXPECTED_FROM, REMEMBERED
+from fes.stimulation.plan import EXPECTED_FROM
 from statemachine.phases import PhaseChange, Transition
 
 PRE_MS, SWING_MS = 300, 500
@@ -55,7 +55,7 @@ def test_the_longest_of_the_last_swings_is_expected() -> None:
     for swing_ms in (500, 560, 500):
         step(walk, swing_ms)
     assert fall_begins(step(walk)) == 560 - 80
-    for _ in range(REMEMBERED):
+    for _ in range(EXPECTED_FROM):
         step(walk)
     assert fall_begins(step(walk)) == 500 - 80
 
@@ -125,7 +125,7 @@ def test_never_more_than_without_and_never_less_before_it_may_end(
     swings: list[int] = []
     for (pre_10ms, swing_10ms), breaks in zip(strides, broken, strict=False):
         swing_ms = 10 * swing_10ms
-        longest_ms = max(swings[-REMEMBERED:]) if len(swings) >= EXPECTED_FROM else swing_ms
+        longest_ms = max(swings[-EXPECTED_FROM:]) if len(swings) >= EXPECTED_FROM else swing_ms
         for walk in walks:
             walk.current(walk.t_ms + 200)
             walk.enter(PRE_SWING)

@@ -12,7 +12,7 @@ from tuning_plant import BOUNDS, channel, charge_of, stride, tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.lowering import FASTER, Lowering, lowering_radps
-from fes.stimulation.tuning.speed_timing import SOONER_S, SpeedTiming
+from fes.stimulation.tuning.speed_timing import SOONEST_S, SpeedTiming
 from fes.stimulation.tuning.tuner import Tuner
 
 SECOND = 1_000_000_000
@@ -71,12 +71,13 @@ def test_the_end_is_brought_forward_step_by_step_and_taken_back_when_the_toe_com
         timing.bring_forward(0.3, 0.0, lowering, found[-1])
         found.append(extension_s(timing))
     assert found == pytest.approx([0.0, -0.025, -0.05, -0.075, -0.1, -0.1, -0.1])
-    assert found[-1] == -SOONER_S
+    assert found[-1] == -SOONEST_S
     assert "left out" in timing.reason(-0.02)
     assert "left out" not in timing.reason(0.0)
-    timing.bring_forward(0.05, 0.1, lowering, -SOONER_S)  # still reached, though more is asked for
-    assert extension_s(timing) == -SOONER_S
-    timing.bring_forward(-0.05, 0.1, lowering, -SOONER_S)
+    timing.bring_forward(0.05, 0.1, lowering, -SOONEST_S)  # still reached, though more is asked for
+    assert extension_s(timing) == -SOONEST_S
+    timing.bring_forward(-0.05, 0.1, lowering, -SOONEST_S)
+    assert "given back, for the heel must come first" in timing.reason(-0.075)
     assert extension_s(timing) == pytest.approx(-0.075)
     for _ in range(6):
         timing.bring_forward(None, 0.0, lowering, extension_s(timing))

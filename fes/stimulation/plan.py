@@ -25,7 +25,7 @@ from fes.stimulation.parameters import BurstParameters
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FREQUENCY_STEP_HZ = 1.0
-EXPECTED_FROM, REMEMBERED = 3, 5  # strides; the longest of their times counts, for to end late is to end at contact
+EXPECTED_FROM = 3  # strides; the longest of their times counts, for to end late is to end at contact
 
 
 @dataclass(slots=True, eq=False)
@@ -52,7 +52,7 @@ class _Line:
     by_hand_ns: int | None = None
     adopt: bool = False
     before_ns: int | None = None
-    approaches_ns: deque[int] = field(default_factory=lambda: deque(maxlen=REMEMBERED))
+    approaches_ns: deque[int] = field(default_factory=lambda: deque(maxlen=EXPECTED_FROM))
 
     def note(self, change: PhaseChange) -> None:
         """How long the phase before the stop phase takes; a cycle that was lost, or went another way, is forgotten."""

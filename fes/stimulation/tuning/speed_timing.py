@@ -29,7 +29,7 @@ NEEDED: Final = 3
 FORCE_S: Final = 0.15  # from the end of the rise until the foot is up: delay, activation, and the foot's own inertia
 OUTLIVES_S: Final = 0.10  # by which force outlives the pulses: delay 20–50 ms, then the activation's own fall, 60 ms
 LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low …
-SOONER_S: Final = 0.10  # at most: what falls to nothing until contact leaves nine tenths of the force there
+SOONEST_S: Final = 0.10  # before contact: what falls to nothing until then leaves nine tenths of the force there
 LATEST: Final = 0.35  # … and here the foot must be up, where the intensity suffices for so late a start
 SPENT: Final = 0.99  # of the intensity's bound: from there on only an earlier start can give more
 WEAK: Final = 1.5  # bands per drive: half of what is usual
@@ -45,6 +45,7 @@ class SpeedTiming:
         self._duration_s = 0.0
         self._speed_mps = 0.0
         self._late = 0.0  # 0 … 1: how far the start has been put off
+        self._end = ""  # why it is where it is
         self._soon = 0.0  # 0 … 1: how far the end has been brought forward to before contact
 
     def put_off(self, missing: float, used: float, slope: float) -> None:
@@ -70,11 +71,14 @@ class SpeedTiming:
             lowering: how the foot comes down after contact.
             extension_s: in force.
         """
-        soon = max(-extension_s / SOONER_S, 0.0)
+        soon = max(-extension_s / SOONEST_S, 0.0)
         if reached is None or reached < 0.0 or lowering.too_fast:
             self._soon = max(soon - PATIENCE, 0.0)
+            slaps = reached is not None and reached >= 0.0
+            self._end = f", pulses given back, for the {'toe came down faster' if slaps else 'heel must come first'}"
         elif missing <= 0.0 and lowering.well:
             self._soon = min(soon + PATIENCE, 1.0)
+            self._end = ", pulses that hold nothing up until contact left out"
 
     def add(self, stride: StrideResult) -> None:
         """A valid stride; one that did not pass all phases says nothing."""
@@ -112,12 +116,13 @@ class SpeedTiming:
         up_s = pre_swing_s + first_s + self._late * (last_s - first_s)
         delay_s = max(up_s - rise_s, 0.0) if start_phase == "pre_swing" else 0.0
         loading_s = median(share for _, _, share in self._shares) * self._duration_s
-        return delay_s, max(loading_s - fall_s - OUTLIVES_S, 0.0) - self._soon * SOONER_S
+        extension_s = max(loading_s - fall_s - OUTLIVES_S, -SOONEST_S)
+        return delay_s, extension_s if extension_s > 0.0 else max(extension_s, -self._soon * SOONEST_S)
 
     def reason(self, extension_s: float) -> str:
         """Why, in words; ``extension_s`` is what follows."""
         up = ", as late as it suffices" if self._late else ""
-        end = ", pulses that no longer hold it up left out" if extension_s < 0.0 else ""
+        end = self._end if extension_s < 0.0 else ""
         return (
             f"timing follows the speed ({self._speed_mps:.1f} m/s, stride {self._duration_s:.2f} s): current up as the "
             f"toe leaves the ground{up}, force gone as the foot lies flat{end}"
