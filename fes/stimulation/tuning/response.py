@@ -16,7 +16,7 @@ from statistics import median
 from typing import Final
 
 REMEMBERED: Final = 12
-SLOPE: Final = 3.0  # of the level by the drive, before anything is known: the whole range moves the foot three bands
+SLOPE: Final = 2.0  # of the level by the drive, before anything is known: the whole range moves the foot two bands
 SLOPE_SD: Final = 2.0
 SLOPE_BOUNDS: Final = (1.0, 12.0)
 NOISE: Final = 0.20  # of a stride's level, before anything is known
