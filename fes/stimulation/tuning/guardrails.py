@@ -38,6 +38,11 @@ def limited(before: BurstParameters, wanted: BurstParameters, tuning: Tuning) ->
     )
 
 
+def drive_of(parameters: BurstParameters, own: BurstParameters) -> float:
+    """Stimulation relative to the session's own settings, at full intensity."""
+    return parameters.current_ma / own.current_ma * parameters.mean_width_us / own.mean_width_us
+
+
 def used(parameters: BurstParameters, tuning: Tuning) -> float:
     """Share of the intensity's upper bound that is in use where the burst is strongest; 1 without bounds."""
     if tuning.bounds is None:

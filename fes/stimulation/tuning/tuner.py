@@ -12,7 +12,7 @@ from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.demand import Demand, Responses, at_contact, in_mid_swing, leading, reason, room
-from fes.stimulation.tuning.guardrails import Watch, limited, outside, used
+from fes.stimulation.tuning.guardrails import Watch, drive_of, limited, outside, used
 from fes.stimulation.tuning.learning import Zones, next_profile, zones_of
 from fes.stimulation.tuning.lowering import Lowering
 from fes.stimulation.tuning.reports import Kind, TuningReport, difference
@@ -37,9 +37,10 @@ class Tuner:
     Args:
         channel: with its ``tuning``, which must not be None.
         min_stride_length_m: shorter strides are no walking.
+        usual_intensity: the session's, at which its settings are meant; below it nothing gets stronger than they are.
     """
 
-    def __init__(self, channel: Channel, min_stride_length_m: float = 0.15) -> None:
+    def __init__(self, channel: Channel, min_stride_length_m: float = 0.15, usual_intensity: float = 1.0) -> None:
         self.channel = channel
         self.tuning = channel.tuning or Tuning()
         self.start = BurstParameters.of(channel)
@@ -48,6 +49,7 @@ class Tuner:
         self.frozen = ""
         self.response = Response()
         self._responses = Responses()
+        self._usual_intensity = usual_intensity
         self._filter = StrideFilter(self.tuning, min_stride_length_m)
         self._timing = SpeedTiming()
         self._lowering = Lowering()
@@ -136,7 +138,7 @@ class Tuner:
     @property
     def drive(self) -> float:
         """Stimulation in force relative to the session's, at full intensity."""
-        return _drive(self.parameters, self.start)
+        return drive_of(self.parameters, self.start)
 
     def _on_jolt(self, t_ns: int, stride: StrideResult, why: str, drive: float) -> TuningReport | None:
         """One such stride may be chance and teaches nothing; when they go on, less is the way out."""
@@ -217,6 +219,8 @@ class Tuner:
         elif error and zones is not None:
             wanted = self._reshaped(wanted, demands, zones, intensity)
         after = limited(before, wanted, self.tuning)
+        if intensity < self._usual_intensity and drive_of(after, self.start) > max(self.drive, 1.0):
+            after = before  # with the intensity up again it would be far more at once
         if said := difference(before, after):
             why = self._timing.reason(after.extension_s)
             if error:
@@ -294,7 +298,3 @@ class Tuner:
 
     def _report(self, t_ns: int, kind: Kind, text: str, before: BurstParameters | None = None) -> TuningReport:
         return TuningReport(t_ns, self.channel.number, kind, text, before or self.parameters, self.parameters)
-
-
-def _drive(parameters: BurstParameters, start: BurstParameters) -> float:
-    return parameters.current_ma / start.current_ma * parameters.mean_width_us / start.mean_width_us

@@ -27,11 +27,12 @@ class Tuners:
 
     def __init__(self, session: Session) -> None:
         self.ledger = DoseLedger(channel.number for channel in session.channels)
+        self._intensity = 0.0
         self.said: dict[tuple[int, str], TuningReport] = {}  # the newest of each kind, by channel and kind
         self._start = {channel.number: BurstParameters.of(channel) for channel in session.channels}
         self._foot_of = {channel.number: str(channel.foot) for channel in session.channels}
         self.tuners = {
-            channel.number: Tuner(channel, session.stimulation.min_stride_length_m)
+            channel.number: Tuner(channel, session.stimulation.min_stride_length_m, session.stimulation.intensity)
             for channel in session.channels
             if channel.tuning is not None and channel.tuning.mode != "off"
         }
@@ -45,12 +46,15 @@ class Tuners:
         self.ledger.take(status)
 
     def on_act(self, act: OperatorAct) -> tuple[TuningReport, ...]:
-        """A person acted; what does not concern the tuning only tells it that strides may be disturbed."""
+        """A person acted; what does not concern the tuning only tells it that strides may be disturbed.
+
+        Less by hand freezes it: it would bring back, stride by stride, what the person took away.
+        """
         if act.action not in TUNING_ACTS:
             if act.action is not OperatorAction.SET_BELT_SPEED:
                 for tuner in self.tuners.values():
                     tuner.operator_changed(act.t_ns)
-            return ()
+            return self._on_intensity(act) if act.action is OperatorAction.SET_INTENSITY else ()
         if act.action is OperatorAction.FREEZE_TUNING:
             return self._remember(tuner.freeze(act.t_ns) for tuner in self.tuners.values())
         if act.action is OperatorAction.RESUME_TUNING:
@@ -60,6 +64,13 @@ class Tuners:
             return ()
         done = chosen.accept(act.t_ns) if act.action is OperatorAction.ACCEPT_SUGGESTION else chosen.roll_back(act.t_ns)
         return () if done is None else self._remember((done,))
+
+    def _on_intensity(self, act: OperatorAct) -> tuple[TuningReport, ...]:
+        lowered, self._intensity = 0.0 < act.value < self._intensity, act.value
+        if not lowered:
+            return ()
+        why = "the intensity was lowered by hand"
+        return self._remember(tuner.freeze(act.t_ns, why) for tuner in self.tuners.values() if not tuner.frozen)
 
     def on_stride(self, t_ns: int, foot: str, stride: StrideResult, intensity: float) -> tuple[TuningReport, ...]:
         """A stride of this foot has been closed."""
