@@ -26,7 +26,7 @@ from fes.estimation.orientation import OrientationSettings
 from fes.estimation.stride_course import CHANGES, ROWS, STRIDES, Out, new_out
 from fes.estimation.strides import TRAJECTORY_POINTS, StrideMaker
 from fes.estimation.tracker import PACK_ONE, TRANSITIONS, Outcome, Outcomes, Tracker, of_one_kind, until_due
-from fes.estimation.walked import Walked
+from fes.estimation.walked import CHANGE, Walked
 from fes.signals import FloatArray, IntArray, Vector3
 from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, Transition
@@ -90,53 +90,42 @@ def _step(core: Any, course: Any, book: Any, one: Any, t_ns: Any, acc: Any, gyr:
 
 
 @jit
-def _strides(
-    core: Any, course: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, number: int, n: int,
-    strides: Any, shapes: Any, way_ns: Any, way: Any, turns: Any, filled: Any,
-) -> None:  # fmt: skip
-    """What T1 (by its ``number``), or the time, does to the strides at row ``n - 1``: one ends, and T1 begins the next.
-
-    The last six are those of :class:`Out`: one by one the compiler takes them over in half the time.
-    """
-    s, p = core[0].state, core[0].parameters
-    out = Out(strides, shapes, way_ns, way, turns, filled)
-    biases = np.empty((2, 3))
-    biases[0, 0], biases[0, 1], biases[0, 2] = p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2
-    biases[1, 0] = p.gyr_bias_x_radps + s.bias_radps[0]
-    biases[1, 1] = p.gyr_bias_y_radps + s.bias_radps[1]
-    biases[1, 2] = p.gyr_bias_z_radps + s.bias_radps[2]
-    if course[0].state.due_ns != stride_course.NEVER_NS:
-        first, last = stride_course.close(course, n, t_ns, gyr, biases, out)
-        if first < last:
-            q = quaternions[first]
-            stride_course.solve_rows(course, first, last, n, t_ns, acc, gyr, q, biases, out)
-    if number == _T1:
-        stride_course.begin(course, n, t_ns, gyr, biases)
-
-
-@jit
 def _walk(
-    core: Any, course: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, begin: int, end: int,
-    changes: Any, out: Out,
+    core: Any, course: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, begin: int, end: int, number: int,
+    changes: Any, strides: Any, shapes: Any, way_ns: Any, way: Any, turns: Any, filled: Any,
 ) -> int:  # fmt: skip
     """Go through the rows ``begin`` … ``end - 1`` with all phase changes and strides, as far as there is room for them.
 
-    What :func:`_step` and what follows it do at each sample. Returns how far it came.
+    ``number`` is what happened at the row before ``begin`` and is first gone through: a transition, ``DUE``, or
+    ``NOTHING``. The last six arguments are those of :class:`Out`: one by one they are taken over in half the time.
+    Returns how far it came.
     """
-    told, room = out.filled, out.t_ns.shape[0] - t_ns.shape[0]
-    while begin < end and told[CHANGES] < len(changes) and told[STRIDES] < len(out.strides) and told[ROWS] <= room:
-        begin, number = _advance(core, t_ns, acc, gyr, quaternions, begin, end, course[0].state.due_ns)
-        if number == _T1 or t_ns[begin - 1] >= course[0].state.due_ns:
-            _strides(
-                core, course, t_ns, acc, gyr, quaternions, number, begin,
-                out.strides, out.shapes, out.t_ns, out.position, out.quaternion, out.filled,
-            )  # fmt: skip
-        if number != NOTHING:
-            change = changes[told[CHANGES]]
-            change.t_ns, change.transition, change.source = t_ns[begin - 1], number, core[0].state.phase
+    out = Out(strides, shapes, way_ns, way, turns, filled)
+    s, p, room = core[0].state, core[0].parameters, way_ns.shape[0] - t_ns.shape[0]
+    biases = np.empty((2, 3))
+    biases[0, 0], biases[0, 1], biases[0, 2] = p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2
+    while True:
+        if number in (_T1, DUE):
+            biases[1, 0] = p.gyr_bias_x_radps + s.bias_radps[0]
+            biases[1, 1] = p.gyr_bias_y_radps + s.bias_radps[1]
+            biases[1, 2] = p.gyr_bias_z_radps + s.bias_radps[2]
+            if course[0].state.due_ns != stride_course.NEVER_NS:
+                first, last = stride_course.close(course, begin, t_ns, gyr, biases, out)
+                if first < last:
+                    q = quaternions[first]
+                    stride_course.solve_rows(course, first, last, begin, t_ns, acc, gyr, q, biases, out)
+            if number == _T1:
+                stride_course.begin(course, begin, t_ns, gyr, biases)
+        if number != NOTHING and number != DUE:
+            change = changes[filled[CHANGES]]
+            change.t_ns, change.transition, change.source = t_ns[begin - 1], number, s.phase
             _change(core, course, number, acc, begin - 1)
-            told[CHANGES] += 1
-    return begin
+            filled[CHANGES] += 1
+        if begin >= end or filled[CHANGES] >= len(changes) or filled[STRIDES] >= len(strides) or filled[ROWS] > room:
+            return begin
+        begin, number = _advance(core, t_ns, acc, gyr, quaternions, begin, end, course[0].state.due_ns)
+        if number == NOTHING and t_ns[begin - 1] >= course[0].state.due_ns:
+            number = DUE
 
 
 class FootTracker(Tracker):
@@ -161,6 +150,7 @@ class FootTracker(Tracker):
         h = self._history
         self._rows = self._all, strides.course, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
         self._live = self._all, strides.course, h.book, self._one, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
+        self._changed = np.empty(1, CHANGE)
         self._out = new_out(1, len(h.t_ns), TRAJECTORY_POINTS)
 
     @property
@@ -199,12 +189,13 @@ class FootTracker(Tracker):
             change = self.machine.fire(TRANSITIONS[number], int(h.t_ns[n - 1]), _features(self._all), self._thresholds)
         if number in (_T1, DUE):
             self._out.filled[:] = 0
-            _strides(*self._rows, number, n, *self._out)
+            _walk(*self._rows, n, n, number, self._changed, *self._out)
             if self._out.filled[STRIDES]:
                 outcomes.append(self._maker.told(self._out))
+        else:
+            _change(self._all, self._maker.course, number, h.acc_mps2, n - 1)
         if change is not None:
             outcomes.append(change)
-            _change(self._all, self._maker.course, number, h.acc_mps2, n - 1)
         return outcomes
 
     def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Outcome]:
@@ -228,7 +219,7 @@ class FootTracker(Tracker):
         if not isinstance(outcomes, Walked):
             Tracker._follow(self, filled, outcomes)  # at every sample: super() is slower
             return
-        self._reached = _walk(*self._rows, self._reached, filled, outcomes.room, outcomes.out)
+        self._reached = _walk(*self._rows, self._reached, filled, NOTHING, outcomes.room, *outcomes.out)
         outcomes.keep(self.machine)
 
     def _start(self, t_ns: int, force: FloatArray) -> None:
