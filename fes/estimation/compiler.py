@@ -24,6 +24,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import _FunctionCompiler
 from numba.core.registry import CPUDispatcher
+from numba.core.runtime import rtsys
 from numba.core.typing.templates import make_concrete_template
 
 STACK_SLOTS = 1 << 16
@@ -77,6 +78,11 @@ class _Entry(_FunctionCompiler):
 
 class _Cache(FunctionCache):
     """numba's, but one that says once that it cannot be written to instead of ending the session."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        rtsys.initialize(target_context)  # all that finished code needs; numba would load what compiling needs, too
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
