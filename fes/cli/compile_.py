@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import click
-import numba
 from numba.core import event
 
 from fes.analysis import analyse, calibrations_of
 from fes.cli.compile_ahead import compile_part, in_processes
 from fes.cli.exits import FAILED
+from fes.estimation.compiled import CACHE
 from fes.parameters.gait import gait_parameters
 from fes.parameters.mean_stride import mean_strides
 from fes.patient.virtual.closed_loop import calibration_walk
 from fes.patient.virtual.settings import PatientSettings
+from fes.view.summary import summarise
 
 PARTS = ("session", "path", "events")
 
@@ -40,7 +40,6 @@ def command(check: bool) -> None:
     `make demo` and what else installs does this. Without it each command compiles what it needs at its first use, and
     that takes some seconds longer. It is done again after an update, and on another processor.
     """
-    folder = Path(vars(numba.config)["CACHE_DIR"])
     if check:
         with event.install_listener("numba:compile", _Watch()):
             try:
@@ -48,9 +47,9 @@ def command(check: bool) -> None:
             except _NotCompiled as missing:
                 click.echo(f"Not compiled: {missing}, perhaps more. Run: fes compile")
                 raise SystemExit(FAILED) from None
-        click.echo(f"All is compiled, in {folder}")
+        click.echo(f"All is compiled, in {CACHE}")
         return
-    click.echo(f"Compiling for this processor, into {folder} …")
+    click.echo(f"Compiling for this processor, into {CACHE} …")
     _everything(PARTS, ())
 
 
@@ -62,3 +61,4 @@ def _everything(aside: tuple[str, ...], here: tuple[str, ...]) -> None:
             compile_part(part)
     result = analyse(walk, found.calibrations)
     mean_strides(result.strides, gait_parameters(result).strides)
+    summarise(result.record(""))

@@ -12,7 +12,7 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import numba
 
@@ -52,7 +52,8 @@ def _cache_folder() -> Path:
     return folder
 
 
-setattr(numba.config, "CACHE_DIR", str(_cache_folder()))  # noqa: B010 - numba fills its config at run time
+CACHE: Final = _cache_folder()
+setattr(numba.config, "CACHE_DIR", str(CACHE))  # noqa: B010 - numba fills its config at run time
 
 
 def _compiled(function: Function, **options: str) -> Function:

@@ -18,16 +18,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from numba.core import compiler, sigutils, types
+from numba.core import compiler, dispatcher, sigutils, types
 from numba.core.caching import FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler_lock import global_compiler_lock
-from numba.core.dispatcher import _FunctionCompiler
 from numba.core.registry import CPUDispatcher
-from numba.core.runtime import rtsys
+from numba.core.runtime.nrt import rtsys
 from numba.core.typing.templates import make_concrete_template
 
 STACK_SLOTS = 1 << 16
+_FunctionCompiler: Any = vars(dispatcher)["_FunctionCompiler"]
 OPTIONS = {"nopython": True, "boundscheck": None, "fastmath": False, "nogil": True}
 
 
@@ -96,6 +96,7 @@ class Function(CPUDispatcher):
 
     def __init__(self, py_func: Callable[..., Any], locals: Any = None, targetoptions: Any = None) -> None:
         super().__init__(py_func, locals, targetoptions)
+        self._cache: Any = NullCache()  # until the first call from Python
         self._bodies: dict[Any, tuple[object, Any]] = {}
         self._body = _Body(py_func, self.targetdescr, self.targetoptions, self.locals, _BodyPipeline)
         self._compiler = _Entry(self)
