@@ -2,9 +2,9 @@
 
 By itself numba gives every function machine code, two wrappers (for Python and for C) and a file in the cache, and then
 compiles all of it into each of its callers once more. Of our functions Python calls one in four. So here a function's
-body is compiled for its callers (:meth:`Function.body`), and gets a wrapper, machine code and a place in the cache at
-its first call from Python (:class:`_Entry`). Arithmetic and its order are untouched. A cache that cannot be written to,
-for lack of space or of rights, costs time at the next start and nothing else.
+body is compiled for its callers (:meth:`Function.body`), and a wrapper, machine code and a place in the cache are for
+what Python calls, at its first call. Arithmetic and its order are untouched. A cache that cannot be written to, for
+lack of space or of rights, costs time at the next start and nothing else.
 
 This reaches deeper into numba than its documented interface: ``pyproject.toml`` holds numba to a release that the tests
 have seen.
@@ -28,7 +28,7 @@ from numba.core.typing.templates import make_concrete_template
 
 STACK_SLOTS = 1 << 16
 _FunctionCompiler: Any = vars(dispatcher)["_FunctionCompiler"]
-OPTIONS = {"nopython": True, "boundscheck": None, "fastmath": False, "nogil": True}
+OPTIONS = {"nopython": True, "boundscheck": None, "fastmath": False, "nogil": True, "no_cfunc_wrapper": True}
 
 
 class _BodyLibrary(JITCodeLibrary):
@@ -50,30 +50,6 @@ class _Body(_FunctionCompiler):
     def _customize_flags(self, flags: Any) -> Any:
         flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
         return flags
-
-
-class _Entry(_FunctionCompiler):
-    """Makes of a function's body one that Python can call and the cache can keep."""
-
-    def __init__(self, function: Function) -> None:
-        super().__init__(
-            function.py_func, function.targetdescr, function.targetoptions, function.locals, compiler.Compiler
-        )
-        self._function = function
-
-    def compile(self, args: Any, return_type: Any) -> Any:
-        body = self._function.body(tuple(args))
-        target = body.target_context
-        library = target.codegen().create_library(body.fndesc.qualname)
-        library.enable_object_caching()
-        library.add_linking_library(body.library)
-        with target.push_code_library(library):
-            target.create_cpython_wrapper(library, body.fndesc, body.environment, body.call_helper, release_gil=True)
-        entry = target.get_executable(library, body.fndesc, body.environment)
-        result = body._replace(library=library, entry_point=entry)
-        for environment in result._find_referenced_environments():
-            library.codegen.set_env(environment.env_name, environment)
-        return result
 
 
 class _Cache(FunctionCache):
@@ -99,7 +75,6 @@ class Function(CPUDispatcher):
         self._cache: Any = NullCache()  # until the first call from Python
         self._bodies: dict[Any, tuple[object, Any]] = {}
         self._body = _Body(py_func, self.targetdescr, self.targetoptions, self.locals, _BodyPipeline)
-        self._compiler = _Entry(self)
 
     def body(self, args: tuple[Any, ...]) -> Any:
         """What compiling for these types of arguments gave, for callers."""
