@@ -97,7 +97,7 @@ class Function(CPUDispatcher):
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """What numba asks for at a call from other compiled code."""
-        pysig, args = self._compiler.fold_argument_types(args, kws)
+        pysig, args = self._body.fold_argument_types(args, kws)
         self.body(tuple(types.unliteral(kind) for kind in args))
         name, signatures = self.py_func.__name__, [result.signature for _, result in self._bodies.values()]
         return make_concrete_template(f"CallTemplate({name})", name, signatures), pysig, args, {}
