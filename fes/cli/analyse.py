@@ -10,7 +10,6 @@ from statistics import mean, stdev
 from typing import TYPE_CHECKING
 
 import click
-import numba
 
 from fes.analysis import Analysis, analyse, calibrations_of
 from fes.calibrations import drivers_from
@@ -22,6 +21,7 @@ from fes.cli.folders import fresh_folder
 from fes.cli.proposal import told
 from fes.cli.table_file import write_table
 from fes.estimation.calibration import CalibrationError
+from fes.estimation.compiled import CACHE
 from fes.memory import keep_freed_memory
 from fes.recording import RecordingError, read_recording
 from fes.recording.pieces import Piece, recording_pieces
@@ -87,7 +87,7 @@ def command(
     keep_freed_memory()
     for path in recordings:
         try:
-            with compiled_ahead(Path(vars(numba.config)["CACHE_DIR"])):
+            with compiled_ahead(CACHE):
                 # --apart and --hemiparetic look at the walk as a whole
                 together = apart or hemiparetic or afflicted is not None
                 first = Piece(read_recording(path)) if together else next(recording_pieces(path))

@@ -29,6 +29,7 @@ COMMANDS: Final = {
     "simulate": ("fes.cli.simulate", "A virtual patient walks: sensors, truth, stimulation in closed loop."),
     "cohort": ("fes.cli.cohort", "Analyse thousands of recordings with many processes; one data set, pages."),
     "sweep": ("fes.cli.sweep", "Many settings tried on recordings or virtual patients; the best, and their trade-off."),
+    "compile": ("fes.cli.compile_", "Compile for this processor, ahead of the first command; installing does it."),
     "trials": ("fes.cli.trials", "Generate the bundled recordings, with their truth, from their seeds."),
 }
 

@@ -12,13 +12,15 @@ import os
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, Final, TypeVar, cast
 
 import numba
 
 import fes.signals
 import statemachine.guards
 import statemachine.table
+from fes.estimation.compiler import OPTIONS, unkept
+from fes.estimation.compiler import Function as Compiled
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -27,7 +29,7 @@ def _sources() -> list[Path]:
     """The modules beside this one that compile something, the patient's, and what they compile in from elsewhere."""
     here = Path(__file__).parent
     beside = [*sorted(here.glob("*.py")), *sorted((here.parent / "patient" / "virtual").glob("*.py"))]
-    compiling = [path for path in beside if "jit" in path.read_text(encoding="utf-8")]
+    compiling = [path for path in beside if "jit" in path.read_text(encoding="utf-8") or path.stem == "compiler"]
     return [*compiling, *(Path(str(m.__file__)) for m in (statemachine.guards, statemachine.table, fes.signals))]
 
 
@@ -42,22 +44,30 @@ def _cache_folder() -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError:  # a read-only home: compile once per boot instead of once per version
-        folder = Path(tempfile.gettempdir()) / f"fes-gait-{os.getuid()}" / digest.hexdigest()[:16]
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        try:
+            folder = Path(tempfile.gettempdir()) / f"fes-gait-{os.getuid()}" / digest.hexdigest()[:16]
+            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        except OSError as error:  # nor anything else: compile at every start
+            unkept(error)
     return folder
 
 
-setattr(numba.config, "CACHE_DIR", str(_cache_folder()))  # noqa: B010 - numba fills its config at run time
+CACHE: Final = _cache_folder()
+setattr(numba.config, "CACHE_DIR", str(CACHE))  # noqa: B010 - numba fills its config at run time
+
+
+def _compiled(function: Function, **options: str) -> Function:
+    return cast(Function, Compiled(function, targetoptions={**OPTIONS, **options}))
 
 
 def jit(function: Function) -> Function:
     """Compile for plain numbers and arrays: cached on disk, IEEE arithmetic in the order written, no GIL held."""
-    return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True)(function))
+    return _compiled(function)
 
 
 def inlined(function: Function) -> Function:
     """As :func:`jit`, for a few lines of arithmetic that become part of what calls them: no call that could fail."""
-    return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True, inline="always")(function))
+    return _compiled(function, inline="always")
 
 
 def jit_ieee(function: Function) -> Function:
@@ -66,4 +76,4 @@ def jit_ieee(function: Function) -> Function:
     Where nothing in a function can fail, neither a division nor a call, its arrays need not be counted in and out: a
     locked instruction for each of them, which costs more than the arithmetic of one step of a filter.
     """
-    return cast(Function, numba.njit(cache=True, fastmath=False, nogil=True, error_model="numpy")(function))
+    return _compiled(function, error_model="numpy")

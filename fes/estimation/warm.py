@@ -40,9 +40,9 @@ def warm_up_foot(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) ->
         tracker.step(t, acc, gyr)
 
 
-def made_up_foot() -> FootTracker:
-    """A tracker of such a foot, with known geometry."""
-    calibration = FootCalibration(
+def made_up_calibration() -> FootCalibration:
+    """The calibration of such a foot."""
+    return FootCalibration(
         sensor="left_foot",
         rate_hz=100.0,
         up=(0.0, 0.0, 1.0),
@@ -57,5 +57,10 @@ def made_up_foot() -> FootTracker:
         strides=0,
         standing=True,
     )
+
+
+def made_up_foot() -> FootTracker:
+    """A tracker of such a foot, with known geometry."""
+    calibration = made_up_calibration()
     settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), geometry=GEOMETRY)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
