@@ -448,6 +448,21 @@ def test_antagonist_waits_until_its_partner_is_off() -> None:
     assert walk.current(410) == 10.0
 
 
+@pytest.mark.parametrize(("least_off_s", "current_ma"), [(0.7, 20.0), (0.700000001, 0.0)])
+def test_a_burst_that_would_come_half_a_second_late_does_not_come(least_off_s: float, current_ma: float) -> None:
+    """Off at 200 ms, awaited from 400 ms on: with the longer rest the foot has long done something else by then."""
+    walk = Walk(make_channel(limits={"min_off_s": least_off_s}))
+    walk.enter(PRE_SWING)
+    assert walk.current(200) > 0.0
+    walk.enter(STANCE)
+    assert walk.current(200) == 0.0
+    assert walk.current(400) == 0.0
+    walk.enter(PRE_SWING)
+    assert walk.current(880) == 0.0
+    assert walk.current(1100) == current_ma
+    assert walk.current(1500) == current_ma
+
+
 def test_round_down_never_exceeds() -> None:
     assert round_down(20.0, 0.5) == 20.0
     assert round_down(20.49, 0.5) == 20.0

@@ -25,6 +25,7 @@ from fes.stimulation.parameters import BurstParameters
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FREQUENCY_STEP_HZ = 1.0
+LATEST_NS = 500_000_000  # a burst that would have to wait longer, for a rest or an antagonist, is of another moment
 EXPECTED_FROM = 3  # strides; the longest of their times counts, for to end late is to end at contact
 
 
@@ -192,7 +193,7 @@ class StimulationPlan:
         if line.off_since_ns is not None:
             earliest_ns.append(line.off_since_ns + to_ns(line.channel.limits.min_off_s))
         t_start_ns = max(earliest_ns)
-        if t_start_ns > t_ns:
+        if t_start_ns > t_ns or t_start_ns - line.awaited_ns > LATEST_NS:
             return None
         burst = Envelope.of(line.channel, t_start_ns, intensity, line.taken)
         if line.by_hand_ns is not None:
