@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from typing import Final
 
 import can
@@ -12,6 +14,7 @@ from fes.config import Bus
 from fes.config.devices import Switch
 
 FRAMES_AT_ONCE: Final = 64
+SILENT_NS: Final = 500_000_000  # a switch on CAN says over and over what it is; silent for so long, it is lost
 
 
 class SwitchFailed(RuntimeError):
@@ -19,13 +22,30 @@ class SwitchFailed(RuntimeError):
 
 
 class CanSwitch:
-    """A bit of a CAN frame, counted from the first byte's least significant bit; None before the first frame."""
+    """A bit of a data frame with an 11-bit identifier, counted from the first byte's least significant bit.
 
-    def __init__(self, bus: can.BusABC, identifier: int, bit: int, *, high: bool) -> None:
+    A switch that tells only its changes cannot be told from one that was unplugged. So it has to repeat its frame, best
+    every 100 ms; after 500 ms without one nobody knows whether it is pressed.
+
+    Args:
+        clock_ns: when a frame was read.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        identifier: int,
+        bit: int,
+        *,
+        high: bool,
+        clock_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
         self._bus = bus
         self._identifier = identifier
         self._byte, self._mask = bit // 8, 1 << bit % 8
         self._high = high
+        self._clock_ns = clock_ns
+        self._heard_ns = 0
         self._pressed: bool | None = None
 
     def fileno(self) -> int | None:
@@ -36,15 +56,21 @@ class CanSwitch:
             return None
 
     def read(self) -> bool | None:
-        """Whether it was pressed in the newest frame; None as long as there was none, and when the bus is lost."""
+        """Whether it was pressed in the newest frame; None when there was none within 500 ms, or the bus is lost."""
+        now_ns = self._clock_ns()
         try:
             for _ in range(FRAMES_AT_ONCE):
                 message = self._bus.recv(timeout=0.0)
                 if message is None:
                     break
+                if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+                    continue  # another's, even where the number is the same
                 if message.arbitration_id == self._identifier and len(message.data) > self._byte:
+                    self._heard_ns = now_ns
                     self._pressed = bool(message.data[self._byte] & self._mask) == self._high
         except (can.CanError, OSError):
+            self._pressed = None
+        if now_ns - self._heard_ns > SILENT_NS:
             self._pressed = None
         return self._pressed
 

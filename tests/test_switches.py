@@ -10,10 +10,13 @@ import pytest
 import serial
 
 from drivers.stimulator.bus import open_bus
-from drivers.switches import CanSwitch, SerialSwitch, SwitchFailed, open_switch
+from drivers.switches import SILENT_NS, CanSwitch, SerialSwitch, SwitchFailed, open_switch
 from drivers.virtual.can_node_spawn import free_bus, why_silent
 from fes.config import Bus
 from fes.config.devices import FootSwitch
+from fes.live.inputs import FootSwitchInput, StopSwitch
+from fes.live.orders import Order
+from fes.signals import Event, FootSwitchEvent
 
 NO_BUS = why_silent(free_bus())
 
@@ -49,6 +52,80 @@ def test_a_bit_of_a_frame_is_a_switch(bus: tuple[Bus, can.BusABC], pressed: str,
     assert say(0x1F0, bytes([0, byte])) is True
     assert say(0x1F0, bytes([0, byte ^ 0xFF])) is False
     switch.close()
+
+
+class Frames:
+    """A bus of frames put there by hand, and the time at which they are read."""
+
+    def __init__(self) -> None:
+        self.queue: list[can.Message] = []
+        self.t_ns = 10**12
+
+    def say(self, pressed: bool, **more: bool) -> None:
+        data = None if more.get("is_remote_frame") else bytes((pressed << 3,))
+        self.queue.append(can.Message(**{"arbitration_id": 0x1F0, "data": data, "is_extended_id": False} | more))
+
+    def recv(self, timeout: float) -> can.Message | None:
+        return self.queue.pop(0) if self.queue else None
+
+    def switch(self) -> CanSwitch:
+        return CanSwitch(self, 0x1F0, 3, high=True, clock_ns=lambda: self.t_ns)
+
+
+def test_a_stop_button_that_falls_silent_on_the_bus_is_a_stop() -> None:
+    bus = Frames()
+    orders: list[str] = []
+
+    def carry(order: Order, t_ns: int) -> list[Event]:
+        orders.append(order.origin)
+        return []
+
+    button = StopSwitch(bus.switch(), carry)
+    for _ in range(50):
+        bus.say(False)
+        button.take(bus.t_ns)
+        bus.t_ns += 100_000_000
+    assert (orders, button.doubt()) == ([], "")
+    bus.t_ns += SILENT_NS
+    button.take(bus.t_ns)
+    assert orders == ["button lost"]
+    assert "nothing is heard" in button.doubt()
+    bus.say(False)
+    button.take(bus.t_ns)
+    assert (orders, button.doubt()) == (["button lost"], "")  # heard again: a person may arm
+
+
+@pytest.mark.parametrize("kind", ["is_extended_id", "is_remote_frame", "is_error_frame"])
+def test_another_kind_of_frame_with_the_same_number_releases_nothing(kind: str) -> None:
+    bus = Frames()
+    switch = bus.switch()
+    bus.say(True)
+    assert switch.read() is True
+    bus.say(False, **{kind: True})
+    assert switch.read() is True
+    bus.t_ns += SILENT_NS + 1
+    bus.say(False, **{kind: True})
+    assert switch.read() is None  # nor does it count as a word from the switch
+
+
+def test_a_foot_switch_back_from_silence_tells_only_what_was_seen_to_change() -> None:
+    """A release during the silence may be long past when it is heard of: no step begins with it."""
+    bus = Frames()
+    foot = FootSwitchInput("left_foot", bus.switch())
+
+    def said(pressed: bool) -> list[Event]:
+        bus.say(pressed)
+        return foot.take(bus.t_ns)
+
+    assert said(True) == [FootSwitchEvent(bus.t_ns, "left_foot", True)]
+    bus.t_ns += SILENT_NS + 1
+    assert foot.take(bus.t_ns) == []
+    assert said(False) == []
+    assert said(True) == []
+    assert said(False) == [FootSwitchEvent(bus.t_ns, "left_foot", False)]
+    bus.t_ns += SILENT_NS + 1
+    assert foot.take(bus.t_ns) == []
+    assert said(True) == [FootSwitchEvent(bus.t_ns, "left_foot", True)]  # late, but it ends what is on
 
 
 class Inputs:

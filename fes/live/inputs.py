@@ -208,24 +208,25 @@ class StopSwitch:
 
 
 class FootSwitchInput:
-    """A switch under a foot: each change is an event."""
+    """A switch under a foot: each change is an event, except a release of which nobody knows when it was."""
 
     def __init__(self, foot: str, line: SwitchLine) -> None:
         self._foot = foot
         self._line = line
         self._pressed: bool | None = None
+        self._told: bool | None = None
 
     def fileno(self) -> int | None:
         """As its line's."""
         return self._line.fileno()
 
     def take(self, t_ns: int) -> list[Event]:
-        """The change, if there was one."""
-        pressed = self._line.read()
-        if pressed is None or pressed == self._pressed:
+        """The change, if there was one. A foot that is found lifted after a silence may long have been."""
+        was, self._pressed = self._pressed, self._line.read()
+        if self._pressed is None or self._pressed == self._told or (was is None and not self._pressed):
             return []
-        self._pressed = pressed
-        return [FootSwitchEvent(t_ns, self._foot, pressed)]
+        self._told = self._pressed
+        return [FootSwitchEvent(t_ns, self._foot, self._pressed)]
 
 
 def standard_keys() -> int | None:
