@@ -88,6 +88,24 @@ def test_one_lost_answer_is_made_good_by_the_next_command_and_two_are_told_well_
 
 
 @pytest.mark.requirement("SR-13")
+@pytest.mark.parametrize("silent", [1, 8])
+@pytest.mark.parametrize(("channels", "period_ms"), [(1, 20), (8, 20), (4, 10), (8, 10)])
+def test_silence_is_told_however_many_commands_are_sent(channels: int, period_ms: int, silent: int) -> None:
+    """The first ``silent`` channels are never answered, the others at once."""
+    answers, number = CommandAnswers(in_real_time=True), 0
+    for t_ms in range(200):
+        for channel in range(channels if t_ms % period_ms == 0 else 0):
+            answers.sent(number % 16, replace(COMMAND, t_ns=t_ms * MS, channel=channel))
+            if channel >= silent:
+                assert answers.settle(replace(STATUS, counter=number % 16, channel=channel)) == ""
+            number += 1
+        if late := answers.overdue(t_ms * MS):
+            assert (t_ms, late.channel) == (ANSWER_WITHIN_MS + 1, 0)
+            return
+    pytest.fail("never told")
+
+
+@pytest.mark.requirement("SR-13")
 def test_an_answers_time_counts_from_when_the_command_was_written() -> None:
     answers = CommandAnswers(in_real_time=True)
     answers.sent(3, COMMAND, 30 * MS)

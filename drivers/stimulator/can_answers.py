@@ -8,7 +8,7 @@ from typing import Final
 from drivers.stimulator.can_messages import Status
 from fes.signals import StimCommand
 
-REMEMBERED: Final = 16  # as many commands as the counter has values
+REMEMBERED: Final = 128  # commands: more than are sent until one is overdue, 36 with 8 channels at 100 Hz
 ANSWER_WITHIN_MS: Final = 45  # two command periods and some: the next command, 20 ms later, is the one retry
 HEARTBEAT_WITHIN_MS: Final = 350  # NODE_ALIVE comes every 100 ms
 _HALF_STEPS: Final = (("current_ma", 0.25, "mA"), ("pulse_width_us", 0.5, "µs"), ("frequency_hz", 0.5, "Hz"))

@@ -104,7 +104,7 @@ class CanStimulator:
 
     @property
     def outstanding(self) -> int:
-        """Commands sent and not yet answered, 16 at most; an answer settles its channel's older ones."""
+        """Commands sent and not yet answered, 128 at most; an answer settles its channel's older ones."""
         return len(self._answers)
 
     def open(self, t_ns: int, timeout_s: float = 2.0, clock_ns: Callable[[], int] = time.monotonic_ns) -> Handshake:
