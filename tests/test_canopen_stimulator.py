@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import subprocess
 import sys
 import time
@@ -145,13 +146,124 @@ def test_without_commands_there_is_no_pulse(rig: Rig) -> None:
     assert len(rig.device.pulses) == count
 
 
-def test_a_restart_and_a_lost_heartbeat_are_faults(rig: Rig) -> None:
+def test_a_restart_is_a_fault_and_ends_the_session(rig: Rig) -> None:
     rig.until(lambda: len(rig.syncs) > 2, (0, 20.0))
     rig.device.restart()
-    rig.until(lambda: any("restarted" in fault for fault in rig.faults), (0, 20.0))
+    with pytest.raises(StimulatorLost, match="restarted; its session must be opened again"):
+        rig.until(lambda: False, (0, 20.0))
+    assert "the stimulator restarted" in rig.faults
     assert rig.alive[-1].boot_id == 2
+    with pytest.raises(StimulatorLost, match="restarted"):
+        rig.port.poll(time.monotonic_ns())
+
+
+def test_a_lost_heartbeat_is_a_fault(rig: Rig) -> None:
+    rig.until(lambda: len(rig.syncs) > 2, (0, 20.0))
     rig.device.mute()
     rig.until(lambda: any("heartbeat has stopped" in fault for fault in rig.faults), (0, 0.0))
+
+
+class SelfStarting:
+    """A node that needs no start and whose widths are 500 µs at first: answers at once, keeps what SYNC delivers."""
+
+    channel_info = "self-starting"
+
+    def __init__(self) -> None:
+        self.waiting: list[can.Message] = []
+        self.pulses: list[dict[tuple[int, int], int]] = []
+        self.boot()
+
+    def boot(self) -> None:
+        self.entries = {(simulated.CURRENT_INDEX, 1): 0, (simulated.WIDTH_INDEX, 1): 250}
+
+    def beat(self, *states: int) -> None:
+        self.waiting += [can.Message(arbitration_id=0x705, data=[state], is_extended_id=False) for state in states]
+
+    def send(self, message: can.Message, timeout: float | None = None) -> None:
+        if message.arbitration_id == 0x605:
+            _, index, subindex, value = struct.unpack_from("<BHBB", message.data)
+            self.entries[index, subindex] = value
+            answer = struct.pack("<BHBI", 0x60, index, subindex, 0)
+            self.waiting.append(can.Message(arbitration_id=0x585, data=answer, is_extended_id=False))
+        elif message.arbitration_id == 0x80:
+            self.pulses.append(dict(self.entries))
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        return self.waiting.pop(0) if self.waiting else None
+
+
+def opened(node: SelfStarting) -> CanOpenStimulator:
+    node.beat(5)
+    port = CanOpenStimulator(node, 7, (0,), CanOpenSettings.of(OPTIONS))
+    port.open(0)
+    return port
+
+
+def walk(port: CanOpenStimulator, t_ns: int, commands: int = 10) -> tuple[int, list[str]]:
+    """Commands of 20 mA, 200 µs; the time after them and what was told as a fault."""
+    faults: list[str] = []
+    for _ in range(commands):
+        t_ns += 20_000_000
+        port.send(StimCommand(t_ns, 0, True, 20.0, 200.0, 40.0, 60))
+        faults += [event.fault for event in port.poll(t_ns) if event.fault]
+    return t_ns, faults
+
+
+@pytest.mark.parametrize(
+    ("comes_back", "said"),
+    [
+        ((0, 5), "the stimulator restarted"),  # it starts by itself: CiA 302
+        ((127, 5), "the stimulator was away and may have restarted"),  # the boot-up message was lost
+    ],
+)
+def test_a_node_that_restarts_by_itself_is_told_everything_anew(comes_back: tuple[int, ...], said: str) -> None:
+    node = SelfStarting()
+    port = opened(node)
+    t_ns, faults = walk(port, 0)
+    assert (faults, bool(node.pulses)) == ([], True)
+    assert {pulse[simulated.WIDTH_INDEX, 1] for pulse in node.pulses} == {100}
+    node.boot()
+    node.pulses.clear()
+    node.beat(*comes_back)
+    assert said in [event.fault for event in port.poll(t_ns)]
+    with pytest.raises(StimulatorLost, match="opened again"):
+        walk(port, t_ns)
+    assert node.pulses == []
+    t_ns, faults = walk(opened(node), t_ns)
+    assert faults == []
+    assert {pulse[simulated.WIDTH_INDEX, 1] for pulse in node.pulses} == {100}
+
+
+def test_a_node_that_was_silent_and_comes_back_is_lost() -> None:
+    node = SelfStarting()
+    port = opened(node)
+    assert "heartbeat has stopped" in [*port.poll(0), *port.poll(10**9)][-1].fault
+    node.beat(5)
+    assert "was away" in port.poll(10**9)[-1].fault
+    with pytest.raises(StimulatorLost, match="opened again"):
+        port.poll(10**9)
+
+
+def test_a_node_that_restarts_while_it_is_opened_has_all_currents_set_to_0_after_it() -> None:
+    class TwoChannels(SelfStarting):
+        def boot(self) -> None:
+            self.entries = {(simulated.CURRENT_INDEX, subindex): 99 for subindex in (1, 2)}
+
+        def send(self, message: can.Message, timeout: float | None = None) -> None:
+            super().send(message)
+            if message.arbitration_id == 0x605 and not self.restarted:
+                self.restarted = True
+                self.boot()  # after its answer
+                self.beat(0)
+            elif self.restarted:
+                self.beat(5)
+
+        restarted = False
+
+    node = TwoChannels()
+    node.beat(5)
+    CanOpenStimulator(node, 7, (0, 1), CanOpenSettings.of(OPTIONS)).open(0)
+    assert set(node.entries.values()) == {0}
 
 
 def test_a_refused_value_is_a_fault(rig: Rig) -> None:

@@ -15,6 +15,7 @@ import can
 
 NMT_ID: Final = 0x000
 SYNC_ID: Final = 0x080
+BOOT_UP: Final = 0  # the heartbeat's state in a node's first message after its start
 OPERATIONAL: Final = 5
 _DOWNLOAD: Final = {1: 0x2F, 2: 0x2B, 4: 0x23}  # expedited, size given
 _DOWNLOADED: Final = 0x60

@@ -22,7 +22,15 @@ import can
 from drivers.stimulator.answers import ANSWER_WITHIN_NS
 from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
 from drivers.stimulator.can_port import COUNTERS, POLL_AT_MOST, Handshake
-from drivers.stimulator.canopen_codec import OPERATIONAL, SYNC_ID, CanOpenSettings, Sdo, encode_download, encode_start
+from drivers.stimulator.canopen_codec import (
+    BOOT_UP,
+    OPERATIONAL,
+    SYNC_ID,
+    CanOpenSettings,
+    Sdo,
+    encode_download,
+    encode_start,
+)
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.pulse_train import PulseTrain
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
@@ -49,6 +57,9 @@ class _Line:
 class CanOpenStimulator:
     """:class:`~drivers.stimulator.port.StimulatorPort` on an open bus, which it then owns.
 
+    A node that restarted, or was stopped or silent for a while, is told of by a :class:`StimAlive` and is lost from
+    then on: nobody knows what its entries hold now, and only :meth:`open` begins with what is known.
+
     In the log, identifier 0x80 is a SYNC with, as its data, the SDO that went out after it, if any; another identifier
     is an SDO alone; 0 is a command that put nothing on the bus. The device counts no pulses.
 
@@ -73,6 +84,8 @@ class CanOpenStimulator:
         self._pending: tuple[Sdo, int, int] | None = None  # what, channel, since when
         self._boot_id = 1
         self._beat_ns: int | None = None
+        self._away = False
+        self._ended = ""
         self._closed = False
 
     @property
@@ -89,7 +102,7 @@ class CanOpenStimulator:
         deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
         node = self._settings.node_id
         frames: list[WireFrame] = []
-        todo = [self._settings.sdo(CURRENT, channel, 0) for channel in self._lines]
+        todo = zeros = [self._settings.sdo(CURRENT, channel, 0) for channel in self._lines]
         asked: Sdo | None = None
         state = -1
         while (left_ns := deadline_ns - clock_ns()) > 0:
@@ -99,10 +112,12 @@ class CanOpenStimulator:
             if message.arbitration_id == self._settings.heartbeat_id and message.data:
                 state = message.data[0] & 0x7F
                 frame = encode_start(node) if state != OPERATIONAL else None
+                if state == BOOT_UP:
+                    todo, asked = zeros, None
             elif asked is not None and self._settings.answers(asked, message):
                 if why := self._settings.refusal(message):
                     raise StimulatorLost(f"{self._bus.channel_info}: CANopen node {node} {why}")
-                todo.pop(0)
+                todo = todo[1:]
                 asked, frame = None, None
                 if not todo:
                     return Handshake(self._boot_id, tuple(frames), (StimAlive(t_ns, self._boot_id, 0),))
@@ -125,9 +140,10 @@ class CanOpenStimulator:
         """The SYNC, when this command makes one due, then at most one SDO.
 
         Raises:
-            StimulatorLost: the bus did not take it.
+            StimulatorLost: the bus did not take it, or the node has restarted.
             ValueError: the command cannot be expressed; nothing was sent.
         """
+        self._need_session()
         self._want(command)
         self._counter = (self._counter + 1) % COUNTERS
         sync = command.channel == self._last and self._sync_is_due(command.t_ns)
@@ -143,8 +159,9 @@ class CanOpenStimulator:
         """All that has arrived, at most 128 frames, and what should have, stamped ``t_ns``.
 
         Raises:
-            StimulatorLost: the bus cannot be read.
+            StimulatorLost: the bus cannot be read, or the node has restarted and the last call said so.
         """
+        self._need_session()
         events: list[StimStatus | StimAlive] = []
         for _ in range(POLL_AT_MOST):
             message = read_frame(self._bus, 0.0)
@@ -166,6 +183,7 @@ class CanOpenStimulator:
             self._beat_ns = t_ns
         elif t_ns - self._beat_ns > HEARTBEATS_MISSED * self._settings.heartbeat_ms * 1_000_000:
             self._beat_ns = t_ns
+            self._away = True
             events.append(StimAlive(t_ns, self._boot_id, 0, "the stimulator's heartbeat has stopped"))
         return events
 
@@ -229,11 +247,19 @@ class CanOpenStimulator:
 
     def _heartbeat(self, t_ns: int, state: int) -> StimAlive:
         self._beat_ns = t_ns
-        if state == 0:
+        if state == BOOT_UP:
             self._boot_id += 1
-            return StimAlive(t_ns, self._boot_id, 0, "the stimulator restarted")
-        fault = "" if state == OPERATIONAL else f"the stimulator is not operational (state {state})"
-        return StimAlive(t_ns, self._boot_id, 0, fault)
+            self._ended = "the stimulator restarted"
+        elif state != OPERATIONAL:
+            self._away = True
+            return StimAlive(t_ns, self._boot_id, 0, f"the stimulator is not operational (state {state})")
+        elif self._away:  # its boot-up message may be what was missed
+            self._ended = self._ended or "the stimulator was away and may have restarted"
+        return StimAlive(t_ns, self._boot_id, 0, self._ended)
+
+    def _need_session(self) -> None:
+        if self._ended:
+            raise StimulatorLost(f"{self._bus.channel_info}: {self._ended}; its session must be opened again")
 
     def _status(self, t_ns: int, channel: int, fault: str) -> StimStatus:
         line = self._lines[channel]
