@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
+from replays import SETTINGS
 
 from drivers.imu.open import open_imus
 from drivers.imu.port import flag_option, seconds_option, whole_option
 from drivers.stimulator.bus import LOOPBACK, BusError, open_bus
 from drivers.stimulator.canopen_codec import CanOpenSettings
 from drivers.stimulator.open import open_stimulator
-from fes.config import Bus, ConfigError, Session, StimulatorDevice, validate_session
+from fes.config import Bus, ConfigError, Session, StimulatorDevice, load_session, validate_session
 from fes.config.devices import ImuDevice, Options
 
 NO_WHOLE = (1.5, 1.0, True, "1", math.nan, math.inf)
@@ -95,6 +96,21 @@ def test_a_loopback_bus_has_a_whole_port(value: str | float | bool) -> None:
 def test_a_canopen_value_has_whole_bytes(value: str | float | bool) -> None:
     with pytest.raises(ValueError, match=r"value_bytes = .* must be 1, 2 or 4"):
         CanOpenSettings.of({**NODE, "value_bytes": value})
+
+
+@pytest.mark.parametrize(
+    ("limits", "said"),
+    [
+        ({"max_current_ma": 39.0}, "current_ma = 40.0; this stimulator takes 0 to 39"),
+        ({"max_width_us": 399.0}, "pulse_width_us = 400.0; this stimulator takes 0 to 399"),
+        ({"current_step_ma": 0.1}, "current_ma = 40.0 does not fit an entry of 1 bytes"),
+    ],
+)
+def test_a_session_may_not_allow_more_than_a_canopen_stimulator_delivers(limits: dict[str, float], said: str) -> None:
+    """Its channel asks for 30 mA and 300 µs, but its own limits are 40 mA and 400 µs."""
+    settings = StimulatorDevice(device="canopen", options={**NODE, **limits})
+    with pytest.raises(ConfigError, match=rf"'Tibialis anterior, right': its limits allow more .*: {said}"):
+        open_stimulator(settings, load_session(SETTINGS), 1)
 
 
 def test_true_is_no_number_of_seconds_for_a_watchdog() -> None:

@@ -127,6 +127,14 @@ def _canopen(settings: StimulatorDevice, session: Session, session_id: int, open
         raise ConfigError(f"stimulator.options of device {settings.device!r}: {error}") from None
     _rate_suffices(settings, session)
     numbers = _channel_numbers(settings, session)
+    for channel in session.channels:  # nothing that the gate lets through may be refused in the middle of a burst
+        try:
+            node.steps(channel.limits.max_current_ma, channel.limits.max_pulse_width_us)
+        except ValueError as error:
+            raise ConfigError(
+                f"channel {channel.name!r}: its limits allow more than device 'canopen' delivers: {error}. Lower "
+                "max_current_ma or max_pulse_width_us of channels.limits"
+            ) from None
     bus = open_bus(session.bus, frozenset((node.heartbeat_id, node.answer_id)))
     return CanOpenStimulator(bus, session_id, numbers, node)
 
