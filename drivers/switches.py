@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from typing import Final
@@ -118,7 +119,24 @@ def open_switch(settings: Switch, bus: Bus) -> CanSwitch | SerialSwitch:
             raise SwitchFailed(f"switch on {settings.identifier:#x}: {error}") from error
         return CanSwitch(opened, settings.identifier, settings.bit, high=high)
     try:
-        line = serial.serial_for_url(settings.port, timeout=0)
+        line = _open_line(settings.port)
     except (OSError, ValueError, serial.SerialException) as error:
-        raise SwitchFailed(f"switch on {settings.port}: {error}. Is the port right, may this user open it?") from error
+        hint = "Is the port right, has nobody else opened it, may this user open it?"
+        raise SwitchFailed(f"switch on {settings.port}: {error}. {hint}") from error
     return SerialSwitch(line, settings.source, high=high)
+
+
+def _open_line(port: str) -> serial.SerialBase:
+    """A line that another switch may use too, on its other input, and nobody else: opening it sets its speed."""
+    if "://" in port:
+        return serial.serial_for_url(port, timeout=0)
+    import fcntl
+
+    descriptor = os.open(port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)  # sensors and stimulators lock theirs for themselves
+        line = serial.serial_for_url(port, timeout=0)
+        fcntl.flock(line.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
+    finally:
+        os.close(descriptor)
+    return line

@@ -113,6 +113,18 @@ def test_a_session_may_not_allow_more_than_a_canopen_stimulator_delivers(limits:
         open_stimulator(settings, load_session(SETTINGS), 1)
 
 
+def test_a_bus_by_its_other_name_is_no_second_bus() -> None:
+    """Else two feet with the same identifiers would both be fed by the same frames."""
+    bus = Bus(interface="virtual", channel="feet")
+    feet = [Sensor("xsens_can", port="bus"), Sensor("xsens_can", port="virtual:feet", sensor="right_foot")]
+    with pytest.raises(ValueError, match="right_foot and left_foot both use the identifier"):
+        open_imus(feet, bus)
+    feet[1].options["id_offset"] = 0x40
+    (port,) = open_imus(feet, bus)
+    assert port.sensors == ("left_foot", "right_foot")
+    port.close()
+
+
 def test_true_is_no_number_of_seconds_for_a_watchdog() -> None:
     settings = StimulatorDevice(device="p24_mid_level", port="x", options={"accept_watchdog_s": True})
     with pytest.raises(ConfigError, match="accept_watchdog_s = True must be a number of seconds"):

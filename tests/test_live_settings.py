@@ -113,12 +113,61 @@ def test_what_a_stimulator_cannot_tell_of_its_electrodes_is_said(
     assert electrodes.unknown() == said
 
 
+OTHER = SENSOR.replace("right", "left")
+STIMULATOR = '[stimulator]\ndevice = "rehastim2"\nport = "/dev/nothing-here"\n'
+FOOT_SWITCH = '[[foot_switches]]\nfoot = "{}_foot"\nsource = "{}"\nport = "/dev/nothing-here"\n'
+BUTTON = '[live.stop_button]\nsource = "serial_cts"\nport = "/dev/nothing-here"\n'
+LSL = SENSOR.replace("xbus", "lsl")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"{SENSOR}\n{OTHER}", "left_foot and right_foot are both on port /dev/nothing-here"),
+        (f"{LSL}\n{OTHER.replace('xbus', 'lsl')}", "both on LSL stream /dev/nothing-here channel acc_x"),
+        (
+            f'{LSL}options = {{ gyr_z = "w" }}\n' + OTHER.replace("xbus", "lsl") + 'options = { acc_x = "w" }\n',
+            "both on LSL stream /dev/nothing-here channel w",
+        ),
+        (f"{SENSOR}\n{STIMULATOR}", "right_foot and the stimulator are both on port /dev/nothing-here"),
+        (f"{STIMULATOR}\n{BUTTON}", "the stop button and the stimulator are both on port /dev/nothing-here"),
+        (f"{SENSOR}\n{BUTTON}", "the stop button and right_foot are both on port /dev/nothing-here"),
+        (
+            f"{STIMULATOR}\n{FOOT_SWITCH.format('left', 'serial_dsr')}",
+            "the foot switch of left_foot and the stimulator are both on port /dev/nothing-here",
+        ),
+        (
+            FOOT_SWITCH.format("left", "serial_cts") + BUTTON,
+            "the stop button and the foot switch of left_foot are both on input serial_cts of port /dev/nothing-here",
+        ),
+        (
+            FOOT_SWITCH.format("left", "can_bit") + FOOT_SWITCH.format("right", "can_bit"),
+            "right_foot and the foot switch of left_foot are both on bit 0 of identifier 0x0",
+        ),
+    ],
+)
+def test_nothing_is_fed_by_what_feeds_another(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=rf"session\.toml: .*{said}; each needs its own"):
+        session(tmp_path, text)
+
+
+def test_what_can_be_shared_may_be(tmp_path: Path) -> None:
+    labels = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
+    moved = "options = { " + ", ".join(f'{label} = "left_{label}"' for label in labels) + " }\n"
+    both = f"{LSL}\n{OTHER.replace('xbus', 'lsl')}{moved}"
+    assert len(session(tmp_path, f"{both}\n{STIMULATOR}").sensors) == 2  # a stream is no port
+    on_bus = SENSOR.replace("xbus", "xsens_can").replace("/dev/nothing-here", "bus")
+    assert len(session(tmp_path, on_bus + on_bus.replace("right", "left")).sensors) == 2
+    two_inputs = FOOT_SWITCH.format("left", "serial_cts") + FOOT_SWITCH.format("right", "serial_dsr")
+    assert len(session(tmp_path, two_inputs).foot_switches) == 2
+
+
 def test_the_serial_ports_of_a_session_are_each_named_once(tmp_path: Path) -> None:
     text = (
         f"{SENSOR}\n{SENSOR.replace('right', 'left').replace('xbus', 'lsl')}\n"
-        '[stimulator]\ndevice = "rehastim2"\nport = "/dev/nothing-here"\n'
+        '[stimulator]\ndevice = "rehastim2"\nport = "/dev/nor-here"\n'
     )
-    assert serial_ports_of(session(tmp_path, text)) == ["/dev/nothing-here"]
+    assert serial_ports_of(session(tmp_path, text)) == ["/dev/nothing-here", "/dev/nor-here"]
     assert serial_ports_of(load_session(SETTINGS)) == []
 
 

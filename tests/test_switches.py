@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import select
+import termios
 from collections.abc import Iterator
 
 import can
@@ -10,6 +12,8 @@ import pytest
 import serial
 
 from drivers.stimulator.bus import open_bus
+from drivers.stimulator.port import StimulatorLost
+from drivers.stimulator.serial_line import LineSettings, open_line
 from drivers.switches import SILENT_NS, CanSwitch, SerialSwitch, SwitchFailed, open_switch
 from drivers.virtual.can_node_spawn import free_bus, why_silent
 from fes.config import Bus
@@ -157,3 +161,25 @@ def test_a_line_that_is_not_there_is_named() -> None:
         open_switch(settings(source="serial_cts", port="/dev/not-here"), Bus())
     with pytest.raises(SwitchFailed, match="0x1f0"):
         open_switch(settings(), Bus(interface="nonsense"))
+
+
+def test_a_switch_leaves_a_line_alone_that_another_device_has() -> None:
+    """Opening it would set its speed to 9600 baud, and a stimulator on it would hear nothing any more."""
+    master, line = os.openpty()
+    port = os.ttyname(line)
+    try:
+        stimulator = open_line(port, LineSettings(460800))
+        speed = termios.tcgetattr(stimulator.fileno())[4]
+        with pytest.raises(SwitchFailed, match="has nobody else opened it"):
+            open_switch(settings(source="serial_cts", port=port), Bus())
+        assert termios.tcgetattr(stimulator.fileno())[4] == speed == termios.B460800
+        stimulator.close()
+        switches = [open_switch(settings(source=source, port=port), Bus()) for source in ("serial_cts", "serial_dsr")]
+        with pytest.raises(StimulatorLost, match="cannot be opened"):
+            open_line(port, LineSettings(460800))
+        for switch in switches:
+            switch.close()
+        open_line(port, LineSettings(460800)).close()
+    finally:
+        os.close(master)
+        os.close(line)

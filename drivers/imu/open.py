@@ -44,15 +44,19 @@ def open_imus(sensors: Sequence[SensorDevice], bus: Bus | None = None) -> list[I
 def _plan(sensors: Sequence[SensorDevice], bus: Bus) -> list[Callable[[], ImuPort]]:
     plan: list[Callable[[], ImuPort]] = []
     buses: dict[str, list[SensorDevice]] = {}
+    own = f"{bus.interface}:{bus.channel}"
     for device in sensors:
         _has_its_options(device)
         if device.device not in ON_CAN:
             plan.append(_serial(device))
-        elif device.port in buses:
-            buses[device.port].append(device)
+            continue
+        # the session's bus by its other name is the same one, unless a port number tells them apart
+        port = "bus" if device.port == own and "port" not in bus.options else device.port
+        if port in buses:
+            buses[port].append(device)
         else:
-            buses[device.port] = [device]
-            plan.append(_can(buses[device.port], device, bus))
+            buses[port] = [device]
+            plan.append(_can(buses[port], bus if port == "bus" else _other_bus(device)))
     return plan
 
 
@@ -65,14 +69,14 @@ def _has_its_options(device: SensorDevice) -> None:
         )
 
 
-def _can(group: list[SensorDevice], device: SensorDevice, bus: Bus) -> Callable[[], ImuPort]:
-    settings = bus
-    if device.port != "bus":
-        interface, colon, channel = device.port.partition(":")
-        if not colon:
-            raise ValueError(f"{device.sensor}: port = {device.port!r} must be 'bus' or INTERFACE:CHANNEL")
-        settings = Bus(interface=interface, channel=channel)
+def _other_bus(device: SensorDevice) -> Bus:
+    interface, colon, channel = device.port.partition(":")
+    if not colon:
+        raise ValueError(f"{device.sensor}: port = {device.port!r} must be 'bus' or INTERFACE:CHANNEL")
+    return Bus(interface=interface, channel=channel)
 
+
+def _can(group: list[SensorDevice], settings: Bus) -> Callable[[], ImuPort]:
     def open_one() -> ImuPort:
         from drivers.imu.can_port import CanImus
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
 from fes.config.base import ConfigError, Foot, Settings
 from fes.config.channel import Channel, Stimulation
-from fes.config.devices import Bus, FootSwitch, ImuDevice, Live, StimulatorDevice
+from fes.config.devices import Bus, FootSwitch, ImuDevice, Live, StimulatorDevice, Switch
 from fes.config.explain import explain
+
+LSL_LABELS: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")  # options that name a stream's channels
 
 
 class FootGeometry(Settings):
@@ -69,6 +71,35 @@ class Session(Settings):
         worn = [device.sensor for device in self.sensors]
         if len(set(worn)) != len(worn):
             raise ValueError(f"sensors must be worn in different places, got {worn}")
+        return self
+
+    @model_validator(mode="after")
+    def _each_has_what_it_is_fed_by_for_itself(self) -> Self:
+        """Two feet fed by one sensor walk in step; a line opened a second time takes on the second one's speed."""
+        users: dict[tuple[str, ...], str] = {}
+
+        def claim(who: str, *source: str) -> None:
+            if source in users:
+                raise ValueError(f"{who} and {users[source]} are both on {' '.join(source)}; each needs its own")
+            users[source] = who
+
+        if self.stimulator.device not in ("can", "canopen"):
+            claim("the stimulator", "port", self.stimulator.port)
+        for device in self.sensors:
+            if device.device == "lsl":
+                for label in LSL_LABELS:
+                    claim(device.sensor, "LSL stream", device.port, "channel", str(device.options.get(label, label)))
+            elif device.device not in ("xsens_can", "dbc_can"):  # of these the identifiers must differ
+                claim(device.sensor, "port", device.port)
+        switches: list[tuple[str, Switch]] = [(f"the foot switch of {each.foot}", each) for each in self.foot_switches]
+        switches += [("the stop button", self.live.stop_button)] if self.live.stop_button else []
+        for who, switch in switches:
+            if switch.source == "can_bit":
+                claim(who, "bit", f"{switch.bit} of identifier {switch.identifier:#x}")
+                continue
+            if user := users.get(("port", switch.port)):
+                raise ValueError(f"{who} and {user} are both on port {switch.port}; each needs its own")
+            claim(who, "input", switch.source, "of port", switch.port)
         return self
 
 
