@@ -75,8 +75,7 @@ class Runner:
         self._log = log
         self._clock_ns = clock_ns
         self._from_reading = from_reading
-        self._channels: set[int] = set()
-        self._refused: dict[int, str] = {}
+        self._refused: dict[int, str] = {}  # why, "" for let out: every channel ever commanded, in that order
         self._latched = ""
         self._flagged: set[str] = set()
         self._t_ns = 0
@@ -125,8 +124,8 @@ class Runner:
         self._log.event(event)
         self.gate.observe(event)
         decision = self.controller.step(event)
-        for request in decision.requests:
-            self._send(event.t_ns, request)
+        if decision.requests:
+            self._send(event.t_ns, decision.requests)
         for outcome in decision.outcomes:
             if isinstance(outcome, StrideResult):
                 self._log.stride(outcome)
@@ -143,25 +142,39 @@ class Runner:
                 self.all_off()
 
     def all_off(self) -> None:
-        """Switch off every channel that was ever commanded; each is tried, then the first error is raised."""
+        """Switch off every channel that was ever commanded; each is tried, then the first error is raised.
+
+        In the order in which they are commanded: a device that delivers all with the last one's command must have been
+        told *off* for the others by then.
+        """
         errors: list[Exception] = []
-        for channel in sorted(self._channels):
+        for channel in list(self._refused):
             try:
-                self._send(self._t_ns, StimRequest(channel, on=False))
+                self._send(self._t_ns, (StimRequest(channel, on=False),))
             except Exception as error:
                 errors.append(error)
         if errors:
             raise errors[0]
 
-    def _send(self, t_ns: int, request: StimRequest) -> None:
-        command = self.gate.judge(t_ns, request)
-        self._channels.add(command.channel)  # first: a command that fails half-way may have gone out all the same
+    def _send(self, t_ns: int, requests: tuple[StimRequest, ...]) -> None:
+        """Judge all, then send: what one of them latches holds for those let out before it, too."""
+        commands = [self.gate.judge(t_ns, request) for request in requests]
+        for command in commands:
+            if command.on and self.gate.latched:
+                command = self.gate.judge(t_ns, StimRequest(command.channel, on=False))
+            self._deliver(command)
+
+    def _deliver(self, command: StimCommand) -> None:
+        # first: a command that fails half-way may have gone out all the same
+        before = self._refused.setdefault(command.channel, "")
         frame = self._stimulator.send(command)
         self._log.command(command, frame)
-        before, self._refused[command.channel] = self._refused.get(command.channel, ""), command.refused
+        self._refused[command.channel] = command.refused
         # a refusal whose numbers alone have moved on is the same refusal
         if command.refused and _NUMBER.sub("", command.refused) != _NUMBER.sub("", before):
-            self._log.note(Note(t_ns, "warning", "gate", f"channel {command.channel} refused: {command.refused}"))
+            self._log.note(
+                Note(command.t_ns, "warning", "gate", f"channel {command.channel} refused: {command.refused}")
+            )
 
     def _note_flags(self) -> None:
         """A sensor's first fault; the gate counts the rest."""

@@ -94,6 +94,7 @@ class OnController:
     def __init__(self, world: World) -> None:
         self.world = world
         self.at: dict[int, Callable[[], Decision]] = {}
+        self.channels = CHANNELS
         self._next_ms = 0
 
     def step(self, event: Event) -> Decision:
@@ -107,7 +108,7 @@ class OnController:
         on = 100 <= ms < 2000
         ramp_ma = min(20.0, 0.5 * ((ms - 100) // 5)) if on else 0.0
         on = on and ramp_ma > 0
-        return Decision(tuple(StimRequest(channel, on, ramp_ma, 300.0 * on, 40.0 * on) for channel in CHANNELS))
+        return Decision(tuple(StimRequest(channel, on, ramp_ma, 300.0 * on, 40.0 * on) for channel in self.channels))
 
 
 class WatchedGate(SafetyGate):
@@ -383,3 +384,33 @@ def test_nothing_to_do_is_nothing_done() -> None:
     bench = Bench()
     bench.run([])
     assert bench.world.happened == []
+
+
+@pytest.mark.parametrize("channels", [(0, 1), (1, 0)])
+def test_a_request_that_latches_takes_back_those_let_out_before_it(channels: tuple[int, int]) -> None:
+    """A device that delivers all with the last one's command would give the first one's pulse after the latch."""
+    bench = Bench()
+    bench.asks.channels = channels
+    first, last = channels
+
+    def one_good_one_bad() -> Decision:
+        return Decision((StimRequest(first, True, 20.0, 300.0, 40.0), StimRequest(last, True, math.nan, 300.0, 40.0)))
+
+    bench.asks.at[400] = one_good_one_bad
+    bench.run()
+    assert {c.channel for c in bench.world.sent() if c.on and c.t_ns < 400 * MS} == set(channels)
+    then = [(c.channel, c.on) for c in bench.world.sent() if c.t_ns == 400 * MS]
+    assert then == [(first, False), (last, False)] * 2
+    assert "nan" in bench.gate.latched
+    assert not any(c.on for c in bench.world.sent() if c.t_ns >= 400 * MS)
+
+
+def test_all_off_goes_out_in_the_order_in_which_channels_are_commanded() -> None:
+    """What was gathered for the last one's command is gone by the time that this one comes."""
+    bench = Bench()
+    bench.asks.channels = (1, 0)
+    bench.world.breaks["command"] = (400, OSError("the log is full"))  # between the two channels of a step
+    with pytest.raises(OSError, match="full"):
+        bench.run()
+    at_the_end = [(c.channel, c.on) for c in bench.world.sent() if c.t_ns >= 400 * MS]
+    assert at_the_end == [(1, True), (1, False), (0, False)]

@@ -337,6 +337,13 @@ def test_rehastim2_delivers_nothing_of_a_step_that_broke_off() -> None:
     assert rig.pulses == []
 
 
+def test_rehastim2_delivers_nothing_when_all_is_switched_off_in_the_middle_of_a_step() -> None:
+    rig = Rig("rehastim2", channels=(4, 2))
+    gathered = command(rig.t_ns, channel=4)
+    rig.turn(gathered, *(command(rig.t_ns, channel=number, on=False) for number in (4, 2)), for_ms=100)
+    assert rig.pulses == []
+
+
 def test_rehastim2_is_kept_alive_by_commands_alone() -> None:
     rig = Rig("rehastim2")
     rig.drive(150, on=False)
