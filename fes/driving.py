@@ -64,9 +64,21 @@ def stride_settings(session: Session, calibration: FootCalibration) -> StrideSet
 
 
 def calibration_from_dict(data: dict[str, Any]) -> Calibration:
-    """Back from a session log or a calibration file.
+    """Back from a session log or a calibration file; what the core would choke on is refused here.
 
     Raises:
-        KeyError, TypeError: it is not what ``to_dict`` made.
+        KeyError, TypeError, ValueError: it is not what ``to_dict`` made.
     """
-    return (ShankCalibration if data["sensor"] in SHANK_SENSORS else FootCalibration).from_dict(data)
+    sensor = data["sensor"]
+    if sensor not in (*FOOT_SENSORS, *SHANK_SENSORS):
+        raise ValueError(f"{sensor!r} is no sensor")
+    calibration = (ShankCalibration if sensor in SHANK_SENSORS else FootCalibration).from_dict(data)
+    if not 10.0 <= float(calibration.rate_hz) <= 10_000.0:
+        raise ValueError(f"rate_hz of {sensor} is {calibration.rate_hz}")
+    axis = calibration.left if isinstance(calibration, ShankCalibration) else calibration.toe_down
+    for name, vector in (("up", calibration.up), ("mediolateral axis", axis)):
+        if len(vector) != 3 or not abs(float(np.linalg.norm(vector)) - 1.0) < 1e-3:
+            raise ValueError(f"{name} of {sensor} is no unit vector")
+    if not np.isfinite(np.array((*calibration.acc_bias_mps2, *calibration.gyr_bias_radps), float)).all():
+        raise ValueError(f"a bias of {sensor} is not finite")
+    return calibration

@@ -148,11 +148,14 @@ def settings_of(header: dict[str, Any], path: Path) -> tuple[Session, dict[str, 
 
     Raises:
         ConfigError: the header's settings are not valid for this version.
-        KeyError, TypeError: the header is not that of a session log of this format.
+        KeyError, TypeError, ValueError, AttributeError: the header is not that of a session log of this format.
     """
     session = validate_session(header["session"], path)
     calibrations = {sensor: calibration_from_dict(data) for sensor, data in header["calibration"].items()}
-    return session, calibrations, int(header["stim_session_id"])
+    session_id = int(header["stim_session_id"])
+    if not 1 <= session_id <= 65535:
+        raise ValueError(f"stim_session_id = {session_id} is none of a stimulator's session (1 to 65535)")
+    return session, calibrations, session_id
 
 
 def session_for(recording: Recording, session: Session | None) -> Session:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import pytest
 from replays import SETTINGS
+from test_live_operator import CALIBRATION, FOOT
 from test_live_run import SENSOR, run
 
 from drivers.stimulator.open import electrodes_told_from_ma
@@ -177,4 +179,28 @@ def test_a_log_with_nonsense_for_the_step_is_refused(tmp_path: Path, step: objec
     log = SessionWriter(tmp_path / "s.feslog", header)
     log.close({"ended": "complete"})
     with pytest.raises(SessionLogError, match="cannot be replayed"):
+        repeat(tmp_path / "s.feslog")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"stim_session_id": -5}, "stim_session_id = -5"),
+        ({"stim_session_id": 65536}, "stim_session_id = 65536"),
+        ({"rate_hz": 1e300}, "rate_hz of right_foot is 1e"),
+        ({"up": (0.0, 0.0, 0.0)}, "up of right_foot is no unit vector"),
+        ({"up": "abc"}, "could not convert"),
+        ({"gyr_bias_radps": (math.inf, 0.0, 0.0)}, "a bias of right_foot is not finite"),
+        ({"rest_gyr_radps": "still"}, ""),
+    ],
+)
+def test_a_log_with_nonsense_for_identifier_or_calibration_is_refused(
+    tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    header = live_header(load_session(SETTINGS), {FOOT: CALIBRATION}, 1, "", 0)
+    (header if "stim_session_id" in change else header["calibration"][FOOT]).update(change)
+    log = SessionWriter(tmp_path / "s.feslog", header)
+    log.event(Tick(1))
+    log.close({"ended": "complete"})
+    with pytest.raises(SessionLogError, match=f"s.feslog: .* cannot be replayed .*{said}"):
         repeat(tmp_path / "s.feslog")

@@ -7,12 +7,17 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
 import report_records as make
+from click.testing import CliRunner
 
+from fes.cli import main
 from fes.journal import Note, SampleArrays, SessionRecord
+from fes.journal.writer import SessionWriter
+from fes.signals import Tick
 from fes.view.page_file import ReportError
 from fes.view.report import embed, render_report, when, write_report
 from fes.view.summary import view_session
@@ -300,6 +305,29 @@ def test_rotation_rate_is_toe_down_positive_however_the_sensor_sits():
     assert known
     np.testing.assert_allclose(rate, other, atol=1e-9)
     assert rate.max() > 5  # push-off
+
+
+def test_values_that_no_sensor_has_and_a_stamp_of_another_age_are_left_out_of_the_charts():
+    record = make.walk(4)
+    samples = record.samples["left_foot"]
+    before = chart_data(view_session(record))["feet"][0]
+    stamps, gyr = samples.t_sensor_ns.copy(), samples.gyr_radps.copy()
+    stamps[7], gyr[9:12] = -(2**62), 1e300
+    record.samples["left_foot"] = SampleArrays(samples.t_ns, stamps, samples.acc_mps2, gyr)
+    after = chart_data(view_session(record))["feet"][0]
+    assert after["count"] == before["count"]
+    assert after["gyr_degps"]["step"] == pytest.approx(before["gyr_degps"]["step"], rel=1e-3)
+
+
+@pytest.mark.parametrize("t_ns", [-(2**63), 2**62, 2**63 - 1])
+def test_times_that_no_session_has_are_refused_with_the_file(tmp_path: Path, t_ns: int):
+    log = SessionWriter(tmp_path / "s.feslog", make.header())
+    log.event(Tick(make.T0))
+    log.event(Tick(t_ns))
+    log.close({"ended": "complete"})
+    result = CliRunner().invoke(main, ["report", str(tmp_path / "s.feslog")])
+    assert (result.exit_code, "no session is so long" in result.output) == (2, True)
+    assert str(tmp_path / "s.feslog") in result.output
 
 
 def test_charts_carry_phases_and_currents_of_the_record():

@@ -124,7 +124,9 @@ def repeat(path: Path) -> Repeated:
     try:
         session, calibrations, session_id = settings_of(record.header, path)
         current_step_ma = _step_ma(record.header.get("current_step_ma", CURRENT_STEP_MA))
-    except (KeyError, TypeError, ValueError) as error:
+        gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
+        controller = Controller(session, calibrations, current_step_ma=current_step_ma)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, ConfigError):
             raise
         version = record.header.get("fes_version", "unknown")
@@ -132,7 +134,6 @@ def repeat(path: Path) -> Repeated:
             f"{path}: was left by fes {version} and cannot be replayed by fes {__version__}: its header does not fit "
             f"({error}). `fes report` still shows it; replay its recording instead."
         ) from error
-    gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
     now = Collected()
     sink: LoggedSink | SerialSink
     if repeats_bytes(session, record.header):
@@ -146,7 +147,6 @@ def repeat(path: Path) -> Repeated:
         sink = LoggedSink(session_id, [frame.identifier != UNSENT for frame in recorded])
         events = sink.told(iter_events(path))
         compares_bytes = session.stimulator.device == "can"  # what another driver made of a command is not known
-    controller = Controller(session, calibrations, current_step_ma=current_step_ma)
     runner = Runner(controller, gate, sink, now, lambda: 0)
     for event in events:
         runner.handle(event)

@@ -80,7 +80,7 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
         session, calibrations, session_id = settings_of(record.header, path)
     except (SessionLogError, ConfigError) as error:
         fail(error)
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
         fail(SessionLogError(f"{path}: its header is not one of this version: {error}"))
     gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
     step_ma = float(record.header.get("current_step_ma", CURRENT_STEP_MA))

@@ -20,9 +20,13 @@ def command(log: Path, out: Path | None) -> None:
 
     target = out or log.with_name("report.html")
     try:
-        write_report(read_session(log, frozenset({RecordType.FRAME})), target)  # bytes are not shown
+        record = read_session(log, frozenset({RecordType.FRAME}))  # bytes are not shown
     except SessionLogError as error:
         fail(error)
+    try:
+        write_report(record, target)
+    except SessionLogError as error:
+        fail(SessionLogError(f"{log}: {error}"))
     except OSError as error:
         raise Problem(f"{target}: cannot be written: {error.strerror}. Choose another place with --out.") from error
     click.echo(f"Report {target}")

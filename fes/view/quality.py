@@ -13,6 +13,7 @@ from fes.journal import Note, SampleArrays, SessionRecord
 from fes.signals import NS_PER_S, IntArray, StimAlive, StimCommand
 
 CLOCKS_AGREE_NS = NS_PER_S
+FAR_NS = 3600 * NS_PER_S
 GAP_FACTOR = 1.8  # an interval this many times the usual one has at least one sample missing
 NAN = float("nan")
 
@@ -63,9 +64,15 @@ class Remark:
 
 
 def sample_times(samples: SampleArrays) -> IntArray:
-    """The sensor's own stamps, which are even where arrival comes in batches; arrival if the clocks do not agree."""
-    agree = abs(float(np.median(samples.t_ns - samples.t_sensor_ns))) < CLOCKS_AGREE_NS
-    return samples.t_sensor_ns if agree else samples.t_ns
+    """The sensor's own stamps, which are even where arrival comes in batches; arrival if the clocks do not agree.
+
+    Arrival, too, of a sample whose stamp is over an hour away from it.
+    """
+    t_ns, t_sensor_ns = samples.t_ns, samples.t_sensor_ns
+    if not abs(float(np.median(t_ns - t_sensor_ns))) < CLOCKS_AGREE_NS:
+        return t_ns
+    far = (t_sensor_ns < t_ns - FAR_NS) | (t_sensor_ns > t_ns + FAR_NS)
+    return np.where(far, t_ns, t_sensor_ns) if far.any() else t_sensor_ns
 
 
 def sensor_quality(sensor: str, samples: SampleArrays) -> SensorQuality:

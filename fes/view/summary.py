@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fes.config import Session
-from fes.journal import SessionRecord
+from fes.journal import SessionLogError, SessionRecord
 from fes.signals import FOOT_SENSORS, NS_PER_S
 from fes.view.aggregate import ChannelSummary, FootSummary, channel_summary, foot_summary
 from fes.view.bursts import Burst, answers_without_command, find_bursts
@@ -28,6 +28,8 @@ from fes.view.tuning import DoseRow, TuningRow, dose_rows, tuning_rows
 
 FORMAT = 1
 NAN = float("nan")
+LONGEST_NS = 31 * 24 * 3600 * NS_PER_S
+FURTHEST_NS = 2**62  # 146 years: differences stay within 64 bits
 
 
 @dataclass(frozen=True)
@@ -89,9 +91,18 @@ def summarise(record: SessionRecord) -> SessionSummary:
 
 
 def view_session(record: SessionRecord) -> SessionView:
-    """Work out a session's numbers and keep the columns they came from."""
+    """Work out a session's numbers and keep the columns they came from.
+
+    Raises:
+        SessionLogError: its times run over more than a month, or are too large to be subtracted.
+    """
     settings = session_settings(record.header)
     origin_ns, end_ns = _span(record)
+    if not 0 <= end_ns - origin_ns <= LONGEST_NS or max(abs(origin_ns), abs(end_ns)) > FURTHEST_NS:
+        raise SessionLogError(
+            f"its times run from {origin_ns / NS_PER_S:g} s to {end_ns / NS_PER_S:g} s; no session is so long, or so "
+            "far from its clock's beginning. Nothing can be drawn of it; `fes convert` gives what it holds."
+        )
     timelines = {foot: build_timeline(record.phases, foot, origin_ns, end_ns) for foot in _feet(record, settings)}
     infos = channel_infos(settings, record.commands)
     commands = {info.number: command_columns(record.commands, info.number) for info in infos}

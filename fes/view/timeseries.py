@@ -22,6 +22,7 @@ from statemachine.phases import Phase
 
 DETAIL = ((600.0, 200), (1800.0, 100), (float("inf"), 80))  # sessions up to so long (s) keep so many points a second
 GAP_INTERVALS = 2.5  # a pause this many intervals long is drawn as a gap
+MOST_RADPS = 1e6  # beyond what turns, and what can be squared: no number
 MISSING = -32768
 FULL_SCALE = 32000
 
@@ -94,12 +95,13 @@ def main_axis_rate_radps(samples: SampleArrays, timeline: PhaseTimeline) -> tupl
     that makes the mean rate of all pre-swings, in which the heel rises, positive.
     """
     gyr = samples.gyr_radps
-    finite = np.isfinite(gyr).all(axis=1)
-    good = gyr if finite.all() else gyr[finite]
+    sound = (np.abs(gyr) < MOST_RADPS).all(axis=1)
+    good = gyr if sound.all() else gyr[sound]
     if good.shape[0] < 2:
         return np.full(gyr.shape[0], np.nan), False
     axis = np.linalg.eigh(good.T @ good)[1][:, -1]
     rate = gyr @ axis
+    rate[~sound] = np.nan
     at = np.clip(np.searchsorted(timeline.start_ns, samples.t_ns, side="right") - 1, 0, None)
     pushing = rate[(timeline.phase[at] == Phase.PRE_SWING) & np.isfinite(rate)]
     if pushing.size == 0:
