@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from live_parts import MS, FakeStimulator, Lost, SameClock, SetClock, SocketImu
+from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock, SocketImu
 
 from fes.live.inputs import Keyboard, StopFile
 from fes.live.orders import Ask, Order
@@ -187,6 +187,71 @@ def test_a_line_that_falls_silent_is_opened_again() -> None:
     (fault,) = bench.line.tend(2001 * MS)
     assert isinstance(fault, SystemFault)
     assert bench.line.port is None
+
+
+class SharedLine:
+    """Two feet on one line; ``given`` comes with the next reading."""
+
+    sensors = ("left_foot", "right_foot")
+
+    def __init__(self) -> None:
+        self.given: list[Raw] = []
+
+    def give(self, t_ns: int, *sensors: str, stamp_ns: int | None = None) -> None:
+        stamp_ns = t_ns if stamp_ns is None else stamp_ns
+        self.given += [Raw(sensor, t_ns, stamp_ns, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0)) for sensor in sensors]
+
+    def fileno(self) -> int | None:
+        return None
+
+    def read(self, t_ns: int) -> list[Raw]:
+        found, self.given = self.given, []
+        return found
+
+    def reopen(self) -> None:
+        """At once."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+@pytest.mark.requirement("SR-09")
+@pytest.mark.parametrize(("needed", "told"), [("left_foot", True), ("right_foot", False)])
+def test_one_of_two_sensors_on_a_line_that_falls_silent_is_a_fault_if_it_is_needed(needed: str, told: bool) -> None:
+    port = SharedLine()
+    line = SensorLine(port, SameClock, Lost, frozenset({needed}))
+    faults: list[Event] = []
+    for t_ns in range(1000 * MS, 5000 * MS, 10 * MS):
+        port.give(t_ns, *(port.sensors if t_ns <= 2000 * MS else ("right_foot",)))
+        faults += [event for event in (*line.read(t_ns), *line.tend(t_ns)) if isinstance(event, SystemFault)]
+        if faults:
+            break
+    if told:
+        (fault,) = faults
+        assert isinstance(fault, SystemFault)
+        assert fault.text == "left_foot: sensor lost: nothing has come from left_foot for a second"
+        assert fault.t_ns == 3000 * MS
+    else:
+        assert (faults, line.losses) == ([], 0)
+
+
+def test_a_sensor_that_is_still_away_after_the_line_was_opened_again_takes_the_other_away_no_more() -> None:
+    port = SharedLine()
+    line = SensorLine(port, SameClock, Lost, frozenset({"left_foot"}))
+    port.give(0, *port.sensors)
+    assert len(list(line.read(0))) == 2
+    assert len(list(line.tend(1000 * MS))) == 1
+    t_ns, end_s = 1000 * MS, time.monotonic() + 5
+    while line.port is None:
+        t_ns += 10 * MS
+        assert list(line.tend(t_ns)) == []
+        assert time.monotonic() < end_s
+    for _ in range(300):
+        t_ns += 10 * MS
+        port.give(t_ns, "right_foot")
+        assert len(list(line.read(t_ns))) == 1
+        assert list(line.tend(t_ns)) == []
+    assert line.losses == 1
 
 
 def test_the_time_that_nobody_listened_is_no_silence() -> None:
