@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock, SocketImu
 
+from fes.clocks import SensorClock
 from fes.live.inputs import Keyboard, StopFile
 from fes.live.orders import Ask, Order
 from fes.live.ports import Input
@@ -233,6 +234,42 @@ def test_one_of_two_sensors_on_a_line_that_falls_silent_is_a_fault_if_it_is_need
         assert fault.t_ns == 3000 * MS
     else:
         assert (faults, line.losses) == ([], 0)
+
+
+@pytest.mark.requirement("SR-09")
+@pytest.mark.parametrize(
+    ("stamp_ns", "within_ms"),
+    [
+        (lambda t_ns: t_ns - 600 * MS, 7_500),  # a link that stalled and goes on with a full buffer
+        (lambda t_ns: t_ns - 900 * MS, 7_500),
+        (lambda t_ns: t_ns + 7_200_000 * MS, 30),  # the computer was suspended: its clock stood still meanwhile
+        (lambda t_ns: t_ns - 20_000 * MS, 30),  # the sensor restarted
+        (lambda t_ns: t_ns + 500 * MS, 30),  # its clock was set
+    ],
+)
+@pytest.mark.parametrize("needed", [True, False])
+def test_late_data_never_turn_fresh_by_a_new_mapping(
+    stamp_ns: Callable[[int], int], within_ms: int, needed: bool
+) -> None:
+    port = SharedLine()
+    line = SensorLine(port, SensorClock, Lost, frozenset({"left_foot"} if needed else ()))
+    since_ns = 20_000 * MS
+    faults: list[SystemFault] = []
+    for t_ns in range(1000 * MS, 30_000 * MS, 10 * MS):
+        port.give(t_ns, "left_foot", stamp_ns=t_ns if t_ns <= since_ns else stamp_ns(t_ns))
+        port.give(t_ns, "right_foot")
+        events = [*line.read(t_ns), *line.tend(t_ns)]
+        faults += [event for event in events if isinstance(event, SystemFault)]
+        if faults:
+            assert not [each for each in events if isinstance(each, ImuSample)], "nor is what came with it"
+            break
+    if not needed:
+        assert (faults, line.losses) == ([], 0), "what drives no channel stops nobody's therapy"
+        return
+    (fault,) = faults
+    assert "left_foot: sensor lost: the clock of left_foot jumped, or all that it sends comes late" in fault.text
+    assert fault.t_ns - since_ns <= within_ms * MS
+    assert line.port is None
 
 
 def test_a_sensor_that_is_still_away_after_the_line_was_opened_again_takes_the_other_away_no_more() -> None:

@@ -77,7 +77,14 @@ class SensorLine:
         took_ns = 0 if clock_ns is None or not raw else max(clock_ns() - t_ns, 0)
         for sample in raw:
             self._newest_ns = self._newest_of[sample.sensor] = t_ns
-            t_sensor_ns = self._clocks[sample.sensor].map(sample.t_host_ns + took_ns, sample.t_device_ns)
+            clock = self._clocks[sample.sensor]
+            resets = clock.resets
+            t_sensor_ns = clock.map(sample.t_host_ns + took_ns, sample.t_device_ns)
+            if clock.resets != resets and sample.sensor in self.needed:
+                # set, restarted, or all of it late for seconds: the new mapping cannot tell which, and would call late
+                # samples fresh; on a line that is opened anew nothing is queued
+                yield from self._lose(t_ns, f"the clock of {sample.sensor} jumped, or all that it sends comes late")
+                return
             yield ImuSample(t_ns + took_ns, sample.sensor, t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
 
     def tend(self, t_ns: int) -> Iterator[Event]:
