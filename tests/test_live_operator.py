@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -19,7 +20,7 @@ from fes.controller import Controller
 from fes.estimation.calibration import FootCalibration
 from fes.gate import gate_of
 from fes.journal import Note
-from fes.live.inputs import Control, FootSwitchInput, StopSwitch
+from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.operator import Operator
@@ -29,6 +30,7 @@ from fes.live.status import FootStatus, Status
 from fes.live.switches import SwitchComparison
 from fes.live.watch import SensorWatch
 from fes.page.feed import PageFeed
+from fes.page.orders import PageOrders
 from fes.signals import Event, FootSwitchEvent, ImuSample, OperatorAct, OperatorAction, StimAlive, SystemFault, Vector3
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -204,12 +206,49 @@ def test_an_emergency_stop_latches_from_everywhere_and_arming_starts_from_nothin
     assert bench.operator.state is State.STOPPED
     assert bench.gate.latched == "emergency stop"
     assert not bench.gate.armed
-    bench.stand(0.2)
-    assert bench.order(Ask.PAUSE) == bench.order(Ask.UP) == bench.order(Ask.TEST) == []
+    bench.stand(0.4)
+    assert bench.order(Ask.PAUSE) == bench.order(Ask.UP) == bench.order(Ask.TEST) == bench.order(Ask.ARM) == []
     assert bench.operator.state is State.STOPPED
+    assert bench.operator.message == "cannot arm: stopped just now"
+    bench.stand(0.1)
     bench.order(Ask.ARM)
     assert bench.operator.state is State.ARMED
     assert bench.controller.intensity == 0.0
+
+
+@pytest.mark.requirement("SR-16")
+@pytest.mark.parametrize("before", ["shadow", "armed", "paused"])
+@pytest.mark.parametrize("typed", [b"a ", b" a", b"p ", b" p"])
+def test_an_arming_on_its_way_does_not_undo_a_stop(before: str, typed: bytes) -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    if before != "shadow":
+        bench.armed()
+    if before == "paused":
+        bench.order(Ask.PAUSE)
+    read_end, write_end = os.pipe()
+    os.write(write_end, typed)
+    for event in Keyboard(read_end, bench.operator.order).take(bench.t_ns):
+        bench.handle(event)
+    os.close(write_end)
+    assert (bench.operator.state, bench.gate.armed) == (State.STOPPED, False)
+    assert bench.gate.latched == "emergency stop"
+
+
+@pytest.mark.requirement("SR-16")
+def test_the_pages_confirmation_that_was_asked_for_before_a_stop_does_not_undo_it() -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    page = PageOrders(PageFeed(ours), bench.operator.order, lambda: bench.operator.state)
+    bench.order(Ask.STOP)
+    bench.stand(0.3)
+    theirs.send(b'{"ask":"arm","confirm":true}')
+    for event in page.take(bench.t_ns):
+        bench.handle(event)
+    assert (bench.operator.state, bench.gate.armed) == (State.STOPPED, False)
+    ours.close()
+    theirs.close()
 
 
 def test_a_fault_latches_and_only_a_person_ends_it() -> None:

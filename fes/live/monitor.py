@@ -207,6 +207,7 @@ class Monitor:
             stimulator=stimulator,
             dropped_frames=self.dropped_frames,
             tuning=tuning_status(controller.tuning),
+            stops=operator.stops,
             remarks=self._remarks.now() if self._remarks else [],
         )
         datagram = status.encode()

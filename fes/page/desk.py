@@ -73,6 +73,7 @@ class Desk:
         if not isinstance(said, dict):
             return _refuse("not understood")
         if said.get("ask") == Ask.STOP:  # before any look at who asks, or how often
+            self._confirmations.forget()
             return Outcome(stop=True, press=str(said.get("press", ""))[:NAME])
         if {"token", "secret"} & said.keys():
             return self._enter(str(said.get("token", "")), str(said.get("secret", "")))
@@ -138,7 +139,7 @@ class Desk:
 
 def _situation(status: Status) -> Situation:
     # a patient who stops or starts to walk while somebody reads the question has not changed what it asks
-    return Situation("current" if status.state in CURRENT else status.state, status.intensity)
+    return Situation("current" if status.state in CURRENT else status.state, status.intensity, status.stops)
 
 
 def _question(what: str, status: Status, step: float, most: float) -> str:
