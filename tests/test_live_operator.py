@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from live_parts import MS
 from replays import SETTINGS
@@ -29,6 +29,8 @@ from fes.live.states import State
 from fes.live.status import FootStatus, Status
 from fes.live.switches import SwitchComparison
 from fes.live.watch import SensorWatch
+from fes.page.access import Access
+from fes.page.desk import Desk
 from fes.page.feed import PageFeed
 from fes.page.orders import PageOrders
 from fes.signals import Event, FootSwitchEvent, ImuSample, OperatorAct, OperatorAction, StimAlive, SystemFault, Vector3
@@ -324,6 +326,54 @@ def test_no_message_is_more_than_an_order_or_a_refusal(message: bytes) -> None:
     except OrderRefused:
         return
     assert order.ask in Ask
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**400) | st.text() | st.sampled_from(list(Ask)),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+SAID = st.dictionaries(st.sampled_from(["ask", "value", "confirm", "token", "secret", "press"]), ANYTHING) | ANYTHING
+
+
+@given(SAID)
+@example({"ask": []})
+@example({"ask": {"a": 1}})
+@example({"ask": "belt", "value": 10**400})
+@example({"ask": "down", "value": -(10**400)})
+@example({"ask": "channel", "value": 1e300})
+def test_no_json_ends_the_session_by_whichever_way_it_comes(said: object) -> None:
+    message = json.dumps(said).encode()
+    try:
+        order = order_of_message(message)
+    except OrderRefused as refused:
+        assert str(refused)
+    else:
+        assert order.ask in Ask
+        assert abs(order.value) <= 1e9
+        bench = Bench()
+        bench.operator.order(order, 0)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        theirs.send(message)
+        PageOrders(PageFeed(ours), lambda order, t_ns: [], lambda: State.ARMED).take(0)
+    desk = Desk(Access("link", lambda: "secret"), {"mode": "live"}, lambda t_ns: (None, 0), lambda: "question")
+    for text in ('{"token":"link"}', message.decode()):
+        outcome = desk.take(text, 0)
+        assert outcome.reply or outcome.stop or outcome.order
+        json.dumps(outcome.reply)
+
+
+def test_the_control_socket_answers_what_is_no_order_and_goes_on(tmp_path: Path) -> None:
+    control = Control(tmp_path / "c.sock", lambda order, t_ns: [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)])
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.bind(str(tmp_path / "o.sock"))
+        other.settimeout(2)
+        for message in (b'{"ask":[]}', b'{"ask":"belt","value":1' + b"0" * 400 + b"}", b'{"ask":"stop"}'):
+            other.sendto(message, str(tmp_path / "c.sock"))
+        assert [type(event) for event in control.take(5)] == [OperatorAct]
+        assert [json.loads(other.recv(4096))["ok"] for _ in range(3)] == [False, False, True]
+    control.close()
 
 
 @pytest.mark.parametrize("ask", list(Ask))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -63,6 +62,7 @@ NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
 )
 CONTROL: Final = "control"  # the origin of what comes through the control socket
 LONGEST_ORDER: Final = 1024
+LARGEST_VALUE: Final = 1e9
 
 
 class OrderRefused(ValueError):
@@ -92,11 +92,11 @@ def order_of_message(message: bytes) -> Order:
         data = json.loads(message)
     except (ValueError, RecursionError) as error:
         raise OrderRefused(f"not JSON: {error}") from error
-    if not isinstance(data, dict) or data.get("ask") not in set(Ask):
+    if not isinstance(data, dict) or data.get("ask") not in list(Ask):
         raise OrderRefused(f'an order is {{"ask": …}} with one of {", ".join(Ask)}')
     ask, value = Ask(data["ask"]), data.get("value", 0.0)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise OrderRefused("value must be a finite number")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST_VALUE:
+        raise OrderRefused(f"value must be a number of at most {LARGEST_VALUE:.0e}")
     if ask in NEEDS_CONFIRMATION and data.get("confirm") is not True:
         raise OrderRefused(f'{ask} can lead to more current and needs "confirm": true')
     return Order(ask, float(value), CONTROL)
