@@ -20,7 +20,8 @@ from fes.controller import Controller
 from fes.estimation.calibration import FootCalibration
 from fes.gate import gate_of
 from fes.journal import Note
-from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
+from fes.live.inputs import Control, FootSwitchInput, StopSwitch
+from fes.live.keyboard import Keyboard
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.operator import Operator

@@ -11,7 +11,8 @@ import pytest
 from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock, SocketImu
 
 from fes.clocks import SensorClock
-from fes.live.inputs import Keyboard, StopFile
+from fes.live.inputs import StopFile
+from fes.live.keyboard import Keyboard
 from fes.live.orders import Ask, Order
 from fes.live.ports import Input
 from fes.live.sensors import SensorLine

@@ -1,18 +1,16 @@
-"""Everything else that can make something happen: keys, the control socket, the stop file, switches."""
+"""Everything else that can make something happen: the control socket, the stop file, switches; keys: ``keyboard``."""
 
 from __future__ import annotations
 
 import json
 import os
 import socket
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Final, Protocol
 
-from fes.live.orders import Ask, Order, OrderRefused, order_of_message, orders_of_keys
+from fes.live.orders import Ask, Order, OrderRefused, order_of_message
 from fes.signals import Event, FootSwitchEvent
 
 Carry = Callable[[Order, int], list[Event]]
@@ -21,58 +19,6 @@ Carry = Callable[[Order, int], list[Event]]
 MESSAGES_AT_ONCE: Final = 32
 SUBSCRIBERS: Final = 4
 SOCKET_MODE: Final = 0o600
-
-
-class Terminal:
-    """Puts a terminal into a mode in which keys come at once and unseen; Ctrl-C stays what it is."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._before: Any = None
-
-    def __enter__(self) -> Self:
-        if os.isatty(self._descriptor):
-            import termios
-            import tty
-
-            self._before = termios.tcgetattr(self._descriptor)
-            tty.setcbreak(self._descriptor, termios.TCSANOW)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._before is not None:
-            import termios
-
-            termios.tcsetattr(self._descriptor, termios.TCSANOW, self._before)
-
-
-class Keyboard:
-    """Keys from a terminal, or from whatever the descriptor is; its end is no order."""
-
-    def __init__(self, descriptor: int, carry: Carry) -> None:
-        self._descriptor: int | None = descriptor
-        self._carry = carry
-        os.set_blocking(descriptor, False)
-
-    def fileno(self) -> int | None:
-        """While it is open."""
-        return self._descriptor
-
-    def take(self, t_ns: int) -> list[Event]:
-        """The orders in what was typed."""
-        if self._descriptor is None:
-            return []
-        try:
-            typed = os.read(self._descriptor, 256)
-        except BlockingIOError:
-            return []
-        except OSError:
-            typed = b""
-        if not typed:
-            self._descriptor = None
-        return [event for order in orders_of_keys(typed) for event in self._carry(order, t_ns)]
 
 
 class Control:
@@ -226,15 +172,6 @@ class FootSwitchInput:
             return []
         self._pressed = pressed
         return [FootSwitchEvent(t_ns, self._foot, pressed)]
-
-
-def standard_keys() -> int | None:
-    """Standard input where it can bring keys: a terminal or a pipe, not an empty device."""
-    try:
-        descriptor = sys.stdin.fileno()
-    except (AttributeError, OSError, ValueError):
-        return None
-    return descriptor if os.isatty(descriptor) else None
 
 
 def _quoted(text: str) -> bytes:

@@ -13,7 +13,8 @@ from fes.driving import Calibration, driven_by, driving
 from fes.gate import gate_of
 from fes.journal import Note, Received
 from fes.live.electrodes import Electrodes
-from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopFile, StopSwitch, SwitchLine
+from fes.live.inputs import Control, FootSwitchInput, StopFile, StopSwitch, SwitchLine
+from fes.live.keyboard import Keyboard
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.operator import Operator
@@ -86,6 +87,7 @@ class LiveSession:
         self._duration_s = duration_s
         self._inputs: list[Input] = []
         self._control: Control | None = None
+        self._keyboard: Keyboard | None = None
         self._state = self.operator.state
         self._end_ns: int | None = None
         self._source: LiveSource | None = None
@@ -94,7 +96,8 @@ class LiveSession:
 
     def add_keys(self, descriptor: int) -> None:
         """Keys from a terminal or a pipe."""
-        self._inputs.append(Keyboard(descriptor, self.operator.order))
+        self._keyboard = Keyboard(descriptor, self.operator.order)
+        self._inputs.append(self._keyboard)
 
     def add_control(self, path: Path) -> None:
         """A control socket.
@@ -165,6 +168,8 @@ class LiveSession:
         finally:
             if self._control is not None:
                 self._control.close()
+            if self._keyboard is not None:
+                self._keyboard.close()
 
     def summary(self) -> dict[str, Any]:
         """For the end of the log."""
