@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable, Iterator
 
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from fes.live.keyboard import Keyboard
 from fes.live.orders import Ask, Order
@@ -137,3 +139,60 @@ def test_a_terminal_that_has_gone_is_the_end_of_the_keys() -> None:
     assert keys.fileno() is None
     keys.close()
     os.close(slave)
+
+
+SEQUENCES = {
+    "Shift+Down in rxvt": b"\x1b[b",
+    "Delete": b"\x1b[3~",
+    "Ctrl+Up": b"\x1b[1;5A",
+    "Ctrl+Up in rxvt": b"\x1bOa",
+    "Alt+a": b"\x1ba",
+    "keypad 0": b"\x1bOp",
+    "F5": b"\x1b[15~",
+    "F1 on a Linux console": b"\x1b[[A",
+    "F1 with eight-bit controls": b"\x8fP",
+    "Shift+Down with eight-bit controls": b"\x9bb",
+}
+AGAIN_MS = 200
+
+
+def typed_in_pieces(pieces: list[tuple[bytes, int]]) -> list[Ask]:
+    """What keys order that come over a pipe, each piece so many ms after the one before."""
+    read_end, write_end = os.pipe()
+    carried, t_ns = Carried(), 0
+    keys = Keyboard(read_end, carried)
+    for piece, pause_ms in pieces:
+        t_ns += pause_ms * 1_000_000
+        os.write(write_end, piece)
+        keys.take(t_ns)
+    os.close(write_end)
+    keys.close()
+    os.close(read_end)
+    return carried.asks
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+def test_a_key_that_is_no_letter_is_no_order_however_its_bytes_come(name: str) -> None:
+    sequence = SEQUENCES[name]
+    assert typed_in_pieces([(sequence, 0)]) == []
+    for cut in range(1, len(sequence)):
+        assert typed_in_pieces([(sequence[:cut], 0), (sequence[cut:], 30)]) == []
+        assert typed_in_pieces([(sequence[:cut], 0), (b" ", 1), (sequence[cut:], 30)]) == [Ask.STOP]
+    assert typed_in_pieces([(sequence, 0), (b"p", AGAIN_MS)]) == [Ask.PAUSE], "and then keys count again"
+
+
+@pytest.mark.requirement("SR-16")
+@given(st.binary(max_size=60), st.lists(st.integers(1, 59), max_size=4))
+@example(b"[b a", [1, 2])
+def test_behind_an_escape_nothing_is_an_order_but_a_stop_always(rest: bytes, cuts: list[int]) -> None:
+    typed = b"\x1b" + rest
+    edges = [0, *sorted(set(cuts)), len(typed)]
+    pieces = [typed[a:b] for a, b in zip(edges, edges[1:], strict=False) if typed[a:b]]
+    asked = typed_in_pieces([(piece, 40 * bool(number)) for number, piece in enumerate(pieces)])
+    assert set(asked) == ({Ask.STOP} if b" " in rest else set())
+
+
+@pytest.mark.requirement("SR-16")
+@given(st.binary(max_size=60), st.binary(max_size=60))
+def test_a_space_anywhere_is_a_stop_and_comes_first(before: bytes, after: bytes) -> None:
+    assert typed_in_pieces([(before + b" " + after, 0)])[0] is Ask.STOP

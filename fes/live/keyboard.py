@@ -8,11 +8,14 @@ import sys
 import threading
 from contextlib import suppress
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, Self
 
 from fes.live.inputs import Carry
-from fes.live.orders import orders_of_keys
+from fes.live.orders import ESCAPE, orders_of_keys
 from fes.signals import Event
+
+
+ESCAPE_NS: Final = 200_000_000  # a sequence's pieces lie closer together, two keys that a person means hardly
 
 
 class Terminal:
@@ -61,10 +64,14 @@ class Terminal:
 
 
 class Keyboard:
-    """Keys from a terminal, or from whatever the descriptor is; its end is no order."""
+    """Keys from a terminal, or from whatever the descriptor is; its end is no order.
+
+    An escape sequence may come in pieces: for 0.2 s after an escape only a stop counts.
+    """
 
     def __init__(self, descriptor: int, carry: Carry) -> None:
         self._carry = carry
+        self._escape_until_ns: int | None = None
         self._given = descriptor
         self._own = _opened_again(descriptor)
         self._was_blocking = os.get_blocking(descriptor)
@@ -88,6 +95,10 @@ class Keyboard:
             typed = b""
         if not typed:
             self._descriptor = None
+        if ESCAPE.search(typed):
+            self._escape_until_ns = t_ns + ESCAPE_NS
+        elif self._escape_until_ns is not None and t_ns < self._escape_until_ns:
+            typed = b"\x1b" + typed
         return [event for order in orders_of_keys(typed) for event in self._carry(order, t_ns)]
 
     def close(self) -> None:

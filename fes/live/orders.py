@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -57,6 +58,7 @@ KEYS: Final = {
     "y": Ask.ACCEPT_SUGGESTION,
     "r": Ask.ROLL_BACK,
 }
+ESCAPE: Final = re.compile(rb"[\x1b\x8f\x9b]")  # what an arrow, an F key, the keypad, Alt with a letter begins with
 NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
     (Ask.ARM, Ask.UP, Ask.TEST, Ask.TRIGGER, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK)
 )
@@ -70,9 +72,14 @@ class OrderRefused(ValueError):
 
 
 def orders_of_keys(typed: bytes) -> list[Order]:
-    """The orders in what was typed; a stop among them comes first. Keys that mean nothing are passed over."""
+    """The orders in what was typed; a stop among them comes first. Keys that mean nothing are passed over.
+
+    Behind an escape only a stop counts: what a terminal sends for a key that is no letter ends in letters that are orders.
+    """
     orders: list[Order] = []
-    for key in typed.decode("latin-1"):
+    escape = ESCAPE.search(typed)
+    end = escape.start() if escape else len(typed)
+    for key in typed[:end].decode("latin-1") + " " * (b" " in typed[end:]):
         if key.isdecimal() and key <= "7":
             orders.append(Order(Ask.CHANNEL, float(key)))
         elif key in KEYS:
