@@ -125,6 +125,63 @@ def test_a_writer_that_hangs_is_noticed_and_nobody_waits_for_it(log: PipedLog) -
     os.kill(log.process.pid, signal.SIGKILL)
 
 
+SITE = """
+import os, time
+real = os.fsync
+def fsync(file):
+    {}
+os.fsync = fsync
+"""
+
+
+def log_on_a_disk_whose_sync(does: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> PipedLog:
+    (folder / "sitecustomize.py").write_text(SITE.format(does))
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    return PipedLog(folder / "session.feslog", {"kind": "live"})
+
+
+def test_a_disk_that_syncs_slowly_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a card or a stick does: what the operating system has is written, however long the disk takes."""
+    log = log_on_a_disk_whose_sync("time.sleep(0.7); real(file)", tmp_path, monkeypatch)
+    begin_s, number = time.monotonic(), 0
+    while time.monotonic() - begin_s < 2.5:
+        log.event(sample(number))
+        log.flush_due(time.monotonic_ns())
+        number += 1
+        time.sleep(0.002)
+    log.close({"ended": "complete"})
+    assert log.warning == ""
+    assert read_session(log.path).complete
+    assert len(list(iter_events(log.path))) == number
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_disk_that_refuses_to_sync_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = log_on_a_disk_whose_sync("raise OSError(5, 'worn out')", tmp_path, monkeypatch)
+    said, after_s = wait_for_failure(log)
+    assert "cannot be written any more" in said
+    assert "Input/output error" in said
+    assert after_s < 3.0, "at the first sync, a second after the start"
+    with pytest.raises(SessionLogError):
+        log.close({})
+
+
+def test_a_sync_that_does_not_come_back_is_told_of_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = log_on_a_disk_whose_sync("time.sleep(100)", tmp_path, monkeypatch)
+    begin_s, warned = time.monotonic(), []
+    while time.monotonic() - begin_s < 5.0:
+        log.event(Tick(time.monotonic_ns()))
+        log.flush_due(time.monotonic_ns())
+        if log.warning:
+            warned.append(log.warning)
+            log.warning = ""
+        time.sleep(0.01)
+    (said,) = warned
+    assert "the disk has not finished for 3 s" in said
+    os.kill(log.process.pid, signal.SIGKILL)
+    log.process.wait(5)
+
+
 @pytest.mark.requirement("SR-18")
 def test_a_full_disk_is_noticed_within_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """/dev/full takes no byte: the process that writes says so, the loop hears it."""

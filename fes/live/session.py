@@ -197,6 +197,9 @@ class LiveSession:
             self.monitor.note(Note(event.t_ns, "warning", "session", event.text))
         now_ns = self._clock_ns()
         self._log.flush_due(now_ns)
+        if self._log.warning:
+            self.monitor.note(Note(event.t_ns, "warning", "log", self._log.warning))
+            self.operator.message, self._log.warning = self._log.warning, ""
         self.monitor.tell(now_ns, self.operator, self.controller, self.gate, self.stimulator.state)
         if self.operator.state is not self._state:
             self._state = self.operator.state
