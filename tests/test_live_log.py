@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from fes.journal import SessionLogError, iter_events, read_session
+from fes.journal import Note, SessionLogError, iter_events, read_session
 from fes.live.log_pipe import LATE_NS, PipedLog
+from fes.live.monitor import Monitor
 from fes.signals import FootSwitchEvent, ImuSample, StimOpened, SystemFault, Tick
 
 MS = 1_000_000
@@ -77,6 +78,13 @@ def test_a_controller_that_is_gone_with_answers_unread_costs_nothing(log: PipedL
     assert log.process.wait(10) == 0
     assert len(list(iter_events(log.path))) == 2000
     log._fault = "closed by the test"
+
+
+def test_a_note_with_what_is_no_unicode_is_logged_all_the_same(log: PipedLog) -> None:
+    Monitor(log, {}, {}, None).note(Note(5, "warning", "session", f"no {os.fsdecode(bytes([0xF6]))} größer"))
+    log.close({"ended": "complete"})
+    (note,) = read_session(log.path).notes
+    assert note.text == "no \\udcf6 größer"
 
 
 @pytest.mark.requirement("SR-18")

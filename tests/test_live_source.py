@@ -336,6 +336,46 @@ def test_a_stop_file_stops_once_and_forbids_arming_while_it_is_there(tmp_path: P
     assert file.doubt() == ""
 
 
+def remove_folder(path: Path) -> None:
+    path.parent.rmdir()
+
+
+@pytest.mark.requirement("SR-16")
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (remove_folder, "cannot appear: its folder is not there"),
+        (lambda path: (remove_folder(path), path.parent.touch()), "cannot be looked for: Not a directory"),
+        (lambda path: path.symlink_to(path.parent / "nowhere"), "remove it"),
+        (lambda path: path.symlink_to(path), "remove it"),
+        (lambda path: path.mkdir(), "remove it"),
+    ],
+)
+@pytest.mark.parametrize("from_the_start", [True, False])
+def test_a_stop_file_that_cannot_appear_or_leads_nowhere_stops(
+    tmp_path: Path, spoil: Callable[[Path], object], says: str, from_the_start: bool
+) -> None:
+    path = tmp_path / "folder" / "stop"
+    path.parent.mkdir()
+    file = StopFile(path, stop)
+    if not from_the_start:
+        assert (file.take(0), file.doubt()) == ([], "")
+    spoil(path)
+    assert [type(event) for event in file.take(1)] == [OperatorAct]
+    assert says in file.doubt()
+    assert file.take(2) == []
+
+
+def test_a_stop_file_whose_name_is_no_unicode_stops_and_can_be_told_of(tmp_path: Path) -> None:
+    origins: list[str] = []
+    file = StopFile(tmp_path / os.fsdecode(b"st\xf6p"), lambda order, t_ns: origins.append(order.origin) or [])
+    file.path.touch()
+    file.take(0)
+    assert origins == ["file st\\udcf6p"]
+    assert file.doubt().isprintable()
+    file.doubt().encode()
+
+
 # --- the stimulator ----------------------------------------------------------------------------------------
 
 

@@ -90,12 +90,17 @@ class Control:
 
 
 class StopFile:
-    """A file whose appearance is an emergency stop; while it is there, arming is refused."""
+    """A file whose appearance is an emergency stop; while it is there, arming is refused.
+
+    So is it where it could not appear or be seen: its folder is missing, is none, or may not be looked into.
+    """
 
     def __init__(self, path: Path, carry: Carry) -> None:
         self.path = path
         self._carry = carry
         self._doubt = ""
+        self._shown, self._name = printable(str(path)), printable(path.name)
+        self._folder = path.parent
 
     def fileno(self) -> int | None:
         """None: a file on any file system is looked for, not waited for."""
@@ -104,7 +109,7 @@ class StopFile:
     def take(self, t_ns: int) -> list[Event]:
         """A stop when the file has appeared, or can no longer be looked for."""
         was, self._doubt = self._doubt, self._look()
-        return self._carry(Order(Ask.STOP, origin=f"file {self.path.name}"), t_ns) if self._doubt and not was else []
+        return self._carry(Order(Ask.STOP, origin=f"file {self._name}"), t_ns) if self._doubt and not was else []
 
     def doubt(self) -> str:
         """Why it forbids arming; "" when it does not."""
@@ -112,9 +117,13 @@ class StopFile:
 
     def _look(self) -> str:
         try:
-            return f"the stop file {self.path} is there; remove it" if self.path.exists() else ""
-        except OSError as error:
-            return f"the stop file {self.path} cannot be looked for: {error.strerror}"
+            os.lstat(self.path)  # a link that leads nowhere is there too
+        except FileNotFoundError:
+            there = os.path.isdir(self._folder)
+            return "" if there else f"the stop file {self._shown} cannot appear: its folder is not there; make it"
+        except (OSError, ValueError) as error:
+            return f"the stop file {self._shown} cannot be looked for: {getattr(error, 'strerror', None) or error}"
+        return f"the stop file {self._shown} is there; remove it"
 
 
 class SwitchLine(Protocol):
@@ -172,6 +181,11 @@ class FootSwitchInput:
             return []
         self._pressed = pressed
         return [FootSwitchEvent(t_ns, self._foot, pressed)]
+
+
+def printable(text: str) -> str:
+    """The same, with escapes for what is no Unicode: a file's name may be any bytes, a log's text may not."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def _quoted(text: str) -> bytes:
