@@ -19,9 +19,7 @@ def standing_then_walking(stand_s: float) -> tuple[Calibrating, Iterator[ImuSamp
     """A calibration of one foot, and its samples: the first half second again and again, then the walk."""
     recording = trial("negard_patient2")
     ((foot, track),) = recording.tracks.items()
-    device = ImuDevice(
-        sensor=foot, device="xbus", port="x", rate_hz=track.rate_hz, acc_range_g=16, gyr_range_dps=2000
-    )
+    device = ImuDevice(sensor=foot, device="xbus", port="x", rate_hz=track.rate_hz, acc_range_g=16, gyr_range_dps=2000)
     settings = load_session(SETTINGS).model_copy(update={"sensors": (device,)})
     step_ns, half = round(NS_PER_S / track.rate_hz), int(track.rate_hz / 2)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import pty
 import select
@@ -187,7 +188,7 @@ def test_a_key_that_is_no_letter_is_no_order_however_its_bytes_come(name: str) -
 def test_behind_an_escape_nothing_is_an_order_but_a_stop_always(rest: bytes, cuts: list[int]) -> None:
     typed = b"\x1b" + rest
     edges = [0, *sorted(set(cuts)), len(typed)]
-    pieces = [typed[a:b] for a, b in zip(edges, edges[1:], strict=False) if typed[a:b]]
+    pieces = [typed[a:b] for a, b in itertools.pairwise(edges) if typed[a:b]]
     asked = typed_in_pieces([(piece, 40 * bool(number)) for number, piece in enumerate(pieces)])
     assert set(asked) == ({Ask.STOP} if b" " in rest else set())
 

@@ -7,6 +7,7 @@ import os
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -346,11 +347,8 @@ SAID = st.dictionaries(st.sampled_from(["ask", "value", "confirm", "token", "sec
 @example({"ask": "channel", "value": 1e300})
 def test_no_json_ends_the_session_by_whichever_way_it_comes(said: object) -> None:
     message = json.dumps(said).encode()
-    try:
+    with suppress(OrderRefused):
         order = order_of_message(message)
-    except OrderRefused as refused:
-        assert str(refused)
-    else:
         assert order.ask in Ask
         assert abs(order.value) <= 1e9
         bench = Bench()

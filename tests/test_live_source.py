@@ -303,10 +303,16 @@ def test_the_time_that_nobody_listened_is_no_silence() -> None:
     assert bench.line.port is bench.imu
 
 
-def test_the_end_of_the_keys_is_no_order_and_costs_no_time() -> None:
+def test_the_end_of_the_keys_is_told_once_and_costs_no_time() -> None:
     bench = Bench()
     read_end, write_end = os.pipe()
-    keys = Keyboard(read_end, stop)
+    told_ns: list[int] = []
+
+    def gone(t_ns: int) -> list[Event]:
+        told_ns.append(t_ns)
+        return []
+
+    keys = Keyboard(read_end, stop, gone)
     bench.inputs = [keys]
     os.close(write_end)
     source = iter(bench.source())
@@ -314,6 +320,7 @@ def test_the_end_of_the_keys_is_no_order_and_costs_no_time() -> None:
     assert all(isinstance(tick, Tick) for tick in ticks)
     assert ticks[-1].t_ns - ticks[0].t_ns >= 90 * MS
     assert keys.fileno() is None
+    assert len(told_ns) == 1
 
 
 @pytest.mark.requirement("SR-16")

@@ -117,10 +117,11 @@ class StopFile:
 
     def _look(self) -> str:
         try:
-            os.lstat(self.path)  # a link that leads nowhere is there too
-        except FileNotFoundError:
-            there = os.path.isdir(self._folder)
-            return "" if there else f"the stop file {self._shown} cannot appear: its folder is not there; make it"
+            try:
+                self.path.lstat()  # a link that leads nowhere is there too
+            except FileNotFoundError:
+                there = self._folder.is_dir()
+                return "" if there else f"the stop file {self._shown} cannot appear: its folder is not there; make it"
         except (OSError, ValueError) as error:
             return f"the stop file {self._shown} cannot be looked for: {getattr(error, 'strerror', None) or error}"
         return f"the stop file {self._shown} is there; remove it"

@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self
@@ -13,7 +14,6 @@ from typing import Any, Final, Self
 from fes.live.inputs import Carry
 from fes.live.orders import ESCAPE, orders_of_keys
 from fes.signals import Event
-
 
 ESCAPE_NS: Final = 200_000_000  # a sequence's pieces lie closer together, two keys that a person means hardly
 
@@ -64,13 +64,17 @@ class Terminal:
 
 
 class Keyboard:
-    """Keys from a terminal, or from whatever the descriptor is; its end is no order.
+    """Keys from a terminal, or from whatever the descriptor is.
+
+    Args:
+        gone: told, once, that they have ended: the stop key with them; its events are what that makes happen.
 
     An escape sequence may come in pieces: for 0.2 s after an escape only a stop counts.
     """
 
-    def __init__(self, descriptor: int, carry: Carry) -> None:
+    def __init__(self, descriptor: int, carry: Carry, gone: Callable[[int], list[Event]] = lambda t_ns: []) -> None:
         self._carry = carry
+        self._gone = gone
         self._escape_until_ns: int | None = None
         self._given = descriptor
         self._own = _opened_again(descriptor)
@@ -95,6 +99,7 @@ class Keyboard:
             typed = b""
         if not typed:
             self._descriptor = None
+            return self._gone(t_ns)
         if ESCAPE.search(typed):
             self._escape_until_ns = t_ns + ESCAPE_NS
         elif self._escape_until_ns is not None and t_ns < self._escape_until_ns:

@@ -143,8 +143,8 @@ class PipedLog(RecordBuffer):
                 raise OSError(int(number), os.strerror(int(number)))
             if word == b"slow":
                 self.warning = (
-                    f"{self.path}: the disk has not finished for {int(number)} s; the operating system has all that was "
-                    "logged, a loss of power would lose what came since"
+                    f"{self.path}: the disk has not finished for {int(number)} s; the operating system has all that "
+                    "was logged, a loss of power would lose what came since"
                 )
                 continue
             self._written = int(number)

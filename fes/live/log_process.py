@@ -4,9 +4,9 @@ A disk that is slow, full or gone holds up this process and nobody else. It writ
 ``ok BYTES`` for what the operating system has, ``error NUMBER`` when that refuses, and ends when the other end does:
 what a killed controller had sent is then in the file.
 
-Every second a thread asks the disk itself for all of it. That may take long (a card, a stick, a busy disk) and holds up no
-answer, for nothing depends on it but what a loss of power leaves: ``slow SECONDS`` is said once when it takes very long. A
-disk that refuses it is one that refuses to be written.
+Every second a thread asks the disk itself for all of it. That may take long (a card, a stick, a busy disk) and holds up
+no answer, for nothing depends on it but what a loss of power leaves: ``slow SECONDS`` is said once when it takes very
+long. A disk that refuses it is one that refuses to be written.
 """
 
 from __future__ import annotations

@@ -25,6 +25,7 @@ STOP_STANDS_NS: Final = NS_PER_S // 2  # an arming that was on its way when some
 BELT_STEP_MPS: Final = 0.1
 BELT_MOST_MPS: Final = 5.0
 TEST_REST_NS: Final = NS_PER_S // 2
+NO_STOP: Final = "the keyboard is gone, and there is no other stop"
 WARM_NS: Final = 2 * NS_PER_S  # the orientation filter's own settling
 ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 ms
 
@@ -140,6 +141,15 @@ class Operator:
         if answered_ns is None or t_ns - answered_ns > ANSWER_NS:
             doubts.append("the stimulator does not answer")
         return [doubt for doubt in (*doubts, *self._checks()) if doubt]
+
+    def keys_gone(self, t_ns: int, others: list[str]) -> list[Event]:
+        """The stop key is not there any more; ``others``: what else stops. A stop, where nothing does."""
+        if not others:
+            return self._stop(Order(Ask.STOP, origin=NO_STOP), t_ns)
+        *first, last = others
+        which = f"{', '.join(first)} or {last}" if first else last
+        self._say(t_ns, "warning", f"the keyboard is gone; stop by {which}")
+        return []
 
     # --- orders ------------------------------------------------------------------------------------------
 

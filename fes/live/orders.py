@@ -74,7 +74,8 @@ class OrderRefused(ValueError):
 def orders_of_keys(typed: bytes) -> list[Order]:
     """The orders in what was typed; a stop among them comes first. Keys that mean nothing are passed over.
 
-    Behind an escape only a stop counts: what a terminal sends for a key that is no letter ends in letters that are orders.
+    Behind an escape only a stop counts: what a terminal sends for a key that is no letter ends in letters that are
+    orders.
     """
     orders: list[Order] = []
     escape = ESCAPE.search(typed)
