@@ -99,6 +99,8 @@ class TwoFeet:
 class SameClock:
     """The sensors run on the host's clock."""
 
+    resets = 0
+
     def map(self, t_host_ns: int, t_device_ns: int) -> int:
         return t_host_ns
 
@@ -143,7 +145,7 @@ class Stimulator:
 class CountedLog(RecordBuffer):
     """Encodes as the session's log does; where that hands its bytes to a process, they are counted and forgotten."""
 
-    healthy = ""
+    healthy = warning = ""
     bytes = 0
 
     def _deliver(self, encoded: bytearray) -> None:

@@ -84,6 +84,8 @@ class SocketImu:
 class SameClock:
     """The device runs on the host's clock."""
 
+    resets = 0
+
     def map(self, t_host_ns: int, t_device_ns: int) -> int:
         return t_device_ns
 

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from fes.journal import SessionLogError, iter_events, read_session
+from fes.journal import Note, SessionLogError, iter_events, read_session
 from fes.live.log_pipe import LATE_NS, PipedLog
+from fes.live.monitor import Monitor
 from fes.signals import FootSwitchEvent, ImuSample, StimOpened, SystemFault, Tick
 
 MS = 1_000_000
@@ -79,6 +80,13 @@ def test_a_controller_that_is_gone_with_answers_unread_costs_nothing(log: PipedL
     log._fault = "closed by the test"
 
 
+def test_a_note_with_what_is_no_unicode_is_logged_all_the_same(log: PipedLog) -> None:
+    Monitor(log, {}, {}, None).note(Note(5, "warning", "session", f"no {os.fsdecode(bytes([0xF6]))} größer"))
+    log.close({"ended": "complete"})
+    (note,) = read_session(log.path).notes
+    assert note.text == "no \\udcf6 größer"
+
+
 @pytest.mark.requirement("SR-18")
 def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "session.feslog"
@@ -123,6 +131,63 @@ def test_a_writer_that_hangs_is_noticed_and_nobody_waits_for_it(log: PipedLog) -
     assert LATE_NS * 1e-9 < time.monotonic() - begin_s < 1.0
     assert longest_s < 0.1
     os.kill(log.process.pid, signal.SIGKILL)
+
+
+SITE = """
+import os, time
+real = os.fsync
+def fsync(file):
+    {}
+os.fsync = fsync
+"""
+
+
+def log_on_a_disk_whose_sync(does: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> PipedLog:
+    (folder / "sitecustomize.py").write_text(SITE.format(does))
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    return PipedLog(folder / "session.feslog", {"kind": "live"})
+
+
+def test_a_disk_that_syncs_slowly_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a card or a stick does: what the operating system has is written, however long the disk takes."""
+    log = log_on_a_disk_whose_sync("time.sleep(0.7); real(file)", tmp_path, monkeypatch)
+    begin_s, number = time.monotonic(), 0
+    while time.monotonic() - begin_s < 2.5:
+        log.event(sample(number))
+        log.flush_due(time.monotonic_ns())
+        number += 1
+        time.sleep(0.002)
+    log.close({"ended": "complete"})
+    assert log.warning == ""
+    assert read_session(log.path).complete
+    assert len(list(iter_events(log.path))) == number
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_disk_that_refuses_to_sync_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = log_on_a_disk_whose_sync("raise OSError(5, 'worn out')", tmp_path, monkeypatch)
+    said, after_s = wait_for_failure(log)
+    assert "cannot be written any more" in said
+    assert "Input/output error" in said
+    assert after_s < 3.0, "at the first sync, a second after the start"
+    with pytest.raises(SessionLogError):
+        log.close({})
+
+
+def test_a_sync_that_does_not_come_back_is_told_of_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = log_on_a_disk_whose_sync("time.sleep(100)", tmp_path, monkeypatch)
+    begin_s, warned = time.monotonic(), []
+    while time.monotonic() - begin_s < 5.0:
+        log.event(Tick(time.monotonic_ns()))
+        log.flush_due(time.monotonic_ns())
+        if log.warning:
+            warned.append(log.warning)
+            log.warning = ""
+        time.sleep(0.01)
+    (said,) = warned
+    assert "the disk has not finished for 3 s" in said
+    os.kill(log.process.pid, signal.SIGKILL)
+    log.process.wait(5)
 
 
 @pytest.mark.requirement("SR-18")

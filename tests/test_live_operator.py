@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from live_parts import MS
 from replays import SETTINGS
@@ -20,6 +22,7 @@ from fes.estimation.calibration import FootCalibration
 from fes.gate import gate_of
 from fes.journal import Note
 from fes.live.inputs import Control, FootSwitchInput, StopSwitch
+from fes.live.keyboard import Keyboard
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.operator import Operator
@@ -28,7 +31,10 @@ from fes.live.states import State
 from fes.live.status import FootStatus, Status
 from fes.live.switches import SwitchComparison
 from fes.live.watch import SensorWatch
+from fes.page.access import Access
+from fes.page.desk import Desk
 from fes.page.feed import PageFeed
+from fes.page.orders import PageOrders
 from fes.signals import Event, FootSwitchEvent, ImuSample, OperatorAct, OperatorAction, StimAlive, SystemFault, Vector3
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -204,12 +210,49 @@ def test_an_emergency_stop_latches_from_everywhere_and_arming_starts_from_nothin
     assert bench.operator.state is State.STOPPED
     assert bench.gate.latched == "emergency stop"
     assert not bench.gate.armed
-    bench.stand(0.2)
-    assert bench.order(Ask.PAUSE) == bench.order(Ask.UP) == bench.order(Ask.TEST) == []
+    bench.stand(0.4)
+    assert bench.order(Ask.PAUSE) == bench.order(Ask.UP) == bench.order(Ask.TEST) == bench.order(Ask.ARM) == []
     assert bench.operator.state is State.STOPPED
+    assert bench.operator.message == "cannot arm: stopped just now"
+    bench.stand(0.1)
     bench.order(Ask.ARM)
     assert bench.operator.state is State.ARMED
     assert bench.controller.intensity == 0.0
+
+
+@pytest.mark.requirement("SR-16")
+@pytest.mark.parametrize("before", ["shadow", "armed", "paused"])
+@pytest.mark.parametrize("typed", [b"a ", b" a", b"p ", b" p"])
+def test_an_arming_on_its_way_does_not_undo_a_stop(before: str, typed: bytes) -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    if before != "shadow":
+        bench.armed()
+    if before == "paused":
+        bench.order(Ask.PAUSE)
+    read_end, write_end = os.pipe()
+    os.write(write_end, typed)
+    for event in Keyboard(read_end, bench.operator.order).take(bench.t_ns):
+        bench.handle(event)
+    os.close(write_end)
+    assert (bench.operator.state, bench.gate.armed) == (State.STOPPED, False)
+    assert bench.gate.latched == "emergency stop"
+
+
+@pytest.mark.requirement("SR-16")
+def test_the_pages_confirmation_that_was_asked_for_before_a_stop_does_not_undo_it() -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    page = PageOrders(PageFeed(ours), bench.operator.order, lambda: bench.operator.state)
+    bench.order(Ask.STOP)
+    bench.stand(0.3)
+    theirs.send(b'{"ask":"arm","confirm":true}')
+    for event in page.take(bench.t_ns):
+        bench.handle(event)
+    assert (bench.operator.state, bench.gate.armed) == (State.STOPPED, False)
+    ours.close()
+    theirs.close()
 
 
 def test_a_fault_latches_and_only_a_person_ends_it() -> None:
@@ -272,9 +315,10 @@ def test_the_belt_is_a_setting_within_bounds() -> None:
 
 
 def test_a_stop_among_keys_comes_first_and_unknown_keys_are_nothing() -> None:
+    asks = [order.ask for order in orders_of_keys(b"+9zt  ")]
+    assert asks == [Ask.STOP, Ask.STOP, Ask.UP, Ask.TRIGGER]
     asks = [order.ask for order in orders_of_keys(b"+\x1b[A9zt ")]
-    assert asks[0] is Ask.STOP
-    assert sorted(asks) == sorted([Ask.STOP, Ask.UP, Ask.TRIGGER])
+    assert asks == [Ask.STOP, Ask.UP], "behind an escape only a stop counts"
     assert orders_of_keys(b"3") == [Order(Ask.CHANNEL, 3.0)]
 
 
@@ -285,6 +329,51 @@ def test_no_message_is_more_than_an_order_or_a_refusal(message: bytes) -> None:
     except OrderRefused:
         return
     assert order.ask in Ask
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**400) | st.text() | st.sampled_from(list(Ask)),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+SAID = st.dictionaries(st.sampled_from(["ask", "value", "confirm", "token", "secret", "press"]), ANYTHING) | ANYTHING
+
+
+@given(SAID)
+@example({"ask": []})
+@example({"ask": {"a": 1}})
+@example({"ask": "belt", "value": 10**400})
+@example({"ask": "down", "value": -(10**400)})
+@example({"ask": "channel", "value": 1e300})
+def test_no_json_ends_the_session_by_whichever_way_it_comes(said: object) -> None:
+    message = json.dumps(said).encode()
+    with suppress(OrderRefused):
+        order = order_of_message(message)
+        assert order.ask in Ask
+        assert abs(order.value) <= 1e9
+        bench = Bench()
+        bench.operator.order(order, 0)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        theirs.send(message)
+        PageOrders(PageFeed(ours), lambda order, t_ns: [], lambda: State.ARMED).take(0)
+    desk = Desk(Access("link", lambda: "secret"), {"mode": "live"}, lambda t_ns: (None, 0), lambda: "question")
+    for text in ('{"token":"link"}', message.decode()):
+        outcome = desk.take(text, 0)
+        assert outcome.reply or outcome.stop or outcome.order
+        json.dumps(outcome.reply)
+
+
+def test_the_control_socket_answers_what_is_no_order_and_goes_on(tmp_path: Path) -> None:
+    control = Control(tmp_path / "c.sock", lambda order, t_ns: [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)])
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.bind(str(tmp_path / "o.sock"))
+        other.settimeout(2)
+        for message in (b'{"ask":[]}', b'{"ask":"belt","value":1' + b"0" * 400 + b"}", b'{"ask":"stop"}'):
+            other.sendto(message, str(tmp_path / "c.sock"))
+        assert [type(event) for event in control.take(5)] == [OperatorAct]
+        assert [json.loads(other.recv(4096))["ok"] for _ in range(3)] == [False, False, True]
+    control.close()
 
 
 @pytest.mark.parametrize("ask", list(Ask))

@@ -8,9 +8,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from live_parts import MS, FakeStimulator, Lost, SameClock, SetClock, SocketImu
+from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock, SocketImu
 
-from fes.live.inputs import Keyboard, StopFile
+from fes.clocks import SensorClock
+from fes.live.inputs import StopFile
+from fes.live.keyboard import Keyboard
 from fes.live.orders import Ask, Order
 from fes.live.ports import Input
 from fes.live.sensors import SensorLine
@@ -189,6 +191,107 @@ def test_a_line_that_falls_silent_is_opened_again() -> None:
     assert bench.line.port is None
 
 
+class SharedLine:
+    """Two feet on one line; ``given`` comes with the next reading."""
+
+    sensors = ("left_foot", "right_foot")
+
+    def __init__(self) -> None:
+        self.given: list[Raw] = []
+
+    def give(self, t_ns: int, *sensors: str, stamp_ns: int | None = None) -> None:
+        stamp_ns = t_ns if stamp_ns is None else stamp_ns
+        self.given += [Raw(sensor, t_ns, stamp_ns, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0)) for sensor in sensors]
+
+    def fileno(self) -> int | None:
+        return None
+
+    def read(self, t_ns: int) -> list[Raw]:
+        found, self.given = self.given, []
+        return found
+
+    def reopen(self) -> None:
+        """At once."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+@pytest.mark.requirement("SR-09")
+@pytest.mark.parametrize(("needed", "told"), [("left_foot", True), ("right_foot", False)])
+def test_one_of_two_sensors_on_a_line_that_falls_silent_is_a_fault_if_it_is_needed(needed: str, told: bool) -> None:
+    port = SharedLine()
+    line = SensorLine(port, SameClock, Lost, frozenset({needed}))
+    faults: list[Event] = []
+    for t_ns in range(1000 * MS, 5000 * MS, 10 * MS):
+        port.give(t_ns, *(port.sensors if t_ns <= 2000 * MS else ("right_foot",)))
+        faults += [event for event in (*line.read(t_ns), *line.tend(t_ns)) if isinstance(event, SystemFault)]
+        if faults:
+            break
+    if told:
+        (fault,) = faults
+        assert isinstance(fault, SystemFault)
+        assert fault.text == "left_foot: sensor lost: nothing has come from left_foot for a second"
+        assert fault.t_ns == 3000 * MS
+    else:
+        assert (faults, line.losses) == ([], 0)
+
+
+@pytest.mark.requirement("SR-09")
+@pytest.mark.parametrize(
+    ("stamp_ns", "within_ms"),
+    [
+        (lambda t_ns: t_ns - 600 * MS, 7_500),  # a link that stalled and goes on with a full buffer
+        (lambda t_ns: t_ns - 900 * MS, 7_500),
+        (lambda t_ns: t_ns + 7_200_000 * MS, 30),  # the computer was suspended: its clock stood still meanwhile
+        (lambda t_ns: t_ns - 20_000 * MS, 30),  # the sensor restarted
+        (lambda t_ns: t_ns + 500 * MS, 30),  # its clock was set
+    ],
+)
+@pytest.mark.parametrize("needed", [True, False])
+def test_late_data_never_turn_fresh_by_a_new_mapping(
+    stamp_ns: Callable[[int], int], within_ms: int, needed: bool
+) -> None:
+    port = SharedLine()
+    line = SensorLine(port, SensorClock, Lost, frozenset({"left_foot"} if needed else ()))
+    since_ns = 20_000 * MS
+    faults: list[SystemFault] = []
+    for t_ns in range(1000 * MS, 30_000 * MS, 10 * MS):
+        port.give(t_ns, "left_foot", stamp_ns=t_ns if t_ns <= since_ns else stamp_ns(t_ns))
+        port.give(t_ns, "right_foot")
+        events = [*line.read(t_ns), *line.tend(t_ns)]
+        faults += [event for event in events if isinstance(event, SystemFault)]
+        if faults:
+            assert not [each for each in events if isinstance(each, ImuSample)], "nor is what came with it"
+            break
+    if not needed:
+        assert (faults, line.losses) == ([], 0), "what drives no channel stops nobody's therapy"
+        return
+    (fault,) = faults
+    assert "left_foot: sensor lost: the clock of left_foot jumped, or all that it sends comes late" in fault.text
+    assert fault.t_ns - since_ns <= within_ms * MS
+    assert line.port is None
+
+
+def test_a_sensor_that_is_still_away_after_the_line_was_opened_again_takes_the_other_away_no_more() -> None:
+    port = SharedLine()
+    line = SensorLine(port, SameClock, Lost, frozenset({"left_foot"}))
+    port.give(0, *port.sensors)
+    assert len(list(line.read(0))) == 2
+    assert len(list(line.tend(1000 * MS))) == 1
+    t_ns, end_s = 1000 * MS, time.monotonic() + 5
+    while line.port is None:
+        t_ns += 10 * MS
+        assert list(line.tend(t_ns)) == []
+        assert time.monotonic() < end_s
+    for _ in range(300):
+        t_ns += 10 * MS
+        port.give(t_ns, "right_foot")
+        assert len(list(line.read(t_ns))) == 1
+        assert list(line.tend(t_ns)) == []
+    assert line.losses == 1
+
+
 def test_the_time_that_nobody_listened_is_no_silence() -> None:
     bench = Bench()
     bench.imu.give(1)
@@ -200,10 +303,16 @@ def test_the_time_that_nobody_listened_is_no_silence() -> None:
     assert bench.line.port is bench.imu
 
 
-def test_the_end_of_the_keys_is_no_order_and_costs_no_time() -> None:
+def test_the_end_of_the_keys_is_told_once_and_costs_no_time() -> None:
     bench = Bench()
     read_end, write_end = os.pipe()
-    keys = Keyboard(read_end, stop)
+    told_ns: list[int] = []
+
+    def gone(t_ns: int) -> list[Event]:
+        told_ns.append(t_ns)
+        return []
+
+    keys = Keyboard(read_end, stop, gone)
     bench.inputs = [keys]
     os.close(write_end)
     source = iter(bench.source())
@@ -211,6 +320,7 @@ def test_the_end_of_the_keys_is_no_order_and_costs_no_time() -> None:
     assert all(isinstance(tick, Tick) for tick in ticks)
     assert ticks[-1].t_ns - ticks[0].t_ns >= 90 * MS
     assert keys.fileno() is None
+    assert len(told_ns) == 1
 
 
 @pytest.mark.requirement("SR-16")
@@ -231,6 +341,46 @@ def test_a_stop_file_stops_once_and_forbids_arming_while_it_is_there(tmp_path: P
     next(source)
     next(source)
     assert file.doubt() == ""
+
+
+def remove_folder(path: Path) -> None:
+    path.parent.rmdir()
+
+
+@pytest.mark.requirement("SR-16")
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (remove_folder, "cannot appear: its folder is not there"),
+        (lambda path: (remove_folder(path), path.parent.touch()), "cannot be looked for: Not a directory"),
+        (lambda path: path.symlink_to(path.parent / "nowhere"), "remove it"),
+        (lambda path: path.symlink_to(path), "remove it"),
+        (lambda path: path.mkdir(), "remove it"),
+    ],
+)
+@pytest.mark.parametrize("from_the_start", [True, False])
+def test_a_stop_file_that_cannot_appear_or_leads_nowhere_stops(
+    tmp_path: Path, spoil: Callable[[Path], object], says: str, from_the_start: bool
+) -> None:
+    path = tmp_path / "folder" / "stop"
+    path.parent.mkdir()
+    file = StopFile(path, stop)
+    if not from_the_start:
+        assert (file.take(0), file.doubt()) == ([], "")
+    spoil(path)
+    assert [type(event) for event in file.take(1)] == [OperatorAct]
+    assert says in file.doubt()
+    assert file.take(2) == []
+
+
+def test_a_stop_file_whose_name_is_no_unicode_stops_and_can_be_told_of(tmp_path: Path) -> None:
+    origins: list[str] = []
+    file = StopFile(tmp_path / os.fsdecode(b"st\xf6p"), lambda order, t_ns: origins.append(order.origin) or [])
+    file.path.touch()
+    file.take(0)
+    assert origins == ["file st\\udcf6p"]
+    assert file.doubt().isprintable()
+    file.doubt().encode()
 
 
 # --- the stimulator ----------------------------------------------------------------------------------------

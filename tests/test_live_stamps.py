@@ -18,6 +18,7 @@ class Heard:
     """Keeps the arrival times that the mapping is told."""
 
     times: list[int] = field(default_factory=list)
+    resets: int = 0
 
     def map(self, t_host_ns: int, t_device_ns: int) -> int:
         self.times.append(t_host_ns)

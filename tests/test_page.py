@@ -135,6 +135,19 @@ def test_what_raises_needs_the_newest_link_and_a_confirmation(access: Access, br
     assert newest.say(confirm=newest.asked(ask)).order
 
 
+@pytest.mark.parametrize("state", ["shadow", "stopped", "fault"])
+def test_a_stop_makes_every_question_void(browser: Browser, state: str) -> None:
+    """Wherever it was pressed, and also where the session stood stopped already."""
+    browser.status = replace(SHOWN, state=state, stops=1)
+    identifier = browser.asked("arm")
+    browser.status = replace(SHOWN, state=state, stops=2)
+    assert browser.say(confirm=identifier).order == b""
+    identifier = browser.asked("arm")
+    assert browser.say(ask="stop").stop
+    assert browser.say(confirm=identifier).order == b"", "before any status tells of it"
+    assert browser.say(confirm=browser.asked("arm")).order
+
+
 def test_an_old_link_may_still_lower_and_pause_and_none_may_not(access: Access, browser: Browser) -> None:
     assert Browser(access).say(token=access.token).entered
     for ask in ("pause", "down", "disarm"):

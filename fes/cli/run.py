@@ -27,7 +27,7 @@ from fes.estimation.calibration import CalibrationError
 from fes.estimation.warm import warm_up
 from fes.journal import SessionLogError
 from fes.live.header import live_header
-from fes.live.inputs import Terminal, standard_keys
+from fes.live.keyboard import Terminal, standard_keys
 from fes.live.realtime import become_real_time
 from fes.live.session import COMPLETE, LiveSession
 from fes.live.stimulator import LiveStimulator, Opened

@@ -20,7 +20,7 @@ from fes.driving import Calibration
 from fes.journal import SessionLogError
 from fes.live.calibrating import Calibrating
 from fes.live.header import live_header
-from fes.live.inputs import Keyboard
+from fes.live.keyboard import Keyboard
 from fes.live.log_pipe import PipedLog
 from fes.live.orders import Ask, Order
 from fes.live.session import COMPLETE
@@ -42,7 +42,8 @@ def calibrate(
             given_up.append(order.ask)
         return []
 
-    inputs = [Keyboard(keys, carry)] if keys is not None else []
+    keyboard = Keyboard(keys, carry) if keys is not None else None
+    inputs = [keyboard] if keyboard is not None else []
     over = lambda: finding.done or bool(given_up)  # noqa: E731
     said = ""
     try:
@@ -58,6 +59,9 @@ def calibrate(
         given_up.append(Ask.QUIT)
     except SessionLogError as error:
         fail(error, StoppedEarly)
+    finally:
+        if keyboard is not None:
+            keyboard.close()
     try:
         log.close({"ended": COMPLETE if finding.done else "given up"})
     except SessionLogError as error:

@@ -20,7 +20,7 @@ from fes.cli.interrupt import Interrupt
 from fes.cli.loop_view import stride_line
 from fes.estimation.calibration import CalibrationError
 from fes.hil.patient_bench import PatientBench, start_patient_bench
-from fes.live.inputs import Terminal, standard_keys
+from fes.live.keyboard import Terminal, standard_keys
 from fes.patient.virtual import PatientSettings
 
 LOOK_S: Final = 0.05

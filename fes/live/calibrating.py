@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+from collections import deque
 from typing import Final
 
 import numpy as np
@@ -15,7 +17,9 @@ from fes.signals import NS_PER_S, SHANK_SENSORS, Event, ImuSample
 
 FIRST_ATTEMPT_NS: Final = 6 * NS_PER_S
 ATTEMPT_EVERY_NS: Final = 2 * NS_PER_S
-LONGEST_S: Final = 60.0  # as a calibration from a recording: its first minute
+LONGEST_S: Final = 60.0  # as much as a calibration from a recording takes; here the newest, however long somebody stood
+
+_Row = tuple[int, tuple[float, ...]]
 
 
 class Calibrating:
@@ -31,7 +35,9 @@ class Calibrating:
         self._strides = strides
         rates_hz = {str(device.sensor): device.rate_hz for device in session.sensors}
         self._rates_hz = {sensor: rates_hz[sensor] for sensor in driving(rates_hz).values()}
-        self._rows: dict[str, list[tuple[int, tuple[float, ...]]]] = {sensor: [] for sensor in self._rates_hz}
+        self._rows: dict[str, deque[_Row]] = {
+            sensor: deque(maxlen=int(LONGEST_S * rate_hz)) for sensor, rate_hz in self._rates_hz.items()
+        }
         self._next_ns: int | None = None
         self._thread: threading.Thread | None = None
 
@@ -44,8 +50,10 @@ class Calibrating:
         """Take in an event; the finding itself goes on in a thread of its own."""
         if isinstance(event, ImuSample) and event.sensor in self._rows:
             rows = self._rows[event.sensor]
-            if len(rows) < LONGEST_S * self._rates_hz[event.sensor] and (not rows or event.t_sensor_ns > rows[-1][0]):
-                rows.append((event.t_sensor_ns, (*event.acc_mps2, *event.gyr_radps)))
+            values = (*event.acc_mps2, *event.gyr_radps)
+            # one value that is none would make a whole minute's calibration impossible
+            if all(map(math.isfinite, values)) and (not rows or event.t_sensor_ns > rows[-1][0]):
+                rows.append((event.t_sensor_ns, values))
         if self._next_ns is None:
             self._next_ns = event.t_ns + FIRST_ATTEMPT_NS
         if self._thread is not None and not self._thread.is_alive():
@@ -56,7 +64,7 @@ class Calibrating:
             self._thread = threading.Thread(target=self._attempt, args=(rows_now,), daemon=True)
             self._thread.start()
 
-    def _attempt(self, rows_of: dict[str, list[tuple[int, tuple[float, ...]]]]) -> None:
+    def _attempt(self, rows_of: dict[str, list[_Row]]) -> None:
         for sensor, rows in rows_of.items():
             if len(rows) < 3.0 * self._rates_hz[sensor]:
                 self.message = f"{sensor}: only {len(rows)} samples so far"

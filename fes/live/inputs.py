@@ -1,18 +1,16 @@
-"""Everything else that can make something happen: keys, the control socket, the stop file, switches."""
+"""Everything else that can make something happen: the control socket, the stop file, switches; keys: ``keyboard``."""
 
 from __future__ import annotations
 
 import json
 import os
 import socket
-import sys
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Protocol, Self
+from typing import Final, Protocol
 
-from fes.live.orders import Ask, Order, OrderRefused, order_of_message, orders_of_keys
+from fes.live.orders import Ask, Order, OrderRefused, order_of_message
 from fes.signals import Event, FootSwitchEvent
 
 Carry = Callable[[Order, int], list[Event]]
@@ -21,58 +19,6 @@ Carry = Callable[[Order, int], list[Event]]
 MESSAGES_AT_ONCE: Final = 32
 SUBSCRIBERS: Final = 4
 SOCKET_MODE: Final = 0o600
-
-
-class Terminal:
-    """Puts a terminal into a mode in which keys come at once and unseen; Ctrl-C stays what it is."""
-
-    def __init__(self, descriptor: int) -> None:
-        self._descriptor = descriptor
-        self._before: Any = None
-
-    def __enter__(self) -> Self:
-        if os.isatty(self._descriptor):
-            import termios
-            import tty
-
-            self._before = termios.tcgetattr(self._descriptor)
-            tty.setcbreak(self._descriptor, termios.TCSANOW)
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._before is not None:
-            import termios
-
-            termios.tcsetattr(self._descriptor, termios.TCSANOW, self._before)
-
-
-class Keyboard:
-    """Keys from a terminal, or from whatever the descriptor is; its end is no order."""
-
-    def __init__(self, descriptor: int, carry: Carry) -> None:
-        self._descriptor: int | None = descriptor
-        self._carry = carry
-        os.set_blocking(descriptor, False)
-
-    def fileno(self) -> int | None:
-        """While it is open."""
-        return self._descriptor
-
-    def take(self, t_ns: int) -> list[Event]:
-        """The orders in what was typed."""
-        if self._descriptor is None:
-            return []
-        try:
-            typed = os.read(self._descriptor, 256)
-        except BlockingIOError:
-            return []
-        except OSError:
-            typed = b""
-        if not typed:
-            self._descriptor = None
-        return [event for order in orders_of_keys(typed) for event in self._carry(order, t_ns)]
 
 
 class Control:
@@ -144,12 +90,17 @@ class Control:
 
 
 class StopFile:
-    """A file whose appearance is an emergency stop; while it is there, arming is refused."""
+    """A file whose appearance is an emergency stop; while it is there, arming is refused.
+
+    So is it where it could not appear or be seen: its folder is missing, is none, or may not be looked into.
+    """
 
     def __init__(self, path: Path, carry: Carry) -> None:
         self.path = path
         self._carry = carry
         self._doubt = ""
+        self._shown, self._name = printable(str(path)), printable(path.name)
+        self._folder = path.parent
 
     def fileno(self) -> int | None:
         """None: a file on any file system is looked for, not waited for."""
@@ -158,7 +109,7 @@ class StopFile:
     def take(self, t_ns: int) -> list[Event]:
         """A stop when the file has appeared, or can no longer be looked for."""
         was, self._doubt = self._doubt, self._look()
-        return self._carry(Order(Ask.STOP, origin=f"file {self.path.name}"), t_ns) if self._doubt and not was else []
+        return self._carry(Order(Ask.STOP, origin=f"file {self._name}"), t_ns) if self._doubt and not was else []
 
     def doubt(self) -> str:
         """Why it forbids arming; "" when it does not."""
@@ -166,9 +117,14 @@ class StopFile:
 
     def _look(self) -> str:
         try:
-            return f"the stop file {self.path} is there; remove it" if self.path.exists() else ""
-        except OSError as error:
-            return f"the stop file {self.path} cannot be looked for: {error.strerror}"
+            try:
+                self.path.lstat()  # a link that leads nowhere is there too
+            except FileNotFoundError:
+                there = self._folder.is_dir()
+                return "" if there else f"the stop file {self._shown} cannot appear: its folder is not there; make it"
+        except (OSError, ValueError) as error:
+            return f"the stop file {self._shown} cannot be looked for: {getattr(error, 'strerror', None) or error}"
+        return f"the stop file {self._shown} is there; remove it"
 
 
 class SwitchLine(Protocol):
@@ -229,13 +185,9 @@ class FootSwitchInput:
         return [FootSwitchEvent(t_ns, self._foot, self._pressed)]
 
 
-def standard_keys() -> int | None:
-    """Standard input where it can bring keys: a terminal or a pipe, not an empty device."""
-    try:
-        descriptor = sys.stdin.fileno()
-    except (AttributeError, OSError, ValueError):
-        return None
-    return descriptor if os.isatty(descriptor) else None
+def printable(text: str) -> str:
+    """The same, with escapes for what is no Unicode: a file's name may be any bytes, a log's text may not."""
+    return text.encode("utf-8", "backslashreplace").decode()
 
 
 def _quoted(text: str) -> bytes:

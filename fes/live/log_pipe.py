@@ -50,6 +50,7 @@ class PipedLog(RecordBuffer):
         self._sent, self._written = 0, 0
         self._answers = b""
         self._behind_since_ns: int | None = None
+        self.warning = ""  # what a person should be told; whoever does it, empties it
         self._closed = False
         self.flush()
         self._wait_until_written()
@@ -140,6 +141,12 @@ class PipedLog(RecordBuffer):
             word, number = line.split()
             if word == b"error":
                 raise OSError(int(number), os.strerror(int(number)))
+            if word == b"slow":
+                self.warning = (
+                    f"{self.path}: the disk has not finished for {int(number)} s; the operating system has all that "
+                    "was logged, a loss of power would lose what came since"
+                )
+                continue
             self._written = int(number)
             self._behind_since_ns = None
 

@@ -3,6 +3,10 @@
 A disk that is slow, full or gone holds up this process and nobody else. It writes what it is sent as it comes, answers
 ``ok BYTES`` for what the operating system has, ``error NUMBER`` when that refuses, and ends when the other end does:
 what a killed controller had sent is then in the file.
+
+Every second a thread asks the disk itself for all of it. That may take long (a card, a stick, a busy disk) and holds up
+no answer, for nothing depends on it but what a loss of power leaves: ``slow SECONDS`` is said once when it takes very
+long. A disk that refuses it is one that refuses to be written.
 """
 
 from __future__ import annotations
@@ -13,32 +17,83 @@ import os
 import signal
 import socket
 import sys
+import threading
 import time
 from typing import Final
 
 CHUNK: Final = 1 << 18
 SYNC_EVERY_S: Final = 1.0
+SLOW_S: Final = 3.0
+
+
+class Syncing:
+    """Waits for the disk in a thread, one at a time."""
+
+    def __init__(self, file: int) -> None:
+        self._file = file
+        self._thread: threading.Thread | None = None
+        self._begun_s = time.monotonic()
+        self._told = False
+        self._failed: OSError | None = None
+
+    def tend(self) -> float:
+        """Begin what is due; how long one has been waited for (s) when that is told of, once; otherwise 0.
+
+        Raises:
+            OSError: the disk has refused one.
+        """
+        now_s = time.monotonic()
+        if self._failed is not None:
+            raise self._failed
+        if self._thread is not None and self._thread.is_alive():
+            lasts_s = now_s - self._begun_s
+            if lasts_s > SLOW_S and not self._told:
+                self._told = True
+                return lasts_s
+        elif now_s - self._begun_s > SYNC_EVERY_S:
+            self._begun_s, self._told = now_s, False
+            self._thread = threading.Thread(target=self._wait, daemon=True)
+            self._thread.start()
+        return 0.0
+
+    def finish(self) -> None:
+        """Wait until all is on the disk.
+
+        Raises:
+            OSError: it is not.
+        """
+        if self._thread is not None:
+            self._thread.join()
+        if self._failed is not None:
+            raise self._failed
+        _sync(self._file)
+
+    def _wait(self) -> None:
+        try:
+            _sync(self._file)
+        except OSError as error:
+            self._failed = error
 
 
 def copy(link: socket.socket, file: int) -> int:
     """Move bytes from the socket to the file until it ends; returns an exit status."""
-    written, synced_s = 0, time.monotonic()
+    written, syncing = 0, Syncing(file)
     while chunk := _next(link):
         with memoryview(chunk) as view:
             done = 0
             try:
                 while done < len(view):
                     done += os.write(file, view[done:])
-                if time.monotonic() - synced_s > SYNC_EVERY_S:
-                    synced_s = time.monotonic()
-                    _sync(file)
+                slow_s = syncing.tend()
             except OSError as error:
                 _say(link, f"error {error.errno or 5}\n")
                 return 1
         written += done
         _say(link, f"ok {written}\n")
+        if slow_s:
+            _say(link, f"slow {slow_s:.0f}\n")
     try:
-        _sync(file)
+        syncing.finish()
     except OSError:
         return 1
     return 0

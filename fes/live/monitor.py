@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from fes.controller import Controller
 from fes.gate import SafetyGate
 from fes.journal import Note
+from fes.live.inputs import printable
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import Operator
 from fes.live.remarks import Remarks
@@ -167,6 +169,8 @@ class Monitor:
 
     def note(self, note: Note) -> None:
         """As the log's."""
+        if not note.text.isascii():
+            note = replace(note, text=printable(note.text))  # a name in it may be any bytes: that must end no session
         self.log.note(note)
         if self.page is not None:
             self.page.note(note)
@@ -207,6 +211,7 @@ class Monitor:
             stimulator=stimulator,
             dropped_frames=self.dropped_frames,
             tuning=tuning_status(controller.tuning),
+            stops=operator.stops,
             remarks=self._remarks.now() if self._remarks else [],
         )
         datagram = status.encode()

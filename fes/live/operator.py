@@ -21,9 +21,11 @@ from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, Tick
 
 INTENSITY_STEP: Final = 0.05
 RAISE_PAUSE_NS: Final = 150_000_000  # a key held down must not run through the whole range
+STOP_STANDS_NS: Final = NS_PER_S // 2  # an arming that was on its way when somebody stopped must not undo it
 BELT_STEP_MPS: Final = 0.1
 BELT_MOST_MPS: Final = 5.0
 TEST_REST_NS: Final = NS_PER_S // 2
+NO_STOP: Final = "the keyboard is gone, and there is no other stop"
 WARM_NS: Final = 2 * NS_PER_S  # the orientation filter's own settling
 ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 ms
 
@@ -69,6 +71,8 @@ class Operator:
         self._feet = sorted({str(channel.foot) for channel in session.channels} & drivers.keys())
         self._began_ns: int | None = None
         self._raised_ns = -RAISE_PAUSE_NS
+        self.stops = 0
+        self._stopped_ns = -STOP_STANDS_NS
         self._intensity = 0.0
         self._tuning = TuningOrders(controller)
 
@@ -138,9 +142,20 @@ class Operator:
             doubts.append("the stimulator does not answer")
         return [doubt for doubt in (*doubts, *self._checks()) if doubt]
 
+    def keys_gone(self, t_ns: int, others: list[str]) -> list[Event]:
+        """The stop key is not there any more; ``others``: what else stops. A stop, where nothing does."""
+        if not others:
+            return self._stop(Order(Ask.STOP, origin=NO_STOP), t_ns)
+        *first, last = others
+        which = f"{', '.join(first)} or {last}" if first else last
+        self._say(t_ns, "warning", f"the keyboard is gone; stop by {which}")
+        return []
+
     # --- orders ------------------------------------------------------------------------------------------
 
     def _stop(self, order: Order, t_ns: int) -> list[Event]:
+        self.stops += 1
+        self._stopped_ns = t_ns
         self._say(t_ns, "fault", f"emergency stop ({order.origin})")
         self._move(t_ns, Cause.STOP, self.message)
         return [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)]
@@ -148,6 +163,8 @@ class Operator:
     def _arm(self, order: Order, t_ns: int) -> list[Event]:
         if not self.machine.may(Cause.ARM):
             return self._refuse(t_ns, f"cannot arm: the session is {self.state}")
+        if t_ns - self._stopped_ns < STOP_STANDS_NS:
+            return self._refuse(t_ns, "cannot arm: stopped just now")
         resumes = self.state is State.PAUSED
         if doubts := self.doubts(t_ns, at_rest=not resumes):
             return self._refuse(t_ns, "cannot arm: " + "; ".join(doubts))

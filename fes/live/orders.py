@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
+import re
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
@@ -58,11 +58,13 @@ KEYS: Final = {
     "y": Ask.ACCEPT_SUGGESTION,
     "r": Ask.ROLL_BACK,
 }
+ESCAPE: Final = re.compile(rb"[\x1b\x8f\x9b]")  # what an arrow, an F key, the keypad, Alt with a letter begins with
 NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
     (Ask.ARM, Ask.UP, Ask.TEST, Ask.TRIGGER, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK)
 )
 CONTROL: Final = "control"  # the origin of what comes through the control socket
 LONGEST_ORDER: Final = 1024
+LARGEST_VALUE: Final = 1e9
 
 
 class OrderRefused(ValueError):
@@ -70,9 +72,15 @@ class OrderRefused(ValueError):
 
 
 def orders_of_keys(typed: bytes) -> list[Order]:
-    """The orders in what was typed; a stop among them comes first. Keys that mean nothing are passed over."""
+    """The orders in what was typed; a stop among them comes first. Keys that mean nothing are passed over.
+
+    Behind an escape only a stop counts: what a terminal sends for a key that is no letter ends in letters that are
+    orders.
+    """
     orders: list[Order] = []
-    for key in typed.decode("latin-1"):
+    escape = ESCAPE.search(typed)
+    end = escape.start() if escape else len(typed)
+    for key in typed[:end].decode("latin-1") + " " * (b" " in typed[end:]):
         if key.isdecimal() and key <= "7":
             orders.append(Order(Ask.CHANNEL, float(key)))
         elif key in KEYS:
@@ -92,11 +100,11 @@ def order_of_message(message: bytes) -> Order:
         data = json.loads(message)
     except (ValueError, RecursionError) as error:
         raise OrderRefused(f"not JSON: {error}") from error
-    if not isinstance(data, dict) or data.get("ask") not in set(Ask):
+    if not isinstance(data, dict) or data.get("ask") not in list(Ask):
         raise OrderRefused(f'an order is {{"ask": …}} with one of {", ".join(Ask)}')
     ask, value = Ask(data["ask"]), data.get("value", 0.0)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise OrderRefused("value must be a finite number")
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST_VALUE:
+        raise OrderRefused(f"value must be a number of at most {LARGEST_VALUE:.0e}")
     if ask in NEEDS_CONFIRMATION and data.get("confirm") is not True:
         raise OrderRefused(f'{ask} can lead to more current and needs "confirm": true')
     return Order(ask, float(value), CONTROL)

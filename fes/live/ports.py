@@ -55,6 +55,10 @@ class Imu(Protocol):
 class SensorClock(Protocol):
     """One sensor's clock mapped to the host's; see ``fes.clocks``."""
 
+    @property
+    def resets(self) -> int:
+        """How often the mapping began anew."""
+
     def map(self, t_host_ns: int, t_device_ns: int) -> int:
         """The sample's time in the host's time."""
 

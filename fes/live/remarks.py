@@ -11,11 +11,15 @@ from fes.signals import Event
 
 
 class Remarks:
-    """Faulty samples and lost lines of sensors that drive no channel, electrodes that nothing is known of yet."""
+    """Faulty samples and lost lines of sensors that drive no channel, electrodes that nothing is known of yet.
+
+    ``lasting``: what else holds until the session ends.
+    """
 
     def __init__(self, gate: SafetyGate, electrodes: Electrodes) -> None:
         self.electrodes = electrodes
         self.lines: Sequence[SensorLine] = ()
+        self.lasting: list[str] = []
         self._gate = gate
         self._losses: dict[SensorLine, int] = {}
 
@@ -29,7 +33,7 @@ class Remarks:
             f"{sensor}: {flag.samples} faulty samples, the newest: {flag.fault}; it drives no channel"
             for sensor, flag in self._gate.flagged.items()
         ]
-        remarks = [*flags, *(line.why_lost for line in self.lines), self.electrodes.unknown()]
+        remarks = [*flags, *(line.why_lost for line in self.lines), self.electrodes.unknown(), *self.lasting]
         return [remark for remark in remarks if remark]
 
     def new_losses(self) -> list[str]:

@@ -9,7 +9,7 @@ from fes.live.ports import Imu, SensorClock
 from fes.live.reopen import Reopening
 from fes.signals import Event, ImuSample, SystemFault
 
-STUCK_NS: Final = 1_000_000_000  # a line that was alive and says nothing for this long is opened again
+STUCK_NS: Final = 1_000_000_000  # a line, or a needed sensor on it, that was alive and is silent so long: opened again
 
 
 class SensorLine:
@@ -37,6 +37,7 @@ class SensorLine:
         self.needed = needed & set(self.sensors)
         self._clocks = {sensor: clock() for sensor in self.sensors}
         self._newest_ns: int | None = None
+        self._newest_of: dict[str, int] = {}  # by sensor, of those heard since the line was opened
         self._attempts: Reopening[Imu] | None = None
         self.losses = 0
         self.why_lost = ""  # while it is lost
@@ -53,6 +54,7 @@ class SensorLine:
     def discard(self, t_ns: int) -> Iterator[Event]:
         """Let go of what has queued up; its arrival says nothing of when it was, so no clock may see it."""
         self._newest_ns = None  # nor is the time that nobody listened a silence
+        self._newest_of.clear()
         try:
             while self.port is not None and self.port.read(t_ns):
                 pass
@@ -74,18 +76,31 @@ class SensorLine:
             return
         took_ns = 0 if clock_ns is None or not raw else max(clock_ns() - t_ns, 0)
         for sample in raw:
-            self._newest_ns = t_ns
-            t_sensor_ns = self._clocks[sample.sensor].map(sample.t_host_ns + took_ns, sample.t_device_ns)
+            self._newest_ns = self._newest_of[sample.sensor] = t_ns
+            clock = self._clocks[sample.sensor]
+            resets = clock.resets
+            t_sensor_ns = clock.map(sample.t_host_ns + took_ns, sample.t_device_ns)
+            if clock.resets != resets and sample.sensor in self.needed:
+                # set, restarted, or all of it late for seconds: the new mapping cannot tell which, and would call late
+                # samples fresh; on a line that is opened anew nothing is queued
+                yield from self._lose(t_ns, f"the clock of {sample.sensor} jumped, or all that it sends comes late")
+                return
             yield ImuSample(t_ns + took_ns, sample.sensor, t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
 
     def tend(self, t_ns: int) -> Iterator[Event]:
         """Notice that a line says nothing any more; go on opening a lost one."""
         if self.port is not None:
-            if self._newest_ns is not None and t_ns - self._newest_ns > STUCK_NS:
+            if self._newest_ns is not None and t_ns - self._newest_ns >= STUCK_NS:
                 yield from self._lose(t_ns, "nothing has come for a second")
+            else:  # in stance nobody asks the gate for anything: it would not notice before the next burst
+                for sensor in self.needed:
+                    if t_ns - self._newest_of.get(sensor, t_ns) >= STUCK_NS:
+                        yield from self._lose(t_ns, f"nothing has come from {sensor} for a second")
+                        return
             return
         if self._attempts is not None and (port := self._attempts.poll(t_ns)) is not None:
             self.port, self._attempts, self._newest_ns, self.why_lost = port, None, None, ""
+            self._newest_of.clear()
             self._clocks = {sensor: self._clock() for sensor in self.sensors}
 
     def close(self) -> None:

@@ -13,10 +13,11 @@ from fes.driving import Calibration, driven_by, driving
 from fes.gate import gate_of
 from fes.journal import Note, Received
 from fes.live.electrodes import Electrodes
-from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopFile, StopSwitch, SwitchLine
+from fes.live.inputs import Control, FootSwitchInput, StopFile, StopSwitch, SwitchLine
+from fes.live.keyboard import Keyboard
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
-from fes.live.operator import Operator
+from fes.live.operator import NO_STOP, Operator
 from fes.live.ports import Input
 from fes.live.realtime import Grant
 from fes.live.remarks import Remarks
@@ -86,6 +87,7 @@ class LiveSession:
         self._duration_s = duration_s
         self._inputs: list[Input] = []
         self._control: Control | None = None
+        self._keyboard: Keyboard | None = None
         self._state = self.operator.state
         self._end_ns: int | None = None
         self._source: LiveSource | None = None
@@ -94,7 +96,8 @@ class LiveSession:
 
     def add_keys(self, descriptor: int) -> None:
         """Keys from a terminal or a pipe."""
-        self._inputs.append(Keyboard(descriptor, self.operator.order))
+        self._keyboard = Keyboard(descriptor, self.operator.order, self._keys_gone)
+        self._inputs.append(self._keyboard)
 
     def add_control(self, path: Path) -> None:
         """A control socket.
@@ -165,6 +168,8 @@ class LiveSession:
         finally:
             if self._control is not None:
                 self._control.close()
+            if self._keyboard is not None:
+                self._keyboard.close()
 
     def summary(self) -> dict[str, Any]:
         """For the end of the log."""
@@ -192,6 +197,9 @@ class LiveSession:
             self.monitor.note(Note(event.t_ns, "warning", "session", event.text))
         now_ns = self._clock_ns()
         self._log.flush_due(now_ns)
+        if self._log.warning:
+            self.monitor.note(Note(event.t_ns, "warning", "log", self._log.warning))
+            self.operator.message, self._log.warning = self._log.warning, ""
         self.monitor.tell(now_ns, self.operator, self.controller, self.gate, self.stimulator.state)
         if self.operator.state is not self._state:
             self._state = self.operator.state
@@ -202,9 +210,22 @@ class LiveSession:
     def _over(self) -> bool:
         return self.operator.quitting or (self._end_ns is not None and self._clock_ns() >= self._end_ns)
 
+    def _keys_gone(self, t_ns: int) -> list[Event]:
+        events = self.operator.keys_gone(t_ns, self._other_stops())
+        self.remarks.lasting.append(self.operator.message)
+        return events
+
+    def _other_stops(self) -> list[str]:
+        """What stops beside the keyboard."""
+        kinds = ((StopFile, "file"), (StopSwitch, "button"), (Control, "control socket"))
+        found = [name for kind, name in kinds if any(isinstance(each, kind) for each in self._inputs)]
+        return [*found, "page"] if self.monitor.page is not None else found
+
     def _doubts(self) -> list[str]:
         doubts = [each.doubt() for each in self._inputs if isinstance(each, (StopFile, StopSwitch))]
         doubts += [self._log.healthy, "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}"]
+        if self._keyboard is not None and self._keyboard.fileno() is None and not self._other_stops():
+            doubts.append(NO_STOP)
         if fault := self.monitor.device_fault:
             # a device keeps such a flag until a new session is opened; what still holds is flagged again
             self.stimulator.renew(self.runner.t_ns)

@@ -73,6 +73,7 @@ class Status:
     stimulator: str = ""
     dropped_frames: int = 0
     tuning: dict[str, TuningStatus] = field(default_factory=dict)  # by channel number
+    stops: int = 0  # emergency stops by order so far
     remarks: list[str] = field(default_factory=list)  # what to know though nothing is latched
     version: int = VERSION
 

@@ -62,10 +62,11 @@ def _same(one: str, other: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What a person saw when asked: the session's state, and the intensity (0–1)."""
+    """What a person saw when asked: the session's state, the intensity (0–1), how many stops there had been."""
 
     state: str
     intensity: float
+    stops: int = 0
 
 
 class Confirmations:
@@ -85,6 +86,10 @@ class Confirmations:
         self._open = (identifier, what, situation, t_ns)
         return identifier
 
+    def forget(self) -> None:
+        """The question is not open any more."""
+        self._open = None
+
     def answer(self, identifier: str, situation: Situation, t_ns: int) -> tuple[str, str]:
         """What was confirmed, or "" and why it was not."""
         asked, self._open = self._open, None
@@ -93,5 +98,6 @@ class Confirmations:
         _, what, before, asked_ns = asked
         if t_ns - asked_ns > CONFIRM_WITHIN_NS:
             return "", "not confirmed within 10 s; nothing was done"
-        same = before.state == situation.state and abs(before.intensity - situation.intensity) < 1e-6
+        same = (before.state, before.stops) == (situation.state, situation.stops)
+        same = same and abs(before.intensity - situation.intensity) < 1e-6
         return (what, "") if same else ("", "the session has changed meanwhile; nothing was done")

@@ -73,16 +73,17 @@ class Desk:
         if not isinstance(said, dict):
             return _refuse("not understood")
         if said.get("ask") == Ask.STOP:  # before any look at who asks, or how often
-            return Outcome(stop=True, press=str(said.get("press", ""))[:NAME])
+            self._confirmations.forget()
+            return Outcome(stop=True, press=_text(said.get("press"))[:NAME])
         if {"token", "secret"} & said.keys():
-            return self._enter(str(said.get("token", "")), str(said.get("secret", "")))
+            return self._enter(_text(said.get("token")), _text(said.get("secret")))
         if self.role is Role.NOBODY:
             return _refuse("this page has no valid link: only the stop works here")
         if not self._in_time(t_ns):
             return _refuse("too fast; not done")
         if "confirm" in said:
-            return self._confirm(str(said["confirm"]), t_ns)
-        return self._ask(said.get("ask"), t_ns)
+            return self._confirm(_text(said["confirm"]), t_ns)
+        return self._ask(_text(said.get("ask")), t_ns)
 
     def _enter(self, token: str, secret: str) -> Outcome:
         bought = self._access.enter(token) if token else ""
@@ -92,7 +93,7 @@ class Desk:
             return Outcome({"refused": "This link was used already, or is of another session."})
         return Outcome({"hello": self._about, "secret": self._secret}, entered=bool(bought))
 
-    def _ask(self, ask: object, t_ns: int) -> Outcome:
+    def _ask(self, ask: str, t_ns: int) -> Outcome:
         if self._about.get("mode") == "replay":
             return _refuse("a replay can only be stopped")
         if ask in CALMING:
@@ -102,12 +103,12 @@ class Desk:
         status, why = self._raisable(t_ns)
         if status is None:
             return _refuse(why)
-        what, most = str(ask), float(self._about["most_intensity"])
-        if what == Ask.UP and status.intensity >= most - 1e-6:
+        most = float(self._about["most_intensity"])
+        if ask == Ask.UP and status.intensity >= most - 1e-6:
             return _refuse(f"{most:.0%} is the most that this session allows")
-        identifier = self._confirmations.ask(what, _situation(status), t_ns)
-        question = _question(what, status, float(self._about["intensity_step"]), most)
-        return Outcome({"question": {"id": identifier, "ask": what, "text": question}})
+        identifier = self._confirmations.ask(ask, _situation(status), t_ns)
+        question = _question(ask, status, float(self._about["intensity_step"]), most)
+        return Outcome({"question": {"id": identifier, "ask": ask, "text": question}})
 
     def _confirm(self, identifier: str, t_ns: int) -> Outcome:
         status, why = self._raisable(t_ns)
@@ -138,7 +139,7 @@ class Desk:
 
 def _situation(status: Status) -> Situation:
     # a patient who stops or starts to walk while somebody reads the question has not changed what it asks
-    return Situation("current" if status.state in CURRENT else status.state, status.intensity)
+    return Situation("current" if status.state in CURRENT else status.state, status.intensity, status.stops)
 
 
 def _question(what: str, status: Status, step: float, most: float) -> str:
@@ -147,6 +148,10 @@ def _question(what: str, status: Status, step: float, most: float) -> str:
     if what == RESUME:
         return f"Go on at {status.intensity:.0%} intensity? Current may flow at the next step."
     return "Arm the stimulator? The intensity starts at 0 %."
+
+
+def _text(value: object) -> str:
+    return value if isinstance(value, str) else ""
 
 
 def _refuse(why: str) -> Outcome:
