@@ -29,6 +29,7 @@ from rich.table import Table
 from speed_bare import bare_seconds
 from stroke_treadmill import data_folder, load_run
 
+from fes.analysed import Analysis
 from fes.analysis import analyse, calibrations_of
 from fes.driving import stride_settings
 from fes.estimation.calibration import FootCalibration
@@ -116,6 +117,11 @@ def stages(recording: Recording) -> dict[str, float]:
     return seconds
 
 
+def listed(result: Analysis) -> int:
+    """Make the objects that an analysis leaves as arrays until they are asked for; how many they are."""
+    return len(result.strides) + len(result.phases)
+
+
 def command_seconds(*arguments: str | Path, repeats: int = REPEATS, cache: Path | None = None) -> float:
     """Least processor time of `fes …` with all its processes, in s."""
     environment = dict(os.environ) | ({"XDG_CACHE_HOME": str(cache)} if cache else {})
@@ -145,9 +151,12 @@ def measure(minutes: float, folder: Path, *, cold: bool) -> list[tuple[str, floa
     analyse(recording, found.calibrations)
     calibrating = least(lambda: calibrations_of(recording))
     analysing = least(lambda: analyse(recording, found.calibrations))
+    as_objects = least(lambda: listed(analyse(recording, found.calibrations)))
     for path, seconds in zip(files, reading, strict=True):
         whole = seconds + calibrating + analysing
         rows.append((f"whole pipeline from {path.suffix[1:]}", samples / whole, "samples/s", SAMPLES_PER_S))
+    objects = samples / (reading[0] + calibrating + as_objects)
+    rows.append(("  the same from parquet, strides and phases as objects", objects, "samples/s", None))
     per = 1e9 / samples
     rows += [(f"read {path.suffix[1:]}", per * s, "ns/sample", None) for path, s in zip(files, reading, strict=True)]
     rows += [("calibrate", per * calibrating, "ns/sample", None), ("analyse", per * analysing, "ns/sample", None)]
