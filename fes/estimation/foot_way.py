@@ -84,7 +84,8 @@ class FootSamples:
     rest: BoolArray
     energy: FloatArray
     noise: tuple[FloatArray, FloatArray]
-    _steps: dict[tuple[int, int], tuple[Steps, FloatArray]] = field(default_factory=dict)
+    _ends: list[int] = field(default_factory=list)
+    _steps: dict[tuple[int, int], tuple[int, Steps, FloatArray]] = field(default_factory=dict)
 
     def stances(self) -> IntArray:
         """Sample numbers (M,) of the quietest instant of every rest."""
@@ -93,30 +94,35 @@ class FootSamples:
     def way(self, settings: ZuptSettings, *, level: bool) -> Way:
         """The foot's way by these settings; ``level``: it rests at one height."""
         join = round(JOIN_S * self.rate_hz)
-        cuts = [0, *_cuts(self.t_ns, self.rest, self.rate_hz), len(self.t_ns)]
+        if not self._ends:
+            self._ends = [0, *_cuts(self.t_ns, self.rest, self.rate_hz), len(self.t_ns)]
         whole: Way | None = None
-        for begin, end in pairwise(cuts):
+        for begin, end in pairwise(self._ends):
             part = self._stretch(begin, min(end + join + 1, len(self.t_ns)), settings, level)
             whole = part if whole is None else _joined(whole, part)
         assert whole is not None
         return whole
 
     def _stretch(self, begin: int, end: int, settings: ZuptSettings, level: bool) -> Way:
-        begin += first_rest(self.rest[begin:end], self.rate_hz)
+        key = begin, end
+        if key not in self._steps:
+            self._steps[key] = self._gathered(begin + first_rest(self.rest[begin:end], self.rate_hz), end)
+        begin, steps, lever = self._steps[key]
         span = slice(begin, end)
-        t_ns, acc, gyr, rest = self.t_ns[span], self.acc_mps2[span], self.gyr_radps[span], self.rest[span]
-        bias = self.calibration.gyr_bias_radps
-        if (begin, end) not in self._steps:
-            acc_sd, gyr_sd = self.noise
-            up = acc[rest].mean(axis=0) if rest.any() else acc.mean(axis=0)
-            lever = LEVER_M * up / max(float(np.linalg.norm(up)), 1e-9)
-            self._steps[begin, end] = steps_of(t_ns, acc, gyr, acc_sd[span], gyr_sd[span], rest, bias), lever
-        steps, lever = self._steps[begin, end]
+        t_ns, gyr, rest = self.t_ns[span], self.gyr_radps[span], self.rest[span]
         tape = new_step_tape(len(steps.ends), int(np.count_nonzero(rest[steps.ends])))
         before = self.acc_mps2[max(begin - round(START_S * self.rate_hz), 0) : begin + 1].mean(axis=0)
-        forward_steps(t_ns, gyr, rest, steps, before, lever, np.array(bias), level, settings, tape)
+        forward_steps(t_ns, gyr, rest, steps, before, lever, np.array(self.calibration.gyr_bias_radps), level, settings, tape)
         smooth_steps(t_ns, steps.ends, bool(rest[0]), settings, tape)
         return Way(t_ns[steps.ends], tape.position, tape.velocity, tape.quaternions)
+
+    def _gathered(self, begin: int, end: int) -> tuple[int, Steps, FloatArray]:
+        """A stretch's beginning, steps and lever, which are the same for all settings."""
+        span, bias = slice(begin, end), self.calibration.gyr_bias_radps
+        acc, gyr, rest, (acc_sd, gyr_sd) = self.acc_mps2[span], self.gyr_radps[span], self.rest[span], self.noise
+        up = acc[rest].mean(axis=0) if rest.any() else acc.mean(axis=0)
+        lever = LEVER_M * up / max(float(np.linalg.norm(up)), 1e-9)
+        return begin, steps_of(self.t_ns[span], acc, gyr, acc_sd[span], gyr_sd[span], rest, bias), lever
 
 
 def foot_samples(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import inlined, jit
 from fes.signals import FloatArray, IntArray
 
 RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
@@ -46,7 +46,7 @@ class SampleCounts:
 KEPT, PASSED_OVER, SILENCE, FULL = range(4)  # what became of a sample
 
 
-@jit
+@inlined
 def take_one(
     b: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: int, ax: float, ay: float, az: float,
     gx: float, gy: float, gz: float,
@@ -143,6 +143,6 @@ class History:
         half = len(self.t_ns) // 2
         rest = len(self.t_ns) - half
         for column in (self.t_ns, self.acc_mps2, self.gyr_radps, self.trace):
-            column[:rest] = column[half:].copy()
+            column[:rest] = column[half:]
         self.book["filled"] = rest
         return rest

@@ -20,7 +20,7 @@ import numpy as np
 from fes.estimation.compiled import jit_ieee
 from fes.estimation.likely_noise import StrideNoise, variances
 from fes.estimation.linear import solve
-from fes.estimation.rotation import axes_in_world, quaternion_step, to_sensor, to_world
+from fes.estimation.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
 from fes.signals import G_MPS2
 
 KNOWN = 8  # velocity (3) and height at the end, tilt about x and y at the end and at the start
@@ -38,7 +38,7 @@ def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
         rx = 0.5 * (gyr[i - 1, 0] + gyr[i, 0]) * dt_s
         ry = 0.5 * (gyr[i - 1, 1] + gyr[i, 1]) * dt_s
         rz = 0.5 * (gyr[i - 1, 2] + gyr[i, 2]) * dt_s
-        w, x, y, z = quaternion_step(w, x, y, z, rx, ry, rz)
+        w, x, y, z = turn_by(w, x, y, z, rx, ry, rz)
         quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3] = w, x, y, z
 
 

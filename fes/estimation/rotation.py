@@ -29,16 +29,28 @@ def half_turn(angle2: float) -> tuple[float, float]:
 
 
 @inlined
-def quaternion_step(
+def turn_by(
     qw: float, qx: float, qy: float, qz: float, rx: float, ry: float, rz: float
 ) -> tuple[float, float, float, float]:
-    """``q ⊗ exp(r/2)``: turn by the rotation vector ``r`` (rad) given in the sensor frame; normalised."""
+    """As :func:`quaternion_step`, not normalised: for so few samples (a stride's) that only last bits add up.
+
+    Each turn waits for the one before, and so less than half as long.
+    """
     c, s = half_turn(rx * rx + ry * ry + rz * rz)
     ax, ay, az = s * rx, s * ry, s * rz
     w = qw * c - qx * ax - qy * ay - qz * az
     x = qw * ax + qx * c + qy * az - qz * ay
     y = qw * ay - qx * az + qy * c + qz * ax
     z = qw * az + qx * ay - qy * ax + qz * c
+    return w, x, y, z
+
+
+@inlined
+def quaternion_step(
+    qw: float, qx: float, qy: float, qz: float, rx: float, ry: float, rz: float
+) -> tuple[float, float, float, float]:
+    """``q ⊗ exp(r/2)``: turn by the rotation vector ``r`` (rad) given in the sensor frame; normalised."""
+    w, x, y, z = turn_by(qw, qx, qy, qz, rx, ry, rz)
     square = w * w + x * x + y * y + z * z
     # what was of length one is so but for rounding, of which one of Newton's steps leaves nothing
     n = 1.5 - 0.5 * square if abs(square - 1.0) < NEARLY_ONE else 1.0 / math.sqrt(square)

@@ -23,7 +23,7 @@ import numpy as np
 
 from fes.estimation.compiled import jit, jit_ieee
 from fes.estimation.linear import solve
-from fes.estimation.rotation import quaternion_step, to_sensor, to_world
+from fes.estimation.rotation import to_sensor, to_world, turn_by
 from fes.signals import G_MPS2
 
 
@@ -66,7 +66,7 @@ def _integrate(t_ns: Any, gyr: Any, start: Any, dx: float, dy: float, dz: float,
         if turning:
             share = (t_ns[i] - t_ns[i - 1]) / span_ns
             ex, ey, ez = to_sensor(w, x, y, z, dx * share, dy * share, dz * share)
-        w, x, y, z = quaternion_step(
+        w, x, y, z = turn_by(
             w,
             x,
             y,

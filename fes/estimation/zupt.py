@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from fes.estimation.filters import likeness, thinned_sizes
 from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest, rate_energy
 from fes.estimation.rest_spans import quietest_of_rests, rest_in_long_moves
 from fes.estimation.zupt_kernel import Tape, ZuptSettings, forward, new_tape
@@ -181,23 +182,23 @@ def zupt_path(
 def first_rest(rest: BoolArray, rate_hz: float) -> int:
     """Where the filter begins: rest has lasted ``START_S`` for the first time, or else at the start."""
     count = round(START_S * rate_hz) + 1
-    whole = np.convolve(rest.astype(np.float64), np.ones(count))[: len(rest)] > count - 0.5
-    return int(np.argmax(whole)) if whole.any() else 0
+    moving = np.concatenate(([-1], np.flatnonzero(~rest), [len(rest)]))
+    long = np.diff(moving) > count
+    return int(moving[np.argmax(long)]) + count if long.any() else 0
 
 
 def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     """Typical time of one stride (s): the first strong peak of the rate's autocorrelation; 0 where nothing repeats."""
     step = max(round(rate_hz / 50.0), 1)  # 50 Hz are plenty
     count = len(gyr_radps) // step
-    size = np.sqrt(np.einsum("ij,ij->i", gyr_radps, gyr_radps))[: count * step].reshape(count, step).mean(axis=1)
-    size -= size.mean()
+    size = np.empty(count)
+    thinned_sizes(gyr_radps, step, size)
+    size -= size.mean() if count else 0.0
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
     if count < 2 * longest or not size.any():
         return 0.0
-    long = count + longest + 2  # enough that what wraps around lies beyond the longest
-    fast = min(odd << max((-(-long // odd) - 1).bit_length(), 0) for odd in (1, 3, 5))  # few small factors are fast
-    spectrum = np.fft.rfft(size, fast)
-    alike = np.fft.irfft(spectrum * np.conj(spectrum))[: longest + 2]
+    alike = np.empty(longest + 2)
+    likeness(size, alike)
     alike /= alike[0] * (1.0 - np.arange(longest + 2) / count)
     inner = np.arange(shortest, longest + 1)
     peak = inner[(alike[inner] >= alike[inner - 1]) & (alike[inner] >= alike[inner + 1])]
