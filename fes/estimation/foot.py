@@ -8,7 +8,7 @@ import numpy as np
 
 from fes.estimation import kernel, stride_course
 from fes.estimation.calibration import FootCalibration
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.estimation.core import core_type, new_core
 from fes.estimation.history import (
     HISTORY_S,
@@ -41,7 +41,7 @@ _T1 = Transition.T1.value
 _DESTINATIONS = (0, *(row.destination.value for row in TABLE))  # by the transition's number
 
 
-@jit
+@jit_ieee
 def _advance(
     core: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, begin: int, end: int, due_ns: int
 ) -> tuple[int, int]:
@@ -52,26 +52,26 @@ def _advance(
     )  # fmt: skip
 
 
-@jit
+@jit_ieee
 def _features(core: Any) -> Features:
     return kernel.features(core[0].state)
 
 
-@jit
+@jit_ieee
 def _enter(core: Any, phase: int, acc: Any, row: int) -> None:
     p = core[0].parameters
     fx, fy, fz = acc[row, 0] - p.acc_bias_x_mps2, acc[row, 1] - p.acc_bias_y_mps2, acc[row, 2] - p.acc_bias_z_mps2
     kernel.enter(core[0].state, phase, fx, fy, fz)
 
 
-@jit
+@jit_ieee
 def _change(core: Any, course: Any, number: int, acc: Any, row: int) -> None:
     """Go through a transition at this row, the newest; T1 after its strides."""
     _enter(core, _DESTINATIONS[number], acc, row)
     stride_course.on_phase(course, core[0].state.phase, core[0].state.t_ns)
 
 
-@jit
+@jit_ieee
 def _step(core: Any, course: Any, book: Any, one: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any) -> int:
     """Take one sample in and advance over it; the number of what happened, which is then to be gone through."""
     x = one[0]
@@ -89,7 +89,7 @@ def _step(core: Any, course: Any, book: Any, one: Any, t_ns: Any, acc: Any, gyr:
     return DUE if number == 0 and x.t_ns >= course[0].state.due_ns else number
 
 
-@jit
+@jit_ieee
 def _walk(
     core: Any, course: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, begin: int, end: int, number: int,
     changes: Any, strides: Any, shapes: Any, way_ns: Any, way: Any, turns: Any, filled: Any,

@@ -112,7 +112,9 @@ class FootSamples:
         t_ns, gyr, rest = self.t_ns[span], self.gyr_radps[span], self.rest[span]
         tape = new_step_tape(len(steps.ends), int(np.count_nonzero(rest[steps.ends])))
         before = self.acc_mps2[max(begin - round(START_S * self.rate_hz), 0) : begin + 1].mean(axis=0)
-        forward_steps(t_ns, gyr, rest, steps, before, lever, np.array(self.calibration.gyr_bias_radps), level, settings, tape)
+        forward_steps(
+            t_ns, gyr, rest, steps, before, lever, np.array(self.calibration.gyr_bias_radps), level, settings, tape
+        )
         smooth_steps(t_ns, steps.ends, bool(rest[0]), settings, tape)
         return Way(t_ns[steps.ends], tape.position, tape.velocity, tape.quaternions)
 

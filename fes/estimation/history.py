@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import inlined, jit
+from fes.estimation.compiled import jit_ieee
 from fes.signals import FloatArray, IntArray
 
 RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
@@ -46,12 +46,9 @@ class SampleCounts:
 KEPT, PASSED_OVER, SILENCE, FULL = range(4)  # what became of a sample
 
 
-@inlined
-def take_one(
-    b: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: int, ax: float, ay: float, az: float,
-    gx: float, gy: float, gz: float,
-) -> int:  # fmt: skip
-    """Copy one sample into the history of the book ``b``, or say why not: ``SILENCE`` and ``FULL`` wait for Python.
+@jit_ieee
+def _judged(b: Any, room: int, t_ns: int, ax: float, ay: float, az: float, gx: float, gy: float, gz: float) -> int:
+    """What becomes of a sample, and the book's entry of it; ``room`` is for so many rows.
 
     An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
     """
@@ -66,30 +63,48 @@ def take_one(
     waited_ns = t_ns - b.newest_ns
     if not b.running or not 0 < waited_ns <= RESTART_GAP_NS:  # stamps may be so far apart that this overflows
         return SILENCE
-    n = b.filled
-    if n == kept_t_ns.shape[0]:
+    if b.filled == room:
         return FULL
-    kept_t_ns[n] = t_ns
-    kept_acc[n, 0], kept_acc[n, 1], kept_acc[n, 2] = ax, ay, az
-    kept_gyr[n, 0], kept_gyr[n, 1], kept_gyr[n, 2] = gx, gy, gz
     b.newest_ns = t_ns
     b.filled += 1
     b.used += 1
     return KEPT
 
 
-@jit
+@jit_ieee
+def take_one(
+    b: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: int, ax: float, ay: float, az: float,
+    gx: float, gy: float, gz: float,
+) -> int:  # fmt: skip
+    """Copy one sample into the history of the book ``b``, or say why not: ``SILENCE`` and ``FULL`` wait for Python."""
+    became = _judged(b, kept_t_ns.shape[0], t_ns, ax, ay, az, gx, gy, gz)
+    if became == KEPT:
+        n = b.filled - 1
+        kept_t_ns[n] = t_ns
+        kept_acc[n, 0], kept_acc[n, 1], kept_acc[n, 2] = ax, ay, az
+        kept_gyr[n, 0], kept_gyr[n, 1], kept_gyr[n, 2] = gx, gy, gz
+    return became
+
+
+@jit_ieee
 def _take_in(
     book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: Any, acc: Any, gyr: Any, begin: int
 ) -> tuple[int, int, bool]:
-    """Copy the samples from ``begin`` on; see :meth:`History.take_in`."""
-    b = book[0]
+    """Copy the samples from ``begin`` on; see :meth:`History.take_in`.
+
+    Not by :func:`take_one`: arrays that are handed on for every sample are counted in and out for every sample.
+    """
+    b, room = book[0], kept_t_ns.shape[0]
     for i in range(begin, t_ns.shape[0]):
-        became = take_one(
-            b, kept_t_ns, kept_acc, kept_gyr, t_ns[i], acc[i, 0], acc[i, 1], acc[i, 2], gyr[i, 0], gyr[i, 1], gyr[i, 2]
-        )
+        now_ns, ax, ay, az, gx, gy, gz = t_ns[i], acc[i, 0], acc[i, 1], acc[i, 2], gyr[i, 0], gyr[i, 1], gyr[i, 2]
+        became = _judged(b, room, now_ns, ax, ay, az, gx, gy, gz)
         if became >= SILENCE:
             return i, b.filled, became == SILENCE
+        if became == KEPT:
+            n = b.filled - 1
+            kept_t_ns[n] = now_ns
+            kept_acc[n, 0], kept_acc[n, 1], kept_acc[n, 2] = ax, ay, az
+            kept_gyr[n, 0], kept_gyr[n, 1], kept_gyr[n, 2] = gx, gy, gz
     return t_ns.shape[0], b.filled, False
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.estimation.orientation import OrientationSettings, correct_by_gravity, propagate, start_covariance
 from fes.estimation.rotation import from_gravity, quaternion_step, to_world
 from fes.signals import G_MPS2
@@ -79,11 +79,11 @@ def lags_at(rate_hz: float) -> tuple[int, int]:
     return jump, change
 
 
-_t1, _t2, _t3 = jit(guards.t1), jit(guards.t2), jit(guards.t3)
-_t4, _t5, _t6 = jit(guards.t4), jit(guards.t5), jit(guards.t6)
+_t1, _t2, _t3 = jit_ieee(guards.t1), jit_ieee(guards.t2), jit_ieee(guards.t3)
+_t4, _t5, _t6 = jit_ieee(guards.t4), jit_ieee(guards.t5), jit_ieee(guards.t6)
 
 
-@jit
+@jit_ieee
 def first_transition(phase: int, x: Features, p: Thresholds) -> int:
     """Number of the transition that fires from ``phase`` (0 stance … 3 loading response), 0 for none.
 
@@ -107,7 +107,7 @@ def first_transition(phase: int, x: Features, p: Thresholds) -> int:
     return 0
 
 
-@jit
+@jit_ieee
 def start(s: Any, t_ns: int, fx: float, fy: float, fz: float, settings: OrientationSettings) -> None:
     """Begin in stance, upright as gravity says, at the first sample (bias-free specific force in m/s²)."""
     w, x, y, z = from_gravity(fx, fy, fz)
@@ -130,7 +130,7 @@ def start(s: Any, t_ns: int, fx: float, fy: float, fz: float, settings: Orientat
     s.stance_force[0], s.stance_force[1], s.stance_force[2] = fx, fy, fz
 
 
-@jit
+@jit_ieee
 def features(s: Any) -> Features:
     """What the guards saw at the newest sample."""
     return Features(
@@ -146,7 +146,7 @@ def features(s: Any) -> Features:
     )
 
 
-@jit
+@jit_ieee
 def advance(
     s: Any,
     p: FootParameters,
@@ -191,7 +191,7 @@ def advance(
     return end, 0
 
 
-@jit
+@jit_ieee
 def enter(s: Any, phase: int, fx: float, fy: float, fz: float) -> None:
     """The machine has changed phase at the newest sample, whose bias-free specific force is ``f``."""
     s.phase = phase
@@ -204,7 +204,7 @@ def enter(s: Any, phase: int, fx: float, fy: float, fz: float) -> None:
         s.toe_up_peak = 0.0
 
 
-@jit
+@jit_ieee
 def _observe(
     s: Any,
     p: FootParameters,
@@ -270,7 +270,7 @@ def _observe(
     s.toe_down_change = (toe_down - s.toe_down[then]) * _per_second(back, p.sample_s)
 
 
-@jit
+@jit_ieee
 def _dead_reckon(s: Any, dt_s: float, ax: float, ay: float, az: float, resting: bool) -> float:
     """Speed of the sensor (m/s) integrated from its acceleration in the world since it last rested in stance: good for
     a second or two.
@@ -289,7 +289,7 @@ def _dead_reckon(s: Any, dt_s: float, ax: float, ay: float, az: float, resting: 
     return speed
 
 
-@jit
+@jit_ieee
 def _per_second(back: int, sample_s: float) -> float:
     """One over the time that ``back`` samples span; nothing to compare with gives 0."""
     return 1.0 / (back * sample_s) if back > 0 else 0.0

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 
 SINGULAR = 1e-150  # smaller pivots are rounding
 
 
-@jit
+@jit_ieee
 def solve(system: Any, count: int) -> bool:
     """Solve the first ``count`` equations in place by Gauss with pivoting.
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import inlined, jit
+from fes.estimation.compiled import inlined, jit, jit_ieee
 from fes.signals import FloatArray
 
 SMALL_TURN2 = 0.25  # rad²: below, the series of half_turn lack less than the last bit
@@ -138,7 +138,7 @@ def rotate_all(quaternion: FloatArray, v: FloatArray) -> FloatArray:
     return out
 
 
-@jit
+@jit_ieee
 def without(x: Any, bias: Any) -> Any:
     """Samples (N, 3) less a bias (3,)."""
     out = np.empty(x.shape)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.estimation.core import core_type
 from fes.estimation.rotation import to_world, without
 from fes.estimation.stride_ends import around_ends, quietest_of, rows_before
@@ -31,7 +31,7 @@ STANCE, PRE_SWING, SWING, LOADING_RESPONSE = range(4)
 _SEARCH_NS, _LEAD_NS = int(STANCE_SEARCH_S * NS_PER_S), int(STANCE_LEAD_S * NS_PER_S)
 _STOPPED_NS = int(STOPPED_SEARCH_S * NS_PER_S)
 _SHORTEST_S, _LONGEST_S = DURATION_S
-_time_of = jit(time_of)
+_time_of = jit_ieee(time_of)
 
 STATE = np.dtype(
     [
@@ -119,14 +119,14 @@ def new_out(strides: int, rows: int, points: int) -> Out:
     )
 
 
-@jit
+@jit_ieee
 def _forget(times_ns: Any) -> None:
     """No phase has been entered."""
     for k in range(4):
         times_ns[k] = UNSEEN_NS
 
 
-@jit
+@jit_ieee
 def restart(course: Any, t_ns: int) -> None:
     """Data were lost: forget the stride under way; stance from now on."""
     s = course[0].state
@@ -134,7 +134,7 @@ def restart(course: Any, t_ns: int) -> None:
     _forget(s.times_ns)
 
 
-@jit
+@jit_ieee
 def on_phase(course: Any, destination: int, t_ns: int) -> None:
     """Note a phase change, after :func:`close` and :func:`begin` for T1."""
     s = course[0].state
@@ -149,7 +149,7 @@ def on_phase(course: Any, destination: int, t_ns: int) -> None:
         _forget(s.times_ns)
 
 
-@jit
+@jit_ieee
 def begin(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any) -> None:
     """T1: the next stride begins at the quietest instant of the stance that ends; arguments as for :func:`close`."""
     s = course[0].state
@@ -159,7 +159,7 @@ def begin(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any) -> None:
     _forget(s.times_ns)
 
 
-@jit
+@jit_ieee
 def close(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tuple[int, int]:
     """End the stride that ended with this stance, if there was one, with a row of ``out``.
 
@@ -200,7 +200,7 @@ def close(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tu
     return first, last
 
 
-@jit
+@jit_ieee
 def solve_rows(
     course: Any, first: int, last: int, n: int, t_ns: Any, acc: Any, gyr: Any, start: Any, biases: Any, out: Out
 ) -> None:
@@ -246,7 +246,7 @@ def solve_rows(
         _toe_and_heel(p, row, out.t_ns[at : at + count], position, quaternion)
 
 
-@jit
+@jit_ieee
 def _usual_step(t_ns: Any, first: int, last: int) -> float:
     """The median time between the samples ``first`` … ``last``, in ns."""
     n = last - first
@@ -261,7 +261,7 @@ def _usual_step(t_ns: Any, first: int, last: int) -> float:
     return usual
 
 
-@jit
+@jit_ieee
 def _toe_and_heel(p: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -> None:
     """Least height of the toe in mid-swing and greatest of the heel, above the starting stance (m); NaN if unknown.
 

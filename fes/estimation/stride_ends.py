@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.signals import FloatArray, IntArray
 
 QUIET_WINDOW_S = 0.1
@@ -24,7 +24,7 @@ REST_RADPS = 1.0
 NO_REST_RADPS = 3.0  # beyond this the velocity at the ends is a guess, and so is the stride
 
 
-@jit
+@jit_ieee
 def mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, float, float, float, float]:
     """Means, then variances, of the three columns over the rows ``begin`` … ``end - 1``."""
     n = end - begin
@@ -41,14 +41,14 @@ def mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, float
     return m0, m1, m2, v0 / n, v1 / n, v2 / n
 
 
-@jit
+@jit_ieee
 def around_ends(t_ns: Any, first: int, last: int) -> int:
     """How many samples on either side of its ends a stride is measured over."""
     period_s: float = 1e-9 * (t_ns[last] - t_ns[first]) / (last - first)
     return max(round(AROUND_S / period_s), 1)
 
 
-@jit
+@jit_ieee
 def rows_before(t_ns: Any, n: int, at_ns: int) -> int:
     """How many of the first ``n`` rising stamps are earlier than a time."""
     low, high = 0, n
@@ -61,7 +61,7 @@ def rows_before(t_ns: Any, n: int, at_ns: int) -> int:
     return low
 
 
-@jit
+@jit_ieee
 def quietest_of(t_ns: Any, gyr: Any, n: int, bx: float, by: float, bz: float, earliest_ns: int, latest_ns: int) -> int:
     """As :func:`quietest`, of the first ``n`` samples of a gyroscope with a bias."""
     begin, end = rows_before(t_ns, n, earliest_ns), rows_before(t_ns, n, latest_ns + 1)

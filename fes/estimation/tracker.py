@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeAlias
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit_ieee
 from fes.estimation.history import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, History, SampleCounts
 from fes.estimation.rotation import without
 from fes.estimation.stride_ends import rows_before
@@ -34,7 +34,7 @@ PACK_ONE = Struct("=q6d").pack_into  # by assignment to the fields it would take
 Outcome: TypeAlias = PhaseChange | StrideResult
 
 
-@jit
+@jit_ieee
 def until_due(t_ns: Any, begin: int, end: int, due_ns: int) -> int:
     """Where a run over the rows ``begin`` … ``end - 1`` must stop: behind the first at which a stride is due."""
     if t_ns[end - 1] < due_ns:
