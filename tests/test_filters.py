@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
-from fes.estimation.filters import PADDING, greatest_of_late, low_pass, peaks_apart
+from fes.estimation.filters import PADDING, greatest_of_late, likeness, low_pass, peaks_apart, thinned_sizes
 from fes.signals import FloatArray
 
 ANY = st.floats(-50.0, 50.0)
@@ -51,3 +51,14 @@ def test_the_greatest_of_nothing() -> None:
 @given(x=st.one_of(signals(0), signals(0, FEW)), apart=st.integers(1, 30))
 def test_peaks_are_scipys(x: FloatArray, apart: int) -> None:
     assert np.array_equal(peaks_apart(x, apart), find_peaks(x, distance=apart)[0])
+
+
+@given(st.integers(1, 60), st.integers(1, 80), st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_likeness_is_the_correlation_with_itself(n: int, lags: int, step: int, seed: int) -> None:
+    x = np.random.default_rng(seed).normal(size=(n * step + step - 1, 3))
+    size, found = np.empty(n), np.empty(lags)
+    thinned_sizes(x, step, size)
+    assert np.allclose(size, np.linalg.norm(x, axis=1)[: n * step].reshape(n, step).mean(axis=1), rtol=1e-13)
+    likeness(size, found)
+    wanted = np.concatenate((np.correlate(size, size, "full")[n - 1 :], np.zeros(lags)))[:lags]
+    assert np.allclose(found, wanted, rtol=1e-12, atol=1e-12)
