@@ -164,7 +164,14 @@ def rss_mb() -> float:
 def measure(minutes: float) -> dict[str, float]:
     session = load_session(SETTINGS)
     devices = [
-        {"sensor": sensor, "device": "ximu3", "port": "x", "rate_hz": RATE_HZ, "acc_range_g": 16, "gyr_range_dps": 2000}
+        {
+            "sensor": sensor,
+            "device": "ximu3",
+            "port": sensor,
+            "rate_hz": RATE_HZ,
+            "acc_range_g": 16,
+            "gyr_range_dps": 2000,
+        }
         for sensor in FOOT_SENSORS
     ]
     session = type(session).model_validate({**session.model_dump(), "sensors": devices})
