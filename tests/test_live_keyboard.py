@@ -96,7 +96,7 @@ def test_after_ctrl_z_and_fg_the_space_bar_stops_without_enter() -> None:
         os.kill(pid, signal.SIGCONT)
         wait_for(lambda: not waits_for_enter(master))
         os.write(master, b" ")
-        assert b"asked stop" in read_until(master, b"asked")
+        read_until(master, b"asked stop")
     finally:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
