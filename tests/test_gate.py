@@ -213,6 +213,7 @@ def test_pulses_that_nobody_asked_for_latch(bench: Bench) -> None:
     assert bench.gate.latched == ""
     delivered(bench)
     assert bench.gate.latched == UNASKED
+    assert bench.gate.latched_ns == bench.t_ns
 
 
 @pytest.mark.requirement("SR-13")
