@@ -16,9 +16,9 @@ from statemachine.phases import PhaseChange, Transition
 PRE_MS, SWING_MS = 300, 500
 
 
-def early(before_s: float) -> Walk:
+def early(before_s: float, start_phase: str = "pre_swing") -> Walk:
     """A walk whose bursts begin to fall so long before contact; 20 mA, 100 ms up and down."""
-    channel = make_channel(extension_s=0.0)
+    channel = make_channel(extension_s=0.0, start_phase=start_phase)
     walk = Walk(channel)
     walk.plan.set_parameters(0, replace(BurstParameters.of(channel), extension_s=-before_s))
     return walk
@@ -78,16 +78,19 @@ def test_it_falls_even_while_contact_does_not_come() -> None:
     assert found[530] == 0.0
 
 
-def test_a_lost_phase_forgets_what_was_expected() -> None:
-    walk = early(0.08)
+@pytest.mark.parametrize("start_phase", ["pre_swing", "stance"])
+def test_a_lost_phase_forgets_what_was_expected(start_phase: str) -> None:
+    walk = early(0.08, start_phase)
     for _ in range(4):
         step(walk)
     walk.plan.on_phase(PhaseChange(walk.t_ms * MS, "left_foot", Transition.NONE, STANCE, STANCE), permitted=True)
+    step(walk)  # a channel that starts with stance starts at its end
     assert fall_begins(step(walk)) == SWING_MS
 
 
-def test_a_heel_that_rises_again_does_not_inherit_the_end_of_a_swing_without_contact() -> None:
-    walk = early(0.08)
+@pytest.mark.parametrize("start_phase", ["pre_swing", "stance"])
+def test_a_heel_that_rises_again_does_not_inherit_the_end_of_a_swing_without_contact(start_phase: str) -> None:
+    walk = early(0.08, start_phase)
     for _ in range(4):
         step(walk)
     walk.enter(PRE_SWING)
@@ -103,6 +106,7 @@ def test_a_heel_that_rises_again_does_not_inherit_the_end_of_a_swing_without_con
 def test_what_is_not_negative_waits_for_contact() -> None:
     walk = early(0.0)
     assert [fall_begins(step(walk)) for _ in range(6)] == [SWING_MS] * 6
+    assert fall_begins(step(walk, swing_ms=700)) == 700
 
 
 def test_a_burst_that_starts_with_the_swing_can_end_before_contact_too() -> None:
