@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import fsspec
@@ -127,6 +128,16 @@ def test_half_a_recordings_results_count_as_none(tmp_path: Path) -> None:
     analyse_one(source, store, Settings())
     assert store.finished() == {identity}
     assert len(rows(store, STRIDES)) > 20
+
+
+def test_two_that_do_the_same_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+    store = Store(str(tmp_path / "out"))
+    store.prepare({})
+    with ThreadPoolExecutor(4) as pool:
+        for _ in pool.map(lambda _: store.put("same", {STRIDES: [], RECORDINGS: []}), range(200)):
+            pass
+    assert store.finished() == {"same"}
+    assert sorted(path.name for path in (tmp_path / "out" / STRIDES).iterdir()) == ["same.parquet"]
 
 
 def test_a_killed_worker_loses_nothing_and_what_is_finished_is_not_done_again(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from secrets import token_hex
 from typing import Any, Final
 
 import fsspec
@@ -93,7 +94,8 @@ class Store:
         filesystem, root = self._open()
         for table in sorted(tables, key=lambda name: name == self.last):
             rows = pa.Table.from_pylist([dict(row) for row in tables[table]], schema=self.schemas[table])
-            draft, path = f"{root}/{table}/.{identity}.part", f"{root}/{table}/{identity}.parquet"
+            # a draft of its own: a scheduler that thinks a worker lost has its work done twice at the same time
+            draft, path = f"{root}/{table}/.{identity}.{token_hex(4)}.part", f"{root}/{table}/{identity}.parquet"
             with filesystem.open(draft, "wb") as file:
                 parquet.write_table(rows, file)
             filesystem.mv(draft, path)
