@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.foot_way import FootSamples, foot_samples
+from fes.estimation.path_kernel import bend
+from fes.estimation.ranks import median
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.recording import Track
 from fes.signals import FloatArray, IntArray
@@ -64,6 +67,12 @@ class GroundPath:
         columns = (*self.position_m.T, self.heading_rad)
         return np.column_stack([np.interp(asked, known, column) for column in columns])
 
+    def heading_at(self, t_ns: IntArray) -> FloatArray:
+        """The last column of :meth:`at` (M,)."""
+        begin = self.t_ns[0]
+        asked, known = ((t - begin).astype(np.float64) for t in (t_ns, self.t_ns))
+        return np.asarray(np.interp(asked, known, self.heading_rad))
+
     def rows(self, rate_hz: float = 10.0, origin_ns: int | None = None) -> list[dict[str, Any]]:
         """One flat row per instant, units in the names; instants count from the path's beginning, or the origin."""
         origin = int(self.t_ns[0]) if origin_ns is None else origin_ns
@@ -103,10 +112,17 @@ def ground_path(
     kept = t_ns[::step] if (len(t_ns) - 1) % step == 0 else np.append(t_ns[::step], t_ns[-1])
     stance_ns = t_ns[stances]
     way_m = float(np.hypot(*np.diff(way.at(stance_ns)[:, :2], axis=0).T).sum())
-    pointing = way.pointing(calibration.forward())
-    heading = _continuous(way.t_ns, np.unwrap(np.arctan2(pointing[:, 1], pointing[:, 0])), stance_ns)
+    heading = _continuous(way.t_ns, way.headings(calibration.forward()), stance_ns)
     heading = np.interp((kept - t_ns[0]).astype(np.float64), (way.t_ns - t_ns[0]).astype(np.float64), heading)
     return ahead(GroundPath(calibration.sensor, kept, way.at(kept), heading, way_m, stance_ns))
+
+
+def _unwrapped(angle: FloatArray) -> FloatArray:
+    """Angles (K,) changed by whole turns, in place, so that no step is more than half of one: ``np.unwrap``, sooner."""
+    turns = np.rint(np.diff(angle) * (0.5 / np.pi))
+    if turns.any():
+        angle[1:] -= 2.0 * np.pi * np.cumsum(turns)
+    return angle
 
 
 def _continuous(t_ns: IntArray, heading: FloatArray, stance_ns: IntArray) -> FloatArray:
@@ -121,12 +137,24 @@ def _continuous(t_ns: IntArray, heading: FloatArray, stance_ns: IntArray) -> Flo
 
 def ahead(path: GroundPath) -> GroundPath:
     """The same, turned so that x points to where the foot first is 2 m away (at most as far as it goes)."""
-    flat = path.position_m[:, :2]
-    far = np.hypot(*flat.T)
-    at = int(np.argmax(far >= min(AHEAD_M, 0.999 * float(far.max()))))
-    angle = float(np.arctan2(flat[at, 1], flat[at, 0]))
+    x, y = path.position_m[:, 0], path.position_m[:, 1]
+    at = _first_beyond(x, y, AHEAD_M)
+    if at < 0:
+        at = max(_first_beyond(x, y, 0.999 * float(np.hypot(x, y).max())), 0)
+    angle = float(np.arctan2(y[at], x[at]))
     start = round(float(path.heading_rad[0] - angle) / (2.0 * np.pi)) * 2.0 * np.pi
     return replace(path, position_m=path.position_m @ _about_z(-angle).T, heading_rad=path.heading_rad - angle - start)
+
+
+def _first_beyond(x: FloatArray, y: FloatArray, distance_m: float) -> int:
+    """The first of the places (K,) that is so far away; -1 where none is. Mostly it is one of the first."""
+    begin, count = 0, 256
+    while begin < len(x):
+        far = np.hypot(x[begin : begin + count], y[begin : begin + count]) >= distance_m
+        if far.any():
+            return begin + int(np.argmax(far))
+        begin, count = begin + count, 4 * count
+    return -1
 
 
 def _about_z(angle_rad: float) -> FloatArray:
@@ -168,28 +196,26 @@ def _drift_apart(left: GroundPath, right: GroundPath) -> float:
     common = left.stance_ns[(left.stance_ns >= right.stance_ns[0]) & (left.stance_ns <= right.stance_ns[-1])]
     if len(common) < LEAST_STANCES:
         return 0.0
-    of_right = np.interp(
-        (common - common[0]).astype(np.float64),
-        (right.stance_ns - common[0]).astype(np.float64),
-        np.unwrap(right.at(right.stance_ns)[:, 3]),
-    )
-    apart = np.unwrap(np.unwrap(left.at(common)[:, 3]) - of_right)
+    right_heading = _unwrapped(right.heading_at(right.stance_ns))
+    since, known = ((t - common[0]).astype(np.float64) for t in (common, right.stance_ns))
+    of_right = np.interp(since, known, right_heading)
+    apart = _unwrapped(_unwrapped(left.heading_at(common)) - of_right)
     count = min(len(common), MOST_STANCES)
-    picked = np.linspace(0, len(common) - 1, count).round().astype(int)
-    apart = apart[picked]
-    slopes = [(apart[k:] - apart[:-k]) / (picked[k:] - picked[:-k]) for k in range(count // 4, count)]
-    return float(np.median(np.concatenate(slopes)))
+    picked = np.linspace(0, len(common) - 1, count).round()
+    apart = apart[picked.astype(int)]
+    earlier, later = _pairs(count)
+    return median((apart.take(later) - apart.take(earlier)) / (picked.take(later) - picked.take(earlier)))
+
+
+@lru_cache(maxsize=4)
+def _pairs(count: int) -> tuple[IntArray, IntArray]:
+    """All pairs out of so many in a row that are at least a quarter of them apart: the earlier ones and the later."""
+    earlier, later = np.triu_indices(count, count // 4)
+    return earlier, later
 
 
 def _turned(path: GroundPath, stance_ns: IntArray, per_stride_rad: float) -> GroundPath:
     """The path bent by an angle that grows from stance to stance."""
-    begin = path.t_ns[0]
-    since, stances = ((t - begin).astype(np.float64) for t in (path.t_ns, stance_ns))
-    angle = per_stride_rad * np.interp(since, stances, np.arange(len(stances), dtype=np.float64))
-    step = np.diff(path.position_m[:, :2], axis=0)
-    middle = 0.5 * (angle[1:] + angle[:-1])
-    c, s = np.cos(middle), np.sin(middle)
-    bent = np.column_stack((c * step[:, 0] - s * step[:, 1], s * step[:, 0] + c * step[:, 1]))
-    position = path.position_m.copy()
-    position[1:, :2] = position[0, :2] + np.cumsum(bent, axis=0)
-    return replace(path, position_m=position, heading_rad=path.heading_rad + angle)
+    place, heading = np.empty(path.position_m.shape), np.empty(len(path.t_ns))
+    bend(path.t_ns, stance_ns, per_stride_rad, path.position_m, path.heading_rad, place, heading)
+    return replace(path, position_m=place, heading_rad=heading)

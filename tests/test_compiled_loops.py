@@ -7,7 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from fes.estimation.path_kernel import bend, headings
+from fes.estimation.ranks import median
 from fes.estimation.rest_kernel import least_spread, stillest
+from fes.estimation.rotation import foot_axes, quaternions_of, up_in_sensor
 from fes.estimation.stride_shape import stride_shape
 from fes.estimation.zupt_covariance import BIASES, STATES, WIDTH, carry_one, predict, update, update_velocity
 
@@ -89,3 +92,47 @@ def test_a_strides_shape_is_interpolated_and_turned() -> None:
     for k in range(3):
         assert out[:, k] == pytest.approx(np.interp(at, since, walking[:, k]), abs=1e-12)
     assert out[:, 3] == pytest.approx(np.interp(at, since, -(pitch - pitch[0])), abs=1e-12)
+
+
+@pytest.mark.parametrize("stances", [1, 2, 7])
+def test_a_path_is_bent_piece_by_piece(stances: int) -> None:
+    n = 300
+    t_ns = 10**15 + np.cumsum(RNG.integers(1_000_000, 30_000_000, n))
+    position, heading = np.cumsum(RNG.normal(0.01, 0.01, (n, 3)), axis=0), RNG.normal(0.0, 1.0, n)
+    stance_ns = np.sort(RNG.choice(t_ns[20:-20], stances, replace=False))
+    place, turned = np.empty((n, 3)), np.empty(n)
+    bend(t_ns, stance_ns, 0.7, position, heading, place, turned)
+    since, stances_s = ((t - t_ns[0]).astype(np.float64) for t in (t_ns, stance_ns))
+    angle = 0.7 * np.interp(since, stances_s, np.arange(stances, dtype=np.float64))
+    assert turned == pytest.approx(heading + angle, abs=1e-12)
+    steps = np.exp(0.5j * (angle[1:] + angle[:-1])) * np.diff(position[:, 0] + 1j * position[:, 1])
+    assert np.diff(place[:, 0] + 1j * place[:, 1]) == pytest.approx(steps, abs=1e-12)
+    assert np.array_equal(place[0], position[0])
+    assert np.array_equal(place[:, 2], position[:, 2])
+
+
+def test_headings_turn_by_less_than_half_a_turn_each_time() -> None:
+    angle = np.cumsum(RNG.uniform(-3.0, 3.0, 200))
+    out = np.empty(200)
+    about_up = np.column_stack((np.cos(angle / 2), np.zeros((200, 2)), np.sin(angle / 2)))
+    headings(about_up, np.array([0.0, 1.0, 0.2]), out)
+    assert out == pytest.approx(np.unwrap(np.arctan2(np.cos(angle), -np.sin(angle))), abs=1e-10)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 10, 1001])
+def test_a_median_is_numpys(n: int) -> None:
+    for values in (RNG.normal(0.0, 1.0, n), RNG.integers(0, 5, n), np.full(n, np.inf)):
+        assert median(values) == np.median(values)
+    assert math.isnan(median(np.empty(0)))
+
+
+def test_rotations_go_to_matrices_and_back() -> None:
+    q = RNG.normal(0.0, 1.0, (50, 4))
+    q[:4] = np.eye(4)  # half turns about each axis, and none
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    axes = np.empty((50, 3, 3))
+    foot_axes(q, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), axes)
+    back = quaternions_of(axes)
+    assert back * np.sign((back * q).sum(axis=1, keepdims=True)) == pytest.approx(q, abs=1e-14)
+    for turned, matrix in zip(q.tolist(), axes, strict=True):
+        assert up_in_sensor(*turned) == pytest.approx(matrix[2], abs=1e-14)

@@ -39,6 +39,10 @@ def in_processes(parts: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
     """Compile these in a process for each further processor; gives the parts left to this one. Waits at the end."""
     free = len(os.sched_getaffinity(0)) - 1 if "fork" in multiprocessing.get_all_start_methods() else 0
     helpers = []
+    if free > 0:
+        from fes.estimation.compiler import load
+
+        load()  # once for all
     try:
         with suppress(OSError):
             for part in parts[:free]:

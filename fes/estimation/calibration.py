@@ -16,7 +16,9 @@ import numpy as np
 
 from fes.estimation.kernel import FootParameters, lags_at
 from fes.estimation.movements import contact_jumps, left_over, movements, moving_mean, travels
+from fes.estimation.ranks import median, percentile
 from fes.estimation.rest_kernel import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
+from fes.estimation.rotation import cross
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
 
@@ -86,7 +88,7 @@ class FootCalibration:
 
     def forward(self) -> FloatArray:
         """Unit vector towards the toe in the sensor frame (3,): toe-down × up."""
-        return np.cross(np.array(self.toe_down), np.array(self.up))
+        return cross(self.toe_down, self.up)
 
     def to_dict(self) -> dict[str, Any]:
         """For the session log."""
@@ -121,7 +123,7 @@ def calibrate_foot(
         )
     rate_bias, standing = _standing(rate_hz, acc_mps2, gyr_radps)
     gyr = gyr_radps - rate_bias
-    energy = moving_mean(np.einsum("ij,ij->i", gyr, gyr), window)
+    energy = moving_mean(_squares(gyr), window)
     unrest, rest_force, rest_norm = _rest(energy, acc_mps2, window)
     if not 0.7 * G_MPS2 < rest_norm < 1.3 * G_MPS2:
         raise CalibrationError(
@@ -141,7 +143,7 @@ def calibrate_foot(
         )
     axis = _mediolateral(gyr, swings, up)
     forward = np.cross(axis, up)
-    along = np.array([float(d @ forward) for d in ways])
+    along = ways @ forward
     confidence = abs(along.sum()) / np.abs(along).sum()
     if confidence < 0.6:
         raise CalibrationError(
@@ -180,7 +182,7 @@ def _standing(rate_hz: float, acc: FloatArray, gyr: FloatArray) -> tuple[FloatAr
     """Gyroscope bias from the stillest second, zero where nobody stood still."""
     n = round(STANDING_S * rate_hz)
     begin, best = least_spread(np.ascontiguousarray(acc), np.ascontiguousarray(gyr), n, max(n // 4, 1), 0.1)
-    bias = np.median(gyr[begin : begin + n], axis=0) if begin >= 0 else np.zeros(3)
+    bias = _medians(gyr[begin : begin + n]) if begin >= 0 else np.zeros(3)
     standing = best < STANDING_RATE_RADPS and float(np.linalg.norm(bias)) < 0.2
     return (bias if standing else np.zeros(3)), standing
 
@@ -192,14 +194,35 @@ def _rest(energy: FloatArray, acc: FloatArray, window: int) -> tuple[FloatArray,
     (:mod:`fes.estimation.rest_kernel`), after Skog et al., IEEE Trans Biomed Eng 57, 2010; of the force its mean over
     the window, for that is what moves the foot. ``energy`` (N,) is the rate's square over the window.
     """
-    size = np.linalg.norm(acc, axis=1)
+    size = _sizes(acc)
     force, turning = moving_mean(size, window), energy / RATE_TOLERANCE_RADPS**2
     unrest = turning
     for _ in range(QUIET_PASSES + 1):
-        quiet = unrest <= np.percentile(unrest, QUIET_PERCENT)
-        norm = float(np.median(size[quiet]))
+        quiet = unrest <= percentile(unrest, QUIET_PERCENT)
+        norm = median(size[quiet])
         unrest = turning + ((force - norm) / ACC_TOLERANCE_MPS2) ** 2
-    return unrest, np.median(acc[quiet], axis=0), norm
+    return unrest, _medians(acc[quiet]), norm
+
+
+def _medians(vectors: FloatArray) -> FloatArray:
+    """Of each column (3,) of vectors (N, 3)."""
+    return np.array([median(column) for column in vectors.T])
+
+
+def _sizes(vectors: FloatArray) -> FloatArray:
+    """Lengths (N,) of vectors (N, 3)."""
+    return np.asarray(np.sqrt(_squares(vectors)))
+
+
+def _squares(vectors: FloatArray) -> FloatArray:
+    """Squared lengths (N,) of vectors (N, 3)."""
+    x, y, z = vectors.T
+    return np.asarray(x * x + y * y + z * z)
+
+
+def _of_each(of: np.ufunc, values: FloatArray, spans: IntArray) -> FloatArray:
+    """Sum, greatest … (K,) of ``values`` over spans (K, 2), both ends included; one value stands after the last."""
+    return np.asarray(of.reduceat(values, (spans + np.array((0, 1))).ravel())[::2])
 
 
 def _acc_bias_across(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray, up: FloatArray) -> FloatArray:
@@ -210,11 +233,10 @@ def _acc_bias_across(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: In
     walk is, for scale errors leave something over too; so each is weighed against a share of the stride's acceleration.
     """
     left, effect_sum = left_over(t_ns, acc, gyr, spans)
-    floor, liveliness = np.zeros(2), np.abs(np.linalg.norm(acc, axis=1) - G_MPS2)
-    for first, last in spans.tolist():
-        span_s = 1e-9 * float(t_ns[last] - t_ns[first])
-        briskness = span_s * float(liveliness[first : last + 1].mean())
-        floor += SCALE_ERROR * briskness, SCALE_ERROR * briskness * 0.5 * span_s
+    liveliness = np.append(np.abs(_sizes(acc) - G_MPS2), 0.0)
+    span_s = 1e-9 * (t_ns[spans[:, 1]] - t_ns[spans[:, 0]])
+    briskness = span_s * _of_each(np.add, liveliness, spans) / (spans[:, 1] + 1 - spans[:, 0])
+    floor = SCALE_ERROR * np.array((briskness.sum(), 0.5 * (briskness * span_s).sum()))
     across = np.eye(3) - np.outer(up, up)
     rows = np.vstack(((effect_sum @ across) / floor[:, None], np.eye(3) / ACC_BIAS_SD_MPS2))
     values = np.concatenate((left / floor, np.zeros(3)))
@@ -223,9 +245,11 @@ def _acc_bias_across(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: In
 
 def _mediolateral(gyr: FloatArray, spans: IntArray, up: FloatArray) -> FloatArray:
     """The horizontal axis that most of the strides' rotation is about, unit (3,), sign open."""
-    moment = np.zeros((3, 3))
-    for begin, end in spans.tolist():
-        moment += gyr[begin:end].T @ gyr[begin:end]
+    within = np.zeros(len(gyr) + 1, np.int64)
+    within[spans[:, 0]] += 1  # one movement may end where the next one begins, no two overlap
+    within[spans[:, 1]] -= 1
+    rates = gyr[np.cumsum(within[:-1]) > 0]
+    moment = rates.T @ rates
     level = np.eye(3) - np.outer(up, up)
     _, vectors = np.linalg.eigh(level @ moment @ level)
     axis = vectors[:, -1]
@@ -234,14 +258,15 @@ def _mediolateral(gyr: FloatArray, spans: IntArray, up: FloatArray) -> FloatArra
 
 def _levels(toe_down: FloatArray, rate: FloatArray, spans: IntArray) -> tuple[float, float]:
     """Typical peak of the toe-down rate per stride, and the rate at the quietest instant between strides (rad/s)."""
-    peaks = [float(toe_down[first : last + 1].max()) for first, last in spans.tolist()]
-    return float(np.median(peaks)), float(np.median(rate[spans[:, 1]]))
+    peaks = _of_each(np.maximum, np.append(toe_down, 0.0), spans)
+    return median(peaks), median(rate[spans[:, 1]])
 
 
 def _rest_hold_s(starts_s: FloatArray) -> float:
     """How long rest must last to count: slow walkers pause between contact and foot flat, fast ones hardly rest."""
     between = np.diff(starts_s)
-    stride_s = float(np.median(between[between < 4.0])) if np.any(between < 4.0) else 1.0
+    usual = between[between < 4.0]
+    stride_s = median(usual) if len(usual) else 1.0
     low, high = REST_HOLD_BOUNDS_S
     return min(max(REST_HOLD_PER_STRIDE * (stride_s - SHORTEST_STRIDE_S), low), high)
 
@@ -255,7 +280,7 @@ def _contact_jump(
     jumps = contact_jumps(t_ns, acc, gyr, spans, peaks, lag)
     jumps = jumps[~np.isnan(jumps)] * rate_hz / lag
     low, high = CONTACT_JUMP_BOUNDS_MPS3
-    return min(max(CONTACT_SHARE * float(np.median(jumps)), low), high) if len(jumps) else high
+    return min(max(CONTACT_SHARE * median(jumps), low), high) if len(jumps) else high
 
 
 def stretch_for_calibration(t_ns: IntArray, longest_s: float = 60.0) -> int:

@@ -25,7 +25,8 @@ import numpy as np
 
 from fes.config import FootGeometry
 from fes.estimation.clearance_kernel import all_clear, all_contact_heights, drift_correction, lowest_in_swing
-from fes.estimation.rotation import foot_axes
+from fes.estimation.ranks import median
+from fes.estimation.rotation import foot_axes, quaternions_of
 from fes.estimation.stride_time import UNSEEN_NS
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 
@@ -68,9 +69,11 @@ class FootPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FootPaths:
-    """The ways of one foot's K strides as one: rows ``spans`` (K, 2) of ``t_ns`` (R,), ``position_m`` and ``axes``.
+    """The ways of one foot's K strides as one: rows ``spans`` (K, 2) of ``t_ns`` (R,), ``position_m``, ``quaternion``.
 
     ``numbers`` (K,) are the strides', ``swings_ns`` (K, 2) foot off and contact, ``UNSEEN_NS`` for what was not seen.
+    ``quaternion`` (R, 4) turns sensor vectors into the world; the columns of ``foot`` (3, 3) are the foot's forward,
+    left and up in the sensor frame.
     """
 
     numbers: IntArray
@@ -78,16 +81,19 @@ class FootPaths:
     swings_ns: IntArray
     t_ns: IntArray
     position_m: FloatArray
-    axes: FloatArray
+    quaternion: FloatArray
+    foot: FloatArray
 
     def __len__(self) -> int:
         return len(self.numbers)
 
     def each(self) -> list[FootPath]:
         """One by one."""
+        axes = np.empty((len(self.t_ns), 3, 3))
+        foot_axes(self.quaternion, self.foot[:, 0].copy(), self.foot[:, 2].copy(), axes)
         return [
             FootPath(
-                number, self.t_ns[a:b], self.position_m[a:b], self.axes[a:b],
+                number, self.t_ns[a:b], self.position_m[a:b], axes[a:b],
                 None if off == UNSEEN_NS else off, None if contact == UNSEEN_NS else contact,
             )
             for number, (a, b), (off, contact) in zip(
@@ -111,7 +117,8 @@ def in_one(paths: AnyPaths) -> FootPaths:
         np.array([path.swing_ns for path in paths], dtype=np.int64).reshape(len(paths), 2),
         np.concatenate([np.zeros(0, np.int64), *(path.t_ns for path in paths)]),
         np.concatenate([np.zeros((0, 3)), *(path.position_m for path in paths)]),
-        np.concatenate([np.zeros((0, 3, 3)), *(path.axes for path in paths)]),
+        quaternions_of(np.concatenate([np.zeros((0, 3, 3)), *(path.axes for path in paths)])),
+        np.eye(3),
     )
 
 
@@ -187,19 +194,19 @@ def contact_levels(paths: AnyPaths, arms: FootArms) -> ContactLevels | None:
     over the next; and of the foot in the stance after over that before. So steps up and down do not make the first two
     differ.
     """
-    paths, toe, heel = in_one(paths), np.array(arms.toe_m), np.array(arms.heel_m)
+    paths = in_one(paths)
+    toe, heel = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m)
     each, shown = np.empty((len(paths), 3)), np.empty(len(paths), np.bool_)
     all_contact_heights(
-        paths.t_ns, paths.position_m, paths.axes, paths.spans, paths.swings_ns, toe, heel, each, shown
+        paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, each, shown
     )  # fmt: skip
     seen = each[shown]
     if len(seen) < LEAST_STRIDES:
         return None
-    cut = int(
-        TRIM * len(seen)
-    )  # a stumble or a turn must not shift the rest, and half the strides is too much to waste
-    level = np.sort(seen, axis=0)[cut : len(seen) - cut].mean(axis=0)
-    spread = 1.4826 * np.median(np.abs(seen - np.median(seen, axis=0)), axis=0)
+    columns, cut = np.sort(seen.T), int(TRIM * len(seen))
+    # a stumble or a turn must not shift the rest, and half the strides is too much to waste
+    level = columns[:, cut : len(seen) - cut].mean(axis=1)
+    spread = 1.4826 * np.array([median(np.abs(column - median(column))) for column in columns])
     weight = 1.0 - np.minimum(CONTACT_SPREAD_M / np.maximum(spread, 1e-9), 1.0) ** 2
     off, contact, rises = level.tolist()
     return ContactLevels(off, contact, rises if abs(rises) > LEVEL_GROUND_M else 0.0, *weight.tolist())
@@ -233,8 +240,8 @@ def clearances(paths: AnyPaths, arms: FootArms, levels: ContactLevels | None) ->
     paths, out = in_one(paths), np.empty((len(paths), 6))
     row = np.zeros(0) if levels is None else levels.row()
     all_clear(
-        paths.t_ns, paths.position_m, paths.axes, paths.spans, paths.swings_ns, np.array(arms.toe_m),
-        np.array(arms.heel_m), row, out,
+        paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns,
+        paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), row, out,
     )  # fmt: skip
     return out
 

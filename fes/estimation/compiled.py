@@ -29,7 +29,7 @@ def _sources() -> list[Path]:
     """The modules beside this one that compile something, the patient's, and what they compile in from elsewhere."""
     here = Path(__file__).parent
     beside = [*sorted(here.glob("*.py")), *sorted((here.parent / "patient" / "virtual").glob("*.py"))]
-    compiling = [path for path in beside if "jit" in path.read_text(encoding="utf-8") or path.stem == "compiler"]
+    compiling = [path for path in beside if "jit" in path.read_text(encoding="utf-8") or "compiler" in path.stem]
     return [*compiling, *(Path(str(m.__file__)) for m in (statemachine.guards, statemachine.table, fes.signals))]
 
 

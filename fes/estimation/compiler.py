@@ -2,9 +2,10 @@
 
 By itself numba gives every function machine code, two wrappers (for Python and for C) and a file in the cache, and then
 compiles all of it into each of its callers once more. Of our functions Python calls one in four. So here a function's
-body is compiled for its callers (:meth:`Function.body`), and a wrapper, machine code and a place in the cache are for
-what Python calls, at its first call. Arithmetic and its order are untouched. A cache that cannot be written to, for
-lack of space or of rights, costs time at the next start and nothing else.
+body is compiled for its callers (:class:`Body`), and linking, optimising, a wrapper, machine code and a place in the
+cache are for what Python calls, at its first call. Nor has what numba compiles of its own for us machine code, which
+took a twelfth of the time. Arithmetic and its order are untouched. A cache that cannot be written to, for lack of space
+or of rights, costs time at the next start and nothing else.
 
 This reaches deeper into numba than its documented interface: ``pyproject.toml`` holds numba to a release that the tests
 have seen.
@@ -18,38 +19,78 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from numba.core import compiler, dispatcher, sigutils, types
+from numba.core import compiler, types
 from numba.core.caching import FunctionCache, NullCache
-from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler_lock import global_compiler_lock
 from numba.core.registry import CPUDispatcher
+from numba.core.registry import cpu_target as NUMBA
 from numba.core.runtime.nrt import rtsys
-from numba.core.typing.templates import make_concrete_template
+from numba.core.target_extension import CPU, dispatcher_registry
+from numba.core.typed_passes import NativeLowering, NopythonRewrites
+from numba.core.untyped_passes import InlineInlinables
+
+from fes.estimation.compiler_ir import Inlining, Target
+from fes.estimation.compiler_llvm import BorrowingLowering, Lowering
+from fes.estimation.compiler_spared import spared
+from fes.estimation.compiler_types import Types
 
 STACK_SLOTS = 1 << 16
-_FunctionCompiler: Any = vars(dispatcher)["_FunctionCompiler"]
+MANY_OBJECTS = 50_000  # more than loading finished code makes, less than compiling the least function
 OPTIONS = {"nopython": True, "boundscheck": None, "fastmath": False, "nogil": True, "no_cfunc_wrapper": True}
+NEEDLESS = (NopythonRewrites,)  # arithmetic of whole arrays in one loop: ours is of numbers
 
 
-class _BodyLibrary(JITCodeLibrary):
-    """LLVM's code of one function, to be compiled into others: no machine code of its own."""
+class _Pipeline(compiler.Compiler):
+    """numba's steps, some of them replaced."""
 
-    def _finalize_final_module(self) -> None:
-        self._finalize_dynamic_globals()
-        self._finalized = True
+    for_python = False
+    lowering: Any = Lowering
+
+    def __init__(self, *rest: Any) -> None:
+        super().__init__(*rest)
+        self.state.targetctx = Target(self.state.targetctx)
+        self.state.typingctx = self.state.targetctx.typing_context = Types()
+
+    def define_pipelines(self) -> Any:
+        ours, managers = {NativeLowering: self.lowering, InlineInlinables: Inlining}, super().define_pipelines()
+        for manager in managers:
+            manager.passes = [(ours.get(step, step), why) for step, why in manager.passes if step not in NEEDLESS]
+        return managers
 
 
-class _BodyPipeline(compiler.Compiler):
-    def __init__(self, typing_context: Any, target_context: Any, _: None, *rest: Any) -> None:
-        super().__init__(typing_context, target_context, _BodyLibrary(target_context.codegen(), "body"), *rest)
+class _KernelPipeline(_Pipeline):
+    lowering = BorrowingLowering
 
 
-class _Body(_FunctionCompiler):
-    """Compiles a function for its callers."""
+class _PythonPipeline(_KernelPipeline):
+    for_python = True
 
-    def _customize_flags(self, flags: Any) -> Any:
-        flags.no_compile = flags.no_cpython_wrapper = flags.no_cfunc_wrapper = True
-        return flags
+    def compile_extra(self, func: Any) -> Any:
+        """Compile, while what numba compiles of its own gets no machine code."""
+        dispatcher_registry.update({CPU: Body})
+        try:
+            with spared():
+                return super().compile_extra(func)
+        finally:
+            dispatcher_registry.update({CPU: CPUDispatcher})
+
+
+class Body(CPUDispatcher):
+    """A function that only other compiled functions call: numba's own ones, as they are needed, and ours."""
+
+    def __init__(
+        self, py_func: Any, locals: Any = None, targetoptions: Any = None, pipeline_class: Any = _Pipeline
+    ) -> None:
+        super().__init__(py_func, locals, targetoptions, pipeline_class)
+
+    def compile(self, sig: Any) -> Any:
+        """Compile for these types, once."""
+        return None if sig in self.overloads else super().compile(sig)
+
+    def add_overload(self, cres: Any) -> None:
+        """Take what compiling for some types of arguments gave, for callers."""
+        key = object()
+        self.targetctx.insert_user_function(key, cres.fndesc, cres.library.with_callees())
+        self.overloads[tuple(cres.signature.args)] = cres._replace(entry_point=key)
 
 
 class _Cache(FunctionCache):
@@ -62,7 +103,8 @@ class _Cache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         try:
-            super().save_overload(sig, data)
+            # without the source with its types, which is there for reading
+            super().save_overload(sig, data._replace(type_annotation=""))
         except OSError as error:
             unkept(error)
 
@@ -71,19 +113,9 @@ class Function(CPUDispatcher):
     """A compiled function, for Python and for other compiled functions."""
 
     def __init__(self, py_func: Callable[..., Any], locals: Any = None, targetoptions: Any = None) -> None:
-        super().__init__(py_func, locals, targetoptions)
+        super().__init__(py_func, locals, targetoptions, _PythonPipeline)
         self._cache: Any = NullCache()  # until the first call from Python
-        self._bodies: dict[Any, tuple[object, Any]] = {}
-        self._body = _Body(py_func, self.targetdescr, self.targetoptions, self.locals, _BodyPipeline)
-
-    def body(self, args: tuple[Any, ...]) -> Any:
-        """What compiling for these types of arguments gave, for callers."""
-        if args not in self._bodies:
-            with global_compiler_lock:
-                result, key = self._body.compile(args, None), object()
-                self.targetctx.insert_user_function(key, result.fndesc, [result.library])
-            self._bodies[args] = key, result
-        return self._bodies[args][1]
+        self._body = Body(py_func, locals, targetoptions, _KernelPipeline)
 
     def compile(self, sig: Any) -> Any:
         """Compile for a call from Python, or fetch it from the cache."""
@@ -98,13 +130,18 @@ class Function(CPUDispatcher):
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """What numba asks for at a call from other compiled code."""
         pysig, args = self._body.fold_argument_types(args, kws)
-        self.body(tuple(types.unliteral(kind) for kind in args))
-        name, signatures = self.py_func.__name__, [result.signature for _, result in self._bodies.values()]
-        return make_concrete_template(f"CallTemplate({name})", name, signatures), pysig, args, {}
+        template, *_ = self._body.get_call_template(tuple(types.unliteral(kind) for kind in args), {})
+        return template, pysig, args, {}
 
     def get_overload(self, sig: Any) -> Any:
         """The key under which numba finds the body."""
-        return self._bodies[tuple(sigutils.normalize_signature(sig)[0])][0]
+        return self._body.get_overload(sig)
+
+
+def load() -> None:
+    """Load what only compiling needs; by itself that comes with the first function."""
+    NUMBA.typing_context.refresh()
+    NUMBA.target_context.refresh()
 
 
 _told: list[Exception] = []
@@ -122,13 +159,18 @@ def unkept(error: Exception) -> None:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Without Python's collector of garbage, which walks through all that numba builds again and again."""
+    """Without Python's collector of garbage, which walks through all that numba builds again and again.
+
+    Nor does it afterwards: what compiling leaves stays as long as the process.
+    """
     collecting = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if collecting:
+            if gc.get_count()[0] > MANY_OBJECTS:
+                gc.freeze()
             gc.enable()
 
 

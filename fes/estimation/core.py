@@ -15,11 +15,12 @@ KINDS = {float: np.float64, int: np.int64, bool: np.bool_}
 
 def core_type(state: np.dtype[Any], **parts: type[NamedTuple]) -> np.dtype[Any]:
     """A record of the ``state`` and of named tuples of numbers, each a record of its own with the same names."""
-    fields = [("state", state)]
-    for name, part in parts.items():
-        kinds = [(field, KINDS[kind]) for field, kind in get_type_hints(part).items()]
-        fields.append((name, np.dtype(kinds, align=True)))
-    return np.dtype(fields, align=True)
+    return np.dtype([("state", state), *((name, record_of(part)) for name, part in parts.items())], align=True)
+
+
+def record_of(part: type[NamedTuple]) -> np.dtype[Any]:
+    """A record of the same numbers as a named tuple."""
+    return np.dtype([(field, KINDS[kind]) for field, kind in get_type_hints(part).items()], align=True)
 
 
 def new_core(kind: np.dtype[Any], **parts: tuple[float, ...]) -> np.ndarray[Any, np.dtype[Any]]:

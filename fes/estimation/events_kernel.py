@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import jit, jit_ieee
 
 NEIGHBOURS = 10  # falls before and after that say what is typical
 TOE_DOWN_SHARE = 0.2  # of the fall is push-off's toe-down rate; less, and the swing before goes on
@@ -34,14 +34,23 @@ class Signals(NamedTuple):
     jump: Any
 
 
-@jit
-def jumps(acc: Any, lag: int, rate_hz: float, out: Any) -> None:
-    """Change of the specific force (N, 3) over ``lag`` samples, per second; ends at its sample."""
-    for i in range(out.shape[0]):
-        out[i] = 0.0
-        if i >= lag:
-            x, y, z = acc[i, 0] - acc[i - lag, 0], acc[i, 1] - acc[i - lag, 1], acc[i, 2] - acc[i - lag, 2]
-            out[i] = math.sqrt(x * x + y * y + z * z) * rate_hz / lag
+@jit_ieee
+def look(acc: Any, gyr: Any, bias: Any, axis: Any, lag: int, rate_hz: float, rate: Any, rate2: Any, jump: Any) -> bool:
+    """Of specific force and angular rate (N, 3) the rate about ``axis`` (3,) without ``bias`` (3,), its size squared,
+    and the change of the force over ``lag`` samples, per second, that ends at a sample; (N,) each.
+
+    False if any of them is not finite.
+    """
+    bx, by, bz, ux, uy, uz = bias[0], bias[1], bias[2], axis[0], axis[1], axis[2]
+    per, finite = rate_hz / lag, True
+    for i in range(rate.shape[0]):
+        x, y, z = gyr[i, 0] - bx, gyr[i, 1] - by, gyr[i, 2] - bz
+        rate[i], rate2[i] = x * ux + y * uy + z * uz, x * x + y * y + z * z
+        finite = finite and abs(x) + abs(y) + abs(z) + abs(acc[i, 0]) + abs(acc[i, 1]) + abs(acc[i, 2]) < math.inf
+        before = max(i - lag, 0)
+        x, y, z = acc[i, 0] - acc[before, 0], acc[i, 1] - acc[before, 1], acc[i, 2] - acc[before, 2]
+        jump[i] = math.sqrt(x * x + y * y + z * z) * per if i >= lag else 0.0
+    return finite
 
 
 @jit
@@ -64,16 +73,23 @@ def all_greatest_at(x: Any, begins: Any, ends: Any, out: Any) -> None:
 @jit
 def typical_falls(falls: Any, out: Any) -> None:
     """At each of K falls the median of the upper third of it and its neighbours: some of the peaks are not swings."""
-    near = np.empty(2 * NEIGHBOURS + 1)
+    near, n, end = np.empty(2 * NEIGHBOURS + 1), 0, 0  # rising
     for k in range(falls.shape[0]):
-        begin, end = max(k - NEIGHBOURS, 0), min(k + NEIGHBOURS + 1, falls.shape[0])
-        n = end - begin
-        for i in range(n):
-            j = i
-            while j > 0 and near[j - 1] > falls[begin + i]:
+        if k > NEIGHBOURS:  # one is no neighbour any more
+            j = 0
+            while near[j] < falls[k - NEIGHBOURS - 1]:
+                j += 1
+            n -= 1
+            while j < n:
+                near[j] = near[j + 1]
+                j += 1
+        while end < min(k + NEIGHBOURS + 1, falls.shape[0]):
+            j = n
+            while j > 0 and near[j - 1] > falls[end]:
                 near[j] = near[j - 1]
                 j -= 1
-            near[j] = falls[begin + i]
+            near[j] = falls[end]
+            n, end = n + 1, end + 1
         upper = min(max(3, n // 3), n)
         out[k] = 0.5 * (near[n - upper + upper // 2] + near[n - upper + (upper - 1) // 2])
 

@@ -32,10 +32,11 @@ from fes.estimation.events_kernel import (
     all_greatest_at,
     instants,
     join_swings,
-    jumps,
+    look,
     typical_falls,
 )
-from fes.estimation.filters import greatest_of_late, low_pass, peaks_apart
+from fes.estimation.filters import greatest_of_late, low_passes, moving_sums, peaks_apart
+from fes.estimation.ranks import median
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 SHAPE_HZ = 8.0  # low-pass that leaves one push-off and one mid-swing
@@ -50,6 +51,7 @@ SMALL_TROUGH_SHARE = 0.08  # … that turns toe-up by this share of a typical fa
 SMALL_RATE_SHARE = 0.4  # the same of the greatest rate about any axis
 REST_S = 0.15  # … if for this long
 JUMP_S = 0.01
+NOT_FINITE = "{}: samples that are not finite; leave them out first"
 
 IC_OFFSET_S = -0.005
 """From the feature to IC, for heel strikes: the same for every sensor and placement.
@@ -93,37 +95,38 @@ def find_events(
     """
     if not len(t_ns) == len(acc_mps2) == len(gyr_radps):
         raise ValueError(f"{calibration.sensor}: {len(t_ns)} times, {len(acc_mps2)} forces, {len(gyr_radps)} rates")
-    if not (np.isfinite(acc_mps2).all() and np.isfinite(gyr_radps).all()):
-        raise ValueError(f"{calibration.sensor}: samples that are not finite; leave them out first")
-    nothing = np.zeros(0, np.int64)
     if len(t_ns) < calibration.rate_hz:
+        if not (np.isfinite(acc_mps2).all() and np.isfinite(gyr_radps).all()):
+            raise ValueError(NOT_FINITE.format(calibration.sensor))
+        nothing = np.zeros(0, np.int64)
         return GaitEvents(nothing, nothing, nothing, np.zeros(0, np.bool_))
     rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
-    walk = _Walk(rate_hz, acc_mps2, gyr_radps - np.array(calibration.gyr_bias_radps), np.array(calibration.toe_down))
-    found = walk.instants()
-    index = np.arange(len(t_ns), dtype=float)
-    off_at, mid_at, contact_at = (
-        np.round(np.interp(found[:, j], index, t_ns - t_ns[0])).astype(np.int64) + t_ns[0] for j in range(3)
-    )
+    found = _Walk(rate_hz, acc_mps2, gyr_radps, calibration).instants()
+    off_at, mid_at, contact_at = _instants_ns(t_ns, found[:, :3].T.copy())
     return GaitEvents(off_at, mid_at, contact_at, found[:, 3] != 0.0)
+
+
+def _instants_ns(t_ns: IntArray, at: FloatArray) -> IntArray:
+    """The times of places between samples, of one shape."""
+    before = np.maximum(np.minimum(at.astype(np.int64), len(t_ns) - 2), 0)
+    since = (t_ns[before + 1] - t_ns[before]) * (at - before) + (t_ns[before] - t_ns[0])
+    return np.asarray(np.round(since).astype(np.int64) + t_ns[0])
 
 
 class _Walk:
     """The signals of one recording that the rules look at, and the rules; positions are sample indices."""
 
-    def __init__(self, rate_hz: float, acc: FloatArray, gyr: FloatArray, toe_down: FloatArray) -> None:
+    def __init__(self, rate_hz: float, acc: FloatArray, gyr: FloatArray, calibration: FootCalibration) -> None:
         self._rate_hz = rate_hz
-        rate = gyr @ toe_down
+        rate, rate2, jump, energy = np.empty((4, len(acc)))
+        bias, axis = np.array(calibration.gyr_bias_radps), np.array(calibration.toe_down)
+        acc, gyr = np.ascontiguousarray(acc), np.ascontiguousarray(gyr)
+        if not look(acc, gyr, bias, axis, max(round(JUMP_S * rate_hz), 1), rate_hz, rate, rate2, jump):
+            raise ValueError(NOT_FINITE.format(calibration.sensor))
         window = max(round(0.1 * rate_hz), 3)
-        jump = np.empty(len(rate))  # ends at its sample
-        jumps(acc, max(round(JUMP_S * rate_hz), 1), rate_hz, jump)
-        self._signals = Signals(
-            shape=low_pass(rate, rate_hz, SHAPE_HZ),
-            feature=low_pass(rate, rate_hz, FEATURE_HZ),
-            turn=low_pass(rate, rate_hz, TURN_HZ),
-            energy=np.convolve(np.einsum("ij,ij->i", gyr, gyr), np.ones(window) / window, "same"),
-            jump=jump,
-        )
+        moving_sums(rate2, window, window - window // 2 - 1, 1.0 / window, energy)
+        shape, feature, turn = low_passes(rate, rate_hz, (SHAPE_HZ, FEATURE_HZ, TURN_HZ))
+        self._signals = Signals(shape, feature, turn, energy, jump)
         self._peak_rate = 0.0
         self._typical_jump = 0.0
 
@@ -146,7 +149,7 @@ class _Walk:
         typical = np.maximum(typical, PAUSE_SHARE * _typical(falls))
         large = falls > FALL_SHARE * typical
         self._peak_rate = float(
-            np.sqrt(np.median(_greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)))
+            np.sqrt(median(_greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)))
         )
         # of a small fall: is it part of a movement as brisk as a step
         around = round(FALL_S * self._rate_hz)
@@ -157,7 +160,7 @@ class _Walk:
         mids = peaks[large | alone]
         # a mid-swing is the first trough that comes near to the greatest fall
         offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
-        self._typical_jump = float(np.median(_greatest(s.jump, mids, mids + reach)))
+        self._typical_jump = median(_greatest(s.jump, mids, mids + reach))
         kept = np.empty((len(mids), 2), np.int64)
         return kept[: join_swings(s.shape, fall, offs, mids, kept)]
 
@@ -189,4 +192,4 @@ def _greatest(x: FloatArray, begins: IntArray, ends: IntArray) -> FloatArray:
 
 def _typical(falls: FloatArray) -> float:
     """The median of the upper third: some of the peaks are not swings."""
-    return float(np.median(np.sort(falls)[-max(3, len(falls) // 3) :]))
+    return median(np.sort(falls)[-max(3, len(falls) // 3) :])

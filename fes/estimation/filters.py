@@ -1,4 +1,4 @@
-"""A low pass without lag, likeness to itself, the greatest value of late, and peaks apart, in compiled loops.
+"""Low passes without lag, moving sums, likeness to itself, greatest values of late, peaks apart, in compiled loops.
 
 They give what ``scipy.signal`` and ``scipy.ndimage`` give (a test holds them to it), whose import alone takes longer
 than the analysis of a short recording.
@@ -17,42 +17,86 @@ from fes.signals import FloatArray, IntArray
 PADDING = 9  # samples at each end, as scipy has it for one section
 
 
-def low_pass(x: FloatArray, rate_hz: float, cutoff_hz: float) -> FloatArray:
-    """Butterworth of second order (bilinear, prewarped) run both ways over ``x`` (N,): no lag.
+def low_passes(
+    x: FloatArray, rate_hz: float, cutoffs_hz: tuple[float, float, float]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Butterworth of second order (bilinear, prewarped) run both ways over ``x`` (N,): no lag; with three cut-offs.
 
-    The cut-off is kept below 45 % of the sampling rate; the ends are padded with their odd reflection.
+    A cut-off is kept below 45 % of the sampling rate; the ends are padded with their odd reflection. Three at once, for
+    each has to wait for its own last value, and hardly longer for the others.
 
     Raises:
         ValueError: there are no more samples than ``PADDING``.
     """
     if len(x) <= PADDING:
         raise ValueError(f"{len(x)} samples are too few to filter: more than {PADDING} are needed")
+    padded = np.concatenate((2.0 * x[0] - x[PADDING:0:-1], x, 2.0 * x[-1] - x[-2 : -PADDING - 2 : -1]))
+    out = np.empty((3, len(padded)))
+    low, middle, high = (_coefficients(rate_hz, cutoff_hz) for cutoff_hz in cutoffs_hz)
+    _sections(padded, low, middle, high, out)
+    one, two, three = out[:, PADDING:-PADDING]
+    return one, two, three
+
+
+def _coefficients(rate_hz: float, cutoff_hz: float) -> tuple[float, float, float]:
+    """Of one section, as :func:`_sections` has them."""
     k = math.tan(math.pi * min(cutoff_hz, 0.45 * rate_hz) / rate_hz)
     damped = math.sqrt(2.0) * k
     whole = 1.0 + damped + k * k
-    b, a1, a2 = k * k / whole, 2.0 * (k * k - 1.0) / whole, (1.0 - damped + k * k) / whole
-    padded = np.concatenate((2.0 * x[0] - x[PADDING:0:-1], x, 2.0 * x[-1] - x[-2 : -PADDING - 2 : -1]))
-    _section(padded, b, a1, a2)
-    return padded[PADDING:-PADDING]
+    return k * k / whole, 2.0 * (k * k - 1.0) / whole, (1.0 - damped + k * k) / whole
 
 
-@jit
-def _section(x: Any, b: float, a1: float, a2: float) -> None:
-    """``b (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²)`` over ``x`` (N,) in place, forwards and then backwards, each begun as if
-    it had always been what it is there."""
+Section = tuple[float, float, float]
+
+
+@jit_ieee
+def _sections(x: Any, one: Section, two: Section, three: Section, out: Any) -> None:
+    """Each section ``b (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²)`` over ``x`` (N,) into a row of ``out`` (3, N), forwards and
+    then backwards, each begun as if it had always been what it is there."""
     last = x.shape[0] - 1
-    early, late = (1.0 - b) * x[0], (b - a2) * x[0]
+    (b, a1, a2), (c, d1, d2), (e, f1, f2) = one, two, three
+    early_b, late_b = (1.0 - b) * x[0], (b - a2) * x[0]
+    early_c, late_c = (1.0 - c) * x[0], (c - d2) * x[0]
+    early_e, late_e = (1.0 - e) * x[0], (e - f2) * x[0]
     for i in range(last + 1):
-        y = b * x[i] + early
-        early = 2.0 * b * x[i] - a1 * y + late
-        late = b * x[i] - a2 * y
-        x[i] = y
-    early, late = (1.0 - b) * x[last], (b - a2) * x[last]
+        u = v = w = x[i]
+        p, q, r = b * u + early_b, c * v + early_c, e * w + early_e
+        early_b, late_b = (2.0 * b * u + late_b) - a1 * p, b * u - a2 * p
+        early_c, late_c = (2.0 * c * v + late_c) - d1 * q, c * v - d2 * q
+        early_e, late_e = (2.0 * e * w + late_e) - f1 * r, e * w - f2 * r
+        out[0, i], out[1, i], out[2, i] = p, q, r
+    u, v, w = out[0, last], out[1, last], out[2, last]
+    early_b, late_b = (1.0 - b) * u, (b - a2) * u
+    early_c, late_c = (1.0 - c) * v, (c - d2) * v
+    early_e, late_e = (1.0 - e) * w, (e - f2) * w
     for i in range(last, -1, -1):
-        y = b * x[i] + early
-        early = 2.0 * b * x[i] - a1 * y + late
-        late = b * x[i] - a2 * y
-        x[i] = y
+        u, v, w = out[0, i], out[1, i], out[2, i]
+        p, q, r = b * u + early_b, c * v + early_c, e * w + early_e
+        early_b, late_b = (2.0 * b * u + late_b) - a1 * p, b * u - a2 * p
+        early_c, late_c = (2.0 * c * v + late_c) - d1 * q, c * v - d2 * q
+        early_e, late_e = (2.0 * e * w + late_e) - f1 * r, e * w - f2 * r
+        out[0, i], out[1, i], out[2, i] = p, q, r
+
+
+@jit_ieee
+def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
+    """Fill ``out`` (N,) with ``share`` times the sum of ``x`` (N,) over ``count`` samples, ``ahead`` of them still to
+    come; beyond the ends there is nothing.
+
+    What follows the beginning of a block of ``count`` samples is added to what is left of the block before: three
+    additions, however many the samples, and nothing is ever taken away.
+    """
+    n = x.shape[0]
+    left = np.zeros(count + 1)  # of the block before, from each of its samples on
+    for begin in range(0, n + ahead, count):
+        total = 0.0
+        for j in range(count):
+            i = begin + j
+            total += x[i] if i < n else 0.0
+            if 0 <= i - ahead < n:
+                out[i - ahead] = share * (left[j + 1] + total)
+        for j in range(count - 1, -1, -1):
+            left[j] = left[j + 1] + (x[begin + j] if begin + j < n else 0.0)
 
 
 @jit
@@ -66,14 +110,31 @@ def thinned_sizes(x: Any, step: int, out: Any) -> None:
 
 
 @jit_ieee
+def largest_of_rows(x: Any, out: Any) -> float:
+    """Fill ``out`` (N,) with the greatest size of each row of ``x`` (N, 3), and give back the greatest of all."""
+    top = 0.0
+    for i in range(out.shape[0]):
+        out[i] = max(abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
+        top = max(top, out[i])
+    return top
+
+
+@jit_ieee
 def likeness(x: Any, out: Any) -> None:
     """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), lags 0 … L - 1.
 
-    For some hundred lags that is faster than by a Fourier transform: they lie side by side, several in one instruction.
+    For some hundred lags that is faster than by a Fourier transform: they lie side by side, several in one instruction,
+    and four samples at a time each sum is fetched and put back once.
     """
-    lags = out.shape[0]
+    lags, begin = out.shape[0], 0
     out[:] = 0.0
-    for i in range(x.shape[0]):
+    while begin + 3 + lags <= x.shape[0]:
+        a, b, c, d = x[begin], x[begin + 1], x[begin + 2], x[begin + 3]
+        for lag in range(lags):
+            i = begin + lag
+            out[lag] = (((out[lag] + a * x[i]) + b * x[i + 1]) + c * x[i + 2]) + d * x[i + 3]
+        begin += 4
+    for i in range(begin, x.shape[0]):
         now = x[i]
         for lag in range(min(lags, x.shape[0] - i)):
             out[lag] += now * x[i + lag]
@@ -82,23 +143,25 @@ def likeness(x: Any, out: Any) -> None:
 def greatest_of_late(x: FloatArray, n: int) -> FloatArray:
     """At each sample of ``x`` (N,) the greatest of the last ``n`` with it; before its beginning ``x`` is mirrored."""
     out = np.empty(len(x))
-    if len(x) > 0:
-        _greatest_of_late(np.pad(x, (n - 1, 0), "symmetric"), n, out)
+    _greatest_of_late(x, n, out)
     return out
 
 
-@jit
-def _greatest_of_late(padded: Any, n: int, out: Any) -> None:
-    at = -1
-    for i in range(out.shape[0]):
-        if at < i:  # it has left the window
-            at = i
-            for j in range(i + 1, i + n):
-                if padded[j] >= padded[at]:
-                    at = j
-        elif padded[i + n - 1] >= padded[at]:
-            at = i + n - 1
-        out[i] = padded[at]
+@jit_ieee
+def _greatest_of_late(x: Any, n: int, out: Any) -> None:
+    """In blocks of ``n``, as :func:`moving_sums`."""
+    left = np.full(n + 1, -math.inf)  # the greatest of the block before, from each of its samples on
+    for j in range(n - 1, -1, -1):
+        left[j] = max(left[j + 1], x[n - 1 - j]) if n - 1 - j < x.shape[0] else left[j + 1]
+    for begin in range(0, x.shape[0], n):
+        greatest, end = -math.inf, min(begin + n, x.shape[0])
+        for i in range(begin, end):
+            greatest = max(greatest, x[i])
+            out[i] = max(left[i - begin + 1], greatest)
+        greatest = -math.inf
+        for i in range(end - 1, begin - 1, -1):
+            greatest = max(greatest, x[i])
+            left[i - begin] = greatest
 
 
 def peaks_apart(x: FloatArray, apart: int) -> IntArray:

@@ -11,21 +11,31 @@ from fes.estimation.calibration import FootCalibration
 from fes.estimation.compiled import jit_ieee
 from fes.estimation.core import core_type, new_core
 from fes.estimation.history import (
+    FULL,
     HISTORY_S,
     KEPT,
     LARGEST_VALUE,
-    PASSED_OVER,
     RESTART_GAP_S,
     SILENCE,
     History,
     SampleCounts,
+    forget_half,
+    take_in,
     take_one,
 )
 from fes.estimation.kernel import FootParameters
 from fes.estimation.orientation import OrientationSettings
 from fes.estimation.stride_course import CHANGES, ROWS, STRIDES, Out, new_out
 from fes.estimation.strides import TRAJECTORY_POINTS, StrideMaker
-from fes.estimation.tracker import PACK_ONE, TRANSITIONS, Outcome, Outcomes, Tracker, of_one_kind, until_due
+from fes.estimation.tracker import (
+    PACK_ONE,
+    TRANSITIONS,
+    UNPACK_ONE,
+    Outcome,
+    Tracker,
+    of_one_kind,
+    until_due,
+)
 from fes.estimation.walked import CHANGE, Walked
 from fes.signals import FloatArray, IntArray, Vector3
 from statemachine.guards import Features, Thresholds
@@ -37,6 +47,7 @@ __all__ = ["HISTORY_S", "LARGEST_VALUE", "RESTART_GAP_S", "FootTracker", "Outcom
 CORE = core_type(kernel.STATE, parameters=FootParameters, thresholds=Thresholds, settings=OrientationSettings)
 # what may have happened at a sample, beside the transitions 1 … 6
 NOTHING, DUE, AFTER_SILENCE, NO_ROOM = 0, 7, 8, 9
+NOTHING_TAKEN = -1
 _T1 = Transition.T1.value
 _DESTINATIONS = (0, *(row.destination.value for row in TABLE))  # by the transition's number
 
@@ -78,54 +89,83 @@ def _step(core: Any, course: Any, book: Any, one: Any, t_ns: Any, acc: Any, gyr:
     became = take_one(
         book[0], t_ns, acc, gyr, x.t_ns, x.acc[0], x.acc[1], x.acc[2], x.gyr[0], x.gyr[1], x.gyr[2]
     )  # fmt: skip
-    if became == PASSED_OVER:
-        return NOTHING
+    if became == SILENCE:
+        return AFTER_SILENCE
+    if became == FULL:
+        return NO_ROOM
     if became != KEPT:
-        return AFTER_SILENCE if became == SILENCE else NO_ROOM
+        return NOTHING
     c, row = core[0], book[0].filled - 1
     _, number = kernel.advance(
         c.state, c.parameters, c.thresholds, c.settings, t_ns, acc, gyr, row, row + 1, quaternions
     )  # fmt: skip
-    return DUE if number == 0 and x.t_ns >= course[0].state.due_ns else number
+    x.row = row
+    if number == NOTHING:
+        return DUE if x.t_ns >= course[0].state.due_ns else NOTHING
+    seen, f = x.seen, kernel.features(c.state)
+    seen.a_rest, seen.g_rest = f.a_rest, f.g_rest
+    seen.toe_down_radps, seen.toe_down_change_radps2 = f.toe_down_radps, f.toe_down_change_radps2
+    seen.toe_down_peak_radps, seen.toe_up_peak_radps = f.toe_down_peak_radps, f.toe_up_peak_radps
+    seen.vertical_jump_mps3, seen.in_phase_s, seen.resting_s = f.vertical_jump_mps3, f.in_phase_s, f.resting_s
+    return number
 
 
 @jit_ieee
 def _walk(
-    core: Any, course: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, begin: int, end: int, number: int,
+    taken: int, at: int, number: int,
+    core: Any, course: Any, book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, quaternions: Any, biases: Any,
+    t_ns: Any, acc: Any, gyr: Any,
     changes: Any, strides: Any, shapes: Any, way_ns: Any, way: Any, turns: Any, filled: Any,
-) -> int:  # fmt: skip
-    """Go through the rows ``begin`` … ``end - 1`` with all phase changes and strides, as far as there is room for them.
+) -> tuple[int, int, int]:  # fmt: skip
+    """Take the samples from ``taken`` on into the history, and go through it with all phase changes and strides.
 
-    ``number`` is what happened at the row before ``begin`` and is first gone through: a transition, ``DUE``, or
-    ``NOTHING``. The last six arguments are those of :class:`Out`: one by one they are taken over in half the time.
-    Returns how far it came.
+    ``at`` rows of the history are gone through already, and ``number`` is what happened at the last of them and is
+    first seen to: a transition, ``DUE``, or ``NOTHING``. ``biases`` (2, 3) is working memory. After the phase changes
+    come the arguments of :class:`Out`: one by one they are taken over in half the time.
+
+    Returns the first sample not yet seen to, how many rows are gone through, and why: ``KEPT`` where there is no more,
+    ``SILENCE`` before a sample that comes after one, ``FULL`` where there is no more room for what happens.
     """
     out = Out(strides, shapes, way_ns, way, turns, filled)
-    s, p, room = core[0].state, core[0].parameters, way_ns.shape[0] - t_ns.shape[0]
-    biases = np.empty((2, 3))
+    c, s, p, room = core[0], core[0].state, core[0].parameters, way_ns.shape[0] - kept_t_ns.shape[0]
     biases[0, 0], biases[0, 1], biases[0, 2] = p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2
+    end, became = book[0].filled, NOTHING_TAKEN
     while True:
         if number in (_T1, DUE):
             biases[1, 0] = p.gyr_bias_x_radps + s.bias_radps[0]
             biases[1, 1] = p.gyr_bias_y_radps + s.bias_radps[1]
             biases[1, 2] = p.gyr_bias_z_radps + s.bias_radps[2]
             if course[0].state.due_ns != stride_course.NEVER_NS:
-                first, last = stride_course.close(course, begin, t_ns, gyr, biases, out)
+                first, last = stride_course.close(course, at, kept_t_ns, kept_gyr, biases, out)
                 if first < last:
                     q = quaternions[first]
-                    stride_course.solve_rows(course, first, last, begin, t_ns, acc, gyr, q, biases, out)
+                    stride_course.solve_rows(course, first, last, at, kept_t_ns, kept_acc, kept_gyr, q, biases, out)
             if number == _T1:
-                stride_course.begin(course, begin, t_ns, gyr, biases)
+                stride_course.begin(course, at, kept_t_ns, kept_gyr, biases)
         if number != NOTHING and number != DUE:
             change = changes[filled[CHANGES]]
-            change.t_ns, change.transition, change.source = t_ns[begin - 1], number, s.phase
-            _change(core, course, number, acc, begin - 1)
+            change.t_ns, change.transition, change.source = kept_t_ns[at - 1], number, s.phase
+            _change(core, course, number, kept_acc, at - 1)
             filled[CHANGES] += 1
-        if begin >= end or filled[CHANGES] >= len(changes) or filled[STRIDES] >= len(strides) or filled[ROWS] > room:
-            return begin
-        begin, number = _advance(core, t_ns, acc, gyr, quaternions, begin, end, course[0].state.due_ns)
-        if number == NOTHING and t_ns[begin - 1] >= course[0].state.due_ns:
-            number = DUE
+        number = NOTHING
+        if filled[CHANGES] >= len(changes) or filled[STRIDES] >= len(strides) or filled[ROWS] > room:
+            return taken, at, FULL
+        if at == end:
+            if became in (KEPT, SILENCE):
+                return taken, at, became
+            if became == FULL:
+                forget_half(book, kept_t_ns, kept_acc, kept_gyr, quaternions)
+                at = book[0].filled
+            taken, became = take_in(book, kept_t_ns, kept_acc, kept_gyr, t_ns, acc, gyr, taken)
+            end = book[0].filled
+        if at < end:
+            due_ns = course[0].state.due_ns
+            at, number = kernel.advance(
+                s, p, c.thresholds, c.settings, kept_t_ns, kept_acc, kept_gyr,
+                at, until_due(kept_t_ns, at, end, due_ns), quaternions,
+            )  # fmt: skip
+            if number == NOTHING and kept_t_ns[at - 1] >= due_ns:
+                number = DUE
 
 
 class FootTracker(Tracker):
@@ -148,10 +188,12 @@ class FootTracker(Tracker):
         self._maker = strides
         self._asks = type(strides) is not StrideMaker  # one that wants to be asked at every stride
         h = self._history
-        self._rows = self._all, strides.course, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
+        self._rows = self._all, strides.course, h.book, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace, np.empty((2, 3))
         self._live = self._all, strides.course, h.book, self._one, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
-        self._changed = np.empty(1, CHANGE)
         self._out = new_out(1, len(h.t_ns), TRAJECTORY_POINTS)
+        self._filled = self._out.filled.data  # the same memory, read and written in a third of the time
+        no_more = np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3))
+        self._end = *self._rows, *no_more, np.empty(1, CHANGE), *self._out
 
     @property
     def newest_t_ns(self) -> int:
@@ -182,18 +224,18 @@ class FootTracker(Tracker):
             number = _step(*self._live)
         if number == NOTHING:
             return outcomes
-        h = self._history
-        n = h.filled
+        t_ns, row, *seen = UNPACK_ONE(self._one_bytes)
         change = None
         if number != DUE:
-            change = self.machine.fire(TRANSITIONS[number], int(h.t_ns[n - 1]), _features(self._all), self._thresholds)
+            change = self.machine.fire(TRANSITIONS[number], t_ns, Features(*seen), self._thresholds)
         if number in (_T1, DUE):
-            self._out.filled[:] = 0
-            _walk(*self._rows, n, n, number, self._changed, *self._out)
-            if self._out.filled[STRIDES]:
+            filled = self._filled
+            filled[STRIDES] = filled[ROWS] = filled[CHANGES] = 0
+            _walk(0, row + 1, number, *self._end)
+            if filled[STRIDES]:
                 outcomes.append(self._maker.told(self._out))
         else:
-            _change(self._all, self._maker.course, number, h.acc_mps2, n - 1)
+            _change(self._all, self._maker.course, number, self._history.acc_mps2, row)
         if change is not None:
             outcomes.append(change)
         return outcomes
@@ -212,15 +254,17 @@ class FootTracker(Tracker):
     def walk(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Walked:
         """Take samples in, as :meth:`advance`, and give back what happened as arrays."""
         walked = Walked(self.foot, self._maker.settings, len(t_ns), len(self._history.t_ns))
-        self._take(*of_one_kind(t_ns, acc_mps2, gyr_radps), walked)
+        samples = of_one_kind(t_ns, acc_mps2, gyr_radps)
+        taken, at, became = 0, self._history.filled, NOTHING_TAKEN
+        while became != KEPT:
+            taken, at, became = _walk(taken, at, NOTHING, *self._rows, *samples, walked.room, *walked.out)
+            walked.keep()
+            if became == SILENCE:
+                walked.lead(self.machine)
+                self._restart(int(samples[0][taken]), samples[1][taken], walked)
+                at = 0
+        walked.lead(self.machine)
         return walked
-
-    def _follow(self, filled: int, outcomes: Outcomes) -> None:
-        if not isinstance(outcomes, Walked):
-            Tracker._follow(self, filled, outcomes)  # at every sample: super() is slower
-            return
-        self._reached = _walk(*self._rows, self._reached, filled, NOTHING, outcomes.room, *outcomes.out)
-        outcomes.keep(self.machine)
 
     def _start(self, t_ns: int, force: FloatArray) -> None:
         fx, fy, fz = force

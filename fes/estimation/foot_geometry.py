@@ -23,6 +23,7 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.estimation.clearance import AnyPaths, in_one
 from fes.estimation.foot_geometry_kernel import BALL, HEEL, OVER_HEEL, SIGNS, TOE, all_signs
+from fes.estimation.ranks import median
 from fes.signals import FloatArray
 
 HEIGHT_M = (0.065, 0.03)  # prior mean and SD of an instep or lateral sensor's height
@@ -69,7 +70,8 @@ def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
     """
     paths = in_one(paths)
     signs = np.empty((len(paths), SIGNS))
-    all_signs(paths.t_ns, paths.position_m, paths.axes, paths.spans, paths.swings_ns, signs)
+    forward, up = paths.foot[:, 0].copy(), paths.foot[:, 2].copy()
+    all_signs(paths.t_ns, paths.position_m, paths.quaternion, forward, up, paths.spans, paths.swings_ns, signs)
     ball = _seen("the sensor's height", signs[:, BALL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     over_heel = _seen("", signs[:, OVER_HEEL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     height = ball if ball.missing or over_heel.missing else _mean(ball, over_heel)
@@ -112,10 +114,10 @@ def _seen(what: str, each: FloatArray, model_m: float, bounds_m: tuple[float, fl
     values = each[np.isfinite(each)]
     if len(values) < LEAST_STRIDES:
         return _Seen(0.0, np.inf, f"{what} shows in {len(values)} strides only, {LEAST_STRIDES} are needed")
-    middle = float(np.median(values))
+    middle = median(values)
     if not bounds_m[0] <= middle <= bounds_m[1]:
         return _Seen(0.0, np.inf, f"{what} came out at {100.0 * middle:.0f} cm, which no foot has")
-    spread = 1.4826 * float(np.median(np.abs(values - middle)))
+    spread = 1.4826 * median(np.abs(values - middle))
     return _Seen(middle, float(np.hypot(1.25 * spread / np.sqrt(len(values)), model_m)))
 
 

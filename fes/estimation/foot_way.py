@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.rest import RestCalibration, find_rest, rate_energy
-from fes.estimation.rotation import rotate_all
+from fes.estimation.path_kernel import headings
+from fes.estimation.ranks import median
+from fes.estimation.rest import RestCalibration, find_rest
 from fes.estimation.tracker import LARGEST_VALUE
 from fes.estimation.zupt import (
     CLIPPED_SD,
@@ -29,8 +30,8 @@ from fes.estimation.zupt import (
 )
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.estimation.zupt_step_filter import forward_steps, new_step_tape
-from fes.estimation.zupt_step_smooth import path_at, smooth_steps
-from fes.estimation.zupt_steps import Steps, steps_of
+from fes.estimation.zupt_step_smooth import path_at, smooth_steps, turned_path
+from fes.estimation.zupt_steps import Steps, mean_at_rest, steps_of
 from fes.signals import FloatArray, IntArray
 
 STRETCH_S = 300.0
@@ -56,9 +57,11 @@ class Way:
         path_at(self.t_ns, self.position_m, self.velocity_mps, np.ascontiguousarray(t_ns, np.int64), out)
         return out
 
-    def pointing(self, axis: FloatArray) -> FloatArray:
-        """Directions (K, 3) in the world of an axis (3,) of the sensor."""
-        return rotate_all(self.q_world_from_sensor, axis)
+    def headings(self, axis: FloatArray) -> FloatArray:
+        """Where an axis (3,) of the sensor points (K,), from x towards y in rad, by less than half a turn each time."""
+        out = np.empty(len(self.t_ns))
+        headings(self.q_world_from_sensor, axis, out)
+        return out
 
 
 @dataclass(slots=True, eq=False)
@@ -122,7 +125,9 @@ class FootSamples:
         """A stretch's beginning, steps and lever, which are the same for all settings."""
         span, bias = slice(begin, end), self.calibration.gyr_bias_radps
         acc, gyr, rest, (acc_sd, gyr_sd) = self.acc_mps2[span], self.gyr_radps[span], self.rest[span], self.noise
-        up = acc[rest].mean(axis=0) if rest.any() else acc.mean(axis=0)
+        up = np.empty(3)
+        if not mean_at_rest(acc, rest, up):
+            up = acc.mean(axis=0)
         lever = LEVER_M * up / max(float(np.linalg.norm(up)), 1e-9)
         return begin, steps_of(self.t_ns[span], acc, gyr, acc_sd[span], gyr_sd[span], rest, bias), lever
 
@@ -152,16 +157,17 @@ def foot_samples(
         t_ns, acc_mps2, gyr_radps = t_ns[usable], acc_mps2[usable], gyr_radps[usable]
     if len(t_ns) < 3:
         raise ValueError(f"{len(t_ns)} samples make no path")
-    if not (t_ns[1:] > t_ns[:-1]).all():
+    steps_ns = t_ns[1:] - t_ns[:-1]
+    if steps_ns.min() <= 0:
         newer = np.append(True, t_ns[1:] > np.maximum.accumulate(t_ns)[:-1])
         t_ns, acc_mps2, gyr_radps = t_ns[newer], acc_mps2[newer], gyr_radps[newer]
+        steps_ns = t_ns[1:] - t_ns[:-1]
     t_ns = np.ascontiguousarray(t_ns, dtype=np.int64)
     acc, gyr = np.ascontiguousarray(acc_mps2, dtype=np.float64), np.ascontiguousarray(gyr_radps, dtype=np.float64)
     if len(t_ns) < 3:
         raise ValueError(f"{len(t_ns)} samples make no path")
-    rate_hz = 1e9 / float(np.median(np.diff(t_ns)))
-    energy = rate_energy(gyr, rate_hz)
-    calibration, rest = find_rest(acc, gyr, rate_hz, energy)
+    rate_hz = 1e9 / median(steps_ns)
+    calibration, rest, energy = find_rest(acc, gyr, rate_hz)
     rest = with_quietest(rest, gyr, rate_hz, energy)
     if not rest.any():
         raise ValueError("the foot never rests, so nothing holds a path; check the units")
@@ -177,7 +183,7 @@ def _cuts(t_ns: IntArray, rest: BoolArray, rate_hz: float) -> list[int]:
     total_s = 1e-9 * float(t_ns[-1] - t_ns[0])
     if total_s <= STRETCH_S + SEARCH_S:
         return []
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], rest, [False])).astype(np.int8)))
+    edges = np.flatnonzero(np.concatenate((rest[:1], rest[1:] != rest[:-1], rest[-1:])))
     begins, ends = edges[0::2], edges[1::2]
     seconds = 1e-9 * (t_ns[begins] - t_ns[0])
     cuts: list[int] = []
@@ -203,19 +209,17 @@ def _joined(one: Way, other: Way) -> Way:
     c, s = float(np.cos(turn)), float(np.sin(turn))
     about_z = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # for rows
     shift = one.position_m[-1] - (other.at(one.t_ns[-1:]) @ about_z)[0]
-    half = float(np.cos(0.5 * turn)), float(np.sin(0.5 * turn))
-    qw, qx, qy, qz = other.q_world_from_sensor[after:].T
-    turned = np.column_stack(
-        (
-            half[0] * qw - half[1] * qz,
-            half[0] * qx - half[1] * qy,
-            half[0] * qy + half[1] * qx,
-            half[0] * qz + half[1] * qw,
-        )
-    )
-    return Way(
-        np.concatenate((one.t_ns, other.t_ns[after:])),
-        np.concatenate((one.position_m, other.position_m[after:] @ about_z + shift)),
-        np.concatenate((one.velocity_mps, other.velocity_mps[after:] @ about_z)),
-        np.concatenate((one.q_world_from_sensor, turned)),
-    )
+    known = len(one.t_ns)
+    both = Way(*(np.empty((known + len(x) - after, *x.shape[1:]), x.dtype) for x in _rows(other)))
+    for whole, first in zip(_rows(both), _rows(one), strict=True):
+        whole[:known] = first
+    both.t_ns[known:] = other.t_ns[after:]
+    turned_path(
+        other.position_m[after:], other.velocity_mps[after:], other.q_world_from_sensor[after:], turn, shift,
+        both.position_m[known:], both.velocity_mps[known:], both.q_world_from_sensor[known:],
+    )  # fmt: skip
+    return both
+
+
+def _rows(way: Way) -> tuple[Any, Any, Any, Any]:
+    return way.t_ns, way.position_m, way.velocity_mps, way.q_world_from_sensor

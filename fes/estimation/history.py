@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import inlined, jit_ieee
 from fes.signals import FloatArray, IntArray
 
 RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
@@ -43,32 +43,30 @@ class SampleCounts:
         return asdict(self)
 
 
-KEPT, PASSED_OVER, SILENCE, FULL = range(4)  # what became of a sample
+KEPT, NOT_FINITE, NOT_NEWER, SILENCE, FULL = range(5)  # what became of a sample
 
 
-@jit_ieee
-def _judged(b: Any, room: int, t_ns: int, ax: float, ay: float, az: float, gx: float, gy: float, gz: float) -> int:
-    """What becomes of a sample, and the book's entry of it; ``room`` is for so many rows.
+@inlined
+def judged(
+    running: bool, newest_ns: int, filled: int, room: int, t_ns: int,
+    ax: float, ay: float, az: float, gx: float, gy: float, gz: float,
+) -> int:  # fmt: skip
+    """What becomes of a sample where ``filled`` of ``room`` rows are, the last of ``newest_ns``.
 
     An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
     """
-    usable = abs(ax) < LARGEST_VALUE and abs(ay) < LARGEST_VALUE and abs(az) < LARGEST_VALUE
-    usable = usable and abs(gx) < LARGEST_VALUE and abs(gy) < LARGEST_VALUE and abs(gz) < LARGEST_VALUE
+    became = KEPT
+    usable = (abs(ax) < LARGEST_VALUE) & (abs(ay) < LARGEST_VALUE) & (abs(az) < LARGEST_VALUE)
+    usable &= (abs(gx) < LARGEST_VALUE) & (abs(gy) < LARGEST_VALUE) & (abs(gz) < LARGEST_VALUE)
     if not usable:  # a comparison with what is not a number is False
-        b.not_finite += 1
-        return PASSED_OVER
-    if b.running and t_ns <= b.newest_ns:
-        b.doubled_or_backward += 1
-        return PASSED_OVER
-    waited_ns = t_ns - b.newest_ns
-    if not b.running or not 0 < waited_ns <= RESTART_GAP_NS:  # stamps may be so far apart that this overflows
-        return SILENCE
-    if b.filled == room:
-        return FULL
-    b.newest_ns = t_ns
-    b.filled += 1
-    b.used += 1
-    return KEPT
+        became = NOT_FINITE
+    elif running and t_ns <= newest_ns:
+        became = NOT_NEWER
+    elif not running or not 0 < t_ns - newest_ns <= RESTART_GAP_NS:  # stamps so far apart that this overflows
+        became = SILENCE
+    elif filled == room:
+        became = FULL
+    return became
 
 
 @jit_ieee
@@ -77,35 +75,69 @@ def take_one(
     gx: float, gy: float, gz: float,
 ) -> int:  # fmt: skip
     """Copy one sample into the history of the book ``b``, or say why not: ``SILENCE`` and ``FULL`` wait for Python."""
-    became = _judged(b, kept_t_ns.shape[0], t_ns, ax, ay, az, gx, gy, gz)
+    n = b.filled
+    became = judged(b.running, b.newest_ns, n, kept_t_ns.shape[0], t_ns, ax, ay, az, gx, gy, gz)
     if became == KEPT:
-        n = b.filled - 1
+        b.newest_ns = t_ns
+        b.filled = n + 1
+        b.used += 1
         kept_t_ns[n] = t_ns
         kept_acc[n, 0], kept_acc[n, 1], kept_acc[n, 2] = ax, ay, az
         kept_gyr[n, 0], kept_gyr[n, 1], kept_gyr[n, 2] = gx, gy, gz
+    elif became == NOT_FINITE:
+        b.not_finite += 1
+    elif became == NOT_NEWER:
+        b.doubled_or_backward += 1
     return became
 
 
 @jit_ieee
-def _take_in(
+def take_in(
     book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: Any, acc: Any, gyr: Any, begin: int
-) -> tuple[int, int, bool]:
-    """Copy the samples from ``begin`` on; see :meth:`History.take_in`.
+) -> tuple[int, int]:
+    """Copy the samples from ``begin`` on, as :func:`take_one` would; see :meth:`History.take_in`.
 
-    Not by :func:`take_one`: arrays that are handed on for every sample are counted in and out for every sample.
+    Returns the first sample not yet seen to, and why: ``SILENCE`` and ``FULL`` are the caller's to see to, ``KEPT``
+    says that there is no more. What evolves is kept out of the book meanwhile, or it would be written at every sample.
     """
-    b, room = book[0], kept_t_ns.shape[0]
-    for i in range(begin, t_ns.shape[0]):
+    b, n, i, became = book[0], t_ns.shape[0], begin, KEPT
+    filled, newest_ns, running, room = b.filled, b.newest_ns, b.running, kept_t_ns.shape[0]
+    before = filled
+    while i < n:
         now_ns, ax, ay, az, gx, gy, gz = t_ns[i], acc[i, 0], acc[i, 1], acc[i, 2], gyr[i, 0], gyr[i, 1], gyr[i, 2]
-        became = _judged(b, room, now_ns, ax, ay, az, gx, gy, gz)
-        if became >= SILENCE:
-            return i, b.filled, became == SILENCE
+        became = judged(running, newest_ns, filled, room, now_ns, ax, ay, az, gx, gy, gz)
         if became == KEPT:
-            n = b.filled - 1
-            kept_t_ns[n] = now_ns
-            kept_acc[n, 0], kept_acc[n, 1], kept_acc[n, 2] = ax, ay, az
-            kept_gyr[n, 0], kept_gyr[n, 1], kept_gyr[n, 2] = gx, gy, gz
-    return t_ns.shape[0], b.filled, False
+            newest_ns = now_ns
+            kept_t_ns[filled] = now_ns
+            kept_acc[filled, 0], kept_acc[filled, 1], kept_acc[filled, 2] = ax, ay, az
+            kept_gyr[filled, 0], kept_gyr[filled, 1], kept_gyr[filled, 2] = gx, gy, gz
+            filled += 1
+        elif became == NOT_FINITE:
+            b.not_finite += 1
+        elif became == NOT_NEWER:
+            b.doubled_or_backward += 1
+        else:
+            break
+        i += 1
+    b.filled, b.newest_ns = filled, newest_ns
+    b.used += filled - before
+    return i, became if i < n else KEPT
+
+
+@jit_ieee
+def forget_half(book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, trace: Any) -> None:
+    """As :meth:`History.forget_half`."""
+    n = kept_t_ns.shape[0]
+    half = n // 2
+    for i in range(half, n):
+        k = i - half
+        kept_t_ns[k] = kept_t_ns[i]
+        for j in range(3):
+            kept_acc[k, j] = kept_acc[i, j]
+            kept_gyr[k, j] = kept_gyr[i, j]
+        for j in range(4):
+            trace[k, j] = trace[i, j]
+    book[0].filled = n - half
 
 
 class History:
@@ -141,10 +173,8 @@ class History:
         comes after a silence (as the first of all does): then :meth:`restart` first. Where it does not and there is
         still one, :meth:`forget_half`.
         """
-        taken: tuple[int, int, bool] = _take_in(
-            self.book, self.t_ns, self.acc_mps2, self.gyr_radps, t_ns, acc, gyr, begin
-        )
-        return taken
+        taken, became = take_in(self.book, self.t_ns, self.acc_mps2, self.gyr_radps, t_ns, acc, gyr, begin)
+        return taken, self.filled, became == SILENCE
 
     def restart(self, t_ns: int) -> bool:
         """Forget everything; the next sample is that of ``t_ns``. Returns whether there was anything before."""
@@ -155,9 +185,5 @@ class History:
 
     def forget_half(self) -> int:
         """Make room: the older half goes. Returns how many rows remain."""
-        half = len(self.t_ns) // 2
-        rest = len(self.t_ns) - half
-        for column in (self.t_ns, self.acc_mps2, self.gyr_radps, self.trace):
-            column[:rest] = column[half:]
-        self.book["filled"] = rest
-        return rest
+        forget_half(self.book, self.t_ns, self.acc_mps2, self.gyr_radps, self.trace)
+        return self.filled

@@ -132,7 +132,8 @@ def most_likely(
 
     system = np.zeros((KNOWN, KNOWN + 1))  # covariance of what is left over, and what is left over
     of_cause = np.zeros((KNOWN, CAUSES))
-    _gather(t_ns, acc, gyr, noise, quaternion, velocity, position, system, of_cause)
+    noises, corrected = np.empty((n, 2)), np.empty((2, n, 3))
+    _gather(t_ns, acc, gyr, noise, quaternion, velocity, position, system, of_cause, noises)
     sizes = np.zeros(CAUSES)
     span_s = 1e-9 * (t_ns[last] - t_ns[0])
     for k in range(3):
@@ -142,11 +143,11 @@ def most_likely(
         sizes[GYR + k] = (noise.gyr_drift_rad / span_s) ** 2
         sizes[ACC + k] = noise.acc_bias_mps2**2
     for a in range(KNOWN):
-        for b in range(KNOWN):
-            total = 0.0
+        for b in range(a + 1):
+            total = system[a, b]
             for k in range(CAUSES):
                 total += sizes[k] * of_cause[a, k] * of_cause[b, k]
-            system[a, b] += total
+            system[a, b] = system[b, a] = total
     for a in range(3):
         system[a, a] += end_variances[1, 0]
         system[a, KNOWN] = end_velocities[1, a] - velocity[last, a]
@@ -180,23 +181,19 @@ def most_likely(
     for k in range(CAUSES):
         for a in range(KNOWN):
             cause[k] += sizes[k] * of_cause[a, k] * system[a, KNOWN]
-    _apply(t_ns, acc, gyr, noise, system, cause, quaternion, velocity, position)
+    _apply(t_ns, acc, gyr, noises, system, cause, quaternion, velocity, position, corrected[0], corrected[1])
     return True
 
 
 @jit_ieee
 def _gather(
-    t_ns: Any,
-    acc: Any,
-    gyr: Any,
-    noise: StrideNoise,
-    quaternion: Any,
-    velocity: Any,
-    position: Any,
-    system: Any,
-    of_cause: Any,
-) -> None:
-    """Add what the samples' noise does to the covariance, and fill ``of_cause``: what each cause does per unit."""
+    t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise, quaternion: Any, velocity: Any, position: Any, system: Any,
+    of_cause: Any, noises: Any,
+) -> None:  # fmt: skip
+    """Add what the samples' noise does to the covariance, and fill ``of_cause``: what each cause does per unit.
+
+    ``noises`` (N, 2) is filled with each sample's variances.
+    """
     last = t_ns.shape[0] - 1
     xx = yy = zz = xy = xz = yz = hx = hy = hz = hh = tx = ty = tz = th = ux = uz = uh = tt = 0.0
     for i in range(1, last + 1):
@@ -204,6 +201,7 @@ def _gather(
         dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
         dx, dy, dz, ex, ey = _later(i, last, left_s, velocity, position)
         turn, push = variances(i, t_ns, acc, gyr, noise)
+        noises[i, 0], noises[i, 1] = turn, push
         # only what is not zero of effect · effectᵀ; t and u are the tilts about x and y
         xx = xx + turn * (dz * dz + dy * dy) + push
         yy = yy + turn * (dz * dz + dx * dx) + push
@@ -253,20 +251,15 @@ def _gather(
 
 @jit_ieee
 def _apply(
-    t_ns: Any,
-    acc: Any,
-    gyr: Any,
-    noise: StrideNoise,
-    system: Any,
-    cause: Any,
-    quaternion: Any,
-    velocity: Any,
-    position: Any,
-) -> None:
-    """Correct the inputs by the causes and the samples' share of the dual solution, and integrate again."""
+    t_ns: Any, acc: Any, gyr: Any, noises: Any, system: Any, cause: Any, quaternion: Any, velocity: Any, position: Any,
+    rates: Any, forces: Any,
+) -> None:  # fmt: skip
+    """Correct the inputs by the causes and the samples' share of the dual solution, and integrate again.
+
+    ``rates`` and ``forces`` (N, 3) are room for the corrected inputs.
+    """
     n = t_ns.shape[0]
     last = n - 1
-    rates, forces = np.empty((n, 3)), np.empty((n, 3))
     along_x, along_y, along_z = system[0, KNOWN], system[1, KNOWN], system[2, KNOWN]
     along_height, along_tx, along_ty = system[3, KNOWN], system[4, KNOWN], system[5, KNOWN]
     for i in range(n):
@@ -276,8 +269,7 @@ def _apply(
             left_s = 1e-9 * (t_ns[last] - t_ns[i])
             dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
             dx, dy, dz, ex, ey = _later(i, last, left_s, velocity, position)
-            turn, push = variances(i, t_ns, acc, gyr, noise)
-            turn, push = turn / dt_s, push / dt_s
+            turn, push = noises[i, 0] / dt_s, noises[i, 1] / dt_s
             vx, vy, vz, height = turn * along_x, turn * along_y, turn * along_z, turn * along_height
             wx = dy * vz - dz * vy + ey * height + turn * along_tx
             wy = dz * vx - dx * vz - ex * height + turn * along_ty

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit
+from fes.estimation.compiled import inlined, jit
+from fes.estimation.ranks import percentile
 from fes.estimation.rotation import from_gravity, to_sensor
-from fes.estimation.stride import double_integral, effects, integrate, orient
-from fes.signals import FloatArray, IntArray
+from fes.estimation.stride import integrate, orient
+from fes.signals import G_MPS2, FloatArray, IntArray
 
 SHORTEST_REST_S = 0.15
 QUIET_SHARE = 0.12  # of the briskest rate: below, nothing moves
@@ -19,11 +20,15 @@ BACK = 0.3  # share of the tilt found at a movement's end that is taken back whe
 
 def moving_mean(x: FloatArray, window: int) -> FloatArray:
     """Centred mean over ``window`` samples, (N,) → (N,)."""
-    total = np.cumsum(np.concatenate(([0.0], x)))
+    before, after = window // 2, window - window // 2
+    total = np.zeros(len(x) + window)  # from ``before`` samples ahead of the first to ``after`` beyond the last
+    inside = slice(before + 1, before + 1 + len(x))
+    np.cumsum(x, out=total[inside])
+    total[inside.stop :] = total[inside.stop - 1]
     index = np.arange(len(x))
-    begin = np.maximum(index - window // 2, 0)
-    end = np.minimum(index - window // 2 + window, len(x))
-    return np.asarray((total[end] - total[begin]) / (end - begin))
+    return np.asarray(
+        (total[window:] - total[: len(x)]) / (np.minimum(before, index) + np.minimum(after, index[::-1] + 1))
+    )
 
 
 def movements(energy: FloatArray, rate_hz: float, unrest: FloatArray | None = None) -> list[tuple[int, int]]:
@@ -33,7 +38,7 @@ def movements(energy: FloatArray, rate_hz: float, unrest: FloatArray | None = No
     ``unrest`` (N,) is least, or without it the ``energy`` (N,).
     """
     unrest = energy if unrest is None else unrest
-    level = QUIET_SHARE * np.sqrt(np.percentile(energy, 99))
+    level = QUIET_SHARE * math.sqrt(percentile(energy, 99.0))
     moving = np.concatenate(([False], np.sqrt(energy) > level, [False]))
     edges = np.flatnonzero(moving[1:] != moving[:-1])
     if len(edges) == 0:  # a gyroscope that is switched off
@@ -123,22 +128,39 @@ def _travels(t_ns: Any, acc: Any, gyr: Any, spans: Any, out: Any) -> None:
             out[k, 0], out[k, 1], out[k, 2] = to_sensor(w, qx, qy, qz, x, y, z)
 
 
+@inlined
+def _up(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """The world's vertical in the sensor frame."""
+    return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+
+
 @jit
 def _left_over(t_ns: Any, acc: Any, gyr: Any, spans: Any, left: Any, effect_sum: Any) -> None:
-    still, gamma = np.zeros(3), np.zeros((2, 3))
+    """Trapezoids, as in :mod:`fes.estimation.stride`, of the vertical alone."""
     for k in range(spans.shape[0]):
-        first, last = spans[k, 0], spans[k, 1]
-        n = last + 1 - first
-        quaternions, velocity, position = np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 3))
-        _strapdown(t_ns, acc, gyr, first, last, BACK, quaternions)
-        t, force, effect = t_ns[first : last + 1], acc[first : last + 1], np.zeros((4, 6))
-        double_integral(t, force, quaternions, still, gamma, velocity, position)
-        effects(t, quaternions, effect)
-        left[0] += velocity[n - 1, 2]
-        left[1] += position[n - 1, 2]
-        for i in range(2):
-            for j in range(3):
-                effect_sum[i, j] += effect[2 + i, j]
+        first, n = spans[k, 0], spans[k, 1] + 1 - spans[k, 0]
+        q = np.empty((n, 4))
+        _strapdown(t_ns, acc, gyr, first, spans[k, 1], BACK, q)
+        x0 = y0 = z0 = a0 = dt_s = 0.0
+        speed = height = vx = vy = vz = hx = hy = hz = 0.0  # and what a bias along each axis does to the two
+        for i in range(n):
+            x, y, z = _up(q[i, 0], q[i, 1], q[i, 2], q[i, 3])
+            a = x * acc[first + i, 0] + y * acc[first + i, 1] + z * acc[first + i, 2] - G_MPS2
+            if i > 0:
+                dt_s = 0.5e-9 * (t_ns[first + i] - t_ns[first + i - 1])
+            gained, gx, gy, gz = dt_s * (a0 + a), dt_s * (x0 + x), dt_s * (y0 + y), dt_s * (z0 + z)
+            height += dt_s * (2.0 * speed + gained)
+            hx, hy, hz = hx + dt_s * (2.0 * vx + gx), hy + dt_s * (2.0 * vy + gy), hz + dt_s * (2.0 * vz + gz)
+            speed, vx, vy, vz = speed + gained, vx + gx, vy + gy, vz + gz
+            x0, y0, z0, a0 = x, y, z, a
+        left[0] += speed
+        left[1] += height
+        effect_sum[0, 0] += vx
+        effect_sum[0, 1] += vy
+        effect_sum[0, 2] += vz
+        effect_sum[1, 0] += hx
+        effect_sum[1, 1] += hy
+        effect_sum[1, 2] += hz
 
 
 @jit
@@ -149,12 +171,8 @@ def _contact_jumps(t_ns: Any, acc: Any, gyr: Any, spans: Any, begins: Any, lag: 
         quaternions, vertical = np.empty((n, 4)), np.empty(n)
         _strapdown(t_ns, acc, gyr, first, last, BACK, quaternions)
         for i in range(n):
-            w, x, y, z = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
-            vertical[i] = (
-                2.0 * (x * z - w * y) * acc[first + i, 0]
-                + 2.0 * (y * z + w * x) * acc[first + i, 1]
-                + (1.0 - 2.0 * (x * x + y * y)) * acc[first + i, 2]
-            )
+            x, y, z = _up(quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3])
+            vertical[i] = x * acc[first + i, 0] + y * acc[first + i, 1] + z * acc[first + i, 2]
         out[k] = math.nan
         for i in range(begins[k] - first + lag, n):
             jump = abs(vertical[i] - vertical[i - lag])

@@ -31,20 +31,22 @@ to come to speed (the constants of ``rest_kernel``). That bounds the rate by ``t
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from fes.estimation.ranks import median, percentile
 from fes.estimation.rest_kernel import (
     ACC_TOLERANCE_MPS2,
     RATE_TOLERANCE_RADPS,
-    all_windows,
+    force_windows,
+    rate_windows,
     stillest,
     window_value,
 )
 from fes.estimation.rest_kernel import Detector as Detector  # for whoever calls these
+from fes.estimation.rest_threshold import chi2_quantile, split
 from fes.signals import G_MPS2, FloatArray, Vector3
 
 WINDOW_S = 0.05
@@ -52,8 +54,6 @@ STANDING_S = 1.0
 STANDING_RATE_RADPS = 0.08  # spread about the mean, and …
 STANDING_ACC_MPS2 = 0.3  # … the same of the force, that a second of standing does not exceed
 GREATEST_BIAS_RADPS = 0.2
-NOISE_QUANTILE_SIGMAS = 3.09  # 99.9 %
-LONG_STILL_S = 1.5  # longer than any stance of walking
 SPLIT_FACTOR = 2.0  # how far, in speed, a split may lie from the tolerance
 
 _TOLERANCE = {
@@ -121,11 +121,28 @@ def statistic(
         ValueError: shapes that do not match, values that are not finite, or a window or rate that is not positive.
     """
     acc, gyr = _checked(acc_mps2, gyr_radps)
+    return _values(detector, acc, gyr, rate_hz, window_s, gravity_mps2, gyr_bias_radps, causal=causal)
+
+
+def _values(
+    detector: Detector,
+    acc: FloatArray,
+    gyr: FloatArray,
+    rate_hz: float,
+    window_s: float,
+    gravity_mps2: float = G_MPS2,
+    gyr_bias_radps: Vector3 = (0.0, 0.0, 0.0),
+    *,
+    causal: bool = False,
+) -> FloatArray:
+    """As :func:`statistic`, of samples that are known to be finite."""
     count = 1 if detector is Detector.GYR else window_samples(window_s, rate_hz)
     ahead = 0 if causal else (count - 1) // 2
     out = np.empty(len(acc))
-    bx, by, bz = gyr_bias_radps
-    all_windows(int(detector), acc, gyr, count, ahead, gravity_mps2, bx, by, bz, out)
+    if detector in (Detector.MV, Detector.MAG):
+        force_windows(int(detector), acc, gyr, count, ahead, gravity_mps2, out)
+    else:
+        rate_windows(detector is Detector.SHOE, acc, gyr, count, ahead, gravity_mps2, *gyr_bias_radps, out)
     return out
 
 
@@ -154,12 +171,12 @@ def calibrate_rest(
 
 
 def find_rest(
-    acc_mps2: FloatArray, gyr_radps: FloatArray, rate_hz: float, energy: FloatArray
-) -> tuple[RestCalibration, np.ndarray[Any, np.dtype[np.bool_]]]:
-    """:func:`calibrate_rest` and then :func:`at_rest` in one go; ``energy`` (N,) as :func:`rate_energy` gives it."""
-    acc, gyr = _checked(acc_mps2, gyr_radps)
+    acc: FloatArray, gyr: FloatArray, rate_hz: float
+) -> tuple[RestCalibration, np.ndarray[Any, np.dtype[np.bool_]], FloatArray]:
+    """:func:`calibrate_rest`, then :func:`at_rest`, and :func:`rate_energy`, of (N, 3) each, finite."""
+    energy = _values(Detector.ARE, acc, gyr, rate_hz, WINDOW_S)
     calibration, values = _calibrated(acc, gyr, rate_hz, Detector.SHOE, WINDOW_S, True, energy)
-    return calibration, np.asarray(values < calibration.threshold)
+    return calibration, np.asarray(values < calibration.threshold), energy
 
 
 def _calibrated(
@@ -182,18 +199,19 @@ def _calibrated(
         gravity = float(np.linalg.norm(acc[begin : begin + n].mean(axis=0)))
     else:
         if energy is None:
-            energy = statistic(Detector.ARE, acc, gyr, rate_hz, window_s=window_s)
-        gravity = float(np.median(np.linalg.norm(acc[energy <= np.percentile(energy, 15.0)], axis=1)))
+            energy = _values(Detector.ARE, acc, gyr, rate_hz, window_s)
+        quiet = acc[energy <= percentile(energy, 15.0)]
+        gravity = median(np.sqrt(np.vecdot(quiet, quiet)))
     vector = (float(bias[0]), float(bias[1]), float(bias[2]))
-    values = statistic(detector, acc, gyr, rate_hz, window_s=window_s, gravity_mps2=gravity, gyr_bias_radps=vector)
+    values = _values(detector, acc, gyr, rate_hz, window_s, gravity, vector)
     tolerance = _TOLERANCE[detector]
     if standing:
         samples = 1 if detector is Detector.GYR else window_samples(window_s, rate_hz)
         noise = float(values[begin : begin + n].mean())
-        threshold = tolerance + noise * _chi2_quantile(_DEGREES_PER_SAMPLE[detector] * samples)
+        threshold = tolerance + noise * chi2_quantile(_DEGREES_PER_SAMPLE[detector] * samples)
     else:
         bound = SPLIT_FACTOR**2
-        threshold = min(max(_split(values, tolerance, rate_hz), tolerance / bound), tolerance * bound)
+        threshold = min(max(split(values, tolerance, rate_hz), tolerance / bound), tolerance * bound)
     return RestCalibration(detector, threshold, gravity, vector, window_s, standing), values
 
 
@@ -259,38 +277,3 @@ def _stillest(acc: FloatArray, gyr: FloatArray, n: int) -> tuple[int, bool]:
     level = abs(float(np.linalg.norm(force.mean(axis=0))) - G_MPS2) < 0.1 * G_MPS2
     biased = float(np.linalg.norm(rate.mean(axis=0))) < GREATEST_BIAS_RADPS
     return begin, still and level and biased
-
-
-def _chi2_quantile(degrees: int) -> float:
-    """99.9 % quantile of chi² over its degrees of freedom, after Wilson and Hilferty (1931)."""
-    share = 2.0 / (9.0 * degrees)
-    return float((1.0 - share + NOISE_QUANTILE_SIGMAS * math.sqrt(share)) ** 3)
-
-
-def _middle(rising: FloatArray) -> float:
-    """The median of values (N,) in rising order."""
-    half = len(rising) // 2
-    return float(rising[half] if len(rising) % 2 else 0.5 * (rising[half - 1] + rising[half]))
-
-
-def _split(values: FloatArray, start: float, rate_hz: float) -> float:
-    """Threshold between the recording's rest and movement (Ridler and Calvard 1978, on logarithms, with medians)."""
-    logs = np.log(values + 1e-12)
-    still = np.concatenate(([False], values < start, [False]))
-    edges = np.flatnonzero(still[1:] != still[:-1])
-    keep = np.ones(len(logs), dtype=bool)
-    begins, ends = edges[0::2], edges[1::2]
-    long = ends - begins >= LONG_STILL_S * rate_hz
-    for begin, end in zip(begins[long].tolist(), ends[long].tolist(), strict=True):
-        keep[begin:end] = False
-    logs = np.sort(logs[keep])
-    cut = math.log(start)
-    for _ in range(100):
-        count = int(np.searchsorted(logs, cut))
-        if count in (0, len(logs)):
-            return start  # all rest or all movement: nothing to learn from
-        new = 0.5 * (_middle(logs[:count]) + _middle(logs[count:]))
-        if abs(new - cut) < 1e-6:
-            break
-        cut = new
-    return math.exp(cut)

@@ -6,6 +6,8 @@ import math
 from enum import IntEnum
 from typing import Any
 
+import numpy as np
+
 from fes.estimation.compiled import jit, jit_ieee
 
 
@@ -24,6 +26,9 @@ PIVOT_M = 0.13  # from an instep to the heel and to the ball of the foot
 SETTLING_S = 0.15
 RATE_TOLERANCE_RADPS = SPEED_TOLERANCE_MPS / PIVOT_M
 ACC_TOLERANCE_MPS2 = SPEED_TOLERANCE_MPS / SETTLING_S
+FREE_FALL_MPS2 = 1e-9  # so little force has no direction
+WIDE = 256  # windows side by side: what they need fits into the processor's nearest cache
+_PER_ACC2, _PER_RATE2 = ACC_TOLERANCE_MPS2**-2, RATE_TOLERANCE_RADPS**-2
 
 
 @jit_ieee
@@ -39,6 +44,8 @@ def window_value(
     if detector >= 3:
         return rate / n
     force = 0.0
+    if detector == 0:
+        return _shoe(rate, acc, begin, end, g)
     if detector == 2:
         for i in range(begin, end):
             norm = math.sqrt(acc[i, 0] * acc[i, 0] + acc[i, 1] * acc[i, 1] + acc[i, 2] * acc[i, 2])
@@ -50,38 +57,105 @@ def window_value(
         my += acc[i, 1]
         mz += acc[i, 2]
     mx, my, mz = mx / n, my / n, mz / n
-    if detector == 0:  # towards the mean direction, but as long as gravity; in free fall any will do
-        norm = math.sqrt(mx * mx + my * my + mz * mz)
-        if norm > 1e-9:
-            mx, my, mz = g * mx / norm, g * my / norm, g * mz / norm
-        else:
-            mz = g
     for i in range(begin, end):
         x, y, z = acc[i, 0] - mx, acc[i, 1] - my, acc[i, 2] - mz
         force += x * x + y * y + z * z
-    if detector == 1:
-        return force / n
-    return (
-        force / (ACC_TOLERANCE_MPS2 * ACC_TOLERANCE_MPS2) + rate / (RATE_TOLERANCE_RADPS * RATE_TOLERANCE_RADPS)
-    ) / n
+    return force / n
 
 
 @jit_ieee
-def all_windows(
-    detector: int, acc: Any, gyr: Any, count: int, ahead: int, g: float, bx: float, by: float, bz: float, out: Any
-) -> None:
-    """The statistic of every window of ``count`` samples that reaches ``ahead`` beyond its sample."""
+def _shoe(rate: float, acc: Any, begin: int, end: int, g: float) -> float:
+    """SHOE of a window whose squared rates sum up to ``rate``."""
+    n = end - begin
+    mx = my = mz = force = 0.0
+    for i in range(begin, end):
+        mx += acc[i, 0]
+        my += acc[i, 1]
+        mz += acc[i, 2]
+    # towards the mean direction, but as long as gravity; in free fall any will do
+    norm = math.sqrt(mx * mx + my * my + mz * mz)
+    if norm > FREE_FALL_MPS2 * n:
+        per = g / norm
+        mx, my, mz = per * mx, per * my, per * mz
+    else:
+        mx, my, mz = mx / n, my / n, g
+    for i in range(begin, end):
+        x, y, z = acc[i, 0] - mx, acc[i, 1] - my, acc[i, 2] - mz
+        force += x * x + y * y + z * z
+    return (force * _PER_ACC2 + rate * _PER_RATE2) / n
+
+
+@jit_ieee
+def force_windows(detector: int, acc: Any, gyr: Any, count: int, ahead: int, g: float, out: Any) -> None:
+    """MV or MAG of every window of ``count`` samples that reaches ``ahead`` beyond its sample."""
     n = acc.shape[0]
     for i in range(n):
-        end = min(i + ahead + 1, n)
-        begin = max(i + ahead + 1 - count, 0)
-        out[i] = window_value(detector, acc, gyr, begin, end, g, bx, by, bz)
+        begin, end = max(i + ahead + 1 - count, 0), min(i + ahead + 1, n)
+        out[i] = window_value(detector, acc, gyr, begin, end, g, 0.0, 0.0, 0.0)
+
+
+@jit_ieee
+def rate_windows(
+    shoe: bool, acc: Any, gyr: Any, count: int, ahead: int, g: float, bx: float, by: float, bz: float, out: Any
+) -> None:
+    """SHOE, or else ARE and GYR, of every window of ``count`` samples that reaches ``ahead`` beyond its sample.
+
+    To the bit as :func:`window_value`; but whole windows are summed side by side, some in one instruction. One that is
+    cut short by an end is summed alone.
+    """
+    n, x, y, z, rate, force = acc.shape[0], 0, 1, 2, 3, 4
+    of, mean = np.empty((4, WIDE + count)), np.empty((5, WIDE))  # samples; windows
+    first, last, at = count - 1 - ahead, n - ahead, 0  # of the whole windows
+    while at < n:
+        begin, size = max(at - first, 0), min(at + ahead + 1, n) - max(at - first, 0)
+        wide = min(WIDE, last - at) if first <= at < last else 1
+        for j in range(wide + size - 1):
+            a, b, c = gyr[begin + j, 0] - bx, gyr[begin + j, 1] - by, gyr[begin + j, 2] - bz
+            of[rate, j] = a * a + b * b + c * c
+        for j in range(wide):
+            mean[x, j] = mean[y, j] = mean[z, j] = mean[rate, j] = mean[force, j] = 0.0
+        for k in range(size):
+            for j in range(wide):
+                mean[rate, j] += of[rate, j + k]
+        if shoe:
+            for j in range(wide + size - 1):
+                of[x, j], of[y, j], of[z, j] = acc[begin + j, 0], acc[begin + j, 1], acc[begin + j, 2]
+            for k in range(size):
+                for j in range(wide):
+                    mean[x, j] += of[x, j + k]
+                    mean[y, j] += of[y, j + k]
+                    mean[z, j] += of[z, j + k]
+            for j in range(wide):
+                a, b, c = mean[x, j], mean[y, j], mean[z, j]
+                norm = math.sqrt(a * a + b * b + c * c)
+                some, per = norm > FREE_FALL_MPS2 * size, g / norm
+                mean[x, j], mean[y, j] = per * a if some else a / size, per * b if some else b / size
+                mean[z, j] = per * c if some else g
+            for k in range(size):
+                for j in range(wide):
+                    a, b, c = of[x, j + k] - mean[x, j], of[y, j + k] - mean[y, j], of[z, j + k] - mean[z, j]
+                    mean[force, j] += a * a + b * b + c * c
+            for j in range(wide):
+                out[at + j] = (mean[force, j] * _PER_ACC2 + mean[rate, j] * _PER_RATE2) / size
+        else:
+            for j in range(wide):
+                out[at + j] = mean[rate, j] / size
+        at += wide
 
 
 @jit
 def _spread2(x: Any, begin: int, end: int, most: float) -> float:
-    """Summed variances of the three columns over ``begin`` … ``end - 1``; infinite once that exceeds ``most``."""
+    """Summed variances of the three columns over ``begin`` … ``end - 1``; infinite once that exceeds ``most``.
+
+    Two samples' squares about whatever mean are at least half their distance's, which in a movement soon is too much.
+    """
     n = end - begin
+    half, apart = n // 2, 0.0
+    for i in range(begin, begin + half):
+        dx, dy, dz = x[i, 0] - x[i + half, 0], x[i, 1] - x[i + half, 1], x[i, 2] - x[i + half, 2]
+        apart += dx * dx + dy * dy + dz * dz
+        if apart > 2.0 * most * n:
+            return math.inf
     mx = my = mz = 0.0
     for i in range(begin, end):
         mx += x[i, 0]

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from fes.estimation.compiled import jit
 
 
@@ -18,6 +16,17 @@ def _least(x: Any, begin: int, end: int) -> int:
         if x[i] < x[at]:
             at = i
     return at
+
+
+@jit
+def first_lasting(rest: Any, count: int) -> int:
+    """The first sample with which ``rest`` (N,) has held for ``count`` samples in a row, 0 if there is none."""
+    lasted = 0
+    for i in range(rest.shape[0]):
+        lasted = lasted + 1 if rest[i] else 0
+        if lasted == count:
+            return i
+    return 0
 
 
 @jit
@@ -46,30 +55,16 @@ def quietest_of_rests(rest: Any, energy: Any, apart: float, out: Any) -> int:
 def rest_in_long_moves(rest: Any, energy: Any, longest: float, half: int, margin: int) -> None:
     """Mark ``half`` samples around the least ``energy`` of every movement of more than ``longest`` samples as rest.
 
-    Then the same of its two halves. It is sought ``margin`` samples away from a movement's ends.
+    Then the same of its two halves. It is sought ``margin`` samples away from a movement's ends, more than ``half``.
     """
-    n, begin = rest.shape[0], 0
-    todo = np.empty((64, 2), np.int64)
-    while begin < n:
-        end = begin
-        while end < n and not rest[end]:
+    n, begin, end = rest.shape[0], 0, 0
+    while end <= n:
+        if end < n and not rest[end]:
             end += 1
-        after = end + 1
-        todo[0, 0], todo[0, 1] = begin, end
-        count = 1
-        while count > 0:
-            count -= 1
-            a, b = todo[count, 0], todo[count, 1]
-            if b - a <= longest:
-                continue
-            quiet = _least(energy, a + margin, b - margin)
+        elif end - begin > longest:
+            quiet = _least(energy, begin + margin, end - margin)
             for i in range(quiet - half, min(quiet + half + 1, n)):
                 rest[i] = True
-            if count + 2 > todo.shape[0]:
-                more = np.empty((2 * todo.shape[0], 2), np.int64)
-                more[:count] = todo[:count]
-                todo = more
-            todo[count, 0], todo[count, 1] = a, quiet - half
-            todo[count + 1, 0], todo[count + 1, 1] = quiet + half + 1, b
-            count += 2
-        begin = after
+            end = quiet - half  # its first half may be too long still
+        else:
+            begin, end = end + 1, end + 1

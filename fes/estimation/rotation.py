@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,9 @@ def half_turn(angle2: float) -> tuple[float, float]:
     """``cos(a/2)`` and ``sin(a/2) / a`` of the squared angle ``a²``; turns between samples are small, and fast here."""
     if angle2 < SMALL_TURN2:
         x = 0.25 * angle2
-        c = 1.0 + x * (
-            -1 / 2 + x * (1 / 24 + x * (-1 / 720 + x * (1 / 40320 + x * (-1 / 3628800 + x * (1 / 479001600)))))
-        )
-        s = 1.0 + x * (-1 / 6 + x * (1 / 120 + x * (-1 / 5040 + x * (1 / 362880 + x * (-1 / 39916800)))))
+        y = x * x  # two powers at a time: half as many steps wait for one another
+        c = (1.0 - 1 / 2 * x) + y * ((1 / 24 - 1 / 720 * x) + y * ((1 / 40320 - 1 / 3628800 * x) + y * (1 / 479001600)))
+        s = (1.0 - 1 / 6 * x) + y * ((1 / 120 - 1 / 5040 * x) + y * (1 / 362880 - 1 / 39916800 * x))
         return c, 0.5 * s
     angle = math.sqrt(angle2)
     return math.cos(0.5 * angle), math.sin(0.5 * angle) / angle
@@ -79,6 +79,12 @@ def to_sensor(
 
 
 @inlined
+def up_in_sensor(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """The world's z axis seen by the sensor: its product with a sensor vector is how high that reaches."""
+    return 2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)
+
+
+@inlined
 def axes_in_world(
     w: float, x: float, y: float, z: float
 ) -> tuple[tuple[float, float, float], tuple[float, float, float], tuple[float, float, float]]:
@@ -123,6 +129,28 @@ def foot_axes(q: Any, forward: Any, up: Any, out: Any) -> None:
         out[i, 0, 0], out[i, 1, 0], out[i, 2, 0] = to_world(w, x, y, z, fx, fy, fz)
         out[i, 0, 1], out[i, 1, 1], out[i, 2, 1] = to_world(w, x, y, z, lx, ly, lz)
         out[i, 0, 2], out[i, 1, 2], out[i, 2, 2] = to_world(w, x, y, z, ux, uy, uz)
+
+
+def quaternions_of(axes: FloatArray) -> FloatArray:
+    """Quaternions (N, 4) of rotations given as their matrices (N, 3, 3)."""
+    (a, b, c), (d, e, f), (g, h, i) = np.moveaxis(axes, 0, 2)
+    rows = np.array(
+        (
+            (1.0 + a + e + i, h - f, c - g, d - b),
+            (h - f, 1.0 + a - e - i, b + d, c + g),
+            (c - g, b + d, 1.0 - a + e - i, f + h),
+            (d - b, c + g, f + h, 1.0 - a - e + i),
+        )
+    )  # each is the quaternion times four of its own elements; the largest loses least
+    largest = np.einsum("jjn->jn", rows).argmax(axis=0)
+    found = rows[largest, :, np.arange(len(axes))]
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))
+
+
+def cross(a: Sequence[float], b: Sequence[float]) -> FloatArray:
+    """The product ``a × b`` of two vectors (3,), for which ``np.cross`` takes ten times as long."""
+    (ax, ay, az), (bx, by, bz) = a, b
+    return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
 def rotate(q: FloatArray, v: FloatArray) -> FloatArray:

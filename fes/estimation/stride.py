@@ -23,7 +23,7 @@ import numpy as np
 
 from fes.estimation.compiled import jit_ieee
 from fes.estimation.linear import solve
-from fes.estimation.rotation import to_sensor, to_world, turn_by
+from fes.estimation.rotation import axes_in_world, to_sensor, to_world, turn_by
 from fes.signals import G_MPS2
 
 
@@ -166,10 +166,13 @@ def effects(t_ns: Any, quaternions: Any, effect: Any) -> None:
     for i in range(n):
         tau = 2.0 * (t_ns[i] - t_ns[0]) / span_ns - 1.0
         q0, q1, q2, q3 = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
-        for k in range(3):
-            x, y, z = to_world(q0, q1, q2, q3, 1.0 if k == 0 else 0.0, 1.0 if k == 1 else 0.0, 1.0 if k == 2 else 0.0)
-            now[0, k], now[1, k], now[2, k] = x, y, z
-            now[0, k + 3], now[1, k + 3], now[2, k + 3] = x * tau, y * tau, z * tau
+        first, second, third = axes_in_world(q0, q1, q2, q3)
+        now[0, 0], now[1, 0], now[2, 0] = first
+        now[0, 1], now[1, 1], now[2, 1] = second
+        now[0, 2], now[1, 2], now[2, 2] = third
+        for j in range(3):
+            for k in range(3):
+                now[j, k + 3] = now[j, k] * tau
         if i > 0:
             dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
             for k in range(6):

@@ -231,6 +231,8 @@ def solve_rows(
     around = around_ends(t_ns, first, last)
     begin, end = max(first - around, 0), min(last + around + 1, n)
     numbers = np.empty(NUMBERS)
+    for i in range(NUMBERS):
+        numbers[i] = 0.0
     row.outcome = solve_span(
         t_ns[begin:end], without(acc[begin:end], biases[0]), without(gyr[begin:end], biases[1]),
         first - begin, last - begin, start, p.forward_x, p.forward_y, p.forward_z, p.sensor_height_m,

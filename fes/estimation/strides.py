@@ -12,6 +12,7 @@ import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any, Literal
 
 import numpy as np
@@ -21,7 +22,7 @@ from fes.estimation import stride_course as course
 from fes.estimation import stride_solution as solution
 from fes.estimation.clearance import FootPath, FootPaths
 from fes.estimation.core import new_core
-from fes.estimation.rotation import foot_axes
+from fes.estimation.rotation import cross
 from fes.estimation.stride_course import CourseSettings, Out, new_out
 from fes.estimation.stride_ends import REST_RADPS
 from fes.estimation.stride_time import UNSEEN_NS
@@ -32,6 +33,8 @@ SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where t
 TRAJECTORY_POINTS = 101
 Rows = np.ndarray[Any, np.dtype[Any]]
 NO_BIASES = np.zeros((2, 3))
+_KINDS = (course.STRIDE[name] for name in course.STRIDE.names or ())
+UNPACK_STRIDE = Struct("".join("q" if kind == np.int64 else "d" for kind in _KINDS)).unpack_from  # numpy takes longer
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,8 +170,8 @@ def solve_stride(
 
 def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
     """The only stride in ``out``; its path is shown to who watches."""
-    shape = out.shapes[0]
-    result = _result(foot, out.strides.item(0), shape[:, :3].copy(), shape[:, 3].copy())
+    shape = out.shapes[0].copy()
+    result = _result(foot, UNPACK_STRIDE(out.strides), shape[:, :3], shape[:, 3])
     if settings.watch is not None and result.valid:
         settings.watch(copy.deepcopy(stride_paths(out.strides, out, settings).each()[0]))
     return result
@@ -179,15 +182,15 @@ def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
     rows = rows[rows["outcome"] == solution.SOLVED]
     contact = np.where(rows["loading_response_ns"] == UNSEEN_NS, rows["stance_ns"], rows["loading_response_ns"])
     end = int((rows["first"] + rows["rows"]).max(initial=0))
-    axes = np.empty((end, 3, 3))
-    foot_axes(out.quaternion[:end], settings.forward, settings.up, axes)
+    forward, up = settings.forward, settings.up
     return FootPaths(
         rows["number"].copy(),
         np.column_stack((rows["first"], rows["first"] + rows["rows"])),
         np.column_stack((rows["swing_ns"], contact)),
         out.t_ns[:end],
         out.position[:end],
-        axes,
+        out.quaternion[:end],
+        np.column_stack((forward, cross(up.tolist(), forward.tolist()), up)),
     )
 
 

@@ -14,6 +14,7 @@ from typing import Any, Protocol, TypeAlias
 import numpy as np
 
 from fes.estimation.compiled import jit_ieee
+from fes.estimation.core import record_of
 from fes.estimation.history import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, History, SampleCounts
 from fes.estimation.rotation import without
 from fes.estimation.stride_ends import rows_before
@@ -28,8 +29,18 @@ __all__ = [
 
 NEVER_NS = 2**63 - 1
 TRANSITIONS = tuple(Transition)  # by number
-ONE = np.dtype([("t_ns", np.int64), ("acc", np.float64, 3), ("gyr", np.float64, 3)], align=True)
-PACK_ONE = Struct("=q6d").pack_into  # by assignment to the fields it would take three times as long
+ONE = np.dtype(  # a sample; where something happens at it also its row, and what the guards saw
+    [
+        ("t_ns", np.int64),
+        ("acc", np.float64, 3),
+        ("gyr", np.float64, 3),
+        ("row", np.int64),
+        ("seen", record_of(Features)),
+    ],
+    align=True,
+)
+# by assignment to the fields, or from them, it would take three times as long
+PACK_ONE, UNPACK_ONE = Struct("=q6d").pack_into, Struct("=q48xq2?6x7d").unpack_from
 
 Outcome: TypeAlias = PhaseChange | StrideResult
 

@@ -10,11 +10,15 @@ from fes.estimation.strides import TRAJECTORY_POINTS, Rows, StrideSettings, stri
 from fes.estimation.tracker import Outcome
 from fes.signals import FloatArray, StrideResult
 from statemachine.machine import GaitPhaseMachine, changes_of
-from statemachine.phases import PhaseChange
+from statemachine.phases import Phase, PhaseChange, Transition
+from statemachine.table import TABLE
 
 CHANGE = np.dtype([("t_ns", np.int64), ("transition", np.int64), ("source", np.int64)], align=True)
 
 
+_DESTINATIONS = np.full((len(Phase), len(Transition)), -1)
+for _row in TABLE:
+    _DESTINATIONS[_row.source.value, _row.transition.value] = _row.destination.value
 USUAL_STRIDES = 25  # in a history of twenty seconds
 
 
@@ -30,24 +34,36 @@ class Walked:
         self.room: Rows = np.empty(6 * strides, CHANGE)
         self.out = new_out(strides, samples + 2 * capacity, TRAJECTORY_POINTS)
         self._foot, self._settings = foot, settings
-        self._taken, self._capacity = 0, capacity
+        self._taken, self._led, self._capacity = 0, 0, capacity
 
     def append(self, outcome: Outcome) -> None:
         """A restart, which the compiled core knows nothing of."""
         assert isinstance(outcome, PhaseChange)
         self.room[self._taken] = outcome.t_ns, outcome.transition, outcome.source
         self._taken += 1
+        self._led = self._taken
         self.out.filled[CHANGES] = self._taken
         if self._taken == len(self.room):
             self.room = _twice(self.room)
 
-    def keep(self, machine: GaitPhaseMachine) -> None:
-        """Take over what the core has found, and lead the phase machine after it."""
-        strides, rows, changes = self.out.filled.tolist()
-        machine.follow(self.room[self._taken : changes].tolist())
-        self._taken = changes
+    def lead(self, machine: GaitPhaseMachine) -> None:
+        """Lead the phase machine after what the core has found since; errors as of ``GaitPhaseMachine.follow``."""
+        found = self.room[self._led : self._taken]
+        self._led = self._taken
+        if not len(found):
+            return
+        source = found["source"]
+        destination = _DESTINATIONS[source, found["transition"]]
+        if (destination >= 0).all() and source[0] == machine.phase and (source[1:] == destination[:-1]).all():
+            found = found[-1:]  # the table allows each of them, so that the last is all that is left to do
+            machine.resume(Phase(int(source[-1])))
+        machine.follow(found.tolist())
+
+    def keep(self) -> None:
+        """Take over what the core has found, and make room for more."""
+        strides, rows, self._taken = self.out.filled.tolist()
         out = self.out
-        if changes >= len(self.room):
+        if self._taken >= len(self.room):
             self.room = _twice(self.room)
         if strides == len(out.strides):
             self.out = out._replace(strides=_twice(out.strides), shapes=_twice(out.shapes))

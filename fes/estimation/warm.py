@@ -7,6 +7,7 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.foot import FootTracker
+from fes.estimation.history import History
 from fes.estimation.shank_warm import warm_up_shank
 from fes.estimation.strides import StrideMaker, StrideSettings
 from fes.signals import G_MPS2, FloatArray, IntArray
@@ -38,6 +39,7 @@ def warm_up_foot(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) ->
     tracker = made_up_foot()
     for t, acc, gyr in zip(t_ns.tolist(), acc_mps2.tolist(), gyr_radps.tolist(), strict=True):
         tracker.step(t, acc, gyr)
+    History(100.0).forget_half()  # what happens when its room is full, after many seconds
 
 
 def made_up_calibration() -> FootCalibration:

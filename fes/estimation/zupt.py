@@ -27,9 +27,9 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.filters import likeness, thinned_sizes
+from fes.estimation.filters import largest_of_rows, likeness, thinned_sizes
 from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest, rate_energy
-from fes.estimation.rest_spans import quietest_of_rests, rest_in_long_moves
+from fes.estimation.rest_spans import first_lasting, quietest_of_rests, rest_in_long_moves
 from fes.estimation.zupt_kernel import Tape, ZuptSettings, forward, new_tape
 from fes.estimation.zupt_smooth import smooth
 from fes.signals import FloatArray, IntArray, Vector3
@@ -181,10 +181,7 @@ def zupt_path(
 
 def first_rest(rest: BoolArray, rate_hz: float) -> int:
     """Where the filter begins: rest has lasted ``START_S`` for the first time, or else at the start."""
-    count = round(START_S * rate_hz) + 1
-    moving = np.concatenate(([-1], np.flatnonzero(~rest), [len(rest)]))
-    long = np.diff(moving) > count
-    return int(moving[np.argmax(long)]) + count if long.any() else 0
+    return int(first_lasting(rest, round(START_S * rate_hz) + 1))
 
 
 def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
@@ -247,11 +244,12 @@ def clipped_sd(values: FloatArray, full_scale: float | None, least: float, share
 
     An unknown full scale is the greatest value, if several samples stop there (within 0.1 %) and it is above ``least``.
     """
-    x, y, z = np.abs(values).T
-    size = np.maximum(np.maximum(x, y), z)
+    size = np.empty(len(values))
+    top = float(largest_of_rows(np.ascontiguousarray(values), size))
     if full_scale is None:
-        top = float(size.max())
         if top < least or np.count_nonzero(size > 0.999 * top) < 3:
             return np.zeros(len(size))
         full_scale = top
+    if top < CLIPPED_SHARE * full_scale:
+        return np.zeros(len(size))
     return np.where(size >= CLIPPED_SHARE * full_scale, share * full_scale, 0.0)

@@ -5,6 +5,7 @@ As ``fes.estimation.zupt_smooth``, after Bierman (1973) and Koopman (1993), from
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -106,3 +107,28 @@ def path_at(known_ns: Any, position: Any, velocity: Any, asked_ns: Any, out: Any
         for j in range(3):
             way = position[k + 1, j] - position[k, j]
             out[i, j] = position[k, j] + share * way + begin * velocity[k, j] - end * velocity[k + 1, j]
+
+
+@jit_ieee
+def turned_path(
+    position: Any,
+    velocity: Any,
+    quaternions: Any,
+    turn: float,
+    shift: Any,
+    position_out: Any,
+    velocity_out: Any,
+    quaternions_out: Any,
+) -> None:
+    """Fill the last three with K places, velocities and orientations turned about the vertical by ``turn`` (rad), the
+    places then shifted by ``shift`` (3,)."""
+    c, s, w, z = math.cos(turn), math.sin(turn), math.cos(0.5 * turn), math.sin(0.5 * turn)
+    for i in range(position.shape[0]):
+        x, y = position[i, 0], position[i, 1]
+        position_out[i, 0], position_out[i, 1] = c * x - s * y + shift[0], s * x + c * y + shift[1]
+        position_out[i, 2] = position[i, 2] + shift[2]
+        x, y = velocity[i, 0], velocity[i, 1]
+        velocity_out[i, 0], velocity_out[i, 1], velocity_out[i, 2] = c * x - s * y, s * x + c * y, velocity[i, 2]
+        q0, q1, q2, q3 = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
+        quaternions_out[i, 0], quaternions_out[i, 1] = w * q0 - z * q3, w * q1 - z * q2
+        quaternions_out[i, 2], quaternions_out[i, 3] = w * q2 + z * q1, w * q3 + z * q0

@@ -61,6 +61,19 @@ def step_ends(t_ns: Any, rest: Any, moving_ns: int, resting_ns: int, out: Any) -
     return count
 
 
+@jit_ieee
+def mean_at_rest(x: Any, rest: Any, out: Any) -> bool:
+    """Fill ``out`` (3,) with the mean of the rows of ``x`` (N, 3) at ``rest`` (N,); False, and 0, if none is."""
+    count, a, b, c = 0, 0.0, 0.0, 0.0
+    for i in range(rest.shape[0]):
+        if rest[i]:
+            count += 1
+            a, b, c = a + x[i, 0], b + x[i, 1], c + x[i, 2]
+    per = 1.0 / max(count, 1)
+    out[0], out[1], out[2] = a * per, b * per, c * per
+    return count > 0
+
+
 @inlined
 def matrix(
     w: float, x: float, y: float, z: float
