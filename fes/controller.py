@@ -27,6 +27,7 @@ from fes.stimulation.switch_fallback import SwitchFallback
 from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.tuners import TUNING_ACTS, Tuners
 from fes.stimulation.walking import WalkingJudge
+from fes.values import quick
 from statemachine.phases import Phase, PhaseChange
 
 __all__ = ["NOTHING", "Controller", "Decision", "stride_settings"]
@@ -35,6 +36,7 @@ CURRENT_STEP_MA = 0.5  # of most stimulators
 BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class Decision:
     """What came of one event: ``requests`` to put before the gate now, ``outcomes`` and ``reports`` to record."""
@@ -118,7 +120,9 @@ class Controller:
         for outcome in outcomes:
             if isinstance(outcome, StrideResult):
                 judge.on_stride(outcome)
-                self._tune(self.tuning.on_stride(sample.t_ns, foot, outcome, self.intensity))
+                reports = self.tuning.on_stride(sample.t_ns, foot, outcome, self.intensity)
+                if reports or self.tuning.tuners:
+                    self._tune(reports)
             else:
                 permitted = judge.on_phase(outcome)
                 fallback = self._fallbacks.get(foot)

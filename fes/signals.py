@@ -13,6 +13,8 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from fes.values import quick
+
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
 Vector3: TypeAlias = tuple[float, float, float]
@@ -28,6 +30,7 @@ NS_PER_S = 1_000_000_000
 # --- events: all that can happen to the controller -------------------------------------------------------
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class ImuSample:
     """One sample of one sensor.
@@ -80,6 +83,7 @@ class OperatorAct:
     value: float = 0.0
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class StimStatus:
     """The stimulator's answer to one command: what it delivers now.
@@ -141,6 +145,7 @@ Event: TypeAlias = ImuSample | Tick | OperatorAct | StimStatus | StimAlive | Sti
 # --- stimulation -----------------------------------------------------------------------------------------
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class StimRequest:
     """What the plan asks for one channel; off is its own request, not 0 mA."""
@@ -152,6 +157,7 @@ class StimRequest:
     frequency_hz: float = 0.0
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class StimCommand:
     """What the gate lets out for one channel.
@@ -182,6 +188,7 @@ class WireFrame:
 # --- strides ---------------------------------------------------------------------------------------------
 
 
+@quick
 @dataclass(frozen=True, slots=True)
 class StrideResult:
     """One stride of one foot, from quietest instant to quietest instant of the stances around its swing.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import cache
 from typing import Any
 
 from transitions import Event, Machine, MachineError
@@ -30,22 +31,8 @@ class GaitPhaseMachine:
     def __init__(self, foot: str) -> None:
         self.foot = foot
         self._model = _Model()
-        self._machine = _Machine(
-            model=self._model,
-            states=[phase.name for phase in Phase],
-            transitions=[
-                {
-                    "trigger": row.transition.name,
-                    "source": row.source.name,
-                    "dest": row.destination.name,
-                    "conditions": row.guard,
-                }
-                for row in TABLE
-            ],
-            initial=Phase.STANCE.name,
-            auto_transitions=False,
-            send_event=False,
-        )
+        self._machine = _machine()
+        self._events = {transition: self._machine.events[transition.name] for transition in Transition if transition}
 
     @property
     def phase(self) -> Phase:
@@ -60,7 +47,7 @@ class GaitPhaseMachine:
         """
         source = self.phase
         try:
-            done = self._machine.events[transition.name].trigger(self._model, x, p)
+            done = self._events[transition].trigger(self._model, x, p)
         except Exception as error:
             raise GuardDisagreement(f"{transition.name} from {source.name} of {self.foot}: {error}") from error
         if not done:
@@ -83,6 +70,10 @@ class GaitPhaseMachine:
                 raise GuardDisagreement(f"T{number} from {Phase(phase).name} of {self.foot}: the core was in {source}")
             phase = destination
         self._model.state = Phase(phase).name
+
+    def resume(self, phase: Phase) -> None:
+        """Go on from a phase that transitions which the table allows have led to."""
+        self._model.state = phase.name
 
     def restart(self, t_ns: int) -> PhaseChange:
         """Begin anew in stance after a gap in the data; reported as a change without a transition."""
@@ -133,3 +124,24 @@ class _Event(Event):
 
 class _Machine(Machine):
     event_cls = _Event
+
+
+@cache
+def _machine() -> _Machine:
+    """The table, for all feet: what evolves is in their models, and to make it takes as long as a thousand samples."""
+    return _Machine(
+        model=None,
+        states=[phase.name for phase in Phase],
+        transitions=[
+            {
+                "trigger": row.transition.name,
+                "source": row.source.name,
+                "dest": row.destination.name,
+                "conditions": row.guard,
+            }
+            for row in TABLE
+        ],
+        initial=Phase.STANCE.name,
+        auto_transitions=False,
+        send_event=False,
+    )

@@ -330,12 +330,16 @@ IN_G, TOO_STRONG = "is its unit g?", "wrong unit?"
 
 
 def told(
-    forces: list[float], sensor: str = "left_foot", step_ns: int = 10 * MS, sent_ns: int | None = None
+    forces: list[float],
+    sensor: str = "left_foot",
+    step_ns: int = 10 * MS,
+    sent_ns: int | None = None,
+    range_g: float = math.inf,
 ) -> list[str]:
     """What is said of these forces, sample by sample, by its last words."""
-    force, sent_ns = Force(sensor), step_ns if sent_ns is None else sent_ns
+    force, sent_ns = Force(sensor, range_g), step_ns if sent_ns is None else sent_ns
     return [
-        force.fault(ImuSample(S + k * step_ns, sensor, S + k * sent_ns, UP, UP), size)[-14:].strip()
+        force.fault(ImuSample(S + k * step_ns, sensor, S + k * sent_ns, (3.0, 2.0, -size), UP), size)[-14:].strip()
         for k, size in enumerate(forces)
     ]
 
@@ -438,6 +442,33 @@ def test_a_step_with_samples_missing_after_it_is_not_judged(at: int, gap_ns: int
     assert bool(said[-1]) is tells
 
 
+@pytest.mark.parametrize("at", [6, 12, 13])
+def test_what_shows_more_than_its_range_would_be_in_g_is_not_in_g(at: int) -> None:
+    """An axis of ±16 g ends at 16 in g, but for a twentieth; a heel that lands, leaves and slaps down shows more."""
+    forces = [40.0] * 5 + [5.0] * 9
+    forces[at] = 16.8
+    assert first(told(forces, range_g=16.0)) == 13
+    forces[at] = 16.81
+    assert first(told(forces, range_g=16.0)) is None
+    assert first(told(forces)) == 13, "a sensor whose range nobody knows"
+    assert first(told([1.0] * 7 + [28.0, 1.0], range_g=16.0)) == 8, "not by itself what excuses what is far too weak"
+
+
+def test_what_speaks_against_g_is_forgotten_with_its_span() -> None:
+    assert first(told([40.0] * 5 + [5.0, 5.0, 30.0] + [5.0] * 20, range_g=16.0)) == 16
+
+
+def test_the_range_is_the_sessions() -> None:
+    for range_g, tells in ((16.0, False), (200.0, True)):
+        device = ImuDevice(
+            sensor="left_foot", device="xbus", port="x", rate_hz=100, acc_range_g=range_g, gyr_range_dps=2000
+        )
+        judge, said = Plausible((device,), {}), ""
+        for k, size in enumerate([40.0] * 5 + [5.0] * 7 + [30.0, 5.0]):
+            said = judge.fault(ImuSample(S + k * 10 * MS, "left_foot", S + k * 10 * MS, (0.0, 0.0, size), UP))
+        assert bool(said) is tells, range_g
+
+
 def test_a_gap_before_the_span_does_not_matter() -> None:
     force, sent_ns, said = Force("left_foot"), S, []
     for k, size in enumerate([40.0] * 5 + [5.0] * 9):
@@ -483,6 +514,14 @@ def test_the_least_tilt_that_is_doubted() -> None:
     assert lasting((9.5, 0.0, 0.0), still, up=(cosine - 1e-12, 0.0, 0.0)).doubt == (
         "left_foot rests turned by more than 65° from its calibration: remounted?"
     )
+
+
+@pytest.mark.parametrize("up", [(0.8, 0.6, 0.0), (0.0, 0.8, 0.6), (0.6, 0.0, 0.8)])
+def test_every_axis_counts_for_a_rest(up: Vector3) -> None:
+    """Upright lies along two axes, most of it along one; that one's share must not be taken away."""
+    x, y, z = (G_MPS2 * u for u in up)
+    assert lasting((x, y, z), (0.0, 0.0, 0.0), up=up).doubt == ""
+    assert "rests" in lasting((-x, -y, -z), (0.0, 0.0, 0.0), up=up).doubt
 
 
 @pytest.mark.parametrize(

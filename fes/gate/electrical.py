@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 from fes import limits
 from fes.config import Channel, ChannelLimits
@@ -13,7 +13,7 @@ from fes.signals import StimRequest, StimStatus
 NUMBER_BOUND: Final = 1e9  # nothing in a request is anywhere near it
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # frozen it would take six times as long to make, at every request
 class Pulse:
     """Amplitude, width and rate of a pulse train under electrodes of one size."""
 
@@ -37,6 +37,9 @@ class Cap:
     absolute: float
     own: Callable[[ChannelLimits], float]
     of: Callable[[Pulse], float]
+
+
+Caps: TypeAlias = tuple[tuple[Cap, float], ...]  # each with what it may be at most in one channel
 
 
 def _charge_uc(p: Pulse) -> float:
@@ -80,12 +83,17 @@ def no_number(request: StimRequest) -> str:
     return ""
 
 
-def over_a_cap(pulse: Pulse, own: ChannelLimits) -> str:
+def caps_of(own: ChannelLimits) -> Caps:
+    """The caps of a channel: of the absolute limit and its own the smaller."""
+    return tuple((cap, min(cap.absolute, cap.own(own))) for cap in CAPS)
+
+
+def over_a_cap(pulse: Pulse, caps: Caps) -> str:
     """The first cap exceeded, with number and limit; "" when none is."""
     if min(pulse.current_ma, pulse.pulse_width_us, pulse.frequency_hz) < 0:
         return "a pulse of negative size"
-    for cap in CAPS:
-        value, most = cap.of(pulse), min(cap.absolute, cap.own(own))
+    for cap, most in caps:
+        value = cap.of(pulse)
         if not value <= most:  # so that not-a-number is over every cap
             return f"{cap.what} {value:.4g} {cap.unit}, limit {most:.4g} {cap.unit}"
     return ""

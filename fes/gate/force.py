@@ -3,11 +3,13 @@
 A force in g for m/s² is 9.8 times too small. Where that takes it below what any swing shows, its level tells; in a
 brisk swing it does not, but then the change itself does: no foot's force falls to less than a quarter from one sample
 to the next and then stays low. The same the other way round for a force that was scaled once more, or is in mg.
+A heel that lands, bounces and slaps down comes nearest; but what that shows is more than the sensor's range in g.
 ``benchmarks/wrong_unit.py`` shows how near real feet come, and how soon a wrong unit is told.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass
 from typing import Final
@@ -20,6 +22,7 @@ MOSTLY: Final = (3, 4)  # of the samples of a span: in g too a swing has its spi
 STEP: Final = 4.0  # from one sample to the next; real ones that last reach 2.4 down and 3.0 up
 MOST_APART_NS: Final = 12_500_000  # by the sensor's own clock, for a step: in a longer time force may do anything
 MOST_GAP_NS: Final = 25_000_000  # likewise, in the span after a step: from fewer samples nobody can tell that it lasts
+BEYOND: Final = 1.05  # of an axis' range: what calibrating makes of a sample at its end stays below
 MOST_SAMPLES: Final = 1000  # kept of a span; a sensor that sends more is judged by fewer
 
 WEAK, LOW, USUAL, HIGH, STRONG = range(5)
@@ -48,12 +51,16 @@ SHANK: Final = Bounds(weak=2.5, low=7.0, high=30.0, strong=60.0)  # it is shaken
 
 @dataclass(slots=True)
 class Seen:
-    """One sample: when, the level of its force, whether a step led to it (-1 down, 1 up), and whether a gap did."""
+    """One sample: when, the level of its force, whether a step led to it (-1 down, 1 up), and whether a gap did.
+
+    And whether an axis shows more than the sensor could in g.
+    """
 
     t_ns: int
     level: int
     step: int
     gap: int
+    beyond: int
 
 
 class Force:
@@ -61,13 +68,15 @@ class Force:
 
     Args:
         sensor: its name, for its place on the leg.
+        range_g: of each of its axes; without it what it could show in g is not known.
     """
 
-    def __init__(self, sensor: str) -> None:
+    def __init__(self, sensor: str, range_g: float = math.inf) -> None:
         self._bounds = SHANK if sensor in SHANK_SENSORS else FOOT
         self._seen: deque[Seen] = deque()
         self._counts = [0, 0, 0, 0, 0]
-        self._gaps = 0
+        self._gaps = self._beyond = 0
+        self._most_in_g = BEYOND * range_g
         self._before_mps2 = 0.0
         self._before_ns = 0
 
@@ -77,10 +86,11 @@ class Force:
         if seen and t_ns < seen[-1].t_ns:  # told elsewhere; nothing from before counts
             while seen:
                 self._forget_oldest()
-        new = self._next(t_ns, sample.t_sensor_ns, force_mps2)
+        new = self._next(sample, force_mps2)
         seen.append(new)
         self._counts[new.level] += 1
         self._gaps += new.gap
+        self._beyond += new.beyond
         said = ""
         while t_ns - seen[0].t_ns >= SPAN_NS:
             said = said or self._of_span(sample.sensor, force_mps2)
@@ -89,19 +99,19 @@ class Force:
             self._forget_oldest()
         return said
 
-    def _next(self, t_ns: int, t_sensor_ns: int, force_mps2: float) -> Seen:
+    def _next(self, sample: ImuSample, force_mps2: float) -> Seen:
         bounds, before_mps2 = self._bounds, self._before_mps2
         level = USUAL
         if force_mps2 < bounds.low:
             level = WEAK if force_mps2 < bounds.weak else LOW
         elif force_mps2 > bounds.high:
             level = STRONG if force_mps2 > bounds.strong else HIGH
-        apart_ns = t_sensor_ns - self._before_ns
+        apart_ns = sample.t_sensor_ns - self._before_ns
         step = 0
         if self._seen and 0 < apart_ns <= MOST_APART_NS:
             step = (force_mps2 > before_mps2 * STEP) - (force_mps2 * STEP < before_mps2)
-        self._before_mps2, self._before_ns = force_mps2, t_sensor_ns
-        return Seen(t_ns, level, step, apart_ns > MOST_GAP_NS)
+        self._before_mps2, self._before_ns = force_mps2, sample.t_sensor_ns
+        return Seen(sample.t_ns, level, step, apart_ns > MOST_GAP_NS, max(map(abs, sample.acc_mps2)) > self._most_in_g)
 
     def _of_span(self, sensor: str, force_mps2: float) -> str:
         """What the span from the oldest sample to the newest says."""
@@ -109,7 +119,7 @@ class Force:
         share, of = MOSTLY
         most, oldest = share * len(self._seen), self._seen[0]
         step = oldest.step if self._gaps == oldest.gap else 0
-        if of * weak >= most or (step < 0 and of * (weak + low) >= most):
+        if of * weak >= most or (step < 0 and not self._beyond and of * (weak + low) >= most):
             return f"{sensor} shows {force_mps2:.2g} m/s² and less than gravity for {SPAN_MS} ms: is its unit g?"
         if of * strong >= most or (step > 0 and of * (strong + high) >= most):
             return f"{sensor} shows {force_mps2:.0f} m/s² and more than a foot can take for {SPAN_MS} ms: wrong unit?"
@@ -119,3 +129,4 @@ class Force:
         gone = self._seen.popleft()
         self._counts[gone.level] -= 1
         self._gaps -= gone.gap
+        self._beyond -= gone.beyond

@@ -174,7 +174,7 @@ class SafetyGate:
         if line is None:
             return
         if status.on:
-            over = over_a_cap(Pulse.of(status, line.channel), line.channel.limits)
+            over = over_a_cap(Pulse.of(status, line.channel), line.caps)
             if over:
                 self.latch(status.t_ns, f"{line.channel.name}: stimulator delivers {over}")
         if status.pulses > 0 and line.unasked(status.t_ns):
@@ -196,7 +196,8 @@ class SafetyGate:
     def judge(self, t_ns: int, request: StimRequest) -> StimCommand:
         """Turn a request into the command that goes out; never raises, whatever the request holds.
 
-        Judge only what is then sent, at once and in this order: the gate takes each answer for the channel's state.
+        Judge only what is then sent, at once and in this order, or what an *off* for the channel replaces, judged anew:
+        the gate takes each channel's last answer for its state.
         """
         self._notice_backward(t_ns, self._event_ns)
         self._notice_backward(t_ns, self._judged_ns)
@@ -247,7 +248,7 @@ class SafetyGate:
         fault = (
             _no_switch(request.on)
             or no_number(request)
-            or over_a_cap(Pulse.of(request, line.channel), line.channel.limits)
+            or over_a_cap(Pulse.of(request, line.channel), line.caps)
             or line.on_too_long(t_ns)
             or line.too_much_charge(t_ns)
         )

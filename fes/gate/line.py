@@ -8,6 +8,7 @@ from typing import Final
 from fes import limits
 from fes.config import Channel
 from fes.gate.dose import Dose
+from fes.gate.electrical import Caps, caps_of
 from fes.signals import NS_PER_S
 
 RISE_STEP_MA: Final = 0.5  # the devices' finest step: a ramp rounded to it may run this far ahead of its line
@@ -21,6 +22,7 @@ class Line:
 
     ``ramp_ma`` is a line that climbs no faster than the rise limit and never lies above the current let out; a request
     may exceed it by one device step. So no sequence of commands, however dense, beats the limit by more than a step.
+    The limits from ``caps`` on are, each, the absolute one or the channel's own, whichever is tighter.
     ``held_back``: the burst now asked for was refused though nothing is broken; see :mod:`fes.gate.gate`.
     """
 
@@ -34,6 +36,19 @@ class Line:
     ramp_ma: float = 0.0
     held_back: bool = False
     dose: Dose = field(default_factory=Dose)
+    caps: Caps = field(init=False)
+    most_on_s: float = field(init=False)
+    least_off_s: float = field(init=False)
+    most_mc: float = field(init=False)
+    most_rise_ma_per_s: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        own = self.channel.limits
+        self.caps = caps_of(own)
+        self.most_on_s = min(limits.MAX_ON_S, own.max_on_s)
+        self.least_off_s = max(limits.MIN_OFF_S, own.min_off_s)
+        self.most_mc = min(limits.MAX_CHARGE_PER_MINUTE_MC, own.max_charge_per_minute_mc)
+        self.most_rise_ma_per_s = min(limits.MAX_RISE_MA_PER_S, own.max_rise_ma_per_s)
 
     def command_on(self, t_ns: int, current_ma: float, charge_uc_per_s: float) -> None:
         """The device is told to deliver this current, and charge at this rate."""
@@ -62,19 +77,19 @@ class Line:
 
     def on_too_long(self, t_ns: int) -> str:
         """Says so when the burst has lasted longer than a burst may."""
-        most_s = min(limits.MAX_ON_S, self.channel.limits.max_on_s)
+        most_s = self.most_on_s
         on_ns = t_ns - self.on_since_ns if self.on else 0
         return f"on for {on_ns / NS_PER_S:.3g} s, limit {most_s:.3g} s" if on_ns > round(most_s * NS_PER_S) else ""
 
     def too_much_charge(self, t_ns: int) -> str:
         """Says so when the last minute's charge is at its limit."""
-        most_mc = min(limits.MAX_CHARGE_PER_MINUTE_MC, self.channel.limits.max_charge_per_minute_mc)
+        most_mc = self.most_mc
         used_mc = 1e-3 * self.dose.used_uc(t_ns)
         return f"{used_mc:.4g} mC within a minute, limit {most_mc:.4g} mC" if used_mc >= most_mc else ""
 
     def off_too_short(self, t_ns: int) -> str:
         """Says so when the last burst is too recent for another."""
-        least_s = max(limits.MIN_OFF_S, self.channel.limits.min_off_s)
+        least_s = self.least_off_s
         if self.on or self.off_since_ns is None or t_ns - self.off_since_ns >= round(least_s * NS_PER_S):
             return ""
         return f"off for {(t_ns - self.off_since_ns) / NS_PER_S:.3g} s, at least {least_s:.3g} s"
@@ -91,5 +106,4 @@ class Line:
         if self.commanded_ns is None:
             return 0.0
         elapsed_ns = min(max(t_ns - self.commanded_ns, 0), self.validity_ns)
-        most_ma_per_s = min(limits.MAX_RISE_MA_PER_S, self.channel.limits.max_rise_ma_per_s)
-        return self.ramp_ma + most_ma_per_s * elapsed_ns / NS_PER_S
+        return self.ramp_ma + self.most_rise_ma_per_s * elapsed_ns / NS_PER_S

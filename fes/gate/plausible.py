@@ -60,7 +60,8 @@ class Plausibility:
         self._gyr_range_radps = AT_RANGE * math.radians(device.gyr_range_dps) if device else math.inf
         self._up = up
         self.doubt = ""  # no fault by itself: a foot may rest so, but not one that walks
-        self._force, self._axes = Force(sensor), Axes()
+        self._force = Force(sensor, device.acc_range_g if device else math.inf)
+        self._axes = Axes()
         self._fast, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting()
         self._mean_mps2 = self._upright()
         self._mean_ns: int | None = None
@@ -75,7 +76,7 @@ class Plausibility:
         wrong_unit, exchanged = self._force.fault(sample, force_mps2), self._axes.fault(sample)
         fast = self._fast.so(t_ns, rate_radps > FAST_RADPS)
         saturated = self._saturated.so(t_ns, at_range)
-        tilted = self._tilted.so(t_ns, self._rests_tilted(sample, force_mps2))
+        tilted = self._tilted.so(t_ns, self._rests_tilted(sample, force_mps2, rate_radps))
         moves_tilted = self._moves_tilted(sample)
         does = "rests" if tilted else "moves" if moves_tilted else ""
         self.doubt = f"{name} {does} turned by more than {_TILT} from its calibration: remounted?" if does else ""
@@ -91,12 +92,13 @@ class Plausibility:
             return f"{name} turns at more than {FAST_RADPS:.0f} rad/s for {SUSTAINED_MS} ms: is its unit °/s?"
         return ""
 
-    def _rests_tilted(self, sample: ImuSample, force_mps2: float) -> bool:
+    def _rests_tilted(self, sample: ImuSample, force_mps2: float, rate_radps: float) -> bool:
         if self._up is None or abs(force_mps2 - G_MPS2) > REST_FORCE_MPS2:
             return False
-        if max(map(abs, sample.gyr_radps)) > REST_RATE_RADPS:
+        if rate_radps > REST_RATE_RADPS:
             return False
-        along = sum(a * u for a, u in zip(sample.acc_mps2, self._up, strict=True))
+        (x, y, z), (ux, uy, uz) = sample.acc_mps2, self._up
+        along = x * ux + y * uy + z * uz
         return along < force_mps2 * math.cos(MOST_TILT_RAD)
 
     def _moves_tilted(self, sample: ImuSample) -> bool:

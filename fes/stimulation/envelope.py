@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from fes.config import Channel
 from fes.signals import NS_PER_S
 from fes.stimulation.parameters import BurstParameters
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # frozen it would take six times as long to make, at the sample that starts a burst
 class Envelope:
     """One burst with all its parameters, fixed when it starts; only ``intensity`` (0–1) may come down later.
 
@@ -18,7 +18,7 @@ class Envelope:
     None as long as that has not come; the burst goes on for ``extension_ns`` after it, still rising if it was, and
     then falls from the level reached. At ``t_due_ns`` it falls even if that entry has not come. Whatever happens it is
     over ``max_on_ns`` after its start, and begins to fall early enough to end in a ramp where the settings leave room
-    for one.
+    for one. ``t_fall_ns`` is when it falls, for all that is known. A burst is never changed but replaced.
     """
 
     t_start_ns: int
@@ -31,19 +31,34 @@ class Envelope:
     intensity: float = 1.0
     t_stop_ns: int | None = None
     t_due_ns: int | None = None
+    t_fall_ns: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        latest_ns = self.t_start_ns + max(self.max_on_ns - self.fall_ns, min(self.rise_ns, self.max_on_ns))
+        if self.t_due_ns is not None:
+            latest_ns = min(self.t_due_ns, latest_ns)
+        self.t_fall_ns = latest_ns if self.t_stop_ns is None else min(self.t_stop_ns + self.extension_ns, latest_ns)
 
     @classmethod
-    def of(cls, channel: Channel, t_start_ns: int, intensity: float, parameters: BurstParameters) -> Envelope:
+    def of(
+        cls,
+        channel: Channel,
+        t_start_ns: int,
+        intensity: float,
+        parameters: BurstParameters,
+        t_due_ns: int | None = None,
+    ) -> Envelope:
         """The burst that these settings ask for from ``t_start_ns`` on."""
         return cls(
-            t_start_ns=t_start_ns,
-            parameters=parameters,
-            frequency_hz=channel.frequency_hz,
-            rise_ns=to_ns(channel.rise_s),
-            extension_ns=max(to_ns(parameters.extension_s), 0),
-            fall_ns=to_ns(channel.fall_s),
-            max_on_ns=to_ns(channel.limits.max_on_s),
-            intensity=intensity,
+            t_start_ns,
+            parameters,
+            channel.frequency_hz,
+            to_ns(channel.rise_s),
+            max(to_ns(parameters.extension_s), 0),
+            to_ns(channel.fall_s),
+            to_ns(channel.limits.max_on_s),
+            intensity,
+            t_due_ns=t_due_ns,
         )
 
     def dimmed(self, intensity: float) -> Envelope:
@@ -58,7 +73,7 @@ class Envelope:
         """Current at ``t_ns``, in mA, never negative; 0 before the start and after the end."""
         if not self.t_start_ns <= t_ns < self.t_start_ns + self.max_on_ns:
             return 0.0
-        t_fall_ns = self._t_fall_ns()
+        t_fall_ns = self.t_fall_ns
         risen = min(1.0, max(0, min(t_ns, t_fall_ns) - self.t_start_ns) / self.rise_ns)
         fallen = (t_ns - t_fall_ns) / max(self.fall_ns, 1) if t_ns > t_fall_ns else 0.0
         return self.parameters.current_ma * self.intensity * (risen * max(0.0, 1.0 - fallen))
@@ -69,17 +84,15 @@ class Envelope:
 
     def over(self, t_ns: int) -> bool:
         """Whether nothing comes any more at or after ``t_ns``."""
-        return t_ns >= min(self.t_start_ns + self.max_on_ns, self._t_fall_ns() + max(self.fall_ns, 1))
+        return t_ns >= min(self.t_start_ns + self.max_on_ns, self.t_fall_ns + max(self.fall_ns, 1))
 
     def falls(self, t_ns: int) -> bool:
         """Whether the fall has begun by ``t_ns``; the level cannot rise again from there."""
-        return t_ns >= self._t_fall_ns()
+        return t_ns >= self.t_fall_ns
 
-    def _t_fall_ns(self) -> int:
-        latest_ns = self.t_start_ns + max(self.max_on_ns - self.fall_ns, min(self.rise_ns, self.max_on_ns))
-        if self.t_due_ns is not None:
-            latest_ns = min(self.t_due_ns, latest_ns)
-        return latest_ns if self.t_stop_ns is None else min(self.t_stop_ns + self.extension_ns, latest_ns)
+    def steady_until_ns(self, width_step_us: float) -> int:
+        """Until when it stays on once it is: until it falls, if no pulse of it is narrower than a step."""
+        return self.t_fall_ns if min(self.parameters.widths_us) >= width_step_us else self.t_start_ns
 
 
 def to_ns(seconds: float) -> int:

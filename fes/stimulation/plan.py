@@ -26,6 +26,7 @@ from statemachine.phases import Phase, PhaseChange, Transition
 
 FREQUENCY_STEP_HZ = 1.0
 LATEST_NS = 500_000_000  # a burst that would have to wait longer, for a rest or an antagonist, is of another moment
+LOST = Transition.NONE
 EXPECTED_FROM = 3  # strides; the longest of their times counts, for to end late is to end at contact
 
 
@@ -34,8 +35,9 @@ class _Line:
     """One channel and where it stands; ``on`` and ``off_since_ns`` are what was last requested and since when.
 
     ``by_hand_ns`` is how long a burst asked for by hand lasts before it falls; one to ``adopt`` passes to the phases.
-    ``upcoming`` are the parameters of the next burst, ``taken`` those of the burst awaited or under way. ``before`` is
-    the phase before the stop phase, entered at ``before_ns`` in this cycle; ``approaches_ns`` is how long it took last.
+    ``steady``, the burst last asked for, stays on until ``steady_ns`` once it is. ``upcoming`` are the parameters of
+    the next burst, ``taken`` those of the burst awaited or under way. ``before`` is the phase before the stop phase,
+    entered at ``before_ns`` in this cycle; ``approaches_ns`` is how long it took last.
     """
 
     channel: Channel
@@ -48,6 +50,8 @@ class _Line:
     partners: tuple[_Line, ...] = ()
     awaited_ns: int | None = None
     burst: Envelope | None = None
+    steady: Envelope | None = None
+    steady_ns: int = 0
     on: bool = False
     off_since_ns: int | None = None
     by_hand_ns: int | None = None
@@ -57,9 +61,9 @@ class _Line:
 
     def note(self, change: PhaseChange) -> None:
         """How long the phase before the stop phase takes; a cycle that was lost, or went another way, is forgotten."""
-        if change.transition == Transition.NONE or change.destination not in self.run:
+        if change.transition == LOST or change.destination not in self.run:
             self.before_ns = None
-            if change.transition == Transition.NONE:
+            if change.transition == LOST:
                 self.approaches_ns.clear()
         elif change.destination == self.stop:
             if self.before_ns is not None:
@@ -106,7 +110,7 @@ class StimulationPlan:
             if line.channel.foot != change.foot:
                 continue
             line.note(change)
-            lost = change.transition == Transition.NONE
+            lost = change.transition == LOST
             if lost or change.destination not in line.run:
                 line.awaited_ns, line.burst = None, None
             elif change.destination == line.start:
@@ -150,10 +154,15 @@ class StimulationPlan:
         Lets the controller send at once at such a moment and otherwise keep to its command period.
         """
         for line in self._lines:
-            if line.burst is None and line.awaited_ns is None and not line.on:  # the usual case, at every sample
+            burst = line.burst
+            # the usual cases, at every sample: nothing to come, what starts now and has no current yet, what goes on
+            if burst is None:
+                if not line.on and line.awaited_ns in (None, t_ns):
+                    continue
+            elif line.on and burst is line.steady and t_ns < line.steady_ns and intensity >= burst.intensity:
                 continue
             burst = self._burst(line, t_ns, intensity)
-            if (burst is not None and self._pulse(burst, t_ns) is not None) != line.on:
+            if (burst is not None and self._is_on(burst, t_ns)) != line.on:
                 return True
         return False
 
@@ -169,41 +178,48 @@ class StimulationPlan:
         return requests
 
     def _commit(self, line: _Line, t_ns: int, intensity: float) -> StimRequest:
-        line.burst = self._burst(line, t_ns, intensity)
-        if line.burst is not None:
+        burst, pulse = self._burst(line, t_ns, intensity), None
+        if burst is not None:
             line.awaited_ns = None
-        request = self._request(line, line.burst, t_ns)
-        if line.on and not request.on:
+            if burst is not line.steady:
+                line.steady, line.steady_ns = burst, burst.steady_until_ns(self._pulse_width_step_us)
+            pulse = self._pulse(burst, t_ns)
+            if pulse is None and (line.on or burst.over(t_ns)):
+                burst = None
+        if line.on and pulse is None:
             line.off_since_ns = t_ns
-        if line.burst is not None and not request.on and (line.on or line.burst.over(t_ns)):
-            line.burst = None
-        line.on = request.on
-        return request
+        line.burst, line.on = burst, pulse is not None
+        number = line.channel.number
+        return StimRequest(number, False) if pulse is None else StimRequest(number, True, *pulse)
 
     def _burst(self, line: _Line, t_ns: int, intensity: float) -> Envelope | None:
         """The burst under way, or the awaited one if it can start by now."""
         intensity = min(intensity, 1.0) if intensity > 0.0 else 0.0
         if line.burst is not None:
             return line.burst.dimmed(intensity)
-        if line.awaited_ns is None or line.on or any(other.on or other.burst for other in line.partners):
+        if line.awaited_ns is None or line.on:
             return None
-        earliest_ns = [line.awaited_ns]
+        for other in line.partners:
+            if other.on or other.burst is not None:
+                return None
+        t_start_ns = line.awaited_ns
         if self._asked_ns is not None:  # the rise counts from the last command, at which the channel was off
-            earliest_ns.append(self._asked_ns)
+            t_start_ns = max(t_start_ns, self._asked_ns)
         if line.off_since_ns is not None:
-            earliest_ns.append(line.off_since_ns + to_ns(line.channel.limits.min_off_s))
-        t_start_ns = max(earliest_ns)
+            t_start_ns = max(t_start_ns, line.off_since_ns + to_ns(line.channel.limits.min_off_s))
         if t_start_ns > t_ns or t_start_ns - line.awaited_ns > LATEST_NS:
             return None
-        burst = Envelope.of(line.channel, t_start_ns, intensity, line.taken)
         if line.by_hand_ns is not None:
-            return burst.stopped(t_start_ns + line.by_hand_ns)
-        return replace(burst, t_due_ns=line.due_ns())
+            return Envelope.of(line.channel, t_start_ns, intensity, line.taken).stopped(t_start_ns + line.by_hand_ns)
+        return Envelope.of(line.channel, t_start_ns, intensity, line.taken, line.due_ns())
 
-    def _request(self, line: _Line, burst: Envelope | None, t_ns: int) -> StimRequest:
-        number = line.channel.number
-        pulse = self._pulse(burst, t_ns) if burst is not None else None
-        return StimRequest(number, False) if pulse is None else StimRequest(number, True, *pulse)
+    def _is_on(self, burst: Envelope, t_ns: int) -> bool:
+        """Whether :meth:`_pulse` is not None: nothing of it is less than the device's step."""
+        return (
+            burst.level_ma(t_ns) >= self._current_step_ma
+            and burst.width_us(t_ns) >= self._pulse_width_step_us
+            and burst.frequency_hz >= FREQUENCY_STEP_HZ
+        )
 
     def _pulse(self, burst: Envelope, t_ns: int) -> tuple[float, float, float] | None:
         """Current (mA), width (µs) and frequency (Hz) in the device's steps; None where one is nothing."""

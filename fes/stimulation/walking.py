@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from statistics import median
+from collections.abc import Collection
 
 from fes.config import Stimulation
 from fes.signals import NS_PER_S, StrideResult
@@ -20,6 +20,7 @@ STANCE_FACTOR = 1.8  # a stance this much longer than the usual one is a stop â€
 STANCE_GRACE_S = 0.2  # â€¦ once it is also this much longer
 SHORT_STANCE_SHARE = 0.4  # a stance shorter than this share of the usual one is a foot that has not settled yet
 REMEMBERED_STANCES = 5
+LOST, LANDED, STANCE = Transition.NONE, (Transition.T4, Transition.T6), Phase.STANCE
 
 
 class WalkingJudge:
@@ -42,12 +43,12 @@ class WalkingJudge:
 
     def on_phase(self, change: PhaseChange) -> bool:
         """Follow a phase change; returns whether a burst that starts with it is permitted."""
-        if change.transition is Transition.NONE:
+        if change.transition is LOST:
             self._lapse("data were lost")
             self._stance_ns = change.t_ns
-        elif change.transition in (Transition.T4, Transition.T6):
+        elif change.transition in LANDED:
             self._stance_ns = change.t_ns
-        elif change.source is Phase.STANCE and self._stance_ns is not None:
+        elif change.source is STANCE and self._stance_ns is not None:
             return self._end_of_stance(1.0 / NS_PER_S * (change.t_ns - self._stance_ns))
         return self.walking
 
@@ -58,7 +59,7 @@ class WalkingJudge:
 
     def _end_of_stance(self, stance_s: float) -> bool:
         """The heel rises after a stance of this length; returns whether that is walking on."""
-        usual_s = median(self._stances_s) if self._stances_s else None
+        usual_s = _median(self._stances_s) if self._stances_s else None
         if usual_s is not None and stance_s < SHORT_STANCE_SHARE * usual_s:
             return False  # the foot stirs after it has landed; the real heel rise is still to come
         if usual_s is not None and stance_s > max(STANCE_FACTOR * usual_s, usual_s + STANCE_GRACE_S):
@@ -80,3 +81,9 @@ class WalkingJudge:
         self._good_strides = 0
         self._stances_s.clear()
         self.reason = reason
+
+
+def _median(values: Collection[float]) -> float:
+    """As in ``statistics``, whose code is seldom at hand: once a stride."""
+    ordered, half = sorted(values), len(values) // 2
+    return ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2
