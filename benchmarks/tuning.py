@@ -4,6 +4,7 @@
     python benchmarks/tuning.py --first 100 --patients 100 --results held.jsonl
     python benchmarks/tuning.py --tables dev.jsonl held.jsonl --write docs/tuning.md
     python benchmarks/tuning.py --first 300 --patients 40 --measured            # how the target is to be set
+    python benchmarks/tuning.py --days 20 --seeds 520 560 567 587               # the same people on other days
 
 Each patient (:mod:`tuning_cohort`) walks the same walk with no stimulation, with fixed stimulation from heel rise to
 contact as a foot switch times it, with the fixed phase-triggered trapezoid, and tuned from there run-to-run and by
@@ -18,14 +19,15 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median, quantiles
 from typing import Any
 
-from closed_loop_walk import Walk, walk
+from closed_loop_walk import Walk, calibration_of, walk
 from tuning_cohort import BAND_MM, MOST_MA, PITCH_DEG, WIDTH_US, channel_of, clinic_ma, patient, session_with
-from tuning_table import write_tables
+from tuning_days import day_line, days_table
+from tuning_table import LAST, write_tables
 
 from fes.config import FootGeometry, Session
 from fes.estimation.calibration import FootCalibration
@@ -35,10 +37,11 @@ STRIDES, SECONDS = 45, 240.0
 EVERYBODY_MA = 30.0
 METHODS = ("none", "foot switch", "phase", "run-to-run", "learning")
 TUNED = ("run-to-run", "learning")
+COMPARED = ("foot switch", *TUNED)
 GRID_MA = (14.0, 18.0, 22.0, 26.0, 34.0, 40.0)
 MEASURED_HIGHER_MM = 6.0  # for three of four patients at most (--measured): the target allows for it
+OTHER_DAY = 500_000  # added to a patient's seed: the same person, other strides
 REACHED = 4  # of 5 strides in a row in the band
-LAST = 20
 SAME_CONTACT_NS = 200_000_000
 
 
@@ -126,6 +129,8 @@ def one_patient(seed: int, methods: Sequence[str] = METHODS, known: dict[str, An
     results = {method: Result(**values) for method, values in known["results"].items()} if known else {}
     for method in methods:
         results[method] = judge(walk(settings, session_of(geometry, method, clinic), calibration, SECONDS, STRIDES))
+    other = replace(settings, seed=settings.seed + OTHER_DAY)
+    again = judge(walk(other, session_of(geometry, "foot switch", clinic), calibration_of(other), SECONDS, STRIDES))
     reach = max(one.later for one in results.values()) >= 0.8 or can_reach(settings, geometry, calibration)
     return {
         "seed": seed,
@@ -133,6 +138,7 @@ def one_patient(seed: int, methods: Sequence[str] = METHODS, known: dict[str, An
         "speed_mps": settings.speed_mps,
         "clinic_ma": clinic,
         "reach": reach,
+        "another_day": again.at_the_end,
         "results": {method: asdict(one) for method, one in results.items()},
     }
 
@@ -151,6 +157,28 @@ def measured_higher_mm(seed: int) -> float:
             if abs(true.t_contact_ns - contact_ns) < SAME_CONTACT_NS:
                 differ.append(1e3 * (one.toe_clearance_m - true.toe_clearance_m))
     return median(differ)
+
+
+def on_other_days(seed: int, days: int, *, stale: bool = False) -> dict[str, Any]:
+    """How one patient ends, with fixed timing and tuned, on so many days: the same person, other strides.
+
+    Calibrated anew each day, as at the beginning of every session: sensors are put on again, and their biases drift.
+    ``stale``: with the calibration of another day instead. By method the shares of each day's last strides in the band,
+    and of all whose heel comes first.
+    """
+    settings, calibration, _ = patient(seed)
+    geometry = VirtualPatient(settings).geometry["right_foot"]
+    clinic = clinic_ma(settings, geometry, calibration)
+    ends: dict[str, list[float]] = {method: [] for method in COMPARED}
+    heels: dict[str, list[float]] = {method: [] for method in COMPARED}
+    for day in range(1, days + 1):
+        that_day = replace(settings, seed=settings.seed + day * OTHER_DAY)
+        of_the_day = calibration if stale else calibration_of(that_day)
+        for method in COMPARED:
+            done = judge(walk(that_day, session_of(geometry, method, clinic), of_the_day, SECONDS, STRIDES))
+            ends[method].append(done.at_the_end)
+            heels[method].append(done.heel_first)
+    return {"seed": seed, "ends": ends, "heels": heels}
 
 
 def said(row: dict[str, Any]) -> str:
@@ -176,6 +204,9 @@ def main() -> None:
         "--again", nargs="+", choices=METHODS, help="make these walks anew for the patients that are known"
     )
     parser.add_argument("--measured", action="store_true", help="only compare measured with true toe clearance")
+    parser.add_argument("--days", type=int, help="only compare how patients end on so many other days")
+    parser.add_argument("--stale", action="store_true", help="there with the calibration of another day")
+    parser.add_argument("--seeds", type=int, nargs="+", help="of those patients; else --first and --patients")
     parser.add_argument("--tables", type=Path, nargs="+", help="only make the tables of these results")
     parser.add_argument("--write", type=Path, help="put the tables between the markers of this page")
     asked = parser.parse_args()
@@ -183,6 +214,13 @@ def main() -> None:
         found = [measured_higher_mm(seed) for seed in range(asked.first, asked.first + asked.patients)]
         low, middle, high = quantiles(found, n=4)
         print(f"measured above true, mm: {min(found):.1f} {low:.1f} {middle:.1f} {high:.1f} {max(found):.1f}")
+        return
+    if asked.days:
+        every = []
+        for seed in asked.seeds or range(asked.first, asked.first + asked.patients):
+            every.append(on_other_days(seed, asked.days, stale=asked.stale))
+            print(day_line(every[-1]), flush=True)
+        print(days_table(every))
         return
     if not asked.tables:
         rows = [json.loads(line) for line in asked.results.open()] if asked.results.exists() else []

@@ -13,7 +13,7 @@ from typing import Any
 
 from closed_loop_walk import calibration_of, walk
 
-from fes.config import Channel, FootGeometry, Session
+from fes.config import Channel, FootGeometry, ImuDevice, Session
 from fes.estimation.calibration import CalibrationError, FootCalibration
 from fes.patient.virtual import MuscleSettings, PatientSettings, VirtualPatient, VirtualStride
 from fes.signals import NS_PER_S
@@ -89,8 +89,9 @@ def channel_of(
 
 
 def session_with(geometry: FootGeometry, *channels: Channel) -> Session:
-    """A session of the right foot."""
-    return Session(name="virtual", channels=channels, geometry={"right_foot": geometry})
+    """A session of the right foot, and its sensor's ranges."""
+    sensor = ImuDevice(sensor="right_foot", device="xsens_can", rate_hz=100.0, acc_range_g=16.0, gyr_range_dps=2000.0)
+    return Session(name="virtual", channels=channels, sensors=(sensor,), geometry={"right_foot": geometry})
 
 
 def walks_well(strides: list[VirtualStride]) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fes.signals import StimStatus
-from fes.stimulation.dose import LONGEST_GAP_NS, WINDOW, DoseLedger, ElectrodeDose
+from fes.stimulation.dose import LONGEST_HOLD_NS, WINDOW, DoseLedger, ElectrodeDose
 
 SECOND = 1_000_000_000
 
@@ -41,13 +41,19 @@ def test_a_step_has_the_charge_between_its_ends() -> None:
 
 
 def test_a_device_that_counts_nothing_is_estimated_from_what_it_says_it_delivers() -> None:
+    """Its last answer holds until the next: a level that does not change is not said again."""
     dose = ElectrodeDose(0)
-    dose.take(status(1.0, 0, 0.0, on=False))
-    dose.take(status(1.05, 0, 0.0))
-    assert dose.session_uc == pytest.approx(30.0 * 300.0 * 1e-3 * 40.0 * 0.05)
+    uc_per_s = 30.0 * 300.0 * 1e-3 * 40.0
+    dose.take(status(1.0, 0, 0.0))
+    assert dose.session_uc == 0.0
+    dose.take(status(1.5, 0, 0.0))
+    assert dose.session_uc == pytest.approx(0.5 * uc_per_s)
     assert dose.estimated
-    dose.take(status(9.0, 0, 0.0))  # no command holds that long
-    assert dose.session_uc == pytest.approx(9.0 * 40.0 * (0.05 + 1e-9 * LONGEST_GAP_NS))
+    dose.take(status(1.6, 0, 0.0, on=False))
+    dose.take(status(2.6, 0, 0.0))  # off until then
+    assert dose.session_uc == pytest.approx(0.6 * uc_per_s)
+    dose.take(status(60.0, 0, 0.0))  # no device holds that long
+    assert dose.session_uc == pytest.approx((0.6 + 1e-9 * LONGEST_HOLD_NS) * uc_per_s)
 
 
 @pytest.mark.parametrize("charge_uc", [float("nan"), -3.0, float("inf")])
@@ -70,6 +76,30 @@ def test_more_charge_for_the_same_response_is_hinted_once_a_level() -> None:
     assert "has fallen to 74%" in hints[0]
     assert "electrode" in hints[0]
     assert len(steps(dose, 0.01, 300.0, 40)) == 2  # on its way to 22 %
+
+
+def test_more_charge_set_by_hand_that_gives_less_than_its_share_is_no_fatigue() -> None:
+    dose = ElectrodeDose(0)
+    assert not [hint for _ in range(2 * WINDOW) if (hint := dose.respond(0.025, 150.0, 0.5))]
+    assert not [hint for _ in range(4 * WINDOW) if (hint := dose.respond(0.03, 300.0, 1.0))]
+    assert [hint for _ in range(WINDOW) if (hint := dose.respond(0.02, 300.0, 1.0))]
+
+
+def test_a_charge_that_is_still_being_raised_is_no_reference() -> None:
+    """What a foot does of its own is not the charge's: at twice the charge half of it is no fatigue."""
+    dose = ElectrodeDose(0)
+    raised = [100.0 + 8.0 * k for k in range(20)] + [260.0] * 20
+    assert not [hint for charge_uc in raised if (hint := dose.respond(0.02 + 2e-5 * charge_uc, charge_uc))]
+    assert len(steps(dose, 0.017, 260.0)) == 1
+
+
+def test_the_minute_under_way_is_that_of_the_newest_answer() -> None:
+    dose = ElectrodeDose(0)
+    dose.take(status(50.0))
+    assert dose.this_minute_uc == 9.0
+    dose.take(status(61.0, 0, 0.0, on=False))
+    assert dose.this_minute_uc == 0.0
+    assert dose.session_uc == 9.0
 
 
 def test_less_response_to_less_charge_is_no_fatigue() -> None:

@@ -81,6 +81,26 @@ def test_an_electrode_that_comes_loose_is_made_up_for(calibration: FootCalibrati
     assert within_bounds(done)
 
 
+def test_an_electrode_that_is_off_stops_the_tuning_and_is_no_surprise_when_put_back(
+    calibration: FootCalibration,
+) -> None:
+    off, back = once(lambda patient: patient.set_electrode_quality(0.0), 0.0), 45.0
+    on = once(lambda patient: patient.set_electrode_quality(1.0), back)
+
+    def during(patient: VirtualPatient, t_ns: int) -> None:
+        off(patient, t_ns)
+        on(patient, t_ns)
+
+    done = walked(calibration, during=during)
+    stopped = [report for report in done.reports if "look at the electrodes; tuning has stopped" in report.text]
+    assert len(stopped) == 1
+    assert stopped[0].t_ns < back * NS_PER_S
+    assert max(report.after.current_ma for report in done.reports) > 33.0  # it did climb
+    assert done.reports[-1].after.current_ma <= 30.0
+    assert max(pulse.current_ma for pulse in done.pulses if pulse.t_ns >= back * NS_PER_S) <= 30.0
+    assert not done.latched
+
+
 def test_sudden_fatigue_is_made_up_for(calibration: FootCalibration) -> None:
     done = walked(calibration, during=once(lambda patient: patient.set_fitness(0.65)))
     assert any(report.after.current_ma > report.before.current_ma for report in after(done))

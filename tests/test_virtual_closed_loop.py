@@ -18,7 +18,7 @@ from fes.config import load_session
 from fes.controller import Controller
 from fes.driving import driven_by
 from fes.gate import gate_of
-from fes.journal import Note, read_session
+from fes.journal import Note, SessionLogError, SessionWriter, read_session
 from fes.patient.truth import load_truth
 from fes.patient.virtual import VirtualPatient, load_patient, settings_for
 from fes.patient.virtual.closed_loop import calibration_walk, patient_events
@@ -127,6 +127,56 @@ def test_fes_simulate_in_closed_loop_writes_a_session_log(tmp_path: Path) -> Non
     assert log.complete
     delivered = sum(status.charge_uc for status in log.statuses)
     assert delivered == pytest.approx(json.loads(out)["charge_uc"], rel=0.2)
+    assert log.header["recording"]["name"] == "simulated"  # not the walk that it was calibrated with
+    assert log.header["session"]["name"] == "Virtual patient, simulated"
+    assert log.header["kind"] == "simulated"
+    assert [note.text for note in log.notes if note.severity == "fault"] == []  # the end is no sensor that was lost
+
+
+def test_fes_simulate_says_why_nothing_was_stimulated(tmp_path: Path) -> None:
+    """At 2 m/s this foot comes down harder than the gate believes."""
+    walk = ("--severity", "severe", "--speed", "2", "--seconds", "12")
+    code, out = invoke(*walk, "--stimulate", "phase", "--out", str(tmp_path))
+    assert code == 0, out
+    assert " 0 µC" in out or ", 0.0 µC" in out
+    assert "The gate latched once at 6." in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--seconds", "nan"), "nan is not a finite number"),
+        (("--speed", "nan"), "nan is not a finite number"),
+        (("--session", "session.toml"), "--stimulate phase"),
+        (("--stimulator", "rehastim2"), "--live"),
+        (("--live", "--json"), "--json has no meaning with --live"),
+        (("--live", "--session", "mine.toml"), "--session has no meaning with --live"),
+    ],
+)
+def test_fes_simulate_refuses_what_it_cannot_use(tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
+    code, out = invoke(*arguments, "--out", str(tmp_path))
+    assert code == 2, out
+    assert said in out
+
+
+def test_fes_simulate_takes_a_name_literally(tmp_path: Path) -> None:
+    named = ("--name", "[abc]", "--seconds", "5", "--out", str(tmp_path))
+    code, out = invoke(*named)
+    assert code == 0, out
+    assert "None" not in out  # too short for a stride
+    code, out = invoke(*named)
+    assert code == 2
+    assert "--overwrite" in out
+
+
+def test_fes_simulate_on_a_full_disk_ends_with_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: object, change: object) -> None:
+        raise SessionLogError("simulated.feslog: cannot be written any more: the disk is full")
+
+    monkeypatch.setattr(SessionWriter, "phase", full)
+    code, out = invoke("--seconds", "8", "--stimulate", "phase", "--out", str(tmp_path))
+    assert code == 3, out
+    assert "the disk is full" in out
 
 
 def test_a_patient_from_a_file_and_its_faults(tmp_path: Path) -> None:
@@ -141,6 +191,9 @@ def test_a_patient_from_a_file_and_its_faults(tmp_path: Path) -> None:
         ("[patient]\nheight_m = 9.0\n", "height_m = 9.0"),
         ("[patient]\nmuscle = 3\n", "must be a table"),
         ("[patient]\nheight_m = 'tall'\n", "height_m"),
+        ("[patient]\nseed = 1.5\n", "seed = 1.5: must be a whole number"),
+        ("[patient]\nchannel = 0.5\n", "channel = 0.5: must be a whole number"),
+        ("[patient]\nsensors = 5\n", "sensors = 5: must be a list of names"),
     ):
         file.write_text(text, "utf-8")
         with pytest.raises(ValueError, match=said):
@@ -149,6 +202,6 @@ def test_a_patient_from_a_file_and_its_faults(tmp_path: Path) -> None:
         load_patient(tmp_path / "none.toml")
     code, out = invoke(str(file), "--out", str(tmp_path))
     assert code == 2
-    assert "height_m" in out
+    assert "sensors" in out
     with pytest.raises(ValueError, match="no such setting"):
         settings_for("mild", wheels=4)

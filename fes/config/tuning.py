@@ -57,8 +57,9 @@ Step = Annotated[float, Field(gt=0)]
 class Tuning(Settings):
     """How one channel may tune itself from its foot's strides; off unless the session says otherwise.
 
-    ``mode`` "suggest" only says what it would do, "act" does it. ``method`` "run_to_run" moves the current, "learning"
-    the pulse width over the time within the burst. ``timing`` lets start and end follow the walking speed. The targets
+    ``mode`` "suggest" only says what it would do, "act" does it. ``method`` "run_to_run" moves the current, and where
+    the bounds let it fall the pulse width from mid-swing to contact, "learning" the pulse width over the time within
+    the burst. ``timing`` lets start and end follow the walking speed. The targets
     are the least toe height in mid-swing, the sensor's greatest height (used where the toe's is not known), and the
     foot's pitch at initial contact (toe-up positive). The ``max_change_*`` hold for one stride.
     """

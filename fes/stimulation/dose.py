@@ -10,19 +10,21 @@ import math
 from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from itertools import takewhile
 from statistics import median
 from typing import Any, Final
 
-from fes.limits import MAX_VALIDITY_MS, charge_per_phase_uc
+from fes.limits import charge_per_phase_uc
 from fes.signals import NS_PER_S, StimStatus
 
 KEPT_NS: Final = 30 * NS_PER_S  # of single bookings; a stride is closed within 20 s
 MINUTE_NS: Final = 60 * NS_PER_S
-LONGEST_GAP_NS: Final = MAX_VALIDITY_MS * 1_000_000  # one answer stands for no more than a command's validity
+LONGEST_HOLD_NS: Final = (
+    2 * NS_PER_S
+)  # an answer stands until the next; longer no device goes on (P24 mid level's watchdog)
 WINDOW: Final = 10  # stimulated strides whose median counts
 FALLEN: Final = 0.75  # of the first response per charge: worth a hint …
 HINT_STEP: Final = 0.15  # … and another each time it has fallen by this much more
+STEADY: Final = 1.25  # most by which the charges of the reference may differ: while it is raised, more gives less
 
 
 @dataclass(slots=True)
@@ -41,7 +43,8 @@ class ElectrodeDose:
     estimated: bool = False
     _recent: deque[tuple[int, float]] = field(default_factory=deque, repr=False)
     _counts: bool = field(default=False, repr=False)
-    _answered_ns: int | None = field(default=None, repr=False)
+    _holds: StimStatus | None = field(default=None, repr=False)
+    _intensity: float = field(default=1.0, repr=False)
     _response: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW), repr=False)
     _first: tuple[float, float] | None = field(default=None, repr=False)
     _hinted: float = field(default=1.0, repr=False)
@@ -50,12 +53,10 @@ class ElectrodeDose:
         """Book one answer of the stimulator."""
         charge_uc, pulses = status.charge_uc, status.pulses
         self._counts = self._counts or pulses > 0  # between two pulses such a device counts none: that is no estimate
-        if status.on and not self._counts and charge_uc == 0.0 and self._answered_ns is not None:
-            span_ns = min(max(status.t_ns - self._answered_ns, 0), LONGEST_GAP_NS)
-            per_phase_uc = charge_per_phase_uc(status.current_ma, status.pulse_width_us)
-            charge_uc = per_phase_uc * status.frequency_hz * span_ns / NS_PER_S
+        if not self._counts and charge_uc == 0.0:
+            charge_uc = self._held_uc(status.t_ns)
             self.estimated = self.estimated or charge_uc > 0.0
-        self._answered_ns = status.t_ns
+        self._holds = status
         if not (math.isfinite(charge_uc) and charge_uc > 0.0):
             return
         self.pulses += pulses
@@ -66,10 +67,28 @@ class ElectrodeDose:
         while self._recent[0][0] < status.t_ns - KEPT_NS:
             self._recent.popleft()
 
+    def _held_uc(self, t_ns: int) -> float:
+        """What the last answer comes to until now, for it holds until the next, by charge and rate of its pulses."""
+        held = self._holds
+        if held is None or not held.on:
+            return 0.0
+        held_s = min(max(t_ns - held.t_ns, 0), LONGEST_HOLD_NS) / NS_PER_S
+        return charge_per_phase_uc(held.current_ma, held.pulse_width_us) * held.frequency_hz * held_s
+
+    @property
+    def this_minute_uc(self) -> float:
+        """Of the minute of the newest answer; 0 in one without stimulation."""
+        return 0.0 if self._holds is None else self.by_minute_uc.get(self._holds.t_ns // MINUTE_NS, 0.0)
+
     def between_uc(self, t_start_ns: int, t_end_ns: int) -> float:
         """Charge delivered from start to end; of the last 30 s only."""
-        since = list(takewhile(lambda booked: booked[0] > t_start_ns, reversed(self._recent)))
-        return sum(charge_uc for t_ns, charge_uc in reversed(since) if t_ns <= t_end_ns)
+        charges_uc: list[float] = []
+        for t_ns, charge_uc in reversed(self._recent):
+            if t_ns <= t_start_ns:
+                break
+            if t_ns <= t_end_ns:
+                charges_uc.append(charge_uc)
+        return sum(reversed(charges_uc))
 
     def close_step(self, t_start_ns: int, t_end_ns: int) -> float:
         """Book a stride's charge and return it, µC."""
@@ -77,23 +96,31 @@ class ElectrodeDose:
         self.steps_uc.append(charge_uc)
         return charge_uc
 
-    def respond(self, response: float, charge_uc: float) -> str:
+    def respond(self, response: float, charge_uc: float, intensity: float = 1.0) -> str:
         """Note what a step's charge achieved; a hint in words when the response per charge has fallen, else "".
 
         Args:
             response: what the foot did, greater being more (the tuner's measure); not-a-number is passed over.
             charge_uc: of the same step; a step without charge says nothing.
+            intensity: the operator's setting, 0–1.
 
-        The first ``WINDOW`` steps are the reference. Less response to less charge is no fatigue, so a hint needs at
-        least nearly the charge of then.
+        The reference are the first ``WINDOW`` steps in a row with about the same charge, anew with every intensity set
+        by hand: a foot answers less to more charge, be it ever so fresh. Less response to less charge is no fatigue
+        either, so a hint needs at least nearly the charge of then.
         """
         if not (charge_uc > 0.0 and math.isfinite(response)):
             return ""
+        if intensity != self._intensity:
+            self._intensity, self._first, self._hinted = intensity, None, 1.0
+            self._response.clear()
         self._response.append((response, charge_uc))
         if len(self._response) < WINDOW:
             return ""
-        now = (median(r for r, _ in self._response), median(q for _, q in self._response))
+        charges = [q for _, q in self._response]
+        now = (median(r for r, _ in self._response), median(charges))
         if self._first is None:
+            if max(charges) > STEADY * min(charges):
+                return ""
             self._first = now
         if self._first[0] <= 0.0 or now[1] < 0.95 * self._first[1]:
             return ""
@@ -104,8 +131,8 @@ class ElectrodeDose:
         self._response.clear()
         return (
             f"response per charge has fallen to {max(left, 0.0):.0%} of what it was at first "
-            f"({now[1]:.0f} µC a step now, {self._first[1]:.0f} µC then): the muscle may be tiring, or an electrode "
-            "has come loose; consider a pause and look at the electrodes"
+            f"({now[1]:.0f} µC a step now, {self._first[1]:.0f} µC then): the muscle may be tiring, an electrode "
+            "have come loose, or more charge lift the foot no further; consider a pause and look at the electrodes"
         )
 
     def to_dict(self) -> dict[str, Any]:

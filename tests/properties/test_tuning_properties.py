@@ -76,6 +76,7 @@ def test_any_strides_leave_the_parameters_where_they_may_be(
             for was, now in zip(old, values_of(after)[name], strict=True):
                 assert bounds[name]["low"] - EPSILON <= now <= bounds[name]["high"] + EPSILON
                 assert abs(now - was) <= STEP_OF[name] + EPSILON
+        assert method == "learning" or max(after.widths_us) <= 300.0 + EPSILON  # the session's own width
         if not fields["valid"] or charge_uc == 0.0 or intensity == 0.0:
             assert after == before
             assert report is not None

@@ -26,7 +26,8 @@ PRE_SWING_SHARE = 0.21  # of the cycle, from heel off to foot off
 LANDING_MPS = -0.38  # the ankle's vertical speed at contact, at the least
 CLEARANCE_M = 0.017  # mean least toe clearance of healthy walkers (Winter, *Phys Ther* 72, 1992: 1.3 cm)
 HALF_WIDTH_M = 0.08
-TO_PLAN, NEAR_M = 0.55, 0.1  # share of the swing until the foot is on its planned path, when it begins this near it
+TO_PLAN = 0.55  # share of the swing until the foot is on its planned path, where it begins on it
+NEAR_S = 0.4  # … the whole swing where it begins as far away from it as the belt goes in this time
 EARLY_M = 0.015  # the toe's clearance in early swing is this much above the least, in mid-swing
 _EARLY, _MIDDLE = np.linspace(0.24, 0.38, 8), np.linspace(0.44, 0.75, 16)
 TOE_OUT_RAD = math.radians(7.0)
@@ -192,11 +193,14 @@ class Planner:
         leg["hike_m"] = normal + swing.habit * self.need_m + swing.extra_lift_m
 
     def _share_to_plan(self, t_s: float) -> float:
-        """Share of the swing until the foot is on its planned path: all of it where far ahead, as from standing."""
+        """Share of the swing until the foot is on its planned path, the greater the farther it begins from it.
+
+        Ahead, as from standing, or behind, as after a stumble that cut the last step short.
+        """
         leg = self.leg
         leg["offset_x"] = 0.0
-        ahead_m = float(leg["x"]) - self._now(t_s)[0][0]
-        return TO_PLAN + (1.0 - TO_PLAN) * min(max((ahead_m - NEAR_M) / NEAR_M, 0.0), 1.0)
+        away_m = abs(float(leg["x"]) - self._now(t_s)[0][0])
+        return TO_PLAN + (1.0 - TO_PLAN) * min(away_m / (NEAR_S * self.speed_mps), 1.0)
 
     def trip(self, t_s: float, short_m: float) -> None:
         """The toe is caught: the swing goes on from where it is, and lands short by ``short_m``."""

@@ -121,6 +121,9 @@ class PatientSettings:
             raise ValueError(f"pattern = {self.pattern!r}: choose one of {', '.join(PATTERNS)}")
         for name, (low, high) in _RANGES.items():
             _check(name, getattr(self, name), low, high)
+        for name in ("seed", "channel"):
+            if not isinstance(getattr(self, name), int):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be a whole number")
         for name, (low, high) in _MUSCLE_RANGES.items():
             _check(f"muscle.{name}", getattr(self.muscle, name), low, high)
         if self.muscle.saturation_uc <= self.muscle.threshold_uc:

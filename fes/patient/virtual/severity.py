@@ -63,6 +63,8 @@ def load_patient(path: Path, **others: Any) -> PatientSettings:
     _refuse(path, "patient.muscle", muscle, set(allowed["muscle"]))
     try:
         if "sensors" in values:
+            if not isinstance(values["sensors"], list):
+                raise ValueError(f'sensors = {values["sensors"]!r}: must be a list of names, e.g. ["left_foot"]')
             values["sensors"] = tuple(values["sensors"])
         if muscle:
             values["muscle"] = replace(MuscleSettings(), **muscle)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+
+from fes.signals import FloatArray
 
 EVENTS = ("initial_contact", "foot_flat", "heel_off", "foot_off", "stumble")
 
@@ -57,3 +60,25 @@ class VirtualStride:
     charge_uc: float
     peak_torque_nm: float
     walking: bool
+
+
+@dataclass(slots=True)
+class OpenStride:
+    """A stride under way: what the walker notes of it (s, m, rad), and when the foot is to leave and land next."""
+
+    t_heel_off_s: float = math.nan
+    t_foot_off_s: float = math.nan
+    t_contact_s: float = math.nan
+    from_x: float = 0.0
+    stumbled: bool = False
+    rows: FloatArray | None = None
+    pitch: float = 0.0
+    ankle: float = 0.0
+    roll: float = 0.0
+    speed_mps: float = 0.0
+    drag_s: float = 0.0
+    due_s: float = math.nan  # when this swing is to end
+    next_off_s: float = math.inf
+    next_contact_s: float = math.inf
+    number: int = 0  # of the next contact
+    last_step: bool = False

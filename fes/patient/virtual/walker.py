@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,38 +14,22 @@ from fes.patient.virtual.leg import CLEARANCE_M, HALF_WIDTH_M, PRE_SWING_SHARE, 
 from fes.patient.virtual.patterns import PATTERNS
 from fes.patient.virtual.schedule import Rhythm
 from fes.patient.virtual.settings import PatientSettings
-from fes.patient.virtual.strides import FootEvent, VirtualStride
-from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
+from fes.patient.virtual.strides import FootEvent, OpenStride, VirtualStride
+from fes.signals import FOOT_SENSORS, NS_PER_S
 
 BEGIN_S = 1.2  # from the belt's start to the first contact
 LANDING_SPREAD_M = 0.012
 CLEARANCE_SPREAD_M = 0.0035  # Winter (1992): 4.5 mm from stride to stride
 RELAX, BUILD = 0.35, 0.25  # how fast the habit of lifting the leg goes and comes, per stride
 COMFORTABLE_M = 0.02
+FELT = 0.3  # of a stride in how high the foot seems to pass
 HALF_A_FOOT_M = 0.1  # nearer than this to where it is to stand, a foot takes no further step
+SHORT_M = 0.05  # steps that land less than this short of their place only vary
+STROLL_MPS = 0.1
+CARRIES = 0.4  # of a double support: by then the other leg carries a third of the weight
 _PITCH, _ROLL, _TOE, _HEEL, _TORQUE = (
     TRACE.index(n) for n in ("pitch_rad", "roll_rad", "toe_m", "heel_m", "torque_nm")
 )
-
-
-@dataclass(slots=True)
-class _Open:
-    """A stride under way."""
-
-    t_heel_off_s: float = math.nan
-    t_foot_off_s: float = math.nan
-    t_contact_s: float = math.nan
-    from_x: float = 0.0
-    stumbled: bool = False
-    rows: FloatArray | None = None
-    pitch: float = 0.0
-    ankle: float = 0.0
-    roll: float = 0.0
-    speed_mps: float = 0.0
-    drag_s: float = 0.0
-    next_off_s: float = math.inf
-    number: int = 0  # of the next contact
-    last_step: bool = False
 
 
 class Walker:
@@ -69,8 +52,9 @@ class Walker:
         self.strides: list[VirtualStride] = []
         self._pulses: list[tuple[int, float]] = []  # time and charge, not yet counted
         self.walks: list[tuple[float, float]] = []  # begin and end, s
-        self._open = [_Open(), _Open()]
+        self._open = [OpenStride(), OpenStride()]
         self._habit = settings.compensation  # see Swing.habit; given up when the foot clears
+        self._felt_m = math.nan  # toe clearance on the whole
         self._scare_m = 0.0  # after a stumble, for a stride or two
         self._counts = [0, 0]
         self._turn_rad = [0.0, 0.0]
@@ -159,7 +143,7 @@ class Walker:
         affected = side == self.affected
         open_.t_foot_off_s, open_.stumbled = t_s, False
         self._note(side, t_s, "foot_off")
-        end = max(self._contact_time(side, open_.number), t_s + 0.22)
+        end = open_.due_s = max(self._contact_time(side, open_.number), t_s + 0.22)
         vary = self.settings.variability * planner.pattern.variation
         draw = np.clip(self._rng.normal(size=5), -2.5, 2.5)
         reach = float(draw[0]) * LANDING_SPREAD_M * vary * (0.6 + 0.4 * min(self._stride_share(), 1.2))
@@ -208,14 +192,28 @@ class Walker:
         contact = self._contact_time(side, open_.number)
         cycle = self._rhythm.cycle_s(self.speed_mps)
         swing = (1.0 - normative.stance_share(self.speed_mps) + self._shift(side)) * cycle
-        off = max(contact - swing, t_s + 0.30)
+        off = max(contact - swing - self._sooner_s(side, t_s, contact - swing), t_s + 0.30)
         rise = max(off - PRE_SWING_SHARE * cycle, t_s + 0.15)
-        open_.next_off_s = off
+        open_.next_off_s, open_.next_contact_s = off, contact
         if first:
             planner.leg["due_s"] = planner.leg["rise_t"] = rise
             planner.leg["flat_t"] = t_s
             return
         planner.stance(t_s, rise, off, self._support_s())
+
+    def _sooner_s(self, side: int, t_s: float, off_s: float) -> float:
+        """How much sooner than at ``off_s`` the foot leaves since it has landed early and short, as after a stumble.
+
+        A stance ends when the leg is far enough behind and the other one takes the weight (Pang & Yang, *J Physiol*
+        528, 2000), not by a clock.
+        """
+        open_, speed_mps = self._open[side], float(self.belt["v"][0])
+        if not open_.due_s > t_s or speed_mps < STROLL_MPS:
+            return 0.0
+        belt_m = float(self.belt["x"][0]) + speed_mps * (open_.due_s - t_s)
+        short_m = -self.planners[side].reach(open_.due_s, belt_m, float(self.legs[side]["x"]))
+        carried_s = self._open[1 - side].next_contact_s + CARRIES * self._support_s()
+        return max(min((short_m - SHORT_M) / speed_mps, off_s - carried_s), 0.0)
 
     def _finish(self, side: int, t_s: float) -> None:
         """The stride that ended with this stance is complete: write it down, and learn from it."""
@@ -245,14 +243,16 @@ class Walker:
             self._learn(stride)
 
     def _learn(self, stride: VirtualStride) -> None:
-        """People lift the leg while the toe drags and give that up when it clears (as orthoses show)."""
+        """People lift the leg while the toe drags and give that up when it clears on the whole (as orthoses show)."""
+        clear_m = stride.toe_clearance_m
+        self._felt_m = clear_m if math.isnan(self._felt_m) else self._felt_m + FELT * (clear_m - self._felt_m)
         self._scare_m *= 0.4
         if stride.stumbled:
             self._scare_m += 0.015
-        if stride.dragged or stride.toe_clearance_m < 0.004:
+        if stride.dragged or clear_m < 0.004:
             self._habit += BUILD * (self.settings.compensation - self._habit)
-        elif stride.toe_clearance_m > COMFORTABLE_M:
-            too_high_m = stride.toe_clearance_m - 0.5 * COMFORTABLE_M
+        elif self._felt_m > COMFORTABLE_M:
+            too_high_m = self._felt_m - CLEARANCE_M
             self._habit -= min(RELAX * too_high_m / max(self.planners[self.affected].need_m, 0.01), self._habit)
 
     def add_charge(self, t_ns: int, charge_uc: float) -> None:

@@ -43,6 +43,11 @@ def drive_of(parameters: BurstParameters, own: BurstParameters) -> float:
     return parameters.current_ma / own.current_ma * parameters.mean_width_us / own.mean_width_us
 
 
+def peak_of(parameters: BurstParameters, own: BurstParameters) -> float:
+    """As :func:`drive_of`, where the burst is strongest."""
+    return parameters.current_ma / own.current_ma * max(parameters.widths_us) / max(own.widths_us)
+
+
 def used(parameters: BurstParameters, tuning: Tuning) -> float:
     """Share of the intensity's upper bound that is in use where the burst is strongest; 1 without bounds."""
     if tuning.bounds is None:

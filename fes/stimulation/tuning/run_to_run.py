@@ -12,12 +12,12 @@ from typing import Final
 
 from fes.stimulation.tuning.response import Response
 
-SAFE_SDS: Final = 2.2  # of a stride's noise between the aim and the low end: 1.4 % of strides below
+SAFE_SDS: Final = 2.0  # of a stride's noise between the aim and the low end: 2.3 % of strides below
 LEAST_AIM: Final = 0.30  # a toe's height is known to some millimetres only, …
-LEAST_AIM_AT_CONTACT: Final = 0.12  # … the foot's pitch to one or two degrees
+LEAST_AIM_AT_CONTACT: Final = 0.06  # … the foot's pitch to a degree or two
 GREATEST_AIM: Final = 0.55
 DEAD: Final = 0.05  # of the band: nearer to the aim nothing moves
-DEAD_ABOVE: Final = 0.06  # above it, where more is only charge
+DEAD_ABOVE: Final = 0.03  # above it, where more is only charge
 
 
 def aim_of(response: Response, least: float = LEAST_AIM) -> float:

@@ -16,6 +16,7 @@ CHARGE_SHARE: Final = 0.6  # of the usual charge: the rest of the pulses were re
 REMEMBERED: Final = 5
 SHORTEST_SWING: Final = 0.16  # of the stride; a third is usual, a quarter is a very slow walk's
 BELOW_GROUND_M: Final = -0.015  # no toe is there
+NO_CHARGE: Final = "no stimulation was delivered in it"
 
 
 def jolted(stride: StrideResult) -> str:
@@ -29,7 +30,7 @@ def jolted(stride: StrideResult) -> str:
         share = (contact_ns - swing_ns) / max(stride.t_end_ns - stride.t_start_ns, 1)
         if share < SHORTEST_SWING:
             return f"contact was seen {1e-6 * (contact_ns - swing_ns):.0f} ms after foot off, too soon to be true"
-    if stride.toe_clearance_m < BELOW_GROUND_M:
+    if math.isfinite(stride.toe_clearance_m) and stride.toe_clearance_m < BELOW_GROUND_M:
         return f"the toe would have been {-1e3 * stride.toe_clearance_m:.0f} mm below the ground"
     return ""
 
@@ -60,6 +61,12 @@ class StrideFilter:
         end_ns, self._end_ns = self._end_ns, stride.t_end_ns
         if not stride.valid:
             return f"the stride is not usable ({stride.reason})"
+        if not all(
+            map(math.isfinite, (stride.speed_mps, stride.stride_length_m, stride.turn_rad, stride.height_gained_m))
+        ):
+            return "the stride's own numbers are none"
+        if end_ns is not None and stride.t_end_ns <= end_ns:
+            return "it is no newer than the stride before"
         usual_mps = median(self._speeds) if self._speeds else stride.speed_mps
         self._speeds.append(stride.speed_mps)
         if end_ns is None or stride.t_start_ns - end_ns > STOP_S * NS_PER_S:
@@ -79,7 +86,7 @@ class StrideFilter:
 
     def _charge(self, stride: StrideResult, charge_uc: float, drive: float) -> str:
         if charge_uc <= 0.0 or drive <= 0.0:
-            return "no stimulation was delivered in it"
+            return NO_CHARGE
         duration_s = (stride.t_end_ns - stride.t_start_ns) / NS_PER_S
         relative = charge_uc / (drive * duration_s)
         usual = median(self._charges) if self._charges else relative

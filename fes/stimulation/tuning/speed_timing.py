@@ -12,7 +12,7 @@ comes down no faster for it: a pulse works after an electromechanical delay of 3
 hold nothing up until it.
 
 All last a share of the stride that hardly differs from stride to stride, while the stride's duration follows the speed:
-so the next stride's are the usual shares of the newest duration.
+so the next stride's are the usual shares of the newest durations' median.
 """
 
 from __future__ import annotations
@@ -26,8 +26,11 @@ from fes.stimulation.tuning.lowering import Lowering
 
 REMEMBERED: Final = 6
 NEEDED: Final = 3
+NEWEST: Final = 3  # strides whose duration is followed
 FORCE_S: Final = 0.15  # from the end of the rise until the foot is up: delay, activation, and the foot's own inertia
-OUTLIVES_S: Final = 0.10  # by which force outlives the pulses: delay 20–50 ms, then the activation's own fall, 60 ms
+OUTLIVES_S: Final = (
+    0.13  # by which force outlives the pulses: delay 20–50 ms, then 1.5 times the activation's fall, 60 ms
+)
 LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low …
 SOONEST_S: Final = 0.10  # before contact: what falls to nothing until then leaves nine tenths of the force there
 LATEST: Final = 0.35  # … and here the foot must be up, where the intensity suffices for so late a start
@@ -42,7 +45,7 @@ class SpeedTiming:
 
     def __init__(self) -> None:
         self._shares: deque[tuple[float, float, float]] = deque(maxlen=REMEMBERED)
-        self._duration_s = 0.0
+        self._durations_s: deque[float] = deque(maxlen=NEWEST)
         self._speed_mps = 0.0
         self._late = 0.0  # 0 … 1: how far the start has been put off
         self._end = ""  # why it is where it is
@@ -91,7 +94,8 @@ class SpeedTiming:
         duration_s = (stride.t_end_ns - stride.t_start_ns) / NS_PER_S
         if pre is None or swing is None or loading is None or stance is None or duration_s <= 0.0:
             return
-        self._duration_s, self._speed_mps = duration_s, stride.speed_mps
+        self._durations_s.append(duration_s)
+        self._speed_mps = stride.speed_mps
         spans_ns = (swing - pre, loading - swing, stance - loading)
         pre_share, swing_share, loading_share = (span / NS_PER_S / duration_s for span in spans_ns)
         self._shares.append((pre_share, swing_share, loading_share))
@@ -100,6 +104,11 @@ class SpeedTiming:
     def known(self) -> bool:
         """Whether enough strides have been seen."""
         return len(self._shares) >= NEEDED
+
+    @property
+    def _duration_s(self) -> float:
+        """Of the next stride. The newest alone varies far more than pre-swing does, which is what is wanted of it."""
+        return median(self._durations_s) if self._durations_s else 0.0
 
     def wanted(self, start_phase: str, rise_s: float, fall_s: float) -> tuple[float, float]:
         """Start delay after the entry into the start phase and extension past contact that suit the next stride, s.

@@ -11,15 +11,17 @@ from typing import Final
 from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.demand import Demand, Responses, at_contact, in_mid_swing, leading, reason, room
-from fes.stimulation.tuning.guardrails import Watch, drive_of, limited, outside, used
-from fes.stimulation.tuning.learning import Zones, next_profile, zones_of
+from fes.stimulation.tuning.answering import Answering
+from fes.stimulation.tuning.demand import Demand, Responses, at_contact, in_mid_swing, reason
+from fes.stimulation.tuning.guardrails import Watch, drive_of, limited, outside, peak_of, used
+from fes.stimulation.tuning.intensity import Intensity
+from fes.stimulation.tuning.learning import Zones
 from fes.stimulation.tuning.lowering import Lowering
 from fes.stimulation.tuning.reports import Kind, TuningReport, difference
 from fes.stimulation.tuning.response import Response
-from fes.stimulation.tuning.skipping import StrideFilter, jolted
-from fes.stimulation.tuning.speed_timing import SpeedTiming
-from fes.stimulation.tuning.targets import Reading, read_stride, swing_times
+from fes.stimulation.tuning.skipping import NO_CHARGE, StrideFilter, jolted
+from fes.stimulation.tuning.speed_timing import SPENT, SpeedTiming
+from fes.stimulation.tuning.targets import Reading, read_stride
 
 HOLD_STRIDES: Final = 4  # after a roll-back, before the next attempt
 MOST_ROLL_BACKS: Final = 3
@@ -50,11 +52,14 @@ class Tuner:
         self.response = Response()
         self._responses = Responses()
         self._usual_intensity = usual_intensity
+        self._intensity = Intensity(channel, self.tuning)
         self._filter = StrideFilter(self.tuning, min_stride_length_m)
         self._timing = SpeedTiming()
         self._lowering = Lowering()
         self._watch = Watch()
+        self._answering = Answering()
         self._returning: BurstParameters | None = None
+        self._lost = False  # the foot did not answer
         self._hold = 0
         self._settle = 0
         self._roll_backs = 0
@@ -72,10 +77,15 @@ class Tuner:
         """Nothing changes any more until :meth:`resume`."""
         self.frozen, self.pending, self._returning = why, None, None
         self._watch.forget()
+        self._answering.forget()
         return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
 
     def resume(self, t_ns: int) -> TuningReport:
-        """Go on after a freeze."""
+        """Go on after a freeze; where the foot did not answer, without what was learnt meanwhile."""
+        if self._lost:
+            self._lost = False
+            self.response.forget()
+            self._responses.forget()
         self.frozen, self._roll_backs = "", 0
         return self._report(t_ns, "frozen", "tuning goes on")
 
@@ -109,7 +119,13 @@ class Tuner:
         if self.tuning.mode == "off":
             return None
         drive = self.drive * intensity
-        if why := self._filter.why_skip(stride, charge_uc, drive):
+        why = self._filter.why_skip(stride, charge_uc, drive)
+        if why == NO_CHARGE:
+            self._answering.add_bare(read_stride(stride, self.tuning))
+        stopped = self.frozen and stride.valid and charge_uc > 0.0 and drive > 0.0
+        if stopped and self._returning is not None and (report := self._still_returning(t_ns)):
+            return report  # it has stopped itself: whatever the stride was like, less is on the way
+        if why:
             return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
         if why := jolted(stride):
             return self._on_jolt(t_ns, stride, why, drive)
@@ -120,13 +136,16 @@ class Tuner:
         if self._unlike_the_others(reading.level, drive):
             text = f"stride {stride.number} skipped: {reading.measures[0].text()} is unlike the strides before"
             return self._report(t_ns, "skip", text)
-        zones = self._zones(stride)
-        drives = self._drives(reading, zones, intensity)
+        zones = self._intensity.zones(stride, self.parameters)
+        drives = self._intensity.drives(reading, zones, self.parameters, intensity)
         self.response.add(drive, reading.level)
         self._responses.add(reading, drives)
         self._timing.add(stride)
         self._lowering.add(stride, self.parameters.extension_s)
         harmful = self._watch.stride(drive, self.response)
+        spent = used(self.parameters, self.tuning) >= SPENT
+        if not self.frozen and (why := self._answering.stride(reading, drives, self.parameters, spent=spent)):
+            return self._stop(t_ns, why)
         if self._returning is not None and (report := self._still_returning(t_ns)):
             return report
         if self.frozen:
@@ -144,7 +163,7 @@ class Tuner:
         """One such stride may be chance and teaches nothing; when they go on, less is the way out."""
         self._jolts += 1
         if self._jolts >= JOLTS and not self.frozen and self._returning is None:
-            after = limited(self.parameters, self._lessened(self.parameters, -1.0), self.tuning)
+            after = limited(self.parameters, self._intensity.lessened(self.parameters, -1.0), self.tuning)
             if said := difference(self.parameters, after):
                 self.response.forget()
                 self._responses.forget()
@@ -175,6 +194,18 @@ class Tuner:
         said = difference(before, self.parameters)
         return self._report(t_ns, "roll_back", f"{text}: rolled back, {said}", before)
 
+    def _stop(self, t_ns: int, why: str) -> TuningReport:
+        """The foot does not answer: nothing is raised any more, and what was raised is taken back."""
+        before, weaker = self.parameters, self._answering.before(self.start)
+        self.freeze(t_ns, f"{why}: look at the electrodes")
+        self._lost = True
+        text = f"{why}: look at the electrodes; tuning has stopped"
+        if self.tuning.mode == "act":
+            self._returning = weaker
+            self._return()
+        said = difference(before, self.parameters)
+        return self._report(t_ns, "roll_back", f"{text} and goes back: {said}" if said else text, before)
+
     def _return(self) -> None:
         """A step on the way back; each stride no further than any change may go."""
         if self._returning is not None:
@@ -198,7 +229,7 @@ class Tuner:
             if not self._hold:
                 self._watch.returned(self.response)
         other_way = self._watch.other_way
-        worst = demands[0] if self.tuning.method == "run_to_run" or other_way else leading(demands)
+        worst = demands[0] if other_way else self._intensity.leader(demands, zones, before)
         error = 0.0 if self._hold else worst.error
         if other_way and outside(self.response.level_at(drive)) == 0.0:
             error = 0.0  # this foot answers the other way round: inside the band nothing is to be gained
@@ -211,60 +242,20 @@ class Tuner:
         wanted = self._timed(before)
         if error and other_way:
             error = -error
-            wanted = self._lessened(wanted, error)
-        elif error and self.tuning.method == "run_to_run":
-            step = min(self.tuning.gain * worst.step, room(demands))
-            wanted_ma = (drive + step) / intensity * self.start.current_ma
-            wanted = replace(wanted, current_ma=wanted_ma)
-        elif error and zones is not None:
-            wanted = self._reshaped(wanted, demands, zones, intensity)
+            wanted = self._intensity.lessened(wanted, error)
+        elif error:
+            wanted = self._intensity.answered(wanted, demands, zones, intensity)
         after = limited(before, wanted, self.tuning)
-        if intensity < self._usual_intensity and drive_of(after, self.start) > max(self.drive, 1.0):
+        if intensity < self._usual_intensity and peak_of(after, self.start) > max(peak_of(before, self.start), 1.0):
             after = before  # with the intensity up again it would be far more at once
         if said := difference(before, after):
             why = self._timing.reason(after.extension_s)
             if error:
                 why = reason(replace(worst, error=error), other_way=other_way, stand_in=reading.stand_in)
+                why += self._intensity.why_held(before, after, demands, worst)
             return self._propose(t_ns, after, f"{why}: {said}", drive, error)
         self.pending = None
         return self._hint_if_unreached(t_ns, reading)
-
-    def _zones(self, stride: StrideResult) -> Zones | None:
-        """Which part of the profile this stride's mid-swing and its end were answerable to; None for one drive."""
-        times = swing_times(stride) if self.tuning.method == "learning" else None
-        if times is None:
-            return None
-        burst_s = self.parameters.start_delay_s
-        if self.channel.start_phase == "swing" and stride.t_pre_swing_ns is not None and stride.t_swing_ns is not None:
-            burst_s += 1e-9 * (stride.t_swing_ns - stride.t_pre_swing_ns)
-        return zones_of(times, burst_s, len(self.parameters.widths_us))
-
-    def _drives(self, reading: Reading, zones: Zones | None, intensity: float) -> dict[str, float]:
-        """The drive that each measure has seen: the pitch at contact the late part's, the others the first's."""
-        whole = self.drive * intensity
-        if zones is None:
-            return {measure.name: whole for measure in reading.measures}
-        mean_us = self.parameters.mean_width_us
-        first, last = (whole * width / mean_us for width in zones.means(self.parameters.widths_us))
-        return {measure.name: last if measure.at_contact else first for measure in reading.measures}
-
-    def _reshaped(
-        self, base: BurstParameters, demands: tuple[Demand, ...], zones: Zones, intensity: float
-    ) -> BurstParameters:
-        late = next((demand for demand in demands if demand.measure.at_contact), demands[0])
-        middle = in_mid_swing(demands)
-        width_us = self.channel.pulse_width_us / intensity
-        profile = next_profile(
-            base.widths_us, zones, (middle.error, late.error), (middle.slope, late.slope), width_us, self.tuning.gain
-        )
-        return replace(base, widths_us=tuple(profile))
-
-    def _lessened(self, base: BurstParameters, error: float) -> BurstParameters:
-        """All that one stride allows, away from where the last trial went."""
-        sign = 1.0 if error > 0.0 else -1.0
-        if self.tuning.method == "run_to_run":
-            return replace(base, current_ma=base.current_ma + sign * self.tuning.max_change_ma)
-        return replace(base, widths_us=tuple(width + sign * self.tuning.max_change_us for width in base.widths_us))
 
     def _timed(self, base: BurstParameters) -> BurstParameters:
         if not self.tuning.timing or not self._timing.known:
@@ -293,7 +284,11 @@ class Tuner:
         self._unreached = self._unreached + 1 if reading.level < 0.0 else 0
         if self._unreached != UNREACHED_STRIDES or self._hold:
             return None
-        text = f"{reading.measures[0].text()} is not reached at the upper bound: look at electrodes, fatigue and target"
+        if used(self.parameters, self.tuning) >= SPENT:
+            where = "at the upper bound: look at electrodes, fatigue and target"
+        else:
+            where = "below the upper bound: look at electrodes, the other target and the intensity set by hand"
+        text = f"{reading.measures[0].text()} is not reached {where}"
         return self._report(t_ns, "hint", text)
 
     def _report(self, t_ns: int, kind: Kind, text: str, before: BurstParameters | None = None) -> TuningReport:

@@ -87,11 +87,11 @@ class Tuners:
             if not stride.valid or (report is not None and report.kind == "skip"):
                 continue
             toe_m = stride.toe_clearance_m
-            hint = electrode.respond(toe_m if math.isfinite(toe_m) else stride.clearance_m, charge_uc)
+            hint = electrode.respond(toe_m if math.isfinite(toe_m) else stride.clearance_m, charge_uc, intensity)
             if hint:
                 now = tuner.parameters if tuner else self._start[number]
                 reports.append(TuningReport(t_ns, number, "hint", hint, now, now))
-        return self._remember(reports)
+        return self._remember(reports) if reports else ()
 
     def _remember(self, reports: Iterable[TuningReport]) -> tuple[TuningReport, ...]:
         told = tuple(reports)

@@ -1,0 +1,163 @@
+"""Whether the foot answers to stimulation at all: one whose electrode has come off must not be given ever more.
+
+Two things tell. *A climb in vain*: over a run of strides below the target the drive has been raised, and a straight
+line through level against drive rises by less than even a weak foot's would, two standard errors allowed for. *A sudden
+loss*: strides that lay well above those without stimulation lie among these, and more drive does not bring them back.
+The foot's pitch at contact is the best witness, for a hip that lifts a dragging leg hardly moves it; of several
+measures the one that tells most exactly decides, the others must not contradict it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from statistics import median
+from typing import Final
+
+from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.tuning.guardrails import drive_of
+from fes.stimulation.tuning.response import BELIEVED, NOISE, NOISE_AT_CONTACT, SLOPE_BOUNDS
+from fes.stimulation.tuning.targets import Reading
+
+CLIMB: Final = 0.3  # of drive: a session's setting may lie as far below what reaches the muscle
+LEAST_CLIMB: Final = 0.1  # where the bound leaves no more
+STRIDES: Final = 5  # of a run, the first of them before the climb
+REMEMBERED: Final = 16
+STUMBLE: Final = 0.5  # of the band below the run's median: such a stride says nothing about the others
+WEAKEST: Final = SLOPE_BOUNDS[0]  # bands per drive: the weakest answer that is believed …
+NONE: Final = 0.5 * WEAKEST  # … and what a foot that answers exceeds
+SDS: Final = 2.0
+BARE: Final = 6  # strides without stimulation that are remembered
+HELD: Final = 8
+LAST: Final = 3
+MORE: Final = 2  # of these have had more than the foot needed: a loose electrode would have been made up for
+CLEAR: Final = 5.0  # times a stride's noise: by so much stimulation had lifted the foot
+LOST: Final = 0.25  # of that is left at most
+
+NO_ANSWER: Final = "the foot does not answer to stronger stimulation"
+LIKE_NONE: Final = "the foot moves as it does without stimulation"
+
+
+@dataclass(frozen=True, slots=True)
+class _Walked:
+    """A stride: levels by measure, the drive each has seen, and the settings."""
+
+    levels: Mapping[str, float]
+    drives: Mapping[str, float]
+    parameters: BurstParameters
+
+
+class Answering:
+    """Of one channel's foot."""
+
+    def __init__(self) -> None:
+        self._run: deque[_Walked] = deque(maxlen=REMEMBERED)  # since all targets were last reached
+        self._recent: deque[_Walked] = deque(maxlen=HELD + LAST)
+        self._bare: deque[Mapping[str, float]] = deque(maxlen=BARE)
+        self._contact: set[str] = set()
+
+    def forget(self) -> None:
+        """A person is looking after it, or has: what was seen no longer holds, but for strides without stimulation."""
+        self._run.clear()
+        self._recent.clear()
+
+    def add_bare(self, reading: Reading | str) -> None:
+        """A stride in which nothing was delivered; one that could not be read says nothing."""
+        if not isinstance(reading, str):
+            self._bare.append(_levels(reading))
+
+    def stride(self, reading: Reading, drives: Mapping[str, float], parameters: BurstParameters, *, spent: bool) -> str:
+        """Take in a valid stride; in words that the foot does not answer, else "".
+
+        Args:
+            reading: of the stride.
+            drives: that each measure has seen.
+            parameters: under which it was walked.
+            spent: whether that is at the intensity's upper bound.
+        """
+        self._contact |= {measure.name for measure in reading.measures if measure.at_contact}
+        walked = _Walked(_levels(reading), dict(drives), parameters)
+        self._recent.append(walked)
+        if reading.level >= 0.0:
+            self._run.clear()
+            return ""
+        self._run.append(walked)
+        if self._climbed_in_vain(LEAST_CLIMB if spent else CLIMB):
+            return NO_ANSWER
+        return LIKE_NONE if self._suddenly_lost() else ""
+
+    def before(self, own: BurstParameters) -> BurstParameters:
+        """The settings before the climb, the intensity at most the session's ``own``."""
+        weakest = min((walked.parameters for walked in self._run), key=lambda one: drive_of(one, own), default=own)
+        widths = tuple(min(pair) for pair in zip(weakest.widths_us, own.widths_us, strict=True))
+        return replace(weakest, current_ma=min(weakest.current_ma, own.current_ma), widths_us=widths)
+
+    def _climbed_in_vain(self, enough: float) -> bool:
+        if len(self._run) < STRIDES:
+            return False
+        slopes = []
+        for name in _common(self._run):
+            levels = [walked.levels[name] for walked in self._run]
+            drives = [walked.drives[name] for walked in self._run]
+            if median(levels) >= 0.0 or drives[-1] - min(drives) < enough:
+                return False  # where one target is reached, more or less, the foot is being lifted
+            if median(levels) - self._without(name) > CLEAR * self._noise(name):
+                return False  # lifted as well, and more does not lift it further
+            slopes.append(_slope(drives, levels, self._noise(name)))
+        if not slopes:
+            return False
+        slope, error = min(slopes, key=lambda found: found[1])
+        return slope < error and slope + SDS * error < NONE and all(other < WEAKEST for other, _ in slopes)
+
+    def _suddenly_lost(self) -> bool:
+        earlier, last = list(self._recent)[:-LAST], list(self._recent)[-LAST:]
+        if len(earlier) < LAST or not self._bare:
+            return False
+        names = [name for name in _common(self._recent) if all(name in levels for levels in self._bare)]
+        if not names or any(median(walked.levels[name] for walked in last) >= 0.0 for name in names):
+            return False
+        name = next((name for name in names if name in self._contact), names[0])
+        bare = self._without(name)
+        held = median(walked.levels[name] for walked in earlier) - bare
+        left = max(walked.levels[name] for walked in last) - bare
+        usual = median(walked.drives[name] for walked in earlier)
+        if sum(walked.drives[name] >= usual + CLIMB for walked in last) < MORE:
+            return False
+        return held > CLEAR * self._noise(name) and left < LOST * held
+
+    def _without(self, name: str) -> float:
+        """The level without stimulation; infinite where none was seen."""
+        return median([levels[name] for levels in self._bare if name in levels] or [math.inf])
+
+    def _noise(self, name: str) -> float:
+        return NOISE_AT_CONTACT if name in self._contact else NOISE
+
+
+def _levels(reading: Reading) -> dict[str, float]:
+    return {measure.name: measure.level for measure in reading.measures}
+
+
+def _common(strides: Sequence[_Walked] | deque[_Walked]) -> list[str]:
+    """Measures that all of them have, in an order that does not change."""
+    return sorted(set.intersection(*(set(walked.levels) for walked in strides)))
+
+
+def _slope(drives: Sequence[float], levels: Sequence[float], usual_noise: float) -> tuple[float, float]:
+    """Of the line of least squares through levels against drives, and its standard error; infinite for too few.
+
+    The noise is that about the line and what is usual, which counts as ``BELIEVED`` strides: few may agree by chance.
+    """
+    middle = median(levels)
+    pairs = [(u, z) for u, z in zip(drives, levels, strict=True) if z >= middle - STUMBLE]
+    n = len(pairs)
+    if n < STRIDES:
+        return 0.0, math.inf
+    mean_u, mean_z = sum(u for u, _ in pairs) / n, sum(z for _, z in pairs) / n
+    uu = sum((u - mean_u) ** 2 for u, _ in pairs)
+    if uu <= 0.0:
+        return 0.0, math.inf
+    slope = sum((u - mean_u) * (z - mean_z) for u, z in pairs) / uu
+    rest = sum((z - mean_z - slope * (u - mean_u)) ** 2 for u, z in pairs)
+    return slope, math.sqrt((BELIEVED * usual_noise**2 + rest) / (BELIEVED + n - 2) / uu)
