@@ -28,6 +28,7 @@ from fes.calibrations import calibrate_drivers, save
 from fes.hil.baseline import Baseline
 from fes.hil.control import ScriptedOperator
 from fes.hil.controller import ControllerProcess
+from fes.hil.uninterrupted import uninterrupted
 from fes.journal import SessionRecord, read_session
 from fes.patient.sensor import ImuModel
 from fes.patient.session import Placement, new_session
@@ -160,8 +161,9 @@ def main() -> int:
             ports[foot] = imu.port
         path = folder / "session.toml"
         path.write_text(settings(node, ports), encoding="utf-8")
-        controller = ControllerProcess(path, calibration, folder / "run")
-        stack.callback(controller.end)
+        with uninterrupted():
+            controller = ControllerProcess(path, calibration, folder / "run")
+            stack.callback(controller.end)
         operator = ScriptedOperator(controller.control, folder / "operator")
         stack.callback(operator.close)
         for _ in range(300):

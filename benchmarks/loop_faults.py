@@ -54,6 +54,7 @@ def _set_speed(share: float, one: VirtualPatient) -> None:
 FAULTS = (
     Fault("sensor silent for 1.5 s, in swing", silent_s=SILENT_S, spoils_s=SILENT_S),
     Fault("electrode loosens to 70 %", lambda one: one.set_electrode_quality(0.7 * one.settings.electrode_quality)),
+    Fault("electrode loosens to 50 %", lambda one: one.set_electrode_quality(0.5 * one.settings.electrode_quality)),
     Fault("electrode falls off", lambda one: one.set_electrode_quality(0.0)),
     Fault("muscle suddenly tired, 65 % left", lambda one: one.set_fitness(0.65)),
     Fault("speed step, +40 %", partial(_set_speed, 1.4)),
@@ -77,6 +78,7 @@ class Outcome:
     answer: float
     drags_before: float
     drags_after: float
+    stopped: bool  # the tuning itself, for the foot did not answer
 
 
 @dataclass
@@ -134,7 +136,7 @@ def suffer(
     return Outcome(
         number, safe(done, session), done.latched, len(learnt), before_ma,
         _current(done.reports, last_bad_ns + 1, start_ma), end_ma / before_ma,
-        _dragged(earlier), _dragged(after),
+        _dragged(earlier), _dragged(after), any("tuning has stopped" in report.text for report in done.reports),
     )  # fmt: skip
 
 
@@ -199,8 +201,8 @@ def table(found: dict[str, list[Outcome]]) -> str:
     """The table in Markdown."""
     lines = [
         "| fault | safe | gate latched | changes from bad strides | current the same before and after them "
-        "| current at the end, of before | strides dragged before → after |",
-        "|---|---|---|---|---|---|---|",
+        "| tuning stopped itself | current at the end, of before | strides dragged before → after |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for name, outcomes in found.items():
         n = len(outcomes)
@@ -208,6 +210,7 @@ def table(found: dict[str, list[Outcome]]) -> str:
         lines.append(
             f"| {name} | {sum(not one.safe for one in outcomes)} of {n} | {n - len(live)} | "
             + (_unlearnt(outcomes) if name in SPOILING else "— | — | ")
+            + f"{sum(one.stopped for one in outcomes)} | "
             + (f"{median(one.answer for one in live):.0%} | " if live else "— | ")
             + f"{sum(one.drags_before for one in outcomes) / n:.0%} → "
             + (f"{sum(one.drags_after for one in live) / len(live):.0%} |" if live else "stopped |")

@@ -37,7 +37,7 @@ from fes.sources import armed_after, with_ticks
 ROOT = Path(__file__).resolve().parents[1]
 GROUP = "a live step"
 MEAN_US, P99_US = 15.0, 40.0
-PASSES = 5
+PASSES = 10
 
 
 @dataclass(frozen=True)

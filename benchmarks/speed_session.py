@@ -9,8 +9,10 @@ simulated stimulator, log) on the recording's time. Times are processor times of
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
+import subprocess
 import sys
 import tempfile
 import time
@@ -42,6 +44,14 @@ RATE_HZ = 500.0
 WALK_S = 120.0
 LOG_MB_PER_H, REPORT_S = 200.0, 10.0
 WRITTEN_SAMPLES = 200_000
+STARTER = """
+import json, os, sys
+child = os.posix_spawn(
+    sys.argv[1], sys.argv[1:], os.environ, file_actions=[(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)]
+)
+_, status, usage = os.wait4(child, 0)
+print(json.dumps([status, usage.ru_utime, usage.ru_stime, usage.ru_maxrss]))
+"""
 
 
 @dataclass(frozen=True)
@@ -115,19 +125,16 @@ def writing(recording: Recording, folder: Path) -> tuple[float, float]:
 def spent_by(command: Sequence[str | Path]) -> Spent:
     """Run a command and see what it took.
 
+    A small process starts it: Linux counts the memory that its parent has needed as the command's own.
+
     Raises:
         RuntimeError: it failed.
     """
-    child = os.posix_spawn(
-        command[0],
-        [str(part) for part in command],
-        os.environ,
-        file_actions=[(os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0)],
-    )
-    _, status, usage = os.wait4(child, 0)
+    starter = [sys.executable, "-I", "-S", "-c", STARTER, *(str(part) for part in command)]
+    status, user_s, system_s, most_kb = json.loads(subprocess.run(starter, capture_output=True, check=True).stdout)
     if status:
         raise RuntimeError(f"{' '.join(map(str, command))}: ended with {os.waitstatus_to_exitcode(status)}")
-    return Spent(usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024)
+    return Spent(user_s + system_s, most_kb / 1024)
 
 
 def session_rows(hours: float, folder: Path) -> list[Row]:

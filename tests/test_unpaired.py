@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import ttest_ind
 
@@ -84,6 +84,8 @@ def test_too_few_and_constant_values():
 
 @settings(max_examples=60)
 @given(FEW, FEW, st.floats(-10.0, 10.0))
+@example([0.0] * 6, [0.0] * 5 + [1e-107], 0.0)  # the squares of what differs so little are nothing
+@example([0.0] * 6, [0.0] * 5 + [1e-161], 0.0)
 def test_it_turns_round_and_moves_with_the_values(a, b, shift):
     one, other = mean_of(a), mean_of(b)
     there, back = difference(one, other), difference(other, one)

@@ -65,8 +65,8 @@ def _autoregressive(x: FloatArray, mean: float, sd: float) -> tuple[float, float
     r = float(d[1:] @ d[:-1]) / float(d @ d)
     r = min(max((n * r + 1.0) / (n - 3.0), 0.0), MOST_R)  # Kendall (1954): the estimate is low by about (1 + 3r)/n
     effective = max(n * (1.0 - r) / (1.0 + r), 2.0)
-    variance = sd * sd * (n - 1.0) / (n - n / effective)
-    return math.sqrt(variance / effective), effective - 1.0
+    error = sd * math.sqrt((n - 1.0) / (n - n / effective) / effective)  # no square of an SD that may be very small
+    return error, effective - 1.0
 
 
 def _batches(x: FloatArray) -> tuple[float, float]:
@@ -88,7 +88,7 @@ def combined(value: float, parts: list[tuple[float, float, float]]) -> Interval:
         return Interval(value, value, value)
     from scipy.stats import t as student
 
-    freedom = total**2 / sum(s**2 / df for s, (_, _, df) in zip(spreads, parts, strict=True))
+    freedom = 1.0 / sum((s / total) ** 2 / df for s, (_, _, df) in zip(spreads, parts, strict=True))
     reach = float(student.ppf(0.5 + 0.5 * CONFIDENCE, freedom)) * math.sqrt(total)
     return Interval(value, value - reach, value + reach)
 

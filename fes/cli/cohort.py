@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -14,6 +15,8 @@ from fes.cli.exits import FAILED, INTERRUPTED, Problem
 if TYPE_CHECKING:
     from fes.cohort.one import Outcome
     from fes.cohort.store import Store
+
+PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 
 
 @click.command(name="cohort")
@@ -50,7 +53,11 @@ def command(
     from fes.cohort.sources import CohortError, find
     from fes.cohort.store import Store
 
-    store, settings = Store(absolute(out)), Settings(not uneven, subject_from)
+    try:
+        re.compile(subject_from)
+    except re.error as error:
+        raise Problem(f"--subject-from {subject_from}: is no regular expression: {error}.") from error
+    store, settings = Store(results_at(out)), Settings(not uneven, subject_from)
     try:
         sources = find([absolute(pattern) for pattern in recordings])
         by_identity = {source.identity(settings.text()): source for source in sources}
@@ -86,16 +93,26 @@ def command(
     click.echo(f"Data set   {store.place('')}")
     failed = [row for row in rows if row["status"] != "done"]
     strides = sum(row["valid_strides"] or 0 for row in rows)
-    click.echo(f"{len(rows) - len(failed)} of {len(rows)} recordings analysed, {strides} valid strides.")
+    click.echo(f"{len(rows) - len(failed)} of {len(sources)} recordings analysed, {strides} valid strides.")
     for row in failed:
         click.secho(f"Not used: {row['source']}: {row['reason']}", fg="red", err=True)
-    if failed:
+    if gone := len(by_identity) - len(rows):
+        said = f"{gone} results are gone: another run into the same folder took them away. Run the same command again."
+        click.secho(said, fg="red", err=True)
+    if failed or gone:
         raise SystemExit(FAILED)
 
 
 def absolute(pattern: str) -> str:
     """Workers may have another working folder."""
     return pattern if "://" in pattern else str(Path(pattern).absolute())
+
+
+def results_at(out: str) -> str:
+    """Where results go, for every process."""
+    if out.startswith("memory:"):
+        raise Problem(f"--out {out}: every process has a memory of its own; give a folder or another storage.")
+    return absolute(out)
 
 
 class ProgressBar:
@@ -107,7 +124,10 @@ class ProgressBar:
 
         console = Console(stderr=True)
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        self._progress = Progress(*columns, console=console, disable=not sys.stderr.isatty(), transient=True)
+        shown = sys.stderr.isatty()
+        self._progress = Progress(
+            *columns, console=console, disable=not shown, transient=True, refresh_per_second=PER_SECOND
+        )
         self._task = self._progress.add_task(doing, total=total)
         self._doing, self._failed = doing, 0
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fes.cli.cohort import ProgressBar, absolute
+from fes.cli.cohort import ProgressBar, absolute, results_at
 from fes.cli.exits import FAILED, INTERRUPTED, Problem
+from fes.cli.ranges import Number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from fes.cohort.sweep_table import Combination, Measure
 
 LISTED = 10
+MOST_TRIALS = 1_000_000  # what is still to do is kept in memory
 PAGE, TABLE = "index.html", "combinations.parquet"
 
 
@@ -39,9 +41,7 @@ def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None
 @click.option("--sample", type=click.IntRange(1), help="Try so many combinations by chance instead of all.")
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of the sample and the patients.")
 @click.option("--patients", type=click.IntRange(1, 10_000), help="Try on so many virtual patients, in closed loop.")
-@click.option(
-    "--seconds", type=click.FloatRange(20, 3600), default=90.0, show_default=True, help="A virtual patient walks for."
-)
+@click.option("--seconds", type=Number(20, 3600), default=90.0, show_default=True, help="A virtual patient walks for.")
 @click.option("--out", default="out/sweep", show_default=True, help="A folder or address for the results.")
 @click.option("--scheduler", default="", help="Address of a Dask scheduler. Default: processes of this machine.")
 @click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
@@ -94,7 +94,12 @@ def command(
         bench = Bench(load_session(session), str(session), seconds if patients else 0.0)
         cases: list[Case] = [Patient(number, seed) for number in range(patients or 0)]
         cases += find([absolute(pattern) for pattern in recordings], TRUTH_FILES) if recordings else []
-        store = store_at(absolute(out))
+        if len(cases) * len(tried) > MOST_TRIALS:
+            raise Problem(
+                f"{len(tried)} combinations on {len(cases)} cases are {len(cases) * len(tried)} trials, more than "
+                f"{MOST_TRIALS}; give fewer, or --sample N."
+            )
+        store = store_at(results_at(out))
         store.prepare({"command": "fes sweep", "session": str(session), "set": list(asked), "seed": seed})
         tasks = {task.key: task for task in _tasks(cases, tried, bench, store)}
         finished = store.finished() & tasks.keys()
@@ -121,6 +126,8 @@ def command(
             click.echo(f"Report     {store.place(PAGE)}")
     except (CohortError, ConfigError) as error:
         raise Problem(str(error)) from error
+    except OSError as error:
+        raise Problem(f"{out}: the results cannot be kept there: {error}") from error
     except KeyboardInterrupt:
         click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED) from None

@@ -12,7 +12,7 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-from fes.cohort.one import Outcome, Settings, analyse_one, keep_failure
+from fes.cohort.one import Outcome, Settings, analyse_one, keep_failure, reason_of
 from fes.cohort.program import program
 from fes.cohort.sources import CohortError, Source
 from fes.cohort.store import Store
@@ -20,17 +20,19 @@ from fes.cohort.store import Store
 if TYPE_CHECKING:
     from distributed import Client
 
-AHEAD: Final = 4  # batches a worker process may have waiting: the queue stays short however long the list is
-BATCH_S: Final = 1.0  # of work in a batch, about: handing one over costs as much as reading a recording …
-BATCHES: Final = 6  # … but of what is left no more than this part of a worker's share, so that all end together …
-LARGEST_BATCH: Final = 64  # … and never more tasks than this
+AHEAD: Final = 2  # batches of a worker process: the one it works on, and the next
+BATCH_S: Final = 2.0  # of work in a batch, about: handing one over takes this process 3 ms and the worker's as much …
+BATCHES: Final = 2  # … but of what is left no more than this part of a worker's share, so that all end together …
+SHORTEST_S: Final = 0.05  # … though not less than this …
+LARGEST_BATCH: Final = 128  # … and never more tasks than this
 CONNECT_S: Final = 10.0
 DEATHS: Final = 3  # of its process, after which a task is given up
-QUIET: Final = {  # what Dask does besides the work every 10, 20 and 100 ms took 4 % of two processors from the work
+QUIET: Final = {  # what Dask does besides the work every 10 ms to 2 s took 4 % of two processors from the work
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
     "distributed.worker.memory.monitor-interval": "500ms",
     "distributed.admin.system-monitor.interval": "5s",
+    "distributed.scheduler.active-memory-manager.start": False,  # looks for results that two workers have
 }
 
 Tell = Callable[[Outcome], None]
@@ -70,10 +72,10 @@ def cluster(workers: int, scheduler: str = "") -> Iterator[Client]:
     if scheduler:
         try:
             client = Client(scheduler, timeout=CONNECT_S)
-        except (OSError, TimeoutError, ValueError) as error:
+        except Exception as error:  # whatever else listens there, or what Dask lacks for this kind of address
             raise CohortError(
-                f"{scheduler}: no Dask scheduler answers: {error}. Start one with `dask scheduler`, or leave "
-                f"--scheduler away to use this machine."
+                f"{scheduler}: no Dask scheduler answers: {reason_of(error)}. Start one with `dask scheduler`, or "
+                f"leave --scheduler away to use this machine."
             ) from error
         with client:
             _check(client, scheduler)
@@ -85,7 +87,8 @@ def cluster(workers: int, scheduler: str = "") -> Iterator[Client]:
             threads_per_worker=1,
             processes=True,
             dashboard_address=None,
-            silence_logs=logging.ERROR,  # a worker that died is told as what was lost, if anything was
+            preload=["fes.cohort.worker"],
+            silence_logs=logging.CRITICAL,  # a worker that died is told as what was lost, if anything was
         ) as own,
         Client(own) as client,
     ):
@@ -128,7 +131,10 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
     Raises:
         CohortError: results cannot be kept any more, or the cluster is gone; what is kept stays.
     """
+    from concurrent.futures import CancelledError
+
     from distributed import KilledWorker, as_completed
+    from distributed.comm.core import CommClosedError
 
     workers = max(sum(client.nthreads().values()), 1)
     waiting = list(tasks)[::-1]
@@ -143,28 +149,36 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
         return client.submit(_do, pickle.dumps([(task.work, task.arguments) for task in batch]), key=key, pure=False)
 
     def following() -> list[Task]:
-        most = min(int(BATCH_S / max(pace_s, 1e-6)), len(waiting) // (BATCHES * workers), LARGEST_BATCH)
-        return [waiting.pop() for _ in range(max(most, 1))]
+        share = max(len(waiting) // (BATCHES * workers), int(SHORTEST_S / pace_s))
+        most = max(min(share, int(BATCH_S / pace_s), LARGEST_BATCH, len(waiting)), 1)
+        return [waiting.pop() for _ in range(most)]
 
     running = as_completed([submitted(following()) for _ in range(min(AHEAD * workers, len(waiting)))])
     alone = False
     for future in running:
         batch = of.pop(future.key)
         finished: list[Outcome] = []
+        again = f"{len(outcomes)} are kept; run the same command again: it goes on from there."
         try:
-            finished, seconds = future.result()
-            pace_s = seconds / len(batch)
+            found, seconds = future.result()
+            finished = [
+                task.lost(each) if isinstance(each, str) else each for task, each in zip(batch, found, strict=True)
+            ]
+            pace_s = max(seconds / len(batch), 1e-6)
         except KilledWorker:
             if alone:
                 why = f"the process that worked on it died {DEATHS} times; is it too long for a worker's memory?"
                 finished = [batch[0].lost(why)]
             else:
                 suspects += batch
+        except CohortError:
+            raise
+        except (CommClosedError, CancelledError) as error:
+            raise CohortError(f"The Dask scheduler is gone. {again}") from error
         except OSError as error:
-            raise CohortError(
-                f"{place}: results cannot be kept: {error}. {len(outcomes)} are; make room and run the same "
-                f"command again: it goes on from there."
-            ) from error
+            raise CohortError(f"{place}: results cannot be kept: {error}. Make room: {again}") from error
+        except Exception as error:  # as of a worker that came later and has no fes
+            raise CohortError(f"The workers cannot do it: {reason_of(error)}. {again}") from error
         outcomes.extend(finished)
         for outcome in finished:
             tell(outcome)
@@ -177,10 +191,23 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
     return outcomes
 
 
-def _do(pickled: bytes) -> tuple[list[Outcome], float]:
-    """Work on a batch; the outcomes, and how long it took in s. In one piece, or Dask looks into all of it."""
+def _do(pickled: bytes) -> tuple[list[Outcome | str], float]:
+    """Work on a batch; the outcomes, and how long it took in s. In one piece, or Dask looks into all of it.
+
+    Where a task ends with an error that nobody foresaw, its reason stands in place of the outcome.
+
+    Raises:
+        OSError, CohortError: results cannot be kept.
+    """
     begin_s = time.perf_counter()
-    outcomes = [work(*arguments) for work, arguments in pickle.loads(pickled)]
+    outcomes: list[Outcome | str] = []
+    for work, arguments in pickle.loads(pickled):
+        try:
+            outcomes.append(work(*arguments))
+        except (OSError, CohortError):
+            raise
+        except Exception as error:  # must not take the others of the batch along
+            outcomes.append(reason_of(error))
     return outcomes, time.perf_counter() - begin_s
 
 

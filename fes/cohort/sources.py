@@ -47,14 +47,14 @@ class Source:
     def identity(self, settings: str) -> str:
         """The name of this recording's results: the same for the same files, settings and program."""
         text = "\n".join((self.url, self.mark, settings, self.program))
-        return hashlib.sha256(text.encode()).hexdigest()[:20]
+        return hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest()[:20]  # of names that are no UTF-8
 
     def subject(self, pattern: str) -> str:
         """What ``pattern`` (its group ``subject``, or its first) finds in the address; "" where it finds nothing."""
         found = re.search(pattern, self.url) if pattern else None
         if found is None:
             return ""
-        return str(found.groupdict().get("subject") or (found.group(1) if found.groups() else found.group(0)))
+        return found.groupdict().get("subject") or (found.group(1) if found.groups() else found.group(0)) or ""
 
 
 def find(patterns: Sequence[str], beside: Sequence[str] = ()) -> list[Source]:
@@ -72,8 +72,8 @@ def find(patterns: Sequence[str], beside: Sequence[str] = ()) -> list[Source]:
             filesystem, path = fsspec.core.url_to_fs(pattern)
             for source in _below(filesystem, path, pattern, tuple(beside)):
                 found.setdefault(source.url, source)
-        except (OSError, ValueError, ImportError) as error:
-            raise CohortError(f"{pattern}: cannot be opened: {error}") from error
+        except Exception as error:  # storages have errors of their own: no rights, no such account, no package
+            raise CohortError(f"{pattern}: cannot be opened: {str(error) or type(error).__name__}") from error
     if not found:
         raise CohortError(
             f"{', '.join(patterns)}: no recording ({', '.join(SUFFIXES)}, each with its sidecar {SIDECAR}) is there."
@@ -82,7 +82,7 @@ def find(patterns: Sequence[str], beside: Sequence[str] = ()) -> list[Source]:
 
 
 def _below(filesystem: Any, path: str, pattern: str, endings: tuple[str, ...]) -> Iterator[Source]:
-    named = not any(mark in path for mark in "*?[")
+    named = not any(mark in path for mark in "*?[") or filesystem.exists(path)  # a folder may be called "a[1]"
     outright = named and filesystem.isfile(path)
     if outright:
         infos = {path: filesystem.info(path)}
@@ -107,7 +107,9 @@ def _below(filesystem: Any, path: str, pattern: str, endings: tuple[str, ...]) -
 
 def _texts(filesystem: Any, infos: dict[str, Any]) -> dict[str, bytes]:
     """What is in these files, all asked for at once; those that are too long or cannot be read are left out."""
-    paths = [path for path, info in infos.items() if (info.get("size") or 0) <= LARGEST_SIDECAR]
+    # neither a pipe nor a device, which have no end
+    plain = [path for path, info in infos.items() if info.get("type") == "file" or filesystem.isfile(path)]
+    paths = [path for path in plain if (infos[path].get("size") or 0) <= LARGEST_SIDECAR]
     texts = filesystem.cat_ranges(paths, None, None, on_error="return") if paths else []
     return {path: text for path, text in zip(paths, texts, strict=True) if isinstance(text, bytes)}
 

@@ -9,11 +9,13 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from secrets import token_hex
 from typing import Any, Final
 
 import fsspec
 import pyarrow as pa
+from fsspec.implementations.local import LocalFileSystem
 from pyarrow import parquet
 
 from fes.cohort.sources import CohortError
@@ -81,9 +83,12 @@ class Store:
             for table in self.schemas:
                 filesystem.makedirs(f"{root}/{table}", exist_ok=True)
             with filesystem.open(f"{root}/{ABOUT}", "wb") as file:
-                file.write(json.dumps(about, indent=1, ensure_ascii=False).encode() + b"\n")
-        except OSError as error:
-            raise CohortError(f"{self.url}: cannot be written: {error}. Choose another with --out.") from error
+                file.write(_plain(json.dumps(about, indent=1, ensure_ascii=False)).encode() + b"\n")
+        except CohortError:
+            raise
+        except Exception as error:  # storages have errors of their own; some cannot be written to at all
+            why = str(error) or f"{type(error).__name__}; this storage may be for reading only"
+            raise CohortError(f"{self.url}: cannot be written: {why}. Choose another with --out.") from error
 
     def put(self, identity: str, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
         """Keep one piece of work's rows; those of the last table last, so that a crash leaves it to be done again.
@@ -93,12 +98,17 @@ class Store:
         """
         filesystem, root = self._open()
         for table in sorted(tables, key=lambda name: name == self.last):
-            rows = pa.Table.from_pylist([dict(row) for row in tables[table]], schema=self.schemas[table])
+            listed = [dict(row) for row in tables[table]]
+            try:
+                rows = pa.Table.from_pylist(listed, schema=self.schemas[table])
+            except UnicodeEncodeError:
+                listed = [{key: _plain(value) for key, value in row.items()} for row in listed]
+                rows = pa.Table.from_pylist(listed, schema=self.schemas[table])
             # a draft of its own: a scheduler that thinks a worker lost has its work done twice at the same time
             draft, path = f"{root}/{table}/.{identity}.{token_hex(4)}.part", f"{root}/{table}/{identity}.parquet"
-            with filesystem.open(draft, "wb") as file:
-                parquet.write_table(rows, file)
-            filesystem.mv(draft, path)
+            whole = pa.BufferOutputStream()  # written at once: through a Python file every piece costs a call
+            parquet.write_table(rows, whole)
+            _replace(filesystem, draft, path, whole.getvalue())
 
     def finished(self) -> set[str]:
         """What is complete, by identity."""
@@ -140,7 +150,19 @@ class Store:
             empty = self.schemas[name].empty_table()
             return empty if columns is None else empty.select(list(columns))
         wanted = None if columns is None else list(columns)
-        return parquet.read_table(paths, columns=wanted, schema=self.schemas[name], filesystem=filesystem)
+        try:
+            return parquet.read_table(paths, columns=wanted, schema=self.schemas[name], filesystem=filesystem)
+        except pa.ArrowException as error:
+            for path in paths:
+                try:
+                    parquet.read_table(path, schema=self.schemas[name], filesystem=filesystem)
+                except pa.ArrowException:
+                    row = self.place(f"{self.last}/{path.rsplit('/', 1)[-1]}")
+                    raise CohortError(
+                        f"{self.place(name)}/{path.rsplit('/', 1)[-1]}: is damaged: {error}. Delete {row} and run the "
+                        f"same command again: what it belongs to is done again."
+                    ) from error
+            raise
 
     def write_text(self, name: str, text: str) -> None:
         """A page beside the tables."""
@@ -163,3 +185,20 @@ class Store:
         except (ValueError, ImportError, OSError) as error:
             raise CohortError(f"{self.url}: no storage for the results: {error}") from error
         return filesystem, str(root).rstrip("/")
+
+
+def _plain(value: Any) -> Any:
+    """Text that every file takes: bytes of a name that are no UTF-8 as escapes."""
+    return value.encode(errors="backslashreplace").decode() if isinstance(value, str) else value
+
+
+def _replace(filesystem: Any, draft: str, path: str, data: pa.Buffer) -> None:
+    """Write a file in one step: whoever looks at ``path`` finds all of it, or what was there before."""
+    if isinstance(filesystem, LocalFileSystem):  # whose move copies where it cannot rename
+        here = Path(draft)
+        here.write_bytes(data)
+        here.replace(path)
+        return
+    with filesystem.open(draft, "wb") as file:
+        file.write(data)
+    filesystem.mv(draft, path)

@@ -14,6 +14,7 @@ import json
 import math
 import random
 import re
+import sys
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -103,8 +104,10 @@ def points(axes: Sequence[Axis], sample: int | None = None, seed: int = 1) -> li
         if names.count(name) > 1:
             raise CohortError(f"--set {name}: is there twice; give all its values in one.")
     total = math.prod(len(each.values) for each in axes)
-    if sample is None and total > MOST:
-        raise CohortError(f"{total} combinations are more than {MOST}; give fewer values, or --sample N.")
+    if (total if sample is None else min(sample, total)) > MOST:
+        raise CohortError(f"{sample or total} combinations are more than {MOST}; give fewer values, or --sample N.")
+    if sample is not None and total > sys.maxsize:
+        raise CohortError(f"{total} combinations are too many to draw from; give fewer values.")
     if sample is None or sample >= total:
         chosen: Iterator[tuple[Value | Factor, ...]] = itertools.product(*(each.values for each in axes))
     else:
@@ -187,17 +190,17 @@ def _check_name(name: str) -> None:
 
 def _values(asked: str, part: str) -> list[Value | Factor]:
     if found := _RANGE.fullmatch(part):
-        low, high, count = _number(asked, found[1]), _number(asked, found[2]), int(found[3])
+        low, high, count = _number(asked, found[1]), _number(asked, found[2]), _number(asked, found[3])
         if not 2 <= count <= MOST_VALUES:
             raise CohortError(f"--set {asked}: COUNT of {part} must be 2 to {MOST_VALUES}.")
-        return [float(f"{low + (high - low) * k / (count - 1):.12g}") for k in range(count)]
+        return [float(f"{low + (high - low) * k / (count - 1):.12g}") for k in range(int(count))]
     if re.fullmatch(r"x[\d.]+(e-?\d+)?", part):
         return [Factor(_number(asked, part[1:]))]
     if not part:
         raise CohortError(f"--set {asked}: a value between two commas is missing.")
     try:
         value = tomllib.loads(f"value = {part}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):  # no TOML, or brackets without end
         return [part]
     if isinstance(value, float) and not math.isfinite(value):
         raise CohortError(f"--set {asked}: {part} is no number.")

@@ -95,54 +95,62 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
     where = f"{table.path}: {sensor}"
     data = [np.empty((table.rows, 3)) for _ in range(2)]  # acc, gyr
     for number, name in enumerate(names):
-        data[number // 3][:, number % 3] = table.numbers(name)
+        table.fill(name, data[number // 3][:, number % 3])
     dropped = _dropped_rows(table, names, where)
-    _check_finite(table, data, names, dropped)
+    kept = None if dropped is None else np.flatnonzero(~dropped)
+    acc, gyr = data if kept is None else [values[kept] for values in data]
+    # with NaN, neither is true
+    if not all(values.min() > -LARGEST_VALUE and values.max() < LARGEST_VALUE for values in (acc, gyr) if values.size):
+        _check_finite(table, data, names, dropped)
     time_name = sidecar.time_of(sensor)
-    timed = np.ones(table.rows, bool)
+    empty = None
     if time_name is None:
         rate_hz = sidecar.rate_of(sensor)
         stamps = stamps_from_rate(table.rows, rate_hz or 1.0, table.first)
     else:
         stamps = table.times_ns(time_name, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])
         empty = table.empty(time_name)
-        timed = timed if empty is None else ~empty
-        untimed = np.flatnonzero(~timed & ~dropped)
+        untimed = _rows_of(empty, but=dropped)
         if untimed.size:
             raise RecordingError(
                 f"{where}: {table.place(int(untimed[0]))} has values and no time in {time_name!r} "
                 f"({untimed.size} such rows); fill it in, or state rate_hz instead of time_column"
             )
-    kept, with_time = np.flatnonzero(~dropped), np.flatnonzero(timed)
-    acc, gyr = data
-    if kept.size < table.rows:
-        acc, gyr = acc[kept], gyr[kept]
-    if not kept.size and not silent:
-        raise RecordingError(f"{where}: all of its cells are empty; leave the sensor out of the sidecar")
     arrival = None
     if columns.arrival_column:
-        arrival = table.times_ns(columns.arrival_column, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])[kept]
-    return RawTrack(
-        stamps[kept],
-        arrival,
-        acc,
-        gyr,
-        stamps[with_time],
-        lambda index: table.place(int(with_time[index])),
-    )
+        arrival = table.times_ns(columns.arrival_column, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])
+    stamped = stamps
+    place: Callable[[int], str] = table.place
+    if empty is not None:
+        with_time = np.flatnonzero(~empty)
+        stamped, place = stamps[with_time], lambda index: table.place(int(with_time[index]))
+    if kept is not None:
+        if not kept.size and not silent:
+            raise RecordingError(f"{where}: all of its cells are empty; leave the sensor out of the sidecar")
+        stamps = stamps[kept]
+        arrival = None if arrival is None else arrival[kept]
+    return RawTrack(stamps, arrival, acc, gyr, stamped, place)
 
 
-def _dropped_rows(table: Table, names: tuple[str, ...], where: str) -> npt.NDArray[np.bool_]:
-    """Rows in which all of a sensor's cells are empty; a row with some empty is refused."""
+def _rows_of(mask: npt.NDArray[np.bool_] | None, *, but: npt.NDArray[np.bool_] | None) -> IntArray:
+    """The rows that one mask marks and the other does not; None marks none."""
+    if mask is None:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(mask if but is None else mask & ~but)
+
+
+def _dropped_rows(table: Table, names: tuple[str, ...], where: str) -> npt.NDArray[np.bool_] | None:
+    """Rows in which all of a sensor's cells are empty, None if no cell is; a row with some empty is refused."""
     masks = [table.empty(name) for name in names]
-    if all(mask is None for mask in masks):
-        return np.zeros(table.rows, bool)
-    empty = np.column_stack([np.zeros(table.rows, bool) if mask is None else mask for mask in masks])
-    dropped = empty.all(axis=1)
-    partly = np.flatnonzero(empty.any(axis=1) & ~dropped)
+    found = [mask for mask in masks if mask is not None]
+    if not found:
+        return None
+    empty = np.logical_or.reduce(found)
+    dropped = np.logical_and.reduce(found) if len(found) == len(names) else np.zeros(table.rows, bool)
+    partly = np.flatnonzero(empty != dropped)
     if partly.size:
         row = int(partly[0])
-        name = names[int(np.argmax(empty[row]))]
+        name = next(name for name, mask in zip(names, masks, strict=True) if mask is not None and mask[row])
         raise RecordingError(
             f"{where}: {table.place(row)}: column {name!r} is empty and others of the sensor are not "
             f"({partly.size} such rows). Where a sample is lost, leave all six cells empty."
@@ -151,12 +159,12 @@ def _dropped_rows(table: Table, names: tuple[str, ...], where: str) -> npt.NDArr
 
 
 def _check_finite(
-    table: Table, acc_and_gyr: list[FloatArray], names: tuple[str, ...], dropped: npt.NDArray[np.bool_]
+    table: Table, acc_and_gyr: list[FloatArray], names: tuple[str, ...], dropped: npt.NDArray[np.bool_] | None
 ) -> None:
-    if all(each.min() > -LARGEST_VALUE and each.max() < LARGEST_VALUE for each in acc_and_gyr):  # false for NaN
-        return
     data = np.hstack(acc_and_gyr)
-    bad = ~(np.abs(data) < LARGEST_VALUE) & ~dropped[:, None]
+    bad = ~(np.abs(data) < LARGEST_VALUE)
+    if dropped is not None:
+        bad[dropped] = False
     rows = np.flatnonzero(bad.any(axis=1))
     if rows.size:
         row = int(rows[0])

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fes.estimation.ranks import median
 from fes.recording.plausible import check_units
 from fes.recording.raw import RawTrack, read_parts, read_table
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
@@ -23,7 +24,7 @@ from fes.recording.tracks import (
     Track,
     TrackQuality,
 )
-from fes.signals import NS_PER_S, SENSORS
+from fes.signals import NS_PER_S, SENSORS, FloatArray
 
 TABLE_SUFFIXES = (".csv", ".parquet")
 CAN_SUFFIXES = (".asc", ".blf", ".log")
@@ -86,7 +87,7 @@ def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, 
         return 0
     begun = next(read_parts(path, sidecar_path, sidecar, FIRST_ROWS), {})
     steps = {name: np.diff(raw.t_sensor_ns) for name, raw in begun.items()}
-    rates = [NS_PER_S / float(np.median(each[each > 0])) for each in steps.values() if (each > 0).any()]
+    rates = [NS_PER_S / median(each[each > 0]) for each in steps.values() if (each > 0).any()]
     if not rates or max(rates) > (1.0 + RATE_TOLERANCE) * min(rates):
         return 0
     parts = math.ceil(rows / (part_s * max(rates))) if rows > whole_s * max(rates) else 1
@@ -160,29 +161,36 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, before: Tra
         stamps_ns = np.append(before.t_sensor_ns, stamps_ns)
         place = lambda index: raw.place(max(index - 1, 0))  # noqa: E731
     timing = judge_stamps(stamps_ns, sidecar.rate_of(name), where, place, sidecar.time_unit_of(name))
-    span_s = float(raw.t_sensor_ns.max() - raw.t_sensor_ns.min()) * 1e-9
+    newest_ns = np.maximum.accumulate(raw.t_sensor_ns) if timing.backward else raw.t_sensor_ns
+    span_s = float(newest_ns[-1] - raw.t_sensor_ns.min()) * 1e-9
     if span_s + 1.0 / timing.rate_hz < MIN_DURATION_S:
         raise RecordingError(f"{where}: lasts {span_s:.3f} s; a recording needs at least {MIN_DURATION_S:g} s")
     factors = sidecar.factors_of(name)
     check_units(where, raw.acc, raw.gyr, timing.rate_hz, sidecar.acc_unit_of(name), sidecar.gyr_unit_of(name), factors)
     acc, gyr = (values if by == 1.0 else values * by for values, by in zip((raw.acc, raw.gyr), factors, strict=True))
-    clipped = np.zeros(len(acc), bool)
-    for values, full_scale in ((acc, columns.acc_range), (gyr, columns.gyr_range)):
-        if full_scale is not None:
-            clipped |= (np.abs(values) >= CLIPPED_FROM * full_scale).any(axis=1)
     quality = TrackQuality(
         samples=len(acc),
         missing=timing.missing + raw.stamps_ns.size - raw.t_sensor_ns.size,
         doubled=timing.doubled,
         backward=timing.backward,
         irregular=timing.irregular,
-        clipped=int(clipped.sum()),
+        clipped=_clipped(acc, gyr, columns.acc_range, columns.gyr_range),
     )
-    arrival = np.maximum.accumulate(raw.t_sensor_ns if raw.t_arrival_ns is None else raw.t_arrival_ns)
+    arrival = newest_ns if raw.t_arrival_ns is None else np.maximum.accumulate(raw.t_arrival_ns)
     rate_hz = timing.rate_hz
     if before is not None:
         arrival, rate_hz = np.maximum(arrival, before.t_ns), before.rate_hz
     return Track(sensor, rate_hz, arrival, raw.t_sensor_ns, acc, gyr, columns.acc_range, columns.gyr_range, quality)
+
+
+def _clipped(acc: FloatArray, gyr: FloatArray, acc_range: float | None, gyr_range: float | None) -> int:
+    """How many samples (N, 3) have an axis at its range."""
+    clipped = np.zeros(len(acc), bool)
+    for values, full_scale in ((acc, acc_range), (gyr, gyr_range)):
+        bound = math.inf if full_scale is None else CLIPPED_FROM * full_scale
+        if values.max() >= bound or values.min() <= -bound:
+            clipped |= (np.abs(values) >= bound).any(axis=1)
+    return int(np.count_nonzero(clipped))
 
 
 def _check_overlap(path: Path, tracks: dict[str, Track]) -> None:

@@ -168,6 +168,8 @@ def load_sidecar(path: Path) -> Sidecar:
         RecordingError: not readable, not TOML, or settings that are not allowed; every fault is listed with file,
             line, key, value and what would be right.
     """
+    if path.exists() and not path.is_file():  # a pipe would be waited for, without end
+        raise RecordingError(f"{path}: is no file")
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,7 @@ class Table:
         self.first = 0  # row of the file
         self.is_csv = path.suffix.lower() == ".csv"
         self._dialect = dialect
+        self._times: dict[tuple[str, int], IntArray] = {}
         self._table = self._read_csv(wanted, times) if self.is_csv else self._read_parquet(wanted)
         self.rows = int(self._table.num_rows)
         if self.rows == 0:
@@ -51,7 +53,7 @@ class Table:
         part.path, part.is_csv, part._dialect = path, False, dialect
         part._check_names(cls.parquet_names(path), wanted)
         first, taken, batches = 0, 0, list[Any]()
-        try:
+        with _damage_told(path):
             for batch in _batches(path, min(rows, _BATCH_ROWS), wanted):
                 while batch.num_rows:
                     head = batch.slice(0, rows - taken)
@@ -64,18 +66,13 @@ class Table:
                         del table
                         pa.default_memory_pool().release_unused()
                         first, taken = first + rows, 0
-        except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
-            if isinstance(error, RecordingError):
-                raise
-            raise RecordingError(
-                f"{path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
-            ) from error
         if batches:
             yield part._of(pa.Table.from_batches(batches), first)
 
     def _of(self, table: Any, first: int) -> Table:
         """The same file's rows from ``first`` on."""
         part = copy.copy(self)
+        part._times = {}
         part._table, part.rows, part.first = table, int(table.num_rows), first
         return part
 
@@ -100,17 +97,35 @@ class Table:
             fault = csv_text.find_fault(self.path, self._dialect, [name]) if self.is_csv else ""
             raise RecordingError(fault or f"{self.path}: column {name!r} holds {column.type}, not numbers") from error
 
+    def fill(self, name: str, out: FloatArray) -> None:
+        """As :meth:`numbers`, into ``out`` (rows,)."""
+        import pyarrow as pa
+
+        column, begin = self._table.column(name), 0
+        if column.type not in (pa.float32(), pa.float64()):
+            out[:] = self.numbers(name)
+            return
+        for chunk in column.chunks:
+            out[begin : begin + len(chunk)] = chunk.to_numpy(zero_copy_only=False)
+            begin += len(chunk)
+
     def empty(self, name: str) -> npt.NDArray[np.bool_] | None:
         """Return where a column's cells are empty, None if nowhere."""
         column = self._table.column(name)
         return np.asarray(column.is_null().to_numpy(), dtype=bool) if column.null_count else None
 
     def times_ns(self, name: str, unit_ns: int) -> IntArray:
-        """Return a time column as (rows,) nanoseconds, 0 where empty.
+        """Return a time column as (rows,) nanoseconds, 0 where empty; to be read only, sensors may share it.
 
         Raises:
             RecordingError: the column does not hold times.
         """
+        key = name, unit_ns
+        if key not in self._times:
+            self._times[key] = self._times_ns(name, unit_ns)
+        return self._times[key]
+
+    def _times_ns(self, name: str, unit_ns: int) -> IntArray:
         import pyarrow as pa
         import pyarrow.compute as pc
 
@@ -121,7 +136,8 @@ class Table:
             return np.asarray(pc.fill_null(column, 0).to_numpy(), dtype=np.int64)
         if pa.types.is_integer(kind):
             counts = np.asarray(pc.fill_null(column.cast(pa.int64(), safe=False), 0).to_numpy(), dtype=np.int64)
-            self._check_span(name, counts.astype(np.float64) * unit_ns)
+            if counts.size and max(abs(int(counts.min())), abs(int(counts.max()))) * unit_ns >= 2**63:
+                self._check_span(name, counts.astype(np.float64) * unit_ns)
             return counts * unit_ns
         with np.errstate(over="ignore"):  # what overflows is told below
             stamps = self.numbers(name) * unit_ns
@@ -167,17 +183,15 @@ class Table:
             ) from error
 
     def _read_parquet(self, wanted: list[str]) -> Any:
-        import pyarrow as pa
         from pyarrow import parquet
 
-        self._check_names(self.parquet_names(self.path), wanted)
-        try:
-            with parquet.ParquetFile(self.path, page_checksum_verification=True) as file:
-                return file.read(columns=wanted)
-        except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
-            raise RecordingError(
-                f"{self.path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
-            ) from error
+        _check_ends(self.path)
+        with (
+            _damage_told(self.path),
+            parquet.ParquetFile(self.path, page_checksum_verification=True, pre_buffer=False) as file,
+        ):
+            self._check_names(file.schema_arrow.names, wanted)
+            return file.read(columns=wanted)
 
     @staticmethod
     def parquet_rows(path: Path) -> int:
@@ -194,30 +208,11 @@ class Table:
         Raises:
             RecordingError: it is empty, cut short, damaged or no Parquet.
         """
-        import pyarrow as pa
         from pyarrow import parquet
 
-        try:
-            with path.open("rb") as file:
-                start, size = file.read(4), file.seek(0, 2)
-                file.seek(max(0, size - 4))
-                end = file.read(4)
-        except OSError as error:
-            raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
-        if size == 0:
-            raise RecordingError(f"{path}: is empty")
-        if start != _PARQUET_MAGIC:
-            raise RecordingError(f"{path}: is not a Parquet file (a CSV file must be called .csv)")
-        if end != _PARQUET_MAGIC or size < 12:
-            raise RecordingError(
-                f"{path}: is cut short: a Parquet file's end (footer) is missing. Copy or record it again."
-            )
-        try:
+        _check_ends(path)
+        with _damage_told(path):
             return list(parquet.read_schema(path).names)
-        except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
-            raise RecordingError(
-                f"{path}: is damaged: {' '.join(str(error).split())}. Copy or record it again."
-            ) from error
 
     def _check_names(self, names: list[str], wanted: list[str]) -> None:
         missing = [name for name in wanted if name not in names]
@@ -242,6 +237,38 @@ class Table:
         raise RecordingError(
             f"{self.path}: has no column {missing[0]!r}{more}.{guess} Its columns are: {', '.join(map(repr, names))}"
         )
+
+
+def _check_ends(path: Path) -> None:
+    """Refuse what does not begin and end as a Parquet file."""
+    try:
+        with path.open("rb") as file:
+            start, size = file.read(4), file.seek(0, 2)
+            file.seek(max(0, size - 4))
+            end = file.read(4)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    if size == 0:
+        raise RecordingError(f"{path}: is empty")
+    if start != _PARQUET_MAGIC:
+        raise RecordingError(f"{path}: is not a Parquet file (a CSV file must be called .csv)")
+    if end != _PARQUET_MAGIC or size < 12:
+        raise RecordingError(
+            f"{path}: is cut short: a Parquet file's end (footer) is missing. Copy or record it again."
+        )
+
+
+@contextmanager
+def _damage_told(path: Path) -> Iterator[None]:
+    """What fails in reading a Parquet file, as a RecordingError."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except RecordingError:
+        raise
+    except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
+        raise RecordingError(f"{path}: is damaged: {' '.join(str(error).split())}. Copy or record it again.") from error
 
 
 def _batches(path: Path, rows: int, wanted: list[str]) -> Iterator[Any]:
