@@ -185,6 +185,7 @@ def test_a_key_that_is_no_letter_is_no_order_however_its_bytes_come(name: str) -
 @pytest.mark.requirement("SR-16")
 @given(st.binary(max_size=60), st.lists(st.integers(1, 59), max_size=4))
 @example(b"[b a", [1, 2])
+@example(b"a\x1b", [1])  # the end of one sequence and the beginning of the next in one piece
 def test_behind_an_escape_nothing_is_an_order_but_a_stop_always(rest: bytes, cuts: list[int]) -> None:
     typed = b"\x1b" + rest
     edges = [0, *sorted(set(cuts)), len(typed)]

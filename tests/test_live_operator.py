@@ -15,6 +15,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from live_parts import MS
 from replays import SETTINGS
+from test_tuning_controller import tuned_session
 
 from fes.config import ImuDevice, Session, load_session
 from fes.controller import Controller
@@ -65,8 +66,8 @@ def settings() -> Session:
 class Bench:
     """Operator, gate and controller; :meth:`stand` lets samples come."""
 
-    def __init__(self) -> None:
-        session = settings()
+    def __init__(self, session: Session | None = None) -> None:
+        session = settings() if session is None else session
         self.t_ns = 0
         self.answered_ns: int | None = None
         self.notes: list[Note] = []
@@ -130,6 +131,47 @@ def test_it_gets_ready_is_armed_by_hand_and_starts_from_nothing() -> None:
     assert bench.operator.state is State.ARMED
     assert bench.gate.armed
     assert bench.controller.intensity == 0.0
+
+
+def tuned(mode: str = "act") -> Session:
+    session = tuned_session(mode)
+    walks_first = session.stimulation.model_copy(update={"strides_before_start": 2})
+    return session.model_copy(update={"sensors": settings().sensors, "stimulation": walks_first})
+
+
+@pytest.mark.parametrize(("gravity_mps2", "mm"), [(9.90, "10"), (9.71, "11"), (9.97, "18")])
+def test_where_gravity_is_not_what_it_was_at_calibration_the_foot_is_measured_but_not_tuned_by(
+    gravity_mps2: float, mm: str
+) -> None:
+    bench = Bench(tuned())
+    bench.stand(3.0, acc=(0.0, 0.0, gravity_mps2))
+    bench.order(Ask.ARM)
+    assert bench.gate.armed  # stimulation as set is not what depends on heights
+    assert all(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+    assert f"wrong by some {mm} mm; calibrate again; tuning is frozen" in bench.operator.message
+    assert [note.severity for note in bench.notes if "calibrate again" in note.text] == ["warning"]
+    bench.order(Ask.RESUME_TUNING)  # whoever knows better
+    assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+    bench.order(Ask.DISARM)
+    bench.order(Ask.ARM)  # forgotten by then
+    assert all(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+
+
+def test_where_gravity_is_what_it_was_tuning_goes_on() -> None:
+    for gravity_mps2 in (9.76, 9.86):
+        bench = Bench(tuned())
+        bench.stand(3.0, acc=(0.0, 0.0, gravity_mps2))
+        bench.order(Ask.ARM)
+        assert bench.gate.armed
+        assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+        assert "calibrate again" not in bench.operator.message
+
+
+def test_whoever_tunes_nothing_hears_nothing_of_moved_zeros() -> None:
+    bench = Bench()
+    bench.stand(3.0, acc=(0.0, 0.0, 9.97))
+    assert [event.action for event in bench.order(Ask.ARM) if isinstance(event, OperatorAct)][-1] is OperatorAction.ARM
+    assert "calibrate again" not in bench.operator.message
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from fes.cli.exits import Problem
+from fes.cli.ranges import Number
 
 TRIAL = "negard_patient2"
 
@@ -15,7 +16,7 @@ TRIAL = "negard_patient2"
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results go below."
 )
-@click.option("--speed", type=click.FloatRange(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
+@click.option("--speed", type=Number(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
 @click.option(
     "--closed-loop", is_flag=True, help="A virtual patient instead: it stumbles, the controller tunes itself."
 )

@@ -20,7 +20,7 @@ from fes.cli.folders import LOG_SUFFIX, fresh_folder
 from fes.cli.interrupt import Interrupt
 from fes.cli.loop_view import LoopView, outcome
 from fes.hil.course import WALK_S, Course, Happening, course
-from fes.journal import Note
+from fes.journal import Note, SessionLogError
 from fes.live.status import Status
 from fes.patient.virtual import PatientSettings, VirtualStride, settings_for
 from fes.signals import FOOT_SENSORS, NS_PER_S, Event
@@ -33,7 +33,7 @@ CURRENT_MA: Final = 12.0  # far too little for this patient
 LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
 TITLE: Final = (
     "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
-    "The strides' toe heights are the true ones; the controller measures some 10 mm more, and aims at that."
+    "The strides' toe heights are the true ones; the controller measures some 5 mm more, and aims at that."
 )
 
 
@@ -88,13 +88,23 @@ def demo_closed_loop(options: Options) -> Path:
                 log, more = _between_processes(settings, plan, folder, view, on_stride, interrupt, options.stimulator)
     except KeyboardInterrupt:
         click.secho(f"Interrupted; everything is ended. What there is: {folder}", fg="yellow", err=True)
+        _keep(folder, strides)
         raise SystemExit(INTERRUPTED) from None
+    except SessionLogError as error:
+        fail(error, StoppedEarly)
     write_strides(folder / "patient.strides.csv", strides)
     result = {**result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
     _report(log, folder / "report.html")
     (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
     _say(result, as_json=options.as_json)
     return folder
+
+
+def _keep(folder: Path, strides: Sequence[VirtualStride]) -> None:
+    """What an interrupted run leaves besides its log: the patient's strides, and the report so far."""
+    write_strides(folder / "patient.strides.csv", strides)
+    for log in sorted(folder.rglob(f"session{LOG_SUFFIX}")):
+        _report(log, folder / "report.html")
 
 
 def result_of(strides: Sequence[VirtualStride]) -> dict[str, Any]:

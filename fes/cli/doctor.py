@@ -9,6 +9,7 @@ import click
 
 from fes.cli.exits import FAILED
 from fes.cli.finding import Finding, Verdict, as_json, failure, ok, tell, warning
+from fes.cli.ranges import Number
 from fes.cli.reachable import cannot_be_seen
 from fes.config import ConfigError, Session, load_session
 
@@ -18,7 +19,7 @@ from fes.config import ConfigError, Session, load_session
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Where results will go. Default: the session's live.folder."
 )
-@click.option("--hours", type=click.FloatRange(min=0.01), default=4.0, show_default=True, help="Length of the session.")
+@click.option("--hours", type=Number(min=0.01), default=4.0, show_default=True, help="Length of the session.")
 @click.option("--json", "json_wanted", is_flag=True, help="As JSON on stdout.")
 def command(session: Path | None, out: Path | None, hours: float, json_wanted: bool) -> None:
     """Check ports, buses, rates, clocks, disk and permissions; with SESSION (TOML) also all that it names.

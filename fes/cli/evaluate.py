@@ -12,6 +12,7 @@ import click
 
 from fes.cli.exits import Problem, StoppedEarly, fail
 from fes.cli.folders import LOG_SUFFIX
+from fes.cli.ranges import Number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 PIPED_COLUMNS = 132
 _PATH = click.Path(path_type=Path)
-_POSITIVE = click.FloatRange(min=0, min_open=True)
+_POSITIVE = Number(min=0, min_open=True)
 
 
 @click.command(name="evaluate")

@@ -20,6 +20,7 @@ from fes.hil.hardware import host_side
 from fes.hil.results import Attempt, Campaign, Verdict, summary, why
 from fes.hil.rig import CampaignBroken
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Scenario
+from fes.hil.uninterrupted import SIGNALS
 
 COLOURS: Final = {Verdict.MET: "green", Verdict.JITTER: "yellow", Verdict.FAILED: "red", Verdict.SKIPPED: "blue"}
 
@@ -78,7 +79,7 @@ def command(
     if hardware is not None:
         scenarios = _for_hardware(scenarios, only, calibration, dummy_load)
     folder = fresh_folder(out, f"hil-{'hardware' if hardware else transport}").resolve()
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # a shell's background job ignores SIGINT else
+    for number in SIGNALS:  # a shell's background job ignores SIGINT else
         signal.signal(number, _interrupt)
     try:
         told = _Told(len(scenarios), repeat)

@@ -12,6 +12,7 @@ from fes.patient.virtual import VirtualStride
 from fes.signals import NS_PER_S
 
 STRIDES_SHOWN: Final = 14
+FEWEST_STRIDES: Final = 5  # in a low terminal; rather fewer texts
 TEXTS_SHOWN: Final = 4
 BAR_MM: Final = 30.0
 BAR: Final = 30
@@ -90,17 +91,27 @@ class LoopView:
 
     def _draw(self) -> None:
         if self._live is not None:
-            self._live.update(self.picture(), refresh=True)
+            self._live.update(self.picture(self._live.console), refresh=True)
 
-    def picture(self) -> Any:
-        """One frame."""
+    def picture(self, console: Any) -> Any:
+        """One frame, no higher than the terminal: what was said last is never cut off; older strides make room."""
         from rich.console import Group
         from rich.table import Table
         from rich.text import Text
 
         colours = {"stumbled": "bold red", "dragged": "red", "low": "yellow", "clears": "green"}
+        above = [Text(self._title, "bold"), Text(self._state, "cyan")]
+        below = [Text(text, "dim") for text in self._texts[:-1]] + [Text(text) for text in self._texts[-1:]]
+
+        def lines(texts: list[Text]) -> int:
+            return sum(len(text.wrap(console, console.width)) for text in texts)
+
+        room = console.height - lines(above) - 2  # the table's head, and the cursor's line
+        while len(below) > 1 and room - lines(below) < FEWEST_STRIDES:
+            below.pop(0)
+        shown = self._strides[-min(max(room - lines(below), 1), STRIDES_SHOWN) :]
         table = Table("stride", "toe clearance", "mm", "charge (µC)", "", box=None, pad_edge=False)
-        for stride in self._strides:
+        for stride in shown:
             height_mm, what = 1e3 * stride.toe_clearance_m, outcome(stride)
             filled = round(min(max(height_mm, 0.0), BAR_MM) / BAR_MM * BAR)
             table.add_row(
@@ -110,5 +121,4 @@ class LoopView:
                 f"{stride.charge_uc:.0f}",
                 Text(what, colours[what]),
             )
-        texts = [Text(text, "dim") for text in self._texts[:-1]] + [Text(text) for text in self._texts[-1:]]
-        return Group(Text(self._title, "bold"), Text(self._state, "cyan"), table, *texts)
+        return Group(*above, table, *below)

@@ -21,6 +21,7 @@ from fes.cli.interrupt import Interrupt
 from fes.cli.latched import tell_latched
 from fes.cli.live_page import page_options
 from fes.cli.progress import ReplayProgress
+from fes.cli.ranges import Number
 from fes.cli.replay_words import refuse_settings_of_a_recording, say_what_is_left_out, settings_beside
 from fes.cli.show import show
 from fes.cli.stimulators import (
@@ -75,7 +76,7 @@ class Options:
 @click.option(
     "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results go below."
 )
-@click.option("--speed", type=click.FloatRange(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
+@click.option("--speed", type=Number(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
 @click.option(
     "--stimulator",
     type=click.Choice(["simulated", "none", "bus"]),
@@ -83,8 +84,8 @@ class Options:
     show_default=True,
     help="bus: what is on the session's bus, at recorded speed. A DEVICE THERE STIMULATES.",
 )
-@click.option("--arm-after", type=click.FloatRange(min=0), default=0.5, show_default=True, help="Operator arms (s).")
-@click.option("--rearm-after", type=click.FloatRange(min=0), help="Operator arms again this long after a fault (s).")
+@click.option("--arm-after", type=Number(min=0), default=0.5, show_default=True, help="Operator arms (s).")
+@click.option("--rearm-after", type=Number(min=0), help="Operator arms again this long after a fault (s).")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 @page_options

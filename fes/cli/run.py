@@ -20,6 +20,7 @@ from fes.cli.folders import LOG_SUFFIX, fresh_folder
 from fes.cli.interrupt import Interrupt
 from fes.cli.live_devices import Found, open_sensors, serial_ports_of, stop_switch_settings
 from fes.cli.live_page import about_session, add_page, open_page, page_options
+from fes.cli.ranges import Number
 from fes.cli.run_calibration import calibrate, open_log, utc_now
 from fes.config import ConfigError, Session, load_session
 from fes.driving import Calibration, driving
@@ -59,7 +60,7 @@ class Options:
 @click.option("--out", type=click.Path(path_type=Path), help="Results go below. Default: live.folder, or out.")
 @click.option("--calibration", type=click.Path(path_type=Path), help="From `fes calibrate`. Default: calibrate first.")
 @click.option("--strides", type=click.IntRange(3, 100), default=6, show_default=True, help="To calibrate on, per foot.")
-@click.option("--duration", "duration_s", type=click.FloatRange(min=0.1), help="End by itself after this long (s).")
+@click.option("--duration", "duration_s", type=Number(min=0.1), help="End by itself after this long (s).")
 @click.option(
     "--stop-file", type=click.Path(path_type=Path), help="Emergency stop if it appears. Default: live.stop_file."
 )

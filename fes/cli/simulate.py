@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,13 @@ import click
 
 from fes.cli.exits import Problem, StoppedEarly, fail
 from fes.cli.interrupt import Interrupt
+from fes.cli.latched import tell_latched
 from fes.cli.progress import ReplayProgress
+from fes.cli.ranges import Number
+from fes.journal import Note, SessionLogError
 from fes.patient.virtual.patterns import PATTERNS
 from fes.patient.virtual.severity import SEVERITIES, load_patient, settings_for
-from fes.signals import NS_PER_S, Event, ImuSample
+from fes.signals import NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction
 
 LOG_SUFFIX = ".feslog"
 BUNDLED_SESSION = Path(__file__).resolve().parents[2] / "sim_inputs" / "session.toml"
@@ -38,11 +42,11 @@ class Options:
 @click.argument("patient", required=False, type=click.Path(path_type=Path))
 @click.option("--severity", type=click.Choice(list(SEVERITIES)), help="Drop foot from none to severe.  [moderate]")
 @click.option("--pattern", type=click.Choice(list(PATTERNS)), help="One of the five hemiparetic walks of Wang et al.")
-@click.option("--speed", type=click.FloatRange(0.1, 2.0), help="Belt speed (m/s).")
+@click.option("--speed", type=Number(0.1, 2.0), help="Belt speed (m/s).")
 @click.option("--side", type=click.Choice(["left", "right"]), help="The affected side.  [right]")
 @click.option("--seed", type=click.IntRange(min=0), help="Fixes every random number.  [1]")
-@click.option("--rate", type=click.FloatRange(20, 1000), help="Samples a second; 2000 must be a multiple of it.  [100]")
-@click.option("--seconds", type=click.FloatRange(5, 7200), default=60.0, show_default=True, help="How long.")
+@click.option("--rate", type=Number(20, 1000), help="Samples a second; 2000 must be a multiple of it.  [100]")
+@click.option("--seconds", type=Number(5, 7200), default=60.0, show_default=True, help="How long.")
 @click.option(
     "--stimulate",
     type=click.Choice(["none", "phase"]),
@@ -90,6 +94,7 @@ def command(
     With --live nothing is recorded here: patient and stimulator run as processes until q or --seconds, and a session
     file for them is written to OUT/NAME-001.
     """
+    _refuse_idle(live=live, stimulated=stimulate != "none")
     given = {
         "pattern": pattern,
         "speed_mps": speed,
@@ -113,6 +118,21 @@ def command(
         simulate_live(settings, LiveOptions(out, name, ends_s, stimulator))
         return
     simulate(settings, Options(seconds, out, name, stimulate, session, overwrite, as_json))
+
+
+def _refuse_idle(*, live: bool, stimulated: bool) -> None:
+    """Options that would change nothing are refused rather than passed over."""
+    context = click.get_current_context()
+    given = {
+        name for name in context.params if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+    }
+    if live and (idle := sorted(given & {"stimulate", "session", "overwrite", "as_json"})):
+        named = "json" if idle[0] == "as_json" else idle[0]
+        raise Problem(f"--{named} has no meaning with --live: the session file is written, and `fes run` stimulates.")
+    if not live and "stimulator" in given:
+        raise Problem("--stimulator goes with --live.")
+    if "session" in given and not stimulated:
+        raise Problem("--session goes with --stimulate phase.")
 
 
 def simulate(settings: Any, options: Options) -> None:
@@ -144,6 +164,8 @@ def simulate(settings: Any, options: Options) -> None:
             _walk(walker, samples, options, after)
     except KeyboardInterrupt:
         click.secho("Interrupted; what was walked so far is written.", fg="yellow", err=True)
+    except SessionLogError as error:
+        fail(error, StoppedEarly)
     try:
         what = f"Virtual patient, {settings.speed_mps:g} m/s, stimulation: {options.stimulate}"
         write_recording(
@@ -172,22 +194,28 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
     from fes.estimation.calibration import CalibrationError
     from fes.estimation.warm import warm_up
     from fes.gate import gate_of
-    from fes.journal import SessionWriter
+    from fes.hil.one_process import ListenedLog
     from fes.patient.virtual.closed_loop import calibration_walk
     from fes.replay import identity, log_header, session_for
     from fes.runner import Runner
     from fes.sources import armed_after, with_ticks
+    from fes.view.quality import Remark
 
     try:
         walk = calibration_walk(walker.settings)
         found = calibrate_drivers(walk).calibrations
         session = session_for(walk, load_session(options.session or BUNDLED_SESSION))
+        if options.session is None:
+            session = session.model_copy(update={"name": f"Virtual patient, {options.name}"})
     except (ConfigError, CalibrationError) as error:
         fail(error)
     warm_up()
     numbers = identity(f"{__version__}{walker.settings!r}", session)
-    header = log_header(walk, "", session, found, numbers.session_id, datetime.now(UTC).isoformat(timespec="seconds"))
-    log = SessionWriter(options.out / f"{options.name}{LOG_SUFFIX}", header)
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    named = replace(walk, name=options.name)
+    header = log_header(named, "", session, found, numbers.session_id, created) | {"kind": "simulated"}
+    notes: list[Note] = []
+    log = ListenedLog(options.out / f"{options.name}{LOG_SUFFIX}", header, notes.append)
     stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
     ended = "interrupted"
     try:
@@ -198,12 +226,19 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
             log.frame(frame)
         for alive in handshake.alive:
             runner.handle(alive)
-        events = patient_events(walker, stimulator, options.seconds, samples.append)
+        events = _to_the_end(walker, patient_events(walker, stimulator, options.seconds, samples.append))
         runner.run(armed_after(with_ticks(events), 0.5, session.stimulation.intensity), after)
         ended = "complete"
     finally:
-        log.close({"ended": ended})
         stimulator.close()
+        log.close({"ended": ended})
+        tell_latched(Remark(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
+
+
+def _to_the_end(walker: Any, events: Iterator[Event]) -> Iterator[Event]:
+    """All of them, and switched off at the end as by hand: the silence after it is no sensor that was lost."""
+    yield from events
+    yield OperatorAct(walker.now_ns, OperatorAction.DISARM)
 
 
 def _make_way(folder: Path, options: Options) -> None:
@@ -211,7 +246,7 @@ def _make_way(folder: Path, options: Options) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise Problem(f"{folder}: cannot be made: {error.strerror}. Choose another with --out.") from error
-    there = sorted(folder.glob(f"{options.name}.*"))
+    there = sorted(path for path in folder.iterdir() if path.name.startswith(f"{options.name}."))
     if there and not options.overwrite:
         raise Problem(f"{there[0]}: is there already. Choose another --name, or --overwrite.")
     (folder / f"{options.name}{LOG_SUFFIX}").unlink(missing_ok=True)
@@ -236,6 +271,7 @@ def _say(walker: Any, settings: Any, folder: Path, options: Options) -> None:
         return
     click.echo(
         f"{result['recording']}: {result['strides']} strides of the {result['affected_foot']}, "
-        f"{result['dragged']} dragged, {result['stumbled']} stumbled, toe clearance "
-        f"{result['median_toe_clearance_cm']} cm on the median, {result['charge_uc']} µC."
+        f"{result['dragged']} dragged, {result['stumbled']} stumbled, "
+        + (f"toe clearance {result['median_toe_clearance_cm']} cm on the median, " if mine else "")
+        + f"{result['charge_uc']} µC."
     )

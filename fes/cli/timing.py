@@ -13,6 +13,7 @@ import click
 
 from fes.cli.exits import FAILED, Problem, fail
 from fes.cli.folders import LOG_SUFFIX
+from fes.cli.ranges import Number
 from fes.journal import SessionLogError, SessionRecord, read_session
 from fes.patient.truth import load_truth
 from fes.signals import StimCommand
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 _COUNT = click.IntRange(min=0)
-_MS = click.FloatRange(min=0, min_open=True)
+_MS = Number(min=0, min_open=True)
 PIPED_COLUMNS: Final = 110
 _OPTIONS: Final = (
     click.option("--check-timing", is_flag=True, help="Compare transitions with the truth beside RECORDING."),

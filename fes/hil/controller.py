@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
+from fes.hil.uninterrupted import uninterrupted
+
 LONGEST_S: Final = 3600
 _START: Final = "from fes.cli import main; main(prog_name='fes')"
 
@@ -57,7 +59,7 @@ def _began(pid: int) -> str:
 
 
 class ControllerProcess:
-    """A running ``fes run``; always :meth:`end` it.
+    """A running ``fes run``; always :meth:`end` it. Make it, and keep it, ``uninterrupted()``.
 
     Args:
         settings: its session file.
@@ -147,7 +149,11 @@ class ControllerProcess:
             return None
 
     def end(self) -> None:
-        """Be sure that it is gone, and everything that it started."""
+        """Be sure that it is gone, and everything that it started. Ctrl-C waits for that, up to 4 s."""
+        with uninterrupted():
+            self._end()
+
+    def _end(self) -> None:
         children = self.children()
         if self.alive:
             with suppress(OSError):

@@ -105,8 +105,8 @@ def run_in_one_process(
         runner.run(with_ticks(_events(patient, stimulator, session, course)), see)
         ended = "complete"
     finally:
-        log.close({"ended": ended, "dose": controller.tuning.ledger.to_dict()})
         stimulator.close()
+        log.close({"ended": ended, "dose": controller.tuning.ledger.to_dict()})
     return patient
 
 

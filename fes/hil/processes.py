@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,6 +14,7 @@ from fes.hil.controller import ControllerProcess
 from fes.hil.course import WALK_S, Course, Happening
 from fes.hil.patient_bench import PatientBench
 from fes.hil.rig import LATCHED, CampaignBroken
+from fes.hil.uninterrupted import uninterrupted
 from fes.live.status import Status
 from fes.patient.virtual import VirtualStride
 from fes.patient.virtual.deeds import DEEDS
@@ -67,18 +69,18 @@ def run_between_processes(
         CampaignBroken: the session does not come up, is not armed in time, or ends early.
         ImuLost: the patient is gone.
     """
-    controller = ControllerProcess(bench.session, bench.calibration, bench.folder)
-    operator = ScriptedOperator(controller.control, bench.folder / "operator")
-    try:
+    with ExitStack() as stack:
+        with uninterrupted():
+            controller = ControllerProcess(bench.session, bench.calibration, bench.folder)
+            stack.callback(controller.end)
+        operator = ScriptedOperator(controller.control, bench.folder / "operator")
+        stack.callback(operator.close)
         run = _Run(bench, controller, operator, on_stride, on_status, look, go_on)
         run.until_ready()
         bench.patient.begin()
         run.through(course)
         log = run.to_the_end()
         return Ran(log, tuple(run.strides), bench.patient.punctuality(), tuple(run.interruptions))
-    finally:
-        operator.close()
-        controller.end()
 
 
 class SwitchedOff(CampaignBroken):

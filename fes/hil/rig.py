@@ -16,6 +16,7 @@ from fes.hil.controller import Child, ControllerProcess
 from fes.hil.devices import Devices
 from fes.hil.judge import MS, Output, Outputs, on_at
 from fes.hil.scenarios import Needs
+from fes.hil.uninterrupted import uninterrupted
 from fes.live.status import Status
 from fes.signals import NS_PER_S
 
@@ -285,12 +286,12 @@ class Rig:
             self.order("trigger")
 
     def _start(self, variant: str) -> None:
-        self.runs += 1
-        self.variant = variant
+        self.runs, self.variant = self.runs + 1, variant
         settings = self.bench.session_file(self.runs, variant)
         folder = self.bench.folder / f"run{self.runs}"
         seen = variant == "seen"
-        self.controller = ControllerProcess(settings, self.bench.calibration, folder, view=seen, page=seen)
+        with uninterrupted():
+            self.controller = ControllerProcess(settings, self.bench.calibration, folder, view=seen, page=seen)
         self.operator = ScriptedOperator(self.controller.control, folder / "operator")
         self._watched_s = 0.0
         self.stand(True)  # so that the patient is at rest when the session is ready

@@ -100,9 +100,10 @@ class Keyboard:
         if not typed:
             self._descriptor = None
             return self._gone(t_ns)
+        goes_on = self._escape_until_ns is not None and t_ns < self._escape_until_ns
         if ESCAPE.search(typed):
             self._escape_until_ns = t_ns + ESCAPE_NS
-        elif self._escape_until_ns is not None and t_ns < self._escape_until_ns:
+        if goes_on:
             typed = b"\x1b" + typed
         return [event for order in orders_of_keys(typed) for event in self._carry(order, t_ns)]
 

@@ -75,6 +75,7 @@ class Operator:
         self._stopped_ns = -STOP_STANDS_NS
         self._intensity = 0.0
         self._tuning = TuningOrders(controller)
+        self._moved = ""  # why the measured heights cannot be trusted, as of the last arming
 
     @property
     def state(self) -> State:
@@ -172,14 +173,28 @@ class Operator:
         if resumes:
             return [arm]
         self._intensity = 0.0  # whatever it was: from nothing, by hand
-        return [OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0), arm]
+        return [OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0), arm, *self._without_heights(t_ns)]
+
+    def _without_heights(self, t_ns: int) -> list[Event]:
+        """Where the measured foot cannot be trusted to the centimetre, nothing is tuned by it; a person may resume."""
+        tuners = self._controller.tuning.tuners
+        feet = {str(channel.foot) for channel in self._session.channels if channel.number in tuners}
+        moved = [self._watches[self._drivers[foot]].zero_moved(t_ns) for foot in sorted(feet & self._drivers.keys())]
+        self._moved = "; ".join(filter(None, moved))
+        if not self._moved or all(tuner.frozen for tuner in tuners.values()):
+            return []
+        self._moved += "; tuning is frozen"
+        return [OperatorAct(t_ns, OperatorAction.FREEZE_TUNING)]
 
     def _armed(self, t_ns: int) -> None:
         if self._gate.armed:
             unknown = self._unknown()
-            self._move(t_ns, Cause.ARM, "; ".join(filter(None, ("armed; + raises the intensity", unknown))))
+            said = filter(None, ("armed; + raises the intensity", self._moved, unknown))
+            self._move(t_ns, Cause.ARM, "; ".join(said))
             if unknown:
                 self._note(Note(t_ns, "info", "session", unknown))
+            if self._moved:
+                self._note(Note(t_ns, "warning", "session", self._moved))
         else:
             self._refuse(t_ns, f"cannot arm: {self._gate.arming_refused}")
 

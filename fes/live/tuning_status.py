@@ -17,10 +17,9 @@ def tuning_status(tuning: Tuners) -> dict[str, TuningStatus]:
 
 def _of(tuning: Tuners, number: int) -> TuningStatus:
     dose, tuner = tuning.ledger.electrodes[number], tuning.tuners.get(number)
-    last_minute = max(dose.by_minute_uc, default=None)
     charge = TuningStatus(
         step_uc=round(dose.steps_uc[-1], 1) if dose.steps_uc else 0.0,
-        minute_uc=0.0 if last_minute is None else round(dose.by_minute_uc[last_minute], 1),
+        minute_uc=round(dose.this_minute_uc, 1),
         session_uc=round(dose.session_uc, 1),
     )
     if tuner is None:

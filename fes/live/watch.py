@@ -15,6 +15,8 @@ ALIVE_NS: Final = 40_000_000
 RATE_TOLERANCE: Final = 0.1  # of the nominal rate; beyond it the settings are wrong or samples are lost
 STILL_RADPS: Final = 0.15  # standing sways less than this; a stance in walking does not last a second
 GRAVITY_TOLERANCE_MPS2: Final = 0.5
+ZERO_TOLERANCE_MPS2: Final = 0.06  # of gravity at rest; what is left after a calibration on the spot is below 0.01
+HEIGHT_BY_ZERO_M: Final = 0.11  # by m/s²: a swing's height against the accelerometer's zero, from virtual patients
 TILT_TOLERANCE_RAD: Final = np.deg2rad(25.0)  # a foot on a slope or with raised toes is no remounted sensor
 
 
@@ -75,10 +77,9 @@ class SensorWatch:
 
     def not_upright(self, t_ns: int) -> str:
         """Why gravity is not what and where it was at calibration; "" when it is, or nothing is known of it."""
-        values = self._recent(t_ns, SPAN_NS)
-        if self._calibration is None or not len(values):
+        force = self._force_mps2(t_ns)
+        if force is None or self._calibration is None:
             return ""
-        force = np.median(values[:, :3], axis=0) - np.array(self._calibration.acc_bias_mps2)
         size = float(np.linalg.norm(force))
         if not abs(size - G_MPS2) <= GRAVITY_TOLERANCE_MPS2:
             return f"{self.device.sensor}: reads {size:.2f} m/s² at rest instead of 9.81; is its unit or range right?"
@@ -89,6 +90,31 @@ class SensorWatch:
                 f"flat, or calibrate again if the sensor was moved"
             )
         return ""
+
+    def zero_moved(self, t_ns: int) -> str:
+        """Why heights cannot be trusted to the centimetre, asked at rest; "" when they can, or nothing is known.
+
+        Gravity is read through the accelerometer's calibrated zero. What has come to it since, by temperature or
+        because the calibration is another day's, goes into the double integration of each step.
+        """
+        force = self._force_mps2(t_ns)
+        if force is None:
+            return ""
+        off = float(np.linalg.norm(force)) - G_MPS2
+        if abs(off) <= ZERO_TOLERANCE_MPS2:
+            return ""
+        return (
+            f"{self.device.sensor}: reads {G_MPS2 + off:.2f} m/s² at rest instead of 9.81, so its heights may be wrong "
+            f"by some {abs(off) * HEIGHT_BY_ZERO_M * 1e3:.0f} mm; calibrate again"
+        )
+
+    def _force_mps2(self, t_ns: int) -> FloatArray | None:
+        """Median of the last second (3,), less the calibrated zero; None where nothing is known of it."""
+        values = self._recent(t_ns, SPAN_NS)
+        if self._calibration is None or not len(values):
+            return None
+        force: FloatArray = np.median(values[:, :3], axis=0) - np.array(self._calibration.acc_bias_mps2)
+        return force
 
     def _recent(self, t_ns: int, span_ns: int) -> FloatArray:
         kept = min(self.count, self._size)
