@@ -84,6 +84,10 @@ class Rig:
             self.turn(*levels)
         assert what()
 
+    def heard(self) -> None:
+        """Wait until the node has taken every SYNC of so far, each of which was a pulse on channel 0."""
+        self.until(lambda: sum(pulse.channel == 0 for pulse in self.device.pulses) >= len(self.syncs))
+
     @property
     def faults(self) -> list[str]:
         return [event.fault for event in [*self.statuses, *self.alive] if event.fault]
@@ -131,6 +135,7 @@ def test_no_pulse_is_ever_above_the_command(rig: Rig) -> None:
 def test_a_channel_that_is_off_holds_nothing_when_another_pulses(rig: Rig) -> None:
     for _ in range(10):
         rig.turn((0, 20.0), (2, 10.0))
+    rig.heard()
     off_ns = time.monotonic_ns()
     for _ in range(20):
         rig.turn((0, 20.0), (2, 0.0))
@@ -141,9 +146,9 @@ def test_a_channel_that_is_off_holds_nothing_when_another_pulses(rig: Rig) -> No
 
 def test_without_commands_there_is_no_pulse(rig: Rig) -> None:
     rig.until(lambda: len(rig.syncs) > 5, (0, 20.0))
-    count = len(rig.device.pulses)
+    rig.heard()
     time.sleep(0.3)
-    assert len(rig.device.pulses) == count
+    assert len(rig.device.pulses) == len(rig.syncs)
 
 
 def test_a_restart_is_a_fault_and_ends_the_session(rig: Rig) -> None:
@@ -345,6 +350,9 @@ def test_a_node_in_its_own_process(tmp_path: Path) -> None:
             time.sleep(0.02)
             assert not [event.fault for event in port.poll(time.monotonic_ns()) if event.fault]
         port.close()
+        end_s = time.monotonic() + 10.0
+        while len(read_record(record)) < syncs and time.monotonic() < end_s:  # the last may be under way
+            time.sleep(0.005)
     finally:
         process.communicate(timeout=10)
     assert process.returncode == 0

@@ -56,7 +56,7 @@ def test_the_bytes_are_as_the_dbc_lays_them_out(tmp_path: Path) -> None:
     ]
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(st.lists(st.tuples(vectors, vectors), min_size=1, max_size=5), st.integers(0, 10**14))
 def test_the_driver_reads_what_was_said(tmp_path: Path, values: list[tuple[Vector3, Vector3]], start_ns: int) -> None:
     wire, part = DbcWire(dbc_options(tmp_path)), sensor(dbc_options(tmp_path))

@@ -233,7 +233,7 @@ def spoilings(draw: st.DrawFn) -> list[tuple[str, float, bytes]]:
 
 
 @given(spoilings())
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=150)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], max_examples=150)
 def test_whatever_is_done_to_it(tmp_path: Path, spoiling: list[tuple[str, float, bytes]]) -> None:
     (tmp_path / "small.feslog").unlink(missing_ok=True)
     small_log(tmp_path / "small.feslog")

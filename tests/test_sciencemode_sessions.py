@@ -16,6 +16,7 @@ from drivers.virtual.node_record import RecordEntry
 from drivers.virtual.sciencemode2_device import ScienceMode2Device
 from drivers.virtual.sciencemode4_device import ScienceMode4Device
 from fes.signals import StimCommand, StimStatus
+from fes.stimulation.dose import DoseLedger
 
 MS = 1_000_000
 KINDS = ("low", "mid", "rehastim2")
@@ -112,3 +113,16 @@ def test_a_controller_that_dies_anywhere_in_a_session(kind: str, commands: list[
     print(f"{kind}: last pulse at most {worst_ns / MS:.1f} ms after the last command")
     assert worst_ns <= SILENT_WITHIN_NS[kind]
     assert kind != "mid" or worst_ns > 1500 * MS
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_dose_ledger_books_the_charge_that_the_device_delivered(kind: str, commands: list[StimCommand]) -> None:
+    """Against the sum over the device's own pulses, one phase each; only mid level must estimate."""
+    pulses, statuses, _ = deliver(kind, commands, 500 * MS)
+    ledger = DoseLedger([0])
+    for status in statuses:
+        ledger.take(status)
+    delivered_uc = sum(1e-3 * pulse.current_ma * pulse.pulse_width_us for pulse in pulses)
+    booked = ledger.electrodes[0]
+    assert booked.estimated == (kind == "mid")
+    assert booked.session_uc == pytest.approx(delivered_uc, rel=0.1 if kind == "mid" else 1e-9)

@@ -82,10 +82,14 @@ def test_lines_that_are_no_frames_are_passed_over(adapter: Adapter) -> None:
 
 
 def test_nothing_to_read_takes_no_time(adapter: Adapter) -> None:
+    took_s = []
+    for _ in range(10):
+        began_s = time.monotonic()
+        for _ in range(20):
+            assert adapter.bus.recv(timeout=0) is None
+        took_s.append(time.monotonic() - began_s)
+    assert min(took_s) < 0.01  # python-can's own waits a millisecond for each; the machine may stop us now and then
     began_s = time.monotonic()
-    for _ in range(200):
-        assert adapter.bus.recv(timeout=0) is None
-    assert time.monotonic() - began_s < 0.1  # python-can's own waits a millisecond for each
     assert adapter.bus.recv(timeout=0.05) is None
     assert time.monotonic() - began_s > 0.05
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import select
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from drivers.imu.port import ImuLost, ImuPort, RawSample
 from fes.config.devices import ImuDevice
@@ -24,6 +24,16 @@ def collect(ports: Sequence[ImuPort], seconds: float) -> list[RawSample]:
         for port in ports:
             found += port.read(time.monotonic_ns())
     return found
+
+
+def collect_until(ports: Sequence[ImuPort], what: Callable[[], bool], seconds: float = 10.0) -> list[RawSample]:
+    """Read until something is so, however long a busy machine takes, and a moment longer: it may become too much."""
+    found: list[RawSample] = []
+    end_s = time.monotonic() + seconds
+    while not what():
+        assert time.monotonic() < end_s, "it did not come"
+        found += collect(ports, 0.02)
+    return found + collect(ports, 0.1)
 
 
 def until_lost(port: ImuPort, seconds: float = 5.0) -> str:

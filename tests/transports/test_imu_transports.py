@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from dbc_imu import dbc_options
-from imu_reading import collect, settings, until_lost
+from imu_reading import collect, collect_until, settings, until_lost
 
 from drivers.imu.line import READS_AT_MOST, ByteLine
 from drivers.imu.open import open_imus
@@ -59,25 +59,28 @@ def test_faults_on_the_line_are_counted_and_survived(kind: str) -> None:
         counts = port.counts["right_foot"]
         collect([port], 0.3)
         handle.fault("drop", 3)
-        collect([port], 0.3)
+        collect_until([port], lambda: counts.missing >= 3)
         assert counts.missing == 3
         handle.fault("doubled", 2)
-        collect([port], 0.3)
+        collect_until([port], lambda: counts.doubled >= 2)
         assert counts.doubled == 2
         handle.fault("reorder", 1)
-        collect([port], 0.3)
+        collect_until([port], lambda: counts.backward >= 1)
         assert counts.backward == 1
         handle.fault("nan", 2)
-        bad = [sample for sample in collect([port], 0.3) if math.isnan(sample.acc_mps2[0])]
-        assert len(bad) == counts.bad_values == 2
+        found = collect_until([port], lambda: counts.bad_values >= 2)
+        assert len([sample for sample in found if math.isnan(sample.acc_mps2[0])]) == counts.bad_values == 2
         handle.fault("unit", 1000.0)
-        assert all(math.isnan(sample.acc_mps2[0]) for sample in collect([port], 0.3)[-10:])
+        collect([port], 0.1)  # what was sent before
+        wrong = collect([port], 0.3)
+        assert wrong
+        assert all(math.isnan(sample.acc_mps2[0]) for sample in wrong)
         handle.clear()
         before = counts.bad_frames
         handle.fault("garble", 4)
-        collect([port], 0.4)
         if kind == "xbus":
-            assert counts.bad_frames >= before + 4
+            collect_until([port], lambda: counts.bad_frames >= before + 4)
+        collect([port], 0.4)
         assert len(collect([port], 0.5)) > 30
         port.close()
 
@@ -177,8 +180,7 @@ def test_two_sensors_on_one_can_bus() -> None:
             assert ports[0].counts[sensor].missing == 0
             assert ports[0].counts[sensor].bad_values == 0
         drop_one(left, right)
-        collect(ports, 0.5)
-        assert ports[0].counts["left_foot"].missing >= 1
+        collect_until(ports, lambda: ports[0].counts["left_foot"].missing >= 1)
         ports[0].close()
 
 
@@ -197,7 +199,7 @@ def test_a_sensor_by_any_dbc(tmp_path: Path) -> None:
         assert all(math.dist(sample.acc_mps2, (0, 0, 0)) == pytest.approx(9.8, abs=1.0) for sample in found[:20])
         assert max(abs(rate) for sample in found[:20] for rate in sample.gyr_radps) < 0.5
         handle.fault("drop", 1)  # a frame, and with it a sample
-        collect([port], 0.2)
+        collect_until([port], lambda: counts.missing >= 1)
         assert counts.missing == 1
         with pytest.raises(ImuLost, match=r"refused: .*fault 'nan' does not exist here"):
             handle.fault("nan", 2)
@@ -225,7 +227,7 @@ def test_a_wireless_sensor_over_udp() -> None:
         late_ns = [s.t_host_ns - handle.t0_ns - (s.t_device_ns - 20_000_000_000) for s in found]
         assert 0 <= min(late_ns) < 5_000_000
         handle.fault("drop", 3)
-        collect([port], 0.2)
+        collect_until([port], lambda: counts.missing >= 3)
         assert counts.missing == 3
         handle.fault("unplug")
         collect([port], 0.1)

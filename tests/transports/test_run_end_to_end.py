@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from live_runs import FOOT, LiveRun, live_run, prepare
+from processes import gone_after_s
 from replays import MS
 
 from drivers.virtual.can_node_spawn import free_bus, why_silent
@@ -110,6 +111,7 @@ def test_killed_in_mid_burst_the_lease_ends_it_and_the_log_is_there(loop: tuple[
     with live_run(tmp_path, recording, "--calibration", calibration) as run:
         run.armed_at()
         run.in_mid_burst()
+        writer = run.children("log_process")
         blow_ns = time.monotonic_ns()
         os.kill(run.process.pid, signal.SIGKILL)
         run.process.wait(10)
@@ -119,7 +121,7 @@ def test_killed_in_mid_burst_the_lease_ends_it_and_the_log_is_there(loop: tuple[
         assert ended.event == "lease_expired"
         assert ended.last_pulse_ns <= blow_ns + (LEASE_MS + 5) * MS
         assert off_ms <= LEASE_MS + MARGIN_MS
-        time.sleep(0.5)  # the writer ends by itself
+        gone_after_s(writer, blow_ns)  # it ends by itself
         record = read_session(run.log)
         assert not record.complete
         assert record.lost == ""

@@ -246,7 +246,7 @@ def test_the_emergency_switch(host: Host, stimulator: DeviceHandle) -> None:
 def test_over_tcp(device: Device, tmp_path: Path) -> None:
     with spawn_device(KIND[device], record=tmp_path / "device.jsonl", line="tcp") as stimulator:
         host = Host(device, stimulator.port)
-        host.drive(0.5)
+        host.drive(10.0, until=lambda: len(stimulator.entries("pulse")) >= 10)
         assert host.faults == []
         assert len(stimulator.entries("pulse")) >= 10
         host.port.close()
