@@ -22,7 +22,7 @@ from fes.live.ports import Input
 from fes.live.realtime import Grant
 from fes.live.remarks import Remarks
 from fes.live.sensors import SensorLine
-from fes.live.source import LiveSource
+from fes.live.source import LiveSource, stalled
 from fes.live.states import CURRENT_ALLOWED
 from fes.live.stimulator import LiveStimulator
 from fes.live.view_process import ViewProcess
@@ -163,6 +163,7 @@ class LiveSession:
             lambda: self.operator.state in CURRENT_ALLOWED,
         )
         self._source.on_lateness = self.monitor.lateness.add
+        self._source.on_stall = self._stalled
         try:
             self.runner.run(self._source, lambda event: self._after(event, check))
         finally:
@@ -204,8 +205,18 @@ class LiveSession:
         if self.operator.state is not self._state:
             self._state = self.operator.state
             if self._state not in CURRENT_ALLOWED:
-                gc.collect()  # collection never starts by itself; here nothing waits for a decision
+                self._collect()
         check()
+
+    def _collect(self) -> None:
+        """Garbage collection never starts by itself; here nothing waits for a decision."""
+        begin_ns = self._clock_ns()
+        gc.collect()
+        if self._source is not None:
+            self._source.took(self._clock_ns() - begin_ns)
+
+    def _stalled(self, t_ns: int, away_ns: int) -> None:
+        self.monitor.note(Note(t_ns, "warning", "session", f"{stalled(away_ns)}; it was off before that was noticed"))
 
     def _over(self) -> bool:
         return self.operator.quitting or (self._end_ns is not None and self._clock_ns() >= self._end_ns)

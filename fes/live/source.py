@@ -33,6 +33,9 @@ class LiveSource:
         clock_ns: the monotonic clock.
         ended: asked every turn.
         current_allowed: whether a stall now is a fault; otherwise it is only counted.
+
+    ``on_stall`` is told (when, how long) of a stall that began while current was allowed and is found when it no longer
+    is: what came of it, an answer of the stimulator's perhaps, was dealt with first and has switched off.
     """
 
     def __init__(
@@ -53,9 +56,15 @@ class LiveSource:
         self._selector = selectors.DefaultSelector()
         self._registered: dict[SensorLine | Input, int] = {}
         self._checked_ns = self._stamp_ns = clock_ns()  # the last look at everything; the newest event's time
+        self._was_allowed = False  # at that look
         self.stalls = 0
         self.longest_stall_ns = 0
         self.on_lateness: Callable[[int], None] = _forget
+        self.on_stall: Callable[[int, int], None] = _forget
+
+    def took(self, time_ns: int) -> None:
+        """The loop has just done something on purpose that took so long; it counts in no stall."""
+        self._checked_ns += time_ns
 
     def __iter__(self) -> Iterator[Event]:
         try:
@@ -107,11 +116,14 @@ class LiveSource:
         now_ns = self._clock_ns()
         away_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
         self._stamp_ns = now_ns
+        was_allowed, self._was_allowed = self._was_allowed, self._current_allowed()
         if away_ns > STALL_NS:
             self.stalls += 1
             self.longest_stall_ns = max(self.longest_stall_ns, away_ns)
-            if self._current_allowed():
-                yield SystemFault(now_ns, f"controller stalled for {away_ns / 1e6:.0f} ms")
+            if self._was_allowed:
+                yield SystemFault(now_ns, stalled(away_ns))
+            elif was_allowed:
+                self.on_stall(now_ns, away_ns)
         for each in self._inputs:
             yield from each.take(now_ns)
         if self._stimulator is not None:
@@ -141,5 +153,10 @@ class LiveSource:
                 self._registered[each] = descriptor
 
 
-def _forget(lateness_ns: int) -> None:
+def stalled(away_ns: int) -> str:
+    """What is said of a stall."""
+    return f"controller stalled for {away_ns / 1e6:.0f} ms"
+
+
+def _forget(*what: int) -> None:
     """Nobody asked for it."""

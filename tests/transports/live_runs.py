@@ -9,10 +9,12 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 
 import can
@@ -27,6 +29,7 @@ from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
 from drivers.virtual.node_record import RecordEntry, read_record
 from fes.calibrations import Found, calibrate_drivers, calibrate_shank_track, save
 from fes.config import Bus
+from fes.journal import SessionRecord
 from fes.live.status import Status
 from fes.recording import Recording, Track, write_recording
 
@@ -46,6 +49,8 @@ atexit.register(lambda: pathlib.Path("loaded.txt").write_text("\\n".join(sys.mod
 main(prog_name="fes")
 """
 PULSE_GAP_NS = 60 * MS  # a pulse train of 40 Hz with no pulse for so long is off
+LEASE_NS = 60 * MS
+BEGUN_NS = 300 * MS  # a burst that began longer ago may end by itself before a blow has struck; the shortest last 0.5 s
 
 
 def standing_first(recording: Recording, stand_s: int) -> Recording:
@@ -207,6 +212,7 @@ class LiveRun:
         self.link.settimeout(0.5)
         self.status: Status | None = None
         self.answers: list[dict[str, object]] = []
+        self.off_ns = 0  # when the output went off, as :meth:`off_after_ms` found it
 
     def loaded(self) -> set[str]:
         """The modules that the session's process had loaded when it ended."""
@@ -222,7 +228,8 @@ class LiveRun:
     def until(
         self, what: Callable[[Status], bool], repeat: str | Callable[[], str] = "", timeout_s: float = 120.0
     ) -> Status:
-        """Wait for a status; with ``repeat`` order that again and again meanwhile."""
+        """Wait for a status of now, not one that has waited to be read; meanwhile order ``repeat`` again and again."""
+        begin_ns = time.monotonic_ns()
         end_s, next_s = time.monotonic() + timeout_s, 0.0
         while time.monotonic() < end_s:
             assert self.process.poll() is None, self.said()
@@ -230,17 +237,27 @@ class LiveRun:
                 next_s = time.monotonic() + 0.2
                 try:
                     self.link.sendto(b"watch", str(self.folder / "c.sock"))
-                    if repeat:
-                        self.order(repeat if isinstance(repeat, str) else repeat(), confirm=True)
+                    if ask := repeat if isinstance(repeat, str) else repeat():
+                        self.order(ask, confirm=True)
                 except OSError:
                     continue  # the socket is not there yet
             try:
                 datagram = self.link.recv(65536)
             except TimeoutError:
                 continue
-            if self._take(datagram) and self.status is not None and what(self.status):
+            if self._take(datagram) and self.status is not None and self.status.t_ns >= begin_ns and what(self.status):
                 return self.status
         raise AssertionError(f"it did not come; last: {self.status}")
+
+    def operated(self) -> str:
+        """What an operator would order now to have it armed and at its intensity, "" nothing.
+
+        A machine that is too busy may hold the session up for longer than it allows itself, which switches off and
+        latches at any moment: whoever waits for something that only an armed session does, goes on operating.
+        """
+        if self.status is None or self.status.state not in ("armed", "running"):
+            return "arm"
+        return "up" if self.status.intensity < INTENSITY - 0.01 else ""
 
     def armed_at(self, intensity: float = INTENSITY) -> None:
         """Armed by hand, while the patient stands, and raised; again, as :meth:`in_mid_burst` does, if it latches."""
@@ -254,6 +271,11 @@ class LiveRun:
         """The session's own processes that run this module."""
         pids = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text().split()
         return [int(pid) for pid in pids if module in Path(f"/proc/{pid}/cmdline").read_text()]
+
+    def struck(self, number: signal.Signals) -> int:
+        """Send the session a signal; when that was, at the latest."""
+        self.process.send_signal(number)
+        return time.monotonic_ns()
 
     # --- the stimulator's own record is the judge ---------------------------------------------------------
 
@@ -274,25 +296,35 @@ class LiveRun:
             return 0.0
         return entries[-1].current_ma
 
-    def in_mid_burst(self, timeout_s: float = 120.0) -> None:
-        """Wait until the current is near its plateau.
+    def begun_ns(self) -> int | None:
+        """When the burst of channel 0 began whose current is near its plateau now; None where there is none."""
+        on_ns, newest = None, None
+        for entry in self.entries():
+            late = self.gives_pulses and newest is not None and entry.t_ns - newest.t_ns > PULSE_GAP_NS
+            if entry.current_ma <= 0.0:
+                on_ns = None
+            elif on_ns is None or late:
+                on_ns = entry.t_ns
+            newest = entry
+        return on_ns if newest is not None and self.current_ma() >= 0.85 * MOST_MA else None
 
-        Armed and raised by hand until then, as an operator would: a machine that is too busy may hold the session up
-        for longer than it allows itself, which switches off and latches before the test has begun.
+    def in_mid_burst(self, timeout_s: float = 120.0) -> None:
+        """Wait until the current is near its plateau, in a burst that began so lately that it will last.
+
+        Armed and raised by hand until then: see :meth:`operated`.
         """
         end_s, next_s, armings = time.monotonic() + timeout_s, 0.0, 0
         self.link.settimeout(0.004)
-        while self.current_ma() < 0.85 * MOST_MA:
+        while (begun_ns := self.begun_ns()) is None or time.monotonic_ns() - begun_ns > BEGUN_NS:
             assert self.process.poll() is None, self.said()
             assert time.monotonic() < end_s, f"no burst; {self.status}"
-            if time.monotonic() > next_s and self.status is not None:
+            if time.monotonic() > next_s:
                 next_s = time.monotonic() + 0.2
-                self.link.sendto(b"watch", str(self.folder / "c.sock"))
-                if self.status.state not in ("armed", "running"):
-                    self.order("arm", confirm=True)
-                    armings += 1
-                elif self.status.intensity < INTENSITY - 0.01:
-                    self.order("up", confirm=True)
+                with suppress(TimeoutError):  # it is held up
+                    self.link.sendto(b"watch", str(self.folder / "c.sock"))
+                    if self.status is not None and (ask := self.operated()):
+                        self.order(ask, confirm=True)
+                        armings += ask == "arm"
             with suppress(TimeoutError):
                 self._take(self.link.recv(65536))
         self.link.settimeout(0.5)
@@ -308,7 +340,16 @@ class LiveRun:
         return True
 
     def off_after_ms(self, blow_ns: int, timeout_s: float = 5.0) -> float:
-        """When the stimulator's output went off, ms after the blow, by the stimulator's own record."""
+        """How long after the blow the stimulator's output went off, ms, by its own record; 0 if it was off by then.
+
+        Args:
+            blow_ns: when it was struck at the latest: read the clock after the blow. Whatever holds the test up between
+                the two then adds nothing to what the session is blamed for.
+
+        It is off at the end of its lease, though its process may be held up before it notes that: there is no pulse
+        later than that. What it then finds in its queue, it takes for fresh; that late by its own record it is not the
+        session's fault either.
+        """
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
             seen_ns = time.monotonic_ns()
@@ -316,22 +357,33 @@ class LiveRun:
             if self.gives_pulses:
                 last_ns = max((entry.t_ns for entry in entries if entry.current_ma > 0.0), default=blow_ns)
                 if seen_ns - max(last_ns, blow_ns) > 3 * PULSE_GAP_NS:
+                    self.off_ns = last_ns
                     return max(last_ns - blow_ns, 0) / MS
-            elif offs := [entry for entry in entries if entry.t_ns >= blow_ns and entry.current_ma == 0.0]:
-                return (offs[0].t_ns - blow_ns) / MS
+            elif not entries or entries[-1].current_ma == 0.0:
+                self.off_ns = max((entry.t_ns for entry in _ends(entries)), default=0)
+                late_ns = sum(_noted_late_ns(entry) for entry in entries if entry.t_ns >= blow_ns)
+                return max(self.off_ns - late_ns - blow_ns, 0) / MS
             time.sleep(0.004)
         raise AssertionError("it is still on")
 
+    def ended(self) -> RecordEntry:
+        """What ended the last current, by the record of a stimulator whose levels hold."""
+        return _ends(self.entries())[-1]
+
     def stays_off(self, since_ns: int, seconds: float) -> bool:
         time.sleep(seconds)
-        return not [entry for entry in self.entries() if entry.t_ns > since_ns and entry.current_ma > 0.0]
+        return not self.on_since(since_ns)
+
+    def on_since(self, since_ns: int) -> list[RecordEntry]:
+        """Current after an instant."""
+        return [entry for entry in self.entries() if entry.t_ns > since_ns and entry.current_ma > 0.0]
 
     def quit(self) -> str:
         self.order("quit")
         return self.end()
 
     def end(self) -> str:
-        said, _ = self.process.communicate(timeout=30)
+        said, _ = self.process.communicate(timeout=60)
         return said
 
     def said(self) -> str:
@@ -386,22 +438,55 @@ def live_run(
             os.close(master)
 
 
+def _ends(entries: list[RecordEntry]) -> list[RecordEntry]:
+    """Of a record of levels, what ended each current."""
+    return [entry for before, entry in pairwise(entries) if before.current_ma > 0.0 and entry.current_ma == 0.0]
+
+
+def _noted_late_ns(entry: RecordEntry) -> int:
+    """How much later than the end of a lease the stimulator's process came to note it: it was held up for so long."""
+    return max(entry.t_ns - entry.accepted_ns - LEASE_NS, 0) if entry.event == "lease_expired" else 0
+
+
+def faults_named(record: SessionRecord) -> list[str]:
+    """Every fault that the log names, by whatever part of the session: which of several comes first is chance.
+
+    Whatever comes first latches, and is noted as the reason; what comes behind it stands among the events alone.
+    """
+    notes = [note.text for note in record.notes if note.severity == "fault"]
+    events = [*record.statuses, *record.alive]
+    return [*notes, *(fault.text for fault in record.faults), *(event.fault for event in events if event.fault)]
+
+
 class Button:
-    """A bit of a CAN frame, sent every 20 ms by whoever holds it."""
+    """A bit of a CAN frame, sent at once when it changes and every 20 ms, by whoever holds it."""
 
     def __init__(self, bus: Bus, identifier: int, bit: int) -> None:
         self._bus = open_bus(bus, frozenset())
         self._identifier, self._bit = identifier, bit
-        self._task: can.CyclicSendTaskABC | None = None
+        self._pressed: bool | None = None
+        self._one_at_a_time = threading.Lock()  # or what it was could be sent once more behind what it is
+        self._over = threading.Event()
+        self._repeating = threading.Thread(target=self._repeat, daemon=True)
+        self._repeating.start()
 
     def set(self, pressed: bool) -> None:
         """Send it so, now and on."""
-        data = (int(pressed) << self._bit).to_bytes(2, "little")
-        message = can.Message(arbitration_id=self._identifier, data=data, is_extended_id=False)
-        if self._task is not None:
-            self._task.stop()
-        self._task = self._bus.send_periodic(message, 0.02)
+        with self._one_at_a_time:
+            self._pressed = pressed
+            self._send(pressed)
 
     def close(self) -> None:
-        self._bus.stop_all_periodic_tasks()
+        self._over.set()
+        self._repeating.join(5)
         self._bus.shutdown()
+
+    def _repeat(self) -> None:
+        while not self._over.wait(0.02):
+            with self._one_at_a_time:
+                if self._pressed is not None:
+                    self._send(self._pressed)
+
+    def _send(self, pressed: bool) -> None:
+        data = (int(pressed) << self._bit).to_bytes(2, "little")
+        self._bus.send(can.Message(arbitration_id=self._identifier, data=data, is_extended_id=False))
