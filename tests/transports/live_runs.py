@@ -50,6 +50,8 @@ main(prog_name="fes")
 """
 PULSE_GAP_NS = 60 * MS  # a pulse train of 40 Hz with no pulse for so long is off
 LEASE_NS = 60 * MS
+PERIOD_NS = 20 * MS  # between commands of a burst
+TURN_NS = 5 * MS  # of a simulated device's loop, at most, while nothing holds it up
 BEGUN_NS = 300 * MS  # a burst that began longer ago may end by itself before a blow has struck; the shortest last 0.5 s
 
 
@@ -347,8 +349,7 @@ class LiveRun:
                 the two then adds nothing to what the session is blamed for.
 
         It is off at the end of its lease, though its process may be held up before it notes that: there is no pulse
-        later than that. What it then finds in its queue, it takes for fresh; that late by its own record it is not the
-        session's fault either.
+        later than that. For how long it was held up, the session is not blamed; see :func:`_held_up_ns`.
         """
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
@@ -361,8 +362,7 @@ class LiveRun:
                     return max(last_ns - blow_ns, 0) / MS
             elif not entries or entries[-1].current_ma == 0.0:
                 self.off_ns = max((entry.t_ns for entry in _ends(entries)), default=0)
-                late_ns = sum(_noted_late_ns(entry) for entry in entries if entry.t_ns >= blow_ns)
-                return max(self.off_ns - late_ns - blow_ns, 0) / MS
+                return max(self.off_ns - _held_up_ns(entries, blow_ns) - blow_ns, 0) / MS
             time.sleep(0.004)
         raise AssertionError("it is still on")
 
@@ -443,9 +443,19 @@ def _ends(entries: list[RecordEntry]) -> list[RecordEntry]:
     return [entry for before, entry in pairwise(entries) if before.current_ma > 0.0 and entry.current_ma == 0.0]
 
 
-def _noted_late_ns(entry: RecordEntry) -> int:
-    """How much later than the end of a lease the stimulator's process came to note it: it was held up for so long."""
-    return max(entry.t_ns - entry.accepted_ns - LEASE_NS, 0) if entry.event == "lease_expired" else 0
+def _held_up_ns(entries: list[RecordEntry], since_ns: int) -> int:
+    """For how long the stimulator's process was held up, as far as its own record proves it.
+
+    It noted the end of a lease late. What it then found in its queue, and took for fresh, had been coming since the
+    command after the last one that it had taken in time was due.
+    """
+    held_up_ns = 0
+    for entry, then in zip(entries, [*entries[1:], None], strict=True):
+        late_ns = entry.t_ns - entry.accepted_ns - LEASE_NS
+        if entry.t_ns >= since_ns and entry.event == "lease_expired" and late_ns > 0:
+            queued = late_ns > TURN_NS and then is not None and then.event == "on" and then.t_ns - entry.t_ns < TURN_NS
+            held_up_ns += late_ns + (LEASE_NS - PERIOD_NS if queued else 0)
+    return held_up_ns
 
 
 def faults_named(record: SessionRecord) -> list[str]:
