@@ -71,7 +71,7 @@ def session_for(device: Device, port: str) -> Session:
 
 
 class Host:
-    """The controller's side in this process, paced by the wall clock (:meth:`drive`) or the answers (:meth:`deliver`)."""
+    """The controller's side in this process, paced by the wall clock (:meth:`drive`) or answers (:meth:`deliver`)."""
 
     def __init__(self, device: Device, port: str) -> None:
         session = session_for(device, port)
