@@ -295,6 +295,18 @@ def test_gaps_are_told_as_what_they_cost() -> None:
     assert doctor_devices.judged("right_foot", heard(even, missing=3), 1.0).verdict is Verdict.WARNING
 
 
+@pytest.mark.parametrize(("begin", "end"), [(0, 20), (180, 200)])
+def test_a_program_that_was_held_up_does_not_blame_the_sensors_clock(begin: int, end: int) -> None:
+    """0.2 s in which nobody read: what waited is read at once."""
+    times = [10.0 * k for k in range(200)]
+    waited = times[:begin] + [times[end - 1]] * (end - begin) + times[end:]
+    found = heard(times)
+    found.host_ns = [int(t * 1e6) for t in waited]
+    assert doctor_devices.judged("right_foot", found, 2.0).verdict is not Verdict.FAILURE
+    found.device_ns = [round(1.1 * t) for t in found.device_ns]
+    assert "its clock runs 1.100 times" in doctor_devices.judged("right_foot", found, 2.0).said
+
+
 def test_an_adapter_that_holds_answers_back_is_named_with_its_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

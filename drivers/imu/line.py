@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 import serial
 
 from drivers.imu.port import ImuLost
+from drivers.receive_buffer import make_room
 
 READ_AT_MOST: Final = 65536
 READS_AT_MOST: Final = 1024  # datagrams, mostly: a flooded line must not hold the control loop
@@ -37,6 +38,7 @@ class ByteLine:
                 where = urlsplit(port)
                 self._owner = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
                 self._owner.bind((where.hostname or "", where.port or 0))
+                make_room(self._owner.fileno())
             else:
                 options: dict[str, bool] = {} if "://" in port else {"exclusive": True}
                 self._owner = serial.serial_for_url(port, baudrate=baudrate, timeout=0, write_timeout=0, **options)

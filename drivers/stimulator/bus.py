@@ -5,10 +5,12 @@ Besides python-can's interfaces there is ``loopback``, for a machine without any
 
 from __future__ import annotations
 
+import contextlib
 from typing import Any, Final
 
 import can
 
+from drivers.receive_buffer import make_room
 from drivers.stimulator.can_codec import NODE_IDS
 from drivers.stimulator.loopback_bus import LoopbackBus
 from drivers.stimulator.port import StimulatorLost
@@ -40,7 +42,8 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
 
     Only ``identifiers`` are wanted; where the kernel can filter, nothing else arrives. Classical CAN frames only.
     A serial adapter (slcan) is never waited for: a frame that it does not take at once is lost, and the bus with it.
-    Multicast does not leave this machine unless the option ``hop_limit`` says so.
+    Multicast does not leave this machine unless the option ``hop_limit`` says so. Frames that come while this program
+    is held up wait for it, as many as the system grants room for.
 
     Raises:
         BusError: unknown interface, missing vendor library, no such channel, or an option out of range.
@@ -59,13 +62,7 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
         # read and leave the rest waiting: there the port itself drains and drops them
         options["can_filters"] = [{"can_id": number, "can_mask": 0x7FF, "extended": False} for number in identifiers]
     try:
-        if settings.interface == LOOPBACK:
-            return LoopbackBus(settings.channel, **options)
-        if settings.interface == SLCAN:
-            from drivers.stimulator.slcan_bus import PromptSlcanBus
-
-            return PromptSlcanBus(settings.channel, **options)
-        return can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
+        bus = _opened(settings, options)
     except Exception as error:  # vendors' modules raise anything: OSError, NameError, ImportError, CanError …
         cause = error.__cause__ or error
         hint = _HINTS.get(settings.interface, "See python-can's page on this interface for its channel and options.")
@@ -73,6 +70,19 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
         raise BusError(
             f"CAN bus {settings.interface} {settings.channel!r} cannot be opened: {fault}. {hint}"
         ) from error
+    with contextlib.suppress(NotImplementedError, OSError, ValueError):  # a vendor's library may have no descriptor
+        make_room(bus.fileno())
+    return bus
+
+
+def _opened(settings: Bus, options: dict[str, Any]) -> can.BusABC:
+    if settings.interface == LOOPBACK:
+        return LoopbackBus(settings.channel, **options)
+    if settings.interface == SLCAN:
+        from drivers.stimulator.slcan_bus import PromptSlcanBus
+
+        return PromptSlcanBus(settings.channel, **options)
+    return can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
 
 
 def read_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:

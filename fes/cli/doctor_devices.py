@@ -91,9 +91,9 @@ def sensors(session: Session, measure_s: float = MEASURE_S) -> Iterator[Finding]
             else:
                 heard |= {str(each.sensor): Heard(each) for each in group}
         if ports:
-            lost = _listen(ports, heard, measure_s)
+            lost, took_s = _listen(ports, heard, measure_s)
             for sensor, each in heard.items():
-                yield lost[sensor] if sensor in lost else judged(sensor, each, measure_s)
+                yield lost[sensor] if sensor in lost else judged(sensor, each, took_s)
     finally:
         for port in ports:
             port.close()
@@ -121,29 +121,34 @@ def _why(error: Exception) -> tuple[str, str]:
     return said, "check cable, power and settings; `fes devices` lists what is connected"
 
 
-def _listen(ports: Sequence[ImuPort], heard: dict[str, Heard], measure_s: float) -> dict[str, Finding]:
-    begin_ns = time.monotonic_ns() + int(SETTLE_S * NS_PER_S)
+def _listen(ports: Sequence[ImuPort], heard: dict[str, Heard], measure_s: float) -> tuple[dict[str, Finding], float]:
+    """What was lost, and how long it listened: from the end of the last reading that does not count."""
+    since_ns = now_ns = time.monotonic_ns()
+    begin_ns = since_ns + int(SETTLE_S * NS_PER_S)
     end_ns = begin_ns + int(measure_s * NS_PER_S)
     before: dict[str, int] = {}
     lost: dict[str, Finding] = {}
-    while (now_ns := time.monotonic_ns()) < end_ns:
+    while now_ns < end_ns:
+        counts = now_ns >= begin_ns
         alive = [port for port in ports if not set(port.sensors) & lost.keys()]
         waiting = [number for port in alive if (number := port.fileno()) is not None]
         select.select(waiting, [], [], 0.001 if len(waiting) < len(alive) else 0.05)
-        now_ns = time.monotonic_ns()
         for port in alive:
             try:
-                samples = port.read(now_ns)
+                samples = port.read(time.monotonic_ns())
             except ImuLost as error:
                 lost |= {sensor: failure(sensor, *_why(error)) for sensor in port.sensors}
                 continue
-            for sample in samples if now_ns >= begin_ns else ():
+            read_ns = time.monotonic_ns()
+            for sample in samples if counts else ():
                 each = heard[sample.sensor]
-                each.host_ns.append(now_ns)
+                each.host_ns.append(read_ns)
                 each.device_ns.append(sample.t_device_ns)
                 missing = port.counts[sample.sensor].missing
                 each.missing = missing - before.setdefault(sample.sensor, missing)
-    return lost
+        now_ns = time.monotonic_ns()
+        since_ns = since_ns if counts else now_ns
+    return lost, (now_ns - since_ns) / NS_PER_S
 
 
 def judged(sensor: str, heard: Heard, measure_s: float) -> Finding:
@@ -155,7 +160,7 @@ def judged(sensor: str, heard: Heard, measure_s: float) -> Finding:
         )
     rate_hz = n / measure_s
     quiet_ns = max(later - earlier for earlier, later in zip(heard.host_ns, heard.host_ns[1:], strict=False))
-    own_s, host_s = (1e-9 * (times[-1] - times[0]) for times in (heard.device_ns, heard.host_ns))
+    own_s, host_s = _elapsed_s(heard)
     said = f"{rate_hz:.1f} Hz, {heard.missing} lost, longest silence {quiet_ns / 1e6:.0f} ms"
     if abs(rate_hz - nominal_hz) > RATE_TOLERANCE * nominal_hz:
         return failure(
@@ -176,6 +181,19 @@ def judged(sensor: str, heard: Heard, measure_s: float) -> Finding:
             "bring it nearer, use another channel or cable, close other programs",
         )
     return ok(sensor, said)
+
+
+def _elapsed_s(heard: Heard) -> tuple[float, float]:
+    """How much time passed by the sensor's clock and by ours, between the samples that waited least at either end.
+
+    The first or the last one may have waited for a program that was held up.
+    """
+    n = len(heard.host_ns)
+    late_ns = [host - own for host, own in zip(heard.host_ns, heard.device_ns, strict=True)]
+    first = min(range(-(-n // 4)), key=late_ns.__getitem__)
+    last = min(range(n - -(-n // 4), n), key=late_ns.__getitem__)
+    own_ns, host_ns = (times[last] - times[first] for times in (heard.device_ns, heard.host_ns))
+    return own_ns / NS_PER_S, host_ns / NS_PER_S
 
 
 # --- stimulator and switches -----------------------------------------------------------------------------

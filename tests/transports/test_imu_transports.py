@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import itertools
 import math
+import os
+import socket
 import time
 from pathlib import Path
 
+import can
 import pytest
 from dbc_imu import dbc_options
-from imu_reading import collect, collect_until, settings, until_lost
+from imu_reading import Taken, collect, collect_samples, collect_until, settings, until_lost
 
 from drivers.imu.line import READS_AT_MOST, ByteLine
 from drivers.imu.open import open_imus
-from drivers.imu.port import ImuLost, RawSample
+from drivers.imu.port import ImuLost
+from drivers.stimulator.bus import open_bus
 from drivers.virtual.can_node_spawn import free_bus, why_silent
 from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
 from fes.clocks import SensorClock
-from fes.signals import G_MPS2
+from fes.signals import G_MPS2, NS_PER_S
 
+CLOCK_NS = 500_000  # two clocks 80 ppm apart for 3 s, and a stamp's steps of 0.1 ms
+SETTLE_NS = 2 * NS_PER_S
+TICK_NS = 500_000  # of the stamps that the DBC here describes
 NO_BUS = why_silent(free_bus())
 
 
@@ -33,21 +40,22 @@ def test_two_sensors_at_500_hz_lose_nothing_and_keep_their_own_clocks() -> None:
                 settings("ximu3", right.port, "right_foot", 500.0),
             ]
         )
-        collect(ports, 0.3)
-        found = collect(ports, 3.0)
-        for port, handle, offset_s, drift_ppm in zip(ports, (left, right), (1000.0, 5.0), (80, -80), strict=True):
+        found = collect_samples(ports, 1500)
+        for port, taken in zip(ports, (Taken(left, 1000.0, 80), Taken(right, 5.0, -80)), strict=True):
             (sensor,) = port.sensors
             mine = [sample for sample in found if sample.sensor == sensor]
             counts = port.counts[sensor]
             assert (counts.missing, counts.doubled, counts.backward, counts.bad_frames) == (0, 0, 0, 0)
             steps = {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(mine)}
             assert steps == {2_000_000}  # of its own clock: every sample is there
-            assert len(mine) > 1200
             clock = SensorClock()
             for sample in mine:
                 mapped_ns = clock.map(sample.t_host_ns, sample.t_device_ns)
-            true_ns = handle.t0_ns + (mine[-1].t_device_ns - int(offset_s * 1e9)) / (1 + drift_ppm * 1e-6)
-            assert abs(mapped_ns - true_ns) < 5_000_000
+            # it goes by the samples that waited least, of the first 2 s or of all
+            settled = [taken.late_ns(sample) for sample in mine if sample.t_device_ns < mine[0].t_device_ns + SETTLE_NS]
+            least_ns = min(map(taken.late_ns, mine))
+            assert 0 <= least_ns <= min(settled)
+            assert least_ns - CLOCK_NS < mapped_ns - taken.ns(mine[-1]) < min(settled) + CLOCK_NS
             assert math.dist(mine[0].acc_mps2, (0, 0, 0)) == pytest.approx(9.8, abs=1.0)
             port.close()
 
@@ -56,8 +64,8 @@ def test_two_sensors_at_500_hz_lose_nothing_and_keep_their_own_clocks() -> None:
 def test_faults_on_the_line_are_counted_and_survived(kind: str) -> None:
     with spawn_imu("xbus" if kind == "xbus" else "ximu3", offset_s=10.0, line="tcp") as handle:
         (port,) = open_imus([settings(kind, handle.port)])
-        counts = port.counts["right_foot"]
-        collect([port], 0.3)
+        counts, taken = port.counts["right_foot"], Taken(handle, 10.0)
+        collect_samples([port], 10)
         handle.fault("drop", 3)
         collect_until([port], lambda: counts.missing >= 3)
         assert counts.missing == 3
@@ -70,44 +78,40 @@ def test_faults_on_the_line_are_counted_and_survived(kind: str) -> None:
         handle.fault("nan", 2)
         found = collect_until([port], lambda: counts.bad_values >= 2)
         assert len([sample for sample in found if math.isnan(sample.acc_mps2[0])]) == counts.bad_values == 2
-        handle.fault("unit", 1000.0)
-        collect([port], 0.1)  # what was sent before
-        wrong = collect([port], 0.3)
-        assert wrong
+        wrong = taken.since(port, handle.fault("unit", 1000.0), 20)
         assert all(math.isnan(sample.acc_mps2[0]) for sample in wrong)
         handle.clear()
         before = counts.bad_frames
         handle.fault("garble", 4)
         if kind == "xbus":
             collect_until([port], lambda: counts.bad_frames >= before + 4)
-        collect([port], 0.4)
-        assert len(collect([port], 0.5)) > 30
+        after = taken.since(port, time.monotonic_ns(), 40)
+        assert not any(math.isnan(sample.acc_mps2[0]) for sample in after[10:])  # of which four may have been garbled
         port.close()
 
 
 def test_mute_delay_reboot_and_jump_reach_the_clock() -> None:
     with spawn_imu("xbus", offset_s=10.0) as handle:
         (port,) = open_imus([settings("xbus", handle.port)])
-        clock = SensorClock()
+        clock, taken = SensorClock(), Taken(handle, 10.0)
 
-        def pass_on(seconds: float) -> list[RawSample]:
-            found = collect([port], seconds)
+        def pass_on(number: int) -> int:
+            """So many samples to the clock; the stamp of the last one."""
+            found = collect_samples([port], number)
             for sample in found:
                 clock.map(sample.t_host_ns, sample.t_device_ns)
-            return found
+            return found[-1].t_device_ns
 
-        pass_on(0.5)
-        handle.fault("mute")
-        pass_on(0.1)
-        assert pass_on(0.3) == []
+        pass_on(50)
+        told_ns = handle.fault("mute")
+        assert all(taken.ns(sample) < told_ns for sample in collect([port], 0.3))
         handle.clear()
-        assert pass_on(0.5)
+        pass_on(50)
         handle.fault("reboot")
-        after = pass_on(1.0)
-        assert after[-1].t_device_ns < 2_000_000_000
+        assert any(pass_on(1) < 10_000_000_000 for _ in range(100))
         assert clock.resets == 1
         handle.fault("jump", 100.0)
-        pass_on(0.5)
+        assert any(pass_on(1) > 100_000_000_000 for _ in range(100))
         assert clock.resets == 2
         port.close()
 
@@ -116,7 +120,7 @@ def test_mute_delay_reboot_and_jump_reach_the_clock() -> None:
 def test_an_unplugged_line_is_lost_and_says_so(kind: str, line: str) -> None:
     with spawn_imu("xbus" if kind == "xbus" else "ximu3", line="tcp" if line == "tcp" else "pty") as handle:
         (port,) = open_imus([settings(kind, handle.port)])
-        assert collect([port], 0.3)
+        collect_samples([port], 1)
         handle.fault("unplug")
         assert "Check cable" in until_lost(port)
         with pytest.raises(ImuLost):
@@ -127,9 +131,9 @@ def test_an_unplugged_line_is_lost_and_says_so(kind: str, line: str) -> None:
 def test_a_line_can_be_opened_again() -> None:
     with spawn_imu("xbus", line="tcp") as handle:
         (port,) = open_imus([settings("xbus", handle.port)])
-        assert collect([port], 0.3)
+        collect_samples([port], 1)
         port.reopen()
-        assert collect([port], 0.3)
+        collect_samples([port], 1)
         port.close()
 
 
@@ -174,26 +178,45 @@ def test_two_sensors_on_one_can_bus() -> None:
             bus,
         )
         assert len(ports) == 1
-        found = collect(ports, 1.5)
+        collect_samples(ports, 200)
         for sensor in ("left_foot", "right_foot"):
-            assert len([sample for sample in found if sample.sensor == sensor]) > 200
             assert ports[0].counts[sensor].missing == 0
             assert ports[0].counts[sensor].bad_values == 0
         drop_one(left, right)
         collect_until(ports, lambda: ports[0].counts["left_foot"].missing >= 1)
+        assert (ports[0].counts["left_foot"].missing, ports[0].counts["right_foot"].missing) == (1, 0)
         ports[0].close()
+
+
+@pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")
+def test_frames_that_come_while_the_program_is_held_up_wait_for_it() -> None:
+    """A quarter of a second of two sensors at 200 Hz; the system's usual room is for 256 frames."""
+    bus = free_bus()
+    with open_bus(bus) as reader, open_bus(bus) as sender:
+        for number in range(400):
+            sender.send(can.Message(arbitration_id=0x080, data=number.to_bytes(8, "big"), is_extended_id=False))
+        heard = [reader.recv(timeout=1.0) for _ in range(400)]
+        assert [message and int.from_bytes(message.data, "big") for message in heard] == list(range(400))
+
+
+def test_datagrams_that_come_while_the_program_is_held_up_wait_for_it() -> None:
+    line = ByteLine("right_foot", "udp://127.0.0.1:0", 0)
+    with socket.socket(fileno=os.dup(line.fileno())) as same, socket.socket(type=socket.SOCK_DGRAM) as sensor:
+        for number in range(400):
+            sensor.sendto(number.to_bytes(60, "big"), same.getsockname())
+    assert line.read() == b"".join(number.to_bytes(60, "big") for number in range(400))
+    line.close()
 
 
 @pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")
 def test_a_sensor_by_any_dbc(tmp_path: Path) -> None:
     bus, options = free_bus(), dbc_options(tmp_path)
-    with spawn_imu("dbc_can", rate_hz=200, bus=bus, options=options, offset_s=30.0, drift_ppm=60.0) as handle:
+    with spawn_imu("dbc_can", rate_hz=200, bus=bus, options=options, offset_s=3.0, drift_ppm=60.0) as handle:
         (port,) = open_imus([settings("dbc_can", "bus", rate_hz=200.0, **options)], bus)
-        counts = port.counts["right_foot"]
-        collect([port], 0.1)  # the group that was under way when the bus was opened
+        counts, taken = port.counts["right_foot"], Taken(handle, 3.0, 60.0)
+        collect_samples([port], 1)  # the group that was under way when the bus was opened has passed
         begun = counts.bad_frames
-        found = collect([port], 0.6)
-        assert len(found) > 80
+        found = collect_samples([port], 100)
         assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)} == {5_000_000}
         assert (counts.missing, counts.doubled, counts.backward, counts.bad_frames) == (0, 0, 0, begun)
         assert all(math.dist(sample.acc_mps2, (0, 0, 0)) == pytest.approx(9.8, abs=1.0) for sample in found[:20])
@@ -203,12 +226,11 @@ def test_a_sensor_by_any_dbc(tmp_path: Path) -> None:
         assert counts.missing == 1
         with pytest.raises(ImuLost, match=r"refused: .*fault 'nan' does not exist here"):
             handle.fault("nan", 2)
-        handle.fault("full")  # what such a sensor has instead
-        assert max(abs(value) for value in collect([port], 0.2)[-1].acc_mps2) == pytest.approx(16.0 * G_MPS2, rel=1e-3)
+        for sample in taken.since(port, handle.fault("full") + TICK_NS, 20):  # what such a sensor has instead
+            assert max(map(abs, sample.acc_mps2)) == pytest.approx(16.0 * G_MPS2, rel=1e-3)
         handle.clear()
-        handle.fault("mute")
-        collect([port], 0.1)
-        assert collect([port], 0.2) == []
+        told_ns = handle.fault("mute")
+        assert all(taken.ns(sample) < told_ns + TICK_NS for sample in collect([port], 0.3))
         port.close()
 
 
@@ -218,20 +240,19 @@ def test_a_wireless_sensor_over_udp() -> None:
         (port,) = open_imus([settings("ximu3", handle.port, rate_hz=400.0)])
         with pytest.raises(ImuLost, match="in use"):
             open_imus([settings("ximu3", handle.port, "left_foot", rate_hz=400.0)])
-        counts = port.counts["right_foot"]
-        found = collect([port], 0.6)
-        assert len(found) > 150
+        counts, taken = port.counts["right_foot"], Taken(handle, 20.0)
+        found = collect_samples([port], 150)
+        while min(map(taken.late_ns, found)) >= 5_000_000:  # of many samples one meets a machine with time for it
+            found += collect_samples([port], 100)
         steps = {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)}
         assert steps == {2_500_000}
         assert (counts.missing, counts.bad_frames, counts.bytes_skipped) == (0, 0, 0)
-        late_ns = [s.t_host_ns - handle.t0_ns - (s.t_device_ns - 20_000_000_000) for s in found]
-        assert 0 <= min(late_ns) < 5_000_000
+        assert min(map(taken.late_ns, found)) >= 0
         handle.fault("drop", 3)
         collect_until([port], lambda: counts.missing >= 3)
         assert counts.missing == 3
-        handle.fault("unplug")
-        collect([port], 0.1)
-        assert collect([port], 0.2) == []  # nobody tells that the other end is gone
+        told_ns = handle.fault("unplug")
+        assert all(taken.ns(sample) < told_ns for sample in collect([port], 0.3))  # nobody tells that the end is gone
         port.reopen()
         assert collect([port], 0.1) == []
         port.close()
@@ -258,8 +279,7 @@ def test_a_stream_of_lab_streaming_layer() -> None:
             (port,) = open_imus([settings("lsl", name, timeout_s=10.0)])
         except ImuLost as error:
             pytest.skip(f"LSL streams are not found on this machine: {error}")
-        found = collect([port], 1.5)
-        assert len(found) > 100
+        found = collect_samples([port], 100)
         assert port.counts["right_foot"].missing == 0
         assert math.dist(found[0].acc_mps2, (0, 0, 0)) == pytest.approx(9.8, abs=1.0)
         handle.fault("unplug")
@@ -271,7 +291,6 @@ def test_the_makers_library_carries_the_same() -> None:
     pytest.importorskip("ximu3", reason="ximu3 is not installed")
     with spawn_imu("ximu3", rate_hz=400) as handle:
         (port,) = open_imus([settings("ximu3", handle.port, rate_hz=400.0, library=True)])
-        found = collect([port], 1.5)
-        assert len(found) > 400
+        collect_samples([port], 500)
         assert port.counts["right_foot"].missing == 0
         port.close()
