@@ -17,16 +17,17 @@ from fes.cli.compile_ahead import PARTS, compile_part, compiled_ahead
 SEVERAL = {0, 1, 2, 3}
 
 
-def part_is(monkeypatch: pytest.MonkeyPatch, seconds: float, processors: set[int] = SEVERAL) -> list[str]:
-    """Something that takes so long stands in for compiling; gives what is compiled in this process."""
+def part_is(monkeypatch: pytest.MonkeyPatch, over: Path, processors: set[int] = SEVERAL) -> list[str]:
+    """Something that takes until a file is there stands in for compiling; gives what is compiled in this process."""
     here = os.getpid()
     done: list[str] = []
 
     def stand_in(part: str) -> None:
         if os.getpid() == here:
             done.append(part)
-        else:
-            time.sleep(seconds)
+            return
+        while not over.exists():
+            time.sleep(0.005)
 
     monkeypatch.setattr(compile_ahead, "compile_part", stand_in)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors)
@@ -36,7 +37,7 @@ def part_is(monkeypatch: pytest.MonkeyPatch, seconds: float, processors: set[int
 def test_what_is_compiled_is_not_compiled_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    part_is(monkeypatch, 60.0)
+    part_is(monkeypatch, tmp_path / "never")
     (tmp_path / "estimation_1").mkdir()
     (tmp_path / "estimation_1" / "kernel.nbi").touch()
     with compiled_ahead(tmp_path):
@@ -47,23 +48,25 @@ def test_what_is_compiled_is_not_compiled_again(
 def test_an_empty_cache_is_filled_and_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    done = part_is(monkeypatch, 0.2)
+    done = part_is(monkeypatch, tmp_path / "over")
     with compiled_ahead(tmp_path / "not there yet"):
         assert len(multiprocessing.active_children()) == len(PARTS)
+        (tmp_path / "over").touch()
     assert not multiprocessing.active_children()
     assert not done
     assert "First run: compiling" in capfd.readouterr().err
 
 
 def test_each_processor_gets_one_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done = part_is(monkeypatch, 0.2, {0, 1})
+    done = part_is(monkeypatch, tmp_path / "over", {0, 1})
     with compiled_ahead(tmp_path):
         assert len(multiprocessing.active_children()) == 1
+        (tmp_path / "over").touch()
     assert tuple(done) == PARTS[1:]
 
 
 def test_an_error_leaves_no_process_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    part_is(monkeypatch, 60.0)
+    part_is(monkeypatch, tmp_path / "never")
 
     def interrupted() -> None:
         with compiled_ahead(tmp_path):
@@ -76,7 +79,7 @@ def test_an_error_leaves_no_process_behind(tmp_path: Path, monkeypatch: pytest.M
 
 
 def test_without_processes_it_goes_on_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done = part_is(monkeypatch, 60.0)
+    done = part_is(monkeypatch, tmp_path / "never")
 
     def refuse() -> int:
         raise OSError("no more processes")

@@ -9,6 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import count
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from fes.page.desk import ORDERS_A_SECOND, Desk, Outcome
 from fes.page.feed import LEVELS_KEPT, STRIDES_KEPT, PageFeed
 from fes.page.frames import DETAIL, LARGEST, STATUS, detail, hello, read_detail, read_hello
 from fes.page.orders import AT_ONCE, RESUME, PageOrders
+from fes.page.replay import ShownLog
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimCommand, StimStatus, StrideResult
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -266,6 +268,22 @@ def test_a_page_that_does_not_read_costs_no_memory_and_catches_up(pair: tuple[Pa
     told = read_detail(page.recv(LARGEST))
     assert len(told.sent) <= LEVELS_KEPT
     assert [each.number for each in told.strides] == list(range(3000 - STRIDES_KEPT, 3000))
+
+
+def test_a_replay_shows_at_its_end_what_came_since_the_status_before(pair: tuple[PageFeed, socket.socket]) -> None:
+    feed, theirs = pair
+    controller, gate = Mock(intensity=0.3), Mock(latched="", armed=True)
+    shown = ShownLog(Mock(), feed, controller, gate, {}, {}, None)
+    shown.tell(0, 0)
+    assert theirs.recv(LARGEST)[:1] + theirs.recv(LARGEST)[:1] == STATUS + DETAIL
+    shown.stride(stride(1))
+    shown.tell(50 * MS, 50 * MS)
+    theirs.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        theirs.recv(LARGEST)
+    shown.tell(60 * MS, 60 * MS, last=True)
+    assert theirs.recv(LARGEST)[:1] == STATUS
+    assert [each.number for each in read_detail(theirs.recv(LARGEST)).strides] == [1]
 
 
 def test_a_dead_page_is_lost_and_no_more(pair: tuple[PageFeed, socket.socket]) -> None:

@@ -61,6 +61,7 @@ class Stage:
 
     def close(self, ended: str) -> None:
         """End the page; ``ended`` says how the replay did."""
+        self.log.tell(self._t_ns, time.monotonic_ns(), last=True)
         self._page.over = f"The replay has ended: {ended}."
         self._stack.close()
 

@@ -89,9 +89,12 @@ class ShownLog:
         self._log.latency(t_ns, latency_ns)
         self._latencies.add(latency_ns)
 
-    def tell(self, t_ns: int, now_ns: int) -> None:
-        """Show where the replay is at its time ``t_ns``, if 100 ms have passed by the clock of ``now_ns``."""
-        if now_ns < self._next_ns:
+    def tell(self, t_ns: int, now_ns: int, *, last: bool = False) -> None:
+        """Show where the replay is at its time ``t_ns``, if 100 ms have passed by the clock of ``now_ns``.
+
+        The ``last`` time at once, or what came since the time before would never be shown.
+        """
+        if now_ns < self._next_ns and not last:
             return
         self._next_ns = now_ns + FRAME_NS
         feet = {sensor: self._foot(sensor, t_ns) for sensor in self._rates_hz}

@@ -11,12 +11,14 @@ import time
 from pathlib import Path
 
 import pytest
+from campaigns import HELD_UP_MS, faults_but_lost_time
 from replays import FES
 
 from drivers.virtual.can_node_spawn import free_bus, spawn_node, why_silent
 from drivers.virtual.imu_spawn import spawn_imu
 from fes.cli.exits import FAILED, INTERRUPTED, OK, UNUSABLE
 from fes.config import StimulatorDevice
+from fes.hil.judge import MS, PERIOD_NS
 from fes.hil.settings import session_text
 from fes.hil.walk import FOOT, RATE_HZ, walker
 
@@ -41,6 +43,14 @@ def processes_of(folder: Path) -> list[str]:
     return found
 
 
+def gone(folder: Path, timeout_s: float = 3.0) -> list[str]:
+    """As :func:`processes_of`, once what was killed has had the time to go: as much as the campaign grants it."""
+    end_s = time.monotonic() + timeout_s
+    while (left := processes_of(folder)) and time.monotonic() < end_s:
+        time.sleep(0.02)
+    return left
+
+
 def arguments(transport: str, out: Path, names: tuple[str, ...]) -> list[str]:
     return [*FES, "hil", "--transport", transport, "--out", str(out), *(f"--only={name}" for name in names)]
 
@@ -59,15 +69,18 @@ def test_a_short_campaign_is_met_and_leaves_nothing_running(transport: str, tmp_
     for row in found["rows"]:
         (attempt,) = row["attempts"]
         print(transport, row["name"], attempt, found["baseline"])
-        assert attempt["faults"] == [], done.stderr
+        assert faults_but_lost_time(attempt["named"], attempt["faults"]) == [], done.stderr
         # a machine that held up an idle loop may have held up these processes as well
-        assert attempt["off_ms"] <= row["deadline_ms"] + found["baseline"]["most_ms"]
+        machine_ms = found["baseline"]["most_ms"]
+        assert attempt["last_pulse_ms"] <= row["deadline_ms"] + machine_ms
+        # a simulated stimulator that is held up itself puts its end down late, though no pulse comes after its lease
+        assert attempt["off_ms"] <= row["deadline_ms"] + machine_ms + HELD_UP_MS
         in_time = attempt["off_ms"] <= row["deadline_ms"]
-        assert (row["verdict"] == "met") == in_time
+        assert (row["verdict"] == "met") == (in_time and not attempt["faults"])
         # the record is the stimulator's own: current did flow when the fault struck
-        assert attempt["last_pulse_ms"] > -50.0
+        assert attempt["last_pulse_ms"] >= -PERIOD_NS / MS
     assert "sensor silent" in (folder / "hil.md").read_text()
-    assert processes_of(tmp_path) == []
+    assert gone(tmp_path) == []
 
 
 def test_interrupted_it_ends_all_its_processes(tmp_path: Path) -> None:
@@ -83,7 +96,7 @@ def test_interrupted_it_ends_all_its_processes(tmp_path: Path) -> None:
     said, _ = process.communicate(timeout=60)
     assert process.returncode == INTERRUPTED, said
     assert "Traceback" not in said
-    assert processes_of(tmp_path) == []
+    assert gone(tmp_path) == []
 
 
 @pytest.mark.slow
@@ -114,5 +127,5 @@ def test_with_real_devices_it_wants_a_dummy_load_and_judges_by_what_the_bus_says
     for row in rows:
         assert len(row["attempts"]) == (3 if row["name"] == "controller_stopped" else 1)
         for attempt in row["attempts"]:
-            assert attempt["faults"] == [], done.stderr
+            assert faults_but_lost_time(attempt["named"], attempt["faults"]) == [], done.stderr
             assert 0.0 < attempt["off_ms"] < 200.0

@@ -9,6 +9,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from fes.cli.replay_log import repeat
 from fes.journal import read_session
 from fes.page.press import press_stop
 
+SPEED = 8
 RECORDING = Path(__file__).resolve().parents[2] / "sim_inputs" / "negard_patient2.parquet"
 
 
@@ -63,13 +65,14 @@ def strides_of(link: ClientConnection, count: int) -> tuple[list[dict[str, Any]]
 
 @pytest.mark.slow
 def test_a_recording_is_played_at_its_speed_and_a_stop_ends_it(tmp_path: Path) -> None:
-    with replay(tmp_path, RECORDING, "--speed", "8", "--no-report", "--out", "out") as (process, token, port):
+    # without a stimulator, whose lease is of real time: on a busy machine it would end in mid-burst and latch
+    options = ("--speed", str(SPEED), "--stimulator", "none", "--no-report", "--out", "out")
+    with replay(tmp_path, RECORDING, *options) as (process, token, port):
         with browser(port) as link:
             link.send(json.dumps({"token": token}))
             assert json.loads(link.recv(timeout=10))["hello"]["mode"] == "replay"
-            begin_s = time.monotonic()
-            shown, states = strides_of(link, 3)
-            took_s = time.monotonic() - begin_s
+            shown, states = strides_of(link, 8)
+            seen_s = time.time()
             link.send('{"ask":"pause"}')  # has no meaning here
             press_stop(port)
             while "ended" not in (frame := json.loads(link.recv(timeout=10))):
@@ -83,8 +86,9 @@ def test_a_recording_is_played_at_its_speed_and_a_stop_ends_it(tmp_path: Path) -
         assert each["length_m"] == logged[each["number"]].stride_length_m
         assert each["clearance_m"] == logged[each["number"]].clearance_m
     assert {"armed", "running"} & set(states)
-    recorded_s = (logged[3].t_end_ns - int(record.samples["right_foot"].t_ns[0])) * 1e-9
-    assert took_s > 0.5 * recorded_s / 8  # not as fast as it goes
+    # not as fast as it goes: by then that would be over; the page may be open long after it has begun, though
+    recorded_s = (logged[shown[-1]["number"]].t_end_ns - int(record.samples["right_foot"].t_ns[0])) * 1e-9
+    assert seen_s - datetime.fromisoformat(record.header["created"]).timestamp() >= recorded_s / SPEED
     assert any("stopped on the page" in note.text for note in record.notes)
     assert not record.commands[-1].on
     assert repeat(log).difference == ""
@@ -95,7 +99,8 @@ def test_a_recording_is_played_at_its_speed_and_a_stop_ends_it(tmp_path: Path) -
 def test_a_session_log_is_played_too_and_then_checked(tmp_path: Path) -> None:
     replay_here(write_cut(tmp_path), tmp_path)
     (log,) = tmp_path.glob("cut-*/session.feslog")
-    with replay(tmp_path, log, "--speed", "20", "--out", "out") as (process, token, port):
+    # ten seconds: the page must be there, and open, before it is over
+    with replay(tmp_path, log, "--speed", "1.5", "--out", "out") as (process, token, port):
         with browser(port) as link:
             link.send(json.dumps({"token": token}))
             shown, _ = strides_of(link, 10_000)

@@ -1,41 +1,47 @@
 """A virtual patient between processes: `fes run` on real lines, pulses back to the patient, and the same as in one.
 
-What "the same" means between a run in real time and one on injected time, over 42 s that begin with stumbles, is what
-the loop itself makes of the pulses' timing (benchmarks/loop_pulses.py --runs 100): bursts up to 12 ms later, two of
-three with a pulse more or less, move phases by up to two samples, the toe by 4.2 mm, and the last current by 2 mA (of
-29.5) at most, by more than 1 mA in one run of sixteen. Pulses that jitter by 3 ms move the toe by up to 3.5 mm and
-the current by 0.5 mA. A sample and a step more are allowed here:
+A run in real time is one of many: when exactly a pulse comes is the machine's doing, and the loop makes more of it.
+What does not depend on that is asked for to the last bit, however the processes were held up:
 
-- every phase change, by the patient's clock, within three sampling intervals (30 ms) and a millisecond or so that the
-  line and the machine take to deliver a sample;
-- every burst begins within one command period and one sampling interval (30 ms) of the other's;
-- the same strides, but for one judged otherwise (dragged or stumbled), toe clearance within 6 mm;
-- the last tuning change within 2.5 mA.
+- the patient, given the pulses of the stimulator's own record in one process, lives the same strides, and its sensors
+  measure the very samples that are in the session's log;
+- the controller, given the events of the log in one process, sends the very commands.
+
+How far the whole run lies from one on injected time, over 42 s that begin with stumbles, is bounded well beyond what
+was measured in 14 runs beside much else (docs/virtual_patient.md): phases 20.4 ms apart at most, bursts 10.7 ms, or
+20.7 ms with one of the processes stopped for 8 to 24 ms about once a second; the toe 2.83 mm, the last current 1.0 mA.
 """
 
 from __future__ import annotations
 
+import math
 import re
 import subprocess
 import sys
 import time
 import tomllib
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from statistics import median
 
+import numpy as np
 import pytest
+from campaigns import HELD_UP_MS, faults_but_lost_time
 
 from drivers.imu.port import ImuLost
 from drivers.stimulator.open import Port, open_stimulator
 from drivers.virtual.can_node_spawn import free_bus, why_silent
-from drivers.virtual.node_record import read_record
+from drivers.virtual.node_record import RecordEntry, read_record
 from fes.calibrations import load
 from fes.cli.demo_loop import CURRENT_MA, patient
+from fes.cli.replay_log import repeat
 from fes.config import load_session, validate_session
 from fes.hil.baseline import Baseline
 from fes.hil.campaign import run_campaign
 from fes.hil.course import course
 from fes.hil.devices import start_devices
+from fes.hil.judge import MS
 from fes.hil.one_process import run_in_one_process
 from fes.hil.patient_bench import PatientBench, start_patient_bench
 from fes.hil.patient_session import calibration_of, session_text
@@ -44,11 +50,12 @@ from fes.hil.processes import Ran, SwitchedOff, run_between_processes
 from fes.hil.rig import LOST_TIME, Rig
 from fes.hil.scenarios import SCENARIOS
 from fes.journal import SessionRecord, read_session
-from fes.patient.virtual import VirtualStride
+from fes.patient.virtual import DeliveredPulse, VirtualPatient, VirtualStride
 from fes.signals import NS_PER_S, StimCommand
 
-MS = 1_000_000
 SECONDS = 42.0
+RUNS = 3
+BEYOND = 50  # samples that the patient lives on while the session is being ended: a stride may be told just then
 CHANGE = re.compile(r"current ([\d.]+) → ([\d.]+) mA")
 
 
@@ -61,19 +68,77 @@ def in_one_process(folder: Path) -> tuple[SessionRecord, list[VirtualStride]]:
     return read_session(log), [stride for stride in lived.strides if stride.foot == settings.affected_foot]
 
 
-def between_processes(folder: Path, stimulator: str) -> tuple[SessionRecord, Ran, int]:
-    """The log, the run, and when the patient's time began. Skips where the computer took the processor away."""
-    with ExitStack() as stack:
-        bench = start_patient_bench(patient(), folder, stack, stimulator=stimulator, current_ma=CURRENT_MA, held=True)
-        idle = Baseline()
-        stack.callback(idle.end)
-        try:
-            ran = run_between_processes(bench, course(SECONDS))
-        except SwitchedOff as off:
-            if any(word in off.reason for word in LOST_TIME) and idle.gaps(bench.patient.start_ns):
-                pytest.skip(f"this computer was away, an idle loop beside it as well: {off.reason}")
-            raise
-        return read_session(ran.log), ran, bench.patient.start_ns
+def between_processes(folder: Path, stimulator: str) -> tuple[Ran, int, list[RecordEntry]]:
+    """The run, when the patient's time began, and the stimulator's record of it.
+
+    A session that lost time switches off, as it must, and says so; what a stimulator tells that lost time comes too
+    late for the muscle. Either is no run that could be held against another: it is made again, and skipped where this
+    computer was away, as an idle loop beside it saw as well.
+    """
+    lost: list[str] = []
+    for number in range(RUNS):
+        place = folder / str(number)
+        place.mkdir()
+        with ExitStack() as stack:
+            bench = start_patient_bench(
+                patient(), place, stack, stimulator=stimulator, current_ma=CURRENT_MA, held=True
+            )
+            idle = Baseline()
+            stack.callback(idle.end)
+            try:
+                ran = run_between_processes(bench, course(SECONDS))
+            except SwitchedOff as off:
+                if not any(word in off.reason for word in LOST_TIME):
+                    raise
+                lost.append(off.reason)
+            else:
+                if not ran.punctuality["pulses_late"]:
+                    return ran, bench.patient.start_ns, bench.stimulator.entries()
+                lost.append(f"{ran.punctuality['pulses_late']} pulses told after the muscle should have answered")
+            if idle.gaps(bench.patient.start_ns):
+                pytest.skip(f"this computer was away, an idle loop beside it as well: {lost[-1]}")
+    raise AssertionError(f"time was lost in each of {RUNS} runs, and by no idle loop beside it: {lost}")
+
+
+def delivered(entries: list[RecordEntry], start_ns: int) -> list[DeliveredPulse]:
+    """The pulses by the stimulator's own record: one by one, or those that its levels stand for."""
+
+    def pulse(t_ns: int, level: RecordEntry) -> DeliveredPulse:
+        return DeliveredPulse(t_ns - start_ns, level.channel, level.current_ma, level.pulse_width_us)
+
+    pulses = [pulse(entry.t_ns, entry) for entry in entries if entry.event == "pulse"]
+    if pulses:
+        return pulses
+    level, next_ns = None, 0
+    for entry in entries:
+        if entry.channel != patient().channel or entry.event == "refused":
+            continue
+        if entry.event == "on":
+            level, next_ns = entry, max(entry.t_ns, next_ns)
+        while level is not None and next_ns <= entry.last_pulse_ns:
+            pulses.append(pulse(next_ns, level))
+            next_ns += int(NS_PER_S / level.frequency_hz)
+        assert entry.pulses == len(pulses)  # its own count
+        level = entry if entry.event in ("on", "level") else None
+    return pulses
+
+
+def lived_again(
+    pulses: list[DeliveredPulse], counts: Mapping[str, int]
+) -> tuple[dict[str, np.ndarray], list[VirtualStride]]:
+    """So many samples of each sensor, as its line carries them, of a patient who feels these pulses; its strides."""
+    settings = patient()
+    lived, due = VirtualPatient(settings), list(reversed(pulses))
+    rows: dict[str, list[tuple[float, ...]]] = {sensor: [] for sensor in counts}
+    step_ns = round(NS_PER_S / settings.rate_hz)
+    for number in range(1, max(counts.values()) + BEYOND + 1):
+        felt = []
+        while due and due[-1].t_ns <= number * step_ns:
+            felt.append(due.pop())
+        for sample in lived.advance(number * step_ns, felt):
+            rows[sample.sensor].append((*sample.acc_mps2, *sample.gyr_radps))
+    carried = {sensor: np.array(found[: counts[sensor]], dtype=np.float32) for sensor, found in rows.items()}
+    return carried, [stride for stride in lived.strides if stride.foot == settings.affected_foot]
 
 
 def bursts_ms(record: SessionRecord, start_ns: int) -> list[float]:
@@ -93,6 +158,11 @@ def phases_ms(record: SessionRecord, start_ns: int) -> dict[tuple[str, str], lis
     return found
 
 
+def apart_ms(times_ms: list[float], others_ms: list[float]) -> list[float]:
+    """How far each moment is from the nearest of the others."""
+    return [min((abs(one - other) for other in others_ms), default=math.inf) for one in times_ms]
+
+
 def changes_ma(record: SessionRecord) -> list[tuple[float, float]]:
     found = [CHANGE.search(note.text) for note in record.notes if note.source == "tuning"]
     return [(float(one[1]), float(one[2])) for one in found if one]
@@ -101,10 +171,19 @@ def changes_ma(record: SessionRecord) -> list[tuple[float, float]]:
 @pytest.mark.slow
 @pytest.mark.parametrize("stimulator", ["can", "p24_low_level"])
 def test_between_processes_as_in_one(tmp_path: Path, stimulator: str) -> None:
-    log, ran, start_ns = between_processes(tmp_path, stimulator)
+    ran, start_ns, entries = between_processes(tmp_path, stimulator)
+    log = read_session(ran.log)
+    # to the last bit: the patient for the pulses that were delivered, the controller for what it was told
+    pulses = delivered(entries, start_ns)
+    assert len(pulses) == ran.punctuality["pulses"]
+    samples, same = lived_again(pulses, {sensor: len(heard.t_ns) for sensor, heard in log.samples.items()})
+    for sensor, heard in log.samples.items():
+        np.testing.assert_array_equal(samples[sensor], np.hstack([heard.acc_mps2, heard.gyr_radps]), sensor)
+    assert same[: len(ran.strides)] == list(ran.strides)
+    again = repeat(ran.log)
+    assert (again.difference, again.commands) == ("", len(log.commands))
+    # the whole loop on another machine's time
     fast, strides = in_one_process(tmp_path)
-    assert ran.punctuality["pulses_late"] == 0
-    # the patient's strides
     pairs = list(zip(ran.strides, strides, strict=False))
     assert len(pairs) >= 20
     assert abs(len(ran.strides) - len(strides)) <= 1  # the last may be complete in one only
@@ -112,26 +191,24 @@ def test_between_processes_as_in_one(tmp_path: Path, stimulator: str) -> None:
     apart_mm = max(abs(one.toe_clearance_m - other.toe_clearance_m) * 1e3 for one, other in pairs)
     # the controller's decisions
     live_ms, fast_ms = phases_ms(log, start_ns), phases_ms(fast, 0)
-    assert live_ms.keys() == fast_ms.keys()
-    phase_ms = 0.0
-    for key, times in fast_ms.items():
-        assert abs(len(times) - len(live_ms[key])) <= 1
-        phase_ms = max(phase_ms, *(abs(a - b) for a, b in zip(times, live_ms[key], strict=False)))
+    phase_ms = [ms for key, times in fast_ms.items() for ms in apart_ms(times, live_ms.get(key, []))]
+    assert len(phase_ms) >= 100
     one_ms, other_ms = bursts_ms(log, start_ns), bursts_ms(fast, 0)
     assert min(len(one_ms), len(other_ms)) >= 18
-    assert abs(len(one_ms) - len(other_ms)) <= 1
-    burst_ms = max(abs(a - b) for a, b in zip(one_ms, other_ms, strict=False))
+    burst_ms = apart_ms(other_ms, one_ms)
     tuned, expected = changes_ma(log), changes_ma(fast)
     print(
-        f"{stimulator}: {len(pairs)} strides, toe clearance within {apart_mm:.2f} mm, phases {phase_ms:.1f} ms, "
-        f"{len(one_ms)} bursts {burst_ms:.1f} ms; tuning {tuned} and {expected}; patient {ran.punctuality}"
+        f"{stimulator}: {len(pairs)} strides, toe clearance within {apart_mm:.2f} mm, phases {max(phase_ms):.1f} ms, "
+        f"{len(one_ms)} bursts {max(burst_ms):.1f} ms; tuning {tuned} and {expected}; patient {ran.punctuality}"
     )
-    assert judged <= 1
-    assert apart_mm <= 6.0
-    assert phase_ms <= 31.5
-    assert burst_ms <= 30.0
+    assert judged <= 3
+    assert apart_mm <= 15.0
+    assert median(phase_ms) <= 11.5  # a sampling interval, and what the line and the machine take to deliver a sample
+    assert sum(ms > HELD_UP_MS for ms in phase_ms) <= 3  # a heel lifted once more, in one of them
+    assert median(burst_ms) <= 20.0  # a command period
+    assert sum(ms > HELD_UP_MS for ms in burst_ms) <= 1
     assert min(len(tuned), len(expected)) >= 5
-    assert abs(tuned[-1][1] - expected[-1][1]) <= 2.5
+    assert abs(tuned[-1][1] - expected[-1][1]) <= 6.0
 
 
 @pytest.mark.parametrize(("stimulator", "fault"), [("can", "weak"), ("p24_low_level", "electrode")])
@@ -235,6 +312,9 @@ def test_a_campaign_on_a_patient_who_feels_the_stimulation(tmp_path: Path, trans
     for row in done.rows:
         (attempt,) = row.attempts
         print(transport, row.scenario.name, attempt, done.baseline)
-        assert attempt.faults == ()
+        assert faults_but_lost_time(attempt.named, attempt.faults) == []
         assert attempt.off_ms is not None
-        assert attempt.off_ms <= (row.scenario.deadline_ms or 0.0) + done.baseline.most_ms
+        assert attempt.last_pulse_ms is not None
+        in_time_ms = (row.scenario.deadline_ms or 0.0) + done.baseline.most_ms
+        assert attempt.last_pulse_ms <= in_time_ms
+        assert attempt.off_ms <= in_time_ms + HELD_UP_MS  # put down late by a simulated stimulator that was held up
