@@ -124,11 +124,11 @@ class StimOpened:
 
 @dataclass(frozen=True, slots=True)
 class FootSwitchEvent:
-    """A switch under the foot closed (``pressed``) or opened."""
+    """A switch under the foot closed (``pressed``) or opened; None: it has fallen silent, and nobody knows."""
 
     t_ns: int
     foot: str
-    pressed: bool
+    pressed: bool | None
 
 
 @dataclass(frozen=True, slots=True)
