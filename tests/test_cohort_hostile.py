@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -15,6 +17,7 @@ from click.testing import CliRunner
 from distributed import Client, LocalCluster
 
 from fes.cli import main
+from fes.cli.exits import STOPPED, UNUSABLE
 from fes.cohort.engine import Task, cluster, run_tasks
 from fes.cohort.one import DONE, FAILED, Outcome, Settings, analyse_one
 from fes.cohort.report import write_pages
@@ -232,6 +235,30 @@ def test_a_scheduler_that_goes_away_is_told(threads: Client) -> None:
     with pytest.raises(CohortError, match=r"scheduler is gone.* are kept; run the same command again"):
         run_tasks(threads, [Task(key, waits, (key,), lost(key)) for key in keys], "place", tell)
     assert 3 <= len(heard) < len(keys)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [["cohort"], ["sweep", str(TRIALS / "session.toml"), "--set", "phases.swing_begins=peak"]],
+    ids=["cohort", "sweep"],
+)
+def test_no_room_for_the_results_is_an_early_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: Client, given: list[str]
+) -> None:
+    """Not an unusable input: work was done and is kept, and the same command goes on from there."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("fes.cohort.engine.cluster", lambda *_: nullcontext(threads))
+    monkeypatch.setattr(Store, "put", full)
+    command = [*given, str(lay(tmp_path / "a", "walk")), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == STOPPED, result.output
+    assert "results cannot be kept" in result.stderr
+    monkeypatch.setattr(Store, "prepare", full)
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == UNUSABLE, result.output
 
 
 @pytest.mark.parametrize(

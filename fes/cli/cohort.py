@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from fes.cli.exits import FAILED, INTERRUPTED, Problem
+from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
 
 if TYPE_CHECKING:
     from fes.cohort.one import Outcome
@@ -45,7 +45,10 @@ def command(
     the folder's name.
 
     Run the same command again after a crash or Ctrl-C: what is finished is not done again. A recording that cannot be
-    used does not stop the others; it is listed with its reason, and the exit code is then 1.
+    used does not stop the others; it is listed with its reason.
+
+    Exit code: 0 all analysed, 1 some not, 2 unusable arguments or storage, 3 stopped early (no room for the results,
+    the scheduler gone), 130 interrupted.
     """
     from fes.cohort.engine import cluster, run, workers_here
     from fes.cohort.one import Settings, drop_replaced
@@ -58,6 +61,7 @@ def command(
     except re.error as error:
         raise Problem(f"--subject-from {subject_from}: is no regular expression: {error}.") from error
     store, settings = Store(results_at(out)), Settings(not uneven, subject_from)
+    ended: type[Problem] = Problem  # how, should it not come to its end: nothing has been done yet
     try:
         sources = find([absolute(pattern) for pattern in recordings])
         by_identity = {source.identity(settings.text()): source for source in sources}
@@ -74,6 +78,7 @@ def command(
         if todo:
             number = min(workers or workers_here(), len(todo))
             with cluster(number, scheduler) as client, ProgressBar(len(todo), "analysing") as bar:
+                ended = StoppedEarly
                 run(client, todo, store, settings, bar.tell)
         if replaced := drop_replaced(store, sources, settings):
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
@@ -84,9 +89,9 @@ def command(
             page = write_pages(store, by_identity, rows)
             click.echo(f"Report     {page}")
     except CohortError as error:
-        raise Problem(str(error)) from error
+        raise ended(str(error)) from error
     except OSError as error:
-        raise Problem(f"{store.url}: the results cannot be kept there: {error}") from error
+        raise ended(f"{store.url}: the results cannot be kept there: {error}") from error
     except KeyboardInterrupt:
         click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED) from None
