@@ -72,7 +72,8 @@ def encode(value: Rare) -> tuple[RecordType, bytes]:
             foot = SENSORS.index(value.foot)
             return RecordType.PHASE, _PHASE.pack(value.t_ns, foot, value.transition, value.source, value.destination)
         case OperatorAct():
-            return RecordType.ACT, _ACT.pack(value.t_ns, value.value) + value.action.encode()
+            said = f"{value.action}\n{value.why}" if value.why else str(value.action)
+            return RecordType.ACT, _ACT.pack(value.t_ns, value.value) + said.encode()
         case Note():
             return RecordType.NOTE, encode_json(dataclasses.asdict(value))
         case StrideResult():
@@ -120,7 +121,8 @@ def decode(kind: int, payload: memoryview) -> Rare:
             return PhaseChange(t_ns, SENSORS[foot], Transition(transition), Phase(source), Phase(destination))
         case RecordType.ACT:
             t_ns, value = _ACT.unpack_from(payload)
-            return OperatorAct(t_ns, OperatorAction(str(payload[_ACT.size :], "utf-8")), value)
+            action, _, why = str(payload[_ACT.size :], "utf-8").partition("\n")
+            return OperatorAct(t_ns, OperatorAction(action), value, why)
         case RecordType.NOTE:
             return Note(**decode_json(payload))
         case RecordType.STRIDE:
