@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 import click
 
 from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
+from fes.cli.ranges import Number
 
 if TYPE_CHECKING:
     from fes.cohort.one import Outcome
@@ -26,6 +27,7 @@ PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 @click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
 @click.option("--subject-from", default="", help="A regular expression that finds the subject in a file's address.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
+@click.option("--time-limit", type=Number(min=10), help="Give up a recording that takes longer (s). Default: none.")
 @click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
 @click.option("--no-report", is_flag=True, help="Write no HTML pages.")
 def command(
@@ -35,6 +37,7 @@ def command(
     workers: int | None,
     subject_from: str,
     uneven: bool,
+    time_limit: float | None,
     retry_failed: bool,
     no_report: bool,
 ) -> None:
@@ -77,9 +80,9 @@ def command(
             click.echo(f"{len(finished)} of {len(sources)} are finished already.", err=True)
         if todo:
             number = min(workers or workers_here(), len(todo))
-            with cluster(number, scheduler) as client, ProgressBar(len(todo), "analysing") as bar:
+            with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "analysing") as bar:
                 ended = StoppedEarly
-                run(client, todo, store, settings, bar.tell)
+                run(client, todo, store, settings, bar.tell, time_limit)
         if replaced := drop_replaced(store, sources, settings):
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
         rows = _rows(store, by_identity)

@@ -45,6 +45,7 @@ def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None
 @click.option("--out", default="out/sweep", show_default=True, help="A folder or address for the results.")
 @click.option("--scheduler", default="", help="Address of a Dask scheduler. Default: processes of this machine.")
 @click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
+@click.option("--time-limit", type=Number(min=10), help="Give up a trial that takes longer (s). Default: none.")
 @click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
 @click.option("--no-report", is_flag=True, help="Write no HTML page.")
 @click.option(
@@ -61,6 +62,7 @@ def command(
     out: str,
     scheduler: str,
     workers: int | None,
+    time_limit: float | None,
     retry_failed: bool,
     no_report: bool,
 ) -> None:
@@ -117,9 +119,9 @@ def command(
             click.echo(f"{len(finished)} of {len(tasks)} are finished already.", err=True)
         if todo:
             number = min(workers or workers_here(), len(todo))
-            with cluster(number, scheduler) as client, ProgressBar(len(todo), "trying") as bar:
+            with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "trying") as bar:
                 ended = StoppedEarly
-                run_tasks(client, todo, store.url, bar.tell)
+                run_tasks(client, todo, store.url, bar.tell, time_limit)
         rows = store.table(RESULTS, tasks).to_pylist()
         measures = measures_of(rows)
         found = combinations(rows, measures)
