@@ -75,12 +75,14 @@ class OperatorAct:
 
     ``value`` is the intensity (0–1) for SET_INTENSITY, the channel's number for TEST_BURST (a short burst at rest) and
     TRIGGER (a burst now, as at the start of a step), ACCEPT_SUGGESTION (what its tuning last suggested) and ROLL_BACK
-    (to the session's own settings), the belt's speed in m/s for SET_BELT_SPEED; unused otherwise.
+    (to the session's own settings), the belt's speed in m/s for SET_BELT_SPEED; unused otherwise. ``why`` is what made
+    the session freeze its tuning by itself, when a person armed it; "" for what a person asked for.
     """
 
     t_ns: int
     action: OperatorAction
     value: float = 0.0
+    why: str = ""
 
 
 @quick
@@ -124,11 +126,11 @@ class StimOpened:
 
 @dataclass(frozen=True, slots=True)
 class FootSwitchEvent:
-    """A switch under the foot closed (``pressed``) or opened."""
+    """A switch under the foot closed (``pressed``) or opened; None: it has fallen silent, and nobody knows."""
 
     t_ns: int
     foot: str
-    pressed: bool
+    pressed: bool | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -234,6 +234,22 @@ def test_wrong_arguments(arguments: tuple[str, ...]) -> None:
     refused(call(*arguments), UNUSABLE, "Usage: ")
 
 
+NUMBERS = [
+    pytest.param(name, option.opts[0], id=f"{name} {option.opts[0]}")
+    for name, command in ((name, main.get_command(click.Context(main), name)) for name in COMMANDS)
+    for option in (command.params if command else ())
+    if isinstance(option.type, click.types.FloatParamType)
+]
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize(("name", "option"), NUMBERS)
+def test_no_option_takes_what_is_no_number(name: str, option: str, value: str) -> None:
+    result = call(name, f"{option}={value}", *["nowhere"] * 2)
+    words = refused(result, UNUSABLE, option)
+    assert "finite" in words or "not in the range" in words
+
+
 def test_results_that_cannot_be_written(log: Path, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()

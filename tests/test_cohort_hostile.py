@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from itertools import repeat
 from pathlib import Path
 
 import pytest
@@ -15,7 +20,9 @@ from click.testing import CliRunner
 from distributed import Client, LocalCluster
 
 from fes.cli import main
+from fes.cli.exits import STOPPED, UNUSABLE
 from fes.cohort.engine import Task, cluster, run_tasks
+from fes.cohort.limit import ended_after
 from fes.cohort.one import DONE, FAILED, Outcome, Settings, analyse_one
 from fes.cohort.report import write_pages
 from fes.cohort.sources import CohortError, Source, find
@@ -217,6 +224,53 @@ def test_an_error_nobody_foresaw_costs_one_task_only(threads: Client) -> None:
         assert outcome.reason == ("" if int(key) % 3 else f"LookupError: strange {key}")
 
 
+def hangs(key: str) -> Outcome:
+    """Where no other thread gets a turn, as in a compiled loop; every fifth, else it is done."""
+    if int(key) % 5 == 0:
+        sum(repeat(0))
+    return Outcome(key, key, DONE)
+
+
+@pytest.mark.slow
+def test_what_hangs_is_ended_and_costs_nobody_else() -> None:
+    keys = [str(number) for number in range(1, 9)]
+    with cluster(2, limit_s=2.0) as client:
+        tasks = [Task(key, hangs, (key,), lost(key)) for key in keys]
+        outcomes = run_tasks(client, tasks, "place", lambda _: None, limit_s=2.0)
+    assert sorted(outcome.identity for outcome in outcomes) == keys
+    assert {one.identity: one.reason for one in outcomes if one.status != DONE} == {"5": "took longer than 2 s"}
+
+
+def left_s() -> float:
+    return signal.getitimer(signal.ITIMER_REAL)[0]
+
+
+def test_the_limit_is_for_each_piece_of_work_the_nearest_counts() -> None:
+    def quicker() -> None:
+        with ended_after(500.0):
+            seen.append(left_s())
+
+    seen: list[float] = []
+    with ended_after(1000.0):
+        seen.append(left_s())
+        other = threading.Thread(target=quicker)
+        other.start()
+        other.join()
+        seen.append(left_s())
+        with ended_after(None):
+            seen.append(left_s())
+    assert [500 < seen[0] <= 1000, 0 < seen[1] <= 500, 500 < seen[2] <= seen[0], 0 < seen[3] <= seen[2]] == [True] * 4
+    assert left_s() == 0.0
+
+
+def test_the_limit_ends_what_lets_no_other_thread_have_a_turn() -> None:
+    program = (
+        "from itertools import repeat; from fes.cohort.limit import ended_after\nwith ended_after(0.1): sum(repeat(0))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], timeout=60, check=False)
+    assert done.returncode == -signal.SIGALRM
+
+
 def test_a_scheduler_that_goes_away_is_told(threads: Client) -> None:
     keys = [str(number) for number in range(200)]
     heard: list[Outcome] = []
@@ -232,6 +286,30 @@ def test_a_scheduler_that_goes_away_is_told(threads: Client) -> None:
     with pytest.raises(CohortError, match=r"scheduler is gone.* are kept; run the same command again"):
         run_tasks(threads, [Task(key, waits, (key,), lost(key)) for key in keys], "place", tell)
     assert 3 <= len(heard) < len(keys)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [["cohort"], ["sweep", str(TRIALS / "session.toml"), "--set", "phases.swing_begins=peak"]],
+    ids=["cohort", "sweep"],
+)
+def test_no_room_for_the_results_is_an_early_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, threads: Client, given: list[str]
+) -> None:
+    """Not an unusable input: work was done and is kept, and the same command goes on from there."""
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("fes.cohort.engine.cluster", lambda *_: nullcontext(threads))
+    monkeypatch.setattr(Store, "put", full)
+    command = [*given, str(lay(tmp_path / "a", "walk")), "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == STOPPED, result.output
+    assert "results cannot be kept" in result.stderr
+    monkeypatch.setattr(Store, "prepare", full)
+    result = CliRunner().invoke(main, command)
+    assert result.exit_code == UNUSABLE, result.output
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,7 @@ def everything(path: Path, seconds: float = 2.0, created: str = CREATED) -> Path
     writer.event(StimAlive(2 * 10**9, 7, 0))
     writer.event(StimOpened(2 * 10**9, 9))
     writer.event(FootSwitchEvent(2 * 10**9, "left_foot", True))
+    writer.event(FootSwitchEvent(2 * 10**9, "left_foot", None))
     writer.event(SystemFault(2 * 10**9, "left_foot lost"))
     writer.note(Note(2 * 10**9, "warning", "gate", "two\nlines, and a comma"))
     writer.phase(PhaseChange(15 * 10**8, "left_foot", Transition.T1, Phase.STANCE, Phase.PRE_SWING))
@@ -126,6 +127,7 @@ def test_csv_holds_everything(log: Path, tmp_path: Path) -> None:
     assert csv_rows(folder, "notes")[0]["text"] == "two\nlines, and a comma"
     assert csv_rows(folder, "frames")[1]["data"] == "0401"
     assert csv_rows(folder, "received")[0]["data"] == "0ff0"
+    assert [row["pressed"] for row in csv_rows(folder, "foot_switches")] == ["true", ""]
     (phase,) = csv_rows(folder, "phases")
     assert (phase["transition"], phase["source"], phase["destination"], phase["phase"]) == (
         "T1",
@@ -154,6 +156,7 @@ def test_parquet_holds_everything_with_units(log: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(imu.column("gyr_y_radps"), record.samples["right_shank"].gyr_radps[:, 1])
     assert tables["commands"].column("current_ma").to_pylist() == [10.5] * len(record.commands)
     assert tables["strides"].column("t_swing_ns").to_pylist() == [None]
+    assert tables["foot_switches"].column("pressed").to_pylist() == [True, None]
     assert tables["stride_paths"].column("y_m").to_pylist() == [1.0, 4.0, 7.0]
 
 

@@ -22,7 +22,7 @@ from drivers.imu import ximu3_codec
 from drivers.stimulator.serial_line import latency_hint
 from fes.cli import doctor_devices, doctor_host
 from fes.cli.devices import Connected, wanted_by
-from fes.cli.doctor import settings
+from fes.cli.doctor import settings, stop_file_finding
 from fes.cli.exits import FAILED, OK
 from fes.cli.finding import Finding, Verdict
 from fes.cli.main import main
@@ -207,6 +207,37 @@ def test_a_stop_file_that_is_there_is_a_failure(tmp_path: Path) -> None:
     assert done.exit_code == FAILED
     assert "arming would be refused" in done.output
     assert "→ remove it" in done.output
+
+
+def test_a_stop_file_whose_folder_is_not_there_is_a_failure(tmp_path: Path) -> None:
+    """Arming would be refused, for nobody could stop the session by it."""
+    missing, file = tmp_path / "gone" / "halt", tmp_path / "file"
+    file.touch()
+    found = only(settings(tmp_path, session(tmp_path, f'[live]\nstop_file = "{missing}"\n')), "stop file")
+    assert found.verdict is Verdict.FAILURE
+    assert str(missing.parent) in found.said
+    assert found.remedy == "make the folder"
+    assert stop_file_finding(file / "halt").verdict is Verdict.FAILURE
+    assert stop_file_finding(tmp_path / "halt").verdict is Verdict.OK
+
+
+def test_the_stop_file_may_be_named_as_for_run(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")  # is there, though it leads nowhere
+    for given in ([str(SETTINGS)], []):
+        command = ["doctor", *given, "--stop-file", str(tmp_path / "link"), "--out", str(tmp_path), "--json"]
+        done = CliRunner().invoke(main, command)
+        assert done.exit_code == FAILED
+        (found,) = [each for each in json.loads(done.stdout)["findings"] if each["name"] == "stop file"]
+        assert found["remedy"] == "remove it"
+
+
+def test_a_stop_file_in_a_folder_that_is_not_ones_own_costs_that_stop(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)  # root may write anywhere
+    found = stop_file_finding(tmp_path / "halt")
+    assert found.verdict is Verdict.WARNING
+    assert str(tmp_path) in found.said
 
 
 # --- doctor: devices --------------------------------------------------------------------------------------

@@ -54,7 +54,7 @@ statuses = st.builds(
     StimStatus, times, small, small, st.booleans(), real, real, real, st.integers(0, 2**40), real, text
 )
 alive = st.builds(StimAlive, times, st.integers(0, 2**32), st.integers(0, 2**32), text)
-acts = st.builds(OperatorAct, times, st.sampled_from(list(OperatorAction)), real)
+acts = st.builds(OperatorAct, times, st.sampled_from(list(OperatorAction)), real, text)
 events = st.one_of(samples, st.builds(Tick, times), acts, statuses, alive)
 commands = st.builds(StimCommand, times, small, st.booleans(), real, real, real, st.integers(0, 10**6), text)
 frames = st.builds(WireFrame, times, st.integers(0, 2**29 - 1), st.binary(max_size=64))

@@ -54,6 +54,7 @@ def test_what_is_logged_is_read_back(log: PipedLog) -> None:
         *(sample(number) for number in range(500)),
         StimOpened(2000 * MS, 4711),
         FootSwitchEvent(2001 * MS, "right_foot", True),
+        FootSwitchEvent(2001 * MS, "right_foot", None),
         SystemFault(2002 * MS, "left_foot: sensor lost: größer"),
     ]
     for event in events:
@@ -64,7 +65,7 @@ def test_what_is_logged_is_read_back(log: PipedLog) -> None:
     record = read_session(log.path)
     assert record.complete
     assert record.summary == {"ended": "complete"}
-    assert (record.reopened, record.switches, record.faults) == (events[-3:-2], events[-2:-1], events[-1:])
+    assert (record.reopened, record.switches, record.faults) == (events[-4:-3], events[-3:-1], events[-1:])
     log.close({})  # again: nothing
     with pytest.raises(SessionLogError, match="closed"):
         log.event(sample(1))

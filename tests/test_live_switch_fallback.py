@@ -16,7 +16,9 @@ from statemachine.phases import Phase, PhaseChange, Transition
 STRIDE_MS, SWING_MS = 1200, 450
 
 
-def walked(use: str, *, switch_until_ms: int = 8000, samples_until_ms: int = 8000) -> list[StimCommand]:
+def walked(
+    use: str, *, switch_until_ms: int = 8000, silent_at_ms: int | None = None, samples_until_ms: int = 8000
+) -> list[StimCommand]:
     """A sensor that lies still on a foot whose switch walks."""
     assert SETTINGS.is_file()
     switch = FootSwitch.model_validate({"foot": FOOT, "source": "can_bit", "use": use})
@@ -34,6 +36,8 @@ def walked(use: str, *, switch_until_ms: int = 8000, samples_until_ms: int = 800
             ]
         if ms > 500 and ms <= switch_until_ms and ms % STRIDE_MS in (0, SWING_MS // 10 * 10):
             events.append(FootSwitchEvent(ms * MS, FOOT, ms % STRIDE_MS != 0))
+        if ms == silent_at_ms:
+            events.append(FootSwitchEvent(ms * MS, FOOT, None))
         for event in events:
             gate.observe(event)
             commands += [gate.judge(event.t_ns, request) for request in controller.step(event).requests]
@@ -53,7 +57,28 @@ def test_a_switch_that_only_compares_times_nothing() -> None:
     assert not [command for command in walked("compare") if command.on]
 
 
-def test_a_switch_that_falls_silent_in_mid_burst_leaves_it_to_the_longest_on_time() -> None:
+def test_a_switch_that_falls_silent_in_mid_burst_ends_it_as_soon_as_that_is_known() -> None:
+    on = [command for command in walked("fallback", switch_until_ms=3600, silent_at_ms=4100) if command.on]
+    assert on[0].t_ns // MS >= 3600
+    assert 4080 <= on[-1].t_ns // MS <= 4100  # the sample of that moment comes before it
+
+
+def test_after_a_silence_it_is_believed_after_two_cycles_again() -> None:
+    fallback = SwitchFallback(FOOT)
+
+    def released(at_ms: int) -> list[PhaseChange]:
+        fallback.take(FootSwitchEvent((at_ms - STRIDE_MS // 2) * MS, FOOT, True))
+        return fallback.take(FootSwitchEvent(at_ms * MS, FOOT, False))
+
+    assert [bool(released(cycle * STRIDE_MS)) for cycle in range(1, 5)] == [False, False, True, True]
+    (lost,) = fallback.take(FootSwitchEvent(5000 * MS, FOOT, None))
+    assert lost.transition is Transition.NONE
+    assert fallback.take(FootSwitchEvent(5100 * MS, FOOT, None)) == []  # the sensor's bursts are not its to end
+    assert [bool(released(6000 + cycle * STRIDE_MS)) for cycle in range(1, 5)] == [False, False, True, True]
+
+
+def test_an_open_contact_that_stays_open_is_left_to_the_longest_on_time() -> None:
+    """A broken wire looks just like it."""
     on = [command.t_ns // MS for command in walked("fallback", switch_until_ms=3600) if command.on]
     assert on[0] >= 3600
     assert on[-1] <= 3600 + 3000 + 60

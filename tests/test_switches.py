@@ -123,11 +123,13 @@ def test_a_foot_switch_back_from_silence_tells_only_what_was_seen_to_change() ->
 
     assert said(True) == [FootSwitchEvent(bus.t_ns, "left_foot", True)]
     bus.t_ns += SILENT_NS + 1
+    assert foot.take(bus.t_ns) == [FootSwitchEvent(bus.t_ns, "left_foot", None)]
     assert foot.take(bus.t_ns) == []
     assert said(False) == []
     assert said(True) == []
     assert said(False) == [FootSwitchEvent(bus.t_ns, "left_foot", False)]
     bus.t_ns += SILENT_NS + 1
+    assert foot.take(bus.t_ns) == [FootSwitchEvent(bus.t_ns, "left_foot", None)]
     assert foot.take(bus.t_ns) == []
     assert said(True) == [FootSwitchEvent(bus.t_ns, "left_foot", True)]  # late, but it ends what is on
 

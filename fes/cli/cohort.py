@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from fes.cli.exits import FAILED, INTERRUPTED, Problem
+from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
+from fes.cli.ranges import Number
 
 if TYPE_CHECKING:
     from fes.cohort.one import Outcome
@@ -26,6 +27,7 @@ PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 @click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
 @click.option("--subject-from", default="", help="A regular expression that finds the subject in a file's address.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
+@click.option("--time-limit", type=Number(min=10), help="Give up a recording that takes longer (s). Default: none.")
 @click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
 @click.option("--no-report", is_flag=True, help="Write no HTML pages.")
 def command(
@@ -35,6 +37,7 @@ def command(
     workers: int | None,
     subject_from: str,
     uneven: bool,
+    time_limit: float | None,
     retry_failed: bool,
     no_report: bool,
 ) -> None:
@@ -45,7 +48,10 @@ def command(
     the folder's name.
 
     Run the same command again after a crash or Ctrl-C: what is finished is not done again. A recording that cannot be
-    used does not stop the others; it is listed with its reason, and the exit code is then 1.
+    used does not stop the others; it is listed with its reason.
+
+    Exit code: 0 all analysed, 1 some not, 2 unusable arguments or storage, 3 stopped early (no room for the results,
+    the scheduler gone), 130 interrupted.
     """
     from fes.cohort.engine import cluster, run, workers_here
     from fes.cohort.one import Settings, drop_replaced
@@ -58,6 +64,7 @@ def command(
     except re.error as error:
         raise Problem(f"--subject-from {subject_from}: is no regular expression: {error}.") from error
     store, settings = Store(results_at(out)), Settings(not uneven, subject_from)
+    ended: type[Problem] = Problem  # how, should it not come to its end: nothing has been done yet
     try:
         sources = find([absolute(pattern) for pattern in recordings])
         by_identity = {source.identity(settings.text()): source for source in sources}
@@ -73,8 +80,9 @@ def command(
             click.echo(f"{len(finished)} of {len(sources)} are finished already.", err=True)
         if todo:
             number = min(workers or workers_here(), len(todo))
-            with cluster(number, scheduler) as client, ProgressBar(len(todo), "analysing") as bar:
-                run(client, todo, store, settings, bar.tell)
+            with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "analysing") as bar:
+                ended = StoppedEarly
+                run(client, todo, store, settings, bar.tell, time_limit)
         if replaced := drop_replaced(store, sources, settings):
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
         rows = _rows(store, by_identity)
@@ -84,9 +92,9 @@ def command(
             page = write_pages(store, by_identity, rows)
             click.echo(f"Report     {page}")
     except CohortError as error:
-        raise Problem(str(error)) from error
+        raise ended(str(error)) from error
     except OSError as error:
-        raise Problem(f"{store.url}: the results cannot be kept there: {error}") from error
+        raise ended(f"{store.url}: the results cannot be kept there: {error}") from error
     except KeyboardInterrupt:
         click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,9 +20,10 @@ from fes.config import ConfigError, Session, load_session
 @click.option(
     "--out", type=click.Path(path_type=Path), help="Where results will go. Default: the session's live.folder."
 )
+@click.option("--stop-file", type=click.Path(path_type=Path), help="As for `fes run`. Default: live.stop_file.")
 @click.option("--hours", type=Number(min=0.01), default=4.0, show_default=True, help="Length of the session.")
 @click.option("--json", "json_wanted", is_flag=True, help="As JSON on stdout.")
-def command(session: Path | None, out: Path | None, hours: float, json_wanted: bool) -> None:
+def command(session: Path | None, out: Path | None, stop_file: Path | None, hours: float, json_wanted: bool) -> None:
     """Check ports, buses, rates, clocks, disk and permissions; with SESSION (TOML) also all that it names.
 
     Sensors are read for two seconds. The stimulator is asked whether it is there; nothing is stimulated.
@@ -29,7 +31,7 @@ def command(session: Path | None, out: Path | None, hours: float, json_wanted: b
     Exit code: 0 a session can begin (warnings name a cost), 1 it cannot.
     """
     findings = []
-    for finding in examined(session, out, hours):
+    for finding in examined(session, out, stop_file, hours):
         findings.append(finding)
         if not json_wanted:
             tell(finding)
@@ -41,7 +43,7 @@ def command(session: Path | None, out: Path | None, hours: float, json_wanted: b
         raise SystemExit(FAILED)
 
 
-def examined(path: Path | None, out: Path | None, hours: float) -> Iterator[Finding]:
+def examined(path: Path | None, out: Path | None, stop_file: Path | None, hours: float) -> Iterator[Finding]:
     """One finding after the other, as they come."""
     from fes.cli.doctor_devices import devices  # the drivers, and what follows them, only now
     from fes.cli.doctor_host import host
@@ -53,14 +55,16 @@ def examined(path: Path | None, out: Path | None, hours: float) -> Iterator[Find
         except ConfigError as error:
             yield failure("session", str(error), "correct the file; docs/sessions.md lists every setting")
         else:
-            yield from settings(path, session)
+            yield from settings(path, session, stop_file)
+    elif stop_file:
+        yield stop_file_finding(stop_file)
     yield from host(session, out or Path(session.live.folder if session else "out"), hours)
     if session is not None:
         yield from devices(session)
 
 
-def settings(path: Path, session: Session) -> Iterator[Finding]:
-    """What the session file says, as far as a live session needs it."""
+def settings(path: Path, session: Session, stop_file: Path | None = None) -> Iterator[Finding]:
+    """What the session file says, as far as a live session needs it; ``stop_file`` in place of its own."""
     if not session.channels:
         yield warning("session", f"{path}: has no channel; nothing can be stimulated", "add a [[channels]] table")
     else:
@@ -78,11 +82,21 @@ def settings(path: Path, session: Session) -> Iterator[Finding]:
                 f"{channel.name} follows the {channel.foot}, which no sensor is worn on",
                 "add its [[sensors]]",
             )
-    stop_file = session.live.stop_file
-    if stop_file and (hidden := cannot_be_seen(stop_file)):
+    if stop_file or session.live.stop_file:
+        yield stop_file_finding(stop_file or Path(session.live.stop_file))
+
+
+def stop_file_finding(path: Path) -> Finding:
+    """Whether the file is away, and could appear."""
+    name, folder = "stop file", path.absolute().parent
+    if hidden := cannot_be_seen(path):
         remedy = "name a file in a folder that this user may enter; it would never be seen to appear"
-        yield failure("stop file", f"{stop_file}: {hidden}", remedy)
-    elif stop_file and Path(stop_file).exists():
-        yield failure("stop file", f"{stop_file} is there; arming would be refused", "remove it")
-    elif stop_file:
-        yield ok("stop file", f"{stop_file} is not there")
+        return failure(name, f"{path}: {hidden}", remedy)
+    if os.path.lexists(path):  # a link that leads nowhere is there too
+        return failure(name, f"{path} is there; arming would be refused", "remove it")
+    if not folder.is_dir():
+        return failure(name, f"{path} cannot appear: {folder} is no folder; arming would be refused", "make the folder")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        remedy = "name a file in a folder that all may write to who are to stop the session"
+        return warning(name, f"{path}: this user may not write to {folder}, and cannot stop the session by it", remedy)
+    return ok(name, f"{path} is not there")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fes.cli.cohort import ProgressBar, absolute, results_at
-from fes.cli.exits import FAILED, INTERRUPTED, Problem
+from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
 from fes.cli.ranges import Number
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None
 @click.option("--out", default="out/sweep", show_default=True, help="A folder or address for the results.")
 @click.option("--scheduler", default="", help="Address of a Dask scheduler. Default: processes of this machine.")
 @click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
+@click.option("--time-limit", type=Number(min=10), help="Give up a trial that takes longer (s). Default: none.")
 @click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
 @click.option("--no-report", is_flag=True, help="Write no HTML page.")
 @click.option(
@@ -61,6 +62,7 @@ def command(
     out: str,
     scheduler: str,
     workers: int | None,
+    time_limit: float | None,
     retry_failed: bool,
     no_report: bool,
 ) -> None:
@@ -74,7 +76,10 @@ def command(
     strides, a virtual patient by toe clearance, stumbles and charge. The session as it is comes along for comparison.
 
     Run the same command again after a crash or Ctrl-C, or with more values: what is finished is not done again. A
-    combination that fails does not stop the others; it is listed with its reason, and the exit code is then 1.
+    combination that fails does not stop the others; it is listed with its reason.
+
+    Exit code: 0 all tried, 1 some trials failed, 2 unusable arguments, settings or storage, 3 stopped early (no room
+    for the results, the scheduler gone), 130 interrupted.
     """
     from fes.cohort.engine import cluster, run_tasks, workers_here
     from fes.cohort.one import DONE
@@ -88,6 +93,7 @@ def command(
         raise Problem("Give RECORDINGS to try on, or --patients N; one of the two.")
     if not asked:
         raise Problem("Nothing to sweep. Give --set NAME=VALUE,VALUE; `fes sweep --names` lists the names.")
+    ended: type[Problem] = Problem  # how, should it not come to its end: nothing has been done yet
     try:
         axes = [axis(each) for each in asked]
         tried = points(axes, sample, seed)
@@ -113,8 +119,9 @@ def command(
             click.echo(f"{len(finished)} of {len(tasks)} are finished already.", err=True)
         if todo:
             number = min(workers or workers_here(), len(todo))
-            with cluster(number, scheduler) as client, ProgressBar(len(todo), "trying") as bar:
-                run_tasks(client, todo, store.url, bar.tell)
+            with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "trying") as bar:
+                ended = StoppedEarly
+                run_tasks(client, todo, store.url, bar.tell, time_limit)
         rows = store.table(RESULTS, tasks).to_pylist()
         measures = measures_of(rows)
         found = combinations(rows, measures)
@@ -125,9 +132,9 @@ def command(
             store.write_text(PAGE, sweep_page(axes, found, measures, [case.url for case in cases], bench.session.name))
             click.echo(f"Report     {store.place(PAGE)}")
     except (CohortError, ConfigError) as error:
-        raise Problem(str(error)) from error
+        raise ended(str(error)) from error
     except OSError as error:
-        raise Problem(f"{out}: the results cannot be kept there: {error}") from error
+        raise ended(f"{out}: the results cannot be kept there: {error}") from error
     except KeyboardInterrupt:
         click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED) from None

@@ -12,6 +12,7 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
+from fes.cohort.limit import ended_after
 from fes.cohort.one import Outcome, Settings, analyse_one, keep_failure, reason_of
 from fes.cohort.program import program
 from fes.cohort.sources import CohortError, Source
@@ -27,6 +28,7 @@ SHORTEST_S: Final = 0.05  # … though not less than this …
 LARGEST_BATCH: Final = 128  # … and never more tasks than this
 CONNECT_S: Final = 10.0
 DEATHS: Final = 3  # of its process, after which a task is given up
+NO_DEATHS: Final = 0  # with a time limit, for each of them may last as long; tried once more it is all the same
 QUIET: Final = {  # what Dask does besides the work every 10 ms to 2 s took 4 % of two processors from the work
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",
@@ -56,8 +58,11 @@ class Task:
 
 
 @contextmanager
-def cluster(workers: int, scheduler: str = "") -> Iterator[Client]:
+def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> Iterator[Client]:
     """A client of the cluster at ``scheduler``, or of one with ``workers`` single-threaded processes on this machine.
+
+    Args:
+        limit_s: which tasks will have.
 
     Raises:
         CohortError: it does not answer, has no worker, or its workers have another version of this program.
@@ -67,7 +72,8 @@ def cluster(workers: int, scheduler: str = "") -> Iterator[Client]:
     import dask
     from distributed import Client, LocalCluster
 
-    dask.config.set({"distributed.scheduler.allowed-failures": DEATHS, "distributed.comm.timeouts.connect": CONNECT_S})
+    deaths = DEATHS if limit_s is None else NO_DEATHS
+    dask.config.set({"distributed.scheduler.allowed-failures": deaths, "distributed.comm.timeouts.connect": CONNECT_S})
     dask.config.set(QUIET)
     if scheduler:
         try:
@@ -108,8 +114,15 @@ def _check(client: Client, scheduler: str) -> None:
             raise CohortError(f"{address}: has fes {version}, not {program()}. Install the same version on all.")
 
 
-def run(client: Client, sources: Sequence[Source], store: Store, settings: Settings, tell: Tell) -> list[Outcome]:
-    """Analyse recordings on a cluster, each once; ``tell`` hears of each as it is finished.
+def run(
+    client: Client,
+    sources: Sequence[Source],
+    store: Store,
+    settings: Settings,
+    tell: Tell,
+    limit_s: float | None = None,
+) -> list[Outcome]:
+    """Analyse recordings on a cluster, each once; ``tell`` hears of each as it is finished, or after ``limit_s``.
 
     Raises:
         CohortError: as :func:`run_tasks`.
@@ -119,14 +132,17 @@ def run(client: Client, sources: Sequence[Source], store: Store, settings: Setti
         lost = partial(keep_failure, source, store, settings)
         return Task(source.identity(settings.text()), analyse_one, (source, store, settings), lost)
 
-    return run_tasks(client, [task(source) for source in sources], store.url, tell)
+    return run_tasks(client, [task(source) for source in sources], store.url, tell, limit_s)
 
 
-def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> list[Outcome]:
+def run_tasks(
+    client: Client, tasks: Sequence[Task], place: str, tell: Tell, limit_s: float | None = None
+) -> list[Outcome]:
     """Do every task once, many of them in a batch; ``place`` is where results are kept, for messages.
 
     A worker that dies loses nothing: what it had is done again elsewhere, and results replace themselves. What was on a
-    worker whenever it died is tried once more by itself, at the end: only the task that is to blame is given up.
+    worker whenever it died is tried once more by itself, at the end: only the task that is to blame is given up. One
+    that takes longer than ``limit_s`` dies with its process.
 
     Raises:
         CohortError: results cannot be kept any more, or the cluster is gone; what is kept stays.
@@ -146,7 +162,8 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
     def submitted(batch: list[Task]) -> object:
         key = f"fes-{batch[0].key}-{next(numbers)}"
         of[key] = batch
-        return client.submit(_do, pickle.dumps([(task.work, task.arguments) for task in batch]), key=key, pure=False)
+        pickled = pickle.dumps([(task.work, task.arguments) for task in batch])
+        return client.submit(_do, pickled, limit_s, key=key, pure=False)
 
     def following() -> list[Task]:
         share = max(len(waiting) // (BATCHES * workers), int(SHORTEST_S / pace_s))
@@ -154,7 +171,7 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
         return [waiting.pop() for _ in range(most)]
 
     running = as_completed([submitted(following()) for _ in range(min(AHEAD * workers, len(waiting)))])
-    alone = False
+    alone, began_s = False, 0.0
     for future in running:
         batch = of.pop(future.key)
         finished: list[Outcome] = []
@@ -167,7 +184,10 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
             pace_s = max(seconds / len(batch), 1e-6)
         except KilledWorker:
             if alone:
-                why = f"the process that worked on it died {DEATHS} times; is it too long for a worker's memory?"
+                times = f"{DEATHS} times" if limit_s is None else "twice"
+                why = f"the process that worked on it died {times}; is it too long for a worker's memory?"
+                if limit_s is not None and time.monotonic() - began_s >= limit_s:
+                    why = f"took longer than {limit_s:g} s"
                 finished = [batch[0].lost(why)]
             else:
                 suspects += batch
@@ -186,12 +206,12 @@ def run_tasks(client: Client, tasks: Sequence[Task], place: str, tell: Tell) -> 
         while waiting and len(of) < AHEAD * workers:
             running.add(submitted(following()))
         if suspects and not of:
-            alone = True
+            alone, began_s = True, time.monotonic()
             running.add(submitted([suspects.pop()]))
     return outcomes
 
 
-def _do(pickled: bytes) -> tuple[list[Outcome | str], float]:
+def _do(pickled: bytes, limit_s: float | None = None) -> tuple[list[Outcome | str], float]:
     """Work on a batch; the outcomes, and how long it took in s. In one piece, or Dask looks into all of it.
 
     Where a task ends with an error that nobody foresaw, its reason stands in place of the outcome.
@@ -203,7 +223,8 @@ def _do(pickled: bytes) -> tuple[list[Outcome | str], float]:
     outcomes: list[Outcome | str] = []
     for work, arguments in pickle.loads(pickled):
         try:
-            outcomes.append(work(*arguments))
+            with ended_after(limit_s):
+                outcomes.append(work(*arguments))
         except (OSError, CohortError):
             raise
         except Exception as error:  # must not take the others of the batch along

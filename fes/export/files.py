@@ -36,9 +36,7 @@ def to_csv(log: Path, folder: Path) -> Exported:
 
 
 def _csv_cells(values: list[Any]) -> list[Any]:
-    if values and isinstance(values[0], bool):
-        return ["true" if value else "false" for value in values]
-    return [known(value) for value in values]
+    return [str(value).lower() if isinstance(value, bool) else known(value) for value in values]
 
 
 def to_parquet(log: Path, folder: Path) -> Exported:

@@ -17,7 +17,12 @@ from fes.journal.record import SessionLogError, not_made
 
 EXTRA: Final = "mcap"
 _LARGEST_TIME: Final = (1 << 63) - 1
-_JSON_TYPES: Final = {"int": ["integer", "null"], "float": ["number", "null"], "bool": ["boolean"], "text": ["string"]}
+_JSON_TYPES: Final = {
+    "int": ["integer", "null"],
+    "float": ["number", "null"],
+    "bool": ["boolean", "null"],
+    "text": ["string"],
+}
 
 
 def to_mcap(log: Path, target: Path) -> Exported:

@@ -48,7 +48,15 @@ UNITS: Final = {
     "m": "m",
 }
 _ARRAYS = ("trajectory_m", "pitch_rad")
-_TYPES: Final = {"int": "int", "int | None": "int", "float": "float", "bool": "bool", "bytes": "text", "str": "text"}
+_TYPES: Final = {
+    "int": "int",
+    "int | None": "int",
+    "float": "float",
+    "bool": "bool",
+    "bool | None": "bool",
+    "bytes": "text",
+    "str": "text",
+}
 
 
 @dataclass(frozen=True, slots=True)

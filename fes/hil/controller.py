@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 from fes.hil.uninterrupted import uninterrupted
 
 LONGEST_S: Final = 3600
+_WITH_PARENT: Final = "from fes.live.orphan import interrupted_with; interrupted_with({}); "
 _START: Final = "from fes.cli import main; main(prog_name='fes')"
 
 
@@ -61,6 +62,8 @@ def _began(pid: int) -> str:
 class ControllerProcess:
     """A running ``fes run``; always :meth:`end` it. Make it, and keep it, ``uninterrupted()``.
 
+    Should this process be killed, the session is interrupted as by SIGTERM, where the system tells it (Linux).
+
     Args:
         settings: its session file.
         calibration: so that walking counts at once.
@@ -79,7 +82,8 @@ class ControllerProcess:
         self.control.unlink(missing_ok=True)
         self.stop_file.unlink(missing_ok=True)
         reading, self._keys = os.pipe()
-        command = [sys.executable, "-c", _START, "run", str(settings), "--out", str(folder)]
+        program = _WITH_PARENT.format(os.getpid()) + _START
+        command = [sys.executable, "-c", program, "run", str(settings), "--out", str(folder)]
         command += ["--calibration", str(calibration), "--control", str(self.control)]
         command += ["--stop-file", str(self.stop_file), "--keys-from", str(reading), "--duration", str(LONGEST_S)]
         command += ["--view" if view else "--no-view", *(["--page"] if page else [])]

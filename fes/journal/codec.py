@@ -33,6 +33,7 @@ _ACT = struct.Struct("<qd")
 _ALIVE = struct.Struct("<qqq")
 _OPENED = struct.Struct("<qI")
 _SWITCH = struct.Struct("<qBB")
+_SILENT = 2  # beside not pressed and pressed
 # from the narrowest form to the one that takes everything; the flags' upper bits say which
 _STATUS = tuple(map(struct.Struct, ("<BqBBHffff", "<BqBBHdddd", "<Bqqqqdddd")))
 _COMMAND = tuple(map(struct.Struct, ("<BqBHfff", "<BqBHddd", "<Bqqqddd")))
@@ -71,7 +72,8 @@ def encode(value: Rare) -> tuple[RecordType, bytes]:
             foot = SENSORS.index(value.foot)
             return RecordType.PHASE, _PHASE.pack(value.t_ns, foot, value.transition, value.source, value.destination)
         case OperatorAct():
-            return RecordType.ACT, _ACT.pack(value.t_ns, value.value) + value.action.encode()
+            said = f"{value.action}\n{value.why}" if value.why else str(value.action)
+            return RecordType.ACT, _ACT.pack(value.t_ns, value.value) + said.encode()
         case Note():
             return RecordType.NOTE, encode_json(dataclasses.asdict(value))
         case StrideResult():
@@ -79,7 +81,8 @@ def encode(value: Rare) -> tuple[RecordType, bytes]:
         case StimOpened():
             return RecordType.STIM_OPENED, _OPENED.pack(value.t_ns, value.session_id)
         case FootSwitchEvent():
-            return RecordType.FOOT_SWITCH, _SWITCH.pack(value.t_ns, SENSORS.index(value.foot), value.pressed)
+            pressed = _SILENT if value.pressed is None else value.pressed
+            return RecordType.FOOT_SWITCH, _SWITCH.pack(value.t_ns, SENSORS.index(value.foot), pressed)
         case Received():
             return RecordType.RECEIVED, _TICK.pack(value.t_ns) + value.data
         case SystemFault():
@@ -118,7 +121,8 @@ def decode(kind: int, payload: memoryview) -> Rare:
             return PhaseChange(t_ns, SENSORS[foot], Transition(transition), Phase(source), Phase(destination))
         case RecordType.ACT:
             t_ns, value = _ACT.unpack_from(payload)
-            return OperatorAct(t_ns, OperatorAction(str(payload[_ACT.size :], "utf-8")), value)
+            action, _, why = str(payload[_ACT.size :], "utf-8").partition("\n")
+            return OperatorAct(t_ns, OperatorAction(action), value, why)
         case RecordType.NOTE:
             return Note(**decode_json(payload))
         case RecordType.STRIDE:
@@ -127,7 +131,7 @@ def decode(kind: int, payload: memoryview) -> Rare:
             return StimOpened(*_OPENED.unpack(payload))
         case RecordType.FOOT_SWITCH:
             t_ns, foot, pressed = _SWITCH.unpack(payload)
-            return FootSwitchEvent(t_ns, SENSORS[foot], bool(pressed))
+            return FootSwitchEvent(t_ns, SENSORS[foot], None if pressed == _SILENT else bool(pressed))
         case RecordType.SYSTEM_FAULT:
             (t_ns,) = _TICK.unpack_from(payload)
             return SystemFault(t_ns, str(payload[_TICK.size :], "utf-8"))

@@ -164,7 +164,7 @@ class StopSwitch:
 
 
 class FootSwitchInput:
-    """A switch under a foot: each change is an event, except a release of which nobody knows when it was."""
+    """A switch under a foot: each change is an event, and silence; no release of which nobody knows when it was."""
 
     def __init__(self, foot: str, line: SwitchLine) -> None:
         self._foot = foot
@@ -179,7 +179,9 @@ class FootSwitchInput:
     def take(self, t_ns: int) -> list[Event]:
         """The change, if there was one. A foot that is found lifted after a silence may long have been."""
         was, self._pressed = self._pressed, self._line.read()
-        if self._pressed is None or self._pressed == self._told or (was is None and not self._pressed):
+        if self._pressed is None:
+            return [] if was is None else [FootSwitchEvent(t_ns, self._foot, None)]
+        if self._pressed == self._told or (was is None and not self._pressed):
             return []
         self._told = self._pressed
         return [FootSwitchEvent(t_ns, self._foot, self._pressed)]

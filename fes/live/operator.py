@@ -183,8 +183,9 @@ class Operator:
         self._moved = "; ".join(filter(None, moved))
         if not self._moved or all(tuner.frozen for tuner in tuners.values()):
             return []
+        freeze = OperatorAct(t_ns, OperatorAction.FREEZE_TUNING, why=self._moved)
         self._moved += "; tuning is frozen"
-        return [OperatorAct(t_ns, OperatorAction.FREEZE_TUNING)]
+        return [freeze]
 
     def _armed(self, t_ns: int) -> None:
         if self._gate.armed:

@@ -22,6 +22,8 @@ class SwitchComparison:
 
     def switch(self, event: FootSwitchEvent) -> None:
         """The switch closed or opened."""
+        if event.pressed is None:
+            return
         self._switch[event.foot, "contact" if event.pressed else "release"].append(event.t_ns)
 
     def phase(self, change: PhaseChange) -> None:

@@ -1,8 +1,9 @@
 """A foot switch as the trigger's fallback: it times bursts while the sensor's side tells no steps. Pure, causal.
 
 The switch opens when the foot is lifted and closes when it lands. Once it has gone through two cycles of walking while
-the sensor told no swing, its changes stand for the phases; the sensor's first swing takes over again. The gate
-judges as ever: without fresh data from the sensor there is no current, whatever the switch says.
+the sensor told no swing, its changes stand for the phases; the sensor's first swing takes over again, and a switch that
+falls silent ends what it began. The gate judges as ever: without fresh data from the sensor there is no current,
+whatever the switch says.
 """
 
 from __future__ import annotations
@@ -48,8 +49,16 @@ class SwitchFallback:
         if self._released_ns is not None and t_ns - self._released_ns > LONGEST_CYCLE_NS:
             self._released_ns, self._cycles = None, 0  # stands, or the switch is stuck
         if isinstance(event, FootSwitchEvent) and event.foot == self.foot:
+            if event.pressed is None:
+                return self._silent(t_ns)
             changes += self._landed(t_ns) if event.pressed else self._released(t_ns)
         return changes if self.active else []
+
+    def _silent(self, t_ns: int) -> list[PhaseChange]:
+        """Nobody knows when the foot lands; the sensor may have taken over long ago."""
+        lost = [self._change(t_ns, Transition.NONE, Phase.STANCE, Phase.STANCE)] if self.active else []
+        self._released_ns, self._landed_ns, self._cycles = None, None, 0
+        return lost
 
     def _released(self, t_ns: int) -> list[PhaseChange]:
         before_ns, self._released_ns = self._released_ns, t_ns

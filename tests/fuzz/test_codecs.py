@@ -217,6 +217,7 @@ RECORDS = [
         StimAlive(1, 77, 3, "voltage"),
         StimOpened(1, 99),
         FootSwitchEvent(1, "left_foot", True),
+        FootSwitchEvent(1, "left_foot", None),
         SystemFault(1, "stalled"),
         ON,
         WireFrame(1, 0x120, b"12345678"),

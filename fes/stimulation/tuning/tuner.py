@@ -73,8 +73,9 @@ class Tuner:
         """The intensity was set, or stimulation switched: strides that saw it teach nothing."""
         self._filter.operator_changed(t_ns)
 
-    def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
-        """Nothing changes any more until :meth:`resume`."""
+    def freeze(self, t_ns: int, why: str = "") -> TuningReport:
+        """Nothing changes any more until :meth:`resume`; without ``why`` a person wants it so."""
+        why = why or "on demand"
         self.frozen, self.pending, self._returning = why, None, None
         self._watch.forget()
         self._answering.forget()

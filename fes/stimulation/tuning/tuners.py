@@ -56,7 +56,7 @@ class Tuners:
                     tuner.operator_changed(act.t_ns)
             return self._on_intensity(act) if act.action is OperatorAction.SET_INTENSITY else ()
         if act.action is OperatorAction.FREEZE_TUNING:
-            return self._remember(tuner.freeze(act.t_ns) for tuner in self.tuners.values())
+            return self._remember(tuner.freeze(act.t_ns, act.why) for tuner in self.tuners.values())
         if act.action is OperatorAction.RESUME_TUNING:
             return self._remember(tuner.resume(act.t_ns) for tuner in self.tuners.values() if tuner.frozen)
         chosen = next((tuner for number, tuner in self.tuners.items() if number == act.value), None)
