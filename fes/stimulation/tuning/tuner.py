@@ -13,7 +13,7 @@ from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.answering import Answering
 from fes.stimulation.tuning.demand import Demand, Responses, at_contact, in_mid_swing, reason
-from fes.stimulation.tuning.guardrails import Watch, drive_of, limited, outside, peak_of, used
+from fes.stimulation.tuning.guardrails import Watch, at_most, drive_of, limited, outside, peak_of, used
 from fes.stimulation.tuning.intensity import Intensity
 from fes.stimulation.tuning.learning import Zones
 from fes.stimulation.tuning.lowering import Lowering
@@ -79,6 +79,11 @@ class Tuner:
         self._watch.forget()
         self._answering.forget()
         return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
+
+    def stay(self) -> None:
+        """Stopped by itself: on its way back, only what makes it weaker still counts."""
+        if self._returning is not None:
+            self._returning = at_most(self._returning, self.parameters)
 
     def resume(self, t_ns: int) -> TuningReport:
         """Go on after a freeze; where the foot did not answer, without what was learnt meanwhile."""
