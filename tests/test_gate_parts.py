@@ -639,12 +639,12 @@ def test_step_back_in_time_is_told_to_the_microsecond() -> None:
 # --- the gate of a session ----------------------------------------------------------------------------------
 
 
-def session_gate() -> SafetyGate:
+def session_gate(**more: float) -> SafetyGate:
     """A session with a narrow sensor on the shank, which tells the foot's phases; data may be 15 ms old."""
     shank = NARROW.model_copy(update={"sensor": "left_shank"})
     stimulation = Stimulation(max_data_age_ms=15, validity_ms=50)
     session = Session(name="x", channels=(make_channel(),), sensors=(shank,), stimulation=stimulation)
-    return gate_of(session, {"left_shank": (0.0, 0.0, 1.0)}, {"left_foot": "left_shank"})
+    return gate_of(session, {"left_shank": (0.0, 0.0, 1.0)}, {"left_foot": "left_shank"}, **more)
 
 
 def shank_sample(gate: SafetyGate, t_ns: int, acc: Vector3 = UP) -> None:
@@ -660,6 +660,15 @@ def test_gate_of_a_session_takes_all_that_the_session_says() -> None:
     assert (command.on, command.validity_ms) == (True, 50)
     late = gate.judge(S + 16 * MS, replace(ASKED, current_ma=0.5))
     assert late.refused == "left_shank data 16 ms old, limit 15 ms"
+
+
+@pytest.mark.parametrize(("more", "most_ma"), [({}, 0.5), ({"current_step_ma": 1.0}, 1.0)])
+def test_gate_of_a_session_knows_the_stimulators_step(more: dict[str, float], most_ma: float) -> None:
+    for current_ma in (most_ma, most_ma + 0.1):
+        gate = session_gate(**more)
+        shank_sample(gate, S)
+        gate.observe(OperatorAct(S, OperatorAction.ARM))
+        assert gate.judge(S, replace(ASKED, current_ma=current_ma)).on is (current_ma == most_ma)
 
 
 def test_gate_of_a_session_knows_ranges_and_mounting() -> None:

@@ -196,6 +196,20 @@ def test_first_command_ever_may_be_one_step() -> None:
 
 
 @pytest.mark.requirement("SR-05")
+@pytest.mark.parametrize(
+    ("step_ma", "most_ma"), [(0.1, 0.5), (0.5, 0.5), (1.0, 1.0), (2.0, 2.0), (3.0, 2.0), (float("nan"), 0.5)]
+)
+def test_the_step_that_is_granted_is_the_devices_own_within_bounds(step_ma: float, most_ma: float) -> None:
+    """A device of coarser steps can rise only by them; what calls itself coarser than any is not believed."""
+    for current_ma in (most_ma, most_ma + 0.1):
+        bench = Bench(arm=False, current_step_ma=step_ma)
+        bench.sample()
+        bench.rearm()
+        assert bench.ask(current_ma=current_ma).on is (current_ma == most_ma)
+        assert bool(bench.gate.latched) is (current_ma != most_ma)
+
+
+@pytest.mark.requirement("SR-05")
 def test_absolute_rise_limit_holds() -> None:
     channel = unchecked_channel(**LOOSE)
     bench = Bench(channel)

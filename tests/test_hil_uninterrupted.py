@@ -17,7 +17,7 @@ from fes.hil import controller as controller_module
 from fes.hil.patient_bench import PatientBench
 from fes.hil.processes import run_between_processes
 from fes.hil.rig import Bench, Rig
-from fes.hil.uninterrupted import uninterrupted
+from fes.hil.uninterrupted import SIGNALS, uninterrupted
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -40,6 +40,45 @@ def test_a_signal_waits_and_is_not_lost(number: int) -> None:
     finally:
         signal.signal(number, before)
     assert done == ["all of it"]
+
+
+@pytest.mark.parametrize("moment", ["entering", "leaving"])
+def test_a_signal_that_acts_while_handlers_change_leaves_no_other_signal_deaf(
+    moment: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The handlers change one after the other, and a signal may come between any two."""
+    acted: list[int] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        acted.append(number)
+        raise KeyboardInterrupt
+
+    real = signal.signal
+
+    def interrupted(number: int, handler: Any) -> Any:
+        was = real(number, handler)
+        if number == signal.SIGINT and (handler is interrupt) == (moment == "leaving"):
+            monkeypatch.setattr(signal, "signal", real)
+            signal.raise_signal(signal.SIGINT if moment == "leaving" else signal.SIGTERM)
+        return was
+
+    def enter() -> None:
+        monkeypatch.setattr(signal, "signal", interrupted)
+        with uninterrupted():
+            pass
+
+    before = {number: real(number, interrupt) for number in SIGNALS}
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            enter()
+        for number in SIGNALS:
+            acted.clear()
+            with pytest.raises(KeyboardInterrupt):
+                signal.raise_signal(number)
+            assert acted == [number]
+    finally:
+        for number, handler in before.items():
+            real(number, handler)
 
 
 def test_what_is_ignored_stays_ignored_and_is_inherited_so() -> None:

@@ -159,6 +159,29 @@ def test_where_gravity_is_not_what_it_was_at_calibration_the_foot_is_measured_bu
     assert all(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
 
 
+def test_going_on_after_a_pause_does_not_call_frozen_what_a_person_has_resumed() -> None:
+    bench = Bench(tuned())
+    bench.stand(3.0, acc=(0.0, 0.0, 9.97))
+    bench.order(Ask.ARM)
+    bench.order(Ask.RESUME_TUNING)
+    bench.order(Ask.PAUSE)
+    bench.order(Ask.PAUSE)
+    assert bench.operator.state is State.ARMED
+    assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+    assert "tuning is frozen" not in bench.operator.message
+    assert len([note for note in bench.notes if "calibrate again" in note.text]) == 1
+
+
+def test_who_arms_again_is_told_again_that_tuning_is_frozen() -> None:
+    bench = Bench(tuned())
+    bench.stand(3.0, acc=(0.0, 0.0, 9.97))
+    for _ in range(2):
+        bench.order(Ask.ARM)
+        assert bench.gate.armed
+        assert "calibrate again; tuning is frozen" in bench.operator.message
+        bench.order(Ask.DISARM)
+
+
 def test_where_gravity_is_what_it_was_tuning_goes_on() -> None:
     for gravity_mps2 in (9.76, 9.86):
         bench = Bench(tuned())

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
+from live_parts import MS, FakeStimulator, Lost
 from replays import SETTINGS
-from test_live_operator import CALIBRATION, FOOT
+from test_live_operator import CALIBRATION, FOOT, settings
 from test_live_run import SENSOR, run
 
 from drivers.stimulator.open import electrodes_told_from_ma
@@ -21,7 +22,12 @@ from fes.journal import SessionLogError
 from fes.journal.writer import SessionWriter
 from fes.live.electrodes import Electrodes
 from fes.live.header import live_header
-from fes.signals import OperatorAct, OperatorAction, StimOpened, StimRequest, StimStatus, Tick
+from fes.live.log_pipe import PipedLog
+from fes.live.session import LiveSession
+from fes.live.stimulator import LiveStimulator
+from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, StimOpened, StimRequest, StimStatus, Tick
+
+STANDS = (0.0, 0.0, 9.81)
 
 
 def session(folder: Path, text: str) -> Session:
@@ -84,6 +90,28 @@ def test_currents_are_decided_in_the_stimulators_steps() -> None:
     assert max(half) == 16.5
     assert max(whole) == 16.0
     assert all(current_ma == int(current_ma) for current_ma in whole)
+
+
+def test_a_burst_in_coarse_steps_that_begins_right_after_a_command_is_let_through_live_and_in_replay(
+    tmp_path: Path,
+) -> None:
+    """30 mA within 150 ms: when 1 mA is reached the last command, still off, is 1 ms old."""
+    path, worn, calibrations = tmp_path / "session.feslog", settings(), {FOOT: CALIBRATION}
+    log = PipedLog(path, live_header(worn, calibrations, 1, "", 0, 1.0))
+    stimulator = FakeStimulator()
+    lasting = LiveStimulator(stimulator, lambda: pytest.fail("it was not lost"), Lost, lambda: 0)
+    live = LiveSession(worn, calibrations, log, lasting, lambda: 0, current_step_ma=1.0)
+    events: list[Event] = [ImuSample(t_ms * MS, FOOT, t_ms * MS, STANDS, (0.001 * t_ms, 0.0, 0.0)) for t_ms in (20, 40)]
+    events += [OperatorAct(40 * MS, OperatorAction.ARM), OperatorAct(40 * MS, OperatorAction.SET_INTENSITY, 1.0)]
+    events += [OperatorAct(56 * MS, OperatorAction.TEST_BURST, 0.0)]
+    events += [ImuSample(t_ms * MS, FOOT, t_ms * MS, STANDS, (0.001 * t_ms, 0.0, 0.0)) for t_ms in (60, 61)]
+    for event in events:
+        live.runner.handle(event)
+    live.runner.all_off()
+    log.close({"ended": "complete"})
+    assert live.gate.latched == ""
+    assert [command.current_ma for command in stimulator.sent[-3:]] == [0.0, 1.0, 0.0]
+    assert repeat(path).now.commands == stimulator.sent
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 from rich.console import Console
 
+from fes.cli import demo_loop
 from fes.cli.demo import command as demo
 from fes.cli.demo_loop import patient, result_of
 from fes.cli.loop_view import LoopView
@@ -92,6 +93,18 @@ def test_an_interrupted_demo_leaves_its_report(tmp_path: Path, monkeypatch: pyte
     folder = tmp_path / "closed_loop-001"
     assert "12.0 → 14.0 mA" in (folder / "report.html").read_text()
     assert len((folder / "patient.strides.csv").read_text().splitlines()) == 1 + 5
+
+
+def test_a_demo_interrupted_before_its_log_has_a_header_is_interrupted_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*given: object) -> None:
+        (tmp_path / "closed_loop-001" / "session.feslog").touch()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(demo_loop, "_in_one_process", interrupted)
+    done = CliRunner().invoke(demo, ["--closed-loop", "--fast", "--out", str(tmp_path)])
+    assert done.exit_code == 130, done.output
 
 
 def test_a_demo_on_a_full_disk_ends_with_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

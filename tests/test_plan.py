@@ -543,14 +543,18 @@ def phase_steps(draw: st.DrawFn) -> list[tuple[int, int, bool, float]]:
     return draw(st.lists(step, max_size=12))
 
 
+@pytest.mark.parametrize("step_ma", [0.5, 1.0, 2.0])
 @given(channels=channel_sets(), left=phase_steps(), right=phase_steps())
 @settings(max_examples=100, deadline=None)
 def test_gate_never_refuses_what_the_plan_asks(
-    channels: tuple[Channel, ...], left: list[tuple[int, int, bool, float]], right: list[tuple[int, int, bool, float]]
+    step_ma: float,
+    channels: tuple[Channel, ...],
+    left: list[tuple[int, int, bool, float]],
+    right: list[tuple[int, int, bool, float]],
 ) -> None:
     """Any phases at any pace, changing intensity, both feet; samples every 4 ms, commands every 20 ms or when due."""
-    plan = StimulationPlan(channels)
-    gate = SafetyGate(channels, max_data_age_ms=40, validity_ms=60)
+    plan = StimulationPlan(channels, current_step_ma=step_ma)
+    gate = SafetyGate(channels, max_data_age_ms=40, validity_ms=60, current_step_ma=step_ma)
     changes = sorted(changes_of("left_foot", left) + changes_of("right_foot", right), key=lambda pair: pair[0].t_ns)
     phases = {"left_foot": LOADING, "right_foot": LOADING}
     end_ms = (changes[-1][0].t_ns // MS if changes else 0) + 1000
@@ -574,6 +578,22 @@ def test_gate_never_refuses_what_the_plan_asks(
             assert not request.on or within_run(phases[channel.foot], channel)
             on += request.on
     event("stimulated" if on else "silent")
+
+
+def test_gate_lets_a_device_of_coarse_steps_begin_right_after_a_command() -> None:
+    """The command may be another channel's; 200 mA/s where 400 are allowed, in steps of 1 mA."""
+    channels = (make_channel(limits={"max_rise_ma_per_s": 400.0}),)
+    plan = StimulationPlan(channels, current_step_ma=1.0)
+    gate = SafetyGate(channels, max_data_age_ms=40, validity_ms=60, current_step_ma=1.0)
+    gate.observe(ImuSample(0, "left_foot", 0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
+    gate.observe(OperatorAct(0, OperatorAction.ARM))
+    gate.judge(0, plan.requests(0, 1.0)[0])
+    plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
+    asked = [plan.requests(t_ms * MS, 1.0)[0] for t_ms in (4, 5)]
+    assert [request.current_ma for request in asked] == [0.0, 1.0]
+    commands = [gate.judge(t_ms * MS, request) for t_ms, request in zip((4, 5), asked, strict=True)]
+    assert [command.current_ma for command in commands] == [0.0, 1.0]
+    assert gate.latched == ""
 
 
 def changes_of(

@@ -10,12 +10,15 @@ import pytest
 from tuning_plant import BAND, BOUNDS, channel, charge_of, stride, tuning
 
 from fes.config import Band, Tuning
+from fes.config import Session as Settings
+from fes.signals import OperatorAct, OperatorAction
 from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.answering import LIKE_NONE, NO_ANSWER, Answering
 from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.targets import PITCH as TOE_UP
 from fes.stimulation.tuning.targets import Measure, Reading
 from fes.stimulation.tuning.tuner import Tuner
+from fes.stimulation.tuning.tuners import Tuners
 
 SECOND = 1_000_000_000
 PITCH = {"low": 4.0, "high": 25.0}
@@ -110,6 +113,25 @@ def test_no_answer_at_all_goes_back_and_stops(method: str, drags: bool, seed: in
     for before, after in pairwise(done.parameters):
         assert abs(after.current_ma - before.current_ma) <= 2.0 + 1e-9
         assert all(abs(b - a) <= 20.0 + 1e-9 for a, b in zip(before.widths_us, after.widths_us, strict=True))
+
+
+@pytest.mark.parametrize("act", [OperatorAction.FREEZE_TUNING, OperatorAction.SET_INTENSITY])
+@pytest.mark.parametrize("method", ["run_to_run", "learning"])
+def test_on_its_way_back_it_is_not_stopped_where_it_had_climbed_to(method: str, act: OperatorAction) -> None:
+    """Another channel's tuning may be frozen meanwhile; when the electrode is put back, it gets no more for that."""
+    done = begun(Foot(quality=0.0), method=method)
+    while not done.stopped:
+        done.walk(1)
+    assert strength(done.tuner.parameters) > strength(done.tuner.start)
+    own = channel(done.tuner.tuning)
+    tuners = Tuners(Settings(name="a walk", channels=(own, own.model_copy(update={"number": 1}))))
+    tuners.tuners[0] = done.tuner
+    tuners.on_act(OperatorAct(0, OperatorAction.SET_INTENSITY, 1.0))
+    tuners.on_act(OperatorAct(0, act, 0.5))
+    assert tuners.tuners[1].frozen
+    done.walk(12)
+    assert strength(done.tuner.parameters) <= strength(done.tuner.start)
+    assert done.tuner.frozen == f"{NO_ANSWER}: look at the electrodes"
 
 
 def test_put_back_and_told_to_go_on_it_starts_from_the_sessions_settings_and_from_what_it_sees() -> None:

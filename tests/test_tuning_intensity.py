@@ -7,6 +7,7 @@ from tuning_plant import Plant, channel, charge_of, stride, tuning
 
 from fes.config import Session, Stimulation
 from fes.signals import NS_PER_S, OperatorAct, OperatorAction
+from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.tuners import Tuners
 
 OWN_UC = 9.0  # the channel's own 30 mA for 300 µs
@@ -62,6 +63,26 @@ def test_what_a_person_took_away_is_not_brought_back(method: str):
     assert walk.charge_uc == pytest.approx(0.6 * before_uc)
     walk.set(1.0)
     assert walk.charge_uc == pytest.approx(before_uc)
+
+
+class Hopeless(Plant):
+    """Worse with every change in either direction."""
+
+    def clearance_m(self, parameters: BurstParameters, intensity: float = 1.0) -> float:
+        return 0.008 - 0.003 * abs(parameters.current_ma - 30.0)
+
+
+def test_one_that_stopped_itself_does_not_bring_it_back_either():
+    walk = Walk("run_to_run", Hopeless()).set(1.0)
+    tuner = walk.tuners.tuners[0]
+    while not tuner.frozen:
+        walk.walk(1)
+    assert "stopped itself" in tuner.frozen
+    assert tuner.parameters.current_ma < tuner.start.current_ma  # on its way back to that
+    before_uc = walk.set(0.6).charge_uc
+    walk.walk(5)
+    assert walk.charge_uc == pytest.approx(before_uc)
+    assert "stopped itself" in tuner.frozen
 
 
 @pytest.mark.parametrize("method", ["run_to_run", "learning"])

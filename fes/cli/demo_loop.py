@@ -6,7 +6,7 @@ import csv
 import json
 import tomllib
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
@@ -104,7 +104,8 @@ def _keep(folder: Path, strides: Sequence[VirtualStride]) -> None:
     """What an interrupted run leaves besides its log: the patient's strides, and the report so far."""
     write_strides(folder / "patient.strides.csv", strides)
     for log in sorted(folder.rglob(f"session{LOG_SUFFIX}")):
-        _report(log, folder / "report.html")
+        with suppress(SessionLogError):  # too short for a header: there is nothing to report
+            _report(log, folder / "report.html")
 
 
 def result_of(strides: Sequence[VirtualStride]) -> dict[str, Any]:

@@ -124,7 +124,8 @@ def repeat(path: Path) -> Repeated:
     try:
         session, calibrations, session_id = settings_of(record.header, path)
         current_step_ma = _step_ma(record.header.get("current_step_ma", CURRENT_STEP_MA))
-        gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
+        up = {sensor: each.up for sensor, each in calibrations.items()}
+        gate = gate_of(session, up, driven_by(calibrations), current_step_ma)
         controller = Controller(session, calibrations, current_step_ma=current_step_ma)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, ConfigError):

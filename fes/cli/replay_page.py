@@ -83,8 +83,9 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
         fail(error)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         fail(SessionLogError(f"{path}: its header is not one of this version: {error}"))
-    gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
     step_ma = float(record.header.get("current_step_ma", CURRENT_STEP_MA))
+    up = {sensor: each.up for sensor, each in calibrations.items()}
+    gate = gate_of(session, up, driven_by(calibrations), step_ma)
     controller = Controller(session, calibrations, current_step_ma=step_ma)
     warm_up()
     stage = Stage(folder, session, calibrations, record.header, Collected(), controller, gate, port)

@@ -19,7 +19,7 @@ from fes import limits
 from fes.config import Channel, ImuDevice
 from fes.gate.electrical import Pulse, is_number, no_number, over_a_cap, shown
 from fes.gate.freshness import Freshness
-from fes.gate.line import Line
+from fes.gate.line import COARSEST_STEP_MA, RISE_STEP_MA, Line
 from fes.gate.plausible import Plausible
 from fes.gate.stamps import Stamps
 from fes.signals import (
@@ -56,6 +56,7 @@ class SafetyGate:
         devices: the sensors' settings; without a sensor's ranges its saturation cannot be told.
         up: each sensor's upward direction at calibration; without it its mounting is not judged.
         driven_by: for a foot whose phases another sensor tells (its shank's), that sensor.
+        current_step_ma: the stimulator's step of current, at most ``COARSEST_STEP_MA``; a rise may be rounded to it.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class SafetyGate:
         devices: tuple[ImuDevice, ...] = (),
         up: Mapping[str, Vector3] | None = None,
         driven_by: Mapping[str, str] | None = None,
+        current_step_ma: float = RISE_STEP_MA,
     ) -> None:
         self._validity_ms = min(limits.MAX_VALIDITY_MS, validity_ms)
         self._freshness = Freshness(min(limits.MAX_DATA_AGE_MS, max_data_age_ms) * 1_000_000)
@@ -74,10 +76,11 @@ class SafetyGate:
         self._stamps = Stamps()
         self._driven_by = dict(driven_by or {})
         self._lines: dict[int, Line] = {}
+        step_ma = min(max(RISE_STEP_MA, current_step_ma), COARSEST_STEP_MA)
         for channel in channels:
             named_by = {other.number for other in channels if channel.number in other.never_with}
             partners = frozenset(named_by | set(channel.never_with))
-            self._lines[channel.number] = Line(channel, partners, self._validity_ms * 1_000_000)
+            self._lines[channel.number] = Line(channel, partners, self._validity_ms * 1_000_000, step_ma)
         self._relied_on = frozenset(self._sensor(line) for line in self._lines.values())
         self._flagged: dict[str, Flagged] = {}
         self._event_ns: int | None = None

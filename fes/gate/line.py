@@ -11,7 +11,8 @@ from fes.gate.dose import Dose
 from fes.gate.electrical import Caps, caps_of
 from fes.signals import NS_PER_S
 
-RISE_STEP_MA: Final = 0.5  # the devices' finest step: a ramp rounded to it may run this far ahead of its line
+RISE_STEP_MA: Final = 0.5  # most devices' step: a ramp rounded to it may run this far ahead of its line
+COARSEST_STEP_MA: Final = 2.0  # a device of still coarser steps is none for a ramp
 ROUNDING_MA: Final = 1e-6  # of sums of floating-point numbers
 ANSWERED_NS: Final = NS_PER_S // 4  # longer after its last command no answer tells of pulses that it asked for
 
@@ -21,7 +22,7 @@ class Line:
     """A channel's settings, its antagonists' numbers, and its state.
 
     ``ramp_ma`` is a line that climbs no faster than the rise limit and never lies above the current let out; a request
-    may exceed it by one device step. So no sequence of commands, however dense, beats the limit by more than a step.
+    may exceed it by ``step_ma``. So no sequence of commands, however dense, beats the limit by more than a step.
     The limits from ``caps`` on are, each, the absolute one or the channel's own, whichever is tighter.
     ``held_back``: the burst now asked for was refused though nothing is broken; see :mod:`fes.gate.gate`.
     """
@@ -29,6 +30,7 @@ class Line:
     channel: Channel
     partners: frozenset[int]
     validity_ns: int
+    step_ma: float
     on: bool = False
     on_since_ns: int = 0
     off_since_ns: int | None = None
@@ -96,7 +98,7 @@ class Line:
 
     def rises_too_fast(self, t_ns: int, current_ma: float) -> str:
         """Says so when this current is more than the ramp can have reached."""
-        most_ma = self._ramp_ma_at(t_ns) + RISE_STEP_MA
+        most_ma = self._ramp_ma_at(t_ns) + self.step_ma
         if current_ma <= most_ma + ROUNDING_MA:
             return ""
         return f"rise to {current_ma:.4g} mA too fast, at most {most_ma:.4g} mA by now"

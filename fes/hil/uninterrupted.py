@@ -24,16 +24,22 @@ def uninterrupted() -> Iterator[None]:
         yield
         return
     came: list[int] = []
+    waits = False
 
     def remember(number: int, frame: FrameType | None) -> None:
-        came.append(number)
+        if waits:
+            came.append(number)
+        else:  # between two changes of handlers: what this one does may end them half-way
+            before[number](number, frame)
 
-    before = {number: handler for number in SIGNALS if callable(handler := signal.getsignal(number))}
+    before = {int(number): handler for number in SIGNALS if callable(handler := signal.getsignal(number))}
     for number in before:
         signal.signal(number, remember)
     try:
+        waits = True
         yield
     finally:
+        waits = False
         for number, handler in before.items():
             signal.signal(number, handler)
         for number in dict.fromkeys(came):

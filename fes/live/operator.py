@@ -75,7 +75,7 @@ class Operator:
         self._stopped_ns = -STOP_STANDS_NS
         self._intensity = 0.0
         self._tuning = TuningOrders(controller)
-        self._moved = ""  # why the measured heights cannot be trusted, as of the last arming
+        self._moved = ""  # why the measured heights cannot be trusted, found by the arming under way
 
     @property
     def state(self) -> State:
@@ -170,7 +170,8 @@ class Operator:
         if doubts := self.doubts(t_ns, at_rest=not resumes):
             return self._refuse(t_ns, "cannot arm: " + "; ".join(doubts))
         arm = OperatorAct(t_ns, OperatorAction.ARM)
-        if resumes:
+        self._moved = ""
+        if resumes:  # nobody rests, so nothing is known of zeros; and tuning may go on by a person's own word
             return [arm]
         self._intensity = 0.0  # whatever it was: from nothing, by hand
         return [OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0), arm, *self._without_heights(t_ns)]
@@ -180,12 +181,12 @@ class Operator:
         tuners = self._controller.tuning.tuners
         feet = {str(channel.foot) for channel in self._session.channels if channel.number in tuners}
         moved = [self._watches[self._drivers[foot]].zero_moved(t_ns) for foot in sorted(feet & self._drivers.keys())]
-        self._moved = "; ".join(filter(None, moved))
-        if not self._moved or all(tuner.frozen for tuner in tuners.values()):
+        if not any(moved):
             return []
-        freeze = OperatorAct(t_ns, OperatorAction.FREEZE_TUNING, why=self._moved)
-        self._moved += "; tuning is frozen"
-        return [freeze]
+        why = "; ".join(filter(None, moved))
+        self._moved = f"{why}; tuning is frozen"
+        frozen = all(tuner.frozen for tuner in tuners.values())
+        return [] if frozen else [OperatorAct(t_ns, OperatorAction.FREEZE_TUNING, why=why)]
 
     def _armed(self, t_ns: int) -> None:
         if self._gate.armed:

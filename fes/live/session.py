@@ -58,7 +58,10 @@ class LiveSession:
     ) -> None:
         self.controller = Controller(session, calibrations, current_step_ma=current_step_ma)
         self.gate = gate_of(
-            session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations)
+            session,
+            {sensor: each.up for sensor, each in calibrations.items()},
+            driven_by(calibrations),
+            current_step_ma,
         )
         watches = {
             str(device.sensor): SensorWatch(device, calibrations.get(device.sensor)) for device in session.sensors

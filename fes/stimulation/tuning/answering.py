@@ -12,12 +12,12 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from statistics import median
 from typing import Final
 
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.guardrails import drive_of
+from fes.stimulation.tuning.guardrails import at_most, drive_of
 from fes.stimulation.tuning.response import BELIEVED, NOISE, NOISE_AT_CONTACT, SLOPE_BOUNDS
 from fes.stimulation.tuning.targets import Reading
 
@@ -91,8 +91,7 @@ class Answering:
     def before(self, own: BurstParameters) -> BurstParameters:
         """The settings before the climb, the intensity at most the session's ``own``."""
         weakest = min((walked.parameters for walked in self._run), key=lambda one: drive_of(one, own), default=own)
-        widths = tuple(min(pair) for pair in zip(weakest.widths_us, own.widths_us, strict=True))
-        return replace(weakest, current_ma=min(weakest.current_ma, own.current_ma), widths_us=widths)
+        return at_most(weakest, own)
 
     def _climbed_in_vain(self, enough: float) -> bool:
         if len(self._run) < STRIDES:

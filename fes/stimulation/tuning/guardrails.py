@@ -38,6 +38,12 @@ def limited(before: BurstParameters, wanted: BurstParameters, tuning: Tuning) ->
     )
 
 
+def at_most(wanted: BurstParameters, most: BurstParameters) -> BurstParameters:
+    """``wanted``, nowhere stronger than ``most``."""
+    widths = tuple(min(pair) for pair in zip(wanted.widths_us, most.widths_us, strict=True))
+    return replace(wanted, current_ma=min(wanted.current_ma, most.current_ma), widths_us=widths)
+
+
 def drive_of(parameters: BurstParameters, own: BurstParameters) -> float:
     """Stimulation relative to the session's own settings, at full intensity."""
     return parameters.current_ma / own.current_ma * parameters.mean_width_us / own.mean_width_us

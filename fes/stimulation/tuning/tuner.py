@@ -13,7 +13,7 @@ from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.answering import Answering
 from fes.stimulation.tuning.demand import Demand, Responses, at_contact, in_mid_swing, reason
-from fes.stimulation.tuning.guardrails import Watch, drive_of, limited, outside, peak_of, used
+from fes.stimulation.tuning.guardrails import Watch, at_most, drive_of, limited, outside, peak_of, used
 from fes.stimulation.tuning.intensity import Intensity
 from fes.stimulation.tuning.learning import Zones
 from fes.stimulation.tuning.lowering import Lowering
@@ -73,13 +73,17 @@ class Tuner:
         """The intensity was set, or stimulation switched: strides that saw it teach nothing."""
         self._filter.operator_changed(t_ns)
 
-    def freeze(self, t_ns: int, why: str = "") -> TuningReport:
-        """Nothing changes any more until :meth:`resume`; without ``why`` a person wants it so."""
-        why = why or "on demand"
+    def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
+        """Nothing changes any more until :meth:`resume`."""
         self.frozen, self.pending, self._returning = why, None, None
         self._watch.forget()
         self._answering.forget()
         return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
+
+    def stay(self) -> None:
+        """Stopped by itself: on its way back, only what makes it weaker still counts."""
+        if self._returning is not None:
+            self._returning = at_most(self._returning, self.parameters)
 
     def resume(self, t_ns: int) -> TuningReport:
         """Go on after a freeze; where the foot did not answer, without what was learnt meanwhile."""

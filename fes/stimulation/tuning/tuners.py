@@ -56,7 +56,7 @@ class Tuners:
                     tuner.operator_changed(act.t_ns)
             return self._on_intensity(act) if act.action is OperatorAction.SET_INTENSITY else ()
         if act.action is OperatorAction.FREEZE_TUNING:
-            return self._remember(tuner.freeze(act.t_ns, act.why) for tuner in self.tuners.values())
+            return self._freeze(act.t_ns, act.why or "on demand")
         if act.action is OperatorAction.RESUME_TUNING:
             return self._remember(tuner.resume(act.t_ns) for tuner in self.tuners.values() if tuner.frozen)
         chosen = next((tuner for number, tuner in self.tuners.items() if number == act.value), None)
@@ -69,8 +69,14 @@ class Tuners:
         lowered, self._intensity = 0.0 < act.value < self._intensity, act.value
         if not lowered:
             return ()
-        why = "the intensity was lowered by hand"
-        return self._remember(tuner.freeze(act.t_ns, why) for tuner in self.tuners.values() if not tuner.frozen)
+        return self._freeze(act.t_ns, "the intensity was lowered by hand")
+
+    def _freeze(self, t_ns: int, why: str) -> tuple[TuningReport, ...]:
+        """All that go on. One that has stopped itself keeps its reason, and goes back to less, but not to more."""
+        for tuner in self.tuners.values():
+            if tuner.frozen:
+                tuner.stay()
+        return self._remember(tuner.freeze(t_ns, why) for tuner in self.tuners.values() if not tuner.frozen)
 
     def on_stride(self, t_ns: int, foot: str, stride: StrideResult, intensity: float) -> tuple[TuningReport, ...]:
         """A stride of this foot has been closed."""
