@@ -92,7 +92,8 @@ def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> 
             n_workers=workers,
             threads_per_worker=1,
             processes=True,
-            dashboard_address=None,
+            dashboard_address=":0",  # health and metrics are served in any case; left away, where others serve theirs
+            scheduler_kwargs={"dashboard": False},
             preload=["fes.cohort.worker"],
             silence_logs=logging.CRITICAL,  # a worker that died is told as what was lost, if anything was
         ) as own,
