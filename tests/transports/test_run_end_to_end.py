@@ -159,9 +159,8 @@ def test_stopped_and_continued_it_notices_the_gap_and_stays_off(loop: tuple[Path
         said = run.quit()
         assert run.process.returncode == OK, said
         record = read_session(run.log)
-        # stopped while it waits it finds the stall first, in the middle of an event what has come of it; it names both
-        named = faults_named(record) + notes_of(run, "warning")
-        assert any("stalled for" in text for text in named), named
+        # what latched depends on where it was stopped (tests/test_live_stalls.py); that it was away does not
+        assert faults_named(record)
         assert record.summary["stalls"] >= 1
         assert record.summary["longest_stall_ms"] >= (goes_on_ns - blow_ns) / MS - MARGIN_MS
         assert repeat(run.log).difference == ""
