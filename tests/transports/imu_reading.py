@@ -6,12 +6,14 @@ passed: tests wait for it, and tell by its own stamp when a sample was taken.
 
 from __future__ import annotations
 
+import math
 import select
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from drivers.imu.port import ImuLost, ImuPort, RawSample
+from drivers.virtual.imu_signal import ImuSignal
 from drivers.virtual.imu_spawn import ImuHandle
 from fes.config.devices import ImuDevice
 from fes.signals import NS_PER_S
@@ -37,6 +39,12 @@ class Taken:
     def late_ns(self, sample: RawSample) -> int:
         """How long after that it was read."""
         return sample.t_host_ns - self.ns(sample)
+
+    def as_played(self, sample: RawSample, signal: ImuSignal, acc: float = 1e-3, gyr: float = 1e-5) -> bool:
+        """Whether it is what the sensor plays at that time of its clock, to within so many m/s² and rad/s."""
+        number = round((sample.t_device_ns - int(self.offset_s * NS_PER_S)) * signal.rate_hz / NS_PER_S)
+        acc_mps2, gyr_radps = signal.at(number)
+        return math.dist(sample.acc_mps2, acc_mps2) < acc and math.dist(sample.gyr_radps, gyr_radps) < gyr
 
     def since(self, port: ImuPort, told_ns: int, number: int) -> list[RawSample]:
         """So many samples that were taken at this instant or later; those from before it, still on their way, go."""

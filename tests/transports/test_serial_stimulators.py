@@ -97,13 +97,13 @@ class Host:
         for _ in range(commands):
             self._send(self._t_ns, on)
             self.written_ns = time.monotonic_ns()
-            time.sleep(PERIOD_NS * 1e-9)
             self._t_ns += PERIOD_NS
             self.poll(self._t_ns)
             while self.port.outstanding:
                 assert time.monotonic_ns() - self.written_ns < 10_000 * MS, "never answered"
                 time.sleep(0.001)
                 self.poll(self._t_ns)
+            time.sleep(PERIOD_NS * 1e-9)  # now: after a late answer the next pulse would still have to queue
 
     def _send(self, t_ns: int, on: bool) -> None:
         levels = (20.0 + self.sent % 2, 300.0, 40.0) if on else (0.0, 0.0, 0.0)
