@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import os
 import signal
@@ -56,6 +57,16 @@ def link_of(run: LiveRun, timeout_s: float = 120.0) -> str:
         assert time.monotonic() < end_s
         time.sleep(0.02)
     return found[0].read_text().strip()
+
+
+def answer_of(port: int, timeout_s: float = 60.0) -> int:
+    """The page's answer, once it has come up."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=timeout_s)
+    try:
+        connection.request("GET", "/")
+        return connection.getresponse().status
+    finally:
+        connection.close()
 
 
 def state_is(*states: str) -> str:
@@ -282,6 +293,7 @@ def test_a_stop_by_request_is_prompt(standing: tuple[Path, Path], tmp_path: Path
     recording, calibration = standing
     with live_run(tmp_path, recording, "--calibration", calibration, "--page") as run:
         port = int(link_of(run).split(":")[2].split("/")[0])
+        assert answer_of(port) == http.client.OK  # the link is there sooner than the server
         run.armed_at(0.3)
         with burst_by_hand(run):
             blow_ns = time.monotonic_ns()
