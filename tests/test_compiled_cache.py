@@ -178,3 +178,31 @@ def test_a_user_without_a_home_compiles(tmp_path: Path) -> None:
     done = subprocess.run(command, env=where, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert list(tmp_path.rglob("*.nbi"))
+
+
+TURNED = """
+import sys
+import numba
+numba.__version__ = sys.argv[1] or numba.__version__
+import numpy as np
+from fes.estimation.rotation import foot_axes
+rng, axes = np.random.default_rng(3), np.empty((50, 3, 3))
+q = rng.normal(size=(50, 4))
+foot_axes(q, rng.normal(size=3), rng.normal(size=3), axes)
+print("fes.estimation.compiler" in sys.modules, axes.tobytes().hex())
+"""
+
+
+def test_a_numba_that_nobody_has_tried_compiles_by_itself_to_the_same_numbers(tmp_path: Path) -> None:
+    """What is replaced within numba may be another thing there, and nothing would tell."""
+
+    def turned(version: str) -> tuple[str, str]:
+        where = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+        command = [sys.executable, "-c", TURNED, version]
+        done = subprocess.run(command, env=where, capture_output=True, text=True, check=True)
+        ours, numbers = done.stdout.split()
+        return ours, numbers
+
+    (ours, numbers), (by_itself, same) = turned(""), turned("0.68.99")
+    assert (ours, by_itself) == ("True", "False")
+    assert same == numbers

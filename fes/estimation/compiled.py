@@ -3,11 +3,15 @@
 numba decides by a file's own time stamp whether its cached machine code is still good, and does not see a change in a
 function that the file calls. A guard edited in ``statemachine/guards.py`` would go on running in its old form. So the
 cache lives in a folder named by a digest of all the sources that get compiled together.
+
+:mod:`fes.estimation.compiler` reaches deep into numba. With a release that it has not been tried with, numba compiles
+as it does by itself: for longer, and to the same numbers.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import tempfile
 from collections.abc import Callable
@@ -17,11 +21,21 @@ from typing import Any, Final, TypeVar, cast
 import numba
 
 import fes.signals
-from fes.estimation.compiler import OPTIONS
-from fes.estimation.compiler import Function as Compiled
-from fes.estimation.compiler_cache import unkept
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+TRIED: Final = "0.68.0", "0.68.1"  # releases of numba
+_told: list[Exception] = []
+
+
+def unkept(error: Exception) -> None:
+    """Say once that compiled code cannot be kept."""
+    if not _told:
+        _told.append(error)
+        logging.getLogger(__name__).warning(
+            "Compiled code cannot be kept, so the next start takes as long as this one: %s. Make room there, or name "
+            "another folder in XDG_CACHE_HOME.", error
+        )  # fmt: skip
 
 
 def _sources() -> list[Path]:
@@ -60,7 +74,20 @@ setattr(numba.config, "CACHE_DIR", str(CACHE))  # noqa: B010 - numba fills its c
 
 
 def _compiled(function: Function, **options: str) -> Function:
-    return cast(Function, Compiled(function, targetoptions={**OPTIONS, **options}))
+    if numba.__version__ not in TRIED:
+        plain: Any = numba.njit
+        return cast(Function, plain(cache=CACHE.is_dir(), nogil=True, **options)(function))
+    from fes.estimation import compiler
+
+    return cast(Function, compiler.Function(function, targetoptions={**compiler.OPTIONS, **options}))
+
+
+def load() -> None:
+    """Load what only compiling needs; by itself that comes with the first function."""
+    if numba.__version__ in TRIED:
+        from fes.estimation import compiler
+
+        compiler.load()
 
 
 def jit(function: Function) -> Function:

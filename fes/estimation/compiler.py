@@ -7,8 +7,8 @@ cache are for what Python calls, at its first call. Nor has what numba compiles 
 took a twelfth of the time. Arithmetic and its order are untouched. A cache that cannot be written to, for lack of space
 or of rights, costs time at the next start and nothing else.
 
-This reaches deeper into numba than its documented interface: ``pyproject.toml`` holds numba to a release that the tests
-have seen.
+This reaches deeper into numba than its documented interface: it is for releases that the tests have seen
+(:mod:`fes.estimation.compiled`).
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from numba.core.target_extension import CPU, dispatcher_registry
 from numba.core.typed_passes import NativeLowering, NopythonRewrites
 from numba.core.untyped_passes import InlineInlinables
 
-from fes.estimation.compiler_cache import Cache, unkept
+from fes.estimation.compiled import unkept
+from fes.estimation.compiler_cache import Cache
 from fes.estimation.compiler_ir import Inlining, Target
 from fes.estimation.compiler_llvm import BorrowingLowering, Lowering
 from fes.estimation.compiler_spared import spared

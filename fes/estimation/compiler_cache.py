@@ -10,7 +10,6 @@ would keep things beside the sources instead, where they go stale; here nothing 
 from __future__ import annotations
 
 import hashlib
-import logging
 import pickle
 import zlib
 from pathlib import Path
@@ -18,6 +17,8 @@ from typing import Any
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, UserProvidedCacheLocator
 from numba.core.runtime.nrt import rtsys
+
+from fes.estimation.compiled import unkept
 
 _CHECK_BYTES = 4
 
@@ -80,16 +81,3 @@ class Cache(FunctionCache):
             super().save_overload(sig, data._replace(type_annotation=""))
         except OSError as error:
             unkept(error)
-
-
-_told: list[Exception] = []
-
-
-def unkept(error: Exception) -> None:
-    """Say once that compiled code cannot be kept."""
-    if not _told:
-        _told.append(error)
-        logging.getLogger(__name__).warning(
-            "Compiled code cannot be kept, so the next start takes as long as this one: %s. Make room there, or name "
-            "another folder in XDG_CACHE_HOME.", error
-        )  # fmt: skip
