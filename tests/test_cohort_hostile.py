@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 from distributed import Client, LocalCluster
+from pyarrow import parquet
 
 from fes.cli import main
 from fes.cli.exits import STOPPED, UNUSABLE
@@ -26,7 +27,7 @@ from fes.cohort.limit import ended_after
 from fes.cohort.one import DONE, FAILED, Outcome, Settings, analyse_one
 from fes.cohort.report import write_pages
 from fes.cohort.sources import CohortError, Source, find
-from fes.cohort.store import RECORDINGS, Store
+from fes.cohort.store import RECORDINGS, STRIDES, Store
 from fes.cohort.sweep_grid import axis, points
 from fes.recording import RecordingError
 from fes.recording.sidecar import load_sidecar
@@ -135,6 +136,38 @@ def test_a_damaged_part_is_named_with_what_to_do(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["cohort", str(folder), "--out", str(out)])
     assert result.exit_code == 2
     assert f"Delete {part}" in result.output
+
+
+def test_a_bit_that_fell_over_in_a_part_is_no_number(tmp_path: Path) -> None:
+    """Half of such bits gave other numbers without a word; others an error that named no part."""
+    rows = [{"recording": "r", "subject": "s", "number": k, "speed_mps": 1.0 + 0.001 * k} for k in range(300)]
+    store = Store(str(tmp_path))
+    store.prepare({})
+    store.put("r", {STRIDES: rows, RECORDINGS: [{"recording": "r"}]})
+    part, whole = tmp_path / STRIDES / "r.parquet", store.table(STRIDES, ["r"])
+    good, pages = part.read_bytes(), parquet.read_metadata(part).row_group(0)
+    for column in (pages.column(k) for k in range(pages.num_columns)):
+        last = (column.dictionary_page_offset or column.data_page_offset) + column.total_compressed_size - 1
+        part.write_bytes(good[:last] + bytes([good[last] ^ 4]) + good[last + 1 :])
+        with pytest.raises(CohortError, match=f"{part}: is damaged"):
+            store.table(STRIDES, ["r"])
+    part.write_bytes(good)
+    assert store.table(STRIDES, ["r"]).equals(whole)
+
+
+def test_a_full_disk_is_left_no_fuller(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    store = Store(str(tmp_path))
+    store.prepare({})
+
+    def half(path: Path, data: memoryview) -> int:
+        with path.open("wb") as file:
+            file.write(bytes(data)[: len(data) // 2])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(OSError, match="No space left"):
+        store.put("r", {RECORDINGS: [{"recording": "r"}]})
+    assert not list((tmp_path / RECORDINGS).iterdir())
 
 
 def test_results_that_another_run_took_away_are_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -57,7 +57,7 @@ def theirs() -> list[Any]:
 @pytest.fixture(autouse=True)
 def not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each test compiles."""
-    monkeypatch.setattr(compiler, "_Cache", lambda _: NullCache())
+    monkeypatch.setattr(compiler, "Cache", lambda _: NullCache())
 
 
 def machine_code(function: Any) -> list[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fes.signals import StimStatus
-from fes.stimulation.dose import LONGEST_HOLD_NS, WINDOW, DoseLedger, ElectrodeDose
+from fes.stimulation.dose import LONGEST_HOLD_NS, SETTLING, WINDOW, DoseLedger, ElectrodeDose
 
 SECOND = 1_000_000_000
 
@@ -67,8 +67,15 @@ def steps(dose: ElectrodeDose, response: float, charge_uc: float, number: int = 
     return [hint for _ in range(number) if (hint := dose.respond(response, charge_uc))]
 
 
-def test_more_charge_for_the_same_response_is_hinted_once_a_level() -> None:
+def settled(response: float = 0.03, charge_uc: float = 200.0) -> ElectrodeDose:
+    """After the first strides."""
     dose = ElectrodeDose(0)
+    assert not steps(dose, response, charge_uc, SETTLING)
+    return dose
+
+
+def test_more_charge_for_the_same_response_is_hinted_once_a_level() -> None:
+    dose = settled()
     assert not steps(dose, 0.03, 200.0)
     assert not steps(dose, 0.03, 240.0)
     hints = steps(dose, 0.03, 300.0, 30)
@@ -87,10 +94,27 @@ def test_more_charge_set_by_hand_that_gives_less_than_its_share_is_no_fatigue() 
 
 def test_a_charge_that_is_still_being_raised_is_no_reference() -> None:
     """What a foot does of its own is not the charge's: at twice the charge half of it is no fatigue."""
-    dose = ElectrodeDose(0)
+    dose = settled(0.022, 100.0)
     raised = [100.0 + 8.0 * k for k in range(20)] + [260.0] * 20
     assert not [hint for charge_uc in raised if (hint := dose.respond(0.02 + 2e-5 * charge_uc, charge_uc))]
     assert len(steps(dose, 0.017, 260.0)) == 1
+
+
+def test_a_leg_that_is_lifted_less_from_stride_to_stride_at_first_is_no_tired_muscle() -> None:
+    """As all walks with a fixed setting begin: each of five fresh virtual patients was hinted at."""
+    dose = ElectrodeDose(0)
+    assert not steps(dose, 0.027, 290.0, 10)
+    assert not steps(dose, 0.022, 290.0, 10)
+    assert not steps(dose, 0.019, 290.0, 80)
+    assert len(steps(dose, 0.012, 290.0)) == 1
+
+
+def test_millimetres_are_no_tired_muscle() -> None:
+    """A quarter of a toe's height near the ground is less than what is measured of it."""
+    dose = settled(0.008)
+    assert not steps(dose, 0.008, 200.0)
+    assert not steps(dose, 0.005, 200.0, 40)
+    assert len(steps(dose, 0.002, 200.0)) == 1
 
 
 def test_the_minute_under_way_is_that_of_the_newest_answer() -> None:
@@ -103,13 +127,13 @@ def test_the_minute_under_way_is_that_of_the_newest_answer() -> None:
 
 
 def test_less_response_to_less_charge_is_no_fatigue() -> None:
-    dose = ElectrodeDose(0)
+    dose = settled()
     steps(dose, 0.03, 200.0)
     assert not steps(dose, 0.01, 120.0, 40)
 
 
 def test_steps_without_charge_or_response_say_nothing() -> None:
-    dose = ElectrodeDose(0)
+    dose = settled()
     assert not steps(dose, float("nan"), 200.0)
     assert not steps(dose, 0.03, 0.0)
     assert not steps(dose, 0.001, 500.0)  # these are the first that count: the reference

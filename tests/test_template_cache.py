@@ -46,3 +46,12 @@ def test_where_nothing_can_be_kept_it_works_without(cache: Path, tmp_path: Path,
     place.write_text("a file where a folder should be", encoding="utf-8")
     assert rendered("Hello {{ name }}") == "Hello Ann"
     assert place.is_file()
+
+
+def test_a_user_without_a_home_gets_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nowhere() -> Path:
+        raise RuntimeError("no home")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", nowhere)
+    assert rendered("Hello {{ name }}") == "Hello Ann"

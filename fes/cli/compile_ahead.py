@@ -40,7 +40,7 @@ def in_processes(parts: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
     free = len(os.sched_getaffinity(0)) - 1 if "fork" in multiprocessing.get_all_start_methods() else 0
     helpers = []
     if free > 0:
-        from fes.estimation.compiler import load
+        from fes.estimation.compiled import load
 
         load()  # once for all
     try:

@@ -107,7 +107,7 @@ class Store:
             # a draft of its own: a scheduler that thinks a worker lost has its work done twice at the same time
             draft, path = f"{root}/{table}/.{identity}.{token_hex(4)}.part", f"{root}/{table}/{identity}.parquet"
             whole = pa.BufferOutputStream()  # written at once: through a Python file every piece costs a call
-            parquet.write_table(rows, whole)
+            parquet.write_table(rows, whole, write_page_checksum=True)
             _replace(filesystem, draft, path, whole.getvalue())
 
     def finished(self) -> set[str]:
@@ -149,14 +149,20 @@ class Store:
         if not paths:
             empty = self.schemas[name].empty_table()
             return empty if columns is None else empty.select(list(columns))
-        wanted = None if columns is None else list(columns)
+        how: dict[str, Any] = {
+            "schema": self.schemas[name],
+            "filesystem": filesystem,
+            "page_checksum_verification": True,
+        }
         try:
-            return parquet.read_table(paths, columns=wanted, schema=self.schemas[name], filesystem=filesystem)
-        except pa.ArrowException as error:
+            return parquet.read_table(paths, columns=None if columns is None else list(columns), **how)
+        except FileNotFoundError:
+            raise
+        except (pa.ArrowException, OSError) as error:
             for path in paths:
                 try:
-                    parquet.read_table(path, schema=self.schemas[name], filesystem=filesystem)
-                except pa.ArrowException:
+                    parquet.read_table(path, **how)
+                except (pa.ArrowException, OSError):
                     row = self.place(f"{self.last}/{path.rsplit('/', 1)[-1]}")
                     raise CohortError(
                         f"{self.place(name)}/{path.rsplit('/', 1)[-1]}: is damaged: {error}. Delete {row} and run the "
@@ -196,8 +202,12 @@ def _replace(filesystem: Any, draft: str, path: str, data: pa.Buffer) -> None:
     """Write a file in one step: whoever looks at ``path`` finds all of it, or what was there before."""
     if isinstance(filesystem, LocalFileSystem):  # whose move copies where it cannot rename
         here = Path(draft)
-        here.write_bytes(data)
-        here.replace(path)
+        try:
+            here.write_bytes(data)
+            here.replace(path)
+        except OSError:
+            here.unlink(missing_ok=True)  # it would take what little room there is
+            raise
         return
     with filesystem.open(draft, "wb") as file:
         file.write(data)

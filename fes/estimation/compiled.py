@@ -3,11 +3,15 @@
 numba decides by a file's own time stamp whether its cached machine code is still good, and does not see a change in a
 function that the file calls. A guard edited in ``statemachine/guards.py`` would go on running in its old form. So the
 cache lives in a folder named by a digest of all the sources that get compiled together.
+
+:mod:`fes.estimation.compiler` reaches deep into numba. With a release that it has not been tried with, numba compiles
+as it does by itself: for longer, and to the same numbers.
 """
 
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import tempfile
 from collections.abc import Callable
@@ -17,38 +21,51 @@ from typing import Any, Final, TypeVar, cast
 import numba
 
 import fes.signals
-import statemachine.guards
-import statemachine.table
-from fes.estimation.compiler import OPTIONS, unkept
-from fes.estimation.compiler import Function as Compiled
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+TRIED: Final = "0.68.0", "0.68.1"  # releases of numba
+_told: list[Exception] = []
+
+
+def unkept(error: Exception) -> None:
+    """Say once that compiled code cannot be kept."""
+    if not _told:
+        _told.append(error)
+        logging.getLogger(__name__).warning(
+            "Compiled code cannot be kept, so the next start takes as long as this one: %s. Make room there, or name "
+            "another folder in XDG_CACHE_HOME.", error
+        )  # fmt: skip
+
 
 def _sources() -> list[Path]:
-    """The modules beside this one that compile something, the patient's, and what they compile in from elsewhere."""
-    here = Path(__file__).parent
-    beside = [*sorted(here.glob("*.py")), *sorted((here.parent / "patient" / "virtual").glob("*.py"))]
-    compiling = [path for path in beside if "jit" in path.read_text(encoding="utf-8") or "compiler" in path.stem]
-    return [*compiling, *(Path(str(m.__file__)) for m in (statemachine.guards, statemachine.table, fes.signals))]
+    """All that compiled code may be made of: a constant's new value, too, is no change of the function that has it."""
+    root = Path(__file__).parents[2]
+    beside = ("fes/estimation", "fes/parameters", "fes/patient/virtual", "statemachine")
+    return [*(path for folder in beside for path in sorted((root / folder).glob("*.py"))), Path(fes.signals.__file__)]
 
 
 def _cache_folder() -> Path:
     digest = hashlib.sha256()
     for source in _sources():
         digest.update(source.read_bytes())
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    folder = base / "fes-gait" / digest.hexdigest()[:16]
+    name = digest.hexdigest()[:16]
     try:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fes-gait" / name
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder):
             pass
-    except OSError:  # a read-only home: compile once per boot instead of once per version
+    except (OSError, RuntimeError):  # a read-only home, or none: compile once per boot instead of once per version
         try:
-            folder = Path(tempfile.gettempdir()) / f"fes-gait-{os.getuid()}" / digest.hexdigest()[:16]
-            folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+            own = Path(tempfile.gettempdir()) / f"fes-gait-{os.getuid()}"
+            own.mkdir(exist_ok=True, mode=0o700)
+            if own.stat().st_uid != os.getuid():  # anybody can make it, and what is in it would be run
+                raise PermissionError(f"{own} belongs to somebody else")
+            folder = own / name
+            folder.mkdir(exist_ok=True)
         except OSError as error:  # nor anything else: compile at every start
             unkept(error)
+            folder = Path(os.devnull) / name  # where nothing can be
     return folder
 
 
@@ -57,7 +74,20 @@ setattr(numba.config, "CACHE_DIR", str(CACHE))  # noqa: B010 - numba fills its c
 
 
 def _compiled(function: Function, **options: str) -> Function:
-    return cast(Function, Compiled(function, targetoptions={**OPTIONS, **options}))
+    if numba.__version__ not in TRIED:
+        plain: Any = numba.njit
+        return cast(Function, plain(cache=CACHE.is_dir(), nogil=True, **options)(function))
+    from fes.estimation import compiler
+
+    return cast(Function, compiler.Function(function, targetoptions={**compiler.OPTIONS, **options}))
+
+
+def load() -> None:
+    """Load what only compiling needs; by itself that comes with the first function."""
+    if numba.__version__ in TRIED:
+        from fes.estimation import compiler
+
+        compiler.load()
 
 
 def jit(function: Function) -> Function:

@@ -7,27 +7,27 @@ cache are for what Python calls, at its first call. Nor has what numba compiles 
 took a twelfth of the time. Arithmetic and its order are untouched. A cache that cannot be written to, for lack of space
 or of rights, costs time at the next start and nothing else.
 
-This reaches deeper into numba than its documented interface: ``pyproject.toml`` holds numba to a release that the tests
-have seen.
+This reaches deeper into numba than its documented interface: it is for releases that the tests have seen
+(:mod:`fes.estimation.compiled`).
 """
 
 from __future__ import annotations
 
 import gc
-import logging
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 from numba.core import compiler, types
-from numba.core.caching import FunctionCache, NullCache
+from numba.core.caching import NullCache
 from numba.core.registry import CPUDispatcher
 from numba.core.registry import cpu_target as NUMBA
-from numba.core.runtime.nrt import rtsys
 from numba.core.target_extension import CPU, dispatcher_registry
 from numba.core.typed_passes import NativeLowering, NopythonRewrites
 from numba.core.untyped_passes import InlineInlinables
 
+from fes.estimation.compiled import unkept
+from fes.estimation.compiler_cache import Cache
 from fes.estimation.compiler_ir import Inlining, Target
 from fes.estimation.compiler_llvm import BorrowingLowering, Lowering
 from fes.estimation.compiler_spared import spared
@@ -93,22 +93,6 @@ class Body(CPUDispatcher):
         self.overloads[tuple(cres.signature.args)] = cres._replace(entry_point=key)
 
 
-class _Cache(FunctionCache):
-    """numba's, but one that says once that it cannot be written to instead of ending the session."""
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        rtsys.initialize(target_context)  # all that finished code needs; numba would load what compiling needs, too
-        with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
-
-    def save_overload(self, sig: Any, data: Any) -> None:
-        try:
-            # without the source with its types, which is there for reading
-            super().save_overload(sig, data._replace(type_annotation=""))
-        except OSError as error:
-            unkept(error)
-
-
 class Function(CPUDispatcher):
     """A compiled function, for Python and for other compiled functions."""
 
@@ -121,7 +105,7 @@ class Function(CPUDispatcher):
         """Compile for a call from Python, or fetch it from the cache."""
         if isinstance(self._cache, NullCache):
             try:
-                self._cache = _Cache(self.py_func)
+                self._cache = Cache(self.py_func)
             except (OSError, RuntimeError) as error:  # the latter is how numba says that it found no folder
                 unkept(error)
         with undisturbed():
@@ -142,19 +126,6 @@ def load() -> None:
     """Load what only compiling needs; by itself that comes with the first function."""
     NUMBA.typing_context.refresh()
     NUMBA.target_context.refresh()
-
-
-_told: list[Exception] = []
-
-
-def unkept(error: Exception) -> None:
-    """Say once that compiled code cannot be kept."""
-    if not _told:
-        _told.append(error)
-        logging.getLogger(__name__).warning(
-            "Compiled code cannot be kept, so the next start takes as long as this one: %s. Make room there, or name "
-            "another folder in XDG_CACHE_HOME.", error
-        )  # fmt: skip
 
 
 @contextmanager

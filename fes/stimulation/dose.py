@@ -22,6 +22,8 @@ LONGEST_HOLD_NS: Final = (
     2 * NS_PER_S
 )  # an answer stands until the next; longer no device goes on (P24 mid level's watchdog)
 WINDOW: Final = 10  # stimulated strides whose median counts
+SETTLING: Final = 20  # strides in which people still lift the leg as they did without stimulation, less and less
+LEAST_M: Final = 0.004  # clearance is measured to some millimetres: less that is missing tells nothing
 FALLEN: Final = 0.75  # of the first response per charge: worth a hint …
 HINT_STEP: Final = 0.15  # … and another each time it has fallen by this much more
 STEADY: Final = 1.25  # most by which the charges of the reference may differ: while it is raised, more gives less
@@ -45,6 +47,7 @@ class ElectrodeDose:
     _counts: bool = field(default=False, repr=False)
     _holds: StimStatus | None = field(default=None, repr=False)
     _intensity: float = field(default=1.0, repr=False)
+    _settling: int = field(default=SETTLING, repr=False)
     _response: deque[tuple[float, float]] = field(default_factory=lambda: deque(maxlen=WINDOW), repr=False)
     _first: tuple[float, float] | None = field(default=None, repr=False)
     _hinted: float = field(default=1.0, repr=False)
@@ -100,19 +103,22 @@ class ElectrodeDose:
         """Note what a step's charge achieved; a hint in words when the response per charge has fallen, else "".
 
         Args:
-            response: what the foot did, greater being more (the tuner's measure); not-a-number is passed over.
+            response: what the foot did (the tuner's measure), m, greater being more; not-a-number is passed over.
             charge_uc: of the same step; a step without charge says nothing.
             intensity: the operator's setting, 0–1.
 
-        The reference are the first ``WINDOW`` steps in a row with about the same charge, anew with every intensity set
-        by hand: a foot answers less to more charge, be it ever so fresh. Less response to less charge is no fatigue
-        either, so a hint needs at least nearly the charge of then.
+        The reference are the first ``WINDOW`` steps in a row with about the same charge once the walk has settled, anew
+        with every intensity set by hand: a foot answers less to more charge, be it ever so fresh. Less response to less
+        charge is no fatigue either, so a hint needs at least nearly the charge of then.
         """
         if not (charge_uc > 0.0 and math.isfinite(response)):
             return ""
         if intensity != self._intensity:
-            self._intensity, self._first, self._hinted = intensity, None, 1.0
+            self._intensity, self._first, self._hinted, self._settling = intensity, None, 1.0, SETTLING
             self._response.clear()
+        if self._settling > 0:
+            self._settling -= 1
+            return ""
         self._response.append((response, charge_uc))
         if len(self._response) < WINDOW:
             return ""
@@ -125,7 +131,7 @@ class ElectrodeDose:
         if self._first[0] <= 0.0 or now[1] < 0.95 * self._first[1]:
             return ""
         left = now[0] * self._first[1] / (now[1] * self._first[0])
-        if left > FALLEN or left > self._hinted - HINT_STEP:
+        if left > FALLEN or left > self._hinted - HINT_STEP or (1.0 - left) * self._first[0] < LEAST_M:
             return ""
         self._hinted = left
         self._response.clear()

@@ -14,9 +14,10 @@ class TemplateCache(FileSystemBytecodeCache):
     """In the user's cache folder; a template that has changed is compiled anew. Where nothing can be kept, none is."""
 
     def __init__(self) -> None:
-        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        folder = base / "fes-gait" / "templates"
-        with suppress(OSError):
+        folder = Path(os.devnull)  # where nothing can be
+        with suppress(OSError, RuntimeError):  # RuntimeError: a user without a home
+            base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+            folder = base / "fes-gait" / "templates"
             folder.mkdir(parents=True, exist_ok=True)
         super().__init__(str(folder))
 
