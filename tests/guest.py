@@ -18,6 +18,7 @@ PACKAGES = ("user-mode-linux", "busybox-static")
 MODULES = ("net/can/can", "net/can/can-raw", "drivers/net/can/dev/can-dev", "drivers/net/can/vcan")
 ROOT = Path(__file__).resolve().parents[1]
 MEMORY = "1024M"
+UP = "up"  # the file that tells that the guest runs
 
 INIT = """#!{busybox} sh
 b={busybox}
@@ -29,6 +30,7 @@ $b mount -t devpts pts /dev/pts
 $b mount -t tmpfs tmp /mnt
 $b mkdir /mnt/out /mnt/tmp
 $b mount -t hostfs -o {out} none /mnt/out
+$b touch /mnt/out/{up}
 for module in {modules}; do $b insmod {kernel}/$module.ko; done
 $b ip link set lo up
 $b ip link add vcan0 type vcan
@@ -45,6 +47,10 @@ $b poweroff -f
 
 class NoGuest(RuntimeError):
     """The guest cannot be had on this machine; the message says why."""
+
+
+class NoResult(RuntimeError):
+    """The guest came up, and left nothing or did not end; the message holds what it said."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +100,8 @@ def run_in_guest(arguments: list[str], folder: Path, timeout_s: float) -> tuple[
     """Run this Python with ``arguments`` inside the guest, in the project's folder; its exit status and output.
 
     Raises:
-        NoGuest: there is no guest, or it did not come up or to an end; the message holds what it said.
+        NoGuest: there is none, or it did not come up, as on processors that its kernel does not know.
+        NoResult: it came up, and did not come to an end or left no result.
     """
     kernel = unpacked(cache_folder())
     out = folder / "out"
@@ -104,6 +111,7 @@ def run_in_guest(arguments: list[str], folder: Path, timeout_s: float) -> tuple[
         INIT.format(
             busybox=kernel.busybox,
             out=out,
+            up=UP,
             modules=" ".join(MODULES),
             kernel=kernel.modules,
             project=ROOT,
@@ -120,15 +128,19 @@ def run_in_guest(arguments: list[str], folder: Path, timeout_s: float) -> tuple[
         try:
             guest.wait(timeout_s)
         except subprocess.TimeoutExpired:
-            raise NoGuest(f"the guest did not end within {timeout_s:g} s: {_tail(folder)}") from None
+            if not (out / UP).exists():
+                raise NoGuest(f"the guest did not come up within {timeout_s:g} s") from None
+            raise NoResult(f"the guest did not end within {timeout_s:g} s: {_tail(folder)}") from None
         finally:
             if guest.poll() is None:
                 os.killpg(guest.pid, 9)
                 guest.wait(10)
+    if not (out / UP).exists():
+        raise NoGuest(f"the guest did not come up: {' '.join(_tail(folder).split())[-200:]}")
     try:
         return int((out / "status.txt").read_text()), (out / "output.txt").read_text(errors="replace")
     except (OSError, ValueError) as error:
-        raise NoGuest(f"the guest left no result: {_tail(folder)}") from error
+        raise NoResult(f"the guest left no result: {_tail(folder)}") from error
 
 
 def _tail(folder: Path) -> str:

@@ -6,18 +6,17 @@ import re
 from pathlib import Path
 
 import pytest
-from guest import NoGuest, cache_folder, run_in_guest, unpacked
+from guest import NoGuest, run_in_guest
 
 SUITE = ["tests/transports/test_can_transport.py", "tests/transports/test_socketcan.py", "tests/test_lockstep.py"]
 
 
 def test_the_can_tests_pass_over_a_genuine_vcan0(tmp_path: Path) -> None:
+    arguments = ["-m", "pytest", "-p", "no:cacheprovider", "--color=no", "-rA", *SUITE]
     try:
-        unpacked(cache_folder())
+        status, output = run_in_guest(arguments, tmp_path, timeout_s=300)
     except NoGuest as reason:
         pytest.skip(str(reason))
-    arguments = ["-m", "pytest", "-p", "no:cacheprovider", "--color=no", "-rA", *SUITE]
-    status, output = run_in_guest(arguments, tmp_path, timeout_s=300)
     print(output)
     assert status == 0, output[-3000:]
     passed = re.findall(r"^PASSED (\S+)", output, re.MULTILINE)
