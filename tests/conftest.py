@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import os
+from collections.abc import Iterator
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -38,3 +40,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def replays(tmp_path_factory: pytest.TempPathFactory) -> Replays:
     """Bundled trials replayed without a stimulator, each once for all tests."""
     return Replays(tmp_path_factory.mktemp("replays"))
+
+
+@pytest.fixture
+def collected() -> Iterator[None]:
+    """For who makes a Dask client that finds no scheduler: it is closed when it is collected, and that waits for the
+    lock under which a later one starts, for ever when it happens there."""
+    yield
+    gc.collect()

@@ -198,6 +198,7 @@ def test_pages_name_outliers_and_a_page_a_subject(tmp_path: Path) -> None:
     assert "33 samples clipped" in (tmp_path / "subjects" / pages[1]).read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("collected")
 def test_a_scheduler_that_does_not_answer_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fes.cohort.engine.CONNECT_S", 1.0)
     folder = lay(tmp_path / "a", ["one"])

@@ -207,6 +207,7 @@ def http_port() -> Iterator[int]:
         yield server.getsockname()[1]
 
 
+@pytest.mark.usefixtures("collected")
 def test_what_is_no_scheduler_is_told(http_port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A web server's answer was taken for the length of an array, and was a fault of the program."""
     monkeypatch.setattr("fes.cohort.engine.CONNECT_S", 1.0)
