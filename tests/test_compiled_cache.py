@@ -48,7 +48,7 @@ def test_the_digest_covers_every_constant_of_compiled_code() -> None:
         for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(function, ast.FunctionDef) and {
                 each.id for each in function.decorator_list if isinstance(each, ast.Name)
-            } & {"jit", "inlined", "jit_ieee"}:
+            } & {"jit", "inlined", "jit_ieee", "jit_fused"}:
                 for part in ast.walk(function):
                     if isinstance(part, ast.Name):
                         _defined_in(module, part.id, seen)

@@ -100,7 +100,7 @@ def test_no_slice_is_copied_in_compiled_code() -> None:
         for function in ast.walk(ast.parse(source.read_text(encoding="utf-8"))):
             if not isinstance(function, ast.FunctionDef) or not {
                 name.id for name in function.decorator_list if isinstance(name, ast.Name)
-            } & {"jit", "inlined", "jit_ieee"}:
+            } & {"jit", "inlined", "jit_ieee", "jit_fused"}:
                 continue
             for node in ast.walk(function):
                 if not isinstance(node, ast.Assign):

@@ -73,7 +73,7 @@ CACHE: Final = _cache_folder()
 setattr(numba.config, "CACHE_DIR", str(CACHE))  # noqa: B010 - numba fills its config at run time
 
 
-def _compiled(function: Function, **options: str) -> Function:
+def _compiled(function: Function, **options: str | set[str]) -> Function:
     if numba.__version__ not in TRIED:
         plain: Any = numba.njit
         return cast(Function, plain(cache=CACHE.is_dir(), nogil=True, **options)(function))
@@ -107,3 +107,12 @@ def jit_ieee(function: Function) -> Function:
     locked instruction for each of them, which costs more than the arithmetic of one step of a filter.
     """
     return _compiled(function, error_model="numpy")
+
+
+def jit_fused(function: Function) -> Function:
+    """As :func:`jit_ieee`, but that where the processor can, a product and a sum are rounded once instead of twice.
+
+    Filters take up to a quarter less time so. Not for the live core, which is compiled both for one sample and for a
+    block: which products are fused is the compiler's choice at each place, and these two have to agree to the bit.
+    """
+    return _compiled(function, error_model="numpy", fastmath={"contract"})

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 from fes.estimation.likely_noise import StrideNoise, variances
 from fes.estimation.linear import solve
 from fes.estimation.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
@@ -29,7 +29,7 @@ TILT, VELOCITY, GYR, ACC, CAUSES = 0, 2, 5, 8, 11
 UNKNOWN_HEIGHT_M = 1e3
 
 
-@jit_ieee
+@jit_fused
 def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
     """Trapezoid integration of the rates from row 0 of ``quaternion`` (N, 4); fills all rows."""
     w, x, y, z = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
@@ -42,7 +42,7 @@ def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
         quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3] = w, x, y, z
 
 
-@jit_ieee
+@jit_fused
 def _move(t_ns: Any, acc: Any, quaternion: Any, velocity: Any, position: Any) -> None:
     """Trapezoid integration of the specific force from row 0 of ``velocity`` (N, 3); fills all rows."""
     vx, vy, vz, sx, sy, sz = velocity[0, 0], velocity[0, 1], velocity[0, 2], 0.0, 0.0, 0.0
@@ -65,7 +65,7 @@ def _move(t_ns: Any, acc: Any, quaternion: Any, velocity: Any, position: Any) ->
         ax0, ay0, az0 = ax, ay, az
 
 
-@jit_ieee
+@jit_fused
 def _later(i: int, last: int, left_s: float, velocity: Any, position: Any) -> tuple[float, float, float, float, float]:
     """First integral (x, y, z) and second (x, y) of the specific force in the world, from sample ``i`` to the end.
 
@@ -82,7 +82,7 @@ def _later(i: int, last: int, left_s: float, velocity: Any, position: Any) -> tu
     )
 
 
-@jit_ieee
+@jit_fused
 def most_likely(
     t_ns: Any,
     acc: Any,
@@ -185,7 +185,7 @@ def most_likely(
     return True
 
 
-@jit_ieee
+@jit_fused
 def _gather(
     t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise, quaternion: Any, velocity: Any, position: Any, system: Any,
     of_cause: Any, noises: Any,
@@ -249,7 +249,7 @@ def _gather(
     of_cause[3, VELOCITY + 2] = span_s
 
 
-@jit_ieee
+@jit_fused
 def _apply(
     t_ns: Any, acc: Any, gyr: Any, noises: Any, system: Any, cause: Any, quaternion: Any, velocity: Any, position: Any,
     rates: Any, forces: Any,

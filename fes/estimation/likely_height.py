@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 from fes.estimation.rotation import to_world
 from fes.signals import G_MPS2
 
@@ -32,7 +32,7 @@ class HeightNoise(NamedTuple):
     end_height_m: float = 0.005
 
 
-@jit_ieee
+@jit_fused
 def settle_height(
     t_ns: Any, acc: Any, quaternion: Any, end_velocities: Any, end_variances: Any, noise: HeightNoise, out: Any
 ) -> bool:

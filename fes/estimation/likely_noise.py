@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 from fes.signals import G_MPS2
 
 
@@ -34,7 +34,7 @@ class StrideNoise(NamedTuple):
     end_tilt_per_push: float = 0.2  # share of the specific force's spread at the end that may be a steady push
 
 
-@jit_ieee
+@jit_fused
 def variances(i: int, t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise) -> tuple[float, float]:
     """Variance of sample ``i``'s turn (rad²) over its interval, and of its velocity increment ((m/s)²)."""
     dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
@@ -49,7 +49,7 @@ def variances(i: int, t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise) -> tupl
     return turn, push
 
 
-@jit_ieee
+@jit_fused
 def end_variances(
     rate_radps: float, rate_spread_radps: float, force_spread_mps2: float, noise: StrideNoise
 ) -> tuple[float, float]:

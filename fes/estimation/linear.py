@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 
 SINGULAR = 1e-150  # smaller pivots are rounding
 
 
-@jit_ieee
+@jit_fused
 def solve(system: Any, count: int) -> bool:
     """Solve the first ``count`` equations in place by Gauss with pivoting.
 

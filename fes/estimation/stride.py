@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 from fes.estimation.linear import solve
 from fes.estimation.rotation import axes_in_world, to_sensor, to_world, turn_by
 from fes.signals import G_MPS2
 
 
-@jit_ieee
+@jit_fused
 def orient(
     t_ns: Any, gyr: Any, start: Any, end_fx: float, end_fy: float, end_fz: float, end_tilt_gain: float, out: Any
 ) -> float:
@@ -52,7 +52,7 @@ def orient(
     return tilt
 
 
-@jit_ieee
+@jit_fused
 def _integrate(t_ns: Any, gyr: Any, start: Any, dx: float, dy: float, dz: float, out: Any) -> None:
     """Trapezoid integration of the rates, plus a turn by the world vector ``d`` (rad) spread evenly over the time."""
     n = t_ns.shape[0]
@@ -78,7 +78,7 @@ def _integrate(t_ns: Any, gyr: Any, start: Any, dx: float, dy: float, dz: float,
         out[i, 0], out[i, 1], out[i, 2], out[i, 3] = w, x, y, z
 
 
-@jit_ieee
+@jit_fused
 def integrate(
     t_ns: Any,
     acc: Any,
@@ -122,7 +122,7 @@ def integrate(
     return True
 
 
-@jit_ieee
+@jit_fused
 def double_integral(
     t_ns: Any, acc: Any, quaternions: Any, start_velocity: Any, gamma: Any, velocity: Any, position: Any
 ) -> None:
@@ -156,7 +156,7 @@ def double_integral(
         ax0, ay0, az0 = ax, ay, az
 
 
-@jit_ieee
+@jit_fused
 def effects(t_ns: Any, quaternions: Any, effect: Any) -> None:
     """Integrate what each unknown of gamma does: columns 0–2 constant, 3–5 linear part; rows as in `integrate`."""
     n = t_ns.shape[0]

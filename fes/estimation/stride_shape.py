@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 from fes.estimation.rotation import to_world
 
 SHORTEST_M = 0.05  # a stride shorter than that has no direction but the foot's
 
 
-@jit_ieee
+@jit_fused
 def stride_shape(
     t_ns: Any, quaternion: Any, position: Any, fx: float, fy: float, fz: float, out: Any
 ) -> tuple[float, float]:

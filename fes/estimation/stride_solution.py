@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 from fes.estimation.likely import most_likely
 from fes.estimation.likely_height import HeightNoise, settle_height
 from fes.estimation.likely_noise import StrideNoise, end_variances
@@ -28,7 +28,7 @@ SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST = range(5)  # what came of it
 TILT, UNREST, LENGTH, HIGHEST, TURN, GAINED, NUMBERS = range(7)  # where the numbers are
 
 
-@jit_ieee
+@jit_fused
 def end_velocity(
     qw: float, qx: float, qy: float, qz: float, wx: float, wy: float, wz: float,
     fx: float, fy: float, fz: float, height_m: float, creep_mps: float, row: int, out: Any,
@@ -43,7 +43,7 @@ def end_velocity(
     out[row, 0], out[row, 1], out[row, 2] = wy * height_m + creep_mps * fx, creep_mps * fy - wx * height_m, 0.0
 
 
-@jit_ieee
+@jit_fused
 def solve_span(
     t_ns: Any,
     acc: Any,

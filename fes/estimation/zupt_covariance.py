@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
-from fes.estimation.compiled import jit, jit_ieee
+from fes.estimation.compiled import jit, jit_fused
 
 STATES = 15
 BIASES = 9  # where they begin
@@ -69,7 +69,7 @@ _carry_columns = carrier(WIDTH, 1, WIDTH, 1, WIDTH)
 _carry_rows = carrier(1, WIDTH, WIDTH, 1, BIASES)  # what goes in as a row comes out as a column
 
 
-@jit_ieee
+@jit_fused
 def predict(P: Any, half: Any, r: Any, f: Any, dt: float) -> None:
     """``P ← Φ P Φᵀ`` for a symmetric ``P``, 15 rows of 16 in flat storage (the last column fills the registers).
 
@@ -84,7 +84,7 @@ def predict(P: Any, half: Any, r: Any, f: Any, dt: float) -> None:
             P[a * WIDTH + b] = P[b * WIDTH + a] = half[a * WIDTH + b]
 
 
-@jit_ieee
+@jit_fused
 def update(P: Any, x: Any, j: int, residual: float, variance: float, row: Any, gain: Any) -> float:
     """One scalar measurement of state ``j``; returns the residual's variance.
 
@@ -105,7 +105,7 @@ def update(P: Any, x: Any, j: int, residual: float, variance: float, row: Any, g
     return float(s)
 
 
-@jit_ieee
+@jit_fused
 def update_velocity(P: Any, x: Any, residual: Any, variance: float, var: Any, gain: Any) -> None:
     """Three measurements of the states 3, 4, 5, as one after the other by :func:`update`, but for rounding.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import inlined, jit, jit_ieee
+from fes.estimation.compiled import inlined, jit, jit_fused
 from fes.estimation.rotation import from_gravity, quaternion_step, to_sensor, to_world
 from fes.estimation.zupt_covariance import BIASES, DIAGONAL, STATES, WIDTH, predict, update
 from fes.signals import G_MPS2, FloatArray
@@ -87,7 +87,7 @@ def turned(q: Any, x: float, y: float, z: float, out: Any) -> None:
     out[0], out[1], out[2], out[3] = quaternion_step(q[0], q[1], q[2], q[3], rx, ry, rz)
 
 
-@jit_ieee
+@jit_fused
 def start_variances(at_rest: bool, p: ZuptSettings, out: Any) -> None:
     """Variances (15,) of the state's errors before the first sample; heading is the frame's own choice."""
     tilt = p.tilt_rad if at_rest else p.tilt_moving_rad
@@ -99,7 +99,7 @@ def start_variances(at_rest: bool, p: ZuptSettings, out: Any) -> None:
         out[12 + j] = p.acc_bias_mps2 * p.acc_bias_mps2
 
 
-@jit_ieee
+@jit_fused
 def creep_velocity(s: Any, anchor: Any, speed: float, creep: Any) -> None:
     """Velocity of a foot that has just come to rest at ``s``, along the way from the last rest; none after no way."""
     x, y = s[0] - anchor[0], s[1] - anchor[1]
@@ -108,7 +108,7 @@ def creep_velocity(s: Any, anchor: Any, speed: float, creep: Any) -> None:
     creep[0], creep[1] = share * x, share * y
 
 
-@jit_ieee
+@jit_fused
 def forward(
     t_ns: Any,
     acc: Any,
@@ -231,7 +231,7 @@ def forward(
             tape.covariance[i] = P.reshape(STATES, WIDTH)[:, :STATES]
 
 
-@jit_ieee
+@jit_fused
 def add_noise(
     P: Any, acc: Any, i: int, f: Any, rate: float, acc_sd: Any, gyr_sd: Any, dt: float, p: ZuptSettings
 ) -> tuple[float, float]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from fes.estimation.compiled import inlined, jit_ieee
+from fes.estimation.compiled import inlined, jit_fused
 from fes.estimation.zupt_covariance import BIASES, DIAGONAL, STATES, WIDTH
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.signals import G_MPS2
@@ -54,13 +54,13 @@ def _carry(x: Any, out: Any, along: int, across: int, count: int, k: int, r: Any
         out[o + 8 * along] = s2 - h2
 
 
-@jit_ieee
+@jit_fused
 def carry_one(x: Any, k: int, r: Any, f: Any, dt: float) -> None:
     """``x ← Φ x`` of step ``k`` for an error (15,)."""
     _carry(x, x, 1, STATES, 1, k, r, f, dt)
 
 
-@jit_ieee
+@jit_fused
 def predict(P: Any, half: Any, k: int, r: Any, f: Any, dt: float) -> None:
     """``P ← Φ P Φᵀ`` for a symmetric ``P``, 15 rows of 16 in flat storage; ``half`` (9, 16), flat, is scratch.
 
@@ -102,7 +102,7 @@ def predict(P: Any, half: Any, k: int, r: Any, f: Any, dt: float) -> None:
             P[a * WIDTH + b] = P[b * WIDTH + a] = half[a * WIDTH + b]
 
 
-@jit_ieee
+@jit_fused
 def step_noise(k: int, steps: Any, m: Any, f: Any, dt: float, p: ZuptSettings, out: Any) -> None:
     """Covariance that the noise of step ``k`` adds.
 
@@ -139,7 +139,7 @@ def step_noise(k: int, steps: Any, m: Any, f: Any, dt: float, p: ZuptSettings, o
     out[k, 15] = 0.0
 
 
-@jit_ieee
+@jit_fused
 def add_noise(P: Any, k: int, q: Any, dt: float, p: ZuptSettings) -> None:
     """Add what ``step_noise`` found of step ``k``, ``q`` (K, 16)."""
     for a in range(3):
@@ -158,7 +158,7 @@ def add_noise(P: Any, k: int, q: Any, dt: float, p: ZuptSettings) -> None:
         P[(6 + b) * WIDTH + 3 + c] -= q[k, 3 + a]
 
 
-@jit_ieee
+@jit_fused
 def spread_noise(k: int, x: Any, q: Any, adjoint: Any, dt: float, p: ZuptSettings) -> None:
     """``x ← x - Q λ`` for what ``step_noise`` found of step ``k``, ``q`` (K, 16), and the adjoint λ (K, 15)."""
     for a in range(3):

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 from fes.estimation.rotation import from_gravity, to_world
 from fes.estimation.zupt_covariance import BIASES, DIAGONAL, STATES, WIDTH, update, update_velocity
 from fes.estimation.zupt_kernel import MEASURED, ZuptSettings, creep_velocity, start_variances, turned
@@ -54,7 +54,7 @@ def new_step_tape(steps: int, resting: int) -> StepTape:
     )
 
 
-@jit_ieee
+@jit_fused
 def _carry_state(
     k: int, dt: float, steps: Steps, m: Any, r: Any, f: Any, s: Any, v: Any, q: Any, bg: Any, ba: Any
 ) -> None:
@@ -99,7 +99,7 @@ def _carry_state(
     turned(q, -hx, -hy, -hz, q)
 
 
-@jit_ieee
+@jit_fused
 def forward_steps(
     t_ns: Any,
     gyr: Any,

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit_ieee
+from fes.estimation.compiled import jit_fused
 from fes.estimation.rotation import quaternion_step, to_sensor
 from fes.estimation.zupt_covariance import STATES
 from fes.estimation.zupt_kernel import MEASURED, ZuptSettings, start_variances
@@ -18,7 +18,7 @@ from fes.estimation.zupt_step_covariance import carry_one, spread_noise
 from fes.estimation.zupt_step_filter import ADDED, StepTape
 
 
-@jit_ieee
+@jit_fused
 def _carry_back(k: int, x: Any, r: Any, f: Any, dt: float) -> None:
     """``λ ← Φᵀ λ`` for the adjoint (15,) over step ``k``."""
     p0, p1, p2, v0, v1, v2 = x[0], x[1], x[2], x[3], x[4], x[5]
@@ -35,7 +35,7 @@ def _carry_back(k: int, x: Any, r: Any, f: Any, dt: float) -> None:
     x[3], x[4], x[5] = v0 + dt * p0, v1 + dt * p1, v2 + dt * p2
 
 
-@jit_ieee
+@jit_fused
 def _adjoints(t_ns: Any, ends: Any, tape: StepTape, out: Any) -> None:
     """The adjoint (K, 15) before each step's measurement: what all that follows says of the error there."""
     x = np.zeros(STATES)
@@ -55,7 +55,7 @@ def _adjoints(t_ns: Any, ends: Any, tape: StepTape, out: Any) -> None:
             _carry_back(k, x, tape.mean, tape.push, 1e-9 * (t_ns[ends[k]] - t_ns[ends[k - 1]]))
 
 
-@jit_ieee
+@jit_fused
 def smooth_steps(t_ns: Any, ends: Any, at_rest: bool, p: ZuptSettings, tape: StepTape) -> None:
     """Smoothing, in place, of position, velocity and orientation that ``forward_steps`` left."""
     count = ends.shape[0]
@@ -91,7 +91,7 @@ def smooth_steps(t_ns: Any, ends: Any, at_rest: bool, p: ZuptSettings, tape: Ste
         tape.quaternions[k, 2], tape.quaternions[k, 3] = q2, q3
 
 
-@jit_ieee
+@jit_fused
 def path_at(known_ns: Any, position: Any, velocity: Any, asked_ns: Any, out: Any) -> None:
     """Fill ``out`` (M, 3) with the place at instants (M,) that never go back: cubic between K places and velocities.
 
@@ -109,7 +109,7 @@ def path_at(known_ns: Any, position: Any, velocity: Any, asked_ns: Any, out: Any
             out[i, j] = position[k, j] + share * way + begin * velocity[k, j] - end * velocity[k + 1, j]
 
 
-@jit_ieee
+@jit_fused
 def turned_path(
     position: Any,
     velocity: Any,

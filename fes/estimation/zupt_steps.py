@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.compiled import inlined, jit_ieee
+from fes.estimation.compiled import inlined, jit_fused
 from fes.estimation.rotation import quaternion_step
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.signals import FloatArray, IntArray, Vector3
@@ -47,7 +47,7 @@ class Steps(NamedTuple):
     noise: FloatArray  # (K, 19)
 
 
-@jit_ieee
+@jit_fused
 def step_ends(t_ns: Any, rest: Any, moving_ns: int, resting_ns: int, out: Any) -> int:
     """Fill ``out`` (N,) with the last sample of every step; how many there are."""
     count, n = 1, t_ns.shape[0]
@@ -61,7 +61,7 @@ def step_ends(t_ns: Any, rest: Any, moving_ns: int, resting_ns: int, out: Any) -
     return count
 
 
-@jit_ieee
+@jit_fused
 def mean_at_rest(x: Any, rest: Any, out: Any) -> bool:
     """Fill ``out`` (3,) with the mean of the rows of ``x`` (N, 3) at ``rest`` (N,); False, and 0, if none is."""
     count, a, b, c = 0, 0.0, 0.0, 0.0
@@ -84,7 +84,7 @@ def matrix(
     return 1.0 - (yy + zz), xy - wz, xz + wy, xy + wz, 1.0 - (xx + zz), yz - wx, xz - wy, yz + wx, 1.0 - (xx + yy)
 
 
-@jit_ieee
+@jit_fused
 def gather(
     t_ns: Any, acc: Any, gyr: Any, acc_sd: Any, gyr_sd: Any, bx: float, by: float, bz: float, p: ZuptSettings, s: Steps
 ) -> None:
