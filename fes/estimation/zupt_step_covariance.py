@@ -61,12 +61,12 @@ def carry_one(x: Any, k: int, r: Any, f: Any, dt: float) -> None:
 
 
 @jit_fused
-def predict(P: Any, half: Any, k: int, r: Any, f: Any, dt: float) -> None:
-    """``P ← Φ P Φᵀ`` for a symmetric ``P``, 15 rows of 16 in flat storage; ``half`` (9, 16), flat, is scratch.
+def predict(P: Any, k: int, r: Any, f: Any, dt: float, q: Any, p: ZuptSettings) -> None:
+    """``P ← Φ P Φᵀ + Q`` for a symmetric ``P``, 15 rows of 16 in flat storage; ``q`` (K, 16) as of ``step_noise``.
 
     ``Φ P`` is made for a row's elements side by side; of ``(Φ P) Φᵀ``, which cannot be, only what its symmetry leaves.
     """
-    _carry(P, half, WIDTH, 1, WIDTH, k, r, f, dt)
+    _carry(P, P, WIDTH, 1, WIDTH, k, r, f, dt)
     b0, b1, b2 = f[k, 0, 0], f[k, 0, 1], f[k, 0, 2]
     a0, a1, a2 = f[k, 1, 0], f[k, 1, 1], f[k, 1, 2]
     c0, c1, c2 = f[k, 2, 0], f[k, 2, 1], f[k, 2, 2]
@@ -75,15 +75,15 @@ def predict(P: Any, half: Any, k: int, r: Any, f: Any, dt: float) -> None:
     r20, r21, r22 = r[k, 2, 0], r[k, 2, 1], r[k, 2, 2]
     for i in range(BIASES):
         o = i * WIDTH
-        s0, s1, s2 = half[o + 6], half[o + 7], half[o + 8]
-        g0, g1, g2 = half[o + 9], half[o + 10], half[o + 11]
+        s0, s1, s2 = P[o + 6], P[o + 7], P[o + 8]
+        g0, g1, g2 = P[o + 9], P[o + 10], P[o + 11]
         h0 = r00 * g0 + r01 * g1 + r02 * g2
         h1 = r10 * g0 + r11 * g1 + r12 * g2
         h2 = r20 * g0 + r21 * g1 + r22 * g2
         P[o + 6], P[o + 7], P[o + 8] = s0 - h0, s1 - h1, s2 - h2
         if i < 6:
-            v0, v1, v2 = half[o + 3], half[o + 4], half[o + 5]
-            d0, d1, d2 = half[o + 12], half[o + 13], half[o + 14]
+            v0, v1, v2 = P[o + 3], P[o + 4], P[o + 5]
+            d0, d1, d2 = P[o + 12], P[o + 13], P[o + 14]
             e0 = r00 * d0 + r01 * d1 + r02 * d2
             e1 = r10 * d0 + r11 * d1 + r12 * d2
             e2 = r20 * d0 + r21 * d1 + r22 * d2
@@ -91,15 +91,13 @@ def predict(P: Any, half: Any, k: int, r: Any, f: Any, dt: float) -> None:
             P[o + 4] = v1 - e1 + (s2 * b0 - s0 * b2) + (c2 * h0 - c0 * h2)
             P[o + 5] = v2 - e2 + (s0 * b1 - s1 * b0) + (c0 * h1 - c1 * h0)
             if i < 3:
-                P[o] = half[o] + dt * (v0 - 0.5 * e0) + (s1 * a2 - s2 * a1)
-                P[o + 1] = half[o + 1] + dt * (v1 - 0.5 * e1) + (s2 * a0 - s0 * a2)
-                P[o + 2] = half[o + 2] + dt * (v2 - 0.5 * e2) + (s0 * a1 - s1 * a0)
-    for b in range(BIASES):  # also within a block: rounding makes the halves differ, and would for good
-        for a in range(b):
+                P[o] += dt * (v0 - 0.5 * e0) + (s1 * a2 - s2 * a1)
+                P[o + 1] += dt * (v1 - 0.5 * e1) + (s2 * a0 - s0 * a2)
+                P[o + 2] += dt * (v2 - 0.5 * e2) + (s0 * a1 - s1 * a0)
+    _add_noise(P, k, q, dt, p)
+    for b in range(STATES):  # also within a block: rounding makes the halves differ, and would for good
+        for a in range(min(b, BIASES)):
             P[b * WIDTH + a] = P[a * WIDTH + b]
-    for b in range(BIASES, STATES):
-        for a in range(BIASES):
-            P[a * WIDTH + b] = P[b * WIDTH + a] = half[a * WIDTH + b]
 
 
 @jit_fused
@@ -139,23 +137,20 @@ def step_noise(k: int, steps: Any, m: Any, f: Any, dt: float, p: ZuptSettings, o
     out[k, 15] = 0.0
 
 
-@jit_fused
-def add_noise(P: Any, k: int, q: Any, dt: float, p: ZuptSettings) -> None:
-    """Add what ``step_noise`` found of step ``k``, ``q`` (K, 16)."""
+@inlined
+def _add_noise(P: Any, k: int, q: Any, dt: float, p: ZuptSettings) -> None:
+    """Add what ``step_noise`` found of step ``k``, ``q`` (K, 16), to the upper half."""
     for a in range(3):
         P[a * DIAGONAL] += q[k, 0]
         P[a * WIDTH + 3 + a] += q[k, 1]
-        P[(3 + a) * WIDTH + a] += q[k, 1]
         P[(6 + a) * DIAGONAL] += q[k, 2]
         P[(9 + a) * DIAGONAL] += p.rate_walk_radps_rts**2 * dt
         P[(12 + a) * DIAGONAL] += p.acc_walk_mps2_rts**2 * dt
-        for b in range(3):
+        for b in range(a, 3):
             P[(3 + a) * WIDTH + 3 + b] += q[k, 6 + 3 * a + b]
         b, c = (a + 1) % 3, (a + 2) % 3
         P[(3 + b) * WIDTH + 6 + c] += q[k, 3 + a]
-        P[(6 + c) * WIDTH + 3 + b] += q[k, 3 + a]
         P[(3 + c) * WIDTH + 6 + b] -= q[k, 3 + a]
-        P[(6 + b) * WIDTH + 3 + c] -= q[k, 3 + a]
 
 
 @jit_fused

@@ -13,9 +13,9 @@ import numpy as np
 
 from fes.estimation.compiled import jit_fused
 from fes.estimation.rotation import from_gravity, to_world
-from fes.estimation.zupt_covariance import BIASES, DIAGONAL, STATES, WIDTH, update, update_velocity
+from fes.estimation.zupt_covariance import DIAGONAL, STATES, WIDTH, update, update_velocity
 from fes.estimation.zupt_kernel import MEASURED, ZuptSettings, creep_velocity, start_variances, turned
-from fes.estimation.zupt_step_covariance import add_noise, predict, step_noise
+from fes.estimation.zupt_step_covariance import predict, step_noise
 from fes.estimation.zupt_steps import Steps, matrix
 from fes.signals import G_MPS2, FloatArray, IntArray
 
@@ -120,7 +120,6 @@ def forward_steps(
     count = ends.shape[0]
     sample_ns = (t_ns[ends[count - 1]] - t_ns[0]) / (ends[count - 1])
     P = np.zeros(STATES * WIDTH)
-    half = np.empty(BIASES * WIDTH)
     x, row, gain = np.zeros(STATES), np.empty(WIDTH), np.empty(6 * WIDTH)
     error, var = np.empty(3), np.empty(3)
     start_variances(rest[0], p, x)
@@ -141,8 +140,7 @@ def forward_steps(
                 # whoever stands seems to accelerate by noise alone, which tells no heading
                 for j in range(3):
                     f[k, j, 0] = f[k, j, 1] = 0.0
-            predict(P, half, k, r, f, dt)
-            add_noise(P, k, tape.added, dt, p)
+            predict(P, k, r, f, dt, tape.added, p)
         else:
             tape.added[k, ADDED - 1] = 0.0
         tape.slot[k] = -1

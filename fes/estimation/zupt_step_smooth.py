@@ -45,10 +45,12 @@ def _adjoints(t_ns: Any, ends: Any, tape: StepTape, out: Any) -> None:
             for j in range(MEASURED - 1, -1, -1):  # last first
                 variance = tape.residual_var[m, j]
                 if variance > 0.0:
-                    along = tape.residual[m, j] / variance
-                    for a in range(STATES):
-                        along += tape.gain[m, j, a] * x[a]
-                    x[2 if j == 3 else 3 + j] -= along
+                    one = two = three = 0.0  # a third of the sum each, so that they do not wait for one another
+                    for a in range(0, STATES, 3):
+                        one += tape.gain[m, j, a] * x[a]
+                        two += tape.gain[m, j, a + 1] * x[a + 1]
+                        three += tape.gain[m, j, a + 2] * x[a + 2]
+                    x[2 if j == 3 else 3 + j] -= tape.residual[m, j] / variance + (one + two + three)
         for a in range(STATES):
             out[k, a] = x[a]
         if k > 0:
