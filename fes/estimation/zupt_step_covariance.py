@@ -80,19 +80,27 @@ def predict(P: Any, k: int, r: Any, f: Any, dt: float, q: Any, p: ZuptSettings) 
         h0 = r00 * g0 + r01 * g1 + r02 * g2
         h1 = r10 * g0 + r11 * g1 + r12 * g2
         h2 = r20 * g0 + r21 * g1 + r22 * g2
-        P[o + 6], P[o + 7], P[o + 8] = s0 - h0, s1 - h1, s2 - h2
+        if i < 7:
+            P[o + 6] = s0 - h0
+        if i < 8:
+            P[o + 7] = s1 - h1
+        P[o + 8] = s2 - h2
         if i < 6:
             v0, v1, v2 = P[o + 3], P[o + 4], P[o + 5]
             d0, d1, d2 = P[o + 12], P[o + 13], P[o + 14]
             e0 = r00 * d0 + r01 * d1 + r02 * d2
             e1 = r10 * d0 + r11 * d1 + r12 * d2
             e2 = r20 * d0 + r21 * d1 + r22 * d2
-            P[o + 3] = v0 - e0 + (s1 * b2 - s2 * b1) + (c1 * h2 - c2 * h1)
-            P[o + 4] = v1 - e1 + (s2 * b0 - s0 * b2) + (c2 * h0 - c0 * h2)
+            if i < 4:
+                P[o + 3] = v0 - e0 + (s1 * b2 - s2 * b1) + (c1 * h2 - c2 * h1)
+            if i < 5:
+                P[o + 4] = v1 - e1 + (s2 * b0 - s0 * b2) + (c2 * h0 - c0 * h2)
             P[o + 5] = v2 - e2 + (s0 * b1 - s1 * b0) + (c0 * h1 - c1 * h0)
             if i < 3:
-                P[o] += dt * (v0 - 0.5 * e0) + (s1 * a2 - s2 * a1)
-                P[o + 1] += dt * (v1 - 0.5 * e1) + (s2 * a0 - s0 * a2)
+                if i < 1:
+                    P[o] += dt * (v0 - 0.5 * e0) + (s1 * a2 - s2 * a1)
+                if i < 2:
+                    P[o + 1] += dt * (v1 - 0.5 * e1) + (s2 * a0 - s0 * a2)
                 P[o + 2] += dt * (v2 - 0.5 * e2) + (s0 * a1 - s1 * a0)
     _add_noise(P, k, q, dt, p)
     for b in range(STATES):  # also within a block: rounding makes the halves differ, and would for good
