@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fes.estimation.compiled import inlined, jit_fused
-from fes.estimation.rotation import quaternion_step
+from fes.estimation.rotation import turn_by
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.signals import FloatArray, IntArray, Vector3
 
@@ -104,7 +104,7 @@ def gather(
             wx = 0.5 * (gyr[i - 1, 0] + gyr[i, 0]) - bx
             wy = 0.5 * (gyr[i - 1, 1] + gyr[i, 1]) - by
             wz = 0.5 * (gyr[i - 1, 2] + gyr[i, 2]) - bz
-            qw, qx, qy, qz = quaternion_step(qw, qx, qy, qz, wx * dt, wy * dt, wz * dt)
+            qw, qx, qy, qz = turn_by(qw, qx, qy, qz, wx * dt, wy * dt, wz * dt)
             b0, b1, b2, b3, b4, b5, b6, b7, b8 = matrix(qw, qx, qy, qz)
             gx, gy, gz = acc[i, 0], acc[i, 1], acc[i, 2]
             fx1, fy1, fz1 = b0 * gx + b1 * gy + b2 * gz, b3 * gx + b4 * gy + b5 * gz, b6 * gx + b7 * gy + b8 * gz
