@@ -29,16 +29,16 @@ MOVED = np.dtype(
 
 
 def moving_mean(x: FloatArray, window: int) -> FloatArray:
-    """Centred mean over ``window`` samples, (N,) → (N,)."""
+    """Centred mean over ``window`` samples, (N,) → (N,), N at least ``window``; at the ends over those there are."""
     before, after = window // 2, window - window // 2
     total = np.zeros(len(x) + window)  # from ``before`` samples ahead of the first to ``after`` beyond the last
     inside = slice(before + 1, before + 1 + len(x))
     np.cumsum(x, out=total[inside])
     total[inside.stop :] = total[inside.stop - 1]
-    index = np.arange(len(x))
-    return np.asarray(
-        (total[window:] - total[: len(x)]) / (np.minimum(before, index) + np.minimum(after, index[::-1] + 1))
-    )
+    count = np.full(len(x), float(window))
+    count[:before] -= np.arange(before, 0, -1)
+    count[len(x) - after + 1 :] -= np.arange(1, after)
+    return np.asarray((total[window:] - total[: len(x)]) / count)
 
 
 def movements(energy: FloatArray, rate_hz: float, unrest: FloatArray | None = None) -> list[tuple[int, int]]:
