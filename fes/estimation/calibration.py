@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.kernel import FootParameters, lags_at
-from fes.estimation.movements import contact_jumps, left_over, movements, moving_mean, travels
+from fes.estimation.movements import contact_jumps, follow, movements, moving_mean
 from fes.estimation.ranks import median, percentile
 from fes.estimation.rest_kernel import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
-from fes.estimation.rotation import cross
+from fes.estimation.rotation import cross, without
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import Thresholds
 
@@ -122,7 +122,7 @@ def calibrate_foot(
             f"{sensor}: {len(t_ns) / rate_hz:.1f} s is too short to calibrate. Record a still second and five strides."
         )
     rate_bias, standing = _standing(rate_hz, acc_mps2, gyr_radps)
-    gyr = gyr_radps - rate_bias
+    gyr = without(gyr_radps, rate_bias)
     energy = moving_mean(_squares(gyr), window)
     unrest, rest_force, rest_norm = _rest(energy, acc_mps2, window)
     if not 0.7 * G_MPS2 < rest_norm < 1.3 * G_MPS2:
@@ -131,19 +131,18 @@ def calibrate_foot(
             "Check acc_unit, and that the foot rests at times."
         )
     up = rest_force / np.linalg.norm(rest_force)
-    acc = acc_mps2 - up * (rest_norm - G_MPS2)
+    acc = without(acc_mps2, up * (rest_norm - G_MPS2))
     spans = np.array(movements(energy, rate_hz, unrest), np.int64).reshape(-1, 2)
-    ways = travels(t_ns, acc, gyr, spans)
-    far = np.linalg.norm(ways, axis=1) > MIN_TRAVEL_M
-    swings, ways = spans[far], ways[far]
+    moved = follow(t_ns, acc, gyr, spans)
+    far = _sizes(moved["way"]) > MIN_TRAVEL_M
+    swings, moved = spans[far], moved[far]
     if len(swings) < MIN_STRIDES:
         raise CalibrationError(
             f"{sensor}: {len(swings)} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
             "Record at least five strides of walking straight ahead."
         )
-    axis = _mediolateral(gyr, swings, up)
-    forward = np.cross(axis, up)
-    along = ways @ forward
+    axis = _mediolateral(moved["moment"].sum(axis=0), up)
+    along = moved["way"] @ cross(_vector(axis), _vector(up))
     confidence = abs(along.sum()) / np.abs(along).sum()
     if confidence < 0.6:
         raise CalibrationError(
@@ -153,9 +152,9 @@ def calibrate_foot(
     if along.sum() < 0:
         axis = -axis
     acc_bias = up * (rest_norm - G_MPS2)
-    acc_bias += _acc_bias_across(t_ns, acc, gyr, swings, up)
+    acc_bias += _acc_bias_across(t_ns, swings, moved, up)
     toe_down = gyr @ axis
-    peak, floor = _levels(toe_down, np.sqrt(energy), swings)
+    peak, floor = _levels(toe_down, energy, swings)
     low, high = REST_BOUNDS_RADPS
     return FootCalibration(
         sensor=sensor,
@@ -167,7 +166,9 @@ def calibrate_foot(
         rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
         min_toe_down_peak_radps=float(PUSH_OFF_SHARE * min(peak, MOST_PUSH_OFF_RADPS)),
         rest_hold_s=_rest_hold_s(1e-9 * t_ns[swings[:, 0]].astype(np.float64)),
-        contact_jump_mps3=_contact_jump(t_ns, acc_mps2 - acc_bias, gyr, swings, toe_down, rate_hz),
+        contact_jump_mps3=_contact_jump(
+            t_ns, without(acc_mps2, acc_bias), gyr, swings, moved["turn"], toe_down, rate_hz
+        ),
         axis_confidence=float(confidence),
         strides=len(swings),
         standing=standing,
@@ -225,17 +226,18 @@ def _of_each(of: np.ufunc, values: FloatArray, spans: IntArray) -> FloatArray:
     return np.asarray(of.reduceat(values, (spans + np.array((0, 1))).ravel())[::2])
 
 
-def _acc_bias_across(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray, up: FloatArray) -> FloatArray:
+def _acc_bias_across(
+    t_ns: IntArray, spans: IntArray, moved: np.ndarray[Any, np.dtype[Any]], up: FloatArray
+) -> FloatArray:
     """The accelerometer's bias across gravity (3,) in m/s², as far as walking shows it.
 
     Rest shows only the part along gravity. In swing the foot pitches, and the other parts appear in the vertical: the
     mean vertical velocity and height left over at the strides' ends speak of them. How loudly depends on how brisk the
     walk is, for scale errors leave something over too; so each is weighed against a share of the stride's acceleration.
     """
-    left, effect_sum = left_over(t_ns, acc, gyr, spans)
-    liveliness = np.append(np.abs(_sizes(acc) - G_MPS2), 0.0)
+    left, effect_sum = moved["left"].sum(axis=0), moved["effect"].sum(axis=0)
     span_s = 1e-9 * (t_ns[spans[:, 1]] - t_ns[spans[:, 0]])
-    briskness = span_s * _of_each(np.add, liveliness, spans) / (spans[:, 1] + 1 - spans[:, 0])
+    briskness = span_s * moved["lively"] / (spans[:, 1] + 1 - spans[:, 0])
     floor = SCALE_ERROR * np.array((briskness.sum(), 0.5 * (briskness * span_s).sum()))
     across = np.eye(3) - np.outer(up, up)
     rows = np.vstack(((effect_sum @ across) / floor[:, None], np.eye(3) / ACC_BIAS_SD_MPS2))
@@ -243,23 +245,18 @@ def _acc_bias_across(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: In
     return np.asarray(across @ np.linalg.lstsq(rows, values, rcond=None)[0])
 
 
-def _mediolateral(gyr: FloatArray, spans: IntArray, up: FloatArray) -> FloatArray:
-    """The horizontal axis that most of the strides' rotation is about, unit (3,), sign open."""
-    within = np.zeros(len(gyr) + 1, np.int64)
-    within[spans[:, 0]] += 1  # one movement may end where the next one begins, no two overlap
-    within[spans[:, 1]] -= 1
-    rates = gyr[np.cumsum(within[:-1]) > 0]
-    moment = rates.T @ rates
+def _mediolateral(moment: FloatArray, up: FloatArray) -> FloatArray:
+    """The horizontal axis that most of the rotation is about, by its ``moment`` (3, 3): unit (3,), sign open."""
     level = np.eye(3) - np.outer(up, up)
     _, vectors = np.linalg.eigh(level @ moment @ level)
     axis = vectors[:, -1]
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def _levels(toe_down: FloatArray, rate: FloatArray, spans: IntArray) -> tuple[float, float]:
+def _levels(toe_down: FloatArray, energy: FloatArray, spans: IntArray) -> tuple[float, float]:
     """Typical peak of the toe-down rate per stride, and the rate at the quietest instant between strides (rad/s)."""
     peaks = _of_each(np.maximum, np.append(toe_down, 0.0), spans)
-    return median(peaks), median(rate[spans[:, 1]])
+    return median(peaks), median(np.sqrt(energy[spans[:, 1]]))
 
 
 def _rest_hold_s(starts_s: FloatArray) -> float:
@@ -272,12 +269,17 @@ def _rest_hold_s(starts_s: FloatArray) -> float:
 
 
 def _contact_jump(
-    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray, toe_down: FloatArray, rate_hz: float
+    t_ns: IntArray,
+    acc: FloatArray,
+    gyr: FloatArray,
+    spans: IntArray,
+    turns: FloatArray,
+    toe_down: FloatArray,
+    rate_hz: float,
 ) -> float:
     """Threshold (m/s³) for this person's first contacts: a share of the greatest jump after the toe-up peak."""
     lag, _ = lags_at(rate_hz)
-    peaks = np.array([first + int(toe_down[first : last + 1].argmin()) for first, last in spans.tolist()], np.int64)
-    jumps = contact_jumps(t_ns, acc, gyr, spans, peaks, lag)
+    jumps = contact_jumps(t_ns, acc, gyr, spans, turns, toe_down, lag)
     jumps = jumps[~np.isnan(jumps)] * rate_hz / lag
     low, high = CONTACT_JUMP_BOUNDS_MPS3
     return min(max(CONTACT_SHARE * median(jumps), low), high) if len(jumps) else high

@@ -196,16 +196,18 @@ def stillest(acc: Any, gyr: Any, n: int, step: int, acc_unit: float, gyr_unit: f
 @jit
 def _greatest_sd(x: Any, begin: int, end: int) -> float:
     """The greatest standard deviation of the three columns over ``begin`` … ``end - 1``."""
-    greatest = 0.0
-    for j in range(3):
-        mean = total = 0.0
-        for i in range(begin, end):
-            mean += x[i, j]
-        mean /= end - begin
-        for i in range(begin, end):
-            total += (x[i, j] - mean) * (x[i, j] - mean)
-        greatest = max(greatest, total / (end - begin))
-    return math.sqrt(greatest)
+    mx = my = mz = 0.0  # the three side by side, for each sum has to wait for its own last value
+    for i in range(begin, end):
+        mx += x[i, 0]
+        my += x[i, 1]
+        mz += x[i, 2]
+    mx, my, mz = mx / (end - begin), my / (end - begin), mz / (end - begin)
+    xx = yy = zz = 0.0
+    for i in range(begin, end):
+        xx += (x[i, 0] - mx) * (x[i, 0] - mx)
+        yy += (x[i, 1] - my) * (x[i, 1] - my)
+        zz += (x[i, 2] - mz) * (x[i, 2] - mz)
+    return math.sqrt(max(xx, yy, zz) / (end - begin))
 
 
 @jit

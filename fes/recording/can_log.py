@@ -15,6 +15,7 @@ import numpy as np
 
 from fes.recording.raw import LARGEST_VALUE, RawTrack
 from fes.recording.sidecar import Sidecar
+from fes.recording.table import greatest_size
 from fes.recording.tracks import RecordingError
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
@@ -169,4 +170,5 @@ def _raw(path: Path, sensor: str, collector: _Collector) -> RawTrack:
     if bad.size:
         raise RecordingError(f"{path}: {sensor}: frame {frames[bad[0]]} holds a number that is no measurement")
     acc, gyr = np.ascontiguousarray(values[:, :3]), np.ascontiguousarray(values[:, 3:])
-    return RawTrack(t_ns, None, acc, gyr, t_ns, lambda index: f"frame {frames[index]}")
+    greatest = greatest_size(acc), greatest_size(gyr)
+    return RawTrack(t_ns, None, acc, gyr, t_ns, lambda index: f"frame {frames[index]}", greatest)

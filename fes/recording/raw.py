@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from fes.recording.csv_text import Dialect
 from fes.recording.sidecar import Sensor, Sidecar
-from fes.recording.table import Table
+from fes.recording.table import Table, greatest_size
 from fes.recording.timebase import stamps_from_rate
 from fes.recording.tracks import RecordingError
 from fes.recording.units import TIME_UNITS_NS
@@ -26,6 +26,7 @@ class RawTrack:
 
     ``stamps_ns`` holds the times of all rows that have one, those of lost samples included; ``place`` tells where a
     stamp stands in the file. ``t_arrival_ns`` is None where nothing but the stamps tells when samples came.
+    ``greatest`` are the greatest sizes of a number in ``acc`` and in ``gyr``.
     """
 
     t_sensor_ns: IntArray
@@ -34,6 +35,7 @@ class RawTrack:
     gyr: FloatArray
     stamps_ns: IntArray
     place: Callable[[int], str]
+    greatest: tuple[float, float]
 
 
 def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, RawTrack]:
@@ -94,13 +96,15 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
     names = (*columns.acc, *columns.gyr)
     where = f"{table.path}: {sensor}"
     data = [np.empty((table.rows, 3)) for _ in range(2)]  # acc, gyr
-    for number, name in enumerate(names):
-        table.fill(name, data[number // 3][:, number % 3])
+    sizes = [table.fill(name, data[number // 3][:, number % 3]) for number, name in enumerate(names)]
+    greatest = float(np.max(sizes[:3])), float(np.max(sizes[3:]))  # while the columns are at hand
     dropped = _dropped_rows(table, names, where)
     kept = None if dropped is None else np.flatnonzero(~dropped)
-    acc, gyr = data if kept is None else [values[kept] for values in data]
-    # with NaN, neither is true
-    if not all(values.min() > -LARGEST_VALUE and values.max() < LARGEST_VALUE for values in (acc, gyr) if values.size):
+    acc, gyr = data
+    if kept is not None:
+        acc, gyr = acc[kept], gyr[kept]
+        greatest = greatest_size(acc), greatest_size(gyr)
+    if not all(size < LARGEST_VALUE for size in greatest):  # nor is NaN
         _check_finite(table, data, names, dropped)
     time_name = sidecar.time_of(sensor)
     empty = None
@@ -129,7 +133,7 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
             raise RecordingError(f"{where}: all of its cells are empty; leave the sensor out of the sidecar")
         stamps = stamps[kept]
         arrival = None if arrival is None else arrival[kept]
-    return RawTrack(stamps, arrival, acc, gyr, stamped, place)
+    return RawTrack(stamps, arrival, acc, gyr, stamped, place, greatest)
 
 
 def _rows_of(mask: npt.NDArray[np.bool_] | None, *, but: npt.NDArray[np.bool_] | None) -> IntArray:

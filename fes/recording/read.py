@@ -15,7 +15,7 @@ from fes.recording.raw import RawTrack, read_parts, read_table
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
 from fes.recording.table import Table
 from fes.recording.template import sidecar_template
-from fes.recording.timebase import MIN_DURATION_S, RATE_TOLERANCE, judge_stamps
+from fes.recording.timebase import MIN_DURATION_S, RATE_TOLERANCE, Timing, judge_stamps
 from fes.recording.tracks import (
     UNLABELLED_FEET,
     Recording,
@@ -123,7 +123,8 @@ def _tracks(
     """Tracks of what was read; ``before``: where each ended in the part before."""
     before = before or {}
     ordered = [sensor for sensor in SENSORS + UNLABELLED_FEET if sensor in raw]
-    tracks = {sensor: _track(path, sidecar, sensor, raw[sensor], before.get(sensor)) for sensor in ordered}
+    judged: dict[tuple[int, float | None], Timing] = {}
+    tracks = {sensor: _track(path, sidecar, sensor, raw[sensor], judged, before.get(sensor)) for sensor in ordered}
     if tracks:
         _check_overlap(path, tracks)
     return tracks
@@ -152,7 +153,15 @@ def _recording(path: Path, sidecar: Sidecar, tracks: dict[str, Track]) -> Record
     )
 
 
-def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, before: Track | None = None) -> Track:
+def _track(
+    path: Path,
+    sidecar: Sidecar,
+    sensor: str,
+    raw: RawTrack,
+    judged: dict[tuple[int, float | None], Timing],
+    before: Track | None = None,
+) -> Track:
+    """``judged``: what was found of the sensors before, by which stamps and stated rate; feet often share them."""
     name: Sensor = next(key for key in sidecar.sensors if key == sensor)
     columns = sidecar.sensors[name]
     where = f"{path.with_name(columns.file) if columns.file else path}: {sensor}"
@@ -160,9 +169,15 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, before: Tra
     if before is not None:
         stamps_ns = np.append(before.t_sensor_ns, stamps_ns)
         place = lambda index: raw.place(max(index - 1, 0))  # noqa: E731
-    timing = judge_stamps(stamps_ns, sidecar.rate_of(name), where, place, sidecar.time_unit_of(name))
+    same = id(stamps_ns), sidecar.rate_of(name)
+    timing = judged.get(same) if before is None else None
+    if timing is None:
+        timing = judge_stamps(stamps_ns, same[1], where, place, sidecar.time_unit_of(name))
+        if before is None:
+            judged[same] = timing
     newest_ns = np.maximum.accumulate(raw.t_sensor_ns) if timing.backward else raw.t_sensor_ns
-    span_s = float(newest_ns[-1] - raw.t_sensor_ns.min()) * 1e-9
+    oldest_ns = raw.t_sensor_ns.min() if timing.backward else raw.t_sensor_ns[0]
+    span_s = float(newest_ns[-1] - oldest_ns) * 1e-9
     if span_s + 1.0 / timing.rate_hz < MIN_DURATION_S:
         raise RecordingError(f"{where}: lasts {span_s:.3f} s; a recording needs at least {MIN_DURATION_S:g} s")
     factors = sidecar.factors_of(name)
@@ -174,7 +189,7 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, before: Tra
         doubled=timing.doubled,
         backward=timing.backward,
         irregular=timing.irregular,
-        clipped=_clipped(acc, gyr, columns.acc_range, columns.gyr_range),
+        clipped=_clipped(raw, acc, gyr, factors, (columns.acc_range, columns.gyr_range)),
     )
     arrival = newest_ns if raw.t_arrival_ns is None else np.maximum.accumulate(raw.t_arrival_ns)
     rate_hz = timing.rate_hz
@@ -183,12 +198,18 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, before: Tra
     return Track(sensor, rate_hz, arrival, raw.t_sensor_ns, acc, gyr, columns.acc_range, columns.gyr_range, quality)
 
 
-def _clipped(acc: FloatArray, gyr: FloatArray, acc_range: float | None, gyr_range: float | None) -> int:
-    """How many samples (N, 3) have an axis at its range."""
+def _clipped(
+    raw: RawTrack,
+    acc: FloatArray,
+    gyr: FloatArray,
+    factors: tuple[float, float],
+    ranges: tuple[float | None, float | None],
+) -> int:
+    """How many samples (N, 3) have an axis at its range, once ``factors`` have made them SI units."""
     clipped = np.zeros(len(acc), bool)
-    for values, full_scale in ((acc, acc_range), (gyr, gyr_range)):
+    for values, size, factor, full_scale in zip((acc, gyr), raw.greatest, factors, ranges, strict=True):
         bound = math.inf if full_scale is None else CLIPPED_FROM * full_scale
-        if values.max() >= bound or values.min() <= -bound:
+        if size * factor >= bound:
             clipped |= (np.abs(values) >= bound).any(axis=1)
     return int(np.count_nonzero(clipped))
 
