@@ -16,14 +16,13 @@ import numpy as np
 
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.foot_way import FootSamples, foot_samples
-from fes.estimation.path_kernel import bend
+from fes.estimation.path_kernel import bend_ahead, over_ground
 from fes.estimation.ranks import median
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.recording import Track
 from fes.signals import FloatArray, IntArray
 
 SETTINGS = ZuptSettings()
-AHEAD_M = 2.0
 KEPT_HZ = 50.0
 LEAST_STANCES = 12  # of either foot, to tell a drift of the headings from a turn
 MOST_STANCES = 400  # of a long walk, evenly picked
@@ -109,12 +108,10 @@ def ground_path(
     way = foot.way(SETTINGS, level=level)
     t_ns, stances = foot.t_ns, foot.stances()
     step = max(round(foot.rate_hz / KEPT_HZ), 1)
-    kept = t_ns[::step] if (len(t_ns) - 1) % step == 0 else np.append(t_ns[::step], t_ns[-1])
-    stance_ns = t_ns[stances]
-    way_m = float(np.hypot(*np.diff(way.at(stance_ns)[:, :2], axis=0).T).sum())
-    heading = _continuous(way.t_ns, way.headings(calibration.forward()), stance_ns)
-    heading = np.interp((kept - t_ns[0]).astype(np.float64), (way.t_ns - t_ns[0]).astype(np.float64), heading)
-    return ahead(GroundPath(calibration.sensor, kept, way.at(kept), heading, way_m, stance_ns))
+    kept = np.append(t_ns[:-1:step], t_ns[-1])
+    stance_ns, position, heading = t_ns[stances], np.empty((len(kept), 3)), np.empty(len(kept))
+    way_m = over_ground(*way, calibration.forward(), stance_ns, kept, position, heading)
+    return GroundPath(calibration.sensor, kept, position, heading, way_m, stance_ns)
 
 
 def _unwrapped(angle: FloatArray) -> FloatArray:
@@ -123,38 +120,6 @@ def _unwrapped(angle: FloatArray) -> FloatArray:
     if turns.any():
         angle[1:] -= 2.0 * np.pi * np.cumsum(turns)
     return angle
-
-
-def _continuous(t_ns: IntArray, heading: FloatArray, stance_ns: IntArray) -> FloatArray:
-    """The heading (K,) without false whole turns: a toe that points straight down in between has no heading."""
-    at_stance = np.interp(stance_ns.astype(np.float64), t_ns.astype(np.float64), heading)
-    off = np.unwrap(at_stance) - at_stance
-    if not off.any():
-        return heading
-    nearest = np.searchsorted((stance_ns[1:] + stance_ns[:-1]) // 2, t_ns, side="right")
-    return np.asarray(heading + off[nearest])
-
-
-def ahead(path: GroundPath) -> GroundPath:
-    """The same, turned so that x points to where the foot first is 2 m away (at most as far as it goes)."""
-    x, y = path.position_m[:, 0], path.position_m[:, 1]
-    at = _first_beyond(x, y, AHEAD_M)
-    if at < 0:
-        at = max(_first_beyond(x, y, 0.999 * float(np.hypot(x, y).max())), 0)
-    angle = float(np.arctan2(y[at], x[at]))
-    start = round(float(path.heading_rad[0] - angle) / (2.0 * np.pi)) * 2.0 * np.pi
-    return replace(path, position_m=path.position_m @ _about_z(-angle).T, heading_rad=path.heading_rad - angle - start)
-
-
-def _first_beyond(x: FloatArray, y: FloatArray, distance_m: float) -> int:
-    """The first of the places (K,) that is so far away; -1 where none is. Mostly it is one of the first."""
-    begin, count = 0, 256
-    while begin < len(x):
-        far = np.hypot(x[begin : begin + count], y[begin : begin + count]) >= distance_m
-        if far.any():
-            return begin + int(np.argmax(far))
-        begin, count = begin + count, 4 * count
-    return -1
 
 
 def _about_z(angle_rad: float) -> FloatArray:
@@ -188,7 +153,7 @@ def together(left: GroundPath, right: GroundPath) -> tuple[GroundPath, GroundPat
     the errors were such mirror images: +0.56 and −0.48 °/s. Without enough strides both are returned as they are.
     """
     drift = _drift_apart(left, right)
-    return ahead(_turned(left, left.stance_ns, -0.5 * drift)), ahead(_turned(right, left.stance_ns, 0.5 * drift))
+    return _turned(left, left.stance_ns, -0.5 * drift), _turned(right, left.stance_ns, 0.5 * drift)
 
 
 def _drift_apart(left: GroundPath, right: GroundPath) -> float:
@@ -215,7 +180,7 @@ def _pairs(count: int) -> tuple[IntArray, IntArray]:
 
 
 def _turned(path: GroundPath, stance_ns: IntArray, per_stride_rad: float) -> GroundPath:
-    """The path bent by an angle that grows from stance to stance."""
+    """The path bent by an angle that grows from stance to stance, and turned to where it is 2 m away."""
     place, heading = np.empty(path.position_m.shape), np.empty(len(path.t_ns))
-    bend(path.t_ns, stance_ns, per_stride_rad, path.position_m, path.heading_rad, place, heading)
+    bend_ahead(path.t_ns, stance_ns, per_stride_rad, path.position_m, path.heading_rad, place, heading)
     return replace(path, position_m=place, heading_rad=heading)

@@ -10,11 +10,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.path_kernel import headings
 from fes.estimation.ranks import median
 from fes.estimation.rest import RestCalibration, find_rest
 from fes.estimation.tracker import LARGEST_VALUE
@@ -30,7 +29,7 @@ from fes.estimation.zupt import (
 )
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.estimation.zupt_step_filter import forward_steps, new_step_tape
-from fes.estimation.zupt_step_smooth import path_at, smooth_steps, turned_path
+from fes.estimation.zupt_step_smooth import path_at, smooth_steps, turn_path
 from fes.estimation.zupt_steps import Steps, mean_at_rest, steps_of
 from fes.signals import FloatArray, IntArray
 
@@ -42,8 +41,7 @@ JOIN_S = 0.12  # after the cut: there both stretches know where the foot is
 BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
+class Way(NamedTuple):
     """The smoothed way of one foot at K instants a few hundredths of a second apart, z up; it begins at 0, at rest."""
 
     t_ns: IntArray
@@ -57,11 +55,22 @@ class Way:
         path_at(self.t_ns, self.position_m, self.velocity_mps, np.ascontiguousarray(t_ns, np.int64), out)
         return out
 
-    def headings(self, axis: FloatArray) -> FloatArray:
-        """Where an axis (3,) of the sensor points (K,), from x towards y in rad, by less than half a turn each time."""
-        out = np.empty(len(self.t_ns))
-        headings(self.q_world_from_sensor, axis, out)
-        return out
+
+class _Stretch(NamedTuple):
+    """What is the same for all settings: the samples ``span``, their steps, which end at ``t_ns``, ``resting`` at rest.
+
+    ``rows`` are the steps' in the whole way; the first ``known`` are those of the stretch before. ``lever`` and
+    ``before`` (3,) are from the ground to the sensor, and the specific force where the foot sets out.
+    """
+
+    span: slice
+    rows: slice
+    known: int
+    t_ns: IntArray
+    steps: Steps
+    lever: FloatArray
+    before: FloatArray
+    resting: int
 
 
 @dataclass(slots=True, eq=False)
@@ -87,8 +96,7 @@ class FootSamples:
     rest: BoolArray
     energy: FloatArray
     noise: tuple[FloatArray, FloatArray]
-    _ends: list[int] = field(default_factory=list)
-    _steps: dict[tuple[int, int], tuple[int, Steps, FloatArray]] = field(default_factory=dict)
+    _parts: list[_Stretch] = field(default_factory=list)
 
     def stances(self) -> IntArray:
         """Sample numbers (M,) of the quietest instant of every rest."""
@@ -96,40 +104,53 @@ class FootSamples:
 
     def way(self, settings: ZuptSettings, *, level: bool) -> Way:
         """The foot's way by these settings; ``level``: it rests at one height."""
-        join = round(JOIN_S * self.rate_hz)
-        if not self._ends:
-            self._ends = [0, *_cuts(self.t_ns, self.rest, self.rate_hz), len(self.t_ns)]
-        whole: Way | None = None
-        for begin, end in pairwise(self._ends):
-            part = self._stretch(begin, min(end + join + 1, len(self.t_ns)), settings, level)
-            whole = part if whole is None else _joined(whole, part)
-        assert whole is not None
+        if not self._parts:
+            self._parts = self._cut()
+        rows = self._parts[-1].rows.stop
+        whole = Way(np.empty(rows, np.int64), np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4)))
+        for part in self._parts:
+            before = [x[max(part.rows.start - 1, 0) : part.rows.start + part.known].copy() for x in whole]
+            own = Way(*(x[part.rows] for x in whole))
+            self._follow(part, settings, level, own)
+            if part.rows.start:
+                _join(Way(*before), own, part.known)
         return whole
 
-    def _stretch(self, begin: int, end: int, settings: ZuptSettings, level: bool) -> Way:
-        key = begin, end
-        if key not in self._steps:
-            self._steps[key] = self._gathered(begin + first_rest(self.rest[begin:end], self.rate_hz), end)
-        begin, steps, lever = self._steps[key]
-        span = slice(begin, end)
+    def _follow(self, part: _Stretch, settings: ZuptSettings, level: bool, own: Way) -> None:
+        """Fill the stretch's ``own`` rows."""
+        span, steps = part.span, part.steps
         t_ns, gyr, rest = self.t_ns[span], self.gyr_radps[span], self.rest[span]
-        tape = new_step_tape(len(steps.ends), int(np.count_nonzero(rest[steps.ends])))
-        before = self.acc_mps2[max(begin - round(START_S * self.rate_hz), 0) : begin + 1].mean(axis=0)
-        forward_steps(
-            t_ns, gyr, rest, steps, before, lever, np.array(self.calibration.gyr_bias_radps), level, settings, tape
-        )
+        tape = new_step_tape(len(steps.ends), part.resting)
+        _, position, velocity, quaternions = own
+        tape = tape._replace(position=position, velocity=velocity, quaternions=quaternions)
+        bias = np.array(self.calibration.gyr_bias_radps)
+        forward_steps(t_ns, gyr, rest, steps, part.before, part.lever, bias, level, settings, tape)
         smooth_steps(t_ns, steps.ends, bool(rest[0]), settings, tape)
-        return Way(t_ns[steps.ends], tape.position, tape.velocity, tape.quaternions)
+        own.t_ns[:] = part.t_ns
 
-    def _gathered(self, begin: int, end: int) -> tuple[int, Steps, FloatArray]:
-        """A stretch's beginning, steps and lever, which are the same for all settings."""
+    def _cut(self) -> list[_Stretch]:
+        """The stretches, each beginning a little before the one before it ends."""
+        parts: list[_Stretch] = []
+        join = round(JOIN_S * self.rate_hz)
+        for begin, end in pairwise([0, *_cuts(self.t_ns, self.rest, self.rate_hz), len(self.t_ns)]):
+            parts.append(self._gathered(begin, min(end + join + 1, len(self.t_ns)), parts[-1] if parts else None))
+        return parts
+
+    def _gathered(self, begin: int, end: int, last: _Stretch | None) -> _Stretch:
+        begin += first_rest(self.rest[begin:end], self.rate_hz)
         span, bias = slice(begin, end), self.calibration.gyr_bias_radps
         acc, gyr, rest, (acc_sd, gyr_sd) = self.acc_mps2[span], self.gyr_radps[span], self.rest[span], self.noise
         up = np.empty(3)
         if not mean_at_rest(acc, rest, up):
             up = acc.mean(axis=0)
         lever = LEVER_M * up / max(float(np.linalg.norm(up)), 1e-9)
-        return begin, steps_of(self.t_ns[span], acc, gyr, acc_sd[span], gyr_sd[span], rest, bias), lever
+        steps = steps_of(self.t_ns[span], acc, gyr, acc_sd[span], gyr_sd[span], rest, bias)
+        t_ns = self.t_ns[span][steps.ends]
+        known = 0 if last is None else int(np.searchsorted(t_ns, last.t_ns[-1], side="right"))
+        first = 0 if last is None else last.rows.stop - known
+        before = self.acc_mps2[max(begin - round(START_S * self.rate_hz), 0) : begin + 1].mean(axis=0)
+        resting = int(np.count_nonzero(rest[steps.ends]))
+        return _Stretch(span, slice(first, first + len(t_ns)), known, t_ns, steps, lever, before, resting)
 
 
 def foot_samples(
@@ -198,28 +219,16 @@ def _cuts(t_ns: IntArray, rest: BoolArray, rate_hz: float) -> list[int]:
     return cuts
 
 
-def _joined(one: Way, other: Way) -> Way:
-    """The second way from the first one's end on, turned and shifted so that it begins there as the first one ends."""
-    end_ns = one.t_ns[-1]
-    after = int(np.searchsorted(other.t_ns, end_ns, side="right"))
-    a, b = one.q_world_from_sensor[-1], other.q_world_from_sensor[max(after - 1, 0)]
+def _join(before: Way, own: Way, known: int) -> None:
+    """Turn and shift a stretch's own rows so that they go on where those before them end; the ``known`` stay theirs."""
+    after = max(known - 1, 0)
+    a, b = before.q_world_from_sensor[-1], own.q_world_from_sensor[after]
     # by how much about the vertical the first frame differs: w and z of a ⊗ conj(b)
     w, z = a @ b, a[3] * b[0] - a[0] * b[3] + a[2] * b[1] - a[1] * b[2]
     turn = 2.0 * float(np.arctan2(z, w))
     c, s = float(np.cos(turn)), float(np.sin(turn))
     about_z = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # for rows
-    shift = one.position_m[-1] - (other.at(one.t_ns[-1:]) @ about_z)[0]
-    known = len(one.t_ns)
-    both = Way(*(np.empty((known + len(x) - after, *x.shape[1:]), x.dtype) for x in _rows(other)))
-    for whole, first in zip(_rows(both), _rows(one), strict=True):
-        whole[:known] = first
-    both.t_ns[known:] = other.t_ns[after:]
-    turned_path(
-        other.position_m[after:], other.velocity_mps[after:], other.q_world_from_sensor[after:], turn, shift,
-        both.position_m[known:], both.velocity_mps[known:], both.q_world_from_sensor[known:],
-    )  # fmt: skip
-    return both
-
-
-def _rows(way: Way) -> tuple[Any, Any, Any, Any]:
-    return way.t_ns, way.position_m, way.velocity_mps, way.q_world_from_sensor
+    shift = before.position_m[-1] - (own.at(before.t_ns[-1:]) @ about_z)[0]
+    turn_path(own.position_m, own.velocity_mps, own.q_world_from_sensor, turn, shift)
+    for rows, first in zip(own, before, strict=True):
+        rows[:known] = first[len(first) - known :]

@@ -95,12 +95,14 @@ def smooth_steps(t_ns: Any, ends: Any, at_rest: bool, p: ZuptSettings, tape: Ste
 
 @jit_fused
 def path_at(known_ns: Any, position: Any, velocity: Any, asked_ns: Any, out: Any) -> None:
-    """Fill ``out`` (M, 3) with the place at instants (M,) that never go back: cubic between K places and velocities.
+    """Fill ``out`` (M, 3) with the place at instants (M,), best in order: cubic between K places and velocities.
 
     Before the first and after the last the path stands still.
     """
     k, last = 0, known_ns.shape[0] - 1
     for i in range(asked_ns.shape[0]):
+        while k > 0 and known_ns[k] >= asked_ns[i]:
+            k -= 1
         while k < last - 1 and known_ns[k + 1] < asked_ns[i]:
             k += 1
         span_s = 1e-9 * (known_ns[k + 1] - known_ns[k])
@@ -112,25 +114,16 @@ def path_at(known_ns: Any, position: Any, velocity: Any, asked_ns: Any, out: Any
 
 
 @jit_fused
-def turned_path(
-    position: Any,
-    velocity: Any,
-    quaternions: Any,
-    turn: float,
-    shift: Any,
-    position_out: Any,
-    velocity_out: Any,
-    quaternions_out: Any,
-) -> None:
-    """Fill the last three with K places, velocities and orientations turned about the vertical by ``turn`` (rad), the
-    places then shifted by ``shift`` (3,)."""
+def turn_path(position: Any, velocity: Any, quaternions: Any, turn: float, shift: Any) -> None:
+    """Turn K places, velocities and orientations about the vertical by ``turn`` (rad), and shift the places by ``shift``
+    (3,) then."""
     c, s, w, z = math.cos(turn), math.sin(turn), math.cos(0.5 * turn), math.sin(0.5 * turn)
     for i in range(position.shape[0]):
         x, y = position[i, 0], position[i, 1]
-        position_out[i, 0], position_out[i, 1] = c * x - s * y + shift[0], s * x + c * y + shift[1]
-        position_out[i, 2] = position[i, 2] + shift[2]
+        position[i, 0], position[i, 1] = c * x - s * y + shift[0], s * x + c * y + shift[1]
+        position[i, 2] += shift[2]
         x, y = velocity[i, 0], velocity[i, 1]
-        velocity_out[i, 0], velocity_out[i, 1], velocity_out[i, 2] = c * x - s * y, s * x + c * y, velocity[i, 2]
+        velocity[i, 0], velocity[i, 1] = c * x - s * y, s * x + c * y
         q0, q1, q2, q3 = quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3]
-        quaternions_out[i, 0], quaternions_out[i, 1] = w * q0 - z * q3, w * q1 - z * q2
-        quaternions_out[i, 2], quaternions_out[i, 3] = w * q2 + z * q1, w * q3 + z * q0
+        quaternions[i, 0], quaternions[i, 1] = w * q0 - z * q3, w * q1 - z * q2
+        quaternions[i, 2], quaternions[i, 3] = w * q2 + z * q1, w * q3 + z * q0
