@@ -15,6 +15,8 @@ from fes.estimation.compiled import jit, jit_ieee
 from fes.signals import FloatArray, IntArray
 
 PADDING = 9  # samples at each end, as scipy has it for one section
+BLOCK = 64  # rows
+ALL_BUT_SIGN = 0x7FFF_FFFF_FFFF_FFFF
 
 
 def low_passes(
@@ -110,34 +112,51 @@ def thinned_sizes(x: Any, step: int, out: Any) -> None:
 
 
 @jit_ieee
-def largest_of_rows(x: Any, out: Any) -> float:
-    """Fill ``out`` (N,) with the greatest size of each row of ``x`` (N, 3), and give back the greatest of all."""
-    top = 0.0
-    for i in range(out.shape[0]):
-        out[i] = max(abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
-        top = max(top, out[i])
-    return top
+def _sizes(bits: Any, count: int, out: Any) -> None:
+    """Fill ``out`` (K,) with the greatest of each ``count`` of ``bits`` (N,), without their signs.
+
+    Numbers in IEEE's format without their signs are in the order of their bits, and what is no number comes last; and
+    bits are compared several at a time.
+    """
+    for k in range(out.shape[0]):
+        top = 0
+        for i in range(k * count, min((k + 1) * count, bits.shape[0])):
+            top = max(top, bits[i] & ALL_BUT_SIGN)
+        out[k] = top
+
+
+def largest_in_blocks(x: FloatArray) -> FloatArray:
+    """The greatest size in each ``BLOCK`` rows of ``x`` (N, 3); NaN where there is one."""
+    out = np.empty(-(-len(x) // BLOCK), np.int64)
+    _sizes(np.ascontiguousarray(x, dtype=np.float64).ravel().view(np.int64), 3 * BLOCK, out)
+    return out.view(np.float64)
+
+
+def rows_of_at_least(bound: float, x: FloatArray, largest: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Which rows of ``x`` (N, 3) lie in blocks whose ``largest`` reaches a bound, and each one's greatest size."""
+    rows = (BLOCK * np.flatnonzero(largest >= bound)[:, None] + np.arange(BLOCK)).ravel()
+    rows = rows[: np.searchsorted(rows, len(x))]
+    return rows, np.abs(x[rows]).max(axis=1, initial=0.0)
 
 
 @jit_ieee
-def likeness(x: Any, out: Any) -> None:
-    """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), lags 0 … L - 1.
+def likeness(x: Any, shortest: int, out: Any) -> None:
+    """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), L lags from ``shortest`` on.
 
     For some hundred lags that is faster than by a Fourier transform: they lie side by side, several in one instruction,
     and four samples at a time each sum is fetched and put back once.
     """
-    lags, begin = out.shape[0], 0
+    later, lags, begin = x[shortest:], out.shape[0], 0
     out[:] = 0.0
-    while begin + 3 + lags <= x.shape[0]:
+    while begin + 3 + lags <= later.shape[0]:
         a, b, c, d = x[begin], x[begin + 1], x[begin + 2], x[begin + 3]
         for lag in range(lags):
             i = begin + lag
-            out[lag] = (((out[lag] + a * x[i]) + b * x[i + 1]) + c * x[i + 2]) + d * x[i + 3]
+            out[lag] = (((out[lag] + a * later[i]) + b * later[i + 1]) + c * later[i + 2]) + d * later[i + 3]
         begin += 4
-    for i in range(begin, x.shape[0]):
-        now = x[i]
-        for lag in range(min(lags, x.shape[0] - i)):
-            out[lag] += now * x[i + lag]
+    for i in range(begin, later.shape[0]):
+        for lag in range(min(lags, later.shape[0] - i)):
+            out[lag] += x[i] * later[i + lag]
 
 
 def greatest_of_late(x: FloatArray, n: int) -> FloatArray:
