@@ -76,12 +76,12 @@ def test_peaks_are_scipys(x: FloatArray, apart: int) -> None:
 
 
 @settings(deadline=None)
-@given(st.integers(1, 60), st.integers(1, 80), st.integers(1, 4), st.integers(0, 2**32 - 1))
-def test_likeness_is_the_correlation_with_itself(n: int, lags: int, step: int, seed: int) -> None:
+@given(st.integers(1, 60), st.integers(0, 30), st.integers(1, 80), st.integers(1, 4), st.integers(0, 2**32 - 1))
+def test_likeness_is_the_correlation_with_itself(n: int, shortest: int, lags: int, step: int, seed: int) -> None:
     x = np.random.default_rng(seed).normal(size=(n * step + step - 1, 3))
     size, found = np.empty(n), np.empty(lags)
     thinned_sizes(x, step, size)
     assert np.allclose(size, np.linalg.norm(x, axis=1)[: n * step].reshape(n, step).mean(axis=1), rtol=1e-13)
-    likeness(size, found)
-    wanted = np.concatenate((np.correlate(size, size, "full")[n - 1 :], np.zeros(lags)))[:lags]
+    likeness(size, shortest, found)
+    wanted = np.concatenate((np.correlate(size, size, "full")[n - 1 :], np.zeros(shortest + lags)))[shortest:][:lags]
     assert np.allclose(found, wanted, rtol=1e-12, atol=1e-12)

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fes.estimation.compiled import jit, jit_ieee
+from fes.estimation.filters import PADDING, Section, begun, moving_sums, pass_back, passed
 
 NEIGHBOURS = 10  # falls before and after that say what is typical
 TOE_DOWN_SHARE = 0.2  # of the fall is push-off's toe-down rate; less, and the swing before goes on
@@ -35,31 +36,55 @@ class Signals(NamedTuple):
 
 
 @jit_ieee
-def look(acc: Any, gyr: Any, bias: Any, axis: Any, lag: int, rate_hz: float, rate: Any, rate2: Any, jump: Any) -> bool:
-    """Of specific force and angular rate (N, 3) the rate about ``axis`` (3,) without ``bias`` (3,), its size squared,
-    and the change of the force over ``lag`` samples, per second, that ends at a sample; (N,) each.
+def look(
+    acc: Any, gyr: Any, bias: Any, axis: Any, rate_hz: float, lag: int, window: int,
+    one: Section, two: Section, three: Section, turning: Any, energy: Any, jump: Any,
+) -> bool:  # fmt: skip
+    """Of specific force and angular rate (N, 3) the rate about ``axis`` (3,) without ``bias`` (3,), low-passed in three
+    ways without lag: ``turning`` (3, N and ``PADDING`` at both ends); the mean of the rate's square over ``window``
+    samples; and the change of the force over ``lag`` samples, per second, that ends at a sample.
 
     False if any of them is not finite.
     """
+    n, per, finite = jump.shape[0], rate_hz / lag, True
     bx, by, bz, ux, uy, uz = bias[0], bias[1], bias[2], axis[0], axis[1], axis[2]
-    per, finite = rate_hz / lag, True
-    for i in range(rate.shape[0]):
-        x, y, z = gyr[i, 0] - bx, gyr[i, 1] - by, gyr[i, 2] - bz
-        rate[i], rate2[i] = x * ux + y * uy + z * uz, x * x + y * y + z * z
-        finite = finite and abs(x) + abs(y) + abs(z) + abs(acc[i, 0]) + abs(acc[i, 1]) + abs(acc[i, 2]) < math.inf
-        before = max(i - lag, 0)
-        x, y, z = acc[i, 0] - acc[before, 0], acc[i, 1] - acc[before, 1], acc[i, 2] - acc[before, 2]
-        jump[i] = math.sqrt(x * x + y * y + z * z) * per if i >= lag else 0.0
+    first = (gyr[0, 0] - bx) * ux + (gyr[0, 1] - by) * uy + (gyr[0, 2] - bz) * uz
+    last = (gyr[n - 1, 0] - bx) * ux + (gyr[n - 1, 1] - by) * uy + (gyr[n - 1, 2] - bz) * uz
+    early_u = late_u = early_v = late_v = early_w = late_w = 0.0
+    for i in range(-PADDING, n + PADDING):  # the ends are padded with their odd reflection
+        at = -i if i < 0 else min(i, 2 * (n - 1) - i)
+        x, y, z = gyr[at, 0] - bx, gyr[at, 1] - by, gyr[at, 2] - bz
+        rate = x * ux + y * uy + z * uz
+        if i < 0:
+            rate = 2.0 * first - rate
+        elif i >= n:
+            rate = 2.0 * last - rate
+        else:
+            energy[i] = x * x + y * y + z * z
+            finite = finite and abs(x) + abs(y) + abs(z) + abs(acc[i, 0]) + abs(acc[i, 1]) + abs(acc[i, 2]) < math.inf
+            before = max(i - lag, 0)
+            x, y, z = acc[i, 0] - acc[before, 0], acc[i, 1] - acc[before, 1], acc[i, 2] - acc[before, 2]
+            jump[i] = math.sqrt(x * x + y * y + z * z) * per if i >= lag else 0.0
+        if i == -PADDING:
+            early_u, late_u = begun(rate, one)
+            early_v, late_v = begun(rate, two)
+            early_w, late_w = begun(rate, three)
+        j = i + PADDING
+        turning[0, j], early_u, late_u = passed(rate, one, early_u, late_u)
+        turning[1, j], early_v, late_v = passed(rate, two, early_v, late_v)
+        turning[2, j], early_w, late_w = passed(rate, three, early_w, late_w)
+    pass_back(one, two, three, turning)
+    moving_sums(energy, window, window - window // 2 - 1, 1.0 / window, energy)
     return finite
 
 
 @jit
 def greatest_at(x: Any, begin: int, end: int) -> int:
     """The first greatest of ``x[begin:end]``."""
-    at = begin
+    at, greatest = begin, x[begin]
     for i in range(begin + 1, min(end, x.shape[0])):
-        if x[i] > x[at]:
-            at = i
+        if x[i] > greatest:
+            at, greatest = i, x[i]
     return at
 
 
@@ -95,7 +120,7 @@ def typical_falls(falls: Any, out: Any) -> None:
 
 
 @jit
-def join_swings(shape: Any, fall: Any, offs: Any, mids: Any, kept: Any) -> int:
+def join_swings(shape: Any, falls: Any, offs: Any, mids: Any, kept: Any) -> int:
     """Fill ``kept`` (K, 2) with (push-off's peak, mid-swing) of every swing; how many they are.
 
     A fall before which the foot has not turned toe-down belongs to the swing before.
@@ -104,8 +129,10 @@ def join_swings(shape: Any, fall: Any, offs: Any, mids: Any, kept: Any) -> int:
     for k in range(mids.shape[0]):
         off, mid = offs[k], mids[k]
         if count > 0:
-            last = kept[count - 1, 1]
-            if shape[greatest_at(shape, last, mid)] < TOE_DOWN_SHARE * fall[mid]:
+            last, before = kept[count - 1, 1], mid - 1
+            while before > last and shape[before] < TOE_DOWN_SHARE * falls[k]:
+                before -= 1
+            if shape[before] < TOE_DOWN_SHARE * falls[k]:
                 if shape[mid] < shape[last]:
                     kept[count - 1, 1] = mid
                 continue
@@ -168,11 +195,10 @@ def _contact(
     ``cut_off``: the recording ends at ``end``; NONE where it does so before the contact has been seen. ``run``: samples
     for which rest must last.
     """
-    quietest = mid
+    quietest, least = mid, s.energy[mid]
     for i in range(mid, end + 1):
-        if s.energy[i] < s.energy[quietest]:
-            quietest = i
-    least = s.energy[quietest]
+        if s.energy[i] < least:
+            quietest, least = i, s.energy[i]
     if cut_off and least > (2.0 * REST_SHARE * peak_rate) ** 2:
         return NONE, False
     over, flat, level = quietest, 0, max(2.0 * least, (FLAT_SHARE * peak_rate) ** 2)
@@ -205,30 +231,40 @@ def _contact(
 
 
 @jit
+def _time_ns(t_ns: Any, at: float) -> int:
+    """The time of a place between samples."""
+    before = max(min(int(at), t_ns.shape[0] - 2), 0)
+    since: float = np.rint((t_ns[before + 1] - t_ns[before]) * (at - before) + (t_ns[before] - t_ns[0]))
+    return int(since) + t_ns[0]
+
+
+@jit
 def instants(
-    s: Signals, swings: Any, rate_hz: float, lead: float, peak_rate: float, typical_jump: float, out: Any
-) -> int:
-    """Fill ``out`` (K, 4) with FO, mid-swing, IC and whether the heel struck first; how many of the swings have them.
+    t_ns: Any, s: Signals, swings: Any, rate_hz: float, lead: float, peak_rate: float, typical_jump: float,
+    out: Any, heels: Any,
+) -> int:  # fmt: skip
+    """Fill ``out`` (K, 3) with the times of FO, mid-swing and IC, and ``heels`` (K,) with whether the heel struck
+    first; how many of the swings have them.
 
     ``swings`` (K, 2) as :func:`join_swings` left them, and is worked in; ``lead`` goes onto the IC of a heel strike.
     """
-    count, last = 0, s.shape.shape[0] - 1
+    count, last, offs = 0, s.shape.shape[0] - 1, np.empty(swings.shape[0])
     around, run = round(0.1 * rate_hz), max(round(FLAT_S * rate_hz), 1)
     for k in range(swings.shape[0]):
         off = _foot_off(s.feature, swings[k, 0], around)
         if off < swings[k, 1] and (count == 0 or off > swings[count - 1, 1] + 2):
             swings[count, 0], swings[count, 1] = swings[k, 0], swings[k, 1]
-            out[count, 0] = off
+            offs[count] = off
             count += 1
     found = 0
     for k in range(count):
         cut_off = k + 1 == count
-        end = last if cut_off else int(out[k + 1, 0])
+        end = last if cut_off else int(offs[k + 1])
         mid = swings[k, 1]
         at, heel = _contact(s, swings[k, 0], mid, end, cut_off, run, peak_rate, typical_jump)
         if at != NONE:
-            at += lead if heel else 0.0
-            out[found, 0], out[found, 1] = out[k, 0], mid
-            out[found, 2], out[found, 3] = min(max(at, mid + 1.0), end - 0.5), 1.0 if heel else 0.0
+            at = min(max(at + (lead if heel else 0.0), mid + 1.0), end - 0.5)
+            out[found, 0], out[found, 1], out[found, 2] = _time_ns(t_ns, offs[k]), t_ns[mid], _time_ns(t_ns, at)
+            heels[found] = heel
             found += 1
     return found

@@ -22,6 +22,7 @@ Rates are smoothed without lag, so the offsets hold at every sampling rate.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from fes.estimation.events_kernel import (
     look,
     typical_falls,
 )
-from fes.estimation.filters import greatest_of_late, low_passes, moving_sums, peaks_apart
+from fes.estimation.filters import PADDING, falls_apart, low_pass
 from fes.estimation.ranks import median
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
@@ -51,6 +52,8 @@ SMALL_TROUGH_SHARE = 0.08  # … that turns toe-up by this share of a typical fa
 SMALL_RATE_SHARE = 0.4  # the same of the greatest rate about any axis
 REST_S = 0.15  # … if for this long
 JUMP_S = 0.01
+ENERGY_S = 0.1
+BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
 NOT_FINITE = "{}: samples that are not finite; leave them out first"
 
 IC_OFFSET_S = -0.005
@@ -101,50 +104,48 @@ def find_events(
         nothing = np.zeros(0, np.int64)
         return GaitEvents(nothing, nothing, nothing, np.zeros(0, np.bool_))
     rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
-    found = _Walk(rate_hz, acc_mps2, gyr_radps, calibration).instants()
-    off_at, mid_at, contact_at = _instants_ns(t_ns, found[:, :3].T.copy())
-    return GaitEvents(off_at, mid_at, contact_at, found[:, 3] != 0.0)
-
-
-def _instants_ns(t_ns: IntArray, at: FloatArray) -> IntArray:
-    """The times of places between samples, of one shape."""
-    before = np.maximum(np.minimum(at.astype(np.int64), len(t_ns) - 2), 0)
-    since = (t_ns[before + 1] - t_ns[before]) * (at - before) + (t_ns[before] - t_ns[0])
-    return np.asarray(np.round(since).astype(np.int64) + t_ns[0])
+    walk = _Walk(rate_hz, acc_mps2, gyr_radps, calibration)
+    at_ns, heels = walk.instants(t_ns)
+    return GaitEvents(at_ns[:, 0].copy(), at_ns[:, 1].copy(), at_ns[:, 2].copy(), heels)
 
 
 class _Walk:
     """The signals of one recording that the rules look at, and the rules; positions are sample indices."""
 
     def __init__(self, rate_hz: float, acc: FloatArray, gyr: FloatArray, calibration: FootCalibration) -> None:
+        if len(acc) <= PADDING:
+            raise ValueError(f"{len(acc)} samples are too few to filter: more than {PADDING} are needed")
         self._rate_hz = rate_hz
-        rate, rate2, jump, energy = np.empty((4, len(acc)))
-        bias, axis = np.array(calibration.gyr_bias_radps), np.array(calibration.toe_down)
-        acc, gyr = np.ascontiguousarray(acc), np.ascontiguousarray(gyr)
-        if not look(acc, gyr, bias, axis, max(round(JUMP_S * rate_hz), 1), rate_hz, rate, rate2, jump):
+        energy, jump, turning = np.empty(len(acc)), np.empty(len(acc)), np.empty((3, len(acc) + 2 * PADDING))
+        if not look(
+            np.ascontiguousarray(acc), np.ascontiguousarray(gyr),
+            np.array(calibration.gyr_bias_radps), np.array(calibration.toe_down),
+            rate_hz, max(round(JUMP_S * rate_hz), 1), max(round(ENERGY_S * rate_hz), 3),
+            low_pass(rate_hz, SHAPE_HZ), low_pass(rate_hz, FEATURE_HZ), low_pass(rate_hz, TURN_HZ),
+            turning, energy, jump,
+        ):  # fmt: skip
             raise ValueError(NOT_FINITE.format(calibration.sensor))
-        window = max(round(0.1 * rate_hz), 3)
-        moving_sums(rate2, window, window - window // 2 - 1, 1.0 / window, energy)
-        shape, feature, turn = low_passes(rate, rate_hz, (SHAPE_HZ, FEATURE_HZ, TURN_HZ))
-        self._signals = Signals(shape, feature, turn, energy, jump)
+        self._signals = Signals(*turning[:, PADDING:-PADDING], energy, jump)
         self._peak_rate = 0.0
         self._typical_jump = 0.0
 
-    def instants(self) -> FloatArray:
-        """FO, mid-swing, IC, and whether the heel struck first (K, 4)."""
+    def instants(self, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
+        """Times (K, 3) of FO, mid-swing and IC, and whether the heel struck first (K,)."""
         swings = self._swings()
-        out = np.empty((len(swings), 4))
+        out, heels = np.empty((len(swings), 3), np.int64), np.empty(len(swings), np.bool_)
         lead = IC_OFFSET_S * self._rate_hz
-        return out[: instants(self._signals, swings, self._rate_hz, lead, self._peak_rate, self._typical_jump, out)]
+        count = instants(
+            t_ns, self._signals, swings, self._rate_hz, lead, self._peak_rate, self._typical_jump, out, heels
+        )
+        return out[:count], heels[:count]
 
     def _swings(self) -> IntArray:
         """(K, 2) push-off's peak and mid-swing of every swing, in order."""
         s, reach = self._signals, round(FALL_S * self._rate_hz) | 1
-        fall = greatest_of_late(s.shape, reach) - s.shape
-        peaks = peaks_apart(fall, max(round(APART_S * self._rate_hz), 1))
+        peaks, falls = falls_apart(s.shape, reach, max(round(APART_S * self._rate_hz), 1))
         if len(peaks) == 0:
             return np.zeros((0, 2), np.int64)
-        falls, typical = fall[peaks], np.empty(len(peaks))
+        typical = np.empty(len(peaks))
         typical_falls(falls, typical)
         typical = np.maximum(typical, PAUSE_SHARE * _typical(falls))
         large = falls > FALL_SHARE * typical
@@ -152,17 +153,18 @@ class _Walk:
             np.sqrt(median(_greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)))
         )
         # of a small fall: is it part of a movement as brisk as a step
-        around = round(FALL_S * self._rate_hz)
-        brisk = np.sqrt(_greatest(s.energy, np.maximum(peaks - around, 0), peaks + around))
-        small = (falls / typical > SMALL_FALL_SHARE) & (-s.shape[peaks] > SMALL_TROUGH_SHARE * typical)
-        alone = small & (brisk > SMALL_RATE_SHARE * self._peak_rate) & ~large
-        alone[alone] = [self._is_alone(p, peaks[large]) for p in peaks[alone]]
-        mids = peaks[large | alone]
+        small = (falls / typical > SMALL_FALL_SHARE) & (-s.shape[peaks] > SMALL_TROUGH_SHARE * typical) & ~large
+        alone, around = peaks[small], round(FALL_S * self._rate_hz)
+        brisk = np.sqrt(_greatest(s.energy, np.maximum(alone - around, 0), alone + around))
+        alone = alone[brisk > SMALL_RATE_SHARE * self._peak_rate]
+        kept_alone = [p for p in alone.tolist() if self._is_alone(p, peaks[large])]
+        either = large | np.isin(peaks, kept_alone)
+        mids = peaks[either]
         # a mid-swing is the first trough that comes near to the greatest fall
         offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
         self._typical_jump = median(_greatest(s.jump, mids, mids + reach))
         kept = np.empty((len(mids), 2), np.int64)
-        return kept[: join_swings(s.shape, fall, offs, mids, kept)]
+        return kept[: join_swings(s.shape, falls[either], offs, mids, kept)]
 
     def _is_alone(self, mid: int, others: IntArray) -> bool:
         """Does the foot rest between this movement and the swings before and after it."""

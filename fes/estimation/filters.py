@@ -11,92 +11,75 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit, jit_ieee
+from fes.estimation.compiled import inlined, jit, jit_ieee
 from fes.signals import FloatArray, IntArray
 
 PADDING = 9  # samples at each end, as scipy has it for one section
+BLOCK = 64  # rows
+ALL_BUT_SIGN = 0x7FFF_FFFF_FFFF_FFFF
+
+Section = tuple[float, float, float]
 
 
-def low_passes(
-    x: FloatArray, rate_hz: float, cutoffs_hz: tuple[float, float, float]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Butterworth of second order (bilinear, prewarped) run both ways over ``x`` (N,): no lag; with three cut-offs.
+def low_pass(rate_hz: float, cutoff_hz: float) -> Section:
+    """Butterworth of second order (bilinear, prewarped), its cut-off kept below 45 % of the sampling rate.
 
-    A cut-off is kept below 45 % of the sampling rate; the ends are padded with their odd reflection. Three at once, for
-    each has to wait for its own last value, and hardly longer for the others.
-
-    Raises:
-        ValueError: there are no more samples than ``PADDING``.
+    ``b``, ``a1``, ``a2`` of ``b (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²)``.
     """
-    if len(x) <= PADDING:
-        raise ValueError(f"{len(x)} samples are too few to filter: more than {PADDING} are needed")
-    padded = np.concatenate((2.0 * x[0] - x[PADDING:0:-1], x, 2.0 * x[-1] - x[-2 : -PADDING - 2 : -1]))
-    out = np.empty((3, len(padded)))
-    low, middle, high = (_coefficients(rate_hz, cutoff_hz) for cutoff_hz in cutoffs_hz)
-    _sections(padded, low, middle, high, out)
-    one, two, three = out[:, PADDING:-PADDING]
-    return one, two, three
-
-
-def _coefficients(rate_hz: float, cutoff_hz: float) -> tuple[float, float, float]:
-    """Of one section, as :func:`_sections` has them."""
     k = math.tan(math.pi * min(cutoff_hz, 0.45 * rate_hz) / rate_hz)
     damped = math.sqrt(2.0) * k
     whole = 1.0 + damped + k * k
     return k * k / whole, 2.0 * (k * k - 1.0) / whole, (1.0 - damped + k * k) / whole
 
 
-Section = tuple[float, float, float]
+@inlined
+def begun(x: float, section: Section) -> tuple[float, float]:
+    """What a section remembers that has always been given ``x``."""
+    return (1.0 - section[0]) * x, (section[0] - section[2]) * x
+
+
+@inlined
+def passed(x: float, section: Section, early: float, late: float) -> tuple[float, float, float]:
+    """What a section makes of the next sample, and what it remembers then."""
+    b, a1, a2 = section
+    y = b * x + early
+    return y, (2.0 * b * x + late) - a1 * y, b * x - a2 * y
 
 
 @jit_ieee
-def _sections(x: Any, one: Section, two: Section, three: Section, out: Any) -> None:
-    """Each section ``b (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²)`` over ``x`` (N,) into a row of ``out`` (3, N), forwards and
-    then backwards, each begun as if it had always been what it is there."""
-    last = x.shape[0] - 1
-    (b, a1, a2), (c, d1, d2), (e, f1, f2) = one, two, three
-    early_b, late_b = (1.0 - b) * x[0], (b - a2) * x[0]
-    early_c, late_c = (1.0 - c) * x[0], (c - d2) * x[0]
-    early_e, late_e = (1.0 - e) * x[0], (e - f2) * x[0]
-    for i in range(last + 1):
-        u = v = w = x[i]
-        p, q, r = b * u + early_b, c * v + early_c, e * w + early_e
-        early_b, late_b = (2.0 * b * u + late_b) - a1 * p, b * u - a2 * p
-        early_c, late_c = (2.0 * c * v + late_c) - d1 * q, c * v - d2 * q
-        early_e, late_e = (2.0 * e * w + late_e) - f1 * r, e * w - f2 * r
-        out[0, i], out[1, i], out[2, i] = p, q, r
-    u, v, w = out[0, last], out[1, last], out[2, last]
-    early_b, late_b = (1.0 - b) * u, (b - a2) * u
-    early_c, late_c = (1.0 - c) * v, (c - d2) * v
-    early_e, late_e = (1.0 - e) * w, (e - f2) * w
+def pass_back(one: Section, two: Section, three: Section, x: Any) -> None:
+    """Run a section over each row of ``x`` (3, N), from its end to its beginning: three at once, for each has to wait
+    for its own last value, and hardly longer for the others."""
+    last = x.shape[1] - 1
+    early_u, late_u = begun(x[0, last], one)
+    early_v, late_v = begun(x[1, last], two)
+    early_w, late_w = begun(x[2, last], three)
     for i in range(last, -1, -1):
-        u, v, w = out[0, i], out[1, i], out[2, i]
-        p, q, r = b * u + early_b, c * v + early_c, e * w + early_e
-        early_b, late_b = (2.0 * b * u + late_b) - a1 * p, b * u - a2 * p
-        early_c, late_c = (2.0 * c * v + late_c) - d1 * q, c * v - d2 * q
-        early_e, late_e = (2.0 * e * w + late_e) - f1 * r, e * w - f2 * r
-        out[0, i], out[1, i], out[2, i] = p, q, r
+        x[0, i], early_u, late_u = passed(x[0, i], one, early_u, late_u)
+        x[1, i], early_v, late_v = passed(x[1, i], two, early_v, late_v)
+        x[2, i], early_w, late_w = passed(x[2, i], three, early_w, late_w)
 
 
 @jit_ieee
 def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
     """Fill ``out`` (N,) with ``share`` times the sum of ``x`` (N,) over ``count`` samples, ``ahead`` of them still to
-    come; beyond the ends there is nothing.
+    come; beyond the ends there is nothing. Both may be the same.
 
     What follows the beginning of a block of ``count`` samples is added to what is left of the block before: three
     additions, however many the samples, and nothing is ever taken away.
     """
-    n = x.shape[0]
+    n, block = x.shape[0], np.empty(count)
     left = np.zeros(count + 1)  # of the block before, from each of its samples on
     for begin in range(0, n + ahead, count):
         total = 0.0
         for j in range(count):
             i = begin + j
-            total += x[i] if i < n else 0.0
+            block[j] = x[i] if i < n else 0.0
+            total += block[j]
             if 0 <= i - ahead < n:
                 out[i - ahead] = share * (left[j + 1] + total)
         for j in range(count - 1, -1, -1):
-            left[j] = left[j + 1] + (x[begin + j] if begin + j < n else 0.0)
+            left[j] = left[j + 1] + block[j]
 
 
 @jit
@@ -110,86 +93,89 @@ def thinned_sizes(x: Any, step: int, out: Any) -> None:
 
 
 @jit_ieee
-def largest_of_rows(x: Any, out: Any) -> float:
-    """Fill ``out`` (N,) with the greatest size of each row of ``x`` (N, 3), and give back the greatest of all."""
-    top = 0.0
-    for i in range(out.shape[0]):
-        out[i] = max(abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
-        top = max(top, out[i])
-    return top
+def _sizes(bits: Any, count: int, out: Any) -> None:
+    """Fill ``out`` (K,) with the greatest of each ``count`` of ``bits`` (N,), without their signs.
+
+    Numbers in IEEE's format without their signs are in the order of their bits, and what is no number comes last; and
+    bits are compared several at a time.
+    """
+    for k in range(out.shape[0]):
+        top = 0
+        for i in range(k * count, min((k + 1) * count, bits.shape[0])):
+            top = max(top, bits[i] & ALL_BUT_SIGN)
+        out[k] = top
+
+
+def largest_in_blocks(x: FloatArray) -> FloatArray:
+    """The greatest size in each ``BLOCK`` rows of ``x`` (N, 3); NaN where there is one."""
+    out = np.empty(-(-len(x) // BLOCK), np.int64)
+    _sizes(np.ascontiguousarray(x, dtype=np.float64).ravel().view(np.int64), 3 * BLOCK, out)
+    return out.view(np.float64)
+
+
+def rows_of_at_least(bound: float, x: FloatArray, largest: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Which rows of ``x`` (N, 3) lie in blocks whose ``largest`` reaches a bound, and each one's greatest size."""
+    rows = (BLOCK * np.flatnonzero(largest >= bound)[:, None] + np.arange(BLOCK)).ravel()
+    rows = rows[: np.searchsorted(rows, len(x))]
+    return rows, np.abs(x[rows]).max(axis=1, initial=0.0)
 
 
 @jit_ieee
-def likeness(x: Any, out: Any) -> None:
-    """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), lags 0 … L - 1.
+def likeness(x: Any, shortest: int, out: Any) -> None:
+    """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), L lags from ``shortest`` on.
 
     For some hundred lags that is faster than by a Fourier transform: they lie side by side, several in one instruction,
     and four samples at a time each sum is fetched and put back once.
     """
-    lags, begin = out.shape[0], 0
+    later, lags, begin = x[shortest:], out.shape[0], 0
     out[:] = 0.0
-    while begin + 3 + lags <= x.shape[0]:
+    while begin + 3 + lags <= later.shape[0]:
         a, b, c, d = x[begin], x[begin + 1], x[begin + 2], x[begin + 3]
         for lag in range(lags):
             i = begin + lag
-            out[lag] = (((out[lag] + a * x[i]) + b * x[i + 1]) + c * x[i + 2]) + d * x[i + 3]
+            out[lag] = (((out[lag] + a * later[i]) + b * later[i + 1]) + c * later[i + 2]) + d * later[i + 3]
         begin += 4
-    for i in range(begin, x.shape[0]):
-        now = x[i]
-        for lag in range(min(lags, x.shape[0] - i)):
-            out[lag] += now * x[i + lag]
+    for i in range(begin, later.shape[0]):
+        for lag in range(min(lags, later.shape[0] - i)):
+            out[lag] += x[i] * later[i + lag]
 
 
-def greatest_of_late(x: FloatArray, n: int) -> FloatArray:
-    """At each sample of ``x`` (N,) the greatest of the last ``n`` with it; before its beginning ``x`` is mirrored."""
-    out = np.empty(len(x))
-    _greatest_of_late(x, n, out)
-    return out
+def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray]:
+    """Where ``x`` (N,) lies farthest below the greatest of its last ``n`` samples, and how far.
+
+    Before its beginning ``x`` is mirrored. No two are closer than ``apart`` samples; the larger fall stays. A flat top
+    of the fall counts by its middle; the two ends are none.
+    """
+    at, fall = np.empty(len(x) // 2 + 1, np.int64), np.empty(len(x) // 2 + 1)
+    count = _falls(x, n, at, fall)
+    at, fall = at[:count], fall[:count]
+    keep = np.ones(count, np.bool_)
+    _thin(at, np.argsort(fall), apart, keep)
+    return at[keep], fall[keep]
 
 
 @jit_ieee
-def _greatest_of_late(x: Any, n: int, out: Any) -> None:
-    """In blocks of ``n``, as :func:`moving_sums`."""
+def _falls(x: Any, n: int, at: Any, fall: Any) -> int:
+    """Write all of them; how many there are. In blocks of ``n``, as :func:`moving_sums`."""
     left = np.full(n + 1, -math.inf)  # the greatest of the block before, from each of its samples on
     for j in range(n - 1, -1, -1):
         left[j] = max(left[j + 1], x[n - 1 - j]) if n - 1 - j < x.shape[0] else left[j + 1]
+    count, rise, before = 0, 0, math.inf  # where the fall last became larger, 0 once it is smaller again
     for begin in range(0, x.shape[0], n):
         greatest, end = -math.inf, min(begin + n, x.shape[0])
         for i in range(begin, end):
             greatest = max(greatest, x[i])
-            out[i] = max(left[i - begin + 1], greatest)
+            now = max(left[i - begin + 1], greatest) - x[i]
+            if now > before:
+                rise = i
+            elif now < before and rise > 0:
+                at[count], fall[count] = (rise + i - 1) // 2, before
+                count, rise = count + 1, 0
+            before = now
         greatest = -math.inf
         for i in range(end - 1, begin - 1, -1):
             greatest = max(greatest, x[i])
             left[i - begin] = greatest
-
-
-def peaks_apart(x: FloatArray, apart: int) -> IntArray:
-    """Indices of the peaks of ``x`` (N,) of which no two are closer than ``apart`` samples; the higher one stays.
-
-    A flat top counts by its middle; the two ends are no peaks.
-    """
-    tops = np.empty(len(x) // 2 + 1, np.int64)
-    tops = tops[: _tops(x, tops)]
-    keep = np.ones(len(tops), np.bool_)
-    _thin(tops, np.argsort(x[tops]), apart, keep)
-    return tops[keep]
-
-
-@jit
-def _tops(x: Any, out: Any) -> int:
-    """Write the indices of all peaks; how many there are."""
-    count, i, last = 0, 1, x.shape[0] - 1
-    while i < last:
-        if x[i - 1] < x[i]:
-            end = i + 1
-            while end < last and x[end] == x[i]:
-                end += 1
-            if x[end] < x[i]:
-                out[count] = (i + end - 1) // 2
-                count += 1
-                i = end
-        i += 1
     return count
 
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fes.estimation.filters import largest_in_blocks
 from fes.estimation.ranks import median
 from fes.estimation.rest import RestCalibration, find_rest
 from fes.estimation.tracker import LARGEST_VALUE
@@ -173,28 +174,31 @@ def foot_samples(
     Raises:
         ValueError: too short, or the foot never rests.
     """
-    if len(t_ns) and not all(x.min() > -LARGEST_VALUE and x.max() < LARGEST_VALUE for x in (acc_mps2, gyr_radps)):
-        usable = (np.abs(acc_mps2) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr_radps) < LARGEST_VALUE).all(axis=1)
-        t_ns, acc_mps2, gyr_radps = t_ns[usable], acc_mps2[usable], gyr_radps[usable]
+    t_ns = np.ascontiguousarray(t_ns, dtype=np.int64)
+    acc, gyr = np.ascontiguousarray(acc_mps2, dtype=np.float64), np.ascontiguousarray(gyr_radps, dtype=np.float64)
+    largest, given = [largest_in_blocks(x) for x in (acc, gyr)], len(t_ns)
+    if not all((x < LARGEST_VALUE).all() for x in largest):
+        usable = (np.abs(acc) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr) < LARGEST_VALUE).all(axis=1)
+        t_ns, acc, gyr = t_ns[usable], acc[usable], gyr[usable]
     if len(t_ns) < 3:
         raise ValueError(f"{len(t_ns)} samples make no path")
     steps_ns = t_ns[1:] - t_ns[:-1]
     if steps_ns.min() <= 0:
         newer = np.append(True, t_ns[1:] > np.maximum.accumulate(t_ns)[:-1])
-        t_ns, acc_mps2, gyr_radps = t_ns[newer], acc_mps2[newer], gyr_radps[newer]
+        t_ns, acc, gyr = t_ns[newer], acc[newer], gyr[newer]
         steps_ns = t_ns[1:] - t_ns[:-1]
-    t_ns = np.ascontiguousarray(t_ns, dtype=np.int64)
-    acc, gyr = np.ascontiguousarray(acc_mps2, dtype=np.float64), np.ascontiguousarray(gyr_radps, dtype=np.float64)
     if len(t_ns) < 3:
         raise ValueError(f"{len(t_ns)} samples make no path")
+    if len(t_ns) < given:
+        largest = [largest_in_blocks(x) for x in (acc, gyr)]
     rate_hz = 1e9 / median(steps_ns)
     calibration, rest, energy = find_rest(acc, gyr, rate_hz)
     rest = with_quietest(rest, gyr, rate_hz, energy)
     if not rest.any():
         raise ValueError("the foot never rests, so nothing holds a path; check the units")
     noise = (
-        clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0]),
-        clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1]),
+        clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0], largest[0]),
+        clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1], largest[1]),
     )
     return FootSamples(t_ns, acc, gyr, rate_hz, calibration, rest, energy, noise)
 

@@ -32,7 +32,7 @@ to come to speed (the constants of ``rest_kernel``). That bounds the rate by ``t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -63,6 +63,7 @@ _TOLERANCE = {
     Detector.ARE: RATE_TOLERANCE_RADPS**2,
     Detector.GYR: RATE_TOLERANCE_RADPS**2,
 }
+NOTHING: Final = np.empty(0)
 _DEGREES_PER_SAMPLE = {Detector.SHOE: 6, Detector.MV: 3, Detector.MAG: 1, Detector.ARE: 3, Detector.GYR: 3}
 
 
@@ -134,15 +135,19 @@ def _values(
     gyr_bias_radps: Vector3 = (0.0, 0.0, 0.0),
     *,
     causal: bool = False,
+    energy: FloatArray = NOTHING,
 ) -> FloatArray:
-    """As :func:`statistic`, of samples that are known to be finite."""
+    """As :func:`statistic`, of samples that are known to be finite; ``energy`` (N,) gets ARE along with SHOE."""
     count = 1 if detector is Detector.GYR else window_samples(window_s, rate_hz)
     ahead = 0 if causal else (count - 1) // 2
     out = np.empty(len(acc))
     if detector in (Detector.MV, Detector.MAG):
         force_windows(int(detector), acc, gyr, count, ahead, gravity_mps2, out)
+    elif detector is Detector.SHOE:
+        rate_windows(acc, gyr, count, ahead, gravity_mps2, *gyr_bias_radps, energy, out)
     else:
-        rate_windows(detector is Detector.SHOE, acc, gyr, count, ahead, gravity_mps2, *gyr_bias_radps, out)
+        unbiased = gyr - np.array(gyr_bias_radps) if any(gyr_bias_radps) else gyr
+        rate_windows(acc, unbiased, count, ahead, gravity_mps2, 0.0, 0.0, 0.0, out, NOTHING)
     return out
 
 
@@ -174,45 +179,35 @@ def find_rest(
     acc: FloatArray, gyr: FloatArray, rate_hz: float
 ) -> tuple[RestCalibration, np.ndarray[Any, np.dtype[np.bool_]], FloatArray]:
     """:func:`calibrate_rest`, then :func:`at_rest`, and :func:`rate_energy`, of (N, 3) each, finite."""
-    energy = _values(Detector.ARE, acc, gyr, rate_hz, WINDOW_S)
-    calibration, values = _calibrated(acc, gyr, rate_hz, Detector.SHOE, WINDOW_S, True, energy)
+    calibration, values, energy = _calibrated(acc, gyr, rate_hz, Detector.SHOE, WINDOW_S, True)
     return calibration, np.asarray(values < calibration.threshold), energy
 
 
 def _calibrated(
-    acc: FloatArray,
-    gyr: FloatArray,
-    rate_hz: float,
-    detector: Detector,
-    window_s: float,
-    use_standing: bool,
-    energy: FloatArray | None = None,
-) -> tuple[RestCalibration, FloatArray]:
-    """A detector's calibration, and its statistic (N,)."""
+    acc: FloatArray, gyr: FloatArray, rate_hz: float, detector: Detector, window_s: float, use_standing: bool
+) -> tuple[RestCalibration, FloatArray, FloatArray]:
+    """A detector's calibration, its statistic (N,), and ARE (N,), which of detectors but SHOE may have no rows."""
     n = round(STANDING_S * rate_hz)
     if len(acc) < 2 * n:
         raise ValueError(f"{len(acc) / rate_hz:.1f} s is too short to tell rest from movement: record at least 2 s")
     begin, standing = _stillest(acc, gyr, n)
-    standing = standing and use_standing
-    bias = gyr[begin : begin + n].mean(axis=0) if standing else np.zeros(3)
+    standing, tolerance = standing and use_standing, _TOLERANCE[detector]
     if standing:
         gravity = float(np.linalg.norm(acc[begin : begin + n].mean(axis=0)))
-    else:
-        if energy is None:
-            energy = _values(Detector.ARE, acc, gyr, rate_hz, window_s)
-        quiet = acc[energy <= percentile(energy, 15.0)]
-        gravity = median(np.sqrt(np.vecdot(quiet, quiet)))
-    vector = (float(bias[0]), float(bias[1]), float(bias[2]))
-    values = _values(detector, acc, gyr, rate_hz, window_s, gravity, vector)
-    tolerance = _TOLERANCE[detector]
-    if standing:
+        x, y, z = gyr[begin : begin + n].mean(axis=0).tolist()
+        bias, energy = (x, y, z), np.empty(len(acc)) if detector is Detector.SHOE else NOTHING
+        values = _values(detector, acc, gyr, rate_hz, window_s, gravity, bias, energy=energy)
         samples = 1 if detector is Detector.GYR else window_samples(window_s, rate_hz)
         noise = float(values[begin : begin + n].mean())
         threshold = tolerance + noise * chi2_quantile(_DEGREES_PER_SAMPLE[detector] * samples)
     else:
+        energy = _values(Detector.ARE, acc, gyr, rate_hz, window_s)
+        quiet = acc[energy <= percentile(energy, 15.0)]
+        gravity, bias = median(np.sqrt(np.vecdot(quiet, quiet))), (0.0, 0.0, 0.0)
+        values = _values(detector, acc, gyr, rate_hz, window_s, gravity)
         bound = SPLIT_FACTOR**2
         threshold = min(max(split(values, tolerance, rate_hz), tolerance / bound), tolerance * bound)
-    return RestCalibration(detector, threshold, gravity, vector, window_s, standing), values
+    return RestCalibration(detector, threshold, gravity, bias, window_s, standing), values, energy
 
 
 def at_rest(
@@ -272,8 +267,8 @@ def _checked(acc: FloatArray, gyr: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _stillest(acc: FloatArray, gyr: FloatArray, n: int) -> tuple[int, bool]:
     """First sample of the stillest second, and whether it is standing."""
     begin, turning, shaking = stillest(acc, gyr, n, max(n // 8, 1), STANDING_ACC_MPS2, STANDING_RATE_RADPS)
+    if turning >= STANDING_RATE_RADPS or shaking >= STANDING_ACC_MPS2:
+        return begin, False
     force, rate = acc[begin : begin + n], gyr[begin : begin + n]
-    still = turning < STANDING_RATE_RADPS and shaking < STANDING_ACC_MPS2
     level = abs(float(np.linalg.norm(force.mean(axis=0))) - G_MPS2) < 0.1 * G_MPS2
-    biased = float(np.linalg.norm(rate.mean(axis=0))) < GREATEST_BIAS_RADPS
-    return begin, still and level and biased
+    return begin, level and float(np.linalg.norm(rate.mean(axis=0))) < GREATEST_BIAS_RADPS

@@ -27,7 +27,7 @@ SETTLING_S = 0.15
 RATE_TOLERANCE_RADPS = SPEED_TOLERANCE_MPS / PIVOT_M
 ACC_TOLERANCE_MPS2 = SPEED_TOLERANCE_MPS / SETTLING_S
 FREE_FALL_MPS2 = 1e-9  # so little force has no direction
-WIDE = 256  # windows side by side: what they need fits into the processor's nearest cache
+WIDE = 128  # windows side by side: what they need fits into the processor's nearest cache
 _PER_ACC2, _PER_RATE2 = ACC_TOLERANCE_MPS2**-2, RATE_TOLERANCE_RADPS**-2
 
 
@@ -42,7 +42,7 @@ def window_value(
         x, y, z = gyr[i, 0] - bx, gyr[i, 1] - by, gyr[i, 2] - bz
         rate += x * x + y * y + z * z
     if detector >= 3:
-        return rate / n
+        return rate * (1.0 / n)
     force = 0.0
     if detector == 0:
         return _shoe(rate, acc, begin, end, g)
@@ -74,15 +74,13 @@ def _shoe(rate: float, acc: Any, begin: int, end: int, g: float) -> float:
         mz += acc[i, 2]
     # towards the mean direction, but as long as gravity; in free fall any will do
     norm = math.sqrt(mx * mx + my * my + mz * mz)
-    if norm > FREE_FALL_MPS2 * n:
-        per = g / norm
-        mx, my, mz = per * mx, per * my, per * mz
-    else:
-        mx, my, mz = mx / n, my / n, g
+    some = norm > FREE_FALL_MPS2 * n
+    per = g / norm if some else 1.0 / n
+    mx, my, mz = per * mx, per * my, per * mz if some else g
     for i in range(begin, end):
         x, y, z = acc[i, 0] - mx, acc[i, 1] - my, acc[i, 2] - mz
         force += x * x + y * y + z * z
-    return (force * _PER_ACC2 + rate * _PER_RATE2) / n
+    return (force * _PER_ACC2 + rate * _PER_RATE2) * (1.0 / n)
 
 
 @jit_ieee
@@ -96,51 +94,68 @@ def force_windows(detector: int, acc: Any, gyr: Any, count: int, ahead: int, g: 
 
 @jit_ieee
 def rate_windows(
-    shoe: bool, acc: Any, gyr: Any, count: int, ahead: int, g: float, bx: float, by: float, bz: float, out: Any
+    acc: Any, gyr: Any, count: int, ahead: int, g: float, bx: float, by: float, bz: float, energy: Any, shoe: Any
 ) -> None:
-    """SHOE, or else ARE and GYR, of every window of ``count`` samples that reaches ``ahead`` beyond its sample.
+    """ARE, of the rate as it is, and SHOE, of the rate less its bias, of every window of ``count`` samples that reaches
+    ``ahead`` beyond its sample. Each is filled unless it has no rows.
 
     To the bit as :func:`window_value`; but whole windows are summed side by side, some in one instruction. One that is
     cut short by an end is summed alone.
     """
-    n, x, y, z, rate, force = acc.shape[0], 0, 1, 2, 3, 4
-    of, mean = np.empty((4, WIDE + count)), np.empty((5, WIDE))  # samples; windows
+    n, also, most = acc.shape[0], shoe.shape[0] > 0, WIDE + count
+    x, y, z, rate = np.empty(most), np.empty(most), np.empty(most), np.empty(WIDE)  # each by itself: none can lie in …
+    mx, my, mz, force = np.empty(WIDE), np.empty(WIDE), np.empty(WIDE), np.empty(WIDE)  # … another, as rows of one can
     first, last, at = count - 1 - ahead, n - ahead, 0  # of the whole windows
     while at < n:
         begin, size = max(at - first, 0), min(at + ahead + 1, n) - max(at - first, 0)
         wide = min(WIDE, last - at) if first <= at < last else 1
-        for j in range(wide + size - 1):
-            a, b, c = gyr[begin + j, 0] - bx, gyr[begin + j, 1] - by, gyr[begin + j, 2] - bz
-            of[rate, j] = a * a + b * b + c * c
-        for j in range(wide):
-            mean[x, j] = mean[y, j] = mean[z, j] = mean[rate, j] = mean[force, j] = 0.0
-        for k in range(size):
-            for j in range(wide):
-                mean[rate, j] += of[rate, j + k]
-        if shoe:
+        per = 1.0 / size
+        if energy.shape[0] > 0:
             for j in range(wide + size - 1):
-                of[x, j], of[y, j], of[z, j] = acc[begin + j, 0], acc[begin + j, 1], acc[begin + j, 2]
-            for k in range(size):
-                for j in range(wide):
-                    mean[x, j] += of[x, j + k]
-                    mean[y, j] += of[y, j + k]
-                    mean[z, j] += of[z, j + k]
+                a, b, c = gyr[begin + j, 0], gyr[begin + j, 1], gyr[begin + j, 2]
+                x[j] = a * a + b * b + c * c
+            _sums(x, size, wide, rate)
             for j in range(wide):
-                a, b, c = mean[x, j], mean[y, j], mean[z, j]
+                energy[at + j] = rate[j] * per
+        if also:
+            for j in range(wide + size - 1):
+                a, b, c = gyr[begin + j, 0] - bx, gyr[begin + j, 1] - by, gyr[begin + j, 2] - bz
+                x[j] = a * a + b * b + c * c
+            _sums(x, size, wide, rate)
+            for j in range(wide + size - 1):
+                x[j], y[j], z[j] = acc[begin + j, 0], acc[begin + j, 1], acc[begin + j, 2]
+            _sums(x, size, wide, mx)
+            _sums(y, size, wide, my)
+            _sums(z, size, wide, mz)
+            for j in range(wide):
+                a, b, c = mx[j], my[j], mz[j]
                 norm = math.sqrt(a * a + b * b + c * c)
-                some, per = norm > FREE_FALL_MPS2 * size, g / norm
-                mean[x, j], mean[y, j] = per * a if some else a / size, per * b if some else b / size
-                mean[z, j] = per * c if some else g
+                some = norm > FREE_FALL_MPS2 * size
+                by_length = (g if some else 1.0) / (norm if some else size)
+                mx[j], my[j], mz[j], force[j] = by_length * a, by_length * b, by_length * c if some else g, 0.0
             for k in range(size):
                 for j in range(wide):
-                    a, b, c = of[x, j + k] - mean[x, j], of[y, j + k] - mean[y, j], of[z, j + k] - mean[z, j]
-                    mean[force, j] += a * a + b * b + c * c
+                    a, b, c = x[j + k] - mx[j], y[j + k] - my[j], z[j + k] - mz[j]
+                    force[j] += a * a + b * b + c * c
             for j in range(wide):
-                out[at + j] = (mean[force, j] * _PER_ACC2 + mean[rate, j] * _PER_RATE2) / size
-        else:
-            for j in range(wide):
-                out[at + j] = mean[rate, j] / size
+                shoe[at + j] = (force[j] * _PER_ACC2 + rate[j] * _PER_RATE2) * per
         at += wide
+
+
+@jit_ieee
+def _sums(x: Any, size: int, wide: int, out: Any) -> None:
+    """Fill ``out`` with ``wide`` sums of ``size`` samples of ``x`` in their order, each from a sample further on."""
+    for j in range(wide):
+        out[j] = x[j]
+    k = 1
+    while k + 4 <= size:  # four at a time: each sum is fetched and put back once
+        for j in range(wide):
+            out[j] = (((out[j] + x[j + k]) + x[j + k + 1]) + x[j + k + 2]) + x[j + k + 3]
+        k += 4
+    while k < size:
+        for j in range(wide):
+            out[j] += x[j + k]
+        k += 1
 
 
 @jit

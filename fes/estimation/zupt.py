@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.filters import largest_of_rows, likeness, thinned_sizes
+from fes.estimation.filters import largest_in_blocks, likeness, rows_of_at_least, thinned_sizes
 from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest, rate_energy
 from fes.estimation.rest_spans import first_lasting, quietest_of_rests, rest_in_long_moves
 from fes.estimation.zupt_kernel import Tape, ZuptSettings, forward, new_tape
@@ -194,14 +194,15 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
     if count < 2 * longest or not size.any():
         return 0.0
-    alike = np.empty(longest + 2)
-    likeness(size, alike)
-    alike /= alike[0] * (1.0 - np.arange(longest + 2) / count)
-    inner = np.arange(shortest, longest + 1)
-    peak = inner[(alike[inner] >= alike[inner - 1]) & (alike[inner] >= alike[inner + 1])]
-    if len(peak) == 0 or alike[peak].max() < LEAST_REPETITION:
+    lags, alike = np.arange(shortest - 1, longest + 2), np.empty(longest + 3 - shortest)
+    likeness(size, shortest - 1, alike)
+    alike /= np.square(size).sum() * (1.0 - lags / count)  # by "@" further processors would wait for no more work
+    inner = alike[1:-1]
+    top = (inner >= alike[:-2]) & (inner >= alike[2:])
+    greatest = inner[top].max(initial=0.0)
+    if greatest < LEAST_REPETITION:
         return 0.0
-    return float(peak[alike[peak] >= 0.8 * alike[peak].max()][0] * step / rate_hz)
+    return float(lags[1:-1][top & (inner >= 0.8 * greatest)][0] * step / rate_hz)
 
 
 def with_quietest(
@@ -239,17 +240,22 @@ def least_in_rests(rest: BoolArray, energy: FloatArray, rate_hz: float) -> IntAr
     return out[: quietest_of_rests(rest, energy, SHORTEST_MOVE_S * rate_hz, out)].copy()
 
 
-def clipped_sd(values: FloatArray, full_scale: float | None, least: float, share: float) -> FloatArray:
+def clipped_sd(
+    values: FloatArray, full_scale: float | None, least: float, share: float, largest: FloatArray | None = None
+) -> FloatArray:
     """Extra standard deviation (N,) of samples (N, 3) at their full scale, in their unit; 0 of all others.
 
     An unknown full scale is the greatest value, if several samples stop there (within 0.1 %) and it is above ``least``.
+    ``largest``: ``fes.estimation.filters.largest_in_blocks`` of them, where already known.
     """
-    size = np.empty(len(values))
-    top = float(largest_of_rows(np.ascontiguousarray(values), size))
+    sd = np.zeros(len(values))
+    if largest is None:
+        largest = largest_in_blocks(values)
+    top = float(largest.max(initial=0.0))
+    rows, size = rows_of_at_least(CLIPPED_SHARE * (top if full_scale is None else full_scale), values, largest)
     if full_scale is None:
         if top < least or np.count_nonzero(size > 0.999 * top) < 3:
-            return np.zeros(len(size))
+            return sd
         full_scale = top
-    if top < CLIPPED_SHARE * full_scale:
-        return np.zeros(len(size))
-    return np.where(size >= CLIPPED_SHARE * full_scale, share * full_scale, 0.0)
+    sd[rows[size >= CLIPPED_SHARE * full_scale]] = share * full_scale
+    return sd
