@@ -88,7 +88,7 @@ class Freshness:
         if arrival_ns < 0:
             return f"{sensor} data are dated {-arrival_ns / 1e6:.3g} ms ahead"
         age_ns = t_ns - known.t_sensor_ns - known.offset_ns
-        if max(arrival_ns, age_ns) <= self._max_age_ns:
+        if arrival_ns <= self._max_age_ns and age_ns <= self._max_age_ns:
             return self._frozen(sensor, known)
         limit = f"limit {self._max_age_ns / 1e6:.0f} ms"
         if arrival_ns > self._max_age_ns:
