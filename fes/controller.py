@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 
 from fes.config import Session
 from fes.driving import Calibration, driving, stride_settings, tracker_of
@@ -47,6 +48,7 @@ class Decision:
 
 
 NOTHING = Decision()
+_IS_ON = attrgetter("on")
 
 
 class Controller:
@@ -104,11 +106,10 @@ class Controller:
             self._on_act(event)
         elif isinstance(event, StimStatus):
             self.tuning.on_status(event)
-        for fallback in self._fallbacks.values():
-            for change in fallback.take(event):
-                self._plan.on_phase(change, permitted=True)
+        if self._fallbacks:
+            self._fall_back(event)
         # in a silence the gate must see how old the data have become, sooner than at the next command
-        requests = self._due(event.t_ns, at_once=self._on and isinstance(event, Tick))
+        requests = self._due(event.t_ns, self._on and isinstance(event, Tick))
         if self._reports:
             reports, self._reports = tuple(self._reports), []
             return Decision(requests, outcomes, reports)
@@ -132,6 +133,12 @@ class Controller:
                 change = PhaseChange(sample.t_ns, foot, outcome.transition, outcome.source, outcome.destination)
                 self._plan.on_phase(change, permitted=permitted)
 
+    def _fall_back(self, event: Event) -> None:
+        """What the foot switches say, where the sensors tell no steps."""
+        for fallback in self._fallbacks.values():
+            for change in fallback.take(event):
+                self._plan.on_phase(change, permitted=True)
+
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:
         """What the tuning says; its parameters count from each channel's next burst."""
         self._reports += reports
@@ -150,14 +157,15 @@ class Controller:
             # armed or stopped in mid-burst: whatever comes next is a new burst
             self._plan.cancel()
 
-    def _due(self, t_ns: int, *, at_once: bool) -> tuple[StimRequest, ...]:
+    def _due(self, t_ns: int, at_once: bool) -> tuple[StimRequest, ...]:
         """One request per channel each command period, and at once when a channel goes on or off."""
-        if self._next_command_ns is None:
-            self._next_command_ns = t_ns
-        if t_ns < self._next_command_ns and not at_once and not self._plan.due(t_ns, self.intensity):
+        next_ns = self._next_command_ns
+        if next_ns is None:
+            next_ns = self._next_command_ns = t_ns
+        if t_ns >= next_ns:
+            self._next_command_ns = next_ns + self._period_ns * ((t_ns - next_ns) // self._period_ns + 1)
+        elif not at_once and not self._plan.due(t_ns, self.intensity):
             return ()
-        if t_ns >= self._next_command_ns:
-            self._next_command_ns += self._period_ns * ((t_ns - self._next_command_ns) // self._period_ns + 1)
         requests = self._plan.requests(t_ns, self.intensity)
-        self._on = any(request.on for request in requests)
+        self._on = any(map(_IS_ON, requests))
         return requests

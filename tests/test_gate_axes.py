@@ -228,8 +228,8 @@ def test_at_a_bound_it_is_still_told(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("least", [2.0, 3.0])
 def test_the_least_sizes_are_squared(monkeypatch: pytest.MonkeyPatch, least: float) -> None:
     zero = (0.0, 0.0, 0.0)
-    monkeypatch.setattr(axes, "LEAST_FORCE_MPS2", least)
-    monkeypatch.setattr(axes, "LEAST_RATE_RADPS", least)
+    monkeypatch.setattr(axes, "_LEAST_FORCE2", least**2)
+    monkeypatch.setattr(axes, "_LEAST_RATE2", least**2)
     for share, expected in ((0.593, [4]), (0.590, [])):
         size = share * least
         assert told([((size, 0.0, 0.0), zero)] * 2 + [((0.0, size, 0.0), zero)] * 3) == expected

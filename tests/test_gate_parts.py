@@ -172,6 +172,22 @@ def test_first_sample_counts_for_being_frozen() -> None:
     assert freshness.doubt("left_foot", 60 * MS) == "left_foot is frozen: the same values for 60 ms, limit 60 ms"
 
 
+@pytest.mark.parametrize("values", [(1e308, 1e308, 1e308), (-1e308, -1e308, 0.0)])
+def test_huge_numbers_are_numbers_though_their_sum_is_none(values: Vector3) -> None:
+    freshness = Freshness(MAX_AGE)
+    assert freshness.note(sample(0, 0, values, values)) == ""
+    assert freshness.doubt("left_foot", 0) == ""
+
+
+@pytest.mark.parametrize("axis", range(6))
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_each_of_the_six_values_must_be_a_number(axis: int, bad: float) -> None:
+    values = [math.inf if math.isinf(bad) and k == 5 else 0.1 for k in range(6)]
+    values[axis] = bad
+    acc, gyr = (values[0], values[1], values[2]), (values[3], values[4], values[5])
+    assert Freshness(MAX_AGE).note(sample(0, 0, acc, gyr)) == "non-finite sample from left_foot"
+
+
 def test_long_frozen_is_told_in_full_milliseconds() -> None:
     freshness = heard()
     freshness.note(sample(0, 0, gyr=STILL))
@@ -329,6 +345,11 @@ def test_mean_force_does_not_remember_what_is_no_number(bad: float) -> None:
 IN_G, TOO_STRONG = "is its unit g?", "wrong unit?"
 
 
+def felt(force: Force, one: ImuSample, force_mps2: float) -> str:
+    """What it says of a sample of this force."""
+    return force.fault(one, force_mps2, max(map(abs, one.acc_mps2)))
+
+
 def told(
     forces: list[float],
     sensor: str = "left_foot",
@@ -339,7 +360,7 @@ def told(
     """What is said of these forces, sample by sample, by its last words."""
     force, sent_ns = Force(sensor, range_g), step_ns if sent_ns is None else sent_ns
     return [
-        force.fault(ImuSample(S + k * step_ns, sensor, S + k * sent_ns, (3.0, 2.0, -size), UP), size)[-14:].strip()
+        felt(force, ImuSample(S + k * step_ns, sensor, S + k * sent_ns, (3.0, 2.0, -size), UP), size)[-14:].strip()
         for k, size in enumerate(forces)
     ]
 
@@ -401,7 +422,7 @@ def test_samples_missing_after_a_step_down_make_no_step_up_of_it() -> None:
     force, sent_ns, said = Force("left_foot"), S, []
     for k, size in enumerate([300.0] * 5 + [70.0] * 9):
         sent_ns += 30 * MS if k == 9 else 10 * MS
-        said.append(force.fault(ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
+        said.append(felt(force, ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
     assert not any(said)
 
 
@@ -438,7 +459,7 @@ def test_a_step_with_samples_missing_after_it_is_not_judged(at: int, gap_ns: int
     force, sent_ns, said = Force("left_foot"), S, []
     for k, size in enumerate([40.0] * 5 + [5.0] * 9):
         sent_ns += gap_ns if k == at else 10 * MS
-        said.append(force.fault(ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
+        said.append(felt(force, ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
     assert bool(said[-1]) is tells
 
 
@@ -473,26 +494,26 @@ def test_a_gap_before_the_span_does_not_matter() -> None:
     force, sent_ns, said = Force("left_foot"), S, []
     for k, size in enumerate([40.0] * 5 + [5.0] * 9):
         sent_ns += 30 * MS if k in (0, 3) else 10 * MS
-        said.append(force.fault(ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
+        said.append(felt(force, ImuSample(S + k * 10 * MS, "left_foot", sent_ns, UP, UP), size))
     assert said[-1]
 
 
 def test_time_that_goes_back_begins_anew() -> None:
     force = Force("left_foot")
     for k in range(8):
-        assert force.fault(ImuSample(9 * S + k * 10 * MS, "left_foot", S, UP, UP), 1.0) == ""
-    said = [force.fault(ImuSample(S + k * 10 * MS, "left_foot", S, UP, UP), 1.0) for k in range(9)]
+        assert felt(force, ImuSample(9 * S + k * 10 * MS, "left_foot", S, UP, UP), 1.0) == ""
+    said = [felt(force, ImuSample(S + k * 10 * MS, "left_foot", S, UP, UP), 1.0) for k in range(9)]
     assert first(said) == 8
-    assert first([force.fault(ImuSample(S + k * 10 * MS, "left_foot", S, UP, UP), 9.8) for k in range(9, 40)]) in (0, 1)
+    assert first([felt(force, ImuSample(S + k * 10 * MS, "left_foot", S, UP, UP), 9.8) for k in range(9, 40)]) in (0, 1)
 
 
 def test_a_sensor_that_floods_takes_no_more_memory() -> None:
     force = Force("left_foot")
     for _ in range(3 * MOST_SAMPLES):
-        assert force.fault(ImuSample(S, "left_foot", S, UP, UP), 1.0) == ""
+        assert felt(force, ImuSample(S, "left_foot", S, UP, UP), 1.0) == ""
     assert len(force._seen) == MOST_SAMPLES
     assert sum(force._counts) == MOST_SAMPLES
-    assert force.fault(ImuSample(S + 80 * MS, "left_foot", S, UP, UP), 1.0)
+    assert felt(force, ImuSample(S + 80 * MS, "left_foot", S, UP, UP), 1.0)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -26,6 +26,11 @@ def record_of(part: type[NamedTuple]) -> np.dtype[Any]:
 def new_core(kind: np.dtype[Any], **parts: tuple[float, ...]) -> np.ndarray[Any, np.dtype[Any]]:
     """An array (1,) of such a record with its parts filled in; the state is zero."""
     core = np.zeros(1, kind)
+    fill(core, **parts)
+    return core
+
+
+def fill(core: np.ndarray[Any, np.dtype[Any]], **parts: tuple[float, ...]) -> None:
+    """Fill in the parts of such an array."""
     for name, values in parts.items():
         core[name] = values
-    return core

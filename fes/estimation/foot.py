@@ -9,8 +9,9 @@ import numpy as np
 from fes.estimation import kernel, stride_course
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.compiled import jit_ieee
-from fes.estimation.core import core_type, new_core
+from fes.estimation.core import core_type, fill
 from fes.estimation.history import (
+    BOOK,
     FULL,
     HISTORY_S,
     KEPT,
@@ -25,9 +26,10 @@ from fes.estimation.history import (
 )
 from fes.estimation.kernel import FootParameters
 from fes.estimation.orientation import OrientationSettings
-from fes.estimation.stride_course import CHANGES, ROWS, STRIDES, Out, new_out
+from fes.estimation.stride_course import CHANGES, COURSE, ROWS, STRIDES, Out, new_out
 from fes.estimation.strides import TRAJECTORY_POINTS, StrideMaker
 from fes.estimation.tracker import (
+    ONE,
     PACK_ONE,
     TRANSITIONS,
     UNPACK_ONE,
@@ -45,6 +47,8 @@ from statemachine.table import TABLE
 __all__ = ["HISTORY_S", "LARGEST_VALUE", "RESTART_GAP_S", "FootTracker", "Outcome", "SampleCounts"]
 
 CORE = core_type(kernel.STATE, parameters=FootParameters, thresholds=Thresholds, settings=OrientationSettings)
+# all that a live step needs, beside the history: handed over as four arrays it would take twice as long as its work
+LIVE = np.dtype([("one", ONE), ("core", CORE), ("course", COURSE), ("book", BOOK)], align=True)
 # what may have happened at a sample, beside the transitions 1 … 6
 NOTHING, DUE, AFTER_SILENCE, NO_ROOM = 0, 7, 8, 9
 NOTHING_TAKEN = -1
@@ -83,11 +87,11 @@ def _change(core: Any, course: Any, number: int, acc: Any, row: int) -> None:
 
 
 @jit_ieee
-def _step(core: Any, course: Any, book: Any, one: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any) -> int:
+def _step(live: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any) -> int:
     """Take one sample in and advance over it; the number of what happened, which is then to be gone through."""
-    x = one[0]
+    x, book = live[0].one, live[0].book
     became = take_one(
-        book[0], t_ns, acc, gyr, x.t_ns, x.acc[0], x.acc[1], x.acc[2], x.gyr[0], x.gyr[1], x.gyr[2]
+        book, t_ns, acc, gyr, x.t_ns, x.acc[0], x.acc[1], x.acc[2], x.gyr[0], x.gyr[1], x.gyr[2]
     )  # fmt: skip
     if became == SILENCE:
         return AFTER_SILENCE
@@ -95,13 +99,13 @@ def _step(core: Any, course: Any, book: Any, one: Any, t_ns: Any, acc: Any, gyr:
         return NO_ROOM
     if became != KEPT:
         return NOTHING
-    c, row = core[0], book[0].filled - 1
+    c, row = live[0].core, book.filled - 1
     _, number = kernel.advance(
         c.state, c.parameters, c.thresholds, c.settings, t_ns, acc, gyr, row, row + 1, quaternions
     )  # fmt: skip
     x.row = row
     if number == NOTHING:
-        return DUE if x.t_ns >= course[0].state.due_ns else NOTHING
+        return DUE if x.t_ns >= live[0].course.state.due_ns else NOTHING
     seen, f = x.seen, kernel.features(c.state)
     seen.a_rest, seen.g_rest = f.a_rest, f.g_rest
     seen.toe_down_radps, seen.toe_down_change_radps2 = f.toe_down_radps, f.toe_down_change_radps2
@@ -181,15 +185,16 @@ class FootTracker(Tracker):
         )
         self._settings = OrientationSettings()
         self._gyr_bias = np.array(calibration.gyr_bias_radps)
-        self._all = new_core(
-            CORE, parameters=calibration.parameters(), thresholds=self._thresholds, settings=self._settings
-        )
+        h, live = self._history, np.zeros(1, LIVE)
+        self._all, h.book, self._one = live["core"], live["book"], live["one"]
+        self._one_bytes = live.view(np.uint8).data
+        fill(self._all, parameters=calibration.parameters(), thresholds=self._thresholds, settings=self._settings)
+        strides.keep_in(live["course"])
         self._state = self._all["state"][0]
         self._maker = strides
         self._asks = type(strides) is not StrideMaker  # one that wants to be asked at every stride
-        h = self._history
         self._rows = self._all, strides.course, h.book, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace, np.empty((2, 3))
-        self._live = self._all, strides.course, h.book, self._one, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
+        self._live = live, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
         self._out = new_out(1, len(h.t_ns), TRAJECTORY_POINTS)
         self._filled = self._out.filled.data  # the same memory, read and written in a third of the time
         no_more = np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3))

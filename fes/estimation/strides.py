@@ -88,6 +88,11 @@ class StrideMaker:
         self._out: Out | None = None
         course.restart(self.course, 0)
 
+    def keep_in(self, course: Rows) -> None:
+        """From now on keep all that evolves in this array (1,) of ``stride_course.COURSE``."""
+        course[:] = self.course
+        self.course, self._due_ns = course, course["state"]["due_ns"]
+
     @property
     def due_ns(self) -> int | None:
         """The stride under way is closed at this time at the latest; None while there is none."""

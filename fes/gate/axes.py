@@ -24,6 +24,8 @@ LEAST_FORCE_MPS2: Final = 4.0  # smaller forces and rates are not taken as large
 LEAST_RATE_RADPS: Final = 1.0
 STEPS_AFTER: Final = 2  # that have to be smooth
 MOST_APART_NS: Final = 12_500_000  # by the sensor's own clock, between two samples; in a longer time a foot may turn
+_LEAST_FORCE2: Final = LEAST_FORCE_MPS2**2
+_LEAST_RATE2: Final = LEAST_RATE_RADPS**2
 
 # a box turned, never mirrored: (order, signs); a mirrored force alone is what many a hard heel strike looks like
 _TURNS = tuple(
@@ -71,7 +73,9 @@ class Axes:
             _square_apart(sample.gyr_radps, before.gyr_radps),
         )
         if jump is None:
-            self._jump = _jump(before, sample, last, self._step) if last else None
+            # most steps are too small already if held against the least sizes, and against any other they are smaller
+            if last and force / _LEAST_FORCE2 + rate / _LEAST_RATE2 >= LEAST_JUMP:
+                self._jump = _jump(before, sample, last, self._step)
             return ""
         jump.steps -= 1
         smooth = force / jump.force + rate / jump.rate <= jump.smooth
@@ -83,8 +87,8 @@ class Axes:
 
 def _jump(before: ImuSample, after: ImuSample, last: tuple[float, float], step: tuple[float, float]) -> _Jump | None:
     acc, gyr, acc_before, gyr_before = after.acc_mps2, after.gyr_radps, before.acc_mps2, before.gyr_radps
-    force = max(_square(acc), _square(acc_before), LEAST_FORCE_MPS2**2)
-    rate = max(_square(gyr), _square(gyr_before), LEAST_RATE_RADPS**2)
+    force = max(_square(acc), _square(acc_before), _LEAST_FORCE2)
+    rate = max(_square(gyr), _square(gyr_before), _LEAST_RATE2)
     size = step[0] / force + step[1] / rate
     smooth = SMOOTH * size
     if size < LEAST_JUMP or last[0] / force + last[1] / rate > smooth:

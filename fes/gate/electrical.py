@@ -7,80 +7,70 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from fes import limits
-from fes.config import Channel, ChannelLimits
+from fes.config import ChannelLimits
 from fes.signals import StimRequest, StimStatus
 
 NUMBER_BOUND: Final = 1e9  # nothing in a request is anywhere near it
 
 
-@dataclass(slots=True)  # frozen it would take six times as long to make, at every request
-class Pulse:
-    """Amplitude, width and rate of a pulse train under electrodes of one size."""
-
-    current_ma: float
-    pulse_width_us: float
-    frequency_hz: float
-    electrode_area_cm2: float
-
-    @classmethod
-    def of(cls, source: StimRequest | StimStatus, channel: Channel) -> Pulse:
-        """What is asked of, or delivered by, this channel."""
-        return cls(source.current_ma, source.pulse_width_us, source.frequency_hz, channel.electrode_area_cm2)
-
-
 @dataclass(frozen=True, slots=True)
 class Cap:
-    """One quantity of a pulse, its absolute limit and the channel's own; the smaller counts."""
+    """One quantity of a pulse, its absolute limit and the channel's own; the smaller counts.
+
+    ``of`` computes it from a pulse train's current (mA), width (µs) and rate (Hz), and the electrodes' area (cm²).
+    """
 
     what: str
     unit: str
     absolute: float
     own: Callable[[ChannelLimits], float]
-    of: Callable[[Pulse], float]
+    of: Callable[[float, float, float, float], float]
 
 
 Caps: TypeAlias = tuple[tuple[Cap, float], ...]  # each with what it may be at most in one channel
 
-
-def _charge_uc(p: Pulse) -> float:
-    return limits.charge_per_phase_uc(p.current_ma, p.pulse_width_us)
-
-
-def _density_ma_per_cm2(p: Pulse) -> float:
-    return limits.current_density_ma_per_cm2(p.current_ma, p.pulse_width_us, p.frequency_hz, p.electrode_area_cm2)
-
-
-def _energy_mj(p: Pulse) -> float:
-    return limits.pulse_energy_mj(p.current_ma, p.pulse_width_us)
-
-
 CAPS: Final = (
-    Cap("current", "mA", limits.MAX_CURRENT_MA, lambda own: own.max_current_ma, lambda p: p.current_ma),
-    Cap("pulse width", "µs", limits.MAX_PULSE_WIDTH_US, lambda own: own.max_pulse_width_us, lambda p: p.pulse_width_us),
-    Cap("frequency", "Hz", limits.MAX_FREQUENCY_HZ, lambda own: own.max_frequency_hz, lambda p: p.frequency_hz),
-    Cap("charge per phase", "µC", limits.MAX_CHARGE_PER_PHASE_UC, lambda own: own.max_charge_per_phase_uc, _charge_uc),
+    Cap("current", "mA", limits.MAX_CURRENT_MA, lambda own: own.max_current_ma, lambda ma, us, hz, cm2: ma),
+    Cap("pulse width", "µs", limits.MAX_PULSE_WIDTH_US, lambda own: own.max_pulse_width_us, lambda ma, us, hz, cm2: us),
+    Cap("frequency", "Hz", limits.MAX_FREQUENCY_HZ, lambda own: own.max_frequency_hz, lambda ma, us, hz, cm2: hz),
+    Cap(
+        "charge per phase",
+        "µC",
+        limits.MAX_CHARGE_PER_PHASE_UC,
+        lambda own: own.max_charge_per_phase_uc,
+        lambda ma, us, hz, cm2: limits.charge_per_phase_uc(ma, us),
+    ),
     Cap(
         "current density",
         "mA/cm² r.m.s.",
         limits.MAX_CURRENT_DENSITY_MA_PER_CM2,
         lambda own: own.max_current_density_ma_per_cm2,
-        _density_ma_per_cm2,
+        limits.current_density_ma_per_cm2,
     ),
-    # a session states none of its own
-    Cap("pulse energy", "mJ", limits.MAX_PULSE_ENERGY_MJ, lambda own: limits.MAX_PULSE_ENERGY_MJ, _energy_mj),
+    Cap(
+        "pulse energy",
+        "mJ",
+        limits.MAX_PULSE_ENERGY_MJ,
+        lambda own: limits.MAX_PULSE_ENERGY_MJ,  # a session states none of its own
+        lambda ma, us, hz, cm2: limits.pulse_energy_mj(ma, us),
+    ),
 )
 
 
 def no_number(request: StimRequest) -> str:
     """Which of the three numbers is none, or not above 0; "" when all are."""
-    for what, value in (
-        ("current", request.current_ma),
-        ("pulse width", request.pulse_width_us),
-        ("frequency", request.frequency_hz),
-    ):
-        if not is_number(value) or value <= 0:
-            return f"{what} is {shown(value)}, must be a number above 0"
+    current_ma, width_us, frequency_hz = request.current_ma, request.pulse_width_us, request.frequency_hz
+    if not is_number(current_ma) or current_ma <= 0:
+        return _not_above_0("current", current_ma)
+    if not is_number(width_us) or width_us <= 0:
+        return _not_above_0("pulse width", width_us)
+    if not is_number(frequency_hz) or frequency_hz <= 0:
+        return _not_above_0("frequency", frequency_hz)
     return ""
+
+
+def _not_above_0(what: str, value: object) -> str:
+    return f"{what} is {shown(value)}, must be a number above 0"
 
 
 def caps_of(own: ChannelLimits) -> Caps:
@@ -88,12 +78,18 @@ def caps_of(own: ChannelLimits) -> Caps:
     return tuple((cap, min(cap.absolute, cap.own(own))) for cap in CAPS)
 
 
-def over_a_cap(pulse: Pulse, caps: Caps) -> str:
-    """The first cap exceeded, with number and limit; "" when none is."""
-    if min(pulse.current_ma, pulse.pulse_width_us, pulse.frequency_hz) < 0:
+def wrongly_delivered(status: StimStatus, area_cm2: float, caps: Caps) -> str:
+    """What no device should deliver; "" when all is well."""
+    if min(status.current_ma, status.pulse_width_us, status.frequency_hz) < 0:
         return "a pulse of negative size"
+    return over_a_cap(status, area_cm2, caps)
+
+
+def over_a_cap(pulse: StimRequest | StimStatus, area_cm2: float, caps: Caps) -> str:
+    """The first cap that a pulse of no negative size exceeds, with number and limit; "" when none is."""
+    current_ma, width_us, frequency_hz = pulse.current_ma, pulse.pulse_width_us, pulse.frequency_hz
     for cap, most in caps:
-        value = cap.of(pulse)
+        value = cap.of(current_ma, width_us, frequency_hz, area_cm2)
         if not value <= most:  # so that not-a-number is over every cap
             return f"{cap.what} {value:.4g} {cap.unit}, limit {most:.4g} {cap.unit}"
     return ""
@@ -107,4 +103,4 @@ def shown(value: object) -> str:
 
 def is_number(value: object) -> bool:
     """Whether it is a finite number of sane size; true and false are none."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= NUMBER_BOUND
+    return isinstance(value, (float, int)) and not isinstance(value, bool) and abs(value) <= NUMBER_BOUND

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 from fes.signals import SHANK_SENSORS, ImuSample
 
@@ -49,18 +49,9 @@ FOOT: Final = Bounds(weak=2.5, low=7.0, high=60.0, strong=80.0)
 SHANK: Final = Bounds(weak=2.5, low=7.0, high=30.0, strong=60.0)  # it is shaken less
 
 
-@dataclass(slots=True)
-class Seen:
-    """One sample: when, the level of its force, whether a step led to it (-1 down, 1 up), and whether a gap did.
-
-    And whether an axis shows more than the sensor could in g.
-    """
-
-    t_ns: int
-    level: int
-    step: int
-    gap: int
-    beyond: int
+# one sample: when, the level of its force, whether a step led to it (-1 down, 1 up), whether a gap did, and whether an
+# axis shows more than the sensor could in g
+Seen: TypeAlias = tuple[int, int, int, bool, bool]
 
 
 class Force:
@@ -80,26 +71,13 @@ class Force:
         self._before_mps2 = 0.0
         self._before_ns = 0
 
-    def fault(self, sample: ImuSample, force_mps2: float) -> str:
-        """Take in a sample and the size of its force; what is wrong with the unit, in words, "" when nothing is."""
+    def fault(self, sample: ImuSample, force_mps2: float, most_mps2: float) -> str:
+        """Take in a sample, the size of its force and its largest axis; what is wrong with the unit, in words, "" when
+        nothing is."""
         t_ns, seen = sample.t_ns, self._seen
-        if seen and t_ns < seen[-1].t_ns:  # told elsewhere; nothing from before counts
+        if seen and t_ns < seen[-1][0]:  # told elsewhere; nothing from before counts
             while seen:
                 self._forget_oldest()
-        new = self._next(sample, force_mps2)
-        seen.append(new)
-        self._counts[new.level] += 1
-        self._gaps += new.gap
-        self._beyond += new.beyond
-        said = ""
-        while t_ns - seen[0].t_ns >= SPAN_NS:
-            said = said or self._of_span(sample.sensor, force_mps2)
-            self._forget_oldest()
-        if len(seen) > MOST_SAMPLES:
-            self._forget_oldest()
-        return said
-
-    def _next(self, sample: ImuSample, force_mps2: float) -> Seen:
         bounds, before_mps2 = self._bounds, self._before_mps2
         level = USUAL
         if force_mps2 < bounds.low:
@@ -108,25 +86,40 @@ class Force:
             level = STRONG if force_mps2 > bounds.strong else HIGH
         apart_ns = sample.t_sensor_ns - self._before_ns
         step = 0
-        if self._seen and 0 < apart_ns <= MOST_APART_NS:
+        if seen and 0 < apart_ns <= MOST_APART_NS:
             step = (force_mps2 > before_mps2 * STEP) - (force_mps2 * STEP < before_mps2)
         self._before_mps2, self._before_ns = force_mps2, sample.t_sensor_ns
-        return Seen(sample.t_ns, level, step, apart_ns > MOST_GAP_NS, max(map(abs, sample.acc_mps2)) > self._most_in_g)
+        gap, beyond = apart_ns > MOST_GAP_NS, most_mps2 > self._most_in_g
+        seen.append((t_ns, level, step, gap, beyond))
+        self._counts[level] += 1
+        self._gaps += gap
+        self._beyond += beyond
+        said = ""
+        while t_ns - seen[0][0] >= SPAN_NS:
+            said = said or self._of_span(sample.sensor, force_mps2)
+            self._forget_oldest()
+        if len(seen) > MOST_SAMPLES:
+            self._forget_oldest()
+        return said
 
     def _of_span(self, sensor: str, force_mps2: float) -> str:
         """What the span from the oldest sample to the newest says."""
         weak, low, _, high, strong = self._counts
         share, of = MOSTLY
-        most, oldest = share * len(self._seen), self._seen[0]
-        step = oldest.step if self._gaps == oldest.gap else 0
-        if of * weak >= most or (step < 0 and not self._beyond and of * (weak + low) >= most):
+        most = share * len(self._seen)
+        if of * (weak + low) >= most and (of * weak >= most or (self._step() < 0 and not self._beyond)):
             return f"{sensor} shows {force_mps2:.2g} m/s² and less than gravity for {SPAN_MS} ms: is its unit g?"
-        if of * strong >= most or (step > 0 and of * (strong + high) >= most):
+        if of * (strong + high) >= most and (of * strong >= most or self._step() > 0):
             return f"{sensor} shows {force_mps2:.0f} m/s² and more than a foot can take for {SPAN_MS} ms: wrong unit?"
         return ""
 
+    def _step(self) -> int:
+        """The step that led to the oldest sample; 0 where a later one comes after a gap."""
+        _, _, step, gap, _ = self._seen[0]
+        return step if self._gaps == gap else 0
+
     def _forget_oldest(self) -> None:
-        gone = self._seen.popleft()
-        self._counts[gone.level] -= 1
-        self._gaps -= gone.gap
-        self._beyond -= gone.beyond
+        _, level, _, gap, beyond = self._seen.popleft()
+        self._counts[level] -= 1
+        self._gaps -= gap
+        self._beyond -= beyond

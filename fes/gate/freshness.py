@@ -47,35 +47,34 @@ class Freshness:
 
     def note(self, sample: ImuSample) -> str:
         """Take in a sample; returns what is wrong with it, "" when nothing is."""
-        values = (*sample.acc_mps2, *sample.gyr_radps)
-        finite = all(map(math.isfinite, values))
-        offset_ns = sample.t_ns - sample.t_sensor_ns
+        t_ns, t_sensor_ns, values = sample.t_ns, sample.t_sensor_ns, sample.acc_mps2 + sample.gyr_radps
+        finite = math.isfinite(sum(values)) or all(map(math.isfinite, values))  # finite ones may have a sum that is not
+        offset_ns = t_ns - t_sensor_ns
         fault = "" if finite else f"non-finite sample from {sample.sensor}"
         known = self._sensors.get(sample.sensor)
         if known is None:
-            self._sensors[sample.sensor] = _Sensor(
-                sample.t_ns, sample.t_sensor_ns, offset_ns, finite, values, sample.t_ns, sample.t_ns
-            )
+            self._sensors[sample.sensor] = _Sensor(t_ns, t_sensor_ns, offset_ns, finite, values, t_ns, t_ns)
             return fault
-        back_ns = known.t_sensor_ns - sample.t_sensor_ns
+        back_ns = known.t_sensor_ns - t_sensor_ns
         # sent later than it could have been, were it the least delayed of all; in the first second that is still learnt
-        ahead_ns = known.offset_ns - offset_ns if sample.t_ns - known.begun_ns > NS_PER_S else 0
-        slipped = max(back_ns, ahead_ns) > self._max_age_ns
-        known.slips = known.slips + 1 if slipped else 0
-        if known.slips == SLIPS_BELIEVED:
-            # the sensor restarted or its clock was set: its mapping starts anew
-            self._sensors[sample.sensor] = _Sensor(
-                sample.t_ns, sample.t_sensor_ns, offset_ns, finite, values, sample.t_ns, sample.t_ns
-            )
-            where = f"back by {back_ns / 1e6:.0f}" if back_ns > 0 else f"ahead by {ahead_ns / 1e6:.0f}"
-            return fault or f"{sample.sensor}'s clock went {where} ms"
-        drift_ns = max(sample.t_ns - known.t_ns, 0) * MAX_CLOCK_DRIFT_PPM // 1_000_000
-        if not slipped:
+        ahead_ns = known.offset_ns - offset_ns if t_ns - known.begun_ns > NS_PER_S else 0
+        if back_ns > self._max_age_ns or ahead_ns > self._max_age_ns:
+            known.slips += 1
+            if known.slips == SLIPS_BELIEVED:
+                # the sensor restarted or its clock was set: its mapping starts anew
+                self._sensors[sample.sensor] = _Sensor(t_ns, t_sensor_ns, offset_ns, finite, values, t_ns, t_ns)
+                where = f"back by {back_ns / 1e6:.0f}" if back_ns > 0 else f"ahead by {ahead_ns / 1e6:.0f}"
+                return fault or f"{sample.sensor}'s clock went {where} ms"
+        else:
+            known.slips = 0
+            drift_ns = max(t_ns - known.t_ns, 0) * MAX_CLOCK_DRIFT_PPM // 1_000_000
             known.offset_ns = min(offset_ns, known.offset_ns + drift_ns)
-            known.t_sensor_ns = max(sample.t_sensor_ns, known.t_sensor_ns)
-        known.t_ns, known.finite = sample.t_ns, finite
+            if back_ns < 0:
+                known.t_sensor_ns = t_sensor_ns
+        known.t_ns, known.finite = t_ns, finite
         if values != known.values:
-            known.values, known.changed_ns = values, sample.t_ns
+            known.values, known.changed_ns = values, t_ns
+            return fault
         return fault or self._frozen(sample.sensor, known)
 
     def doubt(self, sensor: str, t_ns: int) -> str:
@@ -89,7 +88,7 @@ class Freshness:
         if arrival_ns < 0:
             return f"{sensor} data are dated {-arrival_ns / 1e6:.3g} ms ahead"
         age_ns = t_ns - known.t_sensor_ns - known.offset_ns
-        if max(arrival_ns, age_ns) <= self._max_age_ns:
+        if arrival_ns <= self._max_age_ns and age_ns <= self._max_age_ns:
             return self._frozen(sensor, known)
         limit = f"limit {self._max_age_ns / 1e6:.0f} ms"
         if arrival_ns > self._max_age_ns:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 from fes import limits
 from fes.config import Channel, ImuDevice
-from fes.gate.electrical import Pulse, is_number, no_number, over_a_cap, shown
+from fes.gate.electrical import is_number, no_number, over_a_cap, shown, wrongly_delivered
 from fes.gate.freshness import Freshness
 from fes.gate.line import COARSEST_STEP_MA, RISE_STEP_MA, Line
 from fes.gate.plausible import Plausible
@@ -74,14 +74,14 @@ class SafetyGate:
         self._freshness = Freshness(min(limits.MAX_DATA_AGE_MS, max_data_age_ms) * 1_000_000)
         self._plausible = Plausible(devices, up or {})
         self._stamps = Stamps()
-        self._driven_by = dict(driven_by or {})
         self._lines: dict[int, Line] = {}
         step_ma = min(max(RISE_STEP_MA, current_step_ma), COARSEST_STEP_MA)
         for channel in channels:
+            sensor = (driven_by or {}).get(channel.foot, channel.foot)
             named_by = {other.number for other in channels if channel.number in other.never_with}
-            partners = frozenset(named_by | set(channel.never_with))
-            self._lines[channel.number] = Line(channel, partners, self._validity_ms * 1_000_000, step_ma)
-        self._relied_on = frozenset(self._sensor(line) for line in self._lines.values())
+            partners = tuple(sorted(named_by | set(channel.never_with)))
+            self._lines[channel.number] = Line(channel, sensor, partners, self._validity_ms * 1_000_000, step_ma)
+        self._relied_on = frozenset(line.sensor for line in self._lines.values())
         self._flagged: dict[str, Flagged] = {}
         self._event_ns: int | None = None
         self._judged_ns: int | None = None
@@ -159,8 +159,7 @@ class SafetyGate:
 
     def _on_act(self, act: OperatorAct) -> None:
         if act.action is OperatorAction.ARM:
-            sensors = sorted({self._sensor(line) for line in self._lines.values()})
-            doubts = (self._doubt(sensor, act.t_ns) for sensor in sensors)
+            doubts = (self._doubt(sensor, act.t_ns) for sensor in sorted(self._relied_on))
             self._arming_refused = next(filter(None, doubts), "")
             self._armed = not self._arming_refused
             if self._armed:
@@ -177,7 +176,7 @@ class SafetyGate:
         if line is None:
             return
         if status.on:
-            over = over_a_cap(Pulse.of(status, line.channel), line.caps)
+            over = wrongly_delivered(status, line.area_cm2, line.caps)
             if over:
                 self.latch(status.t_ns, f"{line.channel.name}: stimulator delivers {over}")
         if status.pulses > 0 and line.unasked(status.t_ns):
@@ -224,10 +223,6 @@ class SafetyGate:
     def _doubt(self, sensor: str, t_ns: int) -> str:
         return self._freshness.doubt(sensor, t_ns) or self._plausible.doubt(sensor)
 
-    def _sensor(self, line: Line) -> str:
-        """The sensor that this channel's timing rests on."""
-        return self._driven_by.get(line.channel.foot, line.channel.foot)
-
     def _refusal(self, t_ns: int, line: Line | None, request: StimRequest) -> str:
         """Why stimulation must not go out; "" when it may. Latches what is a fault."""
         if line is None:
@@ -241,17 +236,19 @@ class SafetyGate:
         if fault := self._fault(t_ns, line, request):
             self.latch(t_ns, fault)
             return fault
-        hold = line.off_too_short(t_ns) or self._antagonist_on(line) or line.rises_too_fast(t_ns, request.current_ma)
+        hold = line.off_too_short(t_ns) or self._antagonist_on(line)
+        if not hold and line.held_back:  # of any other burst a rise too fast is a fault
+            hold = line.rises_too_fast(t_ns, request.current_ma)
         return f"{line.channel.name}: {hold}" if hold else ""
 
     def _fault(self, t_ns: int, line: Line, request: StimRequest) -> str:
         """What latches. The order matters: the later checks rely on the numbers being numbers."""
-        if doubt := self._doubt(self._sensor(line), t_ns):
+        if doubt := self._doubt(line.sensor, t_ns):
             return doubt
         fault = (
             _no_switch(request.on)
             or no_number(request)
-            or over_a_cap(Pulse.of(request, line.channel), line.caps)
+            or over_a_cap(request, line.area_cm2, line.caps)
             or line.on_too_long(t_ns)
             or line.too_much_charge(t_ns)
         )
@@ -260,7 +257,7 @@ class SafetyGate:
         return f"{line.channel.name}: {fault}" if fault else ""
 
     def _antagonist_on(self, line: Line) -> str:
-        for number in sorted(line.partners):
+        for number in line.partners:
             partner = self._lines.get(number)
             if partner is not None and partner.on:
                 return f"never together with {partner.channel.name}, which is on"

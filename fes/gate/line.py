@@ -19,7 +19,7 @@ ANSWERED_NS: Final = NS_PER_S // 4  # longer after its last command no answer te
 
 @dataclass(slots=True)
 class Line:
-    """A channel's settings, its antagonists' numbers, and its state.
+    """A channel's settings, the sensor that its timing rests on, its antagonists' numbers, and its state.
 
     ``ramp_ma`` is a line that climbs no faster than the rise limit and never lies above the current let out; a request
     may exceed it by ``step_ma``. So no sequence of commands, however dense, beats the limit by more than a step.
@@ -28,7 +28,8 @@ class Line:
     """
 
     channel: Channel
-    partners: frozenset[int]
+    sensor: str
+    partners: tuple[int, ...]
     validity_ns: int
     step_ma: float
     on: bool = False
@@ -39,16 +40,18 @@ class Line:
     held_back: bool = False
     dose: Dose = field(default_factory=Dose)
     caps: Caps = field(init=False)
-    most_on_s: float = field(init=False)
-    least_off_s: float = field(init=False)
+    area_cm2: float = field(init=False)
+    most_on_ns: int = field(init=False)
+    least_off_ns: int = field(init=False)
     most_mc: float = field(init=False)
     most_rise_ma_per_s: float = field(init=False)
 
     def __post_init__(self) -> None:
         own = self.channel.limits
         self.caps = caps_of(own)
-        self.most_on_s = min(limits.MAX_ON_S, own.max_on_s)
-        self.least_off_s = max(limits.MIN_OFF_S, own.min_off_s)
+        self.area_cm2 = self.channel.electrode_area_cm2
+        self.most_on_ns = round(min(limits.MAX_ON_S, own.max_on_s) * NS_PER_S)
+        self.least_off_ns = round(max(limits.MIN_OFF_S, own.min_off_s) * NS_PER_S)
         self.most_mc = min(limits.MAX_CHARGE_PER_MINUTE_MC, own.max_charge_per_minute_mc)
         self.most_rise_ma_per_s = min(limits.MAX_RISE_MA_PER_S, own.max_rise_ma_per_s)
 
@@ -79,9 +82,10 @@ class Line:
 
     def on_too_long(self, t_ns: int) -> str:
         """Says so when the burst has lasted longer than a burst may."""
-        most_s = self.most_on_s
         on_ns = t_ns - self.on_since_ns if self.on else 0
-        return f"on for {on_ns / NS_PER_S:.3g} s, limit {most_s:.3g} s" if on_ns > round(most_s * NS_PER_S) else ""
+        if on_ns <= self.most_on_ns:
+            return ""
+        return f"on for {on_ns / NS_PER_S:.3g} s, limit {self.most_on_ns / NS_PER_S:.3g} s"
 
     def too_much_charge(self, t_ns: int) -> str:
         """Says so when the last minute's charge is at its limit."""
@@ -91,10 +95,9 @@ class Line:
 
     def off_too_short(self, t_ns: int) -> str:
         """Says so when the last burst is too recent for another."""
-        least_s = self.least_off_s
-        if self.on or self.off_since_ns is None or t_ns - self.off_since_ns >= round(least_s * NS_PER_S):
+        if self.on or self.off_since_ns is None or t_ns - self.off_since_ns >= self.least_off_ns:
             return ""
-        return f"off for {(t_ns - self.off_since_ns) / NS_PER_S:.3g} s, at least {least_s:.3g} s"
+        return f"off for {(t_ns - self.off_since_ns) / NS_PER_S:.3g} s, at least {self.least_off_ns / NS_PER_S:.3g} s"
 
     def rises_too_fast(self, t_ns: int, current_ma: float) -> str:
         """Says so when this current is more than the ramp can have reached."""

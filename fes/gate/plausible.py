@@ -28,6 +28,7 @@ MEAN_NS: Final = (
 )
 MOST_STEP_NS: Final = 40_000_000  # one sample after a silence does not stand for all of it
 _TILT: Final = f"{math.degrees(MOST_TILT_RAD):.0f}°"
+_UPRIGHT: Final = math.cos(MOST_TILT_RAD)
 
 
 @dataclass(slots=True)
@@ -71,9 +72,9 @@ class Plausibility:
         t_ns, name = sample.t_ns, sample.sensor
         x, y, z = sample.acc_mps2
         force_mps2 = math.sqrt(x * x + y * y + z * z)
-        rate_radps = max(map(abs, sample.gyr_radps))
-        at_range = rate_radps >= self._gyr_range_radps or max(abs(x), abs(y), abs(z)) >= self._acc_range_mps2
-        wrong_unit, exchanged = self._force.fault(sample, force_mps2), self._axes.fault(sample)
+        most_mps2, rate_radps = _largest(sample.acc_mps2), _largest(sample.gyr_radps)
+        at_range = rate_radps >= self._gyr_range_radps or most_mps2 >= self._acc_range_mps2
+        wrong_unit, exchanged = self._force.fault(sample, force_mps2, most_mps2), self._axes.fault(sample)
         fast = self._fast.so(t_ns, rate_radps > FAST_RADPS)
         saturated = self._saturated.so(t_ns, at_range)
         tilted = self._tilted.so(t_ns, self._rests_tilted(sample, force_mps2, rate_radps))
@@ -93,13 +94,10 @@ class Plausibility:
         return ""
 
     def _rests_tilted(self, sample: ImuSample, force_mps2: float, rate_radps: float) -> bool:
-        if self._up is None or abs(force_mps2 - G_MPS2) > REST_FORCE_MPS2:
-            return False
-        if rate_radps > REST_RATE_RADPS:
+        if self._up is None or rate_radps > REST_RATE_RADPS or abs(force_mps2 - G_MPS2) > REST_FORCE_MPS2:
             return False
         (x, y, z), (ux, uy, uz) = sample.acc_mps2, self._up
-        along = x * ux + y * uy + z * uz
-        return along < force_mps2 * math.cos(MOST_TILT_RAD)
+        return x * ux + y * uy + z * uz < force_mps2 * _UPRIGHT
 
     def _moves_tilted(self, sample: ImuSample) -> bool:
         """Whether the force, averaged over about 0.3 s, comes from elsewhere than gravity does in anybody's gait.
@@ -109,7 +107,11 @@ class Plausibility:
         if self._up is None:
             return False
         before_ns, self._mean_ns = self._mean_ns, sample.t_ns
-        step_ns = min(max(sample.t_ns - before_ns, 0), MOST_STEP_NS) if before_ns is not None else 0
+        step_ns = sample.t_ns - before_ns if before_ns is not None else 0
+        if step_ns > MOST_STEP_NS:
+            step_ns = MOST_STEP_NS
+        elif step_ns < 0:
+            step_ns = 0
         share = step_ns / MEAN_NS
         (mx, my, mz), (x, y, z), (ux, uy, uz) = self._mean_mps2, sample.acc_mps2, self._up
         mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
@@ -118,7 +120,7 @@ class Plausibility:
             self._mean_mps2 = self._upright()
             return False
         self._mean_mps2 = (mx, my, mz)
-        return mx * ux + my * uy + mz * uz < size * math.cos(MOST_TILT_RAD)
+        return mx * ux + my * uy + mz * uz < size * _UPRIGHT
 
     def _upright(self) -> Vector3:
         x, y, z = self._up or (0.0, 0.0, 0.0)
@@ -150,3 +152,12 @@ class Plausible:
         """Why this sensor's data are no ground for stimulating now; "" when they are."""
         known = self._sensors.get(sensor)
         return known.doubt if known else ""
+
+
+def _largest(a: Vector3) -> float:
+    """Of the three sizes; as ``max``, which takes three times as long."""
+    x, y, z = a
+    most, y, z = abs(x), abs(y), abs(z)
+    if y > most:
+        most = y
+    return z if z > most else most

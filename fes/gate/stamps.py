@@ -39,16 +39,19 @@ class Stamps:
             self._sensors[sample.sensor] = _Sensor(sample.t_ns, sample.t_sensor_ns)
             self.slips[sample.sensor] = 0
             return ""
-        step_ns, waited_ns = sample.t_sensor_ns - known.t_sensor_ns, sample.t_ns - known.t_ns
-        known.t_ns, known.t_sensor_ns = sample.t_ns, sample.t_sensor_ns
-        known.samples.append(sample.t_ns)
-        if step_ns <= 0 or step_ns > waited_ns + max(LEAST_JUMP_NS, waited_ns // 2):
+        t_ns, samples, slips = sample.t_ns, known.samples, known.slips
+        step_ns, waited_ns = sample.t_sensor_ns - known.t_sensor_ns, t_ns - known.t_ns
+        known.t_ns, known.t_sensor_ns = t_ns, sample.t_sensor_ns
+        samples.append(t_ns)
+        ahead_ns = step_ns - waited_ns
+        if step_ns <= 0 or (ahead_ns > LEAST_JUMP_NS and ahead_ns > waited_ns // 2):
             self.slips[sample.sensor] += 1
-            known.slips.append(sample.t_ns)
-        for times in (known.samples, known.slips):
-            while times and sample.t_ns - times[0] > WINDOW_NS:
-                times.popleft()
-        if len(known.slips) < LEAST_SLIPS or len(known.slips) <= MOST_SHARE * len(known.samples):
+            slips.append(t_ns)
+        while t_ns - samples[0] > WINDOW_NS:  # at the latest it ends at this sample
+            samples.popleft()
+        while slips and t_ns - slips[0] > WINDOW_NS:
+            slips.popleft()
+        if len(slips) < LEAST_SLIPS or len(slips) <= MOST_SHARE * len(samples):
             return ""
-        share = f"{len(known.slips)} of {len(known.samples)} within a second"
+        share = f"{len(slips)} of {len(samples)} within a second"
         return f"{sample.sensor}'s time stamps are out of order: {share}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from fes.config import Channel
 from fes.signals import NS_PER_S
@@ -63,20 +63,45 @@ class Envelope:
 
     def dimmed(self, intensity: float) -> Envelope:
         """The same burst at this intensity if that is lower; a higher one waits for the next burst."""
-        return replace(self, intensity=intensity) if intensity < self.intensity else self
+        return self._again(intensity, self.t_stop_ns, self.t_due_ns) if intensity < self.intensity else self
 
     def stopped(self, t_ns: int) -> Envelope:
         """The same burst with the stop phase entered at ``t_ns``; the first entry counts."""
-        return replace(self, t_stop_ns=t_ns) if self.t_stop_ns is None else self
+        return self._again(self.intensity, t_ns, self.t_due_ns) if self.t_stop_ns is None else self
+
+    def unstopped(self) -> Envelope:
+        """The same burst with the stop phase still to come."""
+        return self._again(self.intensity, None, self.t_due_ns)
+
+    def due(self, t_ns: int | None) -> Envelope:
+        """The same burst, to fall at ``t_ns`` though the stop phase has not come; None: not before it."""
+        return self._again(self.intensity, self.t_stop_ns, t_ns)
+
+    def _again(self, intensity: float, t_stop_ns: int | None, t_due_ns: int | None) -> Envelope:
+        """As ``dataclasses.replace``, which takes several times as long."""
+        return Envelope(
+            self.t_start_ns,
+            self.parameters,
+            self.frequency_hz,
+            self.rise_ns,
+            self.extension_ns,
+            self.fall_ns,
+            self.max_on_ns,
+            intensity,
+            t_stop_ns,
+            t_due_ns,
+        )
 
     def level_ma(self, t_ns: int) -> float:
         """Current at ``t_ns``, in mA, never negative; 0 before the start and after the end."""
-        if not self.t_start_ns <= t_ns < self.t_start_ns + self.max_on_ns:
+        rising_ns, left = t_ns - self.t_start_ns, 1.0
+        if not 0 <= rising_ns < self.max_on_ns:
             return 0.0
-        t_fall_ns = self.t_fall_ns
-        risen = min(1.0, max(0, min(t_ns, t_fall_ns) - self.t_start_ns) / self.rise_ns)
-        fallen = (t_ns - t_fall_ns) / max(self.fall_ns, 1) if t_ns > t_fall_ns else 0.0
-        return self.parameters.current_ma * self.intensity * (risen * max(0.0, 1.0 - fallen))
+        if t_ns > self.t_fall_ns:
+            rising_ns = max(0, self.t_fall_ns - self.t_start_ns)
+            left = max(0.0, 1.0 - (t_ns - self.t_fall_ns) / max(self.fall_ns, 1))
+        risen = rising_ns / self.rise_ns if rising_ns < self.rise_ns else 1.0
+        return self.parameters.current_ma * self.intensity * (risen * left)
 
     def width_us(self, t_ns: int) -> float:
         """Pulse width at ``t_ns``."""

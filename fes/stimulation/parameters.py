@@ -30,7 +30,10 @@ class BurstParameters:
 
     def width_us(self, since_start_s: float) -> float:
         """Pulse width this long after the burst's start."""
-        return self.widths_us[min(max(int(since_start_s / BIN_S), 0), len(self.widths_us) - 1)]
+        at = int(since_start_s / BIN_S)
+        if at < len(self.widths_us):
+            return self.widths_us[at] if at > 0 else self.widths_us[0]
+        return self.widths_us[-1]
 
     @property
     def mean_width_us(self) -> float:

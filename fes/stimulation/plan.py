@@ -16,7 +16,7 @@ A burst starts late rather than break a rule that the gate would enforce: not be
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from fes.config import PHASE_ORDER, Channel
 from fes.signals import StimRequest
@@ -115,7 +115,7 @@ class StimulationPlan:
                 line.awaited_ns, line.burst = None, None
             elif change.destination == line.start:
                 if line.adopt and line.burst is not None and not line.burst.falls(change.t_ns):
-                    line.burst = replace(line.burst, t_stop_ns=None)
+                    line.burst = line.burst.unstopped()
                 else:
                     line.burst, line.taken = None, line.upcoming
                     line.awaited_ns = change.t_ns + to_ns(line.taken.start_delay_s) if permitted else None
@@ -124,7 +124,7 @@ class StimulationPlan:
                 line.awaited_ns = None
                 line.burst = line.burst.stopped(change.t_ns) if line.burst else None
             if line.burst is not None and change.destination == line.before:
-                line.burst = replace(line.burst, t_due_ns=line.due_ns())
+                line.burst = line.burst.due(line.due_ns())
 
     def start(self, number: float, t_ns: int, hold_ns: int, *, adopt: bool) -> None:
         """Start a burst of one channel by hand; it falls after ``hold_ns``, and what the foot does may end it sooner.
@@ -173,7 +173,7 @@ class StimulationPlan:
             t_ns: now; no earlier than in any call before.
             intensity: the operator's setting, 0–1; anything else is clipped, not-a-number is 0.
         """
-        requests = tuple(self._commit(line, t_ns, intensity) for line in self._lines)
+        requests = tuple([self._commit(line, t_ns, intensity) for line in self._lines])
         self._asked_ns = t_ns
         return requests
 
@@ -226,7 +226,7 @@ class StimulationPlan:
         current_ma = round_down(burst.level_ma(t_ns), self._current_step_ma)
         pulse_width_us = round_down(burst.width_us(t_ns), self._pulse_width_step_us)
         frequency_hz = round_down(burst.frequency_hz, FREQUENCY_STEP_HZ)
-        if min(current_ma, pulse_width_us, frequency_hz) <= 0.0:
+        if current_ma <= 0.0 or pulse_width_us <= 0.0 or frequency_hz <= 0.0:
             return None
         return current_ma, pulse_width_us, frequency_hz
 
