@@ -142,7 +142,7 @@ def calibrate_foot(
             "Record at least five strides of walking straight ahead."
         )
     axis = _mediolateral(moved["moment"].sum(axis=0), up)
-    along = moved["way"] @ cross(axis, up)
+    along = moved["way"] @ cross(_vector(axis), _vector(up))
     confidence = abs(along.sum()) / np.abs(along).sum()
     if confidence < 0.6:
         raise CalibrationError(
@@ -154,7 +154,7 @@ def calibrate_foot(
     acc_bias = up * (rest_norm - G_MPS2)
     acc_bias += _acc_bias_across(t_ns, swings, moved, up)
     toe_down = gyr @ axis
-    peak, floor = _levels(toe_down, np.sqrt(energy), swings)
+    peak, floor = _levels(toe_down, energy, swings)
     low, high = REST_BOUNDS_RADPS
     return FootCalibration(
         sensor=sensor,
@@ -166,7 +166,9 @@ def calibrate_foot(
         rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
         min_toe_down_peak_radps=float(PUSH_OFF_SHARE * min(peak, MOST_PUSH_OFF_RADPS)),
         rest_hold_s=_rest_hold_s(1e-9 * t_ns[swings[:, 0]].astype(np.float64)),
-        contact_jump_mps3=_contact_jump(t_ns, without(acc_mps2, acc_bias), gyr, swings, moved["turn"], toe_down, rate_hz),
+        contact_jump_mps3=_contact_jump(
+            t_ns, without(acc_mps2, acc_bias), gyr, swings, moved["turn"], toe_down, rate_hz
+        ),
         axis_confidence=float(confidence),
         strides=len(swings),
         standing=standing,
@@ -244,17 +246,17 @@ def _acc_bias_across(
 
 
 def _mediolateral(moment: FloatArray, up: FloatArray) -> FloatArray:
-    """The horizontal axis that most of the strides' rotation, by its ``moment`` (3, 3), is about: unit (3,), sign open."""
+    """The horizontal axis that most of the rotation is about, by its ``moment`` (3, 3): unit (3,), sign open."""
     level = np.eye(3) - np.outer(up, up)
     _, vectors = np.linalg.eigh(level @ moment @ level)
     axis = vectors[:, -1]
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def _levels(toe_down: FloatArray, rate: FloatArray, spans: IntArray) -> tuple[float, float]:
+def _levels(toe_down: FloatArray, energy: FloatArray, spans: IntArray) -> tuple[float, float]:
     """Typical peak of the toe-down rate per stride, and the rate at the quietest instant between strides (rad/s)."""
     peaks = _of_each(np.maximum, np.append(toe_down, 0.0), spans)
-    return median(peaks), median(rate[spans[:, 1]])
+    return median(peaks), median(np.sqrt(energy[spans[:, 1]]))
 
 
 def _rest_hold_s(starts_s: FloatArray) -> float:
@@ -277,8 +279,7 @@ def _contact_jump(
 ) -> float:
     """Threshold (m/s³) for this person's first contacts: a share of the greatest jump after the toe-up peak."""
     lag, _ = lags_at(rate_hz)
-    peaks = np.array([first + int(toe_down[first : last + 1].argmin()) for first, last in spans.tolist()], np.int64)
-    jumps = contact_jumps(t_ns, acc, gyr, spans, turns, peaks, lag)
+    jumps = contact_jumps(t_ns, acc, gyr, spans, turns, toe_down, lag)
     jumps = jumps[~np.isnan(jumps)] * rate_hz / lag
     low, high = CONTACT_JUMP_BOUNDS_MPS3
     return min(max(CONTACT_SHARE * median(jumps), low), high) if len(jumps) else high

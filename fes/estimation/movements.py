@@ -17,11 +17,12 @@ SHORTEST_REST_S = 0.15
 QUIET_SHARE = 0.12  # of the briskest rate: below, nothing moves
 BACK = 0.3  # share of the tilt found at a movement's end that is taken back where no way is sought
 
-# What a movement shows. ``turn`` is the quaternion by which it turns the sensor, its tilt left as it is. ``way`` is where
-# it leads (m), in the sensor frame of its beginning: with the smallest constant and steadily growing bias of the force
-# that ends it at rest and as high as it began, and all of the tilt taken back. ``left`` is what plain integration leaves
-# over at the end, vertical velocity and height, and ``effect`` what a constant bias of the force does to each. ``moment``
-# sums up the rates' products of each axis with each, ``lively`` how far the force's length is from gravity's.
+# What a movement shows. ``turn``: the quaternion by which it turns the sensor, its tilt left as it is. ``way``: where
+# it leads (m), in the sensor frame of its beginning, with all of the tilt taken back, and with the smallest constant
+# and steadily growing bias of the force that ends it at rest and as high as it began. ``left``: what plain integration
+# leaves over at the end, vertical velocity and height; ``effect``: what a constant bias of the force does to each.
+# ``moment``: the sum of the rates' products of each axis with each; ``lively``: that of how far the force's size is
+# from gravity's.
 MOVED = np.dtype(
     [("turn", "f8", 4), ("way", "f8", 3), ("left", "f8", 2), ("effect", "f8", (2, 3)), ("moment", "f8", (3, 3)),
      ("lively", "f8")]
@@ -58,12 +59,15 @@ def movements(energy: FloatArray, rate_hz: float, unrest: FloatArray | None = No
     starts, stops = begins[np.append(True, rests)].tolist(), ends[np.append(rests, True)].tolist()
     reach = round(rate_hz)
     spans = []
+    around, quiet = (0, 0), 0  # what follows a movement mostly is what the next one follows
     for k, (begin, end) in enumerate(zip(starts, stops, strict=True)):
         if not 0.3 * rate_hz <= end - begin <= 3.0 * rate_hz or begin == 0 or end == len(energy):
             continue
         before = max(stops[k - 1] if k else 0, begin - reach)
         after = min(starts[k + 1] if k + 1 < len(starts) else len(energy), end + reach)
-        spans.append((before + int(unrest[before:begin].argmin()), end + int(unrest[end:after].argmin())))
+        first = quiet if around == (before, begin) else before + int(unrest[before:begin].argmin())
+        around, quiet = (end, after), end + int(unrest[end:after].argmin())
+        spans.append((first, quiet))
     return spans
 
 
@@ -87,12 +91,12 @@ def follow(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray) ->
 
 
 def contact_jumps(
-    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray, turns: FloatArray, begins: IntArray, lag: int
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray, turns: FloatArray, after: FloatArray, lag: int
 ) -> FloatArray:
-    """Greatest change of the vertical force over ``lag`` samples (K,) from ``begins`` (K,) to the end of each movement
-    (K, 2), which turns the sensor by ``turns`` (K, 4); NaN where that is too short."""
+    """Greatest change of the vertical force over ``lag`` samples (K,) in each movement (K, 2) once ``after`` (N,) has
+    been least, NaN where that is too short; ``turns`` (K, 4) are those by which the movements turn the sensor."""
     out = np.empty(len(spans))
-    _contact_jumps(*_whole(t_ns, acc, gyr, spans), np.ascontiguousarray(turns), begins, lag, out)
+    _contact_jumps(*_whole(t_ns, acc, gyr, spans), np.ascontiguousarray(turns), after, lag, out)
     return out
 
 
@@ -125,9 +129,12 @@ def _upright(
 def _turned(
     w: float, x: float, y: float, z: float, rx: float, ry: float, rz: float, dx: float, dy: float
 ) -> tuple[float, float, float, float]:
-    """Turn by the vector ``r`` of the sensor frame and by ``d`` of the world's (rad)."""
-    ex, ey, ez = to_sensor(w, x, y, z, dx, dy, 0.0)
-    return turn_by(w, x, y, z, rx + ex, ry + ey, rz + ez)
+    """Turn by the vector ``r`` of the sensor frame and by ``d`` of the world's level plane (rad)."""
+    ax, ay = 2.0 * dx, 2.0 * dy  # d in the sensor frame: the shorter way to it, for each turn waits for the one before
+    rx = (rx + dx) + ((x * y + w * z) * ay - (y * y + z * z) * ax)
+    ry = (ry + dy) + ((x * y - w * z) * ax - (x * x + z * z) * ay)
+    rz = rz + ((x * z + w * y) * ax + (y * z - w * x) * ay)
+    return turn_by(w, x, y, z, rx, ry, rz)
 
 
 @jit_ieee
@@ -228,7 +235,7 @@ def _smallest_bias(effect: Any, gained: Any, system: Any) -> bool:
 
 
 @jit_ieee
-def _contact_jumps(t_ns: Any, acc: Any, gyr: Any, spans: Any, turns: Any, begins: Any, lag: int, out: Any) -> None:
+def _contact_jumps(t_ns: Any, acc: Any, gyr: Any, spans: Any, turns: Any, after: Any, lag: int, out: Any) -> None:
     for k in range(spans.shape[0]):
         first, last = spans[k, 0], spans[k, 1]
         vertical = np.empty(last + 1 - first)
@@ -242,8 +249,12 @@ def _contact_jumps(t_ns: Any, acc: Any, gyr: Any, spans: Any, turns: Any, begins
                 qw, qx, qy, qz = _turned(qw, qx, qy, qz, by * x, by * y, by * z, share * dx, share * dy)
             x, y, z = up_in_sensor(qw, qx, qy, qz)
             vertical[i - first] = x * acc[i, 0] + y * acc[i, 1] + z * acc[i, 2]
+        least = first
+        for i in range(first + 1, last + 1):
+            if after[i] < after[least]:
+                least = i
         out[k] = math.nan
-        for i in range(begins[k] - first + lag, last + 1 - first):
+        for i in range(least - first + lag, last + 1 - first):
             jump = abs(vertical[i] - vertical[i - lag])
             if not jump <= out[k]:
                 out[k] = jump

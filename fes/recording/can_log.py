@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from fes.recording.raw import LARGEST_VALUE, RawTrack
-from fes.recording.table import greatest_size
 from fes.recording.sidecar import Sidecar
+from fes.recording.table import greatest_size
 from fes.recording.tracks import RecordingError
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
