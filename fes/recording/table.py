@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import difflib
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -98,7 +99,7 @@ class Table:
             raise RecordingError(fault or f"{self.path}: column {name!r} holds {column.type}, not numbers") from error
 
     def fill(self, name: str, out: FloatArray) -> float:
-        """As :meth:`numbers`, into ``out`` (rows,); the greatest size among them, NaN where one is no number."""
+        """As :meth:`numbers`, into ``out`` (rows,); their :func:`greatest_size`."""
         import pyarrow as pa
 
         column, begin, greatest = self._table.column(name), 0, 0.0
@@ -109,7 +110,7 @@ class Table:
             values = chunk.to_numpy(zero_copy_only=False)
             out[begin : begin + len(chunk)] = values
             begin += len(chunk)
-            greatest = float(np.maximum(greatest, greatest_size(values)))
+            greatest = max(greatest, greatest_size(values))
         return greatest
 
     def empty(self, name: str) -> npt.NDArray[np.bool_] | None:
@@ -246,8 +247,9 @@ class Table:
 
 
 def greatest_size(values: npt.NDArray[np.floating[Any]]) -> float:
-    """The greatest size among numbers, NaN where one is, 0 where there are none."""
-    return float(np.maximum(values.max(), -values.min())) if values.size else 0.0
+    """The greatest size among numbers, infinite where one is none (NaN), 0 where there are none."""
+    least, greatest = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+    return max(greatest, -least) if greatest == greatest else math.inf
 
 
 def _check_ends(path: Path) -> None:
