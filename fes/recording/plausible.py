@@ -62,7 +62,7 @@ def quiet_level(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> Quiet:
 
 def _look(acc: FloatArray, gyr: FloatArray, rate_hz: float, size: int) -> tuple[_Looked, _Looked]:
     """Look at evenly spread stretches of ``size`` rows, or at all (N, 3) of them where they are no more."""
-    from fes.estimation.spreads import spreads  # here, for who only writes recordings needs no compiler
+    from fes.estimation.read_kernel import spreads  # here, for who only writes recordings needs no compiler
 
     size = min(size, len(acc))
     begins = np.linspace(0, len(acc) - size, STRETCHES).astype(np.int64)

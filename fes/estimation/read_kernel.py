@@ -1,4 +1,4 @@
-"""Sizes of vectors and how far they spread in windows, in one pass over a recording; for whoever judges its units."""
+"""What reading a recording does with every number, in one pass each: columns into rows, how far vectors spread."""
 
 from __future__ import annotations
 
@@ -6,6 +6,19 @@ import math
 from typing import Any
 
 from fes.estimation.compiled import jit_ieee
+
+
+@jit_ieee
+def into_rows(x: Any, y: Any, z: Any, out: Any) -> float:
+    """Fill the rows of ``out`` (N, 3) from columns (N,); the greatest size of a number, infinite where one is none."""
+    size = 0.0
+    for i in range(out.shape[0]):
+        a, b, c = x[i], y[i], z[i]
+        out[i, 0], out[i, 1], out[i, 2] = a, b, c
+        if not (abs(a) <= size and abs(b) <= size and abs(c) <= size):  # seldom: no number waits for the one before
+            number = a == a and b == b and c == c
+            size = max(size, abs(a), abs(b), abs(c)) if number else math.inf
+    return size
 
 
 @jit_ieee
