@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
 from fes.estimation.path_kernel import bend, headings
 from fes.estimation.ranks import median
+from fes.estimation.read_kernel import into_rows, spreads
 from fes.estimation.rest_kernel import least_spread, stillest
 from fes.estimation.rotation import foot_axes, quaternions_of, up_in_sensor
 from fes.estimation.stride_shape import stride_shape
@@ -34,6 +36,30 @@ def test_the_stillest_windows_are_those_of_the_plain_formula(n: int) -> None:
     begin, spread = least_spread(acc, gyr, n, step, 0.1)
     assert (spread, begin) == pytest.approx(min(greatest))
     assert least_spread(acc[:n], gyr[:n], n, step, 0.1)[0] == -1
+
+
+def test_windows_run_through_stretches_as_if_these_followed_each_other() -> None:
+    vectors, begins, size, window = RNG.normal(0.0, 1.0, (200, 3)) + 5.0, np.array([0, 60, 170]), 25, 10
+    squares, found = np.empty(75), np.empty(7)
+    spreads(vectors, begins, size, window, squares, found)
+    joined = np.concatenate([vectors[i : i + size] for i in begins])
+    assert squares == pytest.approx((joined**2).sum(axis=1))
+    assert found == pytest.approx(np.sqrt(joined[:70].reshape(7, window, 3).var(axis=1).sum(axis=1)))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_the_greatest_size_of_three_columns(kind: type[np.floating[Any]]) -> None:
+    columns = RNG.normal(0.0, 1.0, (3, 50)).astype(kind)
+    out = np.empty((50, 3))
+    assert into_rows(*columns, out) == np.abs(columns).max()
+    assert np.array_equal(out, columns.T)
+    columns[1, 7] = -9.0
+    assert into_rows(*columns, out) == 9.0
+    for axis, odd in ((0, math.nan), (1, math.inf), (2, math.nan)):
+        holed = columns.copy()
+        holed[axis, 20] = odd
+        assert into_rows(*holed, out) == math.inf  # whatever follows
+        assert np.array_equal(out, holed.T, equal_nan=True)
 
 
 def test_prediction_and_measurement_are_those_of_matrices() -> None:

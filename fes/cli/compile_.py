@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import click
@@ -15,6 +17,8 @@ from fes.parameters.gait import gait_parameters
 from fes.parameters.mean_stride import mean_strides
 from fes.patient.virtual.closed_loop import calibration_walk
 from fes.patient.virtual.settings import PatientSettings
+from fes.recording import read_recording, write_recording
+from fes.recording.read import TABLE_SUFFIXES
 from fes.view.summary import summarise
 
 PARTS = ("session", "path", "events")
@@ -54,9 +58,14 @@ def command(check: bool) -> None:
 
 
 def _everything(aside: tuple[str, ...], here: tuple[str, ...]) -> None:
-    """Run all that is compiled: parts in processes of their own or here, then an analysis of a virtual patient."""
+    """Run all that is compiled: parts in processes of their own or here, then an analysis of a virtual patient, whose
+    recording is written and read too."""
     with in_processes(aside) as left:
         walk, found = calibrations_of(calibration_walk(PatientSettings()))
+        with tempfile.TemporaryDirectory() as folder:
+            for suffix in TABLE_SUFFIXES:
+                write_recording(walk, Path(folder, "walk").with_suffix(suffix), overwrite=True)
+                read_recording(Path(folder, "walk").with_suffix(suffix))
         for part in (*left, *here):
             compile_part(part)
     result = analyse(walk, found.calibrations)

@@ -240,9 +240,9 @@ def _acc_bias_across(
     briskness = span_s * moved["lively"] / (spans[:, 1] + 1 - spans[:, 0])
     floor = SCALE_ERROR * np.array((briskness.sum(), 0.5 * (briskness * span_s).sum()))
     across = np.eye(3) - np.outer(up, up)
-    rows = np.vstack(((effect_sum @ across) / floor[:, None], np.eye(3) / ACC_BIAS_SD_MPS2))
-    values = np.concatenate((left / floor, np.zeros(3)))
-    return np.asarray(across @ np.linalg.lstsq(rows, values, rcond=None)[0])
+    rows = (effect_sum @ across) / floor[:, None]
+    known = rows.T @ rows + np.eye(3) / ACC_BIAS_SD_MPS2**2
+    return np.asarray(across @ np.linalg.solve(known, rows.T @ (left / floor)))
 
 
 def _mediolateral(moment: FloatArray, up: FloatArray) -> FloatArray:

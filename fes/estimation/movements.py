@@ -17,11 +17,12 @@ SHORTEST_REST_S = 0.15
 QUIET_SHARE = 0.12  # of the briskest rate: below, nothing moves
 BACK = 0.3  # share of the tilt found at a movement's end that is taken back where no way is sought
 
-# What a movement shows. ``turn``: the quaternion by which it turns the sensor, its tilt left as it is. ``way``: where it
-# leads (m), in the sensor frame of its beginning, with all of the tilt taken back, and with the smallest constant and
-# steadily growing bias of the force that ends it at rest and as high as it began. ``left``: what plain integration leaves
-# over at the end, vertical velocity and height; ``effect``: what a constant bias of the force does to each. ``moment``:
-# the sum of the rates' products of each axis with each; ``lively``: that of how far the force's size is from gravity's.
+# What a movement shows. ``turn``: the quaternion by which it turns the sensor, its tilt left as it is. ``way``: where
+# it leads (m), in the sensor frame of its beginning, with all of the tilt taken back, and with the smallest constant
+# and steadily growing bias of the force that ends it at rest and as high as it began. ``left``: what plain integration
+# leaves over at the end, vertical velocity and height; ``effect``: what a constant bias of the force does to each.
+# ``moment``: the sum of the rates' products of each axis with each; ``lively``: that of how far the force's size is
+# from gravity's.
 MOVED = np.dtype(
     [("turn", "f8", 4), ("way", "f8", 3), ("left", "f8", 2), ("effect", "f8", (2, 3)), ("moment", "f8", (3, 3)),
      ("lively", "f8")]

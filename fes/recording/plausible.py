@@ -13,7 +13,7 @@ import numpy as np
 from fes.estimation.ranks import median, percentile
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GYR_UNITS
-from fes.signals import G_MPS2, FloatArray
+from fes.signals import G_MPS2, FloatArray, IntArray
 
 WINDOW_S = 0.15  # the foot is flat for about 0.3 s of every stride: a window fits in whatever its phase
 QUIET_SHARE = 0.05
@@ -33,21 +33,56 @@ class Quiet:
     gyr: float
 
 
+@dataclass(frozen=True)
+class _Looked:
+    """Squared lengths (M,) of what was looked at of a sensor, and its spread (K,) in windows of ``window`` samples."""
+
+    squares: FloatArray
+    spread: FloatArray
+    window: int
+
+    def relative(self) -> FloatArray:
+        """The spread (K,) as a share of the usual one, so that no unit is needed."""
+        return self.spread / (median(self.spread) or 1.0)
+
+    def size_in(self, windows: IntArray) -> float:
+        """The usual length in some of the windows."""
+        within = self.squares[: len(self.spread) * self.window].reshape(-1, self.window)
+        return median(np.sqrt(within[windows]).ravel())
+
+
 def quiet_level(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> Quiet:
     """Return the levels in the quietest windows of (N, 3) raw vectors, whatever their units.
 
     Quietness is the spread of the acceleration in a window and its turning rate, each relative to its median over
     the file, so that no unit is needed to rank by it.
     """
-    size = min(max(4, round(WINDOW_S * rate_hz)), len(acc))
-    count = len(acc) // size
-    acc_windows = acc[: count * size].reshape(count, size, 3)
-    gyr_windows = gyr[: count * size].reshape(count, size, 3)
-    spread, gyr_spread = _spread(acc_windows), _spread(gyr_windows)
-    restless = spread / (median(spread) or 1.0) + gyr_spread / (median(gyr_spread) or 1.0)
-    last = max(1, math.ceil(QUIET_SHARE * count)) - 1
+    return _quiet(*_look(acc, gyr, rate_hz, len(acc)))
+
+
+def _look(acc: FloatArray, gyr: FloatArray, rate_hz: float, size: int) -> tuple[_Looked, _Looked]:
+    """Look at evenly spread stretches of ``size`` rows, or at all (N, 3) of them where they are no more."""
+    from fes.estimation.read_kernel import spreads  # here, for who only writes recordings needs no compiler
+
+    size = min(size, len(acc))
+    begins = np.linspace(0, len(acc) - size, STRETCHES).astype(np.int64)
+    if len(acc) <= STRETCHES * size:
+        begins, size = begins[:1], len(acc)
+    window = min(max(4, round(WINDOW_S * rate_hz)), len(begins) * size)
+    looked = []
+    for vectors in (acc, gyr):
+        squares = np.empty(len(begins) * size)
+        spread = np.empty(len(squares) // window)
+        spreads(np.ascontiguousarray(vectors), begins, size, window, squares, spread)
+        looked.append(_Looked(squares, spread, window))
+    return looked[0], looked[1]
+
+
+def _quiet(acc: _Looked, gyr: _Looked) -> Quiet:
+    restless = acc.relative() + gyr.relative()
+    last = max(1, math.ceil(QUIET_SHARE * len(restless))) - 1
     chosen = np.flatnonzero(restless <= np.partition(restless, last)[last])
-    return Quiet(median(_lengths(acc_windows[chosen])), median(_lengths(gyr_windows[chosen])))
+    return Quiet(acc.size_in(chosen), gyr.size_in(chosen))
 
 
 def check_units(
@@ -66,38 +101,9 @@ def check_units(
     Raises:
         RecordingError: gravity or the turning rates do not fit; the message says which unit would.
     """
-    acc, gyr = (_stretches(values, round(LOOKED_AT_S * rate_hz)) for values in (acc, gyr))
-    quiet = quiet_level(acc, gyr, rate_hz)
-    _check_gravity(where, quiet, acc_unit, factors[0])
-    _check_turning(where, acc, gyr, gyr_unit, factors)
-
-
-def _stretches(values: FloatArray, size: int) -> FloatArray:
-    """Evenly spread stretches of ``size`` rows as one array, or all (N, 3) of them where they are no more."""
-    if len(values) <= STRETCHES * size:
-        return values
-    begins = np.linspace(0, len(values) - size, STRETCHES).astype(np.int64)
-    return np.concatenate([values[begin : begin + size] for begin in begins.tolist()])
-
-
-def _spread(windows: FloatArray) -> FloatArray:
-    """Root of the variances' sum (K,) of windows (K, N, 3)."""
-    count, size, _ = windows.shape
-    rows = windows.reshape(count, 3 * size)
-    total = rows @ np.tile(np.eye(3), (size, 1))  # in a fraction of the time of ``sum`` along so short an axis
-    away = np.vecdot(rows, rows) - np.vecdot(total, total) / size
-    return np.asarray(np.sqrt(np.maximum(away, 0.0) / size))
-
-
-def _squares(vectors: FloatArray) -> FloatArray:
-    """Squared lengths (N,) of vectors (…, 3); much faster than numpy does such short ones."""
-    x, y, z = vectors.reshape(-1, 3).T
-    return np.asarray(x * x + y * y + z * z)
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    """Of vectors (…, 3), as (N,)."""
-    return np.asarray(np.sqrt(_squares(vectors)))
+    of_acc, of_gyr = _look(acc, gyr, rate_hz, round(LOOKED_AT_S * rate_hz))
+    _check_gravity(where, _quiet(of_acc, of_gyr), acc_unit, factors[0])
+    _check_turning(where, of_acc.squares, of_gyr.squares, gyr_unit, factors)
 
 
 def _check_gravity(where: str, quiet: Quiet, unit: str | float, factor: float) -> None:
@@ -129,16 +135,13 @@ def _check_gravity(where: str, quiet: Quiet, unit: str | float, factor: float) -
 
 
 def _check_turning(
-    where: str, acc: FloatArray, gyr: FloatArray, unit: str | float, factors: tuple[float, float]
+    where: str, acc_squares: FloatArray, squares: FloatArray, unit: str | float, factors: tuple[float, float]
 ) -> None:
     factor = factors[1]
-    # a percentile lies between two of the values, which are not sought out where a glance tells enough: at some of the
-    # samples, and at the greatest number on any axis
-    few = _squares(gyr[: max(len(gyr) // 8, 1)])
-    fast = np.count_nonzero(few >= (MIN_MOVING_RADPS / factor) ** 2) > 0.01 * (len(gyr) - 1) + 1
-    if fast and math.sqrt(3.0) * max(gyr.max(), -gyr.min()) * factor <= MAX_RATE_RADPS:
+    # a percentile lies between two of the values, which are not sought out where a glance tells enough
+    fast = np.count_nonzero(squares >= (MIN_MOVING_RADPS / factor) ** 2) > 0.01 * (len(squares) - 1) + 1
+    if fast and squares.max() <= (MAX_RATE_RADPS / factor) ** 2:
         return
-    squares = _squares(gyr)
     peak = percentile(np.sqrt(squares), 99.0)
     if peak * factor > MAX_RATE_RADPS:
         fitting = _fitting_rate_unit(peak)
@@ -147,7 +150,7 @@ def _check_turning(
             f"{where}: the gyroscope's peaks of {peak:.4g} (99th percentile) with gyr_unit = {_shown(unit)} would be "
             f"{math.degrees(peak * factor):.0f} deg/s, more than any leg turns; {fix}"
         )
-    moved = percentile(np.abs(factors[0] * _lengths(acc) - G_MPS2), 99.0)
+    moved = percentile(np.abs(factors[0] * np.sqrt(acc_squares) - G_MPS2), 99.0)
     if moved > MOVING_MPS2 and peak * factor < MIN_MOVING_RADPS:
         fitting = _fitting_rate_unit(peak)
         fix = f'this looks like {fitting}: set gyr_unit = "{fitting}"' if fitting else "check gyr and gyr_unit"

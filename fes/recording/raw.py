@@ -95,16 +95,14 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
     columns = sidecar.sensors[sensor]
     names = (*columns.acc, *columns.gyr)
     where = f"{table.path}: {sensor}"
-    data = [np.empty((table.rows, 3)) for _ in range(2)]  # acc, gyr
-    sizes = [table.fill(name, data[number // 3][:, number % 3]) for number, name in enumerate(names)]
-    greatest = float(np.max(sizes[:3])), float(np.max(sizes[3:]))  # while the columns are at hand
+    (acc, acc_size), (gyr, gyr_size) = table.vectors(columns.acc), table.vectors(columns.gyr)
+    data, greatest = [acc, gyr], (acc_size, gyr_size)
     dropped = _dropped_rows(table, names, where)
     kept = None if dropped is None else np.flatnonzero(~dropped)
-    acc, gyr = data
     if kept is not None:
         acc, gyr = acc[kept], gyr[kept]
         greatest = greatest_size(acc), greatest_size(gyr)
-    if not all(size < LARGEST_VALUE for size in greatest):  # nor is NaN
+    if max(greatest) >= LARGEST_VALUE:
         _check_finite(table, data, names, dropped)
     time_name = sidecar.time_of(sensor)
     empty = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import difflib
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -97,20 +98,23 @@ class Table:
             fault = csv_text.find_fault(self.path, self._dialect, [name]) if self.is_csv else ""
             raise RecordingError(fault or f"{self.path}: column {name!r} holds {column.type}, not numbers") from error
 
-    def fill(self, name: str, out: FloatArray) -> float:
-        """As :meth:`numbers`, into ``out`` (rows,); the greatest size among them, NaN where one is no number."""
+    def vectors(self, names: tuple[str, ...]) -> tuple[FloatArray, float]:
+        """Return three columns of numbers as (rows, 3) float64, NaN where empty, and their :func:`greatest_size`.
+
+        Raises:
+            RecordingError: a column does not hold numbers.
+        """
         import pyarrow as pa
 
-        column, begin, greatest = self._table.column(name), 0, 0.0
-        if column.type not in (pa.float32(), pa.float64()):
-            out[:] = self.numbers(name)
-            return greatest_size(out)
-        for chunk in column.chunks:
-            values = chunk.to_numpy(zero_copy_only=False)
-            out[begin : begin + len(chunk)] = values
-            begin += len(chunk)
-            greatest = float(np.maximum(greatest, greatest_size(values)))
-        return greatest
+        from fes.estimation.read_kernel import into_rows  # here, for who only writes recordings needs no compiler
+
+        columns, out = [self._table.column(name) for name in names], np.empty((self.rows, 3))
+        same = columns[0].type in (pa.float32(), pa.float64()) and all(c.type == columns[0].type for c in columns)
+        axes = [c.to_numpy() for c in columns] if same else [self.numbers(name) for name in names]
+        for axis in axes:
+            axis.flags.writeable = False  # as what is Arrow's own is: to the compiler that is another kind
+        x, y, z = axes
+        return out, into_rows(x, y, z, out)
 
     def empty(self, name: str) -> npt.NDArray[np.bool_] | None:
         """Return where a column's cells are empty, None if nowhere."""
@@ -246,8 +250,9 @@ class Table:
 
 
 def greatest_size(values: npt.NDArray[np.floating[Any]]) -> float:
-    """The greatest size among numbers, NaN where one is, 0 where there are none."""
-    return float(np.maximum(values.max(), -values.min())) if values.size else 0.0
+    """The greatest size among numbers, infinite where one is none (NaN), 0 where there are none."""
+    least, greatest = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+    return max(greatest, -least) if greatest == greatest else math.inf
 
 
 def _check_ends(path: Path) -> None:

@@ -57,7 +57,7 @@ def judge_stamps(
         raise RecordingError(f"{where}: its time never advances; check time_column")
     if backward.size:
         _refuse_wild_clock(steps, backward, where, place)
-    usual_ns = median(forward)
+    usual_ns = median(forward) if shortest < longest else float(shortest)  # stamps made from a rate are often even
     _refuse_impossible_rate(NS_PER_S / usual_ns, where, unit)
     if stated_hz is not None:
         _refuse_other_rate(stamps_ns, usual_ns, stated_hz, where)
