@@ -87,6 +87,11 @@ class FootPaths:
     def __len__(self) -> int:
         return len(self.numbers)
 
+    @property
+    def longest(self) -> int:
+        """Samples of the longest one."""
+        return int((self.spans[:, 1] - self.spans[:, 0]).max(initial=0))
+
     def each(self) -> list[FootPath]:
         """One by one."""
         axes = np.empty((len(self.t_ns), 3, 3))
@@ -241,7 +246,8 @@ def clearances(paths: AnyPaths, arms: FootArms, levels: ContactLevels | None) ->
     row = np.zeros(0) if levels is None else levels.row()
     all_clear(
         paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns,
-        paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), row, out,
+        paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), row,
+        *np.empty((2, paths.longest)), np.empty((paths.longest, 2)), out,
     )  # fmt: skip
     return out
 

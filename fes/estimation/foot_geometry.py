@@ -71,7 +71,10 @@ def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
     paths = in_one(paths)
     signs = np.empty((len(paths), SIGNS))
     forward, up = paths.foot[:, 0].copy(), paths.foot[:, 2].copy()
-    all_signs(paths.t_ns, paths.position_m, paths.quaternion, forward, up, paths.spans, paths.swings_ns, signs)
+    all_signs(
+        paths.t_ns, paths.position_m, paths.quaternion, forward, up, paths.spans, paths.swings_ns,
+        np.empty(paths.longest), signs,
+    )  # fmt: skip
     ball = _seen("the sensor's height", signs[:, BALL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     over_heel = _seen("", signs[:, OVER_HEEL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     height = ball if ball.missing or over_heel.missing else _mean(ball, over_heel)
