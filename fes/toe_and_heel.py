@@ -102,4 +102,4 @@ def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -
     assert geometry is not None
     arms = arms_of(geometry)
     levels = contact_levels(paths, arms) if level else None
-    return clearances(paths, arms, levels)[:, [0, 3]], ToeAndHeel(geometry, estimate, levels is not None)
+    return clearances(paths, arms, levels)[:, 0:4:3], ToeAndHeel(geometry, estimate, levels is not None)

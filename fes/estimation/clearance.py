@@ -25,7 +25,6 @@ import numpy as np
 
 from fes.config import FootGeometry
 from fes.estimation.clearance_kernel import all_clear, all_contact_heights, drift_correction, lowest_in_swing
-from fes.estimation.ranks import median
 from fes.estimation.rotation import foot_axes, quaternions_of
 from fes.estimation.stride_time import UNSEEN_NS
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
@@ -211,10 +210,16 @@ def contact_levels(paths: AnyPaths, arms: FootArms) -> ContactLevels | None:
     columns, cut = np.sort(seen.T), int(TRIM * len(seen))
     # a stumble or a turn must not shift the rest, and half the strides is too much to waste
     level = columns[:, cut : len(seen) - cut].mean(axis=1)
-    spread = 1.4826 * np.array([median(np.abs(column - median(column))) for column in columns])
+    spread = 1.4826 * _middle(np.sort(np.abs(columns - _middle(columns))))[:, 0]
     weight = 1.0 - np.minimum(CONTACT_SPREAD_M / np.maximum(spread, 1e-9), 1.0) ** 2
     off, contact, rises = level.tolist()
     return ContactLevels(off, contact, rises if abs(rises) > LEVEL_GROUND_M else 0.0, *weight.tolist())
+
+
+def _middle(columns: FloatArray) -> FloatArray:
+    """Medians (M, 1) of rising rows (M, N)."""
+    count = columns.shape[1]
+    return 0.5 * (columns[:, (count - 1) // 2, None] + columns[:, count // 2, None])
 
 
 @dataclass(frozen=True, slots=True)

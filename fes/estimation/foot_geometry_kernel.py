@@ -74,7 +74,7 @@ def _height(products: tuple[float, float, float, float, float]) -> float:
 def all_signs(
     t_ns: Any, position: Any, quaternion: Any, forward: Any, up: Any, spans: Any, swings: Any, sines: Any, out: Any
 ) -> None:
-    """Fill ``out`` (K, 6) from the paths of K strides, rows ``spans``, ``swings`` (K, 2), NaN for what does not show.
+    """Fill ``out`` (6, K) from the paths of K strides, rows ``spans``, ``swings`` (K, 2), NaN for what does not show.
 
     Height of the sensor over the ball while the heel rises, and over the heel after its strike; the toe's distance
     forward if the sensor were at no height, and what a metre of height adds; the same of the heel. ``forward`` and
@@ -82,7 +82,7 @@ def all_signs(
     """
     for k in range(spans.shape[0]):
         for j in range(SIGNS):
-            out[k, j] = math.nan
+            out[j, k] = math.nan
         begin, last = spans[k, 0], spans[k, 1] - 1
         if swings[k, 0] != UNSEEN_NS:
             off = index_at(t_ns, begin, last, swings[k, 0])
@@ -127,11 +127,11 @@ def _rising(
         end += 1
     turned = most * math.sqrt(1.0 - least * least) - least * math.sqrt(1.0 - most * most)
     if end - first >= 4 and turned >= math.sin(0.5 * (BALL_PITCH_RAD[0] - BALL_PITCH_RAD[1])):
-        out[k, BALL] = _height(_products(position, quaternion, forward, up, begin + first, begin + end))
+        out[BALL, k] = _height(_products(position, quaternion, forward, up, begin + first, begin + end))
     ahead = sines[off] - sines[0]
     if ahead <= -LEAST_TOE_TILT:
         above = reach(quaternion, up, begin + off) - reach(quaternion, up, begin)
-        out[k, TOE], out[k, TOE + 1] = -position[begin + off, 2] / ahead, above / ahead
+        out[TOE, k], out[TOE + 1, k] = -position[begin + off, 2] / ahead, above / ahead
 
 
 @jit_ieee
@@ -150,5 +150,5 @@ def _struck(
         fp += f * (position[i, 2] - position[last, 2])
         fu += f * (reach(quaternion, up, i) - above)
     if most - least >= LEAST_HEEL_TURN:
-        out[k, OVER_HEEL] = _height(products)
-    out[k, HEEL], out[k, HEEL + 1] = -fp / ff, fu / ff
+        out[OVER_HEEL, k] = _height(products)
+    out[HEEL, k], out[HEEL + 1, k] = -fp / ff, fu / ff
