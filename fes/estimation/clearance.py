@@ -248,11 +248,11 @@ def clearance(path: FootPath, arms: FootArms, levels: ContactLevels | None = Non
 def clearances(paths: AnyPaths, arms: FootArms, levels: ContactLevels | None) -> FloatArray:
     """What :class:`Clearance` holds of every stride (K, 6), in its order; ``dips`` is 0 or 1."""
     paths, out = in_one(paths), np.empty((len(paths), 6))
-    row = np.zeros(0) if levels is None else levels.row()
+    row, longest = np.zeros(0) if levels is None else levels.row(), paths.longest
     all_clear(
         paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns,
         paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), row,
-        *np.empty((2, paths.longest)), np.empty((paths.longest, 2)), out,
+        np.empty(longest), np.empty(longest), np.empty((longest, 2)), out,
     )  # fmt: skip
     return out
 

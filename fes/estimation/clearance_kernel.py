@@ -37,10 +37,11 @@ def reach(quaternion: Any, arm: Any, i: int) -> float:
 
 @jit_ieee
 def contacts_at(t_ns: Any, begin: int, last: int, off_ns: int, contact_ns: int) -> tuple[int, int]:
-    """The samples of foot off and contact, ``begin`` twice where they were not both seen."""
+    """The samples of foot off and, from there on, of contact; ``begin`` twice where they were not both seen."""
     if off_ns == UNSEEN_NS or contact_ns == UNSEEN_NS:
         return begin, begin
-    return index_at(t_ns, begin, last, off_ns), index_at(t_ns, begin, last, contact_ns)
+    off = index_at(t_ns, begin, last, off_ns)
+    return off, index_at(t_ns, off, last, contact_ns)
 
 
 @jit_ieee
@@ -129,7 +130,7 @@ def deepest(height: Any, begin: int, end: int, after: Any) -> tuple[int, float]:
 
 @jit_ieee
 def fastest(t_ns: Any, begin: int, n: int, level: Any) -> int:
-    """Which of ``n`` samples, from ``begin`` on in ``t_ns``, has the greatest speed; ``level`` (N, 2) are its places."""
+    """Which of ``n`` samples, in ``t_ns`` from ``begin`` on, has the greatest speed; ``level`` (N, 2): the places."""
     at, speed2 = 0, -math.inf
     for i in range(n):
         p, q = max(i - 1, 0), min(i + 1, n - 1)

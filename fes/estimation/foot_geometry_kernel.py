@@ -90,7 +90,7 @@ def all_signs(
                 _rising(position, quaternion, forward, up, begin, min(off + 1, last) + 1 - begin, sines, k, out)
         if swings[k, 1] != UNSEEN_NS:
             first = index_at(t_ns, begin, last, swings[k, 1] + HEEL_WINDOW_NS[0])
-            end = index_at(t_ns, begin, last, swings[k, 1] + HEEL_WINDOW_NS[1])
+            end = index_at(t_ns, first, last, swings[k, 1] + HEEL_WINDOW_NS[1])
             # angles count from the stance that follows: it is nearer, and on stairs
             lifted = reach(quaternion, forward, first) - reach(quaternion, forward, last)
             if lifted >= LEAST_HEEL_TILT and end - first >= 3:

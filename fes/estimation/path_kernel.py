@@ -1,4 +1,4 @@
-"""Compiled paths over the ground: along a foot's way, and bent by a turn that grows; :mod:`fes.ground_path` says why."""
+"""Compiled paths over the ground, from a foot's way and bent by a turn that grows; :mod:`fes.ground_path` says why."""
 
 from __future__ import annotations
 
