@@ -12,7 +12,6 @@ from fes.estimation.rotation import to_world, up_in_sensor
 from fes.estimation.stride_time import UNSEEN_NS
 
 LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
-MOST_DRIFT_M = 0.05  # what differs by more was no drift: a stumble, a kerb, another kind of step
 
 
 @jit_ieee
@@ -45,47 +44,25 @@ def contacts_at(t_ns: Any, begin: int, last: int, off_ns: int, contact_ns: int) 
 
 
 @jit_ieee
-def contact_heights(
-    position: Any, quaternion: Any, begin: int, off: int, contact: int, last: int, toe: Any, heel: Any
-) -> tuple[float, float, float]:
-    """The toe's height at foot off, that of the lower one of toe and heel at contact over the stance after, the rise.
-
-    ``toe`` and ``heel`` (3,) are seen from the sensor, in its frame.
-    """
-    toe_first, heel_first = reach(quaternion, toe, begin), reach(quaternion, heel, begin)
-    toe_last, heel_last = reach(quaternion, toe, last), reach(quaternion, heel, last)
-    lower = min(reach(quaternion, toe, contact) - toe_last, reach(quaternion, heel, contact) - heel_last)
-    return (
-        position[off, 2] + (reach(quaternion, toe, off) - toe_first),
-        position[contact, 2] - position[last, 2] + lower,
-        position[last, 2] + 0.5 * (toe_last - toe_first + heel_last - heel_first),
-    )
-
-
-@jit_ieee
 def all_contact_heights(
-    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any, seen: Any
+    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any
 ) -> None:
-    """As :func:`contact_heights` (K, 3) of K strides, rows ``spans``, ``swings`` (K, 2), where both were ``seen`` (K,)
-    in their order."""
+    """Of K strides, rows ``spans``, ``swings`` (K, 2), fill ``out`` (K, 3), NaN where not both contacts were seen.
+
+    That is the toe's height at foot off, that of the lower one of toe and heel at contact over the stance after, and
+    the rise. ``toe_arm`` and ``heel_arm`` (3,) are in the sensor's frame.
+    """
     for k in range(spans.shape[0]):
         begin, last = spans[k, 0], spans[k, 1] - 1
         off, contact = contacts_at(t_ns, begin, last, swings[k, 0], swings[k, 1])
-        seen[k] = begin < off < contact
-        if seen[k]:
-            heights = contact_heights(position, quaternion, begin, off, contact, last, toe_arm, heel_arm)
-            out[k, 0], out[k, 1], out[k, 2] = heights
-
-
-@jit_ieee
-def drifts_of(toe_off: float, lower: float, rise: float, levels: Any) -> tuple[float, float, float]:
-    """What to add to foot off, contact and rise; ``levels`` (6,): what they are in the recording, and their weights."""
-    a, b, c = levels[0] - toe_off, levels[1] - lower, levels[2] - rise
-    return (
-        levels[3] * a if abs(a) <= MOST_DRIFT_M else 0.0,
-        levels[4] * b if abs(b) <= MOST_DRIFT_M else 0.0,
-        levels[5] * c if abs(c) <= MOST_DRIFT_M else 0.0,
-    )
+        out[k, 0] = out[k, 1] = out[k, 2] = math.nan
+        if begin < off < contact:
+            toe, heel = reach(quaternion, toe_arm, last), reach(quaternion, heel_arm, last)
+            toe_off, toe_first = reach(quaternion, toe_arm, off), reach(quaternion, toe_arm, begin)
+            lower = min(reach(quaternion, toe_arm, contact) - toe, reach(quaternion, heel_arm, contact) - heel)
+            out[k, 0] = position[off, 2] + (toe_off - toe_first)
+            out[k, 1] = position[contact, 2] - position[last, 2] + lower
+            out[k, 2] = position[last, 2] + 0.5 * (toe - toe_first + heel - reach(quaternion, heel_arm, begin))
 
 
 @inlined
@@ -96,19 +73,6 @@ def drift_at(t: int, begin: int, off: int, contact: int, end: int, a: float, b: 
     if t < contact:
         return a + (b + c - a) * (t - off) / (contact - off)
     return b + c - b * (t - contact) / (end - contact) if t < end else c
-
-
-@jit_ieee
-def drift_correction(t_ns: Any, off_ns: int, contact_ns: int, toe: Any, heel: Any, levels: Any, out: Any) -> None:
-    """Fill ``out`` (N,) with what to add to the heights; ``levels`` (6,): of foot off, contact, rise, their weights."""
-    last = t_ns.shape[0] - 1
-    off, contact = contacts_at(t_ns, 0, last, off_ns, contact_ns)
-    a = b = c = 0.0
-    if 0 < off < contact:
-        lower = min(toe[contact] - toe[last], heel[contact] - heel[last])
-        a, b, c = drifts_of(toe[off], lower, 0.5 * (toe[last] + heel[last]), levels)
-    for i in range(t_ns.shape[0]):
-        out[i] = drift_at(t_ns[i], t_ns[0], off_ns, contact_ns, t_ns[last], a, b, c) if 0 < off < contact else 0.0
 
 
 @jit_ieee
@@ -156,15 +120,15 @@ def lowest_in_swing(t_ns: Any, height: Any, level: Any) -> tuple[int, bool]:
 
 @jit_ieee
 def all_clear(
-    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, levels: Any,
+    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, drifts: Any,
     toe: Any, after: Any, level: Any, out: Any,
 ) -> None:  # fmt: skip
     """Clearances of K strides, rows ``spans``, ``swings`` (K, 2); each fills a row of ``out`` (K, 6).
 
     That is the toe's minimum, its peaks before and after, the heel's and the sensor's greatest height, and 1 where the
     toe dips. The toe's are NaN without a swing of 3 samples. ``toe_arm`` and ``heel_arm`` (3,) are in the sensor's
-    frame, ``levels`` as for :func:`drift_correction`, or (0,): none. ``toe``, ``after`` (N,) and ``level`` (N, 2) are
-    room for the longest stride.
+    frame; ``drifts`` (K, 3) is what to add at foot off, at contact over the stance after, and there. ``toe``, ``after``
+    (N,) and ``level`` (N, 2) are room for the longest stride.
     """
     tx, ty, tz, hx, hy, hz = toe_arm[0], toe_arm[1], toe_arm[2], heel_arm[0], heel_arm[1], heel_arm[2]
     for k in range(spans.shape[0]):
@@ -172,11 +136,8 @@ def all_clear(
         off_ns, contact_ns, begin_ns, end_ns = swings[k, 0], swings[k, 1], t_ns[begin], t_ns[last]
         toe_first, heel_first = reach(quaternion, toe_arm, begin), reach(quaternion, heel_arm, begin)
         off, contact = contacts_at(t_ns, begin, last, off_ns, contact_ns)
-        a = b = c = 0.0
-        shifted = levels.shape[0] > 0 and begin < off < contact
-        if shifted:
-            toe_off, lower, rise = contact_heights(position, quaternion, begin, off, contact, last, toe_arm, heel_arm)
-            a, b, c = drifts_of(toe_off, lower, rise, levels)
+        a, b, c = drifts[k, 0], drifts[k, 1], drifts[k, 2]
+        shifted = a != 0.0 or b != 0.0 or c != 0.0
         heel_most = sensor_most = -math.inf
         for i in range(begin, last + 1):
             height = position[i, 2]
