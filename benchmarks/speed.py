@@ -108,7 +108,7 @@ def stages(recording: Recording) -> dict[str, float]:
         parts: dict[str, Callable[[], Any]] = {
             "phases and strides": follow,
             "rest": lambda d=data: foot_samples(*d),
-            "lengths fused": lambda w=walked, f=foot: fuse(w.rows.copy(), w.shapes.copy(), f),
+            "lengths fused": lambda w=walked, f=foot: fuse(w.rows.copy(), f),
             "path": lambda t=track, c=calibration, f=foot: ground_path(t, c, foot=f),
             "toe and heel": lambda w=walked: point_heights(w.paths(), None, level=True),
             "strides as results, when asked for": lambda w=walked: (w.strides(), w.paths().each()),

@@ -107,11 +107,11 @@ class _Course:
         assert isinstance(tracker, FootTracker)
         self._trackers[sensor] = tracker
         walked = tracker.walk(*_own(piece, track))
-        rows, shapes, paths = walked.rows, walked.shapes, walked.paths()
+        rows, paths = walked.rows, walked.paths()
         try:
             ranges = (track.acc_range_mps2, track.gyr_range_radps)
             foot = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
-            fuse(rows, shapes, foot)
+            walked.longer = fuse(rows, foot)
             result.paths[sensor] = ground_path(track, calibration, level=level, foot=foot)
         except ValueError as error:
             result.no_path[sensor] = f"{sensor}: {error}"

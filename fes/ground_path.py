@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from fes.estimation.calibration import FootCalibration
 from fes.estimation.foot_way import FootSamples, foot_samples
-from fes.estimation.path_kernel import bend_ahead, over_ground
+from fes.estimation.path_kernel import bend_ahead, over_ground, slopes
 from fes.estimation.ranks import median
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.recording import Track
@@ -110,8 +109,10 @@ def ground_path(
     step = max(round(foot.rate_hz / KEPT_HZ), 1)
     kept = np.append(t_ns[:-1:step], t_ns[-1])
     stance_ns, position, heading = t_ns[stances], np.empty((len(kept), 3)), np.empty(len(kept))
-    way_m = over_ground(*way, calibration.forward(), stance_ns, kept, position, heading)
-    return GroundPath(calibration.sensor, kept, position, heading, way_m, stance_ns)
+    room = np.empty(len(way.t_ns)), np.empty(len(stances))
+    over_ground(*way, calibration.forward(), stance_ns, kept, *room, position, heading)
+    x, y, _ = np.diff(way.at(stance_ns), axis=0).T
+    return GroundPath(calibration.sensor, kept, position, heading, float(np.hypot(x, y).sum()), stance_ns)
 
 
 def _unwrapped(angle: FloatArray) -> FloatArray:
@@ -168,15 +169,10 @@ def _drift_apart(left: GroundPath, right: GroundPath) -> float:
     count = min(len(common), MOST_STANCES)
     picked = np.linspace(0, len(common) - 1, count).round()
     apart = apart[picked.astype(int)]
-    earlier, later = _pairs(count)
-    return median((apart.take(later) - apart.take(earlier)) / (picked.take(later) - picked.take(earlier)))
-
-
-@lru_cache(maxsize=4)
-def _pairs(count: int) -> tuple[IntArray, IntArray]:
-    """All pairs out of so many in a row that are at least a quarter of them apart: the earlier ones and the later."""
-    earlier, later = np.triu_indices(count, count // 4)
-    return earlier, later
+    least = count // 4
+    each = np.empty((count - least) * (count - least + 1) // 2)
+    slopes(apart, picked, least, each)
+    return median(each)
 
 
 def _turned(path: GroundPath, stance_ns: IntArray, per_stride_rad: float) -> GroundPath:

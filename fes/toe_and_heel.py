@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from fes.config import FootGeometry
-from fes.estimation.clearance import AnyPaths, FootPath, arms_of, clearances, contact_levels, in_one
+from fes.estimation.clearance import AnyPaths, FootPath, arms_of, clearances, contact_heights, in_one, levels_of
 from fes.estimation.foot_geometry import EstimatedGeometry, estimate_geometry
 from fes.signals import FloatArray, StrideResult
 
@@ -101,5 +101,6 @@ def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -
     geometry = given if estimate is None else estimate.geometry
     assert geometry is not None
     arms = arms_of(geometry)
-    levels = contact_levels(paths, arms) if level else None
-    return clearances(paths, arms, levels)[:, [0, 3]], ToeAndHeel(geometry, estimate, levels is not None)
+    heights = contact_heights(paths, arms) if level else None
+    levels = None if heights is None else levels_of(heights)
+    return clearances(paths, arms, levels, heights)[:, 0:4:3], ToeAndHeel(geometry, estimate, levels is not None)

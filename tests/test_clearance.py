@@ -17,6 +17,7 @@ from fes.estimation.clearance import (
     FootPath,
     arms_of,
     clearance,
+    contact_heights,
     contact_levels,
     foot_path,
     rise,
@@ -159,10 +160,10 @@ def test_level_ground_is_known_from_the_recording_and_a_slope_stays_one() -> Non
         assert levels is not None
         assert levels.rise_m == pytest.approx(kept_m, abs=1e-6)
         assert levels.rise_weight > 0.9
-        toe, heel = rise(paths[0], ARMS.toe_m), rise(paths[0], ARMS.heel_m)
-        shift = levels.correction(paths[0], toe, heel)
-        assert shift[0] == 0.0
-        assert toe[-1] + shift[-1] == pytest.approx(kept_m, abs=0.002)
+        heights = contact_heights(paths[:1], ARMS)
+        risen_m = 0.5 * (rise(paths[0], ARMS.toe_m)[-1] + rise(paths[0], ARMS.heel_m)[-1])
+        assert heights[0, 2] == pytest.approx(risen_m)
+        assert risen_m + levels.drifts(heights)[0, 2] == pytest.approx(kept_m, abs=0.002)
 
 
 def test_strides_that_agree_are_left_alone() -> None:

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fes.estimation.path_kernel import bend, headings
+from fes.estimation.path_kernel import angle_of, bend, headings, keep, look_ahead, slopes, without_turns
 from fes.estimation.ranks import median
 from fes.estimation.read_kernel import into_rows, spreads
 from fes.estimation.rest_kernel import least_spread, stillest
-from fes.estimation.rotation import foot_axes, quaternions_of, up_in_sensor
+from fes.estimation.rotation import foot_axes, quaternions_of, rotate_all, up_in_sensor
 from fes.estimation.stride_shape import stride_shape
 from fes.estimation.zupt_covariance import BIASES, STATES, WIDTH, carry_one, predict, update, update_velocity
+from fes.estimation.zupt_step_smooth import path_at, turn_path
 
 RNG = np.random.default_rng(11)
 
@@ -143,6 +144,89 @@ def test_headings_turn_by_less_than_half_a_turn_each_time() -> None:
     about_up = np.column_stack((np.cos(angle / 2), np.zeros((200, 2)), np.sin(angle / 2)))
     headings(about_up, np.array([0.0, 1.0, 0.2]), out)
     assert out == pytest.approx(np.unwrap(np.arctan2(np.cos(angle), -np.sin(angle))), abs=1e-10)
+
+
+def test_a_toe_that_points_straight_up_keeps_its_heading() -> None:
+    to_the_left, up, out = (0.5, -0.5, -0.5, -0.5), (1.0, 0.0, 0.0, 0.0), np.empty(4)
+    headings(np.array([up, to_the_left, up, to_the_left]), np.array([0.0, 0.0, 1.0]), out)
+    assert out == pytest.approx([0.0, math.pi / 2, math.pi / 2, math.pi / 2])
+
+
+def test_angles_are_those_of_atan2() -> None:
+    around = np.concatenate((np.linspace(-math.pi, math.pi, 201), np.linspace(-0.13, 0.13, 201)))
+    found = [angle_of(3.0 * math.sin(angle), 3.0 * math.cos(angle)) for angle in around.tolist()]
+    assert found == pytest.approx(around, rel=1e-15, abs=1e-15)
+
+
+def test_false_turns_between_stances_go() -> None:
+    t_ns = 10**15 + np.cumsum(RNG.integers(20_000_000, 60_000_000, 200))
+    stance_ns = t_ns[10::20] + 3_000_000
+    heading = np.cumsum(RNG.uniform(-0.2, 0.2, 200))
+    found = heading.copy()
+    without_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
+    assert np.array_equal(found, heading)
+    middles = (stance_ns[1:] + stance_ns[:-1]) // 2
+    wrong = heading + 2.0 * math.pi * (
+        (t_ns > stance_ns[4] - 10**8).astype(float) - 2.0 * (t_ns > stance_ns[7] - 10**8)
+    )
+    since, stances = (t_ns - t_ns[0]).astype(float), (stance_ns - t_ns[0]).astype(float)
+    at_stance = np.interp(stances, since, wrong)
+    off = np.unwrap(at_stance) - at_stance
+    assert np.rint(off / (2.0 * math.pi)).tolist() == [0.0] * 4 + [-1.0] * 3 + [1.0] * 3
+    found = wrong.copy()
+    without_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
+    assert found == pytest.approx(wrong + off[np.searchsorted(middles, t_ns, side="right")], abs=1e-12)
+
+
+def test_what_is_kept_of_a_way_lies_on_it() -> None:
+    t_ns = 10**15 + np.cumsum(RNG.integers(5_000_000, 60_000_000, 60))
+    place, velocity, facing = RNG.normal(0.0, 1.0, (60, 3)), RNG.normal(0.0, 1.0, (60, 3)), RNG.normal(0.0, 1.0, 60)
+    kept_ns = np.concatenate((t_ns[:1] - 10**8, t_ns[[0, 7]], np.sort(RNG.integers(t_ns[7], t_ns[-1], 90)), t_ns[-1:]))
+    kept_ns = np.append(kept_ns, t_ns[-1] + 10**8)
+    position, heading, wanted = np.empty((len(kept_ns), 3)), np.empty(len(kept_ns)), np.empty((len(kept_ns), 3))
+    keep(t_ns, place, velocity, facing, kept_ns, position, heading)
+    path_at(t_ns, place, velocity, kept_ns, wanted)
+    assert position == pytest.approx(wanted, abs=1e-13)
+    assert position[[0, 1, 2, -1]] == pytest.approx(place[[0, 0, 7, -1]], abs=1e-15)
+    since, known = ((t - t_ns[0]).astype(np.float64) for t in (kept_ns, t_ns))
+    assert heading == pytest.approx(np.interp(since, known, facing), abs=1e-13)
+    order, back = RNG.permutation(len(kept_ns)), np.empty((len(kept_ns), 3))
+    path_at(t_ns, place, velocity, kept_ns[order], back)
+    assert np.array_equal(back, wanted[order])
+
+
+@pytest.mark.parametrize(("reach_m", "at"), [(3.0, 21), (1.0, 32)])
+def test_x_points_to_where_a_path_is_two_metres_away_or_farthest(reach_m: float, at: int) -> None:
+    along = reach_m * np.concatenate((np.linspace(0.0, 1.0, 32), np.linspace(1.0, 0.0, 32)))
+    aside = 0.3 * np.sin(np.arange(64.0) / 9.0)
+    place = np.column_stack((-along, aside, np.arange(64.0)))
+    heading = np.full(64, 7.0)
+    far = math.atan2(place[at, 1], place[at, 0])
+    turned, facing = place.copy(), heading.copy()
+    look_ahead(turned, facing)
+    assert turned[at] == pytest.approx([math.hypot(*place[at, :2]), 0.0, at], abs=1e-12)
+    assert np.hypot(*turned[:, :2].T) == pytest.approx(np.hypot(*place[:, :2].T))
+    assert facing == pytest.approx(np.full(64, math.remainder(7.0 - far, 2.0 * math.pi)))
+
+
+def test_slopes_are_those_of_all_pairs_far_enough_apart() -> None:
+    values, places = RNG.normal(0.0, 1.0, 40), np.cumsum(RNG.integers(1, 4, 40)).astype(np.float64)
+    earlier, later = np.triu_indices(40, 10)
+    out = np.empty(len(earlier))
+    slopes(values, places, 10, out)
+    assert out == pytest.approx((values[later] - values[earlier]) / (places[later] - places[earlier]))
+
+
+def test_a_way_is_turned_about_the_vertical() -> None:
+    place, velocity, q = RNG.normal(0.0, 1.0, (9, 3)), RNG.normal(0.0, 1.0, (9, 3)), RNG.normal(0.0, 1.0, (9, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    shift, axis, c, s = np.array([1.0, 2.0, 3.0]), np.array([0.3, 0.4, 0.5]), math.cos(0.7), math.sin(0.7)
+    about_z = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned = [rows.copy() for rows in (place, velocity, q)]
+    turn_path(*turned, 0.7, shift)
+    assert turned[0] == pytest.approx(place @ about_z.T + shift)
+    assert turned[1] == pytest.approx(velocity @ about_z.T)
+    assert rotate_all(turned[2], axis) == pytest.approx(rotate_all(q, axis) @ about_z.T)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 1001])

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fes.analysis import analyse, calibrations_of
 from fes.estimation import foot_way
 from fes.estimation.foot import FootTracker
 from fes.estimation.stride_fusion import fused, path_lengths
@@ -105,3 +106,13 @@ def test_nothing_to_go_by(track: Track, strides: list[StrideResult]) -> None:
     assert fused(strides[:1], track.t_sensor_ns[few], track.acc_mps2[few], track.gyr_radps[few]) == strides[:1]
     outside = path_lengths(np.array([-5]), np.array([10**9]), track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
     assert np.isnan(outside).all()
+
+
+def test_a_strides_way_is_as_long_as_its_fused_length() -> None:
+    recording, found = calibrations_of(read_recording(TRIAL))
+    result = analyse(recording, found.calibrations)
+    longer = np.concatenate([walked.longer for walked in result.walked.values() if walked.longer is not None])
+    assert np.abs(longer - 1.0).max() > 1e-4
+    for stride in result.strides:
+        if stride.valid:
+            assert stride.trajectory_m[-1, 0] == pytest.approx(stride.stride_length_m, rel=1e-9)

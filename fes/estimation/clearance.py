@@ -24,13 +24,13 @@ from typing import TypeAlias
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.clearance_kernel import all_clear, all_contact_heights, drift_correction, lowest_in_swing
-from fes.estimation.ranks import median
+from fes.estimation.clearance_kernel import all_clear, all_contact_heights, lowest_in_swing
 from fes.estimation.rotation import foot_axes, quaternions_of
 from fes.estimation.stride_time import UNSEEN_NS
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 
 CONTACT_SPREAD_M = 0.003  # how much the true contact heights differ between strides (markers: 2.6 to 3.3 mm)
+MOST_DRIFT_M = 0.05  # what differs by more was no drift: a stumble, a kerb, another kind of step
 LEVEL_GROUND_M = 0.01  # ground that rises by less per stride, on the whole, is taken for level
 LEAST_STRIDES = 5  # for levels
 TRIM = 0.1  # share of the strides left out at either end when levels are averaged
@@ -86,6 +86,11 @@ class FootPaths:
 
     def __len__(self) -> int:
         return len(self.numbers)
+
+    @property
+    def longest(self) -> int:
+        """Samples of the longest one."""
+        return int((self.spans[:, 1] - self.spans[:, 0]).max(initial=0))
 
     def each(self) -> list[FootPath]:
         """One by one."""
@@ -175,41 +180,48 @@ class ContactLevels:
     contact_weight: float
     rise_weight: float
 
-    def correction(self, path: FootPath, toe_m: FloatArray, heel_m: FloatArray) -> FloatArray:
-        """What to add to the heights of a stride (N,), given those of its toe and heel."""
-        shift = np.empty(len(path.t_ns))
-        drift_correction(path.t_ns, *path.swing_ns, toe_m, heel_m, self.row(), shift)
-        return shift
+    def drifts(self, heights: FloatArray) -> FloatArray:
+        """What to add to the heights (K, 3) of :func:`contact_heights`; 0 where there are none."""
+        off = np.array((self.foot_off_m, self.contact_m, self.rise_m)) - heights
+        weights = np.array((self.foot_off_weight, self.contact_weight, self.rise_weight))
+        return np.where(np.abs(off) <= MOST_DRIFT_M, weights * off, 0.0)
 
-    def row(self) -> FloatArray:
-        """For compiled code (6,): levels, then weights."""
-        levels = (self.foot_off_m, self.contact_m, self.rise_m)
-        return np.array((*levels, self.foot_off_weight, self.contact_weight, self.rise_weight))
+
+def contact_heights(paths: AnyPaths, arms: FootArms) -> FloatArray:
+    """Of each stride (K, 3) what :func:`contact_levels` are found from, NaN where not both contacts were seen.
+
+    The height of the toe at foot off over the stance before; of the lower of toe and heel at contact over the next; and
+    of the foot in the stance after over that before. So steps up and down do not make the first two differ.
+    """
+    paths = in_one(paths)
+    toe, heel, out = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), np.empty((len(paths), 3))
+    all_contact_heights(paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, out)
+    return out
 
 
 def contact_levels(paths: AnyPaths, arms: FootArms) -> ContactLevels | None:
-    """Levels of one foot's recording, from all its strides; None if fewer than five show both contacts.
+    """Levels of one foot's recording, from all its strides; None if fewer than five show both contacts."""
+    return levels_of(contact_heights(paths, arms))
 
-    Of each stride: the height of the toe at foot off over the stance before; of the lower of toe and heel at contact
-    over the next; and of the foot in the stance after over that before. So steps up and down do not make the first two
-    differ.
-    """
-    paths = in_one(paths)
-    toe, heel = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m)
-    each, shown = np.empty((len(paths), 3)), np.empty(len(paths), np.bool_)
-    all_contact_heights(
-        paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, each, shown
-    )  # fmt: skip
-    seen = each[shown]
+
+def levels_of(heights: FloatArray) -> ContactLevels | None:
+    """As :func:`contact_levels`, from the :func:`contact_heights` (K, 3)."""
+    seen = heights[heights[:, 0] == heights[:, 0]]
     if len(seen) < LEAST_STRIDES:
         return None
     columns, cut = np.sort(seen.T), int(TRIM * len(seen))
     # a stumble or a turn must not shift the rest, and half the strides is too much to waste
     level = columns[:, cut : len(seen) - cut].mean(axis=1)
-    spread = 1.4826 * np.array([median(np.abs(column - median(column))) for column in columns])
+    spread = 1.4826 * _middle(np.sort(np.abs(columns - _middle(columns))))[:, 0]
     weight = 1.0 - np.minimum(CONTACT_SPREAD_M / np.maximum(spread, 1e-9), 1.0) ** 2
     off, contact, rises = level.tolist()
     return ContactLevels(off, contact, rises if abs(rises) > LEVEL_GROUND_M else 0.0, *weight.tolist())
+
+
+def _middle(columns: FloatArray) -> FloatArray:
+    """Medians (M, 1) of rising rows (M, N)."""
+    count = columns.shape[1]
+    return 0.5 * (columns[:, (count - 1) // 2, None] + columns[:, count // 2, None])
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,13 +247,20 @@ def clearance(path: FootPath, arms: FootArms, levels: ContactLevels | None = Non
     return Clearance(toe_m, first_m, last_m, heel_m, sensor_m, bool(dips))
 
 
-def clearances(paths: AnyPaths, arms: FootArms, levels: ContactLevels | None) -> FloatArray:
-    """What :class:`Clearance` holds of every stride (K, 6), in its order; ``dips`` is 0 or 1."""
-    paths, out = in_one(paths), np.empty((len(paths), 6))
-    row = np.zeros(0) if levels is None else levels.row()
+def clearances(
+    paths: AnyPaths, arms: FootArms, levels: ContactLevels | None, heights: FloatArray | None = None
+) -> FloatArray:
+    """What :class:`Clearance` holds of every stride (K, 6), in its order; ``dips`` is 0 or 1.
+
+    ``heights`` are their :func:`contact_heights` where already known.
+    """
+    paths, out, drifts = in_one(paths), np.empty((len(paths), 6)), np.zeros((len(paths), 3))
+    if levels is not None:
+        drifts = levels.drifts(contact_heights(paths, arms) if heights is None else heights)
+    toe, heel, longest = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), paths.longest
+    room = np.empty(longest), np.empty(longest), np.empty((longest, 2))
     all_clear(
-        paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns,
-        paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), row, out,
+        paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, drifts, *room, out
     )  # fmt: skip
     return out
 

@@ -9,20 +9,24 @@ import numpy as np
 
 from fes.estimation.compiled import inlined, jit_ieee
 from fes.estimation.rotation import to_world, up_in_sensor
-from fes.estimation.stride_ends import rows_before
 from fes.estimation.stride_time import UNSEEN_NS
 
 LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
-MOST_DRIFT_M = 0.05  # what differs by more was no drift: a stumble, a kerb, another kind of step
 
 
 @jit_ieee
-def index_at(t_ns: Any, at_ns: int) -> int:
-    """The sample of (N,) at or after a time, the last if there is none."""
-    return rows_before(t_ns, t_ns.shape[0] - 1, at_ns)
+def index_at(t_ns: Any, begin: int, last: int, at_ns: int) -> int:
+    """Of the samples ``begin`` … ``last`` the first at or after a time, the last if there is none."""
+    while begin < last:
+        middle = (begin + last) >> 1
+        if t_ns[middle] < at_ns:
+            begin = middle + 1
+        else:
+            last = middle
+    return last
 
 
-@inlined
+@jit_ieee
 def reach(quaternion: Any, arm: Any, i: int) -> float:
     """How much higher than the sensor the point at ``arm`` (3,), in its frame, is at sample ``i``."""
     x, y, z = up_in_sensor(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3])
@@ -30,49 +34,35 @@ def reach(quaternion: Any, arm: Any, i: int) -> float:
     return height
 
 
-@inlined
-def height_at(position: Any, quaternion: Any, arm: Any, i: int) -> float:
-    """Height at sample ``i`` of that point above its own start; sensor (N, 3), orientations (N, 4)."""
-    height: float = position[i, 2] + (reach(quaternion, arm, i) - reach(quaternion, arm, 0))
-    return height
-
-
 @jit_ieee
-def contacts_at(t_ns: Any, off_ns: int, contact_ns: int) -> tuple[int, int]:
-    """The samples of foot off and contact, 0 and 0 where they were not both seen in this order."""
+def contacts_at(t_ns: Any, begin: int, last: int, off_ns: int, contact_ns: int) -> tuple[int, int]:
+    """The samples of foot off and, from there on, of contact; ``begin`` twice where they were not both seen."""
     if off_ns == UNSEEN_NS or contact_ns == UNSEEN_NS:
-        return 0, 0
-    off, contact = index_at(t_ns, off_ns), index_at(t_ns, contact_ns)
-    return (off, contact) if 0 < off < contact else (0, 0)
+        return begin, begin
+    off = index_at(t_ns, begin, last, off_ns)
+    return off, index_at(t_ns, off, last, contact_ns)
 
 
 @jit_ieee
 def all_contact_heights(
-    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any, seen: Any
+    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any
 ) -> None:
-    """Of K strides, rows ``spans``, ``swings`` (K, 2), the heights of toe and heel at foot off and at contact, and the
-    rise (K, 3), and whether both contacts were ``seen`` (K,)."""
+    """Of K strides, rows ``spans``, ``swings`` (K, 2), fill ``out`` (K, 3), NaN where not both contacts were seen.
+
+    That is the toe's height at foot off, that of the lower one of toe and heel at contact over the stance after, and
+    the rise. ``toe_arm`` and ``heel_arm`` (3,) are in the sensor's frame.
+    """
     for k in range(spans.shape[0]):
-        a, b = spans[k, 0], spans[k, 1]
-        p, r, last = position[a:b], quaternion[a:b], b - a - 1
-        off, contact = contacts_at(t_ns[a:b], swings[k, 0], swings[k, 1])
-        seen[k] = off > 0
-        if off > 0:
-            toe, heel = height_at(p, r, toe_arm, last), height_at(p, r, heel_arm, last)
-            out[k, 0] = height_at(p, r, toe_arm, off)
-            out[k, 1] = min(height_at(p, r, toe_arm, contact) - toe, height_at(p, r, heel_arm, contact) - heel)
-            out[k, 2] = 0.5 * (toe + heel)
-
-
-@inlined
-def drifts_of(toe_off: float, lower: float, rise: float, levels: Any) -> tuple[float, float, float]:
-    """What to add to foot off, contact and rise; ``levels`` (6,): what they are in the recording, and their weights."""
-    a, b, c = levels[0] - toe_off, levels[1] - lower, levels[2] - rise
-    return (
-        levels[3] * a if abs(a) <= MOST_DRIFT_M else 0.0,
-        levels[4] * b if abs(b) <= MOST_DRIFT_M else 0.0,
-        levels[5] * c if abs(c) <= MOST_DRIFT_M else 0.0,
-    )
+        begin, last = spans[k, 0], spans[k, 1] - 1
+        off, contact = contacts_at(t_ns, begin, last, swings[k, 0], swings[k, 1])
+        out[k, 0] = out[k, 1] = out[k, 2] = math.nan
+        if begin < off < contact:
+            toe, heel = reach(quaternion, toe_arm, last), reach(quaternion, heel_arm, last)
+            toe_off, toe_first = reach(quaternion, toe_arm, off), reach(quaternion, toe_arm, begin)
+            lower = min(reach(quaternion, toe_arm, contact) - toe, reach(quaternion, heel_arm, contact) - heel)
+            out[k, 0] = position[off, 2] + (toe_off - toe_first)
+            out[k, 1] = position[contact, 2] - position[last, 2] + lower
+            out[k, 2] = position[last, 2] + 0.5 * (toe - toe_first + heel - reach(quaternion, heel_arm, begin))
 
 
 @inlined
@@ -86,123 +76,93 @@ def drift_at(t: int, begin: int, off: int, contact: int, end: int, a: float, b: 
 
 
 @jit_ieee
-def drift_correction(t_ns: Any, off_ns: int, contact_ns: int, toe: Any, heel: Any, levels: Any, out: Any) -> None:
-    """Fill ``out`` (N,) with what to add to the heights; ``levels`` (6,): of foot off, contact, rise, their weights."""
-    off, contact = contacts_at(t_ns, off_ns, contact_ns)
-    a = b = c = 0.0
-    last = t_ns.shape[0] - 1
-    if off > 0:
-        lower = min(toe[contact] - toe[last], heel[contact] - heel[last])
-        a, b, c = drifts_of(toe[off], lower, 0.5 * (toe[last] + heel[last]), levels)
-    for i in range(t_ns.shape[0]):
-        out[i] = drift_at(t_ns[i], t_ns[0], off_ns, contact_ns, t_ns[last], a, b, c) if off > 0 else 0.0
+def deepest(height: Any, begin: int, end: int, after: Any) -> tuple[int, float]:
+    """Which of the samples ``begin`` … ``end - 1`` lies deepest below the lower of the peaks before and after it, and
+    how deep; ``after`` is room for as many numbers as there are heights."""
+    greatest = before = depth = -math.inf
+    at = begin
+    for i in range(end - 1, begin - 1, -1):
+        greatest = max(greatest, height[i])
+        after[i] = greatest
+    for i in range(begin, end):
+        before = max(before, height[i])
+        below = min(before, after[i]) - height[i]
+        if below > depth:
+            at, depth = i, below
+    return at, depth
+
+
+@jit_ieee
+def fastest(t_ns: Any, begin: int, n: int, level: Any) -> int:
+    """Which of ``n`` samples, in ``t_ns`` from ``begin`` on, has the greatest speed; ``level`` (N, 2): the places."""
+    at, speed2 = 0, -math.inf
+    for i in range(n):
+        p, q = max(i - 1, 0), min(i + 1, n - 1)
+        a, b = 1e-9 * (t_ns[begin + i] - t_ns[begin + p]), 1e-9 * (t_ns[begin + q] - t_ns[begin + i])
+        total = 0.0
+        for j in range(2):  # the parabola through three samples, at the ends the line through two
+            back = (level[i, j] - level[p, j]) / a if i > 0 else 0.0
+            forth = (level[q, j] - level[i, j]) / b if i < n - 1 else 0.0
+            rate = (b * back + a * forth) / (a + b) if 0 < i < n - 1 else back + forth
+            total += rate * rate
+        if total > speed2:
+            at, speed2 = i, total
+    return at
 
 
 @jit_ieee
 def lowest_in_swing(t_ns: Any, height: Any, level: Any) -> tuple[int, bool]:
     """As :func:`fes.estimation.clearance.mid_swing`."""
     n = t_ns.shape[0]
-    after = np.empty(n)
-    greatest = -math.inf
-    for i in range(n - 1, -1, -1):
-        greatest = max(greatest, height[i])
-        after[i] = greatest
-    before, deepest, depth = -math.inf, 0, -math.inf
-    for i in range(n):
-        before = max(before, height[i])
-        if min(before, after[i]) - height[i] > depth:
-            deepest, depth = i, min(before, after[i]) - height[i]
-    if depth >= LEAST_DIP_M:
-        return deepest, True
-    fastest, speed2 = 0, -math.inf
-    for i in range(n):
-        total = 0.0
-        for j in range(2):
-            if 0 < i < n - 1:  # the parabola through three samples
-                a, b = 1e-9 * (t_ns[i] - t_ns[i - 1]), 1e-9 * (t_ns[i + 1] - t_ns[i])
-                back, forth = (level[i, j] - level[i - 1, j]) / a, (level[i + 1, j] - level[i, j]) / b
-                rate = (b * back + a * forth) / (a + b)
-            else:
-                k = min(max(i, 1), n - 1)
-                rate = (level[k, j] - level[k - 1, j]) / (1e-9 * (t_ns[k] - t_ns[k - 1]))
-            total += rate * rate
-        if total > speed2:
-            fastest, speed2 = i, total
-    return fastest, False
-
-
-@jit_ieee
-def clear(
-    t_ns: Any,
-    position: Any,
-    quaternion: Any,
-    off_ns: int,
-    contact_ns: int,
-    toe_arm: Any,
-    heel_arm: Any,
-    levels: Any,
-    out: Any,
-) -> bool:
-    """Fill ``out`` (5,): the toe's minimum, its peaks before and after, the heel's and the sensor's greatest height.
-
-    ``toe_arm`` and ``heel_arm`` (3,) are in the sensor's frame; ``levels`` as for :func:`drift_correction`, or
-    (0,): none. Returns whether the toe dips. The toe's are NaN without a swing of 3 samples.
-    """
-    n = t_ns.shape[0]
-    last, off, contact = n - 1, 0, 0
-    a = b = c = 0.0
-    if levels.shape[0] > 0:
-        off, contact = contacts_at(t_ns, off_ns, contact_ns)
-    if off > 0:
-        toe_last, heel_last = (
-            height_at(position, quaternion, toe_arm, last),
-            height_at(position, quaternion, heel_arm, last),
-        )
-        lower = min(
-            height_at(position, quaternion, toe_arm, contact) - toe_last,
-            height_at(position, quaternion, heel_arm, contact) - heel_last,
-        )
-        a, b, c = drifts_of(height_at(position, quaternion, toe_arm, off), lower, 0.5 * (toe_last + heel_last), levels)
-    toe, toe_first, heel_first = np.empty(n), reach(quaternion, toe_arm, 0), reach(quaternion, heel_arm, 0)
-    (tx, ty, tz), (hx, hy, hz) = (toe_arm[0], toe_arm[1], toe_arm[2]), (heel_arm[0], heel_arm[1], heel_arm[2])
-    heel_most = sensor_most = -math.inf
-    for i in range(n):
-        height = position[i, 2]
-        if off > 0:
-            height += drift_at(t_ns[i], t_ns[0], off_ns, contact_ns, t_ns[last], a, b, c)
-        x, y, z = up_in_sensor(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3])
-        toe[i] = height + (x * tx + y * ty + z * tz - toe_first)
-        heel_most = max(heel_most, height + (x * hx + y * hy + z * hz - heel_first))
-        sensor_most = max(sensor_most, height)
-    out[:3] = math.nan
-    out[3], out[4] = heel_most, sensor_most
-    if off_ns == UNSEEN_NS or contact_ns == UNSEEN_NS:
-        return False
-    begin, end = index_at(t_ns, off_ns), index_at(t_ns, contact_ns) + 1
-    if end - begin < 3:
-        return False
-    level = np.empty((end - begin, 2))
-    for i in range(begin, end):
-        x, y, _ = to_world(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3], tx, ty, tz)
-        level[i - begin, 0], level[i - begin, 1] = position[i, 0] + x, position[i, 1] + y
-    lowest, dips = lowest_in_swing(t_ns[begin:end], toe[begin:end], level)
-    lowest += begin
-    out[0] = out[1] = out[2] = toe[lowest]
-    for i in range(begin, lowest + 1):
-        out[1] = max(out[1], toe[i])
-    for i in range(lowest, end):
-        out[2] = max(out[2], toe[i])
-    return dips
+    at, depth = deepest(height, 0, n, np.empty(n))
+    return (at, True) if depth >= LEAST_DIP_M else (fastest(t_ns, 0, n, level), False)
 
 
 @jit_ieee
 def all_clear(
-    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, levels: Any,
-    out: Any,
+    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, drifts: Any,
+    toe: Any, after: Any, level: Any, out: Any,
 ) -> None:  # fmt: skip
-    """As :func:`clear` of K strides: rows ``spans``, ``swings`` (K, 2); ``out`` (K, 6), last whether it dips."""
+    """Clearances of K strides, rows ``spans``, ``swings`` (K, 2); each fills a row of ``out`` (K, 6).
+
+    That is the toe's minimum, its peaks before and after, the heel's and the sensor's greatest height, and 1 where the
+    toe dips. The toe's are NaN without a swing of 3 samples. ``toe_arm`` and ``heel_arm`` (3,) are in the sensor's
+    frame; ``drifts`` (K, 3) is what to add at foot off, at contact over the stance after, and there. ``toe``, ``after``
+    (N,) and ``level`` (N, 2) are room for the longest stride.
+    """
+    tx, ty, tz, hx, hy, hz = toe_arm[0], toe_arm[1], toe_arm[2], heel_arm[0], heel_arm[1], heel_arm[2]
     for k in range(spans.shape[0]):
-        a, b = spans[k, 0], spans[k, 1]
-        off, contact = swings[k, 0], swings[k, 1]
-        dips = clear(t_ns[a:b], position[a:b], quaternion[a:b], off, contact, toe_arm, heel_arm, levels, out[k, :5])
-        out[k, 5] = 1.0 if dips else 0.0
+        begin, last = spans[k, 0], spans[k, 1] - 1
+        off_ns, contact_ns, begin_ns, end_ns = swings[k, 0], swings[k, 1], t_ns[begin], t_ns[last]
+        toe_first, heel_first = reach(quaternion, toe_arm, begin), reach(quaternion, heel_arm, begin)
+        off, contact = contacts_at(t_ns, begin, last, off_ns, contact_ns)
+        a, b, c = drifts[k, 0], drifts[k, 1], drifts[k, 2]
+        shifted = a != 0.0 or b != 0.0 or c != 0.0
+        heel_most = sensor_most = -math.inf
+        for i in range(begin, last + 1):
+            height = position[i, 2]
+            if shifted:
+                height += drift_at(t_ns[i], begin_ns, off_ns, contact_ns, end_ns, a, b, c)
+            x, y, z = up_in_sensor(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3])
+            toe[i - begin] = height + (x * tx + y * ty + z * tz - toe_first)
+            heel_most = max(heel_most, height + (x * hx + y * hy + z * hz - heel_first))
+            sensor_most = max(sensor_most, height)
+        lowest = toe_before = toe_after = math.nan
+        dips, first, end = 0.0, off - begin, contact + 1 - begin
+        if end - first >= 3:
+            at, depth = deepest(toe, first, end, after)
+            dips = 1.0 if depth >= LEAST_DIP_M else 0.0
+            if depth < LEAST_DIP_M:
+                for i in range(off, contact + 1):
+                    x, y, _ = to_world(
+                        quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3], tx, ty, tz
+                    )  # fmt: skip
+                    level[i - off, 0], level[i - off, 1] = position[i, 0] + x, position[i, 1] + y
+                at = first + fastest(t_ns, off, end - first, level)
+            lowest = toe_before = toe_after = toe[at]
+            for j in range(first, at):
+                toe_before = max(toe_before, toe[j])
+            for j in range(at, end):
+                toe_after = max(toe_after, toe[j])
+        out[k, 0], out[k, 1], out[k, 2] = lowest, toe_before, toe_after
+        out[k, 3], out[k, 4], out[k, 5] = heel_most, sensor_most, dips

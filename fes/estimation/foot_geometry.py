@@ -16,6 +16,7 @@ Sideways nothing is found (roll is small, and in step with pitch): the sensor is
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,40 +70,41 @@ def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
     Always gives a usable geometry: what lies outside the plausible bounds is dropped, and the reason says so.
     """
     paths = in_one(paths)
-    signs = np.empty((len(paths), SIGNS))
+    signs = np.empty((SIGNS, len(paths)))
     forward, up = paths.foot[:, 0].copy(), paths.foot[:, 2].copy()
-    all_signs(paths.t_ns, paths.position_m, paths.quaternion, forward, up, paths.spans, paths.swings_ns, signs)
-    ball = _seen("the sensor's height", signs[:, BALL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
-    over_heel = _seen("", signs[:, OVER_HEEL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
+    all_signs(
+        paths.t_ns, paths.position_m, paths.quaternion, forward, up, paths.spans, paths.swings_ns,
+        np.empty(paths.longest), signs,
+    )  # fmt: skip
+    ball = _seen("the sensor's height", signs[BALL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
+    over_heel = _seen("", signs[OVER_HEEL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     height = ball if ball.missing or over_heel.missing else _mean(ball, over_heel)
     height_m, height_sd_m = _combine(height, *HEIGHT_M)
-    toe = _seen("the toe", signs[:, TOE] + height_m * signs[:, TOE + 1], MODEL_M[1], PLAUSIBLE_TOE_M)
-    heels = signs[:, HEEL] + height_m * signs[:, HEEL + 1] - HEEL_BEHIND_M
+    toe = _seen("the toe", signs[TOE] + height_m * signs[TOE + 1], MODEL_M[1], PLAUSIBLE_TOE_M)
+    heels = signs[HEEL] + height_m * signs[HEEL + 1] - HEEL_BEHIND_M
     heel = _seen("the heel", heels, MODEL_M[2], PLAUSIBLE_HEEL_M)
     if (
         not (toe.missing or heel.missing)
         and not PLAUSIBLE_SOLE_M[0] <= toe.value_m - heel.value_m <= PLAUSIBLE_SOLE_M[1]
     ):
         text = f"toe and heel came out {100.0 * (toe.value_m - heel.value_m):.0f} cm apart"
-        toe, heel = _Seen(0.0, np.inf, text), _Seen(0.0, np.inf, text)
+        toe, heel = _Seen(0.0, math.inf, text), _Seen(0.0, math.inf, text)
     # information about (toe, heel): what was seen of each, the prior of the toe, and the prior of their distance
     sole, toe_prior = SOLE_M[1] ** -2, TOE_M[1] ** -2
-    weights = np.array([[toe.sd_m**-2 + toe_prior + sole, -sole], [-sole, heel.sd_m**-2 + sole]])
-    total = np.array(
-        [
-            toe.value_m * toe.sd_m**-2 + TOE_M[0] * toe_prior + SOLE_M[0] * sole,
-            heel.value_m * heel.sd_m**-2 - SOLE_M[0] * sole,
-        ]
-    )
-    covariance = np.linalg.inv(weights)
-    toe_m, heel_m = covariance @ total
+    of_toe, of_heel = toe.sd_m**-2 + toe_prior + sole, heel.sd_m**-2 + sole
+    toe_total = toe.value_m * toe.sd_m**-2 + TOE_M[0] * toe_prior + SOLE_M[0] * sole
+    heel_total = heel.value_m * heel.sd_m**-2 - SOLE_M[0] * sole
+    determinant = of_toe * of_heel - sole * sole
     missing = list(dict.fromkeys(part.missing for part in (height, toe, heel) if part.missing))
     return EstimatedGeometry(
         geometry=FootGeometry(
-            toe_forward_m=float(toe_m), toe_up_m=-height_m, heel_forward_m=float(heel_m), heel_up_m=-height_m
+            toe_forward_m=(of_heel * toe_total + sole * heel_total) / determinant,
+            toe_up_m=-height_m,
+            heel_forward_m=(sole * toe_total + of_toe * heel_total) / determinant,
+            heel_up_m=-height_m,
         ),
-        toe_forward_sd_m=float(np.sqrt(covariance[0, 0])),
-        heel_forward_sd_m=float(np.sqrt(covariance[1, 1])),
+        toe_forward_sd_m=math.sqrt(of_heel / determinant),
+        heel_forward_sd_m=math.sqrt(of_toe / determinant),
         height_sd_m=height_sd_m,
         strides=len(paths),
         observed=not missing,
@@ -113,12 +115,12 @@ def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
 def _seen(what: str, each: FloatArray, model_m: float, bounds_m: tuple[float, float]) -> _Seen:
     values = each[np.isfinite(each)]
     if len(values) < LEAST_STRIDES:
-        return _Seen(0.0, np.inf, f"{what} shows in {len(values)} strides only, {LEAST_STRIDES} are needed")
+        return _Seen(0.0, math.inf, f"{what} shows in {len(values)} strides only, {LEAST_STRIDES} are needed")
     middle = median(values)
     if not bounds_m[0] <= middle <= bounds_m[1]:
-        return _Seen(0.0, np.inf, f"{what} came out at {100.0 * middle:.0f} cm, which no foot has")
+        return _Seen(0.0, math.inf, f"{what} came out at {100.0 * middle:.0f} cm, which no foot has")
     spread = 1.4826 * median(np.abs(values - middle))
-    return _Seen(middle, float(np.hypot(1.25 * spread / np.sqrt(len(values)), model_m)))
+    return _Seen(middle, math.hypot(1.25 * spread / math.sqrt(len(values)), model_m))
 
 
 def _mean(one: _Seen, other: _Seen) -> _Seen:

@@ -19,13 +19,7 @@ SIGNS = 6
 BALL, OVER_HEEL, TOE, HEEL = 0, 1, 2, 4  # the last two: at no height, and per metre of the sensor's height
 
 
-@inlined
-def _rise(quaternion: Any, forward: Any, i: int) -> float:
-    """Sine of the pitch: it tells which of two pitches is the higher, and costs less."""
-    return min(max(reach(quaternion, forward, i), -1.0), 1.0)
-
-
-@inlined
+@jit_ieee
 def _pointing(quaternion: Any, axis: Any, i: int) -> tuple[float, float, float]:
     """An axis of the sensor in the world."""
     return to_world(
@@ -77,88 +71,84 @@ def _height(products: tuple[float, float, float, float, float]) -> float:
 
 
 @jit_ieee
-def signs_of(
-    t_ns: Any, position: Any, quaternion: Any, forward: Any, up: Any, off_ns: int, contact_ns: int, out: Any
+def all_signs(
+    t_ns: Any, position: Any, quaternion: Any, forward: Any, up: Any, spans: Any, swings: Any, sines: Any, out: Any
 ) -> None:
-    """Fill ``out`` (6,) from a stride's path, NaN for what it does not show; ``forward``, ``up`` (3,) in the sensor.
+    """Fill ``out`` (6, K) from the paths of K strides, rows ``spans``, ``swings`` (K, 2), NaN for what does not show.
 
     Height of the sensor over the ball while the heel rises, and over the heel after its strike; the toe's distance
-    forward if the sensor were at no height, and what a metre of height adds; the same of the heel.
+    forward if the sensor were at no height, and what a metre of height adds; the same of the heel. ``forward`` and
+    ``up`` (3,) are in the sensor's frame, ``sines`` (N,) room for the longest stride.
     """
-    out[:] = math.nan
-    n = t_ns.shape[0]
-    if off_ns != UNSEEN_NS:
-        # the fastest turn toe-down up to foot off: a session may place foot off later than that
-        end = index_at(t_ns, off_ns) + 1
-        if end > 3:
-            off, fastest, sine = 0, math.inf, _rise(quaternion, forward, 0)
-            cosine = math.sqrt(1.0 - sine * sine)
-            for i in range(1, min(end + 1, n)):
-                before, level = sine, cosine
-                sine = _rise(quaternion, forward, i)
-                cosine = math.sqrt(1.0 - sine * sine)
-                turned = sine * level - cosine * before  # the sine of the turn between two samples
-                if turned < fastest:
-                    off, fastest = i - 1, turned
-            _ball(position, quaternion, forward, up, off, out)
-            ahead = reach(quaternion, forward, off) - reach(quaternion, forward, 0)
-            above = reach(quaternion, up, off) - reach(quaternion, up, 0)
-            if ahead <= -LEAST_TOE_TILT:
-                out[TOE], out[TOE + 1] = -position[off, 2] / ahead, above / ahead
-    if contact_ns != UNSEEN_NS:
-        begin = index_at(t_ns, contact_ns + HEEL_WINDOW_NS[0])
-        end = index_at(t_ns, contact_ns + HEEL_WINDOW_NS[1])
-        # angles count from the stance that follows: it is nearer, and on stairs
-        lifted = reach(quaternion, forward, begin) - reach(quaternion, forward, n - 1)
-        if lifted >= LEAST_HEEL_TILT and end - begin >= 3:
-            _struck(position, quaternion, forward, up, begin, end, out)
-
-
-@jit_ieee
-def all_signs(
-    t_ns: Any, position: Any, quaternion: Any, forward: Any, up: Any, spans: Any, swings: Any, out: Any
-) -> None:
-    """As :func:`signs_of` of every stride: rows ``spans`` (K, 2), swings (K, 2); ``out`` (K, 6)."""
     for k in range(spans.shape[0]):
-        a, b = spans[k, 0], spans[k, 1]
-        signs_of(t_ns[a:b], position[a:b], quaternion[a:b], forward, up, swings[k, 0], swings[k, 1], out[k])
+        for j in range(SIGNS):
+            out[j, k] = math.nan
+        begin, last = spans[k, 0], spans[k, 1] - 1
+        if swings[k, 0] != UNSEEN_NS:
+            off = index_at(t_ns, begin, last, swings[k, 0])
+            if off - begin >= 3:
+                _rising(position, quaternion, forward, up, begin, min(off + 1, last) + 1 - begin, sines, k, out)
+        if swings[k, 1] != UNSEEN_NS:
+            first = index_at(t_ns, begin, last, swings[k, 1] + HEEL_WINDOW_NS[0])
+            end = index_at(t_ns, first, last, swings[k, 1] + HEEL_WINDOW_NS[1])
+            # angles count from the stance that follows: it is nearer, and on stairs
+            lifted = reach(quaternion, forward, first) - reach(quaternion, forward, last)
+            if lifted >= LEAST_HEEL_TILT and end - first >= 3:
+                _struck(position, quaternion, forward, up, first, end, last, k, out)
 
 
 @jit_ieee
-def _ball(position: Any, quaternion: Any, forward: Any, up: Any, off: int, out: Any) -> None:
-    """While the heel rises, up to foot off."""
-    level = math.asin(_rise(quaternion, forward, 0))
-    first, last = math.sin(level + BALL_PITCH_RAD[0]), math.sin(max(level + BALL_PITCH_RAD[1], -0.5 * math.pi))
-    begin = off
-    while begin > 0 and _rise(quaternion, forward, begin) <= first:
-        begin -= 1
-    end = begin
-    least = most = rise = _rise(quaternion, forward, begin)
-    while end <= off and rise >= last:
-        least, most = min(least, rise), max(most, rise)
+def _rising(
+    position: Any, quaternion: Any, forward: Any, up: Any, begin: int, n: int, sines: Any, k: int, out: Any
+) -> None:
+    """While the heel rises, in the ``n`` samples from ``begin`` up to just after foot off."""
+    # the fastest turn toe-down tells foot off: a session may place it later than that
+    off, steepest, sine, cosine = 0, math.inf, 0.0, 0.0
+    for i in range(n):
+        before, level = sine, cosine
+        sine = min(max(reach(quaternion, forward, begin + i), -1.0), 1.0)
+        cosine = math.sqrt(1.0 - sine * sine)
+        sines[i] = sine
+        turned = sine * level - cosine * before  # the sine of the turn between two samples
+        if i > 0 and turned < steepest:
+            off, steepest = i - 1, turned
+    # sines of pitches: they tell which of two is the higher, and cost less
+    cosine = math.sqrt(1.0 - sines[0] * sines[0])
+    highest = sines[0] * math.cos(BALL_PITCH_RAD[0]) + cosine * math.sin(BALL_PITCH_RAD[0])
+    lowest = -1.0  # straight down
+    if sines[0] > -math.cos(BALL_PITCH_RAD[1]):
+        lowest = sines[0] * math.cos(BALL_PITCH_RAD[1]) + cosine * math.sin(BALL_PITCH_RAD[1])
+    first = off
+    while first > 0 and sines[first] <= highest:
+        first -= 1
+    end, least, most = first, sines[first], sines[first]
+    while end <= off and sines[end] >= lowest:
+        least, most = min(least, sines[end]), max(most, sines[end])
         end += 1
-        rise = _rise(quaternion, forward, min(end, off))
-    turned = math.asin(most) - math.asin(least)
-    if end - begin >= 4 and turned >= 0.5 * (BALL_PITCH_RAD[0] - BALL_PITCH_RAD[1]):
-        out[BALL] = _height(_products(position, quaternion, forward, up, begin, end))
+    turned = most * math.sqrt(1.0 - least * least) - least * math.sqrt(1.0 - most * most)
+    if end - first >= 4 and turned >= math.sin(0.5 * (BALL_PITCH_RAD[0] - BALL_PITCH_RAD[1])):
+        out[BALL, k] = _height(_products(position, quaternion, forward, up, begin + first, begin + end))
+    ahead = sines[off] - sines[0]
+    if ahead <= -LEAST_TOE_TILT:
+        above = reach(quaternion, up, begin + off) - reach(quaternion, up, begin)
+        out[TOE, k], out[TOE + 1, k] = -position[begin + off, 2] / ahead, above / ahead
 
 
 @jit_ieee
-def _struck(position: Any, quaternion: Any, forward: Any, up: Any, begin: int, end: int, out: Any) -> None:
+def _struck(
+    position: Any, quaternion: Any, forward: Any, up: Any, begin: int, end: int, last: int, k: int, out: Any
+) -> None:
     """After a heel strike: a point of the sole is on the ground, and still."""
-    last = position.shape[0] - 1
-    least = most = reach(quaternion, forward, begin)
-    for i in range(begin, end):
-        rise = reach(quaternion, forward, i)
-        least, most = min(least, rise), max(most, rise)
     products = _products(position, quaternion, forward, up, begin, end)
-    if most - least >= LEAST_HEEL_TURN:
-        out[OVER_HEEL] = _height(products)
     ff, fu, _, fp, _ = products
     ahead, above = reach(quaternion, forward, last), reach(quaternion, up, last)
+    least, most = math.inf, -math.inf
     for i in range(begin, end):
         f = reach(quaternion, forward, i) - ahead
+        least, most = min(least, f), max(most, f)
         ff += f * f
         fp += f * (position[i, 2] - position[last, 2])
         fu += f * (reach(quaternion, up, i) - above)
-    out[HEEL], out[HEEL + 1] = -fp / ff, fu / ff
+    if most - least >= LEAST_HEEL_TURN:
+        out[OVER_HEEL, k] = _height(products)
+    out[HEEL, k], out[HEEL + 1, k] = -fp / ff, fu / ff

@@ -8,6 +8,7 @@ there by place and heading.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -107,27 +108,26 @@ class FootSamples:
         """The foot's way by these settings; ``level``: it rests at one height."""
         if not self._parts:
             self._parts = self._cut()
-        rows = self._parts[-1].rows.stop
-        whole = Way(np.empty(rows, np.int64), np.empty((rows, 3)), np.empty((rows, 3)), np.empty((rows, 4)))
+        t_ns = np.concatenate([part.t_ns[part.known :] for part in self._parts])
+        whole = Way(t_ns, np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3)), np.empty((len(t_ns), 4)))
         for part in self._parts:
-            before = [x[max(part.rows.start - 1, 0) : part.rows.start + part.known].copy() for x in whole]
-            own = Way(*(x[part.rows] for x in whole))
+            last = slice(max(part.rows.start - 1, 0), part.rows.start + part.known)
+            before = Way(t_ns[last], *(x[last].copy() for x in whole[1:]))
+            own = Way(part.t_ns, *(x[part.rows] for x in whole[1:]))
             self._follow(part, settings, level, own)
             if part.rows.start:
-                _join(Way(*before), own, part.known)
+                _join(before, own, part.known)
         return whole
 
     def _follow(self, part: _Stretch, settings: ZuptSettings, level: bool, own: Way) -> None:
         """Fill the stretch's ``own`` rows."""
-        span, steps = part.span, part.steps
-        t_ns, gyr, rest = self.t_ns[span], self.gyr_radps[span], self.rest[span]
-        tape = new_step_tape(len(steps.ends), part.resting)
-        _, position, velocity, quaternions = own
-        tape = tape._replace(position=position, velocity=velocity, quaternions=quaternions)
+        t_ns, gyr, rest = self.t_ns[part.span], self.gyr_radps[part.span], self.rest[part.span]
+        tape = new_step_tape(len(part.t_ns), part.resting)._replace(
+            position=own.position_m, velocity=own.velocity_mps, quaternions=own.q_world_from_sensor
+        )
         bias = np.array(self.calibration.gyr_bias_radps)
-        forward_steps(t_ns, gyr, rest, steps, part.before, part.lever, bias, level, settings, tape)
-        smooth_steps(t_ns, steps.ends, bool(rest[0]), settings, tape)
-        own.t_ns[:] = part.t_ns
+        forward_steps(t_ns, gyr, rest, part.steps, part.before, part.lever, bias, level, settings, tape)
+        smooth_steps(t_ns, part.steps.ends, bool(rest[0]), settings, tape)
 
     def _cut(self) -> list[_Stretch]:
         """The stretches, each beginning a little before the one before it ends."""
@@ -208,7 +208,8 @@ def _cuts(t_ns: IntArray, rest: BoolArray, rate_hz: float) -> list[int]:
     total_s = 1e-9 * float(t_ns[-1] - t_ns[0])
     if total_s <= STRETCH_S + SEARCH_S:
         return []
-    edges = np.flatnonzero(np.concatenate((rest[:1], rest[1:] != rest[:-1], rest[-1:])))
+    changes = np.flatnonzero(rest[1:] != rest[:-1]) + 1
+    edges = np.concatenate((np.flatnonzero(rest[:1]), changes, np.flatnonzero(rest[-1:]) + len(rest)))
     begins, ends = edges[0::2], edges[1::2]
     seconds = 1e-9 * (t_ns[begins] - t_ns[0])
     cuts: list[int] = []
@@ -225,14 +226,14 @@ def _cuts(t_ns: IntArray, rest: BoolArray, rate_hz: float) -> list[int]:
 
 def _join(before: Way, own: Way, known: int) -> None:
     """Turn and shift a stretch's own rows so that they go on where those before them end; the ``known`` stay theirs."""
-    after = max(known - 1, 0)
-    a, b = before.q_world_from_sensor[-1], own.q_world_from_sensor[after]
+    aw, ax, ay, az = before.q_world_from_sensor[-1].tolist()
+    bw, bx, by, bz = own.q_world_from_sensor[max(known - 1, 0)].tolist()
     # by how much about the vertical the first frame differs: w and z of a ⊗ conj(b)
-    w, z = a @ b, a[3] * b[0] - a[0] * b[3] + a[2] * b[1] - a[1] * b[2]
-    turn = 2.0 * float(np.arctan2(z, w))
-    c, s = float(np.cos(turn)), float(np.sin(turn))
-    about_z = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # for rows
-    shift = before.position_m[-1] - (own.at(before.t_ns[-1:]) @ about_z)[0]
+    w, z = aw * bw + ax * bx + ay * by + az * bz, az * bw - aw * bz + ay * bx - ax * by
+    turn = 2.0 * math.atan2(z, w)
+    c, s = math.cos(turn), math.sin(turn)
+    (x, y, up), (to_x, to_y, to_up) = own.at(before.t_ns[-1:])[0].tolist(), before.position_m[-1].tolist()
+    shift = np.array((to_x - c * x + s * y, to_y - s * x - c * y, to_up - up))
     turn_path(own.position_m, own.velocity_mps, own.q_world_from_sensor, turn, shift)
-    for rows, first in zip(own, before, strict=True):
+    for rows, first in zip(own[1:], before[1:], strict=True):
         rows[:known] = first[len(first) - known :]

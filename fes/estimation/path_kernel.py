@@ -1,15 +1,12 @@
-"""Compiled paths over the ground: along a foot's way, and bent by a turn that grows; :mod:`fes.ground_path` says why."""
+"""Compiled paths over the ground, from a foot's way and bent by a turn that grows; :mod:`fes.ground_path` says why."""
 
 from __future__ import annotations
 
 import math
 from typing import Any
 
-import numpy as np
-
 from fes.estimation.compiled import inlined, jit_ieee
 from fes.estimation.rotation import to_world
-from fes.estimation.zupt_step_smooth import path_at
 
 AHEAD_M = 2.0
 TURN_RAD = 2.0 * math.pi
@@ -44,10 +41,13 @@ def headings(q: Any, axis: Any, out: Any) -> None:
 
 
 @jit_ieee
-def without_turns(t_ns: Any, heading: Any, stance_ns: Any) -> None:
-    """Take false whole turns out of headings (K,): a toe that points straight down between stances (M,) has none."""
+def without_turns(t_ns: Any, heading: Any, stance_ns: Any, off: Any) -> None:
+    """Take false whole turns out of headings (K,): a toe that points straight down between stances has none.
+
+    ``off`` (M,) is room, one for each stance.
+    """
     count, last = stance_ns.shape[0], t_ns.shape[0] - 1
-    off, k, before, turned = np.empty(count), 0, 0.0, 0.0
+    k, before, turned = 0, 0.0, 0.0
     for j in range(count):
         while k < last - 1 and t_ns[k + 1] <= stance_ns[j]:
             k += 1
@@ -114,22 +114,27 @@ def look_ahead(position: Any, heading: Any) -> None:
 
 @jit_ieee
 def over_ground(
-    t_ns: Any, place: Any, velocity: Any, q: Any, axis: Any, stance_ns: Any, kept_ns: Any, position: Any, heading: Any
-) -> float:  # fmt: skip
+    t_ns: Any, place: Any, velocity: Any, q: Any, axis: Any, stance_ns: Any, kept_ns: Any, facing: Any, off: Any,
+    position: Any, heading: Any,
+) -> None:  # fmt: skip
     """Fill the last two, (M, 3) and (M,), with place and heading at the instants ``kept_ns`` (M,) of a foot's way (K,).
 
-    x points to where the foot first is 2 m away. Returns the horizontal distances from stance to stance, summed (m).
+    x points to where the foot first is 2 m away. ``facing`` (K,) and ``off``, one for each stance, are room.
     """
-    facing, stances, way_m = np.empty(t_ns.shape[0]), np.empty((stance_ns.shape[0], 3)), 0.0
     headings(q, axis, facing)
-    without_turns(t_ns, facing, stance_ns)
+    without_turns(t_ns, facing, stance_ns, off)
     keep(t_ns, place, velocity, facing, kept_ns, position, heading)
     look_ahead(position, heading)
-    path_at(t_ns, place, velocity, stance_ns, stances)
-    for i in range(1, stance_ns.shape[0]):
-        x, y = stances[i, 0] - stances[i - 1, 0], stances[i, 1] - stances[i - 1, 1]
-        way_m += math.sqrt(x * x + y * y)
-    return way_m
+
+
+@jit_ieee
+def slopes(values: Any, places: Any, least: int, out: Any) -> None:
+    """Fill ``out`` with the slopes between all pairs of N rising ``places`` at least so many places apart."""
+    k, n = 0, values.shape[0]
+    for i in range(n - least):
+        for j in range(i + least, n):
+            out[k] = (values[j] - values[i]) / (places[j] - places[i])
+            k += 1
 
 
 @inlined

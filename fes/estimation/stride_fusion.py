@@ -67,12 +67,8 @@ def lengths_along(foot: FootSamples, begin_ns: IntArray, end_ns: IntArray) -> Fl
     inside = (begin >= foot.t_ns[0]) & (end <= foot.t_ns[-1]) & (begin < end) & (end - begin < LONGEST_S * NS_PER_S)
     if inside.any():
         way = foot.way(SETTINGS, level=False)
-        asked = np.concatenate((begin[inside], end[inside]))
-        order = np.argsort(asked, kind="stable")
-        places = np.empty((len(asked), 3))
-        places[order] = way.at(asked[order])
-        count = int(np.count_nonzero(inside))
-        lengths[inside] = np.hypot(*(places[count:] - places[:count])[:, :2].T)
+        x, y, _ = (way.at(end[inside]) - way.at(begin[inside])).T
+        lengths[inside] = np.hypot(x, y)
     return lengths
 
 
@@ -97,15 +93,19 @@ def fused(
     return [_with_length(stride, m) for stride, m in zip(strides, lengths, strict=True)]
 
 
-def fuse(rows: Rows, shapes: FloatArray, foot: FootSamples) -> None:
-    """As :func:`fused`, in place, of strides (K,) as the compiled core leaves them; see ``fes.estimation.strides``."""
+def fuse(rows: Rows, foot: FootSamples) -> FloatArray:
+    """As :func:`fused`, in place, of strides (K,) as the compiled core leaves them; see ``fes.estimation.strides``.
+
+    Returns by how much each is longer than by itself (K,), for its way ahead.
+    """
     own_m = np.where(rows["outcome"] == SOLVED, rows["length_m"], math.nan)
     lengths = _means(own_m, lengths_along(foot, rows["t_start_ns"], rows["t_end_ns"]))
-    k = np.flatnonzero(lengths == lengths)
+    longer, k = np.ones(len(rows)), np.flatnonzero(lengths == lengths)
     own_m, lengths = own_m[k], lengths[k]
+    longer[k] = lengths / own_m
     rows["speed_mps"][k] = rows["speed_mps"][k] * lengths / own_m
     rows["length_m"][k] = lengths
-    shapes[k, :, 0] *= (lengths / own_m)[:, None]
+    return longer
 
 
 def _means(own_m: FloatArray, path_m: FloatArray) -> FloatArray:

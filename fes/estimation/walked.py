@@ -32,6 +32,7 @@ class Walked:
     def __init__(self, foot: str, settings: StrideSettings, samples: int, capacity: int) -> None:
         strides = USUAL_STRIDES * samples // capacity + 2
         self.room: Rows = np.empty(6 * strides, CHANGE)
+        self.longer: FloatArray | None = None  # than by itself (K,) is each stride, where more is known of its length
         self.out = new_out(strides, samples + 2 * capacity, TRAJECTORY_POINTS)
         self._foot, self._settings = foot, settings
         self._taken, self._led, self._capacity = 0, 0, capacity
@@ -85,7 +86,11 @@ class Walked:
     @property
     def shapes(self) -> FloatArray:
         """Their shapes (K, ``TRAJECTORY_POINTS``, 4)."""
-        return np.asarray(self.out.shapes[: self.out.filled[STRIDES]])
+        shapes = np.asarray(self.out.shapes[: self.out.filled[STRIDES]])
+        if self.longer is not None:
+            shapes = shapes.copy()
+            shapes[:, :, 0] *= self.longer[:, None]
+        return shapes
 
     def paths(self) -> FootPaths:
         """The ways of the valid strides."""

@@ -115,8 +115,7 @@ def path_at(known_ns: Any, position: Any, velocity: Any, asked_ns: Any, out: Any
 
 @jit_fused
 def turn_path(position: Any, velocity: Any, quaternions: Any, turn: float, shift: Any) -> None:
-    """Turn K places, velocities and orientations about the vertical by ``turn`` (rad), and shift the places by ``shift``
-    (3,) then."""
+    """Turn K places, velocities, orientations about the vertical by ``turn`` (rad), then shift the places by (3,)."""
     c, s, w, z = math.cos(turn), math.sin(turn), math.cos(0.5 * turn), math.sin(0.5 * turn)
     for i in range(position.shape[0]):
         x, y = position[i, 0], position[i, 1]
