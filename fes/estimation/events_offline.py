@@ -106,7 +106,7 @@ def find_events(
     rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
     walk = _Walk(rate_hz, acc_mps2, gyr_radps, calibration)
     at_ns, heels = walk.instants(t_ns)
-    return GaitEvents(at_ns[:, 0].copy(), at_ns[:, 1].copy(), at_ns[:, 2].copy(), heels)
+    return GaitEvents(*at_ns.T.copy(), heels)
 
 
 class _Walk:
@@ -154,11 +154,10 @@ class _Walk:
         )
         # of a small fall: is it part of a movement as brisk as a step
         small = (falls / typical > SMALL_FALL_SHARE) & (-s.shape[peaks] > SMALL_TROUGH_SHARE * typical) & ~large
-        alone, around = peaks[small], round(FALL_S * self._rate_hz)
-        brisk = np.sqrt(_greatest(s.energy, np.maximum(alone - around, 0), alone + around))
-        alone = alone[brisk > SMALL_RATE_SHARE * self._peak_rate]
-        kept_alone = [p for p in alone.tolist() if self._is_alone(p, peaks[large])]
-        either = large | np.isin(peaks, kept_alone)
+        (doubtful,), around, either = np.nonzero(small), round(FALL_S * self._rate_hz), large.copy()
+        brisk = np.sqrt(_greatest(s.energy, np.maximum(peaks[doubtful] - around, 0), peaks[doubtful] + around))
+        for k in doubtful[brisk > SMALL_RATE_SHARE * self._peak_rate].tolist():
+            either[k] = self._is_alone(int(peaks[k]), peaks[large])
         mids = peaks[either]
         # a mid-swing is the first trough that comes near to the greatest fall
         offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)

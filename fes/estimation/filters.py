@@ -168,7 +168,7 @@ def _falls(x: Any, n: int, at: Any, fall: Any) -> int:
             now = max(left[i - begin + 1], greatest) - x[i]
             if now > before:
                 rise = i
-            elif now < before and rise > 0:
+            elif rise > 0 and now < before:
                 at[count], fall[count] = (rise + i - 1) // 2, before
                 count, rise = count + 1, 0
             before = now
