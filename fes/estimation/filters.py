@@ -16,6 +16,7 @@ from fes.signals import FloatArray, IntArray
 
 PADDING = 9  # samples at each end, as scipy has it for one section
 BLOCK = 64  # rows
+THINNED = 128  # at a time: their rows stay in the processor's nearest cache
 ALL_BUT_SIGN = 0x7FFF_FFFF_FFFF_FFFF
 
 Section = tuple[float, float, float]
@@ -82,14 +83,18 @@ def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
             left[j] = left[j + 1] + block[j]
 
 
-@jit
+@jit_ieee
 def thinned_sizes(x: Any, step: int, out: Any) -> None:
     """Fill ``out`` (K,) with the mean length of each ``step`` rows of ``x`` (N, 3), N at least K times ``step``."""
-    for k in range(out.shape[0]):
-        total = 0.0
-        for i in range(k * step, (k + 1) * step):
-            total += math.sqrt(x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2])
-        out[k] = total / step
+    share = 1.0 / step
+    out[:] = 0.0
+    for begin in range(0, out.shape[0], THINNED):
+        some = out[begin : begin + THINNED]
+        for i in range(step):  # the same row of each, several in one instruction
+            rows = x[begin * step + i :]
+            for k in range(some.shape[0]):
+                a, b, c = rows[k * step, 0], rows[k * step, 1], rows[k * step, 2]
+                some[k] += share * math.sqrt(a * a + b * b + c * c)
 
 
 @jit_ieee
@@ -100,9 +105,9 @@ def _sizes(bits: Any, count: int, out: Any) -> None:
     bits are compared several at a time.
     """
     for k in range(out.shape[0]):
-        top = 0
-        for i in range(k * count, min((k + 1) * count, bits.shape[0])):
-            top = max(top, bits[i] & ALL_BUT_SIGN)
+        top, block = 0, bits[k * count : (k + 1) * count]
+        for i in range(block.shape[0]):
+            top = max(top, block[i] & ALL_BUT_SIGN)
         out[k] = top
 
 

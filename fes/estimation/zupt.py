@@ -190,13 +190,16 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     count = len(gyr_radps) // step
     size = np.empty(count)
     thinned_sizes(gyr_radps, step, size)
-    size -= size.mean() if count else 0.0
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
-    if count < 2 * longest or not size.any():
+    if shortest < 1 or count < 2 * longest:
+        return 0.0
+    size -= size.mean()
+    whole = float(np.square(size).sum())
+    if whole == 0.0:
         return 0.0
     lags, alike = np.arange(shortest - 1, longest + 2), np.empty(longest + 3 - shortest)
     likeness(size, shortest - 1, alike)
-    alike /= np.square(size).sum() * (1.0 - lags / count)  # by "@" further processors would wait for no more work
+    alike /= whole * (1.0 - lags / count)
     inner = alike[1:-1]
     top = (inner >= alike[:-2]) & (inner >= alike[2:])
     greatest = inner[top].max(initial=0.0)
