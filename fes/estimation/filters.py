@@ -122,7 +122,8 @@ def rows_of_at_least(bound: float, x: FloatArray, largest: FloatArray) -> tuple[
     """Which rows of ``x`` (N, 3) lie in blocks whose ``largest`` reaches a bound, and each one's greatest size."""
     rows = (BLOCK * np.flatnonzero(largest >= bound)[:, None] + np.arange(BLOCK)).ravel()
     rows = rows[: np.searchsorted(rows, len(x))]
-    return rows, np.abs(x[rows]).max(axis=1, initial=0.0)
+    a, b, c = np.abs(x[rows]).T
+    return rows, np.maximum(np.maximum(a, b), c)
 
 
 @jit_ieee
