@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fes.estimation.compiled import inlined, jit_ieee
-from fes.estimation.rotation import quaternion_step
+from fes.estimation.rotation import turn_by
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.signals import FloatArray, IntArray, Vector3
 
@@ -93,8 +93,8 @@ def gather(
     for k in range(1, s.ends.shape[0]):
         begin, end = s.ends[k - 1], s.ends[k]
         qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
-        a0, a1, a2, a3, a4, a5, a6, a7, a8 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0  # orientation before
-        m0 = m1 = m2 = m3 = m4 = m5 = m6 = m7 = m8 = 0.0  # its integral
+        m1 = m2 = m3 = m5 = m6 = m7 = 0.0  # the orientation's integral, by trapezoids
+        m0 = m4 = m8 = 0.5e-9 * (t_ns[begin + 1] - t_ns[begin])
         fx0, fy0, fz0 = acc[begin, 0], acc[begin, 1], acc[begin, 2]
         vx = vy = vz = px = py = pz = sx = sy = sz = 0.0
         force_0 = force_1 = force_2 = missed_0 = missed_1 = missed_2 = tx = ty = tz = all_ = 0.0
@@ -104,7 +104,7 @@ def gather(
             wx = 0.5 * (gyr[i - 1, 0] + gyr[i, 0]) - bx
             wy = 0.5 * (gyr[i - 1, 1] + gyr[i, 1]) - by
             wz = 0.5 * (gyr[i - 1, 2] + gyr[i, 2]) - bz
-            qw, qx, qy, qz = quaternion_step(qw, qx, qy, qz, wx * dt, wy * dt, wz * dt)
+            qw, qx, qy, qz = turn_by(qw, qx, qy, qz, wx * dt, wy * dt, wz * dt)
             b0, b1, b2, b3, b4, b5, b6, b7, b8 = matrix(qw, qx, qy, qz)
             gx, gy, gz = acc[i, 0], acc[i, 1], acc[i, 2]
             fx1, fy1, fz1 = b0 * gx + b1 * gy + b2 * gz, b3 * gx + b4 * gy + b5 * gz, b6 * gx + b7 * gy + b8 * gz
@@ -116,10 +116,10 @@ def gather(
             vx += dt * fx
             vy += dt * fy
             vz += dt * fz
-            m0, m1, m2 = m0 + half * (a0 + b0), m1 + half * (a1 + b1), m2 + half * (a2 + b2)
-            m3, m4, m5 = m3 + half * (a3 + b3), m4 + half * (a4 + b4), m5 + half * (a5 + b5)
-            m6, m7, m8 = m6 + half * (a6 + b6), m7 + half * (a7 + b7), m8 + half * (a8 + b8)
-            a0, a1, a2, a3, a4, a5, a6, a7, a8 = b0, b1, b2, b3, b4, b5, b6, b7, b8
+            around = 0.5e-9 * (t_ns[min(i + 1, end)] - t_ns[i - 1])
+            m0, m1, m2 = m0 + around * b0, m1 + around * b1, m2 + around * b2
+            m3, m4, m5 = m3 + around * b3, m4 + around * b4, m5 + around * b5
+            m6, m7, m8 = m6 + around * b6, m7 + around * b7, m8 + around * b8
             force2 = dt * (fx * fx + fy * fy + fz * fz)
             left = 1e-9 * (t_ns[end] - t_ns[i]) + half
             force_0 += force2
