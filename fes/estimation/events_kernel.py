@@ -233,20 +233,22 @@ def _time_ns(t_ns: Any, at: float) -> int:
     """The time of a place between samples."""
     before = max(min(int(at), t_ns.shape[0] - 2), 0)
     since: float = np.rint((t_ns[before + 1] - t_ns[before]) * (at - before) + (t_ns[before] - t_ns[0]))
-    return int(since) + t_ns[0]
+    time_ns: int = int(since) + t_ns[0]
+    return time_ns
 
 
 @jit
 def instants(
     t_ns: Any, s: Signals, swings: Any, rate_hz: float, lead: float, peak_rate: float, typical_jump: float,
-    out: Any, heels: Any,
+    offs: Any, out: Any, heels: Any,
 ) -> int:  # fmt: skip
     """Fill ``out`` (K, 3) with the times of FO, mid-swing and IC, and ``heels`` (K,) with whether the heel struck
     first; how many of the swings have them.
 
-    ``swings`` (K, 2) as :func:`join_swings` left them, and is worked in; ``lead`` goes onto the IC of a heel strike.
+    ``swings`` (K, 2) as :func:`join_swings` left them, and is worked in, as ``offs`` (K,) is; ``lead`` goes onto the IC
+    of a heel strike.
     """
-    count, last, offs = 0, s.shape.shape[0] - 1, np.empty(swings.shape[0])
+    count, last = 0, s.shape.shape[0] - 1
     around, run = round(0.1 * rate_hz), max(round(FLAT_S * rate_hz), 1)
     for k in range(swings.shape[0]):
         off = _foot_off(s.feature, swings[k, 0], around)

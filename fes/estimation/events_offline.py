@@ -106,7 +106,8 @@ def find_events(
     rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
     walk = _Walk(rate_hz, acc_mps2, gyr_radps, calibration)
     at_ns, heels = walk.instants(t_ns)
-    return GaitEvents(*at_ns.T.copy(), heels)
+    off_ns, mid_ns, contact_ns = at_ns.T.copy()
+    return GaitEvents(off_ns, mid_ns, contact_ns, heels)
 
 
 class _Walk:
@@ -125,18 +126,20 @@ class _Walk:
             turning, energy, jump,
         ):  # fmt: skip
             raise ValueError(NOT_FINITE.format(calibration.sensor))
-        self._signals = Signals(*turning[:, PADDING:-PADDING], energy, jump)
+        shape, feature, turn = turning[:, PADDING:-PADDING]
+        self._signals = Signals(shape, feature, turn, energy, jump)
         self._peak_rate = 0.0
         self._typical_jump = 0.0
 
     def instants(self, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
         """Times (K, 3) of FO, mid-swing and IC, and whether the heel struck first (K,)."""
         swings = self._swings()
-        out, heels = np.empty((len(swings), 3), np.int64), np.empty(len(swings), np.bool_)
-        lead = IC_OFFSET_S * self._rate_hz
+        offs, out = np.empty(len(swings)), np.empty((len(swings), 3), np.int64)
+        heels, lead = np.empty(len(swings), np.bool_), IC_OFFSET_S * self._rate_hz
         count = instants(
-            t_ns, self._signals, swings, self._rate_hz, lead, self._peak_rate, self._typical_jump, out, heels
-        )
+            np.ascontiguousarray(t_ns, np.int64), self._signals, swings, self._rate_hz, lead,
+            self._peak_rate, self._typical_jump, offs, out, heels,
+        )  # fmt: skip
         return out[:count], heels[:count]
 
     def _swings(self) -> IntArray:
