@@ -17,6 +17,7 @@ from fes.estimation.filters import (
     falls_apart,
     largest_in_blocks,
     likeness,
+    likeness_of_lengths,
     low_pass,
     moving_sums,
     rows_of_at_least,
@@ -117,3 +118,7 @@ def test_likeness_is_the_correlation_with_itself(n: int, shortest: int, lags: in
     likeness(size, shortest, found)
     wanted = np.concatenate((np.correlate(size, size, "full")[n - 1 :], np.zeros(shortest + lags)))[shortest:][:lags]
     assert np.allclose(found, wanted, rtol=1e-12, atol=1e-12)
+    level = size - size.mean()
+    likeness(level, shortest, wanted)
+    assert likeness_of_lengths(x, step, shortest, found) == pytest.approx(level @ level, rel=1e-11, abs=1e-13)
+    assert np.allclose(found, wanted, rtol=1e-11, atol=1e-11)

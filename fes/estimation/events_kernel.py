@@ -239,18 +239,18 @@ def _time_ns(t_ns: Any, at: float) -> int:
 
 @jit
 def instants(
-    t_ns: Any, s: Signals, swings: Any, rate_hz: float, lead: float, peak_rate: float, typical_jump: float,
-    offs: Any, out: Any, heels: Any,
+    t_ns: Any, s: Signals, falls: Any, peaks: Any, mids: Any, rate_hz: float, lead: float,
+    peak_rate: float, typical_jump: float, swings: Any, offs: Any, out: Any, heels: Any,
 ) -> int:  # fmt: skip
     """Fill ``out`` (K, 3) with the times of FO, mid-swing and IC, and ``heels`` (K,) with whether the heel struck
     first; how many of the swings have them.
 
-    ``swings`` (K, 2) as :func:`join_swings` left them, and is worked in, as ``offs`` (K,) is; ``lead`` goes onto the IC
-    of a heel strike.
+    ``falls``, ``peaks``, ``mids`` (K,) as for :func:`join_swings`; ``lead`` goes onto the IC of a heel strike;
+    ``swings`` (K, 2) and ``offs`` (K,) are worked in.
     """
-    count, last = 0, s.shape.shape[0] - 1
+    joined, count, last = join_swings(s.shape, falls, peaks, mids, swings), 0, s.shape.shape[0] - 1
     around, run = round(0.1 * rate_hz), max(round(FLAT_S * rate_hz), 1)
-    for k in range(swings.shape[0]):
+    for k in range(joined):
         off = _foot_off(s.feature, swings[k, 0], around)
         if off < swings[k, 1] and (count == 0 or off > swings[count - 1, 1] + 2):
             swings[count, 0], swings[count, 1] = swings[k, 0], swings[k, 1]

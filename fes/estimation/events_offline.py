@@ -32,7 +32,6 @@ from fes.estimation.events_kernel import (
     Signals,
     all_greatest_at,
     instants,
-    join_swings,
     look,
     typical_falls,
 )
@@ -133,21 +132,21 @@ class _Walk:
 
     def instants(self, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
         """Times (K, 3) of FO, mid-swing and IC, and whether the heel struck first (K,)."""
-        swings = self._swings()
-        offs, out = np.empty(len(swings)), np.empty((len(swings), 3), np.int64)
-        heels, lead = np.empty(len(swings), np.bool_), IC_OFFSET_S * self._rate_hz
+        falls, peaks, mids = self._swings()
+        swings, offs, out = np.empty((len(mids), 2), np.int64), np.empty(len(mids)), np.empty((len(mids), 3), np.int64)
+        heels, lead = np.empty(len(mids), np.bool_), IC_OFFSET_S * self._rate_hz
         count = instants(
-            np.ascontiguousarray(t_ns, np.int64), self._signals, swings, self._rate_hz, lead,
-            self._peak_rate, self._typical_jump, offs, out, heels,
+            np.ascontiguousarray(t_ns, np.int64), self._signals, falls, peaks, mids, self._rate_hz, lead,
+            self._peak_rate, self._typical_jump, swings, offs, out, heels,
         )  # fmt: skip
         return out[:count], heels[:count]
 
-    def _swings(self) -> IntArray:
-        """(K, 2) push-off's peak and mid-swing of every swing, in order."""
+    def _swings(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """The fall, push-off's peak and mid-swing of what may be swings (K,), in order."""
         s, reach = self._signals, round(FALL_S * self._rate_hz) | 1
         peaks, falls = falls_apart(s.shape, reach, max(round(APART_S * self._rate_hz), 1))
         if len(peaks) == 0:
-            return np.zeros((0, 2), np.int64)
+            return falls, peaks, peaks
         typical = np.empty(len(peaks))
         typical_falls(falls, typical)
         typical = np.maximum(typical, PAUSE_SHARE * _typical(falls))
@@ -165,8 +164,7 @@ class _Walk:
         # a mid-swing is the first trough that comes near to the greatest fall
         offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
         self._typical_jump = median(_greatest(s.jump, mids, mids + reach))
-        kept = np.empty((len(mids), 2), np.int64)
-        return kept[: join_swings(s.shape, falls[either], offs, mids, kept)]
+        return falls[either], offs, mids
 
     def _is_alone(self, mid: int, others: IntArray) -> bool:
         """Does the foot rest between this movement and the swings before and after it."""

@@ -69,8 +69,9 @@ def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
     What follows the beginning of a block of ``count`` samples is added to what is left of the block before: three
     additions, however many the samples, and nothing is ever taken away.
     """
-    n, block = x.shape[0], np.empty(count)
-    left = np.zeros(count + 1)  # of the block before, from each of its samples on
+    n, block, left = x.shape[0], np.empty(count), np.empty(count + 1)  # left: of the block before, from a sample on
+    for j in range(count + 1):
+        left[j] = 0.0
     for begin in range(0, n + ahead, count):
         total = 0.0
         for j in range(count):
@@ -87,9 +88,10 @@ def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
 def thinned_sizes(x: Any, step: int, out: Any) -> None:
     """Fill ``out`` (K,) with the mean length of each ``step`` rows of ``x`` (N, 3), N at least K times ``step``."""
     share = 1.0 / step
-    out[:] = 0.0
     for begin in range(0, out.shape[0], THINNED):
         some = out[begin : begin + THINNED]
+        for k in range(some.shape[0]):
+            some[k] = 0.0
         for i in range(step):  # the same row of each, several in one instruction
             rows = x[begin * step + i :]
             for k in range(some.shape[0]):
@@ -134,7 +136,8 @@ def likeness(x: Any, shortest: int, out: Any) -> None:
     and four samples at a time each sum is fetched and put back once.
     """
     later, lags, begin = x[shortest:], out.shape[0], 0
-    out[:] = 0.0
+    for lag in range(lags):
+        out[lag] = 0.0
     while begin + 3 + lags <= later.shape[0]:
         a, b, c, d = x[begin], x[begin + 1], x[begin + 2], x[begin + 3]
         for lag in range(lags):
@@ -144,6 +147,22 @@ def likeness(x: Any, shortest: int, out: Any) -> None:
     for i in range(begin, later.shape[0]):
         for lag in range(min(lags, later.shape[0] - i)):
             out[lag] += x[i] * later[i + lag]
+
+
+@jit_ieee
+def likeness_of_lengths(x: Any, step: int, shortest: int, out: Any) -> float:
+    """As :func:`likeness`, of what :func:`thinned_sizes` makes of ``x`` (N, 3), less its mean; gives that of lag 0."""
+    size = np.empty(x.shape[0] // step)
+    thinned_sizes(x, step, size)
+    mean, whole = 0.0, 0.0
+    for k in range(size.shape[0]):
+        mean += size[k]
+    mean /= size.shape[0]
+    for k in range(size.shape[0]):
+        size[k] -= mean
+        whole += size[k] * size[k]
+    likeness(size, shortest, out)
+    return whole
 
 
 def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray]:
@@ -163,7 +182,8 @@ def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray
 @jit_ieee
 def _falls(x: Any, n: int, at: Any, fall: Any) -> int:
     """Write all of them; how many there are. In blocks of ``n``, as :func:`moving_sums`."""
-    left = np.full(n + 1, -math.inf)  # the greatest of the block before, from each of its samples on
+    left = np.empty(n + 1)  # the greatest of the block before, from each of its samples on
+    left[n] = -math.inf
     for j in range(n - 1, -1, -1):
         left[j] = max(left[j + 1], x[n - 1 - j]) if n - 1 - j < x.shape[0] else left[j + 1]
     count, rise, before = 0, 0, math.inf  # where the fall last became larger, 0 once it is smaller again
