@@ -191,6 +191,9 @@ def test_nothing_comes_of_standing_still_or_of_too_little() -> None:
     t_ns, acc, gyr = made_walk()
     assert len(find_events(t_ns, acc, 0.0 * gyr, calibration())) == 0
     assert len(find_events(t_ns[:50], acc[:50], gyr[:50], calibration())) == 0
+    with pytest.raises(ValueError, match="9 samples are too few to filter: more than 9"):
+        find_events(t_ns[:9], acc[:9], gyr[:9], calibration(rate_hz=5.0))
+    assert len(find_events(t_ns[:10], acc[:10], gyr[:10], calibration(rate_hz=5.0))) == 0
 
 
 def test_arrays_that_do_not_fit_or_are_not_finite_are_refused() -> None:

@@ -132,6 +132,24 @@ def test_between_steps_the_way_is_smooth() -> None:
     assert np.array_equal(way.at(np.array([10**12])), way.position_m[-1:])
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30])
+def test_samples_of_no_use_are_left_out(bad: float) -> None:
+    """Not finite, larger than any sensor's, at a time not after all before: without them all is as without them."""
+    t_ns, acc, gyr, _, _ = walk(100.0, 6)
+    acc[[170, 270, 370], 1] = 156.9
+    at = np.array([3, 90, 90, 400])
+    t, a, w = np.insert(t_ns, at, t_ns[at] - 1), np.insert(acc, at, 0.0, axis=0), np.insert(gyr, at, 0.0, axis=0)
+    a[3, 2] = w[91, 0] = a[92, 1] = w[403, 1] = bad
+    again = np.array([0, 0, 50, 300])  # a stamp once more, and others from before
+    t, a, w = (np.insert(x, [1, 200, 250, 380], x[again], axis=0) for x in (t, a, w))
+    clean, found = foot_samples(t_ns, acc, gyr), foot_samples(t, a, w)
+    for name in ("t_ns", "acc_mps2", "gyr_radps", "rest", "energy"):
+        assert np.array_equal(getattr(found, name), getattr(clean, name)), name
+    assert (found.calibration, found.rate_hz) == (clean.calibration, clean.rate_hz)
+    assert np.array_equal(found.noise, clean.noise)
+    assert np.flatnonzero(found.noise[0]).tolist() == [170, 270, 370]
+
+
 def test_where_nothing_can_be_told_it_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     t_ns, acc, gyr, _, _ = walk(100.0, 4)
     with pytest.raises(ValueError, match="2 samples make no path"):

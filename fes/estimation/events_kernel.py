@@ -46,25 +46,23 @@ def look(
 
     False if any of them is not finite.
     """
-    n, per, finite = jump.shape[0], rate_hz / lag, True
+    n, per, off = jump.shape[0], rate_hz / lag, 0.0
     bx, by, bz, ux, uy, uz = bias[0], bias[1], bias[2], axis[0], axis[1], axis[2]
-    first = (gyr[0, 0] - bx) * ux + (gyr[0, 1] - by) * uy + (gyr[0, 2] - bz) * uz
-    last = (gyr[n - 1, 0] - bx) * ux + (gyr[n - 1, 1] - by) * uy + (gyr[n - 1, 2] - bz) * uz
     early_u = late_u = early_v = late_v = early_w = late_w = 0.0
-    for i in range(-PADDING, n + PADDING):  # the ends are padded with their odd reflection
-        at = -i if i < 0 else min(i, 2 * (n - 1) - i)
-        x, y, z = gyr[at, 0] - bx, gyr[at, 1] - by, gyr[at, 2] - bz
-        rate = x * ux + y * uy + z * uz
-        if i < 0:
-            rate = 2.0 * first - rate
-        elif i >= n:
-            rate = 2.0 * last - rate
-        else:
-            energy[i] = x * x + y * y + z * z
-            finite = finite and abs(x) + abs(y) + abs(z) + abs(acc[i, 0]) + abs(acc[i, 1]) + abs(acc[i, 2]) < math.inf
+    for i in range(-PADDING, n + PADDING):
+        if 0 <= i < n:
+            x, y, z = gyr[i, 0] - bx, gyr[i, 1] - by, gyr[i, 2] - bz
+            rate, energy[i] = x * ux + y * uy + z * uz, x * x + y * y + z * z
+            total = (x + y + z) + (acc[i, 0] + acc[i, 1] + acc[i, 2])
+            off += total - total  # nothing, if all are finite
             before = max(i - lag, 0)
             x, y, z = acc[i, 0] - acc[before, 0], acc[i, 1] - acc[before, 1], acc[i, 2] - acc[before, 2]
             jump[i] = math.sqrt(x * x + y * y + z * z) * per if i >= lag else 0.0
+        else:  # the ends are padded with their odd reflection
+            end, at = (0, -i) if i < 0 else (n - 1, 2 * (n - 1) - i)
+            x, y = 2.0 * gyr[end, 0] - gyr[at, 0] - bx, 2.0 * gyr[end, 1] - gyr[at, 1] - by
+            z = 2.0 * gyr[end, 2] - gyr[at, 2] - bz
+            rate = x * ux + y * uy + z * uz
         if i == -PADDING:
             early_u, late_u = begun(rate, one)
             early_v, late_v = begun(rate, two)
@@ -75,7 +73,7 @@ def look(
         turning[2, j], early_w, late_w = passed(rate, three, early_w, late_w)
     pass_back(one, two, three, turning)
     moving_sums(energy, window, window - window // 2 - 1, 1.0 / window, energy)
-    return finite
+    return not math.isnan(off)
 
 
 @jit
@@ -235,22 +233,24 @@ def _time_ns(t_ns: Any, at: float) -> int:
     """The time of a place between samples."""
     before = max(min(int(at), t_ns.shape[0] - 2), 0)
     since: float = np.rint((t_ns[before + 1] - t_ns[before]) * (at - before) + (t_ns[before] - t_ns[0]))
-    return int(since) + t_ns[0]
+    time_ns: int = int(since) + t_ns[0]
+    return time_ns
 
 
 @jit
 def instants(
-    t_ns: Any, s: Signals, swings: Any, rate_hz: float, lead: float, peak_rate: float, typical_jump: float,
-    out: Any, heels: Any,
+    t_ns: Any, s: Signals, falls: Any, peaks: Any, mids: Any, rate_hz: float, lead: float,
+    peak_rate: float, typical_jump: float, swings: Any, offs: Any, out: Any, heels: Any,
 ) -> int:  # fmt: skip
     """Fill ``out`` (K, 3) with the times of FO, mid-swing and IC, and ``heels`` (K,) with whether the heel struck
     first; how many of the swings have them.
 
-    ``swings`` (K, 2) as :func:`join_swings` left them, and is worked in; ``lead`` goes onto the IC of a heel strike.
+    ``falls``, ``peaks``, ``mids`` (K,) as for :func:`join_swings`; ``lead`` goes onto the IC of a heel strike;
+    ``swings`` (K, 2) and ``offs`` (K,) are worked in.
     """
-    count, last, offs = 0, s.shape.shape[0] - 1, np.empty(swings.shape[0])
+    joined, count, last = join_swings(s.shape, falls, peaks, mids, swings), 0, s.shape.shape[0] - 1
     around, run = round(0.1 * rate_hz), max(round(FLAT_S * rate_hz), 1)
-    for k in range(swings.shape[0]):
+    for k in range(joined):
         off = _foot_off(s.feature, swings[k, 0], around)
         if off < swings[k, 1] and (count == 0 or off > swings[count - 1, 1] + 2):
             swings[count, 0], swings[count, 1] = swings[k, 0], swings[k, 1]

@@ -32,7 +32,6 @@ from fes.estimation.events_kernel import (
     Signals,
     all_greatest_at,
     instants,
-    join_swings,
     look,
     typical_falls,
 )
@@ -106,7 +105,8 @@ def find_events(
     rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
     walk = _Walk(rate_hz, acc_mps2, gyr_radps, calibration)
     at_ns, heels = walk.instants(t_ns)
-    return GaitEvents(at_ns[:, 0].copy(), at_ns[:, 1].copy(), at_ns[:, 2].copy(), heels)
+    off_ns, mid_ns, contact_ns = at_ns.T.copy()
+    return GaitEvents(off_ns, mid_ns, contact_ns, heels)
 
 
 class _Walk:
@@ -125,26 +125,28 @@ class _Walk:
             turning, energy, jump,
         ):  # fmt: skip
             raise ValueError(NOT_FINITE.format(calibration.sensor))
-        self._signals = Signals(*turning[:, PADDING:-PADDING], energy, jump)
+        shape, feature, turn = turning[:, PADDING:-PADDING]
+        self._signals = Signals(shape, feature, turn, energy, jump)
         self._peak_rate = 0.0
         self._typical_jump = 0.0
 
     def instants(self, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
         """Times (K, 3) of FO, mid-swing and IC, and whether the heel struck first (K,)."""
-        swings = self._swings()
-        out, heels = np.empty((len(swings), 3), np.int64), np.empty(len(swings), np.bool_)
-        lead = IC_OFFSET_S * self._rate_hz
+        falls, peaks, mids = self._swings()
+        swings, offs, out = np.empty((len(mids), 2), np.int64), np.empty(len(mids)), np.empty((len(mids), 3), np.int64)
+        heels, lead = np.empty(len(mids), np.bool_), IC_OFFSET_S * self._rate_hz
         count = instants(
-            t_ns, self._signals, swings, self._rate_hz, lead, self._peak_rate, self._typical_jump, out, heels
-        )
+            np.ascontiguousarray(t_ns, np.int64), self._signals, falls, peaks, mids, self._rate_hz, lead,
+            self._peak_rate, self._typical_jump, swings, offs, out, heels,
+        )  # fmt: skip
         return out[:count], heels[:count]
 
-    def _swings(self) -> IntArray:
-        """(K, 2) push-off's peak and mid-swing of every swing, in order."""
+    def _swings(self) -> tuple[FloatArray, IntArray, IntArray]:
+        """The fall, push-off's peak and mid-swing of what may be swings (K,), in order."""
         s, reach = self._signals, round(FALL_S * self._rate_hz) | 1
         peaks, falls = falls_apart(s.shape, reach, max(round(APART_S * self._rate_hz), 1))
         if len(peaks) == 0:
-            return np.zeros((0, 2), np.int64)
+            return falls, peaks, peaks
         typical = np.empty(len(peaks))
         typical_falls(falls, typical)
         typical = np.maximum(typical, PAUSE_SHARE * _typical(falls))
@@ -154,17 +156,15 @@ class _Walk:
         )
         # of a small fall: is it part of a movement as brisk as a step
         small = (falls / typical > SMALL_FALL_SHARE) & (-s.shape[peaks] > SMALL_TROUGH_SHARE * typical) & ~large
-        alone, around = peaks[small], round(FALL_S * self._rate_hz)
-        brisk = np.sqrt(_greatest(s.energy, np.maximum(alone - around, 0), alone + around))
-        alone = alone[brisk > SMALL_RATE_SHARE * self._peak_rate]
-        kept_alone = [p for p in alone.tolist() if self._is_alone(p, peaks[large])]
-        either = large | np.isin(peaks, kept_alone)
+        (doubtful,), around, either = np.nonzero(small), round(FALL_S * self._rate_hz), large.copy()
+        brisk = np.sqrt(_greatest(s.energy, np.maximum(peaks[doubtful] - around, 0), peaks[doubtful] + around))
+        for k in doubtful[brisk > SMALL_RATE_SHARE * self._peak_rate].tolist():
+            either[k] = self._is_alone(int(peaks[k]), peaks[large])
         mids = peaks[either]
         # a mid-swing is the first trough that comes near to the greatest fall
         offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
         self._typical_jump = median(_greatest(s.jump, mids, mids + reach))
-        kept = np.empty((len(mids), 2), np.int64)
-        return kept[: join_swings(s.shape, falls[either], offs, mids, kept)]
+        return falls[either], offs, mids
 
     def _is_alone(self, mid: int, others: IntArray) -> bool:
         """Does the foot rest between this movement and the swings before and after it."""

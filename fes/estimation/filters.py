@@ -16,6 +16,7 @@ from fes.signals import FloatArray, IntArray
 
 PADDING = 9  # samples at each end, as scipy has it for one section
 BLOCK = 64  # rows
+THINNED = 128  # at a time: their rows stay in the processor's nearest cache
 ALL_BUT_SIGN = 0x7FFF_FFFF_FFFF_FFFF
 
 Section = tuple[float, float, float]
@@ -68,8 +69,9 @@ def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
     What follows the beginning of a block of ``count`` samples is added to what is left of the block before: three
     additions, however many the samples, and nothing is ever taken away.
     """
-    n, block = x.shape[0], np.empty(count)
-    left = np.zeros(count + 1)  # of the block before, from each of its samples on
+    n, block, left = x.shape[0], np.empty(count), np.empty(count + 1)  # left: of the block before, from a sample on
+    for j in range(count + 1):
+        left[j] = 0.0
     for begin in range(0, n + ahead, count):
         total = 0.0
         for j in range(count):
@@ -82,14 +84,19 @@ def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
             left[j] = left[j + 1] + block[j]
 
 
-@jit
+@jit_ieee
 def thinned_sizes(x: Any, step: int, out: Any) -> None:
     """Fill ``out`` (K,) with the mean length of each ``step`` rows of ``x`` (N, 3), N at least K times ``step``."""
-    for k in range(out.shape[0]):
-        total = 0.0
-        for i in range(k * step, (k + 1) * step):
-            total += math.sqrt(x[i, 0] * x[i, 0] + x[i, 1] * x[i, 1] + x[i, 2] * x[i, 2])
-        out[k] = total / step
+    share = 1.0 / step
+    for begin in range(0, out.shape[0], THINNED):
+        some = out[begin : begin + THINNED]
+        for k in range(some.shape[0]):
+            some[k] = 0.0
+        for i in range(step):  # the same row of each, several in one instruction
+            rows = x[begin * step + i :]
+            for k in range(some.shape[0]):
+                a, b, c = rows[k * step, 0], rows[k * step, 1], rows[k * step, 2]
+                some[k] += share * math.sqrt(a * a + b * b + c * c)
 
 
 @jit_ieee
@@ -100,9 +107,9 @@ def _sizes(bits: Any, count: int, out: Any) -> None:
     bits are compared several at a time.
     """
     for k in range(out.shape[0]):
-        top = 0
-        for i in range(k * count, min((k + 1) * count, bits.shape[0])):
-            top = max(top, bits[i] & ALL_BUT_SIGN)
+        top, block = 0, bits[k * count : (k + 1) * count]
+        for i in range(block.shape[0]):
+            top = max(top, block[i] & ALL_BUT_SIGN)
         out[k] = top
 
 
@@ -117,7 +124,8 @@ def rows_of_at_least(bound: float, x: FloatArray, largest: FloatArray) -> tuple[
     """Which rows of ``x`` (N, 3) lie in blocks whose ``largest`` reaches a bound, and each one's greatest size."""
     rows = (BLOCK * np.flatnonzero(largest >= bound)[:, None] + np.arange(BLOCK)).ravel()
     rows = rows[: np.searchsorted(rows, len(x))]
-    return rows, np.abs(x[rows]).max(axis=1, initial=0.0)
+    a, b, c = np.abs(x[rows]).T
+    return rows, np.maximum(np.maximum(a, b), c)
 
 
 @jit_ieee
@@ -128,7 +136,8 @@ def likeness(x: Any, shortest: int, out: Any) -> None:
     and four samples at a time each sum is fetched and put back once.
     """
     later, lags, begin = x[shortest:], out.shape[0], 0
-    out[:] = 0.0
+    for lag in range(lags):
+        out[lag] = 0.0
     while begin + 3 + lags <= later.shape[0]:
         a, b, c, d = x[begin], x[begin + 1], x[begin + 2], x[begin + 3]
         for lag in range(lags):
@@ -138,6 +147,22 @@ def likeness(x: Any, shortest: int, out: Any) -> None:
     for i in range(begin, later.shape[0]):
         for lag in range(min(lags, later.shape[0] - i)):
             out[lag] += x[i] * later[i + lag]
+
+
+@jit_ieee
+def likeness_of_lengths(x: Any, step: int, shortest: int, out: Any) -> float:
+    """As :func:`likeness`, of what :func:`thinned_sizes` makes of ``x`` (N, 3), less its mean; gives that of lag 0."""
+    size = np.empty(x.shape[0] // step)
+    thinned_sizes(x, step, size)
+    mean, whole = 0.0, 0.0
+    for k in range(size.shape[0]):
+        mean += size[k]
+    mean /= size.shape[0]
+    for k in range(size.shape[0]):
+        size[k] -= mean
+        whole += size[k] * size[k]
+    likeness(size, shortest, out)
+    return whole
 
 
 def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray]:
@@ -157,7 +182,8 @@ def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray
 @jit_ieee
 def _falls(x: Any, n: int, at: Any, fall: Any) -> int:
     """Write all of them; how many there are. In blocks of ``n``, as :func:`moving_sums`."""
-    left = np.full(n + 1, -math.inf)  # the greatest of the block before, from each of its samples on
+    left = np.empty(n + 1)  # the greatest of the block before, from each of its samples on
+    left[n] = -math.inf
     for j in range(n - 1, -1, -1):
         left[j] = max(left[j + 1], x[n - 1 - j]) if n - 1 - j < x.shape[0] else left[j + 1]
     count, rise, before = 0, 0, math.inf  # where the fall last became larger, 0 once it is smaller again
@@ -168,7 +194,7 @@ def _falls(x: Any, n: int, at: Any, fall: Any) -> int:
             now = max(left[i - begin + 1], greatest) - x[i]
             if now > before:
                 rise = i
-            elif now < before and rise > 0:
+            elif rise > 0 and now < before:
                 at[count], fall[count] = (rise + i - 1) // 2, before
                 count, rise = count + 1, 0
             before = now

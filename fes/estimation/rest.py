@@ -202,7 +202,7 @@ def _calibrated(
         threshold = tolerance + noise * chi2_quantile(_DEGREES_PER_SAMPLE[detector] * samples)
     else:
         energy = _values(Detector.ARE, acc, gyr, rate_hz, window_s)
-        quiet = acc[energy <= percentile(energy, 15.0)]
+        quiet = acc.take(np.flatnonzero(energy <= percentile(energy, 15.0)), axis=0)
         gravity, bias = median(np.sqrt(np.vecdot(quiet, quiet))), (0.0, 0.0, 0.0)
         values = _values(detector, acc, gyr, rate_hz, window_s, gravity)
         bound = SPLIT_FACTOR**2

@@ -102,7 +102,7 @@ def rate_windows(
     To the bit as :func:`window_value`; but whole windows are summed side by side, some in one instruction. One that is
     cut short by an end is summed alone.
     """
-    n, also, most = acc.shape[0], shoe.shape[0] > 0, WIDE + count
+    n, most = acc.shape[0], WIDE + count
     x, y, z, rate = np.empty(most), np.empty(most), np.empty(most), np.empty(WIDE)  # each by itself: none can lie in …
     mx, my, mz, force = np.empty(WIDE), np.empty(WIDE), np.empty(WIDE), np.empty(WIDE)  # … another, as rows of one can
     first, last, at = count - 1 - ahead, n - ahead, 0  # of the whole windows
@@ -110,18 +110,18 @@ def rate_windows(
         begin, size = max(at - first, 0), min(at + ahead + 1, n) - max(at - first, 0)
         wide = min(WIDE, last - at) if first <= at < last else 1
         per = 1.0 / size
-        if energy.shape[0] > 0:
+        for biased in range(2):
+            if (shoe if biased else energy).shape[0] == 0:
+                continue
+            u, v, w = (bx, by, bz) if biased else (0.0, 0.0, 0.0)
             for j in range(wide + size - 1):
-                a, b, c = gyr[begin + j, 0], gyr[begin + j, 1], gyr[begin + j, 2]
+                a, b, c = gyr[begin + j, 0] - u, gyr[begin + j, 1] - v, gyr[begin + j, 2] - w
                 x[j] = a * a + b * b + c * c
             _sums(x, size, wide, rate)
-            for j in range(wide):
-                energy[at + j] = rate[j] * per
-        if also:
-            for j in range(wide + size - 1):
-                a, b, c = gyr[begin + j, 0] - bx, gyr[begin + j, 1] - by, gyr[begin + j, 2] - bz
-                x[j] = a * a + b * b + c * c
-            _sums(x, size, wide, rate)
+            if not biased:
+                for j in range(wide):
+                    energy[at + j] = rate[j] * per
+        if shoe.shape[0] > 0:
             for j in range(wide + size - 1):
                 x[j], y[j], z[j] = acc[begin + j, 0], acc[begin + j, 1], acc[begin + j, 2]
             _sums(x, size, wide, mx)
@@ -147,15 +147,9 @@ def _sums(x: Any, size: int, wide: int, out: Any) -> None:
     """Fill ``out`` with ``wide`` sums of ``size`` samples of ``x`` in their order, each from a sample further on."""
     for j in range(wide):
         out[j] = x[j]
-    k = 1
-    while k + 4 <= size:  # four at a time: each sum is fetched and put back once
-        for j in range(wide):
-            out[j] = (((out[j] + x[j + k]) + x[j + k + 1]) + x[j + k + 2]) + x[j + k + 3]
-        k += 4
-    while k < size:
+    for k in range(1, size):
         for j in range(wide):
             out[j] += x[j + k]
-        k += 1
 
 
 @jit

@@ -11,10 +11,10 @@ from fes.estimation.compiled import jit
 @jit
 def _least(x: Any, begin: int, end: int) -> int:
     """The first least of ``x[begin:end]``."""
-    at = begin
+    at, least = begin, x[begin]
     for i in range(begin + 1, end):
-        if x[i] < x[at]:
-            at = i
+        if x[i] < least:
+            at, least = i, x[i]
     return at
 
 

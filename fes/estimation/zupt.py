@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.filters import largest_in_blocks, likeness, rows_of_at_least, thinned_sizes
+from fes.estimation.filters import largest_in_blocks, likeness_of_lengths, rows_of_at_least
 from fes.estimation.rest import RestCalibration, at_rest, calibrate_rest, rate_energy
 from fes.estimation.rest_spans import first_lasting, quietest_of_rests, rest_in_long_moves
 from fes.estimation.zupt_kernel import Tape, ZuptSettings, forward, new_tape
@@ -188,15 +188,14 @@ def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
     """Typical time of one stride (s): the first strong peak of the rate's autocorrelation; 0 where nothing repeats."""
     step = max(round(rate_hz / 50.0), 1)  # 50 Hz are plenty
     count = len(gyr_radps) // step
-    size = np.empty(count)
-    thinned_sizes(gyr_radps, step, size)
-    size -= size.mean() if count else 0.0
     shortest, longest = (round(s * rate_hz / step) for s in STRIDE_BOUNDS_S)
-    if count < 2 * longest or not size.any():
+    if shortest < 1 or count < 2 * longest:
         return 0.0
     lags, alike = np.arange(shortest - 1, longest + 2), np.empty(longest + 3 - shortest)
-    likeness(size, shortest - 1, alike)
-    alike /= np.square(size).sum() * (1.0 - lags / count)  # by "@" further processors would wait for no more work
+    whole = likeness_of_lengths(np.ascontiguousarray(gyr_radps), step, shortest - 1, alike)
+    if whole == 0.0:
+        return 0.0
+    alike /= whole * (1.0 - lags / count)
     inner = alike[1:-1]
     top = (inner >= alike[:-2]) & (inner >= alike[2:])
     greatest = inner[top].max(initial=0.0)

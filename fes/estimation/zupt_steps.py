@@ -93,8 +93,8 @@ def gather(
     for k in range(1, s.ends.shape[0]):
         begin, end = s.ends[k - 1], s.ends[k]
         qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
-        a0, a1, a2, a3, a4, a5, a6, a7, a8 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0  # orientation before
-        m0 = m1 = m2 = m3 = m4 = m5 = m6 = m7 = m8 = 0.0  # its integral
+        m1 = m2 = m3 = m5 = m6 = m7 = 0.0  # the orientation's integral, by trapezoids
+        m0 = m4 = m8 = 0.5e-9 * (t_ns[begin + 1] - t_ns[begin])
         fx0, fy0, fz0 = acc[begin, 0], acc[begin, 1], acc[begin, 2]
         vx = vy = vz = px = py = pz = sx = sy = sz = 0.0
         force_0 = force_1 = force_2 = missed_0 = missed_1 = missed_2 = tx = ty = tz = all_ = 0.0
@@ -110,18 +110,15 @@ def gather(
             fx1, fy1, fz1 = b0 * gx + b1 * gy + b2 * gz, b3 * gx + b4 * gy + b5 * gz, b6 * gx + b7 * gy + b8 * gz
             fx, fy, fz = 0.5 * (fx0 + fx1), 0.5 * (fy0 + fy1), 0.5 * (fz0 + fz1)
             half = 0.5 * dt
-            px += dt * (vx + half * fx)
-            py += dt * (vy + half * fy)
-            pz += dt * (vz + half * fz)
-            vx += dt * fx
-            vy += dt * fy
-            vz += dt * fz
-            m0, m1, m2 = m0 + half * (a0 + b0), m1 + half * (a1 + b1), m2 + half * (a2 + b2)
-            m3, m4, m5 = m3 + half * (a3 + b3), m4 + half * (a4 + b4), m5 + half * (a5 + b5)
-            m6, m7, m8 = m6 + half * (a6 + b6), m7 + half * (a7 + b7), m8 + half * (a8 + b8)
-            a0, a1, a2, a3, a4, a5, a6, a7, a8 = b0, b1, b2, b3, b4, b5, b6, b7, b8
-            force2 = dt * (fx * fx + fy * fy + fz * fz)
             left = 1e-9 * (t_ns[end] - t_ns[i]) + half
+            far = dt * left  # what is pushed goes on until the end
+            px, py, pz = px + far * fx, py + far * fy, pz + far * fz
+            vx, vy, vz = vx + dt * fx, vy + dt * fy, vz + dt * fz
+            around = 0.5e-9 * (t_ns[min(i + 1, end)] - t_ns[i - 1])
+            m0, m1, m2 = m0 + around * b0, m1 + around * b1, m2 + around * b2
+            m3, m4, m5 = m3 + around * b3, m4 + around * b4, m5 + around * b5
+            m6, m7, m8 = m6 + around * b6, m7 + around * b7, m8 + around * b8
+            force2 = dt * (fx * fx + fy * fy + fz * fz)
             force_0 += force2
             force_1 += force2 * left
             force_2 += force2 * left * left
@@ -135,11 +132,12 @@ def gather(
                 missed_0 += missed
                 missed_1 += missed * left
                 missed_2 += missed * left * left
-            late = dt * left * left
+            late = far * left
             tx, ty, tz = tx + late * fx, ty + late * fy, tz + late * fz
             turned = (rate_noise + scale_noise * (wx * wx + wy * wy + wz * wz)) * dt
             clipped = gyr_sd[i - 1] + gyr_sd[i]
-            turned += 0.25 * clipped * clipped * dt * dt
+            if clipped > 0.0:
+                turned += 0.25 * clipped * clipped * dt * dt
             all_ += turned
             ux, uy, uz = turned * vx, turned * vy, turned * vz
             sx, sy, sz = sx + ux, sy + uy, sz + uz
