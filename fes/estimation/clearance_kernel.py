@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import inlined, jit_ieee
+from fes.estimation.compiled import inlined, jit_fused
 from fes.estimation.rotation import to_world, up_in_sensor
 from fes.estimation.stride_time import UNSEEN_NS
 
 LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
 
 
-@jit_ieee
+@jit_fused
 def index_at(t_ns: Any, begin: int, last: int, at_ns: int) -> int:
     """Of the samples ``begin`` … ``last`` the first at or after a time, the last if there is none."""
     while begin < last:
@@ -26,7 +26,7 @@ def index_at(t_ns: Any, begin: int, last: int, at_ns: int) -> int:
     return last
 
 
-@jit_ieee
+@jit_fused
 def reach(quaternion: Any, arm: Any, i: int) -> float:
     """How much higher than the sensor the point at ``arm`` (3,), in its frame, is at sample ``i``."""
     x, y, z = up_in_sensor(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3])
@@ -34,7 +34,7 @@ def reach(quaternion: Any, arm: Any, i: int) -> float:
     return height
 
 
-@jit_ieee
+@jit_fused
 def contacts_at(t_ns: Any, begin: int, last: int, off_ns: int, contact_ns: int) -> tuple[int, int]:
     """The samples of foot off and, from there on, of contact; ``begin`` twice where they were not both seen."""
     if off_ns == UNSEEN_NS or contact_ns == UNSEEN_NS:
@@ -43,7 +43,7 @@ def contacts_at(t_ns: Any, begin: int, last: int, off_ns: int, contact_ns: int) 
     return off, index_at(t_ns, off, last, contact_ns)
 
 
-@jit_ieee
+@jit_fused
 def all_contact_heights(
     t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any
 ) -> None:
@@ -75,7 +75,7 @@ def drift_at(t: int, begin: int, off: int, contact: int, end: int, a: float, b: 
     return b + c - b * (t - contact) / (end - contact) if t < end else c
 
 
-@jit_ieee
+@jit_fused
 def deepest(height: Any, begin: int, end: int, after: Any) -> tuple[int, float]:
     """Which of the samples ``begin`` … ``end - 1`` lies deepest below the lower of the peaks before and after it, and
     how deep; ``after`` is room for as many numbers as there are heights."""
@@ -92,7 +92,7 @@ def deepest(height: Any, begin: int, end: int, after: Any) -> tuple[int, float]:
     return at, depth
 
 
-@jit_ieee
+@jit_fused
 def fastest(t_ns: Any, begin: int, n: int, level: Any) -> int:
     """Which of ``n`` samples, in ``t_ns`` from ``begin`` on, has the greatest speed; ``level`` (N, 2): the places."""
     at, speed2 = 0, -math.inf
@@ -110,7 +110,7 @@ def fastest(t_ns: Any, begin: int, n: int, level: Any) -> int:
     return at
 
 
-@jit_ieee
+@jit_fused
 def lowest_in_swing(t_ns: Any, height: Any, level: Any) -> tuple[int, bool]:
     """As :func:`fes.estimation.clearance.mid_swing`."""
     n = t_ns.shape[0]
@@ -118,7 +118,7 @@ def lowest_in_swing(t_ns: Any, height: Any, level: Any) -> tuple[int, bool]:
     return (at, True) if depth >= LEAST_DIP_M else (fastest(t_ns, 0, n, level), False)
 
 
-@jit_ieee
+@jit_fused
 def all_clear(
     t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, drifts: Any,
     toe: Any, after: Any, level: Any, out: Any,

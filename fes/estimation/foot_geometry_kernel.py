@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from fes.estimation.clearance_kernel import index_at, reach
-from fes.estimation.compiled import inlined, jit_ieee
+from fes.estimation.compiled import inlined, jit_fused
 from fes.estimation.rotation import to_world
 from fes.estimation.stride_time import UNSEEN_NS
 
@@ -19,7 +19,7 @@ SIGNS = 6
 BALL, OVER_HEEL, TOE, HEEL = 0, 1, 2, 4  # the last two: at no height, and per metre of the sensor's height
 
 
-@jit_ieee
+@jit_fused
 def _pointing(quaternion: Any, axis: Any, i: int) -> tuple[float, float, float]:
     """An axis of the sensor in the world."""
     return to_world(
@@ -27,7 +27,7 @@ def _pointing(quaternion: Any, axis: Any, i: int) -> tuple[float, float, float]:
     )  # fmt: skip
 
 
-@jit_ieee
+@jit_fused
 def _products(
     position: Any, quaternion: Any, forward: Any, up: Any, begin: int, end: int
 ) -> tuple[float, float, float, float, float]:
@@ -70,7 +70,7 @@ def _height(products: tuple[float, float, float, float, float]) -> float:
     return (ff * up - fu * fp) / determinant if determinant > 0.0 else math.nan
 
 
-@jit_ieee
+@jit_fused
 def all_signs(
     t_ns: Any, position: Any, quaternion: Any, forward: Any, up: Any, spans: Any, swings: Any, sines: Any, out: Any
 ) -> None:
@@ -97,7 +97,7 @@ def all_signs(
                 _struck(position, quaternion, forward, up, first, end, last, k, out)
 
 
-@jit_ieee
+@jit_fused
 def _rising(
     position: Any, quaternion: Any, forward: Any, up: Any, begin: int, n: int, sines: Any, k: int, out: Any
 ) -> None:
@@ -134,7 +134,7 @@ def _rising(
         out[TOE, k], out[TOE + 1, k] = -position[begin + off, 2] / ahead, above / ahead
 
 
-@jit_ieee
+@jit_fused
 def _struck(
     position: Any, quaternion: Any, forward: Any, up: Any, begin: int, end: int, last: int, k: int, out: Any
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from fes.estimation.compiled import inlined, jit_ieee
+from fes.estimation.compiled import inlined, jit_fused
 from fes.estimation.rotation import to_world
 
 AHEAD_M = 2.0
@@ -24,7 +24,7 @@ def angle_of(sine: float, cosine: float) -> float:
     return math.atan2(sine, cosine)
 
 
-@jit_ieee
+@jit_fused
 def headings(q: Any, axis: Any, out: Any) -> None:
     """Fill ``out`` (K,) with where an ``axis`` (3,) of the sensor points, from x towards y, by orientations (K, 4).
 
@@ -40,7 +40,7 @@ def headings(q: Any, axis: Any, out: Any) -> None:
         out[i] = heading
 
 
-@jit_ieee
+@jit_fused
 def without_turns(t_ns: Any, heading: Any, stance_ns: Any, off: Any) -> None:
     """Take false whole turns out of headings (K,): a toe that points straight down between stances has none.
 
@@ -63,7 +63,7 @@ def without_turns(t_ns: Any, heading: Any, stance_ns: Any, off: Any) -> None:
         heading[i] += off[j]
 
 
-@jit_ieee
+@jit_fused
 def keep(
     t_ns: Any, place: Any, velocity: Any, facing: Any, kept_ns: Any, position: Any, heading: Any
 ) -> None:  # fmt: skip
@@ -86,7 +86,7 @@ def keep(
             i += 1
 
 
-@jit_ieee
+@jit_fused
 def first_beyond(position: Any, far2: float) -> int:
     """The first of the places (K, 3) that is so far away, squared (m²); -1 where none is."""
     for i in range(position.shape[0]):
@@ -95,7 +95,7 @@ def first_beyond(position: Any, far2: float) -> int:
     return -1
 
 
-@jit_ieee
+@jit_fused
 def look_ahead(position: Any, heading: Any) -> None:
     """Turn a path (K, 3), (K,) so that x points to where it first is 2 m away (at most as far as it goes)."""
     at, most2 = first_beyond(position, AHEAD_M * AHEAD_M), 0.0
@@ -112,7 +112,7 @@ def look_ahead(position: Any, heading: Any) -> None:
         heading[i] -= angle
 
 
-@jit_ieee
+@jit_fused
 def over_ground(
     t_ns: Any, place: Any, velocity: Any, q: Any, axis: Any, stance_ns: Any, kept_ns: Any, facing: Any, off: Any,
     position: Any, heading: Any,
@@ -127,7 +127,7 @@ def over_ground(
     look_ahead(position, heading)
 
 
-@jit_ieee
+@jit_fused
 def slopes(values: Any, places: Any, least: int, out: Any) -> None:
     """Fill ``out`` with the slopes between all pairs of N rising ``places`` at least so many places apart."""
     k, n = 0, values.shape[0]
@@ -146,7 +146,7 @@ def small_turn(angle: float) -> tuple[float, float]:
     return math.cos(angle), math.sin(angle)
 
 
-@jit_ieee
+@jit_fused
 def bend(
     t_ns: Any, stance_ns: Any, per_stride_rad: float, position: Any, heading: Any, place: Any, turned: Any
 ) -> None:  # fmt: skip
@@ -177,7 +177,7 @@ def bend(
         turned[i] = heading[i] + angle
 
 
-@jit_ieee
+@jit_fused
 def bend_ahead(
     t_ns: Any, stance_ns: Any, per_stride_rad: float, position: Any, heading: Any, place: Any, turned: Any
 ) -> None:  # fmt: skip
