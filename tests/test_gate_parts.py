@@ -592,6 +592,13 @@ def test_what_is_no_number_is_named_and_shown(field: str, value: Any, says: str)
     assert no_number(StimRequest(0, True, **(asked | {field: value}))) == says
 
 
+@pytest.mark.parametrize("field", ["current_ma", "pulse_width_us", "frequency_hz"])
+def test_0_is_none_of_the_three_numbers_and_all_above_it_is(field: str) -> None:
+    asked: dict[str, Any] = {"current_ma": 20.0, "pulse_width_us": 300.0, "frequency_hz": 40.0}
+    assert no_number(StimRequest(0, True, **(asked | {field: 1e-9}))) == ""
+    assert no_number(StimRequest(0, True, **(asked | {field: 0.0}))).endswith("is 0.0, must be a number above 0")
+
+
 def test_bound_of_what_is_a_number_belongs_to_it() -> None:
     assert is_number(NUMBER_BOUND)
     assert is_number(-NUMBER_BOUND)
