@@ -212,6 +212,12 @@ def test_three_stamps_exactly_as_far_back_as_data_may_be_old_are_no_restart() ->
     assert back.note(sample(S + 3 * MS, S - MAX_AGE - 1)) == "left_foot's clock went back by 40 ms"
 
 
+def test_three_stamps_exactly_as_far_ahead_as_data_may_be_old_are_learnt() -> None:
+    heard((S, S), (3 * S, 3 * S), *[(3 * S + k * MS, 3 * S + k * MS + MAX_AGE) for k in range(1, 4)])
+    ahead = heard((S, S), (3 * S, 3 * S), *[(3 * S + k * MS, 3 * S + k * MS + MAX_AGE + 1) for k in range(1, 3)])
+    assert ahead.note(sample(3 * S + 3 * MS, 3 * S + 3 * MS + MAX_AGE + 1)) == "left_foot's clock went ahead by 40 ms"
+
+
 @pytest.mark.parametrize(("set_s", "says"), [(-1000, "back by 1000000 ms"), (1000, "ahead by 1000000 ms")])
 def test_clock_that_was_set_is_trusted_anew_at_once(set_s: int, says: str) -> None:
     t_ns = 2000 * S
@@ -584,6 +590,13 @@ def test_rest_includes_its_own_bound() -> None:
 def test_what_is_no_number_is_named_and_shown(field: str, value: Any, says: str) -> None:
     asked: dict[str, Any] = {"current_ma": 20.0, "pulse_width_us": 300.0, "frequency_hz": 40.0}
     assert no_number(StimRequest(0, True, **(asked | {field: value}))) == says
+
+
+@pytest.mark.parametrize("field", ["current_ma", "pulse_width_us", "frequency_hz"])
+def test_0_is_none_of_the_three_numbers_and_all_above_it_is(field: str) -> None:
+    asked: dict[str, Any] = {"current_ma": 20.0, "pulse_width_us": 300.0, "frequency_hz": 40.0}
+    assert no_number(StimRequest(0, True, **(asked | {field: 1e-9}))) == ""
+    assert no_number(StimRequest(0, True, **(asked | {field: 0.0}))).endswith("is 0.0, must be a number above 0")
 
 
 def test_bound_of_what_is_a_number_belongs_to_it() -> None:

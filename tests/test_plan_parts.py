@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, make_channel
 
@@ -12,6 +14,7 @@ from fes.stimulation.plan import StimulationPlan
 from statemachine.phases import Phase, PhaseChange, Transition
 
 RISE = FALL = 100 * MS
+S = 1000 * MS
 
 
 def envelope(**changes: int) -> Envelope:
@@ -226,3 +229,28 @@ def test_unless_told_otherwise_a_burst_is_as_the_session_has_it() -> None:
     bench.current(1000)
     assert bench.current(1200) == 20.0
     assert widths_us(bench, 1220) == [300.0]
+
+
+# --- a burst that is replaced ---------------------------------------------------------------------------------------
+
+
+def own_burst() -> Envelope:
+    """Stopped, and due besides; no number of it is a default."""
+    parameters = replace(BurstParameters.of(make_channel()), current_ma=20.0)
+    return Envelope(5 * S, parameters, 40.0, S // 10, S // 50, S // 5, 2 * S, 0.9, 6 * S, 7 * S)
+
+
+def test_a_burst_that_is_replaced_keeps_all_else() -> None:
+    burst = own_burst()
+    assert burst.dimmed(0.5) == replace(burst, intensity=0.5)
+    assert burst.unstopped() == replace(burst, t_stop_ns=None)
+    assert burst.due(8 * S) == replace(burst, t_due_ns=8 * S)
+    assert burst.due(None) == replace(burst, t_due_ns=None)
+    assert burst.unstopped().stopped(9 * S) == replace(burst, t_stop_ns=9 * S)
+
+
+def test_a_burst_that_falls_while_it_rises_falls_from_there() -> None:
+    """Half of the rise of a tenth of a second, then a fall of a fifth: after half of that a quarter is left."""
+    burst = replace(own_burst(), t_stop_ns=5 * S + S // 20, extension_ns=0)
+    assert burst.level_ma(5 * S + S // 20) == pytest.approx(0.9 * 10.0)
+    assert burst.level_ma(5 * S + S // 20 + S // 10) == pytest.approx(0.9 * 5.0)

@@ -52,6 +52,7 @@ LIVE = np.dtype([("one", ONE), ("core", CORE), ("course", COURSE), ("book", BOOK
 # what may have happened at a sample, beside the transitions 1 … 6
 NOTHING, DUE, AFTER_SILENCE, NO_ROOM = 0, 7, 8, 9
 NOTHING_TAKEN = -1
+_NONE_FILLED = np.zeros(3, np.int64).data
 _T1 = Transition.T1.value
 _DESTINATIONS = (0, *(row.destination.value for row in TABLE))  # by the transition's number
 
@@ -229,15 +230,15 @@ class FootTracker(Tracker):
             number = _step(*self._live)
         if number == NOTHING:
             return outcomes
-        t_ns, row, *seen = UNPACK_ONE(self._one_bytes)
-        change = None
+        happened = UNPACK_ONE(self._one_bytes)
+        row, change = happened[1], None
         if number != DUE:
-            change = self.machine.fire(TRANSITIONS[number], t_ns, Features(*seen), self._thresholds)
+            seen = Features._make(happened[2:])
+            change = self.machine.fire(TRANSITIONS[number], happened[0], seen, self._thresholds)
         if number in (_T1, DUE):
-            filled = self._filled
-            filled[STRIDES] = filled[ROWS] = filled[CHANGES] = 0
+            self._filled[:] = _NONE_FILLED
             _walk(0, row + 1, number, *self._end)
-            if filled[STRIDES]:
+            if self._filled[STRIDES]:
                 outcomes.append(self._maker.told(self._out))
         else:
             _change(self._all, self._maker.course, number, self._history.acc_mps2, row)

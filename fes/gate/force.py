@@ -92,8 +92,10 @@ class Force:
         gap, beyond = apart_ns > MOST_GAP_NS, most_mps2 > self._most_in_g
         seen.append((t_ns, level, step, gap, beyond))
         self._counts[level] += 1
-        self._gaps += gap
-        self._beyond += beyond
+        if gap:
+            self._gaps += 1
+        if beyond:
+            self._beyond += 1
         said = ""
         while t_ns - seen[0][0] >= SPAN_NS:
             said = said or self._of_span(sample.sensor, force_mps2)
@@ -121,5 +123,7 @@ class Force:
     def _forget_oldest(self) -> None:
         _, level, _, gap, beyond = self._seen.popleft()
         self._counts[level] -= 1
-        self._gaps -= gap
-        self._beyond -= beyond
+        if gap:
+            self._gaps -= 1
+        if beyond:
+            self._beyond -= 1

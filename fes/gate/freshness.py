@@ -69,7 +69,7 @@ class Freshness:
             known.slips = 0
             drift_ns = max(t_ns - known.t_ns, 0) * MAX_CLOCK_DRIFT_PPM // 1_000_000
             known.offset_ns = min(offset_ns, known.offset_ns + drift_ns)
-            if back_ns < 0:
+            if t_sensor_ns > known.t_sensor_ns:
                 known.t_sensor_ns = t_sensor_ns
         known.t_ns, known.finite = t_ns, finite
         if values != known.values:

@@ -77,8 +77,8 @@ class Plausibility:
         wrong_unit, exchanged = self._force.fault(sample, force_mps2, most_mps2), self._axes.fault(sample)
         fast = self._fast.so(t_ns, rate_radps > FAST_RADPS)
         saturated = self._saturated.so(t_ns, at_range)
-        tilted = self._tilted.so(t_ns, self._rests_tilted(sample, force_mps2, rate_radps))
-        moves_tilted = self._moves_tilted(sample)
+        tilted = self._tilted.so(t_ns, self._rests_tilted(x, y, z, force_mps2, rate_radps))
+        moves_tilted = self._moves_tilted(x, y, z, t_ns)
         does = "rests" if tilted else "moves" if moves_tilted else ""
         self.doubt = f"{name} {does} turned by more than {_TILT} from its calibration: remounted?" if does else ""
         if rate_radps > MOST_RATE_RADPS:
@@ -93,27 +93,27 @@ class Plausibility:
             return f"{name} turns at more than {FAST_RADPS:.0f} rad/s for {SUSTAINED_MS} ms: is its unit °/s?"
         return ""
 
-    def _rests_tilted(self, sample: ImuSample, force_mps2: float, rate_radps: float) -> bool:
+    def _rests_tilted(self, x: float, y: float, z: float, force_mps2: float, rate_radps: float) -> bool:
         if self._up is None or rate_radps > REST_RATE_RADPS or abs(force_mps2 - G_MPS2) > REST_FORCE_MPS2:
             return False
-        (x, y, z), (ux, uy, uz) = sample.acc_mps2, self._up
+        ux, uy, uz = self._up
         return x * ux + y * uy + z * uz < force_mps2 * _UPRIGHT
 
-    def _moves_tilted(self, sample: ImuSample) -> bool:
+    def _moves_tilted(self, x: float, y: float, z: float, t_ns: int) -> bool:
         """Whether the force, averaged over about 0.3 s, comes from elsewhere than gravity does in anybody's gait.
 
         A stance need not hold a rest: of stroke survivors' shanks, most do not.
         """
         if self._up is None:
             return False
-        before_ns, self._mean_ns = self._mean_ns, sample.t_ns
-        step_ns = sample.t_ns - before_ns if before_ns is not None else 0
+        before_ns, self._mean_ns = self._mean_ns, t_ns
+        step_ns = t_ns - before_ns if before_ns is not None else 0
         if step_ns > MOST_STEP_NS:
             step_ns = MOST_STEP_NS
         elif step_ns < 0:
             step_ns = 0
         share = step_ns / MEAN_NS
-        (mx, my, mz), (x, y, z), (ux, uy, uz) = self._mean_mps2, sample.acc_mps2, self._up
+        (mx, my, mz), (ux, uy, uz) = self._mean_mps2, self._up
         mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
         size = math.sqrt(mx * mx + my * my + mz * mz)
         if not size < math.inf:  # told as a fault of its own; a mean would never forget it

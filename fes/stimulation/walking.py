@@ -27,7 +27,8 @@ class WalkingJudge:
     """Follows one foot's phases and strides and says whether it walks; causal, no clock."""
 
     def __init__(self, settings: Stimulation) -> None:
-        self._settings = settings
+        self._enough, self._least_m = settings.strides_before_start, settings.min_stride_length_m
+        self._most_rad = math.radians(settings.max_turn_deg)
         self._good_strides = 0
         self._stance_ns: int | None = None
         self._stances_s: deque[float] = deque(maxlen=REMEMBERED_STANCES)
@@ -55,25 +56,26 @@ class WalkingJudge:
     @property
     def walking(self) -> bool:
         """Whether enough good strides have come one after the other."""
-        return self._good_strides >= self._settings.strides_before_start
+        return self._good_strides >= self._enough
 
     def _end_of_stance(self, stance_s: float) -> bool:
         """The heel rises after a stance of this length; returns whether that is walking on."""
-        usual_s = _median(self._stances_s) if self._stances_s else None
-        if usual_s is not None and stance_s < SHORT_STANCE_SHARE * usual_s:
-            return False  # the foot stirs after it has landed; the real heel rise is still to come
-        if usual_s is not None and stance_s > max(STANCE_FACTOR * usual_s, usual_s + STANCE_GRACE_S):
-            self._lapse(f"stood for {stance_s:.1f} s")
-        elif self._good_strides:
+        if self._stances_s:
+            usual_s = _median(self._stances_s)
+            if stance_s < SHORT_STANCE_SHARE * usual_s:
+                return False  # the foot stirs after it has landed; the real heel rise is still to come
+            if stance_s > STANCE_FACTOR * usual_s and stance_s > usual_s + STANCE_GRACE_S:
+                self._lapse(f"stood for {stance_s:.1f} s")
+        if self._good_strides:
             self._stances_s.append(stance_s)
         return self.walking
 
     def _not_walking(self, stride: StrideResult) -> str:
         if not stride.valid:
             return f"stride {stride.number} {stride.reason}"
-        if stride.stride_length_m < self._settings.min_stride_length_m:
+        if stride.stride_length_m < self._least_m:
             return f"stride of {stride.stride_length_m:.2f} m"
-        if abs(stride.turn_rad) > math.radians(self._settings.max_turn_deg):
+        if abs(stride.turn_rad) > self._most_rad:
             return f"turned by {abs(math.degrees(stride.turn_rad)):.0f}°"
         return ""
 

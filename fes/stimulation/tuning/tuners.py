@@ -30,7 +30,8 @@ class Tuners:
         self._intensity = 0.0
         self.said: dict[tuple[int, str], TuningReport] = {}  # the newest of each kind, by channel and kind
         self._start = {channel.number: BurstParameters.of(channel) for channel in session.channels}
-        self._foot_of = {channel.number: str(channel.foot) for channel in session.channels}
+        feet = sorted({str(channel.foot) for channel in session.channels})
+        self._channels_of = {foot: [c.number for c in session.channels if c.foot == foot] for foot in feet}
         self.tuners = {
             channel.number: Tuner(channel, session.stimulation.min_stride_length_m, session.stimulation.intensity)
             for channel in session.channels
@@ -81,9 +82,7 @@ class Tuners:
     def on_stride(self, t_ns: int, foot: str, stride: StrideResult, intensity: float) -> tuple[TuningReport, ...]:
         """A stride of this foot has been closed."""
         reports: list[TuningReport] = []
-        for number, own_foot in self._foot_of.items():
-            if own_foot != foot:
-                continue
+        for number in self._channels_of.get(foot, ()):
             electrode = self.ledger.electrodes[number]
             charge_uc = electrode.close_step(stride.t_start_ns, stride.t_end_ns)
             tuner = self.tuners.get(number)
