@@ -26,6 +26,7 @@ from numba.core.target_extension import CPU, dispatcher_registry
 from numba.core.typed_passes import NativeLowering, NopythonRewrites
 from numba.core.untyped_passes import InlineInlinables
 
+import fes.estimation.compiler_elements  # noqa: F401 - what it declares
 from fes.estimation.compiled import unkept
 from fes.estimation.compiler_cache import Cache
 from fes.estimation.compiler_ir import Inlining, Target
