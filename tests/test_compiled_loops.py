@@ -13,7 +13,7 @@ from fes.estimation.ranks import median
 from fes.estimation.read_kernel import into_rows, spreads
 from fes.estimation.rest_kernel import least_spread, stillest
 from fes.estimation.rotation import foot_axes, quaternions_of, rotate_all, up_in_sensor
-from fes.estimation.stride_shape import stride_shape
+from fes.estimation.stride_shape import height_and_turn, stride_shape
 from fes.estimation.zupt_covariance import BIASES, STATES, WIDTH, carry_one, predict, update, update_velocity
 from fes.estimation.zupt_step_smooth import path_at, turn_path
 
@@ -110,7 +110,8 @@ def test_a_strides_shape_is_interpolated_and_turned() -> None:
     position = np.cumsum(RNG.normal(0.02, 0.01, (n, 3)), axis=0)
     position -= position[0]
     out = np.empty((101, 4))
-    highest, turn = stride_shape(t_ns, quaternion, position, 1.0, 0.0, 0.0, out)
+    stride_shape(t_ns, quaternion, position, 1.0, 0.0, 0.0, out)
+    highest, turn = height_and_turn(quaternion, position, 1.0, 0.0, 0.0)
     assert highest == position[:, 2].max()
     assert turn == pytest.approx(0.0, abs=1e-12)
     dx, dy = position[-1, :2] / np.hypot(*position[-1, :2])

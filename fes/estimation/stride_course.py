@@ -15,6 +15,7 @@ from fes.estimation.compiled import jit_ieee
 from fes.estimation.core import core_type
 from fes.estimation.rotation import to_world, without
 from fes.estimation.stride_ends import around_ends, quietest_of, rows_before
+from fes.estimation.stride_shape import stride_shape
 from fes.estimation.stride_solution import GAINED, HIGHEST, LENGTH, NUMBERS, SOLVED, TILT, TURN, UNREST, solve_span
 from fes.estimation.stride_time import UNSEEN_NS, time_of
 from fes.signals import NS_PER_S
@@ -100,18 +101,18 @@ class Out(NamedTuple):
     """What comes out: rows of strides, and what belongs to them; ``filled`` (3,) says how much of it is taken up."""
 
     strides: Any  # (S,) of ``STRIDE``
-    shapes: Any  # (S, K, 4) as :func:`fes.estimation.stride_shape.stride_shape` fills them
+    shapes: Any  # (S, K, 4) as :func:`fes.estimation.stride_shape.stride_shape` fills them; (0, K, 4): not wanted
     t_ns: Any  # (R,) the strides' own samples, one stride after the other
     position: Any  # (R, 3) m from each stride's start
     quaternion: Any  # (R, 4)
     filled: Any  # STRIDES, ROWS, CHANGES (phase changes told so far)
 
 
-def new_out(strides: int, rows: int, points: int) -> Out:
+def new_out(strides: int, rows: int, points: int, *, shaped: bool = True) -> Out:
     """Room for so many strides of so many rows in all; to be emptied by setting ``filled`` to 0."""
     return Out(
         np.zeros(strides, STRIDE),
-        np.empty((strides, points, 4)),
+        np.empty((strides if shaped else 0, points, 4)),
         np.empty(rows, np.int64),
         np.empty((rows, 3)),
         np.empty((rows, 4)),
@@ -236,12 +237,16 @@ def solve_rows(
     row.outcome = solve_span(
         t_ns[begin:end], without(acc[begin:end], biases[0]), without(gyr[begin:end], biases[1]),
         first - begin, last - begin, start, p.forward_x, p.forward_y, p.forward_z, p.sensor_height_m,
-        p.constrained, p.equal_height, quaternion, position, out.shapes[k], numbers,
+        p.constrained, p.equal_height, quaternion, position, numbers,
     )  # fmt: skip
     row.tilt_rad, row.unrest_radps, row.length_m = numbers[TILT], numbers[UNREST], numbers[LENGTH]
     row.highest_m, row.turn_rad, row.gained_m = numbers[HIGHEST], numbers[TURN], numbers[GAINED]
     if row.outcome != SOLVED:
         return
+    if k < out.shapes.shape[0]:
+        stride_shape(
+            out.t_ns[at : at + count], quaternion, position, p.forward_x, p.forward_y, p.forward_z, out.shapes[k]
+        )
     row.speed_mps = row.length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_m = row.heel_m = math.nan
     if p.known:

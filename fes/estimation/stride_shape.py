@@ -1,4 +1,4 @@
-"""Compiled numbers of a solved stride: its length, turn and height, and its way at evenly spaced times."""
+"""Compiled numbers of a solved stride: its turn and height, and its way at evenly spaced times."""
 
 from __future__ import annotations
 
@@ -7,48 +7,51 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.compiled import jit_fused
+from fes.estimation.compiled import inlined, jit_fused
 from fes.estimation.rotation import to_world
 
 SHORTEST_M = 0.05  # a stride shorter than that has no direction but the foot's
 
 
 @jit_fused
-def stride_shape(
-    t_ns: Any, quaternion: Any, position: Any, fx: float, fy: float, fz: float, out: Any
-) -> tuple[float, float]:
-    """Fill ``out`` (K, 4): ahead, left and up (m) in the direction of the stride, and pitch (rad) since its start.
+def height_and_turn(quaternion: Any, position: Any, fx: float, fy: float, fz: float) -> tuple[float, float]:
+    """The greatest height of a stride in m, and by how much the foot turned in rad, left positive, within half a turn.
 
     Args:
-        t_ns: (N,) time stamps; the K rows of ``out`` are evenly spaced from the first to the last, linear in between.
         quaternion: (N, 4) orientations, sensor to world.
         position: (N, 3) in m from the start.
         fx: unit vector towards the toe in the sensor frame, with ``fy`` and ``fz``.
         fy: see ``fx``.
         fz: see ``fx``.
-        out: (K, 4).
+    """
+    highest = -math.inf
+    for i in range(position.shape[0]):
+        highest = max(highest, position[i, 2])
+    ahead, left, _ = _pointing(quaternion, 0, fx, fy, fz)
+    turn = -math.atan2(left, ahead)
+    ahead, left, _ = _pointing(quaternion, position.shape[0] - 1, fx, fy, fz)
+    turn += math.atan2(left, ahead)
+    return highest, (turn + math.pi) % (2.0 * math.pi) - math.pi
 
-    Returns:
-        The greatest height in m, and by how much the foot turned in rad, left positive, within half a turn.
+
+@jit_fused
+def stride_shape(t_ns: Any, quaternion: Any, position: Any, fx: float, fy: float, fz: float, out: Any) -> None:
+    """Fill ``out`` (K, 4): ahead, left and up (m) in the direction of the stride, and pitch (rad) since its start.
+
+    ``t_ns`` (N,) are the time stamps; the K rows of ``out`` are evenly spaced from the first to the last, linear in
+    between. The others are as for :func:`height_and_turn`.
     """
     n, count = t_ns.shape[0], out.shape[0]
     pitch = np.empty(n)
-    highest = -math.inf
-    first = last = (1.0, 0.0, 0.0)
     for i in range(n):
-        last = to_world(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3], fx, fy, fz)
-        if i == 0:
-            first = last
-        pitch[i] = math.asin(min(max(last[2], -1.0), 1.0))
-        highest = max(highest, position[i, 2])
+        _, _, up = _pointing(quaternion, i, fx, fy, fz)
+        pitch[i] = math.asin(min(max(up, -1.0), 1.0))
     dx, dy = position[n - 1, 0], position[n - 1, 1]
     length = math.sqrt(dx * dx + dy * dy)
     if length <= SHORTEST_M:
-        dx, dy = first[0], first[1]
+        dx, dy, _ = _pointing(quaternion, 0, fx, fy, fz)
         length = math.sqrt(dx * dx + dy * dy)
     dx, dy = (dx / length, dy / length) if length > 0.0 else (1.0, 0.0)
-    turn = math.atan2(last[1], last[0]) - math.atan2(first[1], first[0])
-    turn = (turn + math.pi) % (2.0 * math.pi) - math.pi
     i, step = 0, (t_ns[n - 1] - t_ns[0]) / (count - 1)
     for k in range(count):
         at = k * step  # ns since the start
@@ -61,4 +64,20 @@ def stride_shape(
         out[k, 1] = y * dx - x * dy
         out[k, 2] = position[i, 2] + share * (position[i + 1, 2] - position[i, 2])
         out[k, 3] = pitch[i] + share * (pitch[i + 1] - pitch[i]) - pitch[0]
-    return highest, turn
+
+
+@jit_fused
+def stride_shapes(
+    firsts: Any, counts: Any, t_ns: Any, quaternion: Any, position: Any, fx: float, fy: float, fz: float, out: Any
+) -> None:
+    """As :func:`stride_shape` of S strides, of each ``counts`` rows from ``firsts`` on, (S,); ``out`` (S, K, 4)."""
+    for k in range(firsts.shape[0]):
+        a, b = firsts[k], firsts[k] + counts[k]
+        if b > a:
+            stride_shape(t_ns[a:b], quaternion[a:b], position[a:b], fx, fy, fz, out[k])
+
+
+@inlined
+def _pointing(quaternion: Any, i: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """An axis of the sensor in the world at sample ``i``."""
+    return to_world(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3], x, y, z)

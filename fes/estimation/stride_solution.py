@@ -14,7 +14,7 @@ from fes.estimation.likely_noise import StrideNoise, end_variances
 from fes.estimation.rotation import to_world
 from fes.estimation.stride import integrate, orient
 from fes.estimation.stride_ends import NO_REST_RADPS, REST_RADPS, around_ends, mean_and_variance
-from fes.estimation.stride_shape import stride_shape
+from fes.estimation.stride_shape import height_and_turn
 
 NOISE, HEIGHT_NOISE = StrideNoise(), HeightNoise()
 # forward, of an instep in mid-stance beyond w × r: shoe and skin give way, as optical systems see too. The constrained
@@ -59,7 +59,6 @@ def solve_span(
     equal_height: bool,
     quaternion: Any,
     position: Any,
-    shape: Any,
     numbers: Any,
 ) -> int:
     """Solve the rows ``first`` … ``last`` (n of them) of a history.
@@ -79,7 +78,6 @@ def solve_span(
         equal_height: the end is as high as the start.
         quaternion: (n, 4) to be filled.
         position: (n, 3) to be filled, m from the start.
-        shape: (K, 4) to be filled as by :func:`fes.estimation.stride_shape.stride_shape`.
         numbers: (6,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest height
             (m), turn (rad), height gained (m).
 
@@ -137,6 +135,6 @@ def solve_span(
         return NO_LENGTH
     if unrest > NO_REST_RADPS:
         return NO_REST
-    numbers[HIGHEST], numbers[TURN] = stride_shape(t, quaternion, position, fx, fy, fz, shape)
+    numbers[HIGHEST], numbers[TURN] = height_and_turn(quaternion, position, fx, fy, fz)
     numbers[GAINED] = position[n - 1, 2]
     return SOLVED

@@ -6,6 +6,7 @@ import numpy as np
 
 from fes.estimation.clearance import FootPaths
 from fes.estimation.stride_course import CHANGES, STRIDES, new_out
+from fes.estimation.stride_shape import stride_shapes
 from fes.estimation.strides import TRAJECTORY_POINTS, Rows, StrideSettings, stride_paths, stride_results
 from fes.estimation.tracker import Outcome
 from fes.signals import FloatArray, StrideResult
@@ -33,7 +34,7 @@ class Walked:
         strides = USUAL_STRIDES * samples // capacity + 2
         self.room: Rows = np.empty(6 * strides, CHANGE)
         self.longer: FloatArray | None = None  # than by itself (K,) is each stride, where more is known of its length
-        self.out = new_out(strides, samples + 2 * capacity, TRAJECTORY_POINTS)
+        self.out = new_out(strides, samples + 2 * capacity, TRAJECTORY_POINTS, shaped=False)
         self._foot, self._settings = foot, settings
         self._taken, self._led, self._capacity = 0, 0, capacity
 
@@ -67,7 +68,7 @@ class Walked:
         if self._taken >= len(self.room):
             self.room = _twice(self.room)
         if strides == len(out.strides):
-            self.out = out._replace(strides=_twice(out.strides), shapes=_twice(out.shapes))
+            self.out = out._replace(strides=_twice(out.strides))
         if rows > len(out.t_ns) - self._capacity:
             ways = {name: _twice(getattr(out, name)) for name in ("t_ns", "position", "quaternion")}
             self.out = self.out._replace(**ways)
@@ -85,10 +86,13 @@ class Walked:
 
     @property
     def shapes(self) -> FloatArray:
-        """Their shapes (K, ``TRAJECTORY_POINTS``, 4)."""
-        shapes = np.asarray(self.out.shapes[: self.out.filled[STRIDES]])
+        """Their shapes (K, ``TRAJECTORY_POINTS``, 4), made anew at every call; of those not solved nothing to go by."""
+        rows, out = self.rows, self.out
+        shapes = np.zeros((len(rows), TRAJECTORY_POINTS, 4))
+        firsts, counts = rows["first"].copy(), rows["rows"].copy()
+        fx, fy, fz = self._settings.forward.tolist()
+        stride_shapes(firsts, counts, out.t_ns, out.quaternion, out.position, fx, fy, fz, shapes)
         if self.longer is not None:
-            shapes = shapes.copy()
             shapes[:, :, 0] *= self.longer[:, None]
         return shapes
 
