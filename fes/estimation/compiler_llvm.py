@@ -63,7 +63,8 @@ class _Library(JITCodeLibrary):
         ll_module.data_layout = self._codegen._data_layout
         for function in ll_module.functions:
             if not function.is_declaration:  # numba makes passes for those too, nine of ten
-                passes, options = self._codegen._function_pass_manager()
+                # the whole of it is optimised in earnest when it is linked; until then the cheap passes will do
+                passes, options = self._codegen._function_pass_manager(opt=1, loop_vectorize=False, slp_vectorize=False)
                 passes.run(function, options)
 
 
