@@ -14,7 +14,7 @@ from fes.estimation.zupt_covariance import BIASES, STATES, WIDTH
 from fes.estimation.zupt_covariance import predict as predict_sample
 from fes.estimation.zupt_kernel import ZuptSettings
 from fes.estimation.zupt_kernel import add_noise as add_sample_noise
-from fes.estimation.zupt_step_covariance import add_noise, carry_one, predict, spread_noise, step_noise
+from fes.estimation.zupt_step_covariance import carry_one, predict, spread_noise, step_noise
 from fes.estimation.zupt_step_smooth import _carry_back
 from fes.estimation.zupt_steps import gather, steps_of
 from fes.signals import G_MPS2, FloatArray
@@ -69,7 +69,8 @@ def test_prediction_is_that_of_matrices_and_the_adjoint_its_transpose() -> None:
     P = np.zeros((STATES, WIDTH))
     P[:, :STATES] = root @ root.T
     wanted, flat = phi @ P[:, :STATES] @ phi.T, P.ravel().copy()
-    predict(flat, np.empty(BIASES * WIDTH), 0, r[None], f[None], dt)
+    still = ZuptSettings(acc_walk_mps2_rts=0.0, rate_walk_radps_rts=0.0)
+    predict(flat, 0, r[None], f[None], dt, np.zeros((1, 16)), still)
     found = flat.reshape(STATES, WIDTH)[:, :STATES]
     assert found == pytest.approx(wanted, abs=1e-10)
     assert np.array_equal(found, found.T)
@@ -93,8 +94,8 @@ def test_a_steps_noise_is_that_of_its_samples() -> None:
     f[1, 0], f[1, 1] = steps.push[1], steps.shift[1]
     f[1, 2] = f[1, 0] - f[1, 1] / (9 * dt)
     step_noise(1, steps, m, f, 9 * dt, p, q)
-    at_once = np.zeros(STATES * WIDTH)
-    add_noise(at_once, 1, q, 9 * dt, p)
+    at_once, nothing = np.zeros(STATES * WIDTH), np.zeros((2, 3, 3))
+    predict(at_once, 1, nothing, nothing, 9 * dt, q, p)
 
     one_by_one, scratch = np.zeros(STATES * WIDTH), np.empty(BIASES * WIDTH)
     turn = np.eye(3)
