@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from stepping_feet import Steps, calibration, stepping
 
 from fes.analysis import analyse, calibrations_of
@@ -86,6 +87,20 @@ def test_mlr_mdd_and_mlh_are_what_went_in(pitch, sideways, lift):
 def test_a_turn_about_the_vertical_is_no_lifted_heel():
     assert motion(0.0, 0.7).heel_rotation_rad() == pytest.approx(0.0, abs=1e-9)
     assert np.linalg.norm(motion(0.0, 0.7).orientation_rad(), axis=1).max() == pytest.approx(0.7, abs=1e-3)
+
+
+@given(st.floats(0.0, math.pi), st.tuples(*[st.floats(-1.0, 1.0)] * 3).filter(lambda axis: math.hypot(*axis) > 0.1))
+@example(math.pi, (0.0, -1.0, 0.0))
+@example(math.pi - 1e-9, (0.6, -0.3, -0.2))
+@example(1e-9, (0.0, 0.0, 1.0))
+def test_orientation_is_axis_times_angle(angle, axis):
+    """Up to half a turn, where one way round is as good as the other: compared as rotations."""
+    wanted = Rotation.from_rotvec(angle * np.array(axis) / math.hypot(*axis))
+    axes = np.stack((np.eye(3), wanted.as_matrix()))
+    found = Motion(np.arange(2), np.zeros((2, 3)), axes).orientation_rad()
+    assert found[0] == pytest.approx(np.zeros(3), abs=1e-12)
+    assert np.linalg.norm(found[1]) == pytest.approx(angle, abs=2e-6)
+    assert (Rotation.from_rotvec(found[1]) * wanted.inv()).magnitude() < 2e-6
 
 
 @given(st.floats(-3.0, 3.0))

@@ -7,7 +7,6 @@ axis, and that is what is taken here.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,7 +47,7 @@ class Motion:
     def orientation_rad(self) -> FloatArray:
         """Rotation vectors (N, 3) from the start, along the foot's own forward, left and up of the start."""
         turned = np.einsum("ji,njk->nik", self.axes[0], self.axes)
-        return np.array([_rotation_vector(each) for each in turned])
+        return _rotation_vectors(turned)
 
     def deviation_m(self) -> float:
         """MDD: greatest sideways distance from the straight line of the stride."""
@@ -68,16 +67,13 @@ class Motion:
         return float(-self.pitch_rad().min())
 
 
-def _rotation_vector(r: FloatArray) -> FloatArray:
-    """Axis times angle (3,) of a rotation matrix (3, 3)."""
-    (a, b, c), (d, e, f), (g, h, i) = r.tolist()
-    skew = 0.5 * np.array([h - f, c - g, d - b])
-    sine, cosine = 0.5 * math.hypot(h - f, c - g, d - b), 0.5 * (a + e + i - 1.0)
-    angle = math.atan2(sine, cosine)
-    if sine > 1e-6:
-        return np.asarray(skew * (angle / sine))
-    if cosine > 0.0:
-        return np.asarray(skew)
-    # half a turn: the axis is a column of r + 1
-    column = (r + np.eye(3))[:, int(np.argmax(np.diag(r)))]
-    return np.asarray(angle * column / np.linalg.norm(column))
+def _rotation_vectors(r: FloatArray) -> FloatArray:
+    """Axis times angle (N, 3) of rotation matrices (N, 3, 3)."""
+    skew = 0.5 * np.stack((r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]), axis=1)
+    sine, cosine = np.sqrt((skew * skew).sum(axis=1)), 0.5 * (np.einsum("nii->n", r) - 1.0)
+    angle, turned = np.arctan2(sine, cosine), sine > 1e-6
+    out = np.asarray(skew * np.where(turned, angle / np.where(turned, sine, 1.0), 1.0)[:, None])
+    for k in np.flatnonzero(~turned & (cosine <= 0.0)):  # half a turn: the axis is a column of r + 1
+        column = (r[k] + np.eye(3))[:, int(np.argmax(np.diag(r[k])))]
+        out[k] = angle[k] * column / np.linalg.norm(column)
+    return out
