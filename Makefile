@@ -12,7 +12,7 @@ help:
 	@echo "make test     style, types and tests"
 	@echo "make test-live  the tests that take longer, most of them live sessions on every simulated device"
 	@echo "make lint     style and types only"
-	@echo "make bench    one table of speed, beside other libraries and the bare arithmetic (about half an hour)"
+	@echo "make bench    one table of speed, beside other libraries and the bare arithmetic (about 10 minutes)"
 	@echo "make bench-figures  the figures of docs/accuracy.md: bundled trials, and recordings in FES_DATA or ../shared/data"
 	@echo "make bench-accuracy  one table of accuracy, ours and other libraries' on the same recordings (about 5 minutes)"
 	@echo "make hil      the whole fault campaign on every transport of this machine; takes hours"
