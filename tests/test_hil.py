@@ -267,6 +267,7 @@ def test_lost_time_counts_as_the_machines_only_where_an_idle_loop_lost_it_too() 
     assert rig.was_away("controller stalled for 51 ms", 1040 * MS, 1100 * MS)
     assert not rig.was_away("controller stalled for 51 ms", 1060 * MS, 1100 * MS)
     assert not rig.was_away("controller stalled for 51 ms", 900 * MS, 990 * MS)
+    assert rig.was_away("stimulator fault on channel 0: 2 pulses are unanswered; none was added", 1040 * MS, 1100 * MS)
     assert not rig.was_away("non-finite sample from right_foot", 900 * MS, 1100 * MS)
 
 
