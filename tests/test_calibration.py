@@ -335,8 +335,8 @@ def test_a_gyroscope_that_is_switched_off() -> None:
 def test_an_accelerometer_that_has_stopped(held: tuple[float, ...], noise_mps2: float) -> None:
     """Turned by the gyroscope, what it holds leads away from the spot, like strides; of its bias it says nothing."""
     track = samples("both_feet_100hz", "left_foot", 0.0, 45.0)
-    noise = noise_mps2 * np.random.default_rng(3).standard_normal(track.acc_mps2.shape)
-    assert "the accelerometer shows gravity and nothing else" in refused(replace(track, acc_mps2=held + noise))
+    acc = np.array(held) + noise_mps2 * np.random.default_rng(3).standard_normal(track.acc_mps2.shape)
+    assert "the accelerometer shows gravity and nothing else" in refused(replace(track, acc_mps2=acc))
 
 
 def test_to_and_fro_has_no_direction() -> None:
