@@ -330,6 +330,15 @@ def test_a_gyroscope_that_is_switched_off() -> None:
     assert "0 strides found" in refused(replace(track, gyr_radps=0.0 * track.gyr_radps))
 
 
+@pytest.mark.parametrize("held", [(0.0, 0.0, G_MPS2), (1.0, -2.0, 9.5), (-3.5, -0.6, 9.0)])
+@pytest.mark.parametrize("noise_mps2", [0.0, 1e-12, 1e-3])
+def test_an_accelerometer_that_has_stopped(held: tuple[float, ...], noise_mps2: float) -> None:
+    """Turned by the gyroscope, what it holds leads away from the spot, like strides; of its bias it says nothing."""
+    track = samples("both_feet_100hz", "left_foot", 0.0, 45.0)
+    acc = np.array(held) + noise_mps2 * np.random.default_rng(3).standard_normal(track.acc_mps2.shape)
+    assert "the accelerometer shows gravity and nothing else" in refused(replace(track, acc_mps2=acc))
+
+
 def test_to_and_fro_has_no_direction() -> None:
     """Half of the strides carry the sensor the other way: which way the toe points stays open."""
     there = samples("both_feet_100hz", "left_foot", 8.0, 24.0)

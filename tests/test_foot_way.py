@@ -157,6 +157,8 @@ def test_where_nothing_can_be_told_it_says_so(monkeypatch: pytest.MonkeyPatch) -
         foot_samples(t_ns[:2], acc[:2], gyr[:2])
     with pytest.raises(ValueError, match="0 samples make no path"):
         foot_samples(t_ns, acc + np.nan, gyr)
+    with pytest.raises(ValueError, match="never rests"):  # the gyroscope has stopped, and not at 0
+        foot_samples(t_ns, acc, np.tile((1.1, 0.3, 0.7), (len(t_ns), 1)))
     monkeypatch.setattr(foot_way, "with_quietest", lambda rest, *_: rest & False)
     with pytest.raises(ValueError, match="never rests"):
         foot_samples(t_ns, acc, gyr)

@@ -315,6 +315,15 @@ def test_quietest_instants_fill_what_the_detector_missed() -> None:
     assert not with_quietest(np.zeros(300, bool), gyr[:300] * 0.0, rate_hz).any()
 
 
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 204.8, 500.0])
+def test_a_rate_that_stands_still_repeats_nothing(rate_hz: float) -> None:
+    """Whatever it is: its mean is rounded, and of the rest that leaves every lag would look like every other."""
+    for held in np.random.default_rng(5).normal(0.0, 3.0, (30, 3)):
+        gyr = np.tile(held, (round((20.0 + abs(held[0])) * rate_hz), 1))
+        assert stride_time_s(gyr, rate_hz) == 0.0
+        assert not with_quietest(np.zeros(len(gyr), bool), gyr, rate_hz).any()
+
+
 def test_stance_instants_merge_what_is_close() -> None:
     rest = np.zeros(300, bool)
     rest[20:60] = rest[65:80] = rest[150:200] = True

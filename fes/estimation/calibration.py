@@ -29,6 +29,7 @@ STANDING_S = 1.0
 STANDING_RATE_RADPS = 0.08  # standing still: no window of a second exceeds this spread
 MIN_STRIDES = 3
 MIN_TRAVEL_M = 0.15
+LEAST_LIVELY_MPS2 = 0.01  # mean departure from gravity in strides: a slow foot's is 0.5, a sensor's noise is more
 REST_PER_PEAK = 0.1  # the rest threshold as a share of the push-off's peak rate …
 REST_PER_FLOOR = 1.6  # … but this far above what the foot does at its quietest …
 REST_BOUNDS_RADPS = (0.25, 1.2)  # … and within these
@@ -140,6 +141,11 @@ def calibrate_foot(
         raise CalibrationError(
             f"{sensor}: {len(swings)} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
             "Record at least five strides of walking straight ahead."
+        )
+    if moved["lively"].sum() < LEAST_LIVELY_MPS2 * (swings[:, 1] + 1 - swings[:, 0]).sum():
+        raise CalibrationError(
+            f"{sensor}: the accelerometer shows gravity and nothing else while the foot swings, so it has stopped "
+            "measuring. Restart or exchange the sensor, and record again."
         )
     axis = _mediolateral(moved["moment"].sum(axis=0), up)
     along = moved["way"] @ cross(_vector(axis), _vector(up))

@@ -151,11 +151,15 @@ def likeness(x: Any, shortest: int, out: Any) -> None:
 
 @jit_ieee
 def likeness_of_lengths(x: Any, step: int, shortest: int, out: Any) -> float:
-    """As :func:`likeness`, of what :func:`thinned_sizes` makes of ``x`` (N, 3), less its mean; gives that of lag 0."""
+    """As :func:`likeness`, of what :func:`thinned_sizes` makes of ``x`` (N, 3), N at least ``step``, less its mean.
+
+    Gives that of lag 0.
+    """
     size = np.empty(x.shape[0] // step)
     thinned_sizes(x, step, size)
-    mean, whole = 0.0, 0.0
+    first, mean, whole = size[0], 0.0, 0.0
     for k in range(size.shape[0]):
+        size[k] -= first  # so that of lengths that are all the same nothing is left, not even rounding
         mean += size[k]
     mean /= size.shape[0]
     for k in range(size.shape[0]):
