@@ -96,7 +96,7 @@ def ground_path(
         foot: the same samples where already prepared.
 
     Raises:
-        ValueError: the recording is too short, or the foot never rests.
+        ValueError: the recording is too short, the foot never rests, or nothing comes of it.
     """
     if foot is None:
         ranges = track.acc_range_mps2, track.gyr_range_radps
@@ -111,6 +111,8 @@ def ground_path(
     stance_ns, position, heading = t_ns[stances], np.empty((len(kept), 3)), np.empty(len(kept))
     room = np.empty(len(way.t_ns)), np.empty(len(stances))
     over_ground(*way, calibration.forward(), stance_ns, kept, *room, position, heading)
+    if not (np.isfinite(position).all() and np.isfinite(heading).all()):
+        raise ValueError("the path comes out as no number; check the units")  # else the other foot's would, by together
     x, y, _ = np.diff(way.at(stance_ns), axis=0).T
     return GroundPath(calibration.sensor, kept, position, heading, float(np.hypot(x, y).sum()), stance_ns)
 

@@ -133,6 +133,17 @@ def test_between_steps_the_way_is_smooth() -> None:
     assert np.array_equal(way.at(np.array([10**12])), way.position_m[-1:])
 
 
+@pytest.mark.parametrize(("resting", "begin"), [(11, 0), (12, -2)])
+def test_first_rest_that_ends_with_the_recording_is_no_beginning(resting: int, begin: int) -> None:
+    """Rest has lasted long enough with its 11th sample; a way from the very last one on would have no second place."""
+    t_ns, acc, gyr, _, _ = walk(100.0, 3)
+    foot = foot_samples(t_ns, acc, gyr)
+    foot.rest[:] = np.arange(len(t_ns)) >= len(t_ns) - resting
+    way = foot.way(ZuptSettings(), level=True)
+    assert way.t_ns[[0, -1]].tolist() == t_ns[[begin, -1]].tolist()
+    assert np.isfinite(way.at(t_ns)).all()
+
+
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e30])
 def test_samples_of_no_use_are_left_out(bad: float) -> None:
     """Not finite, larger than any sensor's, at a time not after all before: without them all is as without them."""

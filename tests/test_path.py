@@ -20,6 +20,7 @@ from fes.cli.main import main
 from fes.driving import Calibration
 from fes.estimation import foot_way
 from fes.estimation.calibration import FootCalibration
+from fes.estimation.zupt_kernel import ZuptSettings
 from fes.ground_path import GroundPath, ground_path, together
 from fes.patient.truth import load_truth
 from fes.recording import Recording, Track, read_recording
@@ -210,6 +211,24 @@ def test_a_foot_without_a_path_is_told_and_costs_nothing_else(monkeypatch: pytes
     assert result.path_rows() == []
     assert all(math.isnan(row["x_m"]) for row in result.stride_rows())
     assert len(result.strides) >= 4
+
+
+def test_a_path_of_no_numbers_is_none_and_spares_the_other_foots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What two feet do not share is taken off both, so that one without numbers would leave the other without any."""
+    recording, calibrations = calibrated(read_recording(TRIALS / "both_feet_100hz.parquet"))
+    alone = analyse(replace(recording, tracks={"right_foot": recording.tracks["right_foot"]}), calibrations)
+    left, way = recording.tracks["left_foot"], foot_way.FootSamples.way
+
+    def broken(foot: foot_way.FootSamples, settings: ZuptSettings, *, level: bool) -> foot_way.Way:
+        found = way(foot, settings, level=level)
+        if np.array_equal(foot.acc_mps2, left.acc_mps2):
+            found.position_m[-3:] = math.nan
+        return found
+
+    monkeypatch.setattr(foot_way.FootSamples, "way", broken)
+    result = analyse(recording, calibrations)
+    assert result.no_path == {"left_foot": "left_foot: the path comes out as no number; check the units"}
+    assert np.array_equal(result.paths["right_foot"].position_m, alone.paths["right_foot"].position_m)
 
 
 def test_a_metre_is_a_metre_both_ways() -> None:

@@ -180,8 +180,11 @@ def zupt_path(
 
 
 def first_rest(rest: BoolArray, rate_hz: float) -> int:
-    """Where the filter begins: rest has lasted ``START_S`` for the first time, or else at the start."""
-    return int(first_lasting(rest, round(START_S * rate_hz) + 1))
+    """Where the filter begins: rest has lasted ``START_S`` for the first time, or else at the start.
+
+    Never with the last sample: there would be no way from there.
+    """
+    return int(first_lasting(rest[:-1], round(START_S * rate_hz) + 1))
 
 
 def stride_time_s(gyr_radps: FloatArray, rate_hz: float) -> float:
