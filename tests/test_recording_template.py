@@ -7,10 +7,19 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
+from pyarrow import parquet
 from test_recording import both_feet, walk
 
-from fes.recording import Recording, RecordingError, read_recording, sidecar_template, write_recording
+from fes.recording import (
+    Recording,
+    RecordingError,
+    SidecarMissingError,
+    read_recording,
+    sidecar_template,
+    write_recording,
+)
 from fes.signals import G_MPS2
 
 
@@ -146,6 +155,22 @@ def test_a_broken_file_is_told_first(tmp_path: Path, name: str, content: bytes, 
     (tmp_path / name).write_bytes(content)
     with pytest.raises(RecordingError, match=message):
         read_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize("rows", [0, 400])
+def test_a_sensor_without_values_has_a_template_too(tmp_path: Path, rows: int) -> None:
+    """Its numbers tell no unit, and no row of a file may hold any."""
+    path = tmp_path / "own.parquet"
+    write_recording(Recording("x", None, {name: walk(name) for name in ("left_foot", "right_foot")}), path)
+    path.with_suffix(".toml").unlink()
+    table = parquet.read_table(path).slice(0, rows)
+    for number, name in enumerate(table.column_names):
+        if name.startswith("left_foot"):
+            table = table.set_column(number, name, pa.nulls(rows, table.schema.field(name).type))
+    parquet.write_table(table, path)
+    with pytest.raises(SidecarMissingError) as told:
+        read_recording(path)
+    assert 'acc_unit = "?"' in told.value.proposal
 
 
 def test_a_can_log_is_told_of_its_dbc(tmp_path: Path) -> None:

@@ -97,7 +97,8 @@ def _probe(path: Path, layout: Layout, groups: list[Group], times: list[str]) ->
         if values:
             table = Table(path, values, [], layout.dialect)
             data = np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values])
-            probe.numbers = hints.look(data[np.isfinite(data).all(axis=1)])
+            data = data[np.isfinite(data).all(axis=1)]
+            probe.numbers = hints.look(data) if len(data) else None
     except (RecordingError, ValueError, IndexError):
         return probe
     return probe
