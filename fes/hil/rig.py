@@ -25,15 +25,7 @@ ORDER_EVERY_S: Final = 0.16  # intensity is raised at most every 150 ms
 START_S: Final = 60.0
 LATCHED: Final = ("fault", "stopped")
 ALLOWED: Final = ("armed", "running")
-LOST_TIME: Final = (
-    "stalled for",
-    "ms old",
-    "ms late",
-    "no answer within",
-    "are unanswered",
-    "no heartbeat",
-    "lease expired",
-)
+LOST_TIME: Final = ("stalled for", "ms old", "ms late", "no answer", "unanswered", "no heartbeat", "lease expired")
 KEPT_NS: Final = 600 * NS_PER_S
 ARM_S: Final = 30.0
 BURST_S: Final = 30.0
