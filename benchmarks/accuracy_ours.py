@@ -38,15 +38,15 @@ from stroke_treadmill import evaluate as evaluate_feet
 from zero_velocity import evaluate_detector, evaluate_loop, path_of
 from zero_velocity_sets import BorderedWalk, gaitmap, pyshoe, ruler, xio
 
-from fes.estimation.foot import FootTracker
-from fes.estimation.rest import Detector
-from fes.ground_path import GroundPath, ground_path, together
-from fes.replay import calibrate_track
+from fes.analysis.ground_path import GroundPath, ground_path, together
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.zupt.detectors import Detector
 from fes.signals import StrideResult
 
-NAMES = {"most_likely": "fes most likely (default)", "constrained": "fes constrained (Negård)"}
+NAMES = {"maximum_likelihood": "fes most likely (default)", "constrained": "fes constrained (Negård)"}
 NAMES[FUSED] = "fes analyse (most likely and ZUPT)"
-KNOWN = {"most_likely": CAUSAL, "constrained": CAUSAL, FUSED: OFFLINE}
+KNOWN = {"maximum_likelihood": CAUSAL, "constrained": CAUSAL, FUSED: OFFLINE}
 ZUPT = {False: "fes ZUPT filter, forward", True: "fes ZUPT filter, smoothed"}
 LEAST_IN_ORDER, LEAST_FOOT, MOST_FALSE = 0.995, 0.97, 0.1
 

@@ -18,9 +18,9 @@ from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder, runs_of
 
-from fes.estimation.ankle import AnkleSettings, ankle_strides
-from fes.estimation.ankle_calibration import ShankCalibration, calibrate_shank
-from fes.estimation.calibration import stretch_for_calibration
+from fes.estimation.foot.calibration import stretch_for_calibration
+from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
+from fes.estimation.shank.strides import ShankIntegrationSettings, shank_strides
 from fes.signals import FloatArray, IntArray
 
 FIXED_ARM_M = 0.35
@@ -75,7 +75,7 @@ def speed(
     """Mean speed (m/s) in the last 120 s with one arm (None: ZUPT), all strides, and how many of them are invalid."""
     up, left = np.array(calibration.up), np.array(calibration.left)
     t_ns = stamps(len(acc), calibration.rate_hz)
-    results = ankle_strides(t_ns, acc, gyr, calibration, AnkleSettings(up, left, arm))
+    results = shank_strides(t_ns, acc, gyr, calibration, ShankIntegrationSettings(up, left, arm))
     late = [s for s in results if s.valid and s.t_start_ns >= t_ns[-1] - LAST_S * 1e9]
     time_s = 1e-9 * sum(s.t_end_ns - s.t_start_ns for s in late)
     length_m = sum(s.stride_length_m for s in late)

@@ -16,14 +16,15 @@ import numpy as np
 from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
 
+from fes.calibration.foot_track import calibrate_track
 from fes.config import Session
-from fes.controller import stride_settings
-from fes.estimation.foot import FootTracker
-from fes.estimation.strides import StrideMaker
-from fes.patient.truth import TruthStride, load_truth
+from fes.control.controller import stride_settings
+from fes.control.replay import session_for
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.results import StrideMaker
 from fes.recording import Recording, read_recording
-from fes.replay import calibrate_track, session_for
 from fes.signals import StrideResult
+from fes.simulation.truth import TruthStride, load_truth
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
 NAMES = (

@@ -3,7 +3,8 @@
     python benchmarks/clearance.py [--json FILE]
 
 gaitmap_walk: the markers on toe and heel, each above its own height at the start of the stride; minimum toe clearance
-and greatest heel height are taken from them by the same definitions (fes.estimation.clearance). The geometry is either
+and greatest heel height are taken from them by the same definitions (fes.estimation.clearance.clearance). The geometry
+is either
 
 - given: where the markers sit on the standing foot, and where the sensor sits among them. Nobody noted the latter, so
   it is read off once per foot from accelerations (marker − sensor, low-passed at 6 Hz, in swing), not from any height;
@@ -30,14 +31,14 @@ from rich.table import Table
 from scipy.signal import butter, filtfilt
 from stroke_treadmill import data_folder
 
-from fes.estimation.clearance import FootArms, FootPath, arms_of, clearance, contact_levels, mid_swing
-from fes.estimation.foot import FootTracker
-from fes.estimation.foot_geometry import estimate_geometry
-from fes.estimation.strides import StrideMaker, StrideSettings
-from fes.patient.truth import load_truth
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.clearance.clearance import FootArms, FootPath, arms_of, clearance, contact_levels, mid_swing
+from fes.estimation.clearance.geometry import estimate_geometry
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Track, read_recording
-from fes.replay import calibrate_track
 from fes.signals import NS_PER_S, FloatArray, StrideResult
+from fes.simulation.truth import load_truth
 
 MARKER_HZ = 100.0
 GRID_HZ = 200.0

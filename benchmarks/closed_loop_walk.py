@@ -7,15 +7,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fes.calibration.foot_track import calibrate_track
 from fes.config import Session
-from fes.controller import Controller
-from fes.driving import Calibration
-from fes.estimation.calibration import FootCalibration
-from fes.gate.of_session import gate_of
-from fes.patient.virtual import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
+from fes.control.controller import Controller
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.sensor_choice import Calibration
+from fes.gate.gate import gate_of
 from fes.recording import Track
-from fes.replay import calibrate_track
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimCommand, StimStatus, StrideResult, Tick
+from fes.simulation.forward import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
 from fes.stimulation.tuning.reports import TuningReport
 
 STEP_NS = 10_000_000

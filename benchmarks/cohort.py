@@ -32,10 +32,10 @@ from pyarrow import parquet
 from speed_row import Row, print_rows
 
 from fes.cohort.engine import cluster, run
-from fes.cohort.one import DONE, Outcome, Settings, analyse_one
-from fes.cohort.report import write_pages
+from fes.cohort.page import write_pages
 from fes.cohort.sources import Source, find
 from fes.cohort.store import RECORDINGS, Store
+from fes.cohort.task import DONE, Outcome, Settings, analyse_one
 
 TRIAL = Path(__file__).parents[1] / "sim_inputs" / "both_feet_100hz"
 GROUP = "a cohort"

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fes.patient.truth import load_truth
 from fes.recording import Track, read_recording
 from fes.signals import FloatArray
+from fes.simulation.truth import load_truth
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
 NAMES = ("negard_patient1", "negard_patient2", "both_feet_100hz", "both_feet_200hz", "misaligned", "soft_contact")

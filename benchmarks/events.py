@@ -25,14 +25,13 @@ from event_cases import Case, bundled_cases, data_folder, gaitmap_cases, stroke_
 from rich.console import Console
 from rich.table import Table
 
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.events_offline import GaitEvents, find_events
-from fes.estimation.events_online import OnlineEvent, OnlineEvents, Rule
-from fes.estimation.foot import FootTracker
-from fes.estimation.foot_strike import foot_strike_angles
-from fes.estimation.strides import StrideMaker, StrideSettings
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.events.causal import OnlineEvent, OnlineEvents, Rule
+from fes.estimation.events.offline import GaitEvents, find_events, foot_strike_angles
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Track
-from fes.replay import calibrate_track
 from fes.signals import FloatArray
 from statemachine.phases import PhaseChange, Transition
 

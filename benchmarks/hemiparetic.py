@@ -10,7 +10,8 @@ set off and both cut. Methods:
 
 - printed: windows at the threshold that the paper prints (0.025 m²/s⁴), the healthier foot's mapped to the other;
 - fitted: the same, the threshold fitted to each foot;
-- own: strides of `fes analyse`; parameters: the same as fes.parameters gives them (both feet brought to a common way).
+- own: strides of `fes analyse`; parameters: the same as fes.analysis.parameters gives them (both feet brought to a
+  common way).
 
 Clocks and sides are checked on virtual walks and the bundled ones, too, of which the truth is known. Without the
 recordings this says so and exits with 3.
@@ -41,7 +42,7 @@ from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import data_folder, load_run, runs_of
 
-from fes.hemiparetic.side import SIGNS
+from fes.analysis.hemiparetic.side import SIGNS
 from fes.recording import Recording
 
 COUNT_BAR = 0.01

@@ -12,16 +12,15 @@ from parameters import BUNDLED, TRIALS, virtual_walk
 from shank_phases import gaitmap_feet
 from stroke_treadmill import LAST_S, load_run, mid_swings
 
-from fes.analysis import Analysis, analyse, calibrations_of
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.events_offline import find_events
-from fes.hemiparetic.sync import Offset, Samples, offset
-from fes.hemiparetic.terrain import Terrain
-from fes.hemiparetic.track import FootTrack
-from fes.hemiparetic.walk import HemipareticWalk, feet_of, hemiparetic_walk, windows_of
-from fes.hemiparetic.windows import THRESHOLD_M2PS4
+from fes.analysis.hemiparetic.foot import FootTrack
+from fes.analysis.hemiparetic.sync import Offset, Samples, offset
+from fes.analysis.hemiparetic.walk import HemipareticWalk, Terrain, feet_of, hemiparetic_walk, windows_of
+from fes.analysis.hemiparetic.windows import THRESHOLD_M2PS4
+from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.estimation.events.offline import find_events
+from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import Recording, read_recording
-from fes.replay import increasing
+from fes.recording.samples import increasing
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
 
 METHODS = ("printed", "fitted", "own", "parameters")

@@ -22,19 +22,17 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.virtual.can_node_spawn import NodeHandle, free_bus, spawn_node
-from drivers.virtual.imu_spawn import ImuKind, spawn_imu
-from fes.calibrations import calibrate_drivers, save
+from drivers.simulated.imu.spawn import ImuKind, spawn_imu
+from drivers.simulated.stimulator.spawn import NodeHandle, free_bus, spawn_node
+from fes.calibration.recording import calibrate_drivers, save
 from fes.hil.baseline import Baseline
-from fes.hil.control import ScriptedOperator
-from fes.hil.controller import ControllerProcess
-from fes.hil.uninterrupted import uninterrupted
-from fes.journal import SessionRecord, read_session
-from fes.patient.sensor import ImuModel
-from fes.patient.session import Placement, new_session
-from fes.patient.trials import HEALTHY
+from fes.hil.controller import ControllerProcess, ScriptedOperator, uninterrupted
 from fes.recording import Recording, write_recording
+from fes.session_log import SessionRecord, read_session
 from fes.signals import FOOT_SENSORS
+from fes.simulation.sensor import ImuModel
+from fes.simulation.session import Placement, new_session
+from fes.simulation.trials import HEALTHY
 
 RATE_HZ = 500.0
 LINES: tuple[tuple[str, ImuKind, Literal["pty", "tcp"]], ...] = (

@@ -21,16 +21,15 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.virtual.imu_signal import walking
+from drivers.simulated.imu.device import walking
 from fes.config import load_session
-from fes.estimation.calibration import calibrate_foot
-from fes.estimation.warm import warm_up
-from fes.journal.buffer import RecordBuffer
-from fes.live.header import live_header
+from fes.estimation.foot.calibration import calibrate_foot
+from fes.estimation.warm_up import warm_up
 from fes.live.realtime import frozen_garbage
-from fes.live.sensors import SensorLine
-from fes.live.session import LiveSession
+from fes.live.sensors import SensorStream
+from fes.live.session import LiveSession, live_header
 from fes.live.stimulator import LiveStimulator, Opened
+from fes.session_log.buffer import RecordBuffer
 from fes.signals import FOOT_SENSORS, NS_PER_S, StimAlive, StimCommand, StimStatus, Vector3, WireFrame
 
 RATE_HZ = 500.0
@@ -206,7 +205,7 @@ def measure(minutes: float) -> dict[str, float]:
             raise Enough
 
     began_s = time.perf_counter()
-    line = SensorLine(TwoFeet(clock, keys, script), SameClock, Lost, frozenset(FOOT_SENSORS))
+    line = SensorStream(TwoFeet(clock, keys, script), SameClock, Lost, frozenset(FOOT_SENSORS))
     with suppress(Enough):
         live.run([line], [], [], [], check)
     settled_s = min(SETTLED_S, end_s / 2)

@@ -24,9 +24,9 @@ from tuning import session_of
 from tuning_cohort import clinic_ma, patient
 
 from fes.config import Session
-from fes.estimation.calibration import FootCalibration
-from fes.patient.virtual import PatientSettings, VirtualPatient
+from fes.estimation.foot.calibration import FootCalibration
 from fes.signals import NS_PER_S
+from fes.simulation.forward import PatientSettings, VirtualPatient
 from fes.stimulation.tuning.reports import TuningReport
 
 BEGIN, END = "<!-- loop faults: benchmarks/loop_faults.py -->", "<!-- end of loop faults -->"

@@ -18,15 +18,15 @@ from pathlib import Path
 from random import Random
 from unittest.mock import patch
 
-from drivers.virtual.stimulator_in_process import InProcessStimulator
-from fes.cli.demo_loop import CURRENT_MA, patient
+from drivers.simulated.stimulator.in_process import InProcessStimulator
+from fes.cli.demo import CURRENT_MA, patient
 from fes.config import validate_session
-from fes.driving import Calibration
-from fes.hil import one_process
-from fes.hil.course import course
-from fes.hil.patient_session import calibration_of, session_text
-from fes.journal import read_session
-from fes.patient.virtual import DeliveredPulse, VirtualStride
+from fes.estimation.sensor_choice import Calibration
+from fes.hil.closed_loop import one_process
+from fes.hil.closed_loop.processes import course
+from fes.hil.closed_loop.session import calibration_of, session_text
+from fes.session_log import read_session
+from fes.simulation.forward import DeliveredPulse, VirtualStride
 
 MS = 1_000_000
 SECONDS, PAUSE_MS = 42.0, 200
@@ -74,7 +74,7 @@ class DisturbedStimulator(InProcessStimulator):
 
 
 @dataclass(frozen=True, slots=True)
-class Walked:
+class TrackedBlock:
     """The strides of the affected foot, when which transition fired (ms), and the current after each change (mA)."""
 
     strides: list[VirtualStride]
@@ -82,7 +82,7 @@ class Walked:
     currents_ma: list[float]
 
 
-def walked(folder: Path, calibrations: Mapping[str, Calibration], disturbance: Disturbance | None) -> Walked:
+def walked(folder: Path, calibrations: Mapping[str, Calibration], disturbance: Disturbance | None) -> TrackedBlock:
     """One run."""
     DisturbedStimulator.disturbance = disturbance
     settings = patient()
@@ -96,10 +96,10 @@ def walked(folder: Path, calibrations: Mapping[str, Calibration], disturbance: D
         phases.setdefault((change.foot, change.transition.name), []).append(change.t_ns / MS)
     found = [CURRENT.search(note.text) for note in record.notes if note.source == "tuning"]
     strides = [stride for stride in lived.strides if stride.foot == settings.affected_foot]
-    return Walked(strides, phases, [float(one[1]) for one in found if one])
+    return TrackedBlock(strides, phases, [float(one[1]) for one in found if one])
 
 
-def apart(one: Walked, other: Walked) -> tuple[float, float, float]:
+def apart(one: TrackedBlock, other: TrackedBlock) -> tuple[float, float, float]:
     """Greatest difference of toe clearance (mm), of a phase change (ms), and of the last current (mA)."""
     toe = max(abs(a.toe_clearance_m - b.toe_clearance_m) for a, b in zip(one.strides, other.strides, strict=False))
     phase = max(

@@ -25,8 +25,8 @@ from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import data_folder
 
-from fes.estimation.orientation_body import track_orientation
-from fes.estimation.orientation_settings import BodySettings
+from fes.estimation.orientation.body import track_orientation
+from fes.estimation.orientation.filter import BodySettings
 
 BAR_DEG = 0.7  # causal and off-line, mean over BROAD's trials
 SHIFTS_S = np.arange(0.0, 0.0081, 0.0005)

@@ -19,9 +19,8 @@ from orientation_sets import Trial, broad, gaitmap_pitch, upward
 from rich.console import Console
 from stroke_treadmill import data_folder
 
-from fes.estimation.orientation_body import OrientationPath, track_orientation
-from fes.estimation.orientation_smooth import smooth_orientation
-from fes.estimation.rest import at_rest, calibrate_rest
+from fes.estimation.orientation.body import OrientationPath, smooth_orientation, track_orientation
+from fes.estimation.zupt.detectors import at_rest, calibrate_zero_velocity
 
 RANGE_DPS = 1000.0
 FILTERS: dict[str, Callable[..., OrientationPath]] = {"causal": track_orientation, "off-line": smooth_orientation}
@@ -61,7 +60,7 @@ def main() -> int:
     for name, follow in FILTERS.items():
         errors = {}
         for foot in feet:
-            rest = calibrate_rest(foot.acc_mps2, foot.gyr_radps, foot.rate_hz)
+            rest = calibrate_zero_velocity(foot.acc_mps2, foot.gyr_radps, foot.rate_hz)
             still = at_rest(rest, foot.acc_mps2, foot.gyr_radps, foot.rate_hz, causal=name == "causal")
             path = follow(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, at_rest=still)
             errors[foot.name] = foot.score(upward(path.quaternion))

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.orientation_body import track_orientation
-from fes.estimation.orientation_smooth import smooth_orientation
+from fes.estimation.orientation.body import smooth_orientation, track_orientation
 from fes.signals import G_MPS2, FloatArray
 
 Run = Callable[[FloatArray, FloatArray, float], FloatArray]  # acc, gyr, rate -> (N, 4) w, x, y, z, sensor to world

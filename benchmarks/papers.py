@@ -21,15 +21,15 @@ import numpy as np
 from ankle import evaluate as shanks_of
 from stroke_treadmill import LAST_S, data_folder
 
-from fes.analysis import Analysis, analyse, calibrations_of
-from fes.importing import read_data_set
-from fes.parameters.gait import gait_parameters
-from fes.patient.truth import Truth, load_truth
+from fes.analysis.parameters.gait import gait_parameters
+from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.datasets import read_data_set
+from fes.evaluation.reference.compare import from_analysis
+from fes.evaluation.reference.evaluation import BOTH, AgreementRow, Settings, evaluate
+from fes.evaluation.reference.read import read_references
+from fes.evaluation.reference.types import Reference, ReferenceEvent
 from fes.recording import Recording, read_recording
-from fes.reference.estimate import from_analysis
-from fes.reference.evaluation import BOTH, AgreementRow, Settings, evaluate
-from fes.reference.read import read_references
-from fes.reference.types import Reference, ReferenceEvent
+from fes.simulation.truth import Truth, load_truth
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
 BEGIN, END = "<!-- tables: benchmarks/papers.py -->", "<!-- end of the tables -->"

@@ -3,10 +3,10 @@
     python benchmarks/parameters.py [--fast] [--seed N] [--json FILE]
 
 Walks: Wang et al.'s five hemiparetic patterns (100 Hz, afflicted right, the ones looked at while the rules of
-fes/parameters/contacts.py and common_way.py were made), again with other seeds, 200 Hz and the left side afflicted,
-and the bundled walks of both feet. Figures are the mean of estimate − truth of a foot, ± SD over its strides. The
-bars are for the means: stride length 2 %, swing and stance time 20 ms, clearance of the sensor 0.5 cm, MLR 3°.
-``--fast`` walks the first five, shorter; ``--seed`` adds to all seeds, for walks that nobody has looked at.
+fes/analysis/parameters/contacts.py and equalise_sides.py were made), again with other seeds, 200 Hz and the left side
+afflicted, and the bundled walks of both feet. Figures are the mean of estimate − truth of a foot, ± SD over its
+strides. The bars are for the means: stride length 2 %, swing and stance time 20 ms, clearance of the sensor 0.5 cm, MLR
+3°. ``--fast`` walks the first five, shorter; ``--seed`` adds to all seeds, for walks that nobody has looked at.
 
 Only strides whose own span lies where the belt is known to run at full speed count: no sensor on a foot can tell the
 way of a foot that stands on a belt which speeds up.
@@ -15,8 +15,8 @@ What counts from a stride's start (heights, rotations, sideways ways) is compare
 recordings of real feet (real_sets.py): where in mid-stance a stride begins is free, and a foot that rolls over a soft
 sole rises by a millimetre and turns by 3° meanwhile. Lengths, times, PV and OV are those of the truth's own strides.
 
-The truth of toe clearance is the definition of fes/estimation/clearance.py on the true path of the point of the sole
-that [geometry] names. The virtual foot bends at its ball, so its own number ("model") is another.
+The truth of toe clearance is the definition of fes/estimation/clearance/clearance.py on the true path of the point of
+the sole that [geometry] names. The virtual foot bends at its ball, so its own number ("model") is another.
 """
 
 from __future__ import annotations
@@ -32,17 +32,16 @@ from event_cases import data_folder, gaitmap_cases
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
-from fes.analysis import Analysis, analyse, calibrations_of
-from fes.estimation.clearance import FootArms, FootPath, arms_of, clearance
-from fes.parameters.gait import gait_parameters
-from fes.parameters.motion import Motion
-from fes.parameters.strides import StrideParameters
-from fes.parameters.variation import variation
-from fes.patient.truth import FootTruth, Truth, TruthStride, load_truth
-from fes.patient.virtual import VirtualPatient, settings_for
-from fes.patient.virtual.truth_of import recording_of, truth_of
+from fes.analysis.parameters.gait import gait_parameters
+from fes.analysis.parameters.motion import Motion, variation
+from fes.analysis.parameters.strides import StrideParameters
+from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.estimation.clearance.clearance import FootArms, FootPath, arms_of, clearance
 from fes.recording import Recording, read_recording
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
+from fes.simulation.forward import VirtualPatient, settings_for
+from fes.simulation.forward.truth import recording_of, truth_of
+from fes.simulation.truth import FootTruth, Truth, TruthStride, load_truth
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
 BUNDLED = ("both_feet_100hz", "both_feet_200hz", "misaligned")

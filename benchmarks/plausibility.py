@@ -33,20 +33,25 @@ from scipy.signal import lfilter
 from stroke_treadmill import data_folder, load_run, track_of
 from tuning_cohort import patient
 
-from fes.gate.force import FOOT, MOST_APART_NS, MOSTLY, SHANK, SPAN_MS, STEP
+from fes.calibration.foot_track import calibrate_track
 from fes.gate.freshness import MAX_SAME_MS
-from fes.gate.plausible import (
+from fes.gate.plausibility import (
+    FOOT,
     MEAN_NS,
+    MOST_APART_NS,
     MOST_RATE_RADPS,
     MOST_TILT_RAD,
+    MOSTLY,
     REST_FORCE_MPS2,
     REST_RATE_RADPS,
+    SHANK,
+    SPAN_MS,
+    STEP,
     SUSTAINED_MS,
 )
-from fes.patient.virtual import VirtualPatient
 from fes.recording import Track, read_recording
-from fes.replay import calibrate_track
 from fes.signals import G_MPS2, NS_PER_S, SHANK_SENSORS, FloatArray
+from fes.simulation.forward import VirtualPatient
 
 STRIDE_S, WALKED_S = 1.25, 45
 LOW, HIGH = (0, 1, 10, 50), (50, 90, 99, 100)

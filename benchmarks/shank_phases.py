@@ -23,11 +23,11 @@ from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import IN_ORDER, LAST_S, data_folder, load_run, mid_swings, runs_of, track_foot, track_of
 
-from fes.estimation.calibration import CalibrationError, stretch_for_calibration
-from fes.estimation.shank import shank_tracker
-from fes.estimation.sides import MIN_AGREEING, MIN_SCORE, side_signs, tell_sides
+from fes.calibration.foot_track import calibrate_track
+from fes.calibration.side_detection import MIN_AGREEING, MIN_SCORE, side_signs, tell_sides
+from fes.estimation.foot.calibration import CalibrationError, stretch_for_calibration
+from fes.estimation.shank.tracker import shank_tracker
 from fes.recording import Track
-from fes.replay import calibrate_track
 from fes.signals import FloatArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
 

@@ -30,20 +30,21 @@ from rich.table import Table
 from speed_bare import bare_seconds
 from stroke_treadmill import data_folder, load_run
 
-from fes.analysed import Analysis
-from fes.analysis import analyse, calibrations_of
-from fes.driving import stride_settings
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.events_offline import find_events
-from fes.estimation.foot import FootTracker
-from fes.estimation.foot_way import foot_samples
-from fes.estimation.stride_fusion import fuse
-from fes.estimation.strides import StrideMaker
-from fes.ground_path import ground_path
+from fes.analysis.ground_path import ground_path
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.results import Analysis
+from fes.analysis.stride_fusion import fuse
+from fes.analysis.toe_and_heel import point_heights
+from fes.control.replay import session_for
+from fes.estimation.events.offline import find_events
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.sensor_choice import stride_settings
+from fes.estimation.strides.results import StrideMaker
+from fes.estimation.zupt.foot_trajectory import foot_samples
 from fes.memory import keep_freed_memory
 from fes.recording import Recording, Track, read_recording, write_recording
-from fes.replay import newer_samples, session_for
-from fes.toe_and_heel import point_heights
+from fes.recording.samples import newer_samples
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES_PER_S = 1_500_000.0

@@ -12,18 +12,25 @@ from typing import Any
 
 import numpy as np
 
-from fes.driving import Calibration
-from fes.estimation import kernel
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.compiled import jit
-from fes.estimation.orientation import OrientationSettings
-from fes.estimation.rest import at_rest, calibrate_rest
-from fes.estimation.zupt_kernel import ZuptSettings
-from fes.estimation.zupt_step_filter import forward_steps, new_step_tape
-from fes.estimation.zupt_step_smooth import smooth_steps
-from fes.estimation.zupt_steps import MOVING_NS, RESTING_NS, gather, step_ends, steps_of
+from fes.estimation.foot import features as kernel
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.orientation import OrientationSettings
+from fes.estimation.numerics.jit import jit
+from fes.estimation.sensor_choice import Calibration
+from fes.estimation.zupt.decimated_filter import (
+    MOVING_NS,
+    RESTING_NS,
+    forward_steps,
+    gather,
+    new_step_tape,
+    step_ends,
+    steps_of,
+)
+from fes.estimation.zupt.detectors import at_rest, calibrate_zero_velocity
+from fes.estimation.zupt.filter import ZuptSettings
+from fes.estimation.zupt.smoother import smooth_steps
 from fes.recording import Recording
-from fes.replay import increasing
+from fes.recording.samples import increasing
 
 AFTER = np.array([0, 1, 2, 3, 0, 0, 0])  # the phase that each transition leads to
 
@@ -48,7 +55,7 @@ def bare_seconds(recording: Recording, calibrations: Mapping[str, Calibration], 
         track = recording.tracks[sensor]
         newer = increasing(track)
         data = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
-        rest = at_rest(calibrate_rest(*data[1:], track.rate_hz), *data[1:], track.rate_hz)
+        rest = at_rest(calibrate_zero_velocity(*data[1:], track.rate_hz), *data[1:], track.rate_hz)
         total += min(_once(calibration, *data, rest) for _ in range(repeats + 1))
     return total
 

@@ -23,16 +23,17 @@ from pathlib import Path
 import numpy as np
 from speed_row import Row, print_rows
 
-from fes.analysis import calibrations_of
+from fes.analysis.pipeline import calibrations_of
 from fes.config import load_session
-from fes.controller import Controller
-from fes.driving import driven_by
-from fes.estimation.warm import warm_up
+from fes.control.controller import Controller
+from fes.control.replay import session_for
+from fes.control.sources import armed_after, with_ticks
+from fes.estimation.sensor_choice import shank_phase_sensors
+from fes.estimation.warm_up import warm_up
 from fes.gate import SafetyGate, gate_of
 from fes.recording import Recording
-from fes.replay import samples_of, session_for
+from fes.recording.samples import samples_of
 from fes.signals import Event, FloatArray, ImuSample, StrideResult
-from fes.sources import armed_after, with_ticks
 
 ROOT = Path(__file__).resolve().parents[1]
 GROUP = "a live step"
@@ -65,7 +66,7 @@ def live_step(recording: Recording, passes: int = PASSES) -> LiveStep:
     warm_up()
 
     def parts() -> tuple[SafetyGate, Controller]:
-        return gate_of(session, up, driven_by(found.calibrations)), Controller(session, found.calibrations)
+        return gate_of(session, up, shank_phase_sensors(found.calibrations)), Controller(session, found.calibrations)
 
     with _as_in_a_session():
         spent_s = min(_spent_s(events, *parts()) for _ in range(passes))

@@ -12,10 +12,10 @@ from peers.cases import case_of
 from speed import least
 from speed_row import Row
 
-from fes.analysis import analyse, calibrations_of
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.orientation_body import OrientationTracker, track_orientation
-from fes.ground_path import ground_path
+from fes.analysis.ground_path import ground_path
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.orientation.body import OrientationTracker, track_orientation
 from fes.recording import Recording
 
 GROUP = "beside others, on the same recording"

@@ -24,20 +24,22 @@ import numpy as np
 from speed import repeated
 from speed_row import Row, print_rows
 
-from drivers.virtual.stimulator_in_process import InProcessStimulator
+from drivers.simulated.stimulator.in_process import InProcessStimulator
+from fes.calibration.foot_track import calibrate
 from fes.config import load_session
-from fes.controller import Controller
-from fes.driving import driven_by
-from fes.estimation.warm import warm_up
+from fes.control.controller import Controller
+from fes.control.replay import identity, log_header, session_for
+from fes.control.runner import Runner
+from fes.control.sources import armed_after, with_ticks
+from fes.estimation.sensor_choice import shank_phase_sensors
+from fes.estimation.warm_up import warm_up
 from fes.gate import gate_of
-from fes.journal import SessionWriter
-from fes.patient.virtual import VirtualPatient, settings_for
-from fes.patient.virtual.truth_of import recording_of
 from fes.recording import Recording
-from fes.replay import calibrate, identity, log_header, samples_of, session_for
-from fes.runner import Runner
+from fes.recording.samples import samples_of
+from fes.session_log import SessionWriter
 from fes.signals import FOOT_SENSORS, NS_PER_S, Event
-from fes.sources import armed_after, with_ticks
+from fes.simulation.forward import VirtualPatient, settings_for
+from fes.simulation.forward.truth import recording_of
 
 ROOT = Path(__file__).resolve().parents[1]
 RATE_HZ = 500.0
@@ -81,7 +83,9 @@ def record(recording: Recording, log_path: Path) -> float:
     header = log_header(recording, "", session, calibrations, numbers.session_id, "2000-01-01T00:00:00+00:00")
     begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
     stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id, begin_ns)
-    gate = gate_of(session, {sensor: each.up for sensor, each in calibrations.items()}, driven_by(calibrations))
+    gate = gate_of(
+        session, {sensor: each.up for sensor, each in calibrations.items()}, shank_phase_sensors(calibrations)
+    )
     warm_up()
     log = SessionWriter(log_path, header)
     handshake = stimulator.start(begin_ns)

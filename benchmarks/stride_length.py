@@ -11,8 +11,9 @@ all heights of that foot (three numbers a foot) instead of the stated "about" 0.
 "clearance" of PyShoe is through an arm fitted in the same way over all walks: its marker is not at the sensor. "steady
 reference" leaves out strides in which single samples of that reference jump by more than 3 mm.
 
-constrained and most_likely are known when the stride ends. "fused, off-line" is what `fes analyse` reports: the mean of
-most_likely and of a filter that looks at the whole recording (fes.estimation.stride_fusion); heights are most_likely's.
+constrained and maximum_likelihood are known when the stride ends. "fused, off-line" is what `fes analyse` reports: the
+mean of maximum_likelihood and of a filter that looks at the whole recording (fes.analysis.stride_fusion); heights are
+maximum_likelihood's.
 
 "both feet of a run" and "half of left − right" take the belt's errors apart: a belt that runs slower than it says is
 common to both feet of a run, and the two feet of one run go the same way, so half their difference is our own error.
@@ -21,7 +22,7 @@ Of the fusion, three sizes of the filter were chosen from a grid of 48 with all 
 and choosing by the mean ratio to the bars of the others gives on that set: PyShoe 1.37 cm, ruler 1.29, gaitmap 1.55
 (own detection) and 1.52 (reference borders), stroke SD 0.62 %, worst foot 1.9 %. Over the whole grid: 1.32–1.39,
 1.22–1.34, 1.38–1.61, 1.35–1.58 cm, SD 0.56–0.62 %, worst 1.4–1.9 %. With the filter's plain defaults: 1.38, 1.26,
-1.47, 1.45 cm, 0.58 %, 1.6 %. The other sizes of most_likely were chosen while looking at all sets.
+1.47, 1.45 cm, 0.58 %, 1.6 %. The other sizes of maximum_likelihood were chosen while looking at all sets.
 """
 
 from __future__ import annotations
@@ -37,24 +38,24 @@ from real_sets import PathWalk, all_walks, gaitmap_walk, stroke_feet
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder
 
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.foot import FootTracker
-from fes.estimation.stride_ends import quietest_near
-from fes.estimation.stride_fusion import fused
-from fes.estimation.strides import StrideMaker, StrideSettings, solve_stride
+from fes.analysis.stride_fusion import fused
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.boundaries import quietest_near
+from fes.estimation.strides.results import StrideMaker, StrideSettings, solve_stride
 from fes.recording import Track
-from fes.replay import calibrate_track
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 
-Method = Literal["constrained", "most_likely"]
-FUSED = "fused, off-line"  # most_likely, then with the whole recording
+Method = Literal["constrained", "maximum_likelihood"]
+FUSED = "fused, off-line"  # maximum_likelihood, then with the whole recording
 METHODS = (*get_args(Method), FUSED)
 STEADY_M = 0.003
 
 
 def settings_of(calibration: FootCalibration, method: str) -> StrideSettings:
     """Default settings of a method."""
-    plain: Method = "constrained" if method == "constrained" else "most_likely"
+    plain: Method = "constrained" if method == "constrained" else "maximum_likelihood"
     return StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), method=plain)
 
 

@@ -21,12 +21,12 @@ from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
 from scipy.signal import butter, filtfilt, find_peaks
 
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.foot import FootTracker, Outcome
-from fes.estimation.strides import StrideMaker, StrideSettings
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import FootTracker, Outcome
+from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Track
 from fes.recording.tracks import TrackQuality
-from fes.replay import calibrate_track
 from fes.signals import FloatArray, IntArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
 

@@ -30,8 +30,8 @@ from tuning_days import day_line, days_table
 from tuning_table import LAST, write_tables
 
 from fes.config import FootGeometry, Session
-from fes.estimation.calibration import FootCalibration
-from fes.patient.virtual import PatientSettings, VirtualPatient
+from fes.estimation.foot.calibration import FootCalibration
+from fes.simulation.forward import PatientSettings, VirtualPatient
 
 STRIDES, SECONDS = 45, 240.0
 EVERYBODY_MA = 30.0

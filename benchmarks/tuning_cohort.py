@@ -14,9 +14,9 @@ from typing import Any
 from closed_loop_walk import calibration_of, walk
 
 from fes.config import Channel, FootGeometry, ImuDevice, Session
-from fes.estimation.calibration import CalibrationError, FootCalibration
-from fes.patient.virtual import MuscleSettings, PatientSettings, VirtualPatient, VirtualStride
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.signals import NS_PER_S
+from fes.simulation.forward import MuscleSettings, PatientSettings, VirtualPatient, VirtualStride
 
 BAND_MM = (10.0, 40.0)  # of the true least toe clearance in mid-swing
 PITCH_DEG = (4.0, 25.0)  # at contact: the heel comes first

@@ -4,8 +4,8 @@
 
 Into every recording, at random moments of pre-swing and swing, a change is put that lasts: force in g, force scaled by
 g once more, force in mg, rates in °/s, and the sensor turned so that up comes from at least 80° elsewhere. The gate's
-own judge (``fes.gate.plausible``) reads it from one second before. The bars: each unit told within 100 ms at 99.5 % of
-all real moments, and nothing said of any sensor as it was recorded.
+own judge (``fes.gate.plausibility``) reads it from one second before. The bars: each unit told within 100 ms at 99.5 %
+of all real moments, and nothing said of any sensor as it was recorded.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from stroke_treadmill import data_folder, load_run, track_foot, track_of
 from tuning_cohort import patient
 from zero_velocity_sets import xio
 
-from fes.calibrations import calibrate_shank_track
-from fes.estimation.calibration import CalibrationError
-from fes.estimation.shank import shank_tracker
-from fes.gate.plausible import Plausibility
-from fes.patient.virtual import VirtualPatient
+from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_shank_track
+from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.shank.tracker import shank_tracker
+from fes.gate.plausibility import Plausibility
 from fes.recording import Track, read_recording
-from fes.replay import calibrate_track
 from fes.signals import G_MPS2, NS_PER_S, SHANK_SENSORS, FloatArray, ImuSample, IntArray, Vector3
+from fes.simulation.forward import VirtualPatient
 from statemachine.phases import Phase, PhaseChange
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"

@@ -20,8 +20,8 @@ from rich.table import Table
 from stroke_treadmill import data_folder
 from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
 
-from fes.estimation.rest import Detector, at_rest, calibrate_rest
-from fes.estimation.zupt import ZuptPath, stance_instants, zupt_path
+from fes.estimation.zupt.detectors import Detector, at_rest, calibrate_zero_velocity
+from fes.estimation.zupt.per_sample import ZuptPath, stance_instants, zupt_path
 from fes.recording import Track
 from fes.signals import FloatArray
 
@@ -93,7 +93,7 @@ def evaluate_detector(
     rows = []
     for walk in walks:
         track, known = walk.track, np.isfinite(walk.speed_mps)
-        calibration = calibrate_rest(
+        calibration = calibrate_zero_velocity(
             track.acc_mps2, track.gyr_radps, track.rate_hz, detector=detector, use_standing=use_standing
         )
         said = at_rest(calibration, track.acc_mps2, track.gyr_radps, track.rate_hz, causal=causal)

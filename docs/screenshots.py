@@ -17,18 +17,18 @@ from subprocess import DEVNULL, run
 ROOT = Path(__file__).resolve().parents[1]
 sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "transports")]
 
-from live_runs import LiveRun, Rig, bus_text, live_run, sensor_text, standing_first  # noqa: E402
+from live_runs import LiveRun, TestBench, bus_text, live_run, sensor_text, standing_first  # noqa: E402
 from page_browser import Page, chromium  # noqa: E402
 from replays import cut, trial  # noqa: E402
 from small_png import smaller  # noqa: E402
 
-from drivers.virtual.can_node_spawn import spawn_node  # noqa: E402
-from drivers.virtual.imu_spawn import spawn_imu  # noqa: E402
-from fes.calibrations import calibrate_drivers, save  # noqa: E402
-from fes.patient.virtual import VirtualPatient, settings_for  # noqa: E402
-from fes.patient.virtual.truth_of import recording_of  # noqa: E402
+from drivers.simulated.imu.spawn import spawn_imu  # noqa: E402
+from drivers.simulated.stimulator.spawn import spawn_node  # noqa: E402
+from fes.calibration.recording import calibrate_drivers, save  # noqa: E402
 from fes.recording import Recording, write_recording  # noqa: E402
 from fes.signals import FOOT_SENSORS, NS_PER_S  # noqa: E402
+from fes.simulation.forward import VirtualPatient, settings_for  # noqa: E402
+from fes.simulation.forward.truth import recording_of  # noqa: E402
 
 TRIAL = "both_feet_200hz"
 RATE_HZ = 200.0
@@ -66,7 +66,7 @@ min_off_s = 0.1
 """
 
 
-def both_feet(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+def both_feet(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
     """A sensor on each foot, each on a line of its own, the stimulator on CAN."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     sensors = ("right_foot", "left_foot")
@@ -77,7 +77,7 @@ def both_feet(folder: Path, recording: Path, stack: ExitStack) -> Rig:
     lines = [
         sensor_text("xbus", imu.port, sensor=sensor, rate_hz=RATE_HZ) for imu, sensor in zip(imus, sensors, strict=True)
     ]
-    return Rig(sensors[0], imus[0], node, CHANNEL + bus_text(node.bus) + "".join(lines))
+    return TestBench(sensors[0], imus[0], node, CHANNEL + bus_text(node.bus) + "".join(lines))
 
 
 def link_of(run: LiveRun) -> str:

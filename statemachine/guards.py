@@ -16,7 +16,7 @@ class Features(NamedTuple):
 
     ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive. ``toe_down_peak_radps`` is the
     greatest toe-down rate since pre-swing began and ``toe_up_peak_radps`` the greatest toe-up rate since swing began
-    (both not negative). ``vertical_jump_mps3`` is the change of vertical acceleration over the last 10 ms, per second.
+    (both not negative). ``vertical_jerk_mps3`` is the change of vertical acceleration over the last 10 ms, per second.
     ``resting_s`` is how long neither sensor has seen movement.
     """
 
@@ -26,7 +26,7 @@ class Features(NamedTuple):
     toe_down_change_radps2: float
     toe_down_peak_radps: float
     toe_up_peak_radps: float
-    vertical_jump_mps3: float
+    vertical_jerk_mps3: float
     in_phase_s: float
     resting_s: float
 
@@ -34,8 +34,8 @@ class Features(NamedTuple):
 class Thresholds(NamedTuple):
     """Limits of the guards, in physical units.
 
-    ``fes.estimation.calibration`` fits ``rest_gyr_radps``, ``min_toe_down_peak_radps``, ``rest_hold_s`` and
-    ``contact_jump_mps3`` to the person.
+    ``fes.estimation.foot.calibration`` fits ``rest_gyr_radps``, ``min_toe_down_peak_radps``, ``rest_hold_s`` and
+    ``contact_jerk_mps3`` to the person.
     """
 
     rest_gyr_radps: float = 0.7  # T1, T4–T6: at rest below (as a constant, 0.7 lets 98 % of strides pass)
@@ -50,7 +50,7 @@ class Thresholds(NamedTuple):
     rest_hold_s: float = 0.03  # T4–T6: at rest for this long, so that a zero crossing is no rest
     push_off_drop: float = 0.05  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
-    contact_jump_mps3: float = 600.0  # T3: jump of vertical acceleration
+    contact_jerk_mps3: float = 600.0  # T3: jump of vertical acceleration
     min_swing_s: float = 0.12  # T3: toe-off jolts end before, no swing is shorter
     mid_swing_share: float = 0.25  # T3: mid-swing's toe-up rate is at least this share of push-off's toe-down rate
     rising_share: float = 0.3  # T3: the toe-up rate has fallen to this share of its peak: mid-swing is over
@@ -87,7 +87,7 @@ def t3(x: Features, p: Thresholds) -> bool:
     The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact.
     """
     return (
-        abs(x.vertical_jump_mps3) > p.contact_jump_mps3
+        abs(x.vertical_jerk_mps3) > p.contact_jerk_mps3
         and x.in_phase_s >= p.min_swing_s
         and (
             (

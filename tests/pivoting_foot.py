@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fes.estimation.clearance import FootArms, FootPath
+from fes.estimation.clearance.clearance import FootArms, FootPath
 from fes.signals import FloatArray
 
 RATE_HZ = 200.0

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from fes.cli.replay import Options, replay_recording
-from fes.journal import SessionRecord, read_session
-from fes.journal.framing import MAGIC, LogScan, RecordType, framed
-from fes.journal.runs import SampleRun, samples_of
+from fes.cli.replay.command import Options, replay_recording
 from fes.recording import Recording, Track, read_recording, write_recording
+from fes.session_log import SessionRecord, read_session
+from fes.session_log.codec import SampleRun, samples_of
+from fes.session_log.framing import MAGIC, LogScan, RecordType, framed
 from fes.signals import NS_PER_S, ImuSample, StimCommand
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.journal import Note, SampleArrays, SessionRecord
+from fes.session_log import Note, SampleArrays, SessionRecord
 from fes.signals import StimAlive, StimCommand, StimStatus, StrideResult
 from statemachine.phases import Phase, PhaseChange, Transition
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.estimation.calibration import FootCalibration
+from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import Track
 from fes.signals import G_MPS2, FloatArray
 
@@ -64,5 +64,5 @@ def calibration(sensor: str, rate_hz: float = 100.0) -> FootCalibration:
     return FootCalibration(
         sensor=sensor, rate_hz=rate_hz, up=(0.0, 0.0, 1.0), toe_down=(0.0, 1.0, 0.0), acc_bias_mps2=(0.0, 0.0, 0.0),
         gyr_bias_radps=(0.0, 0.0, 0.0), rest_gyr_radps=0.5, min_toe_down_peak_radps=1.0, rest_hold_s=0.05,
-        contact_jump_mps3=150.0, axis_confidence=1.0, strides=10, standing=True,
+        contact_jerk_mps3=150.0, axis_confidence=1.0, strides=10, standing=True,
     )  # fmt: skip

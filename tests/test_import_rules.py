@@ -15,32 +15,36 @@ ROOT = Path(__file__).resolve().parents[1]
 OURS = ("fes", "drivers", "statemachine")
 STDLIB = sys.stdlib_module_names
 VOCABULARY = {"fes.signals", "fes.limits", "fes.config", "fes.values"}
-SIMULATED = {"fes.recording", "fes.patient"}  # what a simulated sensor plays
+SIMULATED = {"fes.recording", "fes.simulation"}  # what a simulated sensor plays
 HARDWARE = {"serial", "can", "drivers"}
 NO_CLOCK = {"time", "threading", "asyncio", "multiprocessing", "concurrent", "sched"}
 LIVE = {
-    "fes.controller",
-    "fes.runner",
+    "fes.control.controller",
+    "fes.control.runner",
     "fes.gate",
-    "fes.journal",
-    "fes.sources",
-    "fes.driving",
+    "fes.session_log",
+    "fes.control.sources",
+    "fes.estimation.sensor_choice",
     "fes.estimation",
     "fes.stimulation",
 }
-LIVE |= {"fes.replay", "statemachine.phases", "rich"}  # what a live session is made of; rich is the view's, by itself
+LIVE |= {
+    "fes.control.replay",
+    "statemachine.phases",
+    "rich",
+}  # what a live session is made of; rich is the view's, by itself
 PURE: tuple[str, ...] = (
-    "fes.controller",
-    "fes.sources",
-    "fes.runner",
-    "fes.delivered",
-    "fes.clocks",
-    "fes.replay",
+    "fes.control.controller",
+    "fes.control.sources",
+    "fes.control.runner",
+    "fes.evaluation.delivered",
+    "fes.control.clock_sync",
+    "fes.control.replay",
     "fes.gate",
     "fes.stimulation",
 )
 PURE += ("fes.estimation", "statemachine")
-PURE += ("fes.live.operator", "fes.live.orders", "fes.live.states", "fes.live.status", "fes.live.watch")
+PURE += ("fes.live.operator", "fes.live.commands", "fes.live.commands", "fes.live.status", "fes.live.sensors")
 
 
 @cache
@@ -111,16 +115,19 @@ def test_the_vocabulary_knows_nobody(module: str) -> None:
         ("drivers", {"drivers", "serial", "can", "canopen", "cantools", "numpy", *SIMULATED, *VOCABULARY}),
         ("fes.stimulation", {"fes.stimulation", "statemachine.phases", *VOCABULARY}),
         ("fes.estimation", {"fes.estimation", "statemachine", "numpy", "numba", *VOCABULARY}),
-        ("fes.driving", {"numpy", "fes.estimation", *VOCABULARY}),
-        ("fes.delivered", VOCABULARY),
-        ("fes.sources", VOCABULARY),
+        ("fes.estimation.sensor_choice", {"numpy", "fes.estimation", *VOCABULARY}),
+        ("fes.evaluation.delivered", VOCABULARY),
+        ("fes.control.sources", VOCABULARY),
         (
-            "fes.controller",
-            {"statemachine.phases", "fes.driving", "fes.estimation", "fes.stimulation", *VOCABULARY},
+            "fes.control.controller",
+            {"statemachine.phases", "fes.estimation.sensor_choice", "fes.estimation", "fes.stimulation", *VOCABULARY},
         ),
-        ("fes.runner", {"fes.controller", "fes.gate", "fes.journal", "statemachine.phases", *VOCABULARY}),
+        (
+            "fes.control.runner",
+            {"fes.control.controller", "fes.gate", "fes.session_log", "statemachine.phases", *VOCABULARY},
+        ),
         ("fes.live", {"fes.live", "numpy", *LIVE, *VOCABULARY}),
-        ("fes.journal", {"fes.journal", "numpy", "msgpack", "statemachine.phases", *VOCABULARY}),
+        ("fes.session_log", {"fes.session_log", "numpy", "msgpack", "statemachine.phases", *VOCABULARY}),
     ],
 )
 def test_a_part_imports_only_what_it_may(package: str, allowed: set[str]) -> None:
@@ -157,9 +164,9 @@ def test_only_the_commands_wire_drivers_to_the_controller() -> None:
 
 def test_only_the_views_own_process_draws() -> None:
     assert {module for module in of("fes.live") if "rich" in {name.split(".")[0] for name in imports(module)}} == {
-        "fes.live.view"
+        "fes.live.terminal_view"
     }
-    assert not [module for module in of("fes.live") if "fes.live.view" in imports(module)]
+    assert not [module for module in of("fes.live") if "fes.live.terminal_view" in imports(module)]
 
 
 def test_nobody_but_the_commands_knows_the_commands() -> None:
@@ -222,23 +229,34 @@ def test_the_loop_loads_no_heavy_library() -> None:
         "click",
     )
     assert all(importlib.util.find_spec(name) for name in heavy if name != "matplotlib")
-    assert not loaded_after("import fes.controller, fes.runner, fes.gate, fes.journal, fes.sources", *heavy)
+    assert not loaded_after(
+        "import fes.control.controller, fes.control.runner, fes.gate, fes.session_log, fes.control.sources", *heavy
+    )
 
 
 NOT_FOR_A_SESSION = ("pyarrow", "jinja2", "rich", "starlette", "uvicorn", "dask", "distributed", "matplotlib", "mcap")
 NOT_FOR_A_SESSION += ("scipy.stats", "scipy.signal", "scipy.spatial", "scipy.interpolate", "scipy.optimize")
-NOT_FOR_A_SESSION += ("scipy.ndimage", "fes.view", "fes.analysis", "fes.parameters", "fes.hemiparetic", "fes.patient")
+NOT_FOR_A_SESSION += (
+    "scipy.ndimage",
+    "fes.report",
+    "fes.analysis.pipeline",
+    "fes.analysis.parameters",
+    "fes.analysis.hemiparetic",
+    "fes.simulation",
+)
 
 
 def test_a_live_session_loads_nothing_that_it_does_not_need() -> None:
     """Nor when all that it compiles has been compiled (or loaded from the cache)."""
-    code = "import fes.cli.run\nfrom fes.estimation.warm import warm_up\nwarm_up()"
+    code = "import fes.cli.run.command\nfrom fes.estimation.warm_up import warm_up\nwarm_up()"
     assert not loaded_after(code, *NOT_FOR_A_SESSION)
 
 
 def test_an_analysis_loads_no_device() -> None:
     heavy = ("can", "cantools", "serial", "drivers", "scipy.linalg", "scipy.signal", "rich", "jinja2", "pyarrow")
-    assert not loaded_after("import fes.cli.analyse", *heavy, "fes.gate", "fes.runner", "fes.hemiparetic")
+    assert not loaded_after(
+        "import fes.cli.analyse", *heavy, "fes.gate", "fes.control.runner", "fes.analysis.hemiparetic"
+    )
 
 
 def test_help_loads_nothing_slow() -> None:

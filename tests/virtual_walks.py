@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from fes.patient.virtual import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
 from fes.signals import NS_PER_S, ImuSample
+from fes.simulation.forward import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
 
 STEP_NS = 10_000_000
 

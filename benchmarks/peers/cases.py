@@ -15,11 +15,11 @@ from stride_length import strides_of
 from stroke_treadmill import LAST_S
 from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
 
-from fes.estimation.calibration import FootCalibration
-from fes.estimation.stride_ends import quietest_near
-from fes.ground_path import GroundPath, ground_path
+from fes.analysis.ground_path import GroundPath, ground_path
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.strides.boundaries import quietest_near
 from fes.recording import Track
-from fes.replay import calibrate_track
 from fes.signals import FloatArray, IntArray, StrideResult
 from peers.exchange import Case
 
@@ -165,7 +165,9 @@ def stroke_asked(folder: Path) -> list[Asked]:
     for name, track, belt_mps in stroke(folder):
         calibration = calibrate_track(track)
         late = [
-            s for s in strides_of(track, calibration, "most_likely") if s.t_start_ns >= track.t_ns[-1] - LAST_S * 1e9
+            s
+            for s in strides_of(track, calibration, "maximum_likelihood")
+            if s.t_start_ns >= track.t_ns[-1] - LAST_S * 1e9
         ]
         ends = np.array([(s.t_start_ns, s.t_end_ns) for s in late])
         first = int(np.searchsorted(track.t_ns, track.t_ns[-1] - round(1e9 * (LAST_S + WARM_UP_S))))

@@ -19,8 +19,19 @@ from typing import Final
 
 from cantools.database.can import Database, Message, Signal
 
-from drivers.imu.port import AXES, LineCounts, Ranges, RawSample, SensorDevice, flag_option, text_option, whole_option
-from drivers.imu.stamps import LossCounter, StampClock, Unwrapper
+from drivers.imu.port import (
+    AXES,
+    LineCounts,
+    LossCounter,
+    Ranges,
+    RawSample,
+    SensorDevice,
+    StampClock,
+    Unwrapper,
+    flag_option,
+    text_option,
+    whole_option,
+)
 from fes.signals import G_MPS2, NS_PER_S
 
 ACC_UNITS: Final = {"m/s2": 1.0, "m/s^2": 1.0, "g": G_MPS2}

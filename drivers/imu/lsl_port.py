@@ -12,8 +12,17 @@ import math
 from typing import Any, Final
 
 from drivers.imu.can_codec import ACC_UNITS, GYR_UNITS
-from drivers.imu.port import AXES, ImuLost, LineCounts, Ranges, RawSample, SensorDevice, seconds_option, text_option
-from drivers.imu.stamps import LossCounter
+from drivers.imu.port import (
+    AXES,
+    ImuLost,
+    LineCounts,
+    LossCounter,
+    Ranges,
+    RawSample,
+    SensorDevice,
+    seconds_option,
+    text_option,
+)
 from fes.signals import NS_PER_S
 
 PULL_AT_MOST: Final = 4096

@@ -10,8 +10,17 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.imu.line import ByteLine
-from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, flag_option, whole_option
-from drivers.imu.stamps import LossCounter, StampClock
+from drivers.imu.port import (
+    ImuLost,
+    LineCounts,
+    LossCounter,
+    Ranges,
+    RawSample,
+    SensorDevice,
+    StampClock,
+    flag_option,
+    whole_option,
+)
 from drivers.imu.xbus_codec import (
     ERRORS,
     TIME_FINE_TICK_NS,

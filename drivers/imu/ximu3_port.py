@@ -17,8 +17,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from drivers.imu.line import ByteLine
-from drivers.imu.port import ImuLost, LineCounts, Ranges, RawSample, SensorDevice, whole_option
-from drivers.imu.stamps import LossCounter
+from drivers.imu.port import ImuLost, LineCounts, LossCounter, Ranges, RawSample, SensorDevice, whole_option
 from drivers.imu.ximu3_codec import Inertial, Ximu3Decoder
 from fes.signals import G_MPS2, Vector3
 

@@ -1,20 +1,193 @@
 """Open whichever CAN bus the settings name: socketcan, pcan, kvaser, udp_multicast … need configuration only.
 
 Besides python-can's interfaces there is ``loopback``, for a machine without any network.
+
+python-can's bus for serial CAN adapters (slcan), so that neither reading nor writing ever waits.
+
+As python-can has it, a write of no time-out spins until the adapter takes the bytes, each write then waits for the last
+of them to be on the line, and a read takes a system call for each byte and waits a millisecond for one more. All of
+that would be the control loop's time.
+
+CAN frames between processes of this machine when it has no network at all.
+
+python-can's ``udp_multicast`` joins its group on whatever interface the default route names, so without a route it
+cannot be opened. This bus joins on the loopback interface instead: nothing leaves the machine, nothing enters.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
+import select
+import socket
+import struct
+import sys
+from contextlib import suppress
 from typing import Any, Final
 
 import can
+from can.interfaces.slcan import slcanBus
 
 from drivers.receive_buffer import make_room
 from drivers.stimulator.can_codec import NODE_IDS
-from drivers.stimulator.loopback_bus import LoopbackBus
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus
+
+TAKES_NONE: Final = "the adapter takes no frames"
+_READ_AT_MOST: Final = 4096
+_ENDS: Final = (b"\r", b"\a")  # of a line; the bell says that a command was refused
+
+
+class PromptSlcanBus(slcanBus):
+    """As :class:`can.interfaces.slcan.slcanBus`; lines that are no frames are passed over, whatever they hold.
+
+    Raises:
+        can.CanOperationError: from ``send`` when the adapter does not take a frame whole at once, from ``recv`` when it
+            is gone.
+    """
+
+    def __init__(self, channel: str, timeout: float = 0.0, **options: Any) -> None:
+        super().__init__(channel, timeout=timeout, **options)
+        self.channel_info = f"serial CAN adapter on {channel}"
+        self.serialPortOrig.write_timeout = 0  # or the first frame would set the port up anew
+
+    def _write(self, string: str) -> None:
+        data = string.encode() + self.LINE_TERMINATOR
+        try:
+            os.set_blocking(self._descriptor, False)
+            written = os.write(self._descriptor, data)
+        except BlockingIOError:
+            written = 0
+        except OSError as error:
+            raise can.CanOperationError(f"the adapter is gone: {error.strerror}") from error
+        if written != len(data):
+            # what it did take is half a line, which the next opening ends
+            raise can.CanOperationError(f"{TAKES_NONE}: it took {written} of {len(data)} bytes, nobody waits for it")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        while (line := self._read(timeout)) is not None:
+            timeout = 0.0
+            self._queue.put_nowait(line)
+            with suppress(ValueError, IndexError):  # garbled
+                message, filtered = super()._recv_internal(0.0)
+                if message is not None:
+                    return message, filtered
+        return None, False
+
+    def _read(self, timeout: float | None) -> str | None:
+        """The next line; None when none is complete within ``timeout``."""
+        while (line := self._line()) is None:
+            try:
+                if not select.select([self._descriptor], [], [], timeout)[0]:
+                    return None
+                data = os.read(self._descriptor, _READ_AT_MOST)
+            except BlockingIOError:
+                continue
+            except (OSError, ValueError) as error:
+                raise can.CanOperationError(f"the adapter cannot be read: {error}") from error
+            if not data:
+                raise can.CanOperationError("the adapter is gone")
+            self._buffer += data
+        return line
+
+    def _line(self) -> str | None:
+        ends = [at for at in (self._buffer.find(end) for end in _ENDS) if at >= 0]
+        if not ends:
+            return None
+        line = self._buffer[: min(ends) + 1]
+        del self._buffer[: min(ends) + 1]
+        return line.decode("latin-1")
+
+    @property
+    def _descriptor(self) -> int:
+        return int(self.serialPortOrig.fileno())
+
+    def shutdown(self) -> None:
+        """Close the channel, if the adapter still takes that, and release the port."""
+        with suppress(can.CanError, OSError):
+            super().shutdown()
+        self.serialPortOrig.close()
+
+
+GROUP: Final = "239.74.163.2"
+DEFAULT_PORT: Final = 43113
+_HOST: Final = "127.0.0.1"
+_FRAME: Final = struct.Struct("!IB8s")  # identifier with SocketCAN's extended flag, length, data padded with zeros
+_EXTENDED: Final = 0x8000_0000
+_IP_MULTICAST_ALL: Final = 49  # linux/in.h: 0 = only groups that this very socket joined
+
+
+class LoopbackBus(can.BusABC):
+    """Classical data frames over multicast on 127.0.0.1; every bus on the same group and port hears every frame.
+
+    As with python-can's multicast, a bus hears its own frames too.
+
+    Raises:
+        OSError: the group is no multicast address, or the port is out of range or not ours to use.
+    """
+
+    def __init__(self, channel: str = GROUP, port: int = DEFAULT_PORT, **kwargs: Any) -> None:
+        self.channel_info = f"loopback {channel} port {port}"
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            if isinstance(port, bool) or not isinstance(port, int):
+                raise ValueError("the port must be a whole number")
+            self._address = (channel, port)
+            membership = socket.inet_aton(channel) + socket.inet_aton(_HOST)
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._socket.bind(self._address)
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, socket.inet_aton(_HOST))
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+            if sys.platform == "linux":
+                self._socket.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+            self._socket.setblocking(False)
+            super().__init__(channel=channel, **kwargs)
+        except (OSError, OverflowError, ValueError) as error:
+            self._socket.close()
+            raise OSError(errno.EINVAL, f"channel {channel!r}, port {port!r}: {error}") from error
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Put the frame out at once.
+
+        Raises:
+            can.CanOperationError: no classical data frame, or the system's buffer is full.
+        """
+        if msg.is_fd or msg.is_remote_frame or msg.is_error_frame or len(msg.data) > 8:
+            raise can.CanOperationError("the loopback bus carries classical data frames only")
+        identifier = msg.arbitration_id | (_EXTENDED if msg.is_extended_id else 0)
+        try:
+            self._socket.sendto(_FRAME.pack(identifier, len(msg.data), bytes(msg.data)), self._address)
+        except OSError as error:
+            raise can.CanOperationError(f"cannot send: {error.strerror}", error.errno) from error
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        try:
+            ready, _, _ = select.select([self._socket], [], [], timeout)
+            if not ready:
+                return None, False
+            datagram = self._socket.recv(64)
+        except OSError as error:
+            raise can.CanOperationError(f"cannot receive: {error.strerror}", error.errno) from error
+        if len(datagram) != _FRAME.size or datagram[4] > 8:
+            raise can.CanOperationError(f"a datagram of {len(datagram)} bytes is no CAN frame")
+        identifier, length, data = _FRAME.unpack(datagram)
+        return can.Message(
+            arbitration_id=identifier & ~_EXTENDED,
+            is_extended_id=bool(identifier & _EXTENDED),
+            data=data[:length],
+        ), False
+
+    def fileno(self) -> int:
+        """The socket, for ``select``."""
+        return self._socket.fileno()
+
+    def shutdown(self) -> None:
+        """Close the socket; may be called twice."""
+        super().shutdown()
+        self._socket.close()
+
 
 MULTICAST: Final = "udp_multicast"
 LOOPBACK: Final = "loopback"
@@ -79,8 +252,6 @@ def _opened(settings: Bus, options: dict[str, Any]) -> can.BusABC:
     if settings.interface == LOOPBACK:
         return LoopbackBus(settings.channel, **options)
     if settings.interface == SLCAN:
-        from drivers.stimulator.slcan_bus import PromptSlcanBus
-
         return PromptSlcanBus(settings.channel, **options)
     return can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
 

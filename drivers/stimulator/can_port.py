@@ -1,9 +1,15 @@
-"""The CAN stimulator behind a python-can bus: the thin part between the codec and the wire."""
+"""The CAN stimulator behind a python-can bus: the thin part between the codec and the wire.
+
+Which commands the CAN stimulator has answered, whether each answer says what was asked, and which are overdue.
+
+A stimulator port with nothing behind it: the bytes that would have gone out, for replays without a device.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Final
@@ -12,8 +18,7 @@ import can
 
 from drivers.stimulator import can_codec
 from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
-from drivers.stimulator.can_answers import ANSWER_WITHIN_MS, HEARTBEAT_WITHIN_MS, CommandAnswers
-from drivers.stimulator.can_messages import (
+from drivers.stimulator.can_codec import (
     ECHOED_COUNTS,
     PROTOCOL_VERSION,
     RESULT_TEXT,
@@ -29,6 +34,93 @@ from drivers.stimulator.can_messages import (
 from drivers.stimulator.e2e import NUMBERS, carried
 from drivers.stimulator.port import SessionUsed, StimulatorLost
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
+
+REMEMBERED: Final = 128  # commands: more than are sent until one is overdue, 36 with 8 channels at 100 Hz
+ANSWER_WITHIN_MS: Final = 45  # two command periods and some: the next command, 20 ms later, is the one retry
+HEARTBEAT_WITHIN_MS: Final = 350  # NODE_ALIVE comes every 100 ms
+_HALF_STEPS: Final = (("current_ma", 0.25, "mA"), ("pulse_width_us", 0.5, "µs"), ("frequency_hz", 0.5, "Hz"))
+
+
+class CommandAnswers:
+    """Commands sent and not yet answered. An answer settles its channel's older ones: what they asked for is past.
+
+    Args:
+        in_real_time: whether ``t_ns`` is the time on the wall, so that lateness means something. Otherwise nothing
+            is ever overdue.
+    """
+
+    def __init__(self, *, in_real_time: bool) -> None:
+        self._in_real_time = in_real_time
+        self._waiting: deque[tuple[int, StimCommand, int]] = deque(maxlen=REMEMBERED)
+        self._heard_ns: int | None = None
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def sent(self, counter: int, command: StimCommand, written_ns: int | None = None) -> None:
+        """A command went out, at ``written_ns``; None: at its own time.
+
+        The device cannot answer before the bytes are on their way, and a loop that was held up between deciding and
+        writing has taken that time itself.
+        """
+        self._waiting.append((counter, command, command.t_ns if written_ns is None else written_ns))
+
+    def settle(self, status: Status) -> str:
+        """Take in an answer; how what is delivered differs from what was commanded, "" when it does not.
+
+        An answer to nothing that waits (the end of a lease, a repetition) is held against nothing.
+        """
+        for position in range(len(self._waiting) - 1, -1, -1):
+            counter, command, _ = self._waiting[position]
+            if counter == status.counter and command.channel == status.channel:
+                older = list(self._waiting)[: position + 1]
+                for entry in older:
+                    if entry[1].channel == status.channel:
+                        self._waiting.remove(entry)
+                return _difference(command, status)
+        return ""
+
+    def heard(self, t_ns: int) -> None:
+        """The node's heartbeat came."""
+        self._heard_ns = t_ns
+
+    def overdue(self, t_ns: int) -> StimCommand | None:
+        """The oldest command that waits longer than it may; all that wait are then forgotten, to be told once.
+
+        One lost answer is none yet: the next command, 20 to 30 ms later, is the retry, and its answer settles both.
+        """
+        if not self._in_real_time or not self._waiting:
+            return None
+        _, command, written_ns = self._waiting[0]
+        if t_ns - written_ns <= ANSWER_WITHIN_MS * 1_000_000:
+            return None
+        self._waiting.clear()
+        return command
+
+    def silent(self, t_ns: int) -> bool:
+        """Whether the heartbeat has stopped; told once for every 350 ms of silence."""
+        if not self._in_real_time or self._heard_ns is None:
+            return False
+        if t_ns - self._heard_ns <= HEARTBEAT_WITHIN_MS * 1_000_000:
+            return False
+        self._heard_ns = t_ns
+        return True
+
+
+def _difference(command: StimCommand, status: Status) -> str:
+    if status.result:  # it says itself that it did not do as told, and why
+        return ""
+    if status.on != command.on:
+        return f"commanded {'on' if command.on else 'off'}, delivered {'on' if status.on else 'off'}"
+    if not command.on:
+        return ""
+    wrong = [
+        f"{name.rsplit('_', 1)[0].replace('_', ' ')} commanded {wanted:g} {unit}, delivered {got:g} {unit}"
+        for name, half_step, unit in _HALF_STEPS
+        if abs((got := getattr(status, name)) - (wanted := getattr(command, name))) > half_step + 1e-6
+    ]
+    return ", ".join(wrong)
+
 
 POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
 COUNTERS: Final = ECHOED_COUNTS
@@ -270,3 +362,34 @@ class CanStimulator:
 
 
 _SESSION_GONE: Final = "the stimulator has not our session open (it restarted, or another controller took it)"
+
+
+class ByteSink:
+    """Encodes exactly as :class:`~drivers.stimulator.can_port.CanStimulator` does and sends nothing."""
+
+    outstanding = 0
+
+    def __init__(self, session_id: int) -> None:
+        self.session_id = session_id
+        self._encoder = CommandEncoder(session_id)
+
+    def open(self, t_ns: int, boot_id: int) -> WireFrame:
+        """The SESSION_OPEN that a node with this boot id would have got."""
+        identifier, data = can_codec.encode_open(boot_id, self.session_id)
+        return WireFrame(t_ns, identifier, data)
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """The command's frame.
+
+        Raises:
+            ValueError: a value does not fit its field.
+        """
+        identifier, data = self._encoder.encode(command)
+        return WireFrame(command.t_ns, identifier, data)
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """Nothing ever arrives."""
+        return []
+
+    def close(self) -> None:
+        """Nothing to release."""

@@ -19,7 +19,6 @@ from typing import ClassVar, Final
 
 import can
 
-from drivers.stimulator.answers import ANSWER_WITHIN_NS
 from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
 from drivers.stimulator.can_port import COUNTERS, POLL_AT_MOST, Handshake
 from drivers.stimulator.canopen_codec import (
@@ -31,8 +30,7 @@ from drivers.stimulator.canopen_codec import (
     encode_download,
     encode_start,
 )
-from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.pulse_train import PulseTrain
+from drivers.stimulator.port import ANSWER_WITHIN_NS, PulseTrain, StimulatorLost
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 
 CURRENT, WIDTH = 0, 1

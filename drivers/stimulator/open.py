@@ -13,9 +13,8 @@ from drivers.stimulator.can_port import CanStimulator, Handshake
 from drivers.stimulator.canopen_codec import CanOpenSettings
 from drivers.stimulator.canopen_port import CanOpenStimulator
 from drivers.stimulator.port import SessionUsed
-from drivers.stimulator.sciencemode2_port import RehaStim2
-from drivers.stimulator.sciencemode4_low import LowLevelStimulator
-from drivers.stimulator.sciencemode4_mid import MidLevelStimulator, not_accepted
+from drivers.stimulator.sciencemode.port2 import RehaStim2
+from drivers.stimulator.sciencemode.port4 import LowLevelStimulator, MidLevelStimulator, not_accepted
 from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, Line, LineSettings, open_line
 from fes.config import ConfigError, Session, StimulatorDevice
 

@@ -11,27 +11,26 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fes.analysis import Analysis, analyse, calibrations_of
-from fes.calibrations import drivers_from
+from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.calibration.recording import drivers_from
 from fes.cli.analyse_long import analyse_long, calibrated
-from fes.cli.compile_ahead import compiled_ahead
-from fes.cli.doubts import doubts
-from fes.cli.exits import FAILED, fail
-from fes.cli.folders import fresh_folder
-from fes.cli.proposal import told
-from fes.cli.table_file import write_table
-from fes.estimation.calibration import CalibrationError
-from fes.estimation.compiled import CACHE
+from fes.cli.common.exits import FAILED, fail, fresh_folder
+from fes.cli.common.proposal import told
+from fes.cli.common.show import doubts
+from fes.cli.common.table_file import write_table
+from fes.cli.compile_ import compiled_ahead
+from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.numerics.jit import CACHE
 from fes.memory import keep_freed_memory
 from fes.recording import RecordingError, read_recording
-from fes.recording.pieces import Piece, recording_pieces
+from fes.recording.chunks import Chunk, recording_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from fes.driving import Calibration
-    from fes.hemiparetic.walk import HemipareticWalk
-    from fes.parameters.gait import GaitParameters
+    from fes.analysis.hemiparetic.walk import HemipareticWalk
+    from fes.analysis.parameters.gait import GaitParameters
+    from fes.estimation.sensor_choice import Calibration
     from fes.recording import Recording
 
 FORMATS = ("csv", "parquet", "json")
@@ -90,7 +89,7 @@ def command(
             with compiled_ahead(CACHE):
                 # --apart and --hemiparetic look at the walk as a whole
                 together = apart or hemiparetic or afflicted is not None
-                first = Piece(read_recording(path)) if together else next(recording_pieces(path))
+                first = Chunk(read_recording(path)) if together else next(recording_chunks(path))
                 recording = first.recording
                 if not first.whole:
                     found = calibrated(path, calibration, level=not uneven)
@@ -133,7 +132,7 @@ def _one_clock(recording: Recording, calibrations: Mapping[str, Calibration]) ->
     Raises:
         CalibrationError: it cannot be told.
     """
-    from fes.hemiparetic.clocks import synchronised
+    from fes.analysis.hemiparetic.sync import synchronised
 
     try:
         together, found = synchronised(recording, calibrations)
@@ -153,12 +152,11 @@ def _gait(
     result: Analysis, folder: Path, kind: str, *, hemiparetic: bool, afflicted: str | None
 ) -> tuple[GaitParameters, HemipareticWalk | None]:
     """Work out the gait parameters, as a hemiparetic walk's if asked, and write their tables."""
-    from fes.parameters.gait import gait_parameters
-    from fes.parameters.mean_stride import mean_strides
+    from fes.analysis.parameters.gait import gait_parameters, mean_strides
 
     walk = None
     if hemiparetic:
-        from fes.hemiparetic.walk import hemiparetic_walk
+        from fes.analysis.hemiparetic.walk import hemiparetic_walk
 
         try:
             walk = hemiparetic_walk(result, afflicted=afflicted)
@@ -183,12 +181,12 @@ def _show(
     as_json: bool,
     report: bool,
 ) -> None:
-    from fes.view.summary import summarise
-    from fes.view.tables import stride_table, summary_block
+    from fes.report.summary import summarise
+    from fes.report.tables import stride_table, summary_block
 
     record = result.record(datetime.now(UTC).isoformat(timespec="seconds"))
     if report:
-        from fes.view.report import write_report
+        from fes.report.page import write_report
 
         write_report(record, folder / "report.html", paths=result.paths, gait=gait[0], hemiparetic=gait[1])
     summary = summarise(record)
@@ -206,8 +204,8 @@ def _show(
         return
     from rich.console import Console
 
-    from fes.cli.show import PIPED_COLUMNS
-    from fes.parameters.show import parameter_lines, parameter_table
+    from fes.cli.common.show import PIPED_COLUMNS
+    from fes.report.parameter_lines import parameter_lines, parameter_table
 
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     screen.print(stride_table(summary))

@@ -13,19 +13,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fes.analysis import Analysis, analyse_pieces, calibrations_of
-from fes.calibrations import Found, drivers_from, labelled, load
-from fes.cli.doubts import doubts
-from fes.cli.folders import fresh_folder
-from fes.cli.table_file import TableFile, write_table
-from fes.estimation.calibration import CalibrationError
-from fes.recording.pieces import ALWAYS_NS, NEVER_NS, Piece, recording_pieces
+from fes.analysis.pipeline import Analysis, analyse_chunks, calibrations_of
+from fes.calibration.recording import Found, drivers_from, labelled, load
+from fes.cli.common.exits import fresh_folder
+from fes.cli.common.show import doubts
+from fes.cli.common.table_file import TableFile, write_table
+from fes.estimation.foot.calibration import CalibrationError
+from fes.recording.chunks import ALWAYS_NS, NEVER_NS, Chunk, recording_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from fes.parameters.gait import GaitParameters
-    from fes.parameters.pieces import GaitInPieces
+    from fes.analysis.parameters.gait import ChunkedGait, GaitParameters
     from fes.recording import Recording
 
 TABLES = ("strides", "phases", "events", "path", "parameters")
@@ -40,7 +39,7 @@ def calibrated(path: Path, stored: Path | None, *, level: bool) -> Found:
     """
     found: Found | None = None
     failed: CalibrationError | None = None
-    for piece in recording_pieces(path):
+    for piece in recording_chunks(path):
         if found is not None and (stored or not found.missing):
             continue  # what is wrong with the rest of the file is told before anything is written
         try:
@@ -72,19 +71,18 @@ def _named(recording: Recording, found: Found | None) -> Recording:
 
 def analyse_long(path: Path, found: Found, out: Path, kind: str, *, level: bool, as_json: bool, report: bool) -> None:
     """Analyse piece by piece and write the tables as they come; what is kept does not grow with the recording."""
-    from fes.parameters.gait import gait_parameters
-    from fes.parameters.pieces import GaitInPieces
+    from fes.analysis.parameters.gait import ChunkedGait, gait_parameters
 
     folder = fresh_folder(out, path.stem)
-    named = (replace(piece, recording=labelled(piece.recording, found.sides)) for piece in recording_pieces(path))
+    named = (replace(piece, recording=labelled(piece.recording, found.sides)) for piece in recording_chunks(path))
     told: list[_Told] = []
-    gait: GaitInPieces | None = None
+    gait: ChunkedGait | None = None
     with ExitStack() as stack:
         files = {name: stack.enter_context(TableFile(folder / f"{name}.{kind}")) for name in TABLES}
-        for result in analyse_pieces(named, found.calibrations, level=level):
+        for result in analyse_chunks(named, found.calibrations, level=level):
             parameters = gait_parameters(result)
             if gait is None:
-                gait = GaitInPieces(result.recording.belt_speed_mps)
+                gait = ChunkedGait(result.recording.belt_speed_mps)
             gait.add(parameters, result.strides)
             files["strides"].add(result.stride_rows())
             files["phases"].add(result.phase_rows())
@@ -119,7 +117,7 @@ class _Told:
     @staticmethod
     def of(result: Analysis, number: int) -> _Told:
         """Of one piece."""
-        piece = result.piece or Piece(result.recording)
+        piece = result.piece or Chunk(result.recording)
         tracks = result.recording.tracks.values()
         first = min(int(track.t_sensor_ns[0]) for track in tracks)
         last = max(int(track.t_sensor_ns[-1]) for track in tracks)
@@ -141,11 +139,11 @@ def _report(
         return
     record = result.record(datetime.now(UTC).isoformat(timespec="seconds"))
     if report:
-        from fes.view.report import write_report
+        from fes.report.page import write_report
 
         write_report(record, folder / f"report-{told.number:02d}.html", paths=result.paths, gait=parameters)
     if as_json:
-        from fes.view.summary import summarise
+        from fes.report.summary import summarise
 
         one: dict[str, Any] = {
             **summarise(record).to_json(),
@@ -160,8 +158,8 @@ def _show(told: list[_Told], every: GaitParameters, folder: Path, *, report: boo
     from rich.console import Console
     from rich.table import Table
 
-    from fes.cli.show import PIPED_COLUMNS
-    from fes.parameters.show import parameter_lines, parameter_table
+    from fes.cli.common.show import PIPED_COLUMNS
+    from fes.report.parameter_lines import parameter_lines, parameter_table
 
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     feet = list(dict.fromkeys(foot for each in told for foot in each.strides))

@@ -8,11 +8,11 @@ from typing import Any
 
 import click
 
-from fes.calibrations import Found, calibrate_all, load, save
-from fes.cli.exits import Problem, fail
-from fes.driving import Calibration, driving
-from fes.estimation.ankle_calibration import ShankCalibration
-from fes.estimation.calibration import CalibrationError, FootCalibration
+from fes.calibration.recording import Found, calibrate_all, load, save
+from fes.cli.common.exits import Problem, fail
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.estimation.sensor_choice import Calibration, phase_sensors
+from fes.estimation.shank.calibration import ShankCalibration
 from fes.recording import RecordingError, read_recording
 
 
@@ -54,7 +54,7 @@ def _show(found: Found) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    drivers = {sensor: foot for foot, sensor in driving(found.calibrations).items()}
+    drivers = {sensor: foot for foot, sensor in phase_sensors(found.calibrations).items()}
     table = Table("sensor", "drives", "strides", "still second", "forward is sure", "rest below", "arm")
     for sensor, calibration in found.calibrations.items():
         if isinstance(calibration, ShankCalibration):
@@ -89,7 +89,7 @@ def as_dict(found: Found, target: Path) -> dict[str, Any]:
     verdict = found.verdict
     return {
         "sensors": {sensor: calibration.to_dict() for sensor, calibration in found.calibrations.items()},
-        "drives": driving(found.calibrations),
+        "drives": phase_sensors(found.calibrations),
         "missing": found.missing,
         "sides": found.sides,
         "side_score": verdict.score if verdict else None,
@@ -128,7 +128,7 @@ def _foot_lines(calibration: FootCalibration) -> list[str]:
     return [
         f"  at rest below {calibration.rest_gyr_radps:.2f} rad/s for {1000 * calibration.rest_hold_s:.0f} ms; "
         f"push-off from {calibration.min_toe_down_peak_radps:.1f} rad/s; "
-        f"contact from {calibration.contact_jump_mps3:.0f} m/s³"
+        f"contact from {calibration.contact_jerk_mps3:.0f} m/s³"
     ]
 
 

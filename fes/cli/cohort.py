@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
-from fes.cli.ranges import Number
+from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
+from fes.cli.common.options import Number
 
 if TYPE_CHECKING:
-    from fes.cohort.one import Outcome
     from fes.cohort.store import Store
+    from fes.cohort.task import Outcome
 
 PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 
@@ -54,10 +54,10 @@ def command(
     the scheduler gone), 130 interrupted.
     """
     from fes.cohort.engine import cluster, run, workers_here
-    from fes.cohort.one import Settings, drop_replaced
     from fes.cohort.program import program
     from fes.cohort.sources import CohortError, find
     from fes.cohort.store import Store
+    from fes.cohort.task import Settings, drop_replaced
 
     try:
         re.compile(subject_from)
@@ -87,7 +87,7 @@ def command(
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
         rows = _rows(store, by_identity)
         if not no_report:
-            from fes.cohort.report import write_pages
+            from fes.cohort.page import write_pages
 
             page = write_pages(store, by_identity, rows)
             click.echo(f"Report     {page}")

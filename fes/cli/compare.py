@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from fes.cli.exits import FAILED, Problem, fail
-from fes.journal import SessionLogError, read_session
+from fes.cli.common.exits import FAILED, Problem, fail
+from fes.session_log import SessionLogError, read_session
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from rich.console import RenderableType
 
-    from fes.log_comparison import Comparison
+    from fes.evaluation.log_comparison import Comparison
     from fes.signals import StrideResult
 
 ROWS: Final = 30
@@ -75,7 +75,7 @@ def command(
         raise Problem(f"name two session logs, not {len(sessions)}; for more say --report FILE")
     from rich.console import Console
 
-    from fes.log_comparison import compare_logs
+    from fes.evaluation.log_comparison import compare_logs
 
     a, b = sessions
     try:
@@ -92,9 +92,9 @@ def command(
 
 
 def _report(paths: Sequence[Path], report: Path, labels: Sequence[str], afflicted: str | None, as_json: bool) -> None:
-    from fes.view.comparison import MOST, compare_sessions, write_comparison
-    from fes.view.comparison_session import ComparisonProblem, read_compared
-    from fes.view.page_file import ReportError
+    from fes.report.comparison.page import MOST, compare_sessions, write_comparison
+    from fes.report.comparison.session import ComparisonProblem, read_compared
+    from fes.report.files import ReportError
 
     if not 2 <= len(paths) <= MOST:
         raise Problem(f"name two to {MOST} sessions, not {len(paths)}")
@@ -128,7 +128,7 @@ def _report(paths: Sequence[Path], report: Path, labels: Sequence[str], afflicte
 
 def to_json(result: Comparison) -> dict[str, Any]:
     """Plain values, None for what is not known."""
-    from fes.log_comparison import QUANTITIES
+    from fes.evaluation.log_comparison import QUANTITIES
 
     spreads = {name: result.spread(name) for name in QUANTITIES}
     return {
@@ -208,8 +208,8 @@ def _table(result: Comparison, every: bool) -> RenderableType:
     from rich import box
     from rich.table import Table
 
-    from fes.log_comparison import QUANTITIES
-    from fes.view.tables import number
+    from fes.evaluation.log_comparison import QUANTITIES
+    from fes.report.tables import number
 
     different = [each for each in result.pairs if every or not each.same]
     rows = different if every else different[:ROWS]

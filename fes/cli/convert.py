@@ -7,8 +7,8 @@ from pathlib import Path
 
 import click
 
-from fes.cli.exits import fail
-from fes.journal import SessionLogError
+from fes.cli.common.exits import fail
+from fes.session_log import SessionLogError
 
 FORMATS = ("csv", "parquet", "mcap", "c3d")
 ONE_FILE = ("mcap", "c3d")
@@ -29,9 +29,9 @@ def command(log: Path, form: str | None, out: Path | None, as_json: bool) -> Non
 
     Exit code: 0 converted, 2 unusable input.
     """
-    from fes.export.c3d_file import to_c3d
-    from fes.export.files import to_csv, to_parquet
-    from fes.export.mcap_file import to_mcap
+    from fes.session_log.export.c3d_file import to_c3d
+    from fes.session_log.export.files import to_csv, to_parquet
+    from fes.session_log.export.mcap_file import to_mcap
 
     chosen = form or (out.suffix[1:] if out is not None and out.suffix[1:] in FORMATS else "csv")
     target = out or log.with_name(f"{log.stem}.{chosen}" if chosen in ONE_FILE else f"{log.stem}-{chosen}")

@@ -1,13 +1,282 @@
-"""``fes demo``: the main job with nothing to set up: a bundled trial, or a virtual patient in closed loop."""
+"""``fes demo``: the main job with nothing to set up: a bundled trial, or a virtual patient in closed loop.
+
+``fes demo --closed-loop``: a drop-foot patient walks, stumbles, the controller tunes itself, the foot clears.
+"""
 
 from __future__ import annotations
 
+import csv
+import json
+import tomllib
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass, fields
+from datetime import UTC, datetime
 from pathlib import Path
+from statistics import median
+from typing import Any, Final
 
 import click
 
-from fes.cli.exits import Problem
-from fes.cli.ranges import Number
+from fes.cli.common.exits import INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
+from fes.cli.common.loop_view import LoopView, outcome
+from fes.cli.common.options import Number
+from fes.cli.common.progress import Interrupt
+from fes.hil.closed_loop.processes import WALK_S, Happening, Protocol, course
+from fes.live.status import Status
+from fes.session_log import Note, SessionLogError
+from fes.signals import FOOT_SENSORS, NS_PER_S, Event
+from fes.simulation.forward import PatientSettings, VirtualStride, settings_for
+
+SECONDS: Final = 80.0
+SLIPS_S: Final = 48.0
+SLIPS_TO: Final = 0.7
+GO_ON: Final = 3  # times, where a busy computer makes the session switch off
+CURRENT_MA: Final = 12.0  # far too little for this patient
+LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
+TITLE: Final = (
+    "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
+    "The strides' toe heights are the true ones; the controller measures some 5 mm more, and aims at that."
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to run it: with an injected clock, or in real time between processes with this stimulator."""
+
+    out: Path
+    fast: bool = False
+    stimulator: str = "can"
+    seconds: float = SECONDS
+    as_json: bool = False
+
+
+def patient() -> PatientSettings:
+    """Who walks: a severe drop foot, feet sensors, and little habit of lifting the leg instead."""
+    return settings_for("severe", seed=1, compensation=0.3, stand_s=WALK_S, sensors=FOOT_SENSORS)
+
+
+def demo_protocol(seconds: float = SECONDS) -> Protocol:
+    """Walk, and let an electrode slip half-way."""
+    slip = (Happening(SLIPS_S, "electrode", SLIPS_TO),) if seconds > SLIPS_S else ()
+    return course(seconds, slip)
+
+
+def demo_closed_loop(options: Options) -> Path:
+    """Run it, show it, write log and report; the folder with the results.
+
+    Raises:
+        Problem: the folder cannot be used, or a device does not start.
+        StoppedEarly: the session switched off before the end.
+        SystemExit: interrupted.
+    """
+    folder = fresh_folder(options.out, "closed_loop").resolve()
+    if not options.fast and len(str(folder).encode()) > LONGEST_FOLDER:
+        raise Problem(f"{folder}: the name is too long for a control socket. Choose a shorter one with --out.")
+    settings, plan = patient(), demo_protocol(options.seconds)
+    strides: list[VirtualStride] = []
+    try:
+        with Interrupt() as interrupt, LoopView(TITLE, quiet=options.as_json) as view:
+
+            def on_stride(stride: VirtualStride) -> None:
+                if stride.t_flat_ns > SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
+                    view.said(SLIPS_S, f"an electrode has slipped: {SLIPS_TO:.0%} of the charge reaches the nerve")
+                strides.append(stride)
+                view.stride(stride)
+
+            if options.fast:
+                log = _in_one_process(settings, plan, folder, view, on_stride, interrupt)
+                more: dict[str, Any] = {}
+            else:
+                log, more = _between_processes(settings, plan, folder, view, on_stride, interrupt, options.stimulator)
+    except KeyboardInterrupt:
+        click.secho(f"Interrupted; everything is ended. What there is: {folder}", fg="yellow", err=True)
+        _keep(folder, strides)
+        raise SystemExit(INTERRUPTED) from None
+    except SessionLogError as error:
+        fail(error, StoppedEarly)
+    write_strides(folder / "patient.strides.csv", strides)
+    result = {**result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
+    _report(log, folder / "report.html")
+    (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
+    _say(result, as_json=options.as_json)
+    return folder
+
+
+def _keep(folder: Path, strides: Sequence[VirtualStride]) -> None:
+    """What an interrupted run leaves besides its log: the patient's strides, and the report so far."""
+    write_strides(folder / "patient.strides.csv", strides)
+    for log in sorted(folder.rglob(f"session{LOG_SUFFIX}")):
+        with suppress(SessionLogError):  # too short for a header: there is nothing to report
+            _report(log, folder / "report.html")
+
+
+def result_of(strides: Sequence[VirtualStride]) -> dict[str, Any]:
+    """What came of it: the same between processes and in one."""
+    walked = [stride for stride in strides if stride.walking]
+    slip_ns = round(SLIPS_S * NS_PER_S)
+    parts = {
+        "first_8_strides": walked[:8],
+        "before_the_slip": [stride for stride in walked if stride.t_flat_ns < slip_ns][-10:],
+        "last_10_strides": walked[-10:],
+    }
+    return {
+        "strides": len(walked),
+        "charge_mc": round(1e-3 * sum(stride.charge_uc for stride in walked), 2),
+        "strides_until_clear": _until_clear([stride for stride in walked if stride.t_flat_ns < slip_ns]),
+        "strides_until_clear_again": _until_clear([stride for stride in walked if stride.t_flat_ns >= slip_ns]),
+        **{name: _part(part) for name, part in parts.items()},
+    }
+
+
+def _until_clear(strides: Sequence[VirtualStride]) -> int | None:
+    """Which stride, counted from 1, is the first of three in a row that clear the ground; None for none."""
+    clear = [outcome(stride) == "clears" for stride in strides]
+    return next((n + 1 for n in range(len(clear) - 2) if all(clear[n : n + 3])), None)
+
+
+def _part(strides: Sequence[VirtualStride]) -> dict[str, Any]:
+    return {
+        "dragged": sum(stride.dragged for stride in strides),
+        "stumbled": sum(stride.stumbled for stride in strides),
+        "median_toe_clearance_mm": round(1e3 * median(s.toe_clearance_m for s in strides), 1) if strides else None,
+        "charge_uc_a_step": round(median(s.charge_uc for s in strides), 1) if strides else None,
+    }
+
+
+def _in_one_process(
+    settings: PatientSettings, plan: Protocol, folder: Path, view: LoopView, on_stride: Any, interrupt: Interrupt
+) -> Path:
+    from fes.config import validate_session
+    from fes.estimation.warm_up import warm_up
+    from fes.hil.closed_loop.one_process import run_in_one_process
+    from fes.hil.closed_loop.session import calibration_of, session_text
+
+    text = session_text(settings, current_ma=CURRENT_MA)
+    (folder / "session.toml").write_text(text, encoding="utf-8")
+    session = validate_session(tomllib.loads(text), folder / "session.toml", text)
+    view.state("on injected time, in one process")
+    calibrations = calibration_of(settings).calibrations
+    warm_up()
+
+    def on_note(note: Note) -> None:
+        if note.source == "tuning" and " skipped: " not in note.text:
+            view.said(note.t_ns / NS_PER_S, note.text.partition(": ")[2])
+
+    def after(event: Event) -> None:
+        interrupt.check()
+
+    log = folder / f"session{LOG_SUFFIX}"
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    run_in_one_process(
+        settings, session, calibrations, plan, log, created, on_stride=on_stride, on_note=on_note, after=after
+    )
+    return log
+
+
+def _between_processes(
+    settings: PatientSettings,
+    plan: Protocol,
+    folder: Path,
+    view: LoopView,
+    on_stride: Any,
+    interrupt: Interrupt,
+    stimulator: str,
+) -> tuple[Path, dict[str, Any]]:
+    from drivers.imu.port import ImuLost
+    from drivers.stimulator.port import StimulatorLost
+    from fes.hil.closed_loop.bench import start_patient_bench
+    from fes.hil.closed_loop.processes import run_between_processes
+    from fes.hil.test_bench import CampaignBroken
+
+    view.state("starting patient, stimulator and controller, each a process of its own")
+    told: dict[str, str] = {}
+
+    def on_status(status: Status) -> None:
+        now_s = max(bench.patient.now_s, 0.0) if bench.patient.start_ns < status.t_ns else 0.0
+        channel = status.tuning.get(str(settings.channel))
+        view.state(
+            f"{status.state}, intensity {status.intensity:.0%}" + (f", next burst {channel.now}" if channel else "")
+        )
+        for text in (channel.last_change, channel.hint) if channel else ():
+            if text and told.get(text[:24]) != text:
+                told[text[:24]] = text
+                view.said(now_s, text)
+
+    try:
+        with ExitStack() as stack:
+            bench = start_patient_bench(
+                settings, folder, stack, stimulator=stimulator, current_ma=CURRENT_MA, held=True
+            )
+            ran = run_between_processes(
+                bench, plan, on_stride=on_stride, on_status=on_status, look=interrupt.check, go_on=GO_ON
+            )
+    except (ImuLost, StimulatorLost) as error:
+        fail(error)
+    except CampaignBroken as error:
+        fail(error, StoppedEarly)
+    return ran.log, {"patient_process": ran.punctuality, "interruptions": list(ran.interruptions)}
+
+
+def write_strides(path: Path, strides: Sequence[VirtualStride]) -> None:
+    """The patient's own account of its strides, as CSV.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, [item.name for item in fields(VirtualStride)], lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(asdict(stride) for stride in strides)
+
+
+def _report(log: Path, path: Path) -> None:
+    from fes.report.page import write_report
+    from fes.session_log import read_session
+
+    try:
+        write_report(read_session(log), path)
+    except OSError as error:
+        raise StoppedEarly(f"{path}: cannot be written: {error.strerror or error}. The log is whole: {log}") from error
+
+
+def _story(result: dict[str, Any]) -> str:
+    """What happened, in a sentence or two for people."""
+    first, last = result["first_8_strides"], result["last_10_strides"]
+    bad, still = first["dragged"], last["dragged"]
+    cleared, recovered = result["strides_until_clear"], result["strides_until_clear_again"]
+    said = f"At first the toe dragged ({bad} of 8 strides, {first['stumbled']} stumbles). "
+    said += f"Stimulation tuned itself; from stride {cleared} on it cleared. " if cleared else "It was not cleared. "
+    if recovered is not None:
+        said += f"After the electrode slipped it took {recovered} strides to clear again. "
+    return said + ("No stride of the last ten dragged." if not still else f"{still} of the last ten dragged.")
+
+
+def _say(result: dict[str, Any], *, as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps(result, indent=2))
+        return
+    names = {
+        "first_8_strides": "the first 8 strides",
+        "before_the_slip": "10 strides before the electrode slipped",
+        "last_10_strides": "the last 10 strides",
+    }
+    for key, name in names.items():
+        part = result[key]
+        click.echo(
+            f"{name}: {part['dragged']} dragged, {part['stumbled']} stumbled, toe clearance "
+            f"{part['median_toe_clearance_mm']} mm, {part['charge_uc_a_step']} µC a step (medians)"
+        )
+    click.echo(_story(result))
+    if process := result.get("patient_process"):
+        click.echo(
+            f"The patient's process was {process['latest_ms']:.1f} ms late at most, over 5 ms {process['late_5ms']} "
+            f"times in {process['intervals']}; {process['pulses']} pulses reached it, {process['pulses_late']} late."
+        )
+    for reason in result.get("interruptions", ()):
+        click.secho(f"Switched off on the way, and armed again by hand while the patient stood: {reason}", fg="yellow")
+    click.echo(f"Session log  {result['session_log']}\nReport       {result['report']}  (open it in a browser)")
+
 
 TRIAL = "negard_patient2"
 
@@ -41,20 +310,19 @@ def command(out: Path, speed: float | None, closed_loop: bool, fast: bool, stimu
     if closed_loop:
         if speed is not None:
             raise Problem("--speed has no meaning with --closed-loop: it runs in real time, or with --fast.")
-        from fes.cli.demo_loop import Options as LoopOptions
-        from fes.cli.demo_loop import demo_closed_loop
 
-        demo_closed_loop(LoopOptions(out, fast, stimulator, as_json=as_json))
+        demo_closed_loop(Options(out, fast, stimulator, as_json=as_json))
         return
     if fast or as_json:
         raise Problem(
             "--fast and --json go with --closed-loop; a replay is as fast as it can be unless --speed says so."
         )
-    from fes.cli.replay import Options, replay_recording
+    from fes.cli.replay.command import Options as ReplayOptions
+    from fes.cli.replay.command import replay_recording
 
     trials = Path(__file__).resolve().parents[2] / "sim_inputs"
     recording = trials / f"{TRIAL}.parquet"
     if not recording.is_file():
         raise Problem(f"{recording} is missing: the demo needs the project's folder, not only the installed package.")
     click.echo("A simulated stroke patient with a drop foot walks at 1.5 km/h; the foot's IMU times the stimulation.")
-    replay_recording(recording, Options(out=out, speed=speed, session=trials / "session.toml"))
+    replay_recording(recording, ReplayOptions(out=out, speed=speed, session=trials / "session.toml"))

@@ -10,8 +10,8 @@ from typing import Any
 import click
 
 from drivers.discover import CanChannel, LslStream, SerialPort, can_channels, lsl_streams, serial_ports
-from fes.cli.exits import FAILED, fail
-from fes.cli.reachable import not_there
+from fes.cli.common.exits import FAILED, fail
+from fes.cli.common.options import not_there
 from fes.config import Bus, ConfigError, Session, load_session
 
 ON_CAN = ("xsens_can", "dbc_can", "can", "canopen")

@@ -10,15 +10,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fes.cli.exits import Problem, StoppedEarly, fail
-from fes.cli.folders import LOG_SUFFIX
-from fes.cli.ranges import Number
+from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, fail
+from fes.cli.common.options import Number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from fes.reference.estimate import Estimate
-    from fes.reference.evaluation import Evaluation
+    from fes.evaluation.reference.compare import Estimate
+    from fes.evaluation.reference.evaluation import Evaluation
 
 PIPED_COLUMNS = 132
 _PATH = click.Path(path_type=Path)
@@ -73,9 +72,9 @@ def command(
 
     Writes a page, all numbers as JSON, and the pairs as a table.
     """
-    from fes.reference import ReferenceError
-    from fes.reference.evaluation import Settings, evaluate
-    from fes.reference.read import beside, read_references
+    from fes.evaluation.reference import ReferenceError
+    from fes.evaluation.reference.evaluation import Settings, evaluate
+    from fes.evaluation.reference.read import beside, read_references
 
     if lag is not None and sync == "fit":
         raise Problem("--lag gives the lag, --sync fit finds it; choose one")
@@ -109,9 +108,9 @@ def command(
 
 def _oriented(recording: Path, files: Sequence[Path]) -> Evaluation | None:
     """The evaluation of orientations, which need no walk; None where the references are others."""
+    from fes.evaluation.reference import ReferenceError
+    from fes.evaluation.reference.orientation import evaluate_orientation, only_orientations, read_orientation
     from fes.recording import RecordingError, read_recording
-    from fes.reference import ReferenceError
-    from fes.reference.orientation import evaluate_orientation, only_orientations, read_orientation
 
     try:
         if not only_orientations(files):
@@ -123,10 +122,10 @@ def _oriented(recording: Path, files: Sequence[Path]) -> Evaluation | None:
 
 def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tuple[Estimate, float | None]:
     """What a session log says, or what an analysis finds; and the belt's speed, if the recording states it."""
-    from fes.reference.estimate import from_analysis, from_session
+    from fes.evaluation.reference.compare import from_analysis, from_session
 
     if recording.suffix == LOG_SUFFIX:
-        from fes.journal import SessionLogError, read_session
+        from fes.session_log import SessionLogError, read_session
 
         try:
             record = read_session(recording)
@@ -134,9 +133,9 @@ def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tup
             fail(error)
         belt = record.header.get("recording", {}).get("belt_speed_mps")
         return from_session(record, str(recording)), float(belt) if belt else None
-    from fes.analysis import analyse, calibrations_of
-    from fes.calibrations import drivers_from
-    from fes.estimation.calibration import CalibrationError
+    from fes.analysis.pipeline import analyse, calibrations_of
+    from fes.calibration.recording import drivers_from
+    from fes.estimation.foot.calibration import CalibrationError
     from fes.recording import RecordingError, read_recording
 
     try:
@@ -160,9 +159,9 @@ def _markers(given: tuple[str, ...]) -> dict[str, tuple[str, str]] | None:
 
 
 def _written(result: Evaluation, out: Path, recording: Path) -> Path:
-    from fes.cli.replay import fresh_folder
-    from fes.cli.table_file import write_table
-    from fes.view.agreement import agreement_json, pair_rows, write_page
+    from fes.cli.common.table_file import write_table
+    from fes.cli.replay.command import fresh_folder
+    from fes.report.agreement import agreement_json, pair_rows, write_page
 
     folder = fresh_folder(out, f"{recording.stem}-evaluation")
     try:
@@ -176,7 +175,7 @@ def _written(result: Evaluation, out: Path, recording: Path) -> Path:
 
 
 def _told(result: Evaluation, folder: Path | None, *, as_json: bool) -> None:
-    from fes.view.agreement import agreement_json, agreement_text
+    from fes.report.agreement import agreement_json, agreement_text
 
     if as_json:
         told = {**agreement_json(result), "files": {"folder": str(folder) if folder else None}}

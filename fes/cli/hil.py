@@ -11,16 +11,16 @@ from typing import Final
 import click
 
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail
-from fes.cli.replay import fresh_folder
+from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail
+from fes.cli.replay.command import fresh_folder
 from fes.config import ConfigError
 from fes.hil.campaign import hardware_campaign, save_campaign, simulated_campaign
+from fes.hil.controller import SIGNALS
 from fes.hil.devices import TRANSPORTS, Unavailable
 from fes.hil.hardware import host_side
 from fes.hil.results import Attempt, Campaign, Verdict, summary, why
-from fes.hil.rig import CampaignBroken
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Scenario
-from fes.hil.uninterrupted import SIGNALS
+from fes.hil.test_bench import CampaignBroken
 
 COLOURS: Final = {Verdict.MET: "green", Verdict.JITTER: "yellow", Verdict.FAILED: "red", Verdict.SKIPPED: "blue"}
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fes.cli.exits import FAILED, Problem, fail
+from fes.cli.common.exits import FAILED, Problem, fail
 
 
 @click.command(name="import")
@@ -38,7 +38,7 @@ def command(
 
     One file that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
-    from fes.importing import DATA_SETS, ImportProblem, files_of, read_file, write_imported
+    from fes.datasets import DATA_SETS, ImportProblem, files_of, read_file, write_imported
 
     if name == "list":
         for each in DATA_SETS.values():

@@ -9,14 +9,17 @@ from typing import Any, Final
 import click
 
 from fes import __version__
-from fes.cli.exits import INTERRUPTED, Broken
+from fes.cli.common.exits import INTERRUPTED, Broken
 
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
-    "run": ("fes.cli.run", "A live session: sensors, phases, stimulation. STIMULATES once armed by hand."),
+    "run": ("fes.cli.run.command", "A live session: sensors, phases, stimulation. STIMULATES once armed by hand."),
     "devices": ("fes.cli.devices", "What is connected: serial ports, CAN interfaces, LSL streams."),
-    "doctor": ("fes.cli.doctor", "Before a session: ports, buses, rates, clocks, disk and permissions, with remedies."),
-    "replay": ("fes.cli.replay", "Replay a recording or a session log: phases, strides, stimulation, report."),
+    "doctor": (
+        "fes.cli.doctor.command",
+        "Before a session: ports, buses, rates, clocks, disk, permissions, with remedies.",
+    ),
+    "replay": ("fes.cli.replay.command", "Replay a recording or a session log: phases, strides, stimulation, report."),
     "analyse": ("fes.cli.analyse", "Find phases and strides in recordings; tables and a report of each."),
     "evaluate": ("fes.cli.evaluate", "Hold a recording against a reference: bias, limits of agreement, ICC, figures."),
     "import": ("fes.cli.import_", "Public data sets, as downloaded, into recordings and references."),

@@ -8,10 +8,10 @@ from typing import Any
 
 import click
 
-from fes.cli.exits import FAILED, Problem, fail
-from fes.journal import SessionLogError
-from fes.journal.framing import RecordType
-from fes.journal.repair import NAMES, Survey, recover, survey
+from fes.cli.common.exits import FAILED, Problem, fail
+from fes.session_log import SessionLogError
+from fes.session_log.framing import RecordType
+from fes.session_log.repair import NAMES, Survey, recover, survey
 
 
 @click.command(name="recover")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fes.cli.exits import Problem, fail
+from fes.cli.common.exits import Problem, fail
 
 
 @click.command(name="report")
@@ -14,9 +14,9 @@ from fes.cli.exits import Problem, fail
 @click.option("--out", type=click.Path(path_type=Path), help="The HTML file. Default: report.html beside the log.")
 def command(log: Path, out: Path | None) -> None:
     """Write the HTML report of the session log LOG."""
-    from fes.journal import SessionLogError, read_session
-    from fes.journal.framing import RecordType
-    from fes.view.report import write_report
+    from fes.report.page import write_report
+    from fes.session_log import SessionLogError, read_session
+    from fes.session_log.framing import RecordType
 
     target = out or log.with_name("report.html")
     try:

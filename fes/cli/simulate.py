@@ -1,25 +1,147 @@
-"""``fes simulate``: a virtual patient on a treadmill, recorded with its truth; stimulated in closed loop if asked."""
+"""``fes simulate``: a virtual patient on a treadmill, recorded with its truth; stimulated in closed loop if asked.
+
+``fes simulate --live``: a virtual patient and a simulated stimulator that ``fes run`` in another terminal meets.
+"""
 
 from __future__ import annotations
 
 import json
+import os
+import select
+import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 
-from fes.cli.exits import Problem, StoppedEarly, fail
-from fes.cli.interrupt import Interrupt
-from fes.cli.latched import tell_latched
-from fes.cli.progress import ReplayProgress
-from fes.cli.ranges import Number
-from fes.journal import Note, SessionLogError
-from fes.patient.virtual.patterns import PATTERNS
-from fes.patient.virtual.severity import SEVERITIES, load_patient, settings_for
+from drivers.imu.port import ImuLost
+from drivers.stimulator.port import StimulatorLost
+from fes.cli.common.exits import Problem, StoppedEarly, fail, fresh_folder
+from fes.cli.common.loop_view import stride_line
+from fes.cli.common.options import Number
+from fes.cli.common.progress import Interrupt, ReplayProgress
+from fes.cli.common.show import tell_latched
+from fes.estimation.foot.calibration import CalibrationError
+from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
+from fes.live.inputs import Terminal, standard_keys
+from fes.session_log import Note, SessionLogError
 from fes.signals import NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction
+from fes.simulation.forward import PatientSettings
+from fes.simulation.forward.gait_patterns import PATTERNS
+from fes.simulation.forward.settings import SEVERITIES, load_patient, settings_for
+
+LOOK_S: Final = 0.05
+SPEED_STEP_MPS: Final = 0.1
+KEYS: Final = "w walk · s stand · + − belt speed · e electrode slips (and back) · t tired muscle · q end"
+WALKS_AFTER_S: Final = 30.0  # where nobody can press a key
+
+
+@dataclass(frozen=True, slots=True)
+class LiveOptions:
+    """Where to write, for how long (None: until told), which simulated stimulator."""
+
+    out: Path
+    name: str
+    seconds: float | None = None
+    stimulator: str = "can"
+
+
+def simulate_live(settings: PatientSettings, options: LiveOptions) -> None:
+    """Start both, write the session, tell how to meet them, then pass on what happens until the end.
+
+    Raises:
+        Problem: a device does not start, or the patient cannot be calibrated.
+        StoppedEarly: a process has ended by itself.
+    """
+    folder = fresh_folder(options.out, options.name)
+    keys = standard_keys()
+    with ExitStack() as stack:
+        interrupt = stack.enter_context(Interrupt())
+        try:
+            bench = start_patient_bench(settings, folder, stack, stimulator=options.stimulator, waits=True)
+        except (ImuLost, StimulatorLost, CalibrationError) as error:
+            fail(error)
+        _tell(bench, keys)
+        if keys is not None:
+            stack.enter_context(Terminal(keys))
+        try:
+            _Live(bench, settings, keys).run(options.seconds, interrupt)
+        except KeyboardInterrupt:
+            click.echo("Ending.", err=True)
+        except ImuLost as error:
+            fail(error, StoppedEarly)
+        patient = bench.patient
+    summary = patient.summary
+    if summary:
+        click.echo(
+            f"{summary['pulses']} pulses, {1e-3 * summary['charge_uc']:.2f} mC; the patient's process was "
+            f"{summary['latest_ms']:.1f} ms late at most, over 5 ms {summary['late_5ms']} times in "
+            f"{summary['intervals']}."
+        )
+
+
+def _tell(bench: PatientBench, keys: int | None) -> None:
+    click.echo(
+        f"The patient stands. In another terminal:\n\n    fes run {bench.session} --calibration {bench.calibration}\n"
+    )
+    click.echo("There: a arms (while the patient stands), + raises the intensity.")
+    click.echo(f"Here:  {KEYS}" if keys is not None else f"It walks by itself after {WALKS_AFTER_S:.0f} s.")
+
+
+class _Live:
+    def __init__(self, bench: PatientBench, settings: PatientSettings, keys: int | None) -> None:
+        self._bench = bench
+        self._speed_mps = settings.speed_mps
+        self._whole = settings.electrode_quality
+        self._slipped = False
+        self._keys = keys
+        self._over = False
+
+    def run(self, seconds: float | None, interrupt: Interrupt) -> None:
+        """Until the time is over, or somebody ends it."""
+        begin_s, walks = time.monotonic(), self._keys is not None
+        while not self._over and (seconds is None or time.monotonic() - begin_s < seconds):
+            if not walks and time.monotonic() - begin_s > WALKS_AFTER_S:
+                walks = True
+                self._do("walk")
+            if self._keys is None:
+                time.sleep(LOOK_S)
+            elif select.select([self._keys], [], [], LOOK_S)[0]:
+                self._typed(os.read(self._keys, 64))
+            for stride in self._bench.patient.new_strides():
+                click.echo(stride_line(stride))
+            for name, each in (("patient", self._bench.patient), ("stimulator", self._bench.stimulator)):
+                if each.process.poll() is not None:
+                    raise ImuLost(f"the {name}'s process has ended")
+            interrupt.check()
+
+    def _typed(self, typed: bytes) -> None:
+        if not typed:
+            self._keys = None
+        for key in typed.decode("latin-1"):
+            if key == "q":
+                self._over = True
+            elif key in "ws":
+                self._do("walk" if key == "w" else "stand")
+            elif key in "+=-":
+                step = -SPEED_STEP_MPS if key == "-" else SPEED_STEP_MPS
+                self._speed_mps = round(min(max(self._speed_mps + step, 0.1), 2.0), 3)
+                self._do("speed", self._speed_mps)
+            elif key == "e":
+                self._slipped = not self._slipped
+                self._do("electrode", 0.6 * self._whole if self._slipped else self._whole)
+            elif key == "t":
+                self._do("fitness", 0.6)
+
+    def _do(self, deed: str, value: float = 0.0) -> None:
+        self._bench.patient.do(deed, value)
+        shown: dict[str, Any] = {"speed": f" {value:g} m/s", "electrode": f" {value:.0%}", "fitness": f" {value:.0%}"}
+        click.echo(f"          {deed}{shown.get(deed, '')}")
+
 
 LOG_SUFFIX = ".feslog"
 BUNDLED_SESSION = Path(__file__).resolve().parents[2] / "sim_inputs" / "session.toml"
@@ -111,8 +233,6 @@ def command(
     except ValueError as error:
         fail(error)
     if live:
-        from fes.cli.simulate_live import LiveOptions, simulate_live
-
         asked = click.get_current_context().get_parameter_source("seconds")
         ends_s = seconds if asked is click.core.ParameterSource.COMMANDLINE else None
         simulate_live(settings, LiveOptions(out, name, ends_s, stimulator))
@@ -141,11 +261,11 @@ def simulate(settings: Any, options: Options) -> None:
     Raises:
         Problem: files in the way, an unusable session, a foot that cannot be calibrated.
     """
-    from fes.cli.demo_loop import write_strides
-    from fes.patient.truth import write_truth
-    from fes.patient.virtual.patient import VirtualPatient
-    from fes.patient.virtual.truth_of import recording_of, truth_of
+    from fes.cli.demo import write_strides
     from fes.recording import RecordingError, write_recording
+    from fes.simulation.forward.patient import VirtualPatient
+    from fes.simulation.forward.truth import recording_of, truth_of
+    from fes.simulation.truth import write_truth
 
     if Path(options.name).name != options.name or "." in options.name or not options.name:
         raise Problem(f"--name {options.name!r}: a plain name without folder and dot, e.g. patient_7.")
@@ -179,27 +299,27 @@ def simulate(settings: Any, options: Options) -> None:
 
 
 def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -> None:
-    from fes.patient.virtual.closed_loop import patient_events
+    from fes.simulation.forward.closed_loop import patient_events
 
     if options.stimulate == "none":
         for event in patient_events(walker, None, options.seconds, samples.append):
             after(event)
         return
-    from drivers.virtual.stimulator_in_process import InProcessStimulator
+    from drivers.simulated.stimulator.in_process import InProcessStimulator
     from fes import __version__
-    from fes.calibrations import calibrate_drivers
+    from fes.calibration.recording import calibrate_drivers
     from fes.config import ConfigError, load_session
-    from fes.controller import Controller
-    from fes.driving import driven_by
-    from fes.estimation.calibration import CalibrationError
-    from fes.estimation.warm import warm_up
+    from fes.control.controller import Controller
+    from fes.control.replay import identity, log_header, session_for
+    from fes.control.runner import Runner
+    from fes.control.sources import armed_after, with_ticks
+    from fes.estimation.foot.calibration import CalibrationError
+    from fes.estimation.sensor_choice import shank_phase_sensors
+    from fes.estimation.warm_up import warm_up
     from fes.gate import gate_of
-    from fes.hil.one_process import ListenedLog
-    from fes.patient.virtual.closed_loop import calibration_walk
-    from fes.replay import identity, log_header, session_for
-    from fes.runner import Runner
-    from fes.sources import armed_after, with_ticks
-    from fes.view.quality import Remark
+    from fes.hil.closed_loop.one_process import ListenedLog
+    from fes.report.quality import Notice
+    from fes.simulation.forward.closed_loop import calibration_walk
 
     try:
         walk = calibration_walk(walker.settings)
@@ -220,7 +340,7 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
     ended = "interrupted"
     try:
         handshake = stimulator.start(0)
-        gate = gate_of(session, {sensor: each.up for sensor, each in found.items()}, driven_by(found))
+        gate = gate_of(session, {sensor: each.up for sensor, each in found.items()}, shank_phase_sensors(found))
         runner = Runner(Controller(session, found), gate, stimulator, log, lambda: 0)
         for frame in handshake.frames:
             log.frame(frame)
@@ -232,7 +352,7 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
     finally:
         stimulator.close()
         log.close({"ended": ended})
-        tell_latched(Remark(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
+        tell_latched(Notice(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
 
 
 def _to_the_end(walker: Any, events: Iterator[Event]) -> Iterator[Event]:

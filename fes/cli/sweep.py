@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from fes.cli.cohort import ProgressBar, absolute, results_at
-from fes.cli.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
-from fes.cli.ranges import Number
+from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
+from fes.cli.common.options import Number
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from fes.cohort.engine import Task
     from fes.cohort.store import Store
-    from fes.cohort.sweep_grid import Point
-    from fes.cohort.sweep_one import Bench, Case
-    from fes.cohort.sweep_table import Combination, Measure
+    from fes.cohort.sweep.grid import Point
+    from fes.cohort.sweep.table import Combination, Measure
+    from fes.cohort.sweep.task import Bench, Case
 
 LISTED = 10
 MOST_TRIALS = 1_000_000  # what is still to do is kept in memory
@@ -28,7 +28,7 @@ PAGE, TABLE = "index.html", "combinations.parquet"
 
 def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked:
-        from fes.cohort.sweep_grid import names
+        from fes.cohort.sweep.grid import names
 
         click.echo("\n".join(names()))
         context.exit()
@@ -82,11 +82,11 @@ def command(
     for the results, the scheduler gone), 130 interrupted.
     """
     from fes.cohort.engine import cluster, run_tasks, workers_here
-    from fes.cohort.one import DONE
     from fes.cohort.sources import CohortError, find
-    from fes.cohort.sweep_grid import axis, points
-    from fes.cohort.sweep_one import TRUTH_FILES, Bench, Patient
-    from fes.cohort.sweep_table import RESULTS, combinations, measures_of, store_at
+    from fes.cohort.sweep.grid import axis, points
+    from fes.cohort.sweep.table import RESULTS, combinations, measures_of, store_at
+    from fes.cohort.sweep.task import TRUTH_FILES, Bench, Patient
+    from fes.cohort.task import DONE
     from fes.config import ConfigError, load_session
 
     if bool(recordings) == bool(patients):
@@ -127,7 +127,7 @@ def command(
         found = combinations(rows, measures)
         _write(store, found, measures)
         if not no_report:
-            from fes.cohort.sweep_report import sweep_page
+            from fes.cohort.sweep.page import sweep_page
 
             store.write_text(PAGE, sweep_page(axes, found, measures, [case.url for case in cases], bench.session.name))
             click.echo(f"Report     {store.place(PAGE)}")
@@ -151,8 +151,8 @@ def command(
 def _tasks(cases: Sequence[Case], tried: Sequence[Point], bench: Bench, store: Store) -> list[Task]:
     """Every combination on every case; those of one case follow each other, which a worker reads once."""
     from fes.cohort.engine import Task
-    from fes.cohort.one import FAILED as NOT_DONE
-    from fes.cohort.sweep_one import case_identity, keep, try_one
+    from fes.cohort.sweep.task import case_identity, keep, try_one
+    from fes.cohort.task import FAILED as NOT_DONE
 
     def lost(case: Case, point: Point, why: str) -> Any:
         return keep(case, bench, point, store, NOT_DONE, why, {})
@@ -173,7 +173,7 @@ def _write(store: Store, found: Sequence[Combination], measures: Sequence[Measur
     import pyarrow as pa
     from pyarrow import parquet
 
-    from fes.cohort.sweep_table import table_of
+    from fes.cohort.sweep.table import table_of
 
     sink = pa.BufferOutputStream()
     parquet.write_table(table_of(found, measures), sink)
@@ -187,8 +187,8 @@ def _tell(found: Sequence[Combination], measures: Sequence[Measure]) -> None:
     from rich.console import Console
     from rich.table import Table
 
-    from fes.cli.show import PIPED_COLUMNS
-    from fes.cohort.sweep_report import figure_words
+    from fes.cli.common.show import PIPED_COLUMNS
+    from fes.cohort.sweep.page import figure_words
 
     judged = [measure for measure in measures if measure.best] or list(measures[:3])
     table = Table(title=f"Best of {len(found)} combinations", title_justify="left")
@@ -205,6 +205,6 @@ def _tell(found: Sequence[Combination], measures: Sequence[Measure]) -> None:
 
 
 def _words(one: Combination) -> str:
-    from fes.cohort.sweep_report import setting_words
+    from fes.cohort.sweep.page import setting_words
 
     return setting_words(one.settings)

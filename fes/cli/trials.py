@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from fes.cli.exits import Problem
+from fes.cli.common.exits import Problem
 
 
 @click.command(name="trials")
@@ -14,7 +14,7 @@ from fes.cli.exits import Problem
 @click.option("--only", help="One trial by name.")
 def command(folder: Path, only: str | None) -> None:
     """Write the bundled recordings, with their truth, to FOLDER; the same seeds give the same bytes."""
-    from fes.patient.trials import main as generate
+    from fes.simulation.trials import main as generate
 
     try:
         code = generate([str(folder), *(("--only", only) if only else ())])

@@ -1,10 +1,15 @@
-"""What all settings have in common."""
+"""What all settings have in common.
+
+Turning pydantic's errors into lines that name file, line, key, value and what is allowed.
+"""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import re
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 Phase = Literal["stance", "pre_swing", "swing", "loading_response"]
 PHASE_ORDER: tuple[Phase, ...] = ("stance", "pre_swing", "swing", "loading_response")
@@ -23,3 +28,77 @@ class Settings(BaseModel):
     """Base of all settings: frozen; an unknown key is an error, not a silent typo, and so is ``"3"`` for a number."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+def explain(error: ValidationError, path: Path, text: str, root: type[Settings]) -> str:
+    """Put a pydantic error about ``root`` settings into lines of ``file:line: key = value: what is allowed``."""
+    lines_of = _lines_of(text)
+    said = []
+    for fault in error.errors(include_url=False):
+        location = tuple(part for part in fault["loc"] if part != "[key]")
+        message = fault["msg"].removeprefix("Value error, ")
+        if "options" in location[:-1]:  # one fault per type that it might have been
+            location = location[: location.index("options") + 2]
+            message = "Input should be text, a number, true or false"
+        elif fault["type"] == "missing":
+            message = "is required and missing"
+        elif fault["type"] == "extra_forbidden":
+            message = f"is not a setting; allowed are {', '.join(_settings_beside(root, location))}"
+        key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+        value = fault.get("input")
+        shown = f" = {value!r:.80}" if isinstance(value, (str, int, float, list)) else ""
+        line = next((lines_of[location[:n]] for n in range(len(location), 0, -1) if location[:n] in lines_of), 0)
+        place = f"{path}:{line}" if line else f"{path}"
+        said.append(f"{place}: {key or 'session'}{shown}: {message}")
+    return "\n".join(dict.fromkeys(said))
+
+
+def _settings_beside(root: type[Settings], location: tuple[int | str, ...]) -> list[str]:
+    """The names allowed in the table that this key was found in."""
+    table = root
+    for name in (part for part in location[:-1] if isinstance(part, str)):
+        field = table.model_fields.get(name)
+        if field is not None:  # else it is a key of a mapping of tables, as in [geometry.left_foot]
+            table = _table_in(field.annotation) or table
+    return list(table.model_fields)
+
+
+def _table_in(annotation: Any) -> type[Settings] | None:
+    """The kind of table that a setting holds, alone, in a list, in a mapping or as one of two."""
+    if isinstance(annotation, type) and issubclass(annotation, Settings):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := _table_in(part))), None)
+
+
+_HEADER = re.compile(r"\s*(\[\[?)([^\[\]]+)\]")
+_KEY = re.compile(r"\s*([\w.\"'-]+)\s*=")
+
+
+def _lines_of(text: str) -> dict[tuple[int | str, ...], int]:
+    """1-based line of every table header and of every key that begins a line, by its place in the parsed data."""
+    lines_of: dict[tuple[int | str, ...], int] = {}
+    entries: dict[tuple[int | str, ...], int] = {}  # so far, of each array of tables
+    table: tuple[int | str, ...] = ()
+    in_string = False
+    for number, line in enumerate(text.split("\n"), start=1):
+        inside, in_string = in_string, in_string ^ bool((line.count('"""') + line.count("'''")) % 2)
+        if inside:
+            continue
+        if header := _HEADER.match(line):
+            table = ()
+            *parents, last = _parts(header[2])
+            for name in parents:
+                table += (name,)
+                table += (entries[table] - 1,) if table in entries else ()
+            table += (last,)
+            if header[1] == "[[":
+                entries[table] = entries.get(table, 0) + 1
+                table += (entries[table] - 1,)
+            lines_of.setdefault(table, number)
+        elif key := _KEY.match(line):
+            lines_of.setdefault(table + _parts(key[1]), number)
+    return lines_of
+
+
+def _parts(dotted: str) -> tuple[str, ...]:
+    return tuple(part.strip().strip("\"'") for part in dotted.split("."))

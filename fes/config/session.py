@@ -8,10 +8,9 @@ from typing import Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from fes.config.base import ConfigError, Foot, Settings
+from fes.config.base import ConfigError, Foot, Settings, explain
 from fes.config.channel import Channel, Stimulation
 from fes.config.devices import Bus, FootSwitch, ImuDevice, Live, StimulatorDevice, Switch
-from fes.config.explain import explain
 
 LSL_LABELS: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")  # options that name a stream's channels
 

@@ -1,6 +1,5 @@
 """The safety gate: the last word before the wire."""
 
-from fes.gate.gate import Flagged, SafetyGate
-from fes.gate.of_session import gate_of
+from fes.gate.gate import Flagged, SafetyGate, gate_of
 
 __all__ = ["Flagged", "SafetyGate", "gate_of"]

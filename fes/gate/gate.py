@@ -8,6 +8,8 @@ and :meth:`SafetyGate.judge` are told, in times that must never run backward.
 Some refusals do not latch, because nothing is broken: not armed, too soon after the last burst, an antagonist still
 on. A burst refused in this way, or one whose command ran out before the next came, is *held back*: it may still start
 late where its rise allows, and where that does not, it is refused in silence until the plan has asked for off.
+
+The one way to make a session's gate, live and in replay.
 """
 
 from __future__ import annotations
@@ -16,12 +18,11 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from fes import limits
-from fes.config import Channel, ImuDevice
+from fes.config import Channel, ImuDevice, Session
+from fes.gate.channel import COARSEST_STEP_MA, RISE_STEP_MA, Line
 from fes.gate.electrical import is_number, no_number, over_a_cap, shown, wrongly_delivered
-from fes.gate.freshness import Freshness
-from fes.gate.line import COARSEST_STEP_MA, RISE_STEP_MA, Line
-from fes.gate.plausible import Plausible
-from fes.gate.stamps import Stamps
+from fes.gate.freshness import Freshness, Stamps
+from fes.gate.plausibility import Plausible
 from fes.signals import (
     Event,
     ImuSample,
@@ -55,7 +56,7 @@ class SafetyGate:
             last command is older counts as off, for the device has fallen silent.
         devices: the sensors' settings; without a sensor's ranges its saturation cannot be told.
         up: each sensor's upward direction at calibration; without it its mounting is not judged.
-        driven_by: for a foot whose phases another sensor tells (its shank's), that sensor.
+        shank_phase_sensors: for a foot whose phases another sensor tells (its shank's), that sensor.
         current_step_ma: the stimulator's step of current, at most ``COARSEST_STEP_MA``; a rise may be rounded to it.
     """
 
@@ -67,7 +68,7 @@ class SafetyGate:
         validity_ms: int,
         devices: tuple[ImuDevice, ...] = (),
         up: Mapping[str, Vector3] | None = None,
-        driven_by: Mapping[str, str] | None = None,
+        shank_phase_sensors: Mapping[str, str] | None = None,
         current_step_ma: float = RISE_STEP_MA,
     ) -> None:
         self._validity_ms = min(limits.MAX_VALIDITY_MS, validity_ms)
@@ -77,7 +78,7 @@ class SafetyGate:
         self._lines: dict[int, Line] = {}
         step_ma = min(max(RISE_STEP_MA, current_step_ma), COARSEST_STEP_MA)
         for channel in channels:
-            sensor = (driven_by or {}).get(channel.foot, channel.foot)
+            sensor = (shank_phase_sensors or {}).get(channel.foot, channel.foot)
             named_by = {other.number for other in channels if channel.number in other.never_with}
             partners = tuple(sorted(named_by | set(channel.never_with)))
             self._lines[channel.number] = Line(channel, sensor, partners, self._validity_ms * 1_000_000, step_ma)
@@ -270,3 +271,28 @@ def _no_switch(value: object) -> str:
 
 def _channel_number(value: object) -> int:
     return value if isinstance(value, int) and is_number(value) else NO_CHANNEL
+
+
+def gate_of(
+    session: Session,
+    up: Mapping[str, Vector3],
+    shank_phase_sensors: Mapping[str, str] | None = None,
+    current_step_ma: float = RISE_STEP_MA,
+) -> SafetyGate:
+    """The gate with all that the session and the calibrations say.
+
+    Args:
+        session: its channels, its sensors and how old data may be.
+        up: by sensor, its upward direction at calibration.
+        shank_phase_sensors: for a foot whose phases another sensor tells, that sensor.
+        current_step_ma: the stimulator's.
+    """
+    return SafetyGate(
+        session.channels,
+        max_data_age_ms=session.stimulation.max_data_age_ms,
+        validity_ms=session.stimulation.validity_ms,
+        devices=session.sensors,
+        up=up,
+        shank_phase_sensors=shank_phase_sensors,
+        current_step_ma=current_step_ma,
+    )

@@ -1,19 +1,115 @@
-"""The session under test: ``fes run`` as a process of its own, with keys, control socket and children to aim at."""
+"""The session under test: ``fes run`` as a process of its own, with keys, control socket and children to aim at.
+
+Ctrl-C waits until a process that is being started, or ended, is in somebody's hands.
+
+The scripted operator: orders over a session's control socket, statuses back.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Final
 from urllib.parse import urlsplit
 
-from fes.hil.uninterrupted import uninterrupted
+from fes.live.status import Status
+
+SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """While entered, SIGINT, SIGTERM and SIGHUP wait; they act on leaving.
+
+    A KeyboardInterrupt inside ``subprocess.Popen``, or between its return and the name that it is kept under, leaves a
+    process that nobody ends. Signals that are ignored, or end this process without a word, are left as they are: so
+    the started process inherits what it would have. Outside the main thread, where none acts, this does nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    waits = False
+
+    def remember(number: int, frame: FrameType | None) -> None:
+        if waits:
+            came.append(number)
+        else:  # between two changes of handlers: what this one does may end them half-way
+            before[number](number, frame)
+
+    before = {int(number): handler for number in SIGNALS if callable(handler := signal.getsignal(number))}
+    for number in before:
+        signal.signal(number, remember)
+    try:
+        waits = True
+        yield
+    finally:
+        waits = False
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in dict.fromkeys(came):
+            signal.raise_signal(number)
+
+
+class ScriptedOperator:
+    """One end of a control socket; ``status`` is the newest that came, ``answers`` what was refused."""
+
+    def __init__(self, session_socket: Path, own: Path) -> None:
+        self.status: Status | None = None
+        self.refusals: list[str] = []
+        self._to = str(session_socket)
+        self._own = own
+        own.unlink(missing_ok=True)
+        self._link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self._link.bind(str(own))
+        self._link.setblocking(False)
+
+    def order(self, ask: str, value: float = 0.0) -> None:
+        """Give an order, confirmed; a session that is not there hears nothing."""
+        with suppress(OSError):
+            self._link.sendto(json.dumps({"ask": ask, "value": value, "confirm": True}).encode(), self._to)
+
+    def watch(self) -> None:
+        """Ask for statuses."""
+        with suppress(OSError):
+            self._link.sendto(b"watch", self._to)
+
+    def listen(self) -> Status | None:
+        """Take in what has come; the newest status."""
+        while True:
+            try:
+                datagram = self._link.recv(1 << 16)
+            except OSError:
+                return self.status
+            try:
+                self.status = Status.decode(datagram)
+            except ValueError:
+                with suppress(ValueError):
+                    answer = json.loads(datagram)
+                    if not answer.get("ok"):
+                        self.refusals.append(str(answer.get("why")))
+
+    def forget(self) -> None:
+        """The session that told this is gone."""
+        self.listen()
+        self.status = None
+
+    def close(self) -> None:
+        """Release the socket."""
+        self._link.close()
+        self._own.unlink(missing_ok=True)
+
 
 LONGEST_S: Final = 3600
 _WITH_PARENT: Final = "from fes.live.orphan import interrupted_with; interrupted_with({}); "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 from contextlib import ExitStack
@@ -10,20 +11,27 @@ from pathlib import Path
 from typing import Final
 
 from drivers.imu.port import ImuLost
+from drivers.simulated.bus_guests import StopButton
+from drivers.simulated.imu.spawn import spawn_imu
+from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.simulated.stimulator.spawn import (
+    DeviceHandle,
+    DeviceKind,
+    NodeHandle,
+    free_bus,
+    spawn_device,
+    spawn_link,
+    spawn_node,
+    why_silent,
+)
 from drivers.stimulator.port import StimulatorLost
-from drivers.virtual.can_link_spawn import spawn_link
-from drivers.virtual.can_node_spawn import NodeHandle, free_bus, spawn_node, why_silent
-from drivers.virtual.device_spawn import DeviceHandle, DeviceKind, spawn_device
-from drivers.virtual.imu_spawn import spawn_imu
-from drivers.virtual.node_record import RecordEntry
-from drivers.virtual.stop_button import StopButton
 from fes.config import Bus, StimulatorDevice
-from fes.hil.patient_sensor import PatientSensor, Sensor, campaign_patient
-from fes.hil.patient_spawn import PatientHandle
+from fes.hil.closed_loop.bench import PatientHandle
+from fes.hil.closed_loop.patient_device import PatientSensor, Sensor, campaign_patient
 from fes.hil.scenarios import Needs
-from fes.hil.settings import BUTTON_ID, INTENSITY, session_text
-from fes.hil.tail import RecordTail
-from fes.hil.walk import FOOT, RATE_HZ, STANDS_S, walker
+from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, RATE_HZ, STANDS_S, session_text, walker
+
+pass
 
 TRANSPORTS: Final = ("udp_multicast", "loopback", "slcan", "socketcan", "serial", "serial_rehastim2")
 SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
@@ -246,3 +254,36 @@ def _need(bus: Bus) -> None:
             f"{bus.interface} {bus.channel}: {why}. Other transports need no such thing: --transport loopback, slcan "
             f"or serial"
         )
+
+
+class RecordTail:
+    """Reads a growing record; each line is read once, a line without its end only when that has come."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._at = 0
+        self._begun = b""
+        self._lines = 0
+
+    def news(self) -> list[RecordEntry]:
+        """The entries since the last call; none as long as there is no file.
+
+        Raises:
+            ValueError: a line is no record entry; names file and line.
+        """
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._at)
+                data = file.read()
+        except FileNotFoundError:
+            return []
+        self._at += len(data)
+        *lines, self._begun = (self._begun + data).split(b"\n")
+        entries = []
+        for line in lines:
+            self._lines += 1
+            try:
+                entries.append(RecordEntry(**json.loads(line)))
+            except (ValueError, TypeError) as error:
+                raise ValueError(f"{self._path}:{self._lines}: is no entry of a record: {error}") from error
+        return entries

@@ -13,10 +13,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from drivers.stimulator.can_codec import STATUS_ID, FrameRejected, decode
-from drivers.stimulator.can_messages import Result, Status
-from drivers.virtual.node_record import RecordEntry
-from drivers.virtual.rogue import Rogue
+from drivers.simulated.bus_guests import Rogue
+from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.stimulator.can_codec import STATUS_ID, FrameRejected, Result, Status, decode
 from fes.config import ConfigError, Session, load_session
 from fes.hil.scenarios import SCENARIOS, Needs, Scenario
 

@@ -1,4 +1,10 @@
-"""How each fault of the table is brought about, and how it is mended again."""
+"""How each fault of the table is brought about, and how it is mended again.
+
+Injections by whoever else is on the CAN bus: what no controller would send, or not now.
+
+Each returns when it began, by CLOCK_MONOTONIC in ns, and sets ``rig.sent`` to how many frames with identifiers that the
+stimulator listens to it must have refused.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +14,99 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
 
-from fes.hil import on_bus
+from drivers.simulated.bus_guests import FRAMES_PER_S, Rogue, asks_for_current, flipped, random_frames
+from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, Frame
 from fes.hil.devices import SERIAL
-from fes.hil.rig import CampaignBroken, Rig
 from fes.hil.settings import CHANNEL
-from fes.page.press import press_stop
+from fes.hil.test_bench import CampaignBroken, TestBench
+from fes.live.dashboard.message_handler import press_stop
 
-Inject = Callable[[Rig, int], int]
+RANDOM_FRAMES: Final = 62_500  # each time: 21 seconds' worth, 1,000,000 in 16 attempts
+TEND_EVERY: Final = 150
+LATEST: Final = 40  # commands between one and its repetition: twice a count of 16 and more
+REPEATS_S: Final = 3.0
+ECHO_S: Final = 0.002  # what is sent to a multicast group comes back to its sender
+PAIRS: Final = 10
+
+
+def _rogue(rig: TestBench) -> Rogue:
+    if rig.devices.back is None:
+        raise CampaignBroken("there is no CAN bus")
+    return Rogue(rig.devices.back)
+
+
+def flips(rig: TestBench, n: int) -> int:
+    """One of the present session's commands, with every one and every two bits inverted."""
+    with _rogue(rig) as rogue:
+        commands = rogue.on_commands(0.1)
+        t_ns = time.monotonic_ns()
+        rig.sent = sum(rogue.send(flipped(command)) for command in commands[:1])
+    return t_ns
+
+
+def repeats(rig: TestBench, n: int) -> int:
+    """After each command of the session an earlier one that asked for current: the newest itself, the one before …"""
+    with _rogue(rig) as rogue:
+        commands = [frame for frame in rogue.hear(0.1) if frame[0] == COMMAND_ID]
+        lags = list(range(LATEST + 1))
+        t_ns, end_s = time.monotonic_ns(), time.monotonic() + REPEATS_S
+        while lags and time.monotonic() < end_s:
+            heard = [frame for frame in rogue.hear(0.05, first_only=True) if frame[0] == COMMAND_ID]
+            commands += heard
+            lag = next((k for k in lags if k < len(commands) and asks_for_current(commands[-1 - k])), None)
+            if heard and lag is not None:
+                lags.remove(lag)
+                rig.sent += rogue.send([commands[-1 - lag]])
+                rogue.hear(ECHO_S)
+    return t_ns
+
+
+def exchange(rig: TestBench, n: int) -> int:
+    """On the line between them, each pair of commands changes places."""
+    if rig.devices.link is None:
+        raise CampaignBroken("there is no line between controller and stimulator")
+    t_ns = rig.devices.link.tell("reorder", PAIRS)
+    rig.watch(1.0)
+    rig.sent = PAIRS
+    return t_ns
+
+
+def old_session(rig: TestBench, n: int) -> int:
+    """Commands of the present session, sent again in the next one, while its patient stands and it is armed."""
+    with _rogue(rig) as rogue:
+        commands = rogue.on_commands(0.25)
+        rig.end_session()
+        rig.prepare(rig.variant)
+        t_ns = time.monotonic_ns()
+        rig.sent = rogue.send([command for _ in range(20) for command in commands], 500.0)
+    return t_ns
+
+
+def random(rig: TestBench, n: int) -> int:
+    """By turns one with any identifier and one with those that a controller uses; the patient walks on meanwhile."""
+
+    def frames() -> Iterator[Frame]:
+        anything = random_frames(RANDOM_FRAMES // 2, 2 * n)
+        commands = random_frames(RANDOM_FRAMES // 2, 2 * n + 1, (COMMAND_ID, OPEN_ID))
+        for number, pair in enumerate(zip(anything, commands, strict=True)):
+            if number % TEND_EVERY == 0:
+                rig.outputs()
+                rig.keep_armed()
+            yield from pair
+
+    t_ns = time.monotonic_ns()
+    with _rogue(rig) as rogue:
+        rig.sent = rogue.send(frames(), FRAMES_PER_S) // 2
+    return t_ns
+
+
+Inject = Callable[[TestBench, int], int]
 """Brings the fault about for the n-th time; returns when, by CLOCK_MONOTONIC in ns."""
-Heal = Callable[[Rig], None]
+Heal = Callable[[TestBench], None]
 
 STARVED_S: Final = 1.0
 HOGS: Final = 3
@@ -32,7 +118,7 @@ STARVING_PRIORITY: Final = 60
 MANY: Final = 100_000
 
 
-def _nothing(rig: Rig) -> None:
+def _nothing(rig: TestBench) -> None:
     """Nothing to mend."""
 
 
@@ -41,7 +127,7 @@ def _sensor(name: str, value: float = 1.0) -> tuple[Inject, Heal]:
 
 
 def _stimulator(name: str, value: float, healed: float) -> tuple[Inject, Heal]:
-    def heal(rig: Rig) -> None:
+    def heal(rig: TestBench) -> None:
         rig.devices.node.tell(name, healed)
 
     return lambda rig, n: rig.devices.node.tell(name, value), heal
@@ -50,32 +136,32 @@ def _stimulator(name: str, value: float, healed: float) -> tuple[Inject, Heal]:
 # --- the sensor ------------------------------------------------------------------------------------------
 
 
-def _unplug_sensor(rig: Rig, n: int) -> int:
+def _unplug_sensor(rig: TestBench, n: int) -> int:
     return rig.devices.imu.fault("unplug")
 
 
-def _plug_sensor(rig: Rig) -> None:
+def _plug_sensor(rig: TestBench) -> None:
     rig.watch(SILENT_S)
     rig.devices.sensor_replugged()
 
 
-def _unmute_sensor(rig: Rig) -> None:
+def _unmute_sensor(rig: TestBench) -> None:
     rig.watch(SILENT_S)
     rig.devices.imu.clear()
 
 
-def _delay_sensor(rig: Rig, n: int) -> int:
+def _delay_sensor(rig: TestBench, n: int) -> int:
     return rig.devices.imu.fault("delay", rig.value)
 
 
-def _undrift(rig: Rig) -> None:
+def _undrift(rig: TestBench) -> None:
     rig.devices.imu.fault("drift", 0.0)
 
 
 # --- the controller --------------------------------------------------------------------------------------
 
 
-def _kill(rig: Rig, n: int) -> int:
+def _kill(rig: TestBench, n: int) -> int:
     rig.orphans = rig.session().children()
     os.kill(rig.session().pid, signal.SIGKILL)
     t_ns = time.monotonic_ns()  # what holds this process up on its way to the kill is not the lease's delay
@@ -83,7 +169,7 @@ def _kill(rig: Rig, n: int) -> int:
     return t_ns
 
 
-def _stop(rig: Rig, n: int) -> int:
+def _stop(rig: TestBench, n: int) -> int:
     os.kill(rig.session().pid, signal.SIGSTOP)
     t_ns = time.monotonic_ns()
     rig.watch(rig.value)
@@ -91,7 +177,7 @@ def _stop(rig: Rig, n: int) -> int:
     return t_ns
 
 
-def _starve(rig: Rig, n: int) -> int:
+def _starve(rig: TestBench, n: int) -> int:
     """A process of higher priority takes the controller's processor for a second; the devices have the other one."""
     pid = rig.session().pid
     before = os.sched_getaffinity(pid)
@@ -117,7 +203,7 @@ def _starve(rig: Rig, n: int) -> int:
     return int(done.stdout)
 
 
-def _hogs(rig: Rig, n: int) -> int:
+def _hogs(rig: TestBench, n: int) -> int:
     code = f"import time; end = time.monotonic() + {HOGS_S}\nwhile time.monotonic() < end: pass"
     t_ns = time.monotonic_ns()
     for _ in range(HOGS):
@@ -127,7 +213,7 @@ def _hogs(rig: Rig, n: int) -> int:
     return t_ns
 
 
-def _full_disk(rig: Rig, n: int) -> int:
+def _full_disk(rig: TestBench, n: int) -> int:
     """The log's file may not grow any more: its next write is refused, as a full disk's is."""
     log = rig.session().log()
     if log is None:
@@ -138,10 +224,10 @@ def _full_disk(rig: Rig, n: int) -> int:
     return t_ns
 
 
-def _to_child(module: str, do: Callable[[Rig, int], None]) -> Inject:
+def _to_child(module: str, do: Callable[[TestBench, int], None]) -> Inject:
     """Something happens to one of the session's processes."""
 
-    def inject(rig: Rig, n: int) -> int:
+    def inject(rig: TestBench, n: int) -> int:
         child = rig.session().child(module)
         t_ns = time.monotonic_ns()
         do(rig, child)
@@ -150,11 +236,11 @@ def _to_child(module: str, do: Callable[[Rig, int], None]) -> Inject:
     return inject
 
 
-def _killed(rig: Rig, pid: int) -> None:
+def _killed(rig: TestBench, pid: int) -> None:
     os.kill(pid, signal.SIGKILL)
 
 
-def _frozen(rig: Rig, pid: int) -> None:
+def _frozen(rig: TestBench, pid: int) -> None:
     """It reads nothing for a while, and everything that it is sent has to stay somewhere or be given up."""
     os.kill(pid, signal.SIGSTOP)
     try:
@@ -166,23 +252,23 @@ def _frozen(rig: Rig, pid: int) -> None:
 # --- the operator ----------------------------------------------------------------------------------------
 
 
-def _space(rig: Rig, n: int) -> int:
+def _space(rig: TestBench, n: int) -> int:
     t_ns = time.monotonic_ns()
     rig.session().key(b" ")
     return t_ns
 
 
-def _stop_file(rig: Rig, n: int) -> int:
+def _stop_file(rig: TestBench, n: int) -> int:
     t_ns = time.monotonic_ns()
     rig.session().stop_file.touch()
     return t_ns
 
 
-def _no_stop_file(rig: Rig) -> None:
+def _no_stop_file(rig: TestBench) -> None:
     rig.session().stop_file.unlink(missing_ok=True)
 
 
-def _stop_order(rig: Rig, n: int) -> int:
+def _stop_order(rig: TestBench, n: int) -> int:
     t_ns = time.monotonic_ns()
     rig.order("stop")
     return t_ns
@@ -191,7 +277,7 @@ def _stop_order(rig: Rig, n: int) -> int:
 # --- the stimulator and its line -------------------------------------------------------------------------
 
 
-def _cut(rig: Rig, n: int) -> int:
+def _cut(rig: TestBench, n: int) -> int:
     if rig.devices.transport in SERIAL:
         return rig.devices.node.tell("unplug")
     if rig.devices.link is None:
@@ -199,7 +285,7 @@ def _cut(rig: Rig, n: int) -> int:
     return rig.devices.link.tell("cut")
 
 
-def _mend(rig: Rig) -> None:
+def _mend(rig: TestBench) -> None:
     rig.watch(CUT_S)
     if rig.devices.transport in SERIAL:
         rig.devices.stimulator_replugged()
@@ -210,32 +296,32 @@ def _mend(rig: Rig) -> None:
 def _line(name: str, value: float, healed: float = 0.0) -> tuple[Inject, Heal]:
     """A fault of the line between controller and stimulator that ends after half a second."""
 
-    def tell(rig: Rig, worth: float) -> int:
+    def tell(rig: TestBench, worth: float) -> int:
         if rig.devices.link is None:
             raise CampaignBroken("there is no line between controller and stimulator")
         return rig.devices.link.tell(name, worth)
 
-    def heal(rig: Rig) -> None:
+    def heal(rig: TestBench) -> None:
         rig.watch(CUT_S)
         tell(rig, healed)
 
     return lambda rig, n: tell(rig, value), heal
 
 
-def _stop_on_page(rig: Rig, n: int) -> int:
+def _stop_on_page(rig: TestBench, n: int) -> int:
     port = rig.session().page_port()
     t_ns = time.monotonic_ns()
     press_stop(port)
     return t_ns
 
 
-def _press(rig: Rig, n: int) -> int:
+def _press(rig: TestBench, n: int) -> int:
     t_ns = time.monotonic_ns()
     rig.devices.stop_button().press()
     return t_ns
 
 
-def _by_itself(rig: Rig, n: int) -> int:
+def _by_itself(rig: TestBench, n: int) -> int:
     """Nothing is done: the walk does it."""
     return time.monotonic_ns()
 
@@ -272,20 +358,20 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "ack_late": _stimulator("delay", 0.15, 0.0),
     "delivered_differs": _stimulator("weak", CHANNEL, -1.0),
     "electrode": _stimulator("electrode", CHANNEL, -1.0),
-    "commands_flipped": (on_bus.flips, _nothing),
-    "commands_repeated": (on_bus.repeats, _nothing),
-    "commands_reordered": (on_bus.exchange, _nothing),
-    "commands_old_session": (on_bus.old_session, _nothing),
-    "random_frames": (on_bus.random, _nothing),
+    "commands_flipped": (flips, _nothing),
+    "commands_repeated": (repeats, _nothing),
+    "commands_reordered": (exchange, _nothing),
+    "commands_old_session": (old_session, _nothing),
+    "random_frames": (random, _nothing),
     "stop_key": (_space, _nothing),
     "stop_file": (_stop_file, _no_stop_file),
     "stop_control": (_stop_order, _nothing),
     "stop_page": (_stop_on_page, _nothing),
     "stop_button": (_press, lambda rig: rig.devices.stop_button().press(False)),
-    "view_killed": (_to_child("fes.live.view", _killed), Rig.end_session),
-    "page_killed": (_to_child("fes.page", _killed), Rig.end_session),
-    "view_frozen": (_to_child("fes.live.view", _frozen), _nothing),
-    "page_frozen": (_to_child("fes.page", _frozen), _nothing),
+    "view_killed": (_to_child("fes.live.terminal_view", _killed), TestBench.end_session),
+    "page_killed": (_to_child("fes.live.dashboard", _killed), TestBench.end_session),
+    "view_frozen": (_to_child("fes.live.terminal_view", _frozen), _nothing),
+    "page_frozen": (_to_child("fes.live.dashboard", _frozen), _nothing),
     "phase_stuck": (_by_itself, _nothing),
     "dose": (_by_itself, _nothing),
     "disk_full": (_full_disk, _nothing),

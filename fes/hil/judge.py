@@ -1,4 +1,7 @@
-"""What the stimulator's own record says: when it put out current, and how a fault was answered. Pure."""
+"""What the stimulator's own record says: when it put out current, and how a fault was answered. Pure.
+
+Rows in which nothing may come of the fault: the session goes on, no foreign frame acts, no burst begins.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-from drivers.virtual.node_record import RecordEntry
+from drivers.simulated.stimulator.firmware import RecordEntry
 
 MS: Final = 1_000_000
 PERIOD_NS: Final = 55 * MS  # between pulses of one burst, at most: see Outputs

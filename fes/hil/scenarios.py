@@ -1,4 +1,7 @@
-"""The faults of a campaign as a table: one row, one fault; what is done about each is in ``injections``."""
+"""The faults of a campaign as a table: one row, one fault; what is done about each is in ``injections``.
+
+Does the session say why it is off, and is it the reason that was given to it?
+"""
 
 from __future__ import annotations
 

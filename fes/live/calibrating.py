@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from fes.config import Session
-from fes.driving import Calibration, driving
-from fes.estimation.ankle_calibration import calibrate_shank
-from fes.estimation.calibration import CalibrationError, calibrate_foot
+from fes.estimation.foot.calibration import CalibrationError, calibrate_foot
+from fes.estimation.sensor_choice import Calibration, phase_sensors
+from fes.estimation.shank.calibration import calibrate_shank
 from fes.signals import NS_PER_S, SHANK_SENSORS, Event, ImuSample
 
 FIRST_ATTEMPT_NS: Final = 6 * NS_PER_S
@@ -34,7 +34,7 @@ class Calibrating:
         self.message = "stand still for two seconds, then walk straight ahead"
         self._strides = strides
         rates_hz = {str(device.sensor): device.rate_hz for device in session.sensors}
-        self._rates_hz = {sensor: rates_hz[sensor] for sensor in driving(rates_hz).values()}
+        self._rates_hz = {sensor: rates_hz[sensor] for sensor in phase_sensors(rates_hz).values()}
         self._rows: dict[str, deque[_Row]] = {
             sensor: deque(maxlen=int(LONGEST_S * rate_hz)) for sensor, rate_hz in self._rates_hz.items()
         }

@@ -10,9 +10,9 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from fes.journal import SessionLogError
-from fes.journal.buffer import RecordBuffer
-from fes.journal.writer import create
+from fes.session_log import SessionLogError
+from fes.session_log.buffer import RecordBuffer
+from fes.session_log.writer import create
 
 BUFFER_BYTES: Final = 1 << 20
 LATE_NS: Final = 500_000_000  # bytes that the writing process has had this long and not written

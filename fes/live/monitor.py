@@ -9,17 +9,15 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from fes.controller import Controller
+from fes.control.controller import Controller
 from fes.gate import SafetyGate
-from fes.journal import Note
 from fes.live.inputs import printable
 from fes.live.log_pipe import PipedLog
 from fes.live.operator import Operator
-from fes.live.remarks import Remarks
-from fes.live.status import FootStatus, Status
-from fes.live.switches import SwitchComparison
-from fes.live.tuning_status import tuning_status
-from fes.live.watch import SensorWatch
+from fes.live.sensors import SensorMonitor
+from fes.live.source import SwitchComparison
+from fes.live.status import FootStatus, Notices, Status, tuning_status
+from fes.session_log import Note
 from fes.signals import Event, FootSwitchEvent, ImuSample, StimAlive, StimCommand, StimStatus, StrideResult, WireFrame
 from statemachine.phases import PhaseChange
 
@@ -60,7 +58,7 @@ class Timing:
 
 
 class Page(Protocol):
-    """What a browser's page is told; see ``fes.page.feed``.
+    """What a browser's page is told; see ``fes.live.dashboard.server``.
 
     ``lost``: why it is told nothing any more. ``dropped``: how many frames it missed.
     """
@@ -101,11 +99,11 @@ class Monitor:
     def __init__(
         self,
         log: PipedLog,
-        watches: Mapping[str, SensorWatch],
+        watches: Mapping[str, SensorMonitor],
         drivers: Mapping[str, str],
         view: socket.socket | None,
         publish: Callable[[bytes], None] | None = None,
-        remarks: Remarks | None = None,
+        remarks: Notices | None = None,
     ) -> None:
         self.log = log
         self.latencies, self.lateness = Timing(), Timing()

@@ -53,7 +53,7 @@ class Imu(Protocol):
 
 
 class SensorClock(Protocol):
-    """One sensor's clock mapped to the host's; see ``fes.clocks``."""
+    """One sensor's clock mapped to the host's; see ``fes.control.clock_sync``."""
 
     @property
     def resets(self) -> int:

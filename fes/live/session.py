@@ -1,34 +1,67 @@
-"""One live session: controller, gate, operator, monitor and log around the one loop."""
+"""One live session: controller, gate, operator, monitor and log around the one loop.
+
+What a live session's log begins with: all that its replay needs beside the events.
+"""
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from fes import __version__
 from fes.config import Session
-from fes.controller import CURRENT_STEP_MA, Controller
-from fes.driving import Calibration, driven_by, driving
+from fes.control.controller import CURRENT_STEP_MA, Controller
+from fes.control.replay import LOG_FORMAT
+from fes.control.runner import Runner
+from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.gate import gate_of
-from fes.journal import Note, Received
-from fes.live.electrodes import Electrodes
-from fes.live.inputs import Control, FootSwitchInput, StopFile, StopSwitch, SwitchLine
-from fes.live.keyboard import Keyboard
+from fes.live.commands import CURRENT_ALLOWED
+from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopFile, StopSwitch, SwitchLine
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.operator import NO_STOP, Operator
 from fes.live.ports import Input
 from fes.live.realtime import Grant
-from fes.live.remarks import Remarks
-from fes.live.sensors import SensorLine
+from fes.live.sensors import SensorMonitor, SensorStream
 from fes.live.source import LiveSource, stalled
-from fes.live.states import CURRENT_ALLOWED
-from fes.live.stimulator import LiveStimulator
+from fes.live.status import Notices
+from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.live.view_process import ViewProcess
-from fes.live.watch import SensorWatch
-from fes.runner import Runner
+from fes.session_log import Note, Received
 from fes.signals import NS_PER_S, Event, SystemFault, WireFrame
+
+LIVE = "live"
+
+
+def live_header(
+    session: Session,
+    calibrations: Mapping[str, Calibration],
+    stim_session_id: int,
+    created: str,
+    t_ns: int,
+    current_step_ma: float = CURRENT_STEP_MA,
+) -> dict[str, Any]:
+    """All that a replay of the log needs beside the events; ``t_ns`` is the monotonic clock at ``created``."""
+    return {
+        "format": LOG_FORMAT,
+        "fes_version": __version__,
+        "kind": LIVE,
+        "created": created,
+        "created_t_ns": t_ns,
+        "recording": {
+            "name": session.name,
+            "rates_hz": {device.sensor: device.rate_hz for device in session.sensors},
+            "belt_speed_mps": session.treadmill.belt_speed_mps if session.treadmill else None,
+        },
+        "session": session.model_dump(mode="json"),
+        "calibration": {sensor: calibration.to_dict() for sensor, calibration in calibrations.items()},
+        "stim_session_id": stim_session_id,
+        "current_step_ma": current_step_ma,
+        "heard": True,  # what a serial stimulator answered is in the log as it came, so that its bytes can be repeated
+    }
+
 
 COMPLETE = "complete"
 
@@ -40,7 +73,7 @@ class LiveSession:
         clock_ns: the monotonic clock that everything is stamped by.
         duration_s: ends the session by itself after this long; None: the operator does.
         current_step_ma: the stimulator's step of current.
-        electrodes_told_from_ma: see :class:`fes.live.electrodes.Electrodes`.
+        electrodes_told_from_ma: see :class:`fes.live.stimulator.Electrodes`.
     """
 
     def __init__(
@@ -60,15 +93,15 @@ class LiveSession:
         self.gate = gate_of(
             session,
             {sensor: each.up for sensor, each in calibrations.items()},
-            driven_by(calibrations),
+            shank_phase_sensors(calibrations),
             current_step_ma,
         )
         watches = {
-            str(device.sensor): SensorWatch(device, calibrations.get(device.sensor)) for device in session.sensors
+            str(device.sensor): SensorMonitor(device, calibrations.get(device.sensor)) for device in session.sensors
         }
-        drivers = driving(calibrations)
+        drivers = phase_sensors(calibrations)
         electrodes = Electrodes((channel.number for channel in session.channels), electrodes_told_from_ma)
-        self.remarks = Remarks(self.gate, electrodes)
+        self.remarks = Notices(self.gate, electrodes)
         self.monitor = Monitor(log, watches, drivers, view.link if view else None, self._publish, self.remarks)
         self.operator = Operator(
             session,
@@ -131,7 +164,7 @@ class LiveSession:
 
     def run(
         self,
-        lines: Sequence[SensorLine],
+        lines: Sequence[SensorStream],
         handshake: Sequence[WireFrame],
         first_answers: Sequence[Event],
         grants: Sequence[Grant],

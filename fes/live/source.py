@@ -3,20 +3,70 @@
 Events come out in the order of their times, which are the host's monotonic clock when they were read. Everything that
 has queued up while the loop was away is still given on, so that nothing is lost to the estimator, with honest times:
 the gate sees by the sensors' own clocks how old it is.
+
+How a foot switch differs from the sensor's phases: contact against loading response, release against swing.
 """
 
 from __future__ import annotations
 
 import selectors
+from bisect import bisect_left
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from typing import Final
+from statistics import median
+from typing import Any, Final
 
+from fes.control.sources import TICK_NS
 from fes.live.ports import Input
-from fes.live.sensors import SensorLine
+from fes.live.sensors import SensorStream
 from fes.live.stimulator import LiveStimulator
-from fes.signals import Event, ImuSample, SystemFault, Tick
-from fes.sources import TICK_NS
+from fes.signals import Event, FootSwitchEvent, ImuSample, SystemFault, Tick
+from statemachine.phases import Phase, PhaseChange
+
+PAIRED_WITHIN_NS: Final = 300_000_000  # half of a quick stride
+
+
+class SwitchComparison:
+    """Collects both; a few hundred numbers for an hour of walking."""
+
+    def __init__(self) -> None:
+        self._switch: dict[tuple[str, str], list[int]] = defaultdict(list)
+        self._phase: dict[tuple[str, str], list[int]] = defaultdict(list)
+
+    def switch(self, event: FootSwitchEvent) -> None:
+        """The switch closed or opened."""
+        if event.pressed is None:
+            return
+        self._switch[event.foot, "contact" if event.pressed else "release"].append(event.t_ns)
+
+    def phase(self, change: PhaseChange) -> None:
+        """The sensor told a phase."""
+        what = {Phase.LOADING_RESPONSE: "contact", Phase.SWING: "release"}.get(change.destination)
+        if what is not None:
+            self._phase[change.foot, what].append(change.t_ns)
+
+    def to_dict(self) -> dict[str, Any]:
+        """By foot and kind: the sensor's delay behind the switch (ms; median, least, most), and what had no pair."""
+        found: dict[str, Any] = {}
+        for (foot, what), switched in self._switch.items():
+            told = sorted(self._phase[foot, what])
+            delays_ms = [delay * 1e-6 for t_ns in switched if (delay := _nearest(told, t_ns)) is not None]
+            entry: dict[str, Any] = {"pairs": len(delays_ms), "switch_only": len(switched) - len(delays_ms)}
+            entry["sensor_only"] = max(len(told) - len(delays_ms), 0)
+            if delays_ms:
+                entry["delay_ms"] = [round(f(delays_ms), 1) for f in (median, min, max)]
+            found.setdefault(foot, {})[what] = entry
+        return found
+
+
+def _nearest(times_ns: list[int], t_ns: int) -> int | None:
+    """How much later than ``t_ns`` the nearest of the times is; None if none is near enough."""
+    at = bisect_left(times_ns, t_ns)
+    near = [other - t_ns for other in times_ns[max(at - 1, 0) : at + 1]]
+    best = min(near, key=abs, default=None)
+    return best if best is not None and abs(best) <= PAIRED_WITHIN_NS else None
+
 
 STALL_NS: Final = 40_000_000  # data must not be older when used, so a loop that was away longer has lost its ground
 LOOK_UP_AFTER: Final = 32  # samples of a backlog between two looks at the clock and the stop inputs
@@ -40,7 +90,7 @@ class LiveSource:
 
     def __init__(
         self,
-        lines: Sequence[SensorLine],
+        lines: Sequence[SensorStream],
         inputs: Sequence[Input],
         stimulator: LiveStimulator | None,
         clock_ns: Callable[[], int],
@@ -54,7 +104,7 @@ class LiveSource:
         self._ended = ended
         self._current_allowed = current_allowed
         self._selector = selectors.DefaultSelector()
-        self._registered: dict[SensorLine | Input, int] = {}
+        self._registered: dict[SensorStream | Input, int] = {}
         self._checked_ns = self._stamp_ns = clock_ns()  # the last look at everything; the newest event's time
         self._was_allowed = False  # at that look
         self.stalls = 0
@@ -139,7 +189,7 @@ class LiveSource:
 
     def _register(self) -> None:
         """Wait on what is open now and has something to wait on."""
-        everything: list[SensorLine | Input] = [*self._lines, *self._inputs]
+        everything: list[SensorStream | Input] = [*self._lines, *self._inputs]
         for each in everything:
             descriptor, known = each.fileno(), self._registered.get(each)
             if descriptor == known:

@@ -20,7 +20,7 @@ class ViewProcess:
         self.link.setblocking(False)
         try:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "fes.live.view", str(theirs.fileno()), str(os.getpid())],
+                [sys.executable, "-m", "fes.live.terminal_view", str(theirs.fileno()), str(os.getpid())],
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 start_new_session=True,

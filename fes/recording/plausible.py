@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.estimation.ranks import median, percentile
+from fes.estimation.numerics.linear import median, percentile
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GYR_UNITS
 from fes.signals import G_MPS2, FloatArray, IntArray
@@ -62,7 +62,7 @@ def quiet_level(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> Quiet:
 
 def _look(acc: FloatArray, gyr: FloatArray, rate_hz: float, size: int) -> tuple[_Looked, _Looked]:
     """Look at evenly spread stretches of ``size`` rows, or at all (N, 3) of them where they are no more."""
-    from fes.estimation.read_kernel import spreads  # here, for who only writes recordings needs no compiler
+    from fes.recording.kernels import spreads  # here, for who only writes recordings needs no compiler
 
     size = min(size, len(acc))
     begins = np.linspace(0, len(acc) - size, STRETCHES).astype(np.int64)

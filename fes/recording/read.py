@@ -9,21 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from fes.estimation.ranks import median
+from fes.estimation.numerics.linear import median
 from fes.recording.plausible import check_units
-from fes.recording.raw import RawTrack, read_parts, read_table
+from fes.recording.raw import MIN_DURATION_S, RATE_TOLERANCE, RawTrack, Timing, judge_stamps, read_parts, read_table
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
 from fes.recording.table import Table
 from fes.recording.template import sidecar_template
-from fes.recording.timebase import MIN_DURATION_S, RATE_TOLERANCE, Timing, judge_stamps
-from fes.recording.tracks import (
-    UNLABELLED_FEET,
-    Recording,
-    RecordingError,
-    SidecarMissingError,
-    Track,
-    TrackQuality,
-)
+from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, SidecarMissingError, Track, TrackQuality
 from fes.signals import NS_PER_S, SENSORS, FloatArray
 
 TABLE_SUFFIXES = (".csv", ".parquet")

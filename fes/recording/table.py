@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fes.recording import csv_text
-from fes.recording.csv_text import Dialect
+from fes.recording import csv_layout as csv_text
+from fes.recording.csv_layout import Dialect
 from fes.recording.tracks import RecordingError
 from fes.signals import FloatArray, IntArray
 
@@ -106,7 +106,7 @@ class Table:
         """
         import pyarrow as pa
 
-        from fes.estimation.read_kernel import into_rows  # here, for who only writes recordings needs no compiler
+        from fes.recording.kernels import into_rows  # here, for who only writes recordings needs no compiler
 
         columns, out = [self._table.column(name) for name in names], np.empty((self.rows, 3))
         same = columns[0].type in (pa.float32(), pa.float64()) and all(c.type == columns[0].type for c in columns)

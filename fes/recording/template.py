@@ -10,12 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fes.recording import hints
-from fes.recording.csv_text import Dialect
-from fes.recording.layout import Layout, csv_layout, settings_of
+from fes.recording import naming as hints
+from fes.recording.csv_layout import Dialect, Layout, csv_layout, settings_of
 from fes.recording.naming import Group, group_columns, stated_unit, time_columns
+from fes.recording.raw import RATE_TOLERANCE
 from fes.recording.table import Table
-from fes.recording.timebase import RATE_TOLERANCE
 from fes.recording.toml_text import string_text, value_text
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GYR_UNITS, TIME_UNITS_NS

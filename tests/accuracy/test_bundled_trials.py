@@ -17,14 +17,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fes.calibration.foot_track import calibrate_track
 from fes.config import Session
-from fes.controller import stride_settings
-from fes.estimation.foot import FootTracker
-from fes.estimation.strides import StrideMaker
-from fes.patient.truth import Truth, TruthStride, load_truth
+from fes.control.controller import stride_settings
+from fes.control.replay import session_for
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.results import StrideMaker
 from fes.recording import read_recording
-from fes.replay import calibrate_track, session_for
 from fes.signals import FloatArray, StrideResult
+from fes.simulation.truth import Truth, TruthStride, load_truth
 from statemachine.phases import PhaseChange, Transition
 
 FOLDER = Path(__file__).resolve().parents[2] / "sim_inputs"

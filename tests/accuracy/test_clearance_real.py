@@ -11,7 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from fes.estimation.foot_geometry import EstimatedGeometry, estimate_geometry
+from fes.estimation.clearance.geometry import EstimatedGeometry, estimate_geometry
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FES_DATA") or ROOT.parent / "shared" / "data")

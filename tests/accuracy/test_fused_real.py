@@ -40,7 +40,7 @@ def test_lengths(benchmark: ModuleType) -> None:
     assert rmse_cm(errors["pyshoe_vicon"]) <= 1.5
     assert rmse_cm(errors["ruler_walks"]) <= 1.7
     assert rmse_cm(errors["gaitmap_walk"]) <= 1.8
-    alone = benchmark.length_errors("most_likely")
+    alone = benchmark.length_errors("maximum_likelihood")
     for name in ("pyshoe_vicon", "ruler_walks", "gaitmap_walk"):
         assert len(errors[name]) == len(alone[name])
         assert rmse_cm(errors[name]) < rmse_cm(alone[name])
@@ -64,6 +64,6 @@ def test_walking_speed(benchmark: ModuleType) -> None:
 
 
 def test_clearance_where_the_reference_is_steady(benchmark: ModuleType) -> None:
-    ((_, errors),) = benchmark.clearance_errors("most_likely", benchmark.strides_of, benchmark.STEADY_M).items()
+    ((_, errors),) = benchmark.clearance_errors("maximum_likelihood", benchmark.strides_of, benchmark.STEADY_M).items()
     assert len(errors) > 70
     assert 100.0 * np.std(errors, ddof=1) <= 0.8

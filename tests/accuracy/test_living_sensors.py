@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fes.calibrations import calibrate_shank_track
-from fes.estimation.calibration import calibrate_foot
-from fes.gate.freshness import MAX_SAME_MS
-from fes.gate.plausible import Plausible
-from fes.gate.stamps import Stamps
+from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_shank_track
+from fes.estimation.foot.calibration import calibrate_foot
+from fes.gate.freshness import MAX_SAME_MS, Stamps
+from fes.gate.plausibility import Plausible
 from fes.recording import Track, read_recording
-from fes.replay import calibrate_track
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample, Vector3
 
 TRIALS = Path(__file__).resolve().parents[2] / "sim_inputs"

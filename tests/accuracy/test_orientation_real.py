@@ -17,8 +17,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from fes.estimation.orientation_body import track_orientation
-from fes.estimation.orientation_smooth import smooth_orientation
+from fes.estimation.orientation.body import smooth_orientation, track_orientation
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FES_DATA") or ROOT.parent / "shared" / "data")
@@ -71,7 +70,7 @@ def test_pitch_of_a_walking_foot(benchmark: ModuleType, sets: ModuleType) -> Non
 def test_known_stance_helps_a_walking_foot(sets: ModuleType) -> None:
     for trial in sets.gaitmap_pitch(DATA):
         acc, gyr, rate_hz = trial.acc_mps2, trial.gyr_radps, trial.rate_hz
-        rest = sets.at_rest(sets.calibrate_rest(acc, gyr, rate_hz), acc, gyr, rate_hz, causal=True)
+        rest = sets.at_rest(sets.calibrate_zero_velocity(acc, gyr, rate_hz), acc, gyr, rate_hz, causal=True)
         known, unknown = (
             trial.score(sets.upward(track_orientation(acc, gyr, rate_hz, at_rest=at_rest).quaternion))
             for at_rest in (rest, None)

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fes.calibrations import calibrate_all, calibrate_shank_track, refuse_misfit
-from fes.estimation.shank import shank_tracker
+from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_all, calibrate_shank_track, refuse_misfit
+from fes.estimation.shank.tracker import shank_tracker
 from fes.recording import Recording
-from fes.replay import calibrate_track
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FES_DATA") or ROOT.parent / "shared" / "data")

@@ -18,7 +18,7 @@ from types import ModuleType
 
 import pytest
 
-from fes.estimation.rest import Detector
+from fes.estimation.zupt.detectors import Detector
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FES_DATA") or ROOT.parent / "shared" / "data")

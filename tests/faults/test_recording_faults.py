@@ -10,18 +10,19 @@ import numpy as np
 import pytest
 from replays import MS, SETTINGS, bursts, cut, edit, keep, replay, trial, write_cut
 
-from drivers.stimulator.byte_sink import ByteSink
-from fes.cli.exits import Problem
-from fes.cli.replay_log import Collected
+from drivers.stimulator.can_port import ByteSink
+from fes.calibration.foot_track import calibrate
+from fes.cli.common.exits import Problem
+from fes.cli.replay.log import Collected
 from fes.config import load_session
-from fes.controller import Controller
+from fes.control.controller import Controller
+from fes.control.runner import Runner
+from fes.control.sources import armed_after, with_ticks
 from fes.gate import SafetyGate
-from fes.journal import SessionRecord
 from fes.recording import Recording, RecordingError, Track, read_recording, write_recording
-from fes.replay import calibrate, samples_of
-from fes.runner import Runner
+from fes.recording.samples import samples_of
+from fes.session_log import SessionRecord
 from fes.signals import NS_PER_S
-from fes.sources import armed_after, with_ticks
 
 
 @pytest.fixture(scope="module")

@@ -23,17 +23,17 @@ from drivers.imu import xbus_codec as xbus
 from drivers.imu import ximu3_codec as ximu3
 from drivers.imu.can_codec import DbcSensor
 from drivers.stimulator import can_codec, canopen_codec
-from drivers.stimulator import sciencemode2_codec as sm2
-from drivers.stimulator import sciencemode4_codec as sm4
-from drivers.stimulator.can_messages import Alive, Charge, Command, Result, SessionOpen, Status
-from drivers.stimulator.sciencemode_framing import Packet
+from drivers.stimulator.can_codec import Alive, Charge, Command, Result, SessionOpen, Status
+from drivers.stimulator.sciencemode import codec2 as sm2
+from drivers.stimulator.sciencemode import codec4 as sm4
+from drivers.stimulator.sciencemode.framing import Packet
 from fes.config import ImuDevice
-from fes.journal import SessionLogError, SessionWriter, read_session
-from fes.journal.codec import decode as decode_record
-from fes.journal.codec import encode as encode_record
-from fes.journal.framing import MAGIC, RecordType, framed
-from fes.journal.reader import iter_events
 from fes.recording import RecordingError, read_recording, write_recording
+from fes.session_log import SessionLogError, SessionWriter, read_session
+from fes.session_log.codec import decode as decode_record
+from fes.session_log.codec import encode as encode_record
+from fes.session_log.framing import MAGIC, RecordType, framed
+from fes.session_log.reader import iter_events
 from fes.signals import (
     FootSwitchEvent,
     ImuSample,
@@ -225,7 +225,13 @@ RECORDS = [
         StrideResult("left_foot", 1, 0, 9, 1.0, 0.1, 0.0, 0.0, 1.0, 1, 2, 3, 4),
     )
 ]
-DECLARED = (struct.error, ValueError, KeyError, IndexError, TypeError)  # what fes.journal.codec.decode says it raises
+DECLARED = (
+    struct.error,
+    ValueError,
+    KeyError,
+    IndexError,
+    TypeError,
+)  # what fes.session_log.codec.decode says it raises
 
 
 def record(data: bytes) -> int:

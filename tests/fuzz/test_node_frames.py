@@ -15,9 +15,9 @@ from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from drivers.simulated.stimulator.firmware import MAX_COUNTER_STEP, StimulatorNode
 from drivers.stimulator import can_codec, e2e
-from drivers.stimulator.can_messages import Frame, Result, Status
-from drivers.virtual.stimulator_node import MAX_COUNTER_STEP, StimulatorNode
+from drivers.stimulator.can_codec import Frame, Result, Status
 from fes.signals import StimCommand
 
 MS = 1_000_000

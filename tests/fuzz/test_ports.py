@@ -10,16 +10,16 @@ import can
 import pytest
 from examples import examples
 from spoiled import no_longer_than
-from test_can_port import Rig as CanRig
+from test_can_port import TestBench as CanRig
 from test_can_port import command as can_command
-from test_sciencemode_ports import KINDS, MS, Rig, command
+from test_sciencemode_ports import KINDS, MS, TestBench, command
 
 from drivers.stimulator import can_codec
-from drivers.stimulator import sciencemode2_codec as sm2
-from drivers.stimulator import sciencemode4_codec as sm4
-from drivers.stimulator.can_messages import Alive, Charge, Frame, Result, Status
+from drivers.stimulator.can_codec import Alive, Charge, Frame, Result, Status
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.sciencemode_framing import Packet
+from drivers.stimulator.sciencemode import codec2 as sm2
+from drivers.stimulator.sciencemode import codec4 as sm4
+from drivers.stimulator.sciencemode.framing import Packet
 
 
 class Chatty:
@@ -48,7 +48,7 @@ def test_well_framed_nonsense(kind: str, capsys: pytest.CaptureFixture[str]) -> 
     encode, numbers = (sm2.encode, 256) if kind == "rehastim2" else (sm4.encode, 64)
     sessions, lost, faults = examples(15, 1_500), 0, 0
     for _ in range(sessions):
-        rig = Rig(kind)
+        rig = TestBench(kind)
         line: Any = Chatty(rig.line, encode, numbers, chance)
         rig.port._line = line
         try:

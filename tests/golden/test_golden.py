@@ -16,11 +16,10 @@ from typing import Any
 import pytest
 from replays import MS, SETTINGS, Replays, bursts, write_cut
 
-from drivers.stimulator.can_codec import COMMAND_ID, decode
-from drivers.stimulator.can_messages import PROTOCOL_VERSION, Command
-from fes.cli.replay import Options, replay_recording
-from fes.cli.replay_log import repeat
-from fes.journal import SessionRecord
+from drivers.stimulator.can_codec import COMMAND_ID, PROTOCOL_VERSION, Command, decode
+from fes.cli.replay.command import Options, replay_recording
+from fes.cli.replay.log import repeat
+from fes.session_log import SessionRecord
 from fes.signals import WireFrame
 
 TRIAL = "negard_patient2"
@@ -122,6 +121,6 @@ def test_a_log_of_another_protocol_version_is_told_as_such(tmp_path: Path, monke
     options = Options(session=SETTINGS, out=tmp_path, stimulator="none", report=False, as_json=True)
     log = replay_recording(write_cut(tmp_path), options)
     assert repeat(log).difference == ""
-    monkeypatch.setattr("fes.cli.replay_log.PROTOCOL_VERSION", PROTOCOL_VERSION + 1)
+    monkeypatch.setattr("fes.cli.replay.log.PROTOCOL_VERSION", PROTOCOL_VERSION + 1)
     words = f"version {PROTOCOL_VERSION}, this program speaks {PROTOCOL_VERSION + 1}"
     assert repeat(log).difference.endswith(words)

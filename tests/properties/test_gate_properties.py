@@ -257,7 +257,12 @@ class Trial:
 
     def __init__(self) -> None:
         self.gate = SafetyGate(
-            CHANNELS, max_data_age_ms=AGE_MS, validity_ms=VALIDITY_MS, devices=DEVICES, up=UP, driven_by=DRIVEN_BY
+            CHANNELS,
+            max_data_age_ms=AGE_MS,
+            validity_ms=VALIDITY_MS,
+            devices=DEVICES,
+            up=UP,
+            shank_phase_sensors=DRIVEN_BY,
         )
         self.oracle = Oracle()
         self.t_ns = 0

@@ -7,7 +7,7 @@ import itertools
 import pytest
 from test_statemachine import GRID, machine_in
 
-from fes.estimation import kernel
+from fes.estimation.foot import features as kernel
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GuardDisagreement
 from statemachine.phases import Phase, Transition

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from drivers.imu import xbus_codec as xbus
 from drivers.imu import ximu3_codec as ximu3
 from drivers.imu.can_codec import DbcSensor
-from fes.clocks import SensorClock
 from fes.config.devices import ImuDevice
+from fes.control.clock_sync import SensorClock
 
 BOUNDED = settings(max_examples=5000 if os.environ.get("FES_EXAMPLES") == "nightly" else 150, deadline=None)
 CHUNKS = st.lists(st.binary(max_size=60), max_size=12)

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from drivers.stimulator import sciencemode2_codec as sm2
-from drivers.stimulator import sciencemode4_codec as sm4
-from drivers.stimulator.pulse_train import PulseTrain
-from drivers.stimulator.sciencemode4_codec import Point, Train
-from drivers.stimulator.sciencemode_framing import Packet
+from drivers.stimulator.port import PulseTrain
+from drivers.stimulator.sciencemode import codec2 as sm2
+from drivers.stimulator.sciencemode import codec4 as sm4
+from drivers.stimulator.sciencemode.codec4 import Point, Train
+from drivers.stimulator.sciencemode.framing import Packet
 
 oracle: Any = pytest.importorskip("science_mode_4", reason="the science-mode-4 package is not installed")
 

@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fes.estimation import kernel
-from fes.estimation.foot import FootTracker
-from fes.estimation.strides import StrideMaker, StrideSettings
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.foot import features as kernel
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import read_recording
-from fes.replay import calibrate_track
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine, GuardDisagreement
 from statemachine.phases import Phase, PhaseChange, Transition

@@ -122,7 +122,7 @@ def third_party_page() -> str:
     return f"""# Third-party software
 
 {REGENERATE} Versions are those of the lock files, by which `make` installs with hashes; licences are what the installed
-packages say of themselves. The report's charts use uPlot (MIT), which lies in `fes/view/static/` with its licence.
+packages say of themselves. The report's charts use uPlot (MIT), which lies in `fes/report/static/` with its licence.
 
 ## In the product (`requirements.lock`)
 

@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from fes.config import ChannelLimits, Session
-from fes.controller import Controller
+from fes.control.controller import Controller
 from fes.signals import OperatorAct, OperatorAction
 
 

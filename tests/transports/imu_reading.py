@@ -13,8 +13,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from drivers.imu.port import ImuLost, ImuPort, RawSample
-from drivers.virtual.imu_signal import ImuSignal
-from drivers.virtual.imu_spawn import ImuHandle
+from drivers.simulated.imu.device import ImuSignal
+from drivers.simulated.imu.spawn import ImuHandle
 from fes.config.devices import ImuDevice
 from fes.signals import NS_PER_S
 

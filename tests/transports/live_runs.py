@@ -22,16 +22,15 @@ import numpy as np
 from replays import MS, SETTINGS, cut, edit, keep, trial
 from shank_walks import ShankWalk, shank_walk
 
+from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
+from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
 from drivers.stimulator.bus import open_bus
-from drivers.virtual.can_node_spawn import NodeHandle, spawn_node
-from drivers.virtual.device_spawn import DeviceHandle, DeviceKind, spawn_device
-from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
-from drivers.virtual.node_record import RecordEntry, read_record
-from fes.calibrations import Found, calibrate_drivers, calibrate_shank_track, save
+from fes.calibration.recording import Found, calibrate_drivers, calibrate_shank_track, save
 from fes.config import Bus
-from fes.journal import SessionRecord
 from fes.live.status import Status
 from fes.recording import Recording, Track, write_recording
+from fes.session_log import SessionRecord
 
 STAND_S = 8  # so that a session that has just begun can be armed before the first step
 FOOT = "right_foot"
@@ -115,7 +114,7 @@ Stimulator = NodeHandle | DeviceHandle
 
 
 @dataclass
-class Rig:
+class TestBench:
     """A sensor, a stimulator, and what the session file says of them."""
 
     sensor: str
@@ -138,21 +137,21 @@ def bus_text(bus: Bus) -> str:
     return f'[bus]\ninterface = "{bus.interface}"\nchannel = "{bus.channel}"\n[bus.options]\n{options}'
 
 
-def xbus_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+def xbus_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
     """A foot's sensor on a serial line, the stimulator on CAN."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     imu = stack.enter_context(spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ))
-    return Rig(FOOT, imu, node, bus_text(node.bus) + sensor_text("xbus", imu.port))
+    return TestBench(FOOT, imu, node, bus_text(node.bus) + sensor_text("xbus", imu.port))
 
 
-def xsens_can_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+def xsens_can_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
     """Both on one CAN bus."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     imu = stack.enter_context(
         spawn_imu("xsens_can", sensor=FOOT, recording=recording, rate_hz=SLOW_RATE_HZ, bus=node.bus, id_offset=0x400)
     )
     options = "id_offset = 0x400"
-    return Rig(
+    return TestBench(
         FOOT,
         imu,
         node,
@@ -160,34 +159,34 @@ def xsens_can_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
     )
 
 
-def shank_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+def shank_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
     """No sensor on the foot: the shank's drives it."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     imu = stack.enter_context(spawn_imu("xbus", sensor=SHANK, recording=recording, rate_hz=SHANK_RATE_HZ))
     sensor = sensor_text("xbus", imu.port, sensor=SHANK, rate_hz=SHANK_RATE_HZ)
-    return Rig(SHANK, imu, node, bus_text(node.bus) + sensor)
+    return TestBench(SHANK, imu, node, bus_text(node.bus) + sensor)
 
 
-def lsl_and_can(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+def lsl_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
     """A sensor's stream over Lab Streaming Layer."""
     name = f"fes-run-{os.getpid()}"
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     imu = stack.enter_context(spawn_imu("lsl", sensor=FOOT, recording=recording, rate_hz=SLOW_RATE_HZ, name=name))
-    return Rig(
+    return TestBench(
         FOOT, imu, node, bus_text(node.bus) + sensor_text("lsl", name, rate_hz=SLOW_RATE_HZ, options="timeout_s = 20")
     )
 
 
-def serial_rig(device: str, kind: DeviceKind) -> Callable[[Path, Path, ExitStack], Rig]:
+def serial_rig(device: str, kind: DeviceKind) -> Callable[[Path, Path, ExitStack], TestBench]:
     """An x-IMU3 and a serial stimulator, each on a pseudo-terminal; the stimulator's has a name that stays."""
 
-    def make(folder: Path, recording: Path, stack: ExitStack) -> Rig:
+    def make(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
         stimulator = stack.enter_context(spawn_device(kind, record=folder / "device.jsonl"))
         port = folder / "stimulator"
         port.symlink_to(stimulator.port)
         imu = stack.enter_context(spawn_imu("ximu3", sensor=FOOT, recording=recording, rate_hz=RATE_HZ))
         stim = f'[stimulator]\ndevice = "{device}"\nport = "{port}"\n'
-        return Rig(FOOT, imu, stimulator, stim + sensor_text("ximu3", imu.port))
+        return TestBench(FOOT, imu, stimulator, stim + sensor_text("ximu3", imu.port))
 
     return make
 
@@ -202,7 +201,7 @@ ximu3_and_rehastim2 = serial_rig("rehastim2", "sciencemode2")
 class LiveRun:
     """A running session; orders go over its control socket, statuses come back."""
 
-    def __init__(self, process: subprocess.Popen[str], folder: Path, rig: Rig, keys: int):
+    def __init__(self, process: subprocess.Popen[str], folder: Path, rig: TestBench, keys: int):
         self.process = process
         self.folder = folder
         self.sensor = rig.sensor
@@ -397,7 +396,7 @@ def live_run(
     recording: Path,
     *options: str | Path,
     text: str = "",
-    rig: Callable[[Path, Path, ExitStack], Rig] = xbus_and_can,
+    rig: Callable[[Path, Path, ExitStack], TestBench] = xbus_and_can,
 ) -> Iterator[LiveRun]:
     """A session with what a rig connects; ``text`` is added to its settings. At its end it lists what it had loaded."""
     with ExitStack() as stack:

@@ -21,15 +21,14 @@ from pathlib import Path
 import can
 import pytest
 
+from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.stimulator.spawn import NodeFailed, NodeHandle, free_bus, spawn_node, why_silent
 from drivers.stimulator.bus import LOOPBACK, MULTICAST, open_bus
-from drivers.stimulator.byte_sink import ByteSink
 from drivers.stimulator.can_codec import commands_of
-from drivers.stimulator.can_port import CanStimulator
+from drivers.stimulator.can_port import ByteSink, CanStimulator
 from drivers.stimulator.port import StimulatorLost
-from drivers.virtual.can_node_spawn import NodeFailed, NodeHandle, free_bus, spawn_node, why_silent
-from drivers.virtual.node_record import RecordEntry, read_record
 from fes.config import Bus
-from fes.delivered import compare_delivered
+from fes.evaluation.delivered import compare_delivered
 from fes.signals import StimAlive, StimCommand, StimStatus, WireFrame
 
 MS = 1_000_000
@@ -295,7 +294,7 @@ def test_the_node_ends_when_told_with_its_outputs_off(tmp_path: Path, ending: st
 
 def test_no_node_is_left_when_the_process_that_started_it_is_killed(tmp_path: Path) -> None:
     script = (
-        "from drivers.virtual.can_node_spawn import spawn_node\nimport time\n"
+        "from drivers.simulated.stimulator.spawn import spawn_node\nimport time\n"
         "node = spawn_node()\nprint(node.process.pid, flush=True)\ntime.sleep(60)\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)

@@ -12,15 +12,13 @@ from pathlib import Path
 import pytest
 
 from drivers.imu.port import ImuLost
+from drivers.simulated.imu.spawn import spawn_imu
+from drivers.simulated.process_handle import ProcessHandle
+from drivers.simulated.stimulator.spawn import NodeFailed, free_bus, spawn_device, spawn_link, spawn_node, why_silent
 from drivers.stimulator.bus import LOOPBACK
-from drivers.virtual.can_link_spawn import spawn_link
-from drivers.virtual.can_node_spawn import NodeFailed, free_bus, spawn_node, why_silent
-from drivers.virtual.device_spawn import spawn_device
-from drivers.virtual.imu_spawn import spawn_imu
-from drivers.virtual.process_handle import ProcessHandle
 from fes.config import Bus
-from fes.hil.patient_spawn import spawn_patient
-from fes.patient.virtual import settings_for
+from fes.hil.closed_loop.bench import spawn_patient
+from fes.simulation.forward import settings_for
 
 NO_BUS = why_silent(free_bus(LOOPBACK))
 needs_bus = pytest.mark.skipif(bool(NO_BUS), reason=f"no CAN between processes on this machine: {NO_BUS}")

@@ -11,12 +11,11 @@ from click.testing import CliRunner
 from live_runs import bus_text, sensor_text
 from replays import SETTINGS
 
-from drivers.virtual.can_node_spawn import free_bus, spawn_node, why_silent
-from drivers.virtual.device_spawn import spawn_device
-from drivers.virtual.imu_spawn import spawn_imu
-from fes.cli import doctor_devices
-from fes.cli.exits import FAILED, OK
-from fes.cli.finding import Verdict
+from drivers.simulated.imu.spawn import spawn_imu
+from drivers.simulated.stimulator.spawn import free_bus, spawn_device, spawn_node, why_silent
+from fes.cli.common.exits import FAILED, OK
+from fes.cli.doctor import devices as doctor_devices
+from fes.cli.doctor.host import Verdict
 from fes.cli.main import main
 from fes.config import load_session
 

@@ -14,13 +14,12 @@ import pytest
 from campaigns import HELD_UP_MS, faults_but_lost_time
 from replays import FES
 
-from drivers.virtual.can_node_spawn import free_bus, spawn_node, why_silent
-from drivers.virtual.imu_spawn import spawn_imu
-from fes.cli.exits import FAILED, INTERRUPTED, OK, UNUSABLE
+from drivers.simulated.imu.spawn import spawn_imu
+from drivers.simulated.stimulator.spawn import free_bus, spawn_node, why_silent
+from fes.cli.common.exits import FAILED, INTERRUPTED, OK, UNUSABLE
 from fes.config import StimulatorDevice
 from fes.hil.judge import MS, PERIOD_NS
-from fes.hil.settings import session_text
-from fes.hil.walk import FOOT, RATE_HZ, walker
+from fes.hil.settings import FOOT, RATE_HZ, session_text, walker
 
 SHORT = ("imu_silent", "controller_killed")
 

@@ -17,11 +17,11 @@ from imu_reading import Taken, collect, collect_samples, collect_until, settings
 from drivers.imu.line import READS_AT_MOST, ByteLine
 from drivers.imu.open import open_imus
 from drivers.imu.port import ImuLost
+from drivers.simulated.imu.device import walking
+from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
+from drivers.simulated.stimulator.spawn import free_bus, why_silent
 from drivers.stimulator.bus import open_bus
-from drivers.virtual.can_node_spawn import free_bus, why_silent
-from drivers.virtual.imu_signal import walking
-from drivers.virtual.imu_spawn import ImuHandle, spawn_imu
-from fes.clocks import SensorClock
+from fes.control.clock_sync import SensorClock
 from fes.signals import G_MPS2, NS_PER_S
 
 CLOCK_NS = 500_000  # two clocks 80 ppm apart for 3 s, and a stamp's steps of 0.1 ms

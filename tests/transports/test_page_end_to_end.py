@@ -17,13 +17,13 @@ from live_runs import LiveRun, live_run, prepare, standing_first
 from page_browser import CHROMIUM, Page, chromium
 from replays import MS, cut, trial
 
-from drivers.virtual.can_node_spawn import free_bus, why_silent
-from fes.cli.exits import OK
-from fes.cli.replay_log import repeat
-from fes.hil.rig import LOST_TIME
-from fes.journal import SessionRecord, read_session
-from fes.page.press import press_stop
+from drivers.simulated.stimulator.spawn import free_bus, why_silent
+from fes.cli.common.exits import OK
+from fes.cli.replay.log import repeat
+from fes.hil.test_bench import LOST_TIME
+from fes.live.dashboard.message_handler import press_stop
 from fes.recording import write_recording
+from fes.session_log import SessionRecord, read_session
 from fes.signals import OperatorAction
 
 STOP_MS = 150
@@ -261,7 +261,7 @@ def test_stopped_or_killed_its_process_changes_nothing(loop: tuple[Path, Path], 
         browser.go(link)
         run.armed_at()
         run.in_mid_burst()
-        (page,) = run.children("fes.page")
+        (page,) = run.children("fes.live.dashboard")
         os.kill(page, signal.SIGSTOP)  # it reads nothing any more
         browser.until(state_is("lost"))
         assert "SPACE" in browser.text("#alarm")

@@ -18,10 +18,10 @@ from replays import FES, run_fes, write_cut
 from replays import replay as replay_here
 from websockets.sync.client import ClientConnection, connect
 
-from fes.cli.exits import INTERRUPTED, OK, UNUSABLE
-from fes.cli.replay_log import repeat
-from fes.journal import read_session
-from fes.page.press import press_stop
+from fes.cli.common.exits import INTERRUPTED, OK, UNUSABLE
+from fes.cli.replay.log import repeat
+from fes.live.dashboard.message_handler import press_stop
+from fes.session_log import read_session
 
 SPEED = 8
 RECORDING = Path(__file__).resolve().parents[2] / "sim_inputs" / "negard_patient2.parquet"

@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 from replays import FES, MS, SETTINGS, bursts, run_fes, write_cut
 
-from drivers.virtual.can_node_spawn import NodeHandle, free_bus, spawn_node, why_silent
-from drivers.virtual.node_record import RecordEntry, read_record
-from fes.cli.exits import FAILED, INTERRUPTED, OK, STOPPED
-from fes.cli.replay_log import repeat
-from fes.journal import read_session
+from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.stimulator.spawn import NodeHandle, free_bus, spawn_node, why_silent
+from fes.cli.common.exits import FAILED, INTERRUPTED, OK, STOPPED
+from fes.cli.replay.log import repeat
+from fes.session_log import read_session
 
 LEASE_MS = 60
 MARGIN_MS = 15  # until the node has read what was on its way

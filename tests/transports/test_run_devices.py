@@ -21,7 +21,7 @@ from live_runs import (
     FOOT,
     Button,
     LiveRun,
-    Rig,
+    TestBench,
     faults_named,
     live_run,
     lsl_and_can,
@@ -36,11 +36,18 @@ from live_runs import (
 from processes import gone_after_s
 from replays import MS
 
-from drivers.virtual.can_node_spawn import NodeHandle, free_bus, spawn_node, why_silent
-from drivers.virtual.device_spawn import DeviceHandle, DeviceKind, spawn_device
-from fes.cli.exits import BROKEN, OK, STOPPED
-from fes.cli.replay_log import repeat
-from fes.journal import read_session
+from drivers.simulated.stimulator.spawn import (
+    DeviceHandle,
+    DeviceKind,
+    NodeHandle,
+    free_bus,
+    spawn_device,
+    spawn_node,
+    why_silent,
+)
+from fes.cli.common.exits import BROKEN, OK, STOPPED
+from fes.cli.replay.log import repeat
+from fes.session_log import read_session
 
 STOP_MS = 50
 GONE_S = 20.0  # the log's writer waits for the disk before it ends
@@ -84,7 +91,7 @@ def faults_of(run: LiveRun) -> list[str]:
     ids=["ximu3 and p24", "ximu3 and rehastim2", "xsens and stimulator on one bus", "shank", "lsl"],
 )
 def test_it_walks_stimulates_stops_and_replays(
-    rig: Callable[[Path, Path, ExitStack], Rig], moves: str, recordings: Recordings, tmp_path: Path
+    rig: Callable[[Path, Path, ExitStack], TestBench], moves: str, recordings: Recordings, tmp_path: Path
 ) -> None:
     recording, calibration = recordings[moves]
     with live_run(tmp_path, recording, "--calibration", calibration, rig=rig) as run:
@@ -150,7 +157,7 @@ def test_a_stimulator_on_the_bus_that_is_lost_comes_back_and_is_armed_by_hand(
     ids=["p24", "rehastim2"],
 )
 def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_hand(
-    rig: Callable[[Path, Path, ExitStack], Rig],
+    rig: Callable[[Path, Path, ExitStack], TestBench],
     kind: DeviceKind,
     greeting: int,
     late_ms: int,
@@ -192,7 +199,7 @@ def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_ha
 
 @pytest.mark.parametrize("rig", [ximu3_and_p24, ximu3_and_rehastim2], ids=["p24", "rehastim2"])
 def test_pulses_withheld_from_a_serial_stimulators_queue_are_withheld_in_the_replay(
-    rig: Callable[[Path, Path, ExitStack], Rig], recordings: Recordings, tmp_path: Path
+    rig: Callable[[Path, Path, ExitStack], TestBench], recordings: Recordings, tmp_path: Path
 ) -> None:
     """It is mute for a while in mid-burst: what was not sent, and what was asked meanwhile, follows from what came."""
     recording, calibration = recordings["foot"]
@@ -272,7 +279,7 @@ def test_a_killed_session_leaves_no_process_and_a_log_to_its_last_quarter_of_a_s
     with live_run(tmp_path, recording, "--calibration", calibration, "--view") as run:
         run.armed_at()
         run.in_mid_burst()
-        helpers = [*run.children("log_process"), *run.children("fes.live.view")]
+        helpers = [*run.children("log_process"), *run.children("fes.live.terminal_view")]
         assert len(helpers) == 2
         before_ns = time.monotonic_ns()
         blow_ns = run.struck(signal.SIGKILL)
@@ -307,7 +314,7 @@ def test_a_session_that_crashes_is_off_leaves_no_process_and_its_log_says_so(
     with live_run(tmp_path, recording, "--calibration", calibration, "--view") as run:
         run.armed_at()
         run.in_mid_burst()
-        helpers = [*run.children("log_process"), *run.children("fes.live.view")]
+        helpers = [*run.children("log_process"), *run.children("fes.live.terminal_view")]
         run.order("belt_up")
         blow_ns = time.monotonic_ns()
         assert run.off_after_ms(blow_ns) <= STOP_MS + MARGIN_MS
@@ -328,7 +335,7 @@ def test_a_stop_button_and_a_foot_switch_on_the_bus(recordings: Recordings, tmp_
         f'[[foot_switches]]\nfoot = "{FOOT}"\nsource = "can_bit"\nidentifier = 0x1F1\nbit = 0\n'
     )
 
-    def with_switches(folder: Path, path: Path, stack: ExitStack) -> Rig:
+    def with_switches(folder: Path, path: Path, stack: ExitStack) -> TestBench:
         rig = xbus_and_can(folder, path, stack)
         assert isinstance(rig.stimulator, NodeHandle)
         nonlocal bus

@@ -12,10 +12,10 @@ from live_runs import FOOT, LiveRun, faults_named, live_run, prepare
 from processes import gone_after_s
 from replays import MS
 
-from drivers.virtual.can_node_spawn import free_bus, why_silent
-from fes.cli.exits import INTERRUPTED, OK, STOPPED
-from fes.cli.replay_log import repeat
-from fes.journal import read_session
+from drivers.simulated.stimulator.spawn import free_bus, why_silent
+from fes.cli.common.exits import INTERRUPTED, OK, STOPPED
+from fes.cli.replay.log import repeat
+from fes.session_log import read_session
 
 LEASE_MS = 60
 MARGIN_MS = 15  # two processes' wake-ups on a shared machine, beside the deadline that is claimed
@@ -79,7 +79,7 @@ def test_it_walks_and_stimulates_stops_by_file_and_replays_to_the_same_bytes(
         assert (again.difference, again.commands) == ("", len(record.commands))
         late = record.summary["arrival"][FOOT]
         assert late["count"] == received
-        heavy = {"pyarrow", "jinja2", "matplotlib", "rich", "scipy.signal", "pandas", "mcap", "drivers.virtual"}
+        heavy = {"pyarrow", "jinja2", "matplotlib", "rich", "scipy.signal", "pandas", "mcap", "drivers.simulated"}
         assert not heavy & run.loaded()
         assert "fes.live.session" in run.loaded()
 
@@ -90,7 +90,7 @@ def test_the_space_bar_stops_a_killed_view_does_not_and_arming_is_by_hand(
     recording, calibration = loop
     with live_run(tmp_path, recording, "--calibration", calibration, "--view") as run:
         run.armed_at()
-        (view,) = run.children("fes.live.view")
+        (view,) = run.children("fes.live.terminal_view")
         os.kill(view, signal.SIGKILL)
         run.in_mid_burst()
         os.write(run.keys, b" ")
@@ -159,7 +159,7 @@ def test_stopped_and_continued_it_notices_the_gap_and_stays_off(loop: tuple[Path
         said = run.quit()
         assert run.process.returncode == OK, said
         record = read_session(run.log)
-        # what latched depends on where it was stopped (tests/test_live_stalls.py); that it was away does not
+        # what latched depends on where it was stopped (tests/live/test_live_stalls.py); that it was away does not
         assert faults_named(record)
         assert record.summary["stalls"] >= 1
         assert record.summary["longest_stall_ms"] >= (goes_on_ns - blow_ns) / MS - MARGIN_MS

@@ -20,10 +20,9 @@ from typing import Literal
 import pytest
 from replays import SETTINGS
 
+from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeFailed, spawn_device
 from drivers.stimulator.open import Port, open_stimulator
 from drivers.stimulator.port import StimulatorLost
-from drivers.virtual.can_node_spawn import NodeFailed
-from drivers.virtual.device_spawn import DeviceHandle, DeviceKind, spawn_device
 from fes.config import Channel, ConfigError, Session, StimulatorDevice, load_session
 from fes.signals import StimAlive, StimCommand, StimStatus
 

@@ -12,11 +12,11 @@ import can
 import pytest
 from full_queue import full_queue
 
+from drivers.simulated.stimulator.spawn import free_bus, spawn_node
 from drivers.stimulator.bus import BusError, open_bus
 from drivers.stimulator.can_codec import ALIVE_ID, NODE_IDS
 from drivers.stimulator.can_port import CanStimulator
 from drivers.stimulator.port import StimulatorLost
-from drivers.virtual.can_node_spawn import free_bus, spawn_node
 from fes.config import Bus
 from fes.signals import StimCommand, StimStatus
 

@@ -30,28 +30,26 @@ import pytest
 from campaigns import HELD_UP_MS, faults_but_lost_time
 
 from drivers.imu.port import ImuLost
+from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.stimulator.spawn import free_bus, why_silent
 from drivers.stimulator.open import Port, open_stimulator
-from drivers.virtual.can_node_spawn import free_bus, why_silent
-from drivers.virtual.node_record import RecordEntry, read_record
-from fes.calibrations import load
-from fes.cli.demo_loop import CURRENT_MA, patient
-from fes.cli.replay_log import repeat
+from fes.calibration.recording import load
+from fes.cli.demo import CURRENT_MA, patient
+from fes.cli.replay.log import repeat
 from fes.config import load_session, validate_session
 from fes.hil.baseline import Baseline
 from fes.hil.campaign import run_campaign
-from fes.hil.course import course
+from fes.hil.closed_loop.bench import PatientBench, spawn_patient, start_patient_bench
+from fes.hil.closed_loop.one_process import run_in_one_process
+from fes.hil.closed_loop.processes import Ran, SwitchedOff, course, run_between_processes
+from fes.hil.closed_loop.session import calibration_of, session_text
 from fes.hil.devices import start_devices
 from fes.hil.judge import MS
-from fes.hil.one_process import run_in_one_process
-from fes.hil.patient_bench import PatientBench, start_patient_bench
-from fes.hil.patient_session import calibration_of, session_text
-from fes.hil.patient_spawn import spawn_patient
-from fes.hil.processes import Ran, SwitchedOff, run_between_processes
-from fes.hil.rig import LOST_TIME, Rig
 from fes.hil.scenarios import SCENARIOS
-from fes.journal import SessionRecord, read_session
-from fes.patient.virtual import DeliveredPulse, VirtualPatient, VirtualStride
+from fes.hil.test_bench import LOST_TIME, TestBench
+from fes.session_log import SessionRecord, read_session
 from fes.signals import NS_PER_S, StimCommand
+from fes.simulation.forward import DeliveredPulse, VirtualPatient, VirtualStride
 
 SECONDS = 42.0
 RUNS = 3
@@ -298,7 +296,7 @@ def test_a_campaign_on_a_patient_who_feels_the_stimulation(tmp_path: Path, trans
     names = ("imu_unplugged", "controller_killed")
     with ExitStack() as stack:
         devices = start_devices(transport, tmp_path, stack, closed_loop=True)
-        rig = Rig(devices, devices.can_do, stack)
+        rig = TestBench(devices, devices.can_do, stack)
         scenarios = [scenario for scenario in SCENARIOS if scenario.name in names]
         done = run_campaign(rig, transport, scenarios, 1, lambda scenario, n, found: None)
         assert devices.patient is not None

@@ -17,8 +17,8 @@ from statistics import median
 from typing import Final
 
 from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.tuning.demand import BELIEVED, NOISE, NOISE_AT_CONTACT, SLOPE_BOUNDS
 from fes.stimulation.tuning.guardrails import at_most, drive_of
-from fes.stimulation.tuning.response import BELIEVED, NOISE, NOISE_AT_CONTACT, SLOPE_BOUNDS
 from fes.stimulation.tuning.targets import Reading
 
 CLIMB: Final = 0.3  # of drive: a session's setting may lie as far below what reaches the muscle

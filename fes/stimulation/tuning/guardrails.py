@@ -11,7 +11,7 @@ from typing import Final
 
 from fes.config import Bounds, Tuning
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.response import LAST, Response
+from fes.stimulation.tuning.demand import LAST, Response
 
 QUANTUM_MA: Final = 0.5  # the devices' step: less would be a change on paper only
 QUANTUM_US: Final = 1.0

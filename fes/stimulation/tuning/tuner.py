@@ -12,16 +12,12 @@ from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.answering import Answering
-from fes.stimulation.tuning.demand import Demand, Responses, at_contact, in_mid_swing, reason
+from fes.stimulation.tuning.demand import Demand, Response, Responses, at_contact, in_mid_swing, reason
 from fes.stimulation.tuning.guardrails import Watch, at_most, drive_of, limited, outside, peak_of, used
-from fes.stimulation.tuning.intensity import Intensity
-from fes.stimulation.tuning.learning import Zones
-from fes.stimulation.tuning.lowering import Lowering
+from fes.stimulation.tuning.intensity import Intensity, Zones
 from fes.stimulation.tuning.reports import Kind, TuningReport, difference
-from fes.stimulation.tuning.response import Response
-from fes.stimulation.tuning.skipping import NO_CHARGE, StrideFilter, jolted
-from fes.stimulation.tuning.speed_timing import SPENT, SpeedTiming
-from fes.stimulation.tuning.targets import Reading, read_stride
+from fes.stimulation.tuning.targets import NO_CHARGE, Reading, StrideFilter, jolted, read_stride
+from fes.stimulation.tuning.timing import SPENT, Lowering, SpeedTiming
 
 HOLD_STRIDES: Final = 4  # after a roll-back, before the next attempt
 MOST_ROLL_BACKS: Final = 3

@@ -1,0 +1,1 @@
+"""Simulated inertial sensors, each in a process of its own."""

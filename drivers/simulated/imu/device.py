@@ -1,0 +1,218 @@
+"""A simulated inertial sensor with its own clock: time in, messages out; no I/O.
+
+Faults, besides the line's own (:mod:`drivers.simulated.line_faults`): ``reboot`` (now: silent for 0.3 s, then clock and
+counter from 0), ``unit`` (values times this; 0 ends it), ``stuck`` (1: repeats itself), ``clip`` (values held
+within ± this share of full scale; 0 ends it), ``full`` (1: every value at the end of its range), ``nan`` / ``inf`` /
+``doubled`` (so many of the next samples), ``axes`` (1: sits turned, x measures what y did, y what z did; 0 ends it),
+``drift`` (ppm of its clock from now on), ``jump`` (its clock, by so many seconds, once), ``jumping`` (every eighth
+stamp is ahead by so many seconds; 0 ends it). ``stand``: its wearer stays within the first so many seconds of the
+signal, in which they stand, once they come there; 0: goes on at their end. A sensor that sends whole numbers, as most
+do on CAN, has no ``nan`` and no ``inf``: what it cannot measure it says as the end of its range, or not at all.
+
+What a simulated inertial sensor feels: a recording's track, or a simulated walker's foot; played round and round.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from drivers.simulated.imu.wire import Reading, Wire
+from fes.signals import G_MPS2, NS_PER_S, FloatArray, Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSignal:
+    """Specific force (N, 3) in m/s² and rate (N, 3) in rad/s, ``rate_hz`` samples a second."""
+
+    rate_hz: float
+    acc_mps2: FloatArray
+    gyr_radps: FloatArray
+
+    @property
+    def size(self) -> int:
+        """N."""
+        return len(self.acc_mps2)
+
+    def at(self, number: int) -> tuple[Vector3, Vector3]:
+        """The ``number``-th sample from the start, beginning again at the end."""
+        ax, ay, az = self.acc_mps2[number % len(self.acc_mps2)].tolist()
+        gx, gy, gz = self.gyr_radps[number % len(self.gyr_radps)].tolist()
+        return (ax, ay, az), (gx, gy, gz)
+
+
+def recorded(path: Path, sensor: str, rate_hz: float) -> ImuSignal:
+    """A track of a recording, at ``rate_hz`` by linear interpolation.
+
+    Raises:
+        ValueError: no such track, or the recording cannot be used.
+    """
+    from fes.recording import read_recording
+
+    tracks = read_recording(path).tracks
+    if sensor not in tracks:
+        raise ValueError(f"{path}: has no {sensor}; it has {', '.join(tracks)}")
+    track = tracks[sensor]
+    t_s = (track.t_sensor_ns - track.t_sensor_ns[0]) * 1e-9
+    grid_s = np.arange(int(float(t_s.max()) * rate_hz) + 1) / rate_hz
+    order = np.argsort(t_s, kind="stable")
+
+    def even(values: FloatArray) -> FloatArray:
+        return np.stack([np.interp(grid_s, t_s[order], values[order, axis]) for axis in range(3)], axis=1)
+
+    return ImuSignal(rate_hz, even(track.acc_mps2), even(track.gyr_radps))
+
+
+def walking(sensor: str, rate_hz: float, strides: int = 12, seed: int = 7) -> ImuSignal:
+    """Four seconds of standing, ``strides`` strides on a treadmill, standing again; the same for the same seed."""
+    from fes.simulation.sensor import ImuModel
+    from fes.simulation.session import Placement, new_session
+    from fes.simulation.trials import HEALTHY
+
+    foot = sensor.replace("shank", "foot")
+    session = new_session("simulated", seed, {foot: Placement((0.070, -0.005, 0.068), (3.0, 21.0, -4.0))})
+    session.stand(4.0)
+    session.walk({foot: HEALTHY}, strides, 1.0, ramp_s=1.5, early=False)
+    session.stand(2.0)
+    track = session.recording(rate_hz, ImuModel(), "simulated").tracks[foot]
+    return ImuSignal(rate_hz, track.acc_mps2, track.gyr_radps)
+
+
+LASTING: Final = ("unit", "stuck", "clip", "full", "nan", "inf", "doubled", "axes", "jumping")  # until set to 0
+FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
+NOT_FINITE: Final = ("nan", "inf")
+JUMPING_EVERY: Final = 8  # more than one in twenty
+BOOT_NS: Final = 300_000_000
+_NAN: Final = (math.nan, math.nan, math.nan)
+_INF: Final = (math.inf, -math.inf, math.inf)
+
+
+class SimulatedImu:
+    """Call :meth:`advance` at every deadline and :meth:`receive` for bytes from the host; both return messages."""
+
+    def __init__(
+        self,
+        wire: Wire,
+        signal: ImuSignal,
+        t_ns: int,
+        *,
+        offset_s: float = 0.0,
+        drift_ppm: float = 0.0,
+        acc_range_g: float = 16.0,
+        gyr_range_dps: float = 2000.0,
+    ) -> None:
+        self._wire = wire
+        self._signal = signal
+        self._acc_range = acc_range_g * G_MPS2
+        self._gyr_range = math.radians(gyr_range_dps)
+        self._values = dict.fromkeys(FAULTS, 0.0)
+        self._last: tuple[Vector3, Vector3] = signal.at(0)
+        self._played = 0
+        self._start(t_ns, int(offset_s * NS_PER_S), drift_ppm)
+
+    def _start(self, t_ns: int, device_ns: int, drift_ppm: float) -> None:
+        # the sampling beat is the device's crystal's: its drift changes the interval too
+        self._t0_ns, self._device0_ns, self._drift = t_ns, device_ns, drift_ppm * 1e-6
+        self._counter = self._beat = 0
+
+    def next_deadline_ns(self) -> int:
+        """When the next sample is taken."""
+        own_ns = self._beat * NS_PER_S / self._signal.rate_hz
+        return self._t0_ns + round(own_ns / (1.0 + self._drift))
+
+    def advance(self, t_ns: int) -> list[bytes]:
+        """All samples due by ``t_ns``."""
+        out: list[bytes] = []
+        while self.next_deadline_ns() <= t_ns:
+            own_ns = self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
+            if self._values["jumping"] and self._counter % JUMPING_EVERY == 0:
+                own_ns += int(self._values["jumping"] * NS_PER_S)
+            messages = self._wire.say(self._reading(own_ns))
+            out += messages + (messages if self._take("doubled") else [])
+            self._counter += 1
+            self._beat += 1
+            self._played = self._next_played()
+        return out
+
+    def receive(self, t_ns: int, data: bytes) -> list[bytes]:
+        """Bytes from the host."""
+        return self._wire.hear(data)
+
+    def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
+        """Bring a fault about, or with 0 end it.
+
+        Raises:
+            ValueError: no such fault, or none that this kind of sensor can have.
+        """
+        if name in NOT_FINITE and value and not self._wire.carries_nan:
+            raise ValueError(
+                f"fault {name!r} does not exist here: this sensor sends whole numbers, which have none. What it can do "
+                "instead: full (the end of its range) or mute (nothing)"
+            )
+        if name not in FAULTS or not math.isfinite(value):
+            raise ValueError(f"fault {name!r} = {value!r} is not known; one of {', '.join(sorted(FAULTS))}")
+        if name == "reboot":
+            self._start(t_ns + BOOT_NS, 0, self._drift * 1e6)
+            return self._wire.boot()
+        if name in ("jump", "drift"):
+            due_ns = self.next_deadline_ns()
+            own_ns = self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
+            counter = self._counter
+            drift_ppm = value if name == "drift" else self._drift * 1e6
+            self._start(due_ns, own_ns + (int(value * NS_PER_S) if name == "jump" else 0), drift_ppm)
+            self._counter = counter
+            return []
+        if name == "stand" and not value:
+            self._played = max(self._played, self._stood) % self._signal.size
+        self._values[name] = value
+        return []
+
+    @property
+    def _stood(self) -> int:
+        """How many samples of the signal are of standing, as far as was said."""
+        return round(self._values["stand"] * self._signal.rate_hz)
+
+    def _next_played(self) -> int:
+        number = (self._played + 1) % self._signal.size
+        return 0 if number == self._stood else number
+
+    def _reading(self, own_ns: int) -> Reading:
+        if not self._values["stuck"]:
+            self._last = self._signal.at(self._played)
+        acc, gyr = self._last
+        factor = self._values["unit"] or 1.0
+        share = self._values["clip"] or 1.0
+        held_acc = _held(acc, factor, share * self._acc_range)
+        held_gyr = _held(gyr, factor, share * self._gyr_range)
+        clipped = self._values["clip"] > 0 and (held_acc != acc or held_gyr != gyr)
+        if self._values["unit"]:
+            held_acc, held_gyr = _held(acc, factor, math.inf), _held(gyr, factor, math.inf)
+        if self._values["full"]:
+            held_acc, held_gyr = _held(acc, 1e9, self._acc_range), _held(gyr, 1e9, self._gyr_range)
+        if self._values["axes"]:
+            held_acc, held_gyr = _turned(held_acc), _turned(held_gyr)
+        if self._take("nan"):
+            held_acc = _NAN
+        if self._take("inf"):
+            held_acc = held_gyr = _INF
+        return Reading(self._counter, own_ns, held_acc, held_gyr, clipped)
+
+    def _take(self, name: str) -> bool:
+        if self._values[name] < 1:
+            return False
+        self._values[name] -= 1
+        return True
+
+
+def _turned(values: Vector3) -> Vector3:
+    x, y, z = values
+    return y, z, x
+
+
+def _held(values: Vector3, factor: float, most: float) -> Vector3:
+    x, y, z = (min(max(v * factor, -most), most) for v in values)
+    return x, y, z

@@ -1,0 +1,155 @@
+"""A simulated inertial sensor as a process of its own: ``python -m drivers.simulated.imu.process --device xbus``.
+
+It owns its end of a pseudo-terminal, a TCP or UDP port, a CAN bus or an LSL outlet, says in one JSON line how it is
+reached, and takes faults on stdin (:mod:`drivers.simulated.process_end`). It keeps its beat by absolute deadlines.
+
+A simulated sensor's end of a line that carries no bytes: a CAN bus, or an LSL outlet.
+
+For lines of bytes see :mod:`drivers.simulated.lines`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import can
+
+from drivers.simulated.imu.device import SimulatedImu, recorded, walking
+from drivers.simulated.imu.wire import CAN_RECORD, LSL_RECORD, LslWire, Wire, XbusWire, Ximu3Wire, XsensCanWire
+from drivers.simulated.line_faults import DeviceLoop
+from drivers.simulated.lines import DeviceEnd, PtyEnd, TcpEnd, UdpEnd
+from drivers.simulated.process_end import become_real_time, say_ready, stop_signals
+from drivers.stimulator.bus import open_bus
+from fes.config import Bus
+
+LABELS: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
+
+
+class CanEnd:
+    """Records of ``CAN_RECORD`` as frames on a bus."""
+
+    def __init__(self, settings: Bus) -> None:
+        self.port = "bus"
+        self._bus: can.BusABC | None = open_bus(settings, frozenset())
+
+    def descriptors(self) -> list[int]:
+        """Nothing is listened to."""
+        return []
+
+    def read(self) -> bytes:
+        """Nothing."""
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """Frames that the bus does not take are lost."""
+        for number, length, payload in CAN_RECORD.iter_unpack(data):
+            message = can.Message(arbitration_id=number & 0x7FF, is_extended_id=False, data=payload[: min(length, 8)])
+            with contextlib.suppress(can.CanError, OSError):
+                if self._bus is not None:
+                    self._bus.send(message, timeout=0)
+
+    def unplug(self) -> None:
+        """Leave the bus."""
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+
+
+class LslEnd:
+    """Records of ``LSL_RECORD`` as samples of an outlet."""
+
+    def __init__(self, name: str, rate_hz: float) -> None:
+        lsl = importlib.import_module("pylsl")
+        info = lsl.StreamInfo(name, "IMU", len(LABELS), rate_hz, "double64", f"{name}-{os.getpid()}")
+        channels = info.desc().append_child("channels")
+        for label in LABELS:
+            channel = channels.append_child("channel")
+            channel.append_child_value("label", label)
+            channel.append_child_value("unit", "m/s2" if label.startswith("acc") else "rad/s")
+        self.port = name
+        self._outlet: Any = lsl.StreamOutlet(info, 1)
+
+    def descriptors(self) -> list[int]:
+        """Nothing is listened to."""
+        return []
+
+    def read(self) -> bytes:
+        """Nothing."""
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """Push them with the device's stamps."""
+        for stamp_s, *values in LSL_RECORD.iter_unpack(data):
+            if self._outlet is not None:
+                self._outlet.push_sample(values, stamp_s)
+
+    def unplug(self) -> None:
+        """The stream ends."""
+        self._outlet = None
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the sensor until told to stop; exit status 2 when the settings are wrong."""
+    parser = argparse.ArgumentParser(prog="imu_process", description="A simulated inertial sensor.")
+    parser.add_argument("--device", choices=("xbus", "ximu3", "xsens_can", "dbc_can", "lsl"), required=True)
+    parser.add_argument("--line", choices=("pty", "tcp", "udp"), default="pty", help="for xbus and ximu3")
+    parser.add_argument("--sensor", default="right_foot", help="whose movement (default %(default)s)")
+    parser.add_argument("--recording", type=Path, help="play this instead of a simulated walk")
+    parser.add_argument("--rate", type=float, default=100.0, help="Hz")
+    parser.add_argument("--offset", type=float, default=0.0, help="of its clock at the start, s")
+    parser.add_argument("--drift", type=float, default=0.0, help="of its clock, ppm")
+    parser.add_argument("--bus", help="CAN bus, as JSON")
+    parser.add_argument("--id-offset", type=int, default=0, help="for xsens_can")
+    parser.add_argument("--options", default="{}", help="for dbc_can: the options of the session's settings, as JSON")
+    parser.add_argument("--name", default="imu", help="of the LSL stream")
+    options = parser.parse_args(arguments)
+    stop = stop_signals()
+    try:
+        wire, end = _line(options)
+        if options.recording is not None:
+            feels = recorded(options.recording, options.sensor, options.rate)
+        else:
+            feels = walking(options.sensor, options.rate)
+    except (ValueError, RuntimeError, ImportError, OSError) as error:
+        print(f"imu_process: {error}", file=sys.stderr)
+        return 2
+    real_time = become_real_time()
+    now_ns = time.monotonic_ns()
+    device = SimulatedImu(wire, feels, now_ns, offset_s=options.offset, drift_ppm=options.drift)
+    say_ready(port=end.port, real_time=real_time, t0_ns=now_ns)
+    try:
+        DeviceLoop(device, end, stop.fileno()).run()
+    finally:
+        end.unplug()
+    return 0
+
+
+def _line(options: argparse.Namespace) -> tuple[Wire, DeviceEnd]:
+    if options.device in ("xsens_can", "dbc_can"):
+        return _can_wire(options), CanEnd(Bus.model_validate_json(options.bus or "{}"))
+    if options.device == "lsl":
+        return LslWire(), LslEnd(options.name, options.rate)
+    wire: Wire = XbusWire(options.rate) if options.device == "xbus" else Ximu3Wire()
+    ends: dict[str, type[PtyEnd | TcpEnd | UdpEnd]] = {"pty": PtyEnd, "tcp": TcpEnd, "udp": UdpEnd}
+    return wire, ends[options.line]()
+
+
+def _can_wire(options: argparse.Namespace) -> Wire:
+    if options.device == "xsens_can":
+        return XsensCanWire(options.id_offset)
+    from drivers.simulated.imu.wire import DbcWire
+
+    return DbcWire(json.loads(options.options))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Simulated stimulators: their firmware, and the processes that run it."""

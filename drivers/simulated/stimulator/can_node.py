@@ -1,0 +1,183 @@
+"""The simulated CAN stimulator as a process of its own: ``python -m drivers.simulated.stimulator.can_node``.
+
+A real stimulator's lease does not depend on the controller's computer; so this node has its own process, its own
+clock and loop, and asks for real-time scheduling where it may. It prints one JSON line when it is ready and ends
+on SIGTERM, SIGINT, or (``--until-stdin-closes``) when the process that started it is gone. Faults while it runs are
+JSON lines ``{"fault": NAME, "value": NUMBER}`` on stdin, each confirmed: the node's own, and those of its line
+(:mod:`drivers.simulated.line_faults`) for what it sends.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import secrets
+import select
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import can
+
+from drivers.simulated.imu.wire import CAN_RECORD
+from drivers.simulated.line_faults import LINE_FAULTS, LineFaults
+from drivers.simulated.process_end import STDIN, Orders, become_real_time, fault_orders, say_ready, stop_signals
+from drivers.simulated.pulses import PulseOutlet
+from drivers.simulated.stimulator.firmware import RecordWriter, StimulatorNode, parse_faults
+from drivers.simulated.stimulator.node_clock import SIM_TIME_ID, BusClock, NodeClock, RealClock
+from drivers.stimulator.bus import MULTICAST, BusError, open_bus
+from drivers.stimulator.can_codec import CONTROLLER_IDS, Frame
+from fes.config import Bus
+
+FRAMES_AT_ONCE: Final = 64
+READ_ERRORS_IN_A_ROW: Final = 100
+
+
+class BusBroken(RuntimeError):
+    """The node's bus cannot be read any more."""
+
+
+class NodeLoop:
+    """Node, bus, record and the descriptors that end it: one wait per turn, until the next deadline or frame."""
+
+    def __init__(
+        self,
+        node: StimulatorNode,
+        bus: can.BusABC,
+        record: RecordWriter,
+        stop: Sequence[int],
+        clock: NodeClock,
+        pulses: PulseOutlet | None = None,
+    ) -> None:
+        self._pulses = pulses or PulseOutlet(None)
+        self._clock = clock
+        self._node = node
+        self._bus = bus
+        self._record = record
+        self._stop = tuple(stop)
+        self._read_errors = 0
+        self._faults = LineFaults()
+        self._orders = Orders(fault_orders(self._fault), clock.now_ns)
+
+    def run(self) -> None:
+        """Until a stop descriptor speaks. The outputs are off afterwards.
+
+        Raises:
+            BusBroken: reading failed a hundred times in a row.
+        """
+        try:
+            while self._turn():
+                pass
+        finally:
+            self._node.power_off(self._clock.now_ns())
+            self._record.write(self._node.take_record())
+
+    def _turn(self) -> bool:
+        self._put_out(self._node.advance(self._clock.now_ns()))
+        wait_s = self._clock.wait_s(min(self._node.next_deadline_ns(), self._faults.next_deadline_ns()))
+        ready, _, _ = select.select([self._bus.fileno(), *self._stop], [], [], wait_s)
+        if any(descriptor in ready and self._is_over(descriptor) for descriptor in self._stop):
+            return False
+        if self._bus.fileno() in ready:
+            for _ in range(FRAMES_AT_ONCE):
+                message = self._read()
+                if message is None:
+                    break
+                if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+                    continue
+                if message.arbitration_id == SIM_TIME_ID:
+                    self._clock.told(bytes(message.data))
+                    self._put_out(self._node.advance(self._clock.now_ns()))
+                    continue
+                now_ns = self._clock.now_ns()
+                self._put_out(self._node.receive(now_ns, message.arbitration_id, bytes(message.data)))
+        return True
+
+    def _put_out(self, frames: list[Frame]) -> None:
+        self._pulses.of_channels(self._node.channels)
+        now_ns = self._clock.now_ns()
+        self._faults.send(now_ns, [CAN_RECORD.pack(identifier, len(data), data) for identifier, data in frames])
+        for identifier, length, data in CAN_RECORD.iter_unpack(self._faults.due(now_ns)):
+            # a node whose answers do not get out still keeps its leases; the controller sees the silence
+            with contextlib.suppress(can.CanError, OSError):
+                message = can.Message(arbitration_id=identifier, data=data[:length], is_extended_id=False)
+                self._bus.send(message, timeout=0)
+        self._record.write(self._node.take_record())
+
+    def _read(self) -> can.Message | None:
+        try:
+            message = self._bus.recv(timeout=0.0)
+        except (can.CanError, OSError) as error:  # a datagram that is no CAN frame, or a bus that is gone
+            self._read_errors += 1
+            if self._read_errors >= READ_ERRORS_IN_A_ROW:
+                raise BusBroken(f"{self._bus.channel_info}: cannot be read: {error}") from error
+            return None
+        self._read_errors = 0
+        return message
+
+    def _is_over(self, descriptor: int) -> bool:
+        """A byte from the signal pipe ends the node; so does the end of stdin, but not what is typed there."""
+        return descriptor != STDIN or not self._orders.read()
+
+    def _fault(self, name: str, value: float) -> None:
+        if name in LINE_FAULTS:
+            self._faults.set(name, value)
+        else:
+            self._node.set_fault(self._clock.now_ns(), name, value)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the node until told to stop; exit status 2 when the settings are wrong, 1 when the bus broke."""
+    parser = argparse.ArgumentParser(prog="can_node", description="A simulated CAN stimulator in its own process.")
+    parser.add_argument(
+        "--interface", default=MULTICAST, help="python-can interface, or loopback (default %(default)s)"
+    )
+    parser.add_argument("--channel", default=Bus().channel, help="channel of the interface (default %(default)s)")
+    parser.add_argument("--port", type=int, help="UDP port, for udp_multicast and loopback")
+    parser.add_argument("--boot-id", type=int, help="0 to 65535; default: random")
+    parser.add_argument("--record", type=Path, help="write what was delivered to this file, JSON lines")
+    parser.add_argument("--pulses", type=Path, help="tell each pulse to the socket of this name")
+    parser.add_argument("--faults", default="", help="electrode=CH,weak=CH,drop=N,reboot=SECONDS,mute=SECONDS")
+    parser.add_argument(
+        "--clock", choices=("real", "bus"), default="real", help="bus: a replay on a virtual bus tells the time"
+    )
+    parser.add_argument("--until-stdin-closes", action="store_true", help="end when the starting process is gone")
+    options = parser.parse_args(arguments)
+    boot_id = secrets.randbelow(2**16) if options.boot_id is None else options.boot_id
+    if not 0 <= boot_id < 2**16:
+        parser.error(f"--boot-id {boot_id} is not within 0 to 65535")
+    try:
+        faults = parse_faults(options.faults)
+    except ValueError as error:
+        parser.error(f"--faults: {error}")
+    settings = Bus(
+        interface=options.interface,
+        channel=options.channel,
+        options={} if options.port is None else {"port": options.port},
+    )
+    signalled = stop_signals()
+    stop = [signalled.fileno()] + ([STDIN] if options.until_stdin_closes else [])
+    try:
+        record = RecordWriter(options.record)
+        bus = open_bus(settings, CONTROLLER_IDS | {SIM_TIME_ID} if options.clock == "bus" else CONTROLLER_IDS)
+    except (BusError, OSError) as error:
+        print(f"can_node: {error}", file=sys.stderr)
+        return 2
+    real_time = become_real_time()
+    clock: NodeClock = BusClock() if options.clock == "bus" else RealClock()
+    node = StimulatorNode(boot_id, clock.now_ns(), faults)
+    say_ready(boot_id=boot_id, real_time=real_time)
+    try:
+        NodeLoop(node, bus, record, stop, clock, PulseOutlet(options.pulses)).run()
+    except BusBroken as error:
+        print(f"can_node: {error}", file=sys.stderr)
+        return 1
+    finally:
+        record.close()
+        bus.shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,493 @@
+"""The simulated CAN stimulator's firmware: frames and time in, frames and pulses out; no I/O, no clock.
+
+It trusts nobody: every command must be intact, of the open session, and numbered 1 to 3 after the last one (one count
+over all channels that carries into the session identifier, see ``e2e``: up to two lost frames are forgiven, a repeated
+or older frame never acts). Five wrong counts in a row close the session. A command over the node's own limits, or with
+a validity of 0 or over 60 ms, turns its channel off. It boots with everything off and no session. A session opens only
+for its own boot id and under an identifier that no executed command has carried since boot, and ends where its count
+would carry into one: no number acts twice, so a capture played back later does nothing.
+
+The simulated stimulator's own account of what it delivered, one JSON object per line.
+
+What a simulated stimulator can be told to do wrong.
+
+One output stage of the simulated stimulator: makes pulses while its lease lasts, and counts them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from drivers.stimulator import can_codec
+from drivers.stimulator.can_codec import (
+    CURRENT_STEP_MA,
+    ECHOED_COUNTS,
+    NO_SESSION,
+    PROTOCOL_VERSION,
+    PULSE_WIDTH_STEP_US,
+    Alive,
+    Charge,
+    Command,
+    Fault,
+    Frame,
+    Result,
+    SessionOpen,
+    Status,
+)
+from drivers.stimulator.e2e import COUNTS, carried, number_of
+from fes.signals import NS_PER_S
+
+
+@dataclass(frozen=True, slots=True)
+class RecordEntry:
+    """One thing the node did, by its own clock (the host's monotonic one): to be held against what was commanded.
+
+    ``event``: boot, session, on, level, off, lease_expired, on_time, fault, or refused (``detail`` says why).
+    Levels are those delivered from ``t_ns`` on. ``accepted_ns`` is when the channel's newest on command was
+    accepted, ``pulses`` its count since the session was opened, ``last_pulse_ns`` its newest pulse.
+    """
+
+    t_ns: int
+    event: str
+    channel: int = -1
+    current_ma: float = 0.0
+    pulse_width_us: float = 0.0
+    frequency_hz: float = 0.0
+    accepted_ns: int = 0
+    pulses: int = 0
+    last_pulse_ns: int = 0
+    detail: str = ""
+
+
+class RecordWriter:
+    """Appends entries to a file and flushes them at once; ``None`` for the path writes nothing."""
+
+    def __init__(self, path: Path | None) -> None:
+        self._file = None if path is None else path.open("w", encoding="utf-8")
+
+    def write(self, entries: list[RecordEntry]) -> None:
+        """Append; on return the lines are with the operating system."""
+        if self._file is not None and entries:
+            self._file.writelines(json.dumps(asdict(entry)) + "\n" for entry in entries)
+            self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+def read_record(path: Path) -> list[RecordEntry]:
+    """All complete lines of a record; a last line without its end (the node was killed) is left out.
+
+    Raises:
+        ValueError: a line is no record entry; names file and line.
+    """
+    entries = []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(keepends=True), start=1):
+        if not line.endswith("\n"):
+            break
+        try:
+            entries.append(RecordEntry(**json.loads(line)))
+        except (ValueError, TypeError) as error:
+            raise ValueError(f"{path}:{number}: is no entry of a stimulator's record: {error}") from error
+    return entries
+
+
+_KINDS: Final[dict[str, Callable[[str], float]]] = {
+    "electrode": int,
+    "weak": int,
+    "drop": int,
+    "reboot": float,
+    "mute": float,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class NodeFaults:
+    """Faults by name; a value below 0 (or 0 for ``drop``) means that the node is sound.
+
+    ``electrode``: this channel's output stage refuses every on command. ``weak``: this channel delivers half of the
+    current. ``drop``: every so-manieth STIM_STATUS is lost. ``reboot`` / ``mute``: so many seconds after its start
+    the node restarts with another boot id / sends nothing any more.
+    """
+
+    electrode: int = -1
+    weak: int = -1
+    drop: int = 0
+    reboot: float = -1.0
+    mute: float = -1.0
+
+
+def parse_faults(text: str) -> NodeFaults:
+    """``"electrode=2,reboot=1.5"`` → faults; "" → none.
+
+    Raises:
+        ValueError: an unknown name or a value that is no number.
+    """
+    values: dict[str, float] = {}
+    for item in filter(None, (part.strip() for part in text.split(","))):
+        name, equals, value = item.partition("=")
+        if name not in _KINDS or not equals:
+            raise ValueError(f"fault {item!r} is not known; write NAME=NUMBER with one of: {', '.join(_KINDS)}")
+        try:
+            values[name] = _KINDS[name](value)
+        except ValueError:
+            raise ValueError(f"fault {item!r}: {value!r} is not a number as {name} needs it") from None
+    return NodeFaults(
+        electrode=int(values.get("electrode", -1)),
+        weak=int(values.get("weak", -1)),
+        drop=int(values.get("drop", 0)),
+        reboot=values.get("reboot", -1.0),
+        mute=values.get("mute", -1.0),
+    )
+
+
+MAX_ON_NS: Final = 3 * NS_PER_S  # the node's own limit on continuous stimulation
+NS_PER_MS: Final = 1_000_000
+NEVER: Final = 2**63 - 1
+
+
+class OutputChannel:
+    """Silent until :meth:`drive`, and again when the lease or the on-time ends. Times are the node's own clock.
+
+    ``pulses`` and ``charge_steps`` (0.5 nC, one phase) run since the last :meth:`reset`. ``blocked`` after the
+    on-time limit: only an off command releases it.
+    """
+
+    def __init__(self) -> None:
+        self.made: deque[tuple[int, float, float]] = deque(maxlen=64)  # newest pulses: time, mA, µs; for who takes them
+        self.reset()
+
+    def reset(self) -> None:
+        """Off, and all counts at zero."""
+        self.on = False
+        self.blocked = False
+        self.current_ma = 0.0
+        self.pulse_width_us = 0.0
+        self.frequency_hz = 0.0
+        self.counter = 0
+        self.accepted_ns = 0
+        self.lease_end_ns = NEVER
+        self.on_end_ns = NEVER
+        self.last_pulse_ns = -NEVER
+        self.next_pulse_ns = NEVER
+        self.pulses = 0
+        self.charge_steps = 0
+
+    @property
+    def levels(self) -> tuple[float, float, float]:
+        """Current in mA, pulse width in µs, frequency in Hz: what it delivers now."""
+        return self.current_ma, self.pulse_width_us, self.frequency_hz
+
+    def drive(self, t_ns: int, levels: tuple[float, float, float], validity_ms: int) -> None:
+        """Deliver these levels until ``validity_ms`` from now, unless told again before."""
+        if not self.on:
+            self.on = True
+            self.on_end_ns = t_ns + MAX_ON_NS
+        self.current_ma, self.pulse_width_us, self.frequency_hz = levels
+        self.accepted_ns = t_ns
+        self.lease_end_ns = t_ns + validity_ms * NS_PER_MS
+        if self.frequency_hz > 0:
+            self.next_pulse_ns = max(t_ns, self.last_pulse_ns + self._period_ns())
+        else:
+            self.next_pulse_ns = NEVER
+
+    def silence(self) -> None:
+        """Off now; the counts stay."""
+        self.on = False
+        self.current_ma = self.pulse_width_us = self.frequency_hz = 0.0
+        self.lease_end_ns = self.on_end_ns = self.next_pulse_ns = NEVER
+
+    def next_deadline_ns(self) -> int:
+        """When it next has something to do by itself."""
+        return min(self.next_pulse_ns, self.lease_end_ns, self.on_end_ns)
+
+    def advance(self, t_ns: int) -> Result | None:
+        """Make the pulses due by now; why it fell silent by itself, None when it did not."""
+        end_ns = min(self.lease_end_ns, self.on_end_ns)
+        while self.next_pulse_ns <= t_ns and self.next_pulse_ns < end_ns:
+            self._pulse()
+        if end_ns > t_ns:
+            return None
+        reason = Result.LEASE_EXPIRED if self.lease_end_ns <= self.on_end_ns else Result.ON_TIME
+        self.blocked = reason is Result.ON_TIME
+        self.silence()
+        return reason
+
+    def _pulse(self) -> None:
+        self.pulses += 1
+        self.charge_steps += round(self.current_ma / CURRENT_STEP_MA) * round(self.pulse_width_us / PULSE_WIDTH_STEP_US)
+        self.last_pulse_ns = self.next_pulse_ns
+        self.made.append((self.last_pulse_ns, self.current_ma, self.pulse_width_us))
+        self.next_pulse_ns += self._period_ns()
+
+    def _period_ns(self) -> int:
+        return int(NS_PER_S / self.frequency_hz)
+
+
+CHANNELS: Final = 8
+MAX_CURRENT_MA: Final = 130.0
+MAX_PULSE_WIDTH_US: Final = 500.0
+MAX_FREQUENCY_HZ: Final = 100.0
+MAX_VALIDITY_MS: Final = 60
+MAX_COUNTER_STEP: Final = 3
+MAX_WRONG_COUNTERS: Final = 5
+ALIVE_PERIOD_NS: Final = 100_000_000
+ON_THEIR_WAY: Final = 64  # numbers that a session may have sent beyond the last one that was heard
+
+
+class StimulatorNode:
+    """Call :meth:`receive` for every frame and :meth:`advance` at every deadline; both return what to send."""
+
+    def __init__(self, boot_id: int, t_ns: int, faults: NodeFaults | None = None) -> None:
+        self.faults = faults or NodeFaults()
+        self.channels = tuple(OutputChannel() for _ in range(CHANNELS))
+        self._record: list[RecordEntry] = []
+        self._statuses = 0
+        self._mute_ns = t_ns + int(self.faults.mute * NS_PER_S) if self.faults.mute >= 0 else NEVER
+        self._reboot_ns = t_ns + int(self.faults.reboot * NS_PER_S) if self.faults.reboot >= 0 else NEVER
+        self._boot(t_ns, boot_id)
+
+    def receive(self, t_ns: int, identifier: int, data: bytes) -> list[Frame]:
+        """Act on one frame from the bus; frames that no controller sends are passed over."""
+        frames = self._pass_time(t_ns)
+        if identifier in can_codec.CONTROLLER_IDS:
+            try:
+                message = can_codec.decode(identifier, data)
+            except can_codec.FrameRejected as error:
+                self._refuse(t_ns, -1, str(error))
+            else:
+                if isinstance(message, Command):
+                    frames += self._command(t_ns, message)
+                elif isinstance(message, SessionOpen):
+                    frames += self._open(t_ns, message)
+        return self._heard(t_ns, frames)
+
+    def advance(self, t_ns: int) -> list[Frame]:
+        """Do all that is due by ``t_ns``: pulses, ends of leases, the heartbeat."""
+        return self._heard(t_ns, self._pass_time(t_ns))
+
+    def next_deadline_ns(self) -> int:
+        """When :meth:`advance` must be called again at the latest."""
+        own = min(self._next_alive_ns, self._reboot_ns)
+        return min(own, *(channel.next_deadline_ns() for channel in self.channels))
+
+    def power_off(self, t_ns: int) -> None:
+        """Silence every channel; nothing is sent."""
+        for number in range(CHANNELS):
+            self._off(t_ns, number, "off")
+
+    def set_fault(self, t_ns: int, name: str, value: float) -> None:
+        """Bring a fault of :class:`NodeFaults` about while the node runs; ``reboot`` after ``value`` seconds.
+
+        Raises:
+            ValueError: no such fault.
+        """
+        if name == "reboot":
+            self._reboot_ns = t_ns + int(value * NS_PER_S)
+        elif name == "electrode":
+            self.faults = replace(self.faults, electrode=int(value))
+            if value < 0:
+                self.flags &= ~Fault.OUTPUT
+        elif name == "weak":
+            self.faults = replace(self.faults, weak=int(value))
+        else:
+            raise ValueError(f"fault {name!r} is not known; one of electrode, weak, reboot")
+
+    def take_record(self) -> list[RecordEntry]:
+        """What happened since the last call."""
+        entries, self._record = self._record, []
+        return entries
+
+    def _boot(self, t_ns: int, boot_id: int) -> None:
+        self.boot_id = boot_id
+        self.session_id = NO_SESSION
+        self.rejected = 0
+        self.flags = Fault.NONE
+        self._used_ids: set[int] = set()
+        self._number = -1
+        self._carried_id = NO_SESSION
+        self._commanded = False
+        self._wrong_counters = 0
+        self._alive_counter = 0
+        self._next_alive_ns = t_ns
+        for channel in self.channels:
+            channel.reset()
+        self._note(t_ns, "boot", detail=f"boot id {boot_id}")
+
+    def _pass_time(self, t_ns: int) -> list[Frame]:
+        frames: list[Frame] = []
+        for number, channel in enumerate(self.channels):
+            reason = channel.advance(t_ns)
+            if reason is not None:
+                self._note(t_ns, "lease_expired" if reason is Result.LEASE_EXPIRED else "on_time", number)
+                frames += self._status(number, channel.counter, self.session_id, reason)
+        if self._reboot_ns <= t_ns:
+            self._reboot_ns = NEVER
+            self._boot(t_ns, (self.boot_id + 1) % 2**16)
+        if self._next_alive_ns <= t_ns:
+            frames.append(self._alive())
+            self._next_alive_ns = max(self._next_alive_ns + ALIVE_PERIOD_NS, t_ns)
+        return frames
+
+    def _open(self, t_ns: int, request: SessionOpen) -> list[Frame]:
+        if request.version != PROTOCOL_VERSION:
+            self.flags |= Fault.VERSION
+            self._refuse(t_ns, -1, f"session: protocol version {request.version}")
+        elif request.boot_id != self.boot_id:
+            self._refuse(t_ns, -1, f"session: boot id {request.boot_id}")
+        elif request.session_id == self.session_id and not self._commanded:
+            pass  # asked twice because our answer was late or lost; there is nothing to reset yet
+        elif request.session_id == NO_SESSION or request.session_id in self._used_ids:
+            self.flags |= Fault.SESSION_USED
+            self._refuse(t_ns, -1, f"session: identifier {request.session_id} used before")
+        else:
+            for number in range(CHANNELS):
+                self._off(t_ns, number, "off")
+                self.channels[number].reset()
+            self._retire()
+            self.session_id = request.session_id
+            self._used_ids.add(request.session_id)
+            self.flags = Fault.NONE
+            self._number, self._carried_id, self._wrong_counters = -1, request.session_id, 0
+            self._commanded = False
+            self._note(t_ns, "session", detail=f"session {request.session_id}")
+        return [self._alive()]
+
+    def _command(self, t_ns: int, command: Command) -> list[Frame]:
+        channel = self.channels[command.channel]
+        number = number_of(self.session_id, command.session_id, command.counter)
+        result = self._judge(command, number, channel)
+        counter = command.counter % ECHOED_COUNTS
+        session_id = command.session_id if result is Result.BAD_SESSION else self.session_id or command.session_id
+        frames: list[Frame] = []
+        if result in (Result.BAD_SESSION, Result.BAD_COUNTER, Result.FAULTED):
+            if result is Result.BAD_COUNTER:
+                self._wrong_counters += 1
+                if self._wrong_counters >= MAX_WRONG_COUNTERS:
+                    frames = self._close(t_ns, Fault.COUNTER)
+        elif command.session_id != self._carried_id and command.session_id in self._used_ids:
+            result = Result.FAULTED
+            frames = self._close(t_ns, Fault.SESSION_USED)
+        else:
+            self._number, self._wrong_counters = number, 0
+            self._carried_id = command.session_id
+            self._used_ids.add(command.session_id)
+            self._commanded = True
+            channel.counter = counter
+            if result is Result.OK and command.on:
+                self._on(t_ns, command)
+            else:
+                self._off(t_ns, command.channel, "off")
+        if result is Result.OK:
+            channel.blocked = channel.blocked and command.on
+        else:
+            self._refuse(t_ns, command.channel, result.name.lower())
+        return frames + self._status(command.channel, counter, session_id, result)
+
+    def _judge(self, command: Command, number: int, channel: OutputChannel) -> Result:
+        if self.flags & Fault.COUNTER:
+            return Result.FAULTED
+        if NO_SESSION in (self.session_id, command.session_id):
+            return Result.BAD_SESSION
+        if abs(number // COUNTS - self._number // COUNTS) > 1:  # not the identifier expected, nor one next to it
+            return Result.BAD_SESSION
+        if not 1 <= number - self._number <= MAX_COUNTER_STEP:
+            return Result.BAD_COUNTER
+        if not command.on:
+            return Result.OK  # whatever else it says: off is never refused
+        if (
+            command.current_ma > MAX_CURRENT_MA
+            or command.pulse_width_us > MAX_PULSE_WIDTH_US
+            or command.frequency_hz > MAX_FREQUENCY_HZ
+        ):
+            return Result.OVER_LIMIT
+        if not 0 < command.validity_ms <= MAX_VALIDITY_MS:
+            return Result.BAD_VALIDITY
+        if channel.blocked:
+            return Result.ON_TIME
+        if command.channel == self.faults.electrode:
+            self.flags |= Fault.OUTPUT
+            return Result.OUTPUT_FAULT
+        return Result.OK
+
+    def _on(self, t_ns: int, command: Command) -> None:
+        channel = self.channels[command.channel]
+        before = channel.levels if channel.on else None
+        current_ma = command.current_ma
+        if command.channel == self.faults.weak:
+            current_ma = current_ma // (2 * can_codec.CURRENT_STEP_MA) * can_codec.CURRENT_STEP_MA
+        channel.drive(t_ns, (current_ma, command.pulse_width_us, command.frequency_hz), command.validity_ms)
+        channel.advance(t_ns)
+        if channel.levels != before:
+            self._note(t_ns, "on" if before is None else "level", command.channel)
+
+    def _off(self, t_ns: int, number: int, event: str) -> None:
+        if self.channels[number].on:
+            self.channels[number].silence()
+            self._note(t_ns, event, number)
+
+    def _close(self, t_ns: int, why: Fault) -> list[Frame]:
+        frames: list[Frame] = []
+        self.flags |= why
+        for number, channel in enumerate(self.channels):
+            if channel.on:
+                self._off(t_ns, number, "fault")
+                frames += self._status(number, channel.counter, self.session_id, Result.FAULTED)
+        self._retire()
+        self.session_id = NO_SESSION
+        return frames
+
+    def _retire(self) -> None:
+        """No later session may carry what this one's last commands may, should they turn up after all."""
+        if self.session_id != NO_SESSION:
+            self._used_ids.add(carried(self.session_id, self._number + ON_THEIR_WAY)[0])
+
+    def _refuse(self, t_ns: int, number: int, why: str) -> None:
+        self.rejected = min(self.rejected + 1, 255)
+        self._note(t_ns, "refused", number, why)
+
+    def _note(self, t_ns: int, event: str, number: int = -1, detail: str = "") -> None:
+        if number < 0:
+            self._record.append(RecordEntry(t_ns, event, detail=detail))
+            return
+        channel = self.channels[number]
+        counts = (channel.accepted_ns, channel.pulses, max(channel.last_pulse_ns, 0))
+        self._record.append(RecordEntry(t_ns, event, number, *channel.levels, *counts, detail))
+
+    def _status(self, number: int, counter: int, session_id: int, result: Result) -> list[Frame]:
+        channel = self.channels[number]
+        pulses = channel.pulses % can_codec.PULSES_TOTAL
+        charge_steps = channel.charge_steps % can_codec.CHARGE_TOTAL_STEPS
+        return [
+            can_codec.encode_charge(Charge(counter, session_id, number, pulses, charge_steps)),
+            can_codec.encode_status(Status(counter, session_id, number, channel.on, *channel.levels, result)),
+        ]
+
+    def _alive(self) -> Frame:
+        counter = self._alive_counter
+        self._alive_counter = (counter + 1) % 16
+        return can_codec.encode_alive(
+            Alive(counter, PROTOCOL_VERSION, self.boot_id, self.session_id, self.rejected, int(self.flags))
+        )
+
+    def _heard(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
+        """What of ``frames`` reaches the bus: all of it, unless a fault was asked for."""
+        if t_ns >= self._mute_ns:
+            return []
+        if not self.faults.drop:
+            return frames
+        kept: list[Frame] = []
+        for frame in frames:
+            if frame[0] == can_codec.STATUS_ID:
+                self._statuses += 1
+                if self._statuses % self.faults.drop == 0:
+                    continue
+            kept.append(frame)
+        return kept

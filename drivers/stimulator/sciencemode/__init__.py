@@ -1,0 +1,1 @@
+"""HASOMED ScienceMode2 and ScienceMode4: framing, codecs, ports."""

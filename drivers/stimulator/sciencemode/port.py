@@ -1,0 +1,258 @@
+"""What the ScienceMode ports have in common: a line, a decoder, numbered messages, and answers that are owed."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import ClassVar, Final
+
+from drivers.stimulator.can_port import COUNTERS, Handshake
+from drivers.stimulator.port import ANSWER_WITHIN_NS, Answers, Awaited, Pulse, StimulatorLost
+from drivers.stimulator.sciencemode.framing import FrameDecoder, Packet
+from drivers.stimulator.serial_line import Line
+from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
+
+ASK_AGAIN_NS: Final = 250_000_000
+REJECTED_MOST: Final = 255
+NOTHING_SENT: Final = 0x6000_0000  # identifier of a frame without data: this command put nothing on the wire
+NO_ANSWER: Final = f"no answer within {ANSWER_WITHIN_NS // 1_000_000} ms"
+
+
+class ScienceModePort(ABC):
+    """Base of the :class:`~drivers.stimulator.port.StimulatorPort` s on a ScienceMode line, which it then owns.
+
+    Every command takes one count (modulo 16), whether it put bytes on the wire or not; a :class:`StimStatus` carries
+    the count of the command that it answers. A :class:`WireFrame` holds all bytes that a command put on the wire,
+    under :attr:`identifiers` plus the command of the first message; none: :data:`NOTHING_SENT`. All keep-alives are
+    part of :meth:`send`: a controller that hangs sends none. A device that restarted is first told of by a
+    :class:`StimAlive`, and is lost from then on: only a new handshake brings it back.
+
+    What goes out depends on the commands, on the handshake, on when :meth:`poll` was called and on what it
+    :attr:`heard` then, and on nothing else: another port given the same (:meth:`resume`) sends the same bytes.
+    """
+
+    one_pulse_per_command: ClassVar[bool]
+    current_step_ma: ClassVar[float]
+    pulse_width_step_us: ClassVar[float] = 1.0
+    numbers: ClassVar[int]
+    identifiers: ClassVar[int]  # added to a command's number in the log: beyond every CAN identifier, never 0
+    greetings: ClassVar[frozenset[int]]  # identifiers of frames that only a handshake puts on the wire
+
+    def __init__(self, line: Line, decoder: FrameDecoder, session_id: int) -> None:
+        self.session_id = session_id
+        self._line = line
+        self._decoder = decoder
+        self._answers = Answers()
+        self._counter = 0
+        self._number = 0
+        self._boot_id = 1
+        self._rejected = 0
+        self._events: list[StimStatus | StimAlive] = []
+        self._refusals: list[tuple[Pulse, str]] = []
+        self._sent_ns: int | None = None
+        self._ended = ""
+        self._told = False
+        self._carried = b""
+        self.heard = b""
+
+    @property
+    def outstanding(self) -> int:
+        """Messages sent and not yet answered."""
+        return len(self._answers)
+
+    @property
+    def foreign(self) -> int:
+        """Bytes and beginnings of frames that were none."""
+        return self._decoder.noise + self._decoder.rejected
+
+    def open(self, t_ns: int, timeout_s: float = 4.0, clock_ns: Callable[[], int] = time.monotonic_ns) -> Handshake:
+        """Bring the device to where it takes commands. Waits at most ``timeout_s`` by ``clock_ns``.
+
+        Raises:
+            StimulatorLost: nobody answered, or the device refused; the message says what to check.
+        """
+        deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
+        frames: list[WireFrame] = []
+        while self._line.read():  # what lies there is another session's
+            pass
+        why = self._greet(t_ns, deadline_ns, clock_ns, frames)
+        if why:
+            raise StimulatorLost(f"{self._line.name}: {why}")
+        self._sent_ns = None
+        self._carried = self._decoder.pending
+        return Handshake(self._boot_id, tuple(frames), (StimAlive(t_ns, self._boot_id, 0),))
+
+    def resume(self, frames: Sequence[WireFrame]) -> None:
+        """Be as after an :meth:`open` that put ``frames`` on the wire: for replays, with nobody at the other end."""
+        packets = self._decoder.feed(b"".join(frame.data for frame in frames[-1:]))
+        if packets:
+            self._number = (packets[-1].number + 1) % self.numbers
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """What this command is on the wire, written now.
+
+        Raises:
+            StimulatorLost: the line did not take it, or the device has restarted.
+            ValueError: the command cannot be expressed on this device; nothing was sent.
+        """
+        self._need_session()
+        packets = self._packets_for(command, self._counter)
+        self._counter = (self._counter + 1) % COUNTERS
+        if not packets:
+            return WireFrame(command.t_ns, NOTHING_SENT, b"")
+        data = b"".join(self._encode(packet) for packet in packets)
+        self._line.write(data)
+        self._sent_ns = command.t_ns
+        return WireFrame(command.t_ns, self.identifiers + packets[0].command, data)
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """All that has arrived, and what should have, stamped ``t_ns``; :attr:`heard` is then what it came as.
+
+        Raises:
+            StimulatorLost: the line broke, or the device has restarted and the last call said so.
+        """
+        self._need_session()
+        for refused, why in self._refusals:
+            self._confirm(t_ns, refused, why, pulses=0)
+        self._refusals.clear()
+        data = self._line.read()
+        self.heard, self._carried = self._carried + data, b""
+        for packet in self._decoder.feed(data):
+            self._received(t_ns, packet)
+        for awaited in self._answers.overdue(t_ns):
+            self._fault(t_ns, awaited, NO_ANSWER)
+        events, self._events = self._events, []
+        self._told = bool(self._ended)
+        return events
+
+    def fileno(self) -> int:
+        """The line's descriptor, for ``select``."""
+        return self._line.fileno()
+
+    def close(self) -> None:
+        """Release the line; sends nothing."""
+        self._line.close()
+
+    def report_error(self, t_ns: int, fault: str) -> None:
+        """The device spoke of an error unasked; the next :meth:`poll` says so."""
+        self._count_rejected()
+        self._alive(t_ns, fault)
+
+    # --- what each device does its own way ---------------------------------------------------------------
+
+    @abstractmethod
+    def _greet(self, t_ns: int, deadline_ns: int, clock_ns: Callable[[], int], frames: list[WireFrame]) -> str:
+        """The handshake; "" when the device takes commands now, else why not."""
+
+    @abstractmethod
+    def _packets_for(self, command: StimCommand, counter: int) -> list[Packet]:
+        """What to write for this command, already expected by ``_answers``; raises ValueError before any change."""
+
+    @abstractmethod
+    def _unasked(self, t_ns: int, packet: Packet) -> bool:
+        """Deal with a message that is no answer; False when it is one."""
+
+    @abstractmethod
+    def _answered(self, t_ns: int, packet: Packet, awaited: Awaited, fault: str) -> None:
+        """Deal with an answer; ``fault`` says what is wrong with its turn."""
+
+    @abstractmethod
+    def _encode(self, packet: Packet) -> bytes:
+        """The packet's frame."""
+
+    # --- for them to use ---------------------------------------------------------------------------------
+
+    def _next_number(self) -> int:
+        number = self._number
+        self._number = (number + 1) % self.numbers
+        return number
+
+    def _expect(self, packet: Packet, t_ns: int, pulses: tuple[Pulse, ...] = ()) -> Packet:
+        self._answers.expect(Awaited(packet.number, packet.command + 1, t_ns, pulses))
+        return packet
+
+    def _quiet_for(self, t_ns: int, quiet_ns: int) -> bool:
+        """Whether nothing was sent for so long."""
+        return self._sent_ns is None or t_ns - self._sent_ns >= quiet_ns
+
+    def _withheld(self, command: StimCommand, counter: int, why: str) -> None:
+        self._refusals.append((Pulse(command.channel, counter, False), why))
+
+    def _confirm(self, t_ns: int, pulse: Pulse, fault: str, *, pulses: int) -> None:
+        """Report what an answer says of one channel; at a fault nothing counts as delivered."""
+        if fault:
+            self._events.append(_status(t_ns, Pulse(pulse.channel, pulse.counter, False), fault))
+        else:
+            self._events.append(_status(t_ns, pulse, "", pulses))
+
+    def _alive(self, t_ns: int, fault: str = "") -> None:
+        self._events.append(StimAlive(t_ns, self._boot_id, self._rejected, fault))
+
+    def _count_rejected(self) -> None:
+        self._rejected = min(self._rejected + 1, REJECTED_MOST)
+
+    def _need_session(self) -> None:
+        if self._told:
+            raise StimulatorLost(f"{self._line.name}: {self._ended}; its session must be opened again")
+
+    def _restarted(self, t_ns: int, fault: str) -> None:
+        self._ended = fault
+        self._boot_id += 1
+        self._alive(t_ns, fault)
+
+    def _fault(self, t_ns: int, awaited: Awaited, fault: str) -> None:
+        if not awaited.pulses:
+            self._alive(t_ns, fault)
+        for pulse in awaited.pulses:
+            self._confirm(t_ns, pulse, fault, pulses=0)
+
+    def _received(self, t_ns: int, packet: Packet) -> None:
+        if self._unasked(t_ns, packet):
+            return
+        awaited, fault = self._answers.settle(packet.number, packet.command)
+        if awaited is None:
+            self._alive(t_ns, fault)
+        else:
+            self._answered(t_ns, packet, awaited, fault)
+
+    def _ask(
+        self,
+        make: Callable[[int], Packet],
+        t_ns: int,
+        deadline_ns: int,
+        clock_ns: Callable[[], int],
+        frames: list[WireFrame],
+    ) -> Packet | None:
+        """Handshake only: send a message, again every 250 ms under a new number, until its answer comes."""
+        while clock_ns() < deadline_ns:
+            packet = make(self._next_number())
+            data = self._encode(packet)
+            self._line.write(data)
+            frames.append(WireFrame(t_ns, self.identifiers + packet.command, data))
+            again_ns = min(clock_ns() + ASK_AGAIN_NS, deadline_ns)
+            for heard in self._heard_until(again_ns, clock_ns):
+                if (heard.number, heard.command) == (packet.number, packet.command + 1):
+                    return heard
+        return None
+
+    def _heard_until(self, deadline_ns: int, clock_ns: Callable[[], int]) -> Iterator[Packet]:
+        """Handshake only: packets as they come, until the deadline."""
+        while (left_ns := deadline_ns - clock_ns()) > 0:
+            self._line.wait(left_ns / NS_PER_S)
+            yield from self._decoder.feed(self._line.read())
+
+
+def _status(t_ns: int, pulse: Pulse, fault: str, pulses: int = 0) -> StimStatus:
+    return StimStatus(
+        t_ns=t_ns,
+        channel=pulse.channel,
+        counter=pulse.counter,
+        on=pulse.on,
+        current_ma=pulse.current_ma,
+        pulse_width_us=pulse.pulse_width_us,
+        frequency_hz=pulse.frequency_hz,
+        pulses=pulses,
+        charge_uc=pulses * pulse.current_ma * pulse.pulse_width_us * 1e-3,
+        fault=fault,
+    )

@@ -1,0 +1,143 @@
+"""HASOMED RehaStim2: a list of channels, one shot for each command, so that no pulse comes without one.
+
+The device's own watchdog (1.2 s) would let a repeated list run through a whole stance; with a main interval of 0 it
+repeats nothing. It needs 10 to 24 ms for a list, so all channels of a control step share one: it goes out with the last
+channel's command of that step, and holds what is due of those with the very same time. A step whose last command does
+not come delivers nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import ClassVar, Final
+
+from drivers.stimulator.port import Awaited, Pulse, PulseTrain
+from drivers.stimulator.sciencemode import codec2 as codec
+from drivers.stimulator.sciencemode.codec2 import Code
+from drivers.stimulator.sciencemode.framing import Packet
+from drivers.stimulator.sciencemode.port import ScienceModePort
+from drivers.stimulator.serial_line import Line
+from fes.signals import StimCommand, WireFrame
+
+WATCHDOG_S: Final = 1.2
+KEEP_ALIVE_NS: Final = 250_000_000
+
+
+class RehaStim2(ScienceModePort):
+    """:class:`~drivers.stimulator.port.StimulatorPort` for ScienceMode2.
+
+    Args:
+        line: to the device; the port owns it.
+        session_id: for the log only.
+        channels: those of the session, in the order in which each control step commands them.
+
+    Raises:
+        ValueError: no or unknown channels.
+    """
+
+    one_pulse_per_command: ClassVar[bool] = True
+    current_step_ma: ClassVar[float] = 1.0
+    numbers: ClassVar[int] = codec.NUMBERS
+    identifiers: ClassVar[int] = 0x2000_0000
+    greetings: ClassVar[frozenset[int]] = frozenset((identifiers + Code.INIT_ACK, identifiers + Code.LIST_INIT))
+
+    def __init__(self, line: Line, session_id: int, channels: Sequence[int]) -> None:
+        codec.list_init(0, channels)
+        super().__init__(line, codec.Decoder(), session_id)
+        self._channels = tuple(sorted(set(channels)))
+        self._last = channels[-1]
+        self._trains = {channel: PulseTrain(int(codec.MIN_INTERVAL_MS * 1e6)) for channel in self._channels}
+        self._due: dict[int, Pulse] = {}
+        self._step_ns: int | None = None
+
+    def _greet(self, t_ns: int, deadline_ns: int, clock_ns: Callable[[], int], frames: list[WireFrame]) -> str:
+        met = False
+        asked = -1
+        for heard in self._heard_until(deadline_ns, clock_ns):
+            if heard.command == Code.INIT:
+                met = True
+                asked = self._next_number()
+                for packet in (Packet(heard.number, Code.INIT_ACK, b"\0"), codec.list_init(asked, self._channels)):
+                    data = codec.encode(packet)
+                    self._line.write(data)
+                    frames.append(WireFrame(t_ns, self.identifiers + packet.command, data))
+            elif (heard.number, heard.command) == (asked, Code.LIST_INIT + 1):
+                result = codec.signed(heard.data)
+                return f"the stimulator refused the channel list: {codec.result_text(result)}" if result else ""
+            elif heard.command == Code.STIMULATION_ERROR:
+                return codec.error_text(codec.signed(heard.data))
+        if met:
+            return "the stimulator did not answer to the channel list"
+        return (
+            "no RehaStim2 was heard; it announces itself every 0.5 s. Is it switched on and in ScienceMode, is this "
+            "the right port, has it been left alone for 1.2 s? Bytes that are no frames speak for a wrong baud rate."
+        )
+
+    def _packets_for(self, command: StimCommand, counter: int) -> list[Packet]:
+        self._gather(command, counter)
+        if command.channel == self._last and self._due:
+            return [self._list(command.t_ns)]
+        if self._quiet_for(command.t_ns, KEEP_ALIVE_NS):
+            # asked for its mode rather than told that we live: the answer tells that it does, too
+            return [self._expect(Packet(self._next_number(), Code.GET_MODE), command.t_ns)]
+        return []
+
+    def _gather(self, command: StimCommand, counter: int) -> None:
+        """Whether this command is a pulse of the list that this step's last command will send."""
+        pulse = codec.NO_PULSE
+        if command.on:
+            if command.channel not in self._trains:
+                raise ValueError(f"channel {command.channel} is not in the stimulator's list {list(self._channels)}")
+            pulse = codec.pulse(command.current_ma, command.pulse_width_us)
+            if not math.isfinite(command.frequency_hz):
+                raise ValueError(f"frequency_hz = {command.frequency_hz!r} must be a finite number")
+        if self._step_ns != command.t_ns:
+            self._due.clear()
+            self._step_ns = command.t_ns
+        self._due.pop(command.channel, None)
+        if not command.on:
+            if command.channel in self._trains:
+                self._trains[command.channel].off()
+        elif pulse != codec.NO_PULSE and self._trains[command.channel].due(command.t_ns, command.frequency_hz):
+            if why := self._answers.room(command.channel, command.t_ns):
+                self._withheld(command, counter, why)
+            else:
+                width_us, current_ma = pulse
+                self._due[command.channel] = Pulse(
+                    command.channel, counter, True, float(current_ma), float(width_us), command.frequency_hz
+                )
+
+    def _list(self, t_ns: int) -> Packet:
+        pulses = [
+            (int(due.pulse_width_us), int(due.current_ma)) if (due := self._due.get(channel)) else codec.NO_PULSE
+            for channel in self._channels
+        ]
+        confirmed = tuple(self._due.values())
+        self._due.clear()
+        return self._expect(codec.list_start(self._next_number(), pulses), t_ns, confirmed)
+
+    def _unasked(self, t_ns: int, packet: Packet) -> bool:
+        if packet.command == Code.INIT:
+            self._restarted(t_ns, "the stimulator restarted, or its watchdog ended our session")
+        elif packet.command == Code.STIMULATION_ERROR:
+            self.report_error(t_ns, codec.error_text(codec.signed(packet.data)))
+        else:
+            return False
+        return True
+
+    def _answered(self, t_ns: int, packet: Packet, awaited: Awaited, fault: str) -> None:
+        result = codec.signed(packet.data) if packet.data else -1
+        if result:
+            self._count_rejected()
+        fault = fault or codec.result_text(result)
+        if packet.command == Code.GET_MODE + 1:
+            if not fault and packet.data[1:2] == b"\0":
+                self._restarted(t_ns, "the stimulator has forgotten its channel list: it restarted, or was stopped")
+            else:
+                self._alive(t_ns, fault)
+        for pulse in awaited.pulses:
+            self._confirm(t_ns, pulse, fault, pulses=1)
+
+    def _encode(self, packet: Packet) -> bytes:
+        return codec.encode(packet)

@@ -1,0 +1,1 @@
+"""Off-line analysis of a recording: no stimulation, no clock, no devices."""

@@ -1,0 +1,234 @@
+"""What takes both feet: step times, double support, and step lengths where something ties the feet together.
+
+Definitions: Perry & Burnfield, *Gait Analysis*, 2nd ed. 2010. Two sensors do not see each other; how far apart they
+are is known only where both feet stand side by side. Where a straight walk begins and ends so (nobody can tell:
+standing for longer than a stride is taken for it), the feet's strides are added up, and what they differ by at the
+end is taken back in proportion to time; else there are no step lengths, for a few per mille of a hundred metres are
+as long as a step. In long walks the error grows with the square root of the strides.
+
+Two feet of one person go the same way: what their stride lengths differ by on the whole is error.
+
+In strides of two and three seconds, as in severe hemiparesis, a stride length is some percent off, mostly by the same
+amount in all strides of a foot (tilt and bias of its own sensor). Feet alternate, so their mean stride lengths are
+the same, and are brought together. A bias or a tilt makes an error that grows with the square of the time for which
+the foot moves: that gives the weights. On a curve the outer foot goes farther: nothing is done where the walk turns,
+where the feet have different numbers of strides, or where they are too far apart for that to be drift. No paper; that
+both sides' stride lengths agree is seen in Wang et al. (2013), Table 2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from fes.analysis.parameters.contacts import Swing
+from fes.signals import NS_PER_S, IntArray, StrideResult
+
+LEAST_STRIDES = 6  # of either foot
+STEADY_SHARE = 0.3  # of the median length
+LARGEST_TURN_RAD = math.radians(3.0)  # per stride, on the whole
+MOST_APART = 0.1  # of the length
+MOST_EXTRA = 2  # strides of one foot more than of the other
+
+
+@dataclass(frozen=True, slots=True)
+class _Foot:
+    length_m: float
+    moving_s: float
+    strides: int
+    turn_rad: float
+
+
+def equalise_sides(feet: Mapping[str, Sequence[StrideResult]]) -> dict[str, list[StrideResult]]:
+    """The same strides, lengths and speeds of each foot scaled so that both feet went equally far.
+
+    With fewer than two feet, on a curve, or where the feet differ by more than a tenth, they are as they were.
+    """
+    same = {foot: list(strides) for foot, strides in feet.items()}
+    if len(feet) != 2:
+        return same
+    measured = {foot: _measure(strides) for foot, strides in feet.items()}
+    known = {foot: one for foot, one in measured.items() if one is not None}
+    if len(known) != 2 or any(abs(one.turn_rad) > LARGEST_TURN_RAD for one in known.values()):
+        return same
+    weights = {foot: one.moving_s**-4 for foot, one in known.items()}
+    common = sum(weights[foot] * one.length_m for foot, one in known.items()) / sum(weights.values())
+    one, other = known.values()
+    if abs(one.length_m - other.length_m) > MOST_APART * common or abs(one.strides - other.strides) > MOST_EXTRA:
+        return same
+    return {foot: [_scaled(s, common / known[foot].length_m) for s in strides] for foot, strides in feet.items()}
+
+
+def _measure(strides: Sequence[StrideResult]) -> _Foot | None:
+    lengths = np.array([stride.stride_length_m for stride in strides if stride.valid])
+    turns = np.array([stride.turn_rad for stride in strides if stride.valid])
+    usual = float(np.median(lengths)) if len(lengths) else 0.0
+    steady = np.abs(lengths - usual) <= STEADY_SHARE * usual
+    if np.count_nonzero(steady) < LEAST_STRIDES or usual <= 0.0:
+        return None
+    return _Foot(
+        float(lengths[steady].mean()), _moving_s(strides), int(np.count_nonzero(steady)), float(turns[steady].mean())
+    )
+
+
+def _moving_s(strides: Sequence[StrideResult]) -> float:
+    """How long the foot moves in a stride (s, median), from heel rise to stance; else the stride's whole time."""
+    times = [
+        (
+            s.t_end_ns - s.t_start_ns
+            if s.t_pre_swing_ns is None or s.t_stance_ns is None
+            else s.t_stance_ns - s.t_pre_swing_ns
+        )
+        for s in strides
+        if s.valid
+    ]
+    return max(float(np.median(times)) / NS_PER_S, 0.1)
+
+
+def _scaled(stride: StrideResult, factor: float) -> StrideResult:
+    if not stride.valid:
+        return stride
+    stretch = np.array([factor, 1.0, 1.0])
+    return replace(
+        stride,
+        stride_length_m=factor * stride.stride_length_m,
+        speed_mps=factor * stride.speed_mps,
+        trajectory_m=stride.trajectory_m * stretch if len(stride.trajectory_m) else stride.trajectory_m,
+    )
+
+
+LONGEST_STRIDE_S = 5.0  # from one contact to the next; beyond, the foot stood
+LONGEST_STANCE_S = 3.0  # beyond, the walk was interrupted
+ROOM_SHARE = 0.7  # of the usual stride time between two strides: room for one; in slow walks half of it is stance
+MOST_TURN_RAD = math.radians(20.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """The step that ends a foot's stride, and the stride that its contact ends; s, NaN where it is not known."""
+
+    stride_time_s: float
+    stance_s: float
+    step_time_s: float
+    double_support_s: float
+
+
+def steps_of(own: Sequence[Swing | None], other: Sequence[Swing | None]) -> list[Step]:
+    """One per stride of one foot, in order; ``other`` are those of the other foot (none: no steps)."""
+    contacts, offs = (
+        np.array(sorted(getattr(s, name) for s in other if s is not None), dtype=np.int64)
+        for name in ("contact_ns", "foot_off_ns")
+    )
+    found = []
+    before: Swing | None = None
+    for swing in own:
+        found.append(_step(before, swing, contacts, offs))
+        before = swing
+    return found
+
+
+def steps_by_number(
+    strides: Sequence[StrideResult], swings: Mapping[int, Swing], other: Sequence[Swing | None]
+) -> dict[int, Step]:
+    """One per valid stride of one foot, by its number.
+
+    Where a stride is missing between two (its numbers must not be used, or samples were lost for so long that it was
+    not seen: then there is room for one), the contact before is not the one that began the stride: stride time, stance
+    and double support are not known.
+    """
+    starts = np.array([stride.t_start_ns for stride in strides], dtype=np.int64)
+    room_ns = ROOM_SHARE * float(np.median(np.diff(starts))) if len(strides) > 1 else math.inf
+    own: list[Swing | None] = []
+    places: dict[int, int] = {}
+    before: StrideResult | None = None
+    for stride in strides:
+        if before is not None and (
+            stride.number != before.number + 1 or stride.t_start_ns - before.t_end_ns >= room_ns
+        ):
+            own.append(None)
+        places[stride.number] = len(own)
+        own.append(swings.get(stride.number))
+        before = stride
+    found = steps_of(own, other)
+    return {number: found[place] for number, place in places.items()}
+
+
+def _step(before: Swing | None, swing: Swing | None, contacts: IntArray, offs: IntArray) -> Step:
+    nan = float("nan")
+    if swing is None:
+        return Step(nan, nan, nan, nan)
+    begin, off, end = swing.contact_ns, swing.foot_off_ns, swing.contact_ns
+    begin = before.contact_ns if before is not None else -1
+    stride = (end - begin) / NS_PER_S
+    walking = before is not None and 0.0 < stride <= LONGEST_STRIDE_S
+    last = int(np.searchsorted(contacts, end)) - 1
+    step = (end - int(contacts[last])) / NS_PER_S if last >= 0 else nan
+    missed = last >= 0 and int(contacts[last]) <= begin  # the other foot's step in between was not seen
+    step = step if step <= LONGEST_STRIDE_S and not missed else nan
+    if not walking:
+        return Step(nan, nan, step, nan)
+    # the other foot's swing within this foot's stance: both stand before and after it
+    inside = int(np.searchsorted(offs, begin))
+    support = nan
+    if inside < len(offs) and int(offs[inside]) < off:
+        landed = int(np.searchsorted(contacts, int(offs[inside])))
+        if landed < len(contacts) and int(contacts[landed]) <= off:
+            support = ((int(offs[inside]) - begin) + (off - int(contacts[landed]))) / NS_PER_S
+    return Step(stride, (off - begin) / NS_PER_S, step, support)
+
+
+def step_lengths(
+    strides: Mapping[str, Sequence[StrideResult]], swings: Mapping[str, Mapping[int, Swing]], span_ns: tuple[int, int]
+) -> tuple[dict[str, dict[int, float]], str]:
+    """Step lengths (m) by foot and stride number; and why there are none, else "".
+
+    Args:
+        strides: by foot, all its strides by time.
+        swings: by foot and stride number.
+        span_ns: the recording's first and last time.
+    """
+    why = _untied(strides, span_ns)
+    if why:
+        return {}, why
+    begin = min(own[0].t_start_ns for own in strides.values())
+    end = max(own[-1].t_end_ns for own in strides.values())
+    ways = {foot: np.cumsum([0.0] + [stride.stride_length_m for stride in own]) for foot, own in strides.items()}
+    names = list(strides)
+    found: dict[str, dict[int, float]] = {}
+    for foot, other in ((names[0], names[1]), (names[1], names[0])):
+        landed = np.array(sorted(swing.contact_ns for swing in swings[other].values()), dtype=np.int64)
+        left_over = float(ways[foot][-1] - ways[other][-1])
+        found[foot] = {}
+        if len(landed) != len(strides[other]):
+            return {}, f"{other}: not every stride shows its contact"
+        for k, stride in enumerate(strides[foot]):
+            swing = swings[foot].get(stride.number)
+            if swing is None:
+                continue
+            its = int(np.searchsorted(landed, swing.contact_ns))
+            drift = left_over * (swing.contact_ns - begin) / (end - begin)
+            found[foot][stride.number] = float(ways[foot][k + 1] - ways[other][its]) - drift
+    return found, ""
+
+
+def _untied(strides: Mapping[str, Sequence[StrideResult]], span_ns: tuple[int, int]) -> str:
+    """Why the feet's ways cannot be laid side by side, "" if they can."""
+    if len(strides) != 2 or not all(strides.values()):
+        return "strides of one foot only"
+    for foot, own in strides.items():
+        if not all(stride.valid for stride in own):
+            return f"{foot}: not all strides are valid"
+        if any(abs(stride.turn_rad) > MOST_TURN_RAD for stride in own):
+            return f"{foot}: the walk turns"
+        if any(b.t_start_ns - a.t_end_ns > LONGEST_STANCE_S * NS_PER_S for a, b in pairwise(own)):
+            return f"{foot}: the walk is interrupted"
+        usual = float(np.median(np.diff([stride.t_end_ns for stride in own]))) if len(own) > 1 else math.inf
+        before, after = own[0].t_start_ns - span_ns[0], span_ns[1] - own[-1].t_end_ns
+        # a recording that is cut off within a stance must not pass for one that ends in standing
+        if min(before, after) < usual:
+            return "no standing side by side both before and after the walk"
+    return ""

@@ -1,0 +1,114 @@
+"""Where toe and heel are on a foot, how that is known, and their clearance in a whole recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from fes.config import FootGeometry
+from fes.estimation.clearance.clearance import (
+    AnyPaths,
+    FootPath,
+    arms_of,
+    clearances,
+    contact_heights,
+    in_one,
+    levels_of,
+)
+from fes.estimation.clearance.geometry import EstimatedGeometry, estimate_geometry
+from fes.signals import FloatArray, StrideResult
+
+
+@dataclass(frozen=True, slots=True)
+class ToeAndHeel:
+    """One foot's toe and heel, seen from the sensor.
+
+    ``geometry`` is None where they are not known, and ``reason`` says why. ``estimate`` is None where the recording's
+    sidecar gives the geometry; then nothing is estimated. ``levels``: the heights were shifted to the recording's
+    contact levels (see :mod:`fes.estimation.clearance.clearance`).
+    """
+
+    geometry: FootGeometry | None
+    estimate: EstimatedGeometry | None = None
+    levels: bool = False
+    reason: str = ""
+
+    @property
+    def measured(self) -> bool:
+        """Whether all of it was given, or seen in this recording: nothing assumed."""
+        return self.geometry is not None and (self.estimate is None or self.estimate.observed)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, units in the names; ``source`` is "given", "estimated" or "unknown"."""
+        if self.geometry is None:
+            return {"source": "unknown", "reason": self.reason}
+        known: dict[str, Any] = {
+            "source": "given" if self.estimate is None else "estimated",
+            "contact_levels": self.levels,
+            "geometry": self.geometry.model_dump(),
+        }
+        if self.estimate is not None:
+            known |= {
+                "toe_forward_sd_m": self.estimate.toe_forward_sd_m,
+                "heel_forward_sd_m": self.estimate.heel_forward_sd_m,
+                "height_sd_m": self.estimate.height_sd_m,
+                "strides": self.estimate.strides,
+                "observed": self.estimate.observed,
+                "reason": self.estimate.reason,
+            }
+        return known
+
+    def words(self) -> str:
+        """One sentence for people."""
+        if self.geometry is None:
+            return f"toe and heel not known: {self.reason}"
+        if self.estimate is None:
+            return "toe and heel as the sidecar's [geometry] gives them"
+        found, sd = self.geometry, self.estimate
+        said = (
+            f"toe and heel estimated from {sd.strides} strides: "
+            f"toe {100 * found.toe_forward_m:.1f} ± {100 * sd.toe_forward_sd_m:.1f} cm ahead of the sensor, "
+            f"heel {-100 * found.heel_forward_m:.1f} ± {100 * sd.heel_forward_sd_m:.1f} cm behind, "
+            f"sensor {-100 * found.toe_up_m:.1f} ± {100 * sd.height_sd_m:.1f} cm above the sole"
+        )
+        return said if sd.observed else f"{said}. Partly assumed, not measured: {sd.reason}"
+
+
+def toe_and_heel(
+    strides: Sequence[StrideResult], paths: Sequence[FootPath], given: FootGeometry | None, *, level: bool
+) -> tuple[list[StrideResult], ToeAndHeel]:
+    """One foot's strides with the clearance of toe and heel, and where these are; see :func:`point_heights`.
+
+    ``paths`` are those of the valid strides.
+    """
+    heights, known = point_heights(paths, given, level=level)
+    found = {} if heights is None else dict(zip((path.number for path in paths), heights.tolist(), strict=True))
+    told = [
+        replace(stride, toe_clearance_m=found[stride.number][0], heel_clearance_m=found[stride.number][1])
+        if stride.number in found
+        else stride
+        for stride in strides
+    ]
+    return told, known
+
+
+def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -> tuple[FloatArray | None, ToeAndHeel]:
+    """Clearance of toe and heel (K, 2) of strides with these paths, None if not known, and where the two are.
+
+    Without a ``given`` geometry it is estimated from the paths, on level ground only: on stairs a foot pushes off, and
+    lands, with another part of the sole. ``level`` False also leaves the heights as they are, for where strides climb
+    by different amounts the recording has no common level to shift to.
+    """
+    if not len(paths):
+        return None, ToeAndHeel(None, reason="no stride could be used")
+    if given is None and not level:
+        return None, ToeAndHeel(None, reason="they show on level ground only; give [geometry] in the sidecar")
+    paths = in_one(paths)
+    estimate = estimate_geometry(paths) if given is None else None
+    geometry = given if estimate is None else estimate.geometry
+    assert geometry is not None
+    arms = arms_of(geometry)
+    heights = contact_heights(paths, arms) if level else None
+    levels = None if heights is None else levels_of(heights)
+    return clearances(paths, arms, levels, heights)[:, 0:4:3], ToeAndHeel(geometry, estimate, levels is not None)

@@ -1,0 +1,259 @@
+"""Calibrations of a whole recording, feet and shanks: found, named, written, read, and held against another recording.
+
+A calibration says how a sensor sits. From a sensor that has been moved, or runs at another rate, it would be wrong in
+silence; so it is checked before it is used.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fes.calibration.foot_track import calibrate_track
+from fes.calibration.side_detection import SideVerdict, side_signs, tell_sides
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration, stretch_for_calibration
+from fes.estimation.sensor_choice import Calibration, calibration_from_dict, phase_sensors
+from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
+from fes.recording import Recording, Track
+from fes.recording.samples import newer_samples
+from fes.recording.tracks import UNLABELLED_FEET
+from fes.signals import FOOT_SENSORS, SENSORS, SHANK_SENSORS
+
+FORMAT = 1
+RATE_TOLERANCE = 0.03  # crystals keep within 0.1 %, rates named by their nominal value within 2 %
+MOST_TILT_DEG = 25.0
+QUIET_PERCENT = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a recording's sensors are, and how they sit.
+
+    Attributes:
+        calibrations: by sensor.
+        missing: why the other sensors could not be calibrated.
+        sides: for sensors that were not labelled, which foot each is on.
+        verdict: how that, or for labelled feet the label's check, came out; None where two feet did not walk.
+        swapped: two labelled feet that clearly move like each other's mirror image.
+    """
+
+    calibrations: dict[str, Calibration]
+    missing: dict[str, str] = field(default_factory=dict)
+    sides: dict[str, str] = field(default_factory=dict)
+    verdict: SideVerdict | None = None
+    swapped: bool = False
+
+
+def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, level: bool = True) -> Found:
+    """Calibrate these of a recording's sensors; ``level`` False: over stairs or slopes.
+
+    Raises:
+        CalibrationError: none of them could be.
+    """
+    found: dict[str, Calibration] = {}
+    missing: dict[str, str] = {}
+    for sensor in sensors:
+        track = recording.tracks[sensor]
+        try:
+            found[sensor] = calibrate_shank_track(track, level=level) if sensor in SHANK_SENSORS else _foot(track)
+        except CalibrationError as error:
+            missing[sensor] = str(error)
+    if not found:
+        reasons = " ".join(missing.values()) or f"it holds none of the sensors {', '.join(SENSORS)}."
+        raise CalibrationError(f"{recording.path or recording.name}: {reasons}")
+    return Found(found, missing)
+
+
+def calibrate_drivers(recording: Recording) -> Found:
+    """Calibrate the sensor that drives each foot: the foot's own, or where there is none the shank's.
+
+    Raises:
+        CalibrationError: none could be, or the feet are not labelled.
+    """
+    refuse_unlabelled(recording)
+    return calibrate_sensors(recording, phase_sensors(recording.tracks).values())
+
+
+def calibrate_all(recording: Recording, *, level: bool = True) -> Found:
+    """Calibrate all sensors, and tell left from right: of unlabelled feet to name them, of labelled ones to check.
+
+    Raises:
+        CalibrationError: no sensor could be calibrated, or which unlabelled foot is which is not clear.
+    """
+    found = calibrate_sensors(recording, recording.tracks, level=level)
+    feet = [name for name in (*FOOT_SENSORS, *UNLABELLED_FEET) if name in found.calibrations]
+    open_ = [name for name in recording.tracks if name in UNLABELLED_FEET]
+    verdict = _sides(recording, found.calibrations, feet) if len(feet) == 2 else None
+    if not open_:
+        return replace(found, verdict=verdict, swapped=verdict is not None and verdict.sure and verdict.left == 1)
+    if verdict is None or not verdict.sure:
+        raise CalibrationError(f"{recording.path or recording.name}: {_unsure(verdict)} {_please_label(open_)}")
+    sides = dict(zip(feet, FOOT_SENSORS if verdict.left == 0 else reversed(FOOT_SENSORS), strict=True))
+    sides = {name: side for name, side in sides.items() if name in UNLABELLED_FEET}
+    named = {sides.get(name, name): _renamed(c, sides.get(name, name)) for name, c in found.calibrations.items()}
+    return Found(named, found.missing, sides, verdict)
+
+
+def calibrate_shank_track(track: Track, *, level: bool = True) -> ShankCalibration:
+    """Calibrate one shank from its first minute, or from all of the track where that minute shows too little."""
+    t_ns, acc, gyr = newer_samples(track)
+    n = stretch_for_calibration(t_ns)
+    try:
+        return calibrate_shank(track.sensor, track.rate_hz, t_ns[:n], acc[:n], gyr[:n], level=level)
+    except CalibrationError:
+        if n == len(t_ns):
+            raise
+        return calibrate_shank(track.sensor, track.rate_hz, t_ns, acc, gyr, level=level)
+
+
+def refuse_unlabelled(recording: Recording) -> None:
+    """Refuse a recording whose feet are not labelled.
+
+    Raises:
+        CalibrationError: says how to label them.
+    """
+    open_ = [name for name in recording.tracks if name in UNLABELLED_FEET]
+    if open_:
+        raise CalibrationError(f"{recording.path or recording.name}: {_please_label(open_)}")
+
+
+def labelled(recording: Recording, sides: Mapping[str, str]) -> Recording:
+    """The recording with its unlabelled feet named as a calibration found them.
+
+    Raises:
+        CalibrationError: a name would then stand for two sensors.
+    """
+    tracks: dict[str, Track] = {}
+    for name, track in recording.tracks.items():
+        side = sides.get(name, name)
+        if side in tracks or (side != name and side in recording.tracks):
+            raise CalibrationError(f"{recording.path or recording.name}: {name} would be a second {side}. Label both.")
+        tracks[side] = replace(track, sensor=side)
+    return replace(recording, tracks={name: tracks[name] for name in (*SENSORS, *UNLABELLED_FEET) if name in tracks})
+
+
+def save(found: Found, path: Path) -> None:
+    """Write calibrations as JSON; OSError where that fails."""
+    data: dict[str, Any] = {"format": FORMAT, "feet": {}, "shanks": {}, "sides": found.sides}
+    for sensor, calibration in found.calibrations.items():
+        data["shanks" if isinstance(calibration, ShankCalibration) else "feet"][sensor] = calibration.to_dict()
+    path.write_text(json.dumps(data, indent=1), encoding="utf-8")
+
+
+def load(path: Path) -> Found:
+    """Read what :func:`save` wrote.
+
+    Raises:
+        CalibrationError: missing, not JSON, or not a calibration of this format.
+    """
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        if data["format"] != FORMAT:
+            raise CalibrationError(
+                f"{path}: is of format {data['format']}, this version reads {FORMAT}. Calibrate anew."
+            )
+        values = {**data["feet"], **data.get("shanks", {})}
+        sides = {str(name): str(side) for name, side in data.get("sides", {}).items()}
+        found = {sensor: calibration_from_dict({**each, "sensor": sensor}) for sensor, each in values.items()}
+        _refuse_nonsense(found, sides)
+        return Found(found, sides=sides)
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}. Make one with fes calibrate.") from error
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        if isinstance(error, CalibrationError):
+            raise
+        raise CalibrationError(f"{path}: is no calibration ({error}). Make one with fes calibrate.") from error
+
+
+def drivers_from(path: Path, recording: Recording) -> tuple[Recording, Found]:
+    """A recording, its feet named, with the calibrations of a file for the sensors that drive.
+
+    Raises:
+        CalibrationError: the file cannot be used, or does not fit the recording.
+    """
+    stored = load(path)
+    recording = labelled(recording, stored.sides)
+    refuse_unlabelled(recording)
+    drivers = phase_sensors(recording.tracks).values()
+    found = {sensor: stored.calibrations[sensor] for sensor in drivers if sensor in stored.calibrations}
+    missing = {s: f"{s}: {path} holds no calibration of it." for s in drivers if s not in stored.calibrations}
+    if not found:
+        raise CalibrationError(
+            f"{path}: calibrates none of the sensors in {recording.path or recording.name}: "
+            + ", ".join(recording.tracks)
+        )
+    for sensor, calibration in found.items():
+        refuse_misfit(calibration, recording.tracks[sensor], path)
+    return recording, Found(found, missing)
+
+
+def refuse_misfit(calibration: Calibration, track: Track, path: Path) -> None:
+    """Refuse a calibration of a sensor that runs at another rate or sits otherwise.
+
+    Raises:
+        CalibrationError: names both and what to do.
+    """
+    again = "Calibrate again with the sensors as they are worn now: fes calibrate."
+    if abs(track.rate_hz / calibration.rate_hz - 1.0) > RATE_TOLERANCE:
+        raise CalibrationError(
+            f"{path}: {track.sensor} was calibrated at {calibration.rate_hz:g} Hz and runs at {track.rate_hz:g} Hz. "
+            + again
+        )
+    energy = np.einsum("ij,ij->i", track.gyr_radps, track.gyr_radps)
+    force = np.median(track.acc_mps2[energy <= np.percentile(energy, QUIET_PERCENT)], axis=0)
+    force = force - np.array(calibration.acc_bias_mps2)
+    cosine = float(force @ np.array(calibration.up)) / max(float(np.linalg.norm(force)), 1e-9)
+    tilt_deg = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
+    if tilt_deg > MOST_TILT_DEG:
+        raise CalibrationError(
+            f"{path}: {track.sensor} sits otherwise than when it was calibrated: gravity comes from {tilt_deg:.0f}° "
+            f"elsewhere, at most {MOST_TILT_DEG:.0f}° is allowed. " + again
+        )
+
+
+def _foot(track: Track) -> FootCalibration:
+    return calibrate_track(track)
+
+
+def _renamed(calibration: Calibration, sensor: str) -> Calibration:
+    return replace(calibration, sensor=sensor)
+
+
+def _sides(recording: Recording, calibrations: Mapping[str, Calibration], feet: list[str]) -> SideVerdict | None:
+    """Compare the two feet, the first as if it were left; None where one of them shows too little."""
+    signs = []
+    for name in feet:
+        track, calibration = recording.tracks[name], calibrations[name]
+        assert isinstance(calibration, FootCalibration)
+        signs.append(side_signs(*newer_samples(track), calibration))
+    one, other = signs
+    return None if one is None or other is None else tell_sides(one, other)
+
+
+def _unsure(verdict: SideVerdict | None) -> str:
+    if verdict is None:
+        return "which foot is which takes two feet with five straight strides each."
+    return (
+        f"which foot is which is not clear: {verdict.agreeing} of 4 signs agree, with a score of {verdict.score:.2f} "
+        "(3 and 0.30 are needed)."
+    )
+
+
+def _please_label(names: list[str]) -> str:
+    which = ", ".join(f"[sensors.{name}]" for name in names)
+    return f"Say in the sidecar which foot is which: rename {which} to [sensors.left_foot] or [sensors.right_foot]."
+
+
+def _refuse_nonsense(calibrations: Mapping[str, Calibration], sides: Mapping[str, str]) -> None:
+    """A file written by hand may say anything; what the core would choke on is refused here."""
+    if not calibrations:
+        raise ValueError("it holds no sensor")
+    for name, side in sides.items():
+        if name not in UNLABELLED_FEET or side not in FOOT_SENSORS:
+            raise ValueError(f"{name!r} cannot be {side!r}")

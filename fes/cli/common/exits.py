@@ -1,0 +1,83 @@
+"""Exit codes, and errors that end a command with a message instead of a traceback.
+
+Where results go: a new folder each time.
+"""
+
+from __future__ import annotations
+
+import traceback
+from pathlib import Path
+from typing import IO, Any, Final, NoReturn
+
+import click
+
+OK: Final = 0
+FAILED: Final = 1  # it ran, and what it checked is not right
+UNUSABLE: Final = 2  # wrong arguments or input; nothing was done
+STOPPED: Final = 3  # it ended early: a device was lost, the disk is full
+BROKEN: Final = 4  # a fault of this program
+INTERRUPTED: Final = 130  # Ctrl-C
+
+
+class Problem(click.ClickException):
+    """Ends the command: the message says what is wrong, where, and what to do."""
+
+    exit_code = UNUSABLE
+
+    def show(self, file: IO[Any] | None = None) -> None:
+        """On stderr, in red where there are colours."""
+        click.secho(f"Error: {self.message}", fg="red", err=True)
+
+
+class StoppedEarly(Problem):
+    """Ends the command after it had begun."""
+
+    exit_code = STOPPED
+
+
+class Broken(Problem):
+    """Ends the command on an error that nobody foresaw, in one line; ``FES_TRACEBACK=1`` shows all of it."""
+
+    exit_code = BROKEN
+
+    def __init__(self, error: Exception) -> None:
+        trace = traceback.extract_tb(error.__traceback__)
+        place = f" at {Path(trace[-1].filename).name}:{trace[-1].lineno}" if trace else ""
+        super().__init__(
+            f"{type(error).__name__}{place}: {error}\nThis is a fault of fes, not of your input: please report it with "
+            f"the command and its input. FES_TRACEBACK=1 in the environment shows the whole trace."
+        )
+
+
+def fail(error: Exception, kind: type[Problem] = Problem) -> NoReturn:
+    """End the command with an exception's own words; a sidecar that is missing is proposed beside its recording."""
+    from fes.cli.common.proposal import told
+
+    raise kind(told(error)) from error
+
+
+LOG_SUFFIX = ".feslog"
+
+
+def fresh_folder(out: Path, name: str) -> Path:
+    """A new folder ``out/name-NNN``; what is there already is never touched.
+
+    Raises:
+        Problem: it cannot be made.
+    """
+    try:
+        if out.exists() and not out.is_dir():
+            raise Problem(f"{out}: is a file; results need a folder. Choose another with --out.")
+        out.mkdir(parents=True, exist_ok=True)
+        for number in range(1, 100_000):
+            folder = out / f"{name}-{number:03d}"
+            try:
+                folder.mkdir()
+            except FileExistsError:
+                continue
+            return folder
+    except OSError as error:
+        raise Problem(
+            f"{out}: no folder for the results can be made: {error.strerror}. Choose another with --out."
+        ) from error
+    raise Problem(f"{out}: too many results of {name!r}; move some away or choose another --out.")

@@ -1,0 +1,1 @@
+"""``fes doctor``: is this machine, and are these devices, ready for a session?"""

@@ -1,0 +1,336 @@
+"""``fes replay``: a recording, or a session log, through the same loop as a live session.
+
+What ``fes replay`` says of settings that it does not use, or that have no meaning.
+"""
+
+from __future__ import annotations
+
+import time
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.stimulator.bus import BusError
+from drivers.stimulator.port import StimulatorLost
+from fes.calibration.recording import calibrate_drivers, drivers_from
+from fes.cli.common.exits import FAILED, INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
+from fes.cli.common.options import MonotonicClock, Number
+from fes.cli.common.progress import Interrupt, ReplayProgress
+from fes.cli.common.show import show, tell_latched
+from fes.cli.replay.stimulators import (
+    Opened,
+    as_summary,
+    last_answers,
+    no_stimulator,
+    on_the_bus,
+    simulated,
+    warn_of_real_device,
+    wire_truth,
+)
+from fes.cli.replay.timing import PARAMETERS, TimingOptions, check_timing, expected_of, tell, timing_options
+from fes.cli.run.page import page_options
+from fes.config import ConfigError, Session, load_session
+from fes.control.controller import Controller
+from fes.control.replay import digest, identity, log_header, refuse_long_silence, session_for
+from fes.control.runner import Runner
+from fes.control.sources import armed_after, paced, with_ticks
+from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
+from fes.estimation.warm_up import warm_up
+from fes.gate import gate_of
+from fes.recording import Recording, RecordingError, read_recording
+from fes.recording.samples import samples_of
+from fes.session_log import SessionLogError, SessionWriter, read_session
+from fes.signals import SHANK_SENSORS, Event
+
+__all__ = ["LOG_SUFFIX", "Options", "fresh_folder", "replay_recording"]
+
+
+def refuse_settings_of_a_recording(*allowed: str) -> None:
+    """A session log brings its own settings; one given here would change nothing, so say so.
+
+    Raises:
+        Problem: one was given that is not ``allowed``.
+    """
+    context = click.get_current_context()
+    given = [name for name in context.params if name not in ("recording", "as_json", "page", *allowed, *PARAMETERS)]
+    for name in given:
+        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+            raise Problem(
+                f"--{name.replace('_', '-')} has no meaning for a session log, which is replayed with the settings it "
+                f"holds. Replay its recording instead, or leave the option out."
+            )
+
+
+def settings_beside(path: Path) -> Path | None:
+    """The session settings in the recording's folder, if there are any."""
+    settings = path.parent / "session.toml"
+    return settings if settings.is_file() else None
+
+
+def say_what_is_left_out(
+    session: Session,
+    settings: Path | None,
+    left_out: list[str],
+    calibrations: dict[str, Calibration],
+    missing: dict[str, str],
+) -> None:
+    """What of recording and settings is not used, and why.
+
+    Raises:
+        Problem: a channel's foot has no calibration.
+    """
+    for reason in missing.values():
+        click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
+    if not session.channels:
+        feet = ", ".join(sorted(phase_sensors(calibrations)))
+        why = f"{settings} has no channel for a foot in this recording ({feet})" if settings else "no --session given"
+        click.secho(f"Nothing is stimulated: {why}. Phases and strides only.", fg="yellow", err=True)
+    if left_out and session.channels:
+        names = ", ".join(left_out)
+        click.secho(f"Left out, for the recording has no sensor on that foot: {names}.", fg="yellow", err=True)
+    for channel in session.channels:
+        if channel.foot not in phase_sensors(calibrations):
+            raise Problem(f"Channel {channel.name!r} follows the {channel.foot}, which cannot be calibrated.")
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to replay."""
+
+    session: Path | None = None
+    out: Path = Path("out")
+    speed: float | None = None
+    stimulator: str = "simulated"
+    arm_after_s: float = 0.5
+    rearm_after_s: float | None = None
+    as_json: bool = False
+    report: bool = True
+    calibration: Path | None = None
+    timing: TimingOptions | None = None
+    page: bool = False
+    page_port: int = 0
+
+
+@click.command(name="replay")
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--session", type=click.Path(path_type=Path), help="Settings (TOML). Default: session.toml beside it.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="From fes calibrate. Default: from the recording.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results go below."
+)
+@click.option("--speed", type=Number(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
+@click.option(
+    "--stimulator",
+    type=click.Choice(["simulated", "none", "bus"]),
+    default="simulated",
+    show_default=True,
+    help="bus: what is on the session's bus, at recorded speed. A DEVICE THERE STIMULATES.",
+)
+@click.option("--arm-after", type=Number(min=0), default=0.5, show_default=True, help="Operator arms (s).")
+@click.option("--rearm-after", type=Number(min=0), help="Operator arms again this long after a fault (s).")
+@click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
+@click.option("--no-report", is_flag=True, help="Write no HTML report.")
+@page_options
+@timing_options
+def command(
+    recording: Path,
+    session: Path | None,
+    calibration: Path | None,
+    out: Path,
+    speed: float | None,
+    stimulator: str,
+    arm_after: float,
+    rearm_after: float | None,
+    as_json: bool,
+    no_report: bool,
+    page: bool,
+    page_port: int,
+    timing: TimingOptions | None,
+) -> None:
+    """Replay RECORDING (CSV or Parquet with its sidecar) or a session log (.feslog).
+
+    Prints the table of strides and a summary; writes the session log and the report. A session log is replayed from its
+    own settings and must give the bytes that it recorded.
+
+    --page shows it in a browser as it was, at recorded speed or --speed; the page's stop ends the replay.
+
+    --check-timing compares with the truth beside RECORDING, a session log with what it recorded; either with --against.
+
+    A gate that latched is told of last and is no failure: the exit code says whether the replay went through.
+
+    Exit code: 0 all is well, 1 a check failed, 2 unusable input, 3 stopped early, 4 a fault of fes itself, 130
+    interrupted.
+    """
+    if recording.suffix == LOG_SUFFIX:
+        from fes.cli.replay.log import replay_log
+
+        refuse_settings_of_a_recording(*(("speed", "out", "page_port") if page else ()))
+        if page:
+            from fes.cli.replay.page import play_log
+
+            play_log(recording, fresh_folder(out, recording.stem), speed or 1.0, page_port)
+        replay_log(recording, as_json=as_json, timing=timing)
+        return
+    options = Options(
+        session,
+        out,
+        speed or (1.0 if page else None),
+        stimulator,
+        arm_after,
+        rearm_after,
+        as_json,
+        not no_report,
+        calibration,
+        timing,
+        page,
+        page_port,
+    )
+    replay_recording(recording, options)
+
+
+def replay_recording(path: Path, options: Options) -> Path:
+    """Replay a recording and show the result; returns the session log's path.
+
+    Raises:
+        Problem: unusable input, a stimulator that is lost, a disk that is full.
+        SystemExit: interrupted, or the stimulator did not deliver what was sent.
+    """
+    try:
+        recording = read_recording(path)
+        refuse_long_silence(recording)
+        settings = options.session or settings_beside(path)
+        asked = load_session(settings) if settings else None
+        if options.calibration:
+            recording, found = drivers_from(options.calibration, recording)
+        else:
+            found = calibrate_drivers(recording)
+        calibrations, missing = found.calibrations, found.missing
+        session = session_for(recording, asked)
+    except (RecordingError, ConfigError, CalibrationError) as error:
+        fail(error)
+    kept = {channel.number for channel in session.channels}
+    left_out = [channel.name for channel in (asked.channels if asked else ()) if channel.number not in kept]
+    say_what_is_left_out(session, settings, left_out, calibrations, missing)
+    expected = expected_of(options.timing, path, calibrations) if options.timing else None
+    sha256 = digest(path)
+    numbers = identity(sha256, session)
+    folder = fresh_folder(options.out, path.stem)
+    log_path = folder / f"session{LOG_SUFFIX}"
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    header = log_header(recording, sha256, session, calibrations, numbers.session_id, created)
+    begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
+    opening: AbstractContextManager[Opened]
+    if options.stimulator == "none" or not session.channels:
+        opening = no_stimulator(numbers.session_id, numbers.boot_id, begin_ns)
+    elif options.stimulator == "bus":
+        warn_of_real_device(session)
+        opening = on_the_bus(session, numbers.session_id, begin_ns)
+    else:
+        opening = simulated(
+            numbers.session_id,
+            numbers.boot_id,
+            begin_ns,
+            lockstep=options.speed is None,
+            record=folder / "stimulator.jsonl",
+        )
+    warm_up()
+    try:
+        with opening as opened:
+            ended = _go(recording, session, calibrations, opened, header, log_path, options)
+    except (StimulatorLost, BusError, SessionLogError) as error:
+        fail(error, StoppedEarly)
+    if ended == "interrupted":
+        click.secho(f"Interrupted; stimulation is off. What was recorded is in {log_path}", fg="yellow", err=True)
+        raise SystemExit(INTERRUPTED)
+    timing = None
+    if options.timing and expected:
+        timing = check_timing(read_session(log_path), options.timing, expected)
+    more = {"timing": timing.to_json()} if timing else None
+    remarks = show(
+        log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None, more=more
+    )
+    tell_latched(remarks)
+    if ended == "different":
+        click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
+        raise SystemExit(FAILED)
+    if ended != "complete":
+        raise StoppedEarly(ended)
+    if timing:
+        tell(timing, as_json=options.as_json)
+    return log_path
+
+
+def _go(
+    recording: Recording,
+    session: Session,
+    calibrations: dict[str, Calibration],
+    opened: Opened,
+    header: dict[str, Any],
+    log_path: Path,
+    options: Options,
+) -> str:
+    """Run the loop over the recording; returns how it ended: complete, different, interrupted, or why it stopped."""
+    stimulation = session.stimulation
+    gate = gate_of(
+        session, {sensor: each.up for sensor, each in calibrations.items()}, shank_phase_sensors(calibrations)
+    )
+    log = SessionWriter(log_path, header)
+    controller = Controller(session, calibrations)
+    stage = None
+    if options.page:
+        from fes.cli.replay.page import Stage
+
+        stage = Stage(log_path.parent, session, calibrations, header, log, controller, gate, options.page_port)
+    runner = Runner(controller, gate, opened.stimulator, stage.log if stage else log, time.perf_counter_ns)
+    events = armed_after(
+        with_ticks(samples_of(recording, set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS)))),
+        options.arm_after_s,
+        stimulation.intensity,
+        options.rearm_after_s,
+        lambda: bool(gate.latched),
+    )
+    if options.stimulator == "bus" or options.speed is not None:
+        events = paced(events, stage.clock if stage else MonotonicClock(), options.speed or 1.0)
+    begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
+    end_ns = max(int(track.t_ns[-1]) for track in recording.tracks.values())
+    ended = "complete"
+    summary: dict[str, Any] = {}
+    try:
+        for frame in opened.frames:
+            log.frame(frame)
+        for alive in opened.alive:
+            runner.handle(alive)
+        with Interrupt() as interrupt, ReplayProgress(recording.name, begin_ns, end_ns, options.as_json) as progress:
+
+            def after(event: Event) -> None:
+                log.flush_due(time.monotonic_ns())
+                progress.at(event.t_ns)
+                if stage:
+                    stage.tell(event.t_ns)
+                interrupt.check()
+
+            runner.run(events, after)
+        for reply in last_answers(opened.stimulator, runner.t_ns):
+            runner.handle(reply)
+        if opened.answers:
+            log.flush()
+            so_far = read_session(log_path)
+            truth = wire_truth(so_far.frames, so_far.statuses)
+            summary["wire"] = as_summary(truth)
+            ended = "complete" if truth.ok else "different"
+    except KeyboardInterrupt:
+        ended = "interrupted"
+    except StimulatorLost as error:
+        ended = f"The stimulator was lost at {1e-9 * (runner.t_ns - begin_ns):.1f} s: {error}"
+    finally:
+        summary["ended"] = ended
+        summary["samples"] = {foot: tracker.counts.to_dict() for foot, tracker in runner.controller.trackers.items()}
+        log.close(summary)
+        if stage:
+            stage.close(ended)
+    return ended

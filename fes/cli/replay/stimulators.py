@@ -1,0 +1,237 @@
+"""Which stimulator a replay talks to: none, a simulated one in its own process, or what is on the session's bus.
+
+A serial stimulator's port repeated from a session log: the same port, told what the line brought when it did.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import click
+
+from drivers.simulated.stimulator.lockstep import LockstepStimulator
+from drivers.simulated.stimulator.spawn import spawn_node
+from drivers.stimulator.bus import open_bus
+from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, commands_of
+from drivers.stimulator.can_port import ByteSink, CanStimulator
+from drivers.stimulator.open import SERIAL, open_stimulator
+from drivers.stimulator.port import StimulatorLost
+from drivers.stimulator.sciencemode.port import ScienceModePort
+from drivers.stimulator.serial_line import Line
+from fes.config import Session
+from fes.control.runner import Stimulator
+from fes.evaluation.delivered import Delivered, compare_delivered
+from fes.live.stimulator import UNSENT
+from fes.session_log import Received
+from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, WireFrame
+
+
+class LoggedLine:
+    """A :class:`drivers.stimulator.serial_line.Line` with nobody behind it: it brings what it is given."""
+
+    name = "the session log"
+
+    def __init__(self) -> None:
+        self.brings = b""
+
+    def write(self, data: bytes) -> None:
+        """It goes nowhere."""
+
+    def read(self) -> bytes:
+        """What it was given since the last call."""
+        data, self.brings = self.brings, b""
+        return data
+
+    def wait(self, timeout_s: float) -> None:
+        """There is nothing to wait for."""
+
+    def fileno(self) -> int:
+        """None."""
+        return -1
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+class SerialSink:
+    """Encodes as the session's serial port did, from what that heard: its queue, its questions, its numbers.
+
+    ``sent`` says by command whether the session gave it to the port; a line that was lost got none.
+
+    Raises:
+        ConfigError: the log's settings are not such a device's.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.sent: Sequence[bool] = ()
+        self._session = session
+        self._number = 0
+        self._line = LoggedLine()
+        self._port = self._open(0)
+
+    def told(self, inputs: Iterable[Event | Received | WireFrame], session_id: int) -> Iterator[Event]:
+        """The log's events, while the port is told what lies between them.
+
+        The session looked at the line after every event that was no answer of the stimulator's own; what it then found
+        is in the log before the answers that it made of it.
+        """
+        greeted: list[WireFrame] = []
+        begun, looked_ns = False, None
+        for each in inputs:
+            if isinstance(each, WireFrame):
+                if each.identifier in self._port.greetings:
+                    greeted.append(each)
+                continue
+            if not begun:
+                self._resume(session_id, greeted)
+                begun = True
+            if isinstance(each, Received):
+                self._line.brings += each.data
+                continue
+            self._look(looked_ns)
+            if isinstance(each, StimOpened):
+                self._resume(each.session_id, greeted)
+            yield each
+            looked_ns = None if isinstance(each, StimStatus | StimAlive) else each.t_ns
+        self._look(looked_ns)
+
+    def commands_of(self, frames: Iterable[WireFrame]) -> list[WireFrame]:
+        """Of all frames those of commands, one each: all but the handshakes'."""
+        return [frame for frame in frames if frame.identifier not in self._port.greetings]
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """The frame that the session sent, or left out."""
+        number, self._number = self._number, self._number + 1
+        if number < len(self.sent) and not self.sent[number]:
+            return WireFrame(command.t_ns, UNSENT, b"")
+        return self._port.send(command)
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """Its answers are events in the log."""
+        return []
+
+    def _look(self, t_ns: int | None) -> None:
+        if t_ns is not None:
+            with suppress(StimulatorLost):  # as it was then, and the log says so
+                self._port.poll(t_ns)
+
+    def _resume(self, session_id: int, greeted: list[WireFrame]) -> None:
+        self._line = LoggedLine()
+        self._port = self._open(session_id)
+        self._port.resume(greeted)
+        greeted.clear()
+
+    def _open(self, session_id: int) -> ScienceModePort:
+        line: Line = self._line
+        port = open_stimulator(self._session.stimulator, self._session, session_id, lambda name, settings: line)
+        assert isinstance(port, ScienceModePort), "a serial device"
+        return port
+
+
+def repeats_bytes(session: Session, header: Mapping[str, object]) -> bool:
+    """Whether a log holds all that the session's serial port went by; those of before that was kept do not."""
+    return session.stimulator.device in SERIAL and header.get("heard") is True
+
+
+LAST_ANSWERS_S = 0.5
+
+
+class OpenStimulator(Stimulator, Protocol):
+    """A stimulator with its session open."""
+
+    @property
+    def outstanding(self) -> int:
+        """Commands not yet answered."""
+
+
+@dataclass(frozen=True, slots=True)
+class Opened:
+    """An open stimulator, what its handshake sent and heard, and whether anything answers at all."""
+
+    stimulator: OpenStimulator
+    frames: tuple[WireFrame, ...] = ()
+    alive: tuple[StimAlive, ...] = ()
+    answers: bool = True
+
+
+@contextmanager
+def no_stimulator(session_id: int, boot_id: int, t_ns: int) -> Iterator[Opened]:
+    """Bytes only: nothing is sent anywhere."""
+    sink = ByteSink(session_id)
+    yield Opened(sink, frames=(sink.open(t_ns, boot_id),), answers=False)
+
+
+@contextmanager
+def simulated(session_id: int, boot_id: int, t_ns: int, *, lockstep: bool, record: Path | None) -> Iterator[Opened]:
+    """A simulated stimulator in its own process on virtual CAN; in lockstep its clock is the replay's.
+
+    Raises:
+        StimulatorLost, BusError: it did not start, or cannot be reached.
+    """
+    with spawn_node(boot_id=boot_id, record=record, clock="bus" if lockstep else "real") as node:
+        bus = open_bus(node.bus, NODE_IDS)
+        stimulator = (LockstepStimulator if lockstep else CanStimulator)(bus, session_id)
+        try:
+            handshake = stimulator.open(t_ns, timeout_s=10.0)
+            yield Opened(stimulator, handshake.frames, handshake.alive)
+        finally:
+            stimulator.close()
+
+
+@contextmanager
+def on_the_bus(session: Session, session_id: int, t_ns: int) -> Iterator[Opened]:
+    """Whatever stimulator is on the session's bus.
+
+    Raises:
+        StimulatorLost, BusError: the bus cannot be opened, or nothing answers there.
+    """
+    stimulator = CanStimulator(open_bus(session.bus, NODE_IDS), session_id)
+    try:
+        handshake = stimulator.open(t_ns)
+        yield Opened(stimulator, handshake.frames, handshake.alive)
+    finally:
+        stimulator.close()
+
+
+def last_answers(stimulator: OpenStimulator, t_ns: int) -> list[StimStatus | StimAlive]:
+    """What still comes after the last command, for at most half a second."""
+    replies: list[StimStatus | StimAlive] = []
+    deadline = time.monotonic() + LAST_ANSWERS_S
+    while True:
+        replies += stimulator.poll(t_ns)
+        if not stimulator.outstanding or time.monotonic() > deadline:
+            return replies
+        time.sleep(0.005)
+
+
+def wire_truth(frames: list[WireFrame], statuses: list[StimStatus]) -> Delivered:
+    """Hold the command frames that went out against what the stimulator said it delivered."""
+    return compare_delivered(commands_of([f for f in frames if f.identifier in CONTROLLER_IDS]), statuses)
+
+
+def as_summary(truth: Delivered) -> dict[str, Any]:
+    """For the session log."""
+    return {
+        "commands": truth.commands,
+        "matched": truth.matched,
+        "missing": truth.missing,
+        "different": truth.different,
+        "unasked": truth.unasked,
+        "pulses": {str(channel): count for channel, count in truth.pulses.items()},
+        "charge_uc": {str(channel): round(charge, 3) for channel, charge in truth.charge_uc.items()},
+    }
+
+
+def warn_of_real_device(session: Session) -> None:
+    """Before anything goes to a bus where hardware may listen."""
+    click.secho(
+        f"Sending to {session.bus.interface} {session.bus.channel}: a stimulator there WILL stimulate. Ctrl-C stops.",
+        fg="red",
+        bold=True,
+        err=True,
+    )

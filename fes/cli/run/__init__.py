@@ -1,0 +1,1 @@
+"""``fes run``: a live session."""

@@ -1,0 +1,252 @@
+"""``fes run``: a live session."""
+
+from __future__ import annotations
+
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from drivers.stimulator.open import electrodes_told_from_ma, open_session
+from drivers.stimulator.port import StimulatorLost
+from drivers.stimulator.serial_line import latency_hint
+from drivers.switches import SwitchFailed, open_switch
+from fes.calibration.recording import load
+from fes.cli.common.exits import INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
+from fes.cli.common.options import Number
+from fes.cli.common.progress import Interrupt
+from fes.cli.run.calibration import calibrate, open_log, utc_now
+from fes.cli.run.devices import Found, open_sensors, serial_ports_of, stop_switch_settings
+from fes.cli.run.page import about_session, add_page, open_page, page_options
+from fes.config import ConfigError, Session, load_session
+from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.sensor_choice import Calibration, phase_sensors
+from fes.estimation.warm_up import warm_up
+from fes.live.inputs import Terminal, standard_keys
+from fes.live.realtime import become_real_time
+from fes.live.session import COMPLETE, LiveSession, live_header
+from fes.live.stimulator import LiveStimulator, Opened
+from fes.live.view_process import ViewProcess
+from fes.session_log import SessionLogError
+
+SOCKET_NAME = "control.sock"
+STOP_NAME = "stop"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """How to run."""
+
+    out: Path | None = None
+    calibration: Path | None = None
+    strides: int = 6
+    duration_s: float | None = None
+    stop_file: Path | None = None
+    stop_input: str = ""
+    control: Path | None = None
+    keys_from: int | None = None
+    view: bool | None = None
+    page: bool = False
+    page_port: int = 0
+
+
+@click.command(name="run")
+@click.argument("session", type=click.Path(path_type=Path))
+@click.option("--out", type=click.Path(path_type=Path), help="Results go below. Default: live.folder, or out.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="From `fes calibrate`. Default: calibrate first.")
+@click.option("--strides", type=click.IntRange(3, 100), default=6, show_default=True, help="To calibrate on, per foot.")
+@click.option("--duration", "duration_s", type=Number(min=0.1), help="End by itself after this long (s).")
+@click.option(
+    "--stop-file", type=click.Path(path_type=Path), help="Emergency stop if it appears. Default: live.stop_file."
+)
+@click.option(
+    "--stop-input", default="", help="can_bit:ID:BIT, serial_cts:PORT, serial_dsr:PORT. Default: live.stop_button."
+)
+@click.option("--control", type=click.Path(path_type=Path), help="Control socket. Default: OUT/…/control.sock.")
+@click.option("--keys-from", type=click.IntRange(min=0), help="Read keys from this descriptor instead of the terminal.")
+@click.option("--view/--no-view", default=None, help="The terminal view. Default: where there is a terminal.")
+@page_options
+def command(
+    session: Path,
+    out: Path | None,
+    calibration: Path | None,
+    strides: int,
+    duration_s: float | None,
+    stop_file: Path | None,
+    stop_input: str,
+    control: Path | None,
+    keys_from: int | None,
+    view: bool | None,
+    page: bool,
+    page_port: int,
+) -> None:
+    """Run a live session with the settings in SESSION (TOML).
+
+    Nothing is stimulated until you arm it by hand (a) and raise the intensity (+), which starts at 0. SPACE stops at
+    once, and so do Ctrl-C, the stop file and the stop button.
+
+    Exit code: 0 ended as asked, 2 unusable settings or devices, 3 stopped early, 4 a fault of fes itself, 130
+    interrupted.
+    """
+    options = Options(
+        out, calibration, strides, duration_s, stop_file, stop_input, control, keys_from, view, page, page_port
+    )
+    run_session(session, options)
+
+
+def run_session(path: Path, options: Options) -> Path:
+    """Run a live session; returns the session log's path.
+
+    Raises:
+        Problem: unusable settings, devices that do not answer, a log that cannot be written.
+        SystemExit: interrupted.
+    """
+    try:
+        session = usable(load_session(path), path)
+        calibrations = load(options.calibration).calibrations if options.calibration else None
+    except (ConfigError, CalibrationError) as error:
+        fail(error)
+    folder = fresh_folder(options.out or Path(session.live.folder), path.stem)
+    with ExitStack() as stack:
+        found = open_sensors(session, stack)
+        keys = options.keys_from if options.keys_from is not None else standard_keys()
+        if keys is not None:
+            stack.enter_context(Terminal(keys))
+        interrupt = stack.enter_context(Interrupt())
+        warm_up()
+        if calibrations is None:
+            calibrations = calibrate(session, found, options.strides, folder, keys, interrupt)
+        worn = {device.sensor for device in session.sensors}
+        calibrations = {sensor: each for sensor, each in calibrations.items() if sensor in worn}
+        missing = sorted({str(channel.foot) for channel in session.channels} - phase_sensors(calibrations).keys())
+        if missing:
+            raise Problem(
+                f"{options.calibration}: holds no calibration of {', '.join(missing)}, which a channel follows."
+            )
+        log_path, ended = _run(session, calibrations, found, options, folder, keys, interrupt, stack)
+    if ended == "interrupted":
+        click.secho(f"Interrupted; stimulation is off. Session log: {log_path}", fg="yellow", err=True)
+        raise SystemExit(INTERRUPTED)
+    if ended != COMPLETE:
+        click.secho(f"\aALARM: the session has ended, stimulation is off. {ended}", fg="red", bold=True, err=True)
+        raise StoppedEarly(ended)
+    click.echo(f"Session log  {log_path}")
+    return log_path
+
+
+def usable(session: Session, path: Path) -> Session:
+    """The session, if it can run live.
+
+    Raises:
+        ConfigError: something that a live session needs is missing.
+    """
+    if not session.sensors:
+        raise ConfigError(f"{path}: sensors are missing; a live session needs a [[sensors]] table for each")
+    driven = phase_sensors(str(device.sensor) for device in session.sensors)
+    for channel in session.channels:
+        if channel.foot not in driven:
+            raise ConfigError(
+                f"{path}: channel {channel.name!r} follows the {channel.foot}, which no [[sensors]] table is worn on"
+            )
+    return session
+
+
+def _run(
+    session: Session,
+    calibrations: dict[str, Calibration],
+    found: Found,
+    options: Options,
+    folder: Path,
+    keys: int | None,
+    interrupt: Interrupt,
+    stack: ExitStack,
+) -> tuple[Path, str]:
+    """Open the stimulator, then the one loop; the log's path and how it ended."""
+    opened_ns = time.monotonic_ns()
+    try:
+        port, session_id, handshake = open_session(session.stimulator, session, opened_ns)
+    except (StimulatorLost, ConfigError) as error:
+        fail(error)
+    stack.callback(port.close)
+    log_path = folder / f"session{LOG_SUFFIX}"
+    log = open_log(log_path, live_header(session, calibrations, session_id, utc_now(), opened_ns, port.current_step_ma))
+    page = open_page(folder, about_session(session, "live"), options.page_port, stack) if options.page else None
+    terminal = sys.stdout.isatty()
+    view = stack.enter_context(ViewProcess()) if (terminal if options.view is None else options.view) else None
+    stimulator = LiveStimulator(port, lambda: _open_again(session), StimulatorLost, time.monotonic_ns)
+    stack.callback(stimulator.close)
+    live = LiveSession(
+        session,
+        calibrations,
+        log,
+        stimulator,
+        time.monotonic_ns,
+        view,
+        options.duration_s,
+        current_step_ma=port.current_step_ma,
+        electrodes_told_from_ma=electrodes_told_from_ma(session.stimulator),
+    )
+    _give_inputs(live, session, options, folder, keys, stack)
+    if page is not None:
+        add_page(live, page)
+    click.secho("A stimulator is connected. Nothing is stimulated until you arm.", fg="red", bold=True, err=True)
+    for port_name in serial_ports_of(session):
+        if hint := latency_hint(port_name):
+            click.secho(hint, fg="yellow", err=True)
+    grants = become_real_time()
+    for grant in grants:
+        if grant.refused:
+            click.secho(f"{grant}. Remedy: {grant.remedy}", fg="yellow", err=True)
+    ended = COMPLETE
+    try:
+        live.run(found.lines, handshake.frames, handshake.alive, grants, interrupt.check)
+    except KeyboardInterrupt:
+        ended = "interrupted"
+    except SessionLogError as error:
+        ended = str(error)
+    except Exception as error:
+        ended = f"stopped: {type(error).__name__}: {error}"
+        raise
+    finally:
+        try:
+            log.close({"ended": ended, **live.summary()})
+        except SessionLogError as error:
+            ended = str(error) if ended == COMPLETE else ended
+    if page is not None and ended != COMPLETE:
+        page.over = f"The session has ended: {ended}. Stimulation is off."
+    return log_path, ended
+
+
+def _open_again(session: Session) -> Opened:
+    port, session_id, handshake = open_session(session.stimulator, session, time.monotonic_ns())
+    return Opened(port, session_id, handshake.frames)
+
+
+def _give_inputs(
+    live: LiveSession, session: Session, options: Options, folder: Path, keys: int | None, stack: ExitStack
+) -> None:
+    if keys is not None:
+        live.add_keys(keys)
+    named = Path(session.live.stop_file) if session.live.stop_file else None
+    live.add_stop_file(options.stop_file or named or folder / STOP_NAME)
+    try:
+        live.add_control(options.control or folder / SOCKET_NAME)
+    except OSError as error:
+        if options.control:
+            raise Problem(f"{options.control}: no socket can be made: {error}. Choose a shorter path.") from error
+        click.secho(f"No control socket: {error}", fg="yellow", err=True)
+    try:
+        for settings in session.foot_switches:
+            switch = open_switch(settings, session.bus)
+            stack.callback(switch.close)
+            live.add_foot_switch(settings.foot, switch)
+        wanted = stop_switch_settings(options.stop_input) if options.stop_input else session.live.stop_button
+        if wanted is not None:
+            button = open_switch(wanted, session.bus)
+            stack.callback(button.close)
+            live.add_stop_switch(button)
+    except (SwitchFailed, ConfigError) as error:
+        fail(error)

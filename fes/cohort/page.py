@@ -1,0 +1,292 @@
+"""Pages of a cohort: distributions, outliers, what could not be used, and one page a subject."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from fes import __version__
+from fes.cohort.store import RECORDINGS, STRIDES, Store
+from fes.cohort.task import DONE
+from fes.report.figures.strides import FOOT_COLORS, foot_color
+from fes.report.figures.svg import Plot, padded
+from fes.signals import FloatArray
+
+PAGE: Final = "index.html"
+OUTLIER: Final = 3.5  # robust z; Iglewicz & Hoaglin, How to Detect and Handle Outliers, 1993
+MAD_TO_SD: Final = 0.6745
+LEAST: Final = 5  # recordings from which on an outlier means something
+BINS: Final = 40
+MISSING_SHARE: Final = 0.01
+SHARES: Final = (0.005, 0.995)  # of the strides that a histogram shows: a few wild ones would leave no room
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A column that pages show: its factor to the shown unit."""
+
+    column: str
+    name: str
+    unit: str
+    factor: float = 1.0
+    digits: int = 2
+
+
+MEASURES: Final = (
+    Measure("stride_length_m", "Stride length", "m"),
+    Measure("speed_mps", "Walking speed", "m/s"),
+    Measure("stride_time_s", "Stride time", "s"),
+    Measure("clearance_m", "Greatest sensor height", "cm", 100.0, 1),
+)
+NAMES: Final = ("recording", "subject", "foot")
+COLUMNS: Final = (*NAMES, "valid", "t_start_s", "t_end_s", "stride_length_m", "speed_mps", "clearance_m")
+
+
+def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str, Any]] | None = None) -> str:
+    """Write the cohort's page and one for each subject; where the first is.
+
+    ``rows``: of the recordings, where they have been read already.
+
+    Raises:
+        OSError: they cannot be written.
+    """
+    wanted = set(identities)
+    rows = store.table(RECORDINGS, wanted).to_pylist() if rows is None else rows
+    rows = sorted(rows, key=lambda row: str(row["source"]))
+    strides = _columns(store.table(STRIDES, wanted, COLUMNS))
+    subjects = sorted({row["subject"] for row in rows})
+    by_subject = {name: [row for row in rows if row["subject"] == name] for name in subjects}
+    done = [row for row in rows if row["status"] == DONE]
+    page = page_environment().get_template("cohort.html.j2")
+    common = {"style": page_style(), "version": __version__, "measures": MEASURES, "colors": FOOT_COLORS}
+    for name, own in by_subject.items():
+        mask = strides["subject"] == name
+        of_subject = {column: values[mask] for column, values in strides.items()}
+        text = page.render(
+            title=f"Subject {name or 'without a name'}",
+            above=f"../{PAGE}",
+            recordings=own,
+            failed=[row for row in own if row["status"] != DONE],
+            subjects=[],
+            outliers=[],
+            figures=[*_histograms(of_subject), *_courses(of_subject, own)],
+            strides=int(of_subject["valid"].sum()),
+            flags=_flags,
+            **common,
+        )
+        store.write_text(f"subjects/{_file(name)}", text)
+    text = page.render(
+        title="Cohort",
+        above="",
+        recordings=[],
+        failed=[row for row in rows if row["status"] != DONE],
+        subjects=[_subject_row(name, own) for name, own in by_subject.items()],
+        outliers=_outliers(done),
+        figures=[*_histograms(strides), *_spreads(done)],
+        strides=int(strides["valid"].sum()),
+        flags=_flags,
+        **common,
+        totals={
+            "recordings": len(rows),
+            "used": len(done),
+            "subjects": len(subjects),
+            "hours": sum(row["duration_s"] or 0.0 for row in done) / 3600.0,
+        },
+    )
+    store.write_text(PAGE, text)
+    return store.place(PAGE)
+
+
+def _columns(table: Any) -> dict[str, Any]:
+    """Arrays of what the pages show; times of strides are worked out."""
+    found = {name: np.array(table[name].to_pylist(), dtype=object) for name in NAMES}
+    found["valid"] = np.array(table["valid"].to_pylist(), dtype=bool)
+
+    def numbers(name: str) -> FloatArray:
+        return np.array([np.nan if v is None else v for v in table[name].to_pylist()], dtype=np.float64)
+
+    found["t_start_s"] = numbers("t_start_s")
+    found["stride_time_s"] = numbers("t_end_s") - found["t_start_s"]
+    return found | {m.column: numbers(m.column) for m in MEASURES if m.column not in found}
+
+
+def _histograms(strides: dict[str, Any]) -> list[dict[str, Any]]:
+    figures = []
+    for measure in MEASURES:
+        values = measure.factor * strides[measure.column]
+        usable = strides["valid"] & np.isfinite(values)
+        if not usable.any():
+            continue
+        low, high = np.quantile(values[usable], SHARES)
+        edges = np.linspace(low, max(high, low + 1e-3), BINS + 1)
+        width, middle = edges[1] - edges[0], (edges[:-1] + edges[1:]) / 2
+        feet = sorted(set(strides["foot"][usable]))
+        counts = {f: np.histogram(values[usable & (strides["foot"] == f)], edges)[0].astype(float) for f in feet}
+        most = max(float(count.max()) for count in counts.values())
+        plot = Plot(
+            measure.name, f"{measure.name}, {measure.unit}", "strides", (edges[0], edges[-1]), (0.0, 1.05 * most)
+        )
+        for k, (foot, count) in enumerate(counts.items()):
+            shift = (k - (len(counts) - 1) / 2) * width / len(counts)
+            plot.bars(middle + shift, 0 * count, count, 0.9 * width / len(counts), foot_color(foot), foot)
+        cut = int((usable & ((values < low) | (values > high))).sum())
+        median = float(np.median(values[usable]))
+        figures.append(
+            {
+                "title": f"{measure.name}, all valid strides",
+                "svg": Markup(plot.render()),
+                "caption": f"{int(usable.sum())} strides, median {median:.{measure.digits}f} {measure.unit}; the "
+                f"outermost {cut} are not drawn.",
+            }
+        )
+    return figures
+
+
+def _spreads(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every recording's median, in order: where the cohort lies, and who lies apart."""
+    figures = []
+    for measure in MEASURES:
+        known = sorted((row for row in rows if row[measure.column] is not None), key=lambda row: row[measure.column])
+        if len(known) < 2:
+            continue
+        values = measure.factor * np.array([row[measure.column] for row in known])
+        x = np.arange(1.0, len(known) + 1.0)
+        plot = Plot(
+            f"{measure.name} by recording",
+            "recording, ordered",
+            f"{measure.name}, {measure.unit}",
+            padded([x]),
+            padded([values]),
+        )
+        titles = [
+            f"{row['name']} ({row['subject']}): {v:.{measure.digits}f} {measure.unit}"
+            for row, v in zip(known, values, strict=True)
+        ]
+        plot.points(x, values, "#333333", titles)
+        plot.level(float(np.median(values)), "#777777")
+        caption = "One point a recording: its median over valid strides. Dashed: the cohort's median."
+        figures.append(
+            {"title": f"{measure.name}, recording by recording", "svg": Markup(plot.render()), "caption": caption}
+        )
+    return figures
+
+
+def _courses(strides: dict[str, Any], rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A subject's strides one after the other, recordings apart by an upright line."""
+    measure, x0 = MEASURES[0], 0.0
+    parts: list[tuple[FloatArray, FloatArray, Any]] = []
+    bounds = []
+    for row in rows:
+        mine = strides["valid"] & (strides["recording"] == row["recording"])
+        if not mine.any():
+            continue
+        t_s = strides["t_start_s"][mine]
+        bounds.append((x0, row["name"]))
+        parts.append((x0 + t_s - t_s.min(), measure.factor * strides[measure.column][mine], strides["foot"][mine]))
+        x0 = float(parts[-1][0].max()) + 5.0
+    if not parts:
+        return []
+    y = [part[1] for part in parts]
+    plot = Plot("Stride length over time", "walking time, s", "Stride length, m", (0.0, max(x0, 1.0)), padded(y))
+    for t_s, length_m, feet in parts:
+        for foot in sorted(set(feet)):
+            own = feet == foot
+            titles = [f"{v:.2f} m" for v in length_m[own]]
+            plot.points(t_s[own], length_m[own], foot_color(foot), titles)
+    for at, name in bounds:
+        plot.upright(at, "#777777", name if len(bounds) <= 6 else "")
+    return [
+        {
+            "title": "Stride length, stride by stride",
+            "svg": Markup(plot.render()),
+            "caption": "Recordings one after the other.",
+        }
+    ]
+
+
+def _subject_row(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    done = [row for row in rows if row["status"] == DONE]
+    medians = {}
+    for measure in MEASURES:
+        known = [row[measure.column] for row in done if row[measure.column] is not None]
+        medians[measure.column] = measure.factor * float(np.median(known)) if known else None
+    return {
+        "name": name,
+        "page": f"subjects/{_file(name)}",
+        "recordings": len(rows),
+        "failed": len(rows) - len(done),
+        "valid_strides": sum(row["valid_strides"] or 0 for row in done),
+        **medians,
+    }
+
+
+def _outliers(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Recordings whose median lies far from the others', by median and median absolute deviation."""
+    found: dict[str, list[str]] = defaultdict(list)
+    for measure in MEASURES:
+        known = [row for row in rows if row[measure.column] is not None]
+        values = np.array([row[measure.column] for row in known])
+        if len(known) < LEAST:
+            continue
+        middle = float(np.median(values))
+        mad = float(np.median(np.abs(values - middle)))
+        if mad <= 0.0:
+            continue
+        for row, value in zip(known, values, strict=True):
+            z = MAD_TO_SD * (value - middle) / mad
+            if abs(z) > OUTLIER:
+                shown = f"{measure.factor * value:.{measure.digits}f} {measure.unit}"
+                found[row["recording"]].append(f"{measure.name.lower()} {shown} (robust z {z:+.1f})")
+    return [{"row": row, "why": "; ".join(found[row["recording"]])} for row in rows if row["recording"] in found]
+
+
+def _flags(row: dict[str, Any]) -> str:
+    """What is to be known before this recording's numbers are used."""
+    said = []
+    samples = row["samples"] or 1
+    if (row["missing"] or 0) > MISSING_SHARE * samples:
+        said.append(f"{100 * row['missing'] / samples:.1f} % of the samples missing")
+    if row["clipped"]:
+        said.append(f"{row['clipped']} samples clipped")
+    if row["reason"]:
+        said.append(row["reason"])
+    if row["status"] == DONE and not row["valid_strides"]:
+        said.append("no valid stride")
+    return "; ".join(said)
+
+
+def _file(subject: str) -> str:
+    """A file name that any storage takes, different for different subjects."""
+    plain = re.sub(r"[^\w-]+", "_", subject)[:60] or "subject"
+    return f"{plain}-{hashlib.sha256(subject.encode()).hexdigest()[:6]}.html"
+
+
+@cache
+def page_style() -> Markup:
+    """The report's own, for every page."""
+    return Markup(files("fes.report").joinpath("static/report.css").read_text(encoding="utf-8"))
+
+
+@cache
+def page_environment() -> Environment:
+    """The pages' templates."""
+    environment = Environment(
+        loader=PackageLoader("fes.cohort"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["page_of"] = _file
+    environment.filters["num"] = lambda value, digits: "–" if value is None else f"{value:.{digits}f}"
+    return environment

@@ -1,0 +1,1 @@
+"""Many settings tried on recordings or virtual patients."""

@@ -1,0 +1,128 @@
+"""A sweep's page: the best combinations, their trade-off, what each setting does by itself, what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from markupsafe import Markup
+
+from fes import __version__
+from fes.cohort.page import page_environment, page_style
+from fes.cohort.sweep.grid import Axis, Factor
+from fes.cohort.sweep.table import Combination, Measure
+from fes.report.figures.svg import Plot, padded
+from fes.signals import FloatArray
+
+SHOWN: Final = 50  # combinations in the table, besides the efficient ones and the session as it is
+FIGURES: Final = 8  # settings with a figure of their own
+BEST, OTHER, AS_IS = "#0b6e4f", "#9aa5b1", "#c0392b"
+
+
+def sweep_page(
+    axes: Sequence[Axis], found: Sequence[Combination], measures: Sequence[Measure], cases: Sequence[str], name: str
+) -> str:
+    """The page as HTML text; ``name`` is the session's, ``cases`` what was tried on."""
+    listed = [one for at, one in enumerate(found) if one.done and (at < SHOWN or one.efficient or not one.settings)]
+    failed = [one for one in found if one.failed]
+    figures = [figure for figure in (_trade_off(found, measures), *_by_setting(axes, found, measures)) if figure]
+    return (
+        page_environment()
+        .get_template("sweep.html.j2")
+        .render(
+            title=f"Sweep of {name}",
+            style=page_style(),
+            version=__version__,
+            axes=[(axis.name, ", ".join(str(value) for value in axis.values)) for axis in axes],
+            names=[axis.name for axis in axes],
+            measures=measures,
+            rows=listed,
+            count=len(found),
+            efficient=sum(one.efficient for one in found),
+            failed=failed[:SHOWN],
+            failures=len(failed),
+            cases=cases,
+            figures=figures,
+            words=figure_words,
+            judged=[measure.title for measure in measures if measure.best],
+        )
+    )
+
+
+def figure_words(measure: Measure, value: float | None) -> str:
+    """A figure in the measure's unit; a dash where it is unknown."""
+    return "–" if value is None else f"{measure.factor * value:.{measure.digits}f}"
+
+
+def setting_words(settings: dict[str, Any]) -> str:
+    """A combination in a line."""
+    return ", ".join(f"{name} = {value}" for name, value in settings.items()) or "as it is"
+
+
+def _trade_off(found: Sequence[Combination], measures: Sequence[Measure]) -> dict[str, Any] | None:
+    judged = [measure for measure in measures if measure.best][:2]
+    if len(judged) < 2:
+        return None
+    x, y = judged
+    points = [one for one in found if not one.failed and None not in (one.figures[x.name], one.figures[y.name])]
+    if len(points) < 2:
+        return None
+    across, up = (np.array([m.factor * (one.figures[m.name] or 0.0) for one in points]) for m in (x, y))
+    plot = Plot(f"{y.title} over {x.title}", _axis_name(x), _axis_name(y), padded([across]), padded([up]))
+    kinds = np.array([AS_IS if not one.settings else BEST if one.efficient else OTHER for one in points])
+    titles = [setting_words(one.settings) for one in points]
+    for colour in (OTHER, BEST, AS_IS):
+        own = np.flatnonzero(kinds == colour)
+        plot.points(across[own], up[own], colour, [titles[at] for at in own], hollow=colour == OTHER)
+    caption = "Green: no other combination is at least as good in everything and better in something. Red: as it is."
+    return {"title": "Trade-off", "svg": Markup(plot.render()), "caption": caption}
+
+
+def _by_setting(
+    axes: Sequence[Axis], found: Sequence[Combination], measures: Sequence[Measure]
+) -> list[dict[str, Any]]:
+    judged = next((measure for measure in measures if measure.best), None)
+    if judged is None:
+        return []
+    figures = []
+    for axis in axes[:FIGURES]:
+        labels = [str(value) for value in axis.values]
+        of = {label: at for at, label in enumerate(labels)}
+        known = [
+            (of[str(one.settings[axis.name])], judged.factor * value)
+            for one in found
+            if axis.name in one.settings and (value := one.figures[judged.name]) is not None
+        ]
+        if len(labels) < 2 or not known:
+            continue
+        at, across = _places(axis)
+        x, y = at[[number for number, _ in known]], np.array([value for _, value in known])
+        plot = Plot(f"{judged.title} by {axis.name}", across, _axis_name(judged), padded([at]), padded([y]))
+        caption = "Every combination."
+        if across:
+            order = np.argsort(at)
+            middle = np.array([np.median(y[x == value]) if (x == value).any() else np.nan for value in at[order]])
+            plot.line(at[order], middle, BEST, width=2.0)
+            caption = "Every combination; the line joins the medians."
+        else:
+            for label, place in zip(labels, at, strict=True):
+                plot.upright(float(place), OTHER, label)
+        plot.points(x, y, OTHER, [f"{value:.{judged.digits}f}" for value in y], hollow=True)
+        figures.append({"title": axis.name, "svg": Markup(plot.render()), "caption": caption})
+    return figures
+
+
+def _places(axis: Axis) -> tuple[FloatArray, str]:
+    """Where an axis's values lie, and its name; words lie side by side, under names of their own ("")."""
+    if all(isinstance(value, Factor) for value in axis.values):
+        times = [value.times for value in axis.values if isinstance(value, Factor)]
+        return np.array(times), f"{axis.name}, times what calibration gives"
+    numbers = [value for value in axis.values if isinstance(value, (int, float)) and not isinstance(value, bool)]
+    if len(numbers) == len(axis.values):
+        return np.array(numbers, np.float64), axis.name
+    return np.arange(len(axis.values), dtype=np.float64), ""
+
+
+def _axis_name(measure: Measure) -> str:
+    return f"{measure.title}, {measure.unit}" if measure.unit else measure.title

@@ -1,0 +1,403 @@
+"""One combination of settings on one recording or virtual patient, in whichever process; its row is kept at once.
+
+How good one combination of settings was on one recording or patient: counts and times that can be compared.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from functools import lru_cache
+from pathlib import Path
+from random import Random
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from fes import __version__
+from fes.cohort.program import program
+from fes.cohort.sources import CohortError, Source, local_copy
+from fes.cohort.store import Store
+from fes.cohort.sweep.grid import Factor, Point, Value, changed, session_at, thresholds_at
+from fes.cohort.sweep.table import RESULTS
+from fes.cohort.task import DONE, FAILED, LONGEST_REASON, Outcome, reason_of
+from fes.config import Session
+from fes.estimation.foot.calibration import FootCalibration
+from fes.evaluation.trigger_timing import (
+    LOG_TOLERANCE_MS,
+    TRUTH_TOLERANCE_MS,
+    WINDOW_MS,
+    Mark,
+    marks_of_phases,
+    marks_of_truth,
+    pair,
+    timing_rows,
+)
+from fes.signals import NS_PER_S, FloatArray, IntArray, StimRequest, StrideResult
+from fes.simulation.forward import VirtualStride
+from fes.simulation.truth import Truth
+from statemachine.guards import Thresholds
+from statemachine.phases import PhaseChange
+
+if TYPE_CHECKING:
+    from fes.estimation.sensor_choice import Calibration
+    from fes.recording import Recording
+    from fes.simulation.forward import PatientSettings
+    from fes.simulation.truth import Truth
+
+
+BAND_M: Final = (0.010, 0.040)  # of true toe clearance: clear of the ground, and no higher than it must be
+SETTLED: Final = 10  # strides that tuning may take
+Scores = dict[str, float | int | None]
+Burst = tuple[int, int]  # from when on to when off, ns
+
+
+def stride_scores(strides: Sequence[StrideResult]) -> Scores:
+    """What needs no truth: how many strides, how many valid and through all four phases, and their medians."""
+    valid = [stride for stride in strides if stride.valid]
+    four = sum(None not in (s.t_pre_swing_ns, s.t_swing_ns, s.t_loading_response_ns, s.t_stance_ns) for s in strides)
+    return {
+        "strides": len(strides),
+        "valid_strides": len(valid),
+        "four_phases": four,
+        "stride_time_s": _median(1e-9 * (s.t_end_ns - s.t_start_ns) for s in valid),
+        "stride_length_m": _median(s.stride_length_m for s in valid),
+    }
+
+
+def truth_scores(
+    truth: Truth, feet: set[str], phases: Sequence[PhaseChange], strides: Sequence[StrideResult]
+) -> Scores:
+    """Transitions against the truth: missed, extra, off by more than the tolerance, and the errors of the pairs.
+
+    Times are absolute values: the median and the 95th percentile over all pairs, and the medians of foot off (T2) and
+    initial contact (T3). ``stride_length_rmse_m`` is over the steady strides of walking that were found.
+    """
+    expected, found = marks_of_truth(truth, feet), marks_of_phases(phases)
+    rows = timing_rows(expected, found, TRUTH_TOLERANCE_MS, LOG_TOLERANCE_MS)
+    errors = {(row.who, row.what): _errors_ms(row.who, row.what, row.tolerance_ms, expected, found) for row in rows}
+    every = np.concatenate([np.zeros(0), *errors.values()])
+    lengths = [_length_errors(truth, foot, strides) for foot in sorted(feet)]
+    length = np.concatenate([np.zeros(0), *lengths])
+    return {
+        "marks": len(expected),
+        "missed": sum(row.missed for row in rows),
+        "extra": sum(row.extra for row in rows),
+        "off": sum(row.early + row.late for row in rows),
+        "error_ms": _median(every),
+        "error_p95_ms": float(np.percentile(every, 95)) if every.size else None,
+        "foot_off_error_ms": _median(
+            np.concatenate([np.zeros(0), *(e for (_, what), e in errors.items() if what == "T2")])
+        ),
+        "contact_error_ms": _median(
+            np.concatenate([np.zeros(0), *(e for (_, what), e in errors.items() if what == "T3")])
+        ),
+        "stride_length_rmse_m": float(np.sqrt(np.mean(length**2))) if length.size else None,
+    }
+
+
+def bursts_of(requests: Iterable[tuple[int, StimRequest]]) -> dict[int, list[Burst]]:
+    """When each channel was asked to be on, by channel number, from requests by time."""
+    since: dict[int, int] = {}
+    found: dict[int, list[Burst]] = {}
+    last_ns = 0
+    for t_ns, request in requests:
+        last_ns = t_ns
+        if request.on:
+            since.setdefault(request.channel, t_ns)
+        elif request.channel in since:
+            found.setdefault(request.channel, []).append((since.pop(request.channel), t_ns))
+    for channel, begin_ns in since.items():
+        found.setdefault(channel, []).append((begin_ns, last_ns))
+    return found
+
+
+def burst_scores(bursts: dict[int, list[Burst]], foot_of: dict[int, str], truth: Truth | None) -> Scores:
+    """How many bursts; with a truth, swings of walking without one, and bursts that touch no swing."""
+    scores: Scores = {"bursts": sum(map(len, bursts.values())), "swings_without": None, "bursts_without": None}
+    if truth is None:
+        return scores
+    without, idle = 0, 0
+    for channel, foot in foot_of.items():
+        spans = bursts.get(channel, [])
+        own = [(round(s.t_swing_s * NS_PER_S), round(s.t_loading_response_s * NS_PER_S), s) for s in truth.of(foot)]
+        idle += sum(not any(off < end and begin < on for off, on, _ in own) for begin, end in spans)
+        without += sum(s.walking and not any(off < end and begin < on for begin, end in spans) for off, on, s in own)
+    return {**scores, "swings_without": without, "bursts_without": idle}
+
+
+def patient_scores(strides: Sequence[VirtualStride], roll_backs: int, latched: bool) -> Scores:
+    """A virtual patient's true strides from the first stimulated one on; shares of strides in :data:`BAND_M`.
+
+    ``reached_after`` is the number of strides until four of five in a row lay in the band.
+    """
+    first = next((number for number, stride in enumerate(strides) if stride.charge_uc > 0.0), 0)
+    mine = strides[first:]
+    inside = [BAND_M[0] <= stride.toe_clearance_m <= BAND_M[1] for stride in mine]
+    settled = inside[SETTLED:]
+    return {
+        "strides": len(mine),
+        "in_band": sum(inside) / len(inside) if inside else None,
+        "in_band_later": sum(settled) / len(settled) if settled else None,
+        "reached_after": next((at for at in range(len(inside) - 4) if sum(inside[at : at + 5]) >= 4), None),
+        "dragged": sum(stride.dragged for stride in mine),
+        "stumbled": sum(stride.stumbled for stride in mine),
+        "charge_uc": sum(stride.charge_uc for stride in mine) / len(mine) if mine else None,
+        "roll_backs": roll_backs,
+        "latched": int(latched),
+    }
+
+
+def _errors_ms(who: str, what: str, tolerance_ms: float, expected: Sequence[Mark], found: Sequence[Mark]) -> FloatArray:
+    should, did = (_times(who, what, marks) for marks in (expected, found))
+    pairs = pair(should, did, 1e6 * max(WINDOW_MS, 1.5 * tolerance_ms))
+    return np.array([1e-6 * abs(int(did[j]) - int(should[i])) for i, j in pairs], np.float64)
+
+
+def _times(who: str, what: str, marks: Iterable[Mark]) -> IntArray:
+    return np.array(sorted(mark.t_ns for mark in marks if (mark.who, mark.what) == (who, what)), np.int64)
+
+
+def _length_errors(truth: Truth, foot: str, strides: Sequence[StrideResult]) -> FloatArray:
+    known = [s for s in truth.of(foot) if s.walking and s.steady]
+    mine = [s for s in strides if s.foot == foot and s.valid and s.t_swing_ns is not None]
+    should = np.array([round(s.t_swing_s * NS_PER_S) for s in known], np.int64)
+    did = np.array([s.t_swing_ns for s in mine], np.int64)
+    pairs = pair(should, did, 1e6 * WINDOW_MS)
+    return np.array([mine[j].stride_length_m - known[i].stride_length_m for i, j in pairs], np.float64)
+
+
+def _median(values: Iterable[float]) -> float | None:
+    known = np.array([value for value in values if np.isfinite(value)], np.float64)
+    return float(np.median(known)) if known.size else None
+
+
+TRUTH_FILES: Final = (".truth.parquet", ".strides.csv", ".activities.csv")
+CREATED: Final = "2000-01-01T00:00:00+00:00"  # the same run, the same bytes
+ARM_AFTER_S: Final = 0.5
+STAND_S: Final = 10.0  # of a patient, who is armed for meanwhile
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What all combinations are tried on and with.
+
+    Attributes:
+        session: the settings that combinations change.
+        path: its file, for messages.
+        seconds: a virtual patient walks for.
+        program: that was asked to try them.
+    """
+
+    session: Session
+    path: str
+    seconds: float = 90.0
+    program: str = field(default_factory=program)
+
+    def identity(self, case: str, point: Point) -> str:
+        """The name of a result: the same for the same case, session, settings and program."""
+        text = "\n".join((case, self.session.model_dump_json(), str(self.seconds), point.text(), self.program))
+        return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+@dataclass(frozen=True, slots=True)
+class Patient:
+    """A virtual patient by number; the same number and seed, the same person."""
+
+    number: int
+    seed: int
+
+    @property
+    def url(self) -> str:
+        """For tables."""
+        return f"patient {self.number} of seed {self.seed}"
+
+    def settings(self, foot: str, channel: int) -> PatientSettings:
+        """Someone with a drop foot on that side, whose dorsiflexors that channel stimulates."""
+        from fes.simulation.forward import MuscleSettings, PatientSettings
+
+        chance = Random(f"{self.seed}/{self.number}")
+        threshold_uc = chance.uniform(2.5, 5.0)
+        return PatientSettings(
+            seed=chance.randrange(1 << 30),
+            side=foot.removesuffix("_foot"),
+            channel=channel,
+            sensors=(foot,),
+            stand_s=STAND_S,
+            speed_mps=round(chance.uniform(0.4, 1.3), 2),
+            voluntary_dorsiflexion=chance.choice((0.0, 0.0, 0.2, 0.4)),
+            spasticity=chance.uniform(0.0, 0.6),
+            compensation=chance.uniform(0.4, 0.9),
+            electrode_quality=chance.uniform(0.75, 1.0),
+            muscle=MuscleSettings(
+                threshold_uc=threshold_uc,
+                saturation_uc=threshold_uc + chance.uniform(5.0, 8.0),
+                max_torque_nm=chance.uniform(9.0, 15.0),
+                fatigue_s=chance.choice((float("inf"), 600.0, 250.0)),
+            ),
+        )
+
+
+Case = Source | Patient
+
+
+def case_identity(case: Case) -> str:
+    """Another file or another patient, another name."""
+    return case.url if isinstance(case, Patient) else case.identity("sweep")
+
+
+def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
+    """Try a combination and keep its row; what is wrong with it, or with the recording, is kept as its reason.
+
+    Raises:
+        OSError: the results cannot be kept; it counts as not done.
+    """
+    work: Callable[[], Scores] = (
+        (lambda: _on_patient(case, bench, point))
+        if isinstance(case, Patient)
+        else (lambda: _on_recording(case, bench, point))
+    )
+    try:
+        scores = work()
+    except Exception as error:  # one bad combination, however bad, must not stop the others
+        return keep(case, bench, point, store, FAILED, reason_of(error), {})
+    return keep(case, bench, point, store, DONE, "", scores)
+
+
+def keep(case: Case, bench: Bench, point: Point, store: Store, status: str, reason: str, scores: Scores) -> Outcome:
+    """Keep a row."""
+    identity = bench.identity(case_identity(case), point)
+    row = {"result": identity, "combination": point.identity, "settings": point.text(), "on": case.url}
+    row |= {"status": status, "reason": reason[:LONGEST_REASON], "fes_version": __version__}
+    store.put(identity, {RESULTS: [{**row, **scores}]})
+    return Outcome(identity, f"{point.text()} on {case.url}", status, reason)
+
+
+@dataclass(frozen=True, slots=True)
+class SweptFoot(FootCalibration):
+    """A calibration whose thresholds a combination changes."""
+
+    changes: tuple[tuple[str, Value | Factor], ...] = ()
+
+    def thresholds(self, *, swing_at_reversal: bool = False) -> Thresholds:
+        """This person's, changed."""
+        own = FootCalibration.thresholds(self, swing_at_reversal=swing_at_reversal)
+        return changed(own, dict(self.changes))
+
+
+def swept(calibrations: dict[str, Calibration], point: Point) -> dict[str, Calibration]:
+    """Calibrations with a combination's thresholds.
+
+    Raises:
+        CohortError: a sensor is none on a foot, or a value is not of the threshold's kind.
+    """
+    changes = thresholds_at(point)
+    if not changes:
+        return calibrations
+    found: dict[str, Calibration] = {}
+    for sensor, each in calibrations.items():
+        if not isinstance(each, FootCalibration):
+            raise CohortError(f"{sensor}: thresholds are swept for sensors on feet; this phase comes from a shank")
+        own = {item.name: getattr(each, item.name) for item in fields(FootCalibration)}
+        foot = SweptFoot(**own, changes=tuple(changes.items()))
+        foot.thresholds()
+        found[sensor] = foot
+    return found
+
+
+@lru_cache(maxsize=2)
+def _loaded(source: Source) -> tuple[Recording, dict[str, Calibration], Truth | None]:
+    """A recording with its calibrations and its truth; a process gets most combinations of one after the other."""
+    from fes.calibration.recording import calibrate_drivers
+    from fes.recording import read_recording
+    from fes.simulation.truth import load_truth
+
+    with local_copy(source, TRUTH_FILES) as path:
+        recording = read_recording(path)
+        try:
+            truth = load_truth(path)
+        except FileNotFoundError:
+            truth = None
+    return recording, calibrate_drivers(recording).calibrations, truth
+
+
+def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
+    from fes.control.controller import Controller
+    from fes.control.replay import session_for
+    from fes.control.sources import armed_after, with_ticks
+    from fes.estimation.sensor_choice import phase_sensors, tracker_of
+    from fes.recording.samples import samples_of
+    from fes.signals import Event, StimRequest, StrideResult
+    from statemachine.phases import PhaseChange
+
+    recording, calibrations, truth = _loaded(source)
+    session = session_for(recording, session_at(bench.session, point, Path(bench.path)))
+    calibrations = swept(calibrations, point)
+    drivers = phase_sensors(calibrations)
+    scores: Scores = {}
+    if any(name.startswith(("stimulation.", "channels.")) for name, _ in point.values):
+        controller, requests = Controller(session, calibrations), list[tuple[int, StimRequest]]()
+        outcomes: list[PhaseChange | StrideResult] = []
+        events: Iterator[Event] = with_ticks(samples_of(recording, set(calibrations)))
+        for event in armed_after(events, ARM_AFTER_S, session.stimulation.intensity):
+            decision = controller.step(event)
+            outcomes.extend(decision.outcomes)
+            requests.extend((event.t_ns, request) for request in decision.requests)
+        foot_of = {channel.number: str(channel.foot) for channel in session.channels}
+        scores |= burst_scores(bursts_of(requests), foot_of, truth)
+    else:
+        outcomes = []
+        for sensor in drivers.values():
+            track = recording.tracks[sensor]
+            tracker = tracker_of(session, calibrations[sensor])
+            outcomes += tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    strides = [each for each in outcomes if isinstance(each, StrideResult)]
+    phases = sorted((each for each in outcomes if isinstance(each, PhaseChange)), key=lambda each: each.t_ns)
+    scores |= stride_scores(strides)
+    if truth is not None:
+        scores |= truth_scores(truth, set(drivers), phases, strides)
+    return scores
+
+
+@lru_cache(maxsize=4)
+def _met(patient: Patient, foot: str, channel: int) -> tuple[PatientSettings, dict[str, Calibration], Any]:
+    """A patient's settings, calibrations from a walk without stimulation, and where toe and heel are."""
+    from fes.hil.closed_loop.session import calibration_of
+    from fes.simulation.forward import VirtualPatient
+
+    settings = patient.settings(foot, channel)
+    geometry = VirtualPatient(settings).geometry[foot]
+    return settings, calibration_of(settings).calibrations, geometry
+
+
+def _on_patient(patient: Patient, bench: Bench, point: Point) -> Scores:
+    from fes.hil.closed_loop.one_process import run_in_one_process
+    from fes.hil.closed_loop.processes import course
+    from fes.session_log import Note
+
+    asked = session_at(bench.session, point, Path(bench.path))
+    if not asked.channels:
+        raise CohortError(f"{bench.path}: has no channel, so there is nothing to try on patients")
+    foot = asked.channels[0].foot
+    settings, calibrations, geometry = _met(patient, foot, asked.channels[0].number)
+    channels = tuple(channel for channel in asked.channels if channel.foot == foot)
+    session = asked.model_copy(update={"geometry": {foot: geometry}, "channels": channels, "treadmill": None})
+    strides: list[VirtualStride] = []
+    notes: list[Note] = []
+    with tempfile.TemporaryDirectory(prefix="fes-sweep-") as folder:
+        run_in_one_process(
+            settings,
+            session,
+            swept(calibrations, point),
+            course(STAND_S + bench.seconds),
+            Path(folder) / "session.feslog",
+            CREATED,
+            on_stride=strides.append,
+            on_note=notes.append,
+        )
+    walked = [stride for stride in strides if stride.walking]
+    backs = sum(note.source == "tuning" and "rolled back" in note.text for note in notes)
+    latched = any(note.severity == "fault" for note in notes)
+    return patient_scores(walked, backs, latched)

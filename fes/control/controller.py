@@ -1,0 +1,171 @@
+"""The controller: one event in, one decision out. Pure: no clock, no I/O, no threads.
+
+Everything it knows came as an event, so the same events give the same decisions, live and in replay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+
+from fes.config import Session
+from fes.estimation.sensor_choice import Calibration, phase_sensors, stride_settings, tracker_of
+from fes.estimation.tracking.tracker import Outcome, Tracker
+from fes.signals import (
+    NS_PER_S,
+    Event,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimRequest,
+    StimStatus,
+    StrideResult,
+    Tick,
+)
+from fes.stimulation.plan import StimulationPlan
+from fes.stimulation.switch_fallback import SwitchFallback
+from fes.stimulation.tuning.reports import TuningReport
+from fes.stimulation.tuning.session import TUNING_ACTS, Tuners
+from fes.stimulation.walking import WalkingJudge
+from fes.values import quick
+from statemachine.phases import Phase, PhaseChange
+
+__all__ = ["NOTHING", "Controller", "Decision", "stride_settings"]
+
+CURRENT_STEP_MA = 0.5  # of most stimulators
+BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
+
+
+@quick
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What came of one event: ``requests`` to put before the gate now, ``outcomes`` and ``reports`` to record."""
+
+    requests: tuple[StimRequest, ...] = ()
+    outcomes: tuple[Outcome, ...] = ()
+    reports: tuple[TuningReport, ...] = ()
+
+
+NOTHING = Decision()
+_IS_ON = attrgetter("on")
+
+
+class Controller:
+    """From events to requests: tracker per foot, walking judge per foot, one plan, a tuner per channel that has one.
+
+    Args:
+        session: the settings.
+        calibrations: by sensor name. A shank drives its side's foot where that has no sensor of its own; samples of
+            sensors that drive nothing change nothing.
+        current_step_ma: the stimulator's; requests are rounded down to it.
+    """
+
+    def __init__(
+        self, session: Session, calibrations: Mapping[str, Calibration], *, current_step_ma: float = CURRENT_STEP_MA
+    ) -> None:
+        drivers = phase_sensors(calibrations)
+        self.trackers: dict[str, Tracker] = {  # by the foot whose phases they tell
+            foot: tracker_of(session, calibrations[sensor]) for foot, sensor in drivers.items()
+        }
+        self._foot_of = {sensor: foot for foot, sensor in drivers.items()}
+        self._judges = {foot: WalkingJudge(session.stimulation) for foot in drivers}
+        self._fallbacks = {
+            str(switch.foot): SwitchFallback(switch.foot)
+            for switch in session.foot_switches
+            if switch.use == "fallback"
+        }
+        self._plan = StimulationPlan(session.channels, current_step_ma=current_step_ma)
+        self.tuning = Tuners(session)
+        self._reports: list[TuningReport] = []
+        self._period_ns = round(NS_PER_S / session.stimulation.command_rate_hz)
+        self._next_command_ns: int | None = None
+        self._on = False
+        self.intensity = 0.0
+
+    def phase(self, foot: str) -> Phase:
+        """The gait phase of a foot now."""
+        return self.trackers[foot].phase
+
+    def walking(self, foot: str) -> bool:
+        """Whether this foot is judged to be walking, so that a step may start a burst."""
+        fallback = self._fallbacks.get(foot)
+        return self._judges[foot].walking or (fallback is not None and fallback.active)
+
+    def step(self, event: Event) -> Decision:
+        """Take in one event; times must not decrease."""
+        outcomes: tuple[Outcome, ...] = ()
+        if isinstance(event, ImuSample):
+            foot = self._foot_of.get(event.sensor)
+            if foot is not None:
+                found = self.trackers[foot].step(event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
+                if found:
+                    self._follow(foot, event, found)
+                    outcomes = tuple(found)
+        elif isinstance(event, OperatorAct):
+            self._on_act(event)
+        elif isinstance(event, StimStatus):
+            self.tuning.on_status(event)
+        if self._fallbacks:
+            self._fall_back(event)
+        # in a silence the gate must see how old the data have become, sooner than at the next command
+        requests = self._due(event.t_ns, self._on and isinstance(event, Tick))
+        if self._reports:
+            reports, self._reports = tuple(self._reports), []
+            return Decision(requests, outcomes, reports)
+        return Decision(requests, outcomes) if requests or outcomes else NOTHING
+
+    def _follow(self, foot: str, sample: ImuSample, outcomes: list[Outcome]) -> None:
+        """What one foot did at this sample, for its judge, its tuning and the plan."""
+        judge = self._judges[foot]
+        for outcome in outcomes:
+            if isinstance(outcome, StrideResult):
+                judge.on_stride(outcome)
+                reports = self.tuning.on_stride(sample.t_ns, foot, outcome, self.intensity)
+                if reports or self.tuning.tuners:
+                    self._tune(reports)
+            else:
+                permitted = judge.on_phase(outcome)
+                fallback = self._fallbacks.get(foot)
+                if fallback is not None and not fallback.sensor(outcome):
+                    continue
+                # stimulation keeps to the host's clock, whatever the sensor's does
+                change = PhaseChange(sample.t_ns, foot, outcome.transition, outcome.source, outcome.destination)
+                self._plan.on_phase(change, permitted=permitted)
+
+    def _fall_back(self, event: Event) -> None:
+        """What the foot switches say, where the sensors tell no steps."""
+        for fallback in self._fallbacks.values():
+            for change in fallback.take(event):
+                self._plan.on_phase(change, permitted=True)
+
+    def _tune(self, reports: tuple[TuningReport, ...]) -> None:
+        """What the tuning says; its parameters count from each channel's next burst."""
+        self._reports += reports
+        for number, parameters in self.tuning.parameters().items():
+            self._plan.set_parameters(number, parameters)
+
+    def _on_act(self, act: OperatorAct) -> None:
+        self._tune(self.tuning.on_act(act))
+        if act.action in TUNING_ACTS:
+            return
+        if act.action is OperatorAction.SET_INTENSITY:
+            self.intensity = min(act.value, 1.0) if act.value > 0.0 else 0.0  # not-a-number is 0
+        elif act.action in BY_HAND_NS:
+            self._plan.start(act.value, act.t_ns, BY_HAND_NS[act.action], adopt=act.action is OperatorAction.TRIGGER)
+        elif act.action is not OperatorAction.SET_BELT_SPEED:
+            # armed or stopped in mid-burst: whatever comes next is a new burst
+            self._plan.cancel()
+
+    def _due(self, t_ns: int, at_once: bool) -> tuple[StimRequest, ...]:
+        """One request per channel each command period, and at once when a channel goes on or off."""
+        next_ns = self._next_command_ns
+        if next_ns is None:
+            next_ns = self._next_command_ns = t_ns
+        if t_ns >= next_ns:
+            self._next_command_ns = next_ns + self._period_ns * ((t_ns - next_ns) // self._period_ns + 1)
+        elif not at_once and not self._plan.due(t_ns, self.intensity):
+            return ()
+        requests = self._plan.requests(t_ns, self.intensity)
+        self._on = any(map(_IS_ON, requests))
+        return requests

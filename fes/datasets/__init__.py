@@ -1,0 +1,18 @@
+"""Public data sets, as downloaded, into recordings with references that `fes evaluate` takes.
+
+Nothing of them is part of this project: the licence of each is named wherever its data goes.
+"""
+
+from fes.datasets.common import Imported, ImportProblem, write_imported
+from fes.datasets.registry import DATA_SETS, DataSet, files_of, read_data_set, read_file
+
+__all__ = [
+    "DATA_SETS",
+    "DataSet",
+    "ImportProblem",
+    "Imported",
+    "files_of",
+    "read_data_set",
+    "read_file",
+    "write_imported",
+]

@@ -1,0 +1,112 @@
+"""The data sets by name: what each is, under which licence, and the module that reads it."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from fes.datasets.common import Imported, ImportProblem
+
+
+@dataclass(frozen=True, slots=True)
+class DataSet:
+    """One data set. ``looks_like``: names (patterns) of files, or of folders of one run, searched for in a folder."""
+
+    name: str
+    about: str
+    source: str
+    licence: str
+    looks_like: tuple[str, ...]
+
+    def words(self) -> dict[str, str]:
+        """For the sidecar of everything that comes from it."""
+        return {"data_set": self.name, "source": self.source, "licence": self.licence}
+
+
+_SETS: Final = (
+    DataSet(
+        "gaitmap",
+        "1 healthy adult, lateral shoes 204.8 Hz; markers on heel and toe, IC and FO; stairs",
+        "example data of gaitmap (MaD-Lab Erlangen)",
+        "MIT",
+        ("imu_sample*.csv",),
+    ),
+    DataSet(
+        "stroke_treadmill",
+        "stroke survivors on a treadmill, feet and shanks 100 Hz (folders of Xsens texts, or packed); belt speed",
+        "Sint Maartenskliniek, MovingReality; cite 10.3390/s24020710",
+        "MIT",
+        ("MR*.npz", "exported[0-9]*"),
+    ),
+    DataSet(
+        "pyshoe",
+        "healthy walks, right instep 200 Hz; Vicon position at every sample",
+        "PyShoe (Wagstaff, Peretroukhin, Kelly), Vicon part",
+        "copy under MIT; the original's licence is not known: measure and quote, pass nothing on",
+        ("*.mat",),
+    ),
+    DataSet(
+        "ruler",
+        "walks, one foot 200 Hz; every footprint measured by ruler",
+        "mtahakoroglu/gait-driven-inertial-navigation-dataset",
+        "MIT",
+        ("*_LLIO.mat",),
+    ),
+    DataSet(
+        "broad",
+        "a board moved by hand (not gait), 285.7 Hz; optical orientation and position",
+        "dlaidig/broad",
+        "CC BY 4.0 (name the authors)",
+        ("*.hdf5", "*.mat"),
+    ),
+    DataSet(
+        "xio",
+        "one foot, nominally 400 Hz; a loop that ends where it starts",
+        "xioTechnologies/Gait-Tracking",
+        "MIT",
+        ("*walk.csv",),
+    ),
+)
+DATA_SETS: Final = {each.name: each for each in _SETS}
+
+
+def files_of(name: str, paths: Sequence[Path]) -> list[Path]:
+    """The files to read; a folder stands for all files in it that look like the data set's.
+
+    Raises:
+        ImportProblem: the set is not known, or nothing of it is there.
+    """
+    if name not in DATA_SETS:
+        raise ImportProblem(f"{name}: is no data set known here; {', '.join(DATA_SETS)} are")
+    found = []
+    for path in paths:
+        if not path.exists():
+            raise ImportProblem(f"{path}: is not there. Name the files of the data set, or their folder.")
+        shapes = DATA_SETS[name].looks_like
+        one = not path.is_dir() or any(path.resolve().match(shape) for shape in shapes)
+        files = [path] if one else sorted({file for shape in shapes for file in path.rglob(shape)})
+        if not files:
+            raise ImportProblem(f"{path}: holds no file like {', '.join(shapes)}")
+        found += files
+    return found
+
+
+def read_file(name: str, path: Path, *, foot: str | None = None) -> Imported:
+    """Read one file of a data set, with what belongs to it.
+
+    ``foot`` says whose a sensor is of which the data set does not tell.
+
+    Raises:
+        ImportProblem: it is none of its files.
+    """
+    read: Callable[[Path, str | None], Imported] = importlib.import_module(f"fes.datasets.{name}").read
+    return read(path, foot)
+
+
+def read_data_set(name: str, paths: Sequence[Path], *, foot: str | None = None) -> Iterator[Imported]:
+    """All of :func:`files_of` one by one; stops at the first that is none of the set's."""
+    for path in files_of(name, paths):
+        yield read_file(name, path, foot=foot)

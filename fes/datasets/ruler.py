@@ -1,0 +1,59 @@
+"""Walks whose footprints were measured by ruler: ``SensorConnectData_N_LLIO.mat`` and the table of prints beside it.
+
+200 Hz, z axis down, which foot is not documented. The table gives the sample at which the foot stood on each print.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fes.datasets.common import Imported, ImportProblem, checked, even_track, mat_file, plain_csv
+from fes.recording import Recording
+
+RATE_HZ: Final = 200.0
+
+
+def read(path: Path, foot: str | None = None) -> Imported:
+    """Read one walk.
+
+    Raises:
+        ImportProblem: it is no such file.
+    """
+    imu = np.asarray(mat_file(path, "imu_data")["imu_data"], np.float64)
+    if imu.ndim != 2 or imu.shape[1] != 6:
+        raise ImportProblem(f"{path}: imu_data is {imu.shape}, must be (N, 6)")
+    checked(path, imu[:, :3], imu[:, 3:])
+    sensor = f"{foot or 'right'}_foot"
+    name = path.stem.removesuffix("_LLIO")
+    table = path.with_name(f"{name}_strideIndex_timestamp_gcpX_gcpY.csv")
+    references: dict[str, Any] = {}
+    if table.is_file():
+        references[".strides.csv"] = _strides(table, sensor, len(imu))
+    notes = (
+        "z of the sensor points down; the sign of the mediolateral rate differs between walks",
+        f"which foot is not documented: taken for the {sensor.replace('_', ' ')}",
+        "in turns the foot swivels, and what the sensor travels is not the way between footprints",
+    )
+    number = name.removeprefix("SensorConnectData_")
+    track = even_track(sensor, RATE_HZ, imu[:, :3], imu[:, 3:])
+    return Imported(Recording(f"ruler_{number}", None, {sensor: track}), references, notes)
+
+
+def _strides(path: Path, sensor: str, samples: int) -> tuple[list[str], list[tuple[Any, ...]]]:
+    names, values = plain_csv(path)
+    try:
+        index, x, y = (values[:, names.index(name)] for name in ("strideIndex", "gcpX", "gcpY"))
+    except ValueError as error:
+        raise ImportProblem(f"{path}: lacks strideIndex, gcpX or gcpY; it has {', '.join(names)}") from error
+    if not np.isfinite(values).all() or (np.diff(index) <= 0).any() or index[0] < 0 or index[-1] >= samples + 1:
+        raise ImportProblem(f"{path}: its strideIndex must increase and lie within the recording's {samples} samples")
+    place = np.column_stack([x, y])
+    rows = [
+        (sensor, index[a] / RATE_HZ, index[b] / RATE_HZ, float(np.hypot(*(place[b] - place[a]))))
+        for a, b in pairwise(range(len(index)))
+    ]
+    return ["foot", "t_start_s", "t_end_s", "stride_length_m"], rows

@@ -1,0 +1,177 @@
+"""Stroke survivors on a treadmill (Sint Maartenskliniek), as downloaded or packed.
+
+As downloaded, a run is a folder of sensor texts (:mod:`fes.datasets.stroke_treadmill`). Packed, it is one NumPy
+archive, ``MRpp_TRIAL.npz``: arrays ``acc_``/``gyr_`` + left/right + foot/shank (m/s², rad/s), ``fs``, ``belt_speed``
+(m/s, NaN where self-paced) and ``fsa_mean_deg``. Only the mean is true of the belt: its speed is quoted to 0.1 m/s, and
+holds over the last 120 s.
+
+The stroke survivors' walks as their authors publish them: a folder of Xsens text exports for each run.
+
+``data/1019_ppNN/Xsens/exportedKKK`` holds a text a sensor (two feet, two shanks, lumbar). Which run it is stands in
+``data/1019_ppNN/corresponding_files.txt``; which sensor sat where in ``sensorspec.json`` (or ``.json.txt``) in one of a
+participant's folders. Where that is missing the sensors' numbers tell: two sets were used, and each sat the same way in
+all folders that say so. The belt's speed is none of the files: it is the authors' table of comfortable speeds
+(``MovingReality_functions.py``), which holds for the runs with feedback; the others are self-paced. Checked against the
+repository's files at the first samples of two participants (one of each set), which are those of the packed archives.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fes.datasets.common import Imported, ImportProblem, checked, even_track, npz_file, stamped_track
+from fes.datasets.xsens_text import WRAP, XsensText, read_xsens_text
+from fes.recording import Recording, Track
+from fes.signals import SENSORS
+
+RATE_HZ: Final = 100.0
+PLACES: Final = (
+    {"4778E": "left_foot", "47793": "right_foot", "47786": "left_shank", "47795": "right_shank"},
+    {"47787": "left_foot", "47796": "right_foot", "47783": "left_shank", "47792": "right_shank"},
+)
+BELT_MPS: Final = {1: 0.4, 2: 1.6, 3: 0.4, 4: 1.2, 5: 0.9, 6: 1.2, 7: 1.0, 8: 1.2, 9: 0.9, 10: 1.4, 11: 0.8, 12: 1.1}
+WITH_FEEDBACK: Final = ("FBIC", "FBPO", "2FB")
+_RUN: Final = re.compile(r"\s*1019_MR(\d+)_(\w+?)\.c3d\S*\s*=\s*(exported\d+)\s*(.*)")
+_TRIAL: Final = re.compile(r"(1Reg|2Reg|FBIC|FBPO|2FB)(?:0\d)?$")
+
+
+def read_tracks(folder: Path) -> tuple[dict[str, Track], list[str]]:
+    """The sensors of one run on their common clock, and notes.
+
+    Raises:
+        ImportProblem: the folder holds no sensor whose place is known, or a file is damaged.
+    """
+    places, how = _places(folder)
+    texts: dict[str, XsensText] = {}
+    for path in sorted(folder.glob("MT_*.txt")):
+        place = next((place for end, place in places.items() if path.stem.upper().endswith(end)), None)
+        if place in SENSORS:
+            texts[place] = read_xsens_text(path)
+            checked(path, texts[place].acc_mps2, texts[place].gyr_radps)
+    if not texts:
+        raise ImportProblem(f"{folder}: holds no sensor on foot or shank. Add a sensorspec.json: leftfoot, rightfoot …")
+    begin = int(next(iter(texts.values())).counter[0])
+    offsets = {place: (int(t.counter[0]) - begin + WRAP // 2) % WRAP - WRAP // 2 for place, t in texts.items()}
+    earliest = min(offsets.values())
+    tracks, lost = {}, 0
+    for place in (name for name in SENSORS if name in texts):
+        text = texts[place]
+        packets = text.counter - text.counter[0] + offsets[place] - earliest
+        lost += int(packets[-1] - packets[0]) + 1 - len(packets)
+        rate_hz = text.rate_hz or RATE_HZ
+        t_ns = np.round(packets * 1e9 / rate_hz).astype(np.int64)
+        tracks[place] = stamped_track(place, rate_hz, t_ns, text.acc_mps2, text.gyr_radps)
+    return tracks, [how, f"{lost} packets were lost"] if lost else [how]
+
+
+def run_of(folder: Path) -> tuple[str, str, float | None]:
+    """A name for the run, its participant, and the belt's speed (m/s), None where it is self-paced or not known."""
+    told = folder.parents[1] / "corresponding_files.txt"
+    lines = told.read_text(encoding="utf-8", errors="replace").splitlines() if told.is_file() else []
+    for line in lines:
+        found = _RUN.match(line)
+        trial = _TRIAL.search(found[2]) if found else None
+        if found is None or trial is None or found[3] != folder.name:
+            continue
+        number = int(found[1])
+        run = "2Reg" if "second trial without feedback" in found[4] else trial[1]  # one file is misnamed, and says so
+        return f"MR{number:02d}_{run}", f"MR{number:02d}", BELT_MPS.get(number) if run in WITH_FEEDBACK else None
+    return f"{folder.parents[1].name}_{folder.name}", folder.parents[1].name, None
+
+
+def _places(folder: Path) -> tuple[dict[str, str], str]:
+    """End of a sensor's number (upper case) → sensor name; and how that is known."""
+    near = [*sorted(folder.glob("sensorspec.json*")), *sorted(folder.parent.glob("exported*/sensorspec.json*"))]
+    for spec in near:
+        try:
+            told = json.loads(spec.read_text(encoding="utf-8-sig"))
+            found = {
+                str(number).upper().removesuffix(".TXT"): f"{place[:-4]}_foot"
+                if place.endswith("foot")
+                else f"{place[:-5]}_shank"
+                for place, number in told.items()
+                if place in ("leftfoot", "rightfoot", "leftshank", "rightshank")
+            }
+        except (OSError, ValueError, AttributeError) as error:
+            raise ImportProblem(f"{spec}: is no table of sensors: {error}") from error
+        return found, f"which sensor sat where: {spec.parent.name}/{spec.name}"
+    both = {end: place for places in PLACES for end, place in places.items()}
+    return both, "which sensor sat where: by the sensors' numbers, as in the participants who say so"
+
+
+STEADY_S: Final = 120.0
+NOTES: Final = (
+    "foot: x points back and up along the instep, z out of it, +gyr_y is toe-up on both feet",
+    "which side is paretic is not documented",
+)
+
+
+def read(path: Path, foot: str | None = None) -> Imported:
+    """Read one run: an archive, a folder of texts, or one of its texts.
+
+    Raises:
+        ImportProblem: it is none of these.
+    """
+    if path.suffix.lower() == ".npz":
+        return _packed(path)
+    folder = (path if path.is_dir() else path.parent).resolve()
+    tracks, notes = read_tracks(folder)
+    name, subject, belt_mps = run_of(folder)
+    references, said = _belt(belt_mps, tracks)
+    return Imported(
+        Recording(f"stroke_treadmill_{name}", None, tracks, belt_speed_mps=belt_mps, subject=subject),
+        references,
+        (*NOTES, said, *notes),
+    )
+
+
+def _packed(path: Path) -> Imported:
+    data = npz_file(path, "fs", "belt_speed")
+    rate_hz, belt_mps = float(data["fs"]), float(data["belt_speed"])
+    if not 10.0 <= rate_hz <= 5000.0:
+        raise ImportProblem(f"{path}: its rate fs is {rate_hz:g} Hz, which no such sensor has")
+    tracks = {}
+    for sensor in SENSORS:
+        acc, gyr = (data.get(f"{kind}_{sensor.replace('_', '')}") for kind in ("acc", "gyr"))
+        if acc is None or gyr is None:
+            continue
+        acc, gyr = np.asarray(acc, np.float64), np.asarray(gyr, np.float64)
+        checked(path, acc, gyr)
+        tracks[sensor] = even_track(sensor, rate_hz, acc, gyr)
+    if not tracks:
+        raise ImportProblem(f"{path}: holds no sensor such as acc_leftfoot and gyr_leftfoot")
+    references, said = _belt(belt_mps if math.isfinite(belt_mps) and belt_mps > 0.0 else None, tracks)
+    notes = [*NOTES, said]
+    extra: dict[str, Any] = {}
+    if "fsa_mean_deg" in data and math.isfinite(float(data["fsa_mean_deg"])):
+        extra["foot_strike_mean_deg"] = float(data["fsa_mean_deg"])
+        notes.append(
+            "foot_strike_mean_deg: Vicon's mean of the first 50 contacts of each side, both pooled, toe-up positive"
+        )
+    recording = Recording(
+        f"stroke_treadmill_{path.stem}",
+        None,
+        tracks,
+        belt_speed_mps=belt_mps if references else None,
+        subject=path.stem.split("_")[0],
+        extra=extra,
+    )
+    return Imported(recording, references, tuple(notes))
+
+
+def _belt(belt_mps: float | None, tracks: Mapping[str, Track]) -> tuple[dict[str, Any], str]:
+    """The belt's speed as a reference, and a note."""
+    if belt_mps is None:
+        return {}, "self-paced, or the belt's speed is not known: there is no reference"
+    end_s = max(track.duration_s for track in tracks.values())
+    begin_s = max(end_s - STEADY_S, 0.0)
+    rows = [(t, belt_mps) for t in (begin_s, 0.5 * (begin_s + end_s), end_s)]
+    said = "the belt's speed is quoted to 0.1 m/s and taken for the last 120 s: right on average only"
+    return {".belt.csv": (["t_s", "speed_mps"], rows)}, said

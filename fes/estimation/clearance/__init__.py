@@ -1,0 +1,1 @@
+"""Clearance of toe and heel, and where they are on the foot."""

@@ -1,0 +1,451 @@
+"""Clearance of sensor, toe and heel: the height of a point of the foot above where it stood, through its lever arm.
+
+A point that sits ``arm`` away from the sensor (forward, left, up with the foot flat) is ``(R(t) - R(0)) arm`` higher
+than the sensor's own way says. That takes the whole orientation, roll too: a sensor on the side of the shoe rises and
+falls by centimetres when the foot tips sideways, though toe and heel do not.
+
+Definitions. *Minimum toe clearance*: the lowest point between the toe's first peak after foot off and its last before
+contact (Winter 1992, Phys. Ther. 72:45-53; Mariani et al. 2012, IEEE Trans. Biomed. Eng. 59:3162-3168, who name the
+peaks maximal toe clearance 1 and 2). A foot that does not dip, as many paretic ones do not, has no such point; then the
+toe's height at its greatest horizontal speed is given, which is where Winter finds the minimum. *Maximal heel
+clearance*: the heel's greatest height (Mariani et al.). Heights count from the starting stance.
+
+Double integration leaves millimetres to a centimetre of slow height error in each stride. But at foot off the toe is on
+the ground, and at contact the lowest point of the foot is: :class:`ContactLevels` says where a recording sees them then
+on the whole, and each stride is shifted to agree, in proportion to time between contacts and stances.
+
+Compiled heights of a foot's points over one stride; :mod:`fes.estimation.clearance.clearance` says what they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from fes.config import FootGeometry
+from fes.estimation.numerics.jit import inlined, jit_fused
+from fes.estimation.numerics.rotation import foot_axes, quaternions_of, to_world, up_in_sensor
+from fes.estimation.strides.boundaries import UNSEEN_NS
+from fes.signals import FloatArray, IntArray, StrideResult, Vector3
+
+LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
+
+
+@jit_fused
+def index_at(t_ns: Any, begin: int, last: int, at_ns: int) -> int:
+    """Of the samples ``begin`` … ``last`` the first at or after a time, the last if there is none."""
+    while begin < last:
+        middle = (begin + last) >> 1
+        if t_ns[middle] < at_ns:
+            begin = middle + 1
+        else:
+            last = middle
+    return last
+
+
+@jit_fused
+def reach(quaternion: Any, arm: Any, i: int) -> float:
+    """How much higher than the sensor the point at ``arm`` (3,), in its frame, is at sample ``i``."""
+    x, y, z = up_in_sensor(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3])
+    height: float = x * arm[0] + y * arm[1] + z * arm[2]
+    return height
+
+
+@jit_fused
+def contacts_at(t_ns: Any, begin: int, last: int, off_ns: int, contact_ns: int) -> tuple[int, int]:
+    """The samples of foot off and, from there on, of contact; ``begin`` twice where they were not both seen."""
+    if off_ns == UNSEEN_NS or contact_ns == UNSEEN_NS:
+        return begin, begin
+    off = index_at(t_ns, begin, last, off_ns)
+    return off, index_at(t_ns, off, last, contact_ns)
+
+
+@jit_fused
+def all_contact_heights(
+    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any
+) -> None:
+    """Of K strides, rows ``spans``, ``swings`` (K, 2), fill ``out`` (K, 3), NaN where not both contacts were seen.
+
+    That is the toe's height at foot off, that of the lower one of toe and heel at contact over the stance after, and
+    the rise. ``toe_arm`` and ``heel_arm`` (3,) are in the sensor's frame.
+    """
+    for k in range(spans.shape[0]):
+        begin, last = spans[k, 0], spans[k, 1] - 1
+        off, contact = contacts_at(t_ns, begin, last, swings[k, 0], swings[k, 1])
+        out[k, 0] = out[k, 1] = out[k, 2] = math.nan
+        if begin < off < contact:
+            toe, heel = reach(quaternion, toe_arm, last), reach(quaternion, heel_arm, last)
+            toe_off, toe_first = reach(quaternion, toe_arm, off), reach(quaternion, toe_arm, begin)
+            lower = min(reach(quaternion, toe_arm, contact) - toe, reach(quaternion, heel_arm, contact) - heel)
+            out[k, 0] = position[off, 2] + (toe_off - toe_first)
+            out[k, 1] = position[contact, 2] - position[last, 2] + lower
+            out[k, 2] = position[last, 2] + 0.5 * (toe - toe_first + heel - reach(quaternion, heel_arm, begin))
+
+
+@inlined
+def drift_at(t: int, begin: int, off: int, contact: int, end: int, a: float, b: float, c: float) -> float:
+    """What to add at an instant, in proportion to time between the four; times in ns."""
+    if t < off:
+        return a * (t - begin) / (off - begin)
+    if t < contact:
+        return a + (b + c - a) * (t - off) / (contact - off)
+    return b + c - b * (t - contact) / (end - contact) if t < end else c
+
+
+@jit_fused
+def deepest(height: Any, begin: int, end: int, after: Any) -> tuple[int, float]:
+    """Which of the samples ``begin`` … ``end - 1`` lies deepest below the lower of the peaks before and after it, and
+    how deep; ``after`` is room for as many numbers as there are heights."""
+    greatest = before = depth = -math.inf
+    at = begin
+    for i in range(end - 1, begin - 1, -1):
+        greatest = max(greatest, height[i])
+        after[i] = greatest
+    for i in range(begin, end):
+        before = max(before, height[i])
+        below = min(before, after[i]) - height[i]
+        if below > depth:
+            at, depth = i, below
+    return at, depth
+
+
+@jit_fused
+def fastest(t_ns: Any, begin: int, n: int, level: Any) -> int:
+    """Which of ``n`` samples, in ``t_ns`` from ``begin`` on, has the greatest speed; ``level`` (N, 2): the places."""
+    at, speed2 = 0, -math.inf
+    for i in range(n):
+        p, q = max(i - 1, 0), min(i + 1, n - 1)
+        a, b = 1e-9 * (t_ns[begin + i] - t_ns[begin + p]), 1e-9 * (t_ns[begin + q] - t_ns[begin + i])
+        total = 0.0
+        for j in range(2):  # the parabola through three samples, at the ends the line through two
+            back = (level[i, j] - level[p, j]) / a if i > 0 else 0.0
+            forth = (level[q, j] - level[i, j]) / b if i < n - 1 else 0.0
+            rate = (b * back + a * forth) / (a + b) if 0 < i < n - 1 else back + forth
+            total += rate * rate
+        if total > speed2:
+            at, speed2 = i, total
+    return at
+
+
+@jit_fused
+def lowest_in_swing(t_ns: Any, height: Any, level: Any) -> tuple[int, bool]:
+    """As :func:`fes.estimation.clearance.clearance.mid_swing`."""
+    n = t_ns.shape[0]
+    at, depth = deepest(height, 0, n, np.empty(n))
+    return (at, True) if depth >= LEAST_DIP_M else (fastest(t_ns, 0, n, level), False)
+
+
+@jit_fused
+def all_clear(
+    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, drifts: Any,
+    toe: Any, after: Any, level: Any, out: Any,
+) -> None:  # fmt: skip
+    """Clearances of K strides, rows ``spans``, ``swings`` (K, 2); each fills a row of ``out`` (K, 6).
+
+    That is the toe's minimum, its peaks before and after, the heel's and the sensor's greatest height, and 1 where the
+    toe dips. The toe's are NaN without a swing of 3 samples. ``toe_arm`` and ``heel_arm`` (3,) are in the sensor's
+    frame; ``drifts`` (K, 3) is what to add at foot off, at contact over the stance after, and there. ``toe``, ``after``
+    (N,) and ``level`` (N, 2) are room for the longest stride.
+    """
+    tx, ty, tz, hx, hy, hz = toe_arm[0], toe_arm[1], toe_arm[2], heel_arm[0], heel_arm[1], heel_arm[2]
+    for k in range(spans.shape[0]):
+        begin, last = spans[k, 0], spans[k, 1] - 1
+        off_ns, contact_ns, begin_ns, end_ns = swings[k, 0], swings[k, 1], t_ns[begin], t_ns[last]
+        toe_first, heel_first = reach(quaternion, toe_arm, begin), reach(quaternion, heel_arm, begin)
+        off, contact = contacts_at(t_ns, begin, last, off_ns, contact_ns)
+        a, b, c = drifts[k, 0], drifts[k, 1], drifts[k, 2]
+        shifted = a != 0.0 or b != 0.0 or c != 0.0
+        heel_most = sensor_most = -math.inf
+        for i in range(begin, last + 1):
+            height = position[i, 2]
+            if shifted:
+                height += drift_at(t_ns[i], begin_ns, off_ns, contact_ns, end_ns, a, b, c)
+            x, y, z = up_in_sensor(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3])
+            toe[i - begin] = height + (x * tx + y * ty + z * tz - toe_first)
+            heel_most = max(heel_most, height + (x * hx + y * hy + z * hz - heel_first))
+            sensor_most = max(sensor_most, height)
+        lowest = toe_before = toe_after = math.nan
+        dips, first, end = 0.0, off - begin, contact + 1 - begin
+        if end - first >= 3:
+            at, depth = deepest(toe, first, end, after)
+            dips = 1.0 if depth >= LEAST_DIP_M else 0.0
+            if depth < LEAST_DIP_M:
+                for i in range(off, contact + 1):
+                    x, y, _ = to_world(
+                        quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3], tx, ty, tz
+                    )  # fmt: skip
+                    level[i - off, 0], level[i - off, 1] = position[i, 0] + x, position[i, 1] + y
+                at = first + fastest(t_ns, off, end - first, level)
+            lowest = toe_before = toe_after = toe[at]
+            for j in range(first, at):
+                toe_before = max(toe_before, toe[j])
+            for j in range(at, end):
+                toe_after = max(toe_after, toe[j])
+        out[k, 0], out[k, 1], out[k, 2] = lowest, toe_before, toe_after
+        out[k, 3], out[k, 4], out[k, 5] = heel_most, sensor_most, dips
+
+
+CONTACT_SPREAD_M = 0.003  # how much the true contact heights differ between strides (markers: 2.6 to 3.3 mm)
+MOST_DRIFT_M = 0.05  # what differs by more was no drift: a stumble, a kerb, another kind of step
+LEVEL_GROUND_M = 0.01  # ground that rises by less per stride, on the whole, is taken for level
+LEAST_STRIDES = 5  # for levels
+TRIM = 0.1  # share of the strides left out at either end when levels are averaged
+
+
+@dataclass(frozen=True, slots=True)
+class FootPath:
+    """One stride's way at its own samples.
+
+    ``position_m`` (N, 3): the sensor, z up, origin at the start, where the foot is flat; ``axes`` (N, 3, 3): columns
+    are the foot's forward, left and up in the world; ``foot_off_ns`` and ``contact_ns``: the swing, None if unseen.
+    """
+
+    number: int
+    t_ns: IntArray
+    position_m: FloatArray
+    axes: FloatArray
+    foot_off_ns: int | None
+    contact_ns: int | None
+
+    @property
+    def tilt(self) -> FloatArray:
+        """How much higher the tips of the foot's unit axes are than at the start (N, 3)."""
+        return np.asarray(self.axes[:, 2, :] - self.axes[0, 2, :])
+
+    def index(self, t_ns: int) -> int:
+        """The sample at or after a time, within the stride."""
+        return min(int(np.searchsorted(self.t_ns, t_ns)), len(self.t_ns) - 1)
+
+    @property
+    def swing_ns(self) -> tuple[int, int]:
+        """Foot off and contact for compiled code, ``UNSEEN_NS`` for what was not seen."""
+        off, contact = self.foot_off_ns, self.contact_ns
+        return UNSEEN_NS if off is None else off, UNSEEN_NS if contact is None else contact
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FootPaths:
+    """The ways of one foot's K strides as one: rows ``spans`` (K, 2) of ``t_ns`` (R,), ``position_m``, ``quaternion``.
+
+    ``numbers`` (K,) are the strides', ``swings_ns`` (K, 2) foot off and contact, ``UNSEEN_NS`` for what was not seen.
+    ``quaternion`` (R, 4) turns sensor vectors into the world; the columns of ``foot`` (3, 3) are the foot's forward,
+    left and up in the sensor frame.
+    """
+
+    numbers: IntArray
+    spans: IntArray
+    swings_ns: IntArray
+    t_ns: IntArray
+    position_m: FloatArray
+    quaternion: FloatArray
+    foot: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    @property
+    def longest(self) -> int:
+        """Samples of the longest one."""
+        return int((self.spans[:, 1] - self.spans[:, 0]).max(initial=0))
+
+    def each(self) -> list[FootPath]:
+        """One by one."""
+        axes = np.empty((len(self.t_ns), 3, 3))
+        foot_axes(self.quaternion, self.foot[:, 0].copy(), self.foot[:, 2].copy(), axes)
+        return [
+            FootPath(
+                number, self.t_ns[a:b], self.position_m[a:b], axes[a:b],
+                None if off == UNSEEN_NS else off, None if contact == UNSEEN_NS else contact,
+            )
+            for number, (a, b), (off, contact) in zip(
+                self.numbers.tolist(), self.spans.tolist(), self.swings_ns.tolist(), strict=True
+            )
+        ]  # fmt: skip
+
+
+AnyPaths: TypeAlias = FootPaths | Sequence[FootPath]
+
+
+def in_one(paths: AnyPaths) -> FootPaths:
+    """The same paths as one."""
+    if isinstance(paths, FootPaths):
+        return paths
+    counts = np.array([len(path.t_ns) for path in paths], dtype=np.int64)
+    ends = np.cumsum(counts)
+    return FootPaths(
+        np.array([path.number for path in paths], dtype=np.int64),
+        np.column_stack((ends - counts, ends)),
+        np.array([path.swing_ns for path in paths], dtype=np.int64).reshape(len(paths), 2),
+        np.concatenate([np.zeros(0, np.int64), *(path.t_ns for path in paths)]),
+        np.concatenate([np.zeros((0, 3)), *(path.position_m for path in paths)]),
+        quaternions_of(np.concatenate([np.zeros((0, 3, 3)), *(path.axes for path in paths)])),
+        np.eye(3),
+    )
+
+
+def foot_path(
+    number: int,
+    t_ns: IntArray,
+    quaternion: FloatArray,
+    position_m: FloatArray,
+    forward: FloatArray,
+    up: FloatArray,
+    foot_off_ns: int | None,
+    contact_ns: int | None,
+) -> FootPath:
+    """A path from orientations (N, 4), sensor to world, and the foot's ``forward`` and ``up`` (3,) in the sensor."""
+    axes = np.empty((len(quaternion), 3, 3))
+    foot_axes(quaternion, forward, up, axes)
+    # the tracker's buffer of times is used again: a path must keep its own
+    return FootPath(number, t_ns.copy(), position_m.copy(), axes, foot_off_ns, contact_ns)
+
+
+@dataclass(frozen=True, slots=True)
+class FootArms:
+    """Toe and heel seen from the sensor with the foot flat: forward, left, up (m)."""
+
+    toe_m: Vector3
+    heel_m: Vector3
+
+
+def arms_of(geometry: FootGeometry) -> FootArms:
+    """The arms of a session's geometry."""
+    return FootArms(
+        (geometry.toe_forward_m, geometry.toe_left_m, geometry.toe_up_m),
+        (geometry.heel_forward_m, geometry.heel_left_m, geometry.heel_up_m),
+    )
+
+
+def rise(path: FootPath, arm_m: Vector3) -> FloatArray:
+    """Height (N,) in m of the point at ``arm_m`` above its own start."""
+    return np.asarray(path.position_m[:, 2] + path.tilt @ np.array(arm_m))
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLevels:
+    """Where a recording sees the toe at foot off and the foot's lowest point at contact, and how much it rises (m).
+
+    Each against the stance that is nearer; ``rise_m`` is from one stance to the next. The weights (0 to 1) say how far
+    to trust each: they are the share of the spread between strides that is error rather than gait.
+    """
+
+    foot_off_m: float
+    contact_m: float
+    rise_m: float
+    foot_off_weight: float
+    contact_weight: float
+    rise_weight: float
+
+    def drifts(self, heights: FloatArray) -> FloatArray:
+        """What to add to the heights (K, 3) of :func:`contact_heights`; 0 where there are none."""
+        off = np.array((self.foot_off_m, self.contact_m, self.rise_m)) - heights
+        weights = np.array((self.foot_off_weight, self.contact_weight, self.rise_weight))
+        return np.where(np.abs(off) <= MOST_DRIFT_M, weights * off, 0.0)
+
+
+def contact_heights(paths: AnyPaths, arms: FootArms) -> FloatArray:
+    """Of each stride (K, 3) what :func:`contact_levels` are found from, NaN where not both contacts were seen.
+
+    The height of the toe at foot off over the stance before; of the lower of toe and heel at contact over the next; and
+    of the foot in the stance after over that before. So steps up and down do not make the first two differ.
+    """
+    paths = in_one(paths)
+    toe, heel, out = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), np.empty((len(paths), 3))
+    all_contact_heights(paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, out)
+    return out
+
+
+def contact_levels(paths: AnyPaths, arms: FootArms) -> ContactLevels | None:
+    """Levels of one foot's recording, from all its strides; None if fewer than five show both contacts."""
+    return levels_of(contact_heights(paths, arms))
+
+
+def levels_of(heights: FloatArray) -> ContactLevels | None:
+    """As :func:`contact_levels`, from the :func:`contact_heights` (K, 3)."""
+    seen = heights[heights[:, 0] == heights[:, 0]]
+    if len(seen) < LEAST_STRIDES:
+        return None
+    columns, cut = np.sort(seen.T), int(TRIM * len(seen))
+    # a stumble or a turn must not shift the rest, and half the strides is too much to waste
+    level = columns[:, cut : len(seen) - cut].mean(axis=1)
+    spread = 1.4826 * _middle(np.sort(np.abs(columns - _middle(columns))))[:, 0]
+    weight = 1.0 - np.minimum(CONTACT_SPREAD_M / np.maximum(spread, 1e-9), 1.0) ** 2
+    off, contact, rises = level.tolist()
+    return ContactLevels(off, contact, rises if abs(rises) > LEVEL_GROUND_M else 0.0, *weight.tolist())
+
+
+def _middle(columns: FloatArray) -> FloatArray:
+    """Medians (M, 1) of rising rows (M, N)."""
+    count = columns.shape[1]
+    return 0.5 * (columns[:, (count - 1) // 2, None] + columns[:, count // 2, None])
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """Heights above the starting stance (m); the toe's are NaN without foot off or contact.
+
+    ``toe_m`` is the minimum toe clearance; where ``dips`` is False the toe has no minimum between two peaks, and this
+    is its height at its greatest horizontal speed. ``toe_first_peak_m`` and ``toe_last_peak_m`` are the greatest
+    heights before and after it, ``heel_m`` and ``sensor_m`` the greatest of the stride.
+    """
+
+    toe_m: float
+    toe_first_peak_m: float
+    toe_last_peak_m: float
+    heel_m: float
+    sensor_m: float
+    dips: bool
+
+
+def clearance(path: FootPath, arms: FootArms, levels: ContactLevels | None = None) -> Clearance:
+    """The clearances of one stride, shifted to the recording's contact levels if those are given."""
+    toe_m, first_m, last_m, heel_m, sensor_m, dips = clearances([path], arms, levels)[0].tolist()
+    return Clearance(toe_m, first_m, last_m, heel_m, sensor_m, bool(dips))
+
+
+def clearances(
+    paths: AnyPaths, arms: FootArms, levels: ContactLevels | None, heights: FloatArray | None = None
+) -> FloatArray:
+    """What :class:`Clearance` holds of every stride (K, 6), in its order; ``dips`` is 0 or 1.
+
+    ``heights`` are their :func:`contact_heights` where already known.
+    """
+    paths, out, drifts = in_one(paths), np.empty((len(paths), 6)), np.zeros((len(paths), 3))
+    if levels is not None:
+        drifts = levels.drifts(contact_heights(paths, arms) if heights is None else heights)
+    toe, heel, longest = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), paths.longest
+    room = np.empty(longest), np.empty(longest), np.empty((longest, 2))
+    all_clear(
+        paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, drifts, *room, out
+    )  # fmt: skip
+    return out
+
+
+def mid_swing(t_ns: IntArray, height_m: FloatArray, level_m: FloatArray) -> tuple[int, bool]:
+    """The sample of the minimum toe clearance within a swing of at least 3 samples, and whether the toe dips there.
+
+    ``height_m`` (N,) and ``level_m`` (N, 2) are the toe's height and horizontal place. The minimum is the sample that
+    lies deepest below the lower of the peaks before and after it; without one, that of the greatest horizontal speed.
+    """
+    lowest, dips = lowest_in_swing(*(np.ascontiguousarray(values) for values in (t_ns, height_m, level_m)))
+    return int(lowest), bool(dips)
+
+
+def with_clearance(
+    strides: Sequence[StrideResult], paths: Sequence[FootPath], arms: FootArms, levels: ContactLevels | None
+) -> list[StrideResult]:
+    """The strides of one foot's recording with toe and heel clearance from their paths, shifted to ``levels`` if given.
+
+    A stride without a path of the same number is passed on as it is.
+    """
+    found = dict(zip((path.number for path in paths), clearances(paths, arms, levels).tolist(), strict=True))
+    return [
+        replace(stride, toe_clearance_m=found[stride.number][0], heel_clearance_m=found[stride.number][3])
+        if stride.number in found
+        else stride
+        for stride in strides
+    ]

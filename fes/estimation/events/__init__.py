@@ -1,0 +1,1 @@
+"""Initial contact, foot off and foot-strike angle, causal and off-line."""

@@ -1,0 +1,360 @@
+"""IC and FO while walking: causal, sample by sample, thresholds retuned to the walker every fourth stride.
+
+Kumar et al. (2015), after Ferrari et al. (2015), wait for the peaks of the mediolateral rate that *follow* contact and
+precede foot off, with heights and distances retuned every fourth stride: ``gyrT = median(peaks)^0.7`` and
+``timT = median(peak distance)/3``. The exponent makes the print depend on the unit: it stands for 56 %
+of a 7 rad/s peak in rad/s, and 17 % of the same peak in deg/s. Here it reads ``gyrT = u·(median/u)^0.7`` with
+``u`` = 1 rad/s (``UNIT_RADPS``), which is what the print does with its own sample data.
+
+Two rules share the machinery (:class:`Rule`):
+
+- ``PEAKS``, the paper's: IC and FO are decided once no higher sample has followed a toe-down peak for ``timT/5``.
+  The peak after contact comes 55 ms late as it is; with the wait the decision is over 100 ms late.
+- ``INSTANTS``, ours: IC when after mid-swing the rate turns toe-down as if struck (a foot that lands on its forefoot
+  turns slowly before it lands), or an impact jolts the accelerometer, or the heel drops after a forefoot landing; FO
+  when push-off's rate has fallen from its peak. Heights are shares of medians, hence free of any unit. They are tuned
+  at the same times, and durations scale with ``timT``.
+
+The machine goes FO → mid-swing → IC → FO, so that between two decided mid-swings there is exactly one IC and one FO.
+The one exception is a heel lifted and put back: nobody can know at the time that no swing will follow, so its FO has
+been told, is not taken back, and the next push-off's FO follows.
+
+The compiled rules of :mod:`fes.estimation.events.causal`, sample by sample; all that evolves is in ``STATE``.
+
+Kumar et al. (2015), "Initial Contact and Foot Off"; what is kept and what is not is said there.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fes.estimation.foot.calibration import PUSH_OFF_SHARE, FootCalibration
+from fes.estimation.foot.features import LAGS, lags_at
+from fes.estimation.numerics.jit import jit
+from fes.signals import FloatArray, IntArray
+
+UNIT_RADPS = 1.0
+EXPONENT = 0.7
+RETUNE_STRIDES = 4
+MEMORY = 8  # medians over this many strides
+LONGEST_STRIDE_S = 5.0  # a longer one is a pause and tunes nothing
+SILENCE_NS = 250_000_000  # a longer one hides events
+NEGATIVE_SHARE = 0.2  # of gyrT, as printed, for the peaks after contact and before foot off
+
+FALLEN = 0.85  # FO: push-off's rate has fallen to this share of its peak
+PUSH_OFF = 0.4  # … which is at least this share of the typical peak
+MID_FALL = 0.5  # mid-swing: the rate has fallen from push-off's peak by this share of the typical fall
+MID_RISE = 0.3  # contact is looked for once the rate has come back to this share of the swing's extreme …
+IMPACT_SHARE = 0.3  # … and an impact counts above this share of the typical one
+LEAST_IMPACT_MPS3 = 150.0
+TURNING = 0.03  # the rate is past zero, as a share of push-off's peak: contact if it rises like struck …
+STRUCK_PER_S = 4.0  # … by so many such peaks in a second; a swing that runs out above the ground turns slowly
+TURNED = 0.15  # the same share: contact however it rises
+TOE_UP = 0.2  # the same share: a foot that turns toe-up like this swings, if there was a push-off or not
+SWING_PER_TIMT = 0.5  # no swing is shorter: a sixth of the stride
+LOADED = 0.12  # loading is over when the rate has stayed below this share of push-off's peak for …
+LOADED_PER_TIMT = 0.08  # … this share of timT, 30 ms in a stride of 1.1 s, …
+LOADING_PER_TIMT = 0.35  # … and not sooner: foot slap comes up to 0.1 s after contact
+RESTED_PER_TIMT = 0.4  # after this much rest a swing without contact, or a push-off without swing, is over
+
+
+STATE = np.dtype(
+    [
+        ("samples", np.int64),  # since the start or the last silence
+        ("newest_ns", np.int64),
+        ("stage", np.int64),  # 0 loading, 1 stance, 2 after FO, 3 after mid-swing
+        ("last_ns", np.int64),  # the contact before
+        ("moving_ns", np.int64),  # last sample faster than rest
+        ("off_ns", np.int64),
+        ("feature_ns", np.int64),
+        ("top", np.float64),  # greatest toe-down rate since the stage began, and when
+        ("top_ns", np.int64),
+        ("low", np.float64),  # least since FO
+        ("low_ns", np.int64),  # when (by peaks)
+        ("push_off", np.float64),  # peak of this stride's
+        ("high", np.float64),  # greatest since mid-swing
+        ("jump", np.float64),  # the same of the jump
+        ("stride_now_s", np.float64),
+        ("acc", np.float64, (LAGS, 3)),  # rings of the last samples
+        ("rate", np.float64, LAGS),
+        ("strides", np.int64),
+        ("peaks", np.float64, MEMORY),
+        ("falls", np.float64, MEMORY),
+        ("troughs", np.float64, MEMORY),
+        ("jumps", np.float64, MEMORY),
+        ("stride_s", np.float64, MEMORY),
+        ("typical_peak", np.float64),
+        ("typical_fall", np.float64),
+        ("typical_jump", np.float64),
+        ("gyr_t", np.float64),
+        ("tim_t", np.float64),
+    ],
+    align=True,
+)
+
+
+class Sensor(NamedTuple):
+    """What the compiled rule needs to know of one sensor."""
+
+    x: float  # toe-down axis
+    y: float
+    z: float
+    bias_x: float
+    bias_y: float
+    bias_z: float
+    jump_lag: int  # 10 ms
+    change_lag: int  # 20 ms
+    sample_s: float
+
+
+@jit
+def _typical(values: Any, n: int) -> float:
+    return float(np.median(values[: min(n, MEMORY)]))
+
+
+@jit
+def gyr_threshold(median_radps: float) -> float:
+    """``gyrT`` of the paper in rad/s, whatever the unit of the rest of the program."""
+    return UNIT_RADPS * math.pow(median_radps / UNIT_RADPS, EXPONENT)
+
+
+@jit
+def _contact(s: Any) -> None:
+    """A stride is complete: remember what it was like, and retune after every fourth."""
+    if s.stride_now_s > LONGEST_STRIDE_S:
+        return
+    k = s.strides % MEMORY
+    s.peaks[k] = s.push_off
+    s.falls[k] = s.push_off - s.low
+    s.troughs[k] = max(-s.low, 0.01)
+    s.jumps[k] = s.jump
+    s.stride_s[k] = s.stride_now_s
+    s.strides += 1
+    if s.strides % RETUNE_STRIDES == 0:
+        s.typical_peak = _typical(s.peaks, s.strides)
+        s.typical_fall = _typical(s.falls, s.strides)
+        s.typical_jump = _typical(s.jumps, s.strides)
+        s.gyr_t = gyr_threshold(_typical(s.troughs, s.strides))
+        s.tim_t = _typical(s.stride_s, s.strides) / 3.0
+
+
+@jit
+def _by_instants(s: Any, t_ns: int, rate: float, norm: float, jump: float, change: float) -> int:
+    """Our rule at one sample; the number of the event decided, 0 for none."""
+    tim_ns = 1e9 * s.tim_t
+    if norm > LOADED * s.typical_peak:
+        s.moving_ns = t_ns
+    still_ns = t_ns - s.moving_ns
+    if s.stage == 0:
+        s.jump = max(s.jump, jump)
+        # a foot that never comes flat pushes off all the same, but not at once
+        flat = still_ns > LOADED_PER_TIMT * tim_ns and t_ns - s.feature_ns > LOADING_PER_TIMT * tim_ns
+        if flat or t_ns - s.feature_ns > tim_ns:
+            _contact(s)
+            s.stage = 1
+            s.top = 0.0
+    elif s.stage == 1:
+        if rate > s.top:
+            s.top, s.top_ns = rate, t_ns
+        if still_ns > RESTED_PER_TIMT * tim_ns:
+            s.top, s.top_ns = 0.0, t_ns
+        pushed = s.top > PUSH_OFF * s.typical_peak and rate < FALLEN * s.top
+        if pushed or rate < -TOE_UP * s.typical_peak:
+            s.push_off = s.top
+            s.stage = 2
+            s.low = rate
+            s.feature_ns = s.top_ns
+            return 1
+    elif s.stage == 2:
+        s.push_off = max(s.push_off, rate)  # it was a shoulder of a larger push-off
+        s.low = min(s.low, rate)
+        if (s.push_off - rate > MID_FALL * s.typical_fall and rate < 0.0) or rate < -TOE_UP * s.typical_peak:
+            s.stage = 3
+            s.jump = 0.0
+            s.high = -math.inf
+            s.off_ns = s.feature_ns
+            s.feature_ns = t_ns
+            return 2
+        if still_ns > RESTED_PER_TIMT * tim_ns:
+            s.stage = 1
+            s.top = 0.0
+    elif s.stage == 3:
+        s.low = min(s.low, rate)
+        if t_ns - s.off_ns > SWING_PER_TIMT * tim_ns and rate > MID_RISE * s.low:
+            s.jump = max(s.jump, jump)
+            s.high = max(s.high, rate)
+            share = rate / s.typical_peak
+            turned = (share > TURNING and change > STRUCK_PER_S * s.typical_peak) or share > TURNED
+            dropping = s.high > 0.0 and share < -TURNING
+            impact = jump > max(IMPACT_SHARE * s.typical_jump, LEAST_IMPACT_MPS3)
+            if turned or dropping or impact or still_ns > RESTED_PER_TIMT * tim_ns:
+                s.stage = 0
+                s.stride_now_s = 1e-9 * (t_ns - s.last_ns)
+                s.last_ns = t_ns
+                s.feature_ns = t_ns
+                return 3
+    return 0
+
+
+@jit
+def _by_peaks(s: Any, t_ns: int, rate: float) -> int:
+    """The paper's rule at one sample: a peak is one once no higher sample has followed for ``timT/5``."""
+    wait_ns = 0.2e9 * s.tim_t
+    height = NEGATIVE_SHARE * s.gyr_t
+    if s.stage == 2:  # mid-swing: the toe-up peak
+        if rate < s.low:
+            s.low, s.low_ns = rate, t_ns
+        # printed is timT/2, which would tell of mid-swing after contact
+        if -s.low > s.gyr_t and t_ns - s.low_ns >= wait_ns:
+            s.stage = 3
+            s.feature_ns = s.low_ns
+            s.top = 0.0
+            return 2
+    else:
+        if rate > s.top:
+            s.top, s.top_ns = rate, t_ns
+        if s.stage == 0:  # the rate must have come down from the peak before
+            if rate < height:
+                s.stage = 1
+                s.top = 0.0
+        elif s.top > height and t_ns - s.top_ns >= wait_ns:
+            s.feature_ns = s.top_ns
+            if s.stage == 3:
+                s.stage = 0
+                s.stride_now_s = 1e-9 * (s.top_ns - s.last_ns)
+                s.last_ns = s.top_ns
+                _contact(s)
+                return 3
+            s.stage = 2
+            s.push_off = s.top
+            s.low, s.low_ns = rate, t_ns
+            return 1
+    return 0
+
+
+@jit
+def _restart(s: Any, t_ns: int) -> None:
+    """Nothing is known of the stride under way; what has been tuned stays."""
+    s.samples = 0
+    s.stage = 1
+    s.top = 0.0
+    s.top_ns = t_ns
+    s.moving_ns = t_ns
+    s.last_ns = t_ns - 2 * int(1e9 * LONGEST_STRIDE_S)
+
+
+@jit
+def advance(s: Any, p: Sensor, rule: int, t_ns: Any, acc: Any, gyr: Any, begin: int, end: int) -> tuple[int, int]:
+    """Advance over the samples ``begin`` … ``end - 1``; stop behind the first at which an event is decided.
+
+    Returns how far it came and the event's number (0: the block's end).
+    """
+    for i in range(begin, end):
+        x, y, z = gyr[i, 0] - p.bias_x, gyr[i, 1] - p.bias_y, gyr[i, 2] - p.bias_z
+        rate = p.x * x + p.y * y + p.z * z
+        if s.samples == 0 or t_ns[i] - s.newest_ns > SILENCE_NS:
+            _restart(s, t_ns[i])
+        s.newest_ns = t_ns[i]
+        s.samples += 1
+        now = s.samples % LAGS
+        s.acc[now, 0], s.acc[now, 1], s.acc[now, 2] = acc[i, 0], acc[i, 1], acc[i, 2]
+        jump = 0.0
+        if s.samples > p.jump_lag:
+            then = (s.samples - p.jump_lag) % LAGS
+            dx, dy, dz = acc[i, 0] - s.acc[then, 0], acc[i, 1] - s.acc[then, 1], acc[i, 2] - s.acc[then, 2]
+            jump = math.sqrt(dx * dx + dy * dy + dz * dz) / (p.jump_lag * p.sample_s)
+        s.rate[now] = rate
+        change = 0.0
+        if s.samples > p.change_lag:
+            change = (rate - s.rate[(s.samples - p.change_lag) % LAGS]) / (p.change_lag * p.sample_s)
+        if rule == 0:
+            event = _by_peaks(s, t_ns[i], rate)
+        else:
+            event = _by_instants(s, t_ns[i], rate, math.sqrt(x * x + y * y + z * z), jump, change)
+        if event != 0:
+            return i + 1, event
+    return end, 0
+
+
+START_STRIDE_S = 1.2
+START_FALL = 1.5  # of push-off's peak, before the first tuning
+START_TROUGH = 0.5  # the same, of the swing's toe-up rate
+
+
+class Rule(IntEnum):
+    """Which events the decisions rest on; see the module's text."""
+
+    PEAKS = 0
+    INSTANTS = 1
+
+
+class OnlineEvent(IntEnum):
+    """What was decided."""
+
+    NONE = 0
+    FO = 1
+    MID_SWING = 2
+    IC = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """``t_ns`` is the sample at which it was known, ``t_feature_ns`` when the feature itself was (never later)."""
+
+    t_ns: int
+    event: OnlineEvent
+    t_feature_ns: int
+
+
+class OnlineEvents:
+    """Decisions on one foot's events, whatever the blocks in which its samples come; no clock, no I/O."""
+
+    def __init__(self, calibration: FootCalibration, rule: Rule = Rule.INSTANTS) -> None:
+        lags = lags_at(calibration.rate_hz)
+        self._sensor = Sensor(*calibration.toe_down, *calibration.gyr_bias_radps, *lags, 1.0 / calibration.rate_hz)
+        self._rule = int(rule)
+        self._newest_ns = int(np.iinfo(np.int64).min)
+        self._state = np.zeros(1, STATE)[0]
+        s = self._state
+        s["typical_peak"] = calibration.min_toe_down_peak_radps / PUSH_OFF_SHARE
+        s["typical_fall"] = START_FALL * s["typical_peak"]
+        s["typical_jump"] = calibration.contact_jerk_mps3 / IMPACT_SHARE
+        s["gyr_t"] = gyr_threshold(START_TROUGH * s["typical_peak"])
+        s["tim_t"] = START_STRIDE_S / 3.0
+
+    @property
+    def thresholds(self) -> tuple[float, float]:
+        """``gyrT`` (rad/s) and ``timT`` (s) now."""
+        return float(self._state["gyr_t"]), float(self._state["tim_t"])
+
+    @property
+    def typical_push_off_radps(self) -> float:
+        """The toe-down peak that the heights of our rule are shares of."""
+        return float(self._state["typical_peak"])
+
+    def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Decision]:
+        """Take samples in, give back what was decided, in order.
+
+        Args:
+            t_ns: (N,) the sensor's time stamps; samples not newer than all before them are ignored.
+            acc_mps2: (N, 3) specific force; samples that are not finite are ignored.
+            gyr_radps: (N, 3) angular rate, likewise.
+        """
+        finite = np.isfinite(acc_mps2).all(axis=1) & np.isfinite(gyr_radps).all(axis=1)
+        stamps = np.where(finite, t_ns, self._newest_ns)
+        keep = finite & (t_ns > np.maximum.accumulate(np.concatenate(([self._newest_ns], stamps)))[:-1])
+        if not keep.all():
+            t_ns, acc_mps2, gyr_radps = t_ns[keep], acc_mps2[keep], gyr_radps[keep]
+        decisions = []
+        done = 0
+        while done < len(t_ns):
+            done, number = advance(self._state, self._sensor, self._rule, t_ns, acc_mps2, gyr_radps, done, len(t_ns))
+            self._newest_ns = int(t_ns[done - 1])
+            if number:
+                decisions.append(Decision(self._newest_ns, OnlineEvent(number), int(self._state["feature_ns"])))
+        return decisions

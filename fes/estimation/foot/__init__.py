@@ -1,0 +1,1 @@
+"""One foot, live: calibration, orientation, the features that the guards look at, phases and strides."""

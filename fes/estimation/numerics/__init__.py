@@ -1,0 +1,1 @@
+"""Numbers under every estimate: compiling, rotations, filters, small linear systems, records."""

@@ -1,0 +1,226 @@
+"""Low passes without lag, moving sums, likeness to itself, greatest values of late, peaks apart, in compiled loops.
+
+They give what ``scipy.signal`` and ``scipy.ndimage`` give (a test holds them to it), whose import alone takes longer
+than the analysis of a short recording.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from fes.estimation.numerics.jit import inlined, jit, jit_ieee
+from fes.signals import FloatArray, IntArray
+
+PADDING = 9  # samples at each end, as scipy has it for one section
+BLOCK = 64  # rows
+THINNED = 128  # at a time: their rows stay in the processor's nearest cache
+ALL_BUT_SIGN = 0x7FFF_FFFF_FFFF_FFFF
+
+Section = tuple[float, float, float]
+
+
+def low_pass(rate_hz: float, cutoff_hz: float) -> Section:
+    """Butterworth of second order (bilinear, prewarped), its cut-off kept below 45 % of the sampling rate.
+
+    ``b``, ``a1``, ``a2`` of ``b (1 + z⁻¹)² / (1 + a1 z⁻¹ + a2 z⁻²)``.
+    """
+    k = math.tan(math.pi * min(cutoff_hz, 0.45 * rate_hz) / rate_hz)
+    damped = math.sqrt(2.0) * k
+    whole = 1.0 + damped + k * k
+    return k * k / whole, 2.0 * (k * k - 1.0) / whole, (1.0 - damped + k * k) / whole
+
+
+@inlined
+def begun(x: float, section: Section) -> tuple[float, float]:
+    """What a section remembers that has always been given ``x``."""
+    return (1.0 - section[0]) * x, (section[0] - section[2]) * x
+
+
+@inlined
+def passed(x: float, section: Section, early: float, late: float) -> tuple[float, float, float]:
+    """What a section makes of the next sample, and what it remembers then."""
+    b, a1, a2 = section
+    y = b * x + early
+    return y, (2.0 * b * x + late) - a1 * y, b * x - a2 * y
+
+
+@jit_ieee
+def pass_back(one: Section, two: Section, three: Section, x: Any) -> None:
+    """Run a section over each row of ``x`` (3, N), from its end to its beginning: three at once, for each has to wait
+    for its own last value, and hardly longer for the others."""
+    last = x.shape[1] - 1
+    early_u, late_u = begun(x[0, last], one)
+    early_v, late_v = begun(x[1, last], two)
+    early_w, late_w = begun(x[2, last], three)
+    for i in range(last, -1, -1):
+        x[0, i], early_u, late_u = passed(x[0, i], one, early_u, late_u)
+        x[1, i], early_v, late_v = passed(x[1, i], two, early_v, late_v)
+        x[2, i], early_w, late_w = passed(x[2, i], three, early_w, late_w)
+
+
+@jit_ieee
+def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
+    """Fill ``out`` (N,) with ``share`` times the sum of ``x`` (N,) over ``count`` samples, ``ahead`` of them still to
+    come; beyond the ends there is nothing. Both may be the same.
+
+    What follows the beginning of a block of ``count`` samples is added to what is left of the block before: three
+    additions, however many the samples, and nothing is ever taken away.
+    """
+    n, block, left = x.shape[0], np.empty(count), np.empty(count + 1)  # left: of the block before, from a sample on
+    for j in range(count + 1):
+        left[j] = 0.0
+    for begin in range(0, n + ahead, count):
+        total = 0.0
+        for j in range(count):
+            i = begin + j
+            block[j] = x[i] if i < n else 0.0
+            total += block[j]
+            if 0 <= i - ahead < n:
+                out[i - ahead] = share * (left[j + 1] + total)
+        for j in range(count - 1, -1, -1):
+            left[j] = left[j + 1] + block[j]
+
+
+@jit_ieee
+def thinned_sizes(x: Any, step: int, out: Any) -> None:
+    """Fill ``out`` (K,) with the mean length of each ``step`` rows of ``x`` (N, 3), N at least K times ``step``."""
+    share = 1.0 / step
+    for begin in range(0, out.shape[0], THINNED):
+        some = out[begin : begin + THINNED]
+        for k in range(some.shape[0]):
+            some[k] = 0.0
+        for i in range(step):  # the same row of each, several in one instruction
+            rows = x[begin * step + i :]
+            for k in range(some.shape[0]):
+                a, b, c = rows[k * step, 0], rows[k * step, 1], rows[k * step, 2]
+                some[k] += share * math.sqrt(a * a + b * b + c * c)
+
+
+@jit_ieee
+def _sizes(bits: Any, count: int, out: Any) -> None:
+    """Fill ``out`` (K,) with the greatest of each ``count`` of ``bits`` (N,), without their signs.
+
+    Numbers in IEEE's format without their signs are in the order of their bits, and what is no number comes last; and
+    bits are compared several at a time.
+    """
+    for k in range(out.shape[0]):
+        top, block = 0, bits[k * count : (k + 1) * count]
+        for i in range(block.shape[0]):
+            top = max(top, block[i] & ALL_BUT_SIGN)
+        out[k] = top
+
+
+def largest_in_blocks(x: FloatArray) -> FloatArray:
+    """The greatest size in each ``BLOCK`` rows of ``x`` (N, 3); NaN where there is one."""
+    out = np.empty(-(-len(x) // BLOCK), np.int64)
+    _sizes(np.ascontiguousarray(x, dtype=np.float64).ravel().view(np.int64), 3 * BLOCK, out)
+    return out.view(np.float64)
+
+
+def rows_of_at_least(bound: float, x: FloatArray, largest: FloatArray) -> tuple[IntArray, FloatArray]:
+    """Which rows of ``x`` (N, 3) lie in blocks whose ``largest`` reaches a bound, and each one's greatest size."""
+    rows = (BLOCK * np.flatnonzero(largest >= bound)[:, None] + np.arange(BLOCK)).ravel()
+    rows = rows[: np.searchsorted(rows, len(x))]
+    a, b, c = np.abs(x[rows]).T
+    return rows, np.maximum(np.maximum(a, b), c)
+
+
+@jit_ieee
+def likeness(x: Any, shortest: int, out: Any) -> None:
+    """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), L lags from ``shortest`` on.
+
+    For some hundred lags that is faster than by a Fourier transform: they lie side by side, several in one instruction,
+    and four samples at a time each sum is fetched and put back once.
+    """
+    later, lags, begin = x[shortest:], out.shape[0], 0
+    for lag in range(lags):
+        out[lag] = 0.0
+    while begin + 3 + lags <= later.shape[0]:
+        a, b, c, d = x[begin], x[begin + 1], x[begin + 2], x[begin + 3]
+        for lag in range(lags):
+            i = begin + lag
+            out[lag] = (((out[lag] + a * later[i]) + b * later[i + 1]) + c * later[i + 2]) + d * later[i + 3]
+        begin += 4
+    for i in range(begin, later.shape[0]):
+        for lag in range(min(lags, later.shape[0] - i)):
+            out[lag] += x[i] * later[i + lag]
+
+
+@jit_ieee
+def likeness_of_lengths(x: Any, step: int, shortest: int, out: Any) -> float:
+    """As :func:`likeness`, of what :func:`thinned_sizes` makes of ``x`` (N, 3), N at least ``step``, less its mean.
+
+    Gives that of lag 0.
+    """
+    size = np.empty(x.shape[0] // step)
+    thinned_sizes(x, step, size)
+    first, mean, whole = size[0], 0.0, 0.0
+    for k in range(size.shape[0]):
+        size[k] -= first  # so that of lengths that are all the same nothing is left, not even rounding
+        mean += size[k]
+    mean /= size.shape[0]
+    for k in range(size.shape[0]):
+        size[k] -= mean
+        whole += size[k] * size[k]
+    likeness(size, shortest, out)
+    return whole
+
+
+def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray]:
+    """Where ``x`` (N,) lies farthest below the greatest of its last ``n`` samples, and how far.
+
+    Before its beginning ``x`` is mirrored. No two are closer than ``apart`` samples; the larger fall stays. A flat top
+    of the fall counts by its middle; the two ends are none.
+    """
+    at, fall = np.empty(len(x) // 2 + 1, np.int64), np.empty(len(x) // 2 + 1)
+    count = _falls(x, n, at, fall)
+    at, fall = at[:count], fall[:count]
+    keep = np.ones(count, np.bool_)
+    _thin(at, np.argsort(fall), apart, keep)
+    return at[keep], fall[keep]
+
+
+@jit_ieee
+def _falls(x: Any, n: int, at: Any, fall: Any) -> int:
+    """Write all of them; how many there are. In blocks of ``n``, as :func:`moving_sums`."""
+    left = np.empty(n + 1)  # the greatest of the block before, from each of its samples on
+    left[n] = -math.inf
+    for j in range(n - 1, -1, -1):
+        left[j] = max(left[j + 1], x[n - 1 - j]) if n - 1 - j < x.shape[0] else left[j + 1]
+    count, rise, before = 0, 0, math.inf  # where the fall last became larger, 0 once it is smaller again
+    for begin in range(0, x.shape[0], n):
+        greatest, end = -math.inf, min(begin + n, x.shape[0])
+        for i in range(begin, end):
+            greatest = max(greatest, x[i])
+            now = max(left[i - begin + 1], greatest) - x[i]
+            if now > before:
+                rise = i
+            elif rise > 0 and now < before:
+                at[count], fall[count] = (rise + i - 1) // 2, before
+                count, rise = count + 1, 0
+            before = now
+        greatest = -math.inf
+        for i in range(end - 1, begin - 1, -1):
+            greatest = max(greatest, x[i])
+            left[i - begin] = greatest
+    return count
+
+
+@jit
+def _thin(tops: Any, rising: Any, apart: int, keep: Any) -> None:
+    """From the highest down, each peak that still stands takes away those that are too close to it."""
+    for r in range(rising.shape[0] - 1, -1, -1):
+        j = rising[r]
+        if not keep[j]:
+            continue
+        k = j - 1
+        while k >= 0 and tops[j] - tops[k] < apart:
+            keep[k] = False
+            k -= 1
+        k = j + 1
+        while k < tops.shape[0] and tops[k] - tops[j] < apart:
+            keep[k] = False
+            k += 1

@@ -1,0 +1,1 @@
+"""Orientation of any moving body, causal and off-line."""

@@ -1,0 +1,239 @@
+"""Orientation of any body that carries an inertial sensor, sample by sample or in blocks.
+
+The world's z axis points up; the heading starts at zero turn from the sensor's own and then follows the gyroscope
+alone. :mod:`fes.estimation.orientation.filter` says what the filter assumes and where it is from.
+
+Orientation of a whole recording with the future's help: the causal filter forwards, backwards, and forwards again.
+
+Each pass starts where the last one ended, so the later two know the gyroscope's bias from their first sample. At every
+sample the upward directions of the last two are averaged by their information: one knows the past, the other the
+future (Fraser and Potter 1969, two-filter smoothing; the little that they share, the bias, is neglected). The heading
+is that of the last forward pass.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.rotation import from_gravity, to_sensor, to_world
+from fes.estimation.orientation.filter import NO_RANGE, BodySettings, State, advance, new_state
+from fes.signals import FloatArray, Vector3
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class OrientationPath:
+    """Orientation over time.
+
+    Attributes:
+        quaternion: (N, 4) w, x, y, z, sensor to world.
+        tilt_sd_rad: (N,) standard deviation of the inclination about one level axis, in the filter's own opinion.
+        gyr_bias_radps: (3,) at the end.
+    """
+
+    quaternion: FloatArray
+    tilt_sd_rad: FloatArray
+    gyr_bias_radps: FloatArray
+
+
+class OrientationTracker:
+    """The causal filter; a block gives bit for bit what its samples give one by one."""
+
+    def __init__(
+        self,
+        rate_hz: float,
+        *,
+        acc_range_mps2: float | None = None,
+        gyr_range_radps: float | None = None,
+        settings: BodySettings | None = None,
+    ) -> None:
+        """Start a filter that has seen nothing.
+
+        Args:
+            rate_hz: sampling rate.
+            acc_range_mps2: the accelerometer's full scale; readings there are not believed. None: it never clips.
+            gyr_range_radps: the same of the gyroscope.
+            settings: noise.
+
+        Raises:
+            ValueError: a rate or range that is not a positive number.
+        """
+        self._settings = settings or BodySettings()
+        self._dt_s = sample_time_s(rate_hz)
+        self._ranges = full_scales(acc_range_mps2, gyr_range_radps)
+        self._state = new_state(self._settings)
+
+    @property
+    def quaternion(self) -> FloatArray:
+        """(4,) w, x, y, z after the newest sample."""
+        return self._state.quaternion.copy()
+
+    @property
+    def gyr_bias_radps(self) -> FloatArray:
+        """(3,) rad/s after the newest sample."""
+        return self._state.bias.copy()
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(8, 8): orientation error in the world (rad; the third is heading), bias (rad/s), level velocity (m/s)."""
+        return self._state.covariance.copy()
+
+    def advance(
+        self, acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, at_rest: npt.ArrayLike | None = None
+    ) -> OrientationPath:
+        """Take one sample (3,), (3,) or a block (N, 3), (N, 3); values that are not finite are lost samples.
+
+        Args:
+            acc_mps2: specific force.
+            gyr_radps: angular rate.
+            at_rest: (N,) where the body is known to stand still, as a foot in stance. None: nobody knows.
+
+        Raises:
+            ValueError: shapes that do not fit.
+        """
+        acc, gyr, rest = as_blocks(acc_mps2, gyr_radps, at_rest)
+        return run(self._state, acc, gyr, rest, self._dt_s, self._ranges, self._settings)
+
+
+def track_orientation(
+    acc_mps2: FloatArray,
+    gyr_radps: FloatArray,
+    rate_hz: float,
+    *,
+    at_rest: BoolArray | None = None,
+    acc_range_mps2: float | None = None,
+    gyr_range_radps: float | None = None,
+    settings: BodySettings | None = None,
+) -> OrientationPath:
+    """The causal filter over a whole recording; arguments and errors as :class:`OrientationTracker`."""
+    tracker = OrientationTracker(
+        rate_hz, acc_range_mps2=acc_range_mps2, gyr_range_radps=gyr_range_radps, settings=settings
+    )
+    return tracker.advance(acc_mps2, gyr_radps, at_rest)
+
+
+def run(
+    state: State,
+    acc: FloatArray,
+    gyr: FloatArray,
+    rest: BoolArray,
+    dt_s: float,
+    ranges: FloatArray,
+    settings: BodySettings,
+) -> OrientationPath:
+    """Carry ``state`` over checked samples, see :func:`as_blocks`; ``ranges`` (2,) of force and rate."""
+    out, tilt = np.empty((len(acc), 4)), np.empty(len(acc))
+    advance(state, acc, gyr, rest, dt_s, ranges, settings, out, tilt)
+    return OrientationPath(out, np.sqrt(tilt), state.bias.copy())
+
+
+def as_blocks(
+    acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, at_rest: npt.ArrayLike | None
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Force (N, 3), rate (N, 3) and rest (N,) for the compiled code.
+
+    Raises:
+        ValueError: shapes that do not fit.
+    """
+    acc = np.ascontiguousarray(np.atleast_2d(np.asarray(acc_mps2, dtype=np.float64)))
+    gyr = np.ascontiguousarray(np.atleast_2d(np.asarray(gyr_radps, dtype=np.float64)))
+    if acc.ndim != 2 or acc.shape[1] != 3 or acc.shape != gyr.shape:
+        raise ValueError(f"specific force {acc.shape} and rate {gyr.shape} must both have the shape (N, 3)")
+    rest = np.zeros(len(acc), dtype=np.bool_)
+    if at_rest is not None:
+        given = np.atleast_1d(np.asarray(at_rest))
+        if given.shape != rest.shape or given.dtype != np.bool_:
+            raise ValueError(f"at_rest is {given.dtype} {given.shape}: give one bool per sample, shape {rest.shape}")
+        rest[:] = given
+    return acc, gyr, rest
+
+
+def full_scales(acc_range_mps2: float | None, gyr_range_radps: float | None) -> FloatArray:
+    """Both ranges (2,) for the compiled code; what is not known is never reached.
+
+    Raises:
+        ValueError: a range that is not a positive number.
+    """
+    for name, value in (("acc_range_mps2", acc_range_mps2), ("gyr_range_radps", gyr_range_radps)):
+        if value is not None and not (math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} is {value}: give the full scale, above 0, or None where it is not known")
+    return np.array([acc_range_mps2 or NO_RANGE, gyr_range_radps or NO_RANGE])
+
+
+def sample_time_s(rate_hz: float) -> float:
+    """Seconds from sample to sample.
+
+    Raises:
+        ValueError: a rate that is not a positive number.
+    """
+    if not (math.isfinite(rate_hz) and rate_hz > 0.0):
+        raise ValueError(f"rate_hz is {rate_hz}: give the sampling rate in Hz, above 0")
+    return 1.0 / rate_hz
+
+
+START_TILT_RAD = 0.05  # how well a pass knows where the last one ended, …
+START_BIAS_RADPS = 0.002  # … and the bias
+
+
+def smooth_orientation(
+    acc_mps2: FloatArray,
+    gyr_radps: FloatArray,
+    rate_hz: float,
+    *,
+    at_rest: BoolArray | None = None,
+    acc_range_mps2: float | None = None,
+    gyr_range_radps: float | None = None,
+    settings: BodySettings | None = None,
+) -> OrientationPath:
+    """Orientation at every sample from all samples; arguments and errors as :class:`OrientationTracker`.
+
+    Raises:
+        ValueError: also for a recording without samples.
+    """
+    acc, gyr, rest = as_blocks(acc_mps2, gyr_radps, at_rest)
+    if len(acc) == 0:
+        raise ValueError("there is no sample to smooth")
+    dt_s, ranges = sample_time_s(rate_hz), full_scales(acc_range_mps2, gyr_range_radps)
+    first = settings or BodySettings()
+    later = first._replace(start_tilt_rad=START_TILT_RAD, start_bias_radps=START_BIAS_RADPS)
+    # the rate of sample k leads from k - 1 to k; backwards it leads from k to k - 1
+    gyr_back = -np.roll(gyr, -1, axis=0)[::-1]
+
+    path = run(new_state(first), acc, gyr, rest, dt_s, ranges, first)
+    state = new_state(later, _reversed(path.gyr_bias_radps), path.quaternion[-1])
+    back = run(state, acc[::-1], gyr_back, rest[::-1], dt_s, ranges, later)
+    state = new_state(later, _reversed(back.gyr_bias_radps), back.quaternion[-1])
+    path = run(state, acc, gyr, rest, dt_s, ranges, later)
+    variance = _average(path.quaternion, back.quaternion[::-1], path.tilt_sd_rad**2, back.tilt_sd_rad[::-1] ** 2)
+    return OrientationPath(path.quaternion, np.sqrt(variance), path.gyr_bias_radps)
+
+
+def _reversed(bias_radps: FloatArray) -> Vector3:
+    """Backwards in time every rate changes its sign, the bias with it."""
+    return -float(bias_radps[0]), -float(bias_radps[1]), -float(bias_radps[2])
+
+
+@jit
+def _average(quaternion: FloatArray, back: FloatArray, variance: FloatArray, back_variance: FloatArray) -> FloatArray:
+    """Tilt each ``quaternion`` (N, 4) to the mean upward direction, in place; returns the mean's variance (N,)."""
+    out = np.empty(len(variance))
+    for k in range(len(variance)):
+        q, b = quaternion[k], back[k]
+        w, v = 1.0 / variance[k], 1.0 / back_variance[k]
+        ax, ay, az = to_sensor(q[0], q[1], q[2], q[3], 0.0, 0.0, w / (w + v))
+        bx, by, bz = to_sensor(b[0], b[1], b[2], b[3], 0.0, 0.0, v / (w + v))
+        ux, uy, uz = to_world(q[0], q[1], q[2], q[3], ax + bx, ay + by, az + bz)
+        t = from_gravity(ux, uy, uz)
+        w0 = t[0] * q[0] - t[1] * q[1] - t[2] * q[2] - t[3] * q[3]
+        x0 = t[0] * q[1] + t[1] * q[0] + t[2] * q[3] - t[3] * q[2]
+        y0 = t[0] * q[2] - t[1] * q[3] + t[2] * q[0] + t[3] * q[1]
+        z0 = t[0] * q[3] + t[1] * q[2] - t[2] * q[1] + t[3] * q[0]
+        q[0], q[1], q[2], q[3] = w0, x0, y0, z0
+        out[k] = 1.0 / (w + v)
+    return out

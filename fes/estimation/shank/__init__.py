@@ -1,0 +1,1 @@
+"""One shank, live: calibration, lever arm, features, phases and strides without zero velocity."""

@@ -1,0 +1,1 @@
+"""A stride: where it begins and ends, its integration, its numbers."""

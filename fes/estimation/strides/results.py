@@ -1,0 +1,242 @@
+"""From one foot's history to stride results: where a stride begins and ends, and what its numbers are.
+
+Negård et al. (2005) integrate "from the beginning to the end of every step" and note that the foot is never wholly at
+rest. Here the ends are the quietest tenths of a second of the stances around the swing, not the instants at which rest
+happened to be detected, and the velocity there is that of a foot turning about its ground contact. The work is done in
+``fes.estimation.strides.segmentation``.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from struct import Struct
+from typing import Any, Literal
+
+import numpy as np
+
+from fes.config import FootGeometry
+from fes.estimation.clearance.clearance import FootPath, FootPaths
+from fes.estimation.numerics.records import new_core
+from fes.estimation.numerics.rotation import cross
+from fes.estimation.strides import integration as solution
+from fes.estimation.strides import segmentation as course
+from fes.estimation.strides.boundaries import REST_RADPS, UNSEEN_NS
+from fes.estimation.strides.segmentation import Out, SegmentationSettings, new_out
+from fes.signals import FloatArray, IntArray, StrideResult
+from statemachine.phases import Phase, PhaseChange
+
+SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
+TRAJECTORY_POINTS = 101
+Rows = np.ndarray[Any, np.dtype[Any]]
+NO_BIASES = np.zeros((2, 3))
+_KINDS = (course.STRIDE[name] for name in course.STRIDE.names or ())
+UNPACK_STRIDE = Struct("".join("q" if kind == np.int64 else "d" for kind in _KINDS)).unpack_from  # numpy takes longer
+
+
+@dataclass(frozen=True, slots=True)
+class StrideSettings:
+    """How strides of one foot are integrated.
+
+    ``sensor_height_m``: height of the sensor above the ground contact; the end velocity is ``w × height``.
+    ``equal_height``: off on stairs and slopes. ``forward`` and ``up``: unit vectors towards the toe and up, foot flat,
+    in the sensor frame (3,). ``method``: "maximum_likelihood" weighs all errors, "constrained" is Negård et al.'s,
+    corrected, which is also used where the foot has no true rest (then the stride's ``reason`` says so; it stays valid
+    unless the foot turns faster than ``NO_REST_RADPS`` at its quietest).
+    """
+
+    forward: FloatArray
+    up: FloatArray
+    sensor_height_m: float = SENSOR_HEIGHT_M
+    equal_height: bool = True
+    geometry: FootGeometry | None = None
+    method: Literal["maximum_likelihood", "constrained"] = "maximum_likelihood"
+    watch: Callable[[FootPath], None] | None = None  # is shown the path of every valid stride
+
+    def compiled(self) -> SegmentationSettings:
+        """For the compiler."""
+        known, (fx, fy, fz), (ux, uy, uz) = self.geometry, self.forward.tolist(), self.up.tolist()
+        return SegmentationSettings(
+            forward_x=fx,
+            forward_y=fy,
+            forward_z=fz,
+            up_x=ux,
+            up_y=uy,
+            up_z=uz,
+            sensor_height_m=self.sensor_height_m,
+            constrained=self.method == "constrained",
+            equal_height=self.equal_height,
+            known=known is not None,
+            toe_forward_m=known.toe_forward_m if known else 0.0,
+            toe_up_m=known.toe_up_m if known else 0.0,
+            heel_forward_m=known.heel_forward_m if known else 0.0,
+            heel_up_m=known.heel_up_m if known else 0.0,
+        )
+
+
+class StrideMaker:
+    """Follows the phases of one foot and closes a stride when the stance after its swing is over, or a second old."""
+
+    def __init__(self, foot: str, settings: StrideSettings) -> None:
+        self.foot = foot
+        self.settings = settings
+        self.course = new_core(course.STRIDE_STATE, settings=settings.compiled())
+        self._due_ns = self.course["state"]["due_ns"]  # (1,) of the same memory: asked at every sample
+        self._out: Out | None = None
+        course.restart(self.course, 0)
+
+    def keep_in(self, course: Rows) -> None:
+        """From now on keep all that evolves in this array (1,) of ``stride_course.COURSE``."""
+        course[:] = self.course
+        self.course, self._due_ns = course, course["state"]["due_ns"]
+
+    @property
+    def due_ns(self) -> int | None:
+        """The stride under way is closed at this time at the latest; None while there is none."""
+        due_ns: int = self._due_ns.item()
+        return None if due_ns == course.NEVER_NS else due_ns
+
+    @property
+    def since_ns(self) -> int:
+        """All of the history is asked for."""
+        return UNSEEN_NS
+
+    def restart(self, t_ns: int) -> None:
+        """Data were lost: forget the stride under way; stance from now on."""
+        course.restart(self.course, t_ns)
+
+    def on_phase(self, change: PhaseChange) -> None:
+        """Note a phase change (after :meth:`leave_stance` for T1)."""
+        course.on_phase(self.course, change.destination.value, change.t_ns)
+
+    def leave_stance(
+        self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray
+    ) -> StrideResult | None:
+        """T1: close the stride that this stance ended, and begin the next at the stance's quietest instant.
+
+        History up to now: ``t_ns`` (N,); ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s, free of bias; ``quaternion``
+        (N, 4).
+        """
+        result = self.close(t_ns, acc, gyr, quaternion) if self.due_ns is not None else None
+        course.begin(self.course, len(t_ns), t_ns, gyr, NO_BIASES)
+        return result
+
+    def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
+        """Solve the stride that ended with this stance; arguments as for :meth:`leave_stance`."""
+        n = len(t_ns)
+        if self._out is None or len(self._out.t_ns) < n:
+            self._out = new_out(1, n, TRAJECTORY_POINTS)
+        self._out.filled[:] = 0
+        first, last = course.close(self.course, n, t_ns, gyr, NO_BIASES, self._out)
+        if first < last:
+            course.solve_rows(self.course, first, last, n, t_ns, acc, gyr, quaternion[first], NO_BIASES, self._out)
+        return self.told(self._out) if self._out.filled[course.STRIDES] else None
+
+    def told(self, out: Out) -> StrideResult:
+        """The only stride in ``out``; its path is shown to who watches."""
+        return _shown(self.foot, out, self.settings)
+
+
+def solve_stride(
+    foot: str,
+    number: int,
+    times: dict[Phase, int],
+    first: int,
+    last: int,
+    t_ns: IntArray,
+    acc: FloatArray,
+    gyr: FloatArray,
+    start_quaternion: FloatArray,
+    settings: StrideSettings,
+    before_ns: int | None = None,
+) -> StrideResult:
+    """Integrate the samples ``first`` … ``last`` of a history into a stride's numbers.
+
+    ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s free of bias; ``start_quaternion`` (4,) the orientation at ``first``;
+    ``times`` the entries into the phases; ``before_ns`` where the stride before ended, for the speed. Source: Negård
+    et al. (2005), Eq. (14)–(20), see ``fes.estimation.strides.constrained`` (method "constrained"), weighed as in
+    ``fes.estimation.strides.maximum_likelihood`` (method "maximum_likelihood").
+    """
+    out = new_out(1, len(t_ns), TRAJECTORY_POINTS)
+    row = out.strides[0]
+    row["number"], row["t_start_ns"], row["t_end_ns"] = number, t_ns[first], t_ns[last]
+    names = "stance_ns", "pre_swing_ns", "swing_ns", "loading_response_ns"
+    for name, phase in zip(names, Phase, strict=True):
+        row[name] = times.get(phase, UNSEEN_NS)
+    out.filled[course.STRIDES] = 1
+    own = new_core(course.STRIDE_STATE, settings=settings.compiled())
+    own["state"]["before_ns"] = UNSEEN_NS if before_ns is None else before_ns
+    course.solve_rows(own, first, last, len(t_ns), t_ns, acc, gyr, start_quaternion, NO_BIASES, out)
+    return _shown(foot, out, settings)
+
+
+def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
+    """The only stride in ``out``; its path is shown to who watches."""
+    shape = out.shapes[0].copy()
+    result = _result(foot, UNPACK_STRIDE(out.strides), shape[:, :3], shape[:, 3])
+    if settings.watch is not None and result.valid:
+        settings.watch(copy.deepcopy(stride_paths(out.strides, out, settings).each()[0]))
+    return result
+
+
+def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
+    """The paths of the valid ones of (K,) strides, whose ways are in ``out`` and stay there."""
+    rows = rows[rows["outcome"] == solution.SOLVED]
+    contact = np.where(rows["loading_response_ns"] == UNSEEN_NS, rows["stance_ns"], rows["loading_response_ns"])
+    end = int((rows["first"] + rows["rows"]).max(initial=0))
+    forward, up = settings.forward, settings.up
+    return FootPaths(
+        rows["number"].copy(),
+        np.column_stack((rows["first"], rows["first"] + rows["rows"])),
+        np.column_stack((rows["swing_ns"], contact)),
+        out.t_ns[:end],
+        out.position[:end],
+        out.quaternion[:end],
+        np.column_stack((forward, cross(up.tolist(), forward.tolist()), up)),
+    )
+
+
+def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResult]:
+    """Results of (K,) strides from their rows and shapes (K, ``TRAJECTORY_POINTS``, 4)."""
+    ways, pitches = shapes[:, :, :3].copy(), shapes[:, :, 3].copy()
+    return [_result(foot, row, ways[k], pitches[k]) for k, row in enumerate(rows.tolist())]
+
+
+def _result(foot: str, row: tuple[Any, ...], way: FloatArray, pitch: FloatArray) -> StrideResult:
+    """Result of one stride from its row and shape."""
+    (
+        number, start_ns, end_ns, pre_swing_ns, swing_ns, loading_response_ns, stance_ns, outcome, _, _, _,
+        gap_s, tilt, unrest, length, speed, highest, turn, gained, toe, heel,
+    ) = row  # fmt: skip
+    valid, reason = outcome == solution.SOLVED, ""
+    if not valid or unrest > REST_RADPS:
+        reason = _reason(outcome, start_ns, end_ns, gap_s, tilt, unrest, length)
+    if not valid:
+        length = highest = gained = turn = speed = toe = heel = math.nan
+        way, pitch = np.zeros((0, 3)), np.zeros(0)
+    return StrideResult(
+        foot, number, start_ns, end_ns, length, highest, gained, turn, speed,
+        None if pre_swing_ns == UNSEEN_NS else pre_swing_ns,
+        None if swing_ns == UNSEEN_NS else swing_ns,
+        None if loading_response_ns == UNSEEN_NS else loading_response_ns,
+        None if stance_ns == UNSEEN_NS else stance_ns,
+        toe, heel, valid, reason, way, pitch,
+    )  # fmt: skip
+
+
+def _reason(
+    outcome: int, start_ns: int, end_ns: int, gap_s: float, tilt: float, residual_rate_radps: float, length_m: float
+) -> str:
+    """Why a stride is not valid, or not as good as others."""
+    return {
+        solution.SOLVED: f"no true rest: {residual_rate_radps:.1f} rad/s at its quietest",
+        solution.NO_SOLUTION: "the constraints cannot be met",
+        solution.TILTED: f"the orientation is {math.degrees(tilt):.0f}° off at its end",
+        solution.NO_LENGTH: f"{length_m:.2f} m is no stride length",
+        solution.NO_REST: f"the foot never rests: {residual_rate_radps:.1f} rad/s at its quietest",
+        course.FORGOTTEN: "longer than the history kept",
+        course.NO_STRIDE_TIME: f"lasts {1e-9 * (end_ns - start_ns):.2f} s",
+        course.GAP: f"samples missing for {1e3 * gap_s:.0f} ms",
+    }[outcome]

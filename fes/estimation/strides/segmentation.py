@@ -1,0 +1,308 @@
+"""The compiled side of a foot's strides: from phase changes to where each begins and ends, and its numbers.
+
+``fes.estimation.strides.results`` says what a stride is. What evolves is in one ``COURSE`` record, so that live (one
+sample) and analysis (many in one call) go the same way.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from fes.estimation.numerics.jit import jit_ieee
+from fes.estimation.numerics.records import core_type
+from fes.estimation.numerics.rotation import to_world, without
+from fes.estimation.strides.boundaries import UNSEEN_NS, around_ends, quietest_of, rows_before, time_of
+from fes.estimation.strides.integration import (
+    HEIGHT_CHANGE,
+    LENGTH,
+    NUMBERS,
+    PEAK_HEIGHT,
+    RESIDUAL_RATE,
+    SOLVED,
+    TILT,
+    TURN,
+    solve_span,
+    stride_shape,
+)
+from fes.signals import NS_PER_S
+
+STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
+STOPPED_SEARCH_S = 0.5  # of a stance that lasts longer than that the first half: a belt that stops carries the foot
+STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
+DURATION_S = (0.4, 5.0)
+LEAST_SAMPLES = 10
+LONGEST_GAP_S = 0.04
+NEVER_NS = 2**63 - 1
+FORGOTTEN, NO_STRIDE_TIME, GAP = range(10, 13)  # what came of a stride that was not solved, beside the solution's words
+STANCE, PRE_SWING, SWING, LOADING_RESPONSE = range(4)
+_SEARCH_NS, _LEAD_NS = int(STANCE_SEARCH_S * NS_PER_S), int(STANCE_LEAD_S * NS_PER_S)
+_STOPPED_NS = int(STOPPED_SEARCH_S * NS_PER_S)
+_SHORTEST_S, _LONGEST_S = DURATION_S
+_time_of = jit_ieee(time_of)
+
+STATE = np.dtype(
+    [
+        ("due_ns", np.int64),  # the stride under way is closed at this time at the latest
+        ("start_ns", np.int64),  # where it begins
+        ("before_ns", np.int64),  # the end of the stride before
+        ("stance_ns", np.int64),
+        ("times_ns", np.int64, 4),  # the entries into the phases since
+        ("number", np.int64),
+    ],
+    align=True,
+)
+
+STRIDE = np.dtype(
+    [
+        ("number", np.int64),
+        ("t_start_ns", np.int64),
+        ("t_end_ns", np.int64),
+        ("pre_swing_ns", np.int64),  # the entries into the phases, UNSEEN_NS where there was none
+        ("swing_ns", np.int64),
+        ("loading_response_ns", np.int64),
+        ("stance_ns", np.int64),
+        ("outcome", np.int64),  # of the solution, or FORGOTTEN, NO_STRIDE_TIME, GAP
+        ("changes", np.int64),  # how many phase changes were told before it
+        ("first", np.int64),  # row of its way
+        ("rows", np.int64),  # how many they are
+        ("gap_s", np.float64),
+        ("tilt_rad", np.float64),
+        ("residual_rate_radps", np.float64),
+        ("length_m", np.float64),
+        ("speed_mps", np.float64),
+        ("peak_height_m", np.float64),
+        ("turn_rad", np.float64),
+        ("height_change_m", np.float64),
+        ("toe_m", np.float64),
+        ("heel_m", np.float64),
+    ],
+    align=True,
+)
+
+
+class SegmentationSettings(NamedTuple):
+    """:class:`fes.estimation.strides.results.StrideSettings` for the compiler; ``known``: where toe and heel are."""
+
+    forward_x: float
+    forward_y: float
+    forward_z: float
+    up_x: float
+    up_y: float
+    up_z: float
+    sensor_height_m: float
+    constrained: bool
+    equal_height: bool
+    known: bool
+    toe_forward_m: float
+    toe_up_m: float
+    heel_forward_m: float
+    heel_up_m: float
+
+
+STRIDE_STATE = core_type(STATE, settings=SegmentationSettings)
+STRIDES, ROWS, CHANGES = range(3)
+
+
+class Out(NamedTuple):
+    """What comes out: rows of strides, and what belongs to them; ``filled`` (3,) says how much of it is taken up."""
+
+    strides: Any  # (S,) of ``STRIDE``
+    shapes: (
+        Any  # (S, K, 4) as :func:`fes.estimation.strides.integration.stride_shape` fills them; (0, K, 4): not wanted
+    )
+    t_ns: Any  # (R,) the strides' own samples, one stride after the other
+    position: Any  # (R, 3) m from each stride's start
+    quaternion: Any  # (R, 4)
+    filled: Any  # STRIDES, ROWS, CHANGES (phase changes told so far)
+
+
+def new_out(strides: int, rows: int, points: int, *, shaped: bool = True) -> Out:
+    """Room for so many strides of so many rows in all; to be emptied by setting ``filled`` to 0."""
+    return Out(
+        np.zeros(strides, STRIDE),
+        np.empty((strides if shaped else 0, points, 4)),
+        np.empty(rows, np.int64),
+        np.empty((rows, 3)),
+        np.empty((rows, 4)),
+        np.zeros(3, np.int64),
+    )
+
+
+@jit_ieee
+def _forget(times_ns: Any) -> None:
+    """No phase has been entered."""
+    for k in range(4):
+        times_ns[k] = UNSEEN_NS
+
+
+@jit_ieee
+def restart(course: Any, t_ns: int) -> None:
+    """Data were lost: forget the stride under way; stance from now on."""
+    s = course[0].state
+    s.due_ns, s.before_ns, s.start_ns, s.stance_ns = NEVER_NS, UNSEEN_NS, UNSEEN_NS, t_ns
+    _forget(s.times_ns)
+
+
+@jit_ieee
+def on_phase(course: Any, destination: int, t_ns: int) -> None:
+    """Note a phase change, after :func:`close` and :func:`begin` for T1."""
+    s = course[0].state
+    if destination != STANCE:
+        s.times_ns[destination] = t_ns
+        return
+    s.stance_ns = t_ns
+    if s.times_ns[SWING] != UNSEEN_NS:
+        s.times_ns[STANCE] = t_ns
+        s.due_ns = t_ns + _SEARCH_NS
+    else:  # the heel was lifted and put back: no stride
+        _forget(s.times_ns)
+
+
+@jit_ieee
+def begin(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any) -> None:
+    """T1: the next stride begins at the quietest instant of the stance that ends; arguments as for :func:`close`."""
+    s = course[0].state
+    now = t_ns[n - 1]
+    earliest = max(s.stance_ns - _LEAD_NS, now - _SEARCH_NS)
+    s.start_ns = t_ns[quietest_of(t_ns, gyr, n, biases[1, 0], biases[1, 1], biases[1, 2], earliest, now)]
+    _forget(s.times_ns)
+
+
+@jit_ieee
+def close(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tuple[int, int]:
+    """End the stride that ended with this stance, if there was one, with a row of ``out``.
+
+    Args:
+        course: (1,) of ``COURSE``.
+        n: how many rows of the history there are up to now.
+        t_ns: its time stamps.
+        gyr: (…, 3) rad/s.
+        biases: (2, 3) of the accelerometer and of the gyroscope.
+        out: where the stride goes.
+
+    Returns:
+        Its first and last row for :func:`solve_rows`, (0, 0) where there is nothing to solve.
+    """
+    s = course[0].state
+    start_ns, stance_ns = s.start_ns, s.times_ns[STANCE]
+    s.due_ns, s.start_ns = NEVER_NS, UNSEEN_NS
+    if start_ns == UNSEEN_NS or stance_ns == UNSEEN_NS:
+        _forget(s.times_ns)
+        return 0, 0
+    now = t_ns[n - 1]
+    still_standing = now - s.stance_ns >= _SEARCH_NS
+    latest = min(now, s.stance_ns + (_STOPPED_NS if still_standing else _SEARCH_NS))
+    bx, by, bz = biases[1, 0], biases[1, 1], biases[1, 2]
+    last = quietest_of(t_ns, gyr, n, bx, by, bz, s.stance_ns - _LEAD_NS, latest)
+    first = rows_before(t_ns, n, start_ns)
+    s.number += 1
+    row = out.strides[out.filled[STRIDES]]
+    row.number, row.t_start_ns, row.t_end_ns = s.number, start_ns, t_ns[last]
+    row.pre_swing_ns, row.swing_ns = s.times_ns[PRE_SWING], s.times_ns[SWING]
+    row.loading_response_ns, row.stance_ns = s.times_ns[LOADING_RESPONSE], stance_ns
+    row.rows, row.changes = 0, out.filled[CHANGES]
+    _forget(s.times_ns)
+    out.filled[STRIDES] += 1
+    if first >= last or t_ns[first] != start_ns:
+        row.outcome = FORGOTTEN
+        return 0, 0
+    return first, last
+
+
+@jit_ieee
+def solve_rows(
+    course: Any, first: int, last: int, n: int, t_ns: Any, acc: Any, gyr: Any, start: Any, biases: Any, out: Out
+) -> None:
+    """Integrate the samples ``first`` … ``last`` of a history into the newest row of ``out``.
+
+    ``acc`` (…, 3) m/s²; ``start`` (4,) is the orientation at ``first``; else as :func:`close`.
+    """
+    row, before_ns = out.strides[out.filled[STRIDES] - 1], course[0].state.before_ns
+    course[0].state.before_ns = row.t_end_ns
+    p = course[0].settings
+    count, most_ns = last + 1 - first, 0
+    for i in range(first, last):
+        most_ns = max(most_ns, t_ns[i + 1] - t_ns[i])
+    row.gap_s = 1e-9 * most_ns
+    duration_s = 1e-9 * (t_ns[last] - t_ns[first])
+    if count < LEAST_SAMPLES or not _SHORTEST_S <= duration_s <= _LONGEST_S:
+        row.outcome = NO_STRIDE_TIME
+        return
+    if row.gap_s > LONGEST_GAP_S and row.gap_s > 3.5e-9 * _usual_step(t_ns, first, last):
+        row.outcome = GAP
+        return
+    k, at = out.filled[STRIDES] - 1, out.filled[ROWS]
+    row.first, row.rows = at, count
+    out.filled[ROWS] = at + count
+    for i in range(count):  # not as slices: their check of shapes would take a second to compile
+        out.t_ns[at + i] = t_ns[first + i]
+    position, quaternion = out.position[at : at + count], out.quaternion[at : at + count]
+    around = around_ends(t_ns, first, last)
+    begin, end = max(first - around, 0), min(last + around + 1, n)
+    numbers = np.empty(NUMBERS)
+    for i in range(NUMBERS):
+        numbers[i] = 0.0
+    row.outcome = solve_span(
+        t_ns[begin:end], without(acc[begin:end], biases[0]), without(gyr[begin:end], biases[1]),
+        first - begin, last - begin, start, p.forward_x, p.forward_y, p.forward_z, p.sensor_height_m,
+        p.constrained, p.equal_height, quaternion, position, numbers,
+    )  # fmt: skip
+    row.tilt_rad, row.residual_rate_radps, row.length_m = numbers[TILT], numbers[RESIDUAL_RATE], numbers[LENGTH]
+    row.peak_height_m, row.turn_rad, row.height_change_m = numbers[PEAK_HEIGHT], numbers[TURN], numbers[HEIGHT_CHANGE]
+    if row.outcome != SOLVED:
+        return
+    if k < out.shapes.shape[0]:
+        stride_shape(
+            out.t_ns[at : at + count], quaternion, position, p.forward_x, p.forward_y, p.forward_z, out.shapes[k]
+        )
+    row.speed_mps = row.length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
+    row.toe_m = row.heel_m = math.nan
+    if p.known:
+        _toe_and_heel(p, row, out.t_ns[at : at + count], position, quaternion)
+
+
+@jit_ieee
+def _usual_step(t_ns: Any, first: int, last: int) -> float:
+    """The median time between the samples ``first`` … ``last``, in ns."""
+    n = last - first
+    steps = np.empty(n, np.int64)
+    for i in range(n):  # by insertion: they hardly differ, and this is rare
+        step, j = t_ns[first + i + 1] - t_ns[first + i], i
+        while j > 0 and steps[j - 1] > step:
+            steps[j] = steps[j - 1]
+            j -= 1
+        steps[j] = step
+    usual: float = 0.5 * (steps[n // 2] + steps[(n - 1) // 2])
+    return usual
+
+
+@jit_ieee
+def _toe_and_heel(p: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -> None:
+    """Least height of the toe in mid-swing and greatest of the heel, above the starting stance (m); NaN if unknown.
+
+    Mid-swing is the middle of the time from foot off to contact: the toe leaves the ground and, after its first peak,
+    passes low once more before it rises for the contact.
+    """
+    off_ns = row.swing_ns
+    contact_ns = row.stance_ns if row.loading_response_ns == UNSEEN_NS else row.loading_response_ns
+    swung = off_ns != UNSEEN_NS and contact_ns != UNSEEN_NS
+    begin, end = off_ns + 0.25 * (contact_ns - off_ns), off_ns + 0.8 * (contact_ns - off_ns)
+    toe_start = heel_start = 0.0
+    least, most = math.inf, -math.inf
+    for i in range(t_ns.shape[0]):
+        w, x, y, z = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
+        forward = to_world(w, x, y, z, p.forward_x, p.forward_y, p.forward_z)[2]
+        up = to_world(w, x, y, z, p.up_x, p.up_y, p.up_z)[2]
+        toe = position[i, 2] + p.toe_forward_m * forward + p.toe_up_m * up
+        heel = position[i, 2] + p.heel_forward_m * forward + p.heel_up_m * up
+        if i == 0:
+            toe_start, heel_start = toe, heel
+        most = max(most, heel - heel_start)
+        if swung and begin <= t_ns[i] < end:
+            least = min(least, toe - toe_start)
+    row.heel_m = most
+    if least < math.inf:
+        row.toe_m = least

@@ -1,0 +1,280 @@
+"""Two session logs side by side: settings, strides matched by time, stimulation, bytes. Pure; B − A throughout."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, Final
+
+import numpy as np
+
+from fes.evaluation.trigger_timing import Mark, marks_of_commands, pair
+from fes.session_log import SessionRecord
+from fes.signals import IntArray, StimCommand, StrideResult
+from statemachine.phases import PhaseChange
+
+ALWAYS_DIFFERENT: Final = ("created", "created_t_ns")  # of two runs; no difference between what they did
+SAME_STRIDE_NS: Final = 400_000_000  # two strides of a foot cannot end as close as this
+TIMES: Final = {"T1": "t_pre_swing_ns", "T2": "t_swing_ns", "T3": "t_loading_response_ns", "stance": "t_stance_ns"}
+_LENGTHS: Final = {"length_cm": "stride_length_m", "clearance_cm": "clearance_m"}
+QUANTITIES: Final = ("length_cm", "clearance_cm", "T1_ms", "T2_ms", "T3_ms", "stance_ms", "on_ms", "off_ms")
+ENOUGH: Final = 0.6  # of the shorter walk's strides must end together; chance brings a few together
+_LONGEST_FOR_SHIFT: Final = 1000
+_NAN: Final = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class StridePair:
+    """One stride in both logs; ``differences`` B − A by QUANTITIES, NaN where one of them does not know it.
+
+    ``same`` is False if anything differs, also what has no column; ``start_s`` counts from A's first moment.
+    """
+
+    foot: str
+    number_a: int
+    number_b: int
+    start_s: float
+    length_m: tuple[float, float]
+    differences: dict[str, float]
+    same: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean, SD and greatest size of a difference over ``n`` strides; NaN where there are none."""
+
+    n: int
+    mean: float
+    sd: float
+    greatest: float
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Two logs' differences.
+
+    ``settings``: what the headers say differently, as (name, A's, B's). ``shift_s``: B's clock − A's. ``only_a`` and
+    ``only_b``: strides without a partner. ``commands``, ``frames``, ``phases``: the first difference in words, "" none.
+    """
+
+    settings: list[tuple[str, Any, Any]]
+    shift_s: float
+    matched_by: str
+    pairs: list[StridePair]
+    only_a: list[StrideResult]
+    only_b: list[StrideResult]
+    commands: str
+    frames: str
+    phases: str
+    counts: dict[str, tuple[int, int]] = field(default_factory=dict)
+
+    @property
+    def identical(self) -> bool:
+        """Both sessions had the same settings and did the same at the same times, bytes included."""
+        alike = not (self.settings or self.only_a or self.only_b or self.commands or self.frames or self.phases)
+        return alike and not self.shift_s and all(each.same for each in self.pairs)
+
+    def spread(self, quantity: str) -> Spread:
+        """Of one of QUANTITIES over the pairs that know it."""
+        values = np.array([each.differences[quantity] for each in self.pairs], np.float64)
+        values = values[np.isfinite(values)]
+        if not values.size:
+            return Spread(0, _NAN, _NAN, _NAN)
+        sd = float(values.std(ddof=1)) if values.size > 1 else _NAN
+        return Spread(int(values.size), float(values.mean()), sd, float(np.abs(values).max()))
+
+
+def compare_logs(a: SessionRecord, b: SessionRecord) -> Comparison:
+    """Compare two sessions."""
+    shift_ns = best_shift(_ends(a.strides), _ends(b.strides))
+    matches, matched_by = _matches(a.strides, b.strides, shift_ns)
+    by_number, shift_ns = shift_ns is None, shift_ns or 0
+    begin_ns = min((int(each.t_ns[0]) for each in a.samples.values()), default=0)
+    stimulation_a, stimulation_b = _Stimulation(a), _Stimulation(b)
+    pairs = []
+    for x, y in matches:
+        own_shift_ns = y.t_start_ns - x.t_start_ns if by_number else shift_ns
+        pairs.append(_pair(x, y, own_shift_ns, begin_ns, stimulation_a.of(x), stimulation_b.of(y)))
+    in_a, in_b = {id(x) for x, _ in matches}, {id(y) for _, y in matches}
+    counted = ("strides", "phases", "commands", "frames", "statuses", "notes")
+    return Comparison(
+        settings=list(_settings(_flat(a.header), _flat(b.header))),
+        shift_s=1e-9 * shift_ns,
+        matched_by=matched_by,
+        pairs=sorted(pairs, key=lambda each: each.start_s),
+        only_a=[stride for stride in a.strides if id(stride) not in in_a],
+        only_b=[stride for stride in b.strides if id(stride) not in in_b],
+        commands=_commands(a.commands, b.commands, shift_ns, begin_ns),
+        frames=_frames(a, b, shift_ns, begin_ns) + _other_identifier(a, b),
+        phases=_phases(a.phases, b.phases, shift_ns, begin_ns),
+        counts={name: (len(getattr(a, name)), len(getattr(b, name))) for name in counted},
+    )
+
+
+def best_shift(a: dict[str, IntArray], b: dict[str, IntArray]) -> int | None:
+    """B's clock − A's (ns) at which most strides end together, 0 if that is as good; None if fewer than ENOUGH do."""
+    limited = {foot: (a[foot][:_LONGEST_FOR_SHIFT], b[foot][:_LONGEST_FOR_SHIFT]) for foot in a.keys() & b.keys()}
+    fewest = sum(min(len(x), len(y)) for x, y in limited.values())
+    if not fewest:
+        return None
+    differences = np.sort(np.concatenate([(y[None, :] - x[:, None]).ravel() for x, y in limited.values()]))
+    width = SAME_STRIDE_NS // 4
+    within = np.searchsorted(differences, differences + width, side="right") - np.arange(len(differences))
+    at_zero = int((np.abs(differences) <= width).sum())
+    best = int(within.argmax())
+    if at_zero >= 0.9 * within[best]:
+        return 0
+    if within[best] < max(ENOUGH * fewest, 2):
+        return None
+    return int(np.median(differences[best : best + int(within[best])]))
+
+
+def _ends(strides: Sequence[StrideResult]) -> dict[str, IntArray]:
+    feet = {stride.foot for stride in strides}
+    return {foot: np.array(sorted(s.t_end_ns for s in strides if s.foot == foot), np.int64) for foot in feet}
+
+
+def _matches(
+    a: Sequence[StrideResult], b: Sequence[StrideResult], shift_ns: int | None
+) -> tuple[list[tuple[StrideResult, StrideResult]], str]:
+    """Strides that belong together, and by what: time, or number where no shift brings them together."""
+    if shift_ns is None:
+        by_number = {(stride.foot, stride.number): stride for stride in b}
+        return [(x, by_number[x.foot, x.number]) for x in a if (x.foot, x.number) in by_number], "number"
+    found = []
+    for foot in sorted({stride.foot for stride in a}):
+        own_a, own_b = (sorted((s for s in c if s.foot == foot), key=lambda s: s.t_end_ns) for c in (a, b))
+        ends_a, ends_b = (np.array([s.t_end_ns for s in own], np.int64) for own in (own_a, own_b))
+        found += [(own_a[i], own_b[j]) for i, j in pair(ends_a + shift_ns, ends_b, SAME_STRIDE_NS)]
+    return found, "time"
+
+
+class _Stimulation:
+    """Where a session's channels went on and off, by foot."""
+
+    def __init__(self, record: SessionRecord) -> None:
+        session = record.header.get("session")
+        channels = session.get("channels", []) if isinstance(session, dict) else []
+        self.foot_of = {f"channel {each.get('number')}": each.get("foot") for each in channels}
+        self.marks: list[Mark] = marks_of_commands(record.commands)
+        self.t_ns = np.array([mark.t_ns for mark in self.marks], np.int64)
+
+    def of(self, stride: StrideResult) -> dict[tuple[str, str], int]:
+        """The first switching on of each channel of this foot during the stride, and the switching off after it."""
+        first: dict[tuple[str, str], int] = {}
+        for at in range(int(np.searchsorted(self.t_ns, stride.t_start_ns)), len(self.marks)):
+            mark = self.marks[at]
+            waits = any(what == "on" and (who, "off") not in first for who, what in first)
+            if mark.t_ns > stride.t_end_ns and not waits:
+                break
+            if self.foot_of.get(mark.who) != stride.foot:
+                continue
+            begun = (mark.who, "on") in first
+            if (mark.what == "on" and not begun and mark.t_ns <= stride.t_end_ns) or (mark.what == "off" and begun):
+                first.setdefault((mark.who, mark.what), mark.t_ns)
+        return first
+
+
+def _pair(
+    a: StrideResult,
+    b: StrideResult,
+    shift_ns: int,
+    begin_ns: int,
+    stimulation_a: dict[tuple[str, str], int],
+    stimulation_b: dict[tuple[str, str], int],
+) -> StridePair:
+    differences = {name: 100 * (getattr(b, key) - getattr(a, key)) for name, key in _LENGTHS.items()}
+    for name, key in TIMES.items():
+        differences[f"{name}_ms"] = _ms(getattr(a, key), getattr(b, key), shift_ns)
+    for what in ("on", "off"):
+        marks = [mark for mark in stimulation_a.keys() | stimulation_b.keys() if mark[1] == what]
+        own = [_ms(stimulation_a.get(mark), stimulation_b.get(mark), shift_ns) for mark in marks]
+        differences[f"{what}_ms"] = max((value for value in own if math.isfinite(value)), key=abs, default=_NAN)
+    return StridePair(
+        a.foot,
+        a.number,
+        b.number,
+        1e-9 * (a.t_start_ns - begin_ns),
+        (a.stride_length_m, b.stride_length_m),
+        differences,
+        {mark: t_ns + shift_ns for mark, t_ns in stimulation_a.items()} == stimulation_b
+        and _same_stride(a, b, shift_ns),
+    )
+
+
+def _ms(a_ns: int | None, b_ns: int | None, shift_ns: int) -> float:
+    return _NAN if a_ns is None or b_ns is None else 1e-6 * (b_ns - a_ns - shift_ns)
+
+
+def _same_stride(a: StrideResult, b: StrideResult, shift_ns: int) -> bool:
+    for item in fields(StrideResult):
+        if not item.compare or (shift_ns and item.name == "number"):
+            continue
+        one, other = getattr(a, item.name), getattr(b, item.name)
+        if item.name.endswith("_ns") and one is not None:
+            one += shift_ns
+        if one != other and not (isinstance(one, float) and math.isnan(one) and math.isnan(other)):
+            return False
+    return True
+
+
+def _flat(value: Any, name: str = "") -> dict[str, Any]:
+    """A nested mapping with the path as name."""
+    if isinstance(value, dict):
+        items: Any = value.items()
+    elif isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
+        items = enumerate(value)
+    else:
+        return {name: value}
+    return {k: v for key, item in items for k, v in _flat(item, f"{name}.{key}" if name else str(key)).items()}
+
+
+def _settings(a: dict[str, Any], b: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
+    for name in [*a, *(name for name in b if name not in a)]:
+        one, other = a.get(name), b.get(name)
+        nan = isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
+        if name not in ALWAYS_DIFFERENT and one != other and not nan:
+            yield name, one, other
+
+
+def _commands(a: Sequence[StimCommand], b: Sequence[StimCommand], shift_ns: int, begin_ns: int) -> str:
+    for number, (one, other) in enumerate(zip(a, b, strict=False), start=1):
+        facts = [(c.channel, c.on, c.current_ma, c.pulse_width_us, c.frequency_hz) for c in (one, other)]
+        if facts[0] != facts[1] or one.t_ns + shift_ns != other.t_ns:
+            return (
+                f"command {number}: A {_said(one)} at {1e-9 * (one.t_ns - begin_ns):.3f} s, "
+                f"B {_said(other)} at {1e-9 * (other.t_ns - shift_ns - begin_ns):.3f} s"
+            )
+    return "" if len(a) == len(b) else f"A has {len(a)} commands, B {len(b)}; as far as both go they are the same"
+
+
+def _said(command: StimCommand) -> str:
+    return f"channel {command.channel} {f'{command.current_ma:.1f} mA' if command.on else 'off'}"
+
+
+def _frames(a: SessionRecord, b: SessionRecord, shift_ns: int, begin_ns: int) -> str:
+    for number, (one, other) in enumerate(zip(a.frames, b.frames, strict=False), start=1):
+        if (one.t_ns + shift_ns, one.identifier, one.data) != (other.t_ns, other.identifier, other.data):
+            return (
+                f"frame {number}: A {one.identifier:x}#{one.data.hex()} at {1e-9 * (one.t_ns - begin_ns):.3f} s, "
+                f"B {other.identifier:x}#{other.data.hex()} at {1e-9 * (other.t_ns - shift_ns - begin_ns):.3f} s"
+            )
+    n_a, n_b = len(a.frames), len(b.frames)
+    return "" if n_a == n_b else f"A has {n_a} frames, B {n_b}; as far as both go they are the same"
+
+
+def _other_identifier(a: SessionRecord, b: SessionRecord) -> str:
+    """Every frame carries the session's identifier, so all of them differ where it does."""
+    name = "stim_session_id"
+    return " (the sessions' identifiers differ)" if a.frames and a.header.get(name) != b.header.get(name) else ""
+
+
+def _phases(a: Sequence[PhaseChange], b: Sequence[PhaseChange], shift_ns: int, begin_ns: int) -> str:
+    for number, (one, other) in enumerate(zip(a, b, strict=False), start=1):
+        if (one.t_ns + shift_ns, one.foot, one.transition) != (other.t_ns, other.foot, other.transition):
+            return (
+                f"phase change {number}: A {one.foot} {one.transition.name} at {1e-9 * (one.t_ns - begin_ns):.3f} s, "
+                f"B {other.foot} {other.transition.name} at {1e-9 * (other.t_ns - shift_ns - begin_ns):.3f} s"
+            )
+    return "" if len(a) == len(b) else f"A has {len(a)} phase changes, B {len(b)}; as far as both go they are the same"

@@ -1,0 +1,244 @@
+"""The clock of a reference against that of the recording, by what both saw: contacts and foot-offs, or a foot's speed.
+
+Where the lag is fitted to the very events that are then judged, their mean error says nothing any more: the result
+says so, and SD, durations and lengths are what is left to judge.
+
+From the laboratory's frame to the belt's: Negård et al. (2005), Eq. (21), ``p_belt = p_lab + v t`` along the walk.
+
+While a foot stands on a belt, it moves backward with it; the walking direction is therefore the horizontal axis along
+which the standing foot loses ``v t``. It is found from the marker itself, and the speed that is left to the standing
+foot afterwards tells whether direction and speed were right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from fes.evaluation.agreement.lag import GRID_S, Lag, lag_of, trains
+from fes.evaluation.reference.compare import Estimate
+from fes.evaluation.reference.types import EVENTS, MarkerPath, Reference, ReferenceError
+from fes.evaluation.trigger_timing import pair
+from fes.signals import NS_PER_S, FloatArray
+
+AXES: Final = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
+MOST_LEFT_SHARE: Final = 0.25  # of the belt's speed: more left to the standing foot means a wrong direction or speed
+STANDING_PERCENT: Final = 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class OnBelt:
+    """A path in the belt's frame, the axis walked along, and the standing foot's median speed there (m/s)."""
+
+    path: MarkerPath
+    axis: str
+    standing_mps: float
+
+
+def to_belt(path: MarkerPath, belt: FloatArray, axis: str | None = None) -> OnBelt:
+    """Move a path of the lab to the belt's frame.
+
+    Args:
+        path: in the lab's frame.
+        belt: (N, 2) times (s) and speed (m/s); before the first and after the last time the speed stays as it is.
+        axis: "+x", "-x", "+y" or "-y", the direction of walking; None: found from the standing foot.
+
+    Raises:
+        ReferenceError: the standing foot does not move with the belt, along any axis or the one given.
+    """
+    way = _way(belt, path.t_s)
+    fastest = float(np.abs(belt[:, 1]).max())
+    tried = []
+    for name in [axis] if axis else list(AXES):
+        moved = path.position_m.copy()
+        moved[:, :2] += way[:, None] * np.array(AXES[name])
+        candidate = replace(path, position_m=moved, frame="ground")
+        tried.append(OnBelt(candidate, name, standing_speed(candidate)))
+    best = min(tried, key=lambda each: each.standing_mps)
+    if not best.standing_mps <= MOST_LEFT_SHARE * fastest:
+        raise ReferenceError(
+            f"the {path.point} marker of the {path.foot.replace('_', ' ')} does not stand still on the belt: with its "
+            f"speed of {fastest:.2f} m/s taken off along {best.axis}, the standing foot still moves at "
+            f"{best.standing_mps:.2f} m/s. Check the belt's speed, or say --frame ground if there was no treadmill"
+        )
+    return best
+
+
+def looks_like_lab(path: MarkerPath, belt: FloatArray) -> bool:
+    """Whether a path stays where the treadmill is, instead of going as far as the belt ran."""
+    seen = np.flatnonzero(np.isfinite(path.position_m).all(axis=1))
+    if len(seen) < 2:
+        return False
+    way = _way(belt, path.t_s[seen])
+    gone = float(np.linalg.norm(np.ptp(path.position_m[seen, :2], axis=0)))
+    return gone < 0.5 * float(np.ptp(way))
+
+
+def standing_speed(path: MarkerPath) -> float:
+    """Median horizontal speed (m/s) over the slowest part of a path: what is left to a standing foot."""
+    speed = horizontal_speed(path)
+    speed = speed[np.isfinite(speed)]
+    if not len(speed):
+        return float("inf")
+    return float(np.median(speed[speed <= np.percentile(speed, STANDING_PERCENT)]))
+
+
+def horizontal_speed(path: MarkerPath, over_s: float = 0.08) -> FloatArray:
+    """Horizontal speed (N,) in m/s, as a difference over ``over_s``; NaN at the ends and where the marker is unseen."""
+    reach = max(round(0.5 * over_s * path.rate_hz), 1)
+    speed = np.full(len(path.t_s), np.nan)
+    if len(speed) > 2 * reach:
+        step = path.position_m[2 * reach :, :2] - path.position_m[: -2 * reach, :2]
+        speed[reach:-reach] = np.hypot(*step.T) / (path.t_s[2 * reach :] - path.t_s[: -2 * reach])
+    return speed
+
+
+def _way(belt: FloatArray, t_s: FloatArray) -> FloatArray:
+    """How far the belt has run at each time (N,), from the first of them."""
+    knots = np.unique(np.concatenate([belt[:, 0], t_s]))
+    speed = np.interp(knots, belt[:, 0], belt[:, 1])
+    run = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(knots))])
+    at = np.interp(t_s, knots, run)
+    return np.asarray(at - at[0])
+
+
+MOST_S: Final = 10.0
+NEAR_S: Final = 0.15
+# A smaller lag may come from what is compared: detectors, a marker beside the sensor, what a stride begins with.
+IN_STEP_S: Final = {"speed": 0.03, "events": 0.03, "strides": 0.4}
+
+
+@dataclass(frozen=True, slots=True)
+class Synchrony:
+    """How the reference's clock was brought to the recording's: ``t_recording = t_reference + applied_s``.
+
+    ``by`` says what the lag was found from, ``found`` is what that gave, None where there was nothing to go by.
+    """
+
+    applied_s: float
+    by: str
+    found: Lag | None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def fitted_to_events(self) -> bool:
+        """Whether the events' own mean error went into the lag."""
+        return self.by == "events" and self.found is not None and self.applied_s == self.found.lag_s != 0.0
+
+
+def synchronise(
+    reference: Reference, estimate: Estimate, *, fit: bool, given_s: float | None = None, most_s: float = MOST_S
+) -> Synchrony:
+    """Find the lag, and say which one to apply: the one given, the one found (``fit``), else none.
+
+    Raises:
+        ReferenceError: the lag is to be fitted, and cannot be, or cannot be believed.
+    """
+    try:
+        by, found = _lag(reference, estimate, most_s)
+    except ValueError as error:
+        if fit:
+            raise ReferenceError(f"no lag can be found: {error}. Give it: --lag SECONDS") from error
+        return Synchrony(given_s or 0.0, "", None, (f"the clocks could not be checked: {error}",))
+    if given_s is not None:
+        off = abs(found.lag_s - given_s)
+        warning = f"the lag given is {given_s:+.3f} s, the signals ask for {found.lag_s:+.3f} s"
+        return Synchrony(given_s, by, found, (warning,) if off > IN_STEP_S[by] and not found.doubt else ())
+    if fit:
+        if found.doubt:
+            raise ReferenceError(
+                f"the lag of {found.lag_s:+.3f} s, found by {by}, cannot be believed: {found.doubt}. "
+                f"Give it: --lag SECONDS, or search less far: --max-lag SECONDS"
+            )
+        return Synchrony(found.lag_s, by, found)
+    if found.doubt:
+        return Synchrony(0.0, by, found, (f"the clocks could not be checked: {found.doubt}",))
+    if abs(found.lag_s) > IN_STEP_S[by]:
+        warning = (
+            f"the reference seems to be {found.lag_s:+.3f} s off the recording's clock; --sync fit would take it off"
+        )
+        return Synchrony(0.0, by, found, (warning,))
+    return Synchrony(0.0, by, found)
+
+
+def _lag(reference: Reference, estimate: Estimate, most_s: float) -> tuple[str, Lag]:
+    """By a marker's horizontal speed (a lever arm hardly changes it), else by events, else by where strides begin."""
+    path = _path_of(reference, estimate)
+    if path is not None:
+        times, speed = speed_of(estimate, path.foot)
+        near = (path.t_s > times[0] - most_s - 1.0) & (path.t_s < times[-1] + most_s + 1.0)
+        return "speed", lag_of(path.t_s[near], horizontal_speed(path)[near], times, speed, most_s)
+    keys = [(foot, what) for foot in estimate.feet for what in EVENTS]
+    true = {k: np.array([e.t_s for e in reference.events if (e.foot, e.what) == k]) for k in keys}
+    ours = {k: np.asarray(estimate.events.get(k[0], {}).get(k[1], np.zeros(0))) for k in keys}
+    true = {k: _near(times, estimate, most_s) for k, times in true.items()}
+    both = [k for k in keys if len(true[k]) > 2 and len(ours[k]) > 2]
+    if both:
+        found = _by_trains([true[k] for k in both], [ours[k] for k in both], most_s)
+        return "events", _refined(found, [true[k] for k in both], [ours[k] for k in both])
+    starts = {foot: np.array([s.t_start_s for s in reference.strides if s.foot == foot]) for foot in estimate.feet}
+    starts = {foot: _near(times, estimate, most_s) for foot, times in starts.items()}
+    mine = {foot: np.array([1e-9 * s.t_start_ns for s in estimate.of(foot)]) for foot in estimate.feet}
+    feet = [foot for foot in estimate.feet if len(starts[foot]) > 2 and len(mine[foot]) > 2]
+    if not feet:
+        raise ValueError("the reference holds no events, marker's path or strides near the recording's time")
+    return "strides", _by_trains([starts[f] for f in feet], [mine[f] for f in feet], most_s, width_s=0.1)
+
+
+def _near(times_s: FloatArray, estimate: Estimate, most_s: float) -> FloatArray:
+    """Those that can be within the recording at any lag that is looked at."""
+    return times_s[(times_s > estimate.begin_s - most_s - 1.0) & (times_s < estimate.end_s + most_s + 1.0)]
+
+
+def _path_of(reference: Reference, estimate: Estimate) -> MarkerPath | None:
+    order = {"sensor": 0, "heel": 1, "toe": 2}
+    usable = [p for p in reference.paths if p.foot in estimate.feet and np.isfinite(p.position_m[:, 2]).sum() > 10]
+    return min(usable, key=lambda path: order[path.point], default=None)
+
+
+def _by_trains(true: list[FloatArray], ours: list[FloatArray], most_s: float, width_s: float = 0.03) -> Lag:
+    grids = []
+    for parts in (true, ours):
+        low, high = min(part.min() for part in parts), max(part.max() for part in parts)
+        grids.append(np.arange(low - 0.5, high + 0.5, GRID_S))
+    return lag_of(grids[0], trains(true, grids[0], width_s), grids[1], trains(ours, grids[1], width_s), most_s)
+
+
+def _refined(found: Lag, true: list[FloatArray], ours: list[FloatArray]) -> Lag:
+    """The median difference of matched events: sharper than the peak of the correlation."""
+    off: list[float] = []
+    for expected, found_s in zip(true, ours, strict=True):
+        moved = np.sort(expected) + found.lag_s
+        stamps = [np.round(times * NS_PER_S).astype(np.int64) for times in (moved, np.sort(found_s))]
+        off += [1e-9 * float(stamps[1][j] - stamps[0][i]) for i, j in pair(stamps[0], stamps[1], 1e9 * NEAR_S)]
+    shift = float(np.median(off)) if off else 0.0
+    return Lag(found.lag_s + shift, found.likeness, found.residual, found.next_best, found.halves_s, found.doubt)
+
+
+def speed_of(estimate: Estimate, foot: str) -> tuple[FloatArray, FloatArray]:
+    """Estimated horizontal speed of the sensor (N,) in m/s at times (N,): along the strides, 0 between them.
+
+    Raises:
+        ValueError: no valid stride with a way.
+    """
+    times: list[FloatArray] = []
+    speeds: list[FloatArray] = []
+    for stride in estimate.of(foot):
+        begin, end = stride.t_start_ns / NS_PER_S, stride.t_end_ns / NS_PER_S
+        if times and begin <= times[-1][-1]:
+            begin = float(times[-1][-1]) + 1e-3
+        if not stride.valid or len(stride.trajectory_m) < 3 or end <= begin:
+            continue
+        at = np.linspace(begin, end, len(stride.trajectory_m))
+        fine = np.arange(begin, end, GRID_S)
+        way = np.column_stack([np.interp(fine, at, stride.trajectory_m[:, axis]) for axis in (0, 1)])
+        if len(fine) < 10:
+            continue
+        step = way[8:] - way[:-8]
+        times.append(fine[4:-4])
+        speeds.append(np.hypot(*step.T) / (8 * GRID_S))
+    if not times:
+        raise ValueError(f"no valid stride of the {foot.replace('_', ' ')} was found")
+    return np.concatenate(times), np.concatenate(speeds)

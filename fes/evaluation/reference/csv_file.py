@@ -1,0 +1,390 @@
+"""References as CSV: which of eight kinds a table is, told by its columns.
+
+| kind | columns (units in the names: ``t_s``, ``t_ms``, ``x_mm`` …) |
+|---|---|
+| strides | foot, t_start, t_end, and any of stride_length, clearance, toe_clearance, heel_clearance, foot_strike … |
+| events | foot, event (IC, FO), t |
+| mat | foot, t_contact, and any of t_off, x, y, stride_length: a row for each footfall |
+| switch | t, and a column for each switch whose name begins with left or right |
+| path | t, x, y, z; or t and columns such as left_heel_x, left_heel_y, left_heel_z |
+| belt | t, speed |
+| orientation | t, q_w, q_x, q_y, q_z (sensor to world, z up), and perhaps sensor, moving |
+| end | end_distance and end_height: where the whole walk ended, seen from its start; and perhaps foot |
+
+Foot switches and pressure under the sole, sampled → initial contact and foot off.
+
+Footfalls of an instrumented mat or of measured footprints → events and strides.
+
+A mat's stride length is the way between successive contacts of the same foot, whatever the direction (the distance of
+heel to heel); that of a walk with turns is measured along straight lines as well.
+"""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from fes.evaluation.reference.table import Table, foot_of, read_columns
+from fes.evaluation.reference.types import (
+    POINTS,
+    MarkerPath,
+    Reference,
+    ReferenceEnd,
+    ReferenceError,
+    ReferenceEvent,
+    ReferenceStride,
+)
+from fes.signals import FloatArray
+
+ON_SHARE, OFF_SHARE = 0.6, 0.4  # of the way from the released to the pressed level: hysteresis
+BOUNCE_S = 0.05  # shorter pauses and touches are bouncing contacts
+
+
+def switch_events(source: str, foot: str, t_s: FloatArray, signals: list[FloatArray]) -> list[ReferenceEvent]:
+    """The foot is down while any of its switches is pressed: IC where the first closes, FO where the last opens.
+
+    Args:
+        source: the file, for messages.
+        foot: whose.
+        t_s: (N,) increasing.
+        signals: (N,) each; two levels, or a pressure of which the 2nd and 98th percentile are taken for the levels.
+
+    Raises:
+        ReferenceError: none of the switches ever changes.
+    """
+    down = np.zeros(len(t_s), dtype=bool)
+    changed = False
+    for values in signals:
+        low, high = np.nanpercentile(values, [2.0, 98.0]) if np.isfinite(values).any() else (0.0, 0.0)
+        if high > low:
+            changed = True
+            down |= _pressed((values - low) / (high - low))
+    if not changed:
+        raise ReferenceError(f"{source}: the switches of the {foot.replace('_', ' ')} never change; is one broken?")
+    edges = np.flatnonzero(np.diff(down.astype(np.int8)))
+    bounds = _without_bounces(t_s, edges)
+    events = []
+    for k in bounds:
+        what = "IC" if down[k + 1] else "FO"
+        events.append(ReferenceEvent(float(0.5 * (t_s[k] + t_s[k + 1])), foot, what))
+    return events
+
+
+def _pressed(level: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Schmitt trigger over a level of 0 to 1; a missing sample keeps the state."""
+    state = np.where(level >= ON_SHARE, 1, np.where(level <= OFF_SHARE, 0, -1))
+    known = np.flatnonzero(state >= 0)
+    if not len(known):
+        return np.zeros(len(level), dtype=bool)
+    last = np.maximum.accumulate(np.where(state >= 0, np.arange(len(level)), known[0]))
+    return np.asarray(state[last] == 1)
+
+
+def _without_bounces(t_s: FloatArray, edges: np.ndarray[tuple[int], np.dtype[np.int64]]) -> list[int]:
+    """Edges that are not followed by their opposite within ``BOUNCE_S``, nor such opposites."""
+    kept: list[int] = []
+    for k in edges.tolist():
+        if kept and t_s[k + 1] - t_s[kept[-1] + 1] < BOUNCE_S:
+            kept.pop()
+        else:
+            kept.append(k)
+    return kept
+
+
+LONGEST_STRIDE_S = 4.0  # beyond: the walker left the mat and came back
+
+
+def footfalls(
+    source: str,
+    feet: list[str],
+    contact_s: FloatArray,
+    off_s: FloatArray | None,
+    place_m: FloatArray | None,
+    length_m: FloatArray | None = None,
+) -> Reference:
+    """Events and strides of K footfalls, in any order.
+
+    Args:
+        source: the file, for messages.
+        feet: whose each is.
+        contact_s: (K,) initial contact, or any one moment at which the foot stood there.
+        off_s: (K,) foot off, if known.
+        place_m: (K, 2) where each lies, if known.
+        length_m: (K,) stride length that ends with this footfall, if the mat says so itself.
+
+    Raises:
+        ReferenceError: a contact's time is missing, or a foot leaves before it came.
+    """
+    if not np.isfinite(contact_s).all():
+        raise ReferenceError(
+            f"{source}: footfall {int(np.flatnonzero(~np.isfinite(contact_s))[0]) + 1} has no time of contact"
+        )
+    if off_s is not None and (off_s <= contact_s).any():
+        raise ReferenceError(
+            f"{source}: footfall {int(np.flatnonzero(off_s <= contact_s)[0]) + 1} leaves before it came"
+        )
+    events, strides = [], []
+    whose = np.array(feet)
+    for foot in dict.fromkeys(feet):
+        mine = np.flatnonzero(whose == foot)
+        mine = mine[np.argsort(contact_s[mine], kind="stable")]
+        events += [ReferenceEvent(float(contact_s[k]), foot, "IC") for k in mine]
+        if off_s is not None:
+            events += [ReferenceEvent(float(off_s[k]), foot, "FO") for k in mine if np.isfinite(off_s[k])]
+        for before, after in pairwise(mine.tolist()):
+            if not 0.0 < contact_s[after] - contact_s[before] <= LONGEST_STRIDE_S:
+                continue
+            values = {}
+            if length_m is not None and np.isfinite(length_m[after]):
+                values["stride_length_m"] = float(length_m[after])
+            elif place_m is not None:
+                values["stride_length_m"] = float(np.hypot(*(place_m[after] - place_m[before])))
+            strides.append(ReferenceStride(foot, float(contact_s[before]), float(contact_s[after]), values))
+    strides.sort(key=lambda stride: stride.t_start_s)
+    return Reference((source,), tuple(sorted(events)), tuple(strides))
+
+
+LATEST_S: Final = 4e9  # seconds since 1970 are below it; as ns they still fit 64 bits
+KINDS: Final = ("strides", "events", "mat", "switch", "path", "belt", "orientation", "end")
+TIME: Final = ("t", "time", "seconds", "timestamp")
+CONTACT: Final = ("t_contact", "t_initial_contact", "t_loading_response", "first_contact", "contact_time")
+QUATERNION: Final = ("q_w", "q_x", "q_y", "q_z")
+OFF: Final = ("t_off", "t_foot_off", "t_swing", "last_contact", "off_time")
+_EVENT_NAMES: Final = {
+    "IC": ("ic", "initialcontact", "footstrike", "heelstrike", "hs", "contact", "footcontact"),
+    "FO": ("fo", "footoff", "toeoff", "to", "terminalcontact", "tc", "off"),
+}
+_VALUES: Final = {
+    "stride_length": "stride_length_m",
+    "clearance": "clearance_m",
+    "toe_clearance": "toe_clearance_m",
+    "heel_clearance": "heel_clearance_m",
+    "height_gained": "height_gained_m",
+    "foot_strike": "foot_strike_rad",
+    "foot_strike_angle": "foot_strike_rad",
+    "stride_time": "stride_time_s",
+    "stance_time": "stance_time_s",
+    "swing_time": "swing_time_s",
+    "speed": "speed_mps",
+    "stride_velocity": "speed_mps",
+}
+_ENDS: Final = ("end_distance", "end_height")
+_MARKER: Final = re.compile(r"(left|right|l|r)_(?:foot_)?(\w+)_x")
+
+
+def read_csv(path: Path, *, foot: str | None = None, kind: str | None = None) -> Reference:
+    """Read one CSV; ``foot`` is whose it is where it does not say, ``kind`` what it is where its columns do not say.
+
+    Raises:
+        ReferenceError: it cannot be read, or is of no known kind.
+    """
+    table = read_columns(path)
+    chosen = kind or kind_of(table)
+    if chosen is None:
+        raise ReferenceError(
+            f"{path}: its columns ({', '.join(table.columns)}) are those of no known kind of reference. Needed are "
+            f"foot, t_start, t_end (strides); foot, event, t (events); foot, t_contact (step mat); t and left…, right… "
+            f"(foot switches); t, x, y, z (a marker's path); t, speed (a belt); t, q_w, q_x, q_y, q_z (orientation); "
+            f"or end_distance, end_height (a walk's end)"
+        )
+    readers = {
+        "strides": _strides,
+        "events": _events,
+        "mat": _mat,
+        "switch": _switch,
+        "path": _paths,
+        "belt": _belt,
+        "orientation": _no_orientation,
+        "end": _end,
+    }
+    try:
+        found = readers[chosen](table, foot)
+    except KeyError as error:
+        raise ReferenceError(f"{path}: as {chosen} it lacks a column {error.args[0]!r}") from error
+    times = [event.t_s for event in found.events] + [stride.t_end_s for stride in found.strides]
+    times += [float(t) for path_ in found.paths for t in (path_.t_s[0], path_.t_s[-1])] + found.belt[:, 0].tolist()
+    if any(not abs(t) < LATEST_S for t in times):
+        raise ReferenceError(f"{path}: holds a time beyond {LATEST_S:g} s; is the unit of its time column right?")
+    return found
+
+
+def kind_of(table: Table) -> str | None:
+    """One of :data:`KINDS`, None where the columns fit none."""
+    names = set(table.columns)
+    if set(QUATERNION) <= names and table.first_of(*TIME):
+        return "orientation"
+    if names & {"end_distance", "end_height"}:
+        return "end"
+    if {"t_start", "t_end"} <= names:
+        return "strides"
+    if "event" in names and table.first_of(*TIME):
+        return "events"
+    if table.first_of(*CONTACT):
+        return "mat"
+    if table.first_of(*TIME) is None:
+        return None
+    if {"x", "y", "z"} <= names or any(_MARKER.fullmatch(name) for name in names):
+        return "path"
+    if table.first_of("speed", "belt_speed") and not any(_switch_foot(name) for name in names):
+        return "belt"
+    return "switch" if any(_switch_foot(name) for name in names) else None
+
+
+def _time(table: Table) -> FloatArray:
+    name = table.first_of(*TIME)
+    if name is None:
+        raise KeyError("t_s")
+    t_s = table.numbers(name)
+    bad = np.flatnonzero(~np.isfinite(t_s))
+    if len(bad):
+        raise ReferenceError(f"{table.path}:{table.first_line + int(bad[0])}: the time is empty")
+    return t_s
+
+
+def _increasing(table: Table) -> FloatArray:
+    t_s = _time(table)
+    back = np.flatnonzero(np.diff(t_s) <= 0.0)
+    if len(back):
+        raise ReferenceError(f"{table.path}:{table.first_line + int(back[0]) + 1}: the time does not increase")
+    if len(t_s) < 3:
+        raise ReferenceError(f"{table.path}: holds fewer than three samples")
+    return t_s
+
+
+def _strides(table: Table, foot: str | None) -> Reference:
+    values = {name: table.numbers(name) for name in table.columns if name in _VALUES}
+    start, end = table.numbers("t_start"), table.numbers("t_end")
+    usable = np.ones(table.rows, dtype=bool)
+    for name in ("steady", "walking", "valid"):
+        if name in table.columns:
+            usable &= np.array(table.flags(name))
+    wrong = np.flatnonzero(~(np.isfinite(start) & np.isfinite(end) & (start < end)))
+    if len(wrong):
+        raise ReferenceError(f"{table.path}:{table.first_line + int(wrong[0])}: t_end must be after t_start")
+    feet = table.feet(foot)
+    strides = [
+        ReferenceStride(
+            feet[k],
+            float(start[k]),
+            float(end[k]),
+            {_VALUES[name]: float(column[k]) for name, column in values.items() if np.isfinite(column[k])},
+            bool(usable[k]),
+        )
+        for k in range(table.rows)
+    ]
+    events = []
+    for what, names in (("IC", CONTACT), ("FO", OFF)):
+        column = table.first_of(*names)
+        if column is not None:
+            times = table.numbers(column)
+            soft = table.columns.get("contact", [""] * table.rows)
+            events += [
+                ReferenceEvent(float(times[k]), feet[k], what)
+                for k in range(table.rows)
+                if np.isfinite(times[k]) and not (what == "IC" and soft[k] == "soft")
+            ]
+    strides.sort(key=lambda stride: stride.t_start_s)
+    return Reference((str(table.path),), tuple(sorted(events)), tuple(strides))
+
+
+def _events(table: Table, foot: str | None) -> Reference:
+    t_s, feet = _time(table), table.feet(foot)
+    events = []
+    for row, text in enumerate(table.columns["event"]):
+        what = event_name(text)
+        if what is None:
+            raise ReferenceError(
+                f"{table.path}:{table.first_line + row}: {text!r} is no event known here; IC and FO are"
+            )
+        events.append(ReferenceEvent(float(t_s[row]), feet[row], what))
+    return Reference((str(table.path),), tuple(sorted(events)))
+
+
+def event_name(text: str) -> str | None:
+    """IC or FO for the names that laboratories give them; None for others."""
+    plain = re.sub(r"[^a-z]", "", text.lower())
+    return next((what for what, aliases in _EVENT_NAMES.items() if plain in aliases), None)
+
+
+def _mat(table: Table, foot: str | None) -> Reference:
+    contact = table.numbers(table.first_of(*CONTACT) or "t_contact")
+    off_name = table.first_of(*OFF)
+    places = np.column_stack([table.numbers("x"), table.numbers("y")]) if {"x", "y"} <= set(table.columns) else None
+    lengths = table.numbers("stride_length") if "stride_length" in table.columns else None
+    off = table.numbers(off_name) if off_name else None
+    return footfalls(str(table.path), table.feet(foot), contact, off, places, lengths)
+
+
+def _switch(table: Table, foot: str | None) -> Reference:
+    t_s = _increasing(table)
+    by_foot: dict[str, list[FloatArray]] = {}
+    for name in table.columns:
+        whose = _switch_foot(name)
+        if whose is not None:
+            by_foot.setdefault(whose, []).append(table.numbers(name))
+    events = [
+        event for whose, signals in by_foot.items() for event in switch_events(str(table.path), whose, t_s, signals)
+    ]
+    return Reference((str(table.path),), tuple(sorted(events)))
+
+
+def _switch_foot(name: str) -> str | None:
+    return foot_of(name.split("_")[0]) if not name.endswith(("_x", "_y", "_z")) else None
+
+
+def _paths(table: Table, foot: str | None) -> Reference:
+    t_s, paths, notes = _increasing(table), [], []
+    if {"x", "y", "z"} <= set(table.columns):
+        whose = table.feet(foot)[0]
+        position = np.column_stack([table.numbers(axis) for axis in "xyz"])
+        paths.append(MarkerPath(whose, "sensor", t_s, position))
+        notes.append(f"{table.path.name}: taken for the path of the sensor on the {whose.replace('_', ' ')}")
+    for name in table.columns:
+        found = _MARKER.fullmatch(name)
+        if found is None:
+            continue
+        side, point = foot_of(found[1]), found[2]
+        if side is None or point not in POINTS:
+            raise ReferenceError(
+                f"{table.path}: column {name!r}: a marker is one of {', '.join(POINTS)}, not {point!r}"
+            )
+        base = name.removesuffix("_x")
+        position = np.column_stack([table.numbers(f"{base}_{axis}") for axis in "xyz"])
+        paths.append(MarkerPath(side, point, t_s, position))
+    return Reference((str(table.path),), paths=tuple(paths), notes=tuple(notes))
+
+
+def _belt(table: Table, foot: str | None) -> Reference:
+    name = table.first_of("speed", "belt_speed") or "speed"
+    t_s, speed = _increasing(table), table.numbers(name)
+    if not np.isfinite(speed).all() or np.abs(speed).max() > 10.0:
+        raise ReferenceError(
+            f"{table.path}: a belt's speed is known at all times and below 10 m/s; is it in km/h (speed_kmh)?"
+        )
+    return Reference((str(table.path),), belt=np.column_stack([t_s, speed]))
+
+
+def orientation_columns(table: Table) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Times (N,), quaternions (N, 4) and where the body is said to move (N,), everywhere if nothing says so."""
+    t_s = _increasing(table)
+    quaternion = np.column_stack([table.numbers(name) for name in QUATERNION])
+    moving = np.array(table.flags("moving")) if "moving" in table.columns else np.ones(table.rows, dtype=np.bool_)
+    return t_s, quaternion, moving
+
+
+def _no_orientation(table: Table, foot: str | None) -> Reference:
+    raise ReferenceError(f"{table.path}: orientations are held against a sensor alone; name no other reference")
+
+
+def _end(table: Table, foot: str | None) -> Reference:
+    feet = table.feet(foot)
+    known = [table.numbers(name) if name in table.columns else np.full(table.rows, np.nan) for name in _ENDS]
+    if len(set(feet)) < len(feet) or not np.isfinite(known).any() or np.nanmin(known[0], initial=0.0) < 0.0:
+        raise ReferenceError(f"{table.path}: needs one row a foot, with end_distance (not negative) or end_height")
+    ends = (ReferenceEnd(feet[k], float(known[0][k]), float(known[1][k])) for k in range(table.rows))
+    return Reference((str(table.path),), ends=tuple(ends))

@@ -1,0 +1,282 @@
+"""The whole evaluation: clocks, frames, pairs, and their agreement.
+
+What can be held against a reference: names, units as people read them, and what each is.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from fes.evaluation.agreement import Differences, Icc, Interval, Line, differences, icc_2_1, line_through
+from fes.evaluation.reference.alignment import MOST_S, Synchrony, looks_like_lab, synchronise, to_belt
+from fes.evaluation.reference.compare import TOLERANCE_S, Comparison, Count, Estimate, Pair, compare, swing_s
+from fes.evaluation.reference.paths import compare_path
+from fes.evaluation.reference.types import POINTS, MarkerPath, Reference, ReferenceError
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """``factor`` from SI to ``unit``.
+
+    An ``instant`` is a moment, or a single value of a whole walk: its size says nothing, only its error.
+    """
+
+    name: str
+    label: str
+    unit: str
+    factor: float
+    digits: int
+    about: str
+    instant: bool = False
+
+
+_DEG: Final = 57.29577951308232
+
+_TABLE: Final = (
+    Quantity("initial_contact_s", "Initial contact", "ms", 1e3, 1, "when the foot touches the ground", True),
+    Quantity("foot_off_s", "Foot off", "ms", 1e3, 1, "when the toe leaves the ground", True),
+    Quantity("stride_time_s", "Stride time", "ms", 1e3, 1, "initial contact to the next of the same foot"),
+    Quantity("stance_time_s", "Stance time", "ms", 1e3, 1, "initial contact to foot off"),
+    Quantity("swing_time_s", "Swing time", "ms", 1e3, 1, "foot off to initial contact"),
+    Quantity("stride_length_m", "Stride length", "cm", 100.0, 2, "horizontal way of one foot in one stride"),
+    Quantity("clearance_m", "Clearance, sensor", "cm", 100.0, 2, "greatest height of the sensor above its start"),
+    Quantity("toe_clearance_m", "Clearance, toe", "cm", 100.0, 2, "least height of the toe in mid-swing"),
+    Quantity("heel_clearance_m", "Clearance, heel", "cm", 100.0, 2, "greatest height of the heel"),
+    Quantity("height_gained_m", "Height gained", "cm", 100.0, 2, "height of the stride's end above its start; stairs"),
+    Quantity("foot_strike_rad", "Foot-strike angle", "deg", _DEG, 2, "sole at contact, toe-up positive"),
+    Quantity("speed_mps", "Walking speed", "m/s", 1.0, 3, "stride length over stride time"),
+    Quantity(
+        "end_distance_m", "End from start", "cm", 100.0, 1, "horizontal way from the walk's start to its end", True
+    ),
+    Quantity("end_height_m", "End above start", "cm", 100.0, 1, "height of the walk's end above its start", True),
+    Quantity("inclination_x_rad", "Inclination of x", "deg", _DEG, 2, "angle of the sensor's x axis to the vertical"),
+    Quantity("inclination_z_rad", "Inclination of z", "deg", _DEG, 2, "angle of the sensor's z axis to the vertical"),
+)
+QUANTITIES: Final = {quantity.name: quantity for quantity in _TABLE}
+
+
+BOTH: Final = "both feet"
+FRAMES: Final = ("auto", "lab", "ground")
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How to hold a reference against an estimate; ``belt_mps`` and ``belt_axis`` for a path in the lab's frame.
+
+    ``compare_belt``: the walking speed against that of the belt, too (always, where the reference holds its speed).
+    """
+
+    frame: str = "auto"
+    belt_mps: float | None = None
+    belt_axis: str | None = None
+    compare_belt: bool = False
+    fit_lag: bool = False
+    lag_s: float | None = None
+    most_lag_s: float = MOST_S
+    tolerance_s: float = TOLERANCE_S
+
+
+@dataclass(frozen=True, slots=True)
+class AgreementRow:
+    """How well one quantity of one foot (or both) agrees, SI."""
+
+    quantity: str
+    foot: str
+    reference_mean: float
+    estimate_mean: float
+    differences: Differences
+    icc: Icc
+    line: Line
+
+    @property
+    def about(self) -> Quantity:
+        """Its label and unit."""
+        return QUANTITIES[self.quantity]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """All of it; ``notes`` say what was assumed, ``warnings`` what may be wrong."""
+
+    estimate: Estimate
+    sources: tuple[str, ...]
+    synchrony: Synchrony
+    pairs: tuple[Pair, ...]
+    counts: tuple[Count, ...]
+    rows: tuple[AgreementRow, ...]
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def evaluate(estimate: Estimate, reference: Reference, settings: Settings | None = None) -> Evaluation:
+    """Bring the reference to the recording's clock and the belt's frame, pair, and work out the agreement.
+
+    Raises:
+        ReferenceError: the reference fits nothing that was estimated.
+    """
+    chosen = settings or Settings()
+    reference = _own_feet(reference, estimate)
+    notes, paths = list(reference.notes), []
+    for path in sorted(reference.paths, key=lambda path: POINTS.index(path.point)):  # the sensor's own marker first
+        moved, said = _framed(path, reference, chosen)
+        paths.append(moved)
+        notes += said
+    reference = replace(reference, paths=tuple(paths))
+    timeless = not (reference.events or reference.strides or reference.paths)  # a belt's speed, a walk's end
+    if timeless and not chosen.fit_lag:
+        synchrony = Synchrony(chosen.lag_s or 0.0, "", None)
+    else:
+        synchrony = synchronise(reference, estimate, fit=chosen.fit_lag, given_s=chosen.lag_s, most_s=chosen.most_lag_s)
+    reference = reference.shifted(synchrony.applied_s)
+    warnings = list(synchrony.warnings)
+    comparison = compare(reference, estimate, tolerance_s=chosen.tolerance_s)
+    for path in reference.paths:
+        comparison = _added(comparison, compare_path(path, estimate))
+    if chosen.compare_belt or len(reference.belt):
+        comparison = _added(comparison, _belt_speed(reference, estimate, chosen))
+    comparison = comparison.joined(_ends(reference, estimate))
+    if not comparison.pairs:
+        raise ReferenceError(
+            f"{', '.join(reference.sources)}: nothing in it fits what was found in the recording; "
+            f"{_spans(reference, estimate)}. Is it the same walk, on the same clock (--sync fit)?"
+        )
+    if synchrony.fitted_to_events:
+        warnings.append("the lag was fitted to the events: their mean error says nothing, SD and durations do")
+    return Evaluation(
+        estimate,
+        reference.sources,
+        synchrony,
+        comparison.pairs,
+        comparison.counts,
+        rows_of(comparison.pairs),
+        tuple(notes),
+        tuple(warnings),
+    )
+
+
+def rows_of(pairs: tuple[Pair, ...]) -> tuple[AgreementRow, ...]:
+    """A row for each quantity and foot, and one for both feet together where there are two."""
+    rows = []
+    for name in QUANTITIES:
+        mine = [pair for pair in pairs if pair.quantity == name]
+        feet = sorted({pair.foot for pair in mine})
+        for foot in feet:
+            rows.append(agreement(name, foot, [pair for pair in mine if pair.foot == foot]))
+        if len(feet) > 1:
+            rows.append(agreement(name, BOTH, mine))
+    return tuple(rows)
+
+
+def agreement(quantity: str, foot: str, pairs: list[Pair]) -> AgreementRow:
+    """The agreement of these pairs; of instants neither ICC nor line, for their size says nothing."""
+    true, ours = (np.array([getattr(pair, side) for pair in pairs]) for side in ("reference", "estimate"))
+    nan = float("nan")
+    none = Interval(nan)
+    instant = QUANTITIES[quantity].instant
+    return AgreementRow(
+        quantity,
+        foot,
+        nan if instant else float(true.mean()),
+        nan if instant else float(ours.mean()),
+        differences(true, ours),
+        Icc(nan, nan, nan) if instant else icc_2_1(np.column_stack([true, ours])),
+        Line(none, none, nan, none) if instant else line_through(true, ours),
+    )
+
+
+def _own_feet(reference: Reference, estimate: Estimate) -> Reference:
+    """Without what is of feet that the recording does not have.
+
+    Raises:
+        ReferenceError: nothing is left.
+    """
+    feet = set(estimate.feet)
+    parts = (reference.events, reference.strides, reference.paths, reference.ends)
+    others = {each.foot for part in parts for each in part} - feet
+    if not others:
+        return reference
+    left = replace(
+        reference,
+        events=tuple(event for event in reference.events if event.foot in feet),
+        strides=tuple(stride for stride in reference.strides if stride.foot in feet),
+        paths=tuple(path for path in reference.paths if path.foot in feet),
+        ends=tuple(end for end in reference.ends if end.foot in feet),
+        notes=(*reference.notes, f"not looked at, for the recording has no such sensor: {', '.join(sorted(others))}"),
+    )
+    if not left:
+        raise ReferenceError(
+            f"{', '.join(reference.sources)}: tells of {', '.join(sorted(others))}, and the recording of "
+            f"{', '.join(sorted(feet)) or 'no foot that could be followed'}"
+        )
+    return left
+
+
+def _framed(path: MarkerPath, reference: Reference, settings: Settings) -> tuple[MarkerPath, list[str]]:
+    """The path in the frame of the ground or the belt, and what was done in words."""
+    belt = reference.belt
+    if not len(belt) and settings.belt_mps:
+        belt = np.array([[path.t_s[0], settings.belt_mps], [path.t_s[-1], settings.belt_mps]])
+    if settings.frame == "ground" or (settings.frame == "auto" and not len(belt)):
+        return path, []
+    if not len(belt):
+        raise ReferenceError(
+            "a path in the lab's frame needs the belt's speed: --belt-speed M/S, or a table t_s, speed_mps"
+        )
+    if settings.frame == "auto" and not looks_like_lab(path, belt):
+        return path, [f"{path.foot.replace('_', ' ')}, {path.point}: goes as far as the belt, so taken as it is"]
+    moved = to_belt(path, belt, settings.belt_axis)
+    return moved.path, [
+        f"{path.foot.replace('_', ' ')}, {path.point}: moved to the belt's frame along {moved.axis} (Negård et al., "
+        f"Eq. 21), where the standing foot is left with {100 * moved.standing_mps:.1f} cm/s"
+    ]
+
+
+def _belt_speed(reference: Reference, estimate: Estimate, settings: Settings) -> Comparison:
+    """Each valid stride's speed against the belt's during it: right on average, not stride by stride."""
+    pairs = []
+    for foot in estimate.feet:
+        for stride in estimate.of(foot):
+            begin, end, at = 1e-9 * stride.t_start_ns, 1e-9 * stride.t_end_ns, swing_s(stride)
+            speed = settings.belt_mps or 0.0
+            if len(reference.belt):
+                t_s, known = reference.belt.T
+                if begin < t_s[0] or end > t_s[-1]:
+                    continue
+                speed = float(np.interp(np.linspace(begin, end, 50), t_s, known).mean())
+            if stride.valid and speed > 0.05:
+                pairs.append(Pair("speed_mps", foot, at, speed, stride.speed_mps))
+    return Comparison(tuple(pairs), ())
+
+
+def _ends(reference: Reference, estimate: Estimate) -> Comparison:
+    """Where whole walks ended; heights only where the ground was not said to be level."""
+    pairs = []
+    for end in reference.ends:
+        if end.foot not in estimate.ends:
+            continue
+        values = (("end_distance_m", end.distance_m), ("end_height_m", math.nan if estimate.level else end.height_m))
+        for (name, true), ours in zip(values, estimate.ends[end.foot], strict=True):
+            if math.isfinite(true):
+                pairs.append(Pair(name, end.foot, estimate.end_s, true, ours))
+    return Comparison(tuple(pairs), ())
+
+
+def _added(first: Comparison, second: Comparison) -> Comparison:
+    """Both, every quantity of a foot from one source only: the first that gives it."""
+    told = {(pair.quantity, pair.foot) for pair in first.pairs}
+    return Comparison(
+        first.pairs + tuple(pair for pair in second.pairs if (pair.quantity, pair.foot) not in told),
+        first.counts + second.counts,
+    )
+
+
+def _spans(reference: Reference, estimate: Estimate) -> str:
+    times = [event.t_s for event in reference.events]
+    times += [t for stride in reference.strides for t in (stride.t_start_s, stride.t_end_s)]
+    times += [float(path.t_s[k]) for path in reference.paths for k in (0, -1)]
+    span = f"{min(times):.1f}–{max(times):.1f} s" if times else "no time"
+    return f"it covers {span}, the recording {estimate.begin_s:.1f}–{estimate.end_s:.1f} s"

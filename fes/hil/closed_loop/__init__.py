@@ -1,0 +1,1 @@
+"""The closed loop on a virtual patient: in real time as processes, or in one process and faster."""

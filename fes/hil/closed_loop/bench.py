@@ -1,0 +1,216 @@
+"""A virtual patient and a simulated stimulator as processes, joined by delivered pulses, and their session file.
+
+sensors' lines ← patient ← pulses ← stimulator ← its line. What is between the two lines, ``fes run``, is not started
+here: whoever has the session file starts it.
+
+Start a virtual patient's process, hear of its strides, tell it what happens, and be sure to end it.
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from drivers.imu.port import ImuLost
+from drivers.simulated.process_handle import ProcessHandle
+from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
+from fes.calibration.recording import save
+from fes.config import StimulatorDevice
+from fes.hil.closed_loop.session import CURRENT_MA, calibration_of, session_text
+from fes.simulation.forward import PatientSettings, VirtualStride
+from fes.simulation.forward.settings import to_plain
+
+
+class PatientHandle(ProcessHandle):
+    """A running patient: ``ports`` by sensor, ``start_ns`` the host's time at which its own began.
+
+    ``summary`` is known once it has stopped.
+    """
+
+    def __init__(self, arguments: Sequence[str], timeout_s: float) -> None:
+        self.ports: dict[str, str] = {}
+        self.start_ns = 0
+        self.summary: dict[str, Any] = {}
+        self._strides: list[VirtualStride] = []
+        module = "fes.hil.closed_loop.patient_process"
+        super().__init__("the virtual patient", module, arguments, lost=ImuLost, timeout_s=timeout_s)
+
+    def _take(self, ready: Mapping[str, Any]) -> None:
+        super()._take(ready)
+        self.ports, self.start_ns = dict(ready["ports"]), int(ready["start_ns"])
+
+    def _hear(self, said: Mapping[str, Any]) -> bool:
+        if "stride" in said:
+            self._strides.append(VirtualStride(**said["stride"]))
+        elif "summary" in said and "done" not in said:
+            self.summary = said["summary"]
+        else:
+            return False
+        return True
+
+    @property
+    def now_s(self) -> float:
+        """The patient's own time now."""
+        return (time.monotonic_ns() - self.start_ns) * 1e-9
+
+    def new_strides(self) -> list[VirtualStride]:
+        """Strides of the affected foot that were completed since the last call."""
+        self.listen()
+        strides, self._strides = self._strides, []
+        return strides
+
+    def do(self, deed: str, value: float = 0.0) -> int:
+        """Let something happen to it: walk, stand, speed, electrode, fitness; returns when, CLOCK_MONOTONIC ns.
+
+        Raises:
+            ImuLost: it does not know that, or is gone.
+        """
+        return int(self.ask({"do": deed, "value": value})["t_ns"])
+
+    def fault(self, name: str, value: float = 1.0, sensor: str = "") -> int:
+        """Bring a fault of a worn sensor about, without ``sensor`` of all; returns when.
+
+        Raises:
+            ImuLost: it does not know it, or is gone.
+        """
+        return int(self.ask({"fault": name, "value": value, "sensor": sensor})["t_ns"])
+
+    def hold(self, held: bool) -> int:
+        """A patient who walks in turns stands for as long as this holds; returns when it was told.
+
+        Raises:
+            ImuLost: it is gone.
+        """
+        return int(self.ask({"hold": held})["t_ns"])
+
+    def begin(self) -> None:
+        """Let the time of a patient begin that was started ``held``.
+
+        Raises:
+            ImuLost: it has begun already, or is gone.
+        """
+        self.start_ns = int(self.ask({"begin": True})["start_ns"])
+
+    def replug(self, sensor: str) -> str:
+        """Another line in the place of a sensor's; its port.
+
+        Raises:
+            ImuLost: it is gone.
+        """
+        self.ports[sensor] = str(self.ask({"replug": sensor})["port"])
+        return self.ports[sensor]
+
+    def punctuality(self) -> dict[str, Any]:
+        """How late it was so far, and what reached it.
+
+        Raises:
+            ImuLost: it is gone.
+        """
+        found: dict[str, Any] = self.ask({"ask": "summary"})["summary"]
+        return found
+
+
+def spawn_patient(
+    pulses: Path,
+    settings: PatientSettings,
+    *,
+    cycle_s: tuple[float, float] | None = None,
+    waits: bool = False,
+    held: bool = False,
+    timeout_s: float = 180.0,
+) -> PatientHandle:
+    """Start ``python -m fes.hil.closed_loop.patient_process`` and wait until its time has begun (at first it may
+    compile).
+
+    Args:
+        pulses: the socket that the stimulator tells its pulses to; made by the patient.
+        settings: who it is.
+        cycle_s: walk and stand in turns, so many seconds each.
+        waits: stand until told to walk.
+        held: its time begins with :meth:`PatientHandle.begin`; until then its sensors are silent.
+        timeout_s: until it must be there.
+
+    Raises:
+        ImuLost: it ended, or was not ready in time.
+    """
+    arguments = ["--pulses", str(pulses), "--settings", json.dumps(to_plain(settings))]
+    arguments += [] if cycle_s is None else ["--cycle", *map(str, cycle_s)]
+    arguments += (["--waits"] if waits else []) + (["--held"] if held else [])
+    return PatientHandle(arguments, timeout_s)
+
+
+STIMULATORS: Final[dict[str, DeviceKind | None]] = {
+    "can": None,
+    "p24_low_level": "sciencemode4",
+    "rehastim2": "sciencemode2",
+}
+SESSION_NAME: Final = "session.toml"
+CALIBRATION_NAME: Final = "patient.calibration.json"
+
+
+@dataclass(slots=True)
+class PatientBench:
+    """What runs; ``session`` and ``calibration`` are the files that ``fes run`` needs."""
+
+    settings: PatientSettings
+    folder: Path
+    session: Path
+    calibration: Path
+    patient: PatientHandle
+    stimulator: NodeHandle | DeviceHandle
+
+
+def start_patient_bench(
+    settings: PatientSettings,
+    folder: Path,
+    stack: ExitStack,
+    *,
+    stimulator: str = "can",
+    current_ma: float = CURRENT_MA,
+    tuning: str = "act",
+    waits: bool = False,
+    held: bool = False,
+    cycle_s: tuple[float, float] | None = None,
+) -> PatientBench:
+    """Start both, calibrate on a walk of the same patient, write the session file; ``stack`` ends the processes.
+
+    Args:
+        settings: the patient.
+        folder: for the files; must exist.
+        stimulator: one of :data:`STIMULATORS`.
+        current_ma: the session's to begin with.
+        tuning: off, suggest or act.
+        waits: the patient stands until told to walk.
+        held: its time begins when told to.
+        cycle_s: it walks and stands in turns, so many seconds each.
+
+    Raises:
+        ImuLost, StimulatorLost: one does not start.
+        CalibrationError: this patient's walk does not show enough to calibrate on.
+    """
+    calibration = folder / CALIBRATION_NAME
+    save(calibration_of(settings), calibration)
+    # a socket's name may have 107 bytes, less than many a folder's
+    pulses = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fes-"))) / "pulses"
+    patient = spawn_patient(pulses, settings, waits=waits, held=held, cycle_s=cycle_s)
+    stack.callback(patient.stop)
+    record = folder / "stimulator.jsonl"
+    kind = STIMULATORS[stimulator]
+    device: NodeHandle | DeviceHandle
+    if kind is None:
+        device = spawn_node(record=record, pulses=pulses)
+        where, bus = StimulatorDevice(), device.bus
+    else:
+        device = spawn_device(kind, record=record, pulses=pulses)
+        where, bus = StimulatorDevice.model_validate({"device": stimulator, "port": device.port}), None
+    stack.callback(device.stop)
+    session = folder / SESSION_NAME
+    text = session_text(settings, current_ma=current_ma, tuning=tuning, ports=patient.ports, stimulator=where, bus=bus)
+    session.write_text(text, encoding="utf-8")
+    return PatientBench(settings, folder, session, calibration, patient, device)

@@ -1,0 +1,166 @@
+"""A closed-loop run in one process, on the patient's own time: no clock, no waiting, the same bytes every time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.simulated.stimulator.in_process import InProcessStimulator
+from fes import __version__
+from fes.config import Session
+from fes.control.controller import Controller
+from fes.control.replay import LOG_FORMAT, identity
+from fes.control.runner import Runner
+from fes.control.sources import with_ticks
+from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
+from fes.gate import gate_of
+from fes.hil.closed_loop.processes import Happening, Protocol
+from fes.session_log import Note, SessionWriter
+from fes.signals import NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction, Vector3
+from fes.simulation.forward import PatientSettings, VirtualPatient, VirtualStride
+from fes.simulation.forward.closed_loop import PulseSource, do_to, patient_events
+
+_ACTS = {
+    "arm": OperatorAction.ARM,
+    "freeze_tuning": OperatorAction.FREEZE_TUNING,
+    "resume_tuning": OperatorAction.RESUME_TUNING,
+    "accept_suggestion": OperatorAction.ACCEPT_SUGGESTION,
+    "roll_back": OperatorAction.ROLL_BACK,
+}
+
+
+class ListenedLog(SessionWriter):
+    """The session log; the notes that are told to people are also given to ``heard``."""
+
+    def __init__(self, path: Path, header: dict[str, Any], heard: Callable[[Note], None]) -> None:
+        super().__init__(path, header)
+        self._heard = heard
+
+    def note(self, note: Note) -> None:
+        """As the log's."""
+        super().note(note)
+        self._heard(note)
+
+
+def run_in_one_process(
+    settings: PatientSettings,
+    session: Session,
+    calibrations: Mapping[str, Calibration],
+    course: Protocol,
+    log_path: Path,
+    created: str,
+    *,
+    on_stride: Callable[[VirtualStride], None] = lambda stride: None,
+    on_note: Callable[[Note], None] = lambda note: None,
+    after: Callable[[Event], None] = lambda event: None,
+) -> VirtualPatient:
+    """Run a course with everything in this process; the patient as it is afterwards.
+
+    The samples are rounded to what the sensors' lines carry (single precision), as between processes.
+
+    Args:
+        settings: the patient.
+        session: the controller's.
+        calibrations: by sensor.
+        course: what happens when.
+        log_path: of the session log, which must not be there.
+        created: an ISO time for the log.
+        on_stride: told every stride of the affected foot.
+        on_note: told every remark in the log.
+        after: called after every event; may raise to end the run.
+
+    Raises:
+        SessionLogError: the log cannot be written.
+    """
+    patient = VirtualPatient(settings)
+    numbers = identity(f"{__version__}{settings!r}{course!r}", session)
+    header = _header(settings, session, calibrations, numbers.session_id, created)
+    log = ListenedLog(log_path, header, on_note)
+    stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
+    ended = "interrupted"
+    told = 0
+
+    def see(event: Event) -> None:
+        nonlocal told
+        for stride in patient.strides[told:]:
+            if stride.foot == settings.affected_foot:
+                on_stride(stride)
+        told = len(patient.strides)
+        after(event)
+
+    controller = Controller(session, calibrations)
+    try:
+        handshake = stimulator.start(0)
+        gate = gate_of(
+            session, {sensor: each.up for sensor, each in calibrations.items()}, shank_phase_sensors(calibrations)
+        )
+        runner = Runner(controller, gate, stimulator, log, lambda: 0)
+        for frame in handshake.frames:
+            log.frame(frame)
+        for alive in handshake.alive:
+            runner.handle(alive)
+        runner.run(with_ticks(_events(patient, stimulator, session, course)), see)
+        ended = "complete"
+    finally:
+        stimulator.close()
+        log.close({"ended": ended, "dose": controller.tuning.ledger.to_dict()})
+    return patient
+
+
+def _events(patient: VirtualPatient, pulses: PulseSource, session: Session, course: Protocol) -> Iterator[Event]:
+    """The patient's samples and the course's orders, each right after the samples of its time; deeds are done."""
+    due = list(course.happenings)
+    newest_ns = 0
+    for event in patient_events(patient, pulses, course.seconds):
+        if event.t_ns > newest_ns:
+            newest_ns = event.t_ns
+            while due and due[0].t_s * NS_PER_S < event.t_ns:
+                yield from _happen(due.pop(0), newest_ns, patient, session)
+        yield _as_carried(event)
+    yield OperatorAct(newest_ns, OperatorAction.DISARM)  # as who quits a live session
+
+
+def _happen(one: Happening, t_ns: int, patient: VirtualPatient, session: Session) -> Iterator[Event]:
+    if one.what == "full":
+        yield OperatorAct(t_ns, OperatorAction.SET_INTENSITY, session.stimulation.intensity)
+    elif one.what in _ACTS:
+        if one.what == "arm":
+            yield OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0)
+        yield OperatorAct(t_ns, _ACTS[one.what], one.value)
+    else:
+        do_to(patient, one.what, one.value)
+
+
+def _as_carried(event: Event) -> Event:
+    """The sample as it comes out of a line that carries single precision."""
+    if not isinstance(event, ImuSample):
+        return event
+    return replace(event, acc_mps2=_single(event.acc_mps2), gyr_radps=_single(event.gyr_radps))
+
+
+def _single(values: Vector3) -> Vector3:
+    x, y, z = (float(np.float32(value)) for value in values)
+    return x, y, z
+
+
+def _header(
+    settings: PatientSettings, session: Session, calibrations: Mapping[str, Calibration], session_id: int, created: str
+) -> dict[str, Any]:
+    return {
+        "format": LOG_FORMAT,
+        "fes_version": __version__,
+        "kind": "simulated",
+        "created": created,
+        "recording": {
+            "name": session.name,
+            "rates_hz": dict.fromkeys(settings.sensors, settings.rate_hz),
+            "belt_speed_mps": settings.speed_mps,
+        },
+        "session": session.model_dump(mode="json"),
+        "calibration": {sensor: calibration.to_dict() for sensor, calibration in calibrations.items()},
+        "stim_session_id": session_id,
+    }

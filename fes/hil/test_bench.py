@@ -1,0 +1,322 @@
+"""Everything that a campaign runs: devices, the session under test, the scripted operator; and waiting for things.
+
+A simulated stimulator's record, read on from where it was read before.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, Protocol
+
+from drivers.simulated.stimulator.firmware import RecordEntry
+from fes.hil.baseline import Gap
+from fes.hil.controller import Child, ControllerProcess, ScriptedOperator, uninterrupted
+from fes.hil.devices import Devices
+from fes.hil.judge import MS, Output, Outputs, on_at
+from fes.hil.scenarios import Needs, Scenario
+from fes.live.status import Status
+from fes.signals import NS_PER_S
+
+LOOK_S: Final = 0.004
+ORDER_EVERY_S: Final = 0.16  # intensity is raised at most every 150 ms
+START_S: Final = 60.0
+ALLOWED: Final = ("armed", "running")
+LOST_TIME: Final = ("stalled for", "ms old", "ms late", "no answer", "unanswered", "no heartbeat", "lease expired")
+KEPT_NS: Final = 600 * NS_PER_S
+ARM_S: Final = 30.0
+BURST_S: Final = 30.0
+TRIGGER_EVERY_S: Final = 1.5  # a burst by hand lasts 1 s and falls
+
+
+class Bench(Protocol):
+    """What a session under test is run against: simulated devices, or real ones."""
+
+    @property
+    def folder(self) -> Path:
+        """For all files of the campaign."""
+        ...
+
+    @property
+    def calibration(self) -> Path:
+        """Of the sensors."""
+        ...
+
+    @property
+    def intensity(self) -> float:
+        """That the operator raises to."""
+        ...
+
+    def session_file(self, number: int, variant: str) -> Path:
+        """Settings for the campaign's ``number``-th session."""
+        ...
+
+    def news(self) -> list[RecordEntry]:
+        """What the stimulator's end of the line has said since the last call."""
+        ...
+
+    def processes(self) -> list[int]:
+        """Ids of those that must keep their time whatever happens to the controller."""
+        ...
+
+
+class CampaignBroken(RuntimeError):
+    """The session under test does not come up, or does not stimulate though nothing is wrong."""
+
+
+@dataclass(slots=True)
+class TestBench:
+    """See the module; make one, :meth:`prepare` it for each row, :meth:`close` it."""
+
+    bench: Bench
+    can_do: frozenset[Needs]
+    stack: ExitStack
+    by_hand: bool = False  # nobody walks: bursts are triggered by hand
+    variant: str = ""
+    controller: ControllerProcess | None = None
+    operator: ScriptedOperator | None = None
+    runs: int = 0
+    unasked: list[str] = field(default_factory=list)  # reasons for which the session went off before any fault
+    away: list[str] = field(default_factory=list)  # such reasons where this machine had taken the processor away
+    gaps: Callable[[int], list[Gap]] = field(default=lambda since_ns: [])  # when that was, since then
+    sent: int = 0  # by whoever else is on the bus, with identifiers that the stimulator listens to
+    value: float = 0.0  # what the fault is brought about with this time
+    orphans: list[Child] = field(default_factory=list)  # what a killed session leaves behind
+    heard: list[RecordEntry] | None = None  # the record's entries are kept here, when it is a list
+    _outputs: Outputs = field(default_factory=Outputs)
+    _watched_s: float = field(default=0.0)
+    _trigger_s: float = field(default=0.0)
+    _order_s: float = field(default=0.0)
+
+    @property
+    def devices(self) -> Devices:
+        """The simulated ones.
+
+        Raises:
+            CampaignBroken: the devices are real.
+        """
+        if not isinstance(self.bench, Devices):
+            raise CampaignBroken("this fault needs simulated devices")
+        return self.bench
+
+    # --- the session under test --------------------------------------------------------------------------
+
+    def prepare(self, variant: str, *, walks: bool = True) -> None:
+        """A session of this kind is running, armed by hand while the patient stands, and raised; they walk on, or not.
+
+        Raises:
+            CampaignBroken: it cannot be brought there.
+        """
+        self.start(variant)
+        self.outputs()
+        self._outputs.forget(time.monotonic_ns() - KEPT_NS)
+        self.arm(walks=walks)
+
+    def start(self, variant: str) -> None:
+        """A session of this kind is running.
+
+        Raises:
+            CampaignBroken: it does not come up.
+        """
+        if self.controller is not None and (not self.controller.alive or variant != self.variant):
+            self.end_session()
+        if self.controller is None:
+            self._start(variant)
+
+    def arm(self, *, walks: bool = True) -> None:
+        """By hand, as often as it takes until the patient stands still; then up to the campaign's intensity.
+
+        Raises:
+            CampaignBroken: the session refuses for too long.
+        """
+        if walks and self.ready():
+            return
+        try:
+            self.stand(True)
+            self.until(self._is_ready, self._next_order, ARM_S, "it cannot be armed and raised")
+        finally:
+            if walks:
+                self.stand(False)
+
+    def keep_armed(self) -> None:
+        """As :meth:`arm`, but without waiting: call it again and again while something else is being done."""
+        status = self.status()
+        if status is None or self.ready() or time.monotonic() < self._order_s:
+            return
+        self._order_s = time.monotonic() + ORDER_EVERY_S
+        self.stand(status.state not in ALLOWED)
+        self.order(self._next_order(status))
+
+    def ready(self) -> bool:
+        """Whether the session is armed and raised already."""
+        status = self.status()
+        return status is not None and self._is_ready(status)
+
+    def went_off(self, reason: str) -> None:
+        """The session went off with no fault injected: put down why, and whether it was this machine."""
+        now_ns = time.monotonic_ns()
+        (self.away if self.was_away(reason, now_ns - NS_PER_S, now_ns) else self.unasked).append(reason)
+
+    def was_away(self, reason: str, since_ns: int, until_ns: int) -> bool:
+        """Whether this reason speaks of lost time, and an idle loop lost time as well between these moments."""
+        if not any(word in reason for word in LOST_TIME):
+            return False
+        return any(due_ns + late_ms * MS >= since_ns and due_ns <= until_ns for due_ns, late_ms in self.gaps(0))
+
+    def end_session(self) -> None:
+        """Whatever state it is in."""
+        if self.controller is not None:
+            self.controller.end()
+            self.controller = None
+        if self.operator is not None:
+            self.operator.close()
+            self.operator = None
+
+    def close(self) -> None:
+        """End the session; the devices belong to whoever started them."""
+        self.end_session()
+
+    def session(self) -> ControllerProcess:
+        """The running one."""
+        if self.controller is None:
+            raise CampaignBroken("there is no session")
+        return self.controller
+
+    def order(self, ask: str) -> None:
+        """As the operator."""
+        if self.operator is not None:
+            self.operator.order(ask)
+
+    # --- waiting -----------------------------------------------------------------------------------------
+
+    def until(
+        self,
+        what: Callable[[Status], bool],
+        order: Callable[[Status], str] | None,
+        timeout_s: float,
+        else_say: str,
+    ) -> Status:
+        """Wait for a status, ordering meanwhile what that of the moment asks for.
+
+        Raises:
+            CampaignBroken: it did not come in time, or the session has ended.
+        """
+        end_s, next_s = time.monotonic() + timeout_s, 0.0
+        while time.monotonic() < end_s:
+            status = self.status()
+            if status is not None and what(status):
+                return status
+            if not self.session().alive:
+                raise CampaignBroken(f"the session has ended; it said: {self.session().said()}")
+            if order is not None and status is not None and time.monotonic() >= next_s:
+                next_s = time.monotonic() + ORDER_EVERY_S
+                self.order(order(status))
+            time.sleep(2 * LOOK_S)
+        status = self.status()
+        last = f"{status.state}: {status.message}" if status else self.session().said()
+        raise CampaignBroken(f"{else_say} for {timeout_s:g} s; last: {last}")
+
+    def status(self) -> Status | None:
+        """The newest; None as long as the session says nothing."""
+        if self.operator is None:
+            return None
+        if time.monotonic() - self._watched_s > 1.0:
+            self._watched_s = time.monotonic()
+            self.operator.watch()
+        return self.operator.listen()
+
+    def in_burst(self, since_on_ms: float) -> Output:
+        """Wait until current has been on for this long, at the stimulator's end; that stretch of current.
+
+        Raises:
+            CampaignBroken: no burst in half a minute.
+        """
+        end_s = time.monotonic() + BURST_S
+        while time.monotonic() < end_s:
+            self._trigger()
+            now_ns = time.monotonic_ns()
+            output = on_at(self.outputs(now_ns - NS_PER_S), now_ns)
+            if output is not None and now_ns - output.on_ns >= since_on_ms * MS:
+                return output
+            if not self.session().alive:
+                raise CampaignBroken(f"the session has ended; it said: {self.session().said()}")
+            status = self.status()
+            if status is not None and status.state in LATCHED:
+                self.went_off(status.fault)
+                self.arm()
+                end_s = time.monotonic() + BURST_S
+            time.sleep(LOOK_S)
+        status = self.status()
+        raise CampaignBroken(f"no burst for {BURST_S:g} s; last: {status}")
+
+    def outputs(self, since_ns: int = 0) -> list[Output]:
+        """What the stimulator has put out since then, as far as it is kept: ten minutes."""
+        news = self.bench.news()
+        self._outputs.take(news)
+        if self.heard is not None:
+            self.heard += news
+        return self._outputs.so_far(time.monotonic_ns(), since_ns)
+
+    def watch(self, seconds: float, over: Callable[[], bool] = lambda: False) -> None:
+        """Let time pass, keeping up with what the session says; where nobody walks, bursts are asked for meanwhile."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and not over():
+            self._trigger()
+            self.status()
+            time.sleep(2 * LOOK_S)
+
+    def _is_ready(self, status: Status) -> bool:
+        return status.state in ALLOWED and status.intensity >= self.bench.intensity - 1e-6
+
+    @staticmethod
+    def _next_order(status: Status) -> str:
+        return "up" if status.state in ALLOWED else "arm"
+
+    def stand(self, stands: bool) -> None:
+        """The simulated patient stays standing once they stand, or walks on; nobody else can be told."""
+        if isinstance(self.bench, Devices):
+            self.bench.stand(stands)
+
+    def _trigger(self) -> None:
+        if self.by_hand and time.monotonic() >= self._trigger_s:
+            self._trigger_s = time.monotonic() + TRIGGER_EVERY_S
+            self.order("trigger")
+
+    def _start(self, variant: str) -> None:
+        self.runs, self.variant = self.runs + 1, variant
+        settings = self.bench.session_file(self.runs, variant)
+        folder = self.bench.folder / f"run{self.runs}"
+        seen = variant == "seen"
+        with uninterrupted():
+            self.controller = ControllerProcess(settings, self.bench.calibration, folder, view=seen, page=seen)
+        self.operator = ScriptedOperator(self.controller.control, folder / "operator")
+        self._watched_s = 0.0
+        self.stand(True)  # so that the patient is at rest when the session is ready
+        if variant == "button":
+            self.devices.stop_button()
+        self.until(lambda status: status.state != "off", None, START_S, "the session does not come up")
+
+
+LATCHED: Final = ("fault", "stopped")
+
+
+def named_now(rig: TestBench) -> str:
+    """The session's reason; "" when it gives none."""
+    status = rig.status() if rig.session().alive else None
+    return status.fault if status else ""
+
+
+def is_latched(rig: TestBench) -> bool:
+    """Whether only a person leads on."""
+    status = rig.status()
+    return status is not None and status.state in LATCHED
+
+
+def badly_named(named: str, scenario: Scenario) -> list[str]:
+    """What is wrong with the reason, if anything."""
+    if scenario.restart or not scenario.words or any(word in named for word in scenario.words):
+        return []
+    return [f"the reason given is {named!r}, it should speak of {' or '.join(scenario.words)}"]

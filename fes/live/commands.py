@@ -1,0 +1,189 @@
+"""What an operator can order, from the keyboard or over the control socket, as plain values.
+
+The states of a live session and the table of what may lead from where to where. Pure: no clock, no I/O.
+
+*off*: nothing is decided yet. *shadow*: phases, strides and bursts are decided, none is delivered. *armed*: current is
+allowed. *running*: a foot is judged to walk, so steps start bursts. *paused*: off by choice, one key from armed.
+*stopped* (a person's emergency stop) and *fault* are latched: only a person's arming leads out of them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, NamedTuple
+
+
+class State(StrEnum):
+    """Where a session stands."""
+
+    OFF = "off"
+    SHADOW = "shadow"
+    ARMED = "armed"
+    RUNNING = "running"
+    PAUSED = "paused"
+    STOPPED = "stopped"
+    FAULT = "fault"
+
+
+class Cause(StrEnum):
+    """What can move a session on."""
+
+    READY = "calibrated and warm"
+    ARM = "armed by hand"
+    WALK = "walking"
+    STAND = "not walking"
+    PAUSE = "paused by hand"
+    DISARM = "disarmed by hand"
+    STOP = "emergency stop"
+    FAULT = "fault"
+    QUIT = "ended"
+
+
+class Row(NamedTuple):
+    """One transition."""
+
+    source: State
+    cause: Cause
+    destination: State
+
+
+TABLE: tuple[Row, ...] = (
+    Row(State.OFF, Cause.READY, State.SHADOW),
+    Row(State.SHADOW, Cause.ARM, State.ARMED),
+    Row(State.ARMED, Cause.WALK, State.RUNNING),
+    Row(State.RUNNING, Cause.STAND, State.ARMED),
+    Row(State.ARMED, Cause.PAUSE, State.PAUSED),
+    Row(State.RUNNING, Cause.PAUSE, State.PAUSED),
+    Row(State.PAUSED, Cause.ARM, State.ARMED),
+    Row(State.STOPPED, Cause.ARM, State.ARMED),
+    Row(State.FAULT, Cause.ARM, State.ARMED),
+    *(Row(state, Cause.DISARM, State.SHADOW) for state in (State.ARMED, State.RUNNING, State.PAUSED)),
+    *(Row(state, Cause.STOP, State.STOPPED) for state in State if state is not State.STOPPED),
+    *(Row(state, Cause.FAULT, State.FAULT) for state in State if state not in (State.STOPPED, State.FAULT)),
+    *(Row(state, Cause.QUIT, State.OFF) for state in State if state is not State.OFF),
+)
+CURRENT_ALLOWED = frozenset((State.ARMED, State.RUNNING))
+
+_NEXT = {(row.source, row.cause): row.destination for row in TABLE}
+
+
+class SessionMachine:
+    """Follows the table; a cause that has no row where the session stands changes nothing."""
+
+    def __init__(self) -> None:
+        self.state = State.OFF
+
+    def may(self, cause: Cause) -> bool:
+        """Whether the cause leads anywhere from here."""
+        return (self.state, cause) in _NEXT
+
+    def move(self, cause: Cause) -> bool:
+        """Follow the cause; returns whether it led anywhere."""
+        if not self.may(cause):
+            return False
+        self.state = _NEXT[self.state, cause]
+        return True
+
+
+class Ask(StrEnum):
+    """One thing to do; what it means depends on the session's state."""
+
+    STOP = "stop"
+    ARM = "arm"
+    DISARM = "disarm"
+    PAUSE = "pause"  # and again: resume
+    UP = "up"
+    DOWN = "down"
+    TEST = "test"
+    TRIGGER = "trigger"
+    CHANNEL = "channel"  # which one TEST, TRIGGER, ACCEPT_SUGGESTION and ROLL_BACK are for
+    BELT = "belt"  # set to ``value`` m/s
+    BELT_UP = "belt_up"
+    BELT_DOWN = "belt_down"
+    QUIT = "quit"
+    FREEZE_TUNING = "freeze_tuning"
+    RESUME_TUNING = "resume_tuning"
+    ACCEPT_SUGGESTION = "accept_suggestion"  # of the chosen channel
+    ROLL_BACK = "roll_back"  # the chosen channel to the session's own settings
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """An ask with its ``value`` and where it came from, in words."""
+
+    ask: Ask
+    value: float = 0.0
+    origin: str = "key"
+
+
+KEYS: Final = {
+    " ": Ask.STOP,
+    "a": Ask.ARM,
+    "d": Ask.DISARM,
+    "p": Ask.PAUSE,
+    "+": Ask.UP,
+    "=": Ask.UP,
+    "-": Ask.DOWN,
+    "b": Ask.TEST,
+    "t": Ask.TRIGGER,
+    ">": Ask.BELT_UP,
+    "<": Ask.BELT_DOWN,
+    "q": Ask.QUIT,
+    "f": Ask.FREEZE_TUNING,
+    "g": Ask.RESUME_TUNING,
+    "y": Ask.ACCEPT_SUGGESTION,
+    "r": Ask.ROLL_BACK,
+}
+ESCAPE: Final = re.compile(rb"[\x1b\x8f\x9b]")  # what an arrow, an F key, the keypad, Alt with a letter begins with
+NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
+    (Ask.ARM, Ask.UP, Ask.TEST, Ask.TRIGGER, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK)
+)
+CONTROL: Final = "control"  # the origin of what comes through the control socket
+LONGEST_ORDER: Final = 1024
+LARGEST_VALUE: Final = 1e9
+
+
+class CommandRefused(ValueError):
+    """The message is no order; the text says why."""
+
+
+def orders_of_keys(typed: bytes) -> list[Order]:
+    """The orders in what was typed; a stop among them comes first. Keys that mean nothing are passed over.
+
+    Behind an escape only a stop counts: what a terminal sends for a key that is no letter ends in letters that are
+    orders.
+    """
+    orders: list[Order] = []
+    escape = ESCAPE.search(typed)
+    end = escape.start() if escape else len(typed)
+    for key in typed[:end].decode("latin-1") + " " * (b" " in typed[end:]):
+        if key.isdecimal() and key <= "7":
+            orders.append(Order(Ask.CHANNEL, float(key)))
+        elif key in KEYS:
+            orders.append(Order(KEYS[key]))
+    return sorted(orders, key=lambda order: order.ask is not Ask.STOP)
+
+
+def order_of_message(message: bytes) -> Order:
+    """The order in a control message ``{"ask": "up", "value": 0, "confirm": true}``.
+
+    Raises:
+        CommandRefused: it is none, or one that needs ``"confirm": true`` and has it not.
+    """
+    if len(message) > LONGEST_ORDER:
+        raise CommandRefused(f"an order has at most {LONGEST_ORDER} bytes")
+    try:
+        data = json.loads(message)
+    except (ValueError, RecursionError) as error:
+        raise CommandRefused(f"not JSON: {error}") from error
+    if not isinstance(data, dict) or data.get("ask") not in list(Ask):
+        raise CommandRefused(f'an order is {{"ask": …}} with one of {", ".join(Ask)}')
+    ask, value = Ask(data["ask"]), data.get("value", 0.0)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST_VALUE:
+        raise CommandRefused(f"value must be a number of at most {LARGEST_VALUE:.0e}")
+    if ask in NEEDS_CONFIRMATION and data.get("confirm") is not True:
+        raise CommandRefused(f'{ask} can lead to more current and needs "confirm": true')
+    return Order(ask, float(value), CONTROL)

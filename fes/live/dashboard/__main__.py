@@ -1,0 +1,149 @@
+"""The page's process: ``python -m fes.live.dashboard LISTENING_FD LINK_FD``; it decides nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import signal
+import socket
+import sys
+import time
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import uvicorn
+
+from fes.live.dashboard.frames import DETAIL, END, LARGEST, STATUS, read_detail, read_hello
+from fes.live.dashboard.network_guard import Access, link_address, write_link
+from fes.live.dashboard.server import Server
+from fes.live.dashboard.state_buffer import StateBuffer
+from fes.live.status import Status
+
+STOP: Final = b'{"ask":"stop"}'
+PRESSES: Final = 64  # remembered: each comes over both ways, web socket and request
+AGAIN_S: Final = 0.005
+TRIES: Final = 2000
+FAREWELL_S: Final = 0.2
+
+
+def fresh() -> str:
+    """A token, a secret, an identifier."""
+    return secrets.token_urlsafe(24)
+
+
+class PageProcess:
+    """The link to the session on one side, the server on the other."""
+
+    def __init__(self, listening: socket.socket, link: socket.socket) -> None:
+        self._link = link
+        about = read_hello(link.recv(LARGEST))
+        link.setblocking(False)
+        self._port = int(listening.getsockname()[1])
+        self._listening = listening
+        self._url_file = Path(about.pop("url_file"))
+        self._access = Access(about.pop("token"), fresh)
+        self._board = StateBuffer()
+        self._server = Server(
+            self._board, self._access, about, self._port, fresh, self.stop, self._order, self._entered
+        )
+        self._web = uvicorn.Server(self._config())
+        self._presses: deque[str] = deque(maxlen=PRESSES)
+        self._pending = False
+        self._goodbye: asyncio.TimerHandle | None = None
+
+    def _config(self) -> uvicorn.Config:
+        settings: dict[str, Any] = {
+            "log_config": None,
+            "access_log": False,
+            "lifespan": "off",
+            "loop": "asyncio",
+            "http": "h11",
+            "ws": "websockets-sansio",
+            "ws_max_size": 2048,
+            "ws_ping_interval": 5.0,
+            "ws_ping_timeout": 10.0,
+            "ws_per_message_deflate": False,
+            "proxy_headers": False,
+            "server_header": False,
+            "date_header": False,
+            "limit_concurrency": 64,
+            "timeout_keep_alive": 60,
+            "timeout_graceful_shutdown": 1,
+        }
+        return uvicorn.Config(self._server.app, **settings)
+
+    async def run(self) -> None:
+        """Serve until the session is over."""
+        asyncio.get_running_loop().add_reader(self._link.fileno(), self._hear)
+        await self._web.serve(sockets=[self._listening])
+
+    def stop(self, press: str) -> None:
+        """Hand a stop on; ``press`` is the same for both ways of one press, "" for a stop that has no other way."""
+        if press and press in self._presses:
+            return
+        self._presses.append(press)
+        if not self._pending:
+            self._hand_on(TRIES)
+
+    def _hand_on(self, tries: int) -> None:
+        """Now, and where the link is full, again until it is through."""
+        self._pending = not self._order(STOP) and tries > 0 and not self._board.ended
+        if self._pending:
+            asyncio.get_running_loop().call_later(AGAIN_S, self._hand_on, tries - 1)
+
+    def _order(self, message: bytes) -> bool:
+        try:
+            self._link.send(message)
+        except OSError:
+            return False
+        return True
+
+    def _hear(self) -> None:
+        """All that the session has sent; its end is the page's, after a word of farewell."""
+        while not self._board.ended:
+            try:
+                message = self._link.recv(LARGEST)
+            except BlockingIOError:
+                break
+            except OSError:
+                message = b""
+            with suppress(ValueError):  # of another version: shown is what is understood
+                self._take(message)
+        self._server.changed()
+
+    def _take(self, message: bytes) -> None:
+        kind = message[:1]
+        if kind == STATUS:
+            self._board.status(Status.decode(message[1:]), time.monotonic_ns())
+        elif kind == DETAIL:
+            self._board.detail(read_detail(message))
+        elif kind == END or not message:
+            self._board.end(message[1:].decode() or "The session's process has ended unexpectedly.")
+            loop = asyncio.get_running_loop()
+            loop.remove_reader(self._link.fileno())
+            self._goodbye = loop.call_later(FAREWELL_S if self._server.browsers else 0.0, self._leave)
+
+    def _leave(self) -> None:
+        self._web.should_exit = True
+
+    def _entered(self) -> None:
+        """The link was used: the file holds the next one."""
+        with suppress(OSError):
+            write_link(self._url_file, link_address(self._port, self._access.token))
+
+
+def main() -> int:
+    """Serve until the session closes its end; Ctrl-C is the session's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.umask(0o077)
+    listening, link = (socket.socket(fileno=int(argument)) for argument in sys.argv[1:3])
+    with link, listening:
+        asyncio.run(PageProcess(listening, link).run())
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,153 @@
+"""The page's web server: a few files held in memory, one web socket per browser, and a stop that needs no more than one
+request.
+
+The loop's end of the way to the page: remembers what the log passes by, sends it with each status, never waits.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from importlib.resources import files
+from typing import Any, Final
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from fes.live.dashboard.message_handler import NAME, MessageHandler, Outcome
+from fes.live.dashboard.network_guard import Access, NetworkGuard
+from fes.live.dashboard.state_buffer import StateBuffer
+from fes.live.status import Status
+
+OWN: Final = ("page.css", "page.js", "link.js", "charts.js", "side.js", "words.js")
+SHARED: Final = ("uPlot.iife.min.js", "uPlot.min.css")  # the report's
+TYPES: Final = {"html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css"}
+BROWSERS: Final = 8
+KEEP_ALIVE_S: Final = 0.4
+SLOW_S: Final = 5.0  # a browser that takes no frame for so long is let go; it comes back by itself
+
+
+def assets() -> dict[str, Response]:
+    """Path → answer for all that there is."""
+    found = {"/": _asset("fes.live.dashboard", "index.html")}
+    found |= {f"/static/{name}": _asset("fes.live.dashboard", name) for name in OWN}
+    return found | {f"/static/{name}": _asset("fes.report", name) for name in SHARED}
+
+
+def _asset(package: str, name: str) -> Response:
+    body = files(package).joinpath("static", name).read_bytes()
+    return Response(body, media_type=TYPES[name.rsplit(".", 1)[1]])
+
+
+class Server:
+    """The application, and the browsers that are connected.
+
+    Args:
+        stop: hands an emergency stop on, at once; it is given the press's name, which may be "".
+        order: hands another order on; False where that was not possible.
+        entered: called when a link has been used.
+    """
+
+    def __init__(
+        self,
+        board: StateBuffer,
+        access: Access,
+        about: dict[str, Any],
+        port: int,
+        fresh: Callable[[], str],
+        stop: Callable[[str], None],
+        order: Callable[[bytes], bool],
+        entered: Callable[[], None],
+    ) -> None:
+        self._board = board
+        self._access = access
+        self._about = about
+        self._fresh = fresh
+        self._stop = stop
+        self._order = order
+        self._entered = entered
+        self._waiting: dict[WebSocket, asyncio.Event] = {}
+        pages = [Route(path, _constant(answer), methods=["GET"]) for path, answer in assets().items()]
+        self.app = Starlette(
+            routes=[*pages, Route("/stop", self._on_stop, methods=["POST"]), WebSocketRoute("/live", self._on_browser)],
+            middleware=[Middleware(NetworkGuard, port=port)],
+        )
+
+    @property
+    def browsers(self) -> int:
+        """How many are connected."""
+        return len(self._waiting)
+
+    def changed(self) -> None:
+        """The board has something new."""
+        for event in self._waiting.values():
+            event.set()
+
+    async def _on_stop(self, request: Request) -> Response:
+        """An emergency stop: no token, no body, no look at who asks."""
+        self._stop(request.query_params.get("press", "")[:NAME])
+        return PlainTextResponse("stop\n")
+
+    async def _on_browser(self, socket: WebSocket) -> None:
+        if len(self._waiting) >= BROWSERS:
+            await socket.close(1013, "too many browsers")
+            return
+        await socket.accept()
+        self._waiting[socket] = asyncio.Event()
+        desk = MessageHandler(self._access, self._about, self._newest, self._fresh)
+        pushing: asyncio.Task[None] | None = None
+        try:
+            while True:
+                outcome = desk.take(await socket.receive_text(), time.monotonic_ns())
+                if outcome.stop:
+                    self._stop(outcome.press)
+                await self._follow(socket, outcome)
+                if outcome.reply and "hello" in outcome.reply and pushing is None:
+                    pushing = asyncio.create_task(self._push(socket, desk))
+        except (WebSocketDisconnect, RuntimeError, TimeoutError, KeyError):  # gone, or sent bytes: either way done
+            pass
+        finally:
+            del self._waiting[socket]
+            if pushing is not None:
+                pushing.cancel()
+
+    async def _follow(self, socket: WebSocket, outcome: Outcome) -> None:
+        if outcome.entered:
+            self._entered()
+        reply = outcome.reply
+        if outcome.order and not self._order(outcome.order):
+            reply = {"said": "the session does not take it now; not done"}
+        if reply is not None:
+            await asyncio.wait_for(socket.send_text(json.dumps(reply)), SLOW_S)
+
+    async def _push(self, socket: WebSocket, desk: MessageHandler) -> None:
+        """Frames to one browser, each when the one before has been taken; what it missed is in the next."""
+        changed, seen = self._waiting[socket], 0
+        with suppress(WebSocketDisconnect, RuntimeError, TimeoutError, OSError):
+            while True:
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(changed.wait(), KEEP_ALIVE_S)
+                changed.clear()
+                number = self._board.number
+                frame = self._board.since(seen, time.monotonic_ns())
+                frame |= {"role": desk.role, "browsers": len(self._waiting)}
+                await asyncio.wait_for(socket.send_text(json.dumps(frame)), SLOW_S)
+                seen = number
+
+    def _newest(self, t_ns: int) -> tuple[Status | None, int]:
+        heard_ns = self._board.heard_ns
+        return self._board.newest, 0 if heard_ns is None else t_ns - heard_ns
+
+
+def _constant(answer: Response) -> Callable[[Request], Response]:
+    def give(request: Request) -> Response:
+        return Response(answer.body, media_type=answer.media_type)
+
+    return give

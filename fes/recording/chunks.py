@@ -1,0 +1,104 @@
+"""A long recording piece by piece, so that memory does not grow with it; a short one is a single piece."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fes.recording.read import follow_recording
+from fes.recording.tracks import Recording, Track
+from fes.signals import NS_PER_S, IntArray
+
+WHOLE_S = 1800.0  # a recording that is no longer is one piece, …
+CHUNK_S = 900.0  # … of a longer one each is so long at most
+AROUND_S = 30.0  # on either side of a piece, for what needs neighbours: strides, rests, filters without lag
+ALWAYS_NS, NEVER_NS = -(2**63), 2**63 - 1
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """A piece of a recording: what is newer than ``begin_ns``, up to ``end_ns`` on the sensors' clock, and what lies
+    around it."""
+
+    recording: Recording
+    begin_ns: int = ALWAYS_NS
+    end_ns: int = NEVER_NS
+
+    def own(self, track: Track) -> slice:
+        """Which of a track's samples are this piece's own; every sample is that of one piece."""
+        if self.whole:
+            return slice(None)
+        newest = np.maximum.accumulate(track.t_sensor_ns)
+        begin, end = np.searchsorted(newest, (self.begin_ns, self.end_ns), side="right").tolist()
+        return slice(begin, end)
+
+    def owns(self, t_ns: IntArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+        """Which of these instants (N,) are."""
+        return (t_ns > self.begin_ns) & (t_ns <= self.end_ns)
+
+    @property
+    def whole(self) -> bool:
+        """It is the whole recording."""
+        return self.begin_ns == ALWAYS_NS and self.end_ns == NEVER_NS
+
+
+def recording_chunks(path: Path, *, piece_s: float = CHUNK_S, whole_s: float = WHOLE_S) -> Iterator[Chunk]:
+    """Read a recording of more than ``whole_s`` in pieces of equal length, of ``piece_s`` at most.
+
+    Errors are those of ``read_recording``.
+
+    Parquet whose sensors share one time column is read from the file piece by piece, anything else at once. The rate is
+    that stated, or else that of the first piece.
+    """
+    return in_chunks(follow_recording(path, piece_s, whole_s))
+
+
+def in_chunks(parts: Iterable[Recording], *, around_s: float = AROUND_S) -> Iterator[Chunk]:
+    """Pieces from parts of a recording that follow each other; each piece ends ``around_s`` before its part."""
+    around_ns = round(around_s * NS_PER_S)
+    ahead, tail, begin_ns = iter(parts), None, ALWAYS_NS
+    part = next(ahead, None)
+    while part is not None:
+        following = next(ahead, None)
+        recording = part if tail is None else _after(tail, part)
+        end_ns = NEVER_NS
+        if following is not None:
+            newest_ns = max(int(track.t_sensor_ns.max()) for track in recording.tracks.values())
+            end_ns = max(newest_ns - around_ns, begin_ns)
+        tail = _newer(recording, end_ns - around_ns) if following is not None else None
+        piece = Chunk(recording, begin_ns, end_ns)
+        del part, recording  # whoever takes the piece decides how long it stays
+        yield piece
+        del piece
+        begin_ns, part, following = end_ns, following, None
+
+
+def _newer(recording: Recording, than_ns: int) -> Recording:
+    """What is newer than this."""
+    kept = {}
+    for name, track in recording.tracks.items():
+        begin = int(np.searchsorted(np.maximum.accumulate(track.t_sensor_ns), than_ns, side="right"))
+        kept[name] = track.part(slice(begin, None))
+    return replace(recording, tracks=kept)
+
+
+def _after(one: Recording, other: Recording) -> Recording:
+    """Both as one."""
+    tracks = dict(one.tracks)
+    for name, track in other.tracks.items():
+        before = one.tracks.get(name)
+        tracks[name] = track if before is None else _joined(before, track)
+    return replace(other, tracks={name: track for name, track in tracks.items() if track.t_ns.size})
+
+
+def _joined(one: Track, other: Track) -> Track:
+    return replace(
+        other,
+        t_ns=np.concatenate((one.t_ns, other.t_ns)),
+        t_sensor_ns=np.concatenate((one.t_sensor_ns, other.t_sensor_ns)),
+        acc_mps2=np.concatenate((one.acc_mps2, other.acc_mps2)),
+        gyr_radps=np.concatenate((one.gyr_radps, other.gyr_radps)),
+    )

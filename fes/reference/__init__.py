@@ -1,9 +1,0 @@
-"""References that a recording is held against: motion capture, ultrasound, treadmill, step mats, foot switches.
-
-Every reader gives the same :class:`fes.reference.types.Reference`; :func:`fes.reference.compare.compare` pairs it with
-what was estimated.
-"""
-
-from fes.reference.types import MarkerPath, Reference, ReferenceError, ReferenceEvent, ReferenceStride
-
-__all__ = ["MarkerPath", "Reference", "ReferenceError", "ReferenceEvent", "ReferenceStride"]

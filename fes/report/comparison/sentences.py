@@ -1,0 +1,194 @@
+"""A comparison in plain sentences: first what stands in the way of comparing, then what changed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+
+from fes.report.comparison.rows import KEY, ParameterRow
+from fes.report.comparison.session import ComparedSession
+from fes.report.findings import Finding, count_of, findings, words
+from fes.report.tables import number
+
+BELT_MPS = 0.05  # treadmills show their speed to 0.1 m/s
+MEASURED_MPS = 0.1
+FEW_STRIDES = 20
+VALID_SHARE = 0.8
+RATE_SHARE = 0.03
+MOST_CHANGES = 8
+SMALL_SD = 0.5
+
+
+def speed_differs(sessions: Sequence[ComparedSession]) -> bool:
+    """Whether walking speed could explain differences: marks the parameters that change with it."""
+    return any(_belt_gap(sessions[0], other) or _measured_gap(sessions[0], other) for other in sessions[1:])
+
+
+def confounders(sessions: Sequence[ComparedSession]) -> list[Finding]:
+    """All that, besides what is being compared, differs between the first session and a later one."""
+    first = sessions[0]
+    found = [finding for other in sessions[1:] for finding in _against(first, other)]
+    found += [finding for session in sessions for finding in _alone(session)]
+    return sorted(dict.fromkeys(found), key=lambda each: ("alert", "warning", "info", "good").index(each.level))
+
+
+def changes(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRow]) -> list[Finding]:
+    """For each later session which of the key parameters clearly changed, the greatest first, and which did not.
+
+    Great and small are against how much strides differ from one another: a change that is clear only because strides
+    are so alike is told as small.
+    """
+    found, first = [], sessions[0].label
+    most = MOST_CHANGES if len(sessions) == 2 else MOST_CHANGES // 2
+    key = [row for row in rows if row.about.key in KEY]
+    for k, other in enumerate(sessions[1:]):
+        dagger = speed_differs((sessions[0], other))
+        told = [row for row in key if math.isfinite(row.changes[k].low)]
+        clear = sorted((row for row in told if row.clear(k)), key=lambda row: -_in_sd(row, k))
+        great = [row for row in clear if _in_sd(row, k) >= SMALL_SD]
+        found += [Finding("info", _change(row, k, sessions[0], other, dagger)) for row in great[:most]]
+        if len(great) > most:
+            found.append(Finding("info", f"… and {count_of(len(great) - most, 'more change')}, below."))
+        who = f"{other.label} against {first}"
+        if small := [_name(row, dagger) for row in clear if _in_sd(row, k) < SMALL_SD]:
+            text = "changed clearly, but by less than half of what strides differ among themselves"
+            found.append(Finding("info", f"{who}, {text}: {'; '.join(small)}."))
+        if same := [_name(row, dagger) for row in told if not row.clear(k)]:
+            found.append(Finding("info", f"{who}, no clear change: {'; '.join(same)}."))
+        if not told:
+            found.append(Finding("warning", f"{other.label}: too few strides to compare with {first}."))
+    return found
+
+
+def shown(row: ParameterRow, value: float, sign: str = "") -> str:
+    """A value of a row as people read it, without its unit; with a ``sign`` (a change) one digit finer in m and s."""
+    scaled = row.about.factor * value
+    digits = row.digits + (1 if sign and row.digits == 2 else 0)
+    return f"{round(scaled, digits) + 0.0:{sign}.{digits}f}" if math.isfinite(scaled) else "–"
+
+
+def _name(row: ParameterRow, dagger: bool) -> str:
+    mark = " †" if dagger and row.with_speed else ""
+    return f"{row.about.name}{mark}, {row.side}"
+
+
+def _in_sd(row: ParameterRow, k: int) -> float:
+    """A change in standard deviations of single strides, pooled over the two sessions."""
+    a, b = row.means[0], row.means[k + 1]
+    pooled = math.sqrt(((a.n - 1) * a.sd**2 + (b.n - 1) * b.sd**2) / (a.n + b.n - 2))
+    return abs(row.changes[k].value) / pooled if pooled > 0.0 else math.inf
+
+
+def _change(row: ParameterRow, k: int, first: ComparedSession, other: ComparedSession, dagger: bool) -> str:
+    change = row.changes[k]
+    name = _name(row, dagger)
+    before, after = shown(row, row.means[0].mean), shown(row, row.means[k + 1].mean)
+    by, low, high = (shown(row, value, "+") for value in (change.value, change.low, change.high))
+    far = ""
+    if row.detectable is not None:
+        least = f"{row.about.factor * row.detectable.value:.{row.digits}f}\u00a0{row.about.shown}"
+        word = "beyond" if row.beyond(k) else "within"
+        far = f"; {word} the least detectable change in people after stroke ({least})"
+    return (
+        f"{name[0].upper()}{name[1:]}: {before} ({first.label}) → {after} {row.about.shown} ({other.label}), change "
+        f"{by} (95\u00a0% interval {low} … {high}){far}."
+    )
+
+
+def _against(first: ComparedSession, other: ComparedSession) -> Iterator[Finding]:
+    a, b, one, two = first.summary, other.summary, first.label, other.label
+    if a.subject and b.subject and a.subject != b.subject:
+        yield Finding(
+            "alert", f"{one} is of subject {a.subject}, {two} of {b.subject}: two people, not one person twice."
+        )
+    elif not (a.subject and b.subject):
+        yield Finding("info", f"{one} and {two}: not both name their subject; whether it is one person is not checked.")
+    if gap := _belt_gap(first, other):
+        yield Finding(
+            "warning",
+            f"{one} and {two} differ in belt speed by {abs(gap):.2f} m/s ({a.belt_speed_mps:.2f} and "
+            f"{b.belt_speed_mps:.2f}): parameters marked † change with speed, so stimulation or training alone does "
+            "not explain them.",
+        )
+    elif (a.belt_speed_mps > 0.0) != (b.belt_speed_mps > 0.0):
+        on, off = (one, two) if a.belt_speed_mps > 0.0 else (two, one)
+        yield Finding("warning", f"{on} is on a treadmill, of {off} no belt speed is known: perhaps over ground.")
+    if not _belt_gap(first, other) and (gap := _measured_gap(first, other)):
+        yield Finding(
+            "warning",
+            f"Measured walking speed differs by {abs(gap):.2f} m/s ({one} {a.walking_speed_mps:.2f}, {two} "
+            f"{b.walking_speed_mps:.2f}): parameters marked † change with speed.",
+        )
+    if set(first.sides) != set(other.sides):
+        yield Finding("warning", f"{one} has the sides {_list(first.sides)}, {two} {_list(other.sides)}.")
+    for side in sorted(set(first.sides) & set(other.sides)):
+        told = first.sides[side].sensor, other.sides[side].sensor
+        if told[0] != told[1]:
+            by = f"{one}'s {side} strides are told by the {words(told[0])} sensor, {two}'s by the {words(told[1])}'s"
+            yield Finding("warning", f"{by}: the methods differ, and so may the numbers.")
+    if first.how != other.how:
+        yield Finding(
+            "warning", f"{one} was {first.how}, {two} {other.how}: the methods differ, and so may the numbers."
+        )
+    for sensor in sorted(set(first.rates_hz) & set(other.rates_hz)):
+        rates = first.rates_hz[sensor], other.rates_hz[sensor]
+        if abs(rates[0] - rates[1]) > RATE_SHARE * rates[0]:
+            yield Finding("info", f"Sensor {sensor}: {rates[0]:.0f} Hz in {one}, {rates[1]:.0f} Hz in {two}.")
+    for side in sorted(set(first.toe) & set(other.toe)):
+        if first.toe[side] != other.toe[side]:
+            yield Finding(
+                "warning",
+                f"Where the toe is on the {side} foot was not known alike ({one}: {first.toe[side]}; {two}: "
+                f"{other.toe[side]}): toe and heel clearance may differ by that alone.",
+            )
+
+
+def _alone(session: ComparedSession) -> Iterator[Finding]:
+    label = session.label
+    for side, found in session.sides.items():
+        valid = len(found.strides)
+        if valid < FEW_STRIDES:
+            yield Finding(
+                "warning", f"{label}, {side}: only {count_of(valid, 'valid stride')}; its intervals are wide."
+            )
+        if valid < VALID_SHARE * found.found:
+            yield Finding("warning", f"{label}, {side}: only {valid} of {found.found} strides are valid.")
+    changed = sum(row.kind in ("change", "roll_back") for row in session.summary.tuning)
+    if changed:
+        yield Finding(
+            "warning",
+            f"{label}: the stimulation tuned itself {count_of(changed, 'time')} during the session; its means mix what "
+            "was before and after.",
+        )
+    if 0.0 < session.stimulated < 0.9:
+        yield Finding(
+            "warning",
+            f"{label}: {100 * session.stimulated:.0f} % of the strides were stimulated; its means mix strides with and "
+            "without.",
+        )
+    for finding in findings(session.summary):
+        if finding.level in ("alert", "warning"):
+            yield Finding(finding.level, f"{label}: {finding.text}")
+
+
+def _belt_gap(first: ComparedSession, other: ComparedSession) -> float:
+    gap = other.summary.belt_speed_mps - first.summary.belt_speed_mps
+    return gap if math.isfinite(gap) and abs(gap) > BELT_MPS - 1e-9 else 0.0
+
+
+def _measured_gap(first: ComparedSession, other: ComparedSession) -> float:
+    gap = other.summary.walking_speed_mps - first.summary.walking_speed_mps
+    return gap if math.isfinite(gap) and abs(gap) > MEASURED_MPS else 0.0
+
+
+def _list(names: Iterable[str]) -> str:
+    return ", ".join(names)
+
+
+def stimulation_words(session: ComparedSession) -> str:
+    """With or without stimulation, in short."""
+    if not session.summary.channels or not any(channel.bursts for channel in session.summary.channels):
+        return "none"
+    peak = max(channel.peak_current_ma for channel in session.summary.channels)
+    share = f"{100 * session.stimulated:.0f} % of strides, " if math.isfinite(session.stimulated) else ""
+    return f"{share}up to {number(peak, 1)} mA"

@@ -1,0 +1,274 @@
+"""One session of a comparison: what was measured of each side, stride by stride, and what the session itself says.
+
+Logs and recordings are analysed in the same way, off-line and with the same settings, so that a difference is none of
+method. Stimulation, charge and faults are a log's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fes.analysis.parameters.contacts import Swing
+from fes.analysis.parameters.gait import gait_parameters
+from fes.analysis.parameters.steps import steps_of
+from fes.analysis.parameters.strides import StrideParameters, stride_parameters
+from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.sensor_choice import Calibration, calibration_from_dict, phase_sensors
+from fes.recording import Recording, RecordingError, Track, read_recording
+from fes.report.stimulation import session_settings
+from fes.report.strides import StrideRow
+from fes.report.summary import SessionSummary, summarise
+from fes.session_log import SessionLogError, SessionRecord, read_session
+from fes.signals import SENSORS, FloatArray, StrideResult
+
+LOG: Final = ".feslog"
+PHASES: Final = ("pre_swing", "swing", "loading_response", "stance")
+FOUND_SHARE: Final = 0.8  # of the strides whose phases are known must have off-line events
+OFF_LINE: Final = "analysed off-line"
+AS_DECIDED: Final = "as decided in the session, for its log keeps no samples that could be analysed"
+_OF_ROWS: Final = {
+    "stride_length_m": ("stride_length_m", 1.0),
+    "stride_time_s": ("duration_s", 1.0),
+    "speed_mps": ("speed_mps", 1.0),
+    "lift_m": ("clearance_cm", 0.01),
+    "toe_clearance_m": ("toe_clearance_cm", 0.01),
+    "heel_clearance_m": ("heel_clearance_cm", 0.01),
+}
+
+
+class ComparisonProblem(ValueError):
+    """A session cannot be compared; the message names it and says what would do."""
+
+
+@dataclass(frozen=True)
+class Side:
+    """One side's walk: ``values`` by parameter and ``phases`` by phase, one number a stride in order of time, SI.
+
+    ``by_phases`` are the same parameters with foot off and contact from the phases (T2, T3) instead of found off-line;
+    ``strides`` are the valid ones, with their paths; ``found`` counts the invalid ones too; ``sensor`` told them.
+    """
+
+    values: Mapping[str, FloatArray]
+    by_phases: Mapping[str, FloatArray]
+    phases: Mapping[str, FloatArray]
+    strides: Sequence[StrideResult]
+    found: int
+    sensor: str
+
+
+@dataclass(frozen=True)
+class ComparedSession:
+    """A session under the name it has in the comparison; ``summary`` is the log's own, or the analysis's without one.
+
+    ``stimulated``: the share of its strides in which a channel was on, NaN where it is not known of strides. ``toe``:
+    by side, how the toe's place is known.
+    """
+
+    label: str
+    source: str
+    how: str
+    summary: SessionSummary
+    sides: Mapping[str, Side]
+    stimulated: float
+    toe: Mapping[str, str]
+    rates_hz: Mapping[str, float]
+
+    @property
+    def speed_mps(self) -> float:
+        """The belt's speed, measured where no belt is known."""
+        belt = self.summary.belt_speed_mps
+        return belt if belt > 0.0 else self.summary.walking_speed_mps
+
+
+def read_compared(path: Path, label: str) -> ComparedSession:
+    """A session log, a folder that holds one, or a recording.
+
+    Raises:
+        ComparisonProblem: it cannot be read, or nobody walks in it.
+    """
+    if path.is_dir():
+        logs = sorted(path.glob(f"*{LOG}"))
+        if len(logs) != 1:
+            raise ComparisonProblem(f"{path}: holds {len(logs)} session logs; name one, or a recording")
+        path = logs[0]
+    try:
+        if path.suffix == LOG:
+            return of_record(read_session(path), label, path)
+        recording, found = calibrations_of(read_recording(path))
+        analysis = analyse(recording, found.calibrations)
+    except (SessionLogError, RecordingError, CalibrationError) as error:
+        raise ComparisonProblem(str(error)) from error
+    return _made(label, path, OFF_LINE, summarise(analysis.record("")), analysis, recording.subject)
+
+
+def of_record(record: SessionRecord, label: str, path: Path) -> ComparedSession:
+    """A log that was read; its samples are analysed, with the calibration that it was run with.
+
+    Raises:
+        ComparisonProblem: nobody walks in it.
+    """
+    own = summarise(record)
+    recording = recording_of(record, path)
+    calibrations = _calibrations(record, recording)
+    if not calibrations:
+        return _made(label, path, AS_DECIDED, own, None, "", record.strides)
+    return _made(label, path, OFF_LINE, own, analyse(recording, calibrations), "")
+
+
+def recording_of(record: SessionRecord, path: Path) -> Recording:
+    """A log's samples as the recording they were; a sample that holds no number is left out."""
+    settings = session_settings(record.header)
+    tracks = {}
+    for sensor, samples in record.samples.items():
+        good = np.isfinite(samples.acc_mps2).all(axis=1) & np.isfinite(samples.gyr_radps).all(axis=1)
+        t_ns, stamps = samples.t_ns[good], samples.t_sensor_ns[good]
+        steps = np.diff(stamps)
+        if sensor not in SENSORS or not (steps > 0).any():
+            continue
+        rate_hz = 1e9 / float(np.median(steps[steps > 0]))
+        arrived = np.maximum.accumulate(t_ns)
+        tracks[sensor] = Track(sensor, rate_hz, arrived, stamps, samples.acc_mps2[good], samples.gyr_radps[good])
+    told = record.header.get("recording")
+    belt = told.get("belt_speed_mps") if isinstance(told, dict) else None
+    return Recording(
+        path.stem,
+        path,
+        tracks,
+        belt_speed_mps=float(belt) if isinstance(belt, (int, float)) and belt > 0 else None,
+        geometry={str(foot): value for foot, value in settings.geometry.items()} if settings else {},
+    )
+
+
+def _calibrations(record: SessionRecord, recording: Recording) -> dict[str, Calibration]:
+    """The log's own where they are whole, else from the samples; empty where there is nothing to go by."""
+    kept = record.header.get("calibration")
+    try:
+        found = {name: calibration_from_dict(data) for name, data in (kept or {}).items() if name in recording.tracks}
+    except (KeyError, TypeError, ValueError, AttributeError):
+        found = {}
+    if found:
+        return {sensor: found[sensor] for sensor in phase_sensors(found).values()}
+    try:
+        return calibrations_of(recording)[1].calibrations
+    except CalibrationError:
+        return {}
+
+
+def _made(
+    label: str,
+    path: Path,
+    how: str,
+    own: SessionSummary,
+    analysis: Analysis | None,
+    subject: str,
+    decided: Sequence[StrideResult] = (),
+) -> ComparedSession:
+    rows, strides = own.strides, list(decided)
+    toe: dict[str, str] = {}
+    detailed: dict[str, dict[str, FloatArray]] = {}
+    phased: dict[str, dict[str, FloatArray]] = {}
+    if analysis is not None:
+        rows, strides = summarise(analysis.record("")).strides, analysis.strides
+        toe = {_side(foot): known.words() for foot, known in analysis.points.items()}
+        detailed = {_side(foot): _steady(found) for foot, found in gait_parameters(analysis).strides.items()}
+        phased = {_side(foot): _steady(found) for foot, found in by_phases(analysis).items()}
+    sides = {}
+    for foot in dict.fromkeys(stride.foot for stride in strides):
+        mine = [row for row in rows if row.foot == foot]
+        valid = [stride for stride in strides if stride.foot == foot and stride.valid]
+        values = detailed.get(_side(foot)) or _of_rows(mine)
+        sides[_side(foot)] = Side(values, phased.get(_side(foot), values), _phases(mine), valid, len(mine), foot)
+    if not any(len(side.strides) for side in sides.values()):
+        raise ComparisonProblem(f"{path}: holds no stride that can be used; there is nothing to compare")
+    stimulated = [bool(row.stimulation) for row in own.strides if row.foot in _stimulated_feet(own)]
+    return ComparedSession(
+        label,
+        str(path),
+        how,
+        own if own.subject or not subject else _with_subject(own, subject),
+        {side: sides[side] for side in ("left", "right") if side in sides},
+        float(np.mean(stimulated)) if stimulated else float("nan" if _stimulated_feet(own) else 0.0),
+        toe,
+        {sensor.sensor: sensor.rate_hz for sensor in own.sensors},
+    )
+
+
+def by_phases(analysis: Analysis) -> dict[str, list[StrideParameters]]:
+    """By foot, the parameters with the times of the phases: foot off is T2, contact T3. Step lengths are left out."""
+    feet = {foot: [s for s in analysis.strides if s.foot == foot and s.valid] for foot in analysis.stride_paths}
+    swings = {foot: {s.number: swing for s in own if (swing := _swing(s))} for foot, own in feet.items()}
+    found = {}
+    for foot, own in feet.items():
+        others = [swing for name, every in swings.items() if name != foot for swing in every.values()]
+        steps = steps_of([swings[foot].get(stride.number) for stride in own], others)
+        paths = {path.number: path for path in analysis.stride_paths[foot]}
+        numbers = [stride.number for stride in own]
+        found[foot] = stride_parameters(own, paths, swings[foot], dict(zip(numbers, steps, strict=True)), {})
+    return found
+
+
+def _swing(stride: StrideResult) -> Swing | None:
+    off, contact = stride.t_swing_ns, stride.t_loading_response_ns
+    if off is None or contact is None or off >= contact:
+        return None
+    return Swing(off, (off + contact) // 2, contact, heel_strike=False)
+
+
+def _steady(found: Sequence[StrideParameters]) -> dict[str, FloatArray]:
+    steady = [one for one in found if one.steady]
+    keys = steady[0].values if steady else ()
+    return {key: np.array([one.values[key] for one in steady]) for key in keys}
+
+
+def one_way_of_timing(sessions: Sequence[ComparedSession]) -> tuple[list[ComparedSession], str]:
+    """The sessions with times found in one way: off-line, or by the phases where that fails in any of them; and why.
+
+    A muscle that is stimulated moves the foot in ways that the off-line events do not know.
+    """
+    for session in sessions:
+        for side, one in session.sides.items():
+            known = int(np.isfinite(one.values.get("swing_s", np.zeros(0))).sum())
+            could = int(np.isfinite(one.by_phases.get("swing_s", np.zeros(0))).sum())
+            if known < FOUND_SHARE * could:
+                why = (
+                    f"{session.label}, {side}: foot off and contact were found off-line in only {known} of {could} "
+                    "strides. So all times are those of the phases, as a session decides them, in every session."
+                )
+                return [_timed_by_phases(each) for each in sessions], why
+    return list(sessions), ""
+
+
+def _timed_by_phases(session: ComparedSession) -> ComparedSession:
+    sides = {side: replace(one, values=one.by_phases) for side, one in session.sides.items()}
+    return replace(session, sides=sides)
+
+
+def _with_subject(summary: SessionSummary, subject: str) -> SessionSummary:
+    return replace(summary, subject=subject)
+
+
+def _stimulated_feet(summary: SessionSummary) -> set[str]:
+    return {channel.foot for channel in summary.channels if channel.bursts}
+
+
+def _side(foot: str) -> str:
+    return foot.split("_")[0]
+
+
+def _of_rows(rows: Sequence[StrideRow]) -> dict[str, FloatArray]:
+    """The few parameters that a stride itself holds, of its valid ones."""
+    valid = [row for row in rows if row.valid]
+    return {key: factor * np.array([getattr(row, name) for row in valid]) for key, (name, factor) in _OF_ROWS.items()}
+
+
+def _phases(rows: Sequence[StrideRow]) -> dict[str, FloatArray]:
+    valid = [row for row in rows if row.valid and row.four_phases]
+    found = {phase: np.array([getattr(row, f"{phase}_s") for row in valid]) for phase in PHASES}
+    found["stance"] = np.array([np.nan if row.stance_is_standing else row.stance_s for row in valid])
+    return found

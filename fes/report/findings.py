@@ -1,0 +1,196 @@
+"""What a session amounts to, in short plain sentences with a weight: the first thing anybody reads."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from fes.report.quality import SensorQuality
+from fes.report.summary import ChannelSummary, SessionSummary, Spread
+
+Level = Literal["good", "info", "warning", "alert"]
+SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
+SILENCE_MS = 100.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One sentence: ``alert`` is what must be looked at before the numbers are used."""
+
+    level: Level
+    text: str
+
+
+def words(name: str) -> str:
+    """``left_foot`` → ``left foot``."""
+    return name.replace("pre_swing", "pre-swing").replace("_", " ")
+
+
+def count_of(number: int, noun: str) -> str:
+    """``1 stride``, ``3 strides``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def mean_sd(values: Spread, digits: int, unit: str) -> str:
+    """``0.63 ± 0.02 m``, or a dash when there is nothing."""
+    if not values.n:
+        return "–"
+    sd = f" ± {values.sd:.{digits}f}" if values.n > 1 else ""
+    return f"{values.mean:.{digits}f}{sd} {unit}"
+
+
+def findings(summary: SessionSummary) -> tuple[Finding, ...]:
+    """All sentences, in the order in which they matter."""
+    return (
+        *_whole(summary),
+        *_faults(summary),
+        *_stimulation(summary),
+        *_wire(summary),
+        *_strides(summary),
+        *_speed(summary),
+        *_refusals(summary),
+        *_latency(summary),
+        *(finding for sensor in summary.sensors for finding in _sensor(sensor)),
+    )
+
+
+def _whole(summary: SessionSummary) -> Iterator[Finding]:
+    if not summary.complete:
+        lost = f" Lost: {summary.lost}." if summary.lost else ""
+        yield Finding("alert", f"The session log has no proper end; the numbers cover only what was kept.{lost}")
+
+
+def _faults(summary: SessionSummary) -> Iterator[Finding]:
+    if summary.faults:
+        first = summary.faults[0]
+        yield Finding(
+            "alert",
+            f"{count_of(len(summary.faults), 'fault')} noted, the first at {first.time_s:.1f} s "
+            f"({first.source}): {first.text}",
+        )
+
+
+def _wire(summary: SessionSummary) -> Iterator[Finding]:
+    """What the run itself counted when it held the commands against the stimulator's answers."""
+    counts = next(
+        (value for value in summary.run_summary.values() if isinstance(value, dict) and _is_wire(value)), None
+    )
+    if counts is None:
+        return
+    commands, missing, different = (int(counts[key]) for key in ("commands", "missing", "different"))
+    if missing or different:
+        yield Finding(
+            "alert", f"Of {commands} commands the stimulator left {missing} unanswered and did {different} differently."
+        )
+    else:
+        yield Finding("good", f"The stimulator answered all {commands} commands and did what each one said.")
+
+
+def _is_wire(value: dict[str, Any]) -> bool:
+    return all(isinstance(value.get(key), int) for key in ("commands", "missing", "different"))
+
+
+def _stimulation(summary: SessionSummary) -> Iterator[Finding]:
+    if not summary.channels:
+        yield Finding("info", "No stimulation channel was set up.")
+    for channel in summary.channels:
+        yield from _channel(channel, summary.command_period_s)
+
+
+def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
+    name = channel.name
+    if channel.on_without_command:
+        yield Finding(
+            "alert",
+            f"{name}: the stimulator answered {count_of(channel.on_without_command, 'time')} that it was on "
+            f"although no command asked for it.",
+        )
+    if not channel.bursts:
+        yield Finding("info", f"{name}: never stimulated.")
+        return
+    if not channel.foot:
+        yield Finding("warning", f"{name}: stimulated, but the log's settings do not say on which foot.")
+        return
+    times = count_of(channel.bursts, "time")
+    window = f"{words(channel.start_phase)} … {words(channel.stop_phase)}"
+    if channel.longest_outside_s == 0:
+        yield Finding("good", f"{name}: stimulated {times}, never outside {window} of its foot.")
+    elif channel.longest_outside_s <= period_s:
+        yield Finding(
+            "info",
+            f"{name}: stimulated {times}; {channel.bursts_outside} reached outside {window} for at most "
+            f"{channel.longest_outside_s * 1e3:.0f} ms, no longer than one command lasts.",
+        )
+    else:
+        yield Finding(
+            "alert",
+            f"{name}: {channel.bursts_outside} of {count_of(channel.bursts, 'burst')} outside {window}, "
+            f"{channel.outside_s:.2f} s in all, the longest {channel.longest_outside_s * 1e3:.0f} ms.",
+        )
+
+
+def _strides(summary: SessionSummary) -> Iterator[Finding]:
+    total = len(summary.strides)
+    if not total:
+        yield Finding("warning", "No stride was found: the foot did not walk, or the sensor did not see it.")
+        return
+    four = sum(row.four_phases for row in summary.strides)
+    text = f"{four} of {count_of(total, 'stride')} passed all four phases in order ({100 * four / total:.1f} %)"
+    missed = sum(foot.without_loading_response for foot in summary.feet.values())
+    put_back = sum(foot.heel_lifts_put_back for foot in summary.feet.values())
+    text += f"; {missed} without a loading response (T6)" if missed else ""
+    text += f"; the heel was lifted and put back {count_of(put_back, 'time')} (T5)" if put_back else ""
+    yield Finding("good" if four >= 0.95 * total else "warning", f"{text}.")
+    unused = Counter(row.reason or "no reason given" for row in summary.strides if not row.valid)
+    if unused:
+        reasons = ", ".join(f"{reason} ({count})" for reason, count in unused.most_common(4))
+        yield Finding("info", f"{count_of(sum(unused.values()), 'stride')} left out of the averages: {reasons}.")
+
+
+def _speed(summary: SessionSummary) -> Iterator[Finding]:
+    if not np.isfinite(summary.walking_speed_mps):
+        return
+    speed = f"Walking speed from the foot: {summary.walking_speed_mps:.2f} m/s"
+    if not np.isfinite(summary.speed_over_belt):
+        yield Finding("info", f"{speed} (the belt's speed is not known).")
+        return
+    off = 100 * (summary.speed_over_belt - 1)
+    agrees = abs(off) <= 100 * SPEED_TOLERANCE
+    yield Finding("good" if agrees else "warning", f"{speed}, belt {summary.belt_speed_mps:.2f} m/s ({off:+.1f} %).")
+
+
+def _refusals(summary: SessionSummary) -> Iterator[Finding]:
+    if summary.refusals:
+        most = summary.refusals[0]
+        total = sum(refusal.count for refusal in summary.refusals)
+        yield Finding(
+            "warning",
+            f"The safety gate turned {count_of(total, 'command')} off; most often: {most.reason} ({most.count}).",
+        )
+
+
+def _latency(summary: SessionSummary) -> Iterator[Finding]:
+    latency = summary.latency
+    if latency.count:
+        yield Finding(
+            "info",
+            f"From sample to decision: {latency.p50_ms:.2f} ms in the median, 99 % within {latency.p99_ms:.2f} ms, "
+            f"at most {latency.max_ms:.2f} ms.",
+        )
+
+
+def _sensor(sensor: SensorQuality) -> Iterator[Finding]:
+    flaws = [
+        count_of(sensor.missing, "missing sample") if sensor.missing else "",
+        count_of(sensor.doubled, "doubled time stamp") if sensor.doubled else "",
+        count_of(sensor.backward, "backward time stamp") if sensor.backward else "",
+        f"{count_of(sensor.not_a_number, 'sample')} without a value" if sensor.not_a_number else "",
+        f"longest silence {sensor.longest_silence_ms:.0f} ms" if sensor.longest_silence_ms > SILENCE_MS else "",
+    ]
+    told = ", ".join(flaw for flaw in flaws if flaw)
+    if told:
+        yield Finding("warning", f"Sensor {words(sensor.sensor)}: {told} ({sensor.samples} samples).")

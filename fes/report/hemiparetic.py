@@ -1,0 +1,172 @@
+"""What the report says of a walk that was looked at as a hemiparetic one: side, ground, windows and their strides."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from fes.analysis.hemiparetic.side import MIN_AGREEING, MIN_SCORE
+from fes.report.figures.space import SpaceFigure, SpaceFoot
+from fes.report.findings import Finding, words
+from fes.report.gait import POINTS, spread_of
+
+if TYPE_CHECKING:
+    from fes.analysis.hemiparetic.foot import FootTrack
+    from fes.analysis.hemiparetic.walk import HemipareticWalk, Windows
+
+SIGNS: Final = {
+    "power": "less power along the walk (the paper's sign)",
+    "swing": "longer swing",
+    "push_off": "heel lifted less",
+    "landing": "flatter landing",
+}
+LEAST_STRIDES = 2
+MOST_MISCOUNTED = 0.1  # of the strides
+
+
+@dataclass(frozen=True, slots=True)
+class Vote:
+    """One sign: what it looks at, which side it takes for afflicted, and how strongly, as text."""
+
+    sign: str
+    side: str
+    size: str
+
+
+@dataclass(frozen=True, slots=True)
+class WindowRow:
+    """One foot's strides between the windows of Wang et al., mean and SD as text."""
+
+    foot: str
+    role: str
+    threshold: str
+    strides: int
+    length: str
+    swing: str
+    stance: str
+
+
+@dataclass(frozen=True)
+class HemipareticSection:
+    """Everything of the section as text, ``space`` None where there are no windows.
+
+    ``sure``: the walk itself tells the side. ``terrain``: by foot, "46 level, 2 up". ``doubt``: why not to trust the
+    windows.
+    """
+
+    heading: str
+    sign: str
+    sure: bool
+    sentence: str
+    votes: tuple[Vote, ...]
+    terrain: dict[str, str]
+    terrain_of: dict[tuple[str, int], str]
+    windows: tuple[WindowRow, ...]
+    no_windows: str
+    doubt: str
+    space: SpaceFigure | None
+
+    @property
+    def finding(self) -> Finding:
+        """For the first page."""
+        return Finding("info", f"{self.heading}. See under Hemiparetic walk how the signs agree; it is no diagnosis.")
+
+
+def hemiparetic_section(walk: HemipareticWalk) -> HemipareticSection:
+    """Put the walk into words."""
+    side = walk.side
+    votes = [vote for vote in side.votes.values() if math.isfinite(vote)]
+    told = "left" if sum(votes) >= 0.0 else "right"
+    sure = side.score >= MIN_SCORE and side.agreeing >= MIN_AGREEING and told == side.side
+    heading = f"Afflicted side: {side.side}" if side.side is not None else "Afflicted side: not sure"
+    if side.side is not None:
+        heading += (
+            f", told from the walk (score {side.score:.2f})" if sure else ", as given; the signs alone do not tell"
+        )
+    return HemipareticSection(
+        heading=heading,
+        sign={"left": "L", "right": "R"}.get(side.side or "", "?"),
+        sure=sure,
+        sentence=side.words()[:1].upper() + side.words()[1:],
+        votes=tuple(_vote(sign, vote) for sign, vote in side.votes.items()),
+        terrain={words(foot): _counted([str(kind) for kind in found.values()]) for foot, found in walk.terrain.items()},
+        terrain_of={(foot, n): str(kind) for foot, found in walk.terrain.items() for n, kind in found.items()},
+        windows=() if walk.windows is None else tuple(_window_row(walk.windows, track) for track in _tracks(walk)),
+        no_windows=walk.no_windows,
+        doubt=_doubt(walk),
+        space=_space(walk),
+    )
+
+
+def _tracks(walk: HemipareticWalk) -> list[FootTrack]:
+    tracks = walk.windows.tracks if walk.windows is not None else {}
+    return [tracks[foot] for foot in sorted(tracks)]
+
+
+def _counted(kinds: list[str]) -> str:
+    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)) or "no strides"
+
+
+def _vote(sign: str, vote: float) -> Vote:
+    if math.isnan(vote):
+        return Vote(SIGNS.get(sign, sign), "not measured", "–")
+    return Vote(SIGNS.get(sign, sign), "left" if vote > 0 else "right" if vote < 0 else "neither", f"{abs(vote):.2f}")
+
+
+def _window_row(windows: Windows, track: FootTrack) -> WindowRow:
+    return WindowRow(
+        foot=track.name,
+        role="taken for healthy" if track.name == windows.healthy else "its windows mapped",
+        threshold=f"{windows.thresholds_m2ps4[track.name]:.3f}",
+        strides=max(len(track.windows) - 1, 0),
+        length=_mean_sd(track.stride_lengths_m()),
+        swing=_mean_sd(track.swing_s()),
+        stance=_mean_sd(track.stance_s()),
+    )
+
+
+def _doubt(walk: HemipareticWalk) -> str:
+    """What tells against the windows: another number of strides than the project's own; "" where they agree."""
+    parts = []
+    for track in _tracks(walk):
+        own, theirs = len(walk.parameters.strides.get(track.name, ())), max(len(track.windows) - 1, 0)
+        if abs(own - theirs) > MOST_MISCOUNTED * own:
+            parts.append(f"{words(track.name)} {theirs} strides where this report has {own} valid ones")
+    return "; ".join(parts)
+
+
+def _mean_sd(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
+    kept = values[np.isfinite(values)]
+    if not kept.size:
+        return "–"
+    return f"{kept.mean():.2f} ± {kept.std(ddof=1):.2f}" if kept.size > 1 else f"{kept[0]:.2f}"
+
+
+def _space(walk: HemipareticWalk) -> SpaceFigure | None:
+    """Wang et al.'s own Figure 5: strides between the centres of windows, without the first and the last."""
+    feet = {track.name: foot for track in _tracks(walk) if (foot := _space_foot(track)) is not None}
+    if not feet:
+        return None
+    told = (
+        "By the method of Wang et al. (2013) with its zero-velocity windows, in its visualization frame: x right, "
+        "y along the walk, z up; strides stretched to the same length in time, the first and the last left out."
+    )
+    return SpaceFigure("windows", feet, "Strides between zero-velocity windows", told)
+
+
+def _space_foot(track: FootTrack) -> SpaceFoot | None:
+    centres = track.centres.tolist()[1:-1]
+    share = np.linspace(0.0, 1.0, POINTS)
+    strides = []
+    for first, last in pairwise(centres):
+        path = track.position_m[first : last + 1] - track.position_m[first]
+        places = np.linspace(0.0, 1.0, len(path))
+        strides.append(np.column_stack([np.interp(share, places, column) for column in path.T]))
+    if len(strides) < LEAST_STRIDES:
+        return None
+    every = np.array(strides)
+    return SpaceFoot(every.mean(axis=0), spread_of(every), len(every))

@@ -1,0 +1,160 @@
+"""Rows of the report's gait parameters: numbers as people read them, and which strides in them want care."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
+from fes.analysis.parameters.gait import GaitParameters
+from fes.analysis.parameters.summary import Statistic
+from fes.report.findings import words
+from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, told
+from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
+
+DIGITS: Final = {"m": 2, "s": 2, "m/s": 2, "cm": 1, "°": 1, "%": 1, "": 2}
+KEY_NUMBERS: Final = (
+    *("stride_length_m", "stride_time_s", "swing_s", "stance_share", "double_support_share", "lift_m"),
+    *("toe_clearance_m", "circumduction_m", "angle_contact_rad"),
+)
+_TIMES: Final = frozenset(
+    (
+        *("stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share", "step_time_s"),
+        *("double_support_s", "double_support_share"),
+    )
+)
+_ANGLES: Final = frozenset(
+    ("heel_rotation_rad", "angle_contact_rad", "angle_off_rad", "orientation_variation_rad", "turn_rad")
+)
+_MIXED: Final = frozenset(("speed_mps", "step_length_m", "angle_contact_rad", "angle_off_rad"))  # need a contact, too
+
+
+@dataclass(frozen=True, slots=True)
+class SideCell:
+    """One side's numbers as text; ``flagged`` of the ``n`` strides carry a flag that touches this parameter."""
+
+    foot: str
+    mean: str
+    sd: str
+    cv: str
+    n: int
+    flagged: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRow:
+    """One parameter: of a stride on both sides, or of the whole walk (then ``sides`` is one cell)."""
+
+    key: str
+    name: str
+    unit: str
+    sides: tuple[SideCell, ...]
+    ratio: str
+    index: str
+
+
+@dataclass(frozen=True, slots=True)
+class WalkRow:
+    """One number of the whole walk; ``norm`` is what is usual and ``norm_detail`` says of whom, "" without a source."""
+
+    key: str
+    name: str
+    value: str
+    norm: str = ""
+    norm_detail: str = ""
+
+
+def touches(key: str) -> frozenset[str]:
+    """The kinds of flags that a stride parameter may be wrong by."""
+    if key in _TIMES:
+        return frozenset((LOST, UNSURE))
+    kinds = {LOST, CLIPPED_GYR}
+    kinds |= {UNSURE} if key in _MIXED else set()
+    kinds |= set() if key in _ANGLES else {CLIPPED_ACC}
+    return frozenset(kinds)
+
+
+def parameter_rows(
+    gait: GaitParameters, flags: Mapping[tuple[str, int], Sequence[Flag]], keys: Sequence[str] = STRIDE_KEYS
+) -> list[ParameterRow]:
+    """A row for every parameter of which anything is known."""
+    rows = []
+    for key in keys:
+        if not any(found[key].n for found in gait.feet.values()):
+            continue
+        known, both = DEFINITIONS[key], gait.sides.get(key)
+        cells = tuple(_cell(gait, foot, key, flags) for foot in gait.feet)
+        ratio, index = (math.nan, math.nan) if both is None else (both.ratio, both.index_percent)
+        rows.append(ParameterRow(key, known.name, known.shown, cells, number(ratio, 2), number(index, 1)))
+    return rows
+
+
+def walk_rows(gait: GaitParameters) -> list[WalkRow]:
+    """Speed, cadence, walk ratio, speed over belt and temporal symmetry, those that are known."""
+    walk, rows = gait.walk, []
+    if math.isfinite(walk.walking_speed_mps):
+        norm, kind = NORMS["walking_speed_mps"], speed_class(walk.walking_speed_mps)
+        shown = f"{number(walk.walking_speed_mps, 2)} m/s"
+        rows.append(WalkRow("walking_speed_mps", "walking speed", shown, norm.text, norm.hover()))
+        rows.append(WalkRow("speed_class", "speed class after stroke", kind, "Perry et al. 1995", SPEED_CLASSES_SOURCE))
+    for key, value, digits in (
+        ("cadence_per_min", walk.cadence_per_min, 1),
+        ("walk_ratio_m_min", walk.walk_ratio_m_min, 1),
+        ("belt_ratio", walk.belt_ratio, 3),
+    ):
+        known = DEFINITIONS[key]
+        if math.isfinite(value):
+            rows.append(WalkRow(key, known.name, f"{number(known.factor * value, digits)} {known.shown}".strip()))
+    ratio = temporal_symmetry(gait)
+    if math.isfinite(ratio):
+        norm = NORMS["temporal_symmetry"]
+        rows.append(WalkRow("temporal_symmetry", "temporal symmetry", number(ratio, 2), norm.text, norm.hover()))
+    return rows
+
+
+def temporal_symmetry(gait: GaitParameters) -> float:
+    """Patterson et al. (2008): swing over stance time of one side over that of the other; NaN without two feet.
+
+    Afflicted over other side, left over right where no side was named.
+    """
+    if set(gait.feet) != {"left_foot", "right_foot"}:
+        return math.nan
+    first = "right_foot" if gait.afflicted == "right" else "left_foot"
+    second = "left_foot" if first == "right_foot" else "right_foot"
+    parts = [gait.feet[foot]["swing_s"].mean / gait.feet[foot]["stance_s"].mean for foot in (first, second)]
+    return parts[0] / parts[1] if parts[1] > 0 else math.nan
+
+
+def compared(gait: GaitParameters) -> str:
+    """Which side is compared to which, in words."""
+    both = next(iter(gait.sides.values()), None)
+    return "" if both is None else f"{both.first} over {both.second}"
+
+
+def number(value: float, digits: int) -> str:
+    """A number, or a dash for what is not known."""
+    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "–"
+
+
+def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, int], Sequence[Flag]]) -> SideCell:
+    value: Statistic = gait.feet[foot][key]
+    known, kinds = DEFINITIONS[key], touches(key)
+    digits = DIGITS[known.shown]
+    own = [
+        [flag for flag in flags.get((foot, stride.number), ()) if flag.kind in kinds]
+        for stride in gait.strides[foot]
+        if stride.steady and math.isfinite(stride.values[key])
+    ]
+    flagged = sum(bool(each) for each in own)
+    return SideCell(
+        foot,
+        number(known.factor * value.mean, digits),
+        number(known.factor * value.sd, digits),
+        number(100.0 * value.cv, 1),
+        value.n,
+        flagged,
+        f"{flagged} of these {value.n} strides of the {words(foot)} may be off: {told(own)}" if flagged else "",
+    )

@@ -1,0 +1,196 @@
+"""One row per stride: lengths, phases passed and the stimulation that went with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from fes.estimation.strides.boundaries import stride_time_ns
+from fes.report.quality import without_numbers
+from fes.report.stimulation import Burst, ChannelInfo
+from fes.report.timeline import PhaseTimeline
+from fes.signals import NS_PER_S, IntArray, StimCommand, StrideResult
+from statemachine.phases import Transition
+
+STANDING_S = 3.0  # a stance longer than this is standing, not walking, and stays out of the averages
+NAN = float("nan")
+ENDS_A_STRIDE = (int(Transition.T4), int(Transition.T6))
+
+
+@dataclass(frozen=True)
+class StrideStimulation:
+    """What one channel did in one stride; onset is counted from the entry into pre-swing (negative: before it)."""
+
+    channel: int
+    name: str
+    bursts: int
+    onset_after_pre_swing_ms: float
+    duration_s: float
+    peak_current_ma: float
+    charge_uc: float
+    charge_counted_by_device: bool
+
+
+@dataclass(frozen=True)
+class StrideRow:
+    """One stride as people read it; NaN where a number is not known."""
+
+    foot: str
+    number: int
+    start_s: float
+    duration_s: float
+    stride_length_m: float
+    speed_mps: float
+    clearance_cm: float
+    toe_clearance_cm: float
+    heel_clearance_cm: float
+    height_gained_cm: float
+    turn_deg: float
+    pre_swing_s: float
+    swing_s: float
+    loading_response_s: float
+    stance_s: float
+    four_phases: bool
+    path: str
+    heel_lifts_put_back: int
+    valid: bool
+    reason: str
+    stimulation: tuple[StrideStimulation, ...]
+    refused: tuple[str, ...]
+
+    @property
+    def stance_is_standing(self) -> bool:
+        """Whether the stance after this stride is too long to be walking."""
+        return self.stance_s > STANDING_S
+
+
+def stride_rows(
+    strides: Sequence[StrideResult],
+    timelines: Mapping[str, PhaseTimeline],
+    channels: Sequence[ChannelInfo],
+    bursts: Mapping[int, Sequence[Burst]],
+    refused: Sequence[StimCommand],
+    origin_ns: int,
+) -> tuple[StrideRow, ...]:
+    """Build the rows, in order of time; ``refused`` are the commands that the gate turned off."""
+    foot_of = {info.number: info.foot for info in channels}
+    in_time = sorted(refused, key=lambda command: command.t_ns)
+    rows = []
+    for foot in dict.fromkeys(stride.foot for stride in strides):
+        own = sorted((stride for stride in strides if stride.foot == foot), key=lambda stride: stride.t_start_ns)
+        near = [
+            (info, bursts.get(info.number, ()), _starts(bursts.get(info.number, ())))
+            for info in channels
+            if info.foot == foot
+        ]
+        own_refused = [command for command in in_time if foot_of.get(command.channel) == foot]
+        refused_ns = np.array([command.t_ns for command in own_refused], dtype=np.int64)
+        before_ns: int | None = None
+        for stride in own:
+            low, high = np.searchsorted(refused_ns, [stride.t_start_ns, stride.t_end_ns])
+            reasons = {without_numbers(command.refused): command.refused for command in own_refused[low:high][::-1]}
+            stimulation = tuple(
+                item
+                for info, all_bursts, start_ns in near
+                if (item := _stimulation_in(stride, info, all_bursts, start_ns)) is not None
+            )
+            time_ns = stride_time_ns(stride.t_start_ns, stride.t_end_ns, before_ns)
+            before_ns = stride.t_end_ns
+            rows.append(_row(stride, time_ns, timelines.get(foot), stimulation, tuple(reasons.values()), origin_ns))
+    return tuple(sorted(rows, key=lambda row: (row.start_s, row.foot)))
+
+
+def _starts(bursts: Sequence[Burst]) -> IntArray:
+    return np.array([burst.t_start_ns for burst in bursts], dtype=np.int64)
+
+
+def _stimulation_in(
+    stride: StrideResult, info: ChannelInfo, bursts: Sequence[Burst], start_ns: IntArray
+) -> StrideStimulation | None:
+    low, high = np.searchsorted(start_ns, [stride.t_start_ns, stride.t_end_ns])
+    own = bursts[low:high]
+    if not own:
+        return None
+    entered = stride.t_pre_swing_ns
+    return StrideStimulation(
+        channel=info.number,
+        name=info.name,
+        bursts=len(own),
+        onset_after_pre_swing_ms=NAN if entered is None else (own[0].t_start_ns - entered) / 1e6,
+        duration_s=sum(burst.duration_s for burst in own),
+        peak_current_ma=max(burst.peak_current_ma for burst in own),
+        charge_uc=sum(burst.charge_uc for burst in own),
+        charge_counted_by_device=own[0].counted,
+    )
+
+
+def _row(
+    stride: StrideResult,
+    time_ns: int,
+    timeline: PhaseTimeline | None,
+    stimulation: tuple[StrideStimulation, ...],
+    refused: tuple[str, ...],
+    origin_ns: int,
+) -> StrideRow:
+    pre_swing, swing = stride.t_pre_swing_ns, stride.t_swing_ns
+    loading, stance = stride.t_loading_response_ns, stride.t_stance_ns
+    passed = _transitions(stride, timeline)
+    put_back = sum(name == "T5" for name in passed)
+    entries = [t for t in (pre_swing, swing, loading, stance) if t is not None]
+    return StrideRow(
+        foot=stride.foot,
+        number=stride.number,
+        start_s=(stride.t_start_ns - origin_ns) / NS_PER_S,
+        duration_s=time_ns / NS_PER_S,
+        stride_length_m=stride.stride_length_m,
+        speed_mps=stride.speed_mps,
+        clearance_cm=stride.clearance_m * 100,
+        toe_clearance_cm=stride.toe_clearance_m * 100,
+        heel_clearance_cm=stride.heel_clearance_m * 100,
+        height_gained_cm=stride.height_gained_m * 100,
+        turn_deg=math.degrees(stride.turn_rad),
+        pre_swing_s=_seconds(pre_swing, swing),
+        swing_s=_seconds(swing, stance if loading is None else loading),
+        loading_response_s=_seconds(loading, stance),
+        stance_s=_stance_s(stance, timeline),
+        four_phases=len(entries) == 4 and all(a < b for a, b in pairwise(entries)),
+        path=" ".join(passed),
+        heel_lifts_put_back=put_back,
+        valid=stride.valid,
+        reason=stride.reason,
+        stimulation=stimulation,
+        refused=refused,
+    )
+
+
+def _seconds(start_ns: int | None, end_ns: int | None) -> float:
+    return NAN if start_ns is None or end_ns is None else (end_ns - start_ns) / NS_PER_S
+
+
+def _stance_s(stance_ns: int | None, timeline: PhaseTimeline | None) -> float:
+    """From the entry into stance to this foot's next change of phase."""
+    if stance_ns is None or timeline is None:
+        return NAN
+    at = int(np.searchsorted(timeline.change_ns, stance_ns, side="right"))
+    return NAN if at >= timeline.change_ns.size else (int(timeline.change_ns[at]) - stance_ns) / NS_PER_S
+
+
+def _transitions(stride: StrideResult, timeline: PhaseTimeline | None) -> list[str]:
+    """Names of the transitions since the stance before this stride, up to the one that ended it."""
+    if timeline is None or timeline.change_ns.size == 0:
+        times = (stride.t_pre_swing_ns, stride.t_swing_ns, stride.t_loading_response_ns, stride.t_stance_ns)
+        last = "T6" if stride.t_loading_response_ns is None else "T4"
+        return [name for name, t in zip(("T1", "T2", "T3", last), times, strict=True) if t is not None]
+    until = stride.t_end_ns if stride.t_stance_ns is None else stride.t_stance_ns
+    low = int(np.searchsorted(timeline.change_ns, stride.t_start_ns, side="right"))
+    high = int(np.searchsorted(timeline.change_ns, until, side="right"))
+    numbers = timeline.transition[low:high].tolist()
+    for at in range(len(numbers) - 2, -1, -1):
+        if numbers[at] in ENDS_A_STRIDE:
+            numbers = numbers[at + 1 :]
+            break
+    return [Transition(number).name for number in numbers]

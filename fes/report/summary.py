@@ -1,0 +1,332 @@
+"""The numbers of a session, without any drawing: what the tables, the report and ``--json`` show.
+
+Means and spreads over the strides of a foot and the bursts of a channel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fes.config import Session
+from fes.report.files import plain
+from fes.report.quality import Latency, Notice, Refusal, SensorQuality, all_sensors, group_refusals, latency_of, remarks
+from fes.report.stimulation import (
+    Burst,
+    ChannelInfo,
+    CommandColumns,
+    answers_without_command,
+    channel_infos,
+    command_columns,
+    find_bursts,
+    session_settings,
+    status_columns,
+)
+from fes.report.strides import StrideRow, stride_rows
+from fes.report.timeline import PhaseTimeline, build_timeline
+from fes.report.tuning import DoseRow, TuningRow, dose_rows, tuning_rows
+from fes.session_log import SessionLogError, SessionRecord
+from fes.signals import FOOT_SENSORS, NS_PER_S
+
+AGGREGATE_NAN = float("nan")
+STEADY_SHARE = 0.3
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean and standard deviation (n − 1) of ``n`` values; NaN where too few."""
+
+    mean: float
+    sd: float
+    n: int
+
+    @property
+    def sd_percent(self) -> float:
+        """Standard deviation in percent of the mean."""
+        return 100 * self.sd / abs(self.mean) if self.mean else AGGREGATE_NAN
+
+
+@dataclass(frozen=True)
+class FootSummary:
+    """One foot's session. Averages are over valid strides; stances over 3 s are standing and left out."""
+
+    foot: str
+    strides: int
+    valid: int
+    four_phases: int
+    without_loading_response: int
+    heel_lifts_put_back: int
+    stride_length_m: Spread
+    clearance_cm: Spread
+    toe_clearance_cm: Spread
+    stride_time_s: Spread
+    walking_speed_mps: float
+    cadence_steps_per_min: float
+    pre_swing_s: Spread
+    swing_s: Spread
+    loading_response_s: Spread
+    stance_s: Spread
+
+
+@dataclass(frozen=True)
+class ChannelSummary:
+    """One channel's session; ``outside_s`` is the time on in phases in which it must be off."""
+
+    channel: int
+    name: str
+    foot: str
+    muscle: str
+    start_phase: str
+    stop_phase: str
+    bursts: int
+    on_time_s: float
+    peak_current_ma: float
+    pulses: float
+    charge_uc: float
+    charge_counted_by_device: bool
+    outside_s: float
+    longest_outside_s: float
+    bursts_outside: int
+    on_without_command: int
+    onset_after_pre_swing_ms: Spread
+    burst_duration_s: Spread
+
+
+def spread(values: Iterable[float]) -> Spread:
+    """Mean and standard deviation of the finite values."""
+    kept = np.array([value for value in values if np.isfinite(value)])
+    return Spread(
+        mean=float(kept.mean()) if kept.size else AGGREGATE_NAN,
+        sd=float(kept.std(ddof=1)) if kept.size > 1 else AGGREGATE_NAN,
+        n=int(kept.size),
+    )
+
+
+def steady_speed_mps(rows: Sequence[StrideRow]) -> float:
+    """Way over time of the steady strides, m/s; NaN where there is none.
+
+    A stride is steady when its own speed is within ``STEADY_SHARE`` of the median stride's: the first and the last
+    step of a walk and steps on the spot say nothing about the belt.
+    """
+    pairs = [(row.stride_length_m, row.duration_s) for row in rows if row.duration_s > 0]
+    length_m, time_s = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+    speed_mps = length_m / time_s
+    usual = float(np.median(speed_mps[np.isfinite(speed_mps)])) if np.isfinite(speed_mps).any() else AGGREGATE_NAN
+    steady = np.abs(speed_mps - usual) <= STEADY_SHARE * abs(usual)
+    return float(length_m[steady].sum() / time_s[steady].sum()) if steady.any() else AGGREGATE_NAN
+
+
+def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
+    """Sum up the strides of one foot."""
+    valid = [row for row in rows if row.valid]
+    stride_time = spread(row.duration_s for row in valid)
+    return FootSummary(
+        foot=foot,
+        strides=len(rows),
+        valid=len(valid),
+        four_phases=sum(row.four_phases for row in rows),
+        without_loading_response=sum(row.path.endswith("T6") for row in rows),
+        heel_lifts_put_back=sum(row.heel_lifts_put_back for row in rows),
+        stride_length_m=spread(row.stride_length_m for row in valid),
+        clearance_cm=spread(row.clearance_cm for row in valid),
+        toe_clearance_cm=spread(row.toe_clearance_cm for row in valid),
+        stride_time_s=stride_time,
+        walking_speed_mps=steady_speed_mps(valid),
+        cadence_steps_per_min=120.0 / stride_time.mean if stride_time.n else AGGREGATE_NAN,
+        pre_swing_s=spread(row.pre_swing_s for row in valid),
+        swing_s=spread(row.swing_s for row in valid),
+        loading_response_s=spread(row.loading_response_s for row in valid),
+        stance_s=spread(row.stance_s for row in valid if not row.stance_is_standing),
+    )
+
+
+def channel_summary(
+    info: ChannelInfo, bursts: Sequence[Burst], rows: Sequence[StrideRow], stray: int
+) -> ChannelSummary:
+    """Sum up one channel; ``stray`` counts answers that say on without a command."""
+    own = [item for row in rows for item in row.stimulation if item.channel == info.number]
+    outside = [burst.outside_s for burst in bursts]
+    known = info.foot != ""
+    return ChannelSummary(
+        channel=info.number,
+        name=info.name,
+        foot=info.foot,
+        muscle=info.muscle,
+        start_phase=info.start_phase,
+        stop_phase=info.stop_phase,
+        bursts=len(bursts),
+        on_time_s=sum(burst.duration_s for burst in bursts),
+        peak_current_ma=max((burst.peak_current_ma for burst in bursts), default=0.0),
+        pulses=sum(burst.pulses for burst in bursts),
+        charge_uc=sum(burst.charge_uc for burst in bursts),
+        charge_counted_by_device=any(burst.counted for burst in bursts),
+        outside_s=sum(outside) if known else AGGREGATE_NAN,
+        longest_outside_s=max(outside, default=0.0) if known else AGGREGATE_NAN,
+        bursts_outside=sum(value > 0 for value in outside),
+        on_without_command=stray,
+        onset_after_pre_swing_ms=spread(item.onset_after_pre_swing_ms for item in own),
+        burst_duration_s=spread(burst.duration_s for burst in bursts),
+    )
+
+
+FORMAT = 1
+NAN = float("nan")
+LONGEST_NS = 31 * 24 * 3600 * NS_PER_S
+FURTHEST_NS = 2**62  # 146 years: differences stay within 64 bits
+
+
+@dataclass(frozen=True)
+class SessionSummary:
+    """All numbers of a session; ``to_json`` gives them with their units in the names."""
+
+    name: str
+    subject: str
+    recording: str
+    kind: str
+    created: str
+    fes_version: str
+    complete: bool
+    lost: str
+    duration_s: float
+    belt_speed_mps: float
+    walking_speed_mps: float
+    speed_over_belt: float
+    command_period_s: float
+    feet: dict[str, FootSummary]
+    channels: tuple[ChannelSummary, ...]
+    refusals: tuple[Refusal, ...]
+    latency: Latency
+    remarks: tuple[Notice, ...]
+    sensors: tuple[SensorQuality, ...]
+    run_summary: dict[str, Any]
+    strides: tuple[StrideRow, ...]
+    dose: tuple[DoseRow, ...] = ()
+    tuning: tuple[TuningRow, ...] = ()
+
+    @property
+    def faults(self) -> tuple[Notice, ...]:
+        """The remarks that tell of a fault."""
+        return tuple(remark for remark in self.remarks if remark.severity == "fault")
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, NaN as null; ``format`` changes when a key changes its meaning."""
+        return {"format": FORMAT, **plain(self)}
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """A summary together with what the figures need besides it."""
+
+    record: SessionRecord
+    settings: Session | None
+    summary: SessionSummary
+    origin_ns: int
+    end_ns: int
+    timelines: dict[str, PhaseTimeline]
+    channels: tuple[ChannelInfo, ...]
+    commands: dict[int, CommandColumns] = field(repr=False)
+    bursts: dict[int, tuple[Burst, ...]] = field(repr=False)
+
+
+def summarise(record: SessionRecord) -> SessionSummary:
+    """Work out a session's numbers."""
+    return summarise_session(record).summary
+
+
+def summarise_session(record: SessionRecord) -> ReportData:
+    """Work out a session's numbers and keep the columns they came from.
+
+    Raises:
+        SessionLogError: its times run over more than a month, or are too large to be subtracted.
+    """
+    settings = session_settings(record.header)
+    origin_ns, end_ns = _span(record)
+    if not 0 <= end_ns - origin_ns <= LONGEST_NS or max(abs(origin_ns), abs(end_ns)) > FURTHEST_NS:
+        raise SessionLogError(
+            f"its times run from {origin_ns / NS_PER_S:g} s to {end_ns / NS_PER_S:g} s; no session is so long, or so "
+            "far from its clock's beginning. Nothing can be drawn of it; `fes convert` gives what it holds."
+        )
+    timelines = {foot: build_timeline(record.phases, foot, origin_ns, end_ns) for foot in _feet(record, settings)}
+    infos = channel_infos(settings, record.commands)
+    commands = {info.number: command_columns(record.commands, info.number) for info in infos}
+    statuses = {info.number: status_columns(record.statuses, info.number) for info in infos}
+    bursts = {
+        info.number: find_bursts(info, commands[info.number], statuses[info.number], timelines.get(info.foot))
+        for info in infos
+    }
+    refused = [command for command in record.commands if command.refused]
+    rows = stride_rows(record.strides, timelines, infos, bursts, refused, origin_ns)
+    feet = {foot: foot_summary(foot, [row for row in rows if row.foot == foot]) for foot in timelines}
+    speeds = [foot.walking_speed_mps for foot in feet.values() if np.isfinite(foot.walking_speed_mps)]
+    speed = float(np.mean(speeds)) if speeds else NAN
+    belt = _belt_speed(record.header, settings)
+    header, recording = record.header, _section(record.header, "recording")
+    session = _section(header, "session")
+    summary = SessionSummary(
+        name=str(session.get("name", "") or "session"),
+        subject=str(session.get("subject", "")),
+        recording=str(recording.get("name", "")),
+        kind=str(header.get("kind", "")),
+        created=str(header.get("created", "")),
+        fes_version=str(header.get("fes_version", "")),
+        complete=record.complete,
+        lost=record.lost,
+        duration_s=(end_ns - origin_ns) / NS_PER_S,
+        belt_speed_mps=belt,
+        walking_speed_mps=speed,
+        speed_over_belt=speed / belt,
+        command_period_s=1.0 / (settings.stimulation.command_rate_hz if settings else 50.0),
+        feet=feet,
+        channels=tuple(
+            channel_summary(
+                info,
+                bursts[info.number],
+                rows,
+                answers_without_command(commands[info.number], statuses[info.number]),
+            )
+            for info in infos
+        ),
+        refusals=group_refusals(refused, origin_ns),
+        latency=latency_of(record.latency_ns),
+        remarks=remarks(record, origin_ns),
+        sensors=all_sensors(record.samples),
+        run_summary=plain(record.summary),
+        strides=rows,
+        dose=dose_rows(record, settings, origin_ns),
+        tuning=tuning_rows(record.notes, origin_ns),
+    )
+    return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)
+
+
+def _span(record: SessionRecord) -> tuple[int, int]:
+    """First and last instant that anything happened."""
+    times = [arrays.t_ns for arrays in record.samples.values()] + [record.ticks_ns, record.latency_t_ns]
+    edges = [int(edge) for array in times if array.size for edge in (array.min(), array.max())]
+    for things in (record.phases, record.commands, record.statuses, record.notes):
+        edges += [thing.t_ns for thing in (*things[:1], *things[-1:])]
+    for stride in (*record.strides[:1], *record.strides[-1:]):
+        edges += [stride.t_start_ns, stride.t_end_ns]
+    return (min(edges), max(edges)) if edges else (0, 0)
+
+
+def _feet(record: SessionRecord, settings: Session | None) -> list[str]:
+    """The feet that anything is known about, left first, then whatever else a log names."""
+    seen = {stride.foot for stride in record.strides} | {change.foot for change in record.phases}
+    seen |= {name for name, arrays in record.samples.items() if name in FOOT_SENSORS and arrays.t_ns.size}
+    seen |= {channel.foot for channel in settings.channels} if settings else set()
+    return [foot for foot in FOOT_SENSORS if foot in seen] + sorted(seen - set(FOOT_SENSORS))
+
+
+def _section(header: dict[str, Any], key: str) -> dict[str, Any]:
+    value = header.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def _belt_speed(header: dict[str, Any], settings: Session | None) -> float:
+    belt = _section(header, "recording").get("belt_speed_mps")
+    if isinstance(belt, (int, float)) and belt > 0:
+        return float(belt)
+    return settings.treadmill.belt_speed_mps if settings and settings.treadmill else NAN

@@ -1,0 +1,17 @@
+"""The session log: append-only, a checksum per record, readable to the last whole record whatever happened."""
+
+from fes.session_log.reader import iter_events, iter_inputs, read_session
+from fes.session_log.record import Note, Received, SampleArrays, SessionLogError, SessionRecord
+from fes.session_log.writer import SessionWriter
+
+__all__ = [
+    "Note",
+    "Received",
+    "SampleArrays",
+    "SessionLogError",
+    "SessionRecord",
+    "SessionWriter",
+    "iter_events",
+    "iter_inputs",
+    "read_session",
+]

@@ -1,0 +1,210 @@
+"""A session log → one C3D file, which motion laboratories open (Mokka, Visual3D, Nexus), by the library ezc3d.
+
+- *Analog*: each sensor's acceleration and rotation rate, its phase (0 stance, 1 pre-swing, 2 swing, 3 loading
+  response), and each channel's commanded current, at the fastest sensor's rate.
+- *Points*: each foot sensor's way from the start of its stride (x forward, z up), invalid where no stride is known.
+- *Events*: foot off and foot strike of each foot, as the phase machine saw them.
+
+C3D has one rate for all and no missing analog values: sensors are interpolated onto the common times, and a channel
+``….Present`` is 0 where a gap was filled with zeros.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fes.session_log import read_session
+from fes.session_log.export.tables import ANOTHER, Exported
+from fes.session_log.record import SampleArrays, SessionLogError, SessionRecord, not_made
+from fes.signals import FloatArray, IntArray, StimCommand, StrideResult
+from statemachine.phases import Phase, PhaseChange
+
+EXTRA: Final = "c3d"
+MAX_FRAMES: Final = 65_535  # the format counts frames in 16 bits
+LONGEST_GAP: Final = 2.5  # usual intervals; beyond it samples are missing
+_EVENTS: Final = {Phase.SWING: "Foot Off", Phase.LOADING_RESPONSE: "Foot Strike", Phase.STANCE: "Foot Strike"}
+_AXES: Final = "XYZ"
+
+
+def to_c3d(log: Path, target: Path) -> Exported:
+    """Write the C3D file ``target``.
+
+    Raises:
+        SessionLogError: ``target`` exists or cannot be written, the log cannot be read, holds no samples or is too long
+            for the format, or the library is not there.
+    """
+    try:
+        import ezc3d
+    except ImportError as error:
+        raise SessionLogError(
+            f"C3D needs a library that is not installed: pip install 'fes-gait[{EXTRA}]', or convert to csv or parquet"
+        ) from error
+    if target.exists():
+        raise not_made(target, FileExistsError(), ANOTHER)
+    record = read_session(log)
+    sensors = {sensor: arrays for sensor, arrays in record.samples.items() if len(arrays.t_ns) >= 2}
+    if not sensors:
+        raise SessionLogError(f"{log}: holds no sensor's samples, so there is nothing to write as C3D")
+    file: Any = ezc3d.c3d()
+    exported = _fill(file, log, record, sensors)
+    try:
+        with target.open("xb"):
+            pass
+        file.write(str(target))
+    except (OSError, RuntimeError) as error:
+        target.unlink(missing_ok=True)
+        raise SessionLogError(f"{target}: cannot be written: {error}; make room, or use --out") from error
+    return exported
+
+
+def _fill(file: Any, log: Path, record: SessionRecord, sensors: dict[str, SampleArrays]) -> Exported:
+    times = {sensor: _sampled_at_s(arrays) for sensor, arrays in sensors.items()}
+    begin_s = min(float(at[0]) for at in times.values())
+    seconds = max(float(at[-1]) for at in times.values()) - begin_s
+    rate_hz = max(_rate_hz(at) for at in times.values())
+    frames = math.floor(seconds * rate_hz) + 1
+    per_frame = math.ceil(frames / MAX_FRAMES)
+    frames = frames // per_frame
+    if frames < 2 or per_frame > MAX_FRAMES:
+        raise SessionLogError(f"{log}: {seconds:.3g} s at {rate_hz:.4g} Hz cannot be held by a C3D file")
+    grid_s = begin_s + np.arange(frames * per_frame) / rate_hz
+    labels, units, rows = [], [], []
+
+    def channel(label: str, unit: str, values: FloatArray) -> None:
+        labels.append(label)
+        units.append(unit)
+        rows.append(values)
+
+    for sensor, arrays in sensors.items():
+        present = _present(times[sensor], grid_s)
+        for what, unit, values in (("Acc", "m/s^2", arrays.acc_mps2), ("Gyr", "rad/s", arrays.gyr_radps)):
+            for axis, letter in enumerate(_AXES):
+                column = np.interp(grid_s, times[sensor], np.nan_to_num(values[:, axis], posinf=0.0, neginf=0.0))
+                channel(f"{sensor}.{what}{letter}", unit, np.where(present, column, 0.0))
+        channel(f"{sensor}.Present", "", present.astype(np.float64))
+    for foot in sorted({change.foot for change in record.phases}):
+        channel(f"{foot}.Phase", "", _phases([one for one in record.phases if one.foot == foot], grid_s))
+    for number in sorted({command.channel for command in record.commands}):
+        own = [command for command in record.commands if command.channel == number]
+        channel(f"stimulation.{number}", "mA", _currents(own, grid_s))
+    frame_s = grid_s[::per_frame]
+    feet = sorted({stride.foot for stride in record.strides if len(stride.pitch_rad)})
+    points = np.full((4, len(feet), frames), np.nan)
+    points[3] = 1.0
+    for k, foot in enumerate(feet):
+        points[:3, k] = _ways([one for one in record.strides if one.foot == foot], frame_s)
+    events = sorted(
+        (1e-9 * one.t_ns - begin_s, one.foot, _EVENTS[one.destination])
+        for one in record.phases
+        if one.destination in _EVENTS and (one.destination != Phase.STANCE or one.source == Phase.SWING)
+    )
+    _parameters(file, rate_hz, per_frame, feet, labels, units, events)
+    file["data"]["points"] = points
+    file["data"]["analogs"] = np.asarray(rows)[np.newaxis]
+    header = record.header
+    return Exported(
+        header,
+        record.summary,
+        record.complete,
+        rows={
+            "analog channels": len(labels),
+            "analog samples": len(grid_s),
+            "points": len(feet),
+            "events": len(events),
+        },
+        begin_ns=round(1e9 * begin_s),
+    )
+
+
+def _sampled_at_s(arrays: SampleArrays) -> FloatArray:
+    """(N,) when the samples were taken, on the host's clock, increasing: the sensor's own clock, drift taken out.
+
+    Where the sensor's clock cannot be followed (set anew, stamps doubled), the times of arrival.
+    """
+    arrived, stamped = 1e-9 * arrays.t_ns, 1e-9 * arrays.t_sensor_ns
+    if np.all(np.diff(stamped) > 0.0):
+        drift, offset = np.polyfit(stamped - stamped[0], arrived - stamped, 1)
+        at: FloatArray = stamped + offset + drift * (stamped - stamped[0])
+        if np.max(np.abs(arrived - at)) < 0.25:
+            return at
+    increasing: FloatArray = np.maximum.accumulate(arrived) + 1e-9 * np.arange(len(arrived))
+    return increasing
+
+
+def _rate_hz(t_s: FloatArray) -> float:
+    rate_hz = 1.0 / float(np.median(np.diff(t_s)))
+    return float(round(rate_hz)) if abs(rate_hz - round(rate_hz)) < 0.01 * rate_hz else rate_hz
+
+
+def _present(t_s: FloatArray, grid_s: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """(M,) whether a sample was there: between two that are no more than a few intervals apart."""
+    after = np.clip(np.searchsorted(t_s, grid_s), 1, len(t_s) - 1)
+    short = (t_s[after] - t_s[after - 1]) <= LONGEST_GAP * float(np.median(np.diff(t_s)))
+    inside: np.ndarray[Any, np.dtype[np.bool_]] = short & (grid_s >= t_s[0] - 1e-6) & (grid_s <= t_s[-1] + 1e-6)
+    return inside
+
+
+def _held(t_s: FloatArray, values: FloatArray, grid_s: FloatArray, before: float) -> tuple[FloatArray, IntArray]:
+    """The last value at each time of the grid, and which one that is (-1: none yet)."""
+    which = np.searchsorted(t_s, grid_s, side="right") - 1
+    held: FloatArray = np.where(which >= 0, values[which], before)
+    return held, which
+
+
+def _phases(changes: Sequence[PhaseChange], grid_s: FloatArray) -> FloatArray:
+    t_s = np.array([1e-9 * one.t_ns for one in changes])
+    phases = np.array([float(one.destination) for one in changes])
+    return _held(t_s, phases, grid_s, float(changes[0].source))[0]
+
+
+def _currents(commands: Sequence[StimCommand], grid_s: FloatArray) -> FloatArray:
+    """(M,) mA: what the newest command asks for while it is valid."""
+    t_s = np.array([1e-9 * one.t_ns for one in commands])
+    current_ma, which = _held(t_s, np.array([one.current_ma * one.on for one in commands]), grid_s, 0.0)
+    until_s = t_s + np.array([1e-3 * one.validity_ms for one in commands])
+    return np.where((which >= 0) & (grid_s <= until_s[which]), current_ma, 0.0)
+
+
+def _ways(strides: Sequence[StrideResult], frame_s: FloatArray) -> FloatArray:
+    """(3, F) mm from each stride's start, NaN where there is none."""
+    ways = np.full((3, len(frame_s)), np.nan)
+    for stride in strides:
+        k = len(stride.pitch_rad)
+        if k < 2 or len(stride.trajectory_m) != k:
+            continue
+        t_s = np.linspace(1e-9 * stride.t_start_ns, 1e-9 * stride.t_end_ns, k)
+        first, last = np.searchsorted(frame_s, [t_s[0], t_s[-1]])
+        for axis in range(3):
+            ways[axis, first:last] = 1e3 * np.interp(frame_s[first:last], t_s, stride.trajectory_m[:, axis])
+    return ways
+
+
+def _parameters(
+    file: Any,
+    rate_hz: float,
+    per_frame: int,
+    feet: Sequence[str],
+    labels: Sequence[str],
+    units: Sequence[str],
+    events: Sequence[tuple[float, str, str]],
+) -> None:
+    groups = file["parameters"]
+    groups["POINT"]["RATE"]["value"] = [rate_hz / per_frame]
+    groups["POINT"]["LABELS"]["value"] = [f"{foot}.sensor" for foot in feet]
+    groups["POINT"]["DESCRIPTIONS"]["value"] = ["sensor, from the start of each stride" for _ in feet]
+    groups["POINT"]["UNITS"]["value"] = ["mm"]
+    groups["ANALOG"]["RATE"]["value"] = [rate_hz]
+    groups["ANALOG"]["LABELS"]["value"] = list(labels)
+    groups["ANALOG"]["UNITS"]["value"] = list(units)
+    file.add_parameter("EVENT", "USED", [len(events)])
+    if events:
+        minutes = [math.floor(t_s / 60.0) for t_s, _, _ in events]
+        seconds = [t_s - 60.0 * whole for whole, (t_s, _, _) in zip(minutes, events, strict=True)]
+        file.add_parameter("EVENT", "CONTEXTS", [foot.split("_")[0].capitalize() for _, foot, _ in events])
+        file.add_parameter("EVENT", "LABELS", [label for _, _, label in events])
+        file.add_parameter("EVENT", "TIMES", np.array([minutes, seconds], np.float64))

@@ -1,0 +1,139 @@
+"""The log's bytes: a magic, then records of ``u32 length | u32 crc32 | u8 type | payload``, little endian.
+
+``length`` counts type and payload; the checksum covers both and starts from ``length``, so that a wrong length
+shows as well. Zeros, as a file system may leave after a power cut, are no record: a length of 0 is not allowed.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from enum import IntEnum
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from fes.session_log.record import SessionLogError
+
+MAGIC: Final = b"\x89FESLOG\x01"  # the last byte is the format's version
+MAX_RECORD_BYTES: Final = 1 << 26
+BLOCK_BYTES: Final = 1 << 20  # read at a time
+
+_HEAD = struct.Struct("<IIB")
+_FRONT = struct.Struct("<II")
+HEAD_BYTES: Final = _HEAD.size
+
+
+class RecordType(IntEnum):
+    """What a record holds. Numbers are never reused."""
+
+    HEADER = 1
+    SUMMARY = 2
+    SAMPLES = 3
+    TICK = 4
+    ACT = 5
+    STATUS = 6
+    ALIVE = 7
+    COMMAND = 8
+    FRAME = 9
+    PHASE = 10
+    STRIDE = 11
+    NOTE = 12
+    LATENCY = 13
+    STIM_OPENED = 14
+    FOOT_SWITCH = 15
+    SYSTEM_FAULT = 16
+    RECEIVED = 17
+
+
+_KNOWN = frozenset(int(kind) for kind in RecordType)
+_KIND_BYTE = {int(kind): kind.to_bytes(1, "little") for kind in RecordType}
+
+
+def framed(kind: int, payload: bytes | bytearray) -> bytes:
+    """Return one whole record."""
+    body = _KIND_BYTE[kind] + payload
+    return _FRONT.pack(len(body), zlib.crc32(body, len(body))) + body
+
+
+class LogScan:
+    """One pass over a log's whole records, up to the first that is torn or damaged.
+
+    Iterating yields (type, payload) with the payload as a view into the file; afterwards ``lost`` says in words
+    what lies behind the last good record, "" if nothing, and ``good_bytes`` how far the file is whole.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.lost = ""
+        self.good_bytes = 0
+
+    def __iter__(self) -> Iterator[tuple[int, memoryview]]:
+        try:
+            # not mapped into memory: a file cut short while it is read would end the process
+            with self.path.open("rb", buffering=0) as file:
+                size = file.seek(0, 2)
+                file.seek(0)
+                self._check_magic(file.read(len(MAGIC)))
+                yield from self._records(file, size)
+        except OSError as error:
+            raise SessionLogError(
+                f"{self.path}: cannot be read: {error.strerror or error}. Name an existing session log."
+            ) from error
+
+    def _check_magic(self, start: bytes) -> None:
+        if start == MAGIC:
+            return
+        if start[:-1] == MAGIC[:-1] and len(start) == len(MAGIC):
+            raise SessionLogError(
+                f"{self.path}: is a session log of format {start[-1]}, this fes reads format {MAGIC[-1]}; "
+                f"use the fes that wrote it"
+            )
+        if MAGIC.startswith(start):
+            raise SessionLogError(
+                f"{self.path}: holds only {len(start)} bytes; the session stopped before anything was stored, so there "
+                f"is nothing to recover"
+            )
+        raise SessionLogError(
+            f"{self.path}: is not a session log (it starts with {start!r}). "
+            f"A session log is what `fes run` or `fes replay` leaves."
+        )
+
+    def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, memoryview]]:
+        unpack, crc32, known, head = _HEAD.unpack_from, zlib.crc32, _KNOWN, HEAD_BYTES
+        at, block_at, block = len(MAGIC), len(MAGIC), memoryview(b"")
+        while at < size:
+            here, fault = at - block_at, ""
+            if len(block) - here < head:
+                block, block_at, here = _further(file, block[here:], BLOCK_BYTES), at, 0
+            if len(block) < head:
+                fault = "a record's first bytes only"
+            else:
+                length, checksum, kind = unpack(block, here)
+                end = here + 8 + length
+                if end > len(block) and 0 < length <= MAX_RECORD_BYTES:
+                    block, block_at, here, end = _further(file, block[here:], length), at, 0, 8 + length
+                if not 0 < length <= MAX_RECORD_BYTES:
+                    fault = "no record starts there"
+                elif end > len(block):
+                    fault = "a record cut short"
+                elif crc32(block[here + 8 : end], length) != checksum:
+                    fault = "a damaged record (its checksum differs)"
+                elif kind not in known:
+                    fault = f"a record of unknown type {kind}"
+            if fault:
+                self.lost = f"the last {size - at} of {size} bytes, from byte {at} on: {fault}"
+                break
+            payload = block[here + head : end]
+            at = self.good_bytes = block_at + end
+            yield kind, payload
+        self.good_bytes = at
+
+
+def _further(file: BinaryIO, left: memoryview, most: int) -> memoryview:
+    """What is left of a block, and at least ``most`` bytes more of the file, if it has as many."""
+    parts, wanted = [bytes(left)], max(most, BLOCK_BYTES)
+    while wanted > 0 and (part := file.read(wanted)):
+        parts.append(part)
+        wanted -= len(part)
+    return memoryview(b"".join(parts))

@@ -1,0 +1,199 @@
+"""Reading a session log, whole or torn: everything before the first bad record, and what was lost behind it."""
+
+from __future__ import annotations
+
+import gc
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fes.session_log.codec import (
+    Growing,
+    RareEvent,
+    SampleParts,
+    decode,
+    decode_json,
+    decode_many,
+    latency_arrays,
+    samples_of,
+)
+from fes.session_log.framing import LogScan, RecordType
+from fes.session_log.record import Received, SessionLogError, SessionRecord
+from fes.signals import Event, WireFrame
+
+TOGETHER = 10_000  # records that are decoded in one go
+
+_BAD_PAYLOAD = (struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError)
+_SINGLE_INPUTS = frozenset(
+    (
+        RecordType.TICK,
+        RecordType.ACT,
+        RecordType.STATUS,
+        RecordType.ALIVE,
+        RecordType.STIM_OPENED,
+        RecordType.FOOT_SWITCH,
+        RecordType.SYSTEM_FAULT,
+        RecordType.RECEIVED,
+        RecordType.FRAME,
+    )
+)
+
+
+def read_session(path: Path, leave_out: frozenset[RecordType] = frozenset()) -> SessionRecord:
+    """Read all that a session left behind; types of single records to ``leave_out`` stay empty.
+
+    Raises:
+        SessionLogError: the file cannot be read, is no session log, or was stopped before its header was stored.
+            A torn or damaged end is no error: see ``SessionRecord.complete`` and ``lost``.
+    """
+    scan = LogScan(Path(path))
+    records = iter(scan)
+    record = SessionRecord(_header(records, scan))
+    gathered = _Gathered(record, leave_out)
+    ended = False
+    try:
+        with _nothing_collected():
+            for kind, payload in records:
+                ended = kind == RecordType.SUMMARY
+                if ended:
+                    record.summary = decode_json(payload)
+                else:
+                    gathered.add(kind, payload)
+            gathered.end()
+    except _BAD_PAYLOAD as error:
+        raise _malformed(scan, error) from error
+    record.lost = scan.lost
+    record.complete = ended and not scan.lost
+    return record
+
+
+@contextmanager
+def _nothing_collected() -> Iterator[None]:
+    """Without the garbage collector, which goes through all values again and again while they grow, for nothing."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()
+
+
+class _Gathered:
+    """A log's records on their way into a :class:`SessionRecord`, many of a type at a time."""
+
+    def __init__(self, record: SessionRecord, leave_out: frozenset[RecordType]) -> None:
+        self._record = record
+        self._singles: dict[int, list[Any]] = {
+            RecordType.ACT: record.acts,
+            RecordType.STATUS: record.statuses,
+            RecordType.ALIVE: record.alive,
+            RecordType.PHASE: record.phases,
+            RecordType.STRIDE: record.strides,
+            RecordType.COMMAND: record.commands,
+            RecordType.FRAME: record.frames,
+            RecordType.NOTE: record.notes,
+            RecordType.STIM_OPENED: record.reopened,
+            RecordType.FOOT_SWITCH: record.switches,
+            RecordType.SYSTEM_FAULT: record.faults,
+            RecordType.RECEIVED: record.received,
+        }
+        runs = (RecordType.SAMPLES, RecordType.LATENCY, RecordType.TICK)
+        self._waiting: dict[int, list[memoryview]] = {
+            kind: [] for kind in (*self._singles, *runs) if kind not in leave_out
+        }
+        self._count = 0
+        self._samples = SampleParts()
+        self._latency_t_ns, self._latency_ns, self._ticks_ns = Growing(np.int64), Growing(np.int64), Growing(np.int64)
+
+    def add(self, kind: int, payload: memoryview) -> None:
+        """Take one record in."""
+        waiting = self._waiting.get(kind)
+        if waiting is not None:
+            waiting.append(payload)
+            self._count += 1
+            if self._count == TOGETHER:
+                self._take_all()
+
+    def end(self) -> None:
+        """All is there."""
+        self._take_all()
+        self._record.samples = self._samples.arrays()
+        self._record.latency_t_ns, self._record.latency_ns = self._latency_t_ns.whole(), self._latency_ns.whole()
+        self._record.ticks_ns = self._ticks_ns.whole()
+
+    def _take_all(self) -> None:
+        self._count = 0
+        for kind, waiting in self._waiting.items():
+            self._take(kind, waiting)
+            waiting.clear()
+
+    def _take(self, kind: int, waiting: list[memoryview]) -> None:
+        if kind == RecordType.SAMPLES:
+            self._samples.add(waiting)
+        elif kind == RecordType.LATENCY:
+            t_ns, latency_ns = latency_arrays(waiting)
+            self._latency_t_ns.add(t_ns)
+            self._latency_ns.add(latency_ns)
+        elif kind == RecordType.TICK:
+            odd = next((len(payload) for payload in waiting if len(payload) != 8), None)
+            if odd is not None:
+                raise ValueError(f"a tick of {odd} bytes")
+            self._ticks_ns.add(np.frombuffer(b"".join(waiting), "<i8"))
+        else:
+            self._singles[kind] += decode_many(kind, waiting)
+
+
+def iter_events(path: Path) -> Iterator[Event]:
+    """Yield the events in their original order, for replay; ends where the log is torn.
+
+    Raises:
+        SessionLogError: as :func:`read_session`.
+    """
+    return (each for each in iter_inputs(path) if not isinstance(each, Received | WireFrame))
+
+
+def iter_inputs(path: Path) -> Iterator[Event | Received | WireFrame]:
+    """Yield the events in their original order, and among them what a serial line brought and what went onto the wire.
+
+    Raises:
+        SessionLogError: as :func:`read_session`.
+    """
+    scan = LogScan(Path(path))
+    records = iter(scan)
+    _header(records, scan)
+    try:
+        for kind, payload in records:
+            if kind == RecordType.SAMPLES:
+                yield from samples_of(payload)
+            elif kind in _SINGLE_INPUTS:
+                value = decode(kind, payload)
+                if isinstance(value, RareEvent | Received | WireFrame):
+                    yield value
+    except _BAD_PAYLOAD as error:
+        raise _malformed(scan, error) from error
+
+
+def _header(records: Iterator[tuple[int, memoryview]], scan: LogScan) -> dict[str, Any]:
+    kind, payload = next(records, (0, memoryview(b"")))
+    if kind != RecordType.HEADER:
+        raise SessionLogError(
+            f"{scan.path}: has no whole header ({scan.lost or 'nothing follows the first bytes'}); "
+            f"without it nothing can be recovered"
+        )
+    try:
+        return decode_json(payload)
+    except ValueError as error:
+        raise _malformed(scan, error) from error
+
+
+def _malformed(scan: LogScan, error: Exception) -> SessionLogError:
+    """A record whose checksum is right and whose content is not: a fault of the program that wrote it."""
+    return SessionLogError(
+        f"{scan.path}: near byte {scan.good_bytes}: a record is malformed ({error}). `fes recover {scan.path}` makes a "
+        f"new log of all that can be read."
+    )

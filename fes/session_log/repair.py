@@ -1,0 +1,458 @@
+"""A damaged session log → a new one with every whole record, and what was lost.
+
+Finding every whole record of a damaged session log, in one pass that holds one record at a time.
+
+Behind damage the next record is looked for byte by byte: it is one where length, type and checksum fit and whose
+content can be decoded. By chance 32 bits of checksum fit once in 4 · 10⁹ places.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+
+from fes.session_log.codec import Rare, decode, decode_json, encode, encode_json, latency_arrays, samples_of
+from fes.session_log.framing import HEAD_BYTES, MAGIC, MAX_RECORD_BYTES, RecordType, framed
+from fes.session_log.record import Note, SessionLogError
+from fes.session_log.writer import create
+from fes.signals import StrideResult
+
+LONGEST_RESYNC_BYTES: Final = 1 << 20  # of a record looked for behind damage; what is written stays far below
+ZEROS: Final = "zeros, as a file system leaves them after a power cut"
+
+_HEAD = struct.Struct("<IIB")
+_BLOCK_BYTES: Final = 1 << 20
+_CHECKED_PER_BYTE: Final = 64  # bytes summed for each byte searched, so that no file makes the search quadratic
+_BAD_CONTENT = (struct.error, ValueError, KeyError, IndexError, TypeError, RecursionError)
+_TYPES: Final[dict[str, tuple[type, ...]]] = {
+    "int": (int,),
+    "int | None": (int, type(None)),
+    "float": (float, int),
+    "str": (str,),
+    "bool": (bool,),
+}
+_KNOWN = np.isin(np.arange(256), [int(kind) for kind in RecordType])
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """A record whose checksum and content are right, at byte ``at`` of the file.
+
+    ``value`` is what it holds: a mapping for header and summary, None for runs (see ``payload``). ``count`` is how many
+    values it holds (a run: its samples or latencies); ``begin_ns`` and ``end_ns`` the time it tells of, if any.
+    """
+
+    at: int
+    size: int
+    kind: RecordType
+    payload: memoryview
+    value: Rare | dict[str, Any] | None
+    count: int = 1
+    begin_ns: int | None = None
+    end_ns: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Bytes that are no whole record; ``kind`` is what they were, where their first bytes still tell."""
+
+    at: int
+    size: int
+    why: str
+    kind: RecordType | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Refused:
+    """Why there is no whole record at a place; ``end`` is where one would end, by its head."""
+
+    why: str
+    kind: RecordType | None = None
+    end: int = 0
+    checked: bool = False  # the checksum was right
+
+
+def pieces(path: Path) -> Iterator[Whole | Damage]:
+    """Yield what a session log consists of, without a byte left out, in the order of the file.
+
+    Raises:
+        SessionLogError: the file cannot be read or is no session log of this format.
+    """
+    try:
+        with Path(path).open("rb", buffering=_BLOCK_BYTES) as file:
+            size = file.seek(0, 2)
+            yield from _magic(Path(path), file, size)
+            at = len(MAGIC)
+            while at < size:
+                found = _record(file, at, size)
+                piece = _damage(file, at, size, found) if isinstance(found, _Refused) else found
+                yield piece
+                at += piece.size
+    except OSError as error:
+        raise SessionLogError(
+            f"{path}: cannot be read: {error.strerror or error}. Name an existing session log."
+        ) from error
+
+
+def _magic(path: Path, file: BinaryIO, size: int) -> Iterator[Damage]:
+    """Nothing if the file begins as it should, the damage if a header follows all the same."""
+    file.seek(0)
+    start = file.read(len(MAGIC))
+    if start == MAGIC:
+        return
+    if len(start) < len(MAGIC):
+        raise SessionLogError(
+            f"{path}: holds only {len(start)} bytes; the session stopped before anything was stored, so there is "
+            f"nothing to recover"
+        )
+    if start[:-1] == MAGIC[:-1]:
+        raise SessionLogError(
+            f"{path}: is a session log of format {start[-1]}, this fes reads format {MAGIC[-1]}; "
+            f"use the fes that wrote it"
+        )
+    first = _record(file, len(MAGIC), size)
+    if isinstance(first, _Refused) or first.kind != RecordType.HEADER:
+        raise SessionLogError(
+            f"{path}: is not a session log (it starts with {start!r}). A session log is what `fes run` or `fes replay` "
+            f"leaves."
+        )
+    yield Damage(0, len(MAGIC), "the format's mark is damaged")
+
+
+def _record(file: BinaryIO, at: int, size: int) -> Whole | _Refused:
+    file.seek(at)
+    head = file.read(HEAD_BYTES)
+    if len(head) < HEAD_BYTES:
+        return _Refused("a record's first bytes only")
+    length, checksum, number = _HEAD.unpack(head)
+    kind = RecordType(number) if _KNOWN[number] else None
+    if not 0 < length <= MAX_RECORD_BYTES:
+        return _Refused("no record starts there")
+    end = at + 8 + length
+    if end > size:
+        return _Refused("a record cut short", kind, end)
+    payload = file.read(length - 1)
+    if zlib.crc32(payload, zlib.crc32(head[8:], length)) != checksum:
+        return _Refused("a damaged record (its checksum differs)", kind, end)
+    if kind is None:
+        return _Refused(f"a record of unknown type {number}", None, end, checked=True)
+    try:
+        return _content(at, 8 + length, kind, memoryview(payload))
+    except _BAD_CONTENT as error:
+        return _Refused(f"a malformed record ({error})", kind, end, checked=True)
+
+
+def _content(at: int, size: int, kind: RecordType, payload: memoryview) -> Whole:
+    """Decode a record whole, so that nobody who reads it later meets what it cannot read."""
+    if kind in (RecordType.HEADER, RecordType.SUMMARY):
+        return Whole(at, size, kind, payload, decode_json(payload))
+    if kind == RecordType.SAMPLES:
+        times = [sample.t_ns for sample in samples_of(payload)]
+        return Whole(at, size, kind, payload, None, len(times), min(times, default=None), max(times, default=None))
+    if kind == RecordType.LATENCY:
+        times = latency_arrays([payload])[0].tolist()
+        return Whole(at, size, kind, payload, None, len(times), min(times, default=None), max(times, default=None))
+    value = decode(kind, payload)
+    if isinstance(value, StrideResult | Note):
+        _check_types(value)
+    t_ns = value.t_end_ns if isinstance(value, StrideResult) else value.t_ns
+    return Whole(at, size, kind, payload, value, 1, t_ns, t_ns)
+
+
+def _check_types(value: StrideResult | Note) -> None:
+    """Refuse JSON whose values are of another type than the fields: what reads them counts on it."""
+    for item in fields(value):
+        kinds = _TYPES.get(str(item.type))
+        held = getattr(value, item.name)
+        if kinds and (not isinstance(held, kinds) or (isinstance(held, bool) and bool not in kinds)):
+            raise ValueError(f"{item.name} is {held!r}")
+        if isinstance(held, int) and abs(held) >= 1 << 63:
+            raise ValueError(f"{item.name} is beyond 64 bits")
+
+
+def _damage(file: BinaryIO, at: int, size: int, refused: _Refused) -> Damage:
+    if refused.checked:  # its length is right as well
+        return Damage(at, refused.end - at, refused.why, refused.kind)
+    found = _next_record(file, at + 1, size)
+    if _all_zero(file, at, found):
+        return Damage(at, found - at, ZEROS)
+    # the head is believed where the next record begins where it says, or where it was the last one
+    believed = refused.end == found or (refused.end > size and found == size)
+    return Damage(at, found - at, refused.why, refused.kind if believed else None)
+
+
+def _next_record(file: BinaryIO, start: int, size: int) -> int:
+    """Where the next whole record begins; ``size`` if there is none."""
+    allowed = _CHECKED_PER_BYTE * _BLOCK_BYTES
+    for begin in range(start, size, _BLOCK_BYTES):
+        file.seek(begin)
+        block = np.frombuffer(file.read(_BLOCK_BYTES + HEAD_BYTES - 1), np.uint8)
+        if len(block) < HEAD_BYTES:
+            break
+        n = len(block) - HEAD_BYTES + 1
+        low, middle, high, top = (block[i : i + n].astype(np.uint32) for i in range(4))
+        length = low | middle << 8 | high << 16 | top << 24
+        likely = _KNOWN[block[8 : 8 + n]] & (length > 0) & (length <= LONGEST_RESYNC_BYTES)
+        likely &= begin + np.arange(n) + 8 + length <= size
+        for place in np.flatnonzero(likely).tolist():
+            if length[place] > allowed:
+                continue
+            allowed -= int(length[place])
+            if isinstance(_record(file, begin + place, size), Whole):
+                return begin + place
+        allowed += _CHECKED_PER_BYTE * n
+    return size
+
+
+def _all_zero(file: BinaryIO, begin: int, end: int) -> bool:
+    file.seek(begin)
+    left = end - begin
+    while left:
+        block = file.read(min(left, _BLOCK_BYTES))
+        if not block or block.count(0) != len(block):
+            return False
+        left -= len(block)
+    return True
+
+
+NAMES: Final = {
+    RecordType.HEADER: ("header", "headers"),
+    RecordType.SUMMARY: ("summary", "summaries"),
+    RecordType.SAMPLES: ("run of samples", "runs of samples"),
+    RecordType.TICK: ("tick", "ticks"),
+    RecordType.ACT: ("operator's act", "operator's acts"),
+    RecordType.STATUS: ("stimulator's answer", "stimulator's answers"),
+    RecordType.ALIVE: ("stimulator's heartbeat", "stimulator's heartbeats"),
+    RecordType.COMMAND: ("command", "commands"),
+    RecordType.FRAME: ("frame", "frames"),
+    RecordType.PHASE: ("phase change", "phase changes"),
+    RecordType.STRIDE: ("stride", "strides"),
+    RecordType.NOTE: ("note", "notes"),
+    RecordType.LATENCY: ("run of latencies", "runs of latencies"),
+    RecordType.STIM_OPENED: ("reopening of the stimulator", "reopenings of the stimulator"),
+    RecordType.FOOT_SWITCH: ("foot switch's event", "foot switch's events"),
+    RecordType.SYSTEM_FAULT: ("system fault", "system faults"),
+    RecordType.RECEIVED: ("stimulator's bytes", "stimulator's bytes"),
+}
+_COPY_BYTES: Final = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A place where something is missing.
+
+    ``kind`` is what it was, where that can be told. ``before_ns`` and ``after_ns`` are the times of the nearest records
+    of that kind on its two sides (of the samples where the kind is not known); None: there is none.
+    """
+
+    at: int
+    size: int
+    why: str
+    kind: RecordType | None
+    before_ns: int | None
+    after_ns: int | None
+
+    @property
+    def harmless(self) -> bool:
+        """Nothing of the session is in it."""
+        return self.at == 0
+
+    def words(self, begin_ns: int) -> str:
+        """One sentence; times are s since ``begin_ns``."""
+        what = f"{self.size} byte{'s' * (self.size != 1)} from byte {self.at} on: {self.why}"
+        if self.kind is not None and self.kind in NAMES:
+            what += f", by its head a {NAMES[self.kind][0]}"
+        if self.harmless:
+            return what
+        before = f"{1e-9 * (self.before_ns - begin_ns):.3f} s" if self.before_ns is not None else "the beginning"
+        if self.after_ns is None:
+            return f"{what}; after {before}"
+        after_s = 1e-9 * (self.after_ns - begin_ns)
+        spent = "" if self.before_ns is None else f" ({1e-6 * max(self.after_ns - self.before_ns, 0):.0f} ms)"
+        return f"{what}; between {before} and {after_s:.3f} s{spent}"
+
+
+@dataclass(slots=True)
+class Survey:
+    """What a log holds and lacks: ``kept`` and ``gaps``; ``ended`` if its last record is the session's summary.
+
+    ``begin_ns`` is the earliest time known; ``summary`` the session's last, if one is whole.
+    """
+
+    path: Path
+    size: int = 0
+    kept: Counter[RecordType] = field(default_factory=Counter)
+    gaps: list[Gap] = field(default_factory=list)
+    header: dict[str, Any] | None = None
+    summary: dict[str, Any] = field(default_factory=dict)
+    ended: bool = False
+    begin_ns: int | None = None
+
+    @property
+    def whole(self) -> bool:
+        """Nothing is damaged and the end is there."""
+        return self.ended and not self.gaps
+
+    @property
+    def lost_bytes(self) -> int:
+        """Bytes that belonged, or may have belonged, to the session."""
+        return sum(gap.size for gap in self.gaps if self._lost(gap))
+
+    def _lost(self, gap: Gap) -> bool:
+        behind_the_end = self.ended and gap is self.gaps[-1] and gap.why == ZEROS and gap.at + gap.size == self.size
+        return not (gap.harmless or behind_the_end)
+
+    @property
+    def lost_kinds(self) -> Counter[str]:
+        """How many records of which kind are known to be lost; ``unknown`` counts places, not records."""
+        counted: Counter[str] = Counter()
+        for gap in self.gaps:
+            if self._lost(gap):
+                counted["unknown" if gap.kind is None else gap.kind.name.lower()] += 1
+        return counted
+
+    @property
+    def lost_ns(self) -> int:
+        """Time inside the session that damaged places cover; what is missing at the end is not known."""
+        lost = [gap for gap in self.gaps if self._lost(gap)]
+        spans = [(g.before_ns, g.after_ns) for g in lost if g.before_ns is not None and g.after_ns is not None]
+        total, until = 0, spans[0][0] if spans else 0
+        for before, after in sorted(spans):
+            total += max(after - max(before, until), 0)
+            until = max(until, after)
+        return total
+
+    def sentences(self) -> list[str]:
+        """What was lost, a sentence for each place, and of the end."""
+        said = [gap.words(self.begin_ns or 0) for gap in self.gaps]
+        if not self.ended:
+            said.append("the session's end was never written: it lacks what happened in the last quarter of a second")
+        return said
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values for JSON and for the recovered log's summary."""
+        return {
+            "bytes": self.size,
+            "lost_bytes": self.lost_bytes,
+            "lost_ms": round(1e-6 * self.lost_ns, 3),
+            "lost_records": dict(self.lost_kinds),
+            "end_missing": not self.ended,
+            "kept_records": {kind.name.lower(): count for kind, count in sorted(self.kept.items())},
+            "gaps": [
+                {
+                    "byte": gap.at,
+                    "bytes": gap.size,
+                    "why": gap.why,
+                    "kind": None if gap.kind is None else gap.kind.name.lower(),
+                    "after_t_ns": gap.before_ns,
+                    "before_t_ns": gap.after_ns,
+                }
+                for gap in self.gaps
+            ],
+        }
+
+
+def survey(path: Path) -> Survey:
+    """Read a log through and say what it holds and lacks; nothing is written.
+
+    Raises:
+        SessionLogError: the file cannot be read or is no session log.
+    """
+    found = Survey(Path(path))
+    last_ns: dict[RecordType, int] = {}
+    waiting: dict[RecordType, list[int]] = {}  # gaps that the next record of a kind will end
+    for piece in pieces(Path(path)):
+        found.size = piece.at + piece.size
+        if isinstance(piece, Damage):
+            stream = RecordType.SAMPLES if piece.kind is None else piece.kind
+            waiting.setdefault(stream, []).append(len(found.gaps))
+            found.gaps.append(Gap(piece.at, piece.size, piece.why, piece.kind, last_ns.get(stream), None))
+            continue
+        _take(found, piece)
+        if piece.begin_ns is not None and piece.end_ns is not None:
+            for number in waiting.pop(piece.kind, ()):
+                found.gaps[number] = replace(found.gaps[number], after_ns=piece.begin_ns)
+            last_ns[piece.kind] = piece.end_ns
+    return found
+
+
+def _take(found: Survey, piece: Whole) -> None:
+    found.kept[piece.kind] += piece.count
+    found.ended = piece.kind == RecordType.SUMMARY
+    if piece.begin_ns is not None:
+        found.begin_ns = piece.begin_ns if found.begin_ns is None else min(found.begin_ns, piece.begin_ns)
+    if piece.kind == RecordType.HEADER and isinstance(piece.value, dict) and piece.at == len(MAGIC):
+        found.header = piece.value
+    elif piece.kind == RecordType.SUMMARY and isinstance(piece.value, dict):
+        found.summary = piece.value
+
+
+def recover(found: Survey, target: Path, header: dict[str, Any] | None = None) -> None:
+    """Write a new log: every whole record as it is, a note where something is missing, a summary that says so.
+
+    Args:
+        found: what :func:`survey` said of the damaged log, which is only read.
+        target: must not exist.
+        header: to use where the log's own is damaged.
+
+    Raises:
+        SessionLogError: there is no header, ``target`` exists or cannot be written; nothing is left of it then.
+    """
+    if found.header is None and header is None:
+        raise SessionLogError(
+            f"{found.path}: its header, with the settings, is damaged; {sum(found.kept.values())} values behind it are "
+            f"whole. Name another log of the same settings to take the header from: --header-from LOG"
+        )
+    descriptor = create(target)
+    try:
+        with os.fdopen(descriptor, "wb") as out, found.path.open("rb") as source:
+            out.write(MAGIC)
+            if found.header is None and header is not None:
+                out.write(framed(RecordType.HEADER, encode_json({**header, "header_from_another_log": True})))
+            _copy(found, source, out)
+            out.write(framed(RecordType.SUMMARY, encode_json(summary_of(found))))
+            out.flush()
+            os.fsync(out.fileno())
+    except OSError as error:
+        target.unlink(missing_ok=True)
+        raise SessionLogError(
+            f"{target}: cannot be written: {error.strerror or error}. The damaged log is as it was; make room, or "
+            f"choose another place with --out"
+        ) from error
+
+
+def summary_of(found: Survey) -> dict[str, Any]:
+    """The recovered log's summary: the session's own if it is whole, and what was lost."""
+    ended = {"ended": f"recovered, {found.lost_bytes} bytes lost"} if found.lost_bytes or not found.ended else {}
+    return {**found.summary, **ended, "recovered": {"from": found.path.name, **found.to_dict()}}
+
+
+def _copy(found: Survey, source: BinaryIO, out: BinaryIO) -> None:
+    at = len(MAGIC)
+    for gap in found.gaps:
+        _copy_range(source, out, at, gap.at)
+        at = max(gap.at + gap.size, at)
+        if not gap.harmless:
+            text = f"lost here: {gap.words(found.begin_ns or 0)}"
+            t_ns = next((t for t in (gap.before_ns, gap.after_ns, found.begin_ns) if t is not None), 0)
+            out.write(framed(*encode(Note(t_ns, "warning", "recover", text))))
+    _copy_range(source, out, at, found.size)
+
+
+def _copy_range(source: BinaryIO, out: BinaryIO, begin: int, end: int) -> None:
+    source.seek(begin)
+    left = end - begin
+    while left > 0:
+        block = source.read(min(left, _COPY_BYTES))
+        if not block:
+            raise OSError(None, f"the damaged log became shorter while it was read (byte {source.tell()})")
+        out.write(block)
+        left -= len(block)

@@ -1,0 +1,16 @@
+"""A patient simulated forward in time: stimulation pulses in, sensor samples and truth out."""
+
+from fes.simulation.forward.patient import VirtualPatient
+from fes.simulation.forward.settings import DeliveredPulse, MuscleSettings, PatientSettings, load_patient, settings_for
+from fes.simulation.forward.walker import FootEvent, VirtualStride
+
+__all__ = [
+    "DeliveredPulse",
+    "FootEvent",
+    "MuscleSettings",
+    "PatientSettings",
+    "VirtualPatient",
+    "VirtualStride",
+    "load_patient",
+    "settings_for",
+]

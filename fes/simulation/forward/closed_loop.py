@@ -1,0 +1,79 @@
+"""The loop closed in one process, on the patient's own time: samples out, commands in, pulses back.
+
+No clock is read and nothing waits, so a minute's walk takes a second, and the same settings give the same bytes. The
+stimulator is handed in: anything with :meth:`PulseSource.take_pulses`, such as the simulated one of the drivers.
+
+What can happen to a virtual patient while it lives, by name: for commands, processes and courses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, Protocol
+
+from fes.recording import Recording
+from fes.signals import NS_PER_S, Event, ImuSample
+from fes.simulation.forward.patient import VirtualPatient
+from fes.simulation.forward.settings import DeliveredPulse, PatientSettings
+from fes.simulation.forward.truth import recording_of
+
+INTERVENTIONS: Final = ("walk", "stand", "speed", "electrode", "fitness")
+
+
+def do_to(patient: VirtualPatient, deed: str, value: float = 0.0) -> None:
+    """Let something happen now: start or stop the belt, change its speed (m/s), how much of the charge reaches the
+    nerve, or how much of its fresh force the muscle has left (shares 0–1).
+
+    Raises:
+        ValueError: no such thing, or a value out of range.
+    """
+    if deed == "walk":
+        patient.walk()
+    elif deed == "stand":
+        patient.stop()
+    elif deed == "speed":
+        patient.set_speed(value)
+    elif deed == "electrode":
+        patient.set_electrode_quality(value)
+    elif deed == "fitness":
+        patient.set_fitness(value)
+    else:
+        raise ValueError(f"{deed!r} cannot be done to a patient; one of {', '.join(INTERVENTIONS)}")
+
+
+CALIBRATION_S = 25.0
+
+
+class PulseSource(Protocol):
+    """A stimulator that tells what it has delivered."""
+
+    def take_pulses(self) -> Sequence[DeliveredPulse]:
+        """The pulses since the last call, by time."""
+        ...
+
+
+def patient_events(
+    patient: VirtualPatient,
+    pulses: PulseSource | None,
+    seconds: float,
+    heard: Callable[[ImuSample], None] = lambda sample: None,
+) -> Iterator[Event]:
+    """The patient's samples as a source of events, ``seconds`` from now on, one sampling interval at a time.
+
+    While the consumer deals with an interval's samples the stimulator delivers; its pulses reach the patient with the
+    next interval, sooner than the muscle answers, so the result is that of one continuous time.
+    """
+    step_ns = round(NS_PER_S / patient.settings.rate_hz)
+    t_ns, end_ns = patient.now_ns, patient.now_ns + round(seconds * NS_PER_S)
+    while t_ns + step_ns <= end_ns:
+        t_ns += step_ns
+        for sample in patient.advance(t_ns, pulses.take_pulses() if pulses is not None else ()):
+            heard(sample)
+            yield sample
+
+
+def calibration_walk(settings: PatientSettings) -> Recording:
+    """A walk of the same patient with the same sensors, without stimulation: what ``fes calibrate`` would be given."""
+    patient = VirtualPatient(settings)
+    samples = patient.advance(round((settings.stand_s + CALIBRATION_S) * NS_PER_S))
+    return recording_of(patient, samples, "calibration", "A walk to calibrate the sensors, not stimulated")

@@ -1,0 +1,199 @@
+"""The compiled loop over internal steps: until something happens that needs a new plan, or the time asked for.
+
+How far the belt still goes: where to set a foot down when it stops.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from fes.estimation.numerics.jit import jit
+from fes.simulation.forward.dynamics import (
+    CONTACT,
+    FLAT,
+    GRAVITY,
+    NO_EVENT,
+    PLAN_DUE,
+    STANCE,
+    STUMBLE,
+    SWING,
+    bump,
+    plan,
+    recruitment,
+    smooth,
+    step,
+)
+
+FLAT_RAD = math.radians(2.0)  # the truth's own criterion, see fes.simulation.truth
+HEEL_UP_M = 0.005
+CONTACT_FROM = 0.45  # share of the swing from which a heel on the ground is a contact
+FOREFOOT_FROM = 0.92  # … and the forefoot: before that it drags
+BELT_RADPS = 2.5  # the belt reaches a new speed in about two seconds
+ROLL_AIR_RADPS, ROLL_GROUND_RADPS = 22.0, 45.0
+
+
+@jit
+def sideways(leg: Any, t: float, dt: float) -> None:
+    """Lateral path, heading and roll: what the sagittal plane leaves out, without dynamics except for the roll."""
+    u, w = (t - leg.swing_t) / leg.swing_s, 1.0 / leg.swing_s
+    b, b1, b2 = bump(u)
+    q, q1, q2 = smooth(u)
+    leg.y = leg.across_m + leg.circle_m * b + leg.shift_m * q
+    leg.vy = (leg.circle_m * b1 + leg.shift_m * q1) * w
+    leg.ay = (leg.circle_m * b2 + leg.shift_m * q2) * w * w
+    leg.yaw = leg.yaw_rad + leg.swerve_rad * b + leg.turn_rad * q
+    leg.vyaw = (leg.swerve_rad * b1 + leg.turn_rad * q1) * w
+    leg.ayaw = (leg.swerve_rad * b2 + leg.turn_rad * q2) * w * w
+    stiff = ROLL_AIR_RADPS if leg.mode == SWING else ROLL_GROUND_RADPS
+    leg.aroll = stiff * stiff * (leg.roll_goal - leg.roll) - 2.0 * stiff * leg.vroll
+    leg.vroll += leg.aroll * dt
+    leg.roll += leg.vroll * dt
+
+
+@jit
+def happened(leg: Any, t: float) -> int:
+    """What of this leg needs a new plan now."""
+    if leg.mode == SWING:
+        u = (t - leg.swing_t) / leg.swing_s
+        forefoot = leg.ball_n > 0.0 or leg.toe_n > 0.0
+        if (leg.heel_n > 0.0 and u > CONTACT_FROM) or (forefoot and u > FOREFOOT_FROM):
+            return CONTACT
+        if leg.drag_ns > leg.trip_ns and leg.tripped == 0.0 and u < 0.8:
+            return STUMBLE
+        return NO_EVENT
+    if leg.mode == STANCE and leg.flat == 0:
+        tilt = math.hypot(leg.pitch, leg.roll)
+        if tilt < FLAT_RAD and leg.heel_z < HEEL_UP_M and leg.ball_n > 0.0 and leg.heel_n > 0.0:
+            return FLAT
+    if t >= leg.due_s:
+        return PLAN_DUE
+    return NO_EVENT
+
+
+@jit
+def feel(out: Any, leg: Any, belt_a: float, tilt: float, turn: float, turn1: float, px: float, py: float, pz: float,
+         with_roll: float) -> None:  # fmt: skip
+    """Specific force (m/s²) and angular rate (rad/s) in the segment's axes, at ``p`` m from the ankle; into ``out``.
+
+    ``tilt`` is toe-up/forward positive, with its derivatives ``turn``, ``turn1``; ``with_roll`` 1 for the foot, 0 for
+    the shank. Rotation ``Rz(yaw) Rx(roll) Ry(pitch)`` as in :mod:`fes.simulation.foot`.
+    """
+    p, p1, p2 = -tilt, -turn, -turn1
+    r, r1, r2 = with_roll * leg.roll, with_roll * leg.vroll, with_roll * leg.aroll
+    y1, y2 = leg.vyaw, leg.ayaw
+    sp, cp, sr, cr = math.sin(p), math.cos(p), math.sin(r), math.cos(r)
+    sw, cw = math.sin(leg.yaw), math.cos(leg.yaw)
+    wx = r1 * cp - y1 * cr * sp
+    wy = p1 + y1 * sr
+    wz = r1 * sp + y1 * cr * cp
+    ux = r2 * cp - r1 * p1 * sp - y2 * cr * sp + y1 * r1 * sr * sp - y1 * p1 * cr * cp
+    uy = p2 + y2 * sr + y1 * r1 * cr
+    uz = r2 * sp + r1 * p1 * cp + y2 * cr * cp - y1 * r1 * sr * cp - y1 * p1 * cr * sp
+    ax, ay, az = leg.ax - belt_a, leg.ay, leg.az + GRAVITY
+    fx = ax * (cw * cp - sw * sr * sp) + ay * (sw * cp + cw * sr * sp) - az * cr * sp
+    fy = -ax * sw * cr + ay * cw * cr + az * sr
+    fz = ax * (cw * sp + sw * sr * cp) + ay * (sw * sp - cw * sr * cp) + az * cr * cp
+    cx, cy, cz = wy * pz - wz * py, wz * px - wx * pz, wx * py - wy * px
+    out[0] = fx + uy * pz - uz * py + wy * cz - wz * cy
+    out[1] = fy + uz * px - ux * pz + wz * cx - wx * cz
+    out[2] = fz + ux * py - uy * px + wx * cy - wy * cx
+    out[3], out[4], out[5] = wx, wy, wz
+
+
+@jit
+def low_pass(filter_: Any, values: Any, b0: float, a1: float, a2: float) -> None:
+    """A second-order Butterworth step (transposed direct form) on 6 values, in place; ``filter_`` (6, 2) its memory."""
+    for k in range(6):
+        x = values[k]
+        y = b0 * x + filter_[k, 0]
+        filter_[k, 0] = 2.0 * b0 * x - a1 * y + filter_[k, 1]
+        filter_[k, 1] = b0 * x - a2 * y
+        values[k] = y
+
+
+@jit
+def run(
+    legs: Any, belts: Any, begin: int, end: int, dt: float, pulse_step: Any, pulse_uc: Any, affected: int, places: Any,
+    filters: Any, taps: Any, values: Any, every: int, samples: Any, trace_every: int, trace: Any,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Advance from step ``begin`` to ``end`` at most; returns the step reached, the leg and what happened to it.
+
+    Args:
+        legs: (2,) records, left then right; belts: (1,) record.
+        pulse_step, pulse_uc: when (internal step) each pulse starts to pull, and its charge at the nerve.
+        affected: the leg that is stimulated.
+        places: (4, 3) sensors from the ankle, in SENSORS' order; filters (4, 6, 2), taps (3,) their low-pass.
+        values: (4, 6) the sensors' newest values.
+        every, samples: a row (4, 6) of ``samples`` each so many steps, row 0 belonging to the first after ``begin``.
+        trace_every, trace: likewise (2, 14) per row.
+    """
+    sample, row = 0, 0
+    belt = belts[0]
+    for number in range(begin, end):
+        t = number * dt
+        belt.a += (BELT_RADPS * BELT_RADPS * (belt.goal - belt.v) - 2.0 * BELT_RADPS * belt.a) * dt
+        belt.v += belt.a * dt
+        belt.x += belt.v * dt
+        one = legs[affected]
+        while belt.pulse < pulse_step.size and pulse_step[belt.pulse] <= number:
+            share = recruitment(pulse_uc[belt.pulse], one.threshold_uc, one.saturation_uc)
+            if share > 0.0:
+                one.recruited = share
+                one.calcium += 1.0
+            belt.pulse += 1
+        who, what = -1, NO_EVENT
+        for side in range(2):
+            leg = legs[side]
+            plan(leg, belt, t)
+            step(leg, belt, t, dt)
+            sideways(leg, t, dt)
+            if what == NO_EVENT:
+                what = happened(leg, t + dt)
+                who = side
+            foot, shank = values[side], values[2 + side]
+            a = places[side]
+            feel(foot, leg, belt.a, leg.pitch, leg.vpitch, leg.apitch, a[0], a[1], a[2], 1.0)
+            low_pass(filters[side], foot, taps[0], taps[1], taps[2])
+            a = places[2 + side]
+            feel(shank, leg, belt.a, leg.shank, leg.vshank, leg.ashank, a[0], a[1], a[2], 0.0)
+            low_pass(filters[2 + side], shank, taps[0], taps[1], taps[2])
+        done = number + 1
+        if done % every == 0:
+            samples[sample, :, :] = values
+            sample += 1
+        if done % trace_every == 0:
+            for side in range(2):
+                leg = legs[side]
+                note = trace[row, side]
+                note[0], note[1], note[2], note[3] = leg.x, leg.y, leg.z, leg.pitch
+                note[4], note[5], note[6], note[7], note[8] = leg.roll, leg.yaw, leg.shank, leg.toe_z, leg.heel_z
+                note[9], note[10], note[11] = leg.active, leg.torque, leg.fit
+                note[12], note[13] = leg.heel_n + leg.ball_n + leg.toe_n, leg.mode + 10.0 * leg.flat
+            row += 1
+        if what != NO_EVENT:
+            return done, who, what
+    return end, -1, NO_EVENT
+
+
+@jit
+def plan_at(legs: Any, belt: Any, side: int, t: float) -> None:
+    """Put one leg's plan for ``t`` s into its record; ``belt`` (1,)."""
+    plan(legs[side], belt[0], t)
+
+
+def to_rest_m(belt: Any) -> float:
+    """How far a braking belt (record of ``layout.BELT``, goal 0) goes on until it rests.
+
+    ``v'' + 2 w v' + w² v = 0`` integrated once, from now to for ever.
+    """
+    return float(belt["a"] + 2.0 * BELT_RADPS * belt["v"]) / BELT_RADPS**2
+
+
+def travel_m(belt: Any, seconds: float) -> float:
+    """How far a braking belt goes in this time."""
+    gone = math.exp(-BELT_RADPS * seconds)
+    slope = float(belt["a"] + BELT_RADPS * belt["v"])
+    v = (float(belt["v"]) + slope * seconds) * gone
+    a = slope * gone - BELT_RADPS * v
+    return to_rest_m(belt) - (a + 2.0 * BELT_RADPS * v) / BELT_RADPS**2

@@ -1,0 +1,269 @@
+"""What a virtual patient is: body, gait, ankle, muscle and sensors, in plain numbers with their allowed ranges.
+
+Ready patients by name, and patients from a settings file.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+from fes.signals import FOOT_SENSORS, SENSORS, SHANK_SENSORS
+from fes.simulation.forward.gait_patterns import PATTERNS
+from fes.simulation.sensor import ImuModel
+from fes.simulation.session import Placement
+
+STEP_NS = 500_000  # the internal step: the shoe sole's contact modes (about 70 Hz) are well below its 2 kHz
+
+
+@dataclass(frozen=True, slots=True)
+class MuscleSettings:
+    """The stimulated dorsiflexors.
+
+    Attributes:
+        threshold_uc: charge per phase at which the first fibres answer, µC.
+        saturation_uc: charge per phase at which all that the electrodes reach are recruited, µC.
+        max_torque_nm: greatest torque of the fresh, fully recruited muscle at 40 Hz, N·m.
+        delay_s: electromechanical delay, from pulse to first force.
+        tau_calcium_s: decay of the calcium transient of one pulse.
+        tau_rise_s: time constant of activation rising.
+        tau_fall_s: time constant of activation falling.
+        fatigue_s: time constant of tiring under full activation; ``inf`` never tires.
+        recovery_s: time constant of recovery at rest.
+        fatigue_floor: share of the torque that is left however long it goes on.
+    """
+
+    threshold_uc: float = 3.5
+    saturation_uc: float = 11.0
+    max_torque_nm: float = 14.0
+    delay_s: float = 0.03
+    tau_calcium_s: float = 0.02
+    tau_rise_s: float = 0.04
+    tau_fall_s: float = 0.06
+    fatigue_s: float = 400.0
+    recovery_s: float = 120.0
+    fatigue_floor: float = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class DeliveredPulse:
+    """One pulse that left the stimulator: when, on which channel, how strong."""
+
+    t_ns: int
+    channel: int
+    current_ma: float
+    pulse_width_us: float
+
+    @property
+    def charge_uc(self) -> float:
+        """Charge of one phase."""
+        return self.current_ma * self.pulse_width_us * 1e-3
+
+
+def _default_placements() -> dict[str, Placement]:
+    return {
+        "left_foot": Placement((0.068, 0.006, 0.067), (-4.0, 19.0, 5.0)),
+        "right_foot": Placement((0.070, -0.005, 0.068), (3.0, 21.0, -4.0)),
+        "left_shank": Placement((0.030, 0.030, 0.200), (3.0, -4.0, 6.0)),
+        "right_shank": Placement((0.030, -0.030, 0.200), (-3.0, -5.0, -5.0)),
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class PatientSettings:
+    """One virtual patient.
+
+    Attributes:
+        seed: fixes every random number.
+        side: the affected leg.
+        speed_mps: belt speed.
+        height_m: body height; segments are Winter's shares of it.
+        mass_kg: body mass.
+        voluntary_dorsiflexion: share of a healthy person's own dorsiflexion in swing that is left, 0–1.
+        spasticity: 0 (none) to 1 (the calf answers every stretch, and is short and stiff).
+        pattern: "none", or one of Wang et al.'s five, "hemiparetic_1" … "hemiparetic_5".
+        muscle: the stimulated dorsiflexors of the affected side.
+        channel: the stimulator's channel on them; pulses of other channels do nothing here.
+        electrode_quality: share of the charge that reaches the nerve, 0–1.
+        compensation: habitual extra lift by hip and knee against the dropped foot, 0 (none) to 1 (just clears).
+        variability: stride-to-stride variation, 1 being usual.
+        asymmetry: how much shorter the affected leg's stance is, as a share of the cycle.
+        rate_hz: samples a second of every sensor; 2000 must be a multiple of it.
+        sensors: which sensors are worn.
+        imu: what is wrong with the sensors.
+        placements: where they sit; a shank's position is from the ankle, its z up the shank.
+        stand_s: quiet standing before the belt starts.
+    """
+
+    seed: int = 1
+    side: str = "right"
+    speed_mps: float = 0.8
+    height_m: float = 1.75
+    mass_kg: float = 75.0
+    voluntary_dorsiflexion: float = 0.0
+    spasticity: float = 0.2
+    pattern: str = "none"
+    muscle: MuscleSettings = field(default_factory=MuscleSettings)
+    channel: int = 0
+    electrode_quality: float = 1.0
+    compensation: float = 0.6
+    variability: float = 1.0
+    asymmetry: float = 0.02
+    rate_hz: float = 100.0
+    sensors: tuple[str, ...] = FOOT_SENSORS + SHANK_SENSORS
+    imu: ImuModel = field(default_factory=ImuModel)
+    placements: dict[str, Placement] = field(default_factory=_default_placements)
+    stand_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        if self.side not in ("left", "right"):
+            raise ValueError(f"side = {self.side!r}: the affected side is 'left' or 'right'")
+        if self.pattern not in PATTERNS:
+            raise ValueError(f"pattern = {self.pattern!r}: choose one of {', '.join(PATTERNS)}")
+        for name, (low, high) in _RANGES.items():
+            _check(name, getattr(self, name), low, high)
+        for name in ("seed", "channel"):
+            if not isinstance(getattr(self, name), int):
+                raise ValueError(f"{name} = {getattr(self, name)!r}: must be a whole number")
+        for name, (low, high) in _MUSCLE_RANGES.items():
+            _check(f"muscle.{name}", getattr(self.muscle, name), low, high)
+        if self.muscle.saturation_uc <= self.muscle.threshold_uc:
+            raise ValueError(
+                f"muscle.saturation_uc = {self.muscle.saturation_uc:g} must be above threshold_uc = "
+                f"{self.muscle.threshold_uc:g}"
+            )
+        steps = 1e9 / STEP_NS / self.rate_hz
+        if steps < 2.0 or abs(steps - round(steps)) > 1e-9:
+            raise ValueError(f"rate_hz = {self.rate_hz:g}: 2000 must be a multiple of it, e.g. 100, 200, 400, 500")
+        unknown = [name for name in self.sensors if name not in SENSORS or name not in self.placements]
+        if unknown or not self.sensors:
+            raise ValueError(f"sensors = {self.sensors}: give some of {', '.join(SENSORS)}, each with its placement")
+
+    @property
+    def affected_foot(self) -> str:
+        """Name of the affected side's foot sensor."""
+        return f"{self.side}_foot"
+
+
+_RANGES = {
+    "seed": (0, 2**63), "speed_mps": (0.1, 2.0), "height_m": (1.2, 2.2), "mass_kg": (35.0, 180.0),
+    "voluntary_dorsiflexion": (0.0, 1.0), "spasticity": (0.0, 1.0), "channel": (0, 7), "electrode_quality": (0.0, 1.0),
+    "compensation": (0.0, 1.5), "variability": (0.0, 3.0), "asymmetry": (-0.15, 0.15), "rate_hz": (20.0, 1000.0),
+    "stand_s": (1.0, 600.0),
+}  # fmt: skip
+_MUSCLE_RANGES = {
+    "threshold_uc": (0.0, 60.0), "saturation_uc": (0.0, 65.0), "max_torque_nm": (0.0, 60.0), "delay_s": (0.0, 0.2),
+    "tau_calcium_s": (0.002, 0.2), "tau_rise_s": (0.005, 1.0), "tau_fall_s": (0.005, 1.0), "fatigue_s": (1.0, math.inf),
+    "recovery_s": (1.0, math.inf), "fatigue_floor": (0.0, 1.0),
+}  # fmt: skip
+
+
+def _check(name: str, value: float, low: float, high: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ValueError(f"{name} = {value!r}: must be a number from {low:g} to {high:g}")
+
+
+def setting_names() -> dict[str, tuple[str, ...]]:
+    """Names of the settings, of the patient and of its muscle: for messages and files."""
+    return {
+        "patient": tuple(item.name for item in fields(PatientSettings)),
+        "muscle": tuple(item.name for item in fields(MuscleSettings)),
+    }
+
+
+def to_plain(settings: PatientSettings) -> dict[str, Any]:
+    """All of it in plain values, for another process; :func:`from_plain` reads them."""
+    return asdict(settings)
+
+
+def from_plain(values: Mapping[str, Any]) -> PatientSettings:
+    """Back from plain values, which may have been through JSON.
+
+    Raises:
+        ValueError, TypeError: they are no settings of a patient.
+    """
+    more: dict[str, Any] = dict(values)
+    if "muscle" in more:
+        more["muscle"] = MuscleSettings(**more["muscle"])
+    if "imu" in more:
+        more["imu"] = ImuModel(**more["imu"])
+    if "placements" in more:
+        more["placements"] = {
+            name: Placement(tuple(one["body_m"]), tuple(one["angles_deg"])) for name, one in more["placements"].items()
+        }
+    if "sensors" in more:
+        more["sensors"] = tuple(more["sensors"])
+    return PatientSettings(**more)
+
+
+SEVERITIES: Final[dict[str, dict[str, float]]] = {
+    "healthy": {"voluntary_dorsiflexion": 1.0, "spasticity": 0.0, "asymmetry": 0.0},
+    "mild": {"voluntary_dorsiflexion": 0.5, "spasticity": 0.1, "compensation": 0.6},
+    "moderate": {"voluntary_dorsiflexion": 0.15, "spasticity": 0.3, "compensation": 0.6},
+    "severe": {"voluntary_dorsiflexion": 0.0, "spasticity": 0.7, "compensation": 0.5, "asymmetry": 0.04},
+}
+
+
+def settings_for(severity: str, **others: Any) -> PatientSettings:
+    """A patient of one of :data:`SEVERITIES`; ``others`` are settings by name and win.
+
+    A pattern walks at its own speed unless ``others`` names one.
+
+    Raises:
+        ValueError: an unknown severity or setting, or a value out of range.
+    """
+    if severity not in SEVERITIES:
+        raise ValueError(f"severity {severity!r}: choose one of {', '.join(SEVERITIES)}")
+    unknown = set(others) - set(setting_names()["patient"])
+    if unknown:
+        raise ValueError(f"no such setting of a patient: {', '.join(sorted(unknown))}")
+    values: dict[str, Any] = {**SEVERITIES[severity], **others}
+    pattern = values.get("pattern", "none")
+    if pattern in PATTERNS and pattern != "none":
+        values.setdefault("speed_mps", PATTERNS[pattern].speed_mps)
+    return PatientSettings(**values)
+
+
+def load_patient(path: Path, **others: Any) -> PatientSettings:
+    """A patient from a TOML file: a table ``[patient]`` with ``severity`` and any settings, ``[patient.muscle]``.
+
+    Raises:
+        ValueError: the file cannot be read, or holds what is no setting; the message names file and key.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read: {error.strerror}. Name an existing settings file.") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: is not valid TOML: {error}") from error
+    table = data.get("patient")
+    if not isinstance(table, dict) or set(data) != {"patient"}:
+        raise ValueError(f"{path}: must hold one table, [patient]; it has {', '.join(data) or 'nothing'}")
+    values = dict(table)
+    muscle = values.pop("muscle", {})
+    allowed = setting_names()
+    plain = (set(allowed["patient"]) - {"muscle", "imu", "placements"}) | {"severity"}
+    _refuse(path, "patient", values, plain)
+    if not isinstance(muscle, dict):
+        raise ValueError(f"{path}: muscle must be a table, [patient.muscle]")
+    _refuse(path, "patient.muscle", muscle, set(allowed["muscle"]))
+    try:
+        if "sensors" in values:
+            if not isinstance(values["sensors"], list):
+                raise ValueError(f'sensors = {values["sensors"]!r}: must be a list of names, e.g. ["left_foot"]')
+            values["sensors"] = tuple(values["sensors"])
+        if muscle:
+            values["muscle"] = replace(MuscleSettings(), **muscle)
+        return settings_for(values.pop("severity", "moderate"), **{**values, **others})
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _refuse(path: Path, table: str, values: dict[str, Any], allowed: set[str]) -> None:
+    unknown = sorted(set(values) - allowed)
+    if unknown:
+        raise ValueError(f"{path}: [{table}] has no {unknown[0]!r}; it knows {', '.join(sorted(allowed))}")

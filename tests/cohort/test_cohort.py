@@ -1,0 +1,208 @@
+"""fes cohort: finding recordings on any storage, results that survive crashes, one bad recording among good ones."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import zipfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import fsspec
+import pytest
+from click.testing import CliRunner
+
+from fes.cli import main
+from fes.cohort.engine import cluster, run
+from fes.cohort.page import write_pages
+from fes.cohort.sources import CohortError, Source, find
+from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
+from fes.cohort.task import DONE, FAILED, Outcome, Settings, analyse_one
+
+TRIALS = Path(__file__).parents[2] / "sim_inputs"
+TRIAL = "both_feet_100hz"
+
+
+def lay(folder: Path, names: list[str]) -> Path:
+    """Copies of one bundled trial, each with its sidecar."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        for suffix in (".parquet", ".toml"):
+            shutil.copy(TRIALS / f"{TRIAL}{suffix}", folder / f"{name}{suffix}")
+    return folder
+
+
+def rows(store: Store, table: str = RECORDINGS) -> list[dict[str, object]]:
+    return list(store.table(table, store.finished()).to_pylist())
+
+
+def test_folders_globs_and_files_are_found_once_and_only_with_a_sidecar(tmp_path: Path) -> None:
+    folder = lay(tmp_path / "a", ["one", "two"])
+    (folder / "truth.parquet").write_bytes(b"no sidecar")
+    found = find([str(folder), str(folder / "*.parquet"), str(folder / "one.parquet")])
+    assert [source.path.name for source in found] == ["one.parquet", "two.parquet"]
+    assert find([str(folder / "truth.parquet")])[0].path.name == "truth.parquet", "a file named outright counts"
+
+
+@pytest.mark.parametrize("pattern", ["{}/nothing", "{}/*.blf", "nowhere://x"])
+def test_nothing_found_is_an_error_that_says_where(tmp_path: Path, pattern: str) -> None:
+    with pytest.raises(CohortError, match=r"no recording|cannot be opened"):
+        find([pattern.format(tmp_path)])
+
+
+def test_another_file_other_settings_or_another_sidecar_is_another_recording(tmp_path: Path) -> None:
+    folder = lay(tmp_path / "a", ["one"])
+    (before,) = find([str(folder)])
+    sidecar = folder / "one.toml"
+    sidecar.write_text(sidecar.read_text(encoding="utf-8") + "\n# more\n", encoding="utf-8")
+    (after,) = find([str(folder)])
+    level, uneven = Settings().text(), Settings(level=False).text()
+    assert len({before.identity(level), after.identity(level), after.identity(uneven)}) == 3
+    assert after.identity(level) == find([str(folder / "one.parquet")])[0].identity(level)
+
+
+@pytest.mark.parametrize(
+    ("url", "pattern", "subject"),
+    [
+        ("file:///d/P07/walk1.csv", r"/(P\d+)/", "P07"),
+        ("s3://b/x_sub-12_run.csv", r"sub-(?P<subject>\d+)", "12"),
+        ("/d/walk1.csv", "Z", ""),
+    ],
+)
+def test_the_subject_is_found_in_the_address(url: str, pattern: str, subject: str) -> None:
+    assert Source(url, "").subject(pattern) == subject
+
+
+def test_a_recording_in_memory_or_in_an_archive_gives_the_same_rows_as_a_file(tmp_path: Path) -> None:
+    folder = lay(tmp_path / "a", ["one"])
+    memory = fsspec.filesystem("memory")
+    archive = tmp_path / "walks.zip"
+    with zipfile.ZipFile(archive, "w") as file:
+        for path in folder.iterdir():
+            file.write(path, path.name)
+            memory.pipe_file(f"/cohort/{path.name}", path.read_bytes())
+    strides = []
+    places = (str(folder), "memory://cohort", f"zip://*.parquet::{archive}")
+    for number, place in enumerate(places):
+        (source,) = find([place])
+        store = Store(f"memory://results{number}")
+        store.prepare({})
+        outcome = analyse_one(source, store, Settings())
+        assert outcome.status == DONE, outcome.reason
+        strides.append([{**row, "recording": "", "subject": ""} for row in rows(store, STRIDES)])
+        assert rows(store, EVENTS)
+    assert len(strides[0]) > 20
+    assert strides[0] == strides[1] == strides[2]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "word"),
+    [
+        (lambda folder: (folder / "one.toml").write_text("x ="), "TOML"),
+        (lambda folder: (folder / "one.parquet").write_bytes(b"PAR1 torn"), "one.parquet"),
+        (lambda folder: (folder / "one.parquet").write_bytes(b""), "one.parquet"),
+    ],
+)
+def test_a_bad_recording_is_a_row_with_its_reason(tmp_path: Path, spoil: object, word: str) -> None:
+    folder = lay(tmp_path / "a", ["one"])
+    assert callable(spoil)
+    spoil(folder)
+    store = Store(str(tmp_path / "out"))
+    store.prepare({})
+    outcome = analyse_one(find([str(folder / "one.parquet")])[0], store, Settings())
+    assert outcome.status == FAILED
+    (row,) = rows(store)
+    assert word in str(row["reason"])
+    assert row["subject"] == "a"
+
+
+def test_half_a_recordings_results_count_as_none(tmp_path: Path) -> None:
+    folder, store = lay(tmp_path / "a", ["one"]), Store(str(tmp_path / "out"))
+    store.prepare({})
+    (source,) = find([str(folder)])
+    identity = source.identity(Settings().text())
+    store.put(identity, {STRIDES: []})
+    (tmp_path / "out" / RECORDINGS / f".{identity}.part").write_bytes(b"PAR1")
+    assert store.finished() == set()
+    analyse_one(source, store, Settings())
+    assert store.finished() == {identity}
+    assert len(rows(store, STRIDES)) > 20
+
+
+def test_two_that_do_the_same_at_once_do_not_disturb_each_other(tmp_path: Path) -> None:
+    store = Store(str(tmp_path / "out"))
+    store.prepare({})
+    with ThreadPoolExecutor(4) as pool:
+        for _ in pool.map(lambda _: store.put("same", {STRIDES: [], RECORDINGS: []}), range(200)):
+            pass
+    assert store.finished() == {"same"}
+    assert sorted(path.name for path in (tmp_path / "out" / STRIDES).iterdir()) == ["same.parquet"]
+
+
+def test_a_killed_worker_loses_nothing_and_what_is_finished_is_not_done_again(tmp_path: Path) -> None:
+    names = [f"walk{number}" for number in range(8)]
+    folder, store, settings = lay(tmp_path / "a", names), Store(str(tmp_path / "out")), Settings()
+    (folder / "walk3.parquet").write_bytes(b"PAR1 torn")
+    sources = find([str(folder)])
+    store.prepare({})
+    killed: list[int] = []
+    with cluster(2) as client:
+        victim = next(iter(client.run(os.getpid).values()))
+
+        def tell(outcome: Outcome) -> None:
+            if not killed:
+                killed.append(victim)
+                os.kill(victim, signal.SIGKILL)
+
+        outcomes = run(client, sources, store, settings, tell)
+    assert killed
+    assert sorted(outcome.identity for outcome in outcomes) == sorted(s.identity(settings.text()) for s in sources)
+    found = rows(store)
+    assert [row["status"] for row in sorted(found, key=lambda row: str(row["source"]))] == [
+        FAILED if name == "walk3" else DONE for name in names
+    ]
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / RECORDINGS).iterdir()}
+    assert len(before) == len(names)
+
+    result = CliRunner().invoke(main, ["cohort", str(folder), "--out", str(tmp_path / "out")])
+    assert result.exit_code == 1, result.output
+    assert "8 of 8 are finished already" in result.stderr
+    assert "7 of 8 recordings analysed" in result.output
+    assert "walk3.parquet" in result.stderr
+    assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "out" / RECORDINGS).iterdir()}
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    assert "walk3.parquet" in page
+    assert "7 of 8" in page
+
+
+def test_pages_name_outliers_and_a_page_a_subject(tmp_path: Path) -> None:
+    store = Store(str(tmp_path))
+    store.prepare({})
+    for number in range(12):
+        length_m = 2.4 if number == 5 else 1.2 + 0.01 * number
+        subject = "A <b>" if number < 6 else "B"
+        of = {"recording": f"r{number}", "subject": subject}
+        stride = {"foot": "left_foot", "valid": True, "t_start_s": 1.0, "t_end_s": 2.0, "stride_length_m": length_m}
+        row = {**of, "source": f"/x/{number}.csv", "name": f"walk {number}", "status": DONE, "duration_s": 60.0}
+        row |= {"stride_length_m": length_m, "valid_strides": 1, "strides": 1, "samples": 6000, "clipped": 3 * number}
+        store.put(f"r{number}", {STRIDES: [{**of, **stride}], RECORDINGS: [row]})
+    place = write_pages(store, store.finished())
+    page = Path(place).read_text(encoding="utf-8")
+    assert "Far from the others" in page
+    assert "stride length 2.40 m" in page
+    assert "walk 4<" not in page.split("Distributions")[0], "not an outlier"
+    assert "A <b>" not in page, "escaped"
+    pages = sorted(path.name for path in (tmp_path / "subjects").iterdir())
+    assert len(pages) == 2
+    assert "33 samples clipped" in (tmp_path / "subjects" / pages[1]).read_text(encoding="utf-8")
+
+
+@pytest.mark.usefixtures("collected")
+def test_a_scheduler_that_does_not_answer_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fes.cohort.engine.CONNECT_S", 1.0)
+    folder = lay(tmp_path / "a", ["one"])
+    arguments = ["cohort", str(folder), "--out", str(tmp_path / "out"), "--scheduler", "tcp://127.0.0.1:9"]
+    result = CliRunner().invoke(main, arguments)
+    assert result.exit_code == 2
+    assert "no Dask scheduler answers" in result.output

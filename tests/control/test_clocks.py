@@ -1,0 +1,145 @@
+"""The mapping of a sensor's clock: against simulated drift, delays, restarts."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+
+from fes.control.clock_sync import SensorClock, line_under
+from fes.signals import NS_PER_S
+
+Delay = Callable[[random.Random, int], float]
+
+MS = 1_000_000
+
+
+def exponential(rng: random.Random, k: int) -> float:
+    return rng.expovariate(1 / 5e6)
+
+
+def bursts(rng: random.Random, k: int) -> float:
+    """Every seventh second arrives 300 ms late."""
+    return rng.expovariate(1 / 3e6) + (300e6 if (k // 100) % 7 == 3 else 0.0)
+
+
+def run(clock: SensorClock, seconds: int, drift_ppm: float, delay: Delay, rate_hz: int = 100) -> list[tuple[int, int]]:
+    """(mapped − true, change of the mapped increment in ppb) of every sample after the first 3 s."""
+    rng = random.Random(1)
+    found: list[tuple[int, int]] = []
+    host_ns = 0
+    mapped = device = None
+    for k in range(seconds * rate_hz):
+        true_ns = k * NS_PER_S // rate_hz
+        device_ns = round(true_ns * (1 + drift_ppm * 1e-6)) + 77 * NS_PER_S
+        host_ns = max(host_ns, true_ns + int(delay(rng, k)))
+        mapped_ns = clock.map(host_ns, device_ns)
+        if mapped is not None and device is not None and k > 3 * rate_hz:
+            step = device_ns - device
+            found.append((mapped_ns - true_ns, round((mapped_ns - mapped - step) / step * 1e9)))
+        mapped, device = mapped_ns, device_ns
+    return found
+
+
+@pytest.mark.parametrize("drift_ppm", [0.0, 50.0, -100.0, 150.0])
+@pytest.mark.parametrize("delay", [exponential, bursts])
+def test_mapped_stamps_are_near_the_true_time_and_run_evenly(drift_ppm: float, delay: Delay) -> None:
+    clock = SensorClock()
+    found = run(clock, 180, drift_ppm, delay)
+    errors = sorted(abs(error) for error, _ in found)
+    assert errors[int(0.99 * len(errors))] < 2_500_000
+    assert max(abs(ppb) for _, ppb in found) <= 200_100  # 1 ns of rounding in 10 ms
+    assert clock.drift_ppm == pytest.approx(drift_ppm, abs=2.0)
+    assert clock.resets == 0
+
+
+def test_an_hour_does_not_diverge() -> None:
+    clock = SensorClock()
+    found = run(clock, 3600, 120.0, exponential, rate_hz=50)
+    assert max(abs(error) for error, _ in found[-10_000:]) < 200_000
+    assert clock.resets == 0
+
+
+@pytest.mark.parametrize("drift_ppm", [-200.0, 200.0])
+def test_the_worst_drift_is_followed(drift_ppm: float) -> None:
+    found = run(SensorClock(), 300, drift_ppm, exponential)
+    assert max(abs(error) for error, _ in found) < 5_000_000
+
+
+def test_a_first_sample_that_came_late_is_forgotten_within_two_seconds() -> None:
+    clock = SensorClock()
+    clock.map(500_000_000, 0)
+    assert clock.offset_ns == 500_000_000
+    for k in range(1, 200):
+        mapped_ns = clock.map(max(500_000_000, k * 10_000_000), k * 10_000_000)
+    assert mapped_ns == pytest.approx(1_990_000_000, abs=1000)
+
+
+@pytest.mark.parametrize("jump_s", [-50, 50])
+def test_a_clock_that_is_set_begins_a_new_mapping(jump_s: int) -> None:
+    clock = SensorClock()
+    for k in range(500):
+        clock.map(k * 10_000_000, 100 * NS_PER_S + k * 10_000_000)
+    for k in range(500, 1000):
+        mapped_ns = clock.map(k * 10_000_000, (100 + jump_s) * NS_PER_S + k * 10_000_000)
+        assert abs(mapped_ns - k * 10_000_000) < 1000
+    assert clock.resets == 1
+
+
+def test_silence_and_a_queue_drained_late_are_no_restart() -> None:
+    clock = SensorClock()
+    for k in range(1000):
+        clock.map(k * 10_000_000, k * 10_000_000)
+    assert clock.map(30 * NS_PER_S, 30 * NS_PER_S) == 30 * NS_PER_S
+    assert abs(clock.map(32 * NS_PER_S, 30 * NS_PER_S + 10_000_000) - 30 * NS_PER_S - 10_000_000) < 1000
+    assert clock.resets == 0
+
+
+def test_samples_late_for_good_begin_a_new_mapping() -> None:
+    clock = SensorClock()
+    for k in range(3000):
+        late_ns = 0 if k < 1000 else 700_000_000
+        mapped_ns = clock.map(k * 10_000_000 + late_ns, k * 10_000_000)
+    assert clock.resets == 1
+    assert mapped_ns == pytest.approx(29_990_000_000 + 700_000_000, abs=1000)
+
+
+def test_nothing_seen_yet() -> None:
+    assert (SensorClock().offset_ns, SensorClock().drift_ppm) == (0, 0.0)
+
+
+def test_the_line_lies_under_all_points() -> None:
+    rng = random.Random(3)
+    points = [(float(k), 100e3 * k + rng.expovariate(1 / 1e6)) for k in range(40)]
+    level, slope = line_under(points)
+    assert all(value >= level + slope * time * NS_PER_S - 1e-3 for time, value in points)
+    assert slope == pytest.approx(100e-6, abs=10e-6)
+    assert line_under(points[:9]) == (min(value for _, value in points[:9]), 0.0)
+
+
+def test_a_clock_set_ahead_by_half_a_second_is_mapped_anew_at_the_third_sample() -> None:
+    clock = SensorClock()
+    period_ns = 5 * MS
+    for k in range(1000):
+        mapped_ns = clock.map(k * period_ns + 2 * MS, k * period_ns)
+    ahead_ns = 500 * MS
+    for k in range(1000, 1100):
+        arrival_ns = k * period_ns + 2 * MS
+        before_ns, mapped_ns = mapped_ns, clock.map(arrival_ns, k * period_ns + ahead_ns)
+        if k >= 1002:
+            assert abs(mapped_ns - arrival_ns) <= 5 * MS
+            assert k == 1002 or mapped_ns - before_ns == period_ns
+    assert clock.resets == 1
+
+
+def test_one_or_two_stamps_far_ahead_move_nothing() -> None:
+    clock, plain = SensorClock(), SensorClock()
+    for k in range(3000):
+        arrival_ns, stamp_ns = k * 5 * MS + 2 * MS, k * 5 * MS
+        wild = k > 1000 and k % 40 in (0, 1)
+        expected_ns = plain.map(arrival_ns, stamp_ns)
+        mapped_ns = clock.map(arrival_ns, stamp_ns + (300 * MS if wild else 0))
+        if not wild:
+            assert mapped_ns == expected_ns
+    assert clock.resets == 0

@@ -1,0 +1,265 @@
+"""The controller alone: cadence of requests, what starts and ends a burst, and that nothing else does.
+
+Phases come from a script instead of a walking person, so that every time is known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from replays import MS, SETTINGS, trial
+
+from fes.calibration.foot_track import calibrate
+from fes.config import FootGeometry, Session, load_session
+from fes.control.controller import Controller, Decision, stride_settings
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import FootTracker
+from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, StimRequest, StrideResult, Tick
+from statemachine.phases import Phase, PhaseChange, Transition
+
+FOOT = "right_foot"
+STEP_NS = 2 * MS
+PERIOD_NS = 20 * MS
+CYCLE = (
+    (200, Transition.T1, Phase.STANCE, Phase.PRE_SWING),
+    (500, Transition.T2, Phase.PRE_SWING, Phase.SWING),
+    (900, Transition.T3, Phase.SWING, Phase.LOADING_RESPONSE),
+    (1000, Transition.T4, Phase.LOADING_RESPONSE, Phase.STANCE),
+)
+
+
+@pytest.fixture(scope="module")
+def calibrations() -> dict[str, FootCalibration]:
+    return calibrate(trial("example_csv"))[0]
+
+
+class ScriptedFoot:
+    """Stands in for the tracker: phase changes at known times."""
+
+    def __init__(self, changes: Iterable[PhaseChange]) -> None:
+        self.foot = FOOT
+        self.phase = Phase.STANCE
+        self._changes = {change.t_ns: change for change in changes}
+
+    def step(self, t_ns: int, acc_mps2: Any, gyr_radps: Any) -> list[PhaseChange | StrideResult]:
+        change = self._changes.get(t_ns)
+        if change is None:
+            return []
+        self.phase = change.destination
+        return [change]
+
+
+def changes(*rows: tuple[int, Transition, Phase, Phase]) -> list[PhaseChange]:
+    return [PhaseChange(ms * MS, FOOT, transition, source, to) for ms, transition, source, to in rows]
+
+
+def make(
+    calibrations: dict[str, FootCalibration], script: Iterable[PhaseChange] = (), strides_before_start: int = 0
+) -> Controller:
+    session = load_session(SETTINGS)
+    session = session.model_copy(
+        update={"stimulation": session.stimulation.model_copy(update={"strides_before_start": strides_before_start})}
+    )
+    controller = Controller(session, calibrations)
+    controller.trackers[FOOT] = cast(FootTracker, ScriptedFoot(script))
+    return controller
+
+
+def sample(t_ns: int, sensor: str = FOOT) -> ImuSample:
+    return ImuSample(t_ns, sensor, t_ns, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0))
+
+
+def act(t_ms: int, action: OperatorAction, value: float = 0.0) -> OperatorAct:
+    return OperatorAct(t_ms * MS, action, value)
+
+
+def intensity(t_ms: int, value: float) -> OperatorAct:
+    return act(t_ms, OperatorAction.SET_INTENSITY, value)
+
+
+def run(controller: Controller, until_ms: int, acts: Iterable[OperatorAct] = ()) -> dict[int, StimRequest]:
+    """Samples every 2 ms from 0, acts in between; the requests of channel 0 by their time in ms."""
+    events: list[Event] = [sample(t_ns) for t_ns in range(0, until_ms * MS, STEP_NS)]
+    events = sorted([*events, *acts], key=lambda event: event.t_ns)
+    asked: dict[int, StimRequest] = {}
+    for event in events:
+        for request in controller.step(event).requests:
+            assert request.channel == 0
+            asked[event.t_ns // MS] = request
+    return asked
+
+
+def on_times(asked: dict[int, StimRequest]) -> list[int]:
+    return [ms for ms, request in asked.items() if request.on]
+
+
+def test_standing_is_one_off_request_every_period(calibrations: dict[str, FootCalibration]) -> None:
+    asked = run(make(calibrations), 1000, [intensity(0, 1.0)])
+    assert list(asked) == list(range(0, 1000, 20))
+    assert not on_times(asked)
+
+
+def test_a_stride_switches_at_once_and_keeps_to_the_grid_in_between(calibrations: dict[str, FootCalibration]) -> None:
+    asked = run(make(calibrations, changes(*CYCLE)), 1200, [intensity(0, 1.0)])
+    off_grid = [ms for ms in asked if ms % 20]
+    # 30 mA in 150 ms: the first step of 0.5 mA is reached 2.5 ms after pre-swing begins, so at the sample after
+    first, last = on_times(asked)[0], on_times(asked)[-1]
+    assert 200 < first <= 206
+    assert all(asked[ms].on for ms in asked if first <= ms <= last)
+    assert [ms for ms in asked if ms % 20 == 0] == list(range(0, 1200, 20))
+    ended = next(ms for ms in asked if ms > last)
+    assert ended == 1000  # stance ends the burst at the very sample
+    assert set(off_grid) <= {first, ended}
+    assert max(request.current_ma for request in asked.values()) == 30.0
+    rise = [(ms, asked[ms].current_ma) for ms in on_times(asked) if ms <= 350]
+    assert all(current <= 0.2 * (ms - 200) + 1e-9 for ms, current in rise)
+
+
+def test_stance_between_two_periods_is_off_at_that_sample(calibrations: dict[str, FootCalibration]) -> None:
+    rows = (*CYCLE[:1], (510, Transition.T5, Phase.PRE_SWING, Phase.STANCE))
+    asked = run(make(calibrations, changes(*rows)), 700, [intensity(0, 1.0)])
+    assert asked[500].on
+    assert not asked[510].on
+    assert not [ms for ms in on_times(asked) if ms >= 510]
+
+
+def test_lost_data_end_the_burst_at_once(calibrations: dict[str, FootCalibration]) -> None:
+    rows = (*CYCLE[:2], (610, Transition.NONE, Phase.SWING, Phase.STANCE))
+    asked = run(make(calibrations, changes(*rows)), 700, [intensity(0, 1.0)])
+    assert asked[600].on
+    assert not asked[610].on
+
+
+@pytest.mark.parametrize("action", [OperatorAction.DISARM, OperatorAction.EMERGENCY_STOP, OperatorAction.ARM])
+def test_an_operator_ends_a_burst_at_once_and_it_does_not_come_back(
+    calibrations: dict[str, FootCalibration], action: OperatorAction
+) -> None:
+    asked = run(make(calibrations, changes(*CYCLE)), 1200, [intensity(0, 1.0), act(611, action)])
+    assert asked[600].on
+    assert not asked[611].on
+    assert not [ms for ms in on_times(asked) if ms >= 611]
+
+
+def test_arming_in_mid_swing_waits_for_the_next_stride(calibrations: dict[str, FootCalibration]) -> None:
+    second = tuple((ms + 1200, transition, source, to) for ms, transition, source, to in CYCLE)
+    acts = [act(600, OperatorAction.ARM), intensity(600, 1.0)]
+    asked = run(make(calibrations, changes(*CYCLE, *second)), 2400, acts)
+    assert 1400 < on_times(asked)[0] <= 1406
+
+
+@pytest.mark.parametrize(
+    ("value", "peak_ma"), [(0.5, 15.0), (1.0, 30.0), (7.0, 30.0), (-1.0, None), (math.nan, None), (0.0, None)]
+)
+def test_intensity_scales_the_current(
+    calibrations: dict[str, FootCalibration], value: float, peak_ma: float | None
+) -> None:
+    asked = run(make(calibrations, changes(*CYCLE)), 1200, [intensity(0, value)])
+    currents = [request.current_ma for request in asked.values() if request.on]
+    assert (max(currents) if currents else None) == peak_ma
+
+
+def test_a_lower_intensity_acts_now_a_higher_one_with_the_next_burst(
+    calibrations: dict[str, FootCalibration],
+) -> None:
+    acts = [intensity(0, 1.0), intensity(600, 0.5), intensity(700, 1.0)]
+    asked = run(make(calibrations, changes(*CYCLE)), 1200, acts)
+    assert asked[580].current_ma == 30.0
+    assert {asked[ms].current_ma for ms in range(620, 900, 20)} == {15.0}
+    asked = run(make(calibrations, changes(*CYCLE)), 1200, [intensity(0, 1.0), intensity(611, 0.0)])
+    assert not asked[611].on
+
+
+def test_nothing_starts_before_the_foot_is_known_to_walk(calibrations: dict[str, FootCalibration]) -> None:
+    asked = run(make(calibrations, changes(*CYCLE), strides_before_start=1), 1200, [intensity(0, 1.0)])
+    assert not on_times(asked)
+
+
+@pytest.mark.parametrize("sensor", ["left_foot", "right_shank", "nonsense"])
+def test_samples_of_unknown_sensors_only_let_time_pass(calibrations: dict[str, FootCalibration], sensor: str) -> None:
+    with_them, without = make(calibrations, changes(*CYCLE)), make(calibrations, changes(*CYCLE))
+    for controller in (with_them, without):
+        controller.step(intensity(0, 1.0))
+    for t_ns in range(0, 1200 * MS, STEP_NS):
+        expected = without.step(sample(t_ns))
+        assert with_them.step(sample(t_ns)) == expected
+        assert with_them.step(sample(t_ns, sensor)) == Decision()
+
+
+def test_silence_between_samples_keeps_the_grid(calibrations: dict[str, FootCalibration]) -> None:
+    controller = make(calibrations)
+    times = [0, 5, 31, 33, 39, 40, 59, 130, 139, 140]
+    asked = [ms for ms in times if controller.step(Tick(ms * MS)).requests]
+    assert asked == [0, 31, 40, 130, 140]
+
+
+def test_silence_in_a_burst_is_put_before_the_gate_at_every_tick(calibrations: dict[str, FootCalibration]) -> None:
+    controller = make(calibrations, changes(*CYCLE))
+    run(controller, 602, [intensity(0, 1.0)])
+    ticks = [ms for ms in range(610, 660, 10) if controller.step(Tick(ms * MS)).requests]
+    assert ticks == [610, 620, 630, 640, 650]
+
+
+def test_the_plan_keeps_to_the_host_clock(calibrations: dict[str, FootCalibration]) -> None:
+    """A sensor whose clock is an hour off stimulates at the same moments."""
+    hour_ns = 3600 * 1_000_000_000
+    rows = [
+        PhaseChange(change.t_ns + hour_ns, FOOT, change.transition, change.source, change.destination)
+        for change in changes(*CYCLE)
+    ]
+    reference = run(make(calibrations, changes(*CYCLE)), 1200, [intensity(0, 1.0)])
+    controller = make(calibrations, rows)
+    controller.step(intensity(0, 1.0))
+    shifted = {}
+    for t_ns in range(0, 1200 * MS, STEP_NS):
+        decision = controller.step(ImuSample(t_ns, FOOT, t_ns + hour_ns, (0.0, 0.0, 9.81), (0.0, 0.0, 0.0)))
+        for request in decision.requests:
+            shifted[t_ns // MS] = request
+    assert shifted == {ms: request for ms, request in reference.items() if ms in shifted}
+    assert on_times(shifted) == on_times(reference)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    gaps_ms=st.lists(st.integers(0, 45), min_size=1, max_size=120),
+    acts=st.lists(st.sampled_from(list(OperatorAction)), max_size=6),
+    value=st.floats(0.0, 1.0),
+)
+def test_requests_come_in_time_whatever_the_events(
+    calibrations: dict[str, FootCalibration], gaps_ms: list[int], acts: list[OperatorAction], value: float
+) -> None:
+    """At the first event of every period there is a request; the same events give the same decisions."""
+    times = np.cumsum(gaps_ms) * 2
+    script = [
+        PhaseChange(int(times[i]) * MS, FOOT, *CYCLE[k % 4][1:])
+        for k, i in enumerate(range(0, len(times), 7))
+        if i == 0 or times[i] != times[i - 7]
+    ]
+    events: list[Event] = [intensity(0, value), *(sample(int(ms) * MS) for ms in times)]
+    for place, action in enumerate(acts):
+        at = 1 + place * len(times) // 6
+        events.insert(at, OperatorAct(events[at - 1].t_ns, action, value))
+    one, other = make(calibrations, script), make(calibrations, script)
+    asked: list[int] = []
+    for event in events:
+        decision = one.step(event)
+        assert other.step(event) == decision
+        if decision.requests:
+            asked.append(event.t_ns)
+        assert event.t_ns // PERIOD_NS == asked[-1] // PERIOD_NS
+
+
+def test_geometry_sets_the_sensor_height(calibrations: dict[str, FootCalibration]) -> None:
+    plain = Session(name="x")
+    known = Session(
+        name="x",
+        geometry={"right_foot": FootGeometry(toe_forward_m=0.1, toe_up_m=-0.06, heel_forward_m=-0.1, heel_up_m=-0.08)},
+    )
+    calibration = calibrations[FOOT]
+    assert stride_settings(plain, calibration).geometry is None
+    assert stride_settings(known, calibration).sensor_height_m == pytest.approx(0.07)

@@ -1,0 +1,397 @@
+"""Calibration finds out how a sensor sits and what is wrong with it; or says what to record."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+from dataclasses import fields, replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from fes.calibration.foot_track import calibrate, calibrate_track
+from fes.estimation.foot.calibration import (
+    REST_BOUNDS_RADPS,
+    CalibrationError,
+    FootCalibration,
+    calibrate_foot,
+    stretch_for_calibration,
+)
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.recording import Recording, Track, read_recording
+from fes.signals import FOOT_SENSORS, G_MPS2, NS_PER_S, FloatArray, IntArray, StrideResult
+from fes.simulation.forward import VirtualPatient, settings_for
+from fes.simulation.forward.truth import recording_of
+from fes.simulation.sensor import ImuModel, mounting
+from fes.simulation.trials import TRIALS
+from fes.simulation.truth import load_truth
+from statemachine.guards import Thresholds
+from statemachine.phases import Phase, PhaseChange
+
+FOLDER = Path(__file__).resolve().parents[2] / "sim_inputs"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+WALKS = [
+    ("negard_patient1", "right_foot"), ("negard_patient2", "right_foot"), ("soft_contact", "right_foot"),
+    ("both_feet_100hz", "left_foot"), ("both_feet_100hz", "right_foot"), ("misaligned", "left_foot"),
+    ("misaligned", "right_foot"),
+]  # fmt: skip
+
+
+@cache
+def recording(name: str) -> Recording:
+    return read_recording(FOLDER / f"{name}.parquet")
+
+
+@cache
+def calibrated(name: str, foot: str) -> FootCalibration:
+    return calibrate_track(recording(name).tracks[foot])
+
+
+def angle_deg(a: FloatArray | tuple[float, ...], b: FloatArray | tuple[float, ...]) -> float:
+    u, v = np.array(a), np.array(b)
+    return float(np.degrees(np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v)))
+
+
+def turned(track: Track, by: Rotation) -> Track:
+    return replace(track, acc_mps2=by.apply(track.acc_mps2), gyr_radps=by.apply(track.gyr_radps))
+
+
+def with_samples(track: Track, t_sensor_ns: IntArray, acc: FloatArray, gyr: FloatArray) -> Track:
+    arrival = np.maximum.accumulate(t_sensor_ns)
+    return replace(track, t_ns=arrival, t_sensor_ns=t_sensor_ns, acc_mps2=acc, gyr_radps=gyr)
+
+
+def first_seconds(track: Track, begin_s: float, end_s: float) -> Track:
+    part = slice(*np.searchsorted(track.t_sensor_ns, (begin_s * 1e9, end_s * 1e9)))
+    return with_samples(track, track.t_sensor_ns[part], track.acc_mps2[part], track.gyr_radps[part])
+
+
+# --- how the sensor sits ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "foot"), WALKS)
+def test_the_axes_are_those_of_the_mounting(name: str, foot: str) -> None:
+    """Against how the generator mounted the sensor: y of the foot is toe-down positive, z is up."""
+    placement = next(trial for trial in TRIALS if trial.name == name).placements[foot]
+    foot_from_sensor = mounting(*placement.angles_deg)
+    found = calibrated(name, foot)
+    assert angle_deg(found.up, foot_from_sensor[2]) < 2.5
+    assert angle_deg(found.toe_down, foot_from_sensor[1]) < 12.0  # the foot turns about the walk's axis, toed out
+    assert angle_deg(found.forward(), foot_from_sensor[0]) < 12.0
+    assert np.linalg.norm(found.toe_down) == pytest.approx(1.0, abs=1e-9)
+    assert np.dot(found.toe_down, found.up) == pytest.approx(0.0, abs=1e-9)
+    assert found.axis_confidence > 0.9
+    assert found.strides >= 20
+
+
+ROTATIONS = [Rotation.random(random_state=seed) for seed in range(5)]
+ROTATIONS += [Rotation.from_euler("zyx", turn, degrees=True) for turn in ((180, 0, 0), (0, 0, 180), (0, 180, 0))]
+
+
+@pytest.mark.parametrize("by", ROTATIONS, ids=lambda r: str(np.round(r.as_rotvec(), 1)))
+@pytest.mark.parametrize("foot", ["left_foot", "right_foot"])
+def test_any_mounting_gives_the_same_foot(foot: str, by: Rotation) -> None:
+    """Samples turned by any rotation: axis and its sign, up and biases turn with them, thresholds stay."""
+    track = recording("both_feet_100hz").tracks[foot]
+    plain, found = calibrated("both_feet_100hz", foot), calibrate_track(turned(track, by))
+    assert angle_deg(found.toe_down, by.apply(plain.toe_down)) < 2.0
+    assert angle_deg(found.up, by.apply(plain.up)) < 2.0
+    np.testing.assert_allclose(found.acc_bias_mps2, by.apply(plain.acc_bias_mps2), atol=0.03)
+    np.testing.assert_allclose(
+        found.gyr_bias_radps, by.apply(plain.gyr_bias_radps), atol=0.004
+    )  # another second, other sway
+    for mine, theirs in zip(found.thresholds(), plain.thresholds(), strict=True):
+        assert mine == pytest.approx(theirs, rel=0.05)
+    assert found.strides == plain.strides
+
+
+@pytest.mark.parametrize("foot", ["left_foot", "right_foot"])
+def test_any_mounting_gives_the_same_strides(foot: str) -> None:
+    track = first_seconds(recording("both_feet_100hz").tracks[foot], 0.0, 25.0)
+    lengths = []
+    for by in (Rotation.identity(), Rotation.random(random_state=9)):
+        t = turned(track, by)
+        calibration = calibrate_track(t)
+        maker = StrideMaker(foot, StrideSettings(calibration.forward(), np.array(calibration.up)))
+        outcomes = FootTracker(calibration, maker).advance(t.t_sensor_ns, t.acc_mps2, t.gyr_radps)
+        lengths.append([o.stride_length_m for o in outcomes if isinstance(o, StrideResult)])
+    assert len(lengths[0]) > 10
+    np.testing.assert_allclose(lengths[0], lengths[1], atol=0.005)
+
+
+def test_backwards_is_told_from_forwards() -> None:
+    """The same swings carried the other way, sensor turned by half about the vertical: toe-down turns its sign too."""
+    track = recording("both_feet_100hz").tracks["right_foot"]
+    plain = calibrated("both_feet_100hz", "right_foot")
+    about_up = Rotation.from_rotvec(np.pi * np.array(plain.up))
+    assert angle_deg(calibrate_track(turned(track, about_up)).toe_down, -np.array(plain.toe_down)) < 2.0
+
+
+# --- what is wrong with it -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "foot"), WALKS)
+def test_the_gyroscopes_bias_is_that_of_standing(name: str, foot: str) -> None:
+    track = recording(name).tracks[foot]
+    still = track.t_sensor_ns < 3_500_000_000
+    found = calibrated(name, foot)
+    assert found.standing
+    np.testing.assert_allclose(found.gyr_bias_radps, track.gyr_radps[still].mean(axis=0), atol=0.002)
+
+
+def test_a_bias_added_is_a_bias_found() -> None:
+    track = recording("both_feet_100hz").tracks["left_foot"]
+    plain = calibrated("both_feet_100hz", "left_foot")
+    more = np.array([0.02, -0.015, 0.01])
+    found = calibrate_track(replace(track, gyr_radps=track.gyr_radps + more))
+    np.testing.assert_allclose(np.array(found.gyr_bias_radps) - plain.gyr_bias_radps, more, atol=1e-9)
+
+
+def test_without_a_still_second_the_bias_is_left_to_the_filter() -> None:
+    found = calibrate_track(first_seconds(recording("both_feet_100hz").tracks["left_foot"], 8.0, 30.0))
+    assert not found.standing
+    assert found.gyr_bias_radps == (0.0, 0.0, 0.0)
+    plain = calibrated("both_feet_100hz", "left_foot")
+    assert angle_deg(found.toe_down, plain.toe_down) < 3.0
+    assert angle_deg(found.up, plain.up) < 2.0
+
+
+def true_acc_bias(name: str, foot: str) -> FloatArray:
+    """What the accelerometer reads beyond gravity while the walker stands, by the true orientation (3,)."""
+    truth, track = load_truth(FOLDER / f"{name}.parquet").feet[foot], recording(name).tracks[foot]
+    standing = truth.t_ns < 3_000_000_000
+    turns = Rotation.from_quat(np.roll(truth.q_world_from_sensor[standing], -1, axis=1))
+    gravity = turns.inv().apply([0.0, 0.0, G_MPS2]).mean(axis=0)
+    return np.asarray(track.acc_mps2[track.t_sensor_ns < 3_000_000_000].mean(axis=0) - gravity)
+
+
+@pytest.mark.parametrize(("name", "foot"), [w for w in WALKS if w[0] != "soft_contact"])
+def test_the_accelerometers_bias_along_gravity(name: str, foot: str) -> None:
+    found = calibrated(name, foot)
+    up = np.array(found.up)
+    assert float(up @ found.acc_bias_mps2) == pytest.approx(float(up @ true_acc_bias(name, foot)), abs=0.05)
+
+
+def test_the_accelerometers_bias_across_gravity() -> None:
+    """Rest does not show it, walking does: in the slow drop foot, where it costs most, most of it is found."""
+    found = calibrated("negard_patient1", "right_foot")
+    true, up = true_acc_bias("negard_patient1", "right_foot"), np.array(found.up)
+    across = np.eye(3) - np.outer(up, up)
+    forward = found.forward()
+    assert abs(forward @ true) > 0.05
+    assert abs(forward @ (found.acc_bias_mps2 - true)) < 0.4 * abs(forward @ true)
+    assert np.linalg.norm(across @ (found.acc_bias_mps2 - true)) < np.linalg.norm(across @ true)
+
+
+@pytest.mark.parametrize(("pattern", "rate_hz", "side", "seed"), [(4, 100.0, "right", 4), (5, 200.0, "left", 105)])
+def test_a_foot_that_still_sinks_does_not_pass_for_a_foot_at_rest(
+    pattern: int, rate_hz: float, side: str, seed: int
+) -> None:
+    """A soft sole gives way for a quarter of a second after contact: of a sensor without bias none must be found."""
+    faultless = replace(ImuModel(), acc_bias_mps2=0.0, scale_error=0.0, cross_axis=0.0)
+    settings = settings_for(
+        "moderate", pattern=f"hemiparetic_{pattern}", seed=seed, rate_hz=rate_hz, side=side, sensors=FOOT_SENSORS,
+        imu=faultless,
+    )  # fmt: skip
+    patient = VirtualPatient(settings)
+    track = recording_of(patient, patient.advance(40 * NS_PER_S), "soft sole", "").tracks[f"{side}_foot"]
+    found = calibrate_track(track)
+    assert abs(np.dot(found.up, found.acc_bias_mps2)) < 0.0025
+    assert abs(np.dot(found.toe_down, found.acc_bias_mps2)) < 0.01
+
+
+def loading_responses_s(track: Track, calibration: FootCalibration) -> list[float]:
+    """How long the phase machine stayed in loading response, each time."""
+    maker = StrideMaker(track.sensor, StrideSettings(calibration.forward(), np.array(calibration.up)))
+    outcomes = FootTracker(calibration, maker).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    phases = [change for change in outcomes if isinstance(change, PhaseChange)]
+    return [
+        1e-9 * (after.t_ns - change.t_ns)
+        for change, after in pairwise(phases)
+        if change.destination is Phase.LOADING_RESPONSE
+    ]
+
+
+def test_a_foot_that_has_landed_is_not_held_up_by_what_its_reckoned_speed_has_drifted() -> None:
+    foot = ("both_feet_100hz", "right_foot")
+    spent = loading_responses_s(recording(foot[0]).tracks[foot[1]], calibrated(*foot))
+    assert len(spent) > 40
+    assert max(spent) < 0.4  # it had been half a second
+
+
+DATA = Path(os.environ.get("FES_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
+BRISK = DATA / "stroke_treadmill" / "MR02_FBIC.npz"
+
+
+@pytest.mark.skipif(not BRISK.is_file(), reason="the stroke-treadmill recordings are not here (FES_DATA)")
+@pytest.mark.parametrize("more_mps2", [-0.02, 0.02])
+def test_a_bias_a_little_off_does_not_strand_the_phases(monkeypatch: pytest.MonkeyPatch, more_mps2: float) -> None:
+    """A brisk foot that hardly rests: with most biases the machine got lost in loading response, for up to 27 s."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+    track = importlib.import_module("stroke_treadmill").load_run(BRISK)[0]["right_foot"]
+    found = calibrate_track(track)
+    x, y, z = (np.array(found.acc_bias_mps2) + more_mps2 * np.array(found.up)).tolist()
+    spent = loading_responses_s(track, replace(found, acc_bias_mps2=(x, y, z)))
+    assert len(spent) > 180
+    assert max(spent) < 2.0
+
+
+# --- this person's thresholds ----------------------------------------------------------------------------
+
+
+def test_thresholds_follow_the_person() -> None:
+    slow, brisk = calibrated("negard_patient1", "right_foot"), calibrated("both_feet_100hz", "right_foot")
+    assert slow.rest_gyr_radps < 0.5 < brisk.rest_gyr_radps
+    assert slow.min_toe_down_peak_radps < 1.5 < brisk.min_toe_down_peak_radps
+    assert slow.rest_hold_s > brisk.rest_hold_s
+    for found in (slow, brisk):
+        assert REST_BOUNDS_RADPS[0] <= found.rest_gyr_radps <= REST_BOUNDS_RADPS[1]
+        track_peak = found.min_toe_down_peak_radps / 0.4
+        assert found.rest_gyr_radps < 0.25 * track_peak
+
+
+def test_fitted_thresholds_are_the_documented_ones_all_others_stay_at_their_defaults() -> None:
+    fitted = {f.name for f in fields(FootCalibration)} & set(Thresholds._fields)
+    odd = replace(calibrated("negard_patient1", "right_foot"), **dict.fromkeys(fitted, 0.123))
+    differing = {name for name, a, b in zip(Thresholds._fields, odd.thresholds(), Thresholds(), strict=True) if a != b}
+    assert differing == fitted
+    page = (DOCS / "phases.md").read_text(encoding="utf-8")
+    paragraph = page[page.index("**Fitted to the person.**") :]
+    for name in fitted:
+        assert f"`{name}`" in paragraph
+        assert f"``{name}``" in (Thresholds.__doc__ or "")
+
+
+def test_the_compiled_cores_parameters() -> None:
+    found = calibrated("negard_patient1", "right_foot")
+    p = found.parameters()
+    assert (p.toe_down_x, p.toe_down_y, p.toe_down_z) == found.toe_down
+    assert (p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2) == found.acc_bias_mps2
+    assert (p.gyr_bias_x_radps, p.gyr_bias_y_radps, p.gyr_bias_z_radps) == found.gyr_bias_radps
+    assert (p.sample_s, p.jump_lag, p.change_lag) == (0.002, 5, 10)
+
+
+@pytest.mark.parametrize(("name", "foot"), WALKS[:4:3])
+def test_there_and_back_through_the_log(name: str, foot: str) -> None:
+    found = calibrated(name, foot)
+    assert FootCalibration.from_dict(json.loads(json.dumps(found.to_dict()))) == found
+
+
+def test_a_minute_is_enough() -> None:
+    t_ns = np.arange(0, 90_000_000_000, 10_000_000) + 123_000_000_000
+    assert stretch_for_calibration(t_ns) == 6001
+    assert stretch_for_calibration(t_ns[:50]) == 50
+
+
+# --- what cannot be calibrated ---------------------------------------------------------------------------
+
+
+def samples(name: str, foot: str, begin_s: float, end_s: float) -> Track:
+    return first_seconds(recording(name).tracks[foot], begin_s, end_s)
+
+
+def refused(track: Track) -> str:
+    with pytest.raises(CalibrationError) as error:
+        calibrate_foot(track.sensor, track.rate_hz, track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    assert str(error.value).startswith(f"{track.sensor}: ")
+    return str(error.value)
+
+
+def test_too_short() -> None:
+    assert "1.0 s is too short to calibrate" in refused(samples("both_feet_100hz", "left_foot", 0.0, 1.0))
+
+
+def test_nobody_walks() -> None:
+    message = refused(samples("both_feet_100hz", "left_foot", 0.0, 4.0))
+    assert "0 strides found, 3 are needed" in message
+    assert "five strides of walking straight ahead" in message
+
+
+def test_two_strides_are_not_enough() -> None:
+    assert "strides found, 3 are needed" in refused(samples("negard_patient1", "right_foot", 0.0, 9.5))
+
+
+def test_acceleration_in_g() -> None:
+    track = samples("both_feet_100hz", "left_foot", 0.0, 30.0)
+    message = refused(replace(track, acc_mps2=track.acc_mps2 / G_MPS2))
+    assert "reads 1.0" in message
+    assert "instead of about 9.81" in message
+    assert "Check acc_unit" in message
+
+
+def test_a_gyroscope_that_is_switched_off() -> None:
+    track = samples("both_feet_100hz", "left_foot", 0.0, 30.0)
+    assert "0 strides found" in refused(replace(track, gyr_radps=0.0 * track.gyr_radps))
+
+
+@pytest.mark.parametrize("held", [(0.0, 0.0, G_MPS2), (1.0, -2.0, 9.5), (-3.5, -0.6, 9.0)])
+@pytest.mark.parametrize("noise_mps2", [0.0, 1e-12, 1e-3])
+def test_an_accelerometer_that_has_stopped(held: tuple[float, ...], noise_mps2: float) -> None:
+    """Turned by the gyroscope, what it holds leads away from the spot, like strides; of its bias it says nothing."""
+    track = samples("both_feet_100hz", "left_foot", 0.0, 45.0)
+    acc = np.array(held) + noise_mps2 * np.random.default_rng(3).standard_normal(track.acc_mps2.shape)
+    assert "the accelerometer shows gravity and nothing else" in refused(replace(track, acc_mps2=acc))
+
+
+def test_to_and_fro_has_no_direction() -> None:
+    """Half of the strides carry the sensor the other way: which way the toe points stays open."""
+    there = samples("both_feet_100hz", "left_foot", 8.0, 24.0)
+    plain = calibrated("both_feet_100hz", "left_foot")
+    back = turned(there, Rotation.from_rotvec(np.pi * np.array(plain.up)))
+    shift = there.t_sensor_ns[-1] - there.t_sensor_ns[0] + 10_000_000
+    both = with_samples(
+        there,
+        np.concatenate((there.t_sensor_ns, there.t_sensor_ns + shift)),
+        np.concatenate((there.acc_mps2, back.acc_mps2)),
+        np.concatenate((there.gyr_radps, back.gyr_radps)),
+    )
+    message = refused(both)
+    assert "do not agree on a direction of travel" in message
+    assert "walking straight ahead" in message
+
+
+# --- a recording's feet ----------------------------------------------------------------------------------
+
+
+def test_where_the_first_minute_shows_too_little_the_whole_recording_is_taken() -> None:
+    track = recording("both_feet_100hz").tracks["left_foot"]
+    quiet = np.tile(np.arange(300), 21)[:6200]  # a minute of the standing, again and again
+    later = with_samples(
+        track,
+        np.arange(6200 + len(track.t_sensor_ns)) * 10_000_000,
+        np.concatenate((track.acc_mps2[quiet], track.acc_mps2)),
+        np.concatenate((track.gyr_radps[quiet], track.gyr_radps)),
+    )
+    found = calibrate_track(later)
+    assert found.strides >= 20
+    assert angle_deg(found.toe_down, calibrated("both_feet_100hz", "left_foot").toe_down) < 3.0
+
+
+def test_doubled_and_backward_stamps_do_not_matter() -> None:
+    track = recording("both_feet_100hz").tracks["left_foot"]
+    n = len(track.t_sensor_ns)
+    late = np.arange(500, n, 97)
+    order = np.insert(np.arange(n), late, late - np.where(late % 2, 1, 5))  # some again, some five samples late
+    spoiled = with_samples(track, track.t_sensor_ns[order], track.acc_mps2[order], track.gyr_radps[order])
+    assert calibrate_track(spoiled) == calibrated("both_feet_100hz", "left_foot")
+
+
+def test_one_foot_that_cannot_be_calibrated_does_not_stop_the_other() -> None:
+    whole = recording("both_feet_100hz")
+    still = samples("both_feet_100hz", "left_foot", 0.0, 4.0)
+    found, missing = calibrate(replace(whole, tracks={**whole.tracks, "left_foot": still}))
+    assert list(found) == ["right_foot"]
+    assert list(missing) == ["left_foot"]
+    assert "0 strides found" in missing["left_foot"]
+
+
+def test_no_foot_at_all() -> None:
+    whole = recording("both_feet_100hz")
+    with pytest.raises(CalibrationError, match=r"both_feet_100hz\.parquet: it holds no foot sensor"):
+        calibrate(replace(whole, tracks={}))

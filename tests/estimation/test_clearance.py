@@ -1,0 +1,211 @@
+"""Clearance of toe and heel, and the foot's geometry found from walking, on a foot that turns about toe and heel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pivoting_foot import ARMS, CONTACT_S, END_S, FOOT_OFF_S, rotation, stride, upstairs
+
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.clearance.clearance import (
+    ContactLevels,
+    FootPath,
+    arms_of,
+    clearance,
+    contact_heights,
+    contact_levels,
+    foot_path,
+    rise,
+    with_clearance,
+)
+from fes.estimation.clearance.geometry import estimate_geometry
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.recording import read_recording
+from fes.signals import StrideResult
+from fes.simulation.observe import quaternions
+
+SMALL = st.floats(-0.1, 0.1)
+SIM = Path(__file__).resolve().parents[2] / "sim_inputs"
+
+
+@settings(deadline=None)  # the first time it compiles
+@given(arm=st.tuples(SMALL, SMALL, SMALL), turn=st.tuples(*[st.floats(-1.2, 1.2)] * 6))
+def test_a_point_rises_as_its_lever_says_however_the_sensor_is_mounted(
+    arm: tuple[float, float, float], turn: tuple[float, ...]
+) -> None:
+    share = np.linspace(0.0, 1.0, 40)
+    foot = rotation(turn[0] * share, turn[1] * share, turn[2] * share)
+    mount = rotation(*(np.array([angle]) for angle in turn[3:]))[0]
+    way = np.column_stack([share, 0.1 * share, 0.2 * np.sin(math.pi * share)])
+    stamps = np.arange(40) * 5_000_000
+    path = foot_path(1, stamps, quaternions(foot @ mount.T), way, mount[:, 0], mount[:, 2], None, None)
+    np.testing.assert_allclose(path.axes, foot, atol=1e-9)
+    height = (way + foot @ np.array(arm))[:, 2]
+    np.testing.assert_allclose(rise(path, arm), height - height[0], atol=1e-9)
+
+
+def test_a_path_does_not_change_with_the_buffers_it_came_from() -> None:
+    stamps, way = np.arange(5) * 5_000_000, np.ones((5, 3))
+    turns = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))
+    path = foot_path(1, stamps, turns, way, np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), None, None)
+    stamps[:], way[:] = 0, 0.0
+    assert path.t_ns[-1] == 20_000_000
+    assert path.position_m.min() == 1.0
+
+
+def test_steps_up_and_down_change_neither_geometry_nor_contacts() -> None:
+    level = [stride(ARMS, landing_rad=angle) for angle in (0.3, 0.35, 0.4, 0.35, 0.3)]
+    stairs = [upstairs(path, 0.34) for path in level]
+    flat, up = estimate_geometry(level).geometry, estimate_geometry(stairs).geometry
+    assert up.heel_forward_m == pytest.approx(flat.heel_forward_m, abs=1e-6)
+    assert up.toe_forward_m == pytest.approx(flat.toe_forward_m, abs=1e-6)
+    low, high = contact_levels(level, ARMS), contact_levels(stairs, ARMS)
+    assert low is not None
+    assert high is not None
+    assert high.contact_m == pytest.approx(low.contact_m, abs=1e-6)
+    assert clearance(stairs[0], ARMS, high).heel_m == pytest.approx(clearance(stairs[0], ARMS).heel_m, abs=1e-6)
+
+
+def test_clearances_are_those_of_the_points() -> None:
+    path = stride(ARMS)
+    toe, heel = (path.position_m + path.axes @ np.array(arm) for arm in (ARMS.toe_m, ARMS.heel_m))
+    found = clearance(path, ARMS)
+    swing = slice(path.index(path.foot_off_ns or 0), path.index(path.contact_ns or 0) + 1)
+    assert found.heel_m == pytest.approx(float(heel[:, 2].max() + 0.06))
+    assert found.sensor_m == pytest.approx(float(path.position_m[:, 2].max()))
+    assert max(found.toe_first_peak_m, found.toe_last_peak_m) == pytest.approx(float(toe[swing, 2].max() + 0.06))
+
+
+def dipping(depth_m: float) -> FootPath:
+    """Level feet whose height has peaks of 3 and 5 cm in swing and, between them, a dip."""
+    t = np.linspace(0.0, 1.0, 201)
+    knots = [0.0, 0.2, 0.4, 0.5, 0.7, 0.8, 1.0]
+    height = np.interp(t, knots, [0.0, 0.0, 0.03, 0.03 - depth_m, 0.05, 0.05, 0.0])
+    along = np.interp(t, [0.2, 0.5, 0.6, 0.8], [0.0, 0.3, 0.9, 1.2])
+    way = np.column_stack([along, np.zeros_like(t), height])
+    return FootPath(
+        1, np.round(1e9 * t).astype(np.int64), way, np.tile(np.eye(3), (201, 1, 1)), 200_000_000, 800_000_000
+    )
+
+
+def test_minimum_toe_clearance_lies_between_the_peaks() -> None:
+    found = clearance(dipping(0.015), ARMS)
+    assert found.dips
+    assert found.toe_m == pytest.approx(0.015)
+    assert found.toe_first_peak_m == pytest.approx(0.03)
+    assert found.toe_last_peak_m == pytest.approx(0.05)
+
+
+def test_without_a_dip_the_height_at_the_greatest_speed_counts() -> None:
+    found = clearance(dipping(0.0), ARMS)
+    assert not found.dips
+    assert 0.03 <= found.toe_m <= 0.0405  # between 0.5 and 0.6 s
+    assert found.toe_last_peak_m == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("missing", ["foot_off_ns", "contact_ns"])
+def test_without_a_swing_there_is_no_toe_clearance_but_a_heel(missing: str) -> None:
+    path = stride(ARMS)
+    path = replace(path, foot_off_ns=None) if missing == "foot_off_ns" else replace(path, contact_ns=None)
+    found = clearance(path, ARMS, ContactLevels(0.5, 0.5, 0.5, 1.0, 1.0, 1.0))
+    assert math.isnan(found.toe_m)
+    assert math.isnan(found.toe_first_peak_m)
+    assert found.heel_m == clearance(stride(ARMS), ARMS).heel_m
+    assert contact_levels([path] * 9, ARMS) is None
+
+
+def drifting(path: FootPath, off_m: float, contact_m: float) -> FootPath:
+    """The path with the height error that double integration leaves."""
+    times = [0.0, FOOT_OFF_S, CONTACT_S, END_S]
+    error = np.interp(1e-9 * path.t_ns, times, [0.0, off_m, contact_m, 0.0])
+    return replace(path, position_m=path.position_m + np.column_stack([0 * error, 0 * error, error]))
+
+
+def test_contact_levels_take_the_integrations_drift_out() -> None:
+    rng = np.random.default_rng(5)
+    true = clearance(stride(ARMS), ARMS)
+    paths = [drifting(stride(ARMS, number=k), *rng.normal(0.0, 0.02, 2)) for k in range(40)]
+    levels = contact_levels(paths, ARMS)
+    assert levels is not None
+    assert min(levels.foot_off_weight, levels.contact_weight) > 0.9
+    spread = {}
+    for name, given_levels in (("without", None), ("with", levels)):
+        found = [clearance(path, ARMS, given_levels) for path in paths]
+        spread[name] = [np.std([getattr(each, key) for each in found]) for key in ("toe_m", "heel_m", "sensor_m")]
+        assert np.mean([each.heel_m for each in found]) == pytest.approx(true.heel_m, abs=0.01)
+    assert all(after < 0.2 * before for before, after in zip(spread["without"], spread["with"], strict=True))
+
+
+def test_what_is_too_large_for_drift_is_left_alone() -> None:
+    levels = ContactLevels(0.0, 0.0, 0.0, 1.0, 1.0, 1.0)
+    stumble = drifting(stride(ARMS), 0.2, -0.3)
+    assert clearance(stumble, ARMS, levels) == clearance(stumble, ARMS)
+    small = drifting(stride(ARMS), 0.02, -0.03)
+    assert clearance(small, ARMS, levels) != clearance(small, ARMS)
+
+
+def test_level_ground_is_known_from_the_recording_and_a_slope_stays_one() -> None:
+    rng = np.random.default_rng(8)
+    for slope_m, kept_m in ((0.004, 0.0), (0.03, 0.03)):
+        paths = [upstairs(stride(ARMS, number=k), slope_m + 0.012 * (-1) ** k) for k in range(20)]
+        paths = [drifting(path, *rng.normal(0.0, 0.01, 2)) for path in paths]
+        levels = contact_levels(paths, ARMS)
+        assert levels is not None
+        assert levels.rise_m == pytest.approx(kept_m, abs=1e-6)
+        assert levels.rise_weight > 0.9
+        heights = contact_heights(paths[:1], ARMS)
+        risen_m = 0.5 * (rise(paths[0], ARMS.toe_m)[-1] + rise(paths[0], ARMS.heel_m)[-1])
+        assert heights[0, 2] == pytest.approx(risen_m)
+        assert risen_m + levels.drifts(heights)[0, 2] == pytest.approx(kept_m, abs=0.002)
+
+
+def test_strides_that_agree_are_left_alone() -> None:
+    rng = np.random.default_rng(6)
+    paths = [drifting(stride(ARMS, number=k), *rng.normal(0.0, 0.001, 2)) for k in range(20)]
+    levels = contact_levels(paths, ARMS)
+    assert levels is not None
+    assert levels.foot_off_weight == levels.contact_weight == 0.0
+    assert clearance(paths[0], ARMS, levels) == clearance(paths[0], ARMS)
+
+
+def test_one_stumble_does_not_move_the_level_and_four_strides_are_too_few() -> None:
+    paths = [drifting(stride(ARMS, number=k), 0.01 * (-1) ** k, 0.0) for k in range(20)]
+    calm, upset = contact_levels(paths, ARMS), contact_levels([*paths[:-1], drifting(paths[0], 1.0, 1.0)], ARMS)
+    assert calm is not None
+    assert upset is not None
+    assert upset.foot_off_m == pytest.approx(calm.foot_off_m, abs=0.002)
+    assert contact_levels(paths[:4], ARMS) is None
+
+
+def test_a_tracker_shows_the_path_of_every_valid_stride() -> None:
+    recording = read_recording(SIM / "both_feet_200hz.parquet")
+    track = recording.tracks["right_foot"]
+    calibration = calibrate_track(track)
+    paths: list[FootPath] = []
+    geometry = recording.geometry["right_foot"]
+    chosen = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), watch=paths.append)
+    tracker = FootTracker(calibration, StrideMaker("right_foot", chosen))
+    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    strides = [each for each in outcomes if isinstance(each, StrideResult)]
+    valid = [each for each in strides if each.valid]
+    assert [path.number for path in paths] == [each.number for each in valid]
+    assert len(paths) > 40
+    for path, each in zip(paths, valid, strict=True):
+        assert (path.t_ns[0], path.t_ns[-1]) == (each.t_start_ns, each.t_end_ns)
+        assert path.position_m[:, 2].max() == pytest.approx(each.clearance_m)
+    assert all(math.isnan(each.toe_clearance_m) for each in strides)
+    arms = arms_of(geometry)
+    told = with_clearance(strides, paths, arms, contact_levels(paths, arms))
+    assert [each.number for each in told] == [each.number for each in strides]
+    for path, each in zip(paths, (each for each in told if each.valid), strict=True):
+        assert 0.0 < each.toe_clearance_m < 0.04
+        assert 0.15 < each.heel_clearance_m < 0.3
+        assert path.t_ns[0] == each.t_start_ns
+    assert with_clearance(strides, [], arms, None) == strides

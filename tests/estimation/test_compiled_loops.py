@@ -1,0 +1,249 @@
+"""Compiled loops against the plain array formulas that they stand for."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fes.estimation.numerics.linear import median
+from fes.estimation.numerics.rotation import foot_axes, quaternions_of, rotate_all, up_in_sensor
+from fes.estimation.strides.integration import height_and_turn, stride_shape
+from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, carry_one, predict, update, update_velocity
+from fes.estimation.zupt.detectors import least_spread, stillest
+from fes.estimation.zupt.foot_trajectory import angle_of, bend, headings, keep, look_ahead, slopes, without_turns
+from fes.estimation.zupt.smoother import path_at, turn_path
+from fes.recording.kernels import into_rows, spreads
+
+RNG = np.random.default_rng(11)
+
+
+@pytest.mark.parametrize("n", [7, 50])
+def test_the_stillest_windows_are_those_of_the_plain_formula(n: int) -> None:
+    scale = 0.2 + np.abs(np.sin(np.arange(400) / 37.0))[:, None]
+    acc, gyr = RNG.normal(0.0, 1.0, (400, 3)) * scale + 9.0, RNG.normal(0.0, 0.3, (400, 3)) * scale
+    step = 5
+    spreads = [
+        (math.sqrt(gyr[i : i + n].var(axis=0).sum()) / 0.08 + math.sqrt(acc[i : i + n].var(axis=0).sum()) / 0.3, i)
+        for i in range(0, 400 - n + 1, step)
+    ]
+    begin, turning, shaking = stillest(acc, gyr, n, step, 0.3, 0.08)
+    assert (turning / 0.08 + shaking / 0.3, begin) == pytest.approx(min(spreads))
+    greatest = [
+        (gyr[i : i + n].std(axis=0).max() + 0.1 * acc[i : i + n].std(axis=0).max(), i) for i in range(0, 400 - n, step)
+    ]
+    begin, spread = least_spread(acc, gyr, n, step, 0.1)
+    assert (spread, begin) == pytest.approx(min(greatest))
+    assert least_spread(acc[:n], gyr[:n], n, step, 0.1)[0] == -1
+
+
+def test_windows_run_through_stretches_as_if_these_followed_each_other() -> None:
+    vectors, begins, size, window = RNG.normal(0.0, 1.0, (200, 3)) + 5.0, np.array([0, 60, 170]), 25, 10
+    squares, found = np.empty(75), np.empty(7)
+    spreads(vectors, begins, size, window, squares, found)
+    joined = np.concatenate([vectors[i : i + size] for i in begins])
+    assert squares == pytest.approx((joined**2).sum(axis=1))
+    assert found == pytest.approx(np.sqrt(joined[:70].reshape(7, window, 3).var(axis=1).sum(axis=1)))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_the_greatest_size_of_three_columns(kind: type[np.floating[Any]]) -> None:
+    columns = RNG.normal(0.0, 1.0, (3, 50)).astype(kind)
+    out = np.empty((50, 3))
+    assert into_rows(*columns, out) == np.abs(columns).max()
+    assert np.array_equal(out, columns.T)
+    columns[1, 7] = -9.0
+    assert into_rows(*columns, out) == 9.0
+    for axis, odd in ((0, math.nan), (1, math.inf), (2, math.nan)):
+        holed = columns.copy()
+        holed[axis, 20] = odd
+        assert into_rows(*holed, out) == math.inf  # whatever follows
+        assert np.array_equal(out, holed.T, equal_nan=True)
+
+
+def test_prediction_and_measurement_are_those_of_matrices() -> None:
+    half = RNG.normal(0.0, 1.0, (STATES, STATES))
+    dense = half @ half.T
+    flat = np.ascontiguousarray(np.pad(dense, ((0, 0), (0, 1)))).ravel()
+    rotation, force, dt = np.linalg.qr(RNG.normal(0.0, 1.0, (3, 3)))[0].copy(), RNG.normal(0.0, 5.0, 3), 0.01
+    phi = np.eye(STATES)
+    for column in phi:
+        carry_one(column, column, rotation, force, dt)
+    phi = phi.T
+    predict(flat, np.empty(BIASES * WIDTH), rotation, force, dt)
+    wanted = phi @ dense @ phi.T
+    assert flat.reshape(STATES, WIDTH)[:, :STATES] == pytest.approx(wanted, rel=1e-10, abs=1e-12)
+    state, gain = np.zeros(STATES), np.empty(WIDTH)
+    variance = update(flat, state, 4, 0.5, 0.2, np.empty(WIDTH), gain)
+    assert variance == pytest.approx(wanted[4, 4] + 0.2)
+    assert state == pytest.approx(0.5 * wanted[:, 4] / variance)
+    after = flat.reshape(STATES, WIDTH)
+    assert after[:, :STATES] == pytest.approx(wanted - np.outer(wanted[4], wanted[4]) / variance, abs=1e-10)
+    assert np.array_equal(after[:, :STATES], after[:, :STATES].T)
+    assert not after[:, STATES].any()
+
+
+def test_a_velocity_measured_at_once_is_as_one_axis_after_the_other() -> None:
+    half = RNG.normal(0.0, 1.0, (STATES, STATES))
+    one = np.ascontiguousarray(np.pad(half @ half.T, ((0, 0), (0, 1)))).ravel()
+    at_once, state, wanted, off = one.copy(), np.empty(STATES), np.zeros(STATES), RNG.normal(0.0, 1.0, 3)
+    residual, variance, gains = off.copy(), np.empty(3), np.empty(6 * WIDTH)
+    update_velocity(at_once, state, residual, 0.2, variance, gains)
+    for j in range(3):
+        left, gain = off[j] - wanted[3 + j], np.empty(WIDTH)
+        assert update(one, wanted, 3 + j, left, 0.2, np.empty(WIDTH), gain) == pytest.approx(variance[j])
+        assert residual[j] == pytest.approx(left)
+        assert gains[j * WIDTH : j * WIDTH + STATES] == pytest.approx(gain[:STATES])
+    assert state == pytest.approx(wanted)
+    assert at_once == pytest.approx(one, abs=1e-12)
+    after = at_once.reshape(STATES, WIDTH)[:, :STATES]
+    assert np.array_equal(after, after.T)
+
+
+def test_a_strides_shape_is_interpolated_and_turned() -> None:
+    n = 90
+    t_ns = 10**15 + np.cumsum(RNG.integers(1_000_000, 9_000_000, n))
+    pitch = np.linspace(0.1, -0.4, n)
+    quaternion = np.column_stack((np.cos(pitch / 2), np.zeros(n), np.sin(pitch / 2), np.zeros(n)))
+    position = np.cumsum(RNG.normal(0.02, 0.01, (n, 3)), axis=0)
+    position -= position[0]
+    out = np.empty((101, 4))
+    stride_shape(t_ns, quaternion, position, 1.0, 0.0, 0.0, out)
+    highest, turn = height_and_turn(quaternion, position, 1.0, 0.0, 0.0)
+    assert highest == position[:, 2].max()
+    assert turn == pytest.approx(0.0, abs=1e-12)
+    dx, dy = position[-1, :2] / np.hypot(*position[-1, :2])
+    walking = position @ np.array([[dx, -dy, 0.0], [dy, dx, 0.0], [0.0, 0.0, 1.0]])
+    at, since = np.linspace(0.0, float(t_ns[-1] - t_ns[0]), 101), (t_ns - t_ns[0]).astype(np.float64)
+    for k in range(3):
+        assert out[:, k] == pytest.approx(np.interp(at, since, walking[:, k]), abs=1e-12)
+    assert out[:, 3] == pytest.approx(np.interp(at, since, -(pitch - pitch[0])), abs=1e-12)
+
+
+@pytest.mark.parametrize("stances", [1, 2, 7])
+def test_a_path_is_bent_piece_by_piece(stances: int) -> None:
+    n = 300
+    t_ns = 10**15 + np.cumsum(RNG.integers(1_000_000, 30_000_000, n))
+    position, heading = np.cumsum(RNG.normal(0.01, 0.01, (n, 3)), axis=0), RNG.normal(0.0, 1.0, n)
+    stance_ns = np.sort(RNG.choice(t_ns[20:-20], stances, replace=False))
+    place, turned = np.empty((n, 3)), np.empty(n)
+    bend(t_ns, stance_ns, 0.7, position, heading, place, turned)
+    since, stances_s = ((t - t_ns[0]).astype(np.float64) for t in (t_ns, stance_ns))
+    angle = 0.7 * np.interp(since, stances_s, np.arange(stances, dtype=np.float64))
+    assert turned == pytest.approx(heading + angle, abs=1e-12)
+    steps = np.exp(0.5j * (angle[1:] + angle[:-1])) * np.diff(position[:, 0] + 1j * position[:, 1])
+    assert np.diff(place[:, 0] + 1j * place[:, 1]) == pytest.approx(steps, abs=1e-12)
+    assert np.array_equal(place[0], position[0])
+    assert np.array_equal(place[:, 2], position[:, 2])
+
+
+def test_headings_turn_by_less_than_half_a_turn_each_time() -> None:
+    angle = np.cumsum(RNG.uniform(-3.0, 3.0, 200))
+    out = np.empty(200)
+    about_up = np.column_stack((np.cos(angle / 2), np.zeros((200, 2)), np.sin(angle / 2)))
+    headings(about_up, np.array([0.0, 1.0, 0.2]), out)
+    assert out == pytest.approx(np.unwrap(np.arctan2(np.cos(angle), -np.sin(angle))), abs=1e-10)
+
+
+def test_a_toe_that_points_straight_up_keeps_its_heading() -> None:
+    to_the_left, up, out = (0.5, -0.5, -0.5, -0.5), (1.0, 0.0, 0.0, 0.0), np.empty(4)
+    headings(np.array([up, to_the_left, up, to_the_left]), np.array([0.0, 0.0, 1.0]), out)
+    assert out == pytest.approx([0.0, math.pi / 2, math.pi / 2, math.pi / 2])
+
+
+def test_angles_are_those_of_atan2() -> None:
+    around = np.concatenate((np.linspace(-math.pi, math.pi, 201), np.linspace(-0.13, 0.13, 201)))
+    found = [angle_of(3.0 * math.sin(angle), 3.0 * math.cos(angle)) for angle in around.tolist()]
+    assert found == pytest.approx(around, rel=1e-15, abs=1e-15)
+
+
+def test_false_turns_between_stances_go() -> None:
+    t_ns = 10**15 + np.cumsum(RNG.integers(20_000_000, 60_000_000, 200))
+    stance_ns = t_ns[10::20] + 3_000_000
+    heading = np.cumsum(RNG.uniform(-0.2, 0.2, 200))
+    found = heading.copy()
+    without_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
+    assert np.array_equal(found, heading)
+    middles = (stance_ns[1:] + stance_ns[:-1]) // 2
+    wrong = heading + 2.0 * math.pi * (
+        (t_ns > stance_ns[4] - 10**8).astype(float) - 2.0 * (t_ns > stance_ns[7] - 10**8)
+    )
+    since, stances = (t_ns - t_ns[0]).astype(float), (stance_ns - t_ns[0]).astype(float)
+    at_stance = np.interp(stances, since, wrong)
+    off = np.unwrap(at_stance) - at_stance
+    assert np.rint(off / (2.0 * math.pi)).tolist() == [0.0] * 4 + [-1.0] * 3 + [1.0] * 3
+    found = wrong.copy()
+    without_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
+    assert found == pytest.approx(wrong + off[np.searchsorted(middles, t_ns, side="right")], abs=1e-12)
+
+
+def test_what_is_kept_of_a_way_lies_on_it() -> None:
+    t_ns = 10**15 + np.cumsum(RNG.integers(5_000_000, 60_000_000, 60))
+    place, velocity, facing = RNG.normal(0.0, 1.0, (60, 3)), RNG.normal(0.0, 1.0, (60, 3)), RNG.normal(0.0, 1.0, 60)
+    kept_ns = np.concatenate((t_ns[:1] - 10**8, t_ns[[0, 7]], np.sort(RNG.integers(t_ns[7], t_ns[-1], 90)), t_ns[-1:]))
+    kept_ns = np.append(kept_ns, t_ns[-1] + 10**8)
+    position, heading, wanted = np.empty((len(kept_ns), 3)), np.empty(len(kept_ns)), np.empty((len(kept_ns), 3))
+    keep(t_ns, place, velocity, facing, kept_ns, position, heading)
+    path_at(t_ns, place, velocity, kept_ns, wanted)
+    assert position == pytest.approx(wanted, abs=1e-13)
+    assert position[[0, 1, 2, -1]] == pytest.approx(place[[0, 0, 7, -1]], abs=1e-15)
+    since, known = ((t - t_ns[0]).astype(np.float64) for t in (kept_ns, t_ns))
+    assert heading == pytest.approx(np.interp(since, known, facing), abs=1e-13)
+    order, back = RNG.permutation(len(kept_ns)), np.empty((len(kept_ns), 3))
+    path_at(t_ns, place, velocity, kept_ns[order], back)
+    assert np.array_equal(back, wanted[order])
+
+
+@pytest.mark.parametrize(("reach_m", "at"), [(3.0, 21), (1.0, 32)])
+def test_x_points_to_where_a_path_is_two_metres_away_or_farthest(reach_m: float, at: int) -> None:
+    along = reach_m * np.concatenate((np.linspace(0.0, 1.0, 32), np.linspace(1.0, 0.0, 32)))
+    aside = 0.3 * np.sin(np.arange(64.0) / 9.0)
+    place = np.column_stack((-along, aside, np.arange(64.0)))
+    heading = np.full(64, 7.0)
+    far = math.atan2(place[at, 1], place[at, 0])
+    turned, facing = place.copy(), heading.copy()
+    look_ahead(turned, facing)
+    assert turned[at] == pytest.approx([math.hypot(*place[at, :2]), 0.0, at], abs=1e-12)
+    assert np.hypot(*turned[:, :2].T) == pytest.approx(np.hypot(*place[:, :2].T))
+    assert facing == pytest.approx(np.full(64, math.remainder(7.0 - far, 2.0 * math.pi)))
+
+
+def test_slopes_are_those_of_all_pairs_far_enough_apart() -> None:
+    values, places = RNG.normal(0.0, 1.0, 40), np.cumsum(RNG.integers(1, 4, 40)).astype(np.float64)
+    earlier, later = np.triu_indices(40, 10)
+    out = np.empty(len(earlier))
+    slopes(values, places, 10, out)
+    assert out == pytest.approx((values[later] - values[earlier]) / (places[later] - places[earlier]))
+
+
+def test_a_way_is_turned_about_the_vertical() -> None:
+    place, velocity, q = RNG.normal(0.0, 1.0, (9, 3)), RNG.normal(0.0, 1.0, (9, 3)), RNG.normal(0.0, 1.0, (9, 4))
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    shift, axis, c, s = np.array([1.0, 2.0, 3.0]), np.array([0.3, 0.4, 0.5]), math.cos(0.7), math.sin(0.7)
+    about_z = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned = [rows.copy() for rows in (place, velocity, q)]
+    turn_path(*turned, 0.7, shift)
+    assert turned[0] == pytest.approx(place @ about_z.T + shift)
+    assert turned[1] == pytest.approx(velocity @ about_z.T)
+    assert rotate_all(turned[2], axis) == pytest.approx(rotate_all(q, axis) @ about_z.T)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 10, 1001])
+def test_a_median_is_numpys(n: int) -> None:
+    for values in (RNG.normal(0.0, 1.0, n), RNG.integers(0, 5, n), np.full(n, np.inf)):
+        assert median(values) == np.median(values)
+    assert math.isnan(median(np.empty(0)))
+
+
+def test_rotations_go_to_matrices_and_back() -> None:
+    q = RNG.normal(0.0, 1.0, (50, 4))
+    q[:4] = np.eye(4)  # half turns about each axis, and none
+    q /= np.linalg.norm(q, axis=1, keepdims=True)
+    axes = np.empty((50, 3, 3))
+    foot_axes(q, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]), axes)
+    back = quaternions_of(axes)
+    assert back * np.sign((back * q).sum(axis=1, keepdims=True)) == pytest.approx(q, abs=1e-14)
+    for turned, matrix in zip(q.tolist(), axes, strict=True):
+        assert up_in_sensor(*turned) == pytest.approx(matrix[2], abs=1e-14)

@@ -1,0 +1,592 @@
+"""One foot's tracker: blocks cut anywhere, hostile samples, silences, any rate, no look ahead; and what rest is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from fes.calibration.foot_track import calibrate_track
+from fes.estimation.clearance.clearance import FootPath
+from fes.estimation.foot import features as kernel
+from fes.estimation.foot import tracker as one_foot
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.orientation import OrientationSettings
+from fes.estimation.foot.tracker import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, FootTracker, Outcome
+from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.recording import read_recording
+from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
+from fes.simulation.sensor import FINE_HZ, PERFECT, measure
+from fes.simulation.session import new_session
+from fes.simulation.trials import HEALTHY, INSTEP, PATIENT_2
+from fes.simulation.walk import Style
+from statemachine.machine import GuardDisagreement
+from statemachine.phases import Phase, PhaseChange, Transition
+
+FOLDER = Path(__file__).resolve().parents[2] / "sim_inputs"
+FEET = ["left_foot", "right_foot"]
+CYCLE = [Transition.T1, Transition.T2, Transition.T3, Transition.T4]
+
+
+@dataclass(frozen=True)
+class Samples:
+    t_ns: IntArray
+    acc: FloatArray
+    gyr: FloatArray
+
+    def __getitem__(self, part: slice | IntArray) -> Samples:
+        return Samples(self.t_ns[part], self.acc[part], self.gyr[part])
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    def at_s(self, seconds: float) -> int:
+        return int(np.searchsorted(self.t_ns, round(seconds * 1e9)))
+
+
+@cache
+def walk(foot: str) -> tuple[Samples, FootCalibration]:
+    """65 s of both_feet_100hz: three times longer than the history kept."""
+    track = read_recording(FOLDER / "both_feet_100hz.parquet").tracks[foot]
+    assert 1e-9 * track.t_sensor_ns[-1] > 3.0 * HISTORY_S
+    return Samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps), calibrate_track(track)
+
+
+def tracker_of(calibration: FootCalibration) -> FootTracker:
+    stride = StrideSettings(calibration.forward(), np.array(calibration.up))
+    return FootTracker(calibration, StrideMaker(calibration.sensor, stride))
+
+
+def fed(tracker: FootTracker, samples: Samples, cuts: list[int] | None = None) -> list[Outcome]:
+    """All outcomes of the samples, given in blocks cut at ``cuts``."""
+    edges = [0, *sorted(cuts or []), len(samples)]
+    outcomes: list[Outcome] = []
+    for begin, end in pairwise(edges):
+        part = samples[begin:end]
+        outcomes += tracker.advance(part.t_ns, part.acc, part.gyr)
+    return outcomes
+
+
+def facts(outcomes: list[Outcome]) -> list[object]:
+    """Everything in the outcomes, to the last bit (NaN equal to itself)."""
+    found: list[object] = []
+    for outcome in outcomes:
+        if isinstance(outcome, StrideResult):
+            plain = {name: getattr(outcome, name) for name in outcome.__slots__}
+            arrays = [plain.pop(name).tobytes() for name in ("trajectory_m", "pitch_rad")]
+            found += [repr(plain), *arrays]
+        else:
+            found.append(outcome)
+    return found
+
+
+@cache
+def whole(foot: str) -> tuple[list[object], bytes]:
+    samples, calibration = walk(foot)
+    tracker = tracker_of(calibration)
+    return facts(fed(tracker, samples)), tracker._state.tobytes()
+
+
+def changes(outcomes: list[Outcome]) -> list[PhaseChange]:
+    return [outcome for outcome in outcomes if isinstance(outcome, PhaseChange)]
+
+
+def strides(outcomes: list[Outcome]) -> list[StrideResult]:
+    return [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
+
+
+# --- cut anywhere ----------------------------------------------------------------------------------------
+
+
+def test_the_walk_is_worth_cutting() -> None:
+    for foot in FEET:
+        samples, calibration = walk(foot)
+        outcomes = fed(tracker_of(calibration), samples)
+        assert [c.transition for c in changes(outcomes)] == CYCLE * 46
+        assert len([s for s in strides(outcomes) if s.valid]) == 46
+
+
+@given(foot=st.sampled_from(FEET), cuts=st.lists(st.integers(0, 6400), min_size=1, max_size=60))
+@example(foot="left_foot", cuts=[1, 2, 3, 1999, 2000, 2001, 2999, 3000, 3001, 4000])  # around the history's ends
+@settings(max_examples=25, deadline=None)
+def test_blocks_may_be_cut_anywhere(foot: str, cuts: list[int]) -> None:
+    samples, calibration = walk(foot)
+    tracker = tracker_of(calibration)
+    assert facts(fed(tracker, samples, cuts)) == whole(foot)[0]
+    assert tracker._state.tobytes() == whole(foot)[1]
+
+
+@pytest.mark.parametrize("foot", FEET)
+def test_sample_by_sample_is_the_whole_block(foot: str) -> None:
+    samples, calibration = walk(foot)
+    tracker = tracker_of(calibration)
+    assert facts(fed(tracker, samples, list(range(1, len(samples))))) == whole(foot)[0]
+    assert tracker._state.tobytes() == whole(foot)[1]
+
+
+@pytest.mark.parametrize("foot", FEET)
+def test_one_sample_at_a_time_as_live_is_the_whole_block(foot: str) -> None:
+    samples, calibration = walk(foot)
+    tracker = tracker_of(calibration)
+    assert facts(stepped(tracker, samples)) == whole(foot)[0]
+    assert tracker._state.tobytes() == whole(foot)[1]
+
+
+def stepped(tracker: FootTracker, samples: Samples) -> list[Outcome]:
+    """All outcomes of the samples, one at a time as live."""
+    outcomes: list[Outcome] = []
+    for t_ns, (ax, ay, az), (gx, gy, gz) in zip(
+        samples.t_ns.tolist(), samples.acc.tolist(), samples.gyr.tolist(), strict=True
+    ):
+        outcomes += tracker.step(t_ns, (ax, ay, az), (gx, gy, gz))
+    return outcomes
+
+
+def test_samples_live_and_in_blocks_may_take_turns() -> None:
+    samples, calibration = walk("left_foot")
+    tracker, outcomes = tracker_of(calibration), list[Outcome]()
+    edges = [0, 700, 1990, 2010, 3300, 4000, 5100, len(samples)]
+    for number, (begin, end) in enumerate(pairwise(edges)):
+        part = samples[begin:end]
+        outcomes += stepped(tracker, part) if number % 2 else fed(tracker, part)
+    assert facts(outcomes) == whole("left_foot")[0]
+    assert tracker._state.tobytes() == whole("left_foot")[1]
+
+
+def test_who_watches_sees_the_same_path_live() -> None:
+    samples, calibration = walk("right_foot")
+    samples = samples[: samples.at_s(24.0)]
+    seen: list[list[FootPath]] = []
+    for give in (fed, stepped):
+        paths: list[FootPath] = []
+        settings = StrideSettings(calibration.forward(), np.array(calibration.up), watch=paths.append)
+        give(FootTracker(calibration, StrideMaker(calibration.sensor, settings)), samples)
+        seen.append(paths)
+    assert len(seen[0]) == len(seen[1]) > 8
+    for one, other in zip(*seen, strict=True):
+        assert (one.number, one.t_ns.tolist()) == (other.number, other.t_ns.tolist())
+        assert one.position_m.tobytes() == other.position_m.tobytes()
+
+
+class AskedMaker(StrideMaker):
+    """Wants to be asked at every stride; notes how much history it was shown."""
+
+    def __init__(self, foot: str, settings: StrideSettings) -> None:
+        super().__init__(foot, settings)
+        self.shown: list[int] = []
+
+    def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
+        self.shown.append(len(t_ns))
+        return super().close(t_ns, acc, gyr, quaternion)
+
+
+@pytest.mark.parametrize("give", [fed, stepped])
+def test_a_maker_that_wants_to_be_asked_gives_the_same(give: Callable[[FootTracker, Samples], list[Outcome]]) -> None:
+    samples, calibration = walk("left_foot")
+    maker = AskedMaker(calibration.sensor, StrideSettings(calibration.forward(), np.array(calibration.up)))
+    assert facts(give(FootTracker(calibration, maker), samples)) == whole("left_foot")[0]
+    assert len(maker.shown) == 46
+    assert max(maker.shown) > 1900  # all of the history
+
+
+@pytest.mark.parametrize("foot", FEET)
+def test_forgetting_changes_nothing(foot: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fes.estimation.tracking.history.HISTORY_S", 200.0)
+    samples, calibration = walk(foot)
+    tracker = tracker_of(calibration)
+    assert len(tracker._history.t_ns) == 20_000
+    assert facts(fed(tracker, samples)) == whole(foot)[0]
+
+
+def test_arrays_of_any_kind_give_the_same() -> None:
+    """Every other kind would be compiled for once more, in the middle of a session."""
+    samples, calibration = walk("left_foot")
+    samples = samples[: samples.at_s(12.0)]
+    expected = facts(fed(tracker_of(calibration), samples))
+    frozen = Samples(samples.t_ns.copy(), samples.acc.copy(), samples.gyr.copy())
+    for column in (frozen.t_ns, frozen.acc, frozen.gyr):
+        column.flags.writeable = False
+    spread = Samples(np.repeat(samples.t_ns, 2)[::2], np.asfortranarray(samples.acc), np.repeat(samples.gyr, 2, 0)[::2])
+    compiled: Any = one_foot._walk
+    kinds = len(compiled.signatures)
+    for other in (frozen, spread):
+        assert facts(fed(tracker_of(calibration), other)) == expected
+    assert len(compiled.signatures) == kinds
+
+
+def test_numbers_of_any_kind_give_the_same_live() -> None:
+    """As whole numbers, or as numpy's: whatever a driver or a caller has."""
+    samples, calibration = walk("left_foot")
+    samples = samples[: samples.at_s(8.0)]
+    rounded = Samples(samples.t_ns, np.round(samples.acc), samples.gyr.astype(np.float32).astype(np.float64))
+    expected = facts(stepped(tracker_of(calibration), rounded))
+    compiled: Any = one_foot._step
+    kinds = len(compiled.signatures)
+    tracker, outcomes = tracker_of(calibration), list[Outcome]()
+    single = rounded.gyr.astype(np.float32)
+    for t_ns, acc, gyr in zip(rounded.t_ns, rounded.acc.astype(np.int64).tolist(), single, strict=True):
+        outcomes += tracker.step(t_ns, acc, gyr)
+    assert facts(outcomes) == expected
+    assert len(compiled.signatures) == kinds
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    kinds=st.lists(st.sampled_from(["nan", "inf", "huge", "back", "twice", "lost", "silence"]), min_size=1, max_size=8),
+    cuts=st.lists(st.integers(0, 1500), max_size=12),
+)
+@settings(max_examples=25, deadline=None)
+def test_blocks_of_hostile_samples_may_be_cut_anywhere(seed: int, kinds: list[str], cuts: list[int]) -> None:
+    samples, calibration = walk("left_foot")
+    spoiled = samples[: samples.at_s(15.0)]
+    rng = np.random.default_rng(seed)
+    for kind in kinds:
+        spoiled = spoil(spoiled, kind, int(rng.integers(1, len(spoiled) - 60)))
+    one, other, live = (tracker_of(calibration) for _ in range(3))
+    assert facts(fed(one, spoiled)) == facts(fed(other, spoiled, [min(cut, len(spoiled)) for cut in cuts]))
+    assert one._state.tobytes() == other._state.tobytes()
+    assert one.counts == other.counts
+    assert facts(stepped(live, spoiled)) == facts(fed(tracker_of(calibration), spoiled))
+    assert (one._state.tobytes(), one.counts) == (live._state.tobytes(), live.counts)
+
+
+def spoil(s: Samples, kind: str, k: int) -> Samples:
+    """Something wrong at sample ``k``."""
+    t_ns, acc, gyr = s.t_ns.copy(), s.acc.copy(), s.gyr.copy()
+    if kind == "nan":
+        acc[k, 1] = math.nan
+    elif kind == "inf":
+        gyr[k, 0] = -math.inf
+    elif kind == "huge":
+        acc[k, 2] = 1e200
+        t_ns[k] += 35_000_000
+    elif kind == "back":
+        t_ns[k] -= 25_000_000
+    elif kind == "twice":
+        order = np.insert(np.arange(len(s)), k, k)
+        return s[order]
+    elif kind == "lost":
+        return s[np.delete(np.arange(len(s)), slice(k, k + 6))]
+    elif kind == "silence":
+        t_ns[k:] += 400_000_000
+    return Samples(t_ns, acc, gyr)
+
+
+# --- hostile samples -------------------------------------------------------------------------------------
+
+
+def test_samples_that_are_no_use_are_counted_and_change_nothing() -> None:
+    samples, calibration = walk("right_foot")
+    samples = samples[: samples.at_s(12.0)]
+    order = np.insert(np.arange(len(samples)), [300, 301, 700, 900, 1000, 1100], [299, 250, 699, 900, 1000, 1100])
+    hostile = samples[order]
+    for at, value in ((903, math.nan), (1004, math.inf), (1105, -1.01 * LARGEST_VALUE)):
+        assert hostile.t_ns[at] == hostile.t_ns[at + 1]  # a spoiled one and after it the good one of the same time
+        hostile.acc[at, 0] = value
+    clean, spoiled = tracker_of(calibration), tracker_of(calibration)
+    assert facts(fed(spoiled, hostile)) == facts(fed(clean, samples))
+    assert spoiled.counts.to_dict() == {
+        "used": len(samples), "doubled_or_backward": 3, "not_finite": 3, "restarts": 0,
+    }  # fmt: skip
+    assert spoiled.newest_t_ns == samples.t_ns[-1]
+
+
+def test_nothing_but_rubbish() -> None:
+    calibration = walk("left_foot")[1]
+    tracker = tracker_of(calibration)
+    t_ns = np.arange(50) * 10_000_000
+    assert tracker.advance(t_ns, np.full((50, 3), math.nan), np.zeros((50, 3))) == []
+    assert tracker.counts.not_finite == 50
+    assert tracker.counts.used == 0
+    assert tracker.advance(t_ns[:0], np.zeros((0, 3)), np.zeros((0, 3))) == []
+    assert tracker.newest_t_ns == 0
+
+
+def test_a_sensor_that_begins_with_zeros() -> None:
+    """Switched on a moment ago, it sends nothing but zeros; the calibrated bias aside, no direction is up."""
+    samples, calibration = walk("left_foot")
+    calibration = replace(calibration, acc_bias_mps2=(0.0, 0.0, 0.0), gyr_bias_radps=(0.0, 0.0, 0.0))
+    tracker = tracker_of(calibration)
+    t_ns = np.arange(100) * 10_000_000
+    tracker.advance(t_ns, np.zeros((100, 3)), np.zeros((100, 3)))
+    assert np.isfinite(tracker._state["quaternion"]).all()
+    later = Samples(samples.t_ns + 1_000_000_000, samples.acc, samples.gyr)
+    outcomes = fed(tracker, later[: later.at_s(30.0)])
+    assert len([s for s in strides(outcomes) if s.valid]) > 10
+
+
+# --- silences --------------------------------------------------------------------------------------------
+
+
+def without(samples: Samples, begin_s: float, gap_s: float) -> Samples:
+    """Samples of ``gap_s`` lost: the next stamp is that much later than the one before."""
+    first = samples.at_s(begin_s)
+    return samples[np.delete(np.arange(len(samples)), slice(first, first + round(100.0 * gap_s) - 1))]
+
+
+def in_swing_s(foot: str) -> float:
+    """An instant in the middle of a swing somewhere in the walk."""
+    samples, calibration = walk(foot)
+    stride = [s for s in strides(fed(tracker_of(calibration), samples)) if s.valid][20]
+    assert stride.t_swing_ns is not None
+    return round(1e-9 * stride.t_swing_ns + 0.12, 2)
+
+
+@pytest.mark.parametrize("foot", FEET)
+def test_a_long_silence_begins_anew(foot: str) -> None:
+    samples, calibration = walk(foot)
+    at_s = in_swing_s(foot)
+    tracker = tracker_of(calibration)
+    outcomes = fed(tracker, without(samples, at_s, RESTART_GAP_S + 0.05))
+    restarts = [c for c in changes(outcomes) if c.transition is Transition.NONE]
+    assert tracker.counts.restarts == len(restarts) == 1
+    assert (restarts[0].source, restarts[0].destination) == (Phase.SWING, Phase.STANCE)
+    assert restarts[0].t_ns == pytest.approx(1e9 * (at_s + 0.29), abs=2e7)
+    found = strides(outcomes)
+    assert not [s for s in found if s.t_start_ns < restarts[0].t_ns < s.t_end_ns]
+    assert [s.number for s in found] == list(range(1, len(found) + 1))
+    assert len([s for s in found if s.valid]) >= 43  # those before and after are not touched
+
+
+@pytest.mark.parametrize("foot", FEET)
+def test_a_shorter_gap_spoils_its_stride_only(foot: str) -> None:
+    samples, calibration = walk(foot)
+    at_s = in_swing_s(foot)
+    tracker = tracker_of(calibration)
+    outcomes = fed(tracker, without(samples, at_s, 0.10))
+    assert tracker.counts.restarts == 0
+    assert Transition.NONE not in [c.transition for c in changes(outcomes)]
+    bad = [s for s in strides(outcomes) if not s.valid]
+    assert len(bad) == 1
+    assert bad[0].t_start_ns < 1e9 * at_s < bad[0].t_end_ns
+    assert bad[0].reason == "samples missing for 100 ms"
+    assert len(strides(outcomes)) >= 45
+
+
+@pytest.mark.parametrize(("gap_s", "restarts"), [(RESTART_GAP_S, 0), (RESTART_GAP_S + 0.01, 1)])
+def test_the_longest_silence_that_is_bridged(gap_s: float, restarts: int) -> None:
+    samples, calibration = walk("left_foot")
+    tracker = tracker_of(calibration)
+    fed(tracker, without(samples[: samples.at_s(4.0)], 2.0, gap_s))
+    assert tracker.counts.restarts == restarts
+
+
+def test_stamps_far_from_zero() -> None:
+    """A monotonic clock may begin anywhere, below zero too."""
+    samples, calibration = walk("left_foot")
+    samples = samples[: samples.at_s(12.0)]
+    plain = changes(fed(tracker_of(calibration), samples))
+    for offset in (-5_000_000_000_000, 10**18):
+        moved = fed(tracker_of(calibration), Samples(samples.t_ns + offset, samples.acc, samples.gyr))
+        assert [(c.t_ns - offset, c.transition) for c in changes(moved)] == [(c.t_ns, c.transition) for c in plain]
+
+
+def test_a_machine_that_does_not_agree_stops_everything() -> None:
+    samples, calibration = walk("left_foot")
+    tracker = tracker_of(calibration)
+    fed(tracker, samples[:300])
+    kernel.enter(tracker._state, int(Phase.PRE_SWING), 0.0, 0.0, G_MPS2)
+    tracker._state["toe_down_peak"] = 9.0
+    with pytest.raises(GuardDisagreement, match="from STANCE of left_foot"):
+        fed(tracker, samples[300:])
+
+
+# --- causality -------------------------------------------------------------------------------------------
+
+
+@given(cut=st.integers(500, 4000), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=15, deadline=None)
+def test_the_future_changes_nothing(cut: int, seed: int) -> None:
+    """In one block with whatever comes later, outcomes up to now are those of now."""
+    samples, calibration = walk("right_foot")
+    so_far = facts(fed(tracker_of(calibration), samples[:cut]))
+    rng = np.random.default_rng(seed)
+    other = Samples(
+        samples.t_ns,
+        np.concatenate((samples.acc[:cut], rng.normal(0.0, 20.0, (len(samples) - cut, 3)))),
+        np.concatenate((samples.gyr[:cut], rng.normal(0.0, 5.0, (len(samples) - cut, 3)))),
+    )
+    assert facts(fed(tracker_of(calibration), other))[: len(so_far)] == so_far
+
+
+def test_a_change_bears_the_time_of_the_sample_that_made_it() -> None:
+    samples, calibration = walk("left_foot")
+    tracker = tracker_of(calibration)
+    for k in range(samples.at_s(12.0)):
+        for outcome in fed(tracker, samples[k : k + 1]):
+            if isinstance(outcome, PhaseChange):
+                assert outcome.t_ns == samples.t_ns[k]
+                assert tracker.phase is outcome.destination
+            else:
+                assert outcome.t_end_ns <= samples.t_ns[k]
+
+
+# --- any sampling rate -----------------------------------------------------------------------------------
+
+RATES_HZ = (100.0, 200.0, 500.0, 1000.0)
+
+
+@cache
+def at_rates(name: str) -> dict[float, tuple[Samples, FootCalibration]]:
+    """One seeded walk seen by a faultless sensor at several rates, with one and the same calibration."""
+    style: Style = {"healthy": HEALTHY, "drop foot": PATIENT_2}[name]
+    session = new_session(name, 71, INSTEP)
+    session.stand(4.0)
+    session.walk({"right_foot": style}, 7, 1.2 if name == "healthy" else 0.42, ramp_s=1.0, early=False)
+    session.stand(2.0)
+    session.finish()
+    fine = np.arange(int(session.now_s * FINE_HZ) + 1) / FINE_HZ
+    force, rate = session.ideal("right_foot", fine)
+    rng = np.random.default_rng(0)
+    model = replace(PERFECT, bandwidth=0.4)
+    tracks = {hz: measure(rng, model, "right_foot", hz, fine, force, rate) for hz in RATES_HZ}
+    calibration = calibrate_track(tracks[200.0])
+    return {
+        hz: (Samples(t.t_sensor_ns, t.acc_mps2, t.gyr_radps), replace(calibration, rate_hz=hz))
+        for hz, t in tracks.items()
+    }
+
+
+@pytest.mark.parametrize("name", ["healthy", "drop foot"])
+def test_one_setting_holds_at_any_rate(name: str) -> None:
+    seen = {hz: fed(tracker_of(calibration), samples) for hz, (samples, calibration) in at_rates(name).items()}
+    reference = changes(seen[500.0])
+    assert [c.transition for c in reference] == CYCLE * 7
+    for hz in RATES_HZ:
+        assert [c.transition for c in changes(seen[hz])] == [c.transition for c in reference], hz
+        for a, b in zip(changes(seen[hz]), reference, strict=True):
+            assert 1e-6 * abs(a.t_ns - b.t_ns) < (30.0 if a.transition is Transition.T1 else 15.0), (hz, a, b)
+        lengths = [
+            abs(s.stride_length_m - r.stride_length_m)
+            for s, r in zip(strides(seen[hz]), strides(seen[500.0]), strict=True)
+        ]
+        assert max(lengths) < 0.02, hz
+
+
+# --- what rest is ----------------------------------------------------------------------------------------
+
+
+class Core:
+    """The compiled core alone, sample by sample at 100 Hz, in a phase that only the test changes."""
+
+    def __init__(self, phase: Phase = Phase.STANCE) -> None:
+        self.calibration = replace(
+            walk("left_foot")[1], up=(0.0, 0.0, 1.0), toe_down=(0.0, 1.0, 0.0), acc_bias_mps2=(0.0, 0.0, 0.0),
+            gyr_bias_radps=(0.0, 0.0, 0.0), rest_gyr_radps=0.5, rest_hold_s=0.03,
+        )  # fmt: skip
+        self.state = np.zeros(1, kernel.STATE)[0]
+        self.settings = OrientationSettings()
+        kernel.start(self.state, 0, 0.0, 0.0, G_MPS2, self.settings)
+        self.feed(0.2)
+        kernel.enter(self.state, int(phase), 0.0, 0.0, G_MPS2)
+
+    def feed(
+        self, seconds: float, rate: tuple[float, float, float] = (0.0, 0.0, 0.0), extra: FloatArray | None = None
+    ) -> list[tuple[bool, bool]]:
+        """Samples of this rate, and of gravity plus ``extra`` in the world; what rests after each."""
+        seen = []
+        for _ in range(round(seconds * 100.0)):
+            t_ns = np.array([int(self.state["t_ns"]) + 10_000_000])
+            w, x, y, z = self.state["quaternion"]
+            up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+            force = G_MPS2 * up + (np.zeros(3) if extra is None else extra)
+            kernel.advance(
+                self.state, self.calibration.parameters(), self.calibration.thresholds(), self.settings,
+                t_ns, force[None].copy(), np.array([rate]), 0, 1, np.empty((1, 4)),
+            )  # fmt: skip
+            seen.append((bool(self.state["a_rest"]), bool(self.state["g_rest"])))
+        return seen
+
+    def gyr(self, *sizes: float) -> list[bool]:
+        return [self.feed(0.01, (0.0, size, 0.0))[0][1] for size in sizes]
+
+
+def test_movement_counts_at_once_rest_must_last() -> None:
+    core = Core()
+    assert core.gyr(0.0, 2.0) == [True, False]
+    assert core.gyr(0.0, 0.0, 2.0, 0.0, 0.0) == [False] * 5  # a zero crossing
+    assert core.gyr(0.0, 0.0) == [True, True]  # thirty milliseconds after the last movement
+
+
+def test_the_gyroscopes_limit_is_higher_once_at_rest() -> None:
+    leave = 1.8 * 0.5
+    core = Core()
+    assert core.gyr(leave - 0.01) == [True]
+    assert core.gyr(leave + 0.01) == [False]
+    assert core.gyr(*[0.51] * 6) == [False] * 6
+    assert core.gyr(*[0.49] * 4)[-1]
+
+
+def test_the_accelerometers_limits() -> None:
+    core = Core()
+    down = np.array([0.0, 0.0, 1.0])
+    assert core.feed(0.02, extra=0.9 * down)[-1][0]  # not yet turned away by 1 m/s²
+    assert not core.feed(0.01, extra=2.5 * down)[-1][0]
+    assert core.feed(0.1)[-1][0]
+    core = Core(Phase.SWING)  # there is no mean of a stance to turn away from
+    assert core.feed(0.01, extra=2.1 * down)[0][0]  # under 1.8 times the limit of 1.2
+    assert not core.feed(0.01, extra=2.2 * down)[0][0]
+    assert not core.feed(0.05, extra=1.3 * down)[-1][0]
+
+
+def test_a_heel_that_rises_slowly_turns_gravity_before_it_changes_its_size() -> None:
+    core = Core()
+    force = G_MPS2 * np.array([math.sin(0.12), 0.0, math.cos(0.12) - 1.0])
+    assert abs(math.hypot(force[0], force[2] + G_MPS2) - G_MPS2) < 1e-9
+    assert not core.feed(0.01, extra=force)[-1][0]
+    swing = Core(Phase.SWING)
+    assert swing.feed(0.01, extra=force)[-1][0]
+
+
+def test_a_foot_that_flies_evenly_does_not_rest() -> None:
+    """A push, then half a second without force: no rest before it has been still for long."""
+    core = Core(Phase.SWING)
+    core.feed(0.2, extra=np.array([8.0, 0.0, 0.0]))
+    assert core.state["peak_speed"] > 1.0
+    coasting = [a for a, _ in core.feed(0.5)]
+    assert coasting.index(True) == pytest.approx(30, abs=2)  # long_rest_s
+    stopped = Core(Phase.SWING)
+    stopped.feed(0.2, extra=np.array([8.0, 0.0, 0.0]))
+    stopped.feed(0.2, extra=np.array([-8.0, 0.0, 0.0]))
+    assert [a for a, _ in stopped.feed(0.5)].index(True) <= 3  # rest_hold_s
+
+
+def test_before_toe_off_the_foot_must_be_back_as_it_stood() -> None:
+    turned = G_MPS2 * np.array([-math.sin(0.10), 0.0, 0.0])  # and as much again by the turn below
+    held, back = Core(Phase.PRE_SWING), Core(Phase.PRE_SWING)
+    for core in (held, back):
+        core.feed(0.05, (0.0, 2.0, 0.0))
+    back.feed(0.05, (0.0, -2.0, 0.0))
+    assert not held.feed(0.1, extra=turned)[-1][0]
+    assert back.feed(0.1)[-1][0]
+    assert held.feed(0.3, extra=turned)[-1][0]  # still for long: a heel on a step is a stance as well
+
+
+def test_look_backs_are_times() -> None:
+    assert kernel.lags_at(100.0) == (1, 2)
+    assert kernel.lags_at(204.8) == (2, 4)
+    assert kernel.lags_at(1000.0) == (10, 20)
+    assert kernel.lags_at(25.0) == (1, 1)
+    assert kernel.lags_at(1e5) == (63, 63)
+
+
+def test_features_are_rates_per_second() -> None:
+    core = Core(Phase.SWING)
+    core.feed(0.01, extra=np.array([0.0, 0.0, 7.0]))
+    x = kernel.features(core.state)
+    assert x.vertical_jerk_mps3 == pytest.approx(700.0, rel=1e-6)
+    core.feed(0.02, (0.0, 0.4, 0.0))
+    x = kernel.features(core.state)
+    assert x.toe_down_radps == pytest.approx(0.4, abs=1e-3)
+    assert x.toe_down_change_radps2 == pytest.approx(20.0, rel=0.01)
+    assert x.in_phase_s == pytest.approx(0.03)
+    assert x.resting_s == pytest.approx(0.02)  # since the jump

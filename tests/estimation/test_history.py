@@ -1,0 +1,104 @@
+"""Which samples a tracker uses, and what it keeps of them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fes.estimation.foot.features import STATE, FootParameters
+from fes.estimation.numerics.records import core_type, new_core
+from fes.estimation.tracking.history import LARGEST_VALUE, RESTART_GAP_NS, History, SampleCounts
+from fes.signals import FloatArray, IntArray
+from statemachine.guards import Thresholds
+
+STEP_NS = 10_000_000
+TOLD_NS = (-2 * STEP_NS, 0, STEP_NS, 2 * STEP_NS, RESTART_GAP_NS, RESTART_GAP_NS + 1)
+ROW = tuple[int, float, bool]
+
+
+def fed(history: History, t_ns: IntArray, values: FloatArray, cuts: list[int]) -> list[ROW]:
+    """Give samples in blocks, as a tracker does; all that were taken: time, value, and whether it began anew."""
+    seen: list[ROW] = []
+    at, anew = 0, False
+    for begin, end in pairwise([0, *sorted(cuts), len(t_ns)]):
+        acc = np.repeat(values[begin:end, None], 3, axis=1)
+        taken = 0
+        while taken < end - begin:
+            taken, filled, silence = history.take_in(t_ns[begin:end], acc, -acc, taken)
+            for row in range(at, filled):
+                seen.append((int(history.t_ns[row]), float(history.acc_mps2[row, 1]), anew))
+                assert history.gyr_radps[row, 2] == -seen[-1][1]
+                anew = False
+            at = filled
+            if silence:
+                history.restart(int(t_ns[begin + taken]))
+                at, anew = 0, True
+            elif taken < end - begin:
+                at = history.forget_half()
+    return seen
+
+
+def expected(t_ns: IntArray, values: FloatArray) -> tuple[list[ROW], SampleCounts]:
+    """The same in plain words."""
+    seen: list[ROW] = []
+    counts = SampleCounts()
+    for t, value in zip(t_ns.tolist(), values.tolist(), strict=True):
+        if not abs(value) < LARGEST_VALUE:
+            counts.not_finite += 1
+        elif seen and t <= seen[-1][0]:
+            counts.doubled_or_backward += 1
+        else:
+            seen.append((t, value, not seen or t - seen[-1][0] > RESTART_GAP_NS))
+            counts.used += 1
+    return seen, counts
+
+
+@settings(deadline=None)
+@given(
+    steps=st.lists(
+        st.tuples(st.sampled_from(TOLD_NS), st.sampled_from([1.0, -3.0, np.nan, np.inf, LARGEST_VALUE])), max_size=150
+    ),
+    cuts=st.lists(st.integers(0, 150), max_size=6),
+    start_ns=st.sampled_from([-(10**15), 0, 10**18]),
+)
+def test_samples_used_are_those_of_the_plain_rule(
+    steps: list[tuple[int, float]], cuts: list[int], start_ns: int
+) -> None:
+    t_ns = np.cumsum(np.array([start_ns, *(step for step, _ in steps)], np.int64))
+    values = np.array([1.0, *(value for _, value in steps)])
+    history = History(rate_hz=1.0)  # 64 rows, so that they fill up
+    seen, counts = expected(t_ns, values)
+    assert fed(history, t_ns, values, [min(cut, len(t_ns)) for cut in cuts]) == seen
+    assert history.counts(0) == counts
+
+
+def test_what_is_forgotten_is_the_older_half() -> None:
+    history = History(rate_hz=1.0)
+    t_ns = STEP_NS * np.arange(64)
+    fed(history, t_ns, np.arange(64.0), [])
+    history.trace[:, 0] = np.arange(64.0)
+    assert history.forget_half() == 32
+    for column in (history.t_ns / STEP_NS, history.acc_mps2[:, 0], -history.gyr_radps[:, 0], history.trace[:, 0]):
+        assert np.array_equal(column[:32], np.arange(32.0, 64.0))
+
+
+@pytest.mark.parametrize(("first_ns", "then_ns"), [(-(2**62) - 1, 2**62), (-(2**63) + 1, 2**63 - 1)])
+def test_stamps_too_far_apart_to_subtract_are_a_silence(first_ns: int, then_ns: int) -> None:
+    seen = fed(History(100.0), np.array([first_ns, then_ns]), np.ones(2), [])
+    assert seen == [(first_ns, 1.0, True), (then_ns, 1.0, True)]
+
+
+def test_a_core_holds_its_parts_under_their_own_names() -> None:
+    parameters = FootParameters(*map(float, range(10)), jump_lag=2, change_lag=4)
+    thresholds = Thresholds(swing_at_reversal=True, rest_gyr_radps=0.1)
+    kind = core_type(STATE, parameters=FootParameters, thresholds=Thresholds)
+    core = new_core(kind, parameters=parameters, thresholds=thresholds)
+    assert FootParameters(*core["parameters"][0].tolist()) == parameters
+    assert Thresholds(*core["thresholds"][0].tolist()) == thresholds
+    assert core["thresholds"].dtype["swing_at_reversal"] == np.bool_
+    assert core["parameters"].dtype["jump_lag"] == np.int64
+    assert not core["state"]["samples"][0]

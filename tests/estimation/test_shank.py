@@ -1,0 +1,213 @@
+"""A shank drives the gait phases: features, order, strides, blocks; and what is no walking does not stimulate."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from replays import SETTINGS
+from shank_walks import ShankWalk, eased, shank_moved, shank_walk
+
+from fes.config import load_session
+from fes.control.controller import Controller
+from fes.estimation.sensor_choice import phase_sensors, shank_phase_sensors
+from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
+from fes.estimation.shank.levels import fit_levels, trace_of
+from fes.estimation.shank.tracker import shank_tracker
+from fes.estimation.tracking.tracker import Outcome
+from fes.signals import FloatArray, ImuSample, IntArray, OperatorAct, OperatorAction, StimRequest, StrideResult
+from statemachine.phases import Phase, PhaseChange, Transition
+
+SENSOR = "right_shank"
+ARM_M = (0.02, 0.0, 0.25)
+LENGTH_M = 1.2
+STRIDE_S = 1.2
+
+
+@cache
+def walk(rate_hz: float = 100.0, rise_m: float = 0.0, stride_length_m: float = LENGTH_M) -> ShankWalk:
+    """Ten strides between two stretches of standing, with a jolt at each contact."""
+    made = shank_walk(
+        strides=10, standing_s=2.0, noise=0.03, rate_hz=rate_hz, rise_m=rise_m, stride_length_m=stride_length_m
+    )
+    begin_s = 1.9 + 0.3 - 0.4 * STRIDE_S
+    width = max(round(0.01 * rate_hz), 1)
+    jolt = np.repeat([15.0, -30.0, 15.0], width)  # the heel strikes; adds neither velocity nor height
+    for k in range(1, 10):
+        at = round((begin_s + k * STRIDE_S) * rate_hz)
+        made.acc[at : at + len(jolt)] += jolt[:, None] * made.sensor_from_shank[:, 2]
+    return made
+
+
+@cache
+def calibration(rate_hz: float = 100.0, level: bool = True) -> ShankCalibration:
+    made = walk(rate_hz) if level else walk(rate_hz, 0.16, 0.7)
+    return calibrate_shank(SENSOR, rate_hz, made.t_ns, made.acc, made.gyr, level=level)
+
+
+def facts(outcomes: list[Outcome]) -> list[tuple[object, ...]]:
+    """Everything in the outcomes, to the last bit."""
+    return [
+        (o.t_ns, o.transition)
+        if isinstance(o, PhaseChange)
+        else (o.t_start_ns, o.t_end_ns, repr(o.stride_length_m), o.valid, o.trajectory_m.tobytes())
+        for o in outcomes
+    ]
+
+
+def advanced(made: ShankWalk, cuts: list[int] | None = None) -> list[Outcome]:
+    tracker = shank_tracker(calibration(made.rate_hz))
+    edges = [0, *(cuts if cuts is not None else []), len(made.t_ns)]
+    outcomes: list[Outcome] = []
+    for a, b in pairwise(edges):
+        outcomes += tracker.advance(made.t_ns[a:b], made.acc[a:b], made.gyr[a:b])
+    return outcomes
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 100.0, 204.8, 400.0])
+def test_every_stride_passes_the_four_phases_in_order(rate_hz: float) -> None:
+    made = walk(rate_hz)
+    fired = [o.transition for o in advanced(made) if isinstance(o, PhaseChange)]
+    cycle = [Transition.T1, Transition.T2, Transition.T3, Transition.T4]
+    first = next(k for k in range(len(fired)) if fired[k : k + 4] == cycle)  # the walk begins in the middle of a stance
+    assert first <= 4
+    assert fired[first : first + 4 * 8] == cycle * 8
+
+
+def test_phases_begin_where_the_ankle_says_so() -> None:
+    """Foot-off and contact are known exactly; heel-off precedes foot-off; foot-flat comes soon after contact."""
+    changes = [o for o in advanced(walk()) if isinstance(o, PhaseChange)]
+    begin_s = 1.9 + 0.3 - 0.4 * STRIDE_S
+    for k in range(2, 9):
+        inside = [c for c in changes if 0.25 <= 1e-9 * c.t_ns - begin_s - k * STRIDE_S < 0.25 + STRIDE_S]
+        at = {c.transition: (1e-9 * c.t_ns - begin_s) / STRIDE_S - k for c in inside}
+        assert at[Transition.T2] == pytest.approx(0.68, abs=0.1)  # the lean's greatest rate is between 0.6 and 0.7
+        assert at[Transition.T3] == pytest.approx(1.0, abs=0.04)
+        assert 0.3 < at[Transition.T1] < at[Transition.T2]
+        assert at[Transition.T3] < at[Transition.T4] < 1.3
+
+
+def test_strides_are_wu_et_als_and_causal() -> None:
+    strides = [o for o in advanced(walk()) if isinstance(o, StrideResult)]
+    valid = [s for s in strides if s.valid]
+    assert len(valid) >= 8
+    assert np.median([s.stride_length_m for s in valid]) == pytest.approx(LENGTH_M, abs=0.06)
+    assert all(s.t_swing_ns is not None and s.t_start_ns < s.t_swing_ns < s.t_end_ns for s in valid)
+    assert all(abs(s.height_gained_m) < 1e-9 for s in valid)
+
+
+def test_stairs_free_the_height() -> None:
+    made = walk(100.0, 0.16, 0.7)
+    found = calibration(100.0, False)
+    outcomes = shank_tracker(found).advance(made.t_ns, made.acc, made.gyr)
+    valid = [o for o in outcomes if isinstance(o, StrideResult) and o.valid]
+    assert len(valid) >= 7
+    assert np.median([s.height_gained_m for s in valid]) == pytest.approx(0.16, abs=0.04)
+    assert not ShankCalibration.from_dict(found.to_dict()).level
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.integers(0, len(walk().t_ns)), max_size=6).map(sorted))
+def test_blocks_and_samples_give_the_same_bits(cuts: list[int]) -> None:
+    assert facts(advanced(walk(), cuts)) == facts(advanced(walk()))
+
+
+def test_single_samples_give_the_same_bits() -> None:
+    assert facts(advanced(walk(), list(range(1, len(walk().t_ns))))) == facts(advanced(walk()))
+
+
+def test_a_silence_restarts_in_stance() -> None:
+    made = walk()
+    tracker = shank_tracker(calibration())
+    half = len(made.t_ns) // 2
+    tracker.advance(made.t_ns[:half], made.acc[:half], made.gyr[:half])
+    late = made.t_ns[half:] + 1_000_000_000
+    outcomes = tracker.advance(late, made.acc[half:], made.gyr[half:])
+    assert isinstance(outcomes[0], PhaseChange)
+    assert outcomes[0].transition is Transition.NONE
+    assert tracker.counts.restarts == 1
+    assert tracker.phase in Phase
+
+
+def test_nonsense_changes_nothing() -> None:
+    made = walk()
+    acc = made.acc.copy()
+    acc[500] = np.nan
+    tracker = shank_tracker(calibration())
+    outcomes = tracker.advance(made.t_ns, acc, made.gyr)
+    assert tracker.counts.not_finite == 1
+    assert sum(isinstance(o, StrideResult) and o.valid for o in outcomes) >= 7
+
+
+def test_the_ankle_stands_still_in_stance_and_levels_follow_the_walk() -> None:
+    made, found = walk(), calibration()
+    trace = trace_of(found.parameters(), made.t_ns, made.acc, made.gyr)
+    begin_s = 1.9 + 0.3 - 0.4 * STRIDE_S
+    stance = [round((begin_s + (k + 0.35) * STRIDE_S) * 100.0) for k in range(3, 9)]
+    swing = [round((begin_s + (k + 0.75) * STRIDE_S) * 100.0) for k in range(3, 9)]
+    assert trace[stance, 1].max() < 1.0 < 3.0 < trace[swing, 1].min()
+    assert trace[stance, 0].min() > 0.0 > trace[[s + 8 for s in swing], 0].max()
+    slow = trace * np.array([0.5, 1.0, 1.0, 1.0])
+    assert fit_levels(slow, []) == fit_levels(trace, [])
+    assert found.levels.min_lean_peak_radps > found.levels.rest_lean_radps > 0.0
+
+
+def test_the_foot_drives_where_it_has_a_sensor() -> None:
+    assert phase_sensors(["left_shank", "right_shank", "right_foot"]) == {
+        "left_foot": "left_shank",
+        "right_foot": "right_foot",
+    }
+    assert shank_phase_sensors({SENSOR: calibration()}) == {"right_foot": SENSOR}
+
+
+def requests_of(made: list[tuple[IntArray, FloatArray, FloatArray]]) -> tuple[list[StimRequest], list[StrideResult]]:
+    """What the controller asks for with the only sensor on the right shank; pieces follow one another."""
+    controller = Controller(load_session(SETTINGS), {SENSOR: calibration()})
+    controller.step(OperatorAct(0, OperatorAction.SET_INTENSITY, 1.0))
+    asked: list[StimRequest] = []
+    strides: list[StrideResult] = []
+    offset = 0
+    for t_ns, acc, gyr in made:
+        for t, a, g in zip((t_ns + offset).tolist(), acc.tolist(), gyr.tolist(), strict=True):
+            decision = controller.step(ImuSample(t, SENSOR, t, (a[0], a[1], a[2]), (g[0], g[1], g[2])))
+            asked += decision.requests
+            strides += [o for o in decision.outcomes if isinstance(o, StrideResult)]
+        offset += int(t_ns[-1]) + 10_000_000
+    return asked, strides
+
+
+def test_a_walking_shank_stimulates_its_foots_channel() -> None:
+    made = walk()
+    asked, strides = requests_of([(made.t_ns, made.acc, made.gyr)])
+    assert any(request.on for request in asked)
+    assert {stride.foot for stride in strides} == {SENSOR}
+
+
+T = np.arange(0.0, 30.0, 0.01)
+FIXED = np.zeros((3000, 3))
+OVER_AND_OVER = [3.0 * k + s for k in range(10) for s in (0.5, 1.0, 1.6, 2.1)]
+RAISED = [FIXED[:, 0], FIXED[:, 0], eased(OVER_AND_OVER, [0.0, 0.06, 0.06, 0.0] * 10, 30.0)]
+NOT_WALKING = {
+    "seated, the leg swings": shank_moved(np.radians(35) * np.sin(2 * np.pi * 0.8 * T)),
+    "seated, slow swings": shank_moved(np.radians(25) * np.sin(2 * np.pi * 0.3 * T)),
+    "seated, the knee is stretched and bent": shank_moved(
+        eased(OVER_AND_OVER, [0.0, -0.7, -0.7, 0.0] * 10, 30.0),
+    ),
+    "seated, the foot is put forward and back": shank_moved(
+        eased(OVER_AND_OVER, [0.17, -0.44, -0.44, 0.17] * 10, 30.0),
+    ),
+    "weight shifts": shank_moved(np.radians(3) * np.sin(2 * np.pi * 0.4 * T), FIXED),
+    "standing up and sitting down": shank_moved(eased(OVER_AND_OVER, [0.0, 0.35, 0.35, 0.0] * 10, 30.0), FIXED),
+    "heel raises": shank_moved(eased(OVER_AND_OVER, [0.0, 0.14, 0.14, 0.0] * 10, 30.0), np.column_stack(RAISED)),
+}
+
+
+@pytest.mark.parametrize("what", NOT_WALKING)
+def test_what_is_no_walking_does_not_stimulate(what: str) -> None:
+    asked, _ = requests_of([NOT_WALKING[what]])
+    assert asked
+    assert not any(request.on for request in asked)

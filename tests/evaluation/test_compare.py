@@ -1,0 +1,217 @@
+"""Comparing two logs: identical ones are, and each difference is found where it is."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from fes.cli.main import main
+from fes.evaluation.log_comparison import QUANTITIES, best_shift, compare_logs
+from fes.session_log import SessionRecord, SessionWriter, read_session
+from fes.signals import StimCommand, StrideResult, WireFrame
+from statemachine.phases import Phase, PhaseChange, Transition
+from tests.replays import MS, SETTINGS, TRIALS, replay
+
+S = 1000 * MS
+HEADER = {"session": {"channels": [{"number": 0, "foot": "left_foot"}, {"number": 1, "foot": "left_foot"}]}}
+
+
+def stride(number: int, foot: str = "left_foot", shift_ms: float = 0.0, **changes: Any) -> StrideResult:
+    begin = number * S + number * number * 20 * MS + round(shift_ms * MS)
+    times = [begin + t * MS for t in (200, 400, 800, 900)]
+    made = StrideResult(
+        foot, number, begin, begin + S, 1.2, 0.05, 0.0, 0.0, 1.2, times[0], times[1], times[2], times[3]
+    )
+    return replace(made, **changes)
+
+
+def session(strides: list[StrideResult], header: dict[str, Any] | None = None) -> SessionRecord:
+    """A record with these strides, their T1s, and channel 0 on from pre-swing to stance."""
+    record = SessionRecord(header or {**HEADER, "created": "now"}, strides=strides)
+    for each in strides:
+        if each.t_pre_swing_ns is None or each.t_stance_ns is None:
+            continue
+        record.phases.append(PhaseChange(each.t_pre_swing_ns, each.foot, Transition.T1, Phase.STANCE, Phase.PRE_SWING))
+        for t_ns, on in ((each.t_pre_swing_ns, True), (each.t_stance_ns, False)):
+            record.commands.append(StimCommand(t_ns, 0, on, 20.0 * on, 200.0, 40.0, 60))
+            record.frames.append(WireFrame(t_ns, 0x128, bytes([on])))
+    return record
+
+
+WALK = [stride(number) for number in range(1, 11)]
+
+
+def test_the_same_is_identical_whenever_it_was_made() -> None:
+    result = compare_logs(session(WALK), session(WALK, {**HEADER, "created": "later", "created_t_ns": 5}))
+    assert result.identical
+    assert (result.shift_s, result.matched_by, len(result.pairs)) == (0.0, "time", 10)
+    assert all(result.spread(name).greatest == 0.0 for name in QUANTITIES)
+
+
+@pytest.mark.parametrize(
+    ("change", "quantity", "value"),
+    [
+        ({"stride_length_m": 1.25}, "length_cm", 5.0),
+        ({"clearance_m": 0.04}, "clearance_cm", -1.0),
+        ({"t_swing_ns": WALK[4].t_swing_ns + 30 * MS}, "T2_ms", 30.0),
+        ({"t_pre_swing_ns": WALK[4].t_pre_swing_ns - 20 * MS}, "on_ms", -20.0),
+        ({"t_stance_ns": WALK[4].t_stance_ns + 10 * MS}, "off_ms", 10.0),
+        ({"valid": False, "reason": "x"}, "length_cm", 0.0),
+        ({"toe_clearance_m": 0.01}, "length_cm", 0.0),
+    ],
+)
+def test_one_changed_stride_is_found(change: dict[str, Any], quantity: str, value: float) -> None:
+    result = compare_logs(session(WALK), session([*WALK[:4], replace(WALK[4], **change), *WALK[5:]]))
+    (different,) = [each for each in result.pairs if not each.same]
+    assert (different.number_a, different.number_b) == (5, 5)
+    assert different.differences[quantity] == pytest.approx(value)
+    assert not result.identical
+
+
+def test_a_stride_that_only_one_has() -> None:
+    result = compare_logs(session(WALK), session(WALK[:3] + WALK[4:]))
+    assert [each.number for each in result.only_a] == [4]
+    assert result.only_b == []
+    assert len(result.pairs) == 9
+    assert all(each.same for each in result.pairs)
+
+
+@pytest.mark.parametrize("shift_ms", [-3456.0, 250.0, 7_000_123.0])
+def test_clocks_that_differ_are_brought_together(shift_ms: float) -> None:
+    moved = [stride(number, shift_ms=shift_ms) for number in range(3, 14)]
+    result = compare_logs(session(WALK), session(moved))
+    assert result.shift_s == pytest.approx(1e-3 * shift_ms)
+    assert [(each.number_a, each.number_b) for each in result.pairs] == [(n, n) for n in range(3, 11)]
+    assert all(each.same for each in result.pairs)
+    assert not result.identical
+    assert [len(result.only_a), len(result.only_b)] == [2, 3]
+
+
+def test_walks_that_have_nothing_in_common_are_matched_by_number() -> None:
+    other = [stride(number, shift_ms=777.0 * number * number) for number in range(1, 6)]
+    result = compare_logs(session(WALK), session(other))
+    assert result.matched_by == "number"
+    assert len(result.pairs) == 5
+    assert all(each.differences["T2_ms"] == 0.0 for each in result.pairs), "from each stride's own start"
+
+
+def test_best_shift_of_nothing() -> None:
+    none = np.zeros(0, np.int64)
+    assert best_shift({}, {}) is None
+    assert best_shift({"left_foot": none}, {"left_foot": none}) is None
+    assert best_shift({"left_foot": np.array([1])}, {"right_foot": np.array([1])}) is None
+    result = compare_logs(session([]), session([]))
+    assert result.identical
+    assert np.isnan(result.spread("T1_ms").mean)
+
+
+def test_settings_that_differ_are_named() -> None:
+    one = {**HEADER, "a": {"b": [{"c": 1}, {"c": 2}], "list": [1, 2]}, "nan": float("nan")}
+    other = {**HEADER, "a": {"b": [{"c": 1}, {"c": 3}, {"c": 4}], "list": [1, 3]}, "nan": float("nan")}
+    result = compare_logs(session(WALK, one), session(WALK, other))
+    assert result.settings == [("a.b.1.c", 2, 3), ("a.list", [1, 2], [1, 3]), ("a.b.2.c", None, 4)]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "where", "says"),
+    [
+        (
+            lambda r: r.commands.__setitem__(3, replace(r.commands[3], current_ma=19.5)),
+            "commands",
+            "command 4: A channel",
+        ),
+        (lambda r: r.frames.__setitem__(3, replace(r.frames[3], data=b"\7")), "frames", "frame 4: A 128#00"),
+        (
+            lambda r: r.phases.__setitem__(2, replace(r.phases[2], foot="right_foot")),
+            "phases",
+            "phase change 3: A left",
+        ),
+        (lambda r: r.commands.pop(), "commands", "A has 20 commands, B 19"),
+        (lambda r: r.frames.pop(), "frames", "A has 20 frames, B 19"),
+        (lambda r: r.phases.pop(), "phases", "A has 10 phase changes, B 9"),
+    ],
+)
+def test_the_first_difference_is_told(spoil: Callable[[SessionRecord], Any], where: str, says: str) -> None:
+    other = session(WALK)
+    spoil(other)
+    result = compare_logs(session(WALK), other)
+    assert says in getattr(result, where)
+    assert not result.identical
+
+
+def written(record: SessionRecord, path: Path) -> Path:
+    writer = SessionWriter(path, record.header)
+    for change in record.phases:
+        writer.phase(change)
+    for command, frame in zip(record.commands, record.frames, strict=True):
+        writer.command(command, frame)
+    for each in record.strides:
+        writer.stride(each)
+    writer.close({})
+    return path
+
+
+def run(*arguments: Any) -> Result:
+    return CliRunner().invoke(main, ["compare", *map(str, arguments)])
+
+
+def test_the_command_tells_and_exits(tmp_path: Path) -> None:
+    a = written(session(WALK), tmp_path / "a.feslog")
+    b = written(session([*WALK[:-1], stride(10, stride_length_m=1.3)], {**HEADER, "x": 1}), tmp_path / "b.feslog")
+    same = run(a, a)
+    assert same.exit_code == 0
+    assert "Identical." in same.output
+    assert "Bytes     the same" in same.output
+    different = run(a, b)
+    assert different.exit_code == 1
+    assert "x: – → 1" in different.output
+    assert "10 strides in both, 9 of them the same." in different.output
+    assert "10.00" in different.output
+    assert max(map(len, different.output.splitlines())) <= 110
+    told = json.loads(run(a, b, "--json").output, parse_constant=pytest.fail)
+    assert told["identical"] is False
+    assert told["differences"]["length_cm"] == {
+        "n": 10,
+        "mean": pytest.approx(1.0),
+        "sd": pytest.approx(10 / np.sqrt(10)),
+        "greatest": pytest.approx(10.0),
+    }
+    assert [each["same"] for each in told["strides"]] == [True] * 9 + [False]
+
+
+def test_what_cannot_be_compared(tmp_path: Path) -> None:
+    a = written(session(WALK), tmp_path / "a.feslog")
+    (tmp_path / "text.feslog").write_text("this is no session log")
+    for other in (tmp_path / "gone.feslog", tmp_path / "text.feslog"):
+        assert run(a, other).exit_code == 2
+        assert run(other, a).exit_code == 2
+
+
+def test_odd_headers_do_not_stop_it(tmp_path: Path) -> None:
+    for odd in ({}, {"session": None}, {"session": {"channels": [{}]}}, {"session": [1, {"a": 2}]}):
+        assert compare_logs(session(WALK, odd or {"y": 1}), session(WALK)).pairs
+
+
+def test_two_replays_are_identical_and_changed_settings_show(tmp_path: Path) -> None:
+    """The fall of the stimulation begins 40 ms later with a longer extension, and nothing else of the gait changes."""
+    trial = TRIALS / "example_csv.csv"
+    longer = tmp_path / "longer.toml"
+    longer.write_text(SETTINGS.read_text().replace("extension_s = 0.06", "extension_s = 0.10"))
+    one, again, other = (replay(trial, tmp_path, settings) for settings in (SETTINGS, SETTINGS, longer))
+    assert compare_logs(one, again).identical
+    logs = sorted(tmp_path.glob("*/session.feslog"))
+    assert run(logs[0], logs[1]).exit_code == 0
+    assert read_session(logs[0]).commands == one.commands
+    result = compare_logs(one, other)
+    assert {name for name, _, _ in result.settings} == {"session.channels.0.extension_s", "stim_session_id"}
+    off = result.spread("off_ms")
+    assert off.n > 0
+    assert 20.0 <= off.mean <= 60.0
+    assert all(result.spread(name).greatest == 0.0 for name in ("length_cm", "clearance_cm", "T2_ms", "T3_ms", "on_ms"))

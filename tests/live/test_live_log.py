@@ -1,0 +1,267 @@
+"""The log written by a process of its own: nothing waits for it, nothing that was sent is lost."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from processes import gone_after_s
+
+from fes.live.log_pipe import LATE_NS, PipedLog
+from fes.live.monitor import Monitor
+from fes.session_log import Note, SessionLogError, iter_events, read_session
+from fes.signals import FootSwitchEvent, ImuSample, StimOpened, SystemFault, Tick
+
+MS = 1_000_000
+
+
+def sample(number: int) -> ImuSample:
+    return ImuSample(number * 2 * MS, "left_foot", number * 2 * MS, (0.1 * number, 0.0, 9.81), (0.0, 0.01, 0.0))
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Iterator[PipedLog]:
+    opened = PipedLog(tmp_path / "session.feslog", {"kind": "live"})
+    yield opened
+    if opened.process.poll() is None:
+        opened.process.kill()
+        opened.process.wait(5)
+
+
+def wait_for_failure(log: PipedLog, timeout_s: float = 5.0) -> tuple[str, float]:
+    """What is said, and how long after the start."""
+    begin_s = time.monotonic()
+    while time.monotonic() - begin_s < timeout_s:
+        try:
+            log.event(Tick(time.monotonic_ns()))
+            log.flush_due(time.monotonic_ns())
+        except SessionLogError as error:
+            return str(error), time.monotonic() - begin_s
+        time.sleep(0.005)
+    raise AssertionError("it did not fail")
+
+
+def test_what_is_logged_is_read_back(log: PipedLog) -> None:
+    events = [
+        *(sample(number) for number in range(500)),
+        StimOpened(2000 * MS, 4711),
+        FootSwitchEvent(2001 * MS, "right_foot", True),
+        FootSwitchEvent(2001 * MS, "right_foot", None),
+        SystemFault(2002 * MS, "left_foot: sensor lost: größer"),
+    ]
+    for event in events:
+        log.event(event)
+        log.flush_due(time.monotonic_ns())
+    log.close({"ended": "complete"})
+    assert list(iter_events(log.path)) == events
+    record = read_session(log.path)
+    assert record.complete
+    assert record.summary == {"ended": "complete"}
+    assert (record.reopened, record.switches, record.faults) == (events[-4:-3], events[-3:-1], events[-1:])
+    log.close({})  # again: nothing
+    with pytest.raises(SessionLogError, match="closed"):
+        log.event(sample(1))
+
+
+def test_a_controller_that_is_gone_with_answers_unread_costs_nothing(log: PipedLog) -> None:
+    """As after a kill: the socket is reset, and all that was sent is in the file all the same."""
+    for number in range(2000):
+        log.event(sample(number))
+        if number % 20 == 0:
+            log.flush()
+    log.flush()
+    log._link.close()
+    assert log.process.wait(10) == 0
+    assert len(list(iter_events(log.path))) == 2000
+    log._fault = "closed by the test"
+
+
+def test_a_note_with_what_is_no_unicode_is_logged_all_the_same(log: PipedLog) -> None:
+    Monitor(log, {}, {}, None).note(Note(5, "warning", "session", f"no {os.fsdecode(bytes([0xF6]))} größer"))
+    log.close({"ended": "complete"})
+    (note,) = read_session(log.path).notes
+    assert note.text == "no \\udcf6 größer"
+
+
+@pytest.mark.requirement("SR-18")
+def test_an_existing_log_is_not_overwritten(tmp_path: Path) -> None:
+    path = tmp_path / "session.feslog"
+    path.write_bytes(b"precious")
+    with pytest.raises(SessionLogError, match="not overwritten"):
+        PipedLog(path, {})
+    assert path.read_bytes() == b"precious"
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_dead_writer_is_noticed_within_a_second_and_what_it_had_is_there(log: PipedLog) -> None:
+    for number in range(500):
+        log.event(sample(number))
+    log.flush()
+    while log._written < log._sent:  # what it has answered for; the file may hold half a chunk before
+        log.flush_due(time.monotonic_ns())
+        time.sleep(0.005)
+    kept = log.path.stat().st_size
+    os.kill(log.process.pid, signal.SIGKILL)
+    said, after_s = wait_for_failure(log)
+    assert after_s < 1.0
+    assert "cannot be written any more" in said
+    assert log.healthy == said
+    with pytest.raises(SessionLogError):
+        log.close({})
+    assert log.path.stat().st_size == kept
+    assert len(list(iter_events(log.path))) == 500
+
+
+def test_a_writer_that_hangs_is_noticed_and_nobody_waits_for_it(log: PipedLog) -> None:
+    resource = pytest.importorskip("resource")
+    os.kill(log.process.pid, signal.SIGSTOP)
+    begin_s, said, waits = time.monotonic(), "", []
+    for number in range(1_000_000):
+        waited, before_s = resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw, time.monotonic()
+        try:
+            log.event(sample(number))
+            log.flush_due(time.monotonic_ns())
+        except SessionLogError as error:
+            said = str(error)
+            break
+        if resource.getrusage(resource.RUSAGE_THREAD).ru_nvcsw > waited:  # not where the machine merely held us up
+            waits.append(time.monotonic() - before_s)
+    assert "does not keep up" in said
+    assert LATE_NS * 1e-9 < time.monotonic() - begin_s < 1.0
+    print(f"{len(waits)} waits of {max(waits, default=0.0):.4f} s at most")
+    assert not waits or sorted(waits)[len(waits) // 2] < 0.1
+    os.kill(log.process.pid, signal.SIGKILL)
+
+
+SITE = """
+import os, time
+real = os.fsync
+def fsync(file):
+    {}
+os.fsync = fsync
+"""
+
+
+def log_on_a_disk_whose_sync(does: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> PipedLog:
+    (folder / "sitecustomize.py").write_text(SITE.format(does))
+    monkeypatch.setenv("PYTHONPATH", str(folder))
+    return PipedLog(folder / "session.feslog", {"kind": "live"})
+
+
+def test_a_disk_that_syncs_slowly_ends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a card or a stick does: what the operating system has is written, however long the disk takes."""
+    log = log_on_a_disk_whose_sync("time.sleep(0.7)", tmp_path, monkeypatch)
+    begin_s, number = time.monotonic(), 0
+    while time.monotonic() - begin_s < 2.5:
+        log.event(sample(number))
+        log.flush_due(time.monotonic_ns())
+        number += 1
+        time.sleep(0.002)
+    log.close({"ended": "complete"})
+    assert log.warning == ""
+    assert read_session(log.path).complete
+    assert len(list(iter_events(log.path))) == number
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_disk_that_refuses_to_sync_ends_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = log_on_a_disk_whose_sync("raise OSError(5, 'worn out')", tmp_path, monkeypatch)
+    said, after_s = wait_for_failure(log)
+    assert "cannot be written any more" in said
+    assert "Input/output error" in said
+    assert after_s < 3.0, "at the first sync, a second after the start"
+    with pytest.raises(SessionLogError):
+        log.close({})
+
+
+def test_a_sync_that_does_not_come_back_is_told_of_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = log_on_a_disk_whose_sync("time.sleep(100)", tmp_path, monkeypatch)
+    end_s, said = time.monotonic() + 20.0, ""
+    while time.monotonic() < end_s:
+        log.event(Tick(time.monotonic_ns()))
+        log.flush_due(time.monotonic_ns())
+        if log.warning:
+            assert not said
+            said, log.warning = log.warning, ""
+            end_s = time.monotonic() + 1.0  # and not again
+        time.sleep(0.01)
+    assert re.search("the disk has not finished for [3-9] s", said), said
+    os.kill(log.process.pid, signal.SIGKILL)
+    log.process.wait(5)
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_full_disk_is_noticed_within_a_second(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """/dev/full takes no byte: the process that writes says so, the loop hears it."""
+    full = Path("/dev/full")
+    if not full.exists():
+        pytest.skip("no /dev/full here")
+
+    monkeypatch.setattr("fes.live.log_pipe.create", lambda path: os.open(full, os.O_WRONLY))
+    with pytest.raises(SessionLogError, match="the disk is full"):
+        PipedLog(tmp_path / "session.feslog", {})
+
+
+def test_a_disk_that_fills_up_is_noticed_within_a_second(log: PipedLog, tmp_path: Path) -> None:
+    """The writer's own limit on a file's size stands for a full disk: it is refused in the middle of the session."""
+    resource = pytest.importorskip("resource")
+    log.event(sample(0))
+    log.flush()
+    full_at = log.path.stat().st_size + 2000
+    resource.prlimit(log.process.pid, resource.RLIMIT_FSIZE, (full_at, full_at))
+    for _ in range(1000):  # more than there is room for
+        log.event(Tick(time.monotonic_ns()))
+    said, after_s = wait_for_failure(log)
+    assert after_s < 1.0
+    assert "cannot be written any more" in said
+    with pytest.raises(SessionLogError, match="cannot be written"):
+        log.close({})
+    record = read_session(log.path)
+    assert len(record.ticks_ns) > 10
+    assert not record.complete
+
+
+@pytest.mark.requirement("SR-18")
+def test_a_killed_controller_loses_at_most_a_quarter_of_a_second(tmp_path: Path) -> None:
+    """It logs the monotonic time every 2 ms and is killed; the newest event in the file is close to its last one."""
+    path, last = tmp_path / "session.feslog", tmp_path / "last"
+    last.write_bytes(bytes(8))
+    script = (
+        "import mmap, struct, sys, time\n"
+        "from pathlib import Path\n"
+        "from fes.live.log_pipe import PipedLog\n"
+        "from fes.signals import Tick\n"
+        "log = PipedLog(Path(sys.argv[1]), {})\n"
+        "file = open(sys.argv[2], 'r+b')\n"
+        "last = mmap.mmap(file.fileno(), 8)\n"
+        "print(log.process.pid, flush=True)\n"
+        "while True:\n"
+        "    t_ns = time.monotonic_ns()\n"
+        "    struct.pack_into('<q', last, 0, t_ns)\n"
+        "    log.event(Tick(t_ns)); log.flush_due(time.monotonic_ns()); time.sleep(0.002)\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", script, str(path), str(last)], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    writer = int(process.stdout.readline())
+    while not path.exists() or path.stat().st_size < 3000:
+        time.sleep(0.005)
+    killed_ns = time.monotonic_ns()
+    process.kill()
+    process.wait(10)
+    process.stdout.close()
+    gone_after_s([writer], killed_ns)
+    record = read_session(path)
+    assert record.lost == ""
+    assert not record.complete
+    (newest_ns,) = struct.unpack("<q", last.read_bytes())
+    lost_ms = (newest_ns - int(record.ticks_ns[-1])) / MS
+    print(f"lost {lost_ms:.0f} ms")
+    assert 0 <= lost_ms < 250

@@ -1,0 +1,594 @@
+"""Orders become events only where the state allows them, and arming only when nothing speaks against it."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from live_parts import MS
+from replays import SETTINGS
+from test_tuning_controller import tuned_session
+
+from fes.config import ImuDevice, Session, load_session
+from fes.control.controller import Controller
+from fes.estimation.foot.calibration import FootCalibration
+from fes.gate import gate_of
+from fes.live.commands import NEEDS_CONFIRMATION, Ask, CommandRefused, Order, State, order_of_message, orders_of_keys
+from fes.live.dashboard.message_handler import DashboardCommands, MessageHandler
+from fes.live.dashboard.network_guard import Access
+from fes.live.dashboard.stream import DashboardStream
+from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
+from fes.live.log_pipe import PipedLog
+from fes.live.monitor import Monitor
+from fes.live.operator import Operator
+from fes.live.sensors import SensorMonitor
+from fes.live.source import SwitchComparison
+from fes.live.status import FootStatus, Status, tuning_status
+from fes.session_log import Note
+from fes.signals import Event, FootSwitchEvent, ImuSample, OperatorAct, OperatorAction, StimAlive, SystemFault, Vector3
+from statemachine.phases import Phase, PhaseChange, Transition
+
+FOOT = "right_foot"
+RATE_HZ = 100.0
+CALIBRATION = FootCalibration(
+    sensor=FOOT,
+    rate_hz=RATE_HZ,
+    up=(0.0, 0.0, 1.0),
+    toe_down=(0.0, 1.0, 0.0),
+    acc_bias_mps2=(0.0, 0.0, 0.0),
+    gyr_bias_radps=(0.0, 0.0, 0.0),
+    rest_gyr_radps=0.3,
+    min_toe_down_peak_radps=1.0,
+    rest_hold_s=0.05,
+    contact_jerk_mps3=600.0,
+    axis_confidence=1.0,
+    strides=6,
+    standing=True,
+)
+
+
+def settings() -> Session:
+    device = ImuDevice(sensor=FOOT, device="xbus", port="x", rate_hz=RATE_HZ, acc_range_g=16, gyr_range_dps=2000)
+    return load_session(SETTINGS).model_copy(update={"sensors": (device,)})
+
+
+class Bench:
+    """Operator, gate and controller; :meth:`stand` lets samples come."""
+
+    def __init__(self, session: Session | None = None) -> None:
+        session = settings() if session is None else session
+        self.t_ns = 0
+        self.answered_ns: int | None = None
+        self.notes: list[Note] = []
+        self.further: list[str] = []
+        self.controller = Controller(session, {FOOT: CALIBRATION})
+        self.gate = gate_of(session, {FOOT: CALIBRATION.up})
+        self.watch = SensorMonitor(session.sensors[0], CALIBRATION)
+        self.operator = Operator(
+            session,
+            self.controller,
+            self.gate,
+            {FOOT: self.watch},
+            {FOOT: FOOT},
+            self.notes.append,
+            lambda: self.answered_ns,
+            lambda: self.further,
+        )
+
+    def handle(self, event: Event) -> None:
+        if isinstance(event, ImuSample):
+            self.watch.note(event)
+        self.gate.observe(event)
+        for request in self.controller.step(event).requests:
+            self.gate.judge(event.t_ns, request)
+        self.operator.after(event)
+
+    def stand(self, seconds: float, acc: Vector3 = (0.0, 0.0, 9.81), gyr_radps: float = 0.0, every: int = 1) -> None:
+        for number in range(int(seconds * RATE_HZ)):
+            self.t_ns += 10 * MS
+            if number % every == 0:
+                noise = 0.001 * (number % 7)
+                self.handle(ImuSample(self.t_ns, FOOT, self.t_ns, acc, (noise, gyr_radps * (-1) ** number, 0.0)))
+            if number % 10 == 0:
+                self.answered_ns = self.t_ns
+                self.handle(StimAlive(self.t_ns, 7, 0))
+
+    def order(self, ask: Ask, value: float = 0.0) -> list[Event]:
+        events = self.operator.order(Order(ask, value), self.t_ns)
+        for event in events:
+            self.handle(event)
+        return events
+
+    def armed(self) -> Bench:
+        self.stand(3.0)
+        self.order(Ask.ARM)
+        assert self.operator.state is State.ARMED, self.operator.message
+        return self
+
+
+def test_it_gets_ready_is_armed_by_hand_and_starts_from_nothing() -> None:
+    bench = Bench()
+    bench.stand(1.0)
+    assert bench.operator.state is State.OFF
+    assert bench.order(Ask.ARM) == []
+    bench.stand(2.0)
+    assert bench.operator.state is State.SHADOW
+    bench.order(Ask.UP)
+    assert bench.controller.intensity == pytest.approx(0.05)  # in the shadow it stimulates nobody
+    assert not bench.gate.armed
+    bench.order(Ask.ARM)
+    assert bench.operator.state is State.ARMED
+    assert bench.gate.armed
+    assert bench.controller.intensity == 0.0
+
+
+def tuned(mode: str = "act") -> Session:
+    session = tuned_session(mode)
+    walks_first = session.stimulation.model_copy(update={"strides_before_start": 2})
+    return session.model_copy(update={"sensors": settings().sensors, "stimulation": walks_first})
+
+
+@pytest.mark.parametrize(("gravity_mps2", "mm"), [(9.90, "10"), (9.71, "11"), (9.97, "18")])
+def test_where_gravity_is_not_what_it_was_at_calibration_the_foot_is_measured_but_not_tuned_by(
+    gravity_mps2: float, mm: str
+) -> None:
+    bench = Bench(tuned())
+    bench.stand(3.0, acc=(0.0, 0.0, gravity_mps2))
+    bench.order(Ask.ARM)
+    assert bench.gate.armed  # stimulation as set is not what depends on heights
+    (status,) = tuning_status(bench.controller.tuning).values()
+    assert status.frozen.endswith(f"wrong by some {mm} mm; calibrate again")  # not "on demand"
+    assert f"wrong by some {mm} mm; calibrate again; tuning is frozen" in bench.operator.message
+    assert [note.severity for note in bench.notes if "calibrate again" in note.text] == ["warning"]
+    bench.order(Ask.RESUME_TUNING)  # whoever knows better
+    assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+    bench.order(Ask.DISARM)
+    bench.order(Ask.ARM)  # forgotten by then
+    assert all(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+
+
+def test_going_on_after_a_pause_does_not_call_frozen_what_a_person_has_resumed() -> None:
+    bench = Bench(tuned())
+    bench.stand(3.0, acc=(0.0, 0.0, 9.97))
+    bench.order(Ask.ARM)
+    bench.order(Ask.RESUME_TUNING)
+    bench.order(Ask.PAUSE)
+    bench.order(Ask.PAUSE)
+    assert bench.operator.state is State.ARMED
+    assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+    assert "tuning is frozen" not in bench.operator.message
+    assert len([note for note in bench.notes if "calibrate again" in note.text]) == 1
+
+
+def test_who_arms_again_is_told_again_that_tuning_is_frozen() -> None:
+    bench = Bench(tuned())
+    bench.stand(3.0, acc=(0.0, 0.0, 9.97))
+    for _ in range(2):
+        bench.order(Ask.ARM)
+        assert bench.gate.armed
+        assert "calibrate again; tuning is frozen" in bench.operator.message
+        bench.order(Ask.DISARM)
+
+
+def test_where_gravity_is_what_it_was_tuning_goes_on() -> None:
+    for gravity_mps2 in (9.76, 9.86):
+        bench = Bench(tuned())
+        bench.stand(3.0, acc=(0.0, 0.0, gravity_mps2))
+        bench.order(Ask.ARM)
+        assert bench.gate.armed
+        assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
+        assert "calibrate again" not in bench.operator.message
+
+
+def test_whoever_tunes_nothing_hears_nothing_of_moved_zeros() -> None:
+    bench = Bench()
+    bench.stand(3.0, acc=(0.0, 0.0, 9.97))
+    assert [event.action for event in bench.order(Ask.ARM) if isinstance(event, OperatorAct)][-1] is OperatorAction.ARM
+    assert "calibrate again" not in bench.operator.message
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (lambda bench: bench.stand(1.2, gyr_radps=0.4), "stand still"),
+        (lambda bench: bench.stand(1.2, acc=(0.0, 0.0, 8.0)), "8.00 m/s² at rest instead of 9.81"),
+        (lambda bench: bench.stand(1.2, acc=(9.81, 0.0, 0.0)), "tilted by 90°"),
+        (lambda bench: bench.stand(1.2, every=2), "50 samples in the last second, 100 are expected"),
+        (lambda bench: setattr(bench, "t_ns", bench.t_ns + 100 * MS), "silent for 1"),
+        (lambda bench: setattr(bench, "answered_ns", bench.t_ns - 600 * MS), "the stimulator does not answer"),
+        (lambda bench: setattr(bench, "answered_ns", None), "the stimulator does not answer"),
+        (lambda bench: bench.further.append("the stop file is there"), "the stop file is there"),
+    ],
+)
+def test_whatever_speaks_against_arming_is_named(spoil: object, says: str) -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    assert callable(spoil)
+    spoil(bench)
+    assert bench.order(Ask.ARM) == []
+    assert not bench.gate.armed
+    assert bench.operator.state is not State.ARMED
+    assert "cannot arm" in bench.operator.message
+    assert says in bench.operator.message
+    assert bench.notes[-1].text == bench.operator.message
+
+
+def test_intensity_goes_in_steps_up_to_the_sessions_and_not_faster_than_a_person_means() -> None:
+    bench = Bench().armed()
+    assert bench.order(Ask.UP)
+    assert bench.order(Ask.UP) == [], "a key held down repeats faster than this"
+    for _ in range(40):
+        bench.t_ns += 200 * MS
+        bench.operator.order(Order(Ask.UP), bench.t_ns)
+    (act,) = bench.operator.order(Order(Ask.DOWN), bench.t_ns)
+    assert isinstance(act, OperatorAct)
+    assert act.value == pytest.approx(settings().stimulation.intensity - 0.05)
+    for _ in range(40):
+        (act,) = bench.operator.order(Order(Ask.DOWN), bench.t_ns)
+    assert isinstance(act, OperatorAct)
+    assert act.value == 0.0
+
+
+def test_pause_is_off_and_one_key_from_armed_with_its_intensity() -> None:
+    bench = Bench().armed()
+    bench.order(Ask.UP)
+    bench.order(Ask.PAUSE)
+    assert (bench.operator.state, bench.gate.armed) == (State.PAUSED, False)
+    assert bench.order(Ask.UP) == []
+    bench.stand(0.5, gyr_radps=0.4)  # moving: no reason against going on
+    bench.order(Ask.PAUSE)
+    assert (bench.operator.state, bench.gate.armed) == (State.ARMED, True)
+    assert bench.controller.intensity == pytest.approx(0.05)
+
+
+def test_a_pause_through_the_control_socket_never_goes_on_an_arm_does() -> None:
+    bench = Bench().armed()
+    for _ in range(2):
+        for event in bench.operator.order(order_of_message(b'{"ask": "pause"}'), bench.t_ns):
+            bench.handle(event)
+        assert bench.operator.state is State.PAUSED
+    assert "paused already" in bench.operator.message
+    bench.order(Ask.ARM)
+    assert bench.operator.state is State.ARMED
+
+
+@pytest.mark.parametrize("before", ["shadow", "armed", "paused"])
+def test_an_emergency_stop_latches_from_everywhere_and_arming_starts_from_nothing(before: str) -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    if before != "shadow":
+        bench.armed()
+        bench.order(Ask.UP)
+    if before == "paused":
+        bench.order(Ask.PAUSE)
+    bench.order(Ask.STOP)
+    assert bench.operator.state is State.STOPPED
+    assert bench.gate.latched == "emergency stop"
+    assert not bench.gate.armed
+    bench.stand(0.4)
+    assert bench.order(Ask.PAUSE) == bench.order(Ask.UP) == bench.order(Ask.TEST) == bench.order(Ask.ARM) == []
+    assert bench.operator.state is State.STOPPED
+    assert bench.operator.message == "cannot arm: stopped just now"
+    bench.stand(0.1)
+    bench.order(Ask.ARM)
+    assert bench.operator.state is State.ARMED
+    assert bench.controller.intensity == 0.0
+
+
+@pytest.mark.requirement("SR-16")
+@pytest.mark.parametrize("before", ["shadow", "armed", "paused"])
+@pytest.mark.parametrize("typed", [b"a ", b" a", b"p ", b" p"])
+def test_an_arming_on_its_way_does_not_undo_a_stop(before: str, typed: bytes) -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    if before != "shadow":
+        bench.armed()
+    if before == "paused":
+        bench.order(Ask.PAUSE)
+    read_end, write_end = os.pipe()
+    os.write(write_end, typed)
+    for event in Keyboard(read_end, bench.operator.order).take(bench.t_ns):
+        bench.handle(event)
+    os.close(write_end)
+    assert (bench.operator.state, bench.gate.armed) == (State.STOPPED, False)
+    assert bench.gate.latched == "emergency stop"
+
+
+@pytest.mark.requirement("SR-16")
+def test_the_pages_confirmation_that_was_asked_for_before_a_stop_does_not_undo_it() -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    page = DashboardCommands(DashboardStream(ours), bench.operator.order, lambda: bench.operator.state)
+    bench.order(Ask.STOP)
+    bench.stand(0.3)
+    theirs.send(b'{"ask":"arm","confirm":true}')
+    for event in page.take(bench.t_ns):
+        bench.handle(event)
+    assert (bench.operator.state, bench.gate.armed) == (State.STOPPED, False)
+    ours.close()
+    theirs.close()
+
+
+def test_a_fault_latches_and_only_a_person_ends_it() -> None:
+    bench = Bench().armed()
+    bench.handle(SystemFault(bench.t_ns, "controller stalled for 200 ms"))
+    assert bench.operator.state is State.FAULT
+    assert not bench.gate.armed
+    bench.stand(2.0)
+    assert bench.operator.state is State.FAULT
+    bench.order(Ask.ARM)
+    assert bench.operator.state is State.ARMED
+
+
+def test_bursts_by_hand_only_when_armed_and_a_test_only_at_rest() -> None:
+    bench = Bench()
+    bench.stand(3.0)
+    assert bench.order(Ask.TEST) == bench.order(Ask.TRIGGER) == []
+    bench.armed()
+    bench.stand(0.6, gyr_radps=0.25)
+    assert bench.order(Ask.TEST) == []
+    bench.stand(0.6)
+    assert bench.order(Ask.CHANNEL, 5) == []
+    assert "no channel 5" in bench.operator.message
+    assert bench.order(Ask.TEST) == [OperatorAct(bench.t_ns, OperatorAction.TEST_BURST, 0.0)]
+    assert bench.order(Ask.TRIGGER) == [OperatorAct(bench.t_ns, OperatorAction.TRIGGER, 0.0)]
+
+
+def test_a_test_burst_goes_through_plan_and_gate_and_ends_by_itself() -> None:
+    bench = Bench().armed()
+    for _ in range(10):
+        bench.stand(0.2)
+        bench.order(Ask.UP)
+    on: list[tuple[int, float]] = []
+    bench.order(Ask.TEST)
+    begin_ns = bench.t_ns
+    while bench.t_ns < begin_ns + 1500 * MS:
+        bench.t_ns += 10 * MS
+        event = ImuSample(bench.t_ns, FOOT, bench.t_ns, (0.0, 0.0, 9.81), (1e-4 * (bench.t_ns // MS % 9), 0.0, 0.0))
+        bench.gate.observe(event)
+        for request in bench.controller.step(event).requests:
+            command = bench.gate.judge(bench.t_ns, request)
+            assert not command.refused
+            if command.on:
+                on.append((bench.t_ns - begin_ns, command.current_ma))
+    assert max(current for _, current in on) == pytest.approx(15.0, abs=0.5)  # half of 30 mA
+    assert 500 * MS <= on[-1][0] <= 700 * MS
+    assert not bench.gate.latched
+
+
+def test_the_belt_is_a_setting_within_bounds() -> None:
+    bench = Bench()
+    bench.stand(0.1)
+    assert bench.order(Ask.BELT, 0.8) == [OperatorAct(bench.t_ns, OperatorAction.SET_BELT_SPEED, 0.8)]
+    bench.order(Ask.BELT_UP)
+    assert bench.operator.belt_speed_mps == pytest.approx(0.9)
+    bench.order(Ask.BELT, 99)
+    assert bench.operator.belt_speed_mps == 5.0
+    bench.order(Ask.BELT, -1)
+    assert bench.operator.belt_speed_mps == 0.0
+
+
+def test_a_stop_among_keys_comes_first_and_unknown_keys_are_nothing() -> None:
+    asks = [order.ask for order in orders_of_keys(b"+9zt  ")]
+    assert asks == [Ask.STOP, Ask.STOP, Ask.UP, Ask.TRIGGER]
+    asks = [order.ask for order in orders_of_keys(b"+\x1b[A9zt ")]
+    assert asks == [Ask.STOP, Ask.UP], "behind an escape only a stop counts"
+    assert orders_of_keys(b"3") == [Order(Ask.CHANNEL, 3.0)]
+
+
+@given(st.binary(max_size=2000))
+def test_no_message_is_more_than_an_order_or_a_refusal(message: bytes) -> None:
+    try:
+        order = order_of_message(message)
+    except CommandRefused:
+        return
+    assert order.ask in Ask
+
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**400) | st.text() | st.sampled_from(list(Ask)),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+SAID = st.dictionaries(st.sampled_from(["ask", "value", "confirm", "token", "secret", "press"]), ANYTHING) | ANYTHING
+
+
+@given(SAID)
+@example({"ask": []})
+@example({"ask": {"a": 1}})
+@example({"ask": "belt", "value": 10**400})
+@example({"ask": "down", "value": -(10**400)})
+@example({"ask": "channel", "value": 1e300})
+def test_no_json_ends_the_session_by_whichever_way_it_comes(said: object) -> None:
+    message = json.dumps(said).encode()
+    with suppress(CommandRefused):
+        order = order_of_message(message)
+        assert order.ask in Ask
+        assert abs(order.value) <= 1e9
+        bench = Bench()
+        bench.operator.order(order, 0)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours, theirs:
+        theirs.send(message)
+        DashboardCommands(DashboardStream(ours), lambda order, t_ns: [], lambda: State.ARMED).take(0)
+    desk = MessageHandler(
+        Access("link", lambda: "secret"), {"mode": "live"}, lambda t_ns: (None, 0), lambda: "question"
+    )
+    for text in ('{"token":"link"}', message.decode()):
+        outcome = desk.take(text, 0)
+        assert outcome.reply or outcome.stop or outcome.order
+        json.dumps(outcome.reply)
+
+
+def test_the_control_socket_answers_what_is_no_order_and_goes_on(tmp_path: Path) -> None:
+    control = Control(tmp_path / "c.sock", lambda order, t_ns: [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)])
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.bind(str(tmp_path / "o.sock"))
+        other.settimeout(2)
+        for message in (b'{"ask":[]}', b'{"ask":"belt","value":1' + b"0" * 400 + b"}", b'{"ask":"stop"}'):
+            other.sendto(message, str(tmp_path / "c.sock"))
+        assert [type(event) for event in control.take(5)] == [OperatorAct]
+        assert [json.loads(other.recv(4096))["ok"] for _ in range(3)] == [False, False, True]
+    control.close()
+
+
+@pytest.mark.parametrize("ask", list(Ask))
+def test_what_can_lead_to_more_current_needs_a_confirmation(ask: Ask) -> None:
+    plain = json.dumps({"ask": ask}).encode()
+    if ask in NEEDS_CONFIRMATION:
+        with pytest.raises(CommandRefused, match="confirm"):
+            order_of_message(plain)
+    else:
+        assert order_of_message(plain).ask is ask
+    assert order_of_message(json.dumps({"ask": ask, "confirm": True}).encode()).ask is ask
+
+
+def test_the_control_socket_carries_orders_answers_and_status(tmp_path: Path) -> None:
+    carried: list[Order] = []
+
+    def carry(order: Order, t_ns: int) -> list[Event]:
+        carried.append(order)
+        return [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)]
+
+    control = Control(tmp_path / "c.sock", carry)
+    assert (tmp_path / "c.sock").stat().st_mode & 0o077 == 0
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.bind(str(tmp_path / "o.sock"))
+        other.settimeout(2)
+        other.sendto(b'{"ask":"stop"}', str(tmp_path / "c.sock"))
+        assert [type(event) for event in control.take(5)] == [OperatorAct]
+        assert json.loads(other.recv(4096)) == {"ok": True}
+        other.sendto(b'{"ask":"up"}', str(tmp_path / "c.sock"))
+        other.sendto(b"watch", str(tmp_path / "c.sock"))
+        assert control.take(6) == []
+        assert json.loads(other.recv(4096))["ok"] is False
+        assert json.loads(other.recv(4096)) == {"ok": True}
+        for _ in range(5000):  # nobody reads: frames are dropped, the session does not wait
+            control.publish(b"x" * 1000)
+        assert other.recv(4096) == b"x" * 1000
+    control.publish(b"gone")
+    control.close()
+    assert not (tmp_path / "c.sock").exists()
+    assert [order.ask for order in carried] == [Ask.STOP]
+
+
+class Switch:
+    def __init__(self) -> None:
+        self.pressed: bool | None = None
+
+    def fileno(self) -> int | None:
+        return None
+
+    def read(self) -> bool | None:
+        return self.pressed
+
+
+def test_a_stop_button_stops_when_pressed_and_when_it_goes_missing() -> None:
+    line = Switch()
+    button = StopSwitch(line, lambda order, t_ns: [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)])
+    assert button.take(1) == []
+    assert "nothing is heard" in button.doubt()
+    line.pressed = False
+    assert (button.take(2), button.doubt()) == ([], "")
+    line.pressed = True
+    assert len(button.take(3)) == 1
+    assert button.take(4) == []
+    assert "pressed" in button.doubt()
+    line.pressed = False
+    assert button.take(5) == []
+    line.pressed = None
+    assert len(button.take(6)) == 1
+
+
+def test_a_foot_switch_tells_its_changes() -> None:
+    line = Switch()
+    switch = FootSwitchInput(FOOT, line)
+    told = []
+    for t_ns, pressed in enumerate([None, True, True, False, None, False, True]):
+        line.pressed = pressed
+        told += switch.take(t_ns)
+    assert [(event.t_ns, event.pressed) for event in told] == [(1, True), (3, False), (4, None), (6, True)]
+
+
+def test_a_foot_switch_is_held_against_the_sensors_phases() -> None:
+    comparison = SwitchComparison()
+    for stride in range(5):
+        at_ns = stride * 1200 * MS
+        comparison.switch(FootSwitchEvent(at_ns, FOOT, True))
+        comparison.switch(FootSwitchEvent(at_ns + 700 * MS, FOOT, False))
+        if stride != 2:
+            late_ns = at_ns + (20 + stride) * MS
+            comparison.phase(PhaseChange(late_ns, FOOT, Transition.T3, Phase.SWING, Phase.LOADING_RESPONSE))
+        comparison.phase(PhaseChange(at_ns + 690 * MS, FOOT, Transition.T2, Phase.PRE_SWING, Phase.SWING))
+    found = comparison.to_dict()[FOOT]
+    assert found["contact"] == {"pairs": 4, "switch_only": 1, "sensor_only": 0, "delay_ms": [22.0, 20.0, 24.0]}
+    assert found["release"] == {"pairs": 5, "switch_only": 0, "sensor_only": 0, "delay_ms": [-10.0, -10.0, -10.0]}
+
+
+def test_a_status_is_the_same_behind_the_line_and_nothing_else_is_one() -> None:
+    status = Status(5, "armed", feet={FOOT: FootStatus("stance", True, 3, 1.2, 0.9, 500.0, 1.0)}, belt_speed_mps=0.8)
+    assert Status.decode(status.encode()) == status
+    for other in (b"", b"{}", b'{"version":99}', b"[]", b'{"version":1,"feet":{},"more":1}'):
+        with pytest.raises(ValueError, match=r"."):
+            Status.decode(other)
+
+
+def test_what_is_no_number_is_null_to_every_listener() -> None:
+    nan, inf = float("nan"), float("inf")
+    feet = {FOOT: FootStatus("stance", True, 3, nan, -inf, 500.0, 1.0)}
+    datagram = Status(5, "armed", feet=feet, belt_speed_mps=inf, latency_p99_ms=nan, remarks=["as is"]).encode()
+
+    def refuse(text: str) -> None:
+        raise AssertionError(text)
+
+    told = json.loads(datagram, parse_constant=refuse)
+    assert told["feet"][FOOT]["stride_length_m"] is told["feet"][FOOT]["speed_mps"] is None
+    assert told["belt_speed_mps"] is told["latency_p99_ms"] is None
+    assert Status.decode(datagram).feet[FOOT].rate_hz == 500.0
+
+
+def test_frames_that_a_page_missed_are_counted_to_the_end(tmp_path: Path) -> None:
+    bench = Bench()
+    log = PipedLog(tmp_path / "session.feslog", {})
+    monitor = Monitor(log, {FOOT: bench.watch}, {FOOT: FOOT}, None)
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with ours:
+        monitor.page = DashboardStream(ours)
+        for _ in range(2000):  # nobody reads
+            bench.t_ns += 100 * MS
+            monitor.tell(bench.t_ns, bench.operator, bench.controller, bench.gate)
+        missed = monitor.dropped_page_frames
+        assert missed > 1000
+        theirs.close()
+        bench.t_ns += 100 * MS
+        monitor.tell(bench.t_ns, bench.operator, bench.controller, bench.gate)
+        assert monitor.page is None
+        assert monitor.dropped_page_frames == missed
+    log.close({})
+
+
+def test_what_the_system_refuses_is_named_with_its_cost() -> None:
+    """In a process of its own: it would change this one's scheduling."""
+    code = (
+        "import resource, json; resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))\n"
+        "import os\n"
+        "from fes.live.realtime import become_real_time\n"
+        "if os.geteuid() == 0: os.setgid(65534); os.setuid(65534)\n"
+        "print(json.dumps([[g.name, g.refused, g.cost, g.remedy] for g in become_real_time()]))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    grants = json.loads(done.stdout)
+    refused = {name: (why, cost, remedy) for name, why, cost, remedy in grants if why}
+    assert "fixed priority (SCHED_FIFO)" in refused
+    assert "locked memory (mlockall)" in refused
+    assert all(all(texts) for texts in refused.values())

@@ -1,0 +1,232 @@
+"""What a session file says of the live session itself, and what follows from the stimulator that it names."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+from live_parts import MS, FakeStimulator, Lost
+from replays import SETTINGS
+from test_live_operator import CALIBRATION, FOOT, settings
+from test_live_run import SENSOR, run
+
+from drivers.stimulator.open import electrodes_told_from_ma
+from fes.cli.common.exits import UNUSABLE
+from fes.cli.replay.log import repeat
+from fes.cli.run.devices import serial_ports_of
+from fes.config import ConfigError, Live, Session, StimulatorDevice, load_session
+from fes.control.controller import Controller
+from fes.live.log_pipe import PipedLog
+from fes.live.session import LiveSession, live_header
+from fes.live.stimulator import Electrodes, LiveStimulator
+from fes.session_log import SessionLogError
+from fes.session_log.writer import SessionWriter
+from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, StimOpened, StimRequest, StimStatus, Tick
+
+STANDS = (0.0, 0.0, 9.81)
+
+
+def session(folder: Path, text: str) -> Session:
+    path = folder / "session.toml"
+    path.write_text(f"{SETTINGS.read_text()}\n{text}")
+    return load_session(path)
+
+
+def test_stop_button_stop_file_and_folder_are_settings(tmp_path: Path) -> None:
+    text = (
+        '[live]\nfolder = "results"\nstop_file = "halt"\n[live.stop_button]\nsource = "can_bit"\nidentifier = 0x1F0\n'
+    )
+    live = session(tmp_path, text).live
+    assert (live.folder, live.stop_file) == ("results", "halt")
+    assert live.stop_button is not None
+    assert (live.stop_button.identifier, live.stop_button.pressed) == (0x1F0, "high")
+    assert load_session(SETTINGS).live == Live()
+
+
+def test_they_are_of_this_machine_and_in_no_log(tmp_path: Path) -> None:
+    named = session(tmp_path, '[live]\nfolder = "results"\n')
+    plain = load_session(SETTINGS)
+    assert named.model_dump_json() == plain.model_dump_json()  # so a replay is the same, too
+    assert "live" not in live_header(named, {}, 1, "", 0)["session"]
+
+
+def test_a_stop_button_of_another_kind_is_refused_with_its_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"session.toml:\d+: live.stop_button.source = 'gpio'"):
+        session(tmp_path, '[live.stop_button]\nsource = "gpio"\n')
+
+
+def test_results_go_below_the_folder_of_the_settings(tmp_path: Path) -> None:
+    (tmp_path / "taken").touch()
+    text = f'{SETTINGS.read_text()}\n{SENSOR}\n[live]\nfolder = "{tmp_path}/taken/results"\n'
+    path = tmp_path / "session.toml"
+    path.write_text(text)
+    from click.testing import CliRunner
+
+    from fes.cli.run.command import command
+
+    done = CliRunner().invoke(command, [str(path)])
+    assert done.exit_code == UNUSABLE
+    assert "taken/results" in done.output
+    code, said = run(tmp_path, text)  # --out counts before it
+    assert (code, "taken" in said) == (UNUSABLE, False)
+
+
+def requested(step_ma: float, intensity: float) -> set[float]:
+    controller = Controller(load_session(SETTINGS), {}, current_step_ma=step_ma)
+    controller.step(OperatorAct(0, OperatorAction.SET_INTENSITY, intensity))
+    controller.step(OperatorAct(1, OperatorAction.TEST_BURST, 0.0))
+    asked: list[StimRequest] = []
+    for t_ns in range(2, 400_000_000, 5_000_000):
+        asked += controller.step(Tick(t_ns)).requests
+    return {request.current_ma for request in asked if request.on}
+
+
+def test_currents_are_decided_in_the_stimulators_steps() -> None:
+    whole, half = requested(1.0, 0.55), requested(0.5, 0.55)  # of 30 mA: 16.5
+    assert max(half) == 16.5
+    assert max(whole) == 16.0
+    assert all(current_ma == int(current_ma) for current_ma in whole)
+
+
+def test_a_burst_in_coarse_steps_that_begins_right_after_a_command_is_let_through_live_and_in_replay(
+    tmp_path: Path,
+) -> None:
+    """30 mA within 150 ms: when 1 mA is reached the last command, still off, is 1 ms old."""
+    path, worn, calibrations = tmp_path / "session.feslog", settings(), {FOOT: CALIBRATION}
+    log = PipedLog(path, live_header(worn, calibrations, 1, "", 0, 1.0))
+    stimulator = FakeStimulator()
+    lasting = LiveStimulator(stimulator, lambda: pytest.fail("it was not lost"), Lost, lambda: 0)
+    live = LiveSession(worn, calibrations, log, lasting, lambda: 0, current_step_ma=1.0)
+    events: list[Event] = [ImuSample(t_ms * MS, FOOT, t_ms * MS, STANDS, (0.001 * t_ms, 0.0, 0.0)) for t_ms in (20, 40)]
+    events += [OperatorAct(40 * MS, OperatorAction.ARM), OperatorAct(40 * MS, OperatorAction.SET_INTENSITY, 1.0)]
+    events += [OperatorAct(56 * MS, OperatorAction.TEST_BURST, 0.0)]
+    events += [ImuSample(t_ms * MS, FOOT, t_ms * MS, STANDS, (0.001 * t_ms, 0.0, 0.0)) for t_ms in (60, 61)]
+    for event in events:
+        live.runner.handle(event)
+    live.runner.all_off()
+    log.close({"ended": "complete"})
+    assert live.gate.latched == ""
+    assert [command.current_ma for command in stimulator.sent[-3:]] == [0.0, 1.0, 0.0]
+    assert repeat(path).now.commands == stimulator.sent
+
+
+@pytest.mark.parametrize(
+    ("device", "said"),
+    [
+        ("can", ""),
+        ("canopen", ""),
+        ("p24_low_level", "electrode not known until the first pulse at 15 mA (channel 0, 3)"),
+        ("p24_mid_level", "electrode not known until the first pulse at 15 mA (channel 0, 3)"),
+        ("rehastim2", "electrode not known until the first pulse (channel 0, 3)"),
+    ],
+)
+def test_what_a_stimulator_cannot_tell_of_its_electrodes_is_said(
+    device: Literal["can", "canopen", "p24_low_level", "p24_mid_level", "rehastim2"], said: str
+) -> None:
+    from_ma = electrodes_told_from_ma(StimulatorDevice(device=device, port="/dev/ttyUSB0"))
+    electrodes = Electrodes([3, 0], from_ma)
+    assert electrodes.unknown() == said
+    electrodes.note(StimStatus(1, 0, 0, True, (from_ma or 1.0) - 0.5, 300.0, 40.0, fault="open lead"))
+    electrodes.note(StimStatus(1, 0, 0, False, 0.0, 0.0, 0.0))
+    if from_ma:
+        electrodes.note(StimStatus(1, 0, 0, True, from_ma - 0.5, 300.0, 40.0))
+    assert electrodes.unknown() == said
+    electrodes.note(StimStatus(2, 0, 0, True, from_ma or 1.0, 300.0, 40.0))
+    assert electrodes.unknown() == said.replace("0, ", "")
+    electrodes.note(StimStatus(3, 3, 0, True, 20.0, 300.0, 40.0))
+    assert electrodes.unknown() == ""
+    electrodes.note(StimOpened(4, 9))
+    assert electrodes.unknown() == said
+
+
+OTHER = SENSOR.replace("right", "left")
+STIMULATOR = '[stimulator]\ndevice = "rehastim2"\nport = "/dev/nothing-here"\n'
+FOOT_SWITCH = '[[foot_switches]]\nfoot = "{}_foot"\nsource = "{}"\nport = "/dev/nothing-here"\n'
+BUTTON = '[live.stop_button]\nsource = "serial_cts"\nport = "/dev/nothing-here"\n'
+LSL = SENSOR.replace("xbus", "lsl")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (f"{SENSOR}\n{OTHER}", "left_foot and right_foot are both on port /dev/nothing-here"),
+        (f"{LSL}\n{OTHER.replace('xbus', 'lsl')}", "both on LSL stream /dev/nothing-here channel acc_x"),
+        (
+            f'{LSL}options = {{ gyr_z = "w" }}\n' + OTHER.replace("xbus", "lsl") + 'options = { acc_x = "w" }\n',
+            "both on LSL stream /dev/nothing-here channel w",
+        ),
+        (f"{SENSOR}\n{STIMULATOR}", "right_foot and the stimulator are both on port /dev/nothing-here"),
+        (f"{STIMULATOR}\n{BUTTON}", "the stop button and the stimulator are both on port /dev/nothing-here"),
+        (f"{SENSOR}\n{BUTTON}", "the stop button and right_foot are both on port /dev/nothing-here"),
+        (
+            f"{STIMULATOR}\n{FOOT_SWITCH.format('left', 'serial_dsr')}",
+            "the foot switch of left_foot and the stimulator are both on port /dev/nothing-here",
+        ),
+        (
+            FOOT_SWITCH.format("left", "serial_cts") + BUTTON,
+            "the stop button and the foot switch of left_foot are both on input serial_cts of port /dev/nothing-here",
+        ),
+        (
+            FOOT_SWITCH.format("left", "can_bit") + FOOT_SWITCH.format("right", "can_bit"),
+            "right_foot and the foot switch of left_foot are both on bit 0 of identifier 0x0",
+        ),
+    ],
+)
+def test_nothing_is_fed_by_what_feeds_another(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=rf"session\.toml: .*{said}; each needs its own"):
+        session(tmp_path, text)
+
+
+def test_what_can_be_shared_may_be(tmp_path: Path) -> None:
+    labels = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
+    moved = "options = { " + ", ".join(f'{label} = "left_{label}"' for label in labels) + " }\n"
+    both = f"{LSL}\n{OTHER.replace('xbus', 'lsl')}{moved}"
+    assert len(session(tmp_path, f"{both}\n{STIMULATOR}").sensors) == 2  # a stream is no port
+    on_bus = SENSOR.replace("xbus", "xsens_can").replace("/dev/nothing-here", "bus")
+    assert len(session(tmp_path, on_bus + on_bus.replace("right", "left")).sensors) == 2
+    two_inputs = FOOT_SWITCH.format("left", "serial_cts") + FOOT_SWITCH.format("right", "serial_dsr")
+    assert len(session(tmp_path, two_inputs).foot_switches) == 2
+
+
+def test_the_serial_ports_of_a_session_are_each_named_once(tmp_path: Path) -> None:
+    text = (
+        f"{SENSOR}\n{SENSOR.replace('right', 'left').replace('xbus', 'lsl')}\n"
+        '[stimulator]\ndevice = "rehastim2"\nport = "/dev/nor-here"\n'
+    )
+    assert serial_ports_of(session(tmp_path, text)) == ["/dev/nothing-here", "/dev/nor-here"]
+    assert serial_ports_of(load_session(SETTINGS)) == []
+
+
+@pytest.mark.parametrize("step", ["wide", None, [], {}, 0, -0.5, 1e9, True])
+def test_a_log_with_nonsense_for_the_step_is_refused(tmp_path: Path, step: object) -> None:
+    header = live_header(load_session(SETTINGS), {}, 1, "", 0) | {"current_step_ma": step}
+    log = SessionWriter(tmp_path / "s.feslog", header)
+    log.close({"ended": "complete"})
+    with pytest.raises(SessionLogError, match="cannot be replayed"):
+        repeat(tmp_path / "s.feslog")
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"stim_session_id": -5}, "stim_session_id = -5"),
+        ({"stim_session_id": 65536}, "stim_session_id = 65536"),
+        ({"rate_hz": 1e300}, "rate_hz of right_foot is 1e"),
+        ({"up": (0.0, 0.0, 0.0)}, "up of right_foot is no unit vector"),
+        ({"up": "abc"}, "could not convert"),
+        ({"gyr_bias_radps": (math.inf, 0.0, 0.0)}, "a bias of right_foot is not finite"),
+        ({"rest_gyr_radps": "still"}, ""),
+    ],
+)
+def test_a_log_with_nonsense_for_identifier_or_calibration_is_refused(
+    tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    header = live_header(load_session(SETTINGS), {FOOT: CALIBRATION}, 1, "", 0)
+    (header if "stim_session_id" in change else header["calibration"][FOOT]).update(change)
+    log = SessionWriter(tmp_path / "s.feslog", header)
+    log.event(Tick(1))
+    log.close({"ended": "complete"})
+    with pytest.raises(SessionLogError, match=f"s.feslog: .* cannot be replayed .*{said}"):
+        repeat(tmp_path / "s.feslog")

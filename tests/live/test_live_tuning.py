@@ -1,0 +1,190 @@
+"""What a person can do to the tuning in a live session, and what the session tells of it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import StringIO
+
+import pytest
+from rich.console import Console
+from test_tuning_controller import MS, STRIDE_MS, Walk, full, tuned_session
+
+from fes.calibration.foot_track import calibrate
+from fes.config import Session
+from fes.control.controller import Controller
+from fes.estimation.foot.calibration import FootCalibration
+from fes.gate import gate_of
+from fes.live.commands import NEEDS_CONFIRMATION, Ask, Order, orders_of_keys
+from fes.live.operator import AGAIN_NS, Operator, Refusal, TuningOrders
+from fes.live.status import Status, TuningStatus, tuning_status
+from fes.live.terminal_view import picture
+from fes.session_log import Note
+from fes.signals import OperatorAct, OperatorAction
+
+AT_NS = (5 * STRIDE_MS + 700) * MS
+
+
+@pytest.fixture(scope="module")
+def calibrations() -> dict[str, FootCalibration]:
+    from replays import trial
+
+    return calibrate(trial("example_csv"))[0]
+
+
+def dragging(mode: str, calibrations: dict[str, FootCalibration], strides: int = 6) -> Walk:
+    """A foot whose toe is always 2 mm above the ground, the target being 12–35."""
+    return Walk(tuned_session(mode), calibrations, [0.002] * 20).until(strides, [full()])
+
+
+def pressed(ask: Ask) -> Order:
+    return Order(ask)
+
+
+def over_control(ask: Ask) -> Order:
+    return Order(ask, origin="control")
+
+
+def test_the_keys_of_the_tuning() -> None:
+    asked = [Ask.FREEZE_TUNING, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK]
+    assert [order.ask for order in orders_of_keys(b"fgyr")] == asked
+    assert set(asked[1:]) <= NEEDS_CONFIRMATION  # freezing alone can never lead to more current
+    assert Ask.FREEZE_TUNING not in NEEDS_CONFIRMATION
+
+
+def test_a_suggestion_is_accepted_by_the_second_press_and_acts_from_the_next_burst_on(
+    calibrations: dict[str, FootCalibration],
+) -> None:
+    walk = dragging("suggest", calibrations)
+    orders = TuningOrders(walk.controller)
+    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS) == []
+    assert orders.message == "channel 0, accept: current 30.0 → 32.0 mA? y again"
+    acts = orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS)
+    assert acts == [OperatorAct(AT_NS + AGAIN_NS, OperatorAction.ACCEPT_SUGGESTION, 0.0)]
+    assert "from the next burst on" in orders.message
+    walk.take(acts[0])
+    assert walk.controller.tuning.parameters()[0].current_ma == 32.0
+    with pytest.raises(Refusal, match="nothing is suggested for channel 0"):
+        orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS)
+
+
+def test_a_second_press_too_late_or_for_something_else_only_asks_again(
+    calibrations: dict[str, FootCalibration],
+) -> None:
+    walk = dragging("suggest", calibrations)
+    orders = TuningOrders(walk.controller)
+    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS) == []
+    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 1) == []
+    tuner = walk.controller.tuning.tuners[0]
+    assert tuner.pending is not None
+    tuner.pending = replace(tuner.pending, current_ma=31.0)  # the foot took another step meanwhile
+    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 2) == []
+    assert "30.0 → 31.0 mA" in orders.message
+    assert orders.take(pressed(Ask.ROLL_BACK), 0, AT_NS + AGAIN_NS + 3) == []
+    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 4) == []  # the roll-back came between
+    assert len(orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 5)) == 1
+
+
+def test_over_the_control_socket_the_messages_confirmation_is_enough(
+    calibrations: dict[str, FootCalibration],
+) -> None:
+    walk = dragging("suggest", calibrations)
+    acts = TuningOrders(walk.controller).take(over_control(Ask.ACCEPT_SUGGESTION), 0, AT_NS)
+    assert [act.action for act in acts] == [OperatorAction.ACCEPT_SUGGESTION]
+
+
+def test_freezing_going_on_and_rolling_back(calibrations: dict[str, FootCalibration]) -> None:
+    walk = dragging("act", calibrations)
+    orders = TuningOrders(walk.controller)
+    assert walk.controller.tuning.parameters()[0].current_ma > 30.0
+    with pytest.raises(Refusal, match="not frozen"):
+        orders.take(pressed(Ask.RESUME_TUNING), 0, AT_NS)
+    (freeze,) = orders.take(pressed(Ask.FREEZE_TUNING), 0, AT_NS)
+    walk.take(freeze)
+    with pytest.raises(Refusal, match="frozen already"):
+        orders.take(pressed(Ask.FREEZE_TUNING), 0, AT_NS)
+    assert tuning_status(walk.controller.tuning)["0"].frozen == "on demand"
+    (go_on,) = orders.take(pressed(Ask.RESUME_TUNING), 0, AT_NS)
+    walk.take(go_on)
+    assert not walk.controller.tuning.tuners[0].frozen
+    assert orders.take(pressed(Ask.ROLL_BACK), 0, AT_NS) == []
+    assert "roll back and freeze: current 36.0 → 30.0 mA? r again" in orders.message
+    (back,) = orders.take(pressed(Ask.ROLL_BACK), 0, AT_NS)
+    walk.take(back)
+    status = tuning_status(walk.controller.tuning)["0"]
+    assert status.now == "30.0 mA, 300 µs"
+    assert status.last_change.startswith("back to the session's settings")
+    with pytest.raises(Refusal, match="is frozen"):
+        orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS)
+
+
+def test_what_does_not_tune_itself_is_refused_in_words(calibrations: dict[str, FootCalibration]) -> None:
+    orders = TuningOrders(dragging("act", calibrations).controller)
+    with pytest.raises(Refusal, match="channel 5 does not tune itself"):
+        orders.take(pressed(Ask.ROLL_BACK), 5, AT_NS)
+    untuned = TuningOrders(Controller(tuned_session("off"), calibrations))
+    for ask in (Ask.FREEZE_TUNING, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK):
+        with pytest.raises(Refusal, match="no channel of this session tunes itself"):
+            untuned.take(pressed(ask), 0, AT_NS)
+
+
+def operator_of(session: Session, controller: Controller, notes: list[Note]) -> Operator:
+    return Operator(session, controller, gate_of(session, {}), {}, {}, notes.append, lambda: None)
+
+
+def test_the_operator_carries_orders_and_notes_refusals(calibrations: dict[str, FootCalibration]) -> None:
+    walk = dragging("suggest", calibrations)
+    notes: list[Note] = []
+    operator = operator_of(tuned_session("suggest"), walk.controller, notes)
+    assert operator.order(Order(Ask.ACCEPT_SUGGESTION), AT_NS) == []
+    assert operator.message.endswith("y again")
+    assert notes == []
+    acts = operator.order(Order(Ask.ACCEPT_SUGGESTION), AT_NS + MS)
+    assert acts == [OperatorAct(AT_NS + MS, OperatorAction.ACCEPT_SUGGESTION, 0.0)]
+    assert operator.order(Order(Ask.RESUME_TUNING), AT_NS) == []
+    assert (notes[-1].severity, notes[-1].text) == ("warning", "tuning is not frozen")
+
+
+def test_the_status_tells_of_suggestion_change_reason_and_charge(calibrations: dict[str, FootCalibration]) -> None:
+    suggesting = tuning_status(dragging("suggest", calibrations).controller.tuning)["0"]
+    assert suggesting.mode == "suggest"
+    assert suggesting.suggestion == "current 30.0 → 32.0 mA"
+    assert "toe clearance 2 mm (target 12–35)" in suggesting.why
+    assert suggesting.last_change == ""
+    walk = dragging("act", calibrations)
+    acting = tuning_status(walk.controller.tuning)["0"]
+    assert (acting.suggestion, acting.why) == ("", "")
+    assert "more is needed: current 34.0 → 36.0 mA" in acting.last_change
+    assert 0 < acting.last_change_ns < 6 * STRIDE_MS * MS
+    ledger = walk.controller.tuning.ledger.electrodes[0]
+    assert acting.step_uc == round(ledger.steps_uc[-1], 1) > 0.0
+    assert acting.session_uc == round(ledger.session_uc, 1) >= acting.minute_uc > acting.step_uc
+    status = Status(5, "running", tuning={"0": acting})
+    assert Status.decode(status.encode()) == status
+    assert json.loads(status.encode())["tuning"]["0"]["mode"] == "act"
+
+
+def drawn(status: Status) -> str:
+    console = Console(width=200, record=True, file=StringIO())
+    console.print(picture(status))
+    return console.export_text()
+
+
+def test_the_terminal_view_shows_it() -> None:
+    told = TuningStatus(
+        mode="suggest", now="30.0 mA, 300 µs", suggestion="current", why="suggested: toe low: current 30.0 → 32.0 mA",
+        last_change="suggestion accepted by the operator", hint="the muscle may be tiring", step_uc=240.0,
+        minute_uc=9400.0, session_uc=12300.0,
+    )  # fmt: skip
+    shown = drawn(Status(1, "running", tuning={"0": told}))
+    for words in (
+        "channel 0: tuning suggest, next burst 30.0 mA, 300 µs",
+        "240 µC a step, 9.40 mC this minute, 12.30 mC",
+        "toe low: current 30.0 → 32.0 mA (y accepts)",
+        "last change: suggestion accepted",
+        "may be tiring",
+        "f freeze · g go on · y accept · r roll back",
+    ):
+        assert words in shown
+    assert "FROZEN (on demand)" in drawn(Status(1, "running", tuning={"0": replace(told, frozen="on demand")}))
+    assert "channel 0:" not in drawn(Status(1, "running", tuning={"0": TuningStatus()}))

@@ -1,0 +1,155 @@
+"""The page in a real browser, told made-up things: every state in words, nothing smuggled in, nothing hidden."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page_browser import CHROMIUM, Page, chromium
+
+from fes.live.commands import State
+from fes.live.dashboard.process import PageProcess
+from fes.live.status import FootStatus, Status
+from fes.session_log import Note
+from fes.signals import NS_PER_S, StimCommand, StrideResult
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+
+SMUGGLED = '<img src="/x" onerror="document.title=1"><script>document.title=2</script>'
+FOOT = FootStatus("swing", True, 3, 1.234, 0.6, 500.0, 1.0)
+SHOWN = Status(t_ns=NS_PER_S, state="running", intensity=0.2, on=True, feet={"right_foot": FOOT}, stimulator="open")
+REMEMBER = """
+window.sockets = [];
+window.WebSocket = class extends WebSocket {
+  constructor(...given) {
+    super(...given);
+    this.seen = 0;
+    sockets.push(this);
+    this.addEventListener("message", () => this.seen++);
+  }
+};
+"""
+ABOUT = {
+    "mode": "live",
+    "name": f"Trial {SMUGGLED}",
+    "most_intensity": 0.6,
+    "intensity_step": 0.05,
+    "channels": [{"number": 0, "name": SMUGGLED, "foot": "right_foot", "current_ma": 30.0, "most_ma": 40.0}],
+    "feet": ["right_foot"],
+}
+
+
+@pytest.fixture(scope="module")
+def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
+    with PageProcess(tmp_path_factory.mktemp("page"), ABOUT) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def page(process: PageProcess, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with chromium(tmp_path_factory.mktemp("browser")) as made:
+        made.size(1024, 768)
+        made.call("Page.addScriptToEvaluateOnNewDocument", source=REMEMBER)
+        made.go(process.url)
+        made.until("document.getElementById('session-name').textContent !== ''")
+        yield made
+
+
+def until(process: PageProcess, page: Page, status: Status, expression: str) -> None:
+    """Tell it, as a session would, until the page shows it."""
+    end_s = time.monotonic() + 20
+    while not page.run(expression):
+        assert time.monotonic() < end_s, page.run("document.body.innerText")
+        process.feed.tell(status.encode())
+        time.sleep(0.05)
+
+
+@pytest.mark.parametrize("state", State)
+def test_every_state_is_said_in_words_and_the_stop_is_in_view(
+    process: PageProcess, page: Page, state: State, tmp_path: Path
+) -> None:
+    current = state in (State.ARMED, State.RUNNING)
+    fault = {State.FAULT: "right_foot: sensor lost", State.STOPPED: "emergency stop"}.get(state, "")
+    status = replace(SHOWN, state=str(state), on=current, fault=fault)
+    until(process, page, status, f"document.body.dataset.state === '{state}'")
+    assert page.text("#state-word").isupper()
+    assert len(page.text("#state-text")) > 10
+    assert ("sensor lost" in page.text("#state-text")) == (state is State.FAULT)
+    assert page.text("#current") == ("⚡ Current ON" if current else "No current")
+    for width, height in ((768, 1024), (1280, 720), (1024, 600)):
+        page.size(width, height)
+        box = page.run(
+            "(r => [r.left, r.top, r.right, r.bottom])(document.getElementById('stop').getBoundingClientRect())"
+        )
+        assert 0 <= box[0] < box[2] <= width
+        assert 0 <= box[1] < box[3] <= height
+        assert box[2] - box[0] >= 200
+        assert box[3] - box[1] >= 80
+        assert page.run("document.documentElement.scrollWidth") <= width
+    assert page.run("document.getElementById('arm').disabled") == (
+        state not in (State.SHADOW, State.STOPPED, State.FAULT)
+    )
+    assert page.run("document.getElementById('up').disabled") == (not (current or state is State.SHADOW))
+
+
+def test_names_and_messages_are_text_and_nothing_else(process: PageProcess, page: Page) -> None:
+    process.feed.note(Note(2 * NS_PER_S, "fault", "gate", SMUGGLED))
+    made = StrideResult("right_foot", 1, 0, NS_PER_S, 1.25, 0.08, 0.0, 0.0, 0.6, 1, 2, 3, 4)
+    process.feed.stride(replace(made, trajectory_m=np.linspace((0.0, 0.0, 0.0), (1.25, 0.0, 0.0), 50)))
+    process.feed.stride(replace(made, number=2, valid=False, reason=SMUGGLED, stride_length_m=float("nan")))
+    process.feed.command(StimCommand(NS_PER_S, 0, True, 12.5, 300.0, 40.0, 60))
+    unmeasured = replace(FOOT, stride_length_m=float("nan"), speed_mps=float("nan"))
+    status = replace(SHOWN, message=SMUGGLED, remarks=[SMUGGLED], feet={"right_foot": unmeasured})
+    until(process, page, status, "document.querySelectorAll('#strides tr').length === 2")
+    assert SMUGGLED in page.text("#session-name")
+    assert SMUGGLED in page.text("#notes")
+    assert SMUGGLED in page.text("#channels")
+    assert SMUGGLED in page.text("#strides")
+    assert SMUGGLED in page.text("#message")
+    assert page.text("#sent-0") == "12.5 mA"
+    assert page.text("#foot-right_foot .length") == "–"
+    assert "1.25" in page.text("#strides")
+    assert page.run("document.querySelectorAll('main img, main script, footer img').length") == 0
+    assert page.run("document.title").startswith("FES")
+    assert page.console == []
+
+
+def test_a_connection_that_comes_back_shows_nothing_twice(process: PageProcess, page: Page) -> None:
+    for k in range(100):
+        process.feed.command(StimCommand(NS_PER_S + k * 20_000_000, 0, True, 9.0, 300.0, 40.0, 60))
+    later = replace(SHOWN, t_ns=3 * NS_PER_S)
+    drawn = "Number(document.getElementById('envelope').dataset.drawn)"
+    until(process, page, later, f"{drawn} >= 100 && document.querySelectorAll('#strides tr').length === 2")
+    before = page.run(drawn)
+    page.run("sockets.at(-1).close()")
+    until(process, page, later, "sockets.length > 1 && sockets.at(-1).seen > 2")
+    until(process, page, later, "document.querySelectorAll('#strides tr').length === 2")
+    assert page.run(drawn) <= before
+    assert page.text("#link-text") == "this page controls"
+
+
+def test_silence_is_said_to_be_old_and_the_space_bar_stops(process: PageProcess, page: Page) -> None:
+    until(process, page, SHOWN, "document.body.dataset.state === 'running'")
+    page.until("document.body.dataset.state === 'lost'")  # nothing is told any more
+    assert "Nothing is heard of the session" in page.text("#alarm")
+    assert page.text("#current") == "Current unknown"
+    assert page.run("document.getElementById('up').disabled")
+    page.call("Input.dispatchKeyEvent", type="keyDown", key=" ", code="Space", text=" ")
+    process.feed.link.settimeout(10.0)
+    assert process.feed.link.recv(100) == b'{"ask":"stop"}'
+    process.feed.link.setblocking(False)
+
+
+def test_a_page_opened_without_a_link_stops_all_the_same(process: PageProcess, tmp_path: Path) -> None:
+    with chromium(tmp_path / "browser") as stranger:
+        stranger.go(process.url.partition("#")[0])
+        stranger.until("!document.getElementById('alarm').hidden")
+        assert stranger.text("#session-name") == ""
+        stranger.press("#stop")
+        process.feed.link.settimeout(10.0)
+        assert process.feed.link.recv(100) == b'{"ask":"stop"}'
+        process.feed.link.setblocking(False)

@@ -1,0 +1,151 @@
+"""The report in a real browser: no complaint, no request, plots drawn, definitions shown, a summary of one page."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import report_records as make
+from page_browser import CHROMIUM, Page, chromium
+
+from fes.report.page import write_report
+from fes.session_log import SessionRecord
+
+A4_WIDTH_PX, A4_HEIGHT_PX = 703, 1009  # what the margins leave of the sheet, at 96 pixels per inch
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+
+
+def opened(path: Path, profile: Path) -> tuple[str, str]:
+    """The page after its script has run, and what the browser logged."""
+    command = [
+        str(CHROMIUM),
+        *("--headless", "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-dev-shm-usage"),
+        *(f"--user-data-dir={profile}", "--window-size=1280,2000", "--virtual-time-budget=2000"),
+        *("--enable-logging=stderr", "--dump-dom", path.as_uri()),
+    ]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    return done.stdout, "\n".join(line for line in done.stderr.splitlines() if "CONSOLE" in line)
+
+
+def test_plots_are_drawn_and_the_console_is_silent(tmp_path):
+    record = make.walk(6, rate_hz=500.0)
+    record.samples["left_foot"].acc_mps2[200:260] = np.nan
+    write_report(record, tmp_path / "report.html")
+    page, console = opened(tmp_path / "report.html", tmp_path / "profile")
+    assert console == ""
+    assert 'data-drawn="6"' in page  # two feet with two signals each, the current, and the whole session
+    assert page.count("<canvas") == 6
+    selected = re.search(r'class="chart overview".*?u-select" style="[^"]*width: ([\d.]+)px', page, re.S)
+    assert selected
+    assert float(selected.group(1)) > 100
+
+
+def test_a_session_without_anything_is_no_error_in_the_browser(tmp_path):
+    write_report(SessionRecord({}), tmp_path / "report.html")
+    page, console = opened(tmp_path / "report.html", tmp_path / "profile")
+    assert console == ""
+    assert 'data-drawn="0"' in page
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report")
+    write_report(make.walk(30, rate_hz=200.0), folder / "report.html")
+    with chromium(folder / "profile") as browser:
+        browser.size(1280, 900)
+        browser.go((folder / "report.html").as_uri())
+        yield browser
+
+
+TIP = "document.getElementById('tip')"
+TERM = "document.querySelector('#parameters tbody a.term')"
+
+
+def test_nothing_is_asked_of_any_network_and_nothing_complained_of(page: Page):
+    assert page.run("performance.getEntriesByType('resource').length") == 0
+    assert page.console == []
+
+
+def test_a_definition_shows_on_hover_focus_and_touch(page: Page):
+    page.scroll_to("#parameters tbody a.term")
+    assert page.run(f"{TIP}.hidden")
+    x, y = page.middle("#parameters tbody a.term")
+    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    shown = page.until(f"!{TIP}.hidden && {TIP}.textContent")
+    assert shown.startswith("stride length (SL): Horizontal distance of the foot between two of its mid-stances.")
+    assert "Wang et al. 2013" in shown
+    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
+    assert page.until(f"{TIP}.hidden")
+
+    page.run(f"{TERM}.focus()")
+    assert page.run(f"{TIP}.textContent") == shown
+    assert page.run(f"{TERM}.getAttribute('aria-describedby')") == "tip"
+    box = page.run(f"(r => [r.left, r.top, r.right, r.bottom])({TIP}.getBoundingClientRect())")
+    assert 0 <= box[0] < box[2] <= 1280
+    assert 0 <= box[1] < box[3] <= 900
+    page.call("Input.dispatchKeyEvent", type="keyDown", key="Escape")
+    assert page.run(f"{TIP}.hidden")
+    page.run(f"{TERM}.blur()")
+
+    page.size(820, 1180, touch=True)
+    page.scroll_to("#parameters tbody a.term")
+    place = page.run("location.hash")
+    page.tap("#parameters tbody a.term")
+    assert page.until(f"!{TIP}.hidden && {TIP}.textContent") == shown
+    assert page.run("location.hash") == place  # it explains, and does not jump away
+    assert page.run("document.documentElement.scrollWidth") <= 820
+    page.size(1280, 900)
+
+
+def test_the_space_figure_turns_by_keys_buttons_and_pointer(page: Page):
+    first = "document.querySelector('svg.space path').getAttribute('d')"
+    drawn = page.run(first)
+    page.run("document.querySelector('svg.space').focus()")
+    page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft")
+    turned = page.run(first)
+    assert turned != drawn
+    page.call("Input.dispatchKeyEvent", type="keyDown", key="Home")
+    # drawn by the report and by the script alike, but for a tenth of a pixel
+    numbers = [[float(v) for v in re.findall(r"[\d.]+", d)] for d in (drawn, page.run(first))]
+    np.testing.assert_allclose(numbers[0], numbers[1], atol=0.2)
+    page.run("document.querySelector('.turn button[aria-label=\"Look from above\"]').click()")
+    assert page.run(first) != drawn
+    page.scroll_to("svg.space")
+    x, y = page.middle("svg.space")
+    before = page.run(first)
+    for kind, at in (("mousePressed", x), ("mouseMoved", x + 40), ("mouseReleased", x + 40)):
+        page.call("Input.dispatchMouseEvent", type=kind, x=at, y=y, button="left", clickCount=1)
+    assert page.run(first) != before
+
+
+def test_the_printed_summary_is_the_first_page(page: Page, tmp_path):
+    """Laid out for A4 it ends before the sheet does, and what follows begins on the next."""
+    page.call("Emulation.setEmulatedMedia", media="print")
+    page.size(A4_WIDTH_PX, A4_HEIGHT_PX)
+    page.call("Emulation.setEmulatedMedia", media="print")
+    bottom = page.run("document.getElementById('summary').getBoundingClientRect().bottom + scrollY")
+    assert 300 < bottom < A4_HEIGHT_PX
+    assert page.run("getComputedStyle(document.getElementById('summary')).breakAfter") == "page"
+    assert page.run("getComputedStyle(document.querySelector('nav')).display") == "none"
+    page.call("Emulation.setEmulatedMedia", media="")
+    page.size(1280, 900)
+    pdf = base64.b64decode(page.call("Page.printToPDF", preferCSSPageSize=True)["data"])
+    assert 4 <= len(re.findall(rb"/Type /Page\b(?!s)", pdf)) <= 20
+    if (reader := shutil.which("pdftotext")) is None:
+        return
+    (tmp_path / "report.pdf").write_bytes(pdf)
+    told = subprocess.run(
+        [reader, "-layout", str(tmp_path / "report.pdf"), "-"], capture_output=True, text=True, check=True
+    ).stdout.split("\f")
+    assert "No fault found in data and stimulation" in told[0]
+    assert "Stimulation dose" in told[0]
+    assert "page 1 of" in told[0]
+    assert "Gait parameters" not in told[0]
+    assert "Gait parameters" in told[1]
+    assert all("not a medical device" in sheet for sheet in told[:-1])

@@ -1,0 +1,104 @@
+"""Tuning and charge in summary, table and report: what the log says, and what the controller booked."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+
+import pytest
+from report_records import T0, S, channel, header, walk
+from rich.console import Console
+from test_one_process import run
+
+from fes.report.page import render_report
+from fes.report.summary import summarise
+from fes.report.tables import summary_block
+from fes.report.tuning import TuningRow, dose_rows, tuning_rows
+from fes.session_log import Note, SessionRecord, read_session
+
+TEXTS = {
+    "change": "toe clearance 4 mm (target 12–35) in this stride: current 30.0 → 32.0 mA",
+    "suggestion": "suggested: toe clearance 4 mm: current 30.0 → 32.0 mA",
+    "skip": "stride 17 skipped: the foot turned by 34°",
+    "roll_back": "toe clearance 4 mm has got worse with the last changes: rolled back, current 32.0 → 30.0 mA",
+    "frozen": "tuning is frozen (on demand); the settings stay as they are",
+    "hint": "response per charge has fallen to 74 % of what it was at first",
+}
+
+
+def notes() -> list[Note]:
+    return [Note(T0 + n * S, "info", "tuning", f"channel {n % 2}: {text}") for n, text in enumerate(TEXTS.values())] + [
+        Note(T0, "info", "session", "channel 0: suggested: no")
+    ]
+
+
+def test_every_kind_of_note_is_told_apart() -> None:
+    rows = tuning_rows(notes(), T0)
+    assert [row.kind for row in rows] == list(TEXTS)
+    assert rows[1] == TuningRow(1.0, 1, "suggestion", TEXTS["suggestion"])
+    more = ["back to the session's settings, tuning is frozen: x", "still going back: x", "tuning goes on"]
+    kinds = [row.kind for row in tuning_rows([Note(0, "info", "tuning", f"channel 0: {text}") for text in more], 0)]
+    assert kinds == ["roll_back", "roll_back", "frozen"]
+    assert tuning_rows([Note(0, "info", "tuning", "of no channel")], 0) == (
+        TuningRow(0.0, -1, "change", "of no channel"),
+    )
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> SessionRecord:
+    _, log = run(tmp_path_factory.mktemp("tuned"), "tuned.feslog", 26.0)
+    return read_session(log)
+
+
+def test_the_ledger_of_the_log_is_that_of_the_controller(ran: SessionRecord) -> None:
+    booked = ran.summary["dose"]["0"]
+    (row,) = summarise(ran).dose
+    assert row.session_mc == pytest.approx(1e-3 * booked["session_uc"])
+    assert row.session_mc == pytest.approx(1e-3 * sum(status.charge_uc for status in ran.statuses))
+    assert (row.pulses, row.steps, row.estimated) == (booked["pulses"], booked["steps"], False)
+    assert row.median_step_uc == pytest.approx(booked["median_step_uc"], rel=0.01)
+    assert row.greatest_step_uc == pytest.approx(booked["greatest_step_uc"], rel=0.05)
+    assert sum(row.by_minute_mc) == pytest.approx(row.session_mc)
+    assert len(row.by_minute_mc) == 1
+
+
+def test_summary_table_and_report_show_it(ran: SessionRecord) -> None:
+    summary = summarise(ran)
+    console = Console(width=400, record=True, file=StringIO())
+    console.print(summary_block(summary))
+    shown = console.export_text()
+    assert "µC a step (median; most" in shown
+    assert "tuning made" in shown
+    plain = json.loads(json.dumps(summary.to_json()))
+    assert plain["dose"][0]["session_mc"] > 1.0
+    assert {row["kind"] for row in plain["tuning"]} >= {"change", "skip"}
+    report = render_report(ran)
+    for words in (
+        "Charge of each electrode pair",
+        "Toe clearance and target, Tibialis anterior",
+        "What the tuning set, Tibialis anterior",
+        "12.0 → 14.0 mA",
+    ):
+        assert words in report
+    assert render_report(ran) == report
+
+
+def test_a_session_without_tuning_has_its_charge_and_no_tuning(tmp_path: Path) -> None:
+    record = walk()
+    assert summarise(record).tuning == ()
+    report = render_report(record)
+    assert "Charge of each electrode pair" in report
+    assert 'id="tuning"' not in report
+    silent = replace(record, statuses=[], commands=[])
+    assert summarise(silent).dose == ()
+    assert "Charge of each electrode pair" not in render_report(silent)
+
+
+def test_hostile_texts_are_shown_as_text() -> None:
+    record = replace(walk(), notes=[Note(T0 + S, "info", "tuning", "channel 0: <script>alert(1)</script>")])
+    assert "<script>alert(1)" not in render_report(record)
+    nobody = replace(record, header=header([channel(0, "left_foot", "<b>x</b>")]))
+    assert "<b>x</b>" not in render_report(nobody)
+    assert len(dose_rows(record, None, T0)) >= 1  # settings that cannot be read: by the channels' numbers

@@ -1,0 +1,284 @@
+"""The virtual patient walks as people do, drags a foot that hangs, and clears the ground when stimulated."""
+
+from __future__ import annotations
+
+import math
+from statistics import mean, median
+
+import numpy as np
+import pytest
+from virtual_walks import affected, walk
+
+from fes.signals import G_MPS2, NS_PER_S, ImuSample
+from fes.simulation.forward import DeliveredPulse, MuscleSettings, PatientSettings, VirtualPatient, settings_for
+from fes.simulation.forward.gait_patterns import PATTERNS, joint_curves, stride_time_s
+from fes.simulation.sensor import PERFECT, ImuModel
+
+DROP = PatientSettings(seed=3, speed_mps=0.8)
+
+
+def values(samples: list[ImuSample]) -> list[tuple[object, ...]]:
+    return [(s.t_ns, s.sensor, s.acc_mps2, s.gyr_radps) for s in samples]
+
+
+def train(begin_s: float, end_s: float, current_ma: float = 25.0, channel: int = 0) -> list[DeliveredPulse]:
+    return [
+        DeliveredPulse(round(t * NS_PER_S), channel, current_ma, 300.0)
+        for t in np.arange(begin_s, end_s, 0.025).tolist()
+    ]
+
+
+def test_any_step_size_gives_the_same_bits() -> None:
+    pulses = train(5.0, 8.0)
+    whole = VirtualPatient(DROP)
+    expected = values(whole.advance(9 * NS_PER_S, pulses))
+    for step_ns in (3_000_000, 10_000_000, 333_333_333):
+        cut, got, given = VirtualPatient(DROP), [], 0
+        for t_ns in [*range(step_ns, 9 * NS_PER_S, step_ns), 9 * NS_PER_S]:
+            due = sum(pulse.t_ns <= t_ns for pulse in pulses)
+            got += cut.advance(t_ns, pulses[given:due])
+            given = due
+        assert values(got) == expected
+        assert cut.strides == whole.strides
+        assert cut.events == whole.events
+
+
+def test_pulses_that_come_late_by_less_than_the_delay_act_as_in_time() -> None:
+    pulses = train(5.0, 7.0)
+    in_time, late = VirtualPatient(DROP), VirtualPatient(DROP)
+    expected = values(in_time.advance(8 * NS_PER_S, pulses))
+    got, given = [], 0
+    for t_ns in range(10_000_000, 8 * NS_PER_S + 1, 10_000_000):
+        due = sum(pulse.t_ns <= t_ns - 20_000_000 for pulse in pulses)
+        got += late.advance(t_ns, pulses[given:due])
+        given = due
+    assert values(got) == expected
+
+
+def test_the_seed_and_nothing_else_decides() -> None:
+    one, same, other = (VirtualPatient(PatientSettings(seed=seed)) for seed in (1, 1, 2))
+    a, b, c = (values(patient.advance(7 * NS_PER_S)) for patient in (one, same, other))
+    assert a == b
+    assert a != c
+
+
+def test_time_does_not_run_backward() -> None:
+    patient = VirtualPatient(DROP)
+    patient.advance(NS_PER_S)
+    with pytest.raises(ValueError, match="cannot go back"):
+        patient.advance(NS_PER_S - 1_000_000)
+
+
+def test_standing_sensors_feel_gravity_and_nothing_else() -> None:
+    patient = VirtualPatient(PatientSettings(imu=PERFECT))
+    samples = patient.advance(3 * NS_PER_S)
+    assert {s.sensor for s in samples} == {"left_foot", "right_foot", "left_shank", "right_shank"}
+    assert len(samples) == 4 * 300
+    assert max(abs(math.hypot(*s.acc_mps2) - G_MPS2) for s in samples) < 0.02
+    assert max(math.hypot(*s.gyr_radps) for s in samples) < 0.01
+
+
+def test_a_healthy_walk_has_healthy_numbers() -> None:
+    patient, _ = walk(settings_for("healthy", speed_mps=1.3), 25.0)
+    strides = affected(patient, 4)
+    assert mean(s.stride_length_m for s in strides) == pytest.approx(1.3 * stride_time_s(1.3, 1.75), rel=0.04)
+    assert 0.008 < median(s.toe_clearance_m for s in strides) < 0.03
+    assert all(12.0 < math.degrees(s.pitch_at_contact_rad) < 28.0 for s in strides)
+    assert not any(s.dragged or s.stumbled for s in strides)
+    swing = mean((s.t_contact_ns - s.t_foot_off_ns) * 1e-9 for s in strides) / stride_time_s(1.3, 1.75)
+    assert 0.33 < swing < 0.44
+    assert 0.20 < median(s.heel_clearance_m for s in strides) < 0.32
+
+
+def test_a_foot_stands_still_and_does_not_sink() -> None:
+    patient, _ = walk(settings_for("healthy", speed_mps=1.0), 20.0)
+    trace = patient.trace("left_foot")
+    for event, after in zip(patient.events, patient.events[1:], strict=False):
+        if event.foot == "left_foot" and event.kind == "foot_flat":
+            begin = event.t_ns * 1e-9 + 0.08
+            rows = (trace["t_s"] > begin) & (trace["t_s"] < begin + 0.15)
+            assert np.ptp(trace["x_m"][rows]) < 0.003
+            assert np.degrees(np.abs(trace["pitch_rad"][rows])).max() < 3.0
+        assert after.t_ns >= event.t_ns
+    assert trace["heel_m"].min() > -0.015
+
+
+def test_a_hanging_foot_drags_and_adequate_stimulation_clears_it() -> None:
+    hanging, _ = walk(DROP, 40.0)
+    lifted, _ = walk(DROP, 40.0, 22.0)
+    without, with_ = affected(hanging), affected(lifted)
+    assert median(s.toe_clearance_m for s in without) < 0.004
+    assert mean(s.dragged for s in without) > 0.3
+    assert sum(s.stumbled for s in without) > 0
+    assert 0.01 <= median(s.toe_clearance_m for s in with_) <= 0.03
+    assert not any(s.dragged or s.stumbled for s in with_)
+    assert median(s.pitch_at_contact_rad for s in with_) > median(s.pitch_at_contact_rad for s in without) + 0.2
+
+
+def test_more_charge_lifts_more_and_the_stretched_calf_holds_it_back() -> None:
+    clearance, pitch = [], []
+    for current_ma in (10.0, 16.0, 22.0, 34.0):
+        strides = affected(walk(DROP, 25.0, current_ma)[0])
+        clearance.append(median(s.toe_clearance_m for s in strides))
+        pitch.append(median(s.pitch_at_contact_rad for s in strides))
+    assert clearance == sorted(clearance)
+    assert pitch == sorted(pitch)
+    assert clearance[-1] > clearance[0] + 0.01
+    assert 12.0 < math.degrees(pitch[-1]) < 25.0  # the knee is straight at contact: the calf pulls
+
+
+def test_stimulation_that_ends_before_contact_lets_the_foot_slap() -> None:
+    kept = affected(walk(DROP, 30.0, 24.0)[0])
+    cut = affected(walk(DROP, 30.0, 24.0, before_contact_s=0.15)[0])
+    assert median(s.pitch_at_contact_rad for s in cut) < median(s.pitch_at_contact_rad for s in kept) - 0.05
+    loading = [median((s.t_flat_ns - s.t_contact_ns) * 1e-9 for s in strides) for strides in (kept, cut)]
+    assert loading[1] < loading[0]
+
+
+def test_stimulation_that_comes_late_misses_the_low_point() -> None:
+    early = affected(walk(DROP, 30.0, 20.0)[0])
+    late = affected(walk(DROP, 30.0, 20.0, after_heel_off_s=0.62)[0])
+    assert median(s.toe_clearance_m for s in late) < median(s.toe_clearance_m for s in early) - 0.005
+
+
+def test_the_habit_of_lifting_the_leg_goes_when_the_foot_clears() -> None:
+    strides = affected(walk(DROP, 40.0, 24.0)[0], 0)
+    first, last = strides[1].toe_clearance_m, mean(s.toe_clearance_m for s in strides[-8:])
+    assert first > last + 0.01
+
+
+def test_a_stumble_shortens_the_step() -> None:
+    strides = affected(walk(settings_for("severe", seed=5, compensation=0.2), 60.0)[0], 2)
+    caught = [s.stride_length_m for s in strides if s.stumbled]
+    free = [s.stride_length_m for s in strides if not s.stumbled]
+    assert len(caught) >= 3
+    assert len(free) >= 3
+    assert mean(caught) < mean(free) - 0.03
+
+
+def test_an_electrode_that_comes_loose_and_a_muscle_that_tires() -> None:
+    patient, _ = walk(DROP, 20.0, 22.0)
+    assert patient.fitness > 0.9
+    patient.set_fitness(0.4)
+    assert patient.fitness == 0.4
+    loose, _ = walk(PatientSettings(seed=3, speed_mps=0.8, electrode_quality=0.4), 25.0, 22.0)
+    assert max(s.peak_torque_nm for s in affected(loose)) < 0.5
+    assert affected(loose)[0].charge_uc > 100.0  # it was delivered, and lost in the skin
+    for setter in (patient.set_fitness, patient.set_electrode_quality):
+        with pytest.raises(ValueError, match="from 0 to 1"):
+            setter(1.5)
+
+
+def test_pulses_of_another_channel_do_nothing() -> None:
+    quiet, other = VirtualPatient(DROP), VirtualPatient(DROP)
+    assert values(quiet.advance(8 * NS_PER_S)) == values(other.advance(8 * NS_PER_S, train(4.0, 8.0, channel=1)))
+
+
+@pytest.mark.parametrize("pattern", [name for name in PATTERNS if name != "none"])
+def test_each_hemiparetic_pattern_walks(pattern: str) -> None:
+    settings = settings_for("moderate", pattern=pattern, seed=4)
+    assert settings.speed_mps == PATTERNS[pattern].speed_mps
+    patient, _ = walk(settings, 40.0)
+    mine = affected(patient, 2)
+    other = [s for s in patient.strides if s.foot == "left_foot"][2:]
+    assert len(mine) >= 6
+    assert mean(s.stride_length_m for s in mine) == pytest.approx(mean(s.stride_length_m for s in other), rel=0.15)
+    swing = [mean((s.t_contact_ns - s.t_foot_off_ns) * 1e-9 for s in strides) for strides in (mine, other)]
+    assert swing[0] > swing[1]  # Wang et al., Table 2: the afflicted leg swings longer
+
+
+def test_the_hiked_and_the_swung_leg_show() -> None:
+    hiked, swung, flat = (
+        walk(settings_for("moderate", pattern=f"hemiparetic_{n}", seed=4), 30.0)[0] for n in (4, 3, 5)
+    )
+    assert median(s.toe_clearance_m for s in affected(hiked, 2)) > median(s.toe_clearance_m for s in affected(flat, 2))
+    sideways = [np.ptp(patient.trace("right_foot")["y_m"]) for patient in (swung, flat)]
+    assert sideways[0] > sideways[1] + 0.04
+
+
+def test_speed_stop_and_walking_on() -> None:
+    patient = VirtualPatient(settings_for("healthy", speed_mps=0.8))
+    patient.advance(15 * NS_PER_S)
+    patient.set_speed(1.2)
+    patient.advance(30 * NS_PER_S)
+    lengths = [stride.stride_length_m for stride in affected(patient, 2)]
+    assert median(lengths[-6:]) > median(lengths[:4]) + 0.15
+    patient.stop()
+    patient.advance(40 * NS_PER_S)
+    stood = len(patient.strides)
+    assert patient.strides[-1].walking is False
+    patient.advance(45 * NS_PER_S)
+    assert len(patient.strides) == stood
+    assert patient.walks[0][1] < 40.0
+    patient.walk()
+    patient.advance(60 * NS_PER_S)
+    assert len(patient.strides) > stood + 8
+    with pytest.raises(ValueError, match="use stop"):
+        patient.set_speed(0.0)
+
+
+@pytest.mark.parametrize("speed_mps", [0.4, 1.3])
+def test_the_feet_come_to_stand_below_the_hip_and_walk_on_without_a_jerk(speed_mps: float) -> None:
+    patient = VirtualPatient(settings_for("mild", speed_mps=speed_mps, seed=4))
+    walked = [s for s in patient.advance(20 * NS_PER_S) if s.t_ns > 8 * NS_PER_S]
+    patient.stop()
+    stopped = patient.advance(26 * NS_PER_S)
+    for foot in ("left_foot", "right_foot"):
+        stood = patient.trace(foot)["x_m"][-1] - float(patient._walker.belt["x"][0])
+        assert abs(stood) < 0.12
+    patient.walk()
+    again = patient.advance(32 * NS_PER_S)
+    hardest = {s.sensor: max(math.hypot(*x.acc_mps2) for x in walked if x.sensor == s.sensor) for s in walked[:4]}
+    for sample in stopped + again:
+        if "foot" in sample.sensor:
+            assert math.hypot(*sample.acc_mps2) < 1.5 * hardest[sample.sensor]
+
+
+def test_turning_feet() -> None:
+    patient = VirtualPatient(DROP)
+    patient.advance(12 * NS_PER_S)
+    before = patient.trace("left_foot")["yaw_rad"][-1]
+    patient.turn(math.radians(90.0))
+    patient.advance(24 * NS_PER_S)
+    assert math.degrees(patient.trace("left_foot")["yaw_rad"][-1] - before) == pytest.approx(90.0, abs=8.0)
+
+
+def test_lost_and_doubled_samples() -> None:
+    patient = VirtualPatient(PatientSettings(imu=ImuModel(lost=0.1, doubled=0.05), sensors=("right_foot",)))
+    samples = patient.advance(5 * NS_PER_S)
+    stamps = [s.t_ns for s in samples]
+    assert 420 < len(set(stamps)) < 470
+    assert len(stamps) > len(set(stamps)) + 10
+
+
+def test_sensors_clip_at_their_range() -> None:
+    patient = VirtualPatient(PatientSettings(imu=ImuModel(acc_range_mps2=2.0 * G_MPS2, gyr_range_radps=2.0)))
+    samples = patient.advance(12 * NS_PER_S)
+    assert max(abs(v) for s in samples for v in s.acc_mps2) <= 2.0 * G_MPS2
+    assert sum(abs(v) > 1.99 for s in samples for v in s.gyr_radps) > 20
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"side": "middle"}, "side"), ({"pattern": "limp"}, "pattern"), ({"speed_mps": 9.0}, "speed_mps"),
+        ({"spasticity": float("nan")}, "spasticity"), ({"rate_hz": 300.0}, "2000 must be a multiple"),
+        ({"voluntary_dorsiflexion": True}, "voluntary_dorsiflexion"), ({"sensors": ("hat",)}, "sensors"),
+        ({"sensors": ()}, "sensors"), ({"muscle": MuscleSettings(threshold_uc=12.0)}, "saturation_uc"),
+        ({"muscle": MuscleSettings(tau_rise_s=0.0)}, "muscle.tau_rise_s"),
+    ],
+)  # fmt: skip
+def test_settings_that_cannot_be_are_refused_by_name(wrong: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        settings_for("severe", **wrong)
+
+
+def test_the_joint_curves_pass_through_the_published_values() -> None:
+    curves = joint_curves(1.3, 1.75)
+    phase = np.linspace(0.0, 1.0, 201)
+    k = np.arange(1, 8)
+    knee = curves.knee[0] + np.cos(2 * np.pi * np.outer(phase, k)) @ curves.knee[1::2]
+    knee += np.sin(2 * np.pi * np.outer(phase, k)) @ curves.knee[2::2]
+    assert np.degrees(knee).max() == pytest.approx(62.0, abs=3.0)
+    assert phase[int(np.argmax(knee))] == pytest.approx(0.73, abs=0.03)
+    assert np.degrees(knee[0]) == pytest.approx(4.0, abs=3.0)

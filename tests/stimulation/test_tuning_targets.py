@@ -1,0 +1,156 @@
+"""What a stride measured against its bands, and which strides teach nothing."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from tuning_plant import channel, stride, tuning
+
+from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.tuning.intensity import Zones, next_profile, zones_of
+from fes.stimulation.tuning.reports import difference
+from fes.stimulation.tuning.targets import (
+    Reading,
+    StrideFilter,
+    interpolate,
+    pitch_at_contact_rad,
+    read_stride,
+    swing_times,
+)
+
+NAN = float("nan")
+PITCH = {"low": 0.0, "high": 10.0}
+SENSOR = {"low": 0.1, "high": 0.2}
+
+
+def reading_of(*args: float, **settings: Any) -> Reading:
+    reading = read_stride(stride(1, *args), tuning(**settings))
+    assert isinstance(reading, Reading)
+    return reading
+
+
+def test_the_ends_of_the_band_are_0_and_1() -> None:
+    assert reading_of(0.012).level == pytest.approx(0.0)
+    assert reading_of(0.035).level == pytest.approx(1.0)
+
+
+def test_the_least_satisfied_measure_leads() -> None:
+    both = reading_of(0.030, -4.0, pitch_at_contact_deg=PITCH)
+    assert both.level == pytest.approx(-0.4)
+    assert both.measures[0].text() == "foot pitch at contact -4 ° (target 0–10)"
+    assert reading_of(0.001, 9.0, pitch_at_contact_deg=PITCH).measures[0].name == "toe clearance"
+
+
+def test_without_the_toe_the_sensor_stands_in_and_that_is_said() -> None:
+    reading = read_stride(stride(1, NAN, clearance_m=0.15), tuning(sensor_clearance_m=SENSOR))
+    assert isinstance(reading, Reading)
+    assert reading.level == pytest.approx(0.5)
+    assert "stands in" in reading.stand_in
+
+
+def test_without_anything_to_measure_the_reason_names_the_remedy() -> None:
+    why = read_stride(stride(1, NAN), tuning())
+    assert isinstance(why, str)
+    assert "[geometry]" in why
+    why = read_stride(
+        stride(1, 0.02, t_loading_response_ns=None), tuning(toe_clearance_m=None, pitch_at_contact_deg=PITCH)
+    )
+    assert why == "initial contact was not seen"
+
+
+def test_pitch_is_read_at_contact() -> None:
+    ramp = np.linspace(0.0, 1.0, 101)
+    one = stride(0, 0.02, pitch_rad=ramp)
+    contact_ns = one.t_loading_response_ns
+    assert contact_ns is not None
+    assert pitch_at_contact_rad(one) == pytest.approx(contact_ns / one.t_end_ns)
+    assert math.isnan(pitch_at_contact_rad(stride(0, 0.02, t_loading_response_ns=one.t_end_ns + 1)))
+
+
+def test_interpolation_holds_its_ends() -> None:
+    assert [interpolate(x, [1.0, 2.0], [5.0, 7.0]) for x in (0.0, 1.0, 1.5, 2.0, 9.0)] == [5.0, 5.0, 6.0, 7.0, 7.0]
+
+
+def test_the_swing_is_parted_where_the_toe_has_passed_low() -> None:
+    times = swing_times(stride(0, 0.02))  # pre-swing 0.4 s, then swing 0.5 s
+    assert times is not None
+    assert times.middle_s == pytest.approx(0.4 + 0.8 * 0.5)
+    assert times.contact_s == pytest.approx(0.9)
+    assert swing_times(stride(0, 0.02, t_swing_ns=None)) is None
+    zones = zones_of(times, 0.2, 30)
+    assert (zones.middle, zones.reached) == (9, 14)  # mid-swing's pulses come 150 ms before; contact is at 0.7 s
+    assert zones_of(times, 5.0, 30) == Zones(0, 0)
+
+
+def test_each_part_of_the_profile_follows_its_own_measure() -> None:
+    widths = [200.0] * 30
+    profile = next_profile(widths, Zones(9, 14), (-0.5, 0.4), (3.0, 2.0), 200.0, 0.6)
+    assert profile[0] == pytest.approx(200.0 - 200.0 * 0.6 * 0.5 / 3.0)  # too much: less
+    assert profile[12] == pytest.approx(200.0 + 200.0 * 0.6 * 0.4 / 2.0)  # too little: more
+    assert profile[0] < profile[8] < profile[9] < profile[12]  # smoothed in between
+    assert set(profile[14:]) == {profile[13]}
+    assert next_profile(widths, Zones(0, 0), (1.0, 1.0), (3.0, 3.0), 200.0, 0.6) == widths
+
+
+# --- strides that teach nothing ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def seen() -> StrideFilter:
+    filtered = StrideFilter(tuning(), 0.15)
+    for number in range(4):
+        filtered.why_skip(stride(number, 0.02), 270.0, 1.0)
+    return filtered
+
+
+def test_an_ordinary_stride_teaches(seen: StrideFilter) -> None:
+    assert seen.why_skip(stride(4, 0.02), 270.0, 1.0) == ""
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"valid": False, "reason": "samples missing for 80 ms"}, "samples missing for 80 ms"),
+        ({"turn_rad": 0.6}, "turned by 34°"),
+        ({"height_gained_m": 0.17}, "+17 cm up"),
+        ({"stride_length_m": 0.1}, "10 cm is no walking"),
+        ({"speed_mps": 1.2}, "speed changed from 0.6 to 1.2"),
+    ],
+)
+def test_a_stride_is_skipped_with_its_reason(seen: StrideFilter, changes: dict[str, Any], reason: str) -> None:
+    assert reason in seen.why_skip(stride(4, 0.02, **changes), 270.0, 1.0)
+
+
+def test_what_was_not_stimulated_teaches_nothing(seen: StrideFilter) -> None:
+    assert "no stimulation" in seen.why_skip(stride(4, 0.02), 0.0, 1.0)
+    assert "only 40%" in seen.why_skip(stride(5, 0.02), 108.0, 1.0)
+
+
+def test_half_the_drive_is_expected_to_bring_half_the_charge(seen: StrideFilter) -> None:
+    assert seen.why_skip(stride(4, 0.02), 135.0, 0.5) == ""
+
+
+def test_the_first_stride_after_standing_teaches_nothing(seen: StrideFilter) -> None:
+    assert "after standing" in seen.why_skip(stride(7, 0.02), 270.0, 1.0)
+    assert seen.why_skip(stride(8, 0.02), 270.0, 1.0) == ""
+
+
+def test_a_stride_in_which_a_person_acted_teaches_nothing(seen: StrideFilter) -> None:
+    one = stride(4, 0.02)
+    seen.operator_changed(one.t_start_ns + 5)
+    assert "a person" in seen.why_skip(one, 270.0, 1.0)
+    assert seen.why_skip(stride(5, 0.02), 270.0, 1.0) == ""
+
+
+def test_a_new_speed_is_the_usual_one_after_some_strides(seen: StrideFilter) -> None:
+    whys = [seen.why_skip(stride(n, 0.02, speed_mps=1.2), 270.0, 1.0) for n in range(4, 10)]
+    assert whys[0]
+    assert not any(whys[3:])
+
+
+def test_nothing_different_is_said_as_nothing() -> None:
+    own = BurstParameters.of(channel())
+    assert difference(own, own) == ""

@@ -1,0 +1,358 @@
+"""The tuner on a plain foot: it converges, explains itself, and keeps to what a person allowed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from random import Random
+from typing import Any
+
+import pytest
+from tuning_plant import BAND, BOUNDS, Plant, channel, charge_of, stride, tuning
+
+from fes.config import Band, Tuning
+from fes.signals import StrideResult
+from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.tuning.demand import NOISE, SAFE_SDS, SLOPE_BOUNDS, Demand, Response, room
+from fes.stimulation.tuning.guardrails import used
+from fes.stimulation.tuning.reports import TuningReport
+from fes.stimulation.tuning.targets import Measure
+from fes.stimulation.tuning.timing import WEAK, SpeedTiming
+from fes.stimulation.tuning.tuner import MOST_ROLL_BACKS, Tuner
+
+SECOND = 1_000_000_000
+
+
+@dataclass
+class TrackedBlock:
+    tuner: Tuner
+    clearances_m: list[float]
+    reports: list[TuningReport]
+    parameters: list[BurstParameters]
+
+    @property
+    def in_band(self) -> list[bool]:
+        return [BAND["low"] <= value <= BAND["high"] for value in self.clearances_m]
+
+
+def walk(
+    plant: Plant, strides: int, tuned: Tuning | None = None, tuner: Tuner | None = None, first: int = 0
+) -> TrackedBlock:
+    tuner = tuner or Tuner(channel(tuned))
+    done = TrackedBlock(tuner, [], [], [])
+    for number in range(first, first + strides):
+        done.parameters.append(tuner.parameters)
+        clearance_m = plant.clearance_m(tuner.parameters)
+        done.clearances_m.append(clearance_m)
+        report = tuner.observe(number * SECOND, stride(number, clearance_m), charge_of(tuner.parameters), 1.0)
+        if report is not None:
+            done.reports.append(report)
+    return done
+
+
+@pytest.mark.parametrize("method", ["run_to_run", "learning"])
+@pytest.mark.parametrize(
+    "plant",
+    [
+        Plant(baseline_m=-0.04),  # far too little at the session's own setting
+        Plant(range_m=0.09),  # far too much
+        Plant(threshold_uc=6.0, saturation_uc=9.0, range_m=0.08, seed=3),  # steep
+        Plant(fatigue_per_stride=0.002, seed=4),
+        Plant(noise_m=0.004, seed=5),
+    ],
+    ids=["weak", "strong", "steep", "tiring", "noisy"],
+)
+def test_the_band_is_reached_within_ten_strides_and_kept(plant: Plant, method: str) -> None:
+    done = walk(plant, 110, tuning(method=method))
+    assert any(sum(done.in_band[n : n + 5]) >= 4 for n in range(11))
+    assert sum(done.in_band[10:]) >= 0.95 * 100
+
+
+def test_too_much_is_taken_back_to_spare_charge() -> None:
+    done = walk(Plant(range_m=0.09, noise_m=0.002), 40)
+    assert charge_of(done.tuner.parameters) < 0.8 * charge_of(done.tuner.start)
+
+
+def test_a_change_says_what_was_measured_what_was_aimed_at_and_what_changed() -> None:
+    done = walk(Plant(baseline_m=-0.04, noise_m=0.0), 3)
+    change = next(report for report in done.reports if report.kind == "change")
+    assert change.text == (
+        "toe clearance 4 mm (target 12–35) in this stride, lately 4 mm, more is needed: current 30.0 → 32.0 mA"
+    )
+    assert change.before.current_ma == 30.0
+    assert change.after.current_ma == 32.0
+
+
+def test_suggesting_changes_nothing_until_accepted() -> None:
+    plant = Plant(baseline_m=-0.04)
+    done = walk(plant, 20, tuning(mode="suggest"))
+    assert set(done.parameters) == {done.tuner.start}
+    suggestions = [report for report in done.reports if report.kind == "suggestion"]
+    assert suggestions
+    assert not [report for report in done.reports if report.kind in ("change", "roll_back")]
+    accepted = done.tuner.accept(20 * SECOND)
+    assert accepted is not None
+    assert "accepted by the operator" in accepted.text
+    assert done.tuner.parameters == suggestions[-1].after != done.tuner.start
+    assert done.tuner.accept(20 * SECOND) is None
+
+
+def test_off_says_and_does_nothing() -> None:
+    done = walk(Plant(baseline_m=-0.04), 20, tuning(mode="off"))
+    assert not done.reports
+    assert set(done.parameters) == {done.tuner.start}
+
+
+def test_frozen_is_frozen_until_resumed() -> None:
+    plant = Plant(baseline_m=-0.04)
+    tuner = walk(plant, 3).tuner
+    before = tuner.parameters
+    assert tuner.freeze(3 * SECOND).kind == "frozen"
+    frozen = walk(plant, 10, tuner=tuner, first=3)
+    assert not frozen.reports
+    assert set(frozen.parameters) == {before}
+    tuner.resume(13 * SECOND)
+    assert walk(plant, 10, tuner=tuner, first=13).tuner.parameters != before
+
+
+def test_a_person_rolls_back_to_the_sessions_settings() -> None:
+    tuner = walk(Plant(baseline_m=-0.04), 12).tuner
+    assert tuner.parameters != tuner.start
+    report = tuner.roll_back(12 * SECOND)
+    assert tuner.parameters == tuner.start
+    assert tuner.frozen
+    assert report.kind == "roll_back"
+
+
+class Contrary(Plant):
+    """More stimulation makes this foot worse: the calf answers."""
+
+    def clearance_m(self, parameters: BurstParameters, intensity: float = 1.0) -> float:
+        return 0.008 - 0.002 * (parameters.current_ma - 30.0)
+
+
+def test_what_makes_it_worse_is_rolled_back_and_the_other_way_is_tried() -> None:
+    done = walk(Contrary(), 60)
+    first = next(n for n, report in enumerate(done.reports) if report.kind == "roll_back")
+    assert "has got worse" in done.reports[first].text
+    assert max(parameters.current_ma for parameters in done.parameters) <= 38.0
+    assert any("the other way" in report.text for report in done.reports[first:])
+    assert all(done.in_band[-20:])
+
+
+class Hopeless(Plant):
+    """Worse with every change in either direction."""
+
+    def clearance_m(self, parameters: BurstParameters, intensity: float = 1.0) -> float:
+        return 0.008 - 0.003 * abs(parameters.current_ma - 30.0)
+
+
+def test_after_too_many_roll_backs_it_stops_itself_near_where_it_began() -> None:
+    done = walk(Hopeless(), 200)
+    assert "stopped itself" in done.tuner.frozen
+    assert sum(report.kind == "roll_back" for report in done.reports) > MOST_ROLL_BACKS
+    assert done.tuner.parameters == done.tuner.start
+
+
+def test_a_single_odd_stride_is_not_believed_two_are() -> None:
+    plant = Plant(noise_m=0.001)
+    tuner = walk(plant, 12).tuner
+    before = tuner.parameters
+    odd = tuner.observe(12 * SECOND, stride(12, 0.2), charge_of(before), 1.0)
+    assert odd is not None
+    assert odd.kind == "skip"
+    assert "unlike" in odd.text
+    again = tuner.observe(13 * SECOND, stride(13, 0.2), charge_of(before), 1.0)
+    assert again is None or again.kind != "skip"
+
+
+def test_a_target_out_of_reach_is_said_once_at_the_bound() -> None:
+    done = walk(Plant(baseline_m=-0.022, range_m=0.03, noise_m=0.001), 60)  # gains a little, then no more
+    assert done.tuner.parameters.current_ma == BOUNDS["current_ma"]["high"]
+    hints = [report for report in done.reports if report.kind == "hint"]
+    assert len(hints) == 1
+    assert "not reached at the upper bound" in hints[0].text
+
+
+def test_half_the_operators_intensity_is_half_the_drive() -> None:
+    tuner = Tuner(channel())
+    plant = Plant(noise_m=0.0)
+    for number in range(40):
+        value = plant.clearance_m(tuner.parameters, 0.8)
+        tuner.observe(number, stride(number, value), charge_of(tuner.parameters, 0.8), 0.8)
+    assert BAND["low"] <= plant.clearance_m(tuner.parameters, 0.8) <= BAND["high"]
+
+
+def early_contact(number: int) -> StrideResult:
+    return stride(number, 0.02, swing_s=0.13)
+
+
+def test_strides_whose_contact_cannot_be_true_lead_to_less() -> None:
+    tuner = walk(Plant(), 8).tuner
+    before = tuner.parameters
+    reports = [tuner.observe(n * SECOND, early_contact(n), charge_of(before), 1.0) for n in (8, 9)]
+    assert all(report is not None for report in reports)
+    kinds = [report.kind for report in reports if report is not None]
+    assert kinds == ["skip", "change"]
+    assert tuner.parameters.current_ma == before.current_ma - 2.0
+    assert "too soon to be true" in next(report.text for report in reports if report is not None)
+
+
+def test_a_toe_below_the_ground_teaches_nothing() -> None:
+    tuner = walk(Plant(), 8).tuner
+    report = tuner.observe(8 * SECOND, stride(8, -0.022), charge_of(tuner.parameters), 1.0)
+    assert report is not None
+    assert report.kind == "skip"
+    assert "22 mm below the ground" in report.text
+
+
+# --- parts ---------------------------------------------------------------------------------------------------
+
+
+def test_the_slope_is_learnt_from_the_foot_and_stays_within_bounds() -> None:
+    response = Response()
+    for drive in (1.0, 1.1, 1.2, 1.3):
+        response.add(drive, 8.0 * (drive - 1.0))
+    assert 5.0 < response.slope <= 8.0
+    assert response.level_at(1.4) == pytest.approx(3.2, abs=0.5)
+    backward = Response()
+    for drive in (1.0, 1.2, 1.4):
+        backward.add(drive, -9.0 * drive)
+    assert backward.slope == SLOPE_BOUNDS[0]
+
+
+def test_the_noise_is_that_of_the_surprises_and_at_first_what_is_usual() -> None:
+    for spread in (0.05, 0.3):
+        response, random = Response(), Random(5)
+        assert response.surprise == NOISE
+        found = []
+        for _ in range(40):
+            response.add(1.0, 0.5 + random.gauss(0.0, spread))
+            found.append(response.surprise)
+        assert found[2] == NOISE  # three strides: nothing was expected yet
+        assert all(min(spread, NOISE) * 0.7 < noise < max(spread, NOISE) * 1.5 for noise in found)
+        assert abs(found[-1] - NOISE) > 0.03
+    calm = Response(usual_noise=0.06)
+    calm.add(1.0, 0.2)
+    assert calm.surprise == calm.noise == 0.06
+
+
+def test_a_wave_that_neighbours_share_counts_as_noise() -> None:
+    response = Response()
+    for n in range(40):
+        response.add(1.0, 0.5 + 0.4 * math.sin(n / 2.5))
+    assert response.noise < 0.15 < 0.2 < response.surprise
+
+
+def paced(number: int, factor: float) -> Any:
+    return stride(number, 0.02, duration_s=1.4 * factor, pre_swing_s=0.4 * factor, swing_s=0.5 * factor)
+
+
+def test_timing_follows_the_speed() -> None:
+    timing = SpeedTiming()
+    for number in range(4):
+        timing.add(paced(number, 1.0))
+    slow_delay_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
+    assert slow_delay_s == pytest.approx(0.4 - 0.15 - 0.025, abs=0.001)  # the foot is up 0.125 s into the swing
+    timing.add(paced(4, 0.8))
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == slow_delay_s  # one quick stride may be chance
+    timing.add(paced(5, 0.8))
+    quick_delay_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
+    assert quick_delay_s == pytest.approx(0.4 * 0.8 - 0.15 - 0.05, abs=0.001)  # two are a pace
+    assert timing.wanted("swing", 0.15, 0.1)[0] == 0.0
+
+
+def test_the_start_is_put_off_while_it_suffices_and_comes_sooner_when_nothing_else_is_left() -> None:
+    timing = SpeedTiming()
+    for number in range(4):
+        timing.add(paced(number, 1.0))
+    first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
+    for _ in range(9):
+        timing.put_off(0.0, 0.5, 3.0)
+    latest_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
+    assert latest_s - first_s == pytest.approx(0.10 * 0.5, abs=0.001)  # a quarter of the swing, then a third
+    assert "as late as it suffices" in timing.reason(0.0)
+    timing.put_off(0.2, 0.5, 3.0)  # more is needed, and the intensity can give it
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == latest_s
+    for _ in range(9):
+        timing.put_off(0.2, 1.0, 3.0)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
+
+
+def test_a_foot_that_hardly_answers_to_more_gets_it_sooner() -> None:
+    timing = SpeedTiming()
+    for number in range(4):
+        timing.add(paced(number, 1.0))
+    first_s, _ = timing.wanted("pre_swing", 0.15, 0.1)
+    for _ in range(9):
+        timing.put_off(0.0, 0.5, 0.9 * WEAK)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s  # not put off, though nothing is missing
+    for _ in range(9):
+        timing.put_off(0.0, 0.5, WEAK)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] > first_s
+    for _ in range(9):
+        timing.put_off(0.2, 0.5, 0.9 * WEAK)
+    assert timing.wanted("pre_swing", 0.15, 0.1)[0] == first_s
+
+
+def test_the_pulses_end_sooner_by_what_the_force_outlives_them() -> None:
+    timing = SpeedTiming()
+    for number in range(4):
+        timing.add(paced(number, 1.0))
+    _, extension_s = timing.wanted("pre_swing", 0.15, 0.1)
+    assert extension_s == 0.0  # a loading response of 0.2 s or less: the fall alone lasts as long
+    slow = SpeedTiming()
+    for number in range(4):
+        slow.add(stride(number, 0.02, duration_s=2.8, pre_swing_s=0.8, swing_s=1.0))
+    loading_s = slow.wanted("pre_swing", 0.15, 0.0)[1]
+    assert slow.wanted("pre_swing", 0.15, 0.1)[1] == pytest.approx(max(loading_s - 0.1, 0.0))
+
+
+def test_room_is_what_keeps_the_other_measure_in_its_band() -> None:
+    pitch = Demand(Measure("pitch", 2.0, Band(low=4.0, high=24.0), 1.0, "°"), -0.1, 0.3, 1.0, 0.2, 0.1)
+    toe = Demand(Measure("toe", 0.04, Band(low=0.02, high=0.05), 1e3, "mm"), 0.7, -0.3, 2.0, 0.4, 0.1)
+    assert room((pitch, toe)) == pytest.approx((1.0 - SAFE_SDS * 0.1 - 0.7) / 2.0)
+    high = replace(toe, usual=1.2)
+    assert room((pitch, high)) == 0.0
+    assert room((pitch,)) == float("inf")
+
+
+def test_how_much_of_the_bound_is_used() -> None:
+    current = BurstParameters(15.0, 0.0, 0.0, (300.0, 300.0))
+    asked = tuning()
+    assert asked.bounds is not None
+    assert used(current, asked) == pytest.approx(15.0 / asked.bounds.current_ma.high)
+    assert used(current, asked.model_copy(update={"bounds": None})) == 1.0
+    learning = tuning(method="learning")
+    assert learning.bounds is not None
+    assert used(current, learning) == pytest.approx(300.0 / learning.bounds.pulse_width_us.high)
+
+
+def test_timing_moves_by_no_more_than_a_step_a_stride() -> None:
+    done = walk(Plant(), 30, tuning(timing=True))
+    delays_s = [parameters.start_delay_s for parameters in done.parameters]
+    assert delays_s[-1] == pytest.approx(0.225 + 0.05, abs=0.02)  # put off, for the foot clears with less than all
+    assert max(b - a for a, b in pairwise(delays_s)) <= 0.02 + 1e-9
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["speed_mps", "turn_rad", "height_gained_m", "stride_length_m", "toe_clearance_m"])
+def test_a_stride_whose_numbers_are_none_changes_nothing(name: str, value: float) -> None:
+    """Nor does minus infinity count as a toe far below the ground, which would lessen the stimulation."""
+    tuner = Tuner(channel(tuning()))
+    for number in range(6):
+        walked = stride(number, **{"toe_clearance_m": 0.002, name: value})
+        report = tuner.observe(number, walked, charge_of(tuner.parameters), 1.0)
+        assert report is not None
+        assert report.kind == "skip"
+    assert tuner.parameters == tuner.start
+
+
+def test_strides_out_of_order_or_told_twice_are_skipped_and_a_clock_set_back_costs_one() -> None:
+    tuner = Tuner(channel(tuning()))
+    told = []
+    for number in (10, 11, 11, 5, 6, 7):  # the second 11 is the same one; then the clock was set back
+        report = tuner.observe(number, stride(number, 0.02), charge_of(tuner.parameters), 1.0)
+        told.append(report is not None and "no newer than the stride before" in report.text)
+    assert told == [False, False, True, True, False, False]

@@ -1,0 +1,259 @@
+"""Is this foot known to be walking: each rule of the judge alone, then real ways of not walking."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fes.calibration.foot_track import calibrate
+from fes.config import Stimulation
+from fes.control.controller import Controller
+from fes.control.replay import session_for
+from fes.recording import read_recording
+from fes.signals import StrideResult
+from fes.simulation.truth import load_truth
+from fes.stimulation.walking import WalkingJudge
+from statemachine.phases import Phase, PhaseChange, Transition
+
+FOOT = "right_foot"
+FOLDER = Path(__file__).resolve().parents[2] / "sim_inputs"
+STEP = {
+    Transition.T1: (Phase.STANCE, Phase.PRE_SWING),
+    Transition.T2: (Phase.PRE_SWING, Phase.SWING),
+    Transition.T3: (Phase.SWING, Phase.LOADING_RESPONSE),
+    Transition.T4: (Phase.LOADING_RESPONSE, Phase.STANCE),
+    Transition.T5: (Phase.PRE_SWING, Phase.STANCE),
+    Transition.T6: (Phase.SWING, Phase.STANCE),
+    Transition.NONE: (Phase.SWING, Phase.STANCE),
+}
+
+
+def stride(length_m: float = 1.0, turn_deg: float = 0.0, reason: str = "", number: int = 1) -> StrideResult:
+    return StrideResult(
+        foot=FOOT, number=number, t_start_ns=0, t_end_ns=1_000_000_000, stride_length_m=length_m, clearance_m=0.1,
+        height_gained_m=0.0, turn_rad=math.radians(turn_deg), speed_mps=length_m, t_pre_swing_ns=None, t_swing_ns=None,
+        t_loading_response_ns=None, t_stance_ns=None, valid=not reason, reason=reason,
+    )  # fmt: skip
+
+
+class Judged:
+    """A judge and the time of its foot."""
+
+    def __init__(self, **settings: float) -> None:
+        self.judge = WalkingJudge(Stimulation.model_validate(settings))
+        self.now_s = 0.0
+
+    def go(self, transition: Transition, after_s: float = 0.0) -> bool:
+        self.now_s += after_s
+        return self.judge.on_phase(PhaseChange(round(self.now_s * 1e9), FOOT, transition, *STEP[transition]))
+
+    def step(self, result: StrideResult | None = None, stance_s: float = 0.5, end: Transition = Transition.T4) -> bool:
+        """One stride as a tracker reports it: at T1 the stride before is closed first. Returns what T1 was answered."""
+        self.now_s += stance_s
+        if result is not None:
+            self.judge.on_stride(result)
+        permitted = self.go(Transition.T1)
+        self.go(Transition.T2, 0.2)
+        if end is Transition.T4:
+            self.go(Transition.T3, 0.4)
+        self.go(end, 0.1)
+        return permitted
+
+
+def walking(strides: int = 5, **settings: float) -> Judged:
+    """A foot that has been walking with stances of half a second."""
+    judged = Judged(**settings)
+    judged.step()
+    for _ in range(strides):
+        judged.step(stride())
+    assert judged.judge.walking
+    return judged
+
+
+def test_nobody_walks_before_a_stride_is_seen() -> None:
+    judged = Judged()
+    assert not judged.judge.walking
+    assert judged.judge.reason == "no stride yet"
+    assert not judged.step()
+
+
+@pytest.mark.parametrize("needed", [1, 2, 5])
+def test_that_many_good_strides_in_a_row(needed: int) -> None:
+    judged = Judged(strides_before_start=needed)
+    answers = [judged.step(stride() if k else None) for k in range(needed + 2)]
+    assert answers == [False] * needed + [True, True]
+
+
+def test_a_bad_stride_starts_the_count_again() -> None:
+    judged = Judged(strides_before_start=3)
+    answers = [judged.step(s) for s in (None, stride(), stride(), stride(0.1), stride(), stride(), stride(), stride())]
+    assert answers == [False] * 6 + [True, True]
+
+
+def test_none_needed_is_always_permitted() -> None:
+    judged = Judged(strides_before_start=0)
+    assert judged.step()
+    assert judged.step(stride(0.01))
+
+
+@pytest.mark.parametrize(("length_m", "good"), [(0.149, False), (0.15, True)])
+def test_the_shortest_stride_that_carries_the_foot_on(length_m: float, good: bool) -> None:
+    judged = walking()
+    assert judged.step(stride(length_m)) is good
+    if not good:
+        assert judged.judge.reason == "stride of 0.15 m"
+
+
+def test_the_shortest_stride_is_a_setting() -> None:
+    assert not walking(min_stride_length_m=0.6).step(stride(0.5))
+    assert walking(min_stride_length_m=0.4).step(stride(0.5))
+
+
+@pytest.mark.parametrize(("turn_deg", "good"), [(34.9, True), (-34.9, True), (35.1, False), (-60.0, False)])
+def test_turning_is_not_walking(turn_deg: float, good: bool) -> None:
+    judged = walking()
+    assert judged.step(stride(turn_deg=turn_deg)) is good
+    if not good:
+        assert judged.judge.reason == f"turned by {abs(turn_deg):.0f}°"
+
+
+def test_the_turn_is_a_setting() -> None:
+    assert walking(max_turn_deg=90.0).step(stride(turn_deg=80.0))
+
+
+def test_a_stride_that_must_not_be_used_counts_against() -> None:
+    judged = walking()
+    assert not judged.step(stride(reason="samples missing for 60 ms", number=9))
+    assert judged.judge.reason == "stride 9 samples missing for 60 ms"
+
+
+@pytest.mark.parametrize(("stance_s", "good"), [(0.88, True), (0.92, False)], ids=["1.76 times", "1.84 times"])
+def test_a_stance_much_longer_than_usual_is_a_stop(stance_s: float, good: bool) -> None:
+    judged = walking()
+    assert judged.step(stride(), stance_s) is good
+    if not good:
+        assert judged.judge.reason == "stood for 0.9 s"
+
+
+@pytest.mark.parametrize(("stance_s", "good"), [(0.38, True), (0.42, False)])
+def test_short_stances_have_their_grace(stance_s: float, good: bool) -> None:
+    """Of a usual stance of 0.2 s, 0.38 s is nearly twice as long, but only 0.18 s longer."""
+    judged = Judged()
+    for k in range(6):
+        judged.step(stride() if k else None, 0.2)
+    assert judged.step(stride(), stance_s) is good
+
+
+def test_usual_is_the_median_of_the_last_five() -> None:
+    judged = walking(6)
+    for stance_s in (0.6, 0.6, 0.6, 0.6, 0.6):
+        assert judged.step(stride(), stance_s)
+    assert judged.step(stride(), 1.0)  # 1.67 times 0.6 s; twice the 0.5 s of before
+    assert judged.step(stride(), 0.6)
+    assert not judged.step(stride(), 1.2)
+
+
+def test_after_a_stop_strides_are_counted_anew_and_stances_learnt_anew() -> None:
+    judged = walking()
+    assert not judged.step(stride(), 5.0)
+    assert [judged.step(stride(), 1.0) for _ in range(3)] == [False, True, True]  # slower now, and that is usual
+
+
+def test_a_lifted_heel_does_not_begin_a_new_stance() -> None:
+    """Standing with a heel lifted now and then is standing: the stance is counted from the landing."""
+    judged = walking()
+    judged.judge.on_stride(stride())
+    assert judged.go(Transition.T1, 0.5)
+    judged.go(Transition.T5, 0.3)
+    assert not judged.go(Transition.T1, 0.4)
+    assert judged.judge.reason == "stood for 1.2 s"
+
+
+def test_a_soft_landing_is_a_landing() -> None:
+    judged = walking()
+    assert judged.step(stride(), end=Transition.T6)
+    assert judged.step(stride(), 0.5)
+    assert not judged.step(stride(), 1.5)
+
+
+def test_lost_data_are_a_stop() -> None:
+    judged = walking()
+    assert not judged.go(Transition.NONE, 0.5)
+    assert judged.judge.reason == "data were lost"
+    assert [judged.step(stride()) for _ in range(3)] == [False, True, True]
+
+
+def test_two_feet_are_judged_apart() -> None:
+    one, other = walking(), Judged()
+    assert one.step(stride())
+    assert not other.step()
+
+
+# --- recordings ------------------------------------------------------------------------------------------
+
+
+def judged_recording(name: str) -> dict[str, list[tuple[float, bool]]]:
+    """Per foot: each T1's time (s) and whether a burst was permitted."""
+    recording = read_recording(FOLDER / f"{name}.parquet")
+    calibrations, _ = calibrate(recording)
+    controller = Controller(session_for(recording, None), calibrations)
+    answers: dict[str, list[tuple[float, bool]]] = {}
+    for foot, tracker in controller.trackers.items():
+        judge = WalkingJudge(Stimulation())
+        track = recording.tracks[foot]
+        answers[foot] = []
+        for outcome in tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps):
+            if isinstance(outcome, StrideResult):
+                judge.on_stride(outcome)
+                continue
+            permitted = judge.on_phase(outcome)
+            if outcome.transition is Transition.T1:
+                answers[foot].append((1e-9 * outcome.t_ns, permitted))
+    return answers
+
+
+def test_no_burst_while_standing_turning_sitting_and_on_lifted_heels() -> None:
+    walks = [a for a in load_truth(FOLDER / "not_walking.parquet").activities if a.walking]
+    assert len(walks) == 1
+    for foot, answers in judged_recording("not_walking").items():
+        permitted = [t for t, permitted in answers if permitted]
+        assert permitted, foot
+        assert all(walks[0].start_s <= t <= walks[0].end_s for t in permitted), foot
+        in_walk = [permitted for t, permitted in answers if walks[0].start_s <= t <= walks[0].end_s]
+        assert np.count_nonzero(in_walk) >= 6, foot
+        assert len(answers) - len(in_walk) >= 8, foot  # there was something to refuse
+
+
+@pytest.mark.parametrize("name", ["negard_patient1", "negard_patient2", "both_feet_200hz", "soft_contact"])
+def test_who_walks_is_permitted_from_the_third_stride_on(name: str) -> None:
+    for answers in judged_recording(name).values():
+        permitted = [permitted for _, permitted in answers]
+        assert permitted[:2] == [False, False]
+        assert np.mean(permitted[3:]) > 0.95
+
+
+def test_strides_are_closed_before_the_heel_rise_that_closes_them_is_judged() -> None:
+    """The maker hands over the stride at T1, so that it counts for the burst which this T1 may start."""
+    recording = read_recording(FOLDER / "negard_patient1.parquet")
+    calibrations, _ = calibrate(recording)
+    tracker = Controller(session_for(recording, None), calibrations).trackers[FOOT]
+    track = recording.tracks[FOOT]
+    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    followers = [
+        b.transition for a, b in pairwise(outcomes) if isinstance(a, StrideResult) and isinstance(b, PhaseChange)
+    ]
+    assert len(followers) == 39  # all but the last stride, which the timer closes
+    assert set(followers) == {Transition.T1}
+
+
+def test_a_foot_that_stirs_just_after_landing_starts_no_burst_and_goes_on_walking() -> None:
+    feet = Judged(strides_before_start=2)
+    for number in range(1, 5):
+        feet.step(stride(number=number), stance_s=0.5)
+    assert not feet.go(Transition.T1, 0.05)  # the heel settles: a tenth of the usual stance
+    feet.go(Transition.T5, 0.1)
+    assert feet.go(Transition.T1, 0.35)  # the real heel rise, half a second after landing
