@@ -137,14 +137,14 @@ def spawn_device(
     line: Literal["pty", "tcp"] = "pty",
     timeout_s: float = 20.0,
 ) -> DeviceHandle:
-    """Start ``python -m drivers.simulated.KIND`` and wait until it is ready.
+    """Start ``python -m drivers.simulated.stimulator.KIND`` and wait until it is ready.
 
     Raises:
         NodeFailed: it ended, or was not ready within ``timeout_s``.
     """
     arguments = ["--until-stdin-closes", "--line", line, "--faults", faults]
     arguments += ["--pulses", str(pulses)] if pulses is not None else []
-    module = f"drivers.simulated.{kind}"
+    module = f"drivers.simulated.stimulator.{kind}"
     return DeviceHandle(
         "the simulated stimulator", module, arguments, lost=NodeFailed, timeout_s=timeout_s, record=record
     )
