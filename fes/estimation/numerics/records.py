@@ -6,9 +6,14 @@ core takes longer than a sample's arithmetic.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, get_type_hints
+from typing import Any, NamedTuple, TypeAlias, get_type_hints
 
 import numpy as np
+
+# What compiled code is given; the docstrings say the shapes.
+Vec: TypeAlias = np.ndarray[Any, np.dtype[Any]]  # (N,) numbers, time stamps or records
+Mat: TypeAlias = np.ndarray[Any, np.dtype[Any]]  # (N, K) and more axes
+Record: TypeAlias = np.record  # one element of a structured array, its fields as attributes
 
 KINDS = {float: np.float64, int: np.int64, bool: np.bool_}
 
