@@ -15,6 +15,7 @@ from fes.analysis.pipeline import Analysis, analyse, calibrations_of
 from fes.calibration.recording import drivers_from
 from fes.cli.analyse_long import analyse_long, calibrated
 from fes.cli.common.exits import FAILED, fail, fresh_folder
+from fes.cli.common.options import RenamedOptions
 from fes.cli.common.proposal import told
 from fes.cli.common.show import doubts
 from fes.cli.common.table_file import write_table
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
 FORMATS = ("csv", "parquet", "json")
 
 
-@click.command(name="analyse")
+@click.command(name="analyse", cls=RenamedOptions, former={"--afflicted": "--paretic-side", "--apart": "--sync-clocks"})
 @click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--calibration", type=click.Path(path_type=Path), help="From fes calibrate. Default: from the recording.")
 @click.option(
@@ -45,13 +46,13 @@ FORMATS = ("csv", "parquet", "json")
 @click.option("--format", "kind", type=click.Choice(FORMATS), default="csv", show_default=True, help="Of the tables.")
 @click.option("--json", "as_json", is_flag=True, help="Print the strides as JSON instead of the table.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
-@click.option("--hemiparetic", is_flag=True, help="Tell the afflicted side; Wang et al.'s windows beside our strides.")
+@click.option("--hemiparetic", is_flag=True, help="Tell the paretic side; Wang et al.'s windows beside our strides.")
 @click.option(
-    "--afflicted",
+    "--paretic-side",
     type=click.Choice(["left", "right"]),
-    help="The afflicted side, where it is known; implies --hemiparetic.",
+    help="The paretic side, where it is known; implies --hemiparetic.",
 )
-@click.option("--apart", is_flag=True, help="The feet were recorded apart: set the right one's clock by the walk.")
+@click.option("--sync-clocks", is_flag=True, help="Each foot had its own clock: set the right one's by the walk.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 def command(
     recordings: tuple[Path, ...],
@@ -61,16 +62,16 @@ def command(
     as_json: bool,
     uneven: bool,
     hemiparetic: bool,
-    afflicted: str | None,
-    apart: bool,
+    paretic_side: str | None,
+    sync_clocks: bool,
     no_report: bool,
 ) -> None:
     """Find phases and strides in RECORDINGS; write tables of strides, phase changes, events (initial contact, foot
     off), the path over the ground and gait parameters, and a report of each.
 
-    With --hemiparetic, of a recording of both feet: which side is afflicted and how sure that is, the symmetry of the
+    With --hemiparetic, of a recording of both feet: which side is paretic and how sure that is, the symmetry of the
     sides, level ground and stairs told apart, and strides and paths by the method of Wang et al. (2013). Two feet whose
-    sensors ran on clocks of their own are brought together with --apart, by knocks or by the walk itself.
+    sensors ran on clocks of their own are brought together with --sync-clocks, by knocks or by the walk itself.
 
     The ground is taken to be level: height that a stride seems to gain counts mostly as error. On stairs and slopes
     give --stairs or --slope (they do the same): the height gained is then measured, stride by stride.
@@ -87,8 +88,8 @@ def command(
     for path in recordings:
         try:
             with compiled_ahead(CACHE):
-                # --apart and --hemiparetic look at the walk as a whole
-                together = apart or hemiparetic or afflicted is not None
+                # --sync-clocks and --hemiparetic look at the walk as a whole
+                together = sync_clocks or hemiparetic or paretic_side is not None
                 first = Chunk(read_recording(path)) if together else next(recording_chunks(path))
                 recording = first.recording
                 if not first.whole:
@@ -97,7 +98,7 @@ def command(
                     recording, found = drivers_from(calibration, recording)
                 else:
                     recording, found = calibrations_of(recording, level=not uneven)
-            if apart:
+            if sync_clocks:
                 recording = _one_clock(recording, found.calibrations)
         except (RecordingError, CalibrationError) as error:
             if len(recordings) == 1:
@@ -119,7 +120,8 @@ def command(
         write_table(result.phase_rows(), folder / f"phases.{kind}")
         write_table(result.event_rows(), folder / f"events.{kind}")
         write_table(result.path_rows(), folder / f"path.{kind}")
-        gait = _gait(result, folder, kind, hemiparetic=hemiparetic or afflicted is not None, afflicted=afflicted)
+        hemiparetic = hemiparetic or paretic_side is not None
+        gait = _gait(result, folder, kind, hemiparetic=hemiparetic, paretic_side=paretic_side)
         _show(result, gait, folder, as_json=as_json, report=not no_report)
     if failures:
         click.secho(f"{failures} of {len(recordings)} recordings could not be used.", fg="red", err=True)
@@ -149,7 +151,7 @@ def _one_clock(recording: Recording, calibrations: Mapping[str, Calibration]) ->
 
 
 def _gait(
-    result: Analysis, folder: Path, kind: str, *, hemiparetic: bool, afflicted: str | None
+    result: Analysis, folder: Path, kind: str, *, hemiparetic: bool, paretic_side: str | None
 ) -> tuple[GaitParameters, HemipareticWalk | None]:
     """Work out the gait parameters, as a hemiparetic walk's if asked, and write their tables."""
     from fes.analysis.parameters.gait import gait_parameters, mean_strides
@@ -159,7 +161,7 @@ def _gait(
         from fes.analysis.hemiparetic.walk import hemiparetic_walk
 
         try:
-            walk = hemiparetic_walk(result, afflicted=afflicted)
+            walk = hemiparetic_walk(result, afflicted=paretic_side)
         except ValueError as error:
             click.secho(f"Not looked at as a hemiparetic walk: {error}", fg="yellow", err=True)
     parameters = gait_parameters(result) if walk is None else walk.parameters

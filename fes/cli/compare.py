@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from fes.cli.common.exits import FAILED, Problem, fail
+from fes.cli.common.options import RenamedOptions
 from fes.session_log import SessionLogError, read_session
 
 if TYPE_CHECKING:
@@ -39,20 +40,20 @@ _TITLES: Final = {
 }
 
 
-@click.command(name="compare")
+@click.command(name="compare", cls=RenamedOptions, former={"--afflicted": "--paretic-side"})
 @click.argument("sessions", nargs=-1, required=True, metavar="A B…", type=click.Path(path_type=Path))
 @click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write how the walks differ, as HTML.")
 @click.option(
     "--label", "labels", multiple=True, metavar="WORDS", help="With --report: a session's name; once for each."
 )
-@click.option("--afflicted", type=click.Choice(["left", "right"]), help="With --report: symmetry from that side.")
+@click.option("--paretic-side", type=click.Choice(["left", "right"]), help="With --report: symmetry from that side.")
 @click.option("--all", "every", is_flag=True, help=f"Show all strides, not only the first {ROWS} that differ.")
 @click.option("--json", "as_json", is_flag=True, help="Print the differences as JSON.")
 def command(
     sessions: tuple[Path, ...],
     report: Path | None,
     labels: tuple[str, ...],
-    afflicted: str | None,
+    paretic_side: str | None,
     every: bool,
     as_json: bool,
 ) -> None:
@@ -67,10 +68,10 @@ def command(
     analysed off-line in the same way. Exit code: 0 written, 2 unusable input.
     """
     if report is not None:
-        _report(sessions, report, labels, afflicted, as_json)
+        _report(sessions, report, labels, paretic_side, as_json)
         return
-    if labels or afflicted:
-        raise Problem("--label and --afflicted belong to --report FILE")
+    if labels or paretic_side:
+        raise Problem("--label and --paretic-side belong to --report FILE")
     if len(sessions) != 2:
         raise Problem(f"name two session logs, not {len(sessions)}; for more say --report FILE")
     from rich.console import Console
@@ -91,7 +92,9 @@ def command(
         raise SystemExit(FAILED)
 
 
-def _report(paths: Sequence[Path], report: Path, labels: Sequence[str], afflicted: str | None, as_json: bool) -> None:
+def _report(
+    paths: Sequence[Path], report: Path, labels: Sequence[str], paretic_side: str | None, as_json: bool
+) -> None:
     from fes.report.comparison.page import MOST, compare_sessions, write_comparison
     from fes.report.comparison.session import ComparisonProblem, read_compared
     from fes.report.files import ReportError
@@ -107,7 +110,7 @@ def _report(paths: Sequence[Path], report: Path, labels: Sequence[str], afflicte
     names = labels or [f"{chr(65 + k)} {path.stem if path.is_file() else path.name}" for k, path in enumerate(paths)]
     try:
         comparison = compare_sessions(
-            [read_compared(path, name) for path, name in zip(paths, names, strict=True)], afflicted=afflicted
+            [read_compared(path, name) for path, name in zip(paths, names, strict=True)], afflicted=paretic_side
         )
         write_comparison(comparison, report)
     except ComparisonProblem as error:

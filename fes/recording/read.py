@@ -215,5 +215,6 @@ def _check_overlap(path: Path, tracks: dict[str, Track]) -> None:
         raise RecordingError(
             f"{path}: {first_end.sensor} ends {gap_s:.3f} s before {last_start.sensor} starts: their clocks have "
             f"different origins. Subtract each sensor's start, or synchronise the sensors; or say rate_hz instead of "
-            f"time_column, which lets all begin at once, and set one foot's clock by the walk (fes analyse --apart)."
+            f"time_column, which lets all begin at once, and set one foot's clock by the walk "
+            f"(fes analyse --sync-clocks)."
         )

@@ -355,7 +355,7 @@ def test_the_command_brings_feet_recorded_apart_together(tmp_path, patients):
     ahead = round(3.3 * NS_PER_S)
     late = replace(right, t_ns=right.t_ns + ahead, t_sensor_ns=right.t_sensor_ns + ahead)
     write_recording(replace(recording, tracks={**recording.tracks, "right_foot": late}), tmp_path / "apart.parquet")
-    options = ["--apart", "--no-report", "--out", str(tmp_path / "out")]
+    options = ["--sync-clocks", "--no-report", "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(main, ["analyse", str(tmp_path / "apart.parquet"), *options])
     assert done.exit_code == 0, done.output
     said = " ".join(done.output.split())
@@ -367,7 +367,7 @@ def test_the_command_brings_feet_recorded_apart_together(tmp_path, patients):
 
 def test_feet_recorded_apart_without_a_walk_are_refused(tmp_path):
     trial = TRIAL.with_name("negard_patient2.parquet")
-    done = CliRunner().invoke(main, ["analyse", str(trial), "--apart", "--no-report", "--out", str(tmp_path)])
+    done = CliRunner().invoke(main, ["analyse", str(trial), "--sync-clocks", "--no-report", "--out", str(tmp_path)])
     assert done.exit_code == 2
     assert "left_foot is missing" in " ".join(done.output.split())
 

@@ -90,7 +90,7 @@ def test_a_hemiparetic_walk_has_its_section(walked):
 @pytest.mark.slow
 def test_the_command_hands_over_what_it_found(tmp_path):
     trial = str(TRIALS / "both_feet_100hz.parquet")
-    done = CliRunner().invoke(main, ["analyse", trial, "--json", "--afflicted", "left", "--out", str(tmp_path)])
+    done = CliRunner().invoke(main, ["analyse", trial, "--json", "--paretic-side", "left", "--out", str(tmp_path)])
     assert done.exit_code == 0, done.output
     speed = json.loads(done.stdout)["parameters"]["walk"]["walking_speed_mps"]
     (report,) = tmp_path.glob("*/report.html")

@@ -1,9 +1,4 @@
-"""Numbers as options: within a range, and numbers at all; click lets "nan" through every range.
-
-The computer's monotonic clock, handed to what needs one.
-
-Is a file or device there, as far as this user may see? An ordinary user may not look into every folder.
-"""
+"""What options need: numbers that are numbers, former names, a clock, whether a file or device is there."""
 
 from __future__ import annotations
 
@@ -59,3 +54,24 @@ class Number(click.FloatRange):
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
         return number
+
+
+class RenamedOptions(click.Command):
+    """A command some of whose options had another name once: that still works, with a notice on stderr.
+
+    Args:
+        former: the name now, by the name that was.
+    """
+
+    def __init__(self, *args: Any, former: dict[str, str], **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._former = former
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Put the names of now for those that were."""
+        end = args.index("--") if "--" in args else len(args)
+        for at, (name, equals, value) in enumerate(argument.partition("=") for argument in args[:end]):
+            if now := self._former.get(name):
+                click.secho(f"{name} is now called {now}; the old name still works.", fg="yellow", err=True)
+                args[at] = f"{now}{equals}{value}"
+        return super().parse_args(ctx, args)

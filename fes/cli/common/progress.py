@@ -1,7 +1,4 @@
-"""How far a replay has come, on stderr; silent where nobody watches.
-
-Ctrl-C between two events rather than in the middle of one, so that what is logged is whole and can be replayed.
-"""
+"""Ctrl-C between two events rather than in the middle of one; how far a replay has come, on stderr."""
 
 from __future__ import annotations
 
@@ -9,9 +6,6 @@ import signal
 import sys
 from types import FrameType, TracebackType
 from typing import Any, Self
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
 
@@ -51,6 +45,9 @@ class ReplayProgress:
     """A bar over the recording's time."""
 
     def __init__(self, what: str, begin_ns: int, end_ns: int, quiet: bool) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
         self._begin_ns = begin_ns
         self._shown_ns = begin_ns
         self._bar = Progress(
