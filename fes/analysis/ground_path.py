@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.foot.calibration import FootCalibration
-from fes.estimation.numerics.linear import median
+from fes.estimation.numerics.ranks import median
 from fes.estimation.zupt.filter import ZuptSettings
 from fes.estimation.zupt.foot_trajectory import FootSamples, bend_ahead, foot_samples, over_ground, slopes
 from fes.recording import Track

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.estimation.numerics.linear import median, percentile
+from fes.estimation.numerics.ranks import median, percentile
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GYR_UNITS
 from fes.signals import G_MPS2, FloatArray, IntArray

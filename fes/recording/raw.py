@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from fes.estimation.numerics.linear import median
+from fes.estimation.numerics.ranks import median
 from fes.recording.csv_layout import Dialect
 from fes.recording.sidecar import Sensor, Sidecar
 from fes.recording.table import Table, greatest_size

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fes.estimation.numerics.linear import median
+from fes.estimation.numerics.ranks import median
 from fes.recording.plausible import check_units
 from fes.recording.raw import MIN_DURATION_S, RATE_TOLERANCE, RawTrack, Timing, judge_stamps, read_parts, read_table
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fes.estimation.numerics.linear import median
+from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.rotation import foot_axes, quaternions_of, rotate_all, up_in_sensor
 from fes.estimation.strides.integration import height_and_turn, stride_shape
 from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, carry_one, predict, update, update_velocity

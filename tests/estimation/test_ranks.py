@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fes.estimation.numerics.linear import median, percentile
+from fes.estimation.numerics.ranks import median, percentile
 
 NUMBERS = st.lists(st.floats(-1e12, 1e12) | st.sampled_from([0.0, 1.0, 2.0]), min_size=1, max_size=60)
 

@@ -27,7 +27,7 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.estimation.clearance.clearance import AnyPaths, in_one, index_at, reach
 from fes.estimation.numerics.jit import inlined, jit_fused
-from fes.estimation.numerics.linear import median
+from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.rotation import to_world
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import FloatArray

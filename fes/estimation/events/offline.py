@@ -50,7 +50,7 @@ from fes.estimation.numerics.filters import (
     passed,
 )
 from fes.estimation.numerics.jit import jit, jit_ieee
-from fes.estimation.numerics.linear import median
+from fes.estimation.numerics.ranks import median
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 NEIGHBOURS = 10  # falls before and after that say what is typical

@@ -16,7 +16,7 @@ import numpy as np
 
 from fes.estimation.foot.features import FootParameters, lags_at
 from fes.estimation.foot.movements import contact_jumps, follow, movements, moving_mean
-from fes.estimation.numerics.linear import median, percentile
+from fes.estimation.numerics.ranks import median, percentile
 from fes.estimation.numerics.rotation import cross, without
 from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3

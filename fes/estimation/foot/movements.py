@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit, jit_ieee
-from fes.estimation.numerics.linear import percentile, solve
+from fes.estimation.numerics.linear import solve
+from fes.estimation.numerics.ranks import percentile
 from fes.estimation.numerics.rotation import axes_in_world, from_gravity, to_sensor, to_world, turn_by, up_in_sensor
 from fes.signals import G_MPS2, FloatArray, IntArray
 

@@ -42,7 +42,7 @@ from typing import Any, Final
 import numpy as np
 
 from fes.estimation.numerics.jit import jit, jit_ieee
-from fes.estimation.numerics.linear import median, percentile
+from fes.estimation.numerics.ranks import median, percentile
 from fes.estimation.zupt.thresholds import chi2_quantile, split
 from fes.signals import G_MPS2, FloatArray, Vector3
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from fes.estimation.numerics.filters import largest_in_blocks
 from fes.estimation.numerics.jit import inlined, jit_fused
-from fes.estimation.numerics.linear import median
+from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.rotation import to_world
 from fes.estimation.tracking.tracker import LARGEST_VALUE
 from fes.estimation.zupt.decimated_filter import Steps, forward_steps, mean_at_rest, new_step_tape, steps_of
