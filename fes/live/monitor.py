@@ -13,10 +13,11 @@ from fes.control.controller import Controller
 from fes.gate import SafetyGate
 from fes.live.inputs import printable
 from fes.live.log_pipe import PipedLog
+from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator
 from fes.live.sensors import SensorMonitor
 from fes.live.source import SwitchComparison
-from fes.live.status import FootStatus, Notices, Status, tuning_status
+from fes.live.status import FootStatus, Status
 from fes.session_log import Note
 from fes.signals import Event, FootSwitchEvent, ImuSample, StimAlive, StimCommand, StimStatus, StrideResult, WireFrame
 from statemachine.phases import PhaseChange

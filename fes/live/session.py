@@ -21,12 +21,12 @@ from fes.live.commands import CURRENT_ALLOWED
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopFile, StopSwitch, SwitchLine
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
+from fes.live.notices import Notices
 from fes.live.operator import NO_STOP, Operator
 from fes.live.ports import Input
 from fes.live.realtime import Grant
 from fes.live.sensors import SensorMonitor, SensorStream
 from fes.live.source import LiveSource, stalled
-from fes.live.status import Notices
 from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.live.view_process import ViewProcess
 from fes.session_log import Note, Received

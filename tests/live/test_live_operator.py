@@ -28,10 +28,11 @@ from fes.live.dashboard.stream import DashboardStream
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
+from fes.live.notices import tuning_status
 from fes.live.operator import Operator
 from fes.live.sensors import SensorMonitor
 from fes.live.source import SwitchComparison
-from fes.live.status import FootStatus, Status, tuning_status
+from fes.live.status import FootStatus, Status
 from fes.session_log import Note
 from fes.signals import Event, FootSwitchEvent, ImuSample, OperatorAct, OperatorAction, StimAlive, SystemFault, Vector3
 from statemachine.phases import Phase, PhaseChange, Transition

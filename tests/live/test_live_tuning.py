@@ -16,8 +16,9 @@ from fes.control.controller import Controller
 from fes.estimation.foot.calibration import FootCalibration
 from fes.gate import gate_of
 from fes.live.commands import NEEDS_CONFIRMATION, Ask, Order, orders_of_keys
+from fes.live.notices import tuning_status
 from fes.live.operator import AGAIN_NS, Operator, Refusal, TuningOrders
-from fes.live.status import Status, TuningStatus, tuning_status
+from fes.live.status import Status, TuningStatus
 from fes.live.terminal_view import picture
 from fes.session_log import Note
 from fes.signals import OperatorAct, OperatorAction

@@ -70,8 +70,7 @@ def requirements_page() -> str:
 def hazards_page() -> str:
     """docs/hazards.md."""
     rows = "\n".join(
-        f"| {h['hazard']} | {h['cause']} | {h['control']} | {h['requirement']} | `{h['test'].removeprefix('tests/')}` |"
-        for h in HAZARDS
+        f"| {h['hazard']} | {h['cause']} | {h['control']} | {h['requirement']} | `{h['test']}` |" for h in HAZARDS
     )
     return f"""# Hazards
 
@@ -82,7 +81,7 @@ control out of a scratch copy of the code and runs the test named: it must pass 
 controls (skin, electrodes' places, the choice of patient, falls for other reasons) is in
 [intended use](intended_use.md).
 
-| hazard | cause | control | requirement | test that fails without it (in `tests/`) |
+| hazard | cause | control | requirement | test that fails without it |
 |---|---|---|---|---|
 {rows}
 """
