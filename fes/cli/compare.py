@@ -97,7 +97,7 @@ def _report(
 ) -> None:
     from fes.report.comparison.page import MOST, compare_sessions, write_comparison
     from fes.report.comparison.session import ComparisonProblem, read_compared
-    from fes.report.files import ReportError
+    from fes.report.html import ReportError
 
     if not 2 <= len(paths) <= MOST:
         raise Problem(f"name two to {MOST} sessions, not {len(paths)}")
@@ -212,7 +212,7 @@ def _table(result: Comparison, every: bool) -> RenderableType:
     from rich.table import Table
 
     from fes.evaluation.log_comparison import QUANTITIES
-    from fes.report.tables import number
+    from fes.report.text import number
 
     different = [each for each in result.pairs if every or not each.same]
     rows = different if every else different[:ROWS]

@@ -7,19 +7,16 @@ import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 from typing import Any, Final
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from fes import __version__
 from fes.cohort.store import RECORDINGS, STRIDES, Store
 from fes.cohort.task import DONE
 from fes.report.figures.strides import FOOT_COLORS, foot_color
-from fes.report.figures.svg import Plot, padded
+from fes.report.figures.svg import Figure, Plot, padded
+from fes.report.html import style, templates, trusted
 from fes.signals import FloatArray
 
 PAGE: Final = "index.html"
@@ -67,8 +64,8 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
     subjects = sorted({row["subject"] for row in rows})
     by_subject = {name: [row for row in rows if row["subject"] == name] for name in subjects}
     done = [row for row in rows if row["status"] == DONE]
-    page = page_environment().get_template("cohort.html.j2")
-    common = {"style": page_style(), "version": __version__, "measures": MEASURES, "colors": FOOT_COLORS}
+    page = templates("fes.cohort").get_template("cohort.html.j2")
+    common = {"style": style(), "page_of": _file, "version": __version__, "measures": MEASURES, "colors": FOOT_COLORS}
     for name, own in by_subject.items():
         mask = strides["subject"] == name
         of_subject = {column: values[mask] for column, values in strides.items()}
@@ -79,7 +76,7 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
             failed=[row for row in own if row["status"] != DONE],
             subjects=[],
             outliers=[],
-            figures=[*_histograms(of_subject), *_courses(of_subject, own)],
+            figures=trusted([*_histograms(of_subject), *_strides_over_time(of_subject, own)]),
             strides=int(of_subject["valid"].sum()),
             flags=_flags,
             **common,
@@ -92,7 +89,7 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
         failed=[row for row in rows if row["status"] != DONE],
         subjects=[_subject_row(name, own) for name, own in by_subject.items()],
         outliers=_outliers(done),
-        figures=[*_histograms(strides), *_spreads(done)],
+        figures=trusted([*_histograms(strides), *_spreads(done)]),
         strides=int(strides["valid"].sum()),
         flags=_flags,
         **common,
@@ -120,7 +117,7 @@ def _columns(table: Any) -> dict[str, Any]:
     return found | {m.column: numbers(m.column) for m in MEASURES if m.column not in found}
 
 
-def _histograms(strides: dict[str, Any]) -> list[dict[str, Any]]:
+def _histograms(strides: dict[str, Any]) -> list[Figure]:
     figures = []
     for measure in MEASURES:
         values = measure.factor * strides[measure.column]
@@ -142,17 +139,17 @@ def _histograms(strides: dict[str, Any]) -> list[dict[str, Any]]:
         cut = int((usable & ((values < low) | (values > high))).sum())
         median = float(np.median(values[usable]))
         figures.append(
-            {
-                "title": f"{measure.name}, all valid strides",
-                "svg": Markup(plot.render()),
-                "caption": f"{int(usable.sum())} strides, median {median:.{measure.digits}f} {measure.unit}; the "
-                f"outermost {cut} are not drawn.",
-            }
+            Figure(
+                f"{measure.name}, all valid strides",
+                plot.render(),
+                f"{int(usable.sum())} strides, median {median:.{measure.digits}f} {measure.unit}; the outermost {cut} "
+                "are not drawn.",
+            )
         )
     return figures
 
 
-def _spreads(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _spreads(rows: Sequence[dict[str, Any]]) -> list[Figure]:
     """Every recording's median, in order: where the cohort lies, and who lies apart."""
     figures = []
     for measure in MEASURES:
@@ -175,13 +172,11 @@ def _spreads(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         plot.points(x, values, "#333333", titles)
         plot.level(float(np.median(values)), "#777777")
         caption = "One point a recording: its median over valid strides. Dashed: the cohort's median."
-        figures.append(
-            {"title": f"{measure.name}, recording by recording", "svg": Markup(plot.render()), "caption": caption}
-        )
+        figures.append(Figure(f"{measure.name}, recording by recording", plot.render(), caption))
     return figures
 
 
-def _courses(strides: dict[str, Any], rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _strides_over_time(strides: dict[str, Any], rows: Sequence[dict[str, Any]]) -> list[Figure]:
     """A subject's strides one after the other, recordings apart by an upright line."""
     measure, x0 = MEASURES[0], 0.0
     parts: list[tuple[FloatArray, FloatArray, Any]] = []
@@ -205,13 +200,7 @@ def _courses(strides: dict[str, Any], rows: Sequence[dict[str, Any]]) -> list[di
             plot.points(t_s[own], length_m[own], foot_color(foot), titles)
     for at, name in bounds:
         plot.upright(at, "#777777", name if len(bounds) <= 6 else "")
-    return [
-        {
-            "title": "Stride length, stride by stride",
-            "svg": Markup(plot.render()),
-            "caption": "Recordings one after the other.",
-        }
-    ]
+    return [Figure("Stride length, stride by stride", plot.render(), "Recordings one after the other.")]
 
 
 def _subject_row(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -269,24 +258,3 @@ def _file(subject: str) -> str:
     """A file name that any storage takes, different for different subjects."""
     plain = re.sub(r"[^\w-]+", "_", subject)[:60] or "subject"
     return f"{plain}-{hashlib.sha256(subject.encode()).hexdigest()[:6]}.html"
-
-
-@cache
-def page_style() -> Markup:
-    """The report's own, for every page."""
-    return Markup(files("fes.report").joinpath("static/report.css").read_text(encoding="utf-8"))
-
-
-@cache
-def page_environment() -> Environment:
-    """The pages' templates."""
-    environment = Environment(
-        loader=PackageLoader("fes.cohort"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["page_of"] = _file
-    environment.filters["num"] = lambda value, digits: "–" if value is None else f"{value:.{digits}f}"
-    return environment

@@ -5,14 +5,10 @@ Figures of an agreement: Bland–Altman, estimate over reference, errors over ti
 
 from __future__ import annotations
 
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -22,11 +18,10 @@ from fes import __version__
 from fes.evaluation.agreement import Interval
 from fes.evaluation.reference.compare import Pair
 from fes.evaluation.reference.evaluation import BOTH, AgreementRow, Evaluation
-from fes.report.figures.strides import Figure, foot_color
-from fes.report.figures.svg import Plot, padded
-from fes.report.files import plain, write_page_file
-from fes.report.findings import words
-from fes.report.tables import number
+from fes.report.figures.strides import foot_color
+from fes.report.figures.svg import Figure, Plot, padded
+from fes.report.html import style, templates, trusted, write_page_file
+from fes.report.text import number, plain, readable
 from fes.signals import FloatArray
 
 GREY, LIMIT = "#5a636d", "#b3261e"
@@ -122,7 +117,7 @@ def _values(row: AgreementRow, pairs: list[Pair]) -> tuple[FloatArray, FloatArra
 def _points(plot: Plot, pairs: list[Pair], x: FloatArray, y: FloatArray, unit: str, digits: int) -> None:
     for foot in sorted({pair.foot for pair in pairs}):
         mine = [k for k, pair in enumerate(pairs) if pair.foot == foot]
-        titles = [f"{words(foot)}, {pairs[k].t_s:.2f} s: {y[k]:.{digits}f} {unit}" for k in mine]
+        titles = [f"{readable(foot)}, {pairs[k].t_s:.2f} s: {y[k]:.{digits}f} {unit}" for k in mine]
         plot.points(x[mine], y[mine], foot_color(foot), titles)
 
 
@@ -201,7 +196,7 @@ def cells(row: AgreementRow) -> dict[str, str]:
 
     return {
         "label": q.label,
-        "foot": row.foot if row.foot == BOTH else words(row.foot).removesuffix(" foot"),
+        "foot": row.foot if row.foot == BOTH else readable(row.foot).removesuffix(" foot"),
         "unit": q.unit,
         "n": str(d.n),
         "reference": shown(row.reference_mean),
@@ -228,7 +223,7 @@ def cells(row: AgreementRow) -> dict[str, str]:
 def count_words(evaluation: Evaluation, k: int) -> str:
     """One count in words."""
     c = evaluation.counts[k]
-    text = f"{c.what}, {words(c.foot)}: {c.expected} expected, {c.missed} missed, {c.extra} extra"
+    text = f"{c.what}, {readable(c.foot)}: {c.expected} expected, {c.missed} missed, {c.extra} extra"
     return text + (f"; {c.left_out} left out, for one side cannot be relied on there" if c.left_out else "")
 
 
@@ -257,7 +252,7 @@ def write_page(evaluation: Evaluation, path: Path) -> None:
 def render_page(evaluation: Evaluation) -> str:
     """The page as HTML text."""
     return (
-        _environment()
+        templates()
         .get_template("agreement.html.j2")
         .render(
             title=f"{Path(evaluation.estimate.source).name} – agreement",
@@ -266,27 +261,8 @@ def render_page(evaluation: Evaluation) -> str:
             rows=[cells(row) for row in evaluation.rows],
             counts=[count_words(evaluation, k) for k in range(len(evaluation.counts))],
             clock=clock_words(evaluation),
-            feet=[(words(foot), foot_color(foot)) for foot in sorted({pair.foot for pair in evaluation.pairs})],
-            figures=[
-                {"title": figure.title, "svg": Markup(figure.svg), "caption": figure.caption}
-                for figure in agreement_figures(evaluation)
-            ],
-            style=Markup(_style()),
+            feet=[(readable(foot), foot_color(foot)) for foot in sorted({pair.foot for pair in evaluation.pairs})],
+            figures=trusted(agreement_figures(evaluation)),
+            style=style(),
         )
     )
-
-
-@cache
-def _environment() -> Environment:
-    return Environment(
-        loader=PackageLoader("fes.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-@cache
-def _style() -> str:
-    return files("fes.report").joinpath("static", "report.css").read_text(encoding="utf-8")

@@ -10,7 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from fes.report.quality import SensorQuality
-from fes.report.summary import ChannelSummary, SessionSummary, Spread
+from fes.report.summary import ChannelSummary, SessionSummary
+from fes.report.text import count_of, readable
 
 Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
@@ -23,24 +24,6 @@ class Finding:
 
     level: Level
     text: str
-
-
-def words(name: str) -> str:
-    """``left_foot`` → ``left foot``."""
-    return name.replace("pre_swing", "pre-swing").replace("_", " ")
-
-
-def count_of(number: int, noun: str) -> str:
-    """``1 stride``, ``3 strides``."""
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
-
-
-def mean_sd(values: Spread, digits: int, unit: str) -> str:
-    """``0.63 ± 0.02 m``, or a dash when there is nothing."""
-    if not values.n:
-        return "–"
-    sd = f" ± {values.sd:.{digits}f}" if values.n > 1 else ""
-    return f"{values.mean:.{digits}f}{sd} {unit}"
 
 
 def findings(summary: SessionSummary) -> tuple[Finding, ...]:
@@ -116,7 +99,7 @@ def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
         yield Finding("warning", f"{name}: stimulated, but the log's settings do not say on which foot.")
         return
     times = count_of(channel.bursts, "time")
-    window = f"{words(channel.start_phase)} … {words(channel.stop_phase)}"
+    window = f"{readable(channel.start_phase)} … {readable(channel.stop_phase)}"
     if channel.longest_outside_s == 0:
         yield Finding("good", f"{name}: stimulated {times}, never outside {window} of its foot.")
     elif channel.longest_outside_s <= period_s:
@@ -193,4 +176,4 @@ def _sensor(sensor: SensorQuality) -> Iterator[Finding]:
     ]
     told = ", ".join(flaw for flaw in flaws if flaw)
     if told:
-        yield Finding("warning", f"Sensor {words(sensor.sensor)}: {told} ({sensor.samples} samples).")
+        yield Finding("warning", f"Sensor {readable(sensor.sensor)}: {told} ({sensor.samples} samples).")

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from fes.report.findings import Finding, Level, count_of, findings, words
+from fes.report.findings import Finding, Level, findings
 from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags
 from fes.report.summary import ChannelSummary, SessionSummary
-from fes.report.tables import number
+from fes.report.text import count_of, number, readable
 from fes.report.tuning import DoseRow
 
 FIRST = 6  # sentences on the first page; the rest stand further down
@@ -67,7 +67,7 @@ def flag_findings(flags: Mapping[tuple[str, int], Sequence[Flag]], sensors: Mapp
                 found.append(
                     Finding(
                         "warning",
-                        f"Sensor {words(name)}: {kind} at its limit of {sensor.limits[axis]:.0f} {unit} in "
+                        f"Sensor {readable(name)}: {kind} at its limit of {sensor.limits[axis]:.0f} {unit} in "
                         f"{count_of(samples, 'sample')}, in {count_of(strides, 'stride')}{how}.",
                     )
                 )

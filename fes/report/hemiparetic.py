@@ -11,8 +11,9 @@ import numpy as np
 
 from fes.analysis.hemiparetic.side import MIN_AGREEING, MIN_SCORE
 from fes.report.figures.space import SpaceFigure, SpaceFoot
-from fes.report.findings import Finding, words
+from fes.report.findings import Finding
 from fes.report.gait import POINTS, spread_of
+from fes.report.text import readable
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.foot import FootTrack
@@ -93,7 +94,9 @@ def hemiparetic_section(walk: HemipareticWalk) -> HemipareticSection:
         sure=sure,
         sentence=side.words()[:1].upper() + side.words()[1:],
         votes=tuple(_vote(sign, vote) for sign, vote in side.votes.items()),
-        terrain={words(foot): _counted([str(kind) for kind in found.values()]) for foot, found in walk.terrain.items()},
+        terrain={
+            readable(foot): _counted([str(kind) for kind in found.values()]) for foot, found in walk.terrain.items()
+        },
         terrain_of={(foot, n): str(kind) for foot, found in walk.terrain.items() for n, kind in found.items()},
         windows=() if walk.windows is None else tuple(_window_row(walk.windows, track) for track in _tracks(walk)),
         no_windows=walk.no_windows,
@@ -135,7 +138,7 @@ def _doubt(walk: HemipareticWalk) -> str:
     for track in _tracks(walk):
         own, theirs = len(walk.parameters.strides.get(track.name, ())), max(len(track.windows) - 1, 0)
         if abs(own - theirs) > MOST_MISCOUNTED * own:
-            parts.append(f"{words(track.name)} {theirs} strides where this report has {own} valid ones")
+            parts.append(f"{readable(track.name)} {theirs} strides where this report has {own} valid ones")
     return "; ".join(parts)
 
 

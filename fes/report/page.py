@@ -1,22 +1,12 @@
-"""The report: one HTML file with all of a session in it, that opens anywhere without a network.
-
-Compiled templates kept from run to run: compiling the report's anew takes a tenth of a second each time.
-"""
+"""The report: one HTML file with all of a session in it, that opens anywhere without a network."""
 
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
-from contextlib import suppress
-from datetime import datetime
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined
-from jinja2.bccache import Bucket
 from markupsafe import Markup
 
 from fes.analysis.ground_path import GroundPath
@@ -25,49 +15,26 @@ from fes.report.figures.space import ground_figures, space_of
 from fes.report.figures.stimulation import channel_color, latency_figure, stimulation_figures, tuning_figures
 from fes.report.figures.strides import (
     PHASE_COLORS,
-    Figure,
     butterfly_figures,
     curve_figures,
     foot_color,
     phase_figures,
     stride_figures,
 )
-from fes.report.files import plain, write_page_file
-from fes.report.findings import mean_sd, words
 from fes.report.flags import Flag, all_flags, stride_flags, told
 from fes.report.front_page import front_page
 from fes.report.gait import foot_curves, gait_of_strides
+from fes.report.html import asset, css_text, embed, templates, trusted, write_page_file
 from fes.report.parameter_table import KEY_NUMBERS, compared, parameter_rows, walk_rows
 from fes.report.summary import ReportData, summarise_session
-from fes.report.tables import number, path_mark
-from fes.report.terms import parameter_slugs, slug, terms
+from fes.report.tables import path_mark
+from fes.report.terms import parameter_slugs, terms
+from fes.report.text import local_time, plain, readable
 from fes.report.timeseries import chart_data
 from fes.session_log import SessionRecord
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.walk import HemipareticWalk
-
-
-class TemplateCache(FileSystemBytecodeCache):
-    """In the user's cache folder; a template that has changed is compiled anew. Where nothing can be kept, none is."""
-
-    def __init__(self) -> None:
-        folder = Path(os.devnull)  # where nothing can be
-        with suppress(OSError, RuntimeError):  # RuntimeError: a user without a home
-            base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-            folder = base / "fes-gait" / "templates"
-            folder.mkdir(parents=True, exist_ok=True)
-        super().__init__(str(folder))
-
-    def load_bytecode(self, bucket: Bucket) -> None:
-        """Fill in a template if it has been kept."""
-        with suppress(OSError):
-            super().load_bytecode(bucket)
-
-    def dump_bytecode(self, bucket: Bucket) -> None:
-        """Keep one compiled template."""
-        with suppress(OSError):
-            super().dump_bytecode(bucket)
 
 
 LONG_TABLE_ROWS = 200  # on paper a longer table stops here
@@ -120,13 +87,13 @@ def render_report(
         section = hemiparetic_section(hemiparetic)
     spaces = [figure for figure in (space, section.space if section else None) if figure is not None]
     return (
-        _environment()
+        templates()
         .get_template("report.html.j2")
         .render(
             s=summary,
             title=f"{summary.name} – gait and stimulation",
             front=front_page(summary, flags, sensors, [section.finding] if section else []),
-            front_figures=_safe(over_stride[:2]),
+            front_figures=trusted(over_stride[:2]),
             gait=measured,
             from_samples=gait is not None,
             compared=compared(measured),
@@ -140,71 +107,35 @@ def render_report(
             sensors=sensors,
             terms=terms(),
             parameter_slugs=parameter_slugs(),
-            stride_figures=_safe([*over_stride, *butterfly_figures(curves, care), *([space.figure] if space else [])]),
-            window_figures=_safe([section.space.figure] if section and section.space else []),
-            ground_figures=_safe(ground_figures(view, paths or {})),
-            each_figures=_safe(stride_figures(view, flags)),
-            phase_figures=_safe(phase_figures(view, flags)),
-            stimulation_figures=_safe(stimulation_figures(view)),
-            tuning_figures=_safe(tuning_figures(view)),
-            latency_figure=_safe([figure for figure in [latency_figure(view)] if figure]),
+            stride_figures=trusted(
+                [*over_stride, *butterfly_figures(curves, care), *([space.figure] if space else [])]
+            ),
+            window_figures=trusted([section.space.figure] if section and section.space else []),
+            ground_figures=trusted(ground_figures(view, paths or {})),
+            each_figures=trusted(stride_figures(view, flags)),
+            phase_figures=trusted(phase_figures(view, flags)),
+            stimulation_figures=trusted(stimulation_figures(view)),
+            tuning_figures=trusted(tuning_figures(view)),
+            latency_figure=trusted([figure for figure in [latency_figure(view)] if figure]),
             phase_colors=PHASE_COLORS,
+            foot_color=foot_color,
+            channel_color=channel_color,
+            path_mark=path_mark,
             long_table=len(summary.strides) > LONG_TABLE_ROWS,
             run_summary=json.dumps(summary.run_summary, indent=2, ensure_ascii=False),
             header_parts=_header_parts(record.header),
             data=Markup(embed(chart_data(view, sensors) | {"spaces": [figure.to_data() for figure in spaces]})),
-            style=Markup("".join(_asset(name) for name in STYLES) + _running_head(view)),
-            script=Markup("".join(_asset(name) for name in SCRIPTS)),
-            uplot=Markup(f"/*\n{_asset('uPlot.LICENSE')}*/\n{_asset('uPlot.iife.min.js')}"),
+            style=Markup("".join(asset(name) for name in STYLES) + _running_head(view)),
+            script=Markup("".join(asset(name) for name in SCRIPTS)),
+            uplot=Markup(f"/*\n{asset('uPlot.LICENSE')}*/\n{asset('uPlot.iife.min.js')}"),
         )
     )
-
-
-def embed(value: Any) -> str:
-    """JSON that cannot end the script element it stands in, whatever its strings hold."""
-    text = json.dumps(plain(value), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def when(created: str) -> str:
-    """An ISO time as people write it; anything else as it is."""
-    try:
-        moment = datetime.fromisoformat(created)
-    except ValueError:
-        return created
-    return f"{moment:%Y-%m-%d %H:%M} {moment.tzname() or ''}".strip()
-
-
-def css_text(text: str) -> str:
-    """Any text as a string of a style sheet: everything but plain letters and figures is escaped by its number."""
-    return '"' + "".join(c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in text) + '"'
-
-
-@cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("fes.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        bytecode_cache=TemplateCache(),
-    )
-    environment.filters |= {"num": number, "words": words, "mark": path_mark, "mean_sd": mean_sd, "when": when}
-    environment.filters |= {"slug": slug}
-    environment.globals |= {"foot_color": foot_color, "channel_color": channel_color}
-    return environment
-
-
-@cache
-def _asset(name: str) -> str:
-    return files("fes.report").joinpath("static", name).read_text(encoding="utf-8")
 
 
 def _running_head(view: ReportData) -> str:
     """What stands at the top of every printed page but the first."""
     s = view.summary
-    text = " – ".join(part[:60] for part in (s.name, s.subject, when(s.created)) if part)
+    text = " – ".join(part[:60] for part in (s.name, s.subject, local_time(s.created)) if part)
     return f"@page {{ @top-left {{ content: {css_text(text)}; }} }}\n"
 
 
@@ -214,12 +145,7 @@ def _care(flags: Mapping[tuple[str, int], tuple[Flag, ...]], numbers: Mapping[st
     return f" With care: {said}." if said else ""
 
 
-def _safe(figures: list[Figure]) -> list[dict[str, Any]]:
-    """Figures for the template; only the plot itself, whose texts are escaped where it is made, is trusted."""
-    return [{"title": figure.title, "svg": Markup(figure.svg), "caption": figure.caption} for figure in figures]
-
-
 def _header_parts(header: dict[str, Any]) -> list[tuple[str, str]]:
     """The parts of a log's header as indented text, one per key that holds more than a word."""
     parts = [(key, value) for key, value in header.items() if isinstance(value, (dict, list)) and value]
-    return [(words(str(key)), json.dumps(plain(value), indent=2, ensure_ascii=False)) for key, value in parts]
+    return [(readable(str(key)), json.dumps(plain(value), indent=2, ensure_ascii=False)) for key, value in parts]

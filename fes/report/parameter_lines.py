@@ -12,6 +12,7 @@ from fes.analysis.hemiparetic.walk import Terrain
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.gait import GaitParameters
 from fes.analysis.parameters.summary import Statistic
+from fes.report.text import number
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.walk import HemipareticWalk
@@ -35,10 +36,10 @@ def parameter_table(parameters: GaitParameters) -> Table:
         known = DEFINITIONS[key]
         cells = [f"{known.name}{f' ({known.symbol})' if known.symbol else ''}, {known.shown}"]
         for value in values:
-            cells += [_mean_sd(value, known.factor, DIGITS[known.shown]), _number(100.0 * value.cv, 1)]
+            cells += [_mean_sd(value, known.factor, DIGITS[known.shown]), number(100.0 * value.cv, 1)]
         if parameters.sides:
             both = parameters.sides.get(key)
-            cells.append(_number(both.index_percent if both is not None else math.nan, 1))
+            cells.append(number(both.index_percent if both is not None else math.nan, 1))
         table.add_row(*cells)
     return table
 
@@ -49,8 +50,8 @@ def parameter_lines(parameters: GaitParameters, hemiparetic: HemipareticWalk | N
     if not any(value.n for foot in parameters.feet.values() for value in foot.values()):
         return [f"No gait parameters: {parameters.no_step_lengths or 'no steady stride'}"]
     lines = [
-        f"Walk: {_number(walk.walking_speed_mps, 2)} m/s, {_number(walk.cadence_per_min, 1)} steps/min, "
-        f"walk ratio {_number(1000.0 * walk.walk_ratio_m_min, 1)} mm/(steps/min)"
+        f"Walk: {number(walk.walking_speed_mps, 2)} m/s, {number(walk.cadence_per_min, 1)} steps/min, "
+        f"walk ratio {number(1000.0 * walk.walk_ratio_m_min, 1)} mm/(steps/min)"
         + (f", speed over belt {walk.belt_ratio:.3f}" if math.isfinite(walk.belt_ratio) else "")
     ]
     if parameters.no_step_lengths:
@@ -76,8 +77,4 @@ def parameter_lines(parameters: GaitParameters, hemiparetic: HemipareticWalk | N
 def _mean_sd(value: Statistic, factor: float, digits: int) -> str:
     if not value.n:
         return "–"
-    return f"{_number(factor * value.mean, digits)} ± {_number(factor * value.sd, digits)}"
-
-
-def _number(value: float, digits: int) -> str:
-    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "–"
+    return f"{number(factor * value.mean, digits)} ± {number(factor * value.sd, digits)}"

@@ -10,9 +10,9 @@ from typing import Final
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.gait import GaitParameters
 from fes.analysis.parameters.summary import Statistic
-from fes.report.findings import words
 from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, told
 from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
+from fes.report.text import number, readable
 
 DIGITS: Final = {"m": 2, "s": 2, "m/s": 2, "cm": 1, "°": 1, "%": 1, "": 2}
 KEY_NUMBERS: Final = (
@@ -134,11 +134,6 @@ def compared(gait: GaitParameters) -> str:
     return "" if both is None else f"{both.first} over {both.second}"
 
 
-def number(value: float, digits: int) -> str:
-    """A number, or a dash for what is not known."""
-    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "–"
-
-
 def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, int], Sequence[Flag]]) -> SideCell:
     value: Statistic = gait.feet[foot][key]
     known, kinds = DEFINITIONS[key], touches(key)
@@ -156,5 +151,5 @@ def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, i
         number(100.0 * value.cv, 1),
         value.n,
         flagged,
-        f"{flagged} of these {value.n} strides of the {words(foot)} may be off: {told(own)}" if flagged else "",
+        f"{flagged} of these {value.n} strides of the {readable(foot)} may be off: {told(own)}" if flagged else "",
     )

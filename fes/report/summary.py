@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from fes.config import Session
-from fes.report.files import plain
 from fes.report.quality import Latency, Notice, Refusal, SensorQuality, all_sensors, group_refusals, latency_of, remarks
 from fes.report.stimulation import (
     Burst,
@@ -26,6 +25,7 @@ from fes.report.stimulation import (
     status_columns,
 )
 from fes.report.strides import StrideRow, stride_rows
+from fes.report.text import Spread, plain
 from fes.report.timeline import PhaseTimeline, build_timeline
 from fes.report.tuning import DoseRow, TuningRow, dose_rows, tuning_rows
 from fes.session_log import SessionLogError, SessionRecord
@@ -33,20 +33,6 @@ from fes.signals import FOOT_SENSORS, NS_PER_S
 
 AGGREGATE_NAN = float("nan")
 STEADY_SHARE = 0.3
-
-
-@dataclass(frozen=True)
-class Spread:
-    """Mean and standard deviation (n − 1) of ``n`` values; NaN where too few."""
-
-    mean: float
-    sd: float
-    n: int
-
-    @property
-    def sd_percent(self) -> float:
-        """Standard deviation in percent of the mean."""
-        return 100 * self.sd / abs(self.mean) if self.mean else AGGREGATE_NAN
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from rich import box
@@ -11,17 +10,13 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fes.report.findings import Finding, count_of, findings, mean_sd, words
+from fes.report.findings import Finding, findings
 from fes.report.strides import StrideRow
 from fes.report.summary import SessionSummary
+from fes.report.text import count_of, mean_sd, number, readable
 from fes.report.tuning import told
 
 MARKS = {"good": ("✓", "green"), "info": ("·", ""), "warning": ("!", "yellow"), "alert": ("✗", "bold red")}
-
-
-def number(value: float, digits: int) -> str:
-    """A number, or a dash for what is not known."""
-    return f"{round(value, digits) + 0.0:.{digits}f}" if math.isfinite(value) else "–"
 
 
 def path_mark(row: StrideRow) -> str:
@@ -125,7 +120,7 @@ def _title(summary: SessionSummary) -> Text:
 
 def _foot_line(summary: SessionSummary, name: str) -> Text:
     foot = summary.feet[name]
-    text = f"  {words(name)}: {foot.valid} of {count_of(foot.strides, 'stride')} valid"
+    text = f"  {readable(name)}: {foot.valid} of {count_of(foot.strides, 'stride')} valid"
     if foot.valid:
         phases = (
             ("pre-swing", foot.pre_swing_s),

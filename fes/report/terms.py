@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cache
 
 from fes.analysis.parameters.definitions import DEFINITIONS
 from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, LOST, MEANING, UNSURE
 from fes.report.glossary import GLOSSARY, NORMS, SPEED_CLASSES_SOURCE
+from fes.report.text import slug
 
 FLAG_NAMES = {
     CLIPPED_ACC: "clip a",
@@ -51,11 +51,6 @@ def terms() -> dict[str, Term]:
     )
     found[slug("speed_class")] = Term("speed class after stroke", f"{SPEED_CLASSES_SOURCE}.")
     return found
-
-
-def slug(word: str) -> str:
-    """A word as an anchor."""
-    return "d-" + re.sub(r"[^a-z0-9]+", "-", word.lower()).strip("-")
 
 
 def parameter_slugs() -> list[str]:

@@ -10,11 +10,11 @@ import numpy as np
 
 from fes.report.figures.stimulation import channel_color
 from fes.report.figures.strides import PHASE_COLORS, foot_color
-from fes.report.findings import words
 from fes.report.flags import SensorFlags
 from fes.report.quality import sample_times
 from fes.report.stimulation import ChannelInfo
 from fes.report.summary import ReportData
+from fes.report.text import readable
 from fes.report.timeline import PhaseTimeline
 from fes.session_log import SampleArrays
 from fes.signals import NS_PER_S, FloatArray, IntArray
@@ -49,7 +49,9 @@ def chart_data(view: ReportData, sensors: Mapping[str, SensorFlags] | None = Non
         "opening_s": _opening_s(view),
         "feet": feet,
         "current": {"start_s": 0.0, "step_s": 1.0 / points_per_s, "count": count, "channels": channels},
-        "phases": [{"name": words(phase.name.lower()), "color": PHASE_COLORS[phase.name.lower()]} for phase in Phase],
+        "phases": [
+            {"name": readable(phase.name.lower()), "color": PHASE_COLORS[phase.name.lower()]} for phase in Phase
+        ],
     }
 
 
@@ -130,7 +132,7 @@ def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points
     start, step, gyr_even = even_grid(t_s, np.degrees(rate), points_per_s)
     _, _, acc_even = even_grid(t_s, acc, points_per_s)
     return {
-        "name": words(timeline.foot),
+        "name": readable(timeline.foot),
         "color": foot_color(timeline.foot),
         "start_s": start,
         "step_s": step,

@@ -16,9 +16,10 @@ from click.testing import CliRunner
 
 from fes.cli import main
 from fes.report.figures.svg import Plot, nice_ticks, padded
-from fes.report.files import ReportError
-from fes.report.page import embed, render_report, when, write_report
+from fes.report.html import ReportError, embed
+from fes.report.page import render_report, write_report
 from fes.report.summary import summarise_session
+from fes.report.text import local_time
 from fes.report.timeseries import MISSING, chart_data, even_grid, main_axis_rate_radps, pack
 from fes.session_log import Note, SampleArrays, SessionRecord
 from fes.session_log.writer import SessionWriter
@@ -358,5 +359,5 @@ def test_a_line_breaks_where_a_value_is_missing():
 
 
 def test_times_are_written_as_people_write_them():
-    assert when("2026-11-20T10:00:00+02:00") == "2026-11-20 10:00 UTC+02:00"
-    assert when("yesterday") == "yesterday"
+    assert local_time("2026-11-20T10:00:00+02:00") == "2026-11-20 10:00 UTC+02:00"
+    assert local_time("yesterday") == "yesterday"

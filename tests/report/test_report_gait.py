@@ -24,10 +24,12 @@ from fes.report.figures.strides import butterfly_figures
 from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, all_flags, sensor_flags, stride_flags, told
 from fes.report.gait import foot_curves, gait_of_strides
 from fes.report.hemiparetic import hemiparetic_section
-from fes.report.page import css_text, render_report
-from fes.report.parameter_table import number, parameter_rows, temporal_symmetry, touches, walk_rows
+from fes.report.html import css_text
+from fes.report.page import render_report
+from fes.report.parameter_table import parameter_rows, temporal_symmetry, touches, walk_rows
 from fes.report.summary import summarise_session
-from fes.report.terms import slug, terms
+from fes.report.terms import terms
+from fes.report.text import number, slug
 from fes.report.timeseries import chart_data
 from fes.session_log import SampleArrays
 

@@ -12,10 +12,10 @@ import report_records as make
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fes.report.files import plain
 from fes.report.findings import findings
 from fes.report.stimulation import command_columns
 from fes.report.summary import summarise
+from fes.report.text import plain
 from fes.report.timeline import build_timeline, phases_between
 from fes.session_log import Note, SampleArrays, SessionRecord
 from fes.signals import StimAlive, StimCommand, StimStatus

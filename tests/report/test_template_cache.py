@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from jinja2 import DictLoader, Environment
 
-from fes.report.page import TemplateCache
+from fes.report.html import TemplateCache
 
 
 def rendered(text: str) -> str:

@@ -211,7 +211,7 @@ def timing_table(check: TimingCheck) -> RenderableType:
     from rich.table import Table
     from rich.text import Text
 
-    from fes.report.tables import number
+    from fes.report.text import number
 
     table = Table(
         title=f"Timing against {check.against}",

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
-from markupsafe import Markup
 
 from fes import __version__
-from fes.cohort.page import page_environment, page_style
 from fes.cohort.sweep.grid import Axis, Factor
 from fes.cohort.sweep.table import Combination, Measure
-from fes.report.figures.svg import Plot, padded
+from fes.report.figures.svg import Figure, Plot, padded
+from fes.report.html import style, templates, trusted
 from fes.signals import FloatArray
 
 SHOWN: Final = 50  # combinations in the table, besides the efficient ones and the session as it is
@@ -26,13 +25,13 @@ def sweep_page(
     """The page as HTML text; ``name`` is the session's, ``cases`` what was tried on."""
     listed = [one for at, one in enumerate(found) if one.done and (at < SHOWN or one.efficient or not one.settings)]
     failed = [one for one in found if one.failed]
-    figures = [figure for figure in (_trade_off(found, measures), *_by_setting(axes, found, measures)) if figure]
+    figures = [*_trade_off(found, measures), *_by_setting(axes, found, measures)]
     return (
-        page_environment()
+        templates("fes.cohort")
         .get_template("sweep.html.j2")
         .render(
             title=f"Sweep of {name}",
-            style=page_style(),
+            style=style(),
             version=__version__,
             axes=[(axis.name, ", ".join(str(value) for value in axis.values)) for axis in axes],
             names=[axis.name for axis in axes],
@@ -43,7 +42,7 @@ def sweep_page(
             failed=failed[:SHOWN],
             failures=len(failed),
             cases=cases,
-            figures=figures,
+            figures=trusted(figures),
             words=figure_words,
             judged=[measure.title for measure in measures if measure.best],
         )
@@ -60,14 +59,14 @@ def setting_words(settings: dict[str, Any]) -> str:
     return ", ".join(f"{name} = {value}" for name, value in settings.items()) or "as it is"
 
 
-def _trade_off(found: Sequence[Combination], measures: Sequence[Measure]) -> dict[str, Any] | None:
+def _trade_off(found: Sequence[Combination], measures: Sequence[Measure]) -> list[Figure]:
     judged = [measure for measure in measures if measure.best][:2]
     if len(judged) < 2:
-        return None
+        return []
     x, y = judged
     points = [one for one in found if not one.failed and None not in (one.figures[x.name], one.figures[y.name])]
     if len(points) < 2:
-        return None
+        return []
     across, up = (np.array([m.factor * (one.figures[m.name] or 0.0) for one in points]) for m in (x, y))
     plot = Plot(f"{y.title} over {x.title}", _axis_name(x), _axis_name(y), padded([across]), padded([up]))
     kinds = np.array([AS_IS if not one.settings else BEST if one.efficient else OTHER for one in points])
@@ -76,12 +75,10 @@ def _trade_off(found: Sequence[Combination], measures: Sequence[Measure]) -> dic
         own = np.flatnonzero(kinds == colour)
         plot.points(across[own], up[own], colour, [titles[at] for at in own], hollow=colour == OTHER)
     caption = "Green: no other combination is at least as good in everything and better in something. Red: as it is."
-    return {"title": "Trade-off", "svg": Markup(plot.render()), "caption": caption}
+    return [Figure("Trade-off", plot.render(), caption)]
 
 
-def _by_setting(
-    axes: Sequence[Axis], found: Sequence[Combination], measures: Sequence[Measure]
-) -> list[dict[str, Any]]:
+def _by_setting(axes: Sequence[Axis], found: Sequence[Combination], measures: Sequence[Measure]) -> list[Figure]:
     judged = next((measure for measure in measures if measure.best), None)
     if judged is None:
         return []
@@ -109,7 +106,7 @@ def _by_setting(
             for label, place in zip(labels, at, strict=True):
                 plot.upright(float(place), OTHER, label)
         plot.points(x, y, OTHER, [f"{value:.{judged.digits}f}" for value in y], hollow=True)
-        figures.append({"title": axis.name, "svg": Markup(plot.render()), "caption": caption})
+        figures.append(Figure(axis.name, plot.render(), caption))
     return figures
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from fes.evaluation.agreement import Interval
 from fes.report.comparison.rows import ParameterRow
 from fes.report.comparison.session import PHASES, ComparedSession
-from fes.report.figures.strides import PHASE_COLORS, Figure
-from fes.report.figures.svg import Plot, nice_ticks, padded
-from fes.report.findings import words
+from fes.report.figures.strides import PHASE_COLORS
+from fes.report.figures.svg import Figure, Plot, nice_ticks, padded
+from fes.report.text import readable
 from fes.signals import FloatArray, StrideResult
 
 COLORS: Final = ("#444444", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0072B2")  # Okabe–Ito, not those of the feet
@@ -126,7 +126,7 @@ def phase_figure(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRo
             wide = scale * seconds
             parts.append(
                 f'<rect x="{at:.1f}" y="{top}" width="{wide:.1f}" height="{BAR}" fill="{PHASE_COLORS[phase]}" '
-                f'stroke="#fff"><title>{escape(words(phase))}: {seconds:.2f} s</title></rect>'
+                f'stroke="#fff"><title>{escape(readable(phase))}: {seconds:.2f} s</title></rect>'
             )
             if wide > 34:
                 parts.append(f'<text x="{at + wide / 2:.1f}" y="{top + 15}" text-anchor="middle">{seconds:.2f}</text>')

@@ -4,27 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from fes import __version__
 from fes.evaluation.agreement import Interval
 from fes.report.comparison.figures import COLORS, DASHES, curve_figures, phase_figure, sketch
 from fes.report.comparison.rows import KEY, ParameterRow, SymmetryRow, parameter_rows, phase_rows, symmetry_rows
-from fes.report.comparison.sentences import changes, confounders, shown, speed_differs, stimulation_words
+from fes.report.comparison.sentences import changes, confounders, describe_stimulation, shown, speed_differs
 from fes.report.comparison.session import ComparedSession, one_way_of_timing
-from fes.report.figures.strides import PHASE_COLORS, Figure, foot_color
-from fes.report.files import plain, write_page_file
-from fes.report.findings import Finding, words
+from fes.report.figures.strides import PHASE_COLORS, foot_color
+from fes.report.findings import Finding
 from fes.report.glossary import GLOSSARY
-from fes.report.page import when
-from fes.report.tables import number
+from fes.report.html import style, templates, trusted, write_page_file
+from fes.report.text import number, plain
 
 FORMAT: Final = 1
 MOST: Final = len(COLORS)
@@ -100,7 +96,7 @@ def render_comparison(comparison: SessionComparison) -> str:
     rest = [row for row in comparison.parameters if row.about.key not in KEY]
     labels = [session.label for session in sessions]
     return (
-        _environment()
+        templates()
         .get_template("comparison.html.j2")
         .render(
             title=" – ".join(labels) if len(labels) < 4 else f"{len(labels)} sessions",
@@ -114,10 +110,13 @@ def render_comparison(comparison: SessionComparison) -> str:
             symmetry=[_symmetry(row) for row in comparison.symmetry],
             detectable=any(row.detectable for row in comparison.parameters),
             sources=sorted({row.detectable.source for row in comparison.parameters if row.detectable}),
-            figures=_safe(curve_figures(sessions)),
-            phase_figures=_safe([phases] if phases else []),
+            figures=trusted(curve_figures(sessions)),
+            phase_figures=trusted([phases] if phases else []),
             looks=[_look(k) for k in range(len(sessions))],
-            style=Markup(_style()),
+            style=style(),
+            stimulation=describe_stimulation,
+            phase_colors=PHASE_COLORS,
+            glossary=GLOSSARY,
         )
     )
 
@@ -224,26 +223,3 @@ def _row_json(row: ParameterRow) -> dict[str, Any]:
         "changes_with_speed": row.with_speed,
         "least_detectable": row.detectable,
     }
-
-
-def _safe(figures: Sequence[Figure]) -> list[dict[str, Any]]:
-    return [{"title": figure.title, "svg": Markup(figure.svg), "caption": figure.caption} for figure in figures]
-
-
-@cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("fes.report"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {"num": number, "when": when, "stimulated": stimulation_words, "words": words}
-    environment.globals |= {"phase_colors": PHASE_COLORS, "glossary": GLOSSARY}
-    return environment
-
-
-@cache
-def _style() -> str:
-    return files("fes.report").joinpath("static", "report.css").read_text(encoding="utf-8")

@@ -16,8 +16,8 @@ from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS, Defini
 from fes.evaluation.agreement import Interval
 from fes.evaluation.agreement.unpaired import Mean, combined, difference, mean_of, symmetry_index
 from fes.report.comparison.session import PHASES, ComparedSession, Side
-from fes.report.findings import words
 from fes.report.glossary import GLOSSARY
+from fes.report.text import readable
 from fes.signals import FloatArray
 
 KESAR: Final = (
@@ -158,7 +158,14 @@ def phase_rows(sessions: Sequence[ComparedSession]) -> list[ParameterRow]:
     """Of the four phases, both sides."""
     abouts = [
         Definition(
-            f"phase_{phase}", f"{words(phase)} (phase)", "", "s", "s", 1.0, GLOSSARY[words(phase)], "Negård et al. 2005"
+            f"phase_{phase}",
+            f"{readable(phase)} (phase)",
+            "",
+            "s",
+            "s",
+            1.0,
+            GLOSSARY[readable(phase)],
+            "Negård et al. 2005",
         )
         for phase in PHASES
     ]

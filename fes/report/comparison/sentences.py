@@ -7,8 +7,8 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from fes.report.comparison.rows import KEY, ParameterRow
 from fes.report.comparison.session import ComparedSession
-from fes.report.findings import Finding, count_of, findings, words
-from fes.report.tables import number
+from fes.report.findings import Finding, findings
+from fes.report.text import count_of, number, readable
 
 BELT_MPS = 0.05  # treadmills show their speed to 0.1 m/s
 MEASURED_MPS = 0.1
@@ -124,7 +124,8 @@ def _against(first: ComparedSession, other: ComparedSession) -> Iterator[Finding
     for side in sorted(set(first.sides) & set(other.sides)):
         told = first.sides[side].sensor, other.sides[side].sensor
         if told[0] != told[1]:
-            by = f"{one}'s {side} strides are told by the {words(told[0])} sensor, {two}'s by the {words(told[1])}'s"
+            names = readable(told[0]), readable(told[1])
+            by = f"{one}'s {side} strides are told by the {names[0]} sensor, {two}'s by the {names[1]}'s"
             yield Finding("warning", f"{by}: the methods differ, and so may the numbers.")
     if first.how != other.how:
         yield Finding(
@@ -185,7 +186,7 @@ def _list(names: Iterable[str]) -> str:
     return ", ".join(names)
 
 
-def stimulation_words(session: ComparedSession) -> str:
+def describe_stimulation(session: ComparedSession) -> str:
     """With or without stimulation, in short."""
     if not session.summary.channels or not any(channel.bursts for channel in session.summary.channels):
         return "none"

@@ -17,11 +17,11 @@ from typing import Any, Final
 import numpy as np
 
 from fes.analysis.ground_path import GroundPath
-from fes.report.figures.strides import Figure, foot_color
-from fes.report.figures.svg import BOTTOM, LEFT, RIGHT, TOP, Plot, nice_ticks, padded
-from fes.report.findings import count_of, words
+from fes.report.figures.strides import foot_color
+from fes.report.figures.svg import BOTTOM, LEFT, RIGHT, TOP, Figure, Plot, nice_ticks, padded
 from fes.report.gait import FootCurves
 from fes.report.summary import ReportData
+from fes.report.text import count_of, readable
 from fes.signals import NS_PER_S, FloatArray
 from statemachine.phases import Phase
 
@@ -53,7 +53,7 @@ def _from_above(view: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
         plot.line(path.position_m[:, 0], path.position_m[:, 1], color, width=1.6, opacity=0.75)
         places, titles = _stride_ends(view, foot, path)
         plot.points(places[:, 0], places[:, 1], color, titles)
-        parts.append(f"{words(foot)} {path.way_m:.1f} m, ends {path.closure_m:.2f} m from its start")
+        parts.append(f"{readable(foot)} {path.way_m:.1f} m, ends {path.closure_m:.2f} m from its start")
     plot.points(np.zeros(1), np.zeros(1), "#000000", ["start"], hollow=True)
     return Figure(
         "Path over the ground, from above",
@@ -79,7 +79,7 @@ def _heights(view: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
         plot.line(seconds[foot], path.position_m[:, 2], foot_color(foot), width=1.6)
         gained = [s.height_gained_m for s in view.record.strides if s.foot == foot and s.valid]
         usual = f", {100 * float(np.median(gained)):+.1f} cm in the median stride" if gained else ""
-        parts.append(f"{words(foot)} {path.height_gained_m:+.2f} m{usual}")
+        parts.append(f"{readable(foot)} {path.height_gained_m:+.2f} m{usual}")
     return Figure("Height gained", plot.render(), f"From start to end: {'; '.join(parts)}.")
 
 
@@ -88,7 +88,7 @@ def _stride_ends(view: ReportData, foot: str, path: GroundPath) -> tuple[FloatAr
     strides = [stride for stride in view.record.strides if stride.foot == foot and stride.valid]
     places = path.at(np.array([stride.t_end_ns for stride in strides], dtype=np.int64))[:, :2]
     titles = [
-        f"{words(foot)}, stride {stride.number}, {(stride.t_end_ns - view.origin_ns) / NS_PER_S:.1f} s: "
+        f"{readable(foot)}, stride {stride.number}, {(stride.t_end_ns - view.origin_ns) / NS_PER_S:.1f} s: "
         f"{stride.stride_length_m:.2f} m"
         for stride in strides
     ]
@@ -148,7 +148,7 @@ class SpaceFigure:
         height = max(float(np.ptp(foot.mean_m[:, 2])) for foot in feet.values()) or 0.1 * length
         self._larger = max(1.0, min(MOST_LARGER, round(0.45 * length / height)))
         self._build(feet, length)
-        counts = ", ".join(f"{words(name)} {count_of(foot.count, 'stride')}" for name, foot in feet.items())
+        counts = ", ".join(f"{readable(name)} {count_of(foot.count, 'stride')}" for name, foot in feet.items())
         dots = "Dots: foot off and first contact. " if any(foot.marks for foot in feet.values()) else ""
         caption = (
             f"{told} Bold: mean; thin: mean + SD and mean − SD; grey: the mean's shadow; {counts}. {dots}"
@@ -183,7 +183,7 @@ class SpaceFigure:
             self._lines += [_Line(mean + sign * sd, color, 1.1, "4 2") for sign in (1.0, -1.0)]
             self._lines.append(_Line(mean, color, 3.2))
             self._lines += [_Line(mean[[at, at]], color, 9.0) for at in foot.marks if 0 <= at < len(mean)]
-            self._texts.append(_Text(mean[-1] + np.array([0.0, 0.03 * length, 0.0]), words(name), color))
+            self._texts.append(_Text(mean[-1] + np.array([0.0, 0.03 * length, 0.0]), readable(name), color))
 
     def _floor(self, left: float, right: float, near: float, far: float, top: float) -> None:
         steps = nice_ticks(near, max(far, near + 0.1), about=5)

@@ -10,12 +10,12 @@ from collections.abc import Callable
 import numpy as np
 
 from fes.config import Channel
-from fes.report.figures.strides import FAINT_STRIDES, Figure
-from fes.report.figures.svg import Plot, padded
-from fes.report.findings import words
+from fes.report.figures.strides import FAINT_STRIDES
+from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.stimulation import ChannelInfo
 from fes.report.strides import StrideStimulation
 from fes.report.summary import ReportData
+from fes.report.text import readable
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 CHANNEL_COLORS = ("#009E73", "#CC79A7", "#0072B2", "#E69F00", "#000000", "#D55E00", "#56B4E9", "#8C7A00")
@@ -52,7 +52,7 @@ def _per_stride(view: ReportData, label: str, pick: Callable[[StrideStimulation]
     plot = Plot(f"{label} per stride", "time (s)", label, padded([start_s], share=0.03), y_range)
     for info, own in chosen.items():
         y = np.array([pick(item) for _, item in own])
-        titles = [f"{info.name}, {words(row.foot)} {row.number}: {pick(item):.3g} {unit}" for row, item in own]
+        titles = [f"{info.name}, {readable(row.foot)} {row.number}: {pick(item):.3g} {unit}" for row, item in own]
         plot.points(np.array([row.start_s for row, _ in own]), y, channel_color(info.number), titles)
     return plot.render()
 

@@ -13,18 +13,17 @@ feet stand to each other is not known and not shown.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from fes.report.figures.svg import Plot, padded
-from fes.report.findings import count_of, words
+from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.flags import LOST, UNSURE, Flag
 from fes.report.flags import told as told_of
 from fes.report.gait import POINTS, FootCurves, spread_of
 from fes.report.strides import StrideRow
 from fes.report.summary import ReportData
+from fes.report.text import count_of, readable
 from fes.signals import FloatArray
 from statemachine.phases import Phase
 
@@ -35,15 +34,6 @@ OTHER_COLOR = "#444444"
 RING_COLOR = "#1b1f24"
 Flags = Mapping[tuple[str, int], Sequence[Flag]]
 NO_FLAGS: Final[Flags] = {}
-
-
-@dataclass(frozen=True)
-class Figure:
-    """A plot with the text that belongs below it; ``svg`` is safe markup."""
-
-    title: str
-    svg: str
-    caption: str
 
 
 def foot_color(foot: str) -> str:
@@ -88,12 +78,14 @@ def _per_stride(
     for foot in view.timelines:
         for used in (True, False):
             pick = [i for i, row in enumerate(rows) if row.foot == foot and row.valid == used]
-            titles = [f"{words(foot)} {rows[i].number}: {values[i]:.{digits}f} {unit} {rows[i].reason}" for i in pick]
+            titles = [
+                f"{readable(foot)} {rows[i].number}: {values[i]:.{digits}f} {unit} {rows[i].reason}" for i in pick
+            ]
             plot.points(start_s[pick], y[pick], foot_color(foot), titles, hollow=not used)
             good = y[pick][np.isfinite(y[pick])]
             if used and good.size:
                 mean = float(good.mean())
-                means.append(f"{words(foot)} {mean:.{digits}f} {unit}")
+                means.append(f"{readable(foot)} {mean:.{digits}f} {unit}")
                 plot.level(mean, foot_color(foot))
     ringed = [i for i, row in enumerate(rows) if (row.foot, row.number) in care]
     plot.rings(start_s[ringed], y[ringed], RING_COLOR)
@@ -125,7 +117,7 @@ def _phase_bars(foot: str, rows: Sequence[StrideRow], care: Mapping[int, Sequenc
     number = np.array([float(row.number) for row in rows])
     top = np.sum([np.nan_to_num(values) for values in layers.values()], axis=0)
     plot = Plot(
-        f"Phase durations of every stride, {words(foot)}",
+        f"Phase durations of every stride, {readable(foot)}",
         "stride number",
         "time since heel rise (s)",
         (float(number.min()) - 0.7, float(number.max()) + 0.7),
@@ -134,13 +126,13 @@ def _phase_bars(foot: str, rows: Sequence[StrideRow], care: Mapping[int, Sequenc
     floor = np.zeros(len(rows))
     for phase, values in layers.items():
         height = np.nan_to_num(values)
-        plot.bars(number, floor, floor + height, 0.84, PHASE_COLORS[phase], words(phase))
+        plot.bars(number, floor, floor + height, 0.84, PHASE_COLORS[phase], readable(phase))
         floor = floor + height
     ringed = np.array([row.number in care for row in rows])
     plot.rings(number[ringed], floor[ringed], RING_COLOR)
     said = f" Ringed, with care: {told}." if (told := told_of(care.values())) else ""
     return Figure(
-        f"Phase durations, {words(foot)}",
+        f"Phase durations, {readable(foot)}",
         plot.render(),
         f"From below: pre-swing, swing, loading response, stance. Stances over 3 s are standing, not drawn.{said}",
     )
@@ -208,7 +200,7 @@ def _figure(
     for foot in every:
         plot.line(share, means[foot], foot_color(foot), width=2.6, dash=dash_of(foot))
     _strips(plot, curves, floor, (high - low) * STRIP_SHARE)
-    counts = ", ".join(f"{words(foot)} {count_of(one.count, 'stride')}" for foot, one in curves.items())
+    counts = ", ".join(f"{readable(foot)} {count_of(one.count, 'stride')}" for foot, one in curves.items())
     return Figure(
         title,
         plot.render(),
@@ -228,7 +220,7 @@ def _strips(plot: Plot, curves: Mapping[str, FootCurves], floor: float, height: 
             span = np.clip(np.array([begin, end]), 0.0, 100.0)
             low, high = np.full(2, base + 0.08 * height), np.full(2, base + 0.92 * height)
             plot.band(span, low, high, PHASE_COLORS[phase.name.lower()], 1.0)
-        plot.text(1.0, base + 0.25 * height, words(foot).removesuffix(" foot"), "#1b1f24")
+        plot.text(1.0, base + 0.25 * height, readable(foot).removesuffix(" foot"), "#1b1f24")
 
 
 BUTTERFLY_FAINT_STRIDES = 40  # of a foot, evenly picked
@@ -243,7 +235,7 @@ def butterfly_figures(curves: Mapping[str, FootCurves], care: str = "") -> list[
     by_way = {foot: ways for foot, one in curves.items() if (ways := _by_way(one)) is not None}
     if not by_way:
         return []
-    counts = ", ".join(f"{words(foot)} {count_of(len(ways), 'stride')}" for foot, ways in by_way.items())
+    counts = ", ".join(f"{readable(foot)} {count_of(len(ways), 'stride')}" for foot, ways in by_way.items())
     told = f"Bold: mean (right dashed), band: ±1 SD at the same share of the way; {counts}.{care}"
     name = "Butterfly" if len(by_way) > 1 else "Path"
     return [_from_the_side(name, by_way, told), _from_above(name, by_way, told)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from html import escape
 
 import numpy as np
@@ -39,6 +40,15 @@ def padded(values: Iterable[FloatArray], *, zero: bool = False, share: float = 0
     low, high = float(finite.min()), float(finite.max())
     air = share * (high - low) or max(abs(high) * 0.1, 0.5)
     return (low if zero and low == 0 else low - air), high + air
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A plot with the text that belongs below it; ``svg`` is safe markup."""
+
+    title: str
+    svg: str
+    caption: str
 
 
 class Plot:

@@ -1,0 +1,116 @@
+"""The way to an HTML page: templates, style sheets and scripts, escaping, and the file written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from contextlib import suppress
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined
+from jinja2.bccache import Bucket
+from markupsafe import Markup
+
+from fes.report.figures.svg import Figure
+from fes.report.text import local_time, mean_sd, number, plain, readable, slug
+
+
+class ReportError(OSError):
+    """A report cannot be written; the message names the file and what to do, ``strerror`` why."""
+
+
+class TemplateCache(FileSystemBytecodeCache):
+    """Compiled templates in the user's cache folder; one that has changed is compiled anew.
+
+    Compiling the report's takes a tenth of a second. Where nothing can be kept, nothing is.
+    """
+
+    def __init__(self) -> None:
+        folder = Path(os.devnull)  # where nothing can be
+        with suppress(OSError, RuntimeError):  # RuntimeError: a user without a home
+            base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+            folder = base / "fes-gait" / "templates"
+            folder.mkdir(parents=True, exist_ok=True)
+        super().__init__(str(folder))
+
+    def load_bytecode(self, bucket: Bucket) -> None:
+        """Fill in a template if it has been kept."""
+        with suppress(OSError):
+            super().load_bytecode(bucket)
+
+    def dump_bytecode(self, bucket: Bucket) -> None:
+        """Keep one compiled template."""
+        with suppress(OSError):
+            super().dump_bytecode(bucket)
+
+
+@cache
+def templates(package: str = "fes.report") -> Environment:
+    """The templates of a package, with the filters that all of them use."""
+    environment = Environment(
+        loader=PackageLoader(package),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        bytecode_cache=TemplateCache(),
+    )
+    environment.filters |= {"num": number, "mean_sd": mean_sd, "readable": readable, "local_time": local_time}
+    environment.filters |= {"slug": slug}
+    return environment
+
+
+@cache
+def asset(name: str) -> str:
+    """A style sheet or script of the report."""
+    return files("fes.report").joinpath("static", name).read_text(encoding="utf-8")
+
+
+def style() -> Markup:
+    """The style sheet that all pages have in common."""
+    return Markup(asset("report.css"))
+
+
+def trusted(figures: Iterable[Figure]) -> list[dict[str, Any]]:
+    """Figures for a template; only the plot itself, whose texts are escaped where it is made, is trusted."""
+    return [{"title": figure.title, "svg": Markup(figure.svg), "caption": figure.caption} for figure in figures]
+
+
+def embed(value: Any) -> str:
+    """JSON that cannot end the script element it stands in, whatever its strings hold."""
+    text = json.dumps(plain(value), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def css_text(text: str) -> str:
+    """Any text as a string of a style sheet: everything but plain letters and figures is escaped by its number."""
+    return '"' + "".join(c if c.isascii() and c.isalnum() else f"\\{ord(c):x} " for c in text) + '"'
+
+
+def write_page_file(text: str, path: Path, remedy: str) -> None:
+    """Write a page, replacing an older one.
+
+    Args:
+        text: the page.
+        path: where to; folders are made.
+        remedy: what the person can do if it cannot be written, as a sentence.
+
+    Raises:
+        ReportError: it cannot be written.
+    """
+    draft = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            draft.unlink(missing_ok=True)
+        why = error.strerror or str(error)
+        failure = ReportError(f"{path}: cannot be written: {why}. {remedy}")
+        failure.strerror = why
+        raise failure from error

@@ -1,0 +1,92 @@
+"""Values as people and as JSON read them: numbers, names, counts and times."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Mean and standard deviation (n − 1) of ``n`` values; NaN where too few."""
+
+    mean: float
+    sd: float
+    n: int
+
+    @property
+    def sd_percent(self) -> float:
+        """Standard deviation in percent of the mean."""
+        return 100 * self.sd / abs(self.mean) if self.mean else math.nan
+
+
+def number(value: float | None, digits: int, sign: str = "") -> str:
+    """A number, with ``sign="+"`` always signed, or a dash for what is not known."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
+
+
+def mean_sd(values: Spread, digits: int, unit: str) -> str:
+    """``0.63 ± 0.02 m``, or a dash when there is nothing."""
+    if not values.n:
+        return "–"
+    sd = f" ± {values.sd:.{digits}f}" if values.n > 1 else ""
+    return f"{values.mean:.{digits}f}{sd} {unit}"
+
+
+def readable(name: str) -> str:
+    """``left_foot`` → ``left foot``."""
+    return name.replace("pre_swing", "pre-swing").replace("_", " ")
+
+
+def capitalised(sentence: str) -> str:
+    """The same with a capital first letter."""
+    return sentence[:1].upper() + sentence[1:]
+
+
+def count_of(count: int, noun: str) -> str:
+    """``1 stride``, ``3 strides``."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def slug(name: str) -> str:
+    """A name as an anchor."""
+    return "d-" + re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
+
+
+def local_time(created: str) -> str:
+    """An ISO time as people write it; anything else as it is."""
+    try:
+        moment = datetime.fromisoformat(created)
+    except ValueError:
+        return created
+    return f"{moment:%Y-%m-%d %H:%M} {moment.tzname() or ''}".strip()
+
+
+def plain(value: Any) -> Any:
+    """Turn dataclasses, mappings, sequences and numpy values into what ``json.dumps(allow_nan=False)`` takes.
+
+    NaN and infinity become null; anything else that JSON does not know becomes its text.
+    """
+    if value is None or isinstance(value, (bool, str)):
+        return value
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    if is_dataclass(value) and not isinstance(value, type):
+        return {entry.name: plain(getattr(value, entry.name)) for entry in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, (Sequence, set, frozenset)) and not isinstance(value, (bytes, bytearray)):
+        return [plain(item) for item in value]
+    return str(value)
