@@ -15,7 +15,7 @@ from fes.live.inputs import printable
 from fes.live.log_pipe import PipedLog
 from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator
-from fes.live.sensors import SensorMonitor
+from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note

@@ -19,7 +19,7 @@ from fes.config import Session
 from fes.control.controller import Controller
 from fes.gate import SafetyGate
 from fes.live.commands import CONTROL, CURRENT_ALLOWED, Ask, Cause, Order, SessionMachine, State
-from fes.live.sensors import SensorMonitor
+from fes.live.sensor_monitor import SensorMonitor
 from fes.session_log import Note
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, Tick
 from fes.stimulation.parameters import BurstParameters

@@ -11,12 +11,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Final, Generic, TypeVar
 
-import numpy as np
-
-from fes.config import ImuDevice
-from fes.estimation.sensor_choice import Calibration
 from fes.live.ports import Imu, SensorClock
-from fes.signals import G_MPS2, NS_PER_S, Event, FloatArray, ImuSample, SystemFault
+from fes.signals import Event, ImuSample, SystemFault
 
 Port = TypeVar("Port")
 
@@ -55,117 +51,6 @@ class Reopening(Generic[Port]):
             self._opened.append(self._opener())
         except Exception as error:  # whatever a driver raises, the next attempt comes later
             self.why_not = str(error)
-
-
-SPAN_NS: Final = NS_PER_S
-ALIVE_NS: Final = 40_000_000
-RATE_TOLERANCE: Final = 0.1  # of the nominal rate; beyond it the settings are wrong or samples are lost
-STILL_RADPS: Final = 0.15  # standing sways less than this; a stance in walking does not last a second
-GRAVITY_TOLERANCE_MPS2: Final = 0.5
-ZERO_TOLERANCE_MPS2: Final = 0.06  # of gravity at rest; what is left after a calibration on the spot is below 0.01
-HEIGHT_BY_ZERO_M: Final = 0.11  # by m/s²: a swing's height against the accelerometer's zero, from virtual patients
-TILT_TOLERANCE_RAD: Final = np.deg2rad(25.0)  # a foot on a slope or with raised toes is no remounted sensor
-
-
-class SensorMonitor:
-    """A ring of one sensor's newest samples.
-
-    Args:
-        device: its settings.
-        calibration: how it sits, where it is calibrated; only then can its direction be judged.
-    """
-
-    def __init__(self, device: ImuDevice, calibration: Calibration | None) -> None:
-        self.device = device
-        self._calibration = calibration
-        self._size = max(int(1.5 * device.rate_hz * SPAN_NS / NS_PER_S), 8)
-        self._t_ns = np.zeros(self._size, np.int64)
-        self._values: FloatArray = np.zeros((self._size, 6))
-        self.count = 0
-        self.newest_ns: int | None = None
-
-    def note(self, sample: ImuSample) -> None:
-        """Take in a sample."""
-        at = self.count % self._size
-        self._t_ns[at] = self.newest_ns = sample.t_ns
-        self._values[at, :3] = sample.acc_mps2
-        self._values[at, 3:] = sample.gyr_radps
-        self.count += 1
-
-    def rate_hz(self, t_ns: int) -> float:
-        """Samples that came within the last second."""
-        return float(len(self._recent(t_ns, SPAN_NS)))
-
-    def age_ms(self, t_ns: int) -> float:
-        """Of the newest sample; infinite before the first."""
-        return float("inf") if self.newest_ns is None else (t_ns - self.newest_ns) / 1e6
-
-    def not_alive(self, t_ns: int) -> str:
-        """Why it does not count as alive at the right rate; "" when it does."""
-        name, nominal_hz = self.device.sensor, self.device.rate_hz
-        if self.newest_ns is None:
-            return f"{name}: nothing has come; is it switched on?"
-        if t_ns - self.newest_ns > ALIVE_NS:
-            return f"{name}: silent for {self.age_ms(t_ns):.0f} ms"
-        rate_hz = self.rate_hz(t_ns)
-        if abs(rate_hz - nominal_hz) > RATE_TOLERANCE * nominal_hz:
-            return f"{name}: {rate_hz:.0f} samples in the last second, {nominal_hz:.0f} are expected (rate_hz)"
-        return ""
-
-    def not_at_rest(self, t_ns: int, span_ns: int = SPAN_NS) -> str:
-        """Why it does not count as at rest for ``span_ns``; "" when it does."""
-        values = self._recent(t_ns, span_ns)
-        if len(values) < 3:
-            return f"{self.device.sensor}: too few samples to tell whether it rests"
-        sway_radps = float(np.abs(values[:, 3:] - np.median(values[:, 3:], axis=0)).max())
-        if not sway_radps <= STILL_RADPS:
-            return f"{self.device.sensor}: moves ({sway_radps:.2f} rad/s); stand still for a second"
-        return ""
-
-    def not_upright(self, t_ns: int) -> str:
-        """Why gravity is not what and where it was at calibration; "" when it is, or nothing is known of it."""
-        force = self._force_mps2(t_ns)
-        if force is None or self._calibration is None:
-            return ""
-        size = float(np.linalg.norm(force))
-        if not abs(size - G_MPS2) <= GRAVITY_TOLERANCE_MPS2:
-            return f"{self.device.sensor}: reads {size:.2f} m/s² at rest instead of 9.81; is its unit or range right?"
-        tilt_rad = float(np.arccos(np.clip(force @ np.array(self._calibration.up) / size, -1.0, 1.0)))
-        if tilt_rad > TILT_TOLERANCE_RAD:
-            return (
-                f"{self.device.sensor}: tilted by {np.rad2deg(tilt_rad):.0f}° against its calibration; put the foot "
-                f"flat, or calibrate again if the sensor was moved"
-            )
-        return ""
-
-    def zero_moved(self, t_ns: int) -> str:
-        """Why heights cannot be trusted to the centimetre, asked at rest; "" when they can, or nothing is known.
-
-        Gravity is read through the accelerometer's calibrated zero. What has come to it since, by temperature or
-        because the calibration is another day's, goes into the double integration of each step.
-        """
-        force = self._force_mps2(t_ns)
-        if force is None:
-            return ""
-        off = float(np.linalg.norm(force)) - G_MPS2
-        if abs(off) <= ZERO_TOLERANCE_MPS2:
-            return ""
-        return (
-            f"{self.device.sensor}: reads {G_MPS2 + off:.2f} m/s² at rest instead of 9.81, so its heights may be wrong "
-            f"by some {abs(off) * HEIGHT_BY_ZERO_M * 1e3:.0f} mm; calibrate again"
-        )
-
-    def _force_mps2(self, t_ns: int) -> FloatArray | None:
-        """Median of the last second (3,), less the calibrated zero; None where nothing is known of it."""
-        values = self._recent(t_ns, SPAN_NS)
-        if self._calibration is None or not len(values):
-            return None
-        force: FloatArray = np.median(values[:, :3], axis=0) - np.array(self._calibration.acc_bias_mps2)
-        return force
-
-    def _recent(self, t_ns: int, span_ns: int) -> FloatArray:
-        kept = min(self.count, self._size)
-        return self._values[:kept][self._t_ns[:kept] > t_ns - span_ns]
 
 
 STUCK_NS: Final = 1_000_000_000  # a line, or a needed sensor on it, that was alive and is silent so long: opened again

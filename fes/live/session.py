@@ -25,7 +25,8 @@ from fes.live.notices import Notices
 from fes.live.operator import NO_STOP, Operator
 from fes.live.ports import Input
 from fes.live.realtime import Grant
-from fes.live.sensors import SensorMonitor, SensorStream
+from fes.live.sensor_monitor import SensorMonitor
+from fes.live.sensors import SensorStream
 from fes.live.source import LiveSource, stalled
 from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.live.view_process import ViewProcess

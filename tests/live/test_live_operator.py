@@ -30,7 +30,7 @@ from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.notices import tuning_status
 from fes.live.operator import Operator
-from fes.live.sensors import SensorMonitor
+from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note

@@ -23,7 +23,7 @@ from fes.cli.common.options import cannot_be_seen
 from fes.cli.doctor.host import Finding, failure, ok, warning
 from fes.cli.run.devices import serial_ports_of
 from fes.config import ConfigError, ImuDevice, Session, Switch
-from fes.live.sensors import ALIVE_NS, RATE_TOLERANCE
+from fes.live.sensor_monitor import ALIVE_NS, RATE_TOLERANCE
 from fes.signals import NS_PER_S
 
 SETTLE_S: Final = 0.3  # what had queued up before it was opened, and a clock that is only just known
