@@ -20,8 +20,6 @@ from fes.config import ConfigError, Session, StimulatorDevice
 
 CHANNELS_OF: Final = {"p24": 8, "rehamove3": 4}
 Port = CanStimulator | CanOpenStimulator | LowLevelStimulator | MidLevelStimulator | RehaStim2
-
-
 Opener = Callable[[str, LineSettings], Line]
 SERIAL: Final = ("p24_low_level", "p24_mid_level", "rehastim2")
 IDENTIFIERS_TRIED: Final = 8  # a device that has been on for a day has had commands under a third of them

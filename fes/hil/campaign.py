@@ -153,8 +153,6 @@ _JUDGES: Final[dict[Effect, Callable[[TestBench, Scenario, int, float], Attempt]
     Effect.NOT_EXECUTED: nothing_executed,
     Effect.BOUNDED: _bounded,
 }
-
-
 NOT_BASELINE: Final = ("cpu_hogs", "controller_starved")  # these take the processor away on purpose
 BROKEN_IN_A_ROW: Final = 3
 SPOILT_AT_MOST: Final = 4

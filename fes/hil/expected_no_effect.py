@@ -17,29 +17,13 @@ from fes.session_log import SessionLogError, read_session
 from fes.signals import NS_PER_S
 
 TRIES: Final = 4
-
-
 AGAIN_S: Final = 12.0
-
-
 DISARM_S: Final = 0.3
-
-
 ARM_TRIED_S: Final = 8.0  # they come to a stand, and rest for a second
-
-
 FRAMES_LOST_SHARE: Final = 0.02  # a bus over UDP may lose some on the way
-
-
 CHECKED_SHARE: Final = 1 / 256  # of random frames have the right CRC (docs/can.md) and are looked at at all
-
-
 LATCHES_WITHIN_NS: Final = NS_PER_S // 10  # after the first refused command the session has heard of it
-
-
 SESSION: Final = "session"  # the record's word for one that was opened
-
-
 NO_CRC: Final = ("wrong CRC", "bytes instead")
 
 

@@ -11,26 +11,12 @@ from fes.estimation.sensor_choice import Calibration
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, ImuSample
 
 SPAN_NS: Final = NS_PER_S
-
-
 ALIVE_NS: Final = 40_000_000
-
-
 RATE_TOLERANCE: Final = 0.1  # of the nominal rate; beyond it the settings are wrong or samples are lost
-
-
 STILL_RADPS: Final = 0.15  # standing sways less than this; a stance in walking does not last a second
-
-
 GRAVITY_TOLERANCE_MPS2: Final = 0.5
-
-
 ZERO_TOLERANCE_MPS2: Final = 0.06  # of gravity at rest; what is left after a calibration on the spot is below 0.01
-
-
 HEIGHT_BY_ZERO_M: Final = 0.11  # by m/s²: a swing's height against the accelerometer's zero, from virtual patients
-
-
 TILT_TOLERANCE_RAD: Final = np.deg2rad(25.0)  # a foot on a slope or with raised toes is no remounted sensor
 
 

@@ -1,8 +1,6 @@
 """The sensors' lines as the loop sees them: samples in the host's time, losses as events, lines opened again.
 
 Opening a lost device again without holding up the loop: in a thread of its own, later each time it fails.
-
-The last second of each sensor: is it alive, at its rate, at rest, upright? Asked before arming. Pure.
 """
 
 from __future__ import annotations

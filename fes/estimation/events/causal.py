@@ -61,8 +61,6 @@ LOADED = 0.12  # loading is over when the rate has stayed below this share of pu
 LOADED_PER_TIMT = 0.08  # … this share of timT, 30 ms in a stride of 1.1 s, …
 LOADING_PER_TIMT = 0.35  # … and not sooner: foot slap comes up to 0.1 s after contact
 RESTED_PER_TIMT = 0.4  # after this much rest a swing without contact, or a push-off without swing, is over
-
-
 STATE = np.dtype(
     [
         ("samples", np.int64),  # since the start or the last silence

@@ -15,8 +15,6 @@ from statemachine.phases import Phase, PhaseChange, Transition
 from statemachine.table import TABLE
 
 CHANGE = np.dtype([("t_ns", np.int64), ("transition", np.int64), ("source", np.int64)], align=True)
-
-
 _DESTINATIONS = np.full((len(Phase), len(Transition)), -1)
 for _row in TABLE:
     _DESTINATIONS[_row.source.value, _row.transition.value] = _row.destination.value

@@ -34,29 +34,13 @@ from fes.estimation.zupt.thresholds import first_lasting, quietest_of_rests, res
 from fes.signals import FloatArray, IntArray, Vector3
 
 BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
-
-
 START_S = 0.1
-
-
 LEVER_M = 0.065  # from the ground up to a sensor on the instep, as the foot turns about it
-
-
 CLIPPED_SHARE = 0.995  # of the full scale
-
-
 CLIPPED_SD = (0.3, 0.1)  # what a clipped sample may have missed, as a share of the full scale: force, rate
-
-
 LEAST_RANGE = (30.0, 4.0)  # m/s², rad/s: a smaller greatest value is no full scale
-
-
 STRIDE_BOUNDS_S = (0.5, 3.0)
-
-
 SHORTEST_MOVE_S = 0.15
-
-
 LEAST_REPETITION = 0.3  # of the rate, from one stride to the next, to speak of walking
 
 

@@ -57,8 +57,6 @@ _TABLE: Final = (
     Quantity("inclination_z_rad", "Inclination of z", "deg", _DEG, 2, "angle of the sensor's z axis to the vertical"),
 )
 QUANTITIES: Final = {quantity.name: quantity for quantity in _TABLE}
-
-
 BOTH: Final = "both feet"
 FRAMES: Final = ("auto", "lab", "ground")
 

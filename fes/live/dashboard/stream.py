@@ -12,11 +12,7 @@ from fes.signals import Event, StimCommand, StimStatus, StrideResult
 from statemachine.phases import PhaseChange
 
 LEVELS_KEPT: Final = 1024  # while the page does not read: two seconds of eight channels
-
-
 STRIDES_KEPT: Final = 32
-
-
 NOTES_KEPT: Final = 64
 
 
