@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-
-from fes.values import quick
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
@@ -30,10 +28,8 @@ NS_PER_S = 1_000_000_000
 # --- events: all that can happen to the controller -------------------------------------------------------
 
 
-@quick
-@dataclass(frozen=True, slots=True)
-class ImuSample:
-    """One sample of one sensor.
+class ImuSample(NamedTuple):
+    """One sample of one sensor; a named tuple, for it is made 0.4 µs faster than a frozen dataclass, and so often.
 
     ``t_ns`` is when it reached the host, ``t_sensor_ns`` what the sensor's own clock said (mapped to the same
     origin); ``acc_mps2`` is specific force (+9.81 along the upward axis at rest).
@@ -85,7 +81,6 @@ class OperatorAct:
     why: str = ""
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class StimStatus:
     """The stimulator's answer to one command: what it delivers now.
@@ -147,7 +142,6 @@ Event: TypeAlias = ImuSample | Tick | OperatorAct | StimStatus | StimAlive | Sti
 # --- stimulation -----------------------------------------------------------------------------------------
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class StimRequest:
     """What the plan asks for one channel; off is its own request, not 0 mA."""
@@ -159,7 +153,6 @@ class StimRequest:
     frequency_hz: float = 0.0
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class StimCommand:
     """What the gate lets out for one channel.
@@ -190,7 +183,6 @@ class WireFrame:
 # --- strides ---------------------------------------------------------------------------------------------
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class StrideResult:
     """One stride of one foot, from quietest instant to quietest instant of the stances around its swing.

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import IntEnum
 
-from fes.values import quick
-
 
 class Phase(IntEnum):
     """Gait phase of one foot; the numbers are what compiled code and logs carry."""
@@ -29,7 +27,6 @@ class Transition(IntEnum):
     T6 = 6
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class PhaseChange:
     """One foot went from one phase into another.

@@ -79,7 +79,7 @@ class Bench:
     def sample(self, **changes: Any) -> None:
         for sensor in sorted({channel.foot for channel in self.channels}):
             plain = ImuSample(self.t_ns, sensor, self.t_ns - 3 * MS, (0.0, 0.0, 9.8), (0.0, 0.0, noise(self.t_ns)))
-            self.observe(replace(plain, **changes))
+            self.observe(plain._replace(**changes))
 
     def wait(self, ms: float, *, sampling: bool = True) -> None:
         """Let time pass, with a sample at its end."""

@@ -14,7 +14,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 OURS = ("fes", "drivers", "statemachine")
 STDLIB = sys.stdlib_module_names
-VOCABULARY = {"fes.signals", "fes.limits", "fes.config", "fes.values"}
+VOCABULARY = {"fes.signals", "fes.limits", "fes.config"}
 SIMULATED = {"fes.recording", "fes.simulation"}  # what a simulated sensor plays
 HARDWARE = {"serial", "can", "drivers"}
 NO_CLOCK = {"time", "threading", "asyncio", "multiprocessing", "concurrent", "sched"}
@@ -103,7 +103,7 @@ def strangers(module: str, allowed: set[str]) -> set[str]:
 
 @pytest.mark.parametrize("module", sorted(VOCABULARY | set(of("fes.config"))))
 def test_the_vocabulary_knows_nobody(module: str) -> None:
-    allowed = {"fes.config": {"pydantic", "fes.limits", "fes.config"}, "fes.signals": {"numpy", "fes.values"}}
+    allowed = {"fes.config": {"pydantic", "fes.limits", "fes.config"}, "fes.signals": {"numpy"}}
     assert not strangers(module, allowed.get(".".join(module.split(".")[:2]), set()))
 
 
@@ -266,4 +266,4 @@ def test_help_loads_nothing_slow() -> None:
 
 def test_the_gate_loads_neither_controller_nor_drivers() -> None:
     loaded = loaded_after("import fes.gate", *(name for name in modules() if not within(name, {"fes.gate"})))
-    assert loaded == {"fes", "fes.signals", "fes.limits", "fes.values", *of("fes.config")}
+    assert loaded == {"fes", "fes.signals", "fes.limits", *of("fes.config")}

@@ -28,7 +28,6 @@ from fes.stimulation.switch_fallback import SwitchFallback
 from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.session import TUNING_ACTS, Tuners
 from fes.stimulation.walking import WalkingJudge
-from fes.values import quick
 from statemachine.phases import Phase, PhaseChange
 
 __all__ = ["NOTHING", "Controller", "Decision", "stride_settings"]
@@ -37,7 +36,6 @@ CURRENT_STEP_MA = 0.5  # of most stimulators
 BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 
 
-@quick
 @dataclass(frozen=True, slots=True)
 class Decision:
     """What came of one event: ``requests`` to put before the gate now, ``outcomes`` and ``reports`` to record."""

@@ -7,7 +7,6 @@ import json
 import resource
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -134,7 +133,7 @@ def test_a_log_is_replayed_and_reported(log: Path, tmp_path: Path) -> None:
 def test_a_tampered_log_fails_and_says_so(log: Path, tmp_path: Path) -> None:
     at_ns = next(change.t_ns for change in read_session(log).phases if change.destination.name == "SWING")
     changed = rewritten(
-        log, tmp_path / "changed.feslog", one_sample_changed(lambda was: replace(was, acc_mps2=(9.0, 9.0, 9.0)), at_ns)
+        log, tmp_path / "changed.feslog", one_sample_changed(lambda was: was._replace(acc_mps2=(9.0, 9.0, 9.0)), at_ns)
     )
     refused(call("replay", changed), FAILED, "Not the same when replayed", "recorded")
     assert json.loads(call("replay", changed, "--json").stdout)["replayed"]["difference"]

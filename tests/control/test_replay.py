@@ -181,7 +181,7 @@ def test_one_changed_sample_shows(log: Path, tmp_path: Path, moved_mps2: float) 
 
     def move(sample: ImuSample) -> ImuSample:
         x, y, z = sample.acc_mps2
-        return replace(sample, acc_mps2=(x + moved_mps2, y, z))
+        return sample._replace(acc_mps2=(x + moved_mps2, y, z))
 
     changed = rewritten(log, tmp_path / "changed.feslog", one_sample_changed(move, at_ns))
     assert "recorded" in repeat(changed).difference
@@ -219,7 +219,7 @@ def test_a_torn_log_is_compared_up_to_its_tear(log: Path, tmp_path: Path, share:
 
 def test_a_torn_and_tampered_log_shows_too(log: Path, tmp_path: Path) -> None:
     at_ns = next(change.t_ns for change in read_session(log).phases if change.destination.name == "PRE_SWING")
-    gone = one_sample_changed(lambda sample: replace(sample, gyr_radps=(9.0, 9.0, 9.0)), at_ns - 200 * MS)
+    gone = one_sample_changed(lambda sample: sample._replace(gyr_radps=(9.0, 9.0, 9.0)), at_ns - 200 * MS)
     changed = rewritten(log, tmp_path / "changed.feslog", gone)
     changed.write_bytes(changed.read_bytes()[:-5000])
     assert repeat(changed).difference

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from itertools import pairwise
 from typing import Any, cast
 
@@ -195,7 +194,7 @@ def test_every_event_is_logged_and_every_command_as_it_went_out() -> None:
 
 def test_a_sensor_that_drives_no_channel_is_noted_once_however_often_it_fails() -> None:
     bench = Bench()
-    bad = [replace(sample(ms), sensor="left_shank", acc_mps2=(math.nan, 0.0, 0.0)) for ms in (1, 2, 3)]
+    bad = [sample(ms)._replace(sensor="left_shank", acc_mps2=(math.nan, 0.0, 0.0)) for ms in (1, 2, 3)]
     bench.run(bad)
     (note,) = bench.world.notes()
     assert (note.t_ns, note.severity, note.source) == (1 * MS, "warning", "gate")

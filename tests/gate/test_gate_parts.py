@@ -679,7 +679,7 @@ def session_gate(**more: float) -> SafetyGate:
 
 
 def shank_sample(gate: SafetyGate, t_ns: int, acc: Vector3 = UP) -> None:
-    gate.observe(replace(sample(t_ns, t_ns, acc), sensor="left_shank"))
+    gate.observe(sample(t_ns, t_ns, acc)._replace(sensor="left_shank"))
 
 
 def test_gate_of_a_session_takes_all_that_the_session_says() -> None:

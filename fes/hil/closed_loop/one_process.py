@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +138,7 @@ def _as_carried(event: Event) -> Event:
     """The sample as it comes out of a line that carries single precision."""
     if not isinstance(event, ImuSample):
         return event
-    return replace(event, acc_mps2=_single(event.acc_mps2), gyr_radps=_single(event.gyr_radps))
+    return event._replace(acc_mps2=_single(event.acc_mps2), gyr_radps=_single(event.gyr_radps))
 
 
 def _single(values: Vector3) -> Vector3:

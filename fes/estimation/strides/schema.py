@@ -1,0 +1,91 @@
+"""Every column of a stride once: its name, kind, unit, meaning and source.
+
+The record that compiled code fills (:data:`STRIDE`), the columns of ``strides.csv`` and its like (:data:`TABLE`), and
+the table in ``docs/strides.md`` are made from :data:`COLUMNS`. :class:`fes.signals.StrideResult` and the session log's
+record of a stride carry the same names; a test compares them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+NEGARD = "Negård et al. 2005"
+UNSEEN_NS = -(2**63)  # in compiled code: the time of what did not happen
+
+
+class Column(NamedTuple):
+    """One column of a table.
+
+    Attributes:
+        name: with the unit at its end.
+        kind: float, int, bool or str.
+        unit: "" where there is none.
+        text: what it is, in a sentence.
+        source: who defines it so: paper and equation; "" where nobody had to.
+        core: compiled code fills it in.
+        shown: tables have it; times are in seconds there.
+    """
+
+    name: str
+    kind: type
+    unit: str
+    text: str
+    source: str = ""
+    core: bool = False
+    shown: bool = True
+
+    def in_table(self) -> Column:
+        """As tables show it: integer nanoseconds become seconds."""
+        if self.unit != "ns":
+            return self
+        return self._replace(name=self.name.removesuffix("ns") + "s", kind=float, unit="s")
+
+
+def _stamp(name: str, text: str, source: str = "") -> Column:
+    return Column(name, int, "ns", text, source, core=True)
+
+
+def _measure(name: str, unit: str, text: str, source: str = "") -> Column:
+    return Column(name, float, unit, text, source, core=True)
+
+
+def _inner(name: str, kind: type, unit: str, text: str) -> Column:
+    return Column(name, kind, unit, text, core=True, shown=False)
+
+
+COLUMNS: Final = (
+    Column("foot", str, "", "the sensor that told of it: a foot's, or a shank's where the foot has none"),
+    Column("number", int, "", "counts the strides of a sensor from 1", core=True),
+    Column("valid", bool, "", "whether the numbers may be used; they are empty if not"),
+    Column("reason", str, "", "why it is not valid, or not as good as others"),
+    _stamp("t_start_ns", "where it begins: the quietest instant of the stance before its swing", NEGARD),
+    _stamp("t_end_ns", "where it ends: the quietest instant of the stance after its swing", NEGARD),
+    _stamp("t_pre_swing_ns", "heel off, the entry into pre-swing; empty where it was not seen", f"{NEGARD}, Fig. 5"),
+    _stamp("t_swing_ns", "foot off, the entry into swing", f"{NEGARD}, Fig. 5"),
+    _stamp("t_loading_response_ns", "initial contact, the entry into loading response", f"{NEGARD}, Fig. 5"),
+    _stamp("t_stance_ns", "foot flat, the entry into stance", f"{NEGARD}, Fig. 5"),
+    _measure("stride_length_m", "m", "horizontal distance of the sensor from start to end", f"{NEGARD}, Eq. (20)"),
+    _measure("speed_mps", "m/s", "stride length over the time from the end of the stride before", "Perry & Burnfield"),
+    _measure("clearance_m", "m", "greatest height of the sensor above its start", NEGARD),
+    _measure("toe_clearance_m", "m", "least height of the toe in mid-swing", "Winter 1992"),
+    _measure("heel_clearance_m", "m", "greatest height of the heel", "Mariani et al. 2012"),
+    _measure("height_gained_m", "m", "height of its end above its start", "Wang et al. 2013"),
+    _measure("turn_rad", "rad", "change of the foot's heading, to the left positive"),
+    Column("x_m", float, "m", "where it ends on the foot's path: ahead of the path's start"),
+    Column("y_m", float, "m", "to the left of the path's start"),
+    Column("z_m", float, "m", "above the path's start"),
+    Column("heading_rad", float, "rad", "where the toe points there, from x towards y"),
+    _inner("outcome", int, "", "how its integration went: a number of segmentation or integration"),
+    _inner("changes", int, "", "how many phase changes came before it"),
+    _inner("first", int, "", "the first row of its trajectory"),
+    _inner("rows", int, "", "how many rows its trajectory has"),
+    _inner("gap_s", float, "s", "the longest time between two of its samples"),
+    _inner("tilt_rad", float, "rad", "how far the orientation is off at its end"),
+    _inner("residual_rate_radps", float, "rad/s", "how fast the foot turns at the quieter-seeming ends"),
+)
+
+TABLE: Final = tuple(column.in_table() for column in COLUMNS if column.shown)
+_DTYPES: Final[dict[type, Any]] = {int: np.int64, float: np.float64}
+STRIDE: Final = np.dtype([(column.name, _DTYPES[column.kind]) for column in COLUMNS if column.core], align=True)
