@@ -45,7 +45,6 @@ from fes.gate.plausibility import (
     REST_FORCE_MPS2,
     REST_RATE_RADPS,
     SHANK,
-    SPAN_MS,
     STEP,
     SUSTAINED_MS,
 )
@@ -118,7 +117,7 @@ class Extremes:
 
 def levels(rate_hz: float, force: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What three quarters of each span stay below, and above, m/s²; the spans begin with each sample."""
-    samples = math.ceil(SPAN_MS * rate_hz / 1000 - 1e-6) + 1
+    samples = math.ceil(SUSTAINED_MS * rate_hz / 1000 - 1e-6) + 1
     ordered = np.sort(np.lib.stride_tricks.sliding_window_view(force, samples), axis=1)
     most = math.ceil(MOSTLY[0] * samples / MOSTLY[1])
     return ordered[:, most - 1], ordered[:, samples - most]

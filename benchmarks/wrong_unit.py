@@ -115,7 +115,7 @@ def until_told_ms(track: Track, up: Vector3 | None, at: int, acc: FloatArray, gy
     t_ns = track.t_ns[first : first + len(acc)].tolist()
     for k, (t, force, rate) in enumerate(zip(t_ns, acc.tolist(), gyr.tolist(), strict=True)):
         fault = judge.fault(ImuSample(t, track.sensor, t, tuple(force), tuple(rate)))
-        if first + k >= at and (fault or judge.doubt):
+        if first + k >= at and (fault or judge.not_ready):
             return float(t - track.t_ns[at]) / 1e6
     return float("inf")
 
@@ -126,7 +126,7 @@ def take(told: Told, track: Track, moments: int, rng: np.random.Generator) -> No
     told.sensors += 1
     judge = Plausibility(track.sensor, None, up)
     for t, acc, gyr in zip(track.t_ns.tolist(), track.acc_mps2.tolist(), track.gyr_radps.tolist(), strict=True):
-        told.said |= {judge.fault(ImuSample(t, track.sensor, t, tuple(acc), tuple(gyr))), judge.doubt} - {""}
+        told.said |= {judge.fault(ImuSample(t, track.sensor, t, tuple(acc), tuple(gyr))), judge.not_ready} - {""}
     before, after = round(track.rate_hz), round(LONGEST_S * track.rate_hz)
     swing = swing[(swing > before) & (swing < len(track.t_ns) - after)]
     for at in rng.choice(swing, min(moments, len(swing)), replace=False).tolist():

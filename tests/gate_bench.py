@@ -142,7 +142,7 @@ BROKEN = dict.fromkeys((*WIDE, "min_off_s"), math.nan)
 def ready(channel: Channel, until_ma: float) -> Bench:
     """A bench on which this channel has risen slowly enough to be let out at ``until_ma``."""
     bench = Bench(channel)
-    line = bench.gate._lines[0]
+    state = bench.gate._channels[0]
     bench.wait(20)
-    line.ramp_ma = until_ma
+    state.ramp_ma = until_ma
     return bench

@@ -1,7 +1,4 @@
-"""One channel as the gate knows it: what it was last told, and what time allows next.
-
-How much charge a channel has been told to deliver within the last minute.
-"""
+"""One channel as the gate knows it: its charge of a minute, its last command, and what time allows next."""
 
 from __future__ import annotations
 
@@ -14,6 +11,10 @@ from fes.gate.electrical import Caps, caps_of
 from fes.signals import NS_PER_S
 
 MINUTE_S: Final = 60
+RISE_STEP_MA: Final = 0.5  # most devices' step: a ramp rounded to it may run this far ahead
+COARSEST_STEP_MA: Final = 2.0  # a device of still coarser steps is none for a ramp
+ROUNDING_MA: Final = 1e-6  # of sums of floating-point numbers
+ANSWERED_NS: Final = NS_PER_S // 4  # later than this after its last command no answer reports pulses that it asked for
 
 
 class Dose:
@@ -52,18 +53,12 @@ class Dose:
             del self._by_second[next(iter(self._by_second))]
 
 
-RISE_STEP_MA: Final = 0.5  # most devices' step: a ramp rounded to it may run this far ahead of its line
-COARSEST_STEP_MA: Final = 2.0  # a device of still coarser steps is none for a ramp
-ROUNDING_MA: Final = 1e-6  # of sums of floating-point numbers
-ANSWERED_NS: Final = NS_PER_S // 4  # longer after its last command no answer tells of pulses that it asked for
-
-
 @dataclass(slots=True)
-class Line:
+class ChannelState:
     """A channel's settings, the sensor that its timing rests on, its antagonists' numbers, and its state.
 
-    ``ramp_ma`` is a line that climbs no faster than the rise limit and never lies above the current let out; a request
-    may exceed it by ``step_ma``. So no sequence of commands, however dense, beats the limit by more than a step.
+    ``ramp_ma`` climbs no faster than the rise limit and never lies above the current let out; a request may exceed it
+    by ``step_ma``. So no sequence of commands, however dense, beats the limit by more than a step.
     The limits from ``caps`` on are, each, the absolute one or the channel's own, whichever is tighter.
     ``held_back``: the burst now asked for was refused though nothing is broken; see :mod:`fes.gate.gate`.
     """
@@ -97,7 +92,7 @@ class Line:
         self.most_rise_ma_per_s = min(limits.MAX_RISE_MA_PER_S, own.max_rise_ma_per_s)
 
     def command_on(self, t_ns: int, current_ma: float, charge_uc_per_s: float) -> None:
-        """The device is told to deliver this current, and charge at this rate."""
+        """The device is commanded to deliver this current, and charge at this rate."""
         self.dose.command(t_ns, charge_uc_per_s, self.validity_ns)
         self.ramp_ma = min(self._ramp_ma_at(t_ns), current_ma)
         if not self.on:
@@ -105,7 +100,7 @@ class Line:
         self.commanded_ns = t_ns
 
     def command_off(self, t_ns: int) -> None:
-        """The device is told to be off."""
+        """The device is commanded to be off."""
         if self.on:
             self.on, self.off_since_ns = False, t_ns
         self.dose.command(t_ns, 0.0, 0)
@@ -118,7 +113,7 @@ class Line:
             self.held_back = True
 
     def unasked(self, t_ns: int) -> bool:
-        """Whether pulses that the device tells of now were asked for by no command."""
+        """Whether pulses that the device reports now were asked for by no command."""
         return not self.on and (self.off_since_ns is None or t_ns - self.off_since_ns > ANSWERED_NS)
 
     def on_too_long(self, t_ns: int) -> str:

@@ -17,14 +17,14 @@ NUMBER_BOUND: Final = 1e9  # nothing in a request is anywhere near it
 class Cap:
     """One quantity of a pulse, its absolute limit and the channel's own; the smaller counts.
 
-    ``of`` computes it from a pulse train's current (mA), width (µs) and rate (Hz), and the electrodes' area (cm²).
+    ``value`` computes it from a pulse train's current (mA), width (µs) and rate (Hz), and the electrodes' area (cm²).
     """
 
     what: str
     unit: str
     absolute: float
     own: Callable[[ChannelLimits], float]
-    of: Callable[[float, float, float, float], float]
+    value: Callable[[float, float, float, float], float]
 
 
 Caps: TypeAlias = tuple[tuple[Cap, float], ...]  # each with what it may be at most in one channel
@@ -60,17 +60,10 @@ CAPS: Final = (
 def no_number(request: StimRequest) -> str:
     """Which of the three numbers is none, or not above 0; "" when all are."""
     current_ma, width_us, frequency_hz = request.current_ma, request.pulse_width_us, request.frequency_hz
-    if not is_number(current_ma) or current_ma <= 0:
-        return _not_above_0("current", current_ma)
-    if not is_number(width_us) or width_us <= 0:
-        return _not_above_0("pulse width", width_us)
-    if not is_number(frequency_hz) or frequency_hz <= 0:
-        return _not_above_0("frequency", frequency_hz)
+    for what, value in (("current", current_ma), ("pulse width", width_us), ("frequency", frequency_hz)):
+        if not is_number(value) or value <= 0:
+            return f"{what} is {shown(value)}, must be a number above 0"
     return ""
-
-
-def _not_above_0(what: str, value: object) -> str:
-    return f"{what} is {shown(value)}, must be a number above 0"
 
 
 def caps_of(own: ChannelLimits) -> Caps:
@@ -89,7 +82,7 @@ def over_a_cap(pulse: StimRequest | StimStatus, area_cm2: float, caps: Caps) -> 
     """The first cap that a pulse of no negative size exceeds, with number and limit; "" when none is."""
     current_ma, width_us, frequency_hz = pulse.current_ma, pulse.pulse_width_us, pulse.frequency_hz
     for cap, most in caps:
-        value = cap.of(current_ma, width_us, frequency_hz, area_cm2)
+        value = cap.value(current_ma, width_us, frequency_hz, area_cm2)
         if not value <= most:  # so that not-a-number is over every cap
             return f"{cap.what} {value:.4g} {cap.unit}, limit {most:.4g} {cap.unit}"
     return ""

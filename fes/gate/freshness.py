@@ -1,6 +1,6 @@
-"""Are the data behind a decision fresh? Judged on the host's clock and on the sensor's own.
+"""Are the data behind a decision fresh, and a sensor's time stamps in order?
 
-Are a sensor's time stamps in order? Single slips are counted; too many within a second are a fault.
+Judged on the host's clock and on the sensor's own.
 """
 
 from __future__ import annotations
@@ -16,6 +16,9 @@ WINDOW_NS: Final = NS_PER_S
 MOST_SHARE: Final = 0.05
 LEAST_SLIPS: Final = 3  # so that a window that has only begun does not condemn a single one
 LEAST_JUMP_NS: Final = 35_000_000  # a stamp further ahead of the time waited than this, and than half of that time
+MAX_SAME_MS: Final = 60  # of bit-identical samples
+SLIPS_BELIEVED: Final = 3  # in a row: a stamp far off is a slip, three of them are a clock that was set
+MAX_CLOCK_DRIFT_PPM: Final = 200  # of a sensor's clock against the host's; a crystal keeps within 100
 
 
 @dataclass(slots=True)
@@ -29,7 +32,8 @@ class _SensorStamps:
 class Stamps:
     """Counts stamps that are doubled, out of order, or ahead of the time that has passed, sensor by sensor.
 
-    A gap is no slip: what was lost on the way shows in the data's age. ``slips`` counts all since the start.
+    Single slips are counted, too many within a second are a fault. A gap is no slip: what was lost on the way shows in
+    the data's age. ``slips`` counts all since the start.
     """
 
     def __init__(self) -> None:
@@ -59,11 +63,6 @@ class Stamps:
             return ""
         share = f"{len(slips)} of {len(samples)} within a second"
         return f"{sample.sensor}'s time stamps are out of order: {share}"
-
-
-MAX_SAME_MS: Final = 60  # of bit-identical samples
-SLIPS_BELIEVED: Final = 3  # in a row: a stamp far off is a slip, three of them are a clock that was set
-MAX_CLOCK_DRIFT_PPM: Final = 200  # of a sensor's clock against the host's; a crystal keeps within 100
 
 
 @dataclass(slots=True)
@@ -130,7 +129,7 @@ class Freshness:
             return fault
         return fault or self._frozen(sample.sensor, known)
 
-    def doubt(self, sensor: str, t_ns: int) -> str:
+    def reason_not_ready(self, sensor: str, t_ns: int) -> str:
         """Why this sensor's data are no ground for stimulating at ``t_ns``; "" when they are."""
         known = self._sensors.get(sensor)
         if known is None:

@@ -8,8 +8,6 @@ and :meth:`SafetyGate.judge` are told, in times that must never run backward.
 Some refusals do not latch, because nothing is broken: not armed, too soon after the last burst, an antagonist still
 on. A burst refused in this way, or one whose command ran out before the next came, is *held back*: it may still start
 late where its rise allows, and where that does not, it is refused in silence until the plan has asked for off.
-
-The one way to make a session's gate, live and in replay.
 """
 
 from __future__ import annotations
@@ -19,7 +17,7 @@ from typing import NamedTuple
 
 from fes import limits
 from fes.config import Channel, ImuDevice, Session
-from fes.gate.channel import COARSEST_STEP_MA, RISE_STEP_MA, Line
+from fes.gate.channel import COARSEST_STEP_MA, RISE_STEP_MA, ChannelState
 from fes.gate.electrical import is_number, no_number, over_a_cap, shown, wrongly_delivered
 from fes.gate.freshness import Freshness, Stamps
 from fes.gate.plausibility import Plausible
@@ -58,6 +56,11 @@ class SafetyGate:
         up: each sensor's upward direction at calibration; without it its mounting is not judged.
         shank_phase_sensors: for a foot whose phases another sensor tells (its shank's), that sensor.
         current_step_ma: the stimulator's step of current, at most ``COARSEST_STEP_MA``; a rise may be rounded to it.
+
+    Attributes:
+        flagged: by sensor, what was wrong with samples that no channel's timing rests on.
+        arming_refused: why the last attempt at arming failed; "" when it did not.
+        latched_ns: when :attr:`latched` came about.
     """
 
     def __init__(
@@ -74,23 +77,25 @@ class SafetyGate:
         self._validity_ms = min(limits.MAX_VALIDITY_MS, validity_ms)
         self._freshness = Freshness(min(limits.MAX_DATA_AGE_MS, max_data_age_ms) * 1_000_000)
         self._plausible = Plausible(devices, up or {})
-        self._stamps = Stamps()
-        self._lines: dict[int, Line] = {}
+        self.stamps = Stamps()
+        self._channels: dict[int, ChannelState] = {}
         step_ma = min(max(RISE_STEP_MA, current_step_ma), COARSEST_STEP_MA)
         for channel in channels:
             sensor = (shank_phase_sensors or {}).get(channel.foot, channel.foot)
             named_by = {other.number for other in channels if channel.number in other.never_with}
             partners = tuple(sorted(named_by | set(channel.never_with)))
-            self._lines[channel.number] = Line(channel, sensor, partners, self._validity_ms * 1_000_000, step_ma)
-        self._relied_on = frozenset(line.sensor for line in self._lines.values())
-        self._flagged: dict[str, Flagged] = {}
+            self._channels[channel.number] = ChannelState(
+                channel, sensor, partners, self._validity_ms * 1_000_000, step_ma
+            )
+        self._relied_on = frozenset(state.sensor for state in self._channels.values())
+        self.flagged: dict[str, Flagged] = {}
+        self.arming_refused = ""
+        self.latched_ns: int | None = None
         self._event_ns: int | None = None
         self._judged_ns: int | None = None
         self._boot_id: int | None = None
         self._armed = False
         self._latched = ""
-        self._latched_ns: int | None = None
-        self._arming_refused = ""
 
     @property
     def armed(self) -> bool:
@@ -102,31 +107,11 @@ class SafetyGate:
         """The first reason that stopped everything since a person last armed; "" when there is none."""
         return self._latched
 
-    @property
-    def latched_ns(self) -> int | None:
-        """When :attr:`latched` came about."""
-        return self._latched_ns
-
-    @property
-    def slips(self) -> dict[str, int]:
-        """Time stamps out of order so far, by sensor."""
-        return dict(self._stamps.slips)
-
-    @property
-    def flagged(self) -> Mapping[str, Flagged]:
-        """By sensor, what was wrong with samples that no channel's timing rests on."""
-        return self._flagged
-
-    @property
-    def arming_refused(self) -> str:
-        """Why the last attempt at arming failed; "" when it did not."""
-        return self._arming_refused
-
     def latch(self, t_ns: int, reason: str) -> None:
         """Stop everything until a person arms again; the first reason is kept."""
         self._armed = False
         if not self._latched:
-            self._latched, self._latched_ns = reason or "fault of unknown reason", t_ns
+            self._latched, self.latched_ns = reason or "fault of unknown reason", t_ns
 
     # --- what happens ------------------------------------------------------------------------------------
 
@@ -135,7 +120,7 @@ class SafetyGate:
         earlier_ns, self._event_ns = self._event_ns, event.t_ns
         if isinstance(event, ImuSample):
             # all three take it in, whatever one of them says; the gravest is named
-            order, fault = self._stamps.fault(event), self._freshness.note(event)
+            order, fault = self.stamps.fault(event), self._freshness.note(event)
             implausible = self._plausible.fault(event)
             if fault := fault or implausible or order:
                 self._on_fault_of(event, fault)
@@ -155,16 +140,16 @@ class SafetyGate:
         if sample.sensor in self._relied_on:
             self.latch(sample.t_ns, fault)
             return
-        before = self._flagged[sample.sensor].samples if sample.sensor in self._flagged else 0
-        self._flagged[sample.sensor] = Flagged(before + 1, fault)
+        before = self.flagged[sample.sensor].samples if sample.sensor in self.flagged else 0
+        self.flagged[sample.sensor] = Flagged(before + 1, fault)
 
     def _on_act(self, act: OperatorAct) -> None:
         if act.action is OperatorAction.ARM:
-            doubts = (self._doubt(sensor, act.t_ns) for sensor in sorted(self._relied_on))
-            self._arming_refused = next(filter(None, doubts), "")
-            self._armed = not self._arming_refused
+            reasons = (self._reason_not_ready(sensor, act.t_ns) for sensor in sorted(self._relied_on))
+            self.arming_refused = next(filter(None, reasons), "")
+            self._armed = not self.arming_refused
             if self._armed:
-                self._latched, self._latched_ns = "", None
+                self._latched, self.latched_ns = "", None
         elif act.action is OperatorAction.DISARM:
             self._armed = False
         elif act.action is OperatorAction.EMERGENCY_STOP:
@@ -173,15 +158,15 @@ class SafetyGate:
     def _on_status(self, status: StimStatus) -> None:
         if status.fault:
             self.latch(status.t_ns, f"stimulator fault on channel {status.channel}: {status.fault}")
-        line = self._lines.get(status.channel)
-        if line is None:
+        state = self._channels.get(status.channel)
+        if state is None:
             return
         if status.on:
-            over = wrongly_delivered(status, line.area_cm2, line.caps)
+            over = wrongly_delivered(status, state.area_cm2, state.caps)
             if over:
-                self.latch(status.t_ns, f"{line.channel.name}: stimulator delivers {over}")
-        if status.pulses > 0 and line.unasked(status.t_ns):
-            self.latch(status.t_ns, f"{line.channel.name}: stimulator delivers pulses that nobody asked for")
+                self.latch(status.t_ns, f"{state.channel.name}: stimulator delivers {over}")
+        if status.pulses > 0 and state.unasked(status.t_ns):
+            self.latch(status.t_ns, f"{state.channel.name}: stimulator delivers pulses that nobody asked for")
 
     def _on_alive(self, alive: StimAlive) -> None:
         if alive.fault:
@@ -205,61 +190,61 @@ class SafetyGate:
         self._notice_backward(t_ns, self._event_ns)
         self._notice_backward(t_ns, self._judged_ns)
         self._judged_ns = t_ns
-        for each in self._lines.values():
+        for each in self._channels.values():
             each.let_lapse(t_ns)
         number = _channel_number(request.channel)
-        line = self._lines.get(number)
-        refused = "" if request.on is False else self._refusal(t_ns, line, request)
-        if line is None or refused or not request.on:
-            if line is not None:
-                line.command_off(t_ns)
-                line.held_back = bool(refused)
+        state = self._channels.get(number)
+        refused = "" if request.on is False else self._refusal(t_ns, state, request)
+        if state is None or refused or not request.on:
+            if state is not None:
+                state.command_off(t_ns)
+                state.held_back = bool(refused)
             return StimCommand(t_ns, number, False, 0.0, 0.0, 0.0, self._validity_ms, refused)
         current_ma, width_us = float(request.current_ma), float(request.pulse_width_us)
         frequency_hz = float(request.frequency_hz)
-        line.command_on(t_ns, current_ma, limits.charge_per_phase_uc(current_ma, width_us) * frequency_hz)
-        line.held_back = False
+        state.command_on(t_ns, current_ma, limits.charge_per_phase_uc(current_ma, width_us) * frequency_hz)
+        state.held_back = False
         return StimCommand(t_ns, number, True, current_ma, width_us, frequency_hz, self._validity_ms)
 
-    def _doubt(self, sensor: str, t_ns: int) -> str:
-        return self._freshness.doubt(sensor, t_ns) or self._plausible.doubt(sensor)
+    def _reason_not_ready(self, sensor: str, t_ns: int) -> str:
+        return self._freshness.reason_not_ready(sensor, t_ns) or self._plausible.reason_not_ready(sensor)
 
-    def _refusal(self, t_ns: int, line: Line | None, request: StimRequest) -> str:
+    def _refusal(self, t_ns: int, state: ChannelState | None, request: StimRequest) -> str:
         """Why stimulation must not go out; "" when it may. Latches what is a fault."""
-        if line is None:
+        if state is None:
             fault = f"the session has no channel {shown(request.channel)}"
             self.latch(t_ns, fault)
             return fault
         if self._latched:
             return self._latched
         if not self._armed:
-            return f"not armed: {self._arming_refused}" if self._arming_refused else "not armed"
-        if fault := self._fault(t_ns, line, request):
+            return f"not armed: {self.arming_refused}" if self.arming_refused else "not armed"
+        if fault := self._fault(t_ns, state, request):
             self.latch(t_ns, fault)
             return fault
-        hold = line.off_too_short(t_ns) or self._antagonist_on(line)
-        if not hold and line.held_back:  # of any other burst a rise too fast is a fault
-            hold = line.rises_too_fast(t_ns, request.current_ma)
-        return f"{line.channel.name}: {hold}" if hold else ""
+        hold = state.off_too_short(t_ns) or self._antagonist_on(state)
+        if not hold and state.held_back:  # of any other burst a rise too fast is a fault
+            hold = state.rises_too_fast(t_ns, request.current_ma)
+        return f"{state.channel.name}: {hold}" if hold else ""
 
-    def _fault(self, t_ns: int, line: Line, request: StimRequest) -> str:
+    def _fault(self, t_ns: int, state: ChannelState, request: StimRequest) -> str:
         """What latches. The order matters: the later checks rely on the numbers being numbers."""
-        if doubt := self._doubt(line.sensor, t_ns):
-            return doubt
+        if not_ready := self._reason_not_ready(state.sensor, t_ns):
+            return not_ready
         fault = (
             _no_switch(request.on)
             or no_number(request)
-            or over_a_cap(request, line.area_cm2, line.caps)
-            or line.on_too_long(t_ns)
-            or line.too_much_charge(t_ns)
+            or over_a_cap(request, state.area_cm2, state.caps)
+            or state.on_too_long(t_ns)
+            or state.too_much_charge(t_ns)
         )
-        if not fault and not line.held_back:  # a burst held back has missed its ramp, which is nobody's fault
-            fault = line.rises_too_fast(t_ns, request.current_ma)
-        return f"{line.channel.name}: {fault}" if fault else ""
+        if not fault and not state.held_back:  # a burst held back has missed its ramp, which is nobody's fault
+            fault = state.rises_too_fast(t_ns, request.current_ma)
+        return f"{state.channel.name}: {fault}" if fault else ""
 
-    def _antagonist_on(self, line: Line) -> str:
-        for number in line.partners:
-            partner = self._lines.get(number)
+    def _antagonist_on(self, state: ChannelState) -> str:
+        for number in state.partners:
+            partner = self._channels.get(number)
             if partner is not None and partner.on:
                 return f"never together with {partner.channel.name}, which is on"
         return ""
@@ -279,14 +264,7 @@ def gate_of(
     shank_phase_sensors: Mapping[str, str] | None = None,
     current_step_ma: float = RISE_STEP_MA,
 ) -> SafetyGate:
-    """The gate with all that the session and the calibrations say.
-
-    Args:
-        session: its channels, its sensors and how old data may be.
-        up: by sensor, its upward direction at calibration.
-        shank_phase_sensors: for a foot whose phases another sensor tells, that sensor.
-        current_step_ma: the stimulator's.
-    """
+    """The one way to make a session's gate, live and in replay; see :class:`SafetyGate` for the rest."""
     return SafetyGate(
         session.channels,
         max_data_age_ms=session.stimulation.max_data_age_ms,

@@ -1,22 +1,7 @@
-"""Can these numbers come from this sensor, on this foot, mounted as it was? Units, range, mounting.
+"""Can these numbers come from this sensor, on this foot, mounted as it was? Axes, units, range, mounting.
 
-Every bound was held against real recordings (docs/safety.md): gait never comes near them; a wrong unit is beyond them
-at once, or after the 80 ms that :mod:`fes.gate.plausibility` takes; :mod:`fes.gate.plausibility` sees axes change.
-
-Did the sensor's axes change between two samples? Told by one jump that exchanged axes explain and gait does not.
-
-Real force and rate jump too, at heel strikes, but neither before nor after such a jump are they smooth, and no exchange
-of axes leads from the one sample to the other in both at once. Under a heel the force may turn right around and stay so
-for two samples; but the rate goes on as it was, and so speaks against an exchange. ``benchmarks/wrong_unit.py`` counts
-how often this tells, and on how many real recordings it speaks wrongly (docs/safety.md).
-
-Is the force in the unit that it should be in? Told by its level, and by a step in it that lasts.
-
-A force in g for m/s² is 9.8 times too small. Where that takes it below what any swing shows, its level tells; in a
-brisk swing it does not, but then the change itself does: no foot's force falls to less than a quarter from one sample
-to the next and then stays low. The same the other way round for a force that was scaled once more, or is in mg.
-A heel that lands, bounces and slaps down comes nearest; but what that shows is more than the sensor's range in g.
-``benchmarks/wrong_unit.py`` shows how near real feet come, and how soon a wrong unit is told.
+Every bound was held against real recordings (docs/safety.md): gait never comes near them. ``benchmarks/wrong_unit.py``
+shows how soon a wrong unit or exchanged axes are found, and on how many real recordings they are found wrongly.
 """
 
 from __future__ import annotations
@@ -31,6 +16,9 @@ from typing import Final, TypeAlias
 from fes.config import ImuDevice
 from fes.signals import G_MPS2, SHANK_SENSORS, ImuSample, Vector3
 
+SUSTAINED_MS: Final = 80  # what one knock, one clipped heel strike or one free fall of the foot never lasts
+SUSTAINED_NS: Final = SUSTAINED_MS * 1_000_000
+
 # with the first three of them 1.38 times as wide no real walk would be taken for an exchange yet
 LEAST_JUMP: Final = 0.7  # of force and rate together, each squared and against its own size
 SMOOTH: Final = 0.13  # of the jump: the steps before and after it are smaller
@@ -39,9 +27,7 @@ AGAINST: Final = 0.02  # of the rate's square: an exchange may miss the new rate
 LEAST_FORCE_MPS2: Final = 4.0  # smaller forces and rates are not taken as larger jumps for their size
 LEAST_RATE_RADPS: Final = 1.0
 STEPS_AFTER: Final = 2  # that have to be smooth
-AXES_MOST_APART_NS: Final = (
-    12_500_000  # by the sensor's own clock, between two samples; in a longer time a foot may turn
-)
+MOST_APART_NS: Final = 12_500_000  # by the sensor's own clock, between two samples; in a longer time all may change
 _LEAST_FORCE2: Final = LEAST_FORCE_MPS2**2
 _LEAST_RATE2: Final = LEAST_RATE_RADPS**2
 
@@ -56,23 +42,21 @@ _TURNS = tuple(
 
 @dataclass(slots=True)
 class _Jump:
-    """One that exchanged axes explain, and what has to follow it.
+    """One that exchanged axes explain, and what has to follow it."""
 
-    Attributes:
-        force: the square that a step of the force is measured by.
-        rate: likewise for the rate.
-        smooth: what a step after it may measure.
-        steps: so many are still to come.
-    """
-
-    force: float
-    rate: float
-    smooth: float
-    steps: int
+    force: float  # the square that a step of the force is measured by
+    rate: float  # likewise for the rate
+    smooth: float  # what a step after it may measure
+    steps: int  # so many are still to come
 
 
 class Axes:
-    """The axes of one sensor, sample by sample."""
+    """Finds that one sensor's axes changed between two samples: one jump that exchanged axes explain and gait does not.
+
+    Real force and rate jump too, at heel strikes, but neither before nor after such a jump are they smooth, and no
+    exchange of axes leads from the one sample to the other in both at once. Under a heel the force may turn right
+    around and stay so for two samples; but the rate goes on as it was, and so speaks against an exchange.
+    """
 
     def __init__(self) -> None:
         self._before: ImuSample | None = None
@@ -83,13 +67,12 @@ class Axes:
         """Take in a finite sample; in words that the axes changed two samples ago, "" when they did not."""
         before, last, jump = self._before, self._step, self._jump
         self._before = sample
-        if before is None or not 0 < sample.t_sensor_ns - before.t_sensor_ns <= AXES_MOST_APART_NS:
+        if before is None or not 0 < sample.t_sensor_ns - before.t_sensor_ns <= MOST_APART_NS:
             self._step = self._jump = None
             return ""
-        force, rate = self._step = (
-            _square_apart(sample.acc_mps2, before.acc_mps2),
-            _square_apart(sample.gyr_radps, before.gyr_radps),
-        )
+        force = _square_apart(sample.acc_mps2, before.acc_mps2)
+        rate = _square_apart(sample.gyr_radps, before.gyr_radps)
+        self._step = (force, rate)
         if jump is None:
             # most steps are too small already if held against the least sizes, and against any other they are smaller
             if last and force / _LEAST_FORCE2 + rate / _LEAST_RATE2 >= LEAST_JUMP:
@@ -133,11 +116,8 @@ def _exchanged(a: Vector3, order: tuple[int, ...], signs: tuple[float, ...]) -> 
     return (signs[0] * a[order[0]], signs[1] * a[order[1]], signs[2] * a[order[2]])
 
 
-SPAN_MS: Final = 80  # what one knock, one clipped heel strike or one free fall of the foot never lasts
-SPAN_NS: Final = SPAN_MS * 1_000_000
 MOSTLY: Final = (3, 4)  # of the samples of a span: in g too a swing has its spikes
 STEP: Final = 4.0  # from one sample to the next; real ones that last reach 2.4 down and 3.0 up
-MOST_APART_NS: Final = 12_500_000  # by the sensor's own clock, for a step: in a longer time force may do anything
 MOST_GAP_NS: Final = 25_000_000  # likewise, in the span after a step: from fewer samples nobody can tell that it lasts
 BEYOND: Final = 1.05  # of an axis' range: what calibrating makes of a sample at its end stays below
 MOST_SAMPLES: Final = 1000  # kept of a span; a sensor that sends more is judged by fewer
@@ -147,19 +127,12 @@ WEAK, LOW, USUAL, HIGH, STRONG = range(5)
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """Of the force, in m/s², increasing; what lies mostly beyond one for a span is in a wrong unit.
+    """Of the force, in m/s², increasing; what lies mostly beyond one for a span is in a wrong unit."""
 
-    Attributes:
-        weak: below it, whatever was before.
-        low: below it, after a step down.
-        high: above it, after a step up.
-        strong: above it, whatever was before.
-    """
-
-    weak: float
-    low: float
-    high: float
-    strong: float
+    weak: float  # below it, whatever was before
+    low: float  # below it, after a step down
+    high: float  # above it, after a step up
+    strong: float  # above it, whatever was before
 
 
 FOOT: Final = Bounds(weak=2.5, low=7.0, high=60.0, strong=80.0)
@@ -172,7 +145,12 @@ Seen: TypeAlias = tuple[int, int, int, bool, bool]
 
 
 class Force:
-    """The force of one sensor, sample by sample.
+    """Finds that one sensor's force is in a wrong unit: by its level, and by a step in it that lasts.
+
+    A force in g for m/s² is 9.8 times too small. Where that takes it below what any swing shows, its level tells; in a
+    brisk swing it does not, but then the change itself does: no foot's force falls to less than a quarter from one
+    sample to the next and then stays low. The same the other way round for a force scaled once more, or in mg.
+    A heel that lands, bounces and slaps down comes nearest; but what that shows is more than the sensor's range in g.
 
     Args:
         sensor: its name, for its place on the leg.
@@ -189,10 +167,9 @@ class Force:
         self._before_ns = 0
 
     def fault(self, sample: ImuSample, force_mps2: float, most_mps2: float) -> str:
-        """Take in a sample, the size of its force and its largest axis; what is wrong with the unit, in words, "" when
-        nothing is."""
+        """Take in a sample, the size of its force and its largest axis; what is wrong with the unit, or ""."""
         t_ns, seen = sample.t_ns, self._seen
-        if seen and t_ns < seen[-1][0]:  # told elsewhere; nothing from before counts
+        if seen and t_ns < seen[-1][0]:  # reported elsewhere; nothing from before counts
             while seen:
                 self._forget_oldest()
         bounds, before_mps2 = self._bounds, self._before_mps2
@@ -209,27 +186,26 @@ class Force:
         gap, beyond = apart_ns > MOST_GAP_NS, most_mps2 > self._most_in_g
         seen.append((t_ns, level, step, gap, beyond))
         self._counts[level] += 1
-        if gap:
-            self._gaps += 1
-        if beyond:
-            self._beyond += 1
-        said = ""
-        while t_ns - seen[0][0] >= SPAN_NS:
-            said = said or self._of_span(sample.sensor, force_mps2)
+        self._gaps += gap
+        self._beyond += beyond
+        fault = ""
+        while t_ns - seen[0][0] >= SUSTAINED_NS:
+            fault = fault or self._judge_span(sample.sensor, force_mps2)
             self._forget_oldest()
         if len(seen) > MOST_SAMPLES:
             self._forget_oldest()
-        return said
+        return fault
 
-    def _of_span(self, sensor: str, force_mps2: float) -> str:
-        """What the span from the oldest sample to the newest says."""
+    def _judge_span(self, sensor: str, force_mps2: float) -> str:
+        """What is wrong with the unit, by the span from the oldest sample to the newest."""
         weak, low, _, high, strong = self._counts
-        share, of = MOSTLY
+        share, whole = MOSTLY
         most = share * len(self._seen)
-        if of * (weak + low) >= most and (of * weak >= most or (self._step() < 0 and not self._beyond)):
-            return f"{sensor} shows {force_mps2:.2g} m/s² and less than gravity for {SPAN_MS} ms: is its unit g?"
-        if of * (strong + high) >= most and (of * strong >= most or self._step() > 0):
-            return f"{sensor} shows {force_mps2:.0f} m/s² and more than a foot can take for {SPAN_MS} ms: wrong unit?"
+        if whole * (weak + low) >= most and (whole * weak >= most or (self._step() < 0 and not self._beyond)):
+            return f"{sensor} shows {force_mps2:.2g} m/s² and less than gravity for {SUSTAINED_MS} ms: is its unit g?"
+        if whole * (strong + high) >= most and (whole * strong >= most or self._step() > 0):
+            shows = f"{force_mps2:.0f} m/s² and more than a foot can take"
+            return f"{sensor} shows {shows} for {SUSTAINED_MS} ms: wrong unit?"
         return ""
 
     def _step(self) -> int:
@@ -240,22 +216,17 @@ class Force:
     def _forget_oldest(self) -> None:
         _, level, _, gap, beyond = self._seen.popleft()
         self._counts[level] -= 1
-        if gap:
-            self._gaps -= 1
-        if beyond:
-            self._beyond -= 1
+        self._gaps -= gap
+        self._beyond -= beyond
 
 
-SUSTAINED_MS: Final = 80  # what one knock, one clipped heel strike or one free fall of the foot never lasts
 MOST_RATE_RADPS: Final = 40.0  # in any one sample: degrees taken for radians; real feet turn at 13, shanks at 20
 FAST_RADPS: Final = 15.0  # about one axis for 80 ms: a turn in 0.4 s; real feet never are, shanks for one sample
 AT_RANGE: Final = 0.995  # of the range that the session states
 REST_RATE_RADPS: Final = 0.5
 REST_FORCE_MPS2: Final = 1.5  # of gravity
 MOST_TILT_RAD: Final = math.radians(65)  # at rest, from where it was at calibration; real feet reach 23°, shanks 30°
-MEAN_NS: Final = (
-    300_000_000  # over which gravity shows through a walk: the mean force of real legs tilts by 55° at most
-)
+MEAN_NS: Final = 300_000_000  # gravity shows through a walk: the mean force of real legs tilts by 55° at most
 MOST_STEP_NS: Final = 40_000_000  # one sample after a silence does not stand for all of it
 _TILT: Final = f"{math.degrees(MOST_TILT_RAD):.0f}°"
 _UPRIGHT: Final = math.cos(MOST_TILT_RAD)
@@ -267,14 +238,14 @@ class _Lasting:
 
     since_ns: int | None = None
 
-    def so(self, t_ns: int, is_so: bool) -> bool:
+    def lasts(self, t_ns: int, is_so: bool) -> bool:
         """Whether it has now been so for long enough."""
         if not is_so:
             self.since_ns = None
             return False
         if self.since_ns is None:
             self.since_ns = t_ns
-        return t_ns - self.since_ns >= SUSTAINED_MS * 1_000_000
+        return t_ns - self.since_ns >= SUSTAINED_NS
 
 
 class Plausibility:
@@ -290,7 +261,7 @@ class Plausibility:
         self._acc_range_mps2 = AT_RANGE * device.acc_range_g * G_MPS2 if device else math.inf
         self._gyr_range_radps = AT_RANGE * math.radians(device.gyr_range_dps) if device else math.inf
         self._up = up
-        self.doubt = ""  # no fault by itself: a foot may rest so, but not one that walks
+        self.not_ready = ""  # no fault by itself: a foot may rest so, but not one that walks
         self._force = Force(sensor, device.acc_range_g if device else math.inf)
         self._axes = Axes()
         self._fast, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting()
@@ -305,12 +276,12 @@ class Plausibility:
         most_mps2, rate_radps = _largest(sample.acc_mps2), _largest(sample.gyr_radps)
         at_range = rate_radps >= self._gyr_range_radps or most_mps2 >= self._acc_range_mps2
         wrong_unit, exchanged = self._force.fault(sample, force_mps2, most_mps2), self._axes.fault(sample)
-        fast = self._fast.so(t_ns, rate_radps > FAST_RADPS)
-        saturated = self._saturated.so(t_ns, at_range)
-        tilted = self._tilted.so(t_ns, self._rests_tilted(x, y, z, force_mps2, rate_radps))
+        fast = self._fast.lasts(t_ns, rate_radps > FAST_RADPS)
+        saturated = self._saturated.lasts(t_ns, at_range)
+        tilted = self._tilted.lasts(t_ns, self._rests_tilted(x, y, z, force_mps2, rate_radps))
         moves_tilted = self._moves_tilted(x, y, z, t_ns)
         does = "rests" if tilted else "moves" if moves_tilted else ""
-        self.doubt = f"{name} {does} turned by more than {_TILT} from its calibration: remounted?" if does else ""
+        self.not_ready = f"{name} {does} turned by more than {_TILT} from its calibration: remounted?" if does else ""
         if rate_radps > MOST_RATE_RADPS:
             return f"{name} turns at {rate_radps:.0f} rad/s, which no foot does: is its unit °/s?"
         if wrong_unit:
@@ -346,7 +317,7 @@ class Plausibility:
         (mx, my, mz), (ux, uy, uz) = self._mean_mps2, self._up
         mx, my, mz = mx + share * (x - mx), my + share * (y - my), mz + share * (z - mz)
         size = math.sqrt(mx * mx + my * my + mz * mz)
-        if not size < math.inf:  # told as a fault of its own; a mean would never forget it
+        if not size < math.inf:  # a fault of its own; a mean would never forget it
             self._mean_mps2 = self._upright()
             return False
         self._mean_mps2 = (mx, my, mz)
@@ -378,10 +349,10 @@ class Plausible:
             self._sensors[sample.sensor] = known
         return known.fault(sample)
 
-    def doubt(self, sensor: str) -> str:
+    def reason_not_ready(self, sensor: str) -> str:
         """Why this sensor's data are no ground for stimulating now; "" when they are."""
         known = self._sensors.get(sensor)
-        return known.doubt if known else ""
+        return known.not_ready if known else ""
 
 
 def _largest(a: Vector3) -> float:

@@ -62,7 +62,7 @@ def complaints(track: Track, up: Vector3 | None) -> set[str]:
         strict=True,
     ):
         sample = ImuSample(t_ns, track.sensor, t_sensor_ns, tuple(acc), tuple(gyr))
-        said |= {plausible.fault(sample), stamps.fault(sample), plausible.doubt(track.sensor)}
+        said |= {plausible.fault(sample), stamps.fault(sample), plausible.reason_not_ready(track.sensor)}
     return said - {""}
 
 

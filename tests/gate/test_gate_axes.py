@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fes.gate import plausibility as axes
-from fes.gate.plausibility import AXES_MOST_APART_NS as MOST_APART_NS
-from fes.gate.plausibility import LEAST_FORCE_MPS2, LEAST_RATE_RADPS, Axes, Plausibility
+from fes.gate.plausibility import LEAST_FORCE_MPS2, LEAST_RATE_RADPS, MOST_APART_NS, Axes, Plausibility
 from fes.signals import ImuSample, Vector3
 
 MS = 1_000_000

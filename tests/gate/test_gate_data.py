@@ -165,7 +165,7 @@ def test_one_wild_stamp_is_counted_and_has_no_effect(bench: Bench, wild_ms: int)
         assert bench.ask(current_ma=1.0).on
         bench.wait(20)
     assert bench.gate.latched == ""
-    assert bench.gate.slips["left_foot"] in (1, 2), "there, and back again"
+    assert bench.gate.stamps.slips["left_foot"] in (1, 2), "there, and back again"
 
 
 @pytest.mark.requirement("SR-11")

@@ -166,14 +166,17 @@ def test_first_sample_counts_for_being_frozen() -> None:
     assert freshness.note(sample(60 * MS, 60 * MS, gyr=STILL)) == (
         "left_foot is frozen: the same values for 60 ms, limit 60 ms"
     )
-    assert freshness.doubt("left_foot", 60 * MS) == "left_foot is frozen: the same values for 60 ms, limit 60 ms"
+    assert (
+        freshness.reason_not_ready("left_foot", 60 * MS)
+        == "left_foot is frozen: the same values for 60 ms, limit 60 ms"
+    )
 
 
 @pytest.mark.parametrize("values", [(1e308, 1e308, 1e308), (-1e308, -1e308, 0.0)])
 def test_huge_numbers_are_numbers_though_their_sum_is_none(values: Vector3) -> None:
     freshness = Freshness(MAX_AGE)
     assert freshness.note(sample(0, 0, values, values)) == ""
-    assert freshness.doubt("left_foot", 0) == ""
+    assert freshness.reason_not_ready("left_foot", 0) == ""
 
 
 @pytest.mark.parametrize("axis", range(6))
@@ -194,7 +197,7 @@ def test_long_frozen_is_told_in_full_milliseconds() -> None:
 def test_in_the_first_second_an_earlier_stamp_is_learnt_and_later_is_a_slip() -> None:
     """The first sample came 300 ms late, those after it at once."""
     freshness = heard((5 * S, 5 * S - 300 * MS), *((5 * S + k * MS, 5 * S + k * MS) for k in range(1, 5)))
-    assert freshness.doubt("left_foot", 5 * S + 5 * MS) == ""
+    assert freshness.reason_not_ready("left_foot", 5 * S + 5 * MS) == ""
 
 
 def test_learning_ends_after_exactly_one_second() -> None:
@@ -220,22 +223,24 @@ def test_clock_that_was_set_is_trusted_anew_at_once(set_s: int, says: str) -> No
     t_ns = 2000 * S
     freshness = heard((t_ns - 2 * S, t_ns - 2 * S), (t_ns, t_ns), *[(t_ns, t_ns + set_s * S)] * 2)
     assert freshness.note(sample(t_ns, t_ns + set_s * S, gyr=STILL)) == f"left_foot's clock went {says}"
-    assert freshness.doubt("left_foot", t_ns + MAX_AGE) == "", "its mapping begins with this sample"
-    assert "41 ms old" in freshness.doubt("left_foot", t_ns + MAX_AGE + 1)
+    assert freshness.reason_not_ready("left_foot", t_ns + MAX_AGE) == "", "its mapping begins with this sample"
+    assert "41 ms old" in freshness.reason_not_ready("left_foot", t_ns + MAX_AGE + 1)
     later_ns = t_ns + 60 * MS
     assert "frozen" in freshness.note(sample(later_ns, later_ns + set_s * S, gyr=STILL))
 
 
 def test_data_that_came_just_in_time_are_too_old_by_the_sensors_own_clock() -> None:
     freshness = heard((0, 0), (100 * MS, 90 * MS))
-    assert "50 ms old by the sensor's own clock" in freshness.doubt("left_foot", 100 * MS + MAX_AGE)
+    assert "50 ms old by the sensor's own clock" in freshness.reason_not_ready("left_foot", 100 * MS + MAX_AGE)
 
 
 def test_ages_are_told_in_full_milliseconds() -> None:
     freshness = heard((0, 0), (2000 * S, 0))
     drift_ms = 400  # 200 ppm of the time waited
-    assert f"{2_000_000 - drift_ms} ms old by the sensor's own clock" in freshness.doubt("left_foot", 2000 * S)
-    assert heard((S, S)).doubt("left_foot", S - 1_375_000) == "left_foot data are dated 1.38 ms ahead"
+    assert f"{2_000_000 - drift_ms} ms old by the sensor's own clock" in freshness.reason_not_ready(
+        "left_foot", 2000 * S
+    )
+    assert heard((S, S)).reason_not_ready("left_foot", S - 1_375_000) == "left_foot data are dated 1.38 ms ahead"
 
 
 # --- plausibility -------------------------------------------------------------------------------------------
@@ -303,8 +308,8 @@ def test_mean_force_forgets_in_300_ms(axis: int, sign: int) -> None:
     """From upright to level: the angle's tangent is what has come over what is left of gravity."""
     level = along(axis, sign * G_MPS2)
     left = math.log(1 / (1 + math.tan(MEAN_TILT))) / math.log(1 - 10 / 300)
-    assert averaged(level, math.floor(left)).doubt == ""
-    assert averaged(level, math.ceil(left)).doubt == (
+    assert averaged(level, math.floor(left)).not_ready == ""
+    assert averaged(level, math.ceil(left)).not_ready == (
         "left_foot moves turned by more than 65° from its calibration: remounted?"
     )
 
@@ -314,33 +319,33 @@ def test_mean_force_is_held_against_an_upright_along_any_axis(axis: int) -> None
     judge = Plausibility("left_foot", None, along(axis, 1.0))
     for k in range(100):
         judge.fault(sample(k * 10 * MS, 0, along(axis, G_MPS2), (0.0, 1.0, 1e-3 * k)))
-        assert judge.doubt == ""
+        assert judge.not_ready == ""
 
 
 def test_one_sample_after_a_silence_stands_for_40_ms() -> None:
     """Three times: 0.87³ of what was is left, and as much as is missing has come: 26 °; the eighth exceeds 65°."""
     level = (G_MPS2, 0.0, 0.0)
-    assert averaged(level, 8, 40.0).doubt == ""
-    assert averaged(level, 9, 40.0).doubt
-    assert averaged(level, 8, 5000.0).doubt == ""
-    assert averaged(level, 9, 5000.0).doubt
+    assert averaged(level, 8, 40.0).not_ready == ""
+    assert averaged(level, 9, 40.0).not_ready
+    assert averaged(level, 8, 5000.0).not_ready == ""
+    assert averaged(level, 9, 5000.0).not_ready
 
 
 def test_time_that_stands_or_runs_backward_does_not_turn_the_mean() -> None:
     judge = Plausibility("left_foot", None, (0.0, 0.0, 1.0))
     for k in range(100):
         judge.fault(sample(10 * S - k * S, 0, (G_MPS2, 0.0, 0.0), (0.0, 1.0, 0.0)))
-    assert judge.doubt == ""
+    assert judge.not_ready == ""
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e300])
 def test_mean_force_does_not_remember_what_is_no_number(bad: float) -> None:
     judge = averaged((0.0, 0.0, G_MPS2), 50)
     judge.fault(sample(600 * MS, 0, (0.0, 0.0, bad)))
-    assert judge.doubt == ""
+    assert judge.not_ready == ""
     for k in range(1, 50):
         judge.fault(sample(600 * MS + k * 10 * MS, 0, (0.0, 0.0, -G_MPS2), (0.0, 1.0, 0.0)))
-    assert judge.doubt, "it still judges"
+    assert judge.not_ready, "it still judges"
 
 
 # --- the force's unit ---------------------------------------------------------------------------------------
@@ -526,16 +531,16 @@ def test_a_rate_that_lasts_is_bounded_about_each_axis(axis: int) -> None:
 
 
 def test_nothing_is_doubted_before_the_first_sample() -> None:
-    assert Plausibility("left_foot", None, None).doubt == ""
-    assert Plausible((), {}).doubt("left_foot") == ""
+    assert Plausibility("left_foot", None, None).not_ready == ""
+    assert Plausible((), {}).reason_not_ready("left_foot") == ""
 
 
 def test_the_least_tilt_that_is_doubted() -> None:
     """An ``up`` that is short makes the cosine exact: the force itself lies along it."""
     cosine = math.cos(MOST_TILT_RAD)
     still = (0.0, 0.0, 0.0)
-    assert lasting((9.5, 0.0, 0.0), still, up=(cosine, 0.0, 0.0)).doubt == ""
-    assert lasting((9.5, 0.0, 0.0), still, up=(cosine - 1e-12, 0.0, 0.0)).doubt == (
+    assert lasting((9.5, 0.0, 0.0), still, up=(cosine, 0.0, 0.0)).not_ready == ""
+    assert lasting((9.5, 0.0, 0.0), still, up=(cosine - 1e-12, 0.0, 0.0)).not_ready == (
         "left_foot rests turned by more than 65° from its calibration: remounted?"
     )
 
@@ -544,8 +549,8 @@ def test_the_least_tilt_that_is_doubted() -> None:
 def test_every_axis_counts_for_a_rest(up: Vector3) -> None:
     """Upright lies along two axes, most of it along one; that one's share must not be taken away."""
     x, y, z = (G_MPS2 * u for u in up)
-    assert lasting((x, y, z), (0.0, 0.0, 0.0), up=up).doubt == ""
-    assert "rests" in lasting((-x, -y, -z), (0.0, 0.0, 0.0), up=up).doubt
+    assert lasting((x, y, z), (0.0, 0.0, 0.0), up=up).not_ready == ""
+    assert "rests" in lasting((-x, -y, -z), (0.0, 0.0, 0.0), up=up).not_ready
 
 
 @pytest.mark.parametrize(
@@ -561,13 +566,13 @@ def test_every_axis_counts_for_a_rest(up: Vector3) -> None:
 )
 def test_what_rests(force_mps2: float, rate_radps: float, rests: bool) -> None:
     judge = lasting((0.0, 0.0, -force_mps2), (0.0, -rate_radps, 0.0), up=(0.0, 0.0, 1.0))
-    assert ("rests" in judge.doubt) is rests
+    assert ("rests" in judge.not_ready) is rests
 
 
 def test_rest_includes_its_own_bound() -> None:
     force_mps2 = G_MPS2 + 1.5
     assert force_mps2 - G_MPS2 == 1.5
-    assert "rests" in lasting((0.0, 0.0, -force_mps2), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)).doubt
+    assert "rests" in lasting((0.0, 0.0, -force_mps2), (0.0, 0.0, 0.0), up=(0.0, 0.0, 1.0)).not_ready
 
 
 # --- words --------------------------------------------------------------------------------------------------
