@@ -14,37 +14,44 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 OURS = ("fes", "drivers", "statemachine")
 STDLIB = sys.stdlib_module_names
-VOCABULARY = {"fes.signals", "fes.limits", "fes.config"}
-SIMULATED = {"fes.recording", "fes.simulation"}  # what a simulated sensor plays
+# Who may import whom: a room imports what stands lower, and itself; never its own floor, never a higher one.
+FLOORS: tuple[tuple[str, ...], ...] = (
+    ("fes", "fes.signals", "fes.limits", "fes.memory"),
+    ("fes.config", "statemachine"),
+    ("fes.estimation", "fes.stimulation", "fes.session_log", "fes.gate"),
+    ("fes.recording",),
+    ("fes.control", "fes.simulation", "fes.datasets"),
+    ("fes.calibration", "drivers"),
+    ("fes.analysis", "fes.live", "drivers.simulated"),
+    ("fes.evaluation", "fes.hil"),
+    ("fes.report",),
+    ("fes.cohort",),
+    ("fes.notebook",),
+    ("fes.cli",),
+)
+FLOOR = {room: floor for floor, rooms in enumerate(FLOORS) for room in rooms}
 HARDWARE = {"serial", "can", "drivers"}
 NO_CLOCK = {"time", "threading", "asyncio", "multiprocessing", "concurrent", "sched"}
-LIVE = {
-    "fes.control.controller",
-    "fes.control.runner",
-    "fes.gate",
-    "fes.session_log",
-    "fes.control.sources",
-    "fes.estimation.sensor_choice",
-    "fes.estimation",
-    "fes.stimulation",
+# rooms of which less is allowed than their floor would let them: what of this project, and which libraries
+NARROWER: dict[str, set[str]] = {
+    "fes.signals": {"numpy"},
+    "fes.limits": set(),
+    "fes.config": {"pydantic", "fes.limits"},
+    "statemachine": {"transitions", "fes.signals", "fes.limits", "fes.config"},
+    "fes.gate": {"fes.config", "fes.signals", "fes.limits"},
+    "fes.stimulation": {"statemachine.phases", "fes.config", "fes.signals", "fes.limits"},
+    "fes.estimation": {"numpy", "numba", "statemachine", "fes.config", "fes.signals", "fes.limits"},
 }
-LIVE |= {
-    "fes.control.replay",
-    "statemachine.phases",
-    "rich",
-}  # what a live session is made of; rich is the view's, by itself
+ANALYSIS_KNOWS_NOT = {"fes.stimulation", "fes.gate", "fes.live"}
 PURE: tuple[str, ...] = (
-    "fes.control.controller",
-    "fes.control.sources",
-    "fes.control.runner",
-    "fes.evaluation.delivered",
-    "fes.control.clock_sync",
-    "fes.control.replay",
+    "fes.control",
     "fes.gate",
     "fes.stimulation",
+    "fes.estimation",
+    "fes.evaluation.delivered",
+    "statemachine",
+    *(f"fes.live.{name}" for name in ("operator", "commands", "status", "notices", "sensor_monitor")),
 )
-PURE += ("fes.estimation", "statemachine")
-PURE += ("fes.live.operator", "fes.live.commands", "fes.live.commands", "fes.live.status", "fes.live.sensors")
 
 
 @cache
@@ -95,44 +102,64 @@ def of(*packages: str) -> list[str]:
     return found
 
 
-def strangers(module: str, allowed: set[str]) -> set[str]:
-    """Imports beyond the standard library that are not allowed; ``fes`` itself holds the version and no more."""
-    named = imports(module) - {"fes"}
-    return {name for name in named if name.split(".")[0] not in STDLIB and not within(name, allowed)}
+def room_of(module: str) -> str:
+    """The room that a module stands in."""
+    found = [room for room in FLOOR if within(module, {room})]
+    assert found, f"{module} stands in no room: name it in FLOORS"
+    return max(found, key=len)
 
 
-@pytest.mark.parametrize("module", sorted(VOCABULARY | set(of("fes.config"))))
-def test_the_vocabulary_knows_nobody(module: str) -> None:
-    allowed = {"fes.config": {"pydantic", "fes.limits", "fes.config"}, "fes.signals": {"numpy"}}
-    assert not strangers(module, allowed.get(".".join(module.split(".")[:2]), set()))
+def test_nobody_imports_upward() -> None:
+    """Nor what stands beside it: a room imports itself and lower floors, without an exception."""
+    upward = {
+        f"{module} → {name}"
+        for module in modules()
+        for name in imports(module)
+        if name in modules()
+        and name != "fes"
+        and room_of(name) != room_of(module)
+        and FLOOR[room_of(name)] >= FLOOR[room_of(module)]
+    }
+    assert not upward
 
 
-@pytest.mark.parametrize(
-    ("package", "allowed"),
-    [
-        ("statemachine", {"statemachine", "transitions", *VOCABULARY}),
-        ("fes.gate", {"fes.gate", *VOCABULARY}),
-        ("drivers", {"drivers", "serial", "can", "canopen", "cantools", "numpy", *SIMULATED, *VOCABULARY}),
-        ("fes.stimulation", {"fes.stimulation", "statemachine.phases", *VOCABULARY}),
-        ("fes.estimation", {"fes.estimation", "statemachine", "numpy", "numba", *VOCABULARY}),
-        ("fes.estimation.sensor_choice", {"numpy", "fes.estimation", *VOCABULARY}),
-        ("fes.evaluation.delivered", VOCABULARY),
-        ("fes.control.sources", VOCABULARY),
-        (
-            "fes.control.controller",
-            {"statemachine.phases", "fes.estimation.sensor_choice", "fes.estimation", "fes.stimulation", *VOCABULARY},
-        ),
-        (
-            "fes.control.runner",
-            {"fes.control.controller", "fes.gate", "fes.session_log", "statemachine.phases", *VOCABULARY},
-        ),
-        ("fes.live", {"fes.live", "numpy", *LIVE, *VOCABULARY}),
-        ("fes.session_log", {"fes.session_log", "numpy", "msgpack", "statemachine.phases", *VOCABULARY}),
-    ],
-)
-def test_a_part_imports_only_what_it_may(package: str, allowed: set[str]) -> None:
-    found = {module: strange for module in of(package) if (strange := strangers(module, allowed))}
+def test_what_is_private_stays_in_its_file() -> None:
+    private = {
+        f"{module}: {node.module}.{alias.name}"
+        for module, path in modules().items()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OURS
+        for alias in node.names
+        if alias.name.startswith("_") and not alias.name.startswith("__")
+    }
+    assert not private
+
+
+@pytest.mark.parametrize("room", NARROWER)
+def test_a_room_imports_only_what_it_may(room: str) -> None:
+    found = {
+        module: strange
+        for module in of(room)
+        if (
+            strange := {
+                name
+                for name in imports(module)
+                if name.split(".")[0] not in STDLIB and not within(name, NARROWER[room] | {room})
+            }
+        )
+    }
     assert not found
+
+
+def test_an_analysis_knows_no_session() -> None:
+    for module in of("fes.analysis"):
+        assert not {name for name in imports(module) if within(name, ANALYSIS_KNOWS_NOT)}, module
+
+
+def test_recordings_take_of_the_estimation_its_numbers_only() -> None:
+    for module in of("fes.recording"):
+        taken = {name for name in imports(module) if within(name, {"fes.estimation"})}
+        assert all(within(name, {"fes.estimation.numerics"}) for name in taken), module
 
 
 @pytest.mark.parametrize("module", [module for package in PURE for module in of(package)])
