@@ -74,11 +74,11 @@ def command(
     """
     from fes.evaluation.reference import ReferenceError
     from fes.evaluation.reference.evaluation import Settings, evaluate
-    from fes.evaluation.reference.read import beside, read_references
+    from fes.evaluation.reference.read import companion_references, read_references
 
     if lag is not None and sync == "fit":
         raise Problem("--lag gives the lag, --sync fit finds it; choose one")
-    files = list(references) or beside(recording)
+    files = list(references) or companion_references(recording)
     if not files and belt_speed is None:
         raise Problem(f"{recording}: no reference lies beside it. Name one: --reference FILE, or --belt-speed M/S")
     if oriented := _oriented(recording, files):

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
 import numpy as np
 
-from fes.evaluation.trigger_timing import Mark, marks_of_commands, pair
+from fes.evaluation.trigger_timing import Mark, marks_of_commands, pair_times
 from fes.session_log import SessionRecord
 from fes.signals import IntArray, StimCommand, StrideResult
-from statemachine.phases import PhaseChange
 
 ALWAYS_DIFFERENT: Final = ("created", "created_t_ns")  # of two runs; no difference between what they did
 SAME_STRIDE_NS: Final = 400_000_000  # two strides of a foot cannot end as close as this
@@ -22,6 +21,7 @@ QUANTITIES: Final = ("length_cm", "clearance_cm", "T1_ms", "T2_ms", "T3_ms", "st
 ENOUGH: Final = 0.6  # of the shorter walk's strides must end together; chance brings a few together
 _LONGEST_FOR_SHIFT: Final = 1000
 _NAN: Final = float("nan")
+Switching = dict[tuple[str, str], int]  # when which channel was switched on or off, ns
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +95,13 @@ def compare_logs(a: SessionRecord, b: SessionRecord) -> Comparison:
     pairs = []
     for x, y in matches:
         own_shift_ns = y.t_start_ns - x.t_start_ns if by_number else shift_ns
-        pairs.append(_pair(x, y, own_shift_ns, begin_ns, stimulation_a.of(x), stimulation_b.of(y)))
+        switched = stimulation_a.switched_in(x), stimulation_b.switched_in(y)
+        pairs.append(_pair(x, y, own_shift_ns, begin_ns, switched))
     in_a, in_b = {id(x) for x, _ in matches}, {id(y) for _, y in matches}
     counted = ("strides", "phases", "commands", "frames", "statuses", "notes")
+    clock = shift_ns, begin_ns
+    # every frame carries the session's identifier, so all of them differ where it does
+    other_identifier = bool(a.frames) and a.header.get("stim_session_id") != b.header.get("stim_session_id")
     return Comparison(
         settings=list(_settings(_flat(a.header), _flat(b.header))),
         shift_s=1e-9 * shift_ns,
@@ -105,9 +109,28 @@ def compare_logs(a: SessionRecord, b: SessionRecord) -> Comparison:
         pairs=sorted(pairs, key=lambda each: each.start_s),
         only_a=[stride for stride in a.strides if id(stride) not in in_a],
         only_b=[stride for stride in b.strides if id(stride) not in in_b],
-        commands=_commands(a.commands, b.commands, shift_ns, begin_ns),
-        frames=_frames(a, b, shift_ns, begin_ns) + _other_identifier(a, b),
-        phases=_phases(a.phases, b.phases, shift_ns, begin_ns),
+        commands=_first_difference(
+            "command",
+            (a.commands, b.commands),
+            lambda c: (c.channel, c.on, c.current_ma, c.pulse_width_us, c.frequency_hz),
+            _describe_command,
+            *clock,
+        ),
+        frames=_first_difference(
+            "frame",
+            (a.frames, b.frames),
+            lambda frame: (frame.identifier, frame.data),
+            lambda frame: f"{frame.identifier:x}#{frame.data.hex()}",
+            *clock,
+        )
+        + (" (the sessions' identifiers differ)" if other_identifier else ""),
+        phases=_first_difference(
+            "phase change",
+            (a.phases, b.phases),
+            lambda change: (change.foot, change.transition),
+            lambda change: f"{change.foot} {change.transition.name}",
+            *clock,
+        ),
         counts={name: (len(getattr(a, name)), len(getattr(b, name))) for name in counted},
     )
 
@@ -146,7 +169,7 @@ def _matches(
     for foot in sorted({stride.foot for stride in a}):
         own_a, own_b = (sorted((s for s in c if s.foot == foot), key=lambda s: s.t_end_ns) for c in (a, b))
         ends_a, ends_b = (np.array([s.t_end_ns for s in own], np.int64) for own in (own_a, own_b))
-        found += [(own_a[i], own_b[j]) for i, j in pair(ends_a + shift_ns, ends_b, SAME_STRIDE_NS)]
+        found += [(own_a[i], own_b[j]) for i, j in pair_times(ends_a + shift_ns, ends_b, SAME_STRIDE_NS)]
     return found, "time"
 
 
@@ -160,9 +183,9 @@ class _Stimulation:
         self.marks: list[Mark] = marks_of_commands(record.commands)
         self.t_ns = np.array([mark.t_ns for mark in self.marks], np.int64)
 
-    def of(self, stride: StrideResult) -> dict[tuple[str, str], int]:
+    def switched_in(self, stride: StrideResult) -> Switching:
         """The first switching on of each channel of this foot during the stride, and the switching off after it."""
-        first: dict[tuple[str, str], int] = {}
+        first: Switching = {}
         for at in range(int(np.searchsorted(self.t_ns, stride.t_start_ns)), len(self.marks)):
             mark = self.marks[at]
             waits = any(what == "on" and (who, "off") not in first for who, what in first)
@@ -177,19 +200,15 @@ class _Stimulation:
 
 
 def _pair(
-    a: StrideResult,
-    b: StrideResult,
-    shift_ns: int,
-    begin_ns: int,
-    stimulation_a: dict[tuple[str, str], int],
-    stimulation_b: dict[tuple[str, str], int],
+    a: StrideResult, b: StrideResult, shift_ns: int, begin_ns: int, switched: tuple[Switching, Switching]
 ) -> StridePair:
+    in_a, in_b = switched
     differences = {name: 100 * (getattr(b, key) - getattr(a, key)) for name, key in _LENGTHS.items()}
     for name, key in TIMES.items():
         differences[f"{name}_ms"] = _ms(getattr(a, key), getattr(b, key), shift_ns)
     for what in ("on", "off"):
-        marks = [mark for mark in stimulation_a.keys() | stimulation_b.keys() if mark[1] == what]
-        own = [_ms(stimulation_a.get(mark), stimulation_b.get(mark), shift_ns) for mark in marks]
+        marks = [mark for mark in in_a.keys() | in_b.keys() if mark[1] == what]
+        own = [_ms(in_a.get(mark), in_b.get(mark), shift_ns) for mark in marks]
         differences[f"{what}_ms"] = max((value for value in own if math.isfinite(value)), key=abs, default=_NAN)
     return StridePair(
         a.foot,
@@ -198,8 +217,7 @@ def _pair(
         1e-9 * (a.t_start_ns - begin_ns),
         (a.stride_length_m, b.stride_length_m),
         differences,
-        {mark: t_ns + shift_ns for mark, t_ns in stimulation_a.items()} == stimulation_b
-        and _same_stride(a, b, shift_ns),
+        {mark: t_ns + shift_ns for mark, t_ns in in_a.items()} == in_b and _same_stride(a, b, shift_ns),
     )
 
 
@@ -238,43 +256,24 @@ def _settings(a: dict[str, Any], b: dict[str, Any]) -> Iterator[tuple[str, Any, 
             yield name, one, other
 
 
-def _commands(a: Sequence[StimCommand], b: Sequence[StimCommand], shift_ns: int, begin_ns: int) -> str:
-    for number, (one, other) in enumerate(zip(a, b, strict=False), start=1):
-        facts = [(c.channel, c.on, c.current_ma, c.pulse_width_us, c.frequency_hz) for c in (one, other)]
-        if facts[0] != facts[1] or one.t_ns + shift_ns != other.t_ns:
+def _first_difference(
+    kind: str,
+    logs: tuple[Sequence[Any], Sequence[Any]],
+    facts: Callable[[Any], tuple[Any, ...]],
+    describe: Callable[[Any], str],
+    shift_ns: int,
+    begin_ns: int,
+) -> str:
+    """Where two sequences of something with a time, seen by its ``facts``, first differ; "" where they do not."""
+    for number, (one, other) in enumerate(zip(*logs, strict=False), start=1):
+        if facts(one) != facts(other) or one.t_ns + shift_ns != other.t_ns:
             return (
-                f"command {number}: A {_said(one)} at {1e-9 * (one.t_ns - begin_ns):.3f} s, "
-                f"B {_said(other)} at {1e-9 * (other.t_ns - shift_ns - begin_ns):.3f} s"
+                f"{kind} {number}: A {describe(one)} at {1e-9 * (one.t_ns - begin_ns):.3f} s, "
+                f"B {describe(other)} at {1e-9 * (other.t_ns - shift_ns - begin_ns):.3f} s"
             )
-    return "" if len(a) == len(b) else f"A has {len(a)} commands, B {len(b)}; as far as both go they are the same"
+    a, b = map(len, logs)
+    return "" if a == b else f"A has {a} {kind}s, B {b}; as far as both go they are the same"
 
 
-def _said(command: StimCommand) -> str:
+def _describe_command(command: StimCommand) -> str:
     return f"channel {command.channel} {f'{command.current_ma:.1f} mA' if command.on else 'off'}"
-
-
-def _frames(a: SessionRecord, b: SessionRecord, shift_ns: int, begin_ns: int) -> str:
-    for number, (one, other) in enumerate(zip(a.frames, b.frames, strict=False), start=1):
-        if (one.t_ns + shift_ns, one.identifier, one.data) != (other.t_ns, other.identifier, other.data):
-            return (
-                f"frame {number}: A {one.identifier:x}#{one.data.hex()} at {1e-9 * (one.t_ns - begin_ns):.3f} s, "
-                f"B {other.identifier:x}#{other.data.hex()} at {1e-9 * (other.t_ns - shift_ns - begin_ns):.3f} s"
-            )
-    n_a, n_b = len(a.frames), len(b.frames)
-    return "" if n_a == n_b else f"A has {n_a} frames, B {n_b}; as far as both go they are the same"
-
-
-def _other_identifier(a: SessionRecord, b: SessionRecord) -> str:
-    """Every frame carries the session's identifier, so all of them differ where it does."""
-    name = "stim_session_id"
-    return " (the sessions' identifiers differ)" if a.frames and a.header.get(name) != b.header.get(name) else ""
-
-
-def _phases(a: Sequence[PhaseChange], b: Sequence[PhaseChange], shift_ns: int, begin_ns: int) -> str:
-    for number, (one, other) in enumerate(zip(a, b, strict=False), start=1):
-        if (one.t_ns + shift_ns, one.foot, one.transition) != (other.t_ns, other.foot, other.transition):
-            return (
-                f"phase change {number}: A {one.foot} {one.transition.name} at {1e-9 * (one.t_ns - begin_ns):.3f} s, "
-                f"B {other.foot} {other.transition.name} at {1e-9 * (other.t_ns - shift_ns - begin_ns):.3f} s"
-            )
-    return "" if len(a) == len(b) else f"A has {len(a)} phase changes, B {len(b)}; as far as both go they are the same"

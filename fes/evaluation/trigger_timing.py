@@ -1,35 +1,26 @@
 """How far triggers are from where they should be: transitions and stimulation against a truth or an earlier log.
 
-Pure: times in, numbers out. A *mark* is one moment of one kind of one foot or channel. Expected and found marks of the
-same kind are paired one to one, nearest first, at most ``WINDOW_MS`` or 1.5 times the tolerance apart; an expected mark
-without a partner is missed, a found one without is extra.
-
-A recording's truth as the moments that triggers are held against.
+A *mark* is one moment of one kind of one foot or channel. Expected and found marks of the same kind are paired one to
+one, nearest first, at most ``WINDOW_MS`` or 1.5 times the tolerance apart. An expected mark without a partner is
+missed, a found one without is extra.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from fes.signals import NS_PER_S, IntArray, StimCommand
+from fes.signals import NS_PER_S, FloatArray, IntArray, StimCommand
 from fes.simulation.truth import Truth
 from statemachine.phases import Phase, PhaseChange, Transition
 
 WINDOW_MS: Final = 300.0
 # What is allowed against a physical truth (heel 5 mm up, toe-off, contact, sole flat), either way. A sensor shows
 # contact and toe-off at once; a heel that rises slowly, and a sole that is flat but still rocks, show later.
-TRUTH_TOLERANCE_MS: Final[Mapping[str, float]] = {
-    "T1": 250.0,
-    "T2": 60.0,
-    "T3": 60.0,
-    "T4": 250.0,
-    "T5": 250.0,
-    "T6": 250.0,
-}
+TRUTH_TOLERANCE_MS: Final = {"T1": 250.0, "T2": 60.0, "T3": 60.0, "T4": 250.0, "T5": 250.0, "T6": 250.0}
 LOG_TOLERANCE_MS: Final = 1.0
 _MS: Final = 1e-6
 
@@ -95,7 +86,7 @@ class TimingCheck:
     against: str
     rows: tuple[TimingRow, ...]
     latency: LatencyCheck
-    broken: tuple[str, ...] = field(default=())
+    broken: tuple[str, ...] = ()
 
     def total(self, name: str) -> int:
         """The sum of one count over all rows."""
@@ -103,14 +94,9 @@ class TimingCheck:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, None for what is not known."""
-        names = TimingRow.__dataclass_fields__
-        latency = {name: _known(getattr(self.latency, name)) for name in LatencyCheck.__dataclass_fields__}
-        return {
-            "against": self.against,
-            "rows": [{name: _known(getattr(row, name)) for name in names} for row in self.rows],
-            "latency": latency,
-            "broken": list(self.broken),
-        }
+        rows = [_without_nan(asdict(row)) for row in self.rows]
+        latency = _without_nan(asdict(self.latency))
+        return {"against": self.against, "rows": rows, "latency": latency, "broken": list(self.broken)}
 
 
 def marks_of_phases(phases: Iterable[PhaseChange]) -> list[Mark]:
@@ -139,7 +125,7 @@ def heel_lifts(t_ns: IntArray, phase: IntArray, foot: str) -> list[Mark]:
     return marks
 
 
-def pair(expected_ns: IntArray, found_ns: IntArray, window_ns: float) -> list[tuple[int, int]]:
+def pair_times(expected_ns: IntArray, found_ns: IntArray, window_ns: float) -> list[tuple[int, int]]:
     """Indices (expected, found) of the pairs, nearest first, each used once; both (N,) and (M,) sorted."""
     low = np.searchsorted(found_ns, expected_ns - int(window_ns), side="left")
     high = np.searchsorted(found_ns, expected_ns + int(window_ns), side="right")
@@ -162,21 +148,29 @@ def timing_rows(
     return tuple(_row(who, what, expected, found, tolerance_ms.get(what, other_ms)) for who, what in kinds)
 
 
-def _row(who: str, what: str, expected: Sequence[Mark], found: Sequence[Mark], tolerance_ms: float) -> TimingRow:
+def mark_errors(
+    who: str, what: str, expected: Sequence[Mark], found: Sequence[Mark], tolerance_ms: float
+) -> tuple[int, int, FloatArray]:
+    """How many marks of a kind are expected and found, and found − expected (ms) of their pairs (P,)."""
     should, did = (
         np.array(sorted(mark.t_ns for mark in marks if (mark.who, mark.what) == (who, what)), np.int64)
         for marks in (expected, found)
     )
-    pairs = pair(should, did, max(WINDOW_MS, 1.5 * tolerance_ms) / _MS)
+    pairs = pair_times(should, did, max(WINDOW_MS, 1.5 * tolerance_ms) / _MS)
     error_ms = np.array([int(did[j]) - int(should[i]) for i, j in pairs], np.float64) * _MS
-    p5, median, p95 = np.percentile(error_ms, [5, 50, 95]).tolist() if pairs else (float("nan"),) * 3
+    return len(should), len(did), error_ms
+
+
+def _row(who: str, what: str, expected: Sequence[Mark], found: Sequence[Mark], tolerance_ms: float) -> TimingRow:
+    should, did, error_ms = mark_errors(who, what, expected, found, tolerance_ms)
+    p5, median, p95 = np.percentile(error_ms, [5, 50, 95]).tolist() if error_ms.size else (float("nan"),) * 3
     return TimingRow(
         who=who,
         what=what,
-        expected=len(should),
-        found=len(did),
-        missed=len(should) - len(pairs),
-        extra=len(did) - len(pairs),
+        expected=should,
+        found=did,
+        missed=should - error_ms.size,
+        extra=did - error_ms.size,
         early=int((error_ms < -tolerance_ms).sum()),
         late=int((error_ms > tolerance_ms).sum()),
         median_ms=median,
@@ -194,7 +188,7 @@ def check_latency(latency_ns: IntArray, budget_ms: float | None) -> LatencyCheck
     return LatencyCheck(len(ms), p50, p99, p999, most, over, budget_ms)
 
 
-def judged(against: str, rows: Sequence[TimingRow], latency: LatencyCheck, bounds: Bounds) -> TimingCheck:
+def judge_timing(against: str, rows: Sequence[TimingRow], latency: LatencyCheck, bounds: Bounds) -> TimingCheck:
     """Hold the numbers against the bounds."""
     check = TimingCheck(against, tuple(rows), latency)
     broken = []
@@ -212,8 +206,8 @@ def judged(against: str, rows: Sequence[TimingRow], latency: LatencyCheck, bound
     return TimingCheck(against, tuple(rows), latency, tuple(broken))
 
 
-def _known(value: Any) -> Any:
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+def _without_nan(values: dict[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(value, float) and not np.isfinite(value) else value for k, value in values.items()}
 
 
 def marks_of_truth(truth: Truth, feet: set[str]) -> list[Mark]:

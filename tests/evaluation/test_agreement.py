@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fes.evaluation.agreement import differences, icc_2_1, lag_of, line_through, trains
+from fes.evaluation.agreement import differences, event_trains, find_lag, icc_2_1, regression_line
 
 # Shrout & Fleiss (1979), Table 2: six targets, four judges
 SHROUT_FLEISS = np.array([[9, 2, 5, 8], [6, 1, 3, 2], [8, 4, 6, 8], [7, 1, 2, 6], [10, 5, 6, 9], [6, 2, 4, 7]], float)
@@ -67,11 +67,11 @@ def test_too_few_pairs_give_no_interval_and_wrong_ones_an_error():
 
 def test_the_line_and_a_trend():
     x = np.linspace(0.5, 1.5, 40)
-    line = line_through(x, 0.1 + 0.9 * x)
+    line = regression_line(x, 0.1 + 0.9 * x)
     assert line.slope.value == pytest.approx(0.9)
     assert line.intercept.value == pytest.approx(0.1)
     assert line.trend.value == pytest.approx(-0.1 / 0.95, rel=1e-6)
-    assert np.isnan(line_through(np.ones(5), x[:5]).slope.value)
+    assert np.isnan(regression_line(np.ones(5), x[:5]).slope.value)
 
 
 def walk(seed: int, count: int = 40) -> np.ndarray:
@@ -84,7 +84,7 @@ def test_the_lag_of_event_trains_is_found(lag_s):
     true = walk(1)
     ours = true + lag_s + np.random.default_rng(2).normal(0.0, 0.004, len(true))
     grids = [np.arange(times.min() - 1, times.max() + 1, 0.01) for times in (true, ours)]
-    found = lag_of(grids[0], trains([true], grids[0]), grids[1], trains([ours], grids[1]), 10.0)
+    found = find_lag(grids[0], event_trains([true], grids[0]), grids[1], event_trains([ours], grids[1]), 10.0)
     assert found.lag_s == pytest.approx(lag_s, abs=0.005)
     assert not found.doubt
     assert found.residual < 0.3
@@ -93,7 +93,7 @@ def test_the_lag_of_event_trains_is_found(lag_s):
 def test_an_even_walk_gives_a_lag_that_is_not_believed():
     even = np.arange(40) * 1.1
     grid = np.arange(-1.0, 46.0, 0.01)
-    found = lag_of(grid, trains([even], grid), grid, trains([even + 0.3], grid), 3.0)
+    found = find_lag(grid, event_trains([even], grid), grid, event_trains([even + 0.3], grid), 3.0)
     assert "another lag fits nearly as well" in found.doubt
 
 
@@ -101,7 +101,7 @@ def test_a_drifting_clock_is_noticed():
     true = walk(3, 80)
     ours = true * (1.0 + 2e-3)
     grids = [np.arange(0.0, times.max() + 1, 0.01) for times in (true, ours)]
-    found = lag_of(grids[0], trains([true], grids[0], 0.1), grids[1], trains([ours], grids[1], 0.1), 2.0)
+    found = find_lag(grids[0], event_trains([true], grids[0], 0.1), grids[1], event_trains([ours], grids[1], 0.1), 2.0)
     assert "drifts" in found.doubt
     assert found.halves_s == pytest.approx(1e-3 * true[-1], rel=0.25)
 
@@ -109,6 +109,6 @@ def test_a_drifting_clock_is_noticed():
 def test_signals_that_do_not_overlap_or_never_change_are_refused():
     t = np.arange(0.0, 10.0, 0.01)
     with pytest.raises(ValueError, match="overlap"):
-        lag_of(t, np.sin(t), t + 100.0, np.sin(t), 5.0)
+        find_lag(t, np.sin(t), t + 100.0, np.sin(t), 5.0)
     with pytest.raises(ValueError, match="never changes"):
-        lag_of(t, np.ones_like(t), t, np.sin(t), 5.0)
+        find_lag(t, np.ones_like(t), t, np.sin(t), 5.0)

@@ -23,7 +23,7 @@ from fes.evaluation.reference.alignment import standing_speed, to_belt
 from fes.evaluation.reference.compare import Estimate, from_analysis
 from fes.evaluation.reference.evaluation import Settings, evaluate
 from fes.evaluation.reference.orientation import evaluate_orientation, read_orientation
-from fes.evaluation.reference.read import beside, read_references
+from fes.evaluation.reference.read import companion_references, read_references
 from fes.recording import Recording, Track, read_recording, write_recording
 from fes.signals import G_MPS2, StrideResult
 
@@ -222,7 +222,7 @@ def test_the_command_writes_page_json_and_pairs(tmp_path):
     assert "Bland–Altman" in page
     assert "http" not in page.replace("http-equiv", "")
     assert json.loads((folder / "agreement.json").read_text(encoding="utf-8"))["agreement"] == told["agreement"]
-    assert beside(WALK) == [TRIALS / "example_csv.strides.csv"]
+    assert companion_references(WALK) == [TRIALS / "example_csv.strides.csv"]
     for wrong in (["--lag", "1", "--sync", "fit"], ["--reference", "nowhere.csv"], ["--marker", "LHEE"]):
         assert CliRunner().invoke(main, ["evaluate", str(WALK), "--no-report", *wrong]).exit_code == 2
 

@@ -19,11 +19,11 @@ from fes.evaluation.trigger_timing import (
     Mark,
     check_latency,
     heel_lifts,
-    judged,
+    judge_timing,
     marks_of_commands,
     marks_of_phases,
     marks_of_truth,
-    pair,
+    pair_times,
     timing_rows,
 )
 from fes.session_log.framing import RecordType
@@ -74,7 +74,7 @@ def test_feet_and_transitions_are_kept_apart() -> None:
 )
 def test_pairs_are_one_to_one_and_near(expected: list[int], found: list[int], window: int) -> None:
     a, b = np.array(expected, np.int64), np.array(found, np.int64)
-    pairs = pair(a, b, window)
+    pairs = pair_times(a, b, window)
     assert len({i for i, _ in pairs}) == len({j for _, j in pairs}) == len(pairs)
     assert all(abs(expected[i] - found[j]) <= window for i, j in pairs)
     single = {i for i, _ in pairs}, {j for _, j in pairs}
@@ -96,10 +96,10 @@ def test_known_shifts_and_losses_come_out(steps: list[int], shift: int, data: st
 
 def test_bounds_are_held_against_the_sums() -> None:
     rows = timing_rows(at(1000, 2000, 3000), at(1100, 2000), {}, 60.0)
-    broken = judged("x", rows, NO_LATENCY, Bounds()).broken
+    broken = judge_timing("x", rows, NO_LATENCY, Bounds()).broken
     assert broken == ("1 missed, at most 0 may be", "1 late, at most 0 may be")
-    assert judged("x", rows, NO_LATENCY, Bounds(missed=1, late=1)).broken == ()
-    assert judged("x", (), NO_LATENCY, Bounds()).broken == (
+    assert judge_timing("x", rows, NO_LATENCY, Bounds(missed=1, late=1)).broken == ()
+    assert judge_timing("x", (), NO_LATENCY, Bounds()).broken == (
         "there is nothing to compare: neither side has a transition",
     )
 
@@ -110,11 +110,11 @@ def test_the_latency_budget_is_for_99_percent() -> None:
     latency_ns[:9] = 20 * MS
     latency = check_latency(latency_ns, 1.0)
     assert (latency.over, latency.max_ms, latency.p50_ms) == (9, 20.0, 0.5)
-    assert judged("x", rows, latency, Bounds(latency_budget_ms=1.0)).broken == ()
+    assert judge_timing("x", rows, latency, Bounds(latency_budget_ms=1.0)).broken == ()
     latency_ns[:11] = 20 * MS
-    slow = judged("x", rows, check_latency(latency_ns, 1.0), Bounds(latency_budget_ms=1.0))
+    slow = judge_timing("x", rows, check_latency(latency_ns, 1.0), Bounds(latency_budget_ms=1.0))
     assert "99 % of the decisions took 20.00 ms, the budget is 1 ms" in slow.broken
-    unknown = judged("x", rows, NO_LATENCY, Bounds(latency_budget_ms=1.0))
+    unknown = judge_timing("x", rows, NO_LATENCY, Bounds(latency_budget_ms=1.0))
     assert "no decision's latency is recorded" in unknown.broken[0]
 
 

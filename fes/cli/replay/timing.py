@@ -20,7 +20,7 @@ from fes.evaluation.trigger_timing import (
     Mark,
     TimingCheck,
     check_latency,
-    judged,
+    judge_timing,
     marks_of_commands,
     marks_of_phases,
     marks_of_truth,
@@ -156,7 +156,7 @@ def check_timing(
     tolerances = {} if options.tolerance_ms or not expected.physical else dict(TRUTH_TOLERANCE_MS)
     rows = timing_rows(expected.marks, found, tolerances, options.tolerance_ms or LOG_TOLERANCE_MS)
     latency = check_latency(record.latency_ns, options.bounds.latency_budget_ms)
-    return judged(expected.source, rows, latency, options.bounds)
+    return judge_timing(expected.source, rows, latency, options.bounds)
 
 
 def check_replayed(

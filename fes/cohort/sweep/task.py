@@ -29,13 +29,13 @@ from fes.evaluation.trigger_timing import (
     LOG_TOLERANCE_MS,
     TRUTH_TOLERANCE_MS,
     WINDOW_MS,
-    Mark,
+    mark_errors,
     marks_of_phases,
     marks_of_truth,
-    pair,
+    pair_times,
     timing_rows,
 )
-from fes.signals import NS_PER_S, FloatArray, IntArray, StimRequest, StrideResult
+from fes.signals import NS_PER_S, FloatArray, StimRequest, StrideResult
 from fes.simulation.forward import VirtualStride
 from fes.simulation.truth import Truth
 from statemachine.guards import Thresholds
@@ -77,7 +77,10 @@ def truth_scores(
     """
     expected, found = marks_of_truth(truth, feet), marks_of_phases(phases)
     rows = timing_rows(expected, found, TRUTH_TOLERANCE_MS, LOG_TOLERANCE_MS)
-    errors = {(row.who, row.what): _errors_ms(row.who, row.what, row.tolerance_ms, expected, found) for row in rows}
+    errors = {
+        (row.who, row.what): np.abs(mark_errors(row.who, row.what, expected, found, row.tolerance_ms)[2])
+        for row in rows
+    }
     every = np.concatenate([np.zeros(0), *errors.values()])
     lengths = [_length_errors(truth, foot, strides) for foot in sorted(feet)]
     length = np.concatenate([np.zeros(0), *lengths])
@@ -150,22 +153,12 @@ def patient_scores(strides: Sequence[VirtualStride], roll_backs: int, latched: b
     }
 
 
-def _errors_ms(who: str, what: str, tolerance_ms: float, expected: Sequence[Mark], found: Sequence[Mark]) -> FloatArray:
-    should, did = (_times(who, what, marks) for marks in (expected, found))
-    pairs = pair(should, did, 1e6 * max(WINDOW_MS, 1.5 * tolerance_ms))
-    return np.array([1e-6 * abs(int(did[j]) - int(should[i])) for i, j in pairs], np.float64)
-
-
-def _times(who: str, what: str, marks: Iterable[Mark]) -> IntArray:
-    return np.array(sorted(mark.t_ns for mark in marks if (mark.who, mark.what) == (who, what)), np.int64)
-
-
 def _length_errors(truth: Truth, foot: str, strides: Sequence[StrideResult]) -> FloatArray:
     known = [s for s in truth.of(foot) if s.walking and s.steady]
     mine = [s for s in strides if s.foot == foot and s.valid and s.t_swing_ns is not None]
     should = np.array([round(s.t_swing_s * NS_PER_S) for s in known], np.int64)
     did = np.array([s.t_swing_ns for s in mine], np.int64)
-    pairs = pair(should, did, 1e6 * WINDOW_MS)
+    pairs = pair_times(should, did, 1e6 * WINDOW_MS)
     return np.array([mine[j].stride_length_m - known[i].stride_length_m for i, j in pairs], np.float64)
 
 

@@ -1,20 +1,19 @@
-"""How well two ways of measuring agree: matching, time lag, differences, limits of agreement, ICC, regression.
+"""How well two ways of measuring agree: limits of agreement, ICC, regression, and the lag of their clocks.
 
-Pure: arrays in, numbers out. Nothing here knows of files, feet or sensors.
+Arrays in, numbers out. Nothing here knows of files, feet or sensors.
 """
 
-from fes.evaluation.agreement.lag import Lag, lag_of, trains
-from fes.evaluation.agreement.paired import Differences, Icc, Interval, Line, differences, icc_2_1, line_through
+from fes.evaluation.agreement.lag import Lag, event_trains, find_lag
+from fes.evaluation.agreement.paired import Differences, Interval, RegressionLine, differences, icc_2_1, regression_line
 
 __all__ = [
     "Differences",
-    "Icc",
     "Interval",
     "Lag",
-    "Line",
+    "RegressionLine",
     "differences",
+    "event_trains",
+    "find_lag",
     "icc_2_1",
-    "lag_of",
-    "line_through",
-    "trains",
+    "regression_line",
 ]

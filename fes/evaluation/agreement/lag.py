@@ -46,7 +46,7 @@ class Lag:
     doubt: str = ""
 
 
-def trains(times_s: Sequence[FloatArray], grid_s: FloatArray, width_s: float = WIDTH_S) -> FloatArray:
+def event_trains(times_s: Sequence[FloatArray], grid_s: FloatArray, width_s: float = WIDTH_S) -> FloatArray:
     """One column per kind of event: a bump of ``width_s`` at each of its times, on a grid (N,); returns (N, K)."""
     out = np.zeros((len(grid_s), len(times_s)))
     for k, times in enumerate(times_s):
@@ -56,7 +56,7 @@ def trains(times_s: Sequence[FloatArray], grid_s: FloatArray, width_s: float = W
     return out
 
 
-def lag_of(
+def find_lag(
     reference_s: FloatArray, reference: FloatArray, recording_s: FloatArray, recording: FloatArray, most_s: float
 ) -> Lag:
     """Cross-correlate two signals of K columns, each on its own increasing times, up to ``most_s`` either way.

@@ -1,15 +1,9 @@
-"""Bias, spread and limits of agreement of paired measurements.
+"""Paired measurements: bias and limits of agreement, the line through them, and the intraclass correlation ICC(2,1).
 
-Bland, J. M. & Altman, D. G. (1986), "Statistical methods for assessing agreement between two methods of clinical
-measurement", Lancet 327:307–310; the standard error of a limit as in their 1999 paper (Stat. Methods Med. Res.
-8:135–160, section 2), of which the 1986 ``sqrt(3 s²/n)`` is the rounded form.
-
-The line through paired measurements, and whether the error grows with the size.
-
-Intraclass correlation ICC(2,1): two-way random effects, absolute agreement, single measurement.
-
-Shrout, P. E. & Fleiss, J. L. (1979), "Intraclass correlations: uses in assessing rater reliability", Psychological
-Bulletin 86:420–428; also McGraw & Wong (1996), Psychological Methods 1:30–46, ICC(A,1).
+Limits of agreement: Bland & Altman (1986), Lancet 327:307–310; the standard error of a limit as in their 1999 paper
+(Stat. Methods Med. Res. 8:135–160, section 2), of which the 1986 ``sqrt(3 s²/n)`` is the rounded form. ICC(2,1), that
+is two-way random effects, absolute agreement, single measurement: Shrout & Fleiss (1979), Psychological Bulletin
+86:420–428; also McGraw & Wong (1996), Psychological Methods 1:30–46, ICC(A,1).
 """
 
 from __future__ import annotations
@@ -99,7 +93,7 @@ def paired(reference: FloatArray, estimate: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class RegressionLine:
     """Ordinary least squares of estimate on reference, Pearson's r, and the slope of the differences on the means.
 
     ``trend`` away from 0: the error depends on the size (Bland & Altman 1999, section 3.2). A slope below 1 is in part
@@ -112,7 +106,7 @@ class Line:
     trend: Interval
 
 
-def line_through(reference: FloatArray, estimate: FloatArray) -> Line:
+def regression_line(reference: FloatArray, estimate: FloatArray) -> RegressionLine:
     """Fit pairs (N,); NaN with fewer than three, or where all reference values are equal.
 
     Raises:
@@ -121,11 +115,11 @@ def line_through(reference: FloatArray, estimate: FloatArray) -> Line:
     d = paired(reference, estimate)
     none = Interval(NAN)
     if len(d) < 3 or np.ptp(reference) == 0.0:
-        return Line(none, none, NAN, none)
+        return RegressionLine(none, none, NAN, none)
     slope, intercept, r = _fit(np.asarray(reference, np.float64), np.asarray(estimate, np.float64))
     means = 0.5 * (np.asarray(reference) + np.asarray(estimate))
     trend = _fit(means, d)[0] if np.ptp(means) > 0.0 else none
-    return Line(slope, intercept, r, trend)
+    return RegressionLine(slope, intercept, r, trend)
 
 
 def _fit(x: FloatArray, y: FloatArray) -> tuple[Interval, Interval, float]:
@@ -145,17 +139,8 @@ def _fit(x: FloatArray, y: FloatArray) -> tuple[Interval, Interval, float]:
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Icc:
-    """ICC(2,1) with its 95 % confidence interval; NaN where it is not defined."""
-
-    value: float
-    low: float
-    high: float
-
-
-def icc_2_1(ratings: FloatArray) -> Icc:
-    """Agreement of k raters (columns) on n targets (rows), (n, k).
+def icc_2_1(ratings: FloatArray) -> Interval:
+    """Agreement of k raters (columns) on n targets (rows), (n, k), with its 95 % interval; NaN where not defined.
 
     An ICC compares the raters' disagreement with the spread of the targets: where all strides are nearly equal it is
     small however good the estimates are.
@@ -168,25 +153,20 @@ def icc_2_1(ratings: FloatArray) -> Icc:
         raise ValueError("ratings are a table (targets, raters) of finite numbers, with two raters or more")
     n, k = x.shape
     if n < 3:
-        return Icc(NAN, NAN, NAN)
+        return Interval(NAN)
     grand, rows, columns = x.mean(), x.mean(axis=1), x.mean(axis=0)
     between = k * float(((rows - grand) ** 2).sum()) / (n - 1)
     raters = n * float(((columns - grand) ** 2).sum()) / (k - 1)
     error = float(((x - rows[:, None] - columns[None, :] + grand) ** 2).sum()) / ((n - 1) * (k - 1))
     total = between + (k - 1) * error + k * (raters - error) / n
     if total <= 0.0 or between <= 0.0 or (np.ptp(x, axis=0) == 0.0).any():  # a rater who always says the same
-        return Icc(NAN, NAN, NAN)
+        return Interval(NAN)
     value = (between - error) / total
     if error <= 1e-12 * between:  # raters differ by a constant, or not at all: nothing to estimate an interval from
-        return Icc(value, *((value, value) if raters <= 1e-12 * between else (NAN, NAN)))
-    low, high = _interval(n, k, between, raters, error, value)
-    return Icc(value, low, high)
-
-
-def _interval(n: int, k: int, between: float, raters: float, error: float, value: float) -> tuple[float, float]:
-    """Shrout & Fleiss (1979), p. 424; the degrees of freedom after Satterthwaite."""
+        return Interval(value, *((value, value) if raters <= 1e-12 * between else (NAN, NAN)))
     from scipy.stats import f as fisher
 
+    # the interval: Shrout & Fleiss (1979), p. 424; the degrees of freedom after Satterthwaite
     ratio, spread = raters / error, n * (1.0 + (k - 1) * value) - k * value
     upper = (k - 1) * (n - 1) * (k * value * ratio + spread) ** 2
     freedom = upper / ((n - 1) * k**2 * value**2 * ratio**2 + spread**2)
@@ -195,4 +175,4 @@ def _interval(n: int, k: int, between: float, raters: float, error: float, value
     noise = k * raters + (k * n - k - n) * error
     low = n * (between - first * error) / (first * noise + n * between)
     high = n * (second * between - error) / (noise + n * second * between)
-    return low, high
+    return Interval(value, low, high)

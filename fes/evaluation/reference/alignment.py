@@ -1,13 +1,13 @@
-"""The clock of a reference against that of the recording, by what both saw: contacts and foot-offs, or a foot's speed.
+"""A reference brought to the recording's clock and to the belt's frame.
 
-Where the lag is fitted to the very events that are then judged, their mean error says nothing any more: the result
-says so, and SD, durations and lengths are what is left to judge.
+The clocks are compared by what both saw: contacts and foot-offs, or a foot's speed. Where the lag is fitted to the very
+events that are then judged, their mean error says nothing any more: the result says so, and SD, durations and lengths
+are what is left to judge.
 
 From the laboratory's frame to the belt's: Negård et al. (2005), Eq. (21), ``p_belt = p_lab + v t`` along the walk.
-
 While a foot stands on a belt, it moves backward with it; the walking direction is therefore the horizontal axis along
-which the standing foot loses ``v t``. It is found from the marker itself, and the speed that is left to the standing
-foot afterwards tells whether direction and speed were right.
+which the standing foot loses ``v t``. It is found from the marker itself, and the speed that is left to it
+afterwards tells whether direction and speed were right.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from typing import Final
 
 import numpy as np
 
-from fes.evaluation.agreement.lag import GRID_S, Lag, lag_of, trains
+from fes.evaluation.agreement.lag import GRID_S, Lag, event_trains, find_lag
 from fes.evaluation.reference.compare import Estimate
-from fes.evaluation.reference.types import EVENTS, MarkerPath, Reference, ReferenceError
-from fes.evaluation.trigger_timing import pair
+from fes.evaluation.reference.types import EVENTS, POINTS, MarkerPath, Reference, ReferenceError
+from fes.evaluation.trigger_timing import pair_times
 from fes.signals import NS_PER_S, FloatArray
 
 AXES: Final = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
@@ -48,12 +48,12 @@ def to_belt(path: MarkerPath, belt: FloatArray, axis: str | None = None) -> OnBe
     Raises:
         ReferenceError: the standing foot does not move with the belt, along any axis or the one given.
     """
-    way = _way(belt, path.t_s)
+    run_m = _belt_run_m(belt, path.t_s)
     fastest = float(np.abs(belt[:, 1]).max())
     tried = []
     for name in [axis] if axis else list(AXES):
         moved = path.position_m.copy()
-        moved[:, :2] += way[:, None] * np.array(AXES[name])
+        moved[:, :2] += run_m[:, None] * np.array(AXES[name])
         candidate = replace(path, position_m=moved, frame="ground")
         tried.append(OnBelt(candidate, name, standing_speed(candidate)))
     best = min(tried, key=lambda each: each.standing_mps)
@@ -71,9 +71,9 @@ def looks_like_lab(path: MarkerPath, belt: FloatArray) -> bool:
     seen = np.flatnonzero(np.isfinite(path.position_m).all(axis=1))
     if len(seen) < 2:
         return False
-    way = _way(belt, path.t_s[seen])
+    run_m = _belt_run_m(belt, path.t_s[seen])
     gone = float(np.linalg.norm(np.ptp(path.position_m[seen, :2], axis=0)))
-    return gone < 0.5 * float(np.ptp(way))
+    return gone < 0.5 * float(np.ptp(run_m))
 
 
 def standing_speed(path: MarkerPath) -> float:
@@ -95,7 +95,7 @@ def horizontal_speed(path: MarkerPath, over_s: float = 0.08) -> FloatArray:
     return speed
 
 
-def _way(belt: FloatArray, t_s: FloatArray) -> FloatArray:
+def _belt_run_m(belt: FloatArray, t_s: FloatArray) -> FloatArray:
     """How far the belt has run at each time (N,), from the first of them."""
     knots = np.unique(np.concatenate([belt[:, 0], t_s]))
     speed = np.interp(knots, belt[:, 0], belt[:, 1])
@@ -153,14 +153,13 @@ def synchronise(
                 f"Give it: --lag SECONDS, or search less far: --max-lag SECONDS"
             )
         return Synchrony(found.lag_s, by, found)
+    warnings: tuple[str, ...] = ()
     if found.doubt:
-        return Synchrony(0.0, by, found, (f"the clocks could not be checked: {found.doubt}",))
-    if abs(found.lag_s) > IN_STEP_S[by]:
-        warning = (
-            f"the reference seems to be {found.lag_s:+.3f} s off the recording's clock; --sync fit would take it off"
-        )
-        return Synchrony(0.0, by, found, (warning,))
-    return Synchrony(0.0, by, found)
+        warnings = (f"the clocks could not be checked: {found.doubt}",)
+    elif abs(found.lag_s) > IN_STEP_S[by]:
+        where = f"{found.lag_s:+.3f} s off the recording's clock"
+        warnings = (f"the reference seems to be {where}; --sync fit would take it off",)
+    return Synchrony(0.0, by, found, warnings)
 
 
 def _lag(reference: Reference, estimate: Estimate, most_s: float) -> tuple[str, Lag]:
@@ -169,11 +168,12 @@ def _lag(reference: Reference, estimate: Estimate, most_s: float) -> tuple[str, 
     if path is not None:
         times, speed = speed_of(estimate, path.foot)
         near = (path.t_s > times[0] - most_s - 1.0) & (path.t_s < times[-1] + most_s + 1.0)
-        return "speed", lag_of(path.t_s[near], horizontal_speed(path)[near], times, speed, most_s)
+        return "speed", find_lag(path.t_s[near], horizontal_speed(path)[near], times, speed, most_s)
     keys = [(foot, what) for foot in estimate.feet for what in EVENTS]
-    true = {k: np.array([e.t_s for e in reference.events if (e.foot, e.what) == k]) for k in keys}
     ours = {k: np.asarray(estimate.events.get(k[0], {}).get(k[1], np.zeros(0))) for k in keys}
-    true = {k: _near(times, estimate, most_s) for k, times in true.items()}
+    true = {
+        k: _near(np.array([e.t_s for e in reference.events if (e.foot, e.what) == k]), estimate, most_s) for k in keys
+    }
     both = [k for k in keys if len(true[k]) > 2 and len(ours[k]) > 2]
     if both:
         found = _by_trains([true[k] for k in both], [ours[k] for k in both], most_s)
@@ -193,9 +193,8 @@ def _near(times_s: FloatArray, estimate: Estimate, most_s: float) -> FloatArray:
 
 
 def _path_of(reference: Reference, estimate: Estimate) -> MarkerPath | None:
-    order = {"sensor": 0, "heel": 1, "toe": 2}
     usable = [p for p in reference.paths if p.foot in estimate.feet and np.isfinite(p.position_m[:, 2]).sum() > 10]
-    return min(usable, key=lambda path: order[path.point], default=None)
+    return min(usable, key=lambda path: POINTS.index(path.point), default=None)
 
 
 def _by_trains(true: list[FloatArray], ours: list[FloatArray], most_s: float, width_s: float = 0.03) -> Lag:
@@ -203,7 +202,9 @@ def _by_trains(true: list[FloatArray], ours: list[FloatArray], most_s: float, wi
     for parts in (true, ours):
         low, high = min(part.min() for part in parts), max(part.max() for part in parts)
         grids.append(np.arange(low - 0.5, high + 0.5, GRID_S))
-    return lag_of(grids[0], trains(true, grids[0], width_s), grids[1], trains(ours, grids[1], width_s), most_s)
+    return find_lag(
+        grids[0], event_trains(true, grids[0], width_s), grids[1], event_trains(ours, grids[1], width_s), most_s
+    )
 
 
 def _refined(found: Lag, true: list[FloatArray], ours: list[FloatArray]) -> Lag:
@@ -212,9 +213,9 @@ def _refined(found: Lag, true: list[FloatArray], ours: list[FloatArray]) -> Lag:
     for expected, found_s in zip(true, ours, strict=True):
         moved = np.sort(expected) + found.lag_s
         stamps = [np.round(times * NS_PER_S).astype(np.int64) for times in (moved, np.sort(found_s))]
-        off += [1e-9 * float(stamps[1][j] - stamps[0][i]) for i, j in pair(stamps[0], stamps[1], 1e9 * NEAR_S)]
+        off += [1e-9 * float(stamps[1][j] - stamps[0][i]) for i, j in pair_times(stamps[0], stamps[1], 1e9 * NEAR_S)]
     shift = float(np.median(off)) if off else 0.0
-    return Lag(found.lag_s + shift, found.likeness, found.residual, found.next_best, found.halves_s, found.doubt)
+    return replace(found, lag_s=found.lag_s + shift)
 
 
 def speed_of(estimate: Estimate, foot: str) -> tuple[FloatArray, FloatArray]:

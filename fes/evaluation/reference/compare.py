@@ -1,7 +1,4 @@
-"""A reference and an estimate → pairs of numbers, and what has no partner.
-
-What was estimated, in the form that is held against a reference: from an analysis, or from a session log.
-"""
+"""What was estimated, by an analysis or in a session, paired with a reference; and what has no partner."""
 
 from __future__ import annotations
 
@@ -13,15 +10,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fes.evaluation.reference.types import EVENTS, Reference, ReferenceStride
-from fes.evaluation.trigger_timing import pair
+from fes.evaluation.trigger_timing import pair_times
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
 
 if TYPE_CHECKING:
     from fes.analysis.pipeline import Analysis
     from fes.session_log import SessionRecord
-
-__all__ = ["Comparison", "Count", "Pair", "compare", "foot_of", "swing_s"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +110,7 @@ TOLERANCE_S: Final = 0.15
 EDGE_S: Final = 1.0  # at a recording's ends a stride or event of the reference may be cut off: not missed
 _INSTANT: Final = {"IC": "initial_contact_s", "FO": "foot_off_s"}
 _OF_STRIDES: Final = (
-    "stride_length_m",
-    "clearance_m",
-    "toe_clearance_m",
-    "heel_clearance_m",
-    "height_gained_m",
-    "speed_mps",
+    *("stride_length_m", "clearance_m", "toe_clearance_m", "heel_clearance_m", "height_gained_m", "speed_mps"),
 )
 
 
@@ -188,7 +178,7 @@ def _events(reference: Reference, estimate: Estimate, foot: str, tolerance_s: fl
         begin, end = true.min() - tolerance_s, true.max() + tolerance_s
         ours = ours[(ours >= begin) & (ours <= end)]
         expected = true[(true >= estimate.begin_s - tolerance_s) & (true <= estimate.end_s + tolerance_s)]
-        matched = pair(_ns(expected), _ns(ours), 1e9 * tolerance_s)
+        matched = pair_times(_nanoseconds(expected), _nanoseconds(ours), 1e9 * tolerance_s)
         inner = (expected > estimate.begin_s + EDGE_S) & (expected < estimate.end_s - EDGE_S)
         missed = int(inner.sum()) - sum(bool(inner[i]) for i, _ in matched)
         counts.append(Count(what, foot, len(matched) + missed, len(ours), missed, len(ours) - len(matched)))
@@ -203,9 +193,8 @@ def _durations(reference: Reference, foot: str, partner: dict[str, dict[float, f
     mine = [event for event in reference.events if event.foot == foot]
     contacts = [event.t_s for event in mine if event.what == "IC"]
     ic, fo = partner.get("IC", {}), partner.get("FO", {})
-    for k, t in enumerate(contacts):
-        after = contacts[k + 1] if k + 1 < len(contacts) else None
-        if after is not None and after - t < 4.0 and t in ic and after in ic:
+    for t, after in pairwise(contacts):
+        if after - t < 4.0 and t in ic and after in ic:
             yield Pair("stride_time_s", foot, t, after - t, ic[after] - ic[t])
     for first, second in pairwise(mine):
         if second.t_s - first.t_s > 4.0 or first.what == second.what:
@@ -230,7 +219,7 @@ def _strides(reference: Reference, estimate: Estimate, foot: str) -> Comparison:
         if not inside:
             missed += estimate.begin_s + EDGE_S < true.t_start_s and true.t_end_s < estimate.end_s - EDGE_S
             continue
-        chosen = max(inside, key=lambda k: _shared(true, ours[k]))
+        chosen = max(inside, key=lambda k: _shared_s(true, ours[k]))
         matched.add(chosen)
         if not (true.usable and ours[chosen].valid):
             left_out += 1
@@ -267,10 +256,10 @@ def swing_s(stride: StrideResult) -> float:
     return 0.5 * (begin + end) / NS_PER_S
 
 
-def _shared(true: ReferenceStride, ours: StrideResult) -> float:
+def _shared_s(true: ReferenceStride, ours: StrideResult) -> float:
     """How much time two strides share."""
     return min(true.t_end_s, 1e-9 * ours.t_end_ns) - max(true.t_start_s, 1e-9 * ours.t_start_ns)
 
 
-def _ns(seconds: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+def _nanoseconds(seconds: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
     return np.round(np.asarray(seconds) * NS_PER_S).astype(np.int64)

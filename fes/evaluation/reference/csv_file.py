@@ -11,12 +11,8 @@
 | orientation | t, q_w, q_x, q_y, q_z (sensor to world, z up), and perhaps sensor, moving |
 | end | end_distance and end_height: where the whole walk ended, seen from its start; and perhaps foot |
 
-Foot switches and pressure under the sole, sampled → initial contact and foot off.
-
-Footfalls of an instrumented mat or of measured footprints → events and strides.
-
-A mat's stride length is the way between successive contacts of the same foot, whatever the direction (the distance of
-heel to heel); that of a walk with turns is measured along straight lines as well.
+A mat's stride length is the distance between successive contacts of the same foot, whatever the direction (heel to
+heel); that of a walk with turns is measured along straight lines as well.
 """
 
 from __future__ import annotations
@@ -43,114 +39,8 @@ from fes.signals import FloatArray
 
 ON_SHARE, OFF_SHARE = 0.6, 0.4  # of the way from the released to the pressed level: hysteresis
 BOUNCE_S = 0.05  # shorter pauses and touches are bouncing contacts
-
-
-def switch_events(source: str, foot: str, t_s: FloatArray, signals: list[FloatArray]) -> list[ReferenceEvent]:
-    """The foot is down while any of its switches is pressed: IC where the first closes, FO where the last opens.
-
-    Args:
-        source: the file, for messages.
-        foot: whose.
-        t_s: (N,) increasing.
-        signals: (N,) each; two levels, or a pressure of which the 2nd and 98th percentile are taken for the levels.
-
-    Raises:
-        ReferenceError: none of the switches ever changes.
-    """
-    down = np.zeros(len(t_s), dtype=bool)
-    changed = False
-    for values in signals:
-        low, high = np.nanpercentile(values, [2.0, 98.0]) if np.isfinite(values).any() else (0.0, 0.0)
-        if high > low:
-            changed = True
-            down |= _pressed((values - low) / (high - low))
-    if not changed:
-        raise ReferenceError(f"{source}: the switches of the {foot.replace('_', ' ')} never change; is one broken?")
-    edges = np.flatnonzero(np.diff(down.astype(np.int8)))
-    bounds = _without_bounces(t_s, edges)
-    events = []
-    for k in bounds:
-        what = "IC" if down[k + 1] else "FO"
-        events.append(ReferenceEvent(float(0.5 * (t_s[k] + t_s[k + 1])), foot, what))
-    return events
-
-
-def _pressed(level: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Schmitt trigger over a level of 0 to 1; a missing sample keeps the state."""
-    state = np.where(level >= ON_SHARE, 1, np.where(level <= OFF_SHARE, 0, -1))
-    known = np.flatnonzero(state >= 0)
-    if not len(known):
-        return np.zeros(len(level), dtype=bool)
-    last = np.maximum.accumulate(np.where(state >= 0, np.arange(len(level)), known[0]))
-    return np.asarray(state[last] == 1)
-
-
-def _without_bounces(t_s: FloatArray, edges: np.ndarray[tuple[int], np.dtype[np.int64]]) -> list[int]:
-    """Edges that are not followed by their opposite within ``BOUNCE_S``, nor such opposites."""
-    kept: list[int] = []
-    for k in edges.tolist():
-        if kept and t_s[k + 1] - t_s[kept[-1] + 1] < BOUNCE_S:
-            kept.pop()
-        else:
-            kept.append(k)
-    return kept
-
-
 LONGEST_STRIDE_S = 4.0  # beyond: the walker left the mat and came back
-
-
-def footfalls(
-    source: str,
-    feet: list[str],
-    contact_s: FloatArray,
-    off_s: FloatArray | None,
-    place_m: FloatArray | None,
-    length_m: FloatArray | None = None,
-) -> Reference:
-    """Events and strides of K footfalls, in any order.
-
-    Args:
-        source: the file, for messages.
-        feet: whose each is.
-        contact_s: (K,) initial contact, or any one moment at which the foot stood there.
-        off_s: (K,) foot off, if known.
-        place_m: (K, 2) where each lies, if known.
-        length_m: (K,) stride length that ends with this footfall, if the mat says so itself.
-
-    Raises:
-        ReferenceError: a contact's time is missing, or a foot leaves before it came.
-    """
-    if not np.isfinite(contact_s).all():
-        raise ReferenceError(
-            f"{source}: footfall {int(np.flatnonzero(~np.isfinite(contact_s))[0]) + 1} has no time of contact"
-        )
-    if off_s is not None and (off_s <= contact_s).any():
-        raise ReferenceError(
-            f"{source}: footfall {int(np.flatnonzero(off_s <= contact_s)[0]) + 1} leaves before it came"
-        )
-    events, strides = [], []
-    whose = np.array(feet)
-    for foot in dict.fromkeys(feet):
-        mine = np.flatnonzero(whose == foot)
-        mine = mine[np.argsort(contact_s[mine], kind="stable")]
-        events += [ReferenceEvent(float(contact_s[k]), foot, "IC") for k in mine]
-        if off_s is not None:
-            events += [ReferenceEvent(float(off_s[k]), foot, "FO") for k in mine if np.isfinite(off_s[k])]
-        for before, after in pairwise(mine.tolist()):
-            if not 0.0 < contact_s[after] - contact_s[before] <= LONGEST_STRIDE_S:
-                continue
-            values = {}
-            if length_m is not None and np.isfinite(length_m[after]):
-                values["stride_length_m"] = float(length_m[after])
-            elif place_m is not None:
-                values["stride_length_m"] = float(np.hypot(*(place_m[after] - place_m[before])))
-            strides.append(ReferenceStride(foot, float(contact_s[before]), float(contact_s[after]), values))
-    strides.sort(key=lambda stride: stride.t_start_s)
-    return Reference((source,), tuple(sorted(events)), tuple(strides))
-
-
 LATEST_S: Final = 4e9  # seconds since 1970 are below it; as ns they still fit 64 bits
-KINDS: Final = ("strides", "events", "mat", "switch", "path", "belt", "orientation", "end")
 TIME: Final = ("t", "time", "seconds", "timestamp")
 CONTACT: Final = ("t_contact", "t_initial_contact", "t_loading_response", "first_contact", "contact_time")
 QUATERNION: Final = ("q_w", "q_x", "q_y", "q_z")
@@ -177,35 +67,29 @@ _ENDS: Final = ("end_distance", "end_height")
 _MARKER: Final = re.compile(r"(left|right|l|r)_(?:foot_)?(\w+)_x")
 
 
-def read_csv(path: Path, *, foot: str | None = None, kind: str | None = None) -> Reference:
-    """Read one CSV; ``foot`` is whose it is where it does not say, ``kind`` what it is where its columns do not say.
+def read_csv(path: Path, *, foot: str | None = None) -> Reference:
+    """Read one CSV; ``foot`` is whose it is where it does not say.
 
     Raises:
         ReferenceError: it cannot be read, or is of no known kind.
     """
     table = read_columns(path)
-    chosen = kind or kind_of(table)
-    if chosen is None:
+    kind = kind_of(table)
+    if kind is None:
         raise ReferenceError(
             f"{path}: its columns ({', '.join(table.columns)}) are those of no known kind of reference. Needed are "
             f"foot, t_start, t_end (strides); foot, event, t (events); foot, t_contact (step mat); t and left…, right… "
             f"(foot switches); t, x, y, z (a marker's path); t, speed (a belt); t, q_w, q_x, q_y, q_z (orientation); "
             f"or end_distance, end_height (a walk's end)"
         )
-    readers = {
-        "strides": _strides,
-        "events": _events,
-        "mat": _mat,
-        "switch": _switch,
-        "path": _paths,
-        "belt": _belt,
-        "orientation": _no_orientation,
-        "end": _end,
-    }
+    if kind == "orientation":
+        raise ReferenceError(f"{path}: orientations are held against a sensor alone; name no other reference")
+    readers = {"strides": _strides, "events": _events, "mat": _mat, "switch": _switch, "path": _paths}
+    readers |= {"belt": _belt, "end": _end}
     try:
-        found = readers[chosen](table, foot)
+        found = readers[kind](table, foot)
     except KeyError as error:
-        raise ReferenceError(f"{path}: as {chosen} it lacks a column {error.args[0]!r}") from error
+        raise ReferenceError(f"{path}: as {kind} it lacks a column {error.args[0]!r}") from error
     times = [event.t_s for event in found.events] + [stride.t_end_s for stride in found.strides]
     times += [float(t) for path_ in found.paths for t in (path_.t_s[0], path_.t_s[-1])] + found.belt[:, 0].tolist()
     if any(not abs(t) < LATEST_S for t in times):
@@ -214,25 +98,21 @@ def read_csv(path: Path, *, foot: str | None = None, kind: str | None = None) ->
 
 
 def kind_of(table: Table) -> str | None:
-    """One of :data:`KINDS`, None where the columns fit none."""
-    names = set(table.columns)
-    if set(QUATERNION) <= names and table.first_of(*TIME):
-        return "orientation"
-    if names & {"end_distance", "end_height"}:
-        return "end"
-    if {"t_start", "t_end"} <= names:
-        return "strides"
-    if "event" in names and table.first_of(*TIME):
-        return "events"
-    if table.first_of(*CONTACT):
-        return "mat"
-    if table.first_of(*TIME) is None:
-        return None
-    if {"x", "y", "z"} <= names or any(_MARKER.fullmatch(name) for name in names):
-        return "path"
-    if table.first_of("speed", "belt_speed") and not any(_switch_foot(name) for name in names):
-        return "belt"
-    return "switch" if any(_switch_foot(name) for name in names) else None
+    """What a table is by its columns, as listed at the top of this module; None where they fit nothing."""
+    names, timed = set(table.columns), table.first_of(*TIME) is not None
+    switches = any(_switch_foot(name) for name in names)
+    marker = {"x", "y", "z"} <= names or any(_MARKER.fullmatch(name) for name in names)
+    kinds = (
+        ("orientation", timed and set(QUATERNION) <= names),
+        ("end", bool(names & set(_ENDS))),
+        ("strides", {"t_start", "t_end"} <= names),
+        ("events", timed and "event" in names),
+        ("mat", table.first_of(*CONTACT) is not None),
+        ("path", timed and marker),
+        ("belt", timed and table.first_of("speed", "belt_speed") is not None and not switches),
+        ("switch", timed and switches),
+    )
+    return next((kind for kind, fits in kinds if fits), None)
 
 
 def _time(table: Table) -> FloatArray:
@@ -278,11 +158,10 @@ def _strides(table: Table, foot: str | None) -> Reference:
         for k in range(table.rows)
     ]
     events = []
+    soft = table.columns.get("contact", [""] * table.rows)
     for what, names in (("IC", CONTACT), ("FO", OFF)):
-        column = table.first_of(*names)
-        if column is not None:
+        if column := table.first_of(*names):
             times = table.numbers(column)
-            soft = table.columns.get("contact", [""] * table.rows)
             events += [
                 ReferenceEvent(float(times[k]), feet[k], what)
                 for k in range(table.rows)
@@ -312,12 +191,86 @@ def event_name(text: str) -> str | None:
 
 
 def _mat(table: Table, foot: str | None) -> Reference:
-    contact = table.numbers(table.first_of(*CONTACT) or "t_contact")
-    off_name = table.first_of(*OFF)
-    places = np.column_stack([table.numbers("x"), table.numbers("y")]) if {"x", "y"} <= set(table.columns) else None
-    lengths = table.numbers("stride_length") if "stride_length" in table.columns else None
-    off = table.numbers(off_name) if off_name else None
-    return footfalls(str(table.path), table.feet(foot), contact, off, places, lengths)
+    """Events and strides of K footfalls, in any order.
+
+    ``contact_s`` (K,) is initial contact, or any one moment at which the foot stood there; ``place_m`` (K, 2) where it
+    stood; ``length_m`` (K,) the stride length that ends with this footfall, if the mat says so itself.
+    """
+    source, feet = str(table.path), table.feet(foot)
+    contact_s = table.numbers(table.first_of(*CONTACT) or "t_contact")
+    off_s, length_m = (table.numbers(n) if n else None for n in (table.first_of(*OFF), table.first_of("stride_length")))
+    place_m = np.column_stack([table.numbers("x"), table.numbers("y")]) if {"x", "y"} <= set(table.columns) else None
+    if not np.isfinite(contact_s).all():
+        number = int(np.flatnonzero(~np.isfinite(contact_s))[0]) + 1
+        raise ReferenceError(f"{source}: footfall {number} has no time of contact")
+    if off_s is not None and (off_s <= contact_s).any():
+        number = int(np.flatnonzero(off_s <= contact_s)[0]) + 1
+        raise ReferenceError(f"{source}: footfall {number} leaves before it came")
+    events, strides = [], []
+    whose = np.array(feet)
+    for foot in dict.fromkeys(feet):
+        mine = np.flatnonzero(whose == foot)
+        mine = mine[np.argsort(contact_s[mine], kind="stable")]
+        events += [ReferenceEvent(float(contact_s[k]), foot, "IC") for k in mine]
+        if off_s is not None:
+            events += [ReferenceEvent(float(off_s[k]), foot, "FO") for k in mine if np.isfinite(off_s[k])]
+        for before, after in pairwise(mine.tolist()):
+            if not 0.0 < contact_s[after] - contact_s[before] <= LONGEST_STRIDE_S:
+                continue
+            values = {}
+            if length_m is not None and np.isfinite(length_m[after]):
+                values["stride_length_m"] = float(length_m[after])
+            elif place_m is not None:
+                values["stride_length_m"] = float(np.hypot(*(place_m[after] - place_m[before])))
+            strides.append(ReferenceStride(foot, float(contact_s[before]), float(contact_s[after]), values))
+    strides.sort(key=lambda stride: stride.t_start_s)
+    return Reference((source,), tuple(sorted(events)), tuple(strides))
+
+
+def switch_events(source: str, foot: str, t_s: FloatArray, signals: list[FloatArray]) -> list[ReferenceEvent]:
+    """The foot is down while any of its switches is pressed: IC where the first closes, FO where the last opens.
+
+    Args:
+        source: the file, for messages.
+        foot: whose.
+        t_s: (N,) increasing.
+        signals: (N,) each; two levels, or a pressure of which the 2nd and 98th percentile are taken for the levels.
+
+    Raises:
+        ReferenceError: none of the switches ever changes.
+    """
+    down = np.zeros(len(t_s), dtype=bool)
+    changed = False
+    for values in signals:
+        low, high = np.nanpercentile(values, [2.0, 98.0]) if np.isfinite(values).any() else (0.0, 0.0)
+        if high > low:
+            changed = True
+            down |= _pressed((values - low) / (high - low))
+    if not changed:
+        raise ReferenceError(f"{source}: the switches of the {foot.replace('_', ' ')} never change; is one broken?")
+    edges = _without_bounces(t_s, np.flatnonzero(np.diff(down.astype(np.int8))))
+    return [ReferenceEvent(float(0.5 * (t_s[k] + t_s[k + 1])), foot, "IC" if down[k + 1] else "FO") for k in edges]
+
+
+def _pressed(level: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Schmitt trigger over a level of 0 to 1; a missing sample keeps the state."""
+    state = np.where(level >= ON_SHARE, 1, np.where(level <= OFF_SHARE, 0, -1))
+    known = np.flatnonzero(state >= 0)
+    if not len(known):
+        return np.zeros(len(level), dtype=bool)
+    last = np.maximum.accumulate(np.where(state >= 0, np.arange(len(level)), known[0]))
+    return np.asarray(state[last] == 1)
+
+
+def _without_bounces(t_s: FloatArray, edges: np.ndarray[tuple[int], np.dtype[np.int64]]) -> list[int]:
+    """Edges that are not followed by their opposite within ``BOUNCE_S``, nor such opposites."""
+    kept: list[int] = []
+    for k in edges.tolist():
+        if kept and t_s[k + 1] - t_s[kept[-1] + 1] < BOUNCE_S:
+            kept.pop()
+        else:
+            kept.append(k)
+    return kept
 
 
 def _switch(table: Table, foot: str | None) -> Reference:
@@ -375,10 +328,6 @@ def orientation_columns(table: Table) -> tuple[FloatArray, FloatArray, npt.NDArr
     quaternion = np.column_stack([table.numbers(name) for name in QUATERNION])
     moving = np.array(table.flags("moving")) if "moving" in table.columns else np.ones(table.rows, dtype=np.bool_)
     return t_s, quaternion, moving
-
-
-def _no_orientation(table: Table, foot: str | None) -> Reference:
-    raise ReferenceError(f"{table.path}: orientations are held against a sensor alone; name no other reference")
 
 
 def _end(table: Table, foot: str | None) -> Reference:

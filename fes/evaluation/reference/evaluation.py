@@ -1,7 +1,4 @@
-"""The whole evaluation: clocks, frames, pairs, and their agreement.
-
-What can be held against a reference: names, units as people read them, and what each is.
-"""
+"""The whole evaluation: what can be held against a reference; clocks, frames, pairs, and their agreement."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from fes.evaluation.agreement import Differences, Icc, Interval, Line, differences, icc_2_1, line_through
+from fes.evaluation.agreement import Differences, Interval, RegressionLine, differences, icc_2_1, regression_line
 from fes.evaluation.reference.alignment import MOST_S, Synchrony, looks_like_lab, synchronise, to_belt
 from fes.evaluation.reference.compare import TOLERANCE_S, Comparison, Count, Estimate, Pair, compare, swing_s
 from fes.evaluation.reference.paths import compare_path
@@ -58,7 +55,6 @@ _TABLE: Final = (
 )
 QUANTITIES: Final = {quantity.name: quantity for quantity in _TABLE}
 BOTH: Final = "both feet"
-FRAMES: Final = ("auto", "lab", "ground")
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,8 +83,8 @@ class AgreementRow:
     reference_mean: float
     estimate_mean: float
     differences: Differences
-    icc: Icc
-    line: Line
+    icc: Interval
+    line: RegressionLine
 
     @property
     def about(self) -> Quantity:
@@ -120,7 +116,7 @@ def evaluate(estimate: Estimate, reference: Reference, settings: Settings | None
     reference = _own_feet(reference, estimate)
     notes, paths = list(reference.notes), []
     for path in sorted(reference.paths, key=lambda path: POINTS.index(path.point)):  # the sensor's own marker first
-        moved, said = _framed(path, reference, chosen)
+        moved, said = _in_ground_frame(path, reference, chosen)
         paths.append(moved)
         notes += said
     reference = replace(reference, paths=tuple(paths))
@@ -172,18 +168,12 @@ def rows_of(pairs: tuple[Pair, ...]) -> tuple[AgreementRow, ...]:
 def agreement(quantity: str, foot: str, pairs: list[Pair]) -> AgreementRow:
     """The agreement of these pairs; of instants neither ICC nor line, for their size says nothing."""
     true, ours = (np.array([getattr(pair, side) for pair in pairs]) for side in ("reference", "estimate"))
-    nan = float("nan")
-    none = Interval(nan)
-    instant = QUANTITIES[quantity].instant
-    return AgreementRow(
-        quantity,
-        foot,
-        nan if instant else float(true.mean()),
-        nan if instant else float(ours.mean()),
-        differences(true, ours),
-        Icc(nan, nan, nan) if instant else icc_2_1(np.column_stack([true, ours])),
-        Line(none, none, nan, none) if instant else line_through(true, ours),
-    )
+    d = differences(true, ours)
+    if QUANTITIES[quantity].instant:
+        none = Interval(math.nan)
+        return AgreementRow(quantity, foot, math.nan, math.nan, d, none, RegressionLine(none, none, math.nan, none))
+    icc = icc_2_1(np.column_stack([true, ours]))
+    return AgreementRow(quantity, foot, float(true.mean()), float(ours.mean()), d, icc, regression_line(true, ours))
 
 
 def _own_feet(reference: Reference, estimate: Estimate) -> Reference:
@@ -213,7 +203,7 @@ def _own_feet(reference: Reference, estimate: Estimate) -> Reference:
     return left
 
 
-def _framed(path: MarkerPath, reference: Reference, settings: Settings) -> tuple[MarkerPath, list[str]]:
+def _in_ground_frame(path: MarkerPath, reference: Reference, settings: Settings) -> tuple[MarkerPath, list[str]]:
     """The path in the frame of the ground or the belt, and what was done in words."""
     belt = reference.belt
     if not len(belt) and settings.belt_mps:
@@ -224,11 +214,12 @@ def _framed(path: MarkerPath, reference: Reference, settings: Settings) -> tuple
         raise ReferenceError(
             "a path in the lab's frame needs the belt's speed: --belt-speed M/S, or a table t_s, speed_mps"
         )
+    which = f"{path.foot.replace('_', ' ')}, {path.point}"
     if settings.frame == "auto" and not looks_like_lab(path, belt):
-        return path, [f"{path.foot.replace('_', ' ')}, {path.point}: goes as far as the belt, so taken as it is"]
+        return path, [f"{which}: goes as far as the belt, so taken as it is"]
     moved = to_belt(path, belt, settings.belt_axis)
     return moved.path, [
-        f"{path.foot.replace('_', ' ')}, {path.point}: moved to the belt's frame along {moved.axis} (Negård et al., "
+        f"{which}: moved to the belt's frame along {moved.axis} (Negård et al., "
         f"Eq. 21), where the standing foot is left with {100 * moved.standing_mps:.1f} cm/s"
     ]
 

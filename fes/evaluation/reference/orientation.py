@@ -78,7 +78,7 @@ def evaluate_orientation(recording: Recording, references: Sequence[OrientationR
     pairs: list[Pair] = []
     notes: list[str] = []
     for reference in references:
-        found, said = _one(recording, reference)
+        found, said = _hold_against(recording, reference)
         pairs += found
         notes += said
     span = [float(t) for reference in references for t in (reference.t_s[0], reference.t_s[-1])]
@@ -104,10 +104,10 @@ def upward(quaternion: FloatArray) -> FloatArray:
     return np.asarray(up / np.linalg.norm(up, axis=1, keepdims=True))
 
 
-def _one(recording: Recording, reference: OrientationReference) -> tuple[list[Pair], list[str]]:
+def _hold_against(recording: Recording, reference: OrientationReference) -> tuple[list[Pair], list[str]]:
     from fes.estimation.orientation.body import smooth_orientation, track_orientation
 
-    track = _track(recording, reference)
+    track = _track_of(recording, reference)
     t_s = 1e-9 * (track.t_sensor_ns - track.t_sensor_ns[0])
     index = np.searchsorted(t_s, reference.t_s - 0.5 / track.rate_hz)
     index = np.minimum(index, len(t_s) - 1)
@@ -144,7 +144,7 @@ def _one(recording: Recording, reference: OrientationReference) -> tuple[list[Pa
     return pairs, notes
 
 
-def _track(recording: Recording, reference: OrientationReference) -> Track:
+def _track_of(recording: Recording, reference: OrientationReference) -> Track:
     names = [reference.sensor] if reference.sensor else list(recording.tracks)
     if len(names) != 1 or names[0] not in recording.tracks:
         raise ReferenceError(

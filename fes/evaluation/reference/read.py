@@ -1,7 +1,4 @@
-"""A reference's file by its suffix, and several files as one.
-
-Motion capture as C3D: markers of the feet, and contacts and foot-offs, by the library ezc3d (extra ``c3d``).
-"""
+"""References from their files: several as one; C3D of motion capture by the library ezc3d (extra ``c3d``)."""
 
 from __future__ import annotations
 
@@ -78,7 +75,7 @@ def _markers(
     found: dict[tuple[str, str], MarkerPath] = {}
     unused = []
     for k, label in enumerate(labels[: points.shape[1]]):
-        named = (markers.get(label) if markers else None) or (None if markers else usual(label))
+        named = (markers.get(label) if markers else None) or (None if markers else place_of_label(label))
         if named is None:
             unused.append(label)
             continue
@@ -90,7 +87,7 @@ def _markers(
     return list(found.values()), unused
 
 
-def usual(label: str) -> tuple[str, str] | None:
+def place_of_label(label: str) -> tuple[str, str] | None:
     """(foot, point) for the labels that laboratories use, with or without a subject's name before a colon."""
     name = label.rsplit(":", 1)[-1].strip()
     for parts in (name.split("_", 1), [name[:1], name[1:]]):
@@ -121,8 +118,8 @@ def _events(data: Any) -> list[ReferenceEvent]:
     return events
 
 
-TABLES = ("events", "strides", "path", "reference", "belt", "mat", "switch", "orientation", "end")
-BESIDE = (*(f".{kind}.csv" for kind in TABLES), ".c3d")
+_TABLES = ("events", "strides", "path", "reference", "belt", "mat", "switch", "orientation", "end")
+_ENDINGS = (*(f".{kind}.csv" for kind in _TABLES), ".c3d")
 
 
 def read_references(
@@ -147,16 +144,15 @@ def read_references(
     for path in map(Path, paths):
         suffix = path.suffix.lower()
         if suffix == ".c3d":
-            part = read_c3d(path, markers=markers, up=up)
+            whole = whole.joined(read_c3d(path, markers=markers, up=up))
         elif suffix in (".csv", ".txt", ".tsv"):
-            part = read_csv(path, foot=foot)
+            whole = whole.joined(read_csv(path, foot=foot))
         else:
             raise ReferenceError(f"{path}: references are .csv or .c3d files, not {suffix or 'files without a suffix'}")
-        whole = whole.joined(part)
     return whole
 
 
-def beside(recording: Path) -> list[Path]:
+def companion_references(recording: Path) -> list[Path]:
     """The references that lie beside a recording under its name, as `fes import` writes them."""
     stem = recording.name.split(".", 1)[0]
-    return [path for suffix in BESIDE if (path := recording.with_name(stem + suffix)).is_file()]
+    return [path for suffix in _ENDINGS if (path := recording.with_name(stem + suffix)).is_file()]
