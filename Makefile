@@ -3,14 +3,19 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PEERS := .venv-peers
+WHEEL := .venv-wheel
+PYTHONS ?= python3.11 python3.12 python3.13
 
 .DEFAULT_GOAL := help
-.PHONY: help hil demo test test-live lint format bench bench-figures bench-accuracy peers nightly mutants hazards docs trials lock clean
+.PHONY: help hil demo test test-live lint format bench bench-figures bench-accuracy peers nightly mutants hazards docs trials lock \
+  wheel-test test-pythons clean
 
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
 	@echo "make test     style, types and tests"
 	@echo "make test-live  the tests that take longer, most of them live sessions on every simulated device"
+	@echo "make wheel-test  the built wheel in an empty environment, outside the checkout: demo, simulate, analyse, hil"
+	@echo "make test-pythons  demo and quick tests under each of PYTHONS ($(PYTHONS)) that this machine has"
 	@echo "make lint     style and types only"
 	@echo "make bench    one table of speed, beside other libraries and the bare arithmetic (about 10 minutes)"
 	@echo "make bench-figures  the figures of docs/accuracy.md: bundled trials, and recordings in FES_DATA or ../shared/data"
@@ -45,6 +50,27 @@ test: lint
 
 test-live: $(VENV)/dev.stamp
 	$(BIN)/python -m pytest -m slow
+
+# PYTHONPATH is cleared: the checkout must not be found.
+wheel-test: $(VENV)/run.stamp
+	rm -rf $(WHEEL) dist
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist .
+	$(PYTHON) -m venv $(WHEEL)
+	$(WHEEL)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(WHEEL)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --no-index dist/*.whl
+	folder=$$(mktemp -d) && cd $$folder && export PYTHONPATH= PATH="$(abspath $(WHEEL))/bin:$$PATH" && \
+	  fes demo && fes simulate --seconds 40 && fes analyse out/simulated.parquet && fes hil --only imu_frozen && \
+	  cd / && rm -rf $$folder
+
+# A Python that this machine has not is named and passed over; each has an environment and an output folder of its own.
+test-pythons:
+	worst=0; for python in $(PYTHONS); do \
+	  $$python -c pass 2>/dev/null || { echo "$$python: not on this machine, passed over"; continue; }; \
+	  name=$$(basename $$python); echo "$$name:"; \
+	  $(MAKE) VENV=.venv-$$name PYTHON=$$python .venv-$$name/dev.stamp && \
+	  .venv-$$name/bin/fes demo --out out/$$name && \
+	  .venv-$$name/bin/python -m pytest -n 2 --ignore=tests/transports -m "not slow" || worst=$$?; \
+	done; exit $$worst
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
@@ -118,4 +144,4 @@ lock:
 	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-peers.lock
 
 clean:
-	rm -rf $(VENV) $(PEERS) out
+	rm -rf $(VENV) $(VENV)-* out dist

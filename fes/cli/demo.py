@@ -26,6 +26,7 @@ from fes.hil.closed_loop.processes import WALK_S, Happening, Protocol, course
 from fes.live.status import Status
 from fes.session_log import Note, SessionLogError
 from fes.signals import FOOT_SENSORS, NS_PER_S, Event
+from fes.simulation.bundled import bundled_file
 from fes.simulation.forward import PatientSettings, VirtualStride, settings_for
 
 SECONDS: Final = 80.0
@@ -278,7 +279,7 @@ def _say(result: dict[str, Any], *, as_json: bool) -> None:
     click.echo(f"Session log  {result['session_log']}\nReport       {result['report']}  (open it in a browser)")
 
 
-TRIAL = "negard_patient2"
+TRIAL = "negard_patient2.parquet"
 
 
 @click.command(name="demo")
@@ -320,9 +321,5 @@ def command(out: Path, speed: float | None, closed_loop: bool, fast: bool, stimu
     from fes.cli.replay.command import Options as ReplayOptions
     from fes.cli.replay.command import replay_recording
 
-    trials = Path(__file__).resolve().parents[2] / "sim_inputs"
-    recording = trials / f"{TRIAL}.parquet"
-    if not recording.is_file():
-        raise Problem(f"{recording} is missing: the demo needs the project's folder, not only the installed package.")
     click.echo("A simulated stroke patient with a drop foot walks at 1.5 km/h; the foot's IMU times the stimulation.")
-    replay_recording(recording, ReplayOptions(out=out, speed=speed, session=trials / "session.toml"))
+    replay_recording(bundled_file(TRIAL), ReplayOptions(out=out, speed=speed, session=bundled_file("session.toml")))

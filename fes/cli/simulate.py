@@ -30,6 +30,7 @@ from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.live.inputs import Terminal, standard_keys
 from fes.session_log import Note, SessionLogError
 from fes.signals import NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction
+from fes.simulation.bundled import bundled_file
 from fes.simulation.forward import PatientSettings
 from fes.simulation.forward.gait_patterns import PATTERNS
 from fes.simulation.forward.settings import SEVERITIES, load_patient, settings_for
@@ -144,7 +145,6 @@ class _Live:
 
 
 LOG_SUFFIX = ".feslog"
-BUNDLED_SESSION = Path(__file__).resolve().parents[2] / "sim_inputs" / "session.toml"
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,7 +324,7 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
     try:
         walk = calibration_walk(walker.settings)
         found = calibrate_drivers(walk).calibrations
-        session = session_for(walk, load_session(options.session or BUNDLED_SESSION))
+        session = session_for(walk, load_session(options.session or bundled_file("session.toml")))
         if options.session is None:
             session = session.model_copy(update={"name": f"Virtual patient, {options.name}"})
     except (ConfigError, CalibrationError) as error:
