@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -11,11 +12,11 @@ from fes.analysis.ground_path import GroundPath, continued, ground_path, togethe
 from fes.analysis.results import Analysis
 from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import ToeAndHeel, point_heights
-from fes.calibration.recording import Found, calibrate_all, calibrate_sensors, labelled
+from fes.calibration.recording import Found, calibrate_all, calibrate_sensors, drivers_from, labelled, load
 from fes.config import Session
 from fes.control.replay import session_for
 from fes.estimation.events.offline import find_events
-from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import Calibration, phase_sensors, stride_settings
 from fes.estimation.shank.calibration import ShankCalibration
@@ -30,7 +31,7 @@ from fes.recording.samples import newer_samples
 from fes.recording.tracks import UNLABELLED_FEET
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray, StrideResult
 
-__all__ = ["Analysis", "analyse", "analyse_chunks", "calibrations_of", "uneven_strides"]
+__all__ = ["Analysis", "analyse", "analyse_chunks", "calibrations_of", "calibrations_of_chunks", "uneven_strides"]
 
 
 def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, level: bool = True) -> Analysis:
@@ -175,6 +176,45 @@ def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Record
         return recording, found
     kept = {sensor: _along_gravity(calibration) for sensor, calibration in found.calibrations.items()}
     return recording, replace(found, calibrations=kept)
+
+
+def calibrations_of_chunks(pieces: Iterable[Chunk], stored: Path | Found | None = None, *, level: bool = True) -> Found:
+    """Calibrations for a recording in pieces, of each sensor from the first piece that shows it.
+
+    Args:
+        pieces: all are taken, so that what is wrong with a later part of a file is raised here.
+        stored: calibrations to use instead, which must fit.
+        level: as of :func:`calibrations_of`.
+
+    Raises:
+        RecordingError: a piece of the file cannot be used.
+        CalibrationError: no piece showed any sensor.
+    """
+    found: Found | None = None
+    failed: CalibrationError | None = None
+    for piece in pieces:
+        if found is not None and (stored is not None or not found.missing):
+            continue
+        recording = piece.recording if found is None else labelled(piece.recording, found.sides)
+        try:
+            new = calibrations_of(recording, level=level) if stored is None else drivers_from(stored, recording)
+        except CalibrationError as error:
+            if stored is not None:
+                raise
+            failed = failed or error
+            continue
+        found = new[1] if found is None else _both(found, new[1])
+    if found is None:
+        raise failed or CalibrationError("The recording holds no samples.")
+    if stored is None:
+        return found
+    return replace(found, sides=(stored if isinstance(stored, Found) else load(stored)).sides)
+
+
+def _both(first: Found, later: Found) -> Found:
+    calibrations = {**later.calibrations, **first.calibrations}
+    missing = {sensor: why for sensor, why in first.missing.items() if sensor not in calibrations}
+    return replace(first, calibrations=calibrations, missing=missing)
 
 
 def _along_gravity(calibration: Calibration) -> Calibration:

@@ -171,13 +171,15 @@ def load(path: Path) -> Found:
         raise CalibrationError(f"{path}: is no calibration ({error}). Make one with fes calibrate.") from error
 
 
-def drivers_from(path: Path, recording: Recording) -> tuple[Recording, Found]:
-    """A recording, its feet named, with the calibrations of a file for the sensors that drive.
+def drivers_from(given: Path | Found, recording: Recording) -> tuple[Recording, Found]:
+    """A recording, its feet named, with the calibrations of a file (or of what another recording gave) for the sensors
+    that tell the phases.
 
     Raises:
         CalibrationError: the file cannot be used, or does not fit the recording.
     """
-    stored = load(path)
+    stored = given if isinstance(given, Found) else load(given)
+    path = "the calibration given" if isinstance(given, Found) else given
     recording = labelled(recording, stored.sides)
     refuse_unlabelled(recording)
     drivers = phase_sensors(recording.tracks).values()
@@ -193,7 +195,7 @@ def drivers_from(path: Path, recording: Recording) -> tuple[Recording, Found]:
     return recording, Found(found, missing)
 
 
-def refuse_misfit(calibration: Calibration, track: Track, path: Path) -> None:
+def refuse_misfit(calibration: Calibration, track: Track, path: Path | str) -> None:
     """Refuse a calibration of a sensor that runs at another rate or sits otherwise.
 
     Raises:

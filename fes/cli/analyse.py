@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.analysis.pipeline import Analysis, analyse, calibrations_of, calibrations_of_chunks
 from fes.calibration.recording import drivers_from
-from fes.cli.analyse_long import analyse_long, calibrated
+from fes.cli.analyse_long import analyse_long
 from fes.cli.common.exits import FAILED, fail, fresh_folder
 from fes.cli.common.options import RenamedOptions
 from fes.cli.common.proposal import told
@@ -93,7 +93,7 @@ def command(
                 first = Chunk(read_recording(path)) if together else next(recording_chunks(path))
                 recording = first.recording
                 if not first.whole:
-                    found = calibrated(path, calibration, level=not uneven)
+                    found = calibrations_of_chunks(recording_chunks(path), calibration, level=not uneven)
                 elif calibration:
                     recording, found = drivers_from(calibration, recording)
                 else:

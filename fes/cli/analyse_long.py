@@ -13,60 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fes.analysis.pipeline import Analysis, analyse_chunks, calibrations_of
-from fes.calibration.recording import Found, drivers_from, labelled, load
+from fes.analysis.pipeline import Analysis, analyse_chunks
+from fes.calibration.recording import Found, labelled
 from fes.cli.common.exits import fresh_folder
 from fes.cli.common.show import doubts
 from fes.cli.common.table_file import TableFile, write_table
-from fes.estimation.foot.calibration import CalibrationError
 from fes.recording.chunks import ALWAYS_NS, NEVER_NS, Chunk, recording_chunks
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from fes.analysis.parameters.gait import ChunkedGait, GaitParameters
-    from fes.recording import Recording
 
 TABLES = ("strides", "phases", "events", "path", "parameters")
-
-
-def calibrated(path: Path, stored: Path | None, *, level: bool) -> Found:
-    """Calibrations for a long recording, of each sensor from the first piece that shows it; reads all of the file.
-
-    Raises:
-        RecordingError: a piece of the file cannot be used.
-        CalibrationError: no piece showed any sensor.
-    """
-    found: Found | None = None
-    failed: CalibrationError | None = None
-    for piece in recording_chunks(path):
-        if found is not None and (stored or not found.missing):
-            continue  # what is wrong with the rest of the file is told before anything is written
-        try:
-            new = (
-                drivers_from(stored, piece.recording)
-                if stored
-                else calibrations_of(_named(piece.recording, found), level=level)
-            )[1]
-        except CalibrationError as error:
-            failed = failed or error
-            if stored:
-                raise
-            continue
-        found = new if found is None else _both(found, new)
-    if found is None:
-        raise failed or CalibrationError(f"{path}: it holds no samples.")
-    return replace(found, sides=load(stored).sides) if stored else found
-
-
-def _both(first: Found, later: Found) -> Found:
-    calibrations = {**later.calibrations, **first.calibrations}
-    missing = {sensor: why for sensor, why in first.missing.items() if sensor not in calibrations}
-    return replace(first, calibrations=calibrations, missing=missing)
-
-
-def _named(recording: Recording, found: Found | None) -> Recording:
-    return recording if found is None else labelled(recording, found.sides)
 
 
 def analyse_long(path: Path, found: Found, out: Path, kind: str, *, level: bool, as_json: bool, report: bool) -> None:

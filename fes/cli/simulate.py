@@ -9,10 +9,8 @@ import json
 import os
 import select
 import time
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -29,7 +27,7 @@ from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.live.inputs import Terminal, standard_keys
 from fes.session_log import Note, SessionLogError
-from fes.signals import NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction
+from fes.signals import NS_PER_S, Event, ImuSample
 from fes.simulation.bundled import bundled_file
 from fes.simulation.forward import PatientSettings
 from fes.simulation.forward.gait_patterns import PATTERNS
@@ -305,19 +303,11 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
         for event in patient_events(walker, None, options.seconds, samples.append):
             after(event)
         return
-    from drivers.simulated.stimulator.in_process import InProcessStimulator
-    from fes import __version__
     from fes.calibration.recording import calibrate_drivers
     from fes.config import ConfigError, load_session
-    from fes.control.controller import Controller
-    from fes.control.replay import identity, log_header, session_for
-    from fes.control.runner import Runner
-    from fes.control.sources import armed_after, with_ticks
-    from fes.estimation.foot.calibration import CalibrationError
-    from fes.estimation.sensor_choice import shank_phase_sensors
+    from fes.control.replay import session_for
     from fes.estimation.warm_up import warm_up
-    from fes.gate import gate_of
-    from fes.hil.closed_loop.one_process import ListenedLog
+    from fes.hil.closed_loop.one_process import walk_stimulated
     from fes.report.quality import Notice
     from fes.simulation.forward.closed_loop import calibration_walk
 
@@ -330,35 +320,22 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
     except (ConfigError, CalibrationError) as error:
         fail(error)
     warm_up()
-    numbers = identity(f"{__version__}{walker.settings!r}", session)
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    named = replace(walk, name=options.name)
-    header = log_header(named, "", session, found, numbers.session_id, created) | {"kind": "simulated"}
     notes: list[Note] = []
-    log = ListenedLog(options.out / f"{options.name}{LOG_SUFFIX}", header, notes.append)
-    stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
-    ended = "interrupted"
+    log, named = options.out / f"{options.name}{LOG_SUFFIX}", replace(walk, name=options.name)
     try:
-        handshake = stimulator.start(0)
-        gate = gate_of(session, {sensor: each.up for sensor, each in found.items()}, shank_phase_sensors(found))
-        runner = Runner(Controller(session, found), gate, stimulator, log, lambda: 0)
-        for frame in handshake.frames:
-            log.frame(frame)
-        for alive in handshake.alive:
-            runner.handle(alive)
-        events = _to_the_end(walker, patient_events(walker, stimulator, options.seconds, samples.append))
-        runner.run(armed_after(with_ticks(events), 0.5, session.stimulation.intensity), after)
-        ended = "complete"
+        walk_stimulated(
+            walker,
+            session,
+            named,
+            found,
+            options.seconds,
+            log,
+            on_sample=samples.append,
+            on_note=notes.append,
+            after=after,
+        )
     finally:
-        stimulator.close()
-        log.close({"ended": ended})
         tell_latched(Notice(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
-
-
-def _to_the_end(walker: Any, events: Iterator[Event]) -> Iterator[Event]:
-    """All of them, and switched off at the end as by hand: the silence after it is no sensor that was lost."""
-    yield from events
-    yield OperatorAct(walker.now_ns, OperatorAction.DISARM)
 
 
 def _make_way(folder: Path, options: Options) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,17 +13,19 @@ from drivers.simulated.stimulator.in_process import InProcessStimulator
 from fes import __version__
 from fes.config import Session
 from fes.control.controller import Controller
-from fes.control.replay import LOG_FORMAT, identity
+from fes.control.replay import LOG_FORMAT, identity, log_header
 from fes.control.runner import Runner
-from fes.control.sources import with_ticks
+from fes.control.sources import armed_after, with_ticks
 from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
 from fes.gate import gate_of
 from fes.hil.closed_loop.processes import Happening, Protocol
+from fes.recording import Recording
 from fes.session_log import Note, SessionWriter
 from fes.signals import NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction, Vector3
 from fes.simulation.forward import PatientSettings, VirtualPatient, VirtualStride
 from fes.simulation.forward.closed_loop import PulseSource, do_to, patient_events
 
+ARMED_AFTER_S: Final = 0.5
 _ACTS = {
     "arm": OperatorAction.ARM,
     "freeze_tuning": OperatorAction.FREEZE_TUNING,
@@ -93,7 +96,33 @@ def run_in_one_process(
 
     controller = Controller(session, calibrations)
     try:
-        handshake = stimulator.start(0)
+        events = with_ticks(_events(patient, stimulator, session, course))
+        run_loop(controller, session, calibrations, stimulator, log, events, see)
+        ended = "complete"
+    finally:
+        log.close({"ended": ended, "dose": controller.tuning.ledger.to_dict()})
+    return patient
+
+
+def run_loop(
+    controller: Controller,
+    session: Session,
+    calibrations: Mapping[str, Calibration],
+    stimulator: InProcessStimulator,
+    log: SessionWriter,
+    events: Iterable[Event],
+    after: Callable[[Event], None] = lambda event: None,
+    begin_ns: int = 0,
+) -> None:
+    """Open the session with a simulated stimulator at ``begin_ns``, put all events through the loop, and close it.
+
+    ``after`` is called after every event; it may raise to end the run. The log is left open.
+
+    Raises:
+        SessionLogError: the log cannot be written.
+    """
+    try:
+        handshake = stimulator.start(begin_ns)
         gate = gate_of(
             session, {sensor: each.up for sensor, each in calibrations.items()}, shank_phase_sensors(calibrations)
         )
@@ -102,12 +131,57 @@ def run_in_one_process(
             log.frame(frame)
         for alive in handshake.alive:
             runner.handle(alive)
-        runner.run(with_ticks(_events(patient, stimulator, session, course)), see)
-        ended = "complete"
+        runner.run(events, after)
     finally:
         stimulator.close()
-        log.close({"ended": ended, "dose": controller.tuning.ledger.to_dict()})
-    return patient
+
+
+def walk_stimulated(
+    patient: VirtualPatient,
+    session: Session,
+    walk: Recording,
+    calibrations: Mapping[str, Calibration],
+    seconds: float,
+    log_path: Path,
+    *,
+    on_sample: Callable[[ImuSample], None],
+    on_note: Callable[[Note], None] = lambda note: None,
+    after: Callable[[Event], None] = lambda event: None,
+) -> None:
+    """Let a patient walk for ``seconds``, armed after half a second, stimulated by the controller in closed loop.
+
+    Args:
+        patient: who walks; knows its strides afterwards.
+        session: the controller's settings.
+        walk: the walk that the sensors were calibrated on; its name and sensors go into the log.
+        calibrations: by sensor.
+        seconds: how long.
+        log_path: of the session log, which must not be there.
+        on_sample: given every sample.
+        on_note: given every remark in the log.
+        after: called after every event; may raise to end the run.
+
+    Raises:
+        SessionLogError: the log cannot be written.
+    """
+    numbers = identity(f"{__version__}{patient.settings!r}", session)
+    created = datetime.now(UTC).isoformat(timespec="seconds")
+    header = log_header(walk, "", session, calibrations, numbers.session_id, created) | {"kind": "simulated"}
+    log = ListenedLog(log_path, header, on_note)
+    stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
+    ended = "interrupted"
+
+    def walked() -> Iterator[Event]:
+        yield from patient_events(patient, stimulator, seconds, on_sample)
+        # switched off at the end as by hand: the silence after it is no sensor that was lost
+        yield OperatorAct(patient.now_ns, OperatorAction.DISARM)
+
+    try:
+        events = armed_after(with_ticks(walked()), ARMED_AFTER_S, session.stimulation.intensity)
+        run_loop(Controller(session, calibrations), session, calibrations, stimulator, log, events, after)
+        ended = "complete"
+    finally:
+        log.close({"ended": ended})
 
 
 def _events(patient: VirtualPatient, pulses: PulseSource, session: Session, course: Protocol) -> Iterator[Event]:
