@@ -20,7 +20,7 @@ from rich.console import Console
 from stroke_treadmill import data_folder
 
 from fes.estimation.orientation.body import OrientationPath, smooth_orientation, track_orientation
-from fes.estimation.zupt.detectors import at_rest, calibrate_zero_velocity
+from fes.estimation.zupt.thresholds import calibrate_zero_velocity, detect_zero_velocity
 
 RANGE_DPS = 1000.0
 FILTERS: dict[str, Callable[..., OrientationPath]] = {"causal": track_orientation, "off-line": smooth_orientation}
@@ -61,7 +61,7 @@ def main() -> int:
         errors = {}
         for foot in feet:
             rest = calibrate_zero_velocity(foot.acc_mps2, foot.gyr_radps, foot.rate_hz)
-            still = at_rest(rest, foot.acc_mps2, foot.gyr_radps, foot.rate_hz, causal=name == "causal")
+            still = detect_zero_velocity(rest, foot.acc_mps2, foot.gyr_radps, foot.rate_hz, causal=name == "causal")
             path = follow(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, at_rest=still)
             errors[foot.name] = foot.score(upward(path.quaternion))
         each = ", ".join(f"{foot} {error:.2f}°" for foot, error in errors.items())

@@ -1,7 +1,7 @@
 """What the arithmetic alone costs: the filters of an analysis in bare compiled loops over the whole recording.
 
-The live core sample by sample; and of the ZUPT-aided filter the samples gathered into steps, and twice, for path and
-stride lengths, forwards and smoothed. Reading, events, strides and all bookkeeping are left out.
+The live core sample by sample; and of the ZUPT-aided filter the samples gathered into intervals, and twice, for path
+and stride lengths, forwards and smoothed. Reading, events, strides and all bookkeeping are left out.
 """
 
 from __future__ import annotations
@@ -17,18 +17,11 @@ from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.numerics.jit import jit
 from fes.estimation.sensor_choice import Calibration
-from fes.estimation.zupt.decimated_filter import (
-    MOVING_NS,
-    RESTING_NS,
-    forward_steps,
-    gather,
-    new_step_tape,
-    step_ends,
-    steps_of,
-)
-from fes.estimation.zupt.detectors import at_rest, calibrate_zero_velocity
-from fes.estimation.zupt.filter import ZuptSettings
-from fes.estimation.zupt.smoother import smooth_steps
+from fes.estimation.zupt.decimation import MOVING_NS, RESTING_NS, gather, gather_intervals, interval_ends
+from fes.estimation.zupt.filter import filter_intervals, new_tape
+from fes.estimation.zupt.settings import ZuptSettings
+from fes.estimation.zupt.smoother import smooth_intervals
+from fes.estimation.zupt.thresholds import calibrate_zero_velocity, detect_zero_velocity
 from fes.recording import Recording
 from fes.recording.samples import increasing
 
@@ -55,7 +48,7 @@ def bare_seconds(recording: Recording, calibrations: Mapping[str, Calibration], 
         track = recording.tracks[sensor]
         newer = increasing(track)
         data = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
-        rest = at_rest(calibrate_zero_velocity(*data[1:], track.rate_hz), *data[1:], track.rate_hz)
+        rest = detect_zero_velocity(calibrate_zero_velocity(*data[1:], track.rate_hz), *data[1:], track.rate_hz)
         total += min(_once(calibration, *data, rest) for _ in range(repeats + 1))
     return total
 
@@ -63,15 +56,15 @@ def bare_seconds(recording: Recording, calibrations: Mapping[str, Calibration], 
 def _once(calibration: FootCalibration, t_ns: Any, acc: Any, gyr: Any, rest: Any) -> float:
     state, settings, noise = np.zeros(1, kernel.STATE)[0], OrientationSettings(), ZuptSettings()
     trace, none, lever, bias = np.zeros((len(t_ns), 4)), np.zeros(len(t_ns)), np.zeros(3), np.zeros(3)
-    steps = steps_of(t_ns, acc, gyr, none, none, rest, (0.0, 0.0, 0.0))
-    tape = new_step_tape(len(steps.ends), int(np.count_nonzero(rest[steps.ends])))
+    intervals = gather_intervals(t_ns, acc, gyr, none, none, rest, (0.0, 0.0, 0.0))
+    tape = new_tape(len(intervals.ends), int(np.count_nonzero(rest[intervals.ends])))
     ends = np.empty(len(t_ns), np.int64)
     kernel.start(state, int(t_ns[0]), *acc[0].tolist(), settings)
     begin = time.process_time()
     _follow(state, calibration.parameters(), calibration.thresholds(), settings, t_ns, acc, gyr, trace, AFTER)
-    step_ends(t_ns, rest, MOVING_NS, RESTING_NS, ends)
-    gather(t_ns, acc, gyr, none, none, 0.0, 0.0, 0.0, noise, steps)
+    interval_ends(t_ns, rest, MOVING_NS, RESTING_NS, ends)
+    gather(t_ns, acc, gyr, none, none, 0.0, 0.0, 0.0, noise, intervals)
     for level in (False, True):
-        forward_steps(t_ns, gyr, rest, steps, acc[0], lever, bias, level, noise, tape)
-        smooth_steps(t_ns, steps.ends, bool(rest[0]), noise, tape)
+        filter_intervals(t_ns, gyr, rest, intervals, acc[0], lever, bias, level, noise, tape)
+        smooth_intervals(t_ns, intervals.ends, bool(rest[0]), noise, tape)
     return time.process_time() - begin

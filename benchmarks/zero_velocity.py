@@ -19,9 +19,11 @@ from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import data_folder
 from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
+from zupt_reference import ZuptPath, zupt_path
 
-from fes.estimation.zupt.detectors import Detector, at_rest, calibrate_zero_velocity
-from fes.estimation.zupt.per_sample import ZuptPath, stance_instants, zupt_path
+from fes.estimation.zupt.detectors import Detector, rate_energy
+from fes.estimation.zupt.stances import stance_instants
+from fes.estimation.zupt.thresholds import calibrate_zero_velocity, detect_zero_velocity
 from fes.recording import Track
 from fes.signals import FloatArray
 
@@ -96,7 +98,7 @@ def evaluate_detector(
         calibration = calibrate_zero_velocity(
             track.acc_mps2, track.gyr_radps, track.rate_hz, detector=detector, use_standing=use_standing
         )
-        said = at_rest(calibration, track.acc_mps2, track.gyr_radps, track.rate_hz, causal=causal)
+        said = detect_zero_velocity(calibration, track.acc_mps2, track.gyr_radps, track.rate_hz, causal=causal)
         rows.append(scores(walk.speed_mps[known] < limit_mps, said[known]))
     f1, precision, recall = np.mean(rows, axis=0).tolist()
     source = "standing second" if use_standing else "quiet stretches"
@@ -131,7 +133,7 @@ def evaluate_speed(feet: list[tuple[str, Track, float]], *, smoothed: bool) -> S
     for _, track, belt_mps in feet:
         path = path_of(track, smoothed=smoothed, last_s=LAST_S + 10.0)
         gyr = track.gyr_radps[len(track.t_ns) - len(path.t_ns) :]
-        stance_ns = path.t_ns[stance_instants(path.rest, gyr, track.rate_hz)]
+        stance_ns = path.t_ns[stance_instants(path.rest, rate_energy(gyr, track.rate_hz), track.rate_hz)]
         stance_ns = stance_ns[stance_ns >= path.t_ns[-1] - round(1e9 * LAST_S)]
         way_m = float(path.stride_lengths(stance_ns[:-1], stance_ns[1:]).sum())
         ratios.append(way_m / (1e-9 * float(stance_ns[-1] - stance_ns[0])) / belt_mps)
@@ -142,7 +144,7 @@ def evaluate_speed(feet: list[tuple[str, Track, float]], *, smoothed: bool) -> S
 
 def evaluate_loop(track: Track, *, smoothed: bool) -> LoopResult:
     path = path_of(track, smoothed=smoothed)
-    stance_ns = path.t_ns[stance_instants(path.rest, track.gyr_radps, track.rate_hz)]
+    stance_ns = path.t_ns[stance_instants(path.rest, rate_energy(track.gyr_radps, track.rate_hz), track.rate_hz)]
     way_m = float(path.stride_lengths(stance_ns[:-1], stance_ns[1:]).sum())
     gap = path.position_m[-1] - path.position_m[0]
     return LoopResult(smoothed, way_m, float(np.hypot(gap[0], gap[1])), float(gap[2]))

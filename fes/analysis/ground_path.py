@@ -15,8 +15,9 @@ import numpy as np
 
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.numerics.ranks import median
-from fes.estimation.zupt.filter import ZuptSettings
-from fes.estimation.zupt.foot_trajectory import FootSamples, bend_ahead, foot_samples, over_ground, slopes
+from fes.estimation.zupt.foot_trajectory import FootSamples, foot_samples
+from fes.estimation.zupt.settings import ZuptSettings
+from fes.estimation.zupt.trajectory import bend_ahead, over_ground, slopes
 from fes.recording import Track
 from fes.signals import FloatArray, IntArray
 
@@ -103,16 +104,16 @@ def ground_path(
             foot = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
         except ValueError as error:
             raise ValueError(f"{track.sensor}: {error}") from error
-    way = foot.way(SETTINGS, level=level)
+    trajectory = foot.trajectory(SETTINGS, level=level)
     t_ns, stances = foot.t_ns, foot.stances()
     step = max(round(foot.rate_hz / KEPT_HZ), 1)
     kept = np.append(t_ns[:-1:step], t_ns[-1])
     stance_ns, position, heading = t_ns[stances], np.empty((len(kept), 3)), np.empty(len(kept))
-    room = np.empty(len(way.t_ns)), np.empty(len(stances))
-    over_ground(*way, calibration.forward(), stance_ns, kept, *room, position, heading)
+    room = np.empty(len(trajectory.t_ns)), np.empty(len(stances))
+    over_ground(*trajectory, calibration.forward(), stance_ns, kept, *room, position, heading)
     if not (np.isfinite(position).all() and np.isfinite(heading).all()):
         raise ValueError("the path comes out as no number; check the units")  # else the other foot's would, by together
-    x, y, _ = np.diff(way.at(stance_ns), axis=0).T
+    x, y, _ = np.diff(trajectory.positions_at(stance_ns), axis=0).T
     return GroundPath(calibration.sensor, kept, position, heading, float(np.hypot(x, y).sum()), stance_ns)
 
 

@@ -20,8 +20,8 @@ import numpy as np
 
 from fes.estimation.strides.integration import SOLVED
 from fes.estimation.strides.results import Rows
-from fes.estimation.zupt.filter import ZuptSettings
 from fes.estimation.zupt.foot_trajectory import FootSamples, foot_samples
+from fes.estimation.zupt.settings import ZuptSettings
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
 
 # A path that is to close its loops trusts its rests less. The creep is chosen for the mean: 2 mm/s there and 8 mm/s
@@ -66,8 +66,8 @@ def lengths_along(foot: FootSamples, begin_ns: IntArray, end_ns: IntArray) -> Fl
     lengths = np.full(len(begin), math.nan)
     inside = (begin >= foot.t_ns[0]) & (end <= foot.t_ns[-1]) & (begin < end) & (end - begin < LONGEST_S * NS_PER_S)
     if inside.any():
-        way = foot.way(SETTINGS, level=False)
-        x, y, _ = (way.at(end[inside]) - way.at(begin[inside])).T
+        path = foot.trajectory(SETTINGS, level=False)
+        x, y, _ = (path.positions_at(end[inside]) - path.positions_at(begin[inside])).T
         lengths[inside] = np.hypot(x, y)
     return lengths
 

@@ -21,8 +21,8 @@ from fes.calibration.foot_track import calibrate_track
 from fes.cli.main import main
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
-from fes.estimation.zupt import foot_trajectory as foot_way
-from fes.estimation.zupt.filter import ZuptSettings
+from fes.estimation.zupt import foot_trajectory
+from fes.estimation.zupt.settings import ZuptSettings
 from fes.recording import Recording, Track, read_recording
 from fes.report.figures.space import same_scale
 from fes.signals import G_MPS2, FloatArray
@@ -98,11 +98,11 @@ def test_a_square_ends_where_it_began(side: float) -> None:
 
 def test_cutting_a_long_recording_changes_little(monkeypatch: pytest.MonkeyPatch, square, calibration) -> None:
     whole = ground_path(square, calibration)
-    monkeypatch.setattr(foot_way, "STRETCH_S", 8.0)
-    monkeypatch.setattr(foot_way, "SEARCH_S", 3.0)
+    monkeypatch.setattr(foot_trajectory, "STRETCH_S", 8.0)
+    monkeypatch.setattr(foot_trajectory, "SEARCH_S", 3.0)
     calls = []
-    inner = foot_way.steps_of
-    monkeypatch.setattr(foot_way, "steps_of", lambda *a: calls.append(len(a[0])) or inner(*a))
+    inner = foot_trajectory.gather_intervals
+    monkeypatch.setattr(foot_trajectory, "gather_intervals", lambda *a, **b: calls.append(len(a[0])) or inner(*a, **b))
     cut = ground_path(square, calibration)
     assert len(calls) >= 3
     assert max(calls) < 12 * RATE_HZ
@@ -217,15 +217,15 @@ def test_a_path_of_no_numbers_is_none_and_spares_the_other_foots(monkeypatch: py
     """What two feet do not share is taken off both, so that one without numbers would leave the other without any."""
     recording, calibrations = calibrated(read_recording(TRIALS / "both_feet_100hz.parquet"))
     alone = analyse(replace(recording, tracks={"right_foot": recording.tracks["right_foot"]}), calibrations)
-    left, way = recording.tracks["left_foot"], foot_way.FootSamples.way
+    left, way = recording.tracks["left_foot"], foot_trajectory.FootSamples.trajectory
 
-    def broken(foot: foot_way.FootSamples, settings: ZuptSettings, *, level: bool) -> foot_way.Way:
+    def broken(foot: foot_trajectory.FootSamples, settings: ZuptSettings, *, level: bool) -> foot_trajectory.Trajectory:
         found = way(foot, settings, level=level)
         if np.array_equal(foot.acc_mps2, left.acc_mps2):
             found.position_m[-3:] = math.nan
         return found
 
-    monkeypatch.setattr(foot_way.FootSamples, "way", broken)
+    monkeypatch.setattr(foot_trajectory.FootSamples, "trajectory", broken)
     result = analyse(recording, calibrations)
     assert result.no_path == {"left_foot": "left_foot: the path comes out as no number; check the units"}
     assert np.array_equal(result.paths["right_foot"].position_m, alone.paths["right_foot"].position_m)

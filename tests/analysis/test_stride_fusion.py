@@ -14,7 +14,7 @@ from fes.analysis.stride_fusion import fused, path_lengths
 from fes.calibration.foot_track import calibrate_track
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
-from fes.estimation.zupt import foot_trajectory as foot_way
+from fes.estimation.zupt import foot_trajectory
 from fes.recording import Track, read_recording
 from fes.signals import StrideResult
 from fes.simulation.truth import load_truth
@@ -92,8 +92,8 @@ def test_samples_that_are_of_no_use_do_not_count(track: Track, strides: list[Str
 
 def test_stretches_do_not_show(track: Track, strides: list[StrideResult], monkeypatch: pytest.MonkeyPatch) -> None:
     whole = lengths_of(strides, track)
-    monkeypatch.setattr(foot_way, "STRETCH_S", 25.0)
-    monkeypatch.setattr(foot_way, "SEARCH_S", 4.0)
+    monkeypatch.setattr(foot_trajectory, "STRETCH_S", 25.0)
+    monkeypatch.setattr(foot_trajectory, "SEARCH_S", 4.0)
     cut = lengths_of(strides, track)
     assert np.isfinite(whole).sum() > 40
     assert np.nanmedian(np.abs(cut - whole)) < 0.005

@@ -11,10 +11,19 @@ import pytest
 from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.rotation import foot_axes, quaternions_of, rotate_all, up_in_sensor
 from fes.estimation.strides.integration import height_and_turn, stride_shape
-from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, carry_one, predict, update, update_velocity
+from fes.estimation.zupt.covariance import STATES, WIDTH, update, update_velocity
 from fes.estimation.zupt.detectors import least_spread, stillest
-from fes.estimation.zupt.foot_trajectory import angle_of, bend, headings, keep, look_ahead, slopes, without_turns
-from fes.estimation.zupt.smoother import path_at, turn_path
+from fes.estimation.zupt.trajectory import (
+    bend,
+    fast_atan2,
+    headings,
+    point_ahead,
+    positions_at,
+    remove_false_turns,
+    resample,
+    slopes,
+    turn_path,
+)
 from fes.recording.kernels import into_rows, spreads
 
 RNG = np.random.default_rng(11)
@@ -61,28 +70,6 @@ def test_the_greatest_size_of_three_columns(kind: type[np.floating[Any]]) -> Non
         holed[axis, 20] = odd
         assert into_rows(*holed, out) == math.inf  # whatever follows
         assert np.array_equal(out, holed.T, equal_nan=True)
-
-
-def test_prediction_and_measurement_are_those_of_matrices() -> None:
-    half = RNG.normal(0.0, 1.0, (STATES, STATES))
-    dense = half @ half.T
-    flat = np.ascontiguousarray(np.pad(dense, ((0, 0), (0, 1)))).ravel()
-    rotation, force, dt = np.linalg.qr(RNG.normal(0.0, 1.0, (3, 3)))[0].copy(), RNG.normal(0.0, 5.0, 3), 0.01
-    phi = np.eye(STATES)
-    for column in phi:
-        carry_one(column, column, rotation, force, dt)
-    phi = phi.T
-    predict(flat, np.empty(BIASES * WIDTH), rotation, force, dt)
-    wanted = phi @ dense @ phi.T
-    assert flat.reshape(STATES, WIDTH)[:, :STATES] == pytest.approx(wanted, rel=1e-10, abs=1e-12)
-    state, gain = np.zeros(STATES), np.empty(WIDTH)
-    variance = update(flat, state, 4, 0.5, 0.2, np.empty(WIDTH), gain)
-    assert variance == pytest.approx(wanted[4, 4] + 0.2)
-    assert state == pytest.approx(0.5 * wanted[:, 4] / variance)
-    after = flat.reshape(STATES, WIDTH)
-    assert after[:, :STATES] == pytest.approx(wanted - np.outer(wanted[4], wanted[4]) / variance, abs=1e-10)
-    assert np.array_equal(after[:, :STATES], after[:, :STATES].T)
-    assert not after[:, STATES].any()
 
 
 def test_a_velocity_measured_at_once_is_as_one_axis_after_the_other() -> None:
@@ -155,7 +142,7 @@ def test_a_toe_that_points_straight_up_keeps_its_heading() -> None:
 
 def test_angles_are_those_of_atan2() -> None:
     around = np.concatenate((np.linspace(-math.pi, math.pi, 201), np.linspace(-0.13, 0.13, 201)))
-    found = [angle_of(3.0 * math.sin(angle), 3.0 * math.cos(angle)) for angle in around.tolist()]
+    found = [fast_atan2(3.0 * math.sin(angle), 3.0 * math.cos(angle)) for angle in around.tolist()]
     assert found == pytest.approx(around, rel=1e-15, abs=1e-15)
 
 
@@ -164,7 +151,7 @@ def test_false_turns_between_stances_go() -> None:
     stance_ns = t_ns[10::20] + 3_000_000
     heading = np.cumsum(RNG.uniform(-0.2, 0.2, 200))
     found = heading.copy()
-    without_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
+    remove_false_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
     assert np.array_equal(found, heading)
     middles = (stance_ns[1:] + stance_ns[:-1]) // 2
     wrong = heading + 2.0 * math.pi * (
@@ -175,7 +162,7 @@ def test_false_turns_between_stances_go() -> None:
     off = np.unwrap(at_stance) - at_stance
     assert np.rint(off / (2.0 * math.pi)).tolist() == [0.0] * 4 + [-1.0] * 3 + [1.0] * 3
     found = wrong.copy()
-    without_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
+    remove_false_turns(t_ns, found, stance_ns, np.empty(len(stance_ns)))
     assert found == pytest.approx(wrong + off[np.searchsorted(middles, t_ns, side="right")], abs=1e-12)
 
 
@@ -185,14 +172,14 @@ def test_what_is_kept_of_a_way_lies_on_it() -> None:
     kept_ns = np.concatenate((t_ns[:1] - 10**8, t_ns[[0, 7]], np.sort(RNG.integers(t_ns[7], t_ns[-1], 90)), t_ns[-1:]))
     kept_ns = np.append(kept_ns, t_ns[-1] + 10**8)
     position, heading, wanted = np.empty((len(kept_ns), 3)), np.empty(len(kept_ns)), np.empty((len(kept_ns), 3))
-    keep(t_ns, place, velocity, facing, kept_ns, position, heading)
-    path_at(t_ns, place, velocity, kept_ns, wanted)
+    resample(t_ns, place, velocity, facing, kept_ns, position, heading)
+    positions_at(t_ns, place, velocity, kept_ns, wanted)
     assert position == pytest.approx(wanted, abs=1e-13)
     assert position[[0, 1, 2, -1]] == pytest.approx(place[[0, 0, 7, -1]], abs=1e-15)
     since, known = ((t - t_ns[0]).astype(np.float64) for t in (kept_ns, t_ns))
     assert heading == pytest.approx(np.interp(since, known, facing), abs=1e-13)
     order, back = RNG.permutation(len(kept_ns)), np.empty((len(kept_ns), 3))
-    path_at(t_ns, place, velocity, kept_ns[order], back)
+    positions_at(t_ns, place, velocity, kept_ns[order], back)
     assert np.array_equal(back, wanted[order])
 
 
@@ -204,7 +191,7 @@ def test_x_points_to_where_a_path_is_two_metres_away_or_farthest(reach_m: float,
     heading = np.full(64, 7.0)
     far = math.atan2(place[at, 1], place[at, 0])
     turned, facing = place.copy(), heading.copy()
-    look_ahead(turned, facing)
+    point_ahead(turned, facing)
     assert turned[at] == pytest.approx([math.hypot(*place[at, :2]), 0.0, at], abs=1e-12)
     assert np.hypot(*turned[:, :2].T) == pytest.approx(np.hypot(*place[:, :2].T))
     assert facing == pytest.approx(np.full(64, math.remainder(7.0 - far, 2.0 * math.pi)))

@@ -1,4 +1,4 @@
-"""The ZUPT-aided filter: analytic walks, its smoother against Rauch, Tung, Striebel, covariance, causality."""
+"""The ZUPT-aided filter's reference: analytic walks, smoothed as Rauch, Tung, Striebel, covariance, causality."""
 
 from __future__ import annotations
 
@@ -7,20 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from zupt_reference import Tape, ZuptPath, add_noise, carry_one, forward, new_tape, predict, smooth, zupt_path
 
-from fes.estimation.zupt.covariance import STATES, WIDTH, carry_one
-from fes.estimation.zupt.detectors import Detector, ZeroVelocityThresholds
-from fes.estimation.zupt.filter import Tape, ZuptSettings, add_noise, forward, new_tape
-from fes.estimation.zupt.per_sample import (
-    BoolArray,
-    ZuptPath,
-    clipped_sd,
-    stance_instants,
-    stride_time_s,
-    with_quietest,
-    zupt_path,
-)
-from fes.estimation.zupt.smoother import smooth
+from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, update
+from fes.estimation.zupt.detectors import Detector, rate_energy
+from fes.estimation.zupt.foot_trajectory import clipped_sd
+from fes.estimation.zupt.settings import ZuptSettings
+from fes.estimation.zupt.stances import BoolArray, stance_instants, stride_time_s, with_missed_stances
+from fes.estimation.zupt.thresholds import ZeroVelocityThresholds
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray
 from fes.simulation.truth import load_truth
@@ -307,12 +301,13 @@ def test_quietest_instants_fill_what_the_detector_missed() -> None:
     t = np.arange(2000) / rate_hz
     gyr = np.column_stack((0.0 * t, 1.2 + 4.0 * np.sin(math.pi * t) ** 2, 0.0 * t))  # stride 1 s, never at rest
     assert stride_time_s(gyr, rate_hz) == pytest.approx(1.0, abs=0.03)
-    filled = with_quietest(np.zeros(2000, bool), gyr, rate_hz)
-    k = stance_instants(filled, gyr, rate_hz)
+    filled = with_missed_stances(np.zeros(2000, bool), gyr, rate_hz, rate_energy(gyr, rate_hz))
+    k = stance_instants(filled, rate_energy(gyr, rate_hz), rate_hz)
     assert 16 <= len(k) <= 20
     assert np.abs(t[k] - np.rint(t[k])).max() < 0.05
     assert stride_time_s(np.random.default_rng(0).normal(0.0, 1.0, (2000, 3)), rate_hz) == 0.0
-    assert not with_quietest(np.zeros(300, bool), gyr[:300] * 0.0, rate_hz).any()
+    still = np.zeros((300, 3))
+    assert not with_missed_stances(np.zeros(300, bool), still, rate_hz, rate_energy(still, rate_hz)).any()
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 100.0, 204.8, 500.0])
@@ -321,7 +316,8 @@ def test_a_rate_that_stands_still_repeats_nothing(rate_hz: float) -> None:
     for held in np.random.default_rng(5).normal(0.0, 3.0, (30, 3)):
         gyr = np.tile(held, (round((20.0 + abs(held[0])) * rate_hz), 1))
         assert stride_time_s(gyr, rate_hz) == 0.0
-        assert not with_quietest(np.zeros(len(gyr), bool), gyr, rate_hz).any()
+        energy = rate_energy(gyr, rate_hz)
+        assert not with_missed_stances(np.zeros(len(gyr), bool), gyr, rate_hz, energy).any()
 
 
 def test_stance_instants_merge_what_is_close() -> None:
@@ -329,10 +325,10 @@ def test_stance_instants_merge_what_is_close() -> None:
     rest[20:60] = rest[65:80] = rest[150:200] = True
     gyr = np.full((300, 3), 1.0)
     gyr[70] = gyr[180] = 0.0
-    found = stance_instants(rest, gyr, 100.0)
+    found = stance_instants(rest, rate_energy(gyr, 100.0), 100.0)
     assert len(found) == 2
     assert np.abs(found - [70, 180]).max() <= 2
-    assert len(stance_instants(np.zeros(10, bool), gyr[:10], 100.0)) == 0
+    assert len(stance_instants(np.zeros(10, bool), np.ones(10), 100.0)) == 0
 
 
 def test_clipping_is_seen_with_and_without_a_stated_range() -> None:
@@ -367,3 +363,26 @@ def test_what_does_not_fit_is_refused() -> None:
     acc[7] = np.inf
     with pytest.raises(ValueError, match="finite"):
         zupt_path(t_ns, acc, gyr)
+
+
+def test_prediction_and_measurement_are_those_of_matrices() -> None:
+    rng = np.random.default_rng(3)
+    half = rng.normal(0.0, 1.0, (STATES, STATES))
+    dense = half @ half.T
+    flat = np.ascontiguousarray(np.pad(dense, ((0, 0), (0, 1)))).ravel()
+    rotation, force, dt = np.linalg.qr(rng.normal(0.0, 1.0, (3, 3)))[0].copy(), rng.normal(0.0, 5.0, 3), 0.01
+    phi = np.eye(STATES)
+    for column in phi:
+        carry_one(column, column, rotation, force, dt)
+    phi = phi.T
+    predict(flat, np.empty(BIASES * WIDTH), rotation, force, dt)
+    wanted = phi @ dense @ phi.T
+    assert flat.reshape(STATES, WIDTH)[:, :STATES] == pytest.approx(wanted, rel=1e-10, abs=1e-12)
+    state, gain = np.zeros(STATES), np.empty(WIDTH)
+    variance = update(flat, state, 4, 0.5, 0.2, np.empty(WIDTH), gain)
+    assert variance == pytest.approx(wanted[4, 4] + 0.2)
+    assert state == pytest.approx(0.5 * wanted[:, 4] / variance)
+    after = flat.reshape(STATES, WIDTH)
+    assert after[:, :STATES] == pytest.approx(wanted - np.outer(wanted[4], wanted[4]) / variance, abs=1e-10)
+    assert np.array_equal(after[:, :STATES], after[:, :STATES].T)
+    assert not after[:, STATES].any()

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from fes.estimation.zupt.thresholds import quietest_of_rests, rest_in_long_moves
+from fes.estimation.zupt.stances import mark_missed_stances, quietest_instants
 
 REST = st.integers(40, 200).flatmap(lambda n: arrays.arrays(np.bool_, n))
 
@@ -22,7 +22,7 @@ def spans_of(mask):
 def test_the_quietest_of_every_rest(rest, apart, seed):
     energy = np.random.default_rng(seed).integers(0, 9, len(rest)).astype(np.float64)
     out = np.empty(len(rest) // 2 + 1, np.int64)
-    found = out[: quietest_of_rests(rest, energy, float(apart), out)]
+    found = out[: quietest_instants(rest, energy, float(apart), out)]
     joined: list[list[int]] = []
     for begin, end in zip(*spans_of(rest), strict=True):
         if joined and begin - joined[-1][1] < apart:
@@ -46,5 +46,5 @@ def test_long_movements_are_split_at_their_quietest(rest, longest, seed):
             expected[quiet - half : quiet + half + 1] = True
             todo += [(begin, quiet - half), (quiet + half + 1, end)]
     found = rest.copy()
-    rest_in_long_moves(found, energy, float(longest), half, margin)
+    mark_missed_stances(found, energy, float(longest), half, margin)
     assert np.array_equal(found, expected)
