@@ -29,7 +29,7 @@ from fes.live.realtime import frozen_garbage
 from fes.live.sensors import SensorStream
 from fes.live.session import LiveSession, live_header
 from fes.live.stimulator import LiveStimulator, Opened
-from fes.session_log.buffer import RecordBuffer
+from fes.session_log.writer import RecordBuffer
 from fes.signals import FOOT_SENSORS, NS_PER_S, StimAlive, StimCommand, StimStatus, Vector3, WireFrame
 
 RATE_HZ = 500.0

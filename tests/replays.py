@@ -159,6 +159,6 @@ def one_sample_changed(change: Callable[[ImuSample], ImuSample], at_ns: int) -> 
         run = SampleRun()
         for sample in samples_of(memoryview(payload)):
             assert run.add(change(sample) if sample.t_ns == at_ns else sample)
-        return run.take()
+        return run.close()
 
     return changed

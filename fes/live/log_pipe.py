@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fes.session_log import SessionLogError
-from fes.session_log.buffer import RecordBuffer
-from fes.session_log.writer import create
+from fes.session_log.writer import RecordBuffer, create
 
 BUFFER_BYTES: Final = 1 << 20
 LATE_NS: Final = 500_000_000  # bytes that the writing process has had this long and not written

@@ -19,9 +19,9 @@ MAGIC: Final = b"\x89FESLOG\x01"  # the last byte is the format's version
 MAX_RECORD_BYTES: Final = 1 << 26
 BLOCK_BYTES: Final = 1 << 20  # read at a time
 
-_HEAD = struct.Struct("<IIB")
+HEAD = struct.Struct("<IIB")
 _FRONT = struct.Struct("<II")
-HEAD_BYTES: Final = _HEAD.size
+HEAD_BYTES: Final = HEAD.size
 
 
 class RecordType(IntEnum):
@@ -56,6 +56,29 @@ def framed(kind: int, payload: bytes | bytearray) -> bytes:
     return _FRONT.pack(len(body), zlib.crc32(body, len(body))) + body
 
 
+def unreadable(path: Path, error: OSError) -> SessionLogError:
+    """Why a file cannot be read at all."""
+    return SessionLogError(f"{path}: cannot be read: {error.strerror or error}. Name an existing session log.")
+
+
+def wrong_start(path: Path, start: bytes) -> SessionLogError:
+    """Why a file whose first bytes are not :data:`MAGIC` is no log that can be read."""
+    if start[:-1] == MAGIC[:-1] and len(start) == len(MAGIC):
+        return SessionLogError(
+            f"{path}: is a session log of format {start[-1]}, this fes reads format {MAGIC[-1]}; "
+            f"use the fes that wrote it"
+        )
+    if MAGIC.startswith(start):
+        return SessionLogError(
+            f"{path}: holds only {len(start)} bytes; the session stopped before anything was stored, so there is "
+            f"nothing to recover"
+        )
+    return SessionLogError(
+        f"{path}: is not a session log (it starts with {start!r}). "
+        f"A session log is what `fes run` or `fes replay` leaves."
+    )
+
+
 class LogScan:
     """One pass over a log's whole records, up to the first that is torn or damaged.
 
@@ -74,33 +97,15 @@ class LogScan:
             with self.path.open("rb", buffering=0) as file:
                 size = file.seek(0, 2)
                 file.seek(0)
-                self._check_magic(file.read(len(MAGIC)))
+                start = file.read(len(MAGIC))
+                if start != MAGIC:
+                    raise wrong_start(self.path, start)
                 yield from self._records(file, size)
         except OSError as error:
-            raise SessionLogError(
-                f"{self.path}: cannot be read: {error.strerror or error}. Name an existing session log."
-            ) from error
-
-    def _check_magic(self, start: bytes) -> None:
-        if start == MAGIC:
-            return
-        if start[:-1] == MAGIC[:-1] and len(start) == len(MAGIC):
-            raise SessionLogError(
-                f"{self.path}: is a session log of format {start[-1]}, this fes reads format {MAGIC[-1]}; "
-                f"use the fes that wrote it"
-            )
-        if MAGIC.startswith(start):
-            raise SessionLogError(
-                f"{self.path}: holds only {len(start)} bytes; the session stopped before anything was stored, so there "
-                f"is nothing to recover"
-            )
-        raise SessionLogError(
-            f"{self.path}: is not a session log (it starts with {start!r}). "
-            f"A session log is what `fes run` or `fes replay` leaves."
-        )
+            raise unreadable(self.path, error) from error
 
     def _records(self, file: BinaryIO, size: int) -> Iterator[tuple[int, memoryview]]:
-        unpack, crc32, known, head = _HEAD.unpack_from, zlib.crc32, _KNOWN, HEAD_BYTES
+        unpack, crc32, known, head = HEAD.unpack_from, zlib.crc32, _KNOWN, HEAD_BYTES
         at, block_at, block = len(MAGIC), len(MAGIC), memoryview(b"")
         while at < size:
             here, fault = at - block_at, ""

@@ -28,19 +28,9 @@ from fes.signals import Event, WireFrame
 TOGETHER = 10_000  # records that are decoded in one go
 
 _BAD_PAYLOAD = (struct.error, ValueError, KeyError, IndexError, TypeError, OverflowError)
-_SINGLE_INPUTS = frozenset(
-    (
-        RecordType.TICK,
-        RecordType.ACT,
-        RecordType.STATUS,
-        RecordType.ALIVE,
-        RecordType.STIM_OPENED,
-        RecordType.FOOT_SWITCH,
-        RecordType.SYSTEM_FAULT,
-        RecordType.RECEIVED,
-        RecordType.FRAME,
-    )
-)
+_RUNS = (RecordType.SAMPLES, RecordType.LATENCY, RecordType.TICK)
+_NO_INPUTS = frozenset((*_RUNS[:2], RecordType.HEADER, RecordType.SUMMARY, RecordType.COMMAND, RecordType.PHASE))
+_NO_INPUTS |= {RecordType.STRIDE, RecordType.NOTE}
 
 
 def read_session(path: Path, leave_out: frozenset[RecordType] = frozenset()) -> SessionRecord:
@@ -102,10 +92,8 @@ class _Gathered:
             RecordType.SYSTEM_FAULT: record.faults,
             RecordType.RECEIVED: record.received,
         }
-        runs = (RecordType.SAMPLES, RecordType.LATENCY, RecordType.TICK)
-        self._waiting: dict[int, list[memoryview]] = {
-            kind: [] for kind in (*self._singles, *runs) if kind not in leave_out
-        }
+        kinds = {*self._singles, *_RUNS} - leave_out
+        self._waiting: dict[int, list[memoryview]] = {kind: [] for kind in kinds}
         self._count = 0
         self._samples = SampleParts()
         self._latency_t_ns, self._latency_ns, self._ticks_ns = Growing(np.int64), Growing(np.int64), Growing(np.int64)
@@ -117,22 +105,22 @@ class _Gathered:
             waiting.append(payload)
             self._count += 1
             if self._count == TOGETHER:
-                self._take_all()
+                self._decode_waiting()
 
     def end(self) -> None:
         """All is there."""
-        self._take_all()
+        self._decode_waiting()
         self._record.samples = self._samples.arrays()
         self._record.latency_t_ns, self._record.latency_ns = self._latency_t_ns.whole(), self._latency_ns.whole()
         self._record.ticks_ns = self._ticks_ns.whole()
 
-    def _take_all(self) -> None:
+    def _decode_waiting(self) -> None:
         self._count = 0
         for kind, waiting in self._waiting.items():
-            self._take(kind, waiting)
+            self._decode(kind, waiting)
             waiting.clear()
 
-    def _take(self, kind: int, waiting: list[memoryview]) -> None:
+    def _decode(self, kind: int, waiting: list[memoryview]) -> None:
         if kind == RecordType.SAMPLES:
             self._samples.add(waiting)
         elif kind == RecordType.LATENCY:
@@ -170,7 +158,7 @@ def iter_inputs(path: Path) -> Iterator[Event | Received | WireFrame]:
         for kind, payload in records:
             if kind == RecordType.SAMPLES:
                 yield from samples_of(payload)
-            elif kind in _SINGLE_INPUTS:
+            elif kind not in _NO_INPUTS:
                 value = decode(kind, payload)
                 if isinstance(value, RareEvent | Received | WireFrame):
                     yield value

@@ -1,9 +1,8 @@
 """A damaged session log → a new one with every whole record, and what was lost.
 
-Finding every whole record of a damaged session log, in one pass that holds one record at a time.
-
-Behind damage the next record is looked for byte by byte: it is one where length, type and checksum fit and whose
-content can be decoded. By chance 32 bits of checksum fit once in 4 · 10⁹ places.
+The file is read in one pass that holds one record at a time. Behind damage the next record is looked for byte by byte:
+it is one where length, type and checksum fit and whose content can be decoded. By chance 32 bits of checksum fit once
+in 4 · 10⁹ places.
 """
 
 from __future__ import annotations
@@ -20,7 +19,17 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from fes.session_log.codec import Rare, decode, decode_json, encode, encode_json, latency_arrays, samples_of
-from fes.session_log.framing import HEAD_BYTES, MAGIC, MAX_RECORD_BYTES, RecordType, framed
+from fes.session_log.framing import (
+    BLOCK_BYTES,
+    HEAD,
+    HEAD_BYTES,
+    MAGIC,
+    MAX_RECORD_BYTES,
+    RecordType,
+    framed,
+    unreadable,
+    wrong_start,
+)
 from fes.session_log.record import Note, SessionLogError
 from fes.session_log.writer import create
 from fes.signals import StrideResult
@@ -28,8 +37,6 @@ from fes.signals import StrideResult
 LONGEST_RESYNC_BYTES: Final = 1 << 20  # of a record looked for behind damage; what is written stays far below
 ZEROS: Final = "zeros, as a file system leaves them after a power cut"
 
-_HEAD = struct.Struct("<IIB")
-_BLOCK_BYTES: Final = 1 << 20
 _CHECKED_PER_BYTE: Final = 64  # bytes summed for each byte searched, so that no file makes the search quadratic
 _BAD_CONTENT = (struct.error, ValueError, KeyError, IndexError, TypeError, RecursionError)
 _TYPES: Final[dict[str, tuple[type, ...]]] = {
@@ -40,6 +47,25 @@ _TYPES: Final[dict[str, tuple[type, ...]]] = {
     "bool": (bool,),
 }
 _KNOWN = np.isin(np.arange(256), [int(kind) for kind in RecordType])
+NAMES: Final = {
+    RecordType.HEADER: ("header", "headers"),
+    RecordType.SUMMARY: ("summary", "summaries"),
+    RecordType.SAMPLES: ("run of samples", "runs of samples"),
+    RecordType.TICK: ("tick", "ticks"),
+    RecordType.ACT: ("operator's act", "operator's acts"),
+    RecordType.STATUS: ("stimulator's answer", "stimulator's answers"),
+    RecordType.ALIVE: ("stimulator's heartbeat", "stimulator's heartbeats"),
+    RecordType.COMMAND: ("command", "commands"),
+    RecordType.FRAME: ("frame", "frames"),
+    RecordType.PHASE: ("phase change", "phase changes"),
+    RecordType.STRIDE: ("stride", "strides"),
+    RecordType.NOTE: ("note", "notes"),
+    RecordType.LATENCY: ("run of latencies", "runs of latencies"),
+    RecordType.STIM_OPENED: ("reopening of the stimulator", "reopenings of the stimulator"),
+    RecordType.FOOT_SWITCH: ("foot switch's event", "foot switch's events"),
+    RecordType.SYSTEM_FAULT: ("system fault", "system faults"),
+    RecordType.RECEIVED: ("stimulator's bytes", "stimulator's bytes"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,26 +106,24 @@ class _Refused:
     checked: bool = False  # the checksum was right
 
 
-def pieces(path: Path) -> Iterator[Whole | Damage]:
+def stretches(path: Path) -> Iterator[Whole | Damage]:
     """Yield what a session log consists of, without a byte left out, in the order of the file.
 
     Raises:
         SessionLogError: the file cannot be read or is no session log of this format.
     """
     try:
-        with Path(path).open("rb", buffering=_BLOCK_BYTES) as file:
+        with Path(path).open("rb", buffering=BLOCK_BYTES) as file:
             size = file.seek(0, 2)
             yield from _magic(Path(path), file, size)
             at = len(MAGIC)
             while at < size:
-                found = _record(file, at, size)
-                piece = _damage(file, at, size, found) if isinstance(found, _Refused) else found
-                yield piece
-                at += piece.size
+                record = _record(file, at, size)
+                stretch = _damage(file, at, size, record) if isinstance(record, _Refused) else record
+                yield stretch
+                at += stretch.size
     except OSError as error:
-        raise SessionLogError(
-            f"{path}: cannot be read: {error.strerror or error}. Name an existing session log."
-        ) from error
+        raise unreadable(path, error) from error
 
 
 def _magic(path: Path, file: BinaryIO, size: int) -> Iterator[Damage]:
@@ -108,22 +132,11 @@ def _magic(path: Path, file: BinaryIO, size: int) -> Iterator[Damage]:
     start = file.read(len(MAGIC))
     if start == MAGIC:
         return
-    if len(start) < len(MAGIC):
-        raise SessionLogError(
-            f"{path}: holds only {len(start)} bytes; the session stopped before anything was stored, so there is "
-            f"nothing to recover"
-        )
-    if start[:-1] == MAGIC[:-1]:
-        raise SessionLogError(
-            f"{path}: is a session log of format {start[-1]}, this fes reads format {MAGIC[-1]}; "
-            f"use the fes that wrote it"
-        )
+    if len(start) < len(MAGIC) or start[:-1] == MAGIC[:-1]:
+        raise wrong_start(path, start)
     first = _record(file, len(MAGIC), size)
     if isinstance(first, _Refused) or first.kind != RecordType.HEADER:
-        raise SessionLogError(
-            f"{path}: is not a session log (it starts with {start!r}). A session log is what `fes run` or `fes replay` "
-            f"leaves."
-        )
+        raise wrong_start(path, start)
     yield Damage(0, len(MAGIC), "the format's mark is damaged")
 
 
@@ -132,7 +145,7 @@ def _record(file: BinaryIO, at: int, size: int) -> Whole | _Refused:
     head = file.read(HEAD_BYTES)
     if len(head) < HEAD_BYTES:
         return _Refused("a record's first bytes only")
-    length, checksum, number = _HEAD.unpack(head)
+    length, checksum, number = HEAD.unpack(head)
     kind = RecordType(number) if _KNOWN[number] else None
     if not 0 < length <= MAX_RECORD_BYTES:
         return _Refused("no record starts there")
@@ -154,11 +167,9 @@ def _content(at: int, size: int, kind: RecordType, payload: memoryview) -> Whole
     """Decode a record whole, so that nobody who reads it later meets what it cannot read."""
     if kind in (RecordType.HEADER, RecordType.SUMMARY):
         return Whole(at, size, kind, payload, decode_json(payload))
-    if kind == RecordType.SAMPLES:
-        times = [sample.t_ns for sample in samples_of(payload)]
-        return Whole(at, size, kind, payload, None, len(times), min(times, default=None), max(times, default=None))
-    if kind == RecordType.LATENCY:
-        times = latency_arrays([payload])[0].tolist()
+    if kind in (RecordType.SAMPLES, RecordType.LATENCY):
+        samples = kind == RecordType.SAMPLES
+        times = [each.t_ns for each in samples_of(payload)] if samples else latency_arrays([payload])[0].tolist()
         return Whole(at, size, kind, payload, None, len(times), min(times, default=None), max(times, default=None))
     value = decode(kind, payload)
     if isinstance(value, StrideResult | Note):
@@ -181,28 +192,28 @@ def _check_types(value: StrideResult | Note) -> None:
 def _damage(file: BinaryIO, at: int, size: int, refused: _Refused) -> Damage:
     if refused.checked:  # its length is right as well
         return Damage(at, refused.end - at, refused.why, refused.kind)
-    found = _next_record(file, at + 1, size)
-    if _all_zero(file, at, found):
-        return Damage(at, found - at, ZEROS)
+    end = _next_record(file, at + 1, size)
+    if _all_zero(file, at, end):
+        return Damage(at, end - at, ZEROS)
     # the head is believed where the next record begins where it says, or where it was the last one
-    believed = refused.end == found or (refused.end > size and found == size)
-    return Damage(at, found - at, refused.why, refused.kind if believed else None)
+    believed = refused.end == end or (refused.end > size and end == size)
+    return Damage(at, end - at, refused.why, refused.kind if believed else None)
 
 
 def _next_record(file: BinaryIO, start: int, size: int) -> int:
     """Where the next whole record begins; ``size`` if there is none."""
-    allowed = _CHECKED_PER_BYTE * _BLOCK_BYTES
-    for begin in range(start, size, _BLOCK_BYTES):
+    allowed = _CHECKED_PER_BYTE * BLOCK_BYTES
+    for begin in range(start, size, BLOCK_BYTES):
         file.seek(begin)
-        block = np.frombuffer(file.read(_BLOCK_BYTES + HEAD_BYTES - 1), np.uint8)
+        block = np.frombuffer(file.read(BLOCK_BYTES + HEAD_BYTES - 1), np.uint8)
         if len(block) < HEAD_BYTES:
             break
         n = len(block) - HEAD_BYTES + 1
         low, middle, high, top = (block[i : i + n].astype(np.uint32) for i in range(4))
         length = low | middle << 8 | high << 16 | top << 24
-        likely = _KNOWN[block[8 : 8 + n]] & (length > 0) & (length <= LONGEST_RESYNC_BYTES)
-        likely &= begin + np.arange(n) + 8 + length <= size
-        for place in np.flatnonzero(likely).tolist():
+        possible = _KNOWN[block[8 : 8 + n]] & (length > 0) & (length <= LONGEST_RESYNC_BYTES)
+        possible &= begin + np.arange(n) + 8 + length <= size
+        for place in np.flatnonzero(possible).tolist():
             if length[place] > allowed:
                 continue
             allowed -= int(length[place])
@@ -216,33 +227,11 @@ def _all_zero(file: BinaryIO, begin: int, end: int) -> bool:
     file.seek(begin)
     left = end - begin
     while left:
-        block = file.read(min(left, _BLOCK_BYTES))
+        block = file.read(min(left, BLOCK_BYTES))
         if not block or block.count(0) != len(block):
             return False
         left -= len(block)
     return True
-
-
-NAMES: Final = {
-    RecordType.HEADER: ("header", "headers"),
-    RecordType.SUMMARY: ("summary", "summaries"),
-    RecordType.SAMPLES: ("run of samples", "runs of samples"),
-    RecordType.TICK: ("tick", "ticks"),
-    RecordType.ACT: ("operator's act", "operator's acts"),
-    RecordType.STATUS: ("stimulator's answer", "stimulator's answers"),
-    RecordType.ALIVE: ("stimulator's heartbeat", "stimulator's heartbeats"),
-    RecordType.COMMAND: ("command", "commands"),
-    RecordType.FRAME: ("frame", "frames"),
-    RecordType.PHASE: ("phase change", "phase changes"),
-    RecordType.STRIDE: ("stride", "strides"),
-    RecordType.NOTE: ("note", "notes"),
-    RecordType.LATENCY: ("run of latencies", "runs of latencies"),
-    RecordType.STIM_OPENED: ("reopening of the stimulator", "reopenings of the stimulator"),
-    RecordType.FOOT_SWITCH: ("foot switch's event", "foot switch's events"),
-    RecordType.SYSTEM_FAULT: ("system fault", "system faults"),
-    RecordType.RECEIVED: ("stimulator's bytes", "stimulator's bytes"),
-}
-_COPY_BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,7 +254,7 @@ class Gap:
         """Nothing of the session is in it."""
         return self.at == 0
 
-    def words(self, begin_ns: int) -> str:
+    def describe(self, begin_ns: int) -> str:
         """One sentence; times are s since ``begin_ns``."""
         what = f"{self.size} byte{'s' * (self.size != 1)} from byte {self.at} on: {self.why}"
         if self.kind is not None and self.kind in NAMES:
@@ -332,10 +321,8 @@ class Survey:
 
     def sentences(self) -> list[str]:
         """What was lost, a sentence for each place, and of the end."""
-        said = [gap.words(self.begin_ns or 0) for gap in self.gaps]
-        if not self.ended:
-            said.append("the session's end was never written: it lacks what happened in the last quarter of a second")
-        return said
+        end = "the session's end was never written: it lacks what happened in the last quarter of a second"
+        return [gap.describe(self.begin_ns or 0) for gap in self.gaps] + [end] * (not self.ended)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON and for the recovered log's summary."""
@@ -366,59 +353,54 @@ def survey(path: Path) -> Survey:
     Raises:
         SessionLogError: the file cannot be read or is no session log.
     """
-    found = Survey(Path(path))
+    log = Survey(Path(path))
     last_ns: dict[RecordType, int] = {}
     waiting: dict[RecordType, list[int]] = {}  # gaps that the next record of a kind will end
-    for piece in pieces(Path(path)):
-        found.size = piece.at + piece.size
-        if isinstance(piece, Damage):
-            stream = RecordType.SAMPLES if piece.kind is None else piece.kind
-            waiting.setdefault(stream, []).append(len(found.gaps))
-            found.gaps.append(Gap(piece.at, piece.size, piece.why, piece.kind, last_ns.get(stream), None))
+    for stretch in stretches(log.path):
+        log.size = stretch.at + stretch.size
+        if isinstance(stretch, Damage):
+            stream = RecordType.SAMPLES if stretch.kind is None else stretch.kind
+            waiting.setdefault(stream, []).append(len(log.gaps))
+            log.gaps.append(Gap(stretch.at, stretch.size, stretch.why, stretch.kind, last_ns.get(stream), None))
             continue
-        _take(found, piece)
-        if piece.begin_ns is not None and piece.end_ns is not None:
-            for number in waiting.pop(piece.kind, ()):
-                found.gaps[number] = replace(found.gaps[number], after_ns=piece.begin_ns)
-            last_ns[piece.kind] = piece.end_ns
-    return found
+        log.kept[stretch.kind] += stretch.count
+        log.ended = stretch.kind == RecordType.SUMMARY
+        if stretch.kind == RecordType.HEADER and isinstance(stretch.value, dict) and stretch.at == len(MAGIC):
+            log.header = stretch.value
+        elif log.ended and isinstance(stretch.value, dict):
+            log.summary = stretch.value
+        if stretch.begin_ns is not None and stretch.end_ns is not None:
+            log.begin_ns = stretch.begin_ns if log.begin_ns is None else min(log.begin_ns, stretch.begin_ns)
+            for number in waiting.pop(stretch.kind, ()):
+                log.gaps[number] = replace(log.gaps[number], after_ns=stretch.begin_ns)
+            last_ns[stretch.kind] = stretch.end_ns
+    return log
 
 
-def _take(found: Survey, piece: Whole) -> None:
-    found.kept[piece.kind] += piece.count
-    found.ended = piece.kind == RecordType.SUMMARY
-    if piece.begin_ns is not None:
-        found.begin_ns = piece.begin_ns if found.begin_ns is None else min(found.begin_ns, piece.begin_ns)
-    if piece.kind == RecordType.HEADER and isinstance(piece.value, dict) and piece.at == len(MAGIC):
-        found.header = piece.value
-    elif piece.kind == RecordType.SUMMARY and isinstance(piece.value, dict):
-        found.summary = piece.value
-
-
-def recover(found: Survey, target: Path, header: dict[str, Any] | None = None) -> None:
+def recover(damaged: Survey, target: Path, header: dict[str, Any] | None = None) -> None:
     """Write a new log: every whole record as it is, a note where something is missing, a summary that says so.
 
     Args:
-        found: what :func:`survey` said of the damaged log, which is only read.
+        damaged: what :func:`survey` returned of the damaged log, which is only read.
         target: must not exist.
         header: to use where the log's own is damaged.
 
     Raises:
         SessionLogError: there is no header, ``target`` exists or cannot be written; nothing is left of it then.
     """
-    if found.header is None and header is None:
+    if damaged.header is None and header is None:
         raise SessionLogError(
-            f"{found.path}: its header, with the settings, is damaged; {sum(found.kept.values())} values behind it are "
-            f"whole. Name another log of the same settings to take the header from: --header-from LOG"
+            f"{damaged.path}: its header, with the settings, is damaged; {sum(damaged.kept.values())} values behind it "
+            f"are whole. Name another log of the same settings to take the header from: --header-from LOG"
         )
     descriptor = create(target)
     try:
-        with os.fdopen(descriptor, "wb") as out, found.path.open("rb") as source:
+        with os.fdopen(descriptor, "wb") as out, damaged.path.open("rb") as source:
             out.write(MAGIC)
-            if found.header is None and header is not None:
+            if damaged.header is None and header is not None:
                 out.write(framed(RecordType.HEADER, encode_json({**header, "header_from_another_log": True})))
-            _copy(found, source, out)
-            out.write(framed(RecordType.SUMMARY, encode_json(summary_of(found))))
+            _copy(damaged, source, out)
+            out.write(framed(RecordType.SUMMARY, encode_json(summary_of(damaged))))
             out.flush()
             os.fsync(out.fileno())
     except OSError as error:
@@ -429,29 +411,29 @@ def recover(found: Survey, target: Path, header: dict[str, Any] | None = None) -
         ) from error
 
 
-def summary_of(found: Survey) -> dict[str, Any]:
+def summary_of(damaged: Survey) -> dict[str, Any]:
     """The recovered log's summary: the session's own if it is whole, and what was lost."""
-    ended = {"ended": f"recovered, {found.lost_bytes} bytes lost"} if found.lost_bytes or not found.ended else {}
-    return {**found.summary, **ended, "recovered": {"from": found.path.name, **found.to_dict()}}
+    ended = {"ended": f"recovered, {damaged.lost_bytes} bytes lost"} if damaged.lost_bytes or not damaged.ended else {}
+    return {**damaged.summary, **ended, "recovered": {"from": damaged.path.name, **damaged.to_dict()}}
 
 
-def _copy(found: Survey, source: BinaryIO, out: BinaryIO) -> None:
+def _copy(damaged: Survey, source: BinaryIO, out: BinaryIO) -> None:
     at = len(MAGIC)
-    for gap in found.gaps:
+    for gap in damaged.gaps:
         _copy_range(source, out, at, gap.at)
         at = max(gap.at + gap.size, at)
         if not gap.harmless:
-            text = f"lost here: {gap.words(found.begin_ns or 0)}"
-            t_ns = next((t for t in (gap.before_ns, gap.after_ns, found.begin_ns) if t is not None), 0)
+            text = f"lost here: {gap.describe(damaged.begin_ns or 0)}"
+            t_ns = next((t for t in (gap.before_ns, gap.after_ns, damaged.begin_ns) if t is not None), 0)
             out.write(framed(*encode(Note(t_ns, "warning", "recover", text))))
-    _copy_range(source, out, at, found.size)
+    _copy_range(source, out, at, damaged.size)
 
 
 def _copy_range(source: BinaryIO, out: BinaryIO, begin: int, end: int) -> None:
     source.seek(begin)
     left = end - begin
     while left > 0:
-        block = source.read(min(left, _COPY_BYTES))
+        block = source.read(min(left, BLOCK_BYTES))
         if not block:
             raise OSError(None, f"the damaged log became shorter while it was read (byte {source.tell()})")
         out.write(block)

@@ -16,12 +16,12 @@ import pytest
 from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_journal_faults import small_log
+from test_session_log_faults import small_log
 
 from fes.cli.main import main
 from fes.session_log import SessionLogError, SessionWriter, iter_events, read_session
 from fes.session_log.framing import MAGIC, LogScan, RecordType, framed
-from fes.session_log.repair import ZEROS, Damage, Survey, Whole, pieces, recover, summary_of, survey
+from fes.session_log.repair import ZEROS, Damage, Survey, Whole, recover, stretches, summary_of, survey
 from fes.signals import NS_PER_S
 from tests.replays import TRIALS, replay
 
@@ -139,7 +139,7 @@ def test_every_bit_of_a_record_in_the_middle(small: Path, tmp_path: Path) -> Non
 
 def test_the_time_that_a_gap_covers_is_told(live: Path, tmp_path: Path) -> None:
     whole = bytearray(live.read_bytes())
-    runs = [piece for piece in pieces(live) if isinstance(piece, Whole) and piece.kind == RecordType.SAMPLES]
+    runs = [stretch for stretch in stretches(live) if isinstance(stretch, Whole) and stretch.kind == RecordType.SAMPLES]
     before, hit, after = runs[len(runs) // 2 - 1 : len(runs) // 2 + 2]
     whole[hit.at + 20] ^= 4
     found, _ = recovered(bytes(whole), tmp_path)
@@ -256,14 +256,14 @@ def test_whatever_is_done_to_it(tmp_path: Path, spoiling: list[tuple[str, float,
     left = iter(records)
     assert all(any(one == other for other in left) for one in kept), "nothing new, and in the old order"
     still = [record for record in records if record in bytes(data)]
-    assert len(kept) >= len(set(still)) - len(spoiling), "what is still there in one piece is found"
+    assert len(kept) >= len(set(still)) - len(spoiling), "what is still there in one stretch is found"
     if not any(what in ("put", "write") for what, _, _ in spoiling):
         assert set(kept) == set(still)
-    ends = [(piece.at, piece.at + piece.size) for piece in pieces(tmp_path / "damaged.feslog")]
+    ends = [(stretch.at, stretch.at + stretch.size) for stretch in stretches(tmp_path / "damaged.feslog")]
     assert all(one[1] == other[0] for one, other in pairwise(ends)), "every byte is accounted for"
     assert not ends or ends[-1][1] == len(data)
     assert sum(gap.size for gap in found.gaps) == sum(
-        piece.size for piece in pieces(tmp_path / "damaged.feslog") if isinstance(piece, Damage)
+        stretch.size for stretch in stretches(tmp_path / "damaged.feslog") if isinstance(stretch, Damage)
     )
 
 

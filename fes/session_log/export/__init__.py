@@ -1,1 +1,1 @@
-"""A session log for other programs: CSV, Parquet, MCAP. Apart from the journal, which needs none of their libraries."""
+"""A session log for other programs: CSV, Parquet, MCAP. The log itself needs none of their libraries."""

@@ -2,7 +2,7 @@
 
 - *Analog*: each sensor's acceleration and rotation rate, its phase (0 stance, 1 pre-swing, 2 swing, 3 loading
   response), and each channel's commanded current, at the fastest sensor's rate.
-- *Points*: each foot sensor's way from the start of its stride (x forward, z up), invalid where no stride is known.
+- *Points*: each foot sensor's trajectory from the start of its stride (x forward, z up), invalid outside strides.
 - *Events*: foot off and foot strike of each foot, as the phase machine saw them.
 
 C3D has one rate for all and no missing analog values: sensors are interpolated onto the common times, and a channel
@@ -97,7 +97,7 @@ def _fill(file: Any, log: Path, record: SessionRecord, sensors: dict[str, Sample
     points = np.full((4, len(feet), frames), np.nan)
     points[3] = 1.0
     for k, foot in enumerate(feet):
-        points[:3, k] = _ways([one for one in record.strides if one.foot == foot], frame_s)
+        points[:3, k] = _trajectories([one for one in record.strides if one.foot == foot], frame_s)
     events = sorted(
         (1e-9 * one.t_ns - begin_s, one.foot, _EVENTS[one.destination])
         for one in record.phases
@@ -170,9 +170,9 @@ def _currents(commands: Sequence[StimCommand], grid_s: FloatArray) -> FloatArray
     return np.where((which >= 0) & (grid_s <= until_s[which]), current_ma, 0.0)
 
 
-def _ways(strides: Sequence[StrideResult], frame_s: FloatArray) -> FloatArray:
+def _trajectories(strides: Sequence[StrideResult], frame_s: FloatArray) -> FloatArray:
     """(3, F) mm from each stride's start, NaN where there is none."""
-    ways = np.full((3, len(frame_s)), np.nan)
+    trajectories = np.full((3, len(frame_s)), np.nan)
     for stride in strides:
         k = len(stride.pitch_rad)
         if k < 2 or len(stride.trajectory_m) != k:
@@ -180,8 +180,8 @@ def _ways(strides: Sequence[StrideResult], frame_s: FloatArray) -> FloatArray:
         t_s = np.linspace(1e-9 * stride.t_start_ns, 1e-9 * stride.t_end_ns, k)
         first, last = np.searchsorted(frame_s, [t_s[0], t_s[-1]])
         for axis in range(3):
-            ways[axis, first:last] = 1e3 * np.interp(frame_s[first:last], t_s, stride.trajectory_m[:, axis])
-    return ways
+            trajectories[axis, first:last] = 1e3 * np.interp(frame_s[first:last], t_s, stride.trajectory_m[:, axis])
+    return trajectories
 
 
 def _parameters(

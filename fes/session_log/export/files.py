@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from fes.session_log.export.tables import ANOTHER, Exported, Table, batches, known
+from fes.session_log.export.tables import ANOTHER, Exported, Table, batches, finite_or_none
 from fes.session_log.record import SessionLogError, not_made
 
 ABOUT: Final = "session.json"
@@ -36,7 +37,7 @@ def to_csv(log: Path, folder: Path) -> Exported:
 
 
 def _csv_cells(values: list[Any]) -> list[Any]:
-    return [str(value).lower() if isinstance(value, bool) else known(value) for value in values]
+    return [str(value).lower() if isinstance(value, bool) else finite_or_none(value) for value in values]
 
 
 def to_parquet(log: Path, folder: Path) -> Exported:
@@ -69,35 +70,33 @@ def _schema(table: Table, exported: Exported) -> Any:
     import pyarrow as pa
 
     kinds = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
-    about = json.dumps(known(exported.header), ensure_ascii=False)
+    about = json.dumps(finite_or_none(exported.header), ensure_ascii=False)
     return pa.schema(
         [pa.field(column.name, kinds[column.kind], metadata={"unit": column.unit}) for column in table.columns],
         metadata={"table": table.name, "session_header": about},
     )
 
 
-class _new_folder:
+@contextmanager
+def _new_folder(folder: Path) -> Iterator[None]:
     """A folder that was not there before; OSErrors inside become SessionLogErrors that name it."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def __enter__(self) -> None:
-        try:
-            self._folder.mkdir(parents=True)
-        except OSError as error:
-            raise not_made(self._folder, error, ANOTHER) from error
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        if isinstance(error, SessionLogError) and not any(self._folder.iterdir()):
-            self._folder.rmdir()
-        if isinstance(error, OSError):
-            raise SessionLogError(
-                f"{self._folder}: cannot be written: {error.strerror or error}. What is in it is not complete: make "
-                f"room and convert again into another folder"
-            ) from error
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise not_made(folder, error, ANOTHER) from error
+    try:
+        yield
+    except SessionLogError:
+        if not any(folder.iterdir()):
+            folder.rmdir()
+        raise
+    except OSError as error:
+        raise SessionLogError(
+            f"{folder}: cannot be written: {error.strerror or error}. What is in it is not complete: make "
+            f"room and convert again into another folder"
+        ) from error
 
 
 def _about(folder: Path, exported: Exported) -> None:
-    about = known({"header": exported.header, "summary": exported.summary, "rows": exported.rows})
+    about = finite_or_none({"header": exported.header, "summary": exported.summary, "rows": exported.rows})
     (folder / ABOUT).write_text(json.dumps(about, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

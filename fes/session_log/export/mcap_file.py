@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from fes import __version__
-from fes.session_log.export.tables import ANOTHER, Batch, Exported, Table, batches, known
+from fes.session_log.export.tables import ANOTHER, Batch, Exported, Table, batches, finite_or_none
 from fes.session_log.record import SessionLogError, not_made
 
 EXTRA: Final = "mcap"
@@ -88,7 +88,7 @@ def _messages(writer: Any, log: Path, exported: Exported) -> None:
                 "ns since 1970 (the host's clock when the session began)" if absolute else "ns since the first moment"
             )
             about = {
-                "header": json.dumps(known(exported.header)),
+                "header": json.dumps(finite_or_none(exported.header)),
                 "log_time": clock,
                 "t_ns": f"log_time - ({offset_ns})",
             }
@@ -100,7 +100,7 @@ def _messages(writer: Any, log: Path, exported: Exported) -> None:
             channels[name] = writer.register_channel(topic(batch.table), "json", schema_id)
         _write(writer, channels[name], batch, offset_ns)
     writer.add_metadata(
-        "fes_summary", {"summary": json.dumps(known(exported.summary)), "rows": json.dumps(exported.rows)}
+        "fes_summary", {"summary": json.dumps(finite_or_none(exported.summary)), "rows": json.dumps(exported.rows)}
     )
 
 
@@ -112,7 +112,7 @@ def _write(writer: Any, channel: int, batch: Batch, offset_ns: int) -> None:
     names = [column.name for column in batch.table.columns]
     for t_ns, *cells in zip(_times(batch), *batch.columns, strict=True):
         log_time = min(max(t_ns + offset_ns, 0), _LARGEST_TIME)
-        values = {name: known(cell) for name, cell in zip(names, cells, strict=True)}
+        values = {name: finite_or_none(cell) for name, cell in zip(names, cells, strict=True)}
         data = json.dumps(values, separators=(",", ":"), ensure_ascii=False).encode()
         writer.add_message(channel, log_time, data, log_time)
 

@@ -12,10 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from fes.session_log.codec import Rare, latency_arrays, sample_arrays
+from fes.session_log.codec import Rare, SampleParts, latency_arrays
 from fes.session_log.framing import RecordType
 from fes.session_log.record import Note, Received
-from fes.session_log.repair import Damage, pieces
+from fes.session_log.repair import Damage, stretches
 from fes.signals import (
     SENSORS,
     FootSwitchEvent,
@@ -103,7 +103,7 @@ class Exported:
     begin_ns: int = 0
 
 
-def _of(kind: type, name: str, time: str = "t_ns") -> Table:
+def _table_of(kind: type, name: str, time: str = "t_ns") -> Table:
     """The table of a dataclass; enumerations become their names."""
     columns = [Column(item.name, _TYPES.get(str(item.type), "text")) for item in dataclasses.fields(kind)]
     return Table(name, tuple(column for column in columns if column.name not in _ARRAYS), time)
@@ -114,7 +114,7 @@ _IMU: Final = tuple(Column(name, "int") for name in ("t_ns", "t_sensor_ns")) + t
 )
 SAMPLES: Final = {sensor: Table(f"imu_{sensor}", _IMU) for sensor in SENSORS}
 LATENCY: Final = Table("latency", (Column("t_ns", "int"), Column("latency_ns", "int")))
-PHASES: Final = Table("phases", (*_of(PhaseChange, "phases").columns, Column("phase", "int")))
+PHASES: Final = Table("phases", (*_table_of(PhaseChange, "phases").columns, Column("phase", "int")))
 PATHS: Final = Table(
     "stride_paths",
     (
@@ -126,18 +126,18 @@ PATHS: Final = Table(
     ),
 )
 SINGLES: Final[dict[type, Table]] = {
-    StrideResult: _of(StrideResult, "strides", "t_end_ns"),
-    StimCommand: _of(StimCommand, "commands"),
-    WireFrame: _of(WireFrame, "frames"),
-    Received: _of(Received, "received"),
-    StimStatus: _of(StimStatus, "statuses"),
-    StimAlive: _of(StimAlive, "heartbeats"),
-    StimOpened: _of(StimOpened, "reopened"),
-    OperatorAct: _of(OperatorAct, "operator"),
-    FootSwitchEvent: _of(FootSwitchEvent, "foot_switches"),
-    SystemFault: _of(SystemFault, "system_faults"),
-    Note: _of(Note, "notes"),
-    Tick: _of(Tick, "ticks"),
+    StrideResult: _table_of(StrideResult, "strides", "t_end_ns"),
+    StimCommand: _table_of(StimCommand, "commands"),
+    WireFrame: _table_of(WireFrame, "frames"),
+    Received: _table_of(Received, "received"),
+    StimStatus: _table_of(StimStatus, "statuses"),
+    StimAlive: _table_of(StimAlive, "heartbeats"),
+    StimOpened: _table_of(StimOpened, "reopened"),
+    OperatorAct: _table_of(OperatorAct, "operator"),
+    FootSwitchEvent: _table_of(FootSwitchEvent, "foot_switches"),
+    SystemFault: _table_of(SystemFault, "system_faults"),
+    Note: _table_of(Note, "notes"),
+    Tick: _table_of(Tick, "ticks"),
     PhaseChange: PHASES,
 }
 
@@ -154,24 +154,24 @@ def batches(path: Path, exported: Exported, rows: int = BATCH_ROWS) -> Iterator[
     filling: dict[str, Batch] = {}
     runs: list[memoryview] = []
     gathered, timed = 0, False
-    for piece in pieces(Path(path)):
-        if isinstance(piece, Damage):
-            exported.damages.append(piece)
+    for stretch in stretches(Path(path)):
+        if isinstance(stretch, Damage):
+            exported.damages.append(stretch)
             continue
-        exported.ended = piece.kind == RecordType.SUMMARY
-        if piece.kind == RecordType.SAMPLES:
-            runs.append(piece.payload)
-        elif piece.kind == RecordType.LATENCY:
-            t_ns, latency_ns = latency_arrays([piece.payload])
+        exported.ended = stretch.kind == RecordType.SUMMARY
+        if stretch.kind == RecordType.SAMPLES:
+            runs.append(stretch.payload)
+        elif stretch.kind == RecordType.LATENCY:
+            t_ns, latency_ns = latency_arrays([stretch.payload])
             _extend(filling, LATENCY, [t_ns.tolist(), latency_ns.tolist()])
-        elif isinstance(piece.value, dict):
-            setattr(exported, "header" if piece.kind == RecordType.HEADER else "summary", piece.value)
-        elif piece.value is not None:
-            _single(filling, piece.value)
-        if not exported.rows and piece.begin_ns is not None:
-            exported.begin_ns = min(exported.begin_ns, piece.begin_ns) if timed else piece.begin_ns
+        elif isinstance(stretch.value, dict):
+            setattr(exported, "header" if stretch.kind == RecordType.HEADER else "summary", stretch.value)
+        elif stretch.value is not None:
+            _single(filling, stretch.value)
+        if not exported.rows and stretch.begin_ns is not None:
+            exported.begin_ns = min(exported.begin_ns, stretch.begin_ns) if timed else stretch.begin_ns
             timed = True
-        gathered += piece.count
+        gathered += stretch.count
         if gathered >= rows:
             yield from _all(filling, runs, exported)
             gathered = 0
@@ -179,7 +179,9 @@ def batches(path: Path, exported: Exported, rows: int = BATCH_ROWS) -> Iterator[
 
 
 def _all(filling: dict[str, Batch], runs: list[memoryview], exported: Exported) -> Iterator[Batch]:
-    for sensor, arrays in sample_arrays(runs).items():
+    samples = SampleParts()
+    samples.add(runs)
+    for sensor, arrays in samples.arrays().items():
         values = np.hstack([arrays.acc_mps2, arrays.gyr_radps]).T.tolist()
         _extend(filling, SAMPLES[sensor], [arrays.t_ns.tolist(), arrays.t_sensor_ns.tolist(), *values])
     for batch in filling.values():
@@ -218,10 +220,10 @@ def _plain(value: Any) -> Any:
     return value.value if isinstance(value, Enum) else value
 
 
-def known(value: Any) -> Any:
+def finite_or_none(value: Any) -> Any:
     """The value, also a nested one, with None for numbers that are not known (NaN, infinite)."""
     if isinstance(value, dict):
-        return {key: known(item) for key, item in value.items()}
+        return {key: finite_or_none(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [known(item) for item in value]
+        return [finite_or_none(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
