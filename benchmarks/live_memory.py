@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.simulated.imu.device import walking
+from drivers.simulated.imu.device import walking_signal
 from fes.config import load_session
 from fes.estimation.foot.calibration import calibrate_foot
 from fes.estimation.warm_up import warm_up
@@ -69,7 +69,7 @@ class TwoFeet:
 
     def __init__(self, clock: Clock, keys: int, script: dict[int, bytes]) -> None:
         self._clock, self._keys, self._script = clock, keys, script
-        self._signals = [walking(sensor, RATE_HZ) for sensor in FOOT_SENSORS]
+        self._signals = [walking_signal(sensor, RATE_HZ) for sensor in FOOT_SENSORS]
         self._ready, more = os.pipe()  # always readable
         os.write(more, b"x")
         self._number = -1  # the first reading finds nothing: what has queued up before a session is let go
@@ -176,7 +176,7 @@ def measure(minutes: float) -> dict[str, float]:
     session = type(session).model_validate({**session.model_dump(), "sensors": devices})
     calibrations = {}
     for sensor in FOOT_SENSORS:
-        signal = walking(sensor, RATE_HZ)
+        signal = walking_signal(sensor, RATE_HZ)
         t_ns = np.arange(len(signal.acc_mps2), dtype=np.int64) * STEP_NS
         calibrations[sensor] = calibrate_foot(sensor, RATE_HZ, t_ns, signal.acc_mps2, signal.gyr_radps)
     clock, stimulator = Clock(), Stimulator()

@@ -63,11 +63,11 @@ def serial_ports() -> list[SerialPort]:
         text = " ".join(str(part) for part in (each.manufacturer, each.product, each.description) if part)
         usb = "" if each.vid is None else f"{each.vid:04X}:{each.pid or 0:04X}"
         description = each.description if each.description not in (None, "n/a") else ""
-        found.append(SerialPort(each.device, description, usb, maker_of(text, each.vid)))
+        found.append(SerialPort(each.device, description, usb, device_maker(text, each.vid)))
     return sorted(found, key=lambda port: port.port)
 
 
-def maker_of(text: str, vid: int | None) -> str:
+def device_maker(text: str, vid: int | None) -> str:
     """Whose device says so of itself; an FTDI chip is in many of them, so words come first."""
     for word, maker in _WORDS.items():
         if word in text.lower():

@@ -1,7 +1,4 @@
-"""Somebody else on the CAN bus: sees every frame, and sends what no controller would.
-
-A simulated stop button on a CAN bus: says over and over whether it is pressed, as such buttons do.
-"""
+"""Others on the CAN bus: a stop button, and a rogue that sees every frame and sends what no controller would."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import itertools
 import time
 from collections.abc import Iterable, Iterator
 from random import Random
-from types import TracebackType
 from typing import Final, Self
 
 import can
@@ -19,10 +15,12 @@ from drivers.stimulator.can_codec import COMMAND_ID, Command, Frame, FrameReject
 from fes.config import Bus
 
 PERIOD_S: Final = 0.02
+FRAMES_PER_S: Final = 3000  # as many of 8 bytes as a bus of 500 kbit/s carries, with some to spare for the others
+BURST: Final = 15
 
 
 class StopButton:
-    """Bit 0 of a frame of one byte, every 20 ms and at once when it is pressed; use it as a context manager."""
+    """A stop button: bit 0 of a frame of one byte, every 20 ms and at once when it is pressed; a context manager."""
 
     def __init__(self, settings: Bus, identifier: int) -> None:
         self._bus = open_bus(settings, frozenset((identifier,)))
@@ -49,17 +47,11 @@ class StopButton:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _frame(self) -> can.Message:
         return can.Message(arbitration_id=self._identifier, data=bytes((self._pressed,)), is_extended_id=False)
-
-
-FRAMES_PER_S: Final = 3000  # as many of 8 bytes as a bus of 500 kbit/s carries, with some to spare for the others
-BURST: Final = 15
 
 
 def flipped(frame: Frame) -> Iterator[Frame]:
@@ -91,7 +83,7 @@ def asks_for_current(frame: Frame) -> bool:
 
 
 class Rogue:
-    """An open bus; use it as a context manager."""
+    """An open bus; a context manager."""
 
     def __init__(self, settings: Bus) -> None:
         self._bus = open_bus(settings, frozenset(range(0x800)))
@@ -99,12 +91,10 @@ class Rogue:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._bus.shutdown()
 
-    def hear(self, seconds: float, *, first_only: bool = False) -> list[Frame]:
+    def receive(self, seconds: float, *, first_only: bool = False) -> list[Frame]:
         """Everything on the bus for this long, or up to the first frame."""
         frames: list[Frame] = []
         end_s = time.monotonic() + seconds
@@ -121,7 +111,7 @@ class Rogue:
 
     def on_commands(self, seconds: float) -> list[Frame]:
         """The controller's commands of this time that ask for current."""
-        return [frame for frame in self.hear(seconds) if asks_for_current(frame)]
+        return [frame for frame in self.receive(seconds) if asks_for_current(frame)]
 
     def send(self, frames: Iterable[Frame], per_s: float = FRAMES_PER_S) -> int:
         """Send them at this rate; returns how many got out."""

@@ -6,6 +6,9 @@ nothing passes; 0: again), ``bus_off`` (1: nothing passes either, and the contro
 then), ``unplug`` (1: the adapter's serial line is gone; 0: it is there again), ``clog`` (1: the adapter takes nothing
 more from the controller, and its buffer is full; 0: it does again), ``reorder`` (so many of the controller's next
 frames change places with the one after).
+
+The simulated adapter is of the Lawicel type: text lines ended by CR. ``S6`` bit rate, ``O`` open, ``C`` close,
+``tIIILDD…`` a frame with an 11-bit identifier (``T`` with 29 bits); it answers CR, or BEL to what it does not know.
 """
 
 from __future__ import annotations
@@ -16,67 +19,45 @@ import select
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 import can
 
-from drivers.simulated.lines import PtyEnd, SlcanDecoder, encode_frame
-from drivers.simulated.process_end import STDIN, Orders, become_real_time, fault_orders, say_ready, stop_signals
+from drivers.simulated.lines import PtyEnd
+from drivers.simulated.process_end import (
+    STDIN,
+    CommandReader,
+    become_real_time,
+    fault_commands,
+    publish_ready,
+    stop_signals,
+)
 from drivers.stimulator.bus import BusError, bus_off_frame, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS
 from fes.config import Bus
 
 FRAMES_AT_ONCE: Final = 64
 REFUSED: Final = b"\a"
-
-
-class Front(Protocol):
-    """The controller's side."""
-
-    port: str
-
-    def descriptors(self) -> list[int]:
-        """To wait for."""
-        ...
-
-    def read(self) -> list[can.Message]:
-        """What the controller sent."""
-        ...
-
-    def write(self, message: can.Message) -> None:
-        """Towards the controller; lost where nobody takes it."""
-        ...
-
-    def plug(self, plugged: bool) -> None:
-        """Pull the cable, or put it back."""
-        ...
-
-    def clog(self, clogged: bool) -> None:
-        """Take nothing more, or go on."""
-        ...
-
-    def bus_off(self, off: bool) -> None:
-        """The adapter has left the bus after too many errors, or is back."""
-        ...
+LONGEST_LINE: Final = 64
 
 
 class BusFront:
-    """A bus; its cable cannot be pulled, only cut."""
+    """The controller's side: a bus; its cable cannot be pulled, only cut."""
 
     def __init__(self, settings: Bus) -> None:
         self.port = ""
         self._bus = open_bus(settings, CONTROLLER_IDS)
 
     def descriptors(self) -> list[int]:
-        """The bus's."""
+        """To wait for."""
         return [self._bus.fileno()]
 
     def read(self) -> list[can.Message]:
-        """All that waits."""
-        return waiting(self._bus)
+        """What the controller sent."""
+        return waiting_frames(self._bus)
 
     def write(self, message: can.Message) -> None:
-        """At once or never."""
+        """Towards the controller, at once or never."""
         with contextlib.suppress(can.CanError, OSError):
             self._bus.send(message, timeout=0)
 
@@ -103,7 +84,7 @@ class BusFront:
 
 
 class SlcanFront:
-    """A serial CAN adapter behind a pseudo-terminal; ``link`` is where its name can always be found."""
+    """The controller's side: a serial CAN adapter behind a pseudo-terminal whose name is always found at ``link``."""
 
     def __init__(self, link: Path) -> None:
         self.port = str(link)
@@ -153,31 +134,71 @@ class SlcanFront:
         self._bus_off = off
 
 
-def waiting(bus: can.BusABC) -> list[can.Message]:
+def encode_frame(message: can.Message) -> bytes:
+    """A classical data frame as the adapter writes it."""
+    head = f"T{message.arbitration_id:08X}" if message.is_extended_id else f"t{message.arbitration_id:03X}"
+    return f"{head}{len(message.data)}{bytes(message.data).hex().upper()}\r".encode("ascii")
+
+
+class SlcanDecoder:
+    """Bytes from the host in, frames out; ``open`` while the host has the channel open."""
+
+    def __init__(self) -> None:
+        self.open = False
+        self._line = bytearray()
+
+    def feed(self, data: bytes) -> list[can.Message]:
+        """The frames that these bytes complete; what is no line of this protocol is passed over."""
+        frames: list[can.Message] = []
+        for byte in data:
+            if byte != 0x0D:
+                if len(self._line) < LONGEST_LINE:
+                    self._line.append(byte)
+                continue
+            line = bytes(self._line)
+            self._line.clear()
+            if line in (b"O", b"C"):
+                self.open = line == b"O"
+            elif self.open and (frame := _decode_frame(line)) is not None:
+                frames.append(frame)
+        return frames
+
+
+def _decode_frame(line: bytes) -> can.Message | None:
+    digits = {b"t": 3, b"T": 8}.get(line[:1])
+    if digits is None:
+        return None
+    try:
+        identifier = int(line[1 : 1 + digits], 16)
+        length = int(line[1 + digits : 2 + digits])
+        data = bytes.fromhex(line[2 + digits :].decode("ascii"))
+        if length != len(data) or length > 8:
+            return None
+        return can.Message(arbitration_id=identifier, is_extended_id=digits == 8, data=data, check=True)
+    except ValueError:
+        return None
+
+
+def waiting_frames(bus: can.BusABC) -> list[can.Message]:
     """Frames that have arrived, at most 64."""
-    found: list[can.Message] = []
-    for _ in range(FRAMES_AT_ONCE):
-        try:
-            message = bus.recv(timeout=0.0)
-        except (can.CanError, OSError):
-            break
-        if message is None:
-            break
-        found.append(message)
-    return found
+    frames: list[can.Message] = []
+    with contextlib.suppress(can.CanError, OSError):
+        while len(frames) < FRAMES_AT_ONCE and (message := bus.recv(timeout=0.0)) is not None:
+            frames.append(message)
+    return frames
 
 
 class LinkLoop:
     """Both sides and the faults: one wait per turn."""
 
-    def __init__(self, front: Front, back: can.BusABC, wake: int) -> None:
+    def __init__(self, front: BusFront | SlcanFront, back: can.BusABC, wake: int) -> None:
         self._front = front
         self._back = back
         self._wake = wake
         self._cut = False
         self._reorder = 0
         self._held: can.Message | None = None
-        self._orders = Orders(fault_orders(self._fault))
+        self._commands = CommandReader(fault_commands(self._inject))
 
     def run(self) -> None:
         """Until a signal or the end of stdin."""
@@ -187,14 +208,14 @@ class LinkLoop:
     def _turn(self) -> bool:
         front, back = self._front.descriptors(), self._back.fileno()
         ready, _, _ = select.select([self._wake, STDIN, back, *front], [], [], 1.0)
-        if self._wake in ready or (STDIN in ready and not self._orders.read()):
+        if self._wake in ready or (STDIN in ready and not self._commands.read()):
             return False
         if any(descriptor in ready for descriptor in self._front.descriptors()):
             for message in self._front.read():
                 if message.arbitration_id in CONTROLLER_IDS and not self._cut:
                     self._pass_on(message)
         if back in ready:
-            for message in waiting(self._back):
+            for message in waiting_frames(self._back):
                 if message.arbitration_id not in CONTROLLER_IDS and not self._cut:
                     self._front.write(message)
         return True
@@ -210,7 +231,7 @@ class LinkLoop:
                 self._back.send(each, timeout=0)
         self._held = None
 
-    def _fault(self, name: str, value: float) -> None:
+    def _inject(self, name: str, value: float) -> None:
         if name == "cut":
             self._cut = bool(value)
         elif name == "bus_off":
@@ -227,7 +248,7 @@ class LinkLoop:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the line until told to stop; exit status 2 when the settings are wrong."""
+    """Run the line until a signal or the end of stdin; exit status 2 when the settings are wrong."""
     parser = argparse.ArgumentParser(prog="can_link", description="A line between two CAN buses that can be cut.")
     parser.add_argument("--back", required=True, help="the node's bus, as JSON")
     parser.add_argument("--front", help="the controller's bus, as JSON")
@@ -236,15 +257,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if (options.front is None) == (options.slcan is None):
         parser.error("give either --front or --slcan")
     stop = stop_signals()
+    front: BusFront | SlcanFront
     try:
         back = open_bus(Bus.model_validate_json(options.back), frozenset(range(0x800)))
-        front: Front = (
-            SlcanFront(options.slcan) if options.slcan else BusFront(Bus.model_validate_json(options.front or "{}"))
-        )
+        front = SlcanFront(options.slcan) if options.slcan else BusFront(Bus.model_validate_json(options.front or "{}"))
     except (BusError, OSError, ValueError) as error:
         print(f"can_link: {error}", file=sys.stderr)
         return 2
-    say_ready(port=front.port, real_time=become_real_time())
+    publish_ready(port=front.port, real_time=become_real_time())
     try:
         LinkLoop(front, back, stop.fileno()).run()
     finally:

@@ -1,9 +1,7 @@
-"""What can go wrong between a simulated device and its host, on command: the bytes, not the device.
+"""A simulated device on a line in real time, and what can go wrong on that line, on command.
 
 ``garble`` / ``drop`` / ``reorder``: so many of the next messages have a bit flipped, are lost, or change places with
 the one after. ``delay``: every message comes so many seconds late. ``mute``: 1, none comes at all; 0, all again.
-
-A simulated device on a line, in real time: one wait per turn, until its next deadline, a byte or an order.
 """
 
 from __future__ import annotations
@@ -15,11 +13,12 @@ from collections.abc import Callable
 from typing import Final, Protocol
 
 from drivers.simulated.lines import DeviceEnd
-from drivers.simulated.process_end import STDIN, Orders, fault_orders
+from drivers.simulated.process_end import STDIN, CommandReader, fault_commands
 from drivers.simulated.stimulator.firmware import NEVER
 from fes.signals import NS_PER_S
 
 LINE_FAULTS: Final = frozenset(("garble", "drop", "reorder", "delay", "mute"))
+LONGEST_WAIT_S: Final = 1.0
 
 
 class LineFaults:
@@ -46,15 +45,13 @@ class LineFaults:
     def send(self, t_ns: int, messages: list[bytes]) -> None:
         """The device sends these."""
         for message in messages:
-            if self._values["mute"]:
+            if self._values["mute"] or self._use_up("drop"):
                 continue
-            if self._take("drop"):
-                continue
-            if self._take("garble"):
+            if self._use_up("garble"):
                 flipped = bytearray(message)
                 flipped[len(flipped) // 2] ^= 0x10
                 message = bytes(flipped)
-            if not self._held and self._take("reorder"):
+            if not self._held and self._use_up("reorder"):
                 self._held = message
                 continue
             self._push(t_ns, message)
@@ -77,32 +74,11 @@ class LineFaults:
         self._order += 1
         heapq.heappush(self._waiting, (t_ns + int(self._values["delay"] * NS_PER_S), self._order, message))
 
-    def _take(self, name: str) -> bool:
+    def _use_up(self, name: str) -> bool:
         if self._values[name] < 1:
             return False
         self._values[name] -= 1
         return True
-
-
-def parse_line_faults(text: str) -> list[tuple[str, float]]:
-    """``"electrode=2,delay=0.2"`` → names and values; "" → none.
-
-    Raises:
-        ValueError: not of that form.
-    """
-    faults: list[tuple[str, float]] = []
-    for item in filter(None, (part.strip() for part in text.split(","))):
-        name, equals, value = item.partition("=")
-        try:
-            faults.append((name, float(value)))
-        except ValueError:
-            raise ValueError(f"fault {item!r}: write NAME=NUMBER") from None
-        if not equals:
-            raise ValueError(f"fault {item!r}: write NAME=NUMBER")
-    return faults
-
-
-LONGEST_WAIT_S: Final = 1.0
 
 
 class Device(Protocol):
@@ -110,23 +86,19 @@ class Device(Protocol):
 
     def receive(self, t_ns: int, data: bytes) -> list[bytes]:
         """Act on bytes from the host."""
-        ...
 
     def advance(self, t_ns: int) -> list[bytes]:
         """Do all that is due by ``t_ns``."""
-        ...
 
     def next_deadline_ns(self) -> int:
         """When :meth:`advance` must be called again at the latest."""
-        ...
 
     def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
         """Bring about one of its own faults; ValueError for one it does not know."""
-        ...
 
 
 class DeviceLoop:
-    """Device, its end of the line, and the line's faults.
+    """Device, its end of the line, and the line's faults: one wait per turn, until a deadline, a byte or a command.
 
     ``wake`` ends the loop when it is readable, so does the end of stdin if ``stdin`` is listened to. ``afterwards`` is
     called whenever the device has acted.
@@ -147,14 +119,14 @@ class DeviceLoop:
         self._stdin = [STDIN] if stdin else []
         self._afterwards = afterwards
         self._faults = LineFaults()
-        self._orders = Orders(fault_orders(self.fault))
+        self._commands = CommandReader(fault_commands(self.inject))
 
     def run(self) -> None:
         """Until a signal, or the end of stdin."""
         while self._turn():
             pass
 
-    def fault(self, name: str, value: float) -> None:
+    def inject(self, name: str, value: float) -> None:
         """Bring a fault about: the line's or the device's own.
 
         Raises:
@@ -175,9 +147,9 @@ class DeviceLoop:
         wait_s = min(max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_S), LONGEST_WAIT_S)
         line = self._end.descriptors()
         ready, _, _ = select.select([self._wake, *self._stdin, *line], [], [], wait_s)
-        if self._wake in ready or (STDIN in ready and not self._orders.read()):
+        if self._wake in ready or (STDIN in ready and not self._commands.read()):
             return False
-        # an order may have closed what select found
+        # a command may have closed what select found
         if any(descriptor in ready for descriptor in self._end.descriptors()) and (data := self._end.read()):
             now_ns = time.monotonic_ns()
             self._put_out(now_ns, self._device.receive(now_ns, data))

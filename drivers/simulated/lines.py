@@ -1,10 +1,4 @@
-"""The simulated device's end of a line of bytes: a pseudo-terminal of its own, a TCP port, or UDP datagrams.
-
-The serial line of a Lawicel-type CAN adapter (slcan): text lines ended by CR, for the simulated adapter.
-
-``S6`` bit rate, ``O`` open, ``C`` close, ``tIIILDD…`` a frame with an 11-bit identifier (``T`` with 29 bits); the
-adapter answers CR, or BEL to what it does not know.
-"""
+"""The simulated device's end of a line of bytes: a pseudo-terminal of its own, a TCP port, or UDP datagrams."""
 
 from __future__ import annotations
 
@@ -12,56 +6,7 @@ import contextlib
 import os
 import socket
 import tty
-from typing import Final, Protocol
-
-import can
-
-LONGEST_LINE: Final = 64
-
-
-def encode_frame(message: can.Message) -> bytes:
-    """A classical data frame as the adapter writes it."""
-    head = f"T{message.arbitration_id:08X}" if message.is_extended_id else f"t{message.arbitration_id:03X}"
-    return f"{head}{len(message.data)}{bytes(message.data).hex().upper()}\r".encode("ascii")
-
-
-class SlcanDecoder:
-    """Bytes from the host in, frames out; ``open`` while the host has the channel open."""
-
-    def __init__(self) -> None:
-        self.open = False
-        self._line = bytearray()
-
-    def feed(self, data: bytes) -> list[can.Message]:
-        """The frames that these bytes complete; what is no line of this protocol is passed over."""
-        frames: list[can.Message] = []
-        for byte in data:
-            if byte != 0x0D:
-                if len(self._line) < LONGEST_LINE:
-                    self._line.append(byte)
-                continue
-            line = bytes(self._line)
-            self._line.clear()
-            if line in (b"O", b"C"):
-                self.open = line == b"O"
-            elif self.open and (frame := _frame(line)) is not None:
-                frames.append(frame)
-        return frames
-
-
-def _frame(line: bytes) -> can.Message | None:
-    digits = {b"t": 3, b"T": 8}.get(line[:1])
-    if digits is None:
-        return None
-    try:
-        identifier = int(line[1 : 1 + digits], 16)
-        length = int(line[1 + digits : 2 + digits])
-        data = bytes.fromhex(line[2 + digits :].decode("ascii"))
-        if length != len(data) or length > 8:
-            return None
-        return can.Message(arbitration_id=identifier, is_extended_id=digits == 8, data=data, check=True)
-    except ValueError:
-        return None
+from typing import Protocol
 
 
 class DeviceEnd(Protocol):
@@ -71,19 +16,27 @@ class DeviceEnd(Protocol):
 
     def descriptors(self) -> list[int]:
         """To wait for."""
-        ...
 
     def read(self) -> bytes:
         """What has arrived."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Out, or lost when nobody takes it."""
-        ...
 
     def unplug(self) -> None:
         """The cable is pulled, for good."""
-        ...
+
+
+class SendingEnd:
+    """Base of an end that only sends."""
+
+    def descriptors(self) -> list[int]:
+        """Nothing is listened to."""
+        return []
+
+    def read(self) -> bytes:
+        """Nothing."""
+        return b""
 
 
 class PtyEnd:
@@ -192,7 +145,7 @@ class TcpEnd:
             self._host = None
 
 
-class UdpEnd:
+class UdpEnd(SendingEnd):
     """Datagrams to a port on this machine, which the host opens as ``udp://127.0.0.1:PORT``; it says nothing back.
 
     As on a real network nobody notices that the other end is gone: unplugged, there is silence.
@@ -206,14 +159,6 @@ class UdpEnd:
             probe.bind(("127.0.0.1", 0))
             self._host: tuple[str, int] = probe.getsockname()
         self.port = f"udp://127.0.0.1:{self._host[1]}"
-
-    def descriptors(self) -> list[int]:
-        """Nothing is listened to."""
-        return []
-
-    def read(self) -> bytes:
-        """Nothing."""
-        return b""
 
     def write(self, data: bytes) -> None:
         """One datagram, lost when nobody listens."""

@@ -1,4 +1,4 @@
-"""What every simulated device's process does at its end: says that it is ready, takes faults on stdin, ends when told.
+"""A simulated device's process, seen from inside: publishes that it is ready, takes faults on stdin, ends on a signal.
 
 Ready is one JSON line on stdout. Faults are JSON lines ``{"fault": NAME, "value": NUMBER}`` on stdin, each confirmed by
 a line with the time at which it had taken effect, or answered with what is wrong. SIGTERM, SIGINT and the end of stdin
@@ -39,38 +39,38 @@ def become_real_time() -> bool:
     return True
 
 
-def say_ready(**facts: str | int | bool | dict[str, str]) -> None:
-    """Tell whoever started this process that the device runs, and how it is reached."""
+def publish_ready(**facts: str | int | bool | dict[str, str]) -> None:
+    """Publish to whoever started this process that the device runs, and how it is reached."""
     print(json.dumps({"ready": True, "pid": os.getpid(), **facts}), flush=True)
 
 
-def fault_orders(act: Callable[[str, float], None]) -> Callable[[dict[str, Any]], dict[str, Any]]:
-    """Orders that are faults only: ``act`` brings one about, or raises ValueError for one that it does not know."""
+def fault_commands(inject: Callable[[str, float], None]) -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """Commands that are faults only: ``inject`` brings one about, or raises ValueError for an unknown one."""
 
-    def obey(asked: dict[str, Any]) -> dict[str, Any]:
-        act(str(asked["fault"]), float(asked.get("value", 1)))
-        return {"done": asked["fault"]}
+    def execute(command: dict[str, Any]) -> dict[str, Any]:
+        inject(str(command["fault"]), float(command.get("value", 1)))
+        return {"done": command["fault"]}
 
-    return obey
+    return execute
 
 
-class Orders:
-    """Orders as they come on stdin; ``obey`` carries one out and returns the answer, without the time."""
+class CommandReader:
+    """Commands as they come on stdin; ``execute`` carries one out and returns the answer, without the time."""
 
     def __init__(
-        self, obey: Callable[[dict[str, Any]], dict[str, Any]], now_ns: Callable[[], int] = time.monotonic_ns
+        self, execute: Callable[[dict[str, Any]], dict[str, Any]], now_ns: Callable[[], int] = time.monotonic_ns
     ) -> None:
-        self._obey = obey
+        self._execute = execute
         self._now_ns = now_ns
-        self._typed = b""
+        self._incomplete = b""
 
     def read(self) -> bool:
-        """Do what was typed, when stdin is readable; False at its end."""
+        """Execute what has come, when stdin is readable; False at its end."""
         data = os.read(STDIN, 4096)
-        *lines, self._typed = (self._typed + data).split(b"\n")
+        *lines, self._incomplete = (self._incomplete + data).split(b"\n")
         for line in lines:
             try:
-                answer = {**self._obey(json.loads(line)), "t_ns": self._now_ns()}
+                answer = {**self._execute(json.loads(line)), "t_ns": self._now_ns()}
             except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
                 answer = {"error": f"{line.decode(errors='replace')!r}: {error}"}
             print(json.dumps(answer), flush=True)

@@ -1,7 +1,7 @@
-"""A simulated device's process, seen from whoever started it: started, told its faults, asked for its record, ended.
+"""A simulated device's process, seen from whoever started it: started, given faults, asked for its record, ended.
 
 The other end of the conversation is :mod:`drivers.simulated.process_end`. The handles of the single kinds of device add
-what their ready line says beyond this, and what the device says unasked.
+what their ready line holds beyond this, and what the device sends unasked.
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
-from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.record import RecordEntry, read_record
 
 STOP_WAIT_S: Final = 3.0
 ANSWER_WAIT_S: Final = 10.0
-_SAID_AT_MOST: Final = 65536  # bytes at once
+_READ_AT_MOST: Final = 65536  # bytes at once
 
 
 class ProcessHandle:
@@ -39,7 +38,7 @@ class ProcessHandle:
         lost: what is raised when the device is not there.
 
     Raises:
-        lost: it ended, or was not ready within ``timeout_s``; the message holds the command and what it said.
+        lost: it ended, or was not ready within ``timeout_s``; the message holds the command and what it printed.
     """
 
     def __init__(
@@ -58,51 +57,51 @@ class ProcessHandle:
         self.port = ""
         self.real_time = False
         command = [sys.executable, "-m", module, *arguments, *([] if record is None else ["--record", str(record)])]
-        self._heard = b""
+        self._unread = b""
         self._overdue = 0
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the handle
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._errors, start_new_session=True
         )
-        said = self._line(timeout_s)
+        line = self._read_line(timeout_s)
         try:
-            self._take(json.loads(said or ""))
+            self._on_ready(json.loads(line or ""))
         except (ValueError, KeyError, TypeError) as error:
-            if said is None:
+            if line is None:
                 self.process.kill()
-            why = self._last_words(f"nothing within {timeout_s:g} s" if said is None else said.strip())
+            why = self._error_output(f"nothing within {timeout_s:g} s" if line is None else line.strip())
             self.stop()
             raise lost(f"{what} did not start ({' '.join(command)}); it said: {why}") from error
 
-    def _take(self, ready: Mapping[str, Any]) -> None:
-        """What the ready line says; each kind of device adds its own."""
+    def _on_ready(self, ready: Mapping[str, Any]) -> None:
+        """What the ready line holds; each kind of device adds its own."""
         self.port, self.real_time = str(ready.get("port", "")), bool(ready["real_time"])
 
-    def _hear(self, said: Mapping[str, Any]) -> bool:
-        """Take in a line that the device may say unasked; whether it was one. A device that does so overrides this."""
+    def _on_message(self, message: Mapping[str, Any]) -> bool:
+        """Take in a line that the device may send unasked; whether it was one. A device that does so overrides this."""
         return False
 
-    def tell(self, fault: str, value: float = 1.0) -> int:
+    def inject(self, fault: str, value: float = 1.0) -> int:
         """Bring a fault about now; returns when it had taken effect, by the device's clock (CLOCK_MONOTONIC), ns.
 
         Raises:
-            lost: the device does not know it, or is gone; the message says which, and what it said last.
+            lost: the device does not know it, or is gone; the message says which, and what it printed last.
         """
-        return int(self.ask({"fault": fault, "value": value})["t_ns"])
+        return int(self.request({"fault": fault, "value": value})["t_ns"])
 
-    def ask(self, order: Mapping[str, Any]) -> dict[str, Any]:
-        """Give any order that this device takes; its answer.
+    def request(self, command: Mapping[str, Any]) -> dict[str, Any]:
+        """Send any command that this device takes; its answer.
 
         Raises:
-            lost: as :meth:`tell` does.
+            lost: as :meth:`inject` does.
         """
         try:
             if self.process.stdin is not None:
-                self.process.stdin.write(json.dumps(dict(order)).encode() + b"\n")
+                self.process.stdin.write(json.dumps(dict(command)).encode() + b"\n")
                 self.process.stdin.flush()
             answer = self._answer()
         except (OSError, ValueError) as error:
-            raise self._lost(f"{self._what} is gone; it said: {self._last_words()}") from error
+            raise self._lost(f"{self._what} is gone; it said: {self._error_output()}") from error
         if "error" in answer:
             raise self._lost(f"{self._what} refused: {answer['error']}")
         return answer
@@ -119,7 +118,7 @@ class ProcessHandle:
             with contextlib.suppress(OSError):  # it may be gone with something unread
                 self.process.stdin.close()
         end_s = time.monotonic() + STOP_WAIT_S
-        self.listen(STOP_WAIT_S)  # its last words; and a pipe that is full would keep it from ending
+        self.receive_messages(STOP_WAIT_S)  # its last ones; and a pipe that is full would keep it from ending
         for last_resort in (self.process.terminate, self.process.kill):
             try:
                 self.process.wait(max(0.0, end_s - time.monotonic()))
@@ -136,58 +135,56 @@ class ProcessHandle:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
 
-    def listen(self, timeout_s: float = 0.0) -> None:
-        """Take in what it says unasked, until it says no more or the time is over."""
+    def receive_messages(self, timeout_s: float = 0.0) -> None:
+        """Take in what it sends unasked, until it sends no more or the time is over."""
         end_s = time.monotonic() + timeout_s
-        while said := self._line(max(0.0, end_s - time.monotonic())):
+        while line := self._read_line(max(0.0, end_s - time.monotonic())):
             with contextlib.suppress(ValueError, TypeError):  # nobody waits for a line that says nothing
-                self._is_answer(said)
+                self._answer_in(line)
 
     def _answer(self) -> dict[str, Any]:
         end_s = time.monotonic() + ANSWER_WAIT_S
-        while (said := self._line(max(0.0, end_s - time.monotonic()))) is not None:
-            if answer := self._is_answer(said):
+        while (line := self._read_line(max(0.0, end_s - time.monotonic()))) is not None:
+            if answer := self._answer_in(line):
                 return answer
-        self._overdue += 1  # its answer, should it still come, is none to the next order
+        self._overdue += 1  # its answer, should it still come, is none to the next command
         raise self._lost(f"{self._what} has not answered within {ANSWER_WAIT_S:g} s")
 
-    def _is_answer(self, line: str) -> dict[str, Any]:
-        """The answer to the newest order; empty for what was said unasked and for an answer that is overdue."""
-        said: dict[str, Any] = json.loads(line)
-        if self._hear(said):
+    def _answer_in(self, line: str) -> dict[str, Any]:
+        """The answer to the newest command; empty for what was sent unasked and for an answer that is overdue."""
+        message: dict[str, Any] = json.loads(line)
+        if self._on_message(message):
             return {}
         if self._overdue:
             self._overdue -= 1
             return {}
-        return said
+        return message
 
-    def _line(self, timeout_s: float) -> str | None:
-        """The next line it says; without its end when it says no more, None when there is none in time."""
+    def _read_line(self, timeout_s: float) -> str | None:
+        """The next line it prints; without its end when it prints no more, None when there is none in time."""
         if self.process.stdout is None or self.process.stdout.closed:
             return ""
         descriptor = self.process.stdout.fileno()
         end_s = time.monotonic() + timeout_s
-        while b"\n" not in self._heard:
+        while b"\n" not in self._unread:
             if not select.select([descriptor], [], [], max(0.0, end_s - time.monotonic()))[0]:
                 return None
-            data = os.read(descriptor, _SAID_AT_MOST)
+            data = os.read(descriptor, _READ_AT_MOST)
             if not data:
                 break
-            self._heard += data
-        line, _, self._heard = self._heard.partition(b"\n")
+            self._unread += data
+        line, _, self._unread = self._unread.partition(b"\n")
         return line.decode(errors="replace")
 
-    def _last_words(self, else_said: str = "") -> str:
-        """Its errors once it has ended, else ``else_said``, else how it ended."""
+    def _error_output(self, default: str = "") -> str:
+        """Its errors once it has ended, else ``default``, else how it ended."""
         if self._errors.closed:
             return "nothing; it has been stopped"
         with contextlib.suppress(subprocess.TimeoutExpired):
             self.process.wait(STOP_WAIT_S)
         # not by seek: the device writes at the same place in the file
-        said = os.pread(self._errors.fileno(), _SAID_AT_MOST, 0).decode(errors="replace").strip()
-        return said or else_said or f"nothing; it ended with status {self.process.returncode}"
+        printed = os.pread(self._errors.fileno(), _READ_AT_MOST, 0).decode(errors="replace").strip()
+        return printed or default or f"nothing; it ended with status {self.process.returncode}"

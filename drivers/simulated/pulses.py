@@ -1,4 +1,4 @@
-"""Each pulse that a simulated stimulator delivers, told at once to whoever listens: datagrams on this machine.
+"""Each pulse that a simulated stimulator delivers, sent at once to whoever listens: datagrams on this machine.
 
 The stimulator's process sends what left its output stage, with the time it left (CLOCK_MONOTONIC); a virtual patient
 listens and feels nothing else. Nobody listening, or not keeping up, changes nothing for the stimulator.
@@ -14,7 +14,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from drivers.simulated.stimulator.firmware import OutputChannel, RecordEntry
+from drivers.simulated.record import RecordEntry
+from drivers.simulated.stimulator.firmware import OutputChannel
 
 BUFFER_BYTES: Final = 1 << 18
 _PULSE: Final = struct.Struct("<qidd")
@@ -30,7 +31,7 @@ class Pulse(NamedTuple):
 
 
 class PulseOutlet:
-    """The stimulator's end; ``None`` for the path tells nobody. ``lost`` counts the pulses that nobody took."""
+    """The stimulator's end; ``None`` for the path sends nothing. ``lost`` counts the pulses that nobody took."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = None if path is None else str(path)
@@ -40,20 +41,20 @@ class PulseOutlet:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             self._socket.setblocking(False)
 
-    def of_channels(self, channels: Iterable[OutputChannel]) -> None:
-        """Tell what these output stages have made since the last call."""
+    def send_made(self, channels: Iterable[OutputChannel]) -> None:
+        """Send what these output stages have made since the last call."""
         for number, channel in enumerate(channels):
             while channel.made:
                 t_ns, current_ma, pulse_width_us = channel.made.popleft()
-                self.tell(Pulse(t_ns, number, current_ma, pulse_width_us))
+                self.send(Pulse(t_ns, number, current_ma, pulse_width_us))
 
-    def of_record(self, entries: Iterable[RecordEntry]) -> None:
-        """Tell the pulses among these entries of a serial device's record."""
+    def send_record(self, entries: Iterable[RecordEntry]) -> None:
+        """Send the pulses among these entries of a serial device's record."""
         for entry in entries:
             if entry.event == "pulse":
-                self.tell(Pulse(entry.t_ns, entry.channel, entry.current_ma, entry.pulse_width_us))
+                self.send(Pulse(entry.t_ns, entry.channel, entry.current_ma, entry.pulse_width_us))
 
-    def tell(self, pulse: Pulse) -> None:
+    def send(self, pulse: Pulse) -> None:
         """Send one; never waits."""
         if self._socket is None or self._path is None:
             return
@@ -91,7 +92,7 @@ class PulseInlet:
         """Readable with pulses."""
         return self._socket.fileno()
 
-    def take(self) -> list[Pulse]:
+    def receive(self) -> list[Pulse]:
         """What has come; datagrams of another size are passed over."""
         pulses: list[Pulse] = []
         while True:

@@ -3,8 +3,6 @@
 Our own protocol, as no profile for surface stimulation on CAN exists; its protection is described in ``e2e``. All
 encoders return ``(identifier, 8 bytes)``. A value that a field cannot hold raises ``ValueError``: nothing wraps.
 Physical values that fall between two steps are rounded down, never up.
-
-The values that the CAN stimulator's five frames carry; no bytes here (those: ``can_codec``).
 """
 
 from __future__ import annotations
@@ -191,6 +189,12 @@ PULSES_TOTAL: Final = 2**8
 VALIDITY_STEP_MS: Final = int(_COMMAND.get_signal_by_name("Validity").scale)
 COUNTER_LOW: Final = _COMMAND.get_signal_by_name("Counter").length
 _MOST: Final[dict[str, int]] = {s.name: 2**s.length - 1 for m in DATABASE.messages for s in m.signals}
+_NAMES: Final = {  # of the fields whose values have another name here
+    "Session": "session_id",
+    "Boot": "boot_id",
+    "PulsesTotal": "pulses_total",
+    "ChargeTotal": "charge_total_steps",
+}
 
 
 def encode_command(command: StimCommand, number: int, session_id: int) -> Frame:
@@ -203,24 +207,19 @@ def encode_command(command: StimCommand, number: int, session_id: int) -> Frame:
     Raises:
         ValueError: a value is negative, not finite or beyond what its field holds.
     """
-    on = command.on
     carried_id, count = e2e.carried(
         _whole("session_id", session_id, _MOST["Session"], least=1), _whole("number", number, e2e.NUMBERS - 1)
     )
-    raw = {
-        "Counter": count & 2**COUNTER_LOW - 1,
-        "CounterHigh": count >> COUNTER_LOW,
-        "Channel": _whole("channel", command.channel, _MOST["Channel"]),
-        "On": int(on),
-        "Session": carried_id,
-        "Current": _steps("current_ma", command.current_ma, CURRENT_STEP_MA, _MOST["Current"]) if on else 0,
-        "PulseWidth": _steps("pulse_width_us", command.pulse_width_us, PULSE_WIDTH_STEP_US, _MOST["PulseWidth"])
-        if on
-        else 0,
-        "Frequency": _steps("frequency_hz", command.frequency_hz, FREQUENCY_STEP_HZ, _MOST["Frequency"]) if on else 0,
-        "Validity": _steps("validity_ms", command.validity_ms, VALIDITY_STEP_MS, _MOST["Validity"]),
-    }
-    return _pack(_COMMAND, raw)
+    return _pack(
+        _COMMAND,
+        Counter=count & 2**COUNTER_LOW - 1,
+        CounterHigh=count >> COUNTER_LOW,
+        Channel=command.channel,
+        On=int(command.on),
+        Session=carried_id,
+        Validity=_steps("validity_ms", command.validity_ms, VALIDITY_STEP_MS, _MOST["Validity"]),
+        **(_level_steps(command) if command.on else {"Current": 0, "PulseWidth": 0, "Frequency": 0}),
+    )
 
 
 def encode_open(boot_id: int, session_id: int, version: int = PROTOCOL_VERSION) -> Frame:
@@ -229,54 +228,46 @@ def encode_open(boot_id: int, session_id: int, version: int = PROTOCOL_VERSION) 
     Raises:
         ValueError: a number is out of its field's range; session 0 means "none" and cannot be opened.
     """
-    raw = {
-        "Version": _whole("version", version, _MOST["Version"]),
-        "Reserved": 0,
-        "Boot": _whole("boot_id", boot_id, _MOST["Boot"]),
-        "Session": _whole("session_id", session_id, _MOST["Session"], least=1),
-    }
-    return _pack(_OPEN, raw)
+    _whole("session_id", session_id, _MOST["Session"], least=1)
+    return _pack(_OPEN, Version=version, Boot=boot_id, Session=session_id)
 
 
 def encode_charge(charge: Charge) -> Frame:
     """STIM_CHARGE; the caller has reduced the totals to their moduli."""
-    raw = {
-        "Counter": _whole("counter", charge.counter, _MOST["Counter"]),
-        "Channel": _whole("channel", charge.channel, _MOST["Channel"]),
-        "Reserved": 0,
-        "Session": _whole("session_id", charge.session_id, _MOST["Session"]),
-        "PulsesTotal": _whole("pulses_total", charge.pulses_total, PULSES_TOTAL - 1),
-        "ChargeTotal": _whole("charge_total_steps", charge.charge_total_steps, CHARGE_TOTAL_STEPS - 1),
-    }
-    return _pack(_CHARGE, raw)
+    return _pack(
+        _CHARGE,
+        Counter=charge.counter,
+        Channel=charge.channel,
+        Session=charge.session_id,
+        PulsesTotal=charge.pulses_total,
+        ChargeTotal=charge.charge_total_steps,
+    )
 
 
 def encode_status(status: Status) -> Frame:
     """STIM_STATUS."""
-    raw = {
-        "Counter": _whole("counter", status.counter, _MOST["Counter"]),
-        "Channel": _whole("channel", status.channel, _MOST["Channel"]),
-        "On": int(status.on),
-        "Session": _whole("session_id", status.session_id, _MOST["Session"]),
-        "Current": _steps("current_ma", status.current_ma, CURRENT_STEP_MA, _MOST["Current"]),
-        "PulseWidth": _steps("pulse_width_us", status.pulse_width_us, PULSE_WIDTH_STEP_US, _MOST["PulseWidth"]),
-        "Frequency": _steps("frequency_hz", status.frequency_hz, FREQUENCY_STEP_HZ, _MOST["Frequency"]),
-        "Result": int(status.result),
-    }
-    return _pack(_STATUS, raw)
+    return _pack(
+        _STATUS,
+        Counter=status.counter,
+        Channel=status.channel,
+        On=int(status.on),
+        Session=status.session_id,
+        Result=int(status.result),
+        **_level_steps(status),
+    )
 
 
 def encode_alive(alive: Alive) -> Frame:
     """NODE_ALIVE."""
-    raw = {
-        "Counter": _whole("counter", alive.counter, _MOST["Counter"]),
-        "Version": _whole("version", alive.version, _MOST["Version"]),
-        "Boot": _whole("boot_id", alive.boot_id, _MOST["Boot"]),
-        "Session": _whole("session_id", alive.session_id, _MOST["Session"]),
-        "Rejected": _whole("rejected", alive.rejected, _MOST["Rejected"]),
-        "Faults": _whole("faults", alive.faults, _MOST["Faults"]),
-    }
-    return _pack(_ALIVE, raw)
+    return _pack(
+        _ALIVE,
+        Counter=alive.counter,
+        Version=alive.version,
+        Boot=alive.boot_id,
+        Session=alive.session_id,
+        Rejected=alive.rejected,
+        Faults=alive.faults,
+    )
 
 
 def decode(identifier: int, data: bytes) -> Message:
@@ -317,7 +308,7 @@ def decode_command(identifier: int, data: bytes) -> Command:
     return _command(_unpack(_COMMAND, data))
 
 
-def commands_of(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
+def logged_commands(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
     """The commands among logged frames, as they read on the wire, each with the count by which answers name it.
 
     Raises:
@@ -347,6 +338,15 @@ def _levels(raw: dict[str, int]) -> tuple[float, float, float]:
     )
 
 
+def _level_steps(levels: StimCommand | Status) -> dict[str, int]:
+    """Current, width and frequency in steps."""
+    return {
+        "Current": _steps("current_ma", levels.current_ma, CURRENT_STEP_MA, _MOST["Current"]),
+        "PulseWidth": _steps("pulse_width_us", levels.pulse_width_us, PULSE_WIDTH_STEP_US, _MOST["PulseWidth"]),
+        "Frequency": _steps("frequency_hz", levels.frequency_hz, FREQUENCY_STEP_HZ, _MOST["Frequency"]),
+    }
+
+
 def _whole(name: str, value: int, most: int, least: int = 0) -> int:
     if not least <= value <= most:
         raise ValueError(f"{name} = {value} does not fit its field ({least} to {most})")
@@ -359,8 +359,11 @@ def _steps(name: str, value: float, step: float, most: int) -> int:
     return math.floor(value / step)
 
 
-def _pack(message: DbcMessage, raw: dict[str, int]) -> Frame:
-    raw["Crc"] = 0
+def _pack(message: DbcMessage, **raw: int) -> Frame:
+    """The protected frame of these field values; ``Reserved`` is 0."""
+    for name, value in raw.items():
+        _whole(_NAMES.get(name, name.lower()), value, _MOST[name])
+    raw |= {"Crc": 0, "Reserved": 0}
     identifier = message.frame_id
     return identifier, e2e.protect(identifier, message.encode(raw, scaling=False, strict=False))
 

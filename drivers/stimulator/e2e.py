@@ -75,7 +75,7 @@ def carried(session_id: int, number: int) -> tuple[int, int]:
     return (session_id - 1 + spans) % SESSIONS + 1, count
 
 
-def number_of(session_id: int, carried_id: int, count: int) -> int:
+def command_number(session_id: int, carried_id: int, count: int) -> int:
     """The number of a command of the session opened as ``session_id``: what :func:`carried` was given.
 
     Unique among ``NUMBERS``, after which the identifiers have come round.

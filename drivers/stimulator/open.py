@@ -13,8 +13,8 @@ from drivers.stimulator.can_port import CanStimulator, Handshake
 from drivers.stimulator.canopen_codec import CanOpenSettings
 from drivers.stimulator.canopen_port import CanOpenStimulator
 from drivers.stimulator.port import SessionUsed
-from drivers.stimulator.sciencemode.port2 import RehaStim2
-from drivers.stimulator.sciencemode.port4 import LowLevelStimulator, MidLevelStimulator, not_accepted
+from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator, not_accepted
+from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
 from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, Line, LineSettings, open_line
 from fes.config import ConfigError, Session, StimulatorDevice
 
@@ -79,7 +79,7 @@ def open_stimulator(settings: StimulatorDevice, session: Session, session_id: in
     return make(settings, session, session_id, opener)
 
 
-def electrodes_told_from_ma(settings: StimulatorDevice) -> float | None:
+def open_lead_detected_from_ma(settings: StimulatorDevice) -> float | None:
     """From which current on such a device notices an open lead, 0: any pulse; None when its heartbeat tells of it."""
     if settings.device in ("p24_low_level", "p24_mid_level"):
         return 15.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import tempfile
 from contextlib import ExitStack
@@ -13,7 +12,7 @@ from typing import Final
 from drivers.imu.port import ImuLost
 from drivers.simulated.bus_guests import StopButton
 from drivers.simulated.imu.spawn import spawn_imu
-from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.simulated.record import RecordEntry, RecordReader
 from drivers.simulated.stimulator.spawn import (
     DeviceHandle,
     DeviceKind,
@@ -30,8 +29,6 @@ from fes.hil.closed_loop.bench import PatientHandle
 from fes.hil.closed_loop.patient_device import PatientSensor, Sensor, campaign_patient
 from fes.hil.scenarios import Needs
 from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, RATE_HZ, STANDS_S, session_text, walker
-
-pass
 
 TRANSPORTS: Final = ("udp_multicast", "loopback", "slcan", "socketcan", "serial", "serial_rehastim2")
 SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
@@ -68,7 +65,7 @@ class Devices:
     button: StopButton | None = None
     patient: PatientHandle | None = None
     pulses: Path | None = None
-    _tail: RecordTail = field(init=False)
+    _tail: RecordReader = field(init=False)
     _left: list[RecordEntry] = field(default_factory=list)
     _replaced: int = 0
     _stands: bool = False
@@ -100,12 +97,12 @@ class Devices:
     def news(self) -> list[RecordEntry]:
         """What the stimulators of this campaign have recorded since the last call; a replaced one's first."""
         left, self._left = self._left, []
-        return left + self._tail.news()
+        return left + self._tail.new_entries()
 
     def stand(self, stands: bool) -> None:
         """The patient stays standing, once they stand; or walks on."""
         self._stands = stands
-        self.imu.fault("stand", STANDS_S if stands else 0.0)
+        self.imu.inject("stand", STANDS_S if stands else 0.0)
 
     def sensor_replugged(self) -> None:
         """Another sensor is plugged in where the unplugged one was; it plays the same walk from its beginning."""
@@ -117,7 +114,7 @@ class Devices:
     def stimulator_replugged(self) -> None:
         """Another serial stimulator is plugged in where the unplugged one was."""
         self.node.stop()
-        self._left += self._tail.news()
+        self._left += self._tail.new_entries()
         self._replaced += 1
         kind, _ = SERIAL[self.transport]
         again = spawn_device(kind, record=self.folder / f"stimulator{self._replaced}.jsonl", pulses=self.pulses)
@@ -134,8 +131,8 @@ class Devices:
         return self.button
 
     @staticmethod
-    def _tail_of(node: NodeHandle | DeviceHandle) -> RecordTail:
-        return RecordTail(node.record or Path(os.devnull))
+    def _tail_of(node: NodeHandle | DeviceHandle) -> RecordReader:
+        return RecordReader(node.record or Path(os.devnull))
 
     def _sensor(self) -> Sensor:
         if self.patient is not None:
@@ -254,36 +251,3 @@ def _need(bus: Bus) -> None:
             f"{bus.interface} {bus.channel}: {why}. Other transports need no such thing: --transport loopback, slcan "
             f"or serial"
         )
-
-
-class RecordTail:
-    """Reads a growing record; each line is read once, a line without its end only when that has come."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._at = 0
-        self._begun = b""
-        self._lines = 0
-
-    def news(self) -> list[RecordEntry]:
-        """The entries since the last call; none as long as there is no file.
-
-        Raises:
-            ValueError: a line is no record entry; names file and line.
-        """
-        try:
-            with self._path.open("rb") as file:
-                file.seek(self._at)
-                data = file.read()
-        except FileNotFoundError:
-            return []
-        self._at += len(data)
-        *lines, self._begun = (self._begun + data).split(b"\n")
-        entries = []
-        for line in lines:
-            self._lines += 1
-            try:
-                entries.append(RecordEntry(**json.loads(line)))
-            except (ValueError, TypeError) as error:
-                raise ValueError(f"{self._path}:{self._lines}: is no entry of a record: {error}") from error
-        return entries

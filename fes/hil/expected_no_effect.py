@@ -6,7 +6,7 @@ import math
 import time
 from typing import Final
 
-from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.simulated.record import RecordEntry
 from fes.hil.injections import INJECTIONS
 from fes.hil.judge import began_after, resumed_after
 from fes.hil.results import Attempt

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from drivers.simulated.bus_guests import Rogue
-from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.simulated.record import RecordEntry
 from drivers.stimulator.can_codec import STATUS_ID, FrameRejected, Result, Status, decode
 from fes.config import ConfigError, Session, load_session
 from fes.hil.scenarios import SCENARIOS, Needs, Scenario
@@ -123,5 +123,5 @@ class BusWitness:
 
     def _listen(self) -> None:
         while not self._over.is_set():
-            for identifier, data in self.rogue.hear(0.02, first_only=True):
+            for identifier, data in self.rogue.receive(0.02, first_only=True):
                 self.take(time.monotonic_ns(), identifier, data)

@@ -51,17 +51,17 @@ def flips(rig: TestBench, n: int) -> int:
 def repeats(rig: TestBench, n: int) -> int:
     """After each command of the session an earlier one that asked for current: the newest itself, the one before …"""
     with _rogue(rig) as rogue:
-        commands = [frame for frame in rogue.hear(0.1) if frame[0] == COMMAND_ID]
+        commands = [frame for frame in rogue.receive(0.1) if frame[0] == COMMAND_ID]
         lags = list(range(LATEST + 1))
         t_ns, end_s = time.monotonic_ns(), time.monotonic() + REPEATS_S
         while lags and time.monotonic() < end_s:
-            heard = [frame for frame in rogue.hear(0.05, first_only=True) if frame[0] == COMMAND_ID]
+            heard = [frame for frame in rogue.receive(0.05, first_only=True) if frame[0] == COMMAND_ID]
             commands += heard
             lag = next((k for k in lags if k < len(commands) and asks_for_current(commands[-1 - k])), None)
             if heard and lag is not None:
                 lags.remove(lag)
                 rig.sent += rogue.send([commands[-1 - lag]])
-                rogue.hear(ECHO_S)
+                rogue.receive(ECHO_S)
     return t_ns
 
 
@@ -69,7 +69,7 @@ def exchange(rig: TestBench, n: int) -> int:
     """On the line between them, each pair of commands changes places."""
     if rig.devices.link is None:
         raise CampaignBroken("there is no line between controller and stimulator")
-    t_ns = rig.devices.link.tell("reorder", PAIRS)
+    t_ns = rig.devices.link.inject("reorder", PAIRS)
     rig.watch(1.0)
     rig.sent = PAIRS
     return t_ns
@@ -123,21 +123,21 @@ def _nothing(rig: TestBench) -> None:
 
 
 def _sensor(name: str, value: float = 1.0) -> tuple[Inject, Heal]:
-    return lambda rig, n: rig.devices.imu.fault(name, value), lambda rig: rig.devices.imu.clear()
+    return lambda rig, n: rig.devices.imu.inject(name, value), lambda rig: rig.devices.imu.clear()
 
 
 def _stimulator(name: str, value: float, healed: float) -> tuple[Inject, Heal]:
     def heal(rig: TestBench) -> None:
-        rig.devices.node.tell(name, healed)
+        rig.devices.node.inject(name, healed)
 
-    return lambda rig, n: rig.devices.node.tell(name, value), heal
+    return lambda rig, n: rig.devices.node.inject(name, value), heal
 
 
 # --- the sensor ------------------------------------------------------------------------------------------
 
 
 def _unplug_sensor(rig: TestBench, n: int) -> int:
-    return rig.devices.imu.fault("unplug")
+    return rig.devices.imu.inject("unplug")
 
 
 def _plug_sensor(rig: TestBench) -> None:
@@ -151,11 +151,11 @@ def _unmute_sensor(rig: TestBench) -> None:
 
 
 def _delay_sensor(rig: TestBench, n: int) -> int:
-    return rig.devices.imu.fault("delay", rig.value)
+    return rig.devices.imu.inject("delay", rig.value)
 
 
 def _undrift(rig: TestBench) -> None:
-    rig.devices.imu.fault("drift", 0.0)
+    rig.devices.imu.inject("drift", 0.0)
 
 
 # --- the controller --------------------------------------------------------------------------------------
@@ -279,10 +279,10 @@ def _stop_order(rig: TestBench, n: int) -> int:
 
 def _cut(rig: TestBench, n: int) -> int:
     if rig.devices.transport in SERIAL:
-        return rig.devices.node.tell("unplug")
+        return rig.devices.node.inject("unplug")
     if rig.devices.link is None:
         raise CampaignBroken("there is no line to cut")
-    return rig.devices.link.tell("cut")
+    return rig.devices.link.inject("cut")
 
 
 def _mend(rig: TestBench) -> None:
@@ -290,7 +290,7 @@ def _mend(rig: TestBench) -> None:
     if rig.devices.transport in SERIAL:
         rig.devices.stimulator_replugged()
     elif rig.devices.link is not None:
-        rig.devices.link.tell("cut", 0.0)
+        rig.devices.link.inject("cut", 0.0)
 
 
 def _line(name: str, value: float, healed: float = 0.0) -> tuple[Inject, Heal]:
@@ -299,7 +299,7 @@ def _line(name: str, value: float, healed: float = 0.0) -> tuple[Inject, Heal]:
     def tell(rig: TestBench, worth: float) -> int:
         if rig.devices.link is None:
             raise CampaignBroken("there is no line between controller and stimulator")
-        return rig.devices.link.tell(name, worth)
+        return rig.devices.link.inject(name, worth)
 
     def heal(rig: TestBench) -> None:
         rig.watch(CUT_S)
@@ -353,7 +353,7 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "adapter_unplugged": _line("unplug", 1.0),
     "bus_off": _line("bus_off", 1.0),
     "adapter_full": _line("clog", 1.0),
-    "node_reboot": (lambda rig, n: rig.devices.node.tell("reboot", 0.0), _nothing),
+    "node_reboot": (lambda rig, n: rig.devices.node.inject("reboot", 0.0), _nothing),
     "ack_missing": _stimulator("mute", 1.0, 0.0),
     "ack_late": _stimulator("delay", 0.15, 0.0),
     "delivered_differs": _stimulator("weak", CHANNEL, -1.0),

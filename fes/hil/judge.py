@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.simulated.record import RecordEntry
 
 MS: Final = 1_000_000
 PERIOD_NS: Final = 55 * MS  # between pulses of one burst, at most: see Outputs

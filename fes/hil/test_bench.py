@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Protocol
 
-from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.simulated.record import RecordEntry
 from fes.hil.baseline import Gap
 from fes.hil.controller import Child, ControllerProcess, ScriptedOperator, uninterrupted
 from fes.hil.devices import Devices

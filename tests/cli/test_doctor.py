@@ -17,7 +17,7 @@ import serial
 from click.testing import CliRunner
 from replays import SETTINGS
 
-from drivers.discover import CanChannel, SerialPort, can_channels, maker_of
+from drivers.discover import CanChannel, SerialPort, can_channels, device_maker
 from drivers.imu import ximu3_codec
 from drivers.stimulator.serial_line import latency_hint
 from fes.cli.common.exits import FAILED, OK
@@ -83,12 +83,12 @@ class Sensor:
 
 
 def test_devices_are_told_by_what_they_say_of_themselves() -> None:
-    assert maker_of("FTDI x-IMU3", 0x0403) == "x-io"
-    assert maker_of("HASOMED GmbH P24", 0x0403) == "HASOMED"
-    assert maker_of("USB Serial", 0x0403) == "FTDI"
-    assert maker_of("MTi-630", 0x2639) == "Xsens"
-    assert maker_of("Arduino", 0x2341) == ""
-    assert maker_of("", None) == ""
+    assert device_maker("FTDI x-IMU3", 0x0403) == "x-io"
+    assert device_maker("HASOMED GmbH P24", 0x0403) == "HASOMED"
+    assert device_maker("USB Serial", 0x0403) == "FTDI"
+    assert device_maker("MTi-630", 0x2639) == "Xsens"
+    assert device_maker("Arduino", 0x2341) == ""
+    assert device_maker("", None) == ""
 
 
 def test_can_interfaces_are_read_from_the_system(tmp_path: Path) -> None:

@@ -83,7 +83,7 @@ def test_a_command_s_number_is_its_count_and_its_session(session_id: int, number
     command = can_codec.decode_command(*can_codec.encode_command(ON, number, session_id))
     assert command.counter == number % 128
     assert 1 <= command.session_id <= 65535
-    assert e2e.number_of(session_id, command.session_id, command.counter) == number
+    assert e2e.command_number(session_id, command.session_id, command.counter) == number
     if number + 1 < e2e.NUMBERS:
         carried_id, count = e2e.carried(session_id, number + 1)
         follows = command.session_id % 65535 + 1 if command.counter == 127 else command.session_id
@@ -237,12 +237,12 @@ def test_open_round_trips() -> None:
 def test_commands_are_found_among_logged_frames() -> None:
     sink = ByteSink(0x1234)
     frames = [sink.open(5, 77), *(sink.send(ON) for _ in range(20)), sink.send(OFF)]
-    commands = can_codec.commands_of(frames)
+    commands = can_codec.logged_commands(frames)
     assert [counter for _, counter in commands] == [i % 16 for i in range(21)]
     assert commands[0][0] == ON
     assert not commands[-1][0].on
     with pytest.raises(FrameRejected):
-        can_codec.commands_of([WireFrame(0, 0x120, bytes(8))])
+        can_codec.logged_commands([WireFrame(0, 0x120, bytes(8))])
 
 
 def test_byte_sink_is_deterministic_and_a_refused_command_takes_no_count() -> None:

@@ -10,15 +10,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from drivers.simulated.record import RecordEntry, RecordWriter, read_record
 from drivers.simulated.stimulator import firmware as stimulator_node
-from drivers.simulated.stimulator.firmware import (
-    NodeFaults,
-    RecordEntry,
-    RecordWriter,
-    StimulatorNode,
-    parse_faults,
-    read_record,
-)
+from drivers.simulated.stimulator.firmware import NodeFaults, StimulatorNode, parse_faults
 from drivers.stimulator import can_codec, e2e
 from drivers.stimulator.can_codec import PROTOCOL_VERSION, Alive, Fault, Frame, Message, Result, Status
 from fes import limits

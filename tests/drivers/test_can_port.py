@@ -26,10 +26,10 @@ def command(channel: int = 1, on: bool = True, **values: Any) -> StimCommand:
     return StimCommand(t_ns=0, channel=channel, on=on, **(levels | values))
 
 
-class TestBench:
+class Bench:
     """Port and node on an in-process bus; the node hears and answers when ``turn`` is called."""
 
-    def __init__(self, faults: str = "", name: str = "rig") -> None:
+    def __init__(self, faults: str = "", name: str = "bench") -> None:
         self.node = StimulatorNode(BOOT, 0, parse_faults(faults))
         self.bus = can.Bus(interface="virtual", channel=name, ignore_config=True)
         self.port = CanStimulator(can.Bus(interface="virtual", channel=name, ignore_config=True), SESSION)
@@ -54,8 +54,8 @@ class TestBench:
 
 
 @pytest.fixture
-def rig(request: pytest.FixtureRequest) -> Iterator[TestBench]:
-    made = TestBench(getattr(request, "param", ""), request.node.name)
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    made = Bench(getattr(request, "param", ""), request.node.name)
     yield made
     made.close()
 
@@ -64,13 +64,13 @@ def statuses(events: list[StimStatus | StimAlive]) -> list[StimStatus]:
     return [event for event in events if isinstance(event, StimStatus)]
 
 
-def test_handshake_returns_what_was_sent_and_heard(rig: TestBench) -> None:
-    handshake = rig.port.open(t_ns=5, clock_ns=rig.clock)
+def test_handshake_returns_what_was_sent_and_heard(bench: Bench) -> None:
+    handshake = bench.port.open(t_ns=5, clock_ns=bench.clock)
     assert handshake.boot_id == BOOT
     assert {(f.t_ns, f.identifier, f.data) for f in handshake.frames} == {(5, *can_codec.encode_open(BOOT, SESSION))}
     assert [(alive.t_ns, alive.boot_id) for alive in handshake.alive][-1] == (5, BOOT)
-    assert rig.node.session_id == SESSION
-    assert rig.node.flags == 0
+    assert bench.node.session_id == SESSION
+    assert bench.node.flags == 0
 
 
 def test_handshake_with_nobody_says_what_to_check() -> None:
@@ -82,70 +82,70 @@ def test_handshake_with_nobody_says_what_to_check() -> None:
     port.close()
 
 
-def test_handshake_names_a_used_session(rig: TestBench) -> None:
-    rig.node.receive(0, *can_codec.encode_open(BOOT, SESSION))
-    rig.node.receive(0, *can_codec.encode_open(BOOT, SESSION + 1))
+def test_handshake_names_a_used_session(bench: Bench) -> None:
+    bench.node.receive(0, *can_codec.encode_open(BOOT, SESSION))
+    bench.node.receive(0, *can_codec.encode_open(BOOT, SESSION + 1))
     with pytest.raises(SessionUsed, match="used before"):
-        rig.port.open(0, timeout_s=1e9, clock_ns=rig.clock)  # told at once, not by the time-out
+        bench.port.open(0, timeout_s=1e9, clock_ns=bench.clock)  # told at once, not by the time-out
 
 
-def test_handshake_names_another_version(rig: TestBench) -> None:
-    rig.bus.send(
+def test_handshake_names_another_version(bench: Bench) -> None:
+    bench.bus.send(
         can.Message(
             arbitration_id=can_codec.ALIVE_ID,
             data=can_codec.encode_alive(Alive(0, 9, BOOT, 0, 0, 0))[1],
             is_extended_id=False,
         )
     )
-    rig.turn(rig.t_ns)
+    bench.turn(bench.t_ns)
     with pytest.raises(StimulatorLost, match="protocol version 9"):
-        rig.port.open(0, timeout_s=0.1, clock_ns=lambda: 0)
+        bench.port.open(0, timeout_s=0.1, clock_ns=lambda: 0)
 
 
 @pytest.mark.parametrize("other", [PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1])
-def test_controller_and_node_of_different_versions_refuse_each_other(rig: TestBench, other: int) -> None:
+def test_controller_and_node_of_different_versions_refuse_each_other(bench: Bench, other: int) -> None:
     """Heartbeat and opening read the same in every version: each side can say what is wrong."""
-    (answer,) = rig.node.receive(0, *can_codec.encode_open(BOOT, SESSION, other))[-1:]
+    (answer,) = bench.node.receive(0, *can_codec.encode_open(BOOT, SESSION, other))[-1:]
     alive = can_codec.decode(*answer)
     assert isinstance(alive, Alive)
     assert (alive.version, alive.session_id) == (PROTOCOL_VERSION, 0)
     assert fault_text(alive.faults) == "the controller speaks another protocol version"
     identifier, data = can_codec.encode_alive(Alive(0, other, BOOT, 0, 0, 0))
-    rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+    bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
     with pytest.raises(StimulatorLost, match=f"protocol version {other}, this program {PROTOCOL_VERSION}"):
-        rig.port.open(0, timeout_s=0.1, clock_ns=lambda: 0)
+        bench.port.open(0, timeout_s=0.1, clock_ns=lambda: 0)
 
 
-def test_every_command_is_answered_however_long_the_session(rig: TestBench) -> None:
+def test_every_command_is_answered_however_long_the_session(bench: Bench) -> None:
     """Also where the session identifier that commands carry has gone up, and gone round."""
     for number in range(700):
         if number == 0:
-            rig.port.open(0, clock_ns=rig.clock)
-        rig.port.send(command(number % 8, number % 3 != 0))
-        rig.turn(rig.t_ns + 10 * MS)
-        (status,) = (s for s in statuses(rig.port.poll(rig.t_ns)) if "lease" not in s.fault)
-        assert (status.counter, status.fault, rig.port.outstanding) == (number % 16, "", 0)
-    assert rig.port.foreign == 0
+            bench.port.open(0, clock_ns=bench.clock)
+        bench.port.send(command(number % 8, number % 3 != 0))
+        bench.turn(bench.t_ns + 10 * MS)
+        (status,) = (s for s in statuses(bench.port.poll(bench.t_ns)) if "lease" not in s.fault)
+        assert (status.counter, status.fault, bench.port.outstanding) == (number % 16, "", 0)
+    assert bench.port.foreign == 0
 
 
-def test_a_session_without_numbers_left_is_lost(rig: TestBench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_session_without_numbers_left_is_lost(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.stimulator.can_port.NUMBERS", 5)
     for _ in range(5):
-        rig.port.send(command())
+        bench.port.send(command())
     with pytest.raises(StimulatorLost, match="no numbers left"):
-        rig.port.send(command())
+        bench.port.send(command())
 
 
 @pytest.mark.parametrize("sent", [1, 127, 128, 140, 300])
 def test_a_node_that_has_not_our_session_says_so_and_is_lost(sent: int) -> None:
     """As after a restart: the answer names the identifier that the command carried."""
-    port = CanStimulator(can.Bus(interface="virtual", channel="rig", ignore_config=True), SESSION, in_real_time=True)
+    port = CanStimulator(can.Bus(interface="virtual", channel="bench", ignore_config=True), SESSION, in_real_time=True)
     node = StimulatorNode(BOOT, 0)
     for number in range(sent + 1):
         wire = port.send(command())
         frames = node.receive(0, wire.identifier, wire.data) if number == sent else []
     frames = [frame for frame in frames if frame[0] != can_codec.ALIVE_ID]  # the heartbeat says so too, but later
-    bus = can.Bus(interface="virtual", channel="rig", ignore_config=True)
+    bus = can.Bus(interface="virtual", channel="bench", ignore_config=True)
     for identifier, data in frames:
         bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
     assert "session is not open" in statuses(port.poll(0))[-1].fault
@@ -155,87 +155,87 @@ def test_a_node_that_has_not_our_session_says_so_and_is_lost(sent: int) -> None:
     bus.shutdown()
 
 
-def test_status_carries_what_is_delivered_since_the_last_one(rig: TestBench) -> None:
-    rig.port.open(0, clock_ns=rig.clock)
-    start_ns, pulses, charge_uc = rig.t_ns, 0, 0.0
+def test_status_carries_what_is_delivered_since_the_last_one(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
+    start_ns, pulses, charge_uc = bench.t_ns, 0, 0.0
     for step in range(60):
-        rig.port.send(command())
-        assert rig.port.outstanding == 1
-        rig.turn(start_ns + step * 20 * MS)
-        for status in statuses(rig.port.poll(step)):
+        bench.port.send(command())
+        assert bench.port.outstanding == 1
+        bench.turn(start_ns + step * 20 * MS)
+        for status in statuses(bench.port.poll(step)):
             assert (status.t_ns, status.on, status.current_ma, status.fault) == (step, True, 20.0, "")
             pulses += status.pulses
             charge_uc += status.charge_uc
-        assert rig.port.outstanding == 0
-    assert pulses == rig.node.channels[1].pulses == 48
+        assert bench.port.outstanding == 0
+    assert pulses == bench.node.channels[1].pulses == 48
     assert charge_uc == pytest.approx(48 * 6.0)
 
 
-def test_lost_charge_frames_lose_no_charge(rig: TestBench) -> None:
-    rig.port.open(0, clock_ns=rig.clock)
-    start_ns, pulses = rig.t_ns, 0
+def test_lost_charge_frames_lose_no_charge(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
+    start_ns, pulses = bench.t_ns, 0
     for step in range(400):
-        wanted = rig.port.send(command(on=step % 100 != 99, frequency_hz=100.0))
-        frames = rig.node.receive(start_ns + step * 20 * MS, wanted.identifier, wanted.data)
+        wanted = bench.port.send(command(on=step % 100 != 99, frequency_hz=100.0))
+        frames = bench.node.receive(start_ns + step * 20 * MS, wanted.identifier, wanted.data)
         for position, (identifier, data) in enumerate(frames):
             if step == 399 or (step * 7 + position) % 3:  # the last status makes up for all before
-                rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
-        while rig.bus.recv(timeout=0.0) is not None:
+                bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+        while bench.bus.recv(timeout=0.0) is not None:
             pass
-        pulses += sum(status.pulses for status in statuses(rig.port.poll(step)))
-    assert pulses == rig.node.channels[1].pulses
+        pulses += sum(status.pulses for status in statuses(bench.port.poll(step)))
+    assert pulses == bench.node.channels[1].pulses
     assert pulses > 700
 
 
-def test_node_fault_and_lost_session_reach_the_controller(rig: TestBench) -> None:
-    rig.port.open(0, clock_ns=rig.clock)
-    rig.node.receive(rig.t_ns, *can_codec.encode_open(BOOT, 4321))
-    rig.port.send(command())
-    rig.turn(rig.t_ns + 100 * MS)
-    events = rig.port.poll(9)
+def test_node_fault_and_lost_session_reach_the_controller(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
+    bench.node.receive(bench.t_ns, *can_codec.encode_open(BOOT, 4321))
+    bench.port.send(command())
+    bench.turn(bench.t_ns + 100 * MS)
+    events = bench.port.poll(9)
     assert "session is not open" in statuses(events)[0].fault
     assert any("not our session" in event.fault for event in events if isinstance(event, StimAlive))
 
 
-@pytest.mark.parametrize("rig", ["electrode=1"], indirect=True)
-def test_electrode_fault_is_told_in_words(rig: TestBench) -> None:
-    rig.port.open(0, clock_ns=rig.clock)
-    rig.port.send(command())
-    rig.turn(rig.t_ns + 100 * MS)
-    events = rig.port.poll(9)
+@pytest.mark.parametrize("bench", ["electrode=1"], indirect=True)
+def test_electrode_fault_is_told_in_words(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
+    bench.port.send(command())
+    bench.turn(bench.t_ns + 100 * MS)
+    events = bench.port.poll(9)
     assert "output stage fault" in statuses(events)[0].fault
     assert not statuses(events)[0].on
-    rig.turn(rig.t_ns + 100 * MS)
-    events = rig.port.poll(10)
+    bench.turn(bench.t_ns + 100 * MS)
+    events = bench.port.poll(10)
     assert any("output stage" in event.fault for event in events if isinstance(event, StimAlive))
 
 
-def test_foreign_frames_do_not_pile_up_and_do_not_hold_the_loop(rig: TestBench) -> None:
-    rig.port.open(0, clock_ns=rig.clock)
-    rig.port.poll(0)
-    before = rig.port.foreign
+def test_foreign_frames_do_not_pile_up_and_do_not_hold_the_loop(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
+    bench.port.poll(0)
+    before = bench.port.foreign
     for number in range(100):
-        rig.bus.send(can.Message(arbitration_id=0x300 + number, data=b"x", is_extended_id=False))
-    rig.bus.send(can.Message(arbitration_id=can_codec.STATUS_ID, data=bytes(8), is_extended_id=True))
-    rig.bus.send(can.Message(arbitration_id=can_codec.STATUS_ID, data=bytes(8), is_extended_id=False))
-    rig.port.send(command())
-    rig.turn(rig.t_ns)
-    assert len(statuses(rig.port.poll(1))) == 1
-    assert rig.port.foreign - before == 102
+        bench.bus.send(can.Message(arbitration_id=0x300 + number, data=b"x", is_extended_id=False))
+    bench.bus.send(can.Message(arbitration_id=can_codec.STATUS_ID, data=bytes(8), is_extended_id=True))
+    bench.bus.send(can.Message(arbitration_id=can_codec.STATUS_ID, data=bytes(8), is_extended_id=False))
+    bench.port.send(command())
+    bench.turn(bench.t_ns)
+    assert len(statuses(bench.port.poll(1))) == 1
+    assert bench.port.foreign - before == 102
     for _ in range(1000):
-        rig.bus.send(can.Message(arbitration_id=0x300, data=b"x", is_extended_id=False))
-    rig.port.poll(2)
-    assert rig.port.foreign - before == 102 + 128
+        bench.bus.send(can.Message(arbitration_id=0x300, data=b"x", is_extended_id=False))
+    bench.port.poll(2)
+    assert bench.port.foreign - before == 102 + 128
 
 
-def test_another_session_s_answers_are_not_ours(rig: TestBench) -> None:
-    rig.port.open(0, clock_ns=rig.clock)
+def test_another_session_s_answers_are_not_ours(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
     for message in (
         can_codec.encode_charge(Charge(0, SESSION + 1, 1, 200, 99)),
         can_codec.encode_status(Status(0, SESSION + 1, 1, True, 99.0, 300.0, 40.0, Result.OK)),
     ):
-        rig.bus.send(can.Message(arbitration_id=message[0], data=message[1], is_extended_id=False))
-    assert statuses(rig.port.poll(0)) == []
+        bench.bus.send(can.Message(arbitration_id=message[0], data=message[1], is_extended_id=False))
+    assert statuses(bench.port.poll(0)) == []
 
 
 class BrokenBus(can.BusABC):
@@ -291,24 +291,24 @@ def test_a_bus_that_cannot_be_opened_says_what_to_do(bus: Bus, words: str) -> No
         open_bus(bus)
 
 
-def test_an_answer_settles_its_command_and_all_older_ones(rig: TestBench) -> None:
-    rig.port.open(0, clock_ns=rig.clock)
+def test_an_answer_settles_its_command_and_all_older_ones(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
     for count in range(1, 4):
-        rig.port.send(command())
-        assert rig.port.outstanding == count
+        bench.port.send(command())
+        assert bench.port.outstanding == count
     identifier, data = can_codec.encode_status(Status(1, SESSION, 1, True, 20.0, 300.0, 40.0, Result.OK))
-    rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
-    rig.port.poll(0)
-    assert rig.port.outstanding == 1
+    bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+    bench.port.poll(0)
+    assert bench.port.outstanding == 1
 
 
-def test_a_heartbeat_that_is_only_repeated_is_no_sign_of_life(rig: TestBench) -> None:
-    rig.port.open(0, clock_ns=rig.clock)
-    rig.port.poll(0)
+def test_a_heartbeat_that_is_only_repeated_is_no_sign_of_life(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
+    bench.port.poll(0)
     identifier, data = can_codec.encode_alive(Alive(9, 1, BOOT, SESSION, 0, 0))
     for _ in range(5):
-        rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
-    assert rig.port.poll(1) == [StimAlive(1, BOOT, 0, "")]
+        bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+    assert bench.port.poll(1) == [StimAlive(1, BOOT, 0, "")]
 
 
 def test_a_mute_node_is_a_fault_when_time_is_real() -> None:

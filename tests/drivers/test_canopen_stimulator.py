@@ -14,7 +14,7 @@ from typing import Any
 import can
 import pytest
 
-from drivers.simulated.stimulator.firmware import read_record
+from drivers.simulated.record import read_record
 from drivers.simulated.stimulator.spawn import free_bus, why_silent
 from drivers.stimulator.bus import LOOPBACK, bus_off_frame, open_bus
 from drivers.stimulator.canopen_codec import CanOpenSettings, Sdo, encode_download
@@ -53,7 +53,7 @@ def test_bus_off_is_a_lost_stimulator(tmp_path: Path) -> None:
         port.close()
 
 
-class TestBench:
+class Bench:
     """Port and node; the node lives in the package's own thread, so turns take real time."""
 
     def __init__(self, name: str, channels: tuple[int, ...] = (0,)) -> None:
@@ -98,74 +98,74 @@ class TestBench:
 
 
 @pytest.fixture
-def rig(request: pytest.FixtureRequest) -> Iterator[TestBench]:
-    made = TestBench(request.node.name, getattr(request, "param", (0,)))
+def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
+    made = Bench(request.node.name, getattr(request, "param", (0,)))
     yield made
     made.close()
 
 
-def test_every_sync_is_a_pulse_at_what_was_commanded(rig: TestBench) -> None:
+def test_every_sync_is_a_pulse_at_what_was_commanded(bench: Bench) -> None:
     for _ in range(50):
-        rig.turn((0, 20.25))
+        bench.turn((0, 20.25))
     for _ in range(10):
-        rig.turn((0, 0.0))
-    assert rig.faults == []
-    pulses = rig.device.pulses
-    assert len(pulses) == len(rig.syncs) >= 20
+        bench.turn((0, 0.0))
+    assert bench.faults == []
+    pulses = bench.device.pulses
+    assert len(pulses) == len(bench.syncs) >= 20
     assert {(p.channel, p.current_ma, p.pulse_width_us) for p in pulses} == {(0, 20.0, 300.0)}
-    assert rig.device.value(simulated.CURRENT_INDEX, 0) == 0  # told off, and pulses stopped before that
-    assert rig.alive
-    assert {alive.boot_id for alive in rig.alive} == {1}
+    assert bench.device.value(simulated.CURRENT_INDEX, 0) == 0  # told off, and pulses stopped before that
+    assert bench.alive
+    assert {alive.boot_id for alive in bench.alive} == {1}
 
 
-def test_no_pulse_is_ever_above_the_command(rig: TestBench) -> None:
+def test_no_pulse_is_ever_above_the_command(bench: Bench) -> None:
     """Up and down: the device holds a step less, or there is no SYNC."""
     wanted: list[tuple[int, float]] = []
     for step in range(80):
         current_ma = 5.0 + 20.0 * abs((step % 40) - 20) / 20.0
         wanted.append((time.monotonic_ns(), current_ma))
-        rig.turn((0, current_ma))
-    assert len(rig.device.pulses) >= 15
-    for pulse in rig.device.pulses:
+        bench.turn((0, current_ma))
+    assert len(bench.device.pulses) >= 15
+    for pulse in bench.device.pulses:
         newest = [current for t_ns, current in wanted if t_ns <= pulse.t_ns][-2:]
         assert pulse.current_ma <= max(newest)
 
 
-@pytest.mark.parametrize("rig", [(0, 2)], indirect=True)
-def test_a_channel_that_is_off_holds_nothing_when_another_pulses(rig: TestBench) -> None:
+@pytest.mark.parametrize("bench", [(0, 2)], indirect=True)
+def test_a_channel_that_is_off_holds_nothing_when_another_pulses(bench: Bench) -> None:
     for _ in range(10):
-        rig.turn((0, 20.0), (2, 10.0))
-    rig.heard()
+        bench.turn((0, 20.0), (2, 10.0))
+    bench.heard()
     off_ns = time.monotonic_ns()
     for _ in range(20):
-        rig.turn((0, 20.0), (2, 0.0))
-    assert {p.channel for p in rig.device.pulses if p.t_ns > off_ns} == {0}
-    assert {p.channel for p in rig.device.pulses} == {0, 2}
-    assert rig.faults == []
+        bench.turn((0, 20.0), (2, 0.0))
+    assert {p.channel for p in bench.device.pulses if p.t_ns > off_ns} == {0}
+    assert {p.channel for p in bench.device.pulses} == {0, 2}
+    assert bench.faults == []
 
 
-def test_without_commands_there_is_no_pulse(rig: TestBench) -> None:
-    rig.until(lambda: len(rig.syncs) > 5, (0, 20.0))
-    rig.heard()
+def test_without_commands_there_is_no_pulse(bench: Bench) -> None:
+    bench.until(lambda: len(bench.syncs) > 5, (0, 20.0))
+    bench.heard()
     time.sleep(0.3)
-    assert len(rig.device.pulses) == len(rig.syncs)
+    assert len(bench.device.pulses) == len(bench.syncs)
 
 
-def test_a_restart_is_a_fault_and_ends_the_session(rig: TestBench) -> None:
-    rig.until(lambda: len(rig.syncs) > 2, (0, 20.0))
-    rig.device.restart()
+def test_a_restart_is_a_fault_and_ends_the_session(bench: Bench) -> None:
+    bench.until(lambda: len(bench.syncs) > 2, (0, 20.0))
+    bench.device.restart()
     with pytest.raises(StimulatorLost, match="restarted; its session must be opened again"):
-        rig.until(lambda: False, (0, 20.0))
-    assert "the stimulator restarted" in rig.faults
-    assert rig.alive[-1].boot_id == 2
+        bench.until(lambda: False, (0, 20.0))
+    assert "the stimulator restarted" in bench.faults
+    assert bench.alive[-1].boot_id == 2
     with pytest.raises(StimulatorLost, match="restarted"):
-        rig.port.poll(time.monotonic_ns())
+        bench.port.poll(time.monotonic_ns())
 
 
-def test_a_lost_heartbeat_is_a_fault(rig: TestBench) -> None:
-    rig.until(lambda: len(rig.syncs) > 2, (0, 20.0))
-    rig.device.mute()
-    rig.until(lambda: any("heartbeat has stopped" in fault for fault in rig.faults), (0, 0.0))
+def test_a_lost_heartbeat_is_a_fault(bench: Bench) -> None:
+    bench.until(lambda: len(bench.syncs) > 2, (0, 20.0))
+    bench.device.mute()
+    bench.until(lambda: any("heartbeat has stopped" in fault for fault in bench.faults), (0, 0.0))
 
 
 class SelfStarting:
@@ -271,7 +271,7 @@ def test_a_node_that_restarts_while_it_is_opened_has_all_currents_set_to_0_after
     assert set(node.entries.values()) == {0}
 
 
-def test_a_refused_value_is_a_fault(rig: TestBench) -> None:
+def test_a_refused_value_is_a_fault(bench: Bench) -> None:
     other = CanOpenStimulator(virtual("refused"), 7, (0,), CanOpenSettings.of(OPTIONS | {"current_index": 0x4000}))
     node = simulated.CanOpenDevice(virtual("refused"), 5)
     with pytest.raises(StimulatorLost, match=r"refused object 0x4000:1 \(SDO abort 0x06020000\)"):

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from drivers.imu.can_codec import DbcSensor
 from drivers.imu.port import RawSample
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
-from drivers.simulated.imu.wire import CAN_RECORD, DbcWire, Options, Reading, Wire, XsensCanWire
+from drivers.simulated.imu.wire import CAN_RECORD, DbcWire, Reading, Wire, XsensCanWire
 from fes.config.devices import ImuDevice
 from fes.signals import G_MPS2, Vector3
 
@@ -28,14 +28,16 @@ LONG = DBC.replace("400 Clock: 3", "400 Clock: 12")
 vectors = st.tuples(*[st.floats(-15.0, 15.0)] * 3)
 
 
-def sensor(given_options: Options) -> DbcSensor:
+def sensor(given_options: dict[str, str | int | float | bool]) -> DbcSensor:
     values = {"sensor": "right_foot", "device": "dbc_can", "rate_hz": 100.0, "options": dict(given_options)}
     return DbcSensor(ImuDevice.model_validate(values | {"acc_range_g": 16.0, "gyr_range_dps": 2000.0}))
 
 
 def frames(wire: DbcWire, reading: Reading) -> list[tuple[int, bytes]]:
     return [
-        (number, data[:length]) for record in wire.say(reading) for number, length, data in [CAN_RECORD.unpack(record)]
+        (number, data[:length])
+        for record in wire.encode(reading)
+        for number, length, data in CAN_RECORD.iter_unpack(record)
     ]
 
 
@@ -124,8 +126,8 @@ def test_a_sensor_of_whole_numbers_has_no_nan_and_says_so(tmp_path: Path) -> Non
 def test_no_number_stands_for_what_is_none(tmp_path: Path, bad: Vector3) -> None:
     good: Vector3 = (0.0, 0.0, 0.0)
     for wire in (DbcWire(dbc_options(tmp_path)), XsensCanWire()):
-        assert wire.say(Reading(0, 0, bad, good)) == wire.say(Reading(0, 0, good, bad)) == []
-        assert wire.say(Reading(0, 0, good, good))
+        assert wire.encode(Reading(0, 0, bad, good)) == wire.encode(Reading(0, 0, good, bad)) == []
+        assert wire.encode(Reading(0, 0, good, good))
 
 
 @pytest.mark.parametrize("name", ["nan", "inf"])

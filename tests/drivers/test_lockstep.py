@@ -9,13 +9,12 @@ from typing import Any
 import can
 import pytest
 
-from drivers.simulated.stimulator import lockstep, node_clock
-from drivers.simulated.stimulator.firmware import RecordEntry, read_record
-from drivers.simulated.stimulator.lockstep import LockstepStimulator
-from drivers.simulated.stimulator.node_clock import FALL_BACK_NS, BusClock, RealClock, encode_sim_time
+from drivers.simulated.record import RecordEntry, read_record
+from drivers.simulated.stimulator import lockstep
+from drivers.simulated.stimulator.lockstep import FALL_BACK_NS, BusClock, LockstepStimulator, RealClock, encode_sim_time
 from drivers.simulated.stimulator.spawn import free_bus, spawn_node, why_silent
 from drivers.stimulator.bus import open_bus
-from drivers.stimulator.can_codec import NODE_IDS, commands_of
+from drivers.stimulator.can_codec import NODE_IDS, logged_commands
 from drivers.stimulator.port import StimulatorLost
 from fes.evaluation.delivered import compare_delivered
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
@@ -38,7 +37,7 @@ class Real:
 @pytest.fixture
 def real(monkeypatch: pytest.MonkeyPatch) -> Real:
     clock = Real()
-    monkeypatch.setattr(node_clock, "time", clock)
+    monkeypatch.setattr(lockstep, "time", clock)
     return clock
 
 
@@ -55,30 +54,30 @@ def test_told_no_time_the_clock_is_the_computers(real: Real) -> None:
 def test_the_first_time_told_moves_nothing_the_next_ones_advance(real: Real, origin_ns: int) -> None:
     clock = BusClock()
     begin_ns = clock.now_ns()
-    clock.told(encode_sim_time(origin_ns))
+    clock.set_time(encode_sim_time(origin_ns))
     assert clock.now_ns() == begin_ns
     real.t_ns += 300 * MS  # the replay computes for a while: for the node no time passes
     assert clock.now_ns() == begin_ns
-    clock.told(encode_sim_time(origin_ns + 20 * MS))
+    clock.set_time(encode_sim_time(origin_ns + 20 * MS))
     assert clock.now_ns() == begin_ns + 20 * MS
-    clock.told(encode_sim_time(origin_ns + 10 * NS_PER_S))  # many times faster than real time
+    clock.set_time(encode_sim_time(origin_ns + 10 * NS_PER_S))  # many times faster than real time
     assert clock.now_ns() == begin_ns + 10 * NS_PER_S
     assert clock.wait_s(begin_ns) > 0.0
 
 
 def test_time_told_backward_stands_still(real: Real) -> None:
     clock = BusClock()
-    clock.told(encode_sim_time(NS_PER_S))
+    clock.set_time(encode_sim_time(NS_PER_S))
     now_ns = clock.now_ns()
-    clock.told(encode_sim_time(NS_PER_S - 5 * MS))
+    clock.set_time(encode_sim_time(NS_PER_S - 5 * MS))
     assert clock.now_ns() == now_ns
 
 
 def test_told_no_more_the_clock_goes_on_by_itself(real: Real) -> None:
     """A replay that dies leaves a node whose leases still run out."""
     clock = BusClock()
-    clock.told(encode_sim_time(0))
-    clock.told(encode_sim_time(100 * MS))
+    clock.set_time(encode_sim_time(0))
+    clock.set_time(encode_sim_time(100 * MS))
     told_ns = clock.now_ns()
     real.t_ns += FALL_BACK_NS
     assert clock.now_ns() == told_ns
@@ -86,24 +85,24 @@ def test_told_no_more_the_clock_goes_on_by_itself(real: Real) -> None:
     assert clock.now_ns() == told_ns
     real.t_ns += 60 * MS
     assert clock.now_ns() == told_ns + 60 * MS
-    clock.told(encode_sim_time(7 * NS_PER_S))  # another replay, from another origin
+    clock.set_time(encode_sim_time(7 * NS_PER_S))  # another replay, from another origin
     now_ns = clock.now_ns()
-    clock.told(encode_sim_time(7 * NS_PER_S + 20 * MS))
+    clock.set_time(encode_sim_time(7 * NS_PER_S + 20 * MS))
     assert clock.now_ns() == now_ns + 20 * MS
 
 
 @pytest.mark.parametrize("data", [b"", b"1234567", b"123456789"])
 def test_a_time_of_another_length_is_passed_over(real: Real, data: bytes) -> None:
     clock = BusClock()
-    clock.told(encode_sim_time(0))
+    clock.set_time(encode_sim_time(0))
     now_ns = clock.now_ns()
-    clock.told(data)
+    clock.set_time(data)
     assert clock.now_ns() == now_ns
 
 
 def test_the_real_clock_cannot_be_told(real: Real) -> None:
     clock = RealClock()
-    clock.told(encode_sim_time(0))
+    clock.set_time(encode_sim_time(0))
     assert clock.now_ns() == real.t_ns
     assert clock.wait_s(real.t_ns + NS_PER_S) == 1.0
 
@@ -138,7 +137,7 @@ def test_lockstep_is_faster_than_time_and_the_same_every_time(tmp_path: Path) ->
     begin_s = time.monotonic()
     statuses, frames, entries = session(tmp_path, "one")
     assert time.monotonic() - begin_s < 2.9 + 20.0  # a bound for a hang only; three recorded seconds
-    truth = compare_delivered(commands_of(frames), statuses)
+    truth = compare_delivered(logged_commands(frames), statuses)
     assert truth.ok
     assert (truth.commands, truth.unasked) == (150, 0)
     # 40 Hz for 600 ms three times, one pulse at each start
@@ -169,7 +168,7 @@ def test_a_lease_runs_out_in_recorded_time(tmp_path: Path) -> None:
         port.open(0, timeout_s=10.0)
         port.send(StimCommand(0, 0, True, 20.0, 300.0, 40.0, 60))
         assert [reply.on for reply in port.poll(0) if isinstance(reply, StimStatus)] == [True]
-        port.tell(59 * MS)
+        port.set_time(59 * MS)
         port.send(StimCommand(300 * MS, 1, False, 0.0, 0.0, 0.0, 60))
         replies = [reply for reply in port.poll(300 * MS) if isinstance(reply, StimStatus)]
         port.close()
@@ -220,4 +219,4 @@ def test_a_bus_that_takes_no_time_is_lost() -> None:
 
     port = LockstepStimulator(Broken(), 1)
     with pytest.raises(StimulatorLost, match="did not take the time: no buffer"):
-        port.tell(0)
+        port.set_time(0)

@@ -9,18 +9,18 @@ from typing import Any
 import pytest
 from replays import SETTINGS
 
-from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.simulated.record import RecordEntry
 from drivers.simulated.stimulator.in_process import DeviceLine
 from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
 from drivers.simulated.stimulator.serial_device import SimulatedDevice
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.sciencemode import codec2 as sm2
-from drivers.stimulator.sciencemode import codec4 as sm4
+from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
+from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
 from drivers.stimulator.sciencemode.framing import Packet
+from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator
 from drivers.stimulator.sciencemode.port import ScienceModePort
-from drivers.stimulator.sciencemode.port2 import RehaStim2
-from drivers.stimulator.sciencemode.port4 import LowLevelStimulator, MidLevelStimulator
+from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
 from fes.config import load_session
 from fes.gate import SafetyGate
 from fes.signals import StimAlive, StimCommand, StimStatus, WireFrame
@@ -34,7 +34,7 @@ def command(t_ns: int, channel: int = 1, on: bool = True, **values: Any) -> Stim
     return StimCommand(t_ns=t_ns, channel=channel, on=on, **(levels | values))
 
 
-class TestBench:
+class Bench:
     """Port and device; a turn sends commands, lets 20 ms pass in steps of 2 ms, and polls at each."""
 
     def __init__(self, kind: str, channels: tuple[int, ...] = (1,)) -> None:
@@ -93,52 +93,52 @@ class TestBench:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_seconds_are_delivered_as_commanded(kind: str) -> None:
-    rig = TestBench(kind)
-    rig.drive(100)
-    begin_ns = rig.frames[0].t_ns
-    rig.drive(5, on=False)
-    assert rig.faults == []
-    assert len(rig.pulses) == pytest.approx(80, abs=1)
-    assert {(p.channel, p.current_ma, p.pulse_width_us, p.detail) for p in rig.pulses} == {(1, 20.0, 300.0, "")}
-    assert rig.pulses[-1].t_ns < begin_ns + 100 * 20 * MS + 15 * MS
-    assert rig.port.outstanding == 0
-    assert rig.alive or kind == "rehastim2"
-    if rig.port.one_pulse_per_command:
-        assert sum(s.pulses for s in rig.statuses) == len(rig.pulses)
-        assert sum(s.charge_uc for s in rig.statuses) == pytest.approx(6.0 * len(rig.pulses))
-    levels = {(s.on, s.current_ma, s.pulse_width_us, s.frequency_hz) for s in rig.statuses if s.on}
+    bench = Bench(kind)
+    bench.drive(100)
+    begin_ns = bench.frames[0].t_ns
+    bench.drive(5, on=False)
+    assert bench.faults == []
+    assert len(bench.pulses) == pytest.approx(80, abs=1)
+    assert {(p.channel, p.current_ma, p.pulse_width_us, p.detail) for p in bench.pulses} == {(1, 20.0, 300.0, "")}
+    assert bench.pulses[-1].t_ns < begin_ns + 100 * 20 * MS + 15 * MS
+    assert bench.port.outstanding == 0
+    assert bench.alive or kind == "rehastim2"
+    if bench.port.one_pulse_per_command:
+        assert sum(s.pulses for s in bench.statuses) == len(bench.pulses)
+        assert sum(s.charge_uc for s in bench.statuses) == pytest.approx(6.0 * len(bench.pulses))
+    levels = {(s.on, s.current_ma, s.pulse_width_us, s.frequency_hz) for s in bench.statuses if s.on}
     assert levels == {(True, 20.0, 300.0, 40.0)}
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_statuses_carry_the_counter_of_their_command(kind: str) -> None:
-    rig = TestBench(kind)
+    bench = Bench(kind)
     for step in range(40):
-        sent = len(rig.statuses)
-        rig.turn(command(rig.t_ns, current_ma=10.0 + step % 7, on=step % 10 != 9))
-        for status in rig.statuses[sent:]:
+        sent = len(bench.statuses)
+        bench.turn(command(bench.t_ns, current_ma=10.0 + step % 7, on=step % 10 != 9))
+        for status in bench.statuses[sent:]:
             assert status.counter == step % 16
 
 
 @pytest.mark.parametrize("kind", ["low", "rehastim2"])
 def test_without_commands_there_are_no_pulses(kind: str) -> None:
     """The controller died; whatever it had sent last is all there is."""
-    rig = TestBench(kind)
-    rig.drive(10)
-    delivered = len(rig.pulses)
-    rig.turn(for_ms=5000)
-    assert len(rig.pulses) == delivered
-    assert rig.port.outstanding == 0
+    bench = Bench(kind)
+    bench.drive(10)
+    delivered = len(bench.pulses)
+    bench.turn(for_ms=5000)
+    assert len(bench.pulses) == delivered
+    assert bench.port.outstanding == 0
 
 
 def test_mid_level_goes_on_for_its_watchdog_and_no_longer() -> None:
-    rig = TestBench("mid")
-    rig.drive(50)
-    last_ns = rig.frames[-1].t_ns
-    rig.turn(for_ms=5000)
-    after_ms = (rig.pulses[-1].t_ns - last_ns) / MS
+    bench = Bench("mid")
+    bench.drive(50)
+    last_ns = bench.frames[-1].t_ns
+    bench.turn(for_ms=5000)
+    after_ms = (bench.pulses[-1].t_ns - last_ns) / MS
     assert 1700 < after_ms <= 2000
-    assert rig.record[-1].event == "watchdog"
+    assert bench.record[-1].event == "watchdog"
 
 
 def test_mid_level_must_be_accepted() -> None:
@@ -148,96 +148,98 @@ def test_mid_level_must_be_accepted() -> None:
 
 
 def test_mid_level_asks_well_within_its_watchdog_and_only_with_a_command() -> None:
-    rig = TestBench("mid")
-    rig.drive(200)
-    asked = [f.t_ns for f in rig.frames if f.identifier == rig.port.identifiers + sm4.Code.MID_CURRENT_DATA]
+    bench = Bench("mid")
+    bench.drive(200)
+    asked = [f.t_ns for f in bench.frames if f.identifier == bench.port.identifiers + sm4.Code.MID_CURRENT_DATA]
     assert all(b - a <= 260 * MS for a, b in pairwise(asked))
-    assert sum(f.identifier == rig.port.identifiers + sm4.Code.MID_UPDATE for f in rig.frames) == 1  # on change only
-    assert not any(e.event == "watchdog" for e in rig.record)
+    assert (
+        sum(f.identifier == bench.port.identifiers + sm4.Code.MID_UPDATE for f in bench.frames) == 1
+    )  # on change only
+    assert not any(e.event == "watchdog" for e in bench.record)
 
 
 def test_mid_level_off_is_at_once() -> None:
-    rig = TestBench("mid")
-    rig.drive(10)
-    off_ns = rig.t_ns
-    rig.turn(command(off_ns, on=False), for_ms=400)
-    assert rig.pulses[-1].t_ns <= off_ns
-    assert not rig.statuses[-1].on
+    bench = Bench("mid")
+    bench.drive(10)
+    off_ns = bench.t_ns
+    bench.turn(command(off_ns, on=False), for_ms=400)
+    assert bench.pulses[-1].t_ns <= off_ns
+    assert not bench.statuses[-1].on
 
 
 def test_mid_level_that_does_not_stop_is_a_fault_and_is_stopped() -> None:
-    rig = TestBench("mid")
-    rig.drive(2)
-    device = rig.device
+    bench = Bench("mid")
+    bench.drive(2)
+    device = bench.device
     assert isinstance(device, ScienceMode4Device)
     other = sm4.mid_update(60, {1: sm4.Train(sm4.biphasic(20, 300), 50), 3: sm4.Train(sm4.biphasic(20, 300), 50)})
-    device.receive(rig.t_ns, sm4.encode(other))
-    rig.drive(20)
-    assert any("goes on though" in s.fault for s in rig.statuses if s.channel == 3)
-    count = len([p for p in rig.pulses if p.channel == 3])
-    rig.drive(5, on=False)
-    assert len([p for p in rig.pulses if p.channel == 3]) <= count
+    device.receive(bench.t_ns, sm4.encode(other))
+    bench.drive(20)
+    assert any("goes on though" in s.fault for s in bench.statuses if s.channel == 3)
+    count = len([p for p in bench.pulses if p.channel == 3])
+    bench.drive(5, on=False)
+    assert len([p for p in bench.pulses if p.channel == 3]) <= count
 
 
 @pytest.mark.parametrize("kind", ["low", "mid"])
 def test_an_open_lead_is_told_from_15_ma_on(kind: str) -> None:
-    rig = TestBench(kind)
-    rig.device.set_fault(rig.t_ns, "electrode", 1)
-    rig.drive(20, current_ma=14.0)
-    assert rig.faults == []  # the device cannot tell
-    rig.drive(20, current_ma=16.0)
-    assert any("electrode" in s.fault for s in rig.statuses if s.channel == 1)
-    assert rig.pulses == []
-    assert not any(s.on for s in rig.statuses if s.fault)
+    bench = Bench(kind)
+    bench.device.set_fault(bench.t_ns, "electrode", 1)
+    bench.drive(20, current_ma=14.0)
+    assert bench.faults == []  # the device cannot tell
+    bench.drive(20, current_ma=16.0)
+    assert any("electrode" in s.fault for s in bench.statuses if s.channel == 1)
+    assert bench.pulses == []
+    assert not any(s.on for s in bench.statuses if s.fault)
 
 
 def test_rehastim2_electrode_and_emergency_switch() -> None:
-    rig = TestBench("rehastim2")
-    rig.device.set_fault(rig.t_ns, "electrode", 1)
-    rig.drive(3)
-    assert any("electrode" in a.fault for a in rig.alive)
-    rig = TestBench("rehastim2")
-    rig.drive(5)
-    pressed_ns, delivered = rig.t_ns, len(rig.pulses)
-    rig.line.faults.send(pressed_ns, rig.device.set_fault(pressed_ns, "emergency", 1))
-    rig.drive(5)
-    assert any("emergency switch" in a.fault for a in rig.alive)
-    assert any("wrong mode" in s.fault for s in rig.statuses)
-    assert len(rig.pulses) == delivered
+    bench = Bench("rehastim2")
+    bench.device.set_fault(bench.t_ns, "electrode", 1)
+    bench.drive(3)
+    assert any("electrode" in a.fault for a in bench.alive)
+    bench = Bench("rehastim2")
+    bench.drive(5)
+    pressed_ns, delivered = bench.t_ns, len(bench.pulses)
+    bench.line.faults.send(pressed_ns, bench.device.set_fault(pressed_ns, "emergency", 1))
+    bench.drive(5)
+    assert any("emergency switch" in a.fault for a in bench.alive)
+    assert any("wrong mode" in s.fault for s in bench.statuses)
+    assert len(bench.pulses) == delivered
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_restart_is_noticed(kind: str) -> None:
-    rig = TestBench(kind)
-    rig.drive(10)
-    boot_id = rig.handshake.boot_id
-    rig.device.set_fault(rig.t_ns, "reboot", 1)
-    delivered = len(rig.pulses)
-    rig.drive(30)
-    assert any(a.boot_id != boot_id and "restarted" in a.fault for a in rig.alive)
-    assert "restarted" in rig.lost
-    assert len(rig.pulses) == delivered
+    bench = Bench(kind)
+    bench.drive(10)
+    boot_id = bench.handshake.boot_id
+    bench.device.set_fault(bench.t_ns, "reboot", 1)
+    delivered = len(bench.pulses)
+    bench.drive(30)
+    assert any(a.boot_id != boot_id and "restarted" in a.fault for a in bench.alive)
+    assert "restarted" in bench.lost
+    assert len(bench.pulses) == delivered
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_restart_is_noticed_while_everything_is_off(kind: str) -> None:
-    rig = TestBench(kind)
-    rig.drive(5, on=False)
-    rig.device.set_fault(rig.t_ns, "reboot", 1)
-    rig.drive(40, on=False)
-    assert any("restarted" in a.fault for a in rig.alive)
+    bench = Bench(kind)
+    bench.drive(5, on=False)
+    bench.device.set_fault(bench.t_ns, "reboot", 1)
+    bench.drive(40, on=False)
+    assert any("restarted" in a.fault for a in bench.alive)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("fault", ["drop", "garble"])
 def test_a_lost_answer_is_a_fault_within_its_time(kind: str, fault: str) -> None:
-    rig = TestBench(kind)
-    rig.drive(4)
-    rig.line.faults.set(fault, 1.0)
-    begin_ns = rig.t_ns
+    bench = Bench(kind)
+    bench.drive(4)
+    bench.line.faults.set(fault, 1.0)
+    begin_ns = bench.t_ns
     for step in range(10):
-        rig.turn(command(rig.t_ns, current_ma=20.0 + step))
-    found = [e for e in [*rig.statuses, *rig.alive] if "no answer within 100 ms" in e.fault]
+        bench.turn(command(bench.t_ns, current_ma=20.0 + step))
+    found = [e for e in [*bench.statuses, *bench.alive] if "no answer within 100 ms" in e.fault]
     assert len(found) == 1
     assert 100 * MS <= found[0].t_ns - begin_ns <= 160 * MS
 
@@ -245,43 +247,45 @@ def test_a_lost_answer_is_a_fault_within_its_time(kind: str, fault: str) -> None
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_late_answer_is_a_fault_twice(kind: str) -> None:
     """First it is missing, then it comes and nobody waits for it."""
-    rig = TestBench(kind)
-    rig.drive(4)
-    rig.line.faults.set("delay", 0.15)
-    rig.turn(command(rig.t_ns, current_ma=25.0), for_ms=140)
-    assert any("no answer" in fault for fault in rig.faults)
-    rig.turn(for_ms=60)
-    assert any("to no command of ours" in fault for fault in rig.faults)
+    bench = Bench(kind)
+    bench.drive(4)
+    bench.line.faults.set("delay", 0.15)
+    bench.turn(command(bench.t_ns, current_ma=25.0), for_ms=140)
+    assert any("no answer" in fault for fault in bench.faults)
+    bench.turn(for_ms=60)
+    assert any("to no command of ours" in fault for fault in bench.faults)
 
 
 @pytest.mark.parametrize("kind", ["low", "mid"])
 def test_answers_out_of_turn_are_a_fault(kind: str) -> None:
-    rig = TestBench(kind)
-    rig.drive(4)
-    rig.line.faults.set("reorder", 1.0)
-    rig.turn(command(rig.t_ns, channel=0, current_ma=25.0), command(rig.t_ns, channel=2, current_ma=25.0), for_ms=100)
-    assert any("out of turn" in fault for fault in rig.faults)
+    bench = Bench(kind)
+    bench.drive(4)
+    bench.line.faults.set("reorder", 1.0)
+    bench.turn(
+        command(bench.t_ns, channel=0, current_ma=25.0), command(bench.t_ns, channel=2, current_ma=25.0), for_ms=100
+    )
+    assert any("out of turn" in fault for fault in bench.faults)
 
 
 @pytest.mark.parametrize("kind", ["low", "rehastim2"])
 def test_a_silent_device_never_has_more_than_two_pulses_of_a_channel_waiting(kind: str) -> None:
-    rig = TestBench(kind)
-    rig.drive(4)
-    rig.line.faults.set("mute", 1.0)
-    before = len(rig.pulses)
+    bench = Bench(kind)
+    bench.drive(4)
+    bench.line.faults.set("mute", 1.0)
+    before = len(bench.pulses)
     for _ in range(4):
-        rig.turn(command(rig.t_ns, frequency_hz=100.0))
-    assert len(rig.pulses) - before == 2
-    assert any("unanswered" in s.fault for s in rig.statuses)
+        bench.turn(command(bench.t_ns, frequency_hz=100.0))
+    assert len(bench.pulses) - before == 2
+    assert any("unanswered" in s.fault for s in bench.statuses)
 
 
 def test_a_slow_device_s_queue_is_never_filled() -> None:
-    rig = TestBench("low")
-    rig.device.set_fault(0, "slow", 0.09)
+    bench = Bench("low")
+    bench.device.set_fault(0, "slow", 0.09)
     for _ in range(30):
-        rig.turn(*(command(rig.t_ns, channel=channel, frequency_hz=50.0) for channel in range(8)))
-    assert not any(e.event == "refused" for e in rig.record)
-    assert any("queue" in s.fault for s in rig.statuses)
+        bench.turn(*(command(bench.t_ns, channel=channel, frequency_hz=50.0) for channel in range(8)))
+    assert not any(e.event == "refused" for e in bench.record)
+    assert any("queue" in s.fault for s in bench.statuses)
 
 
 def test_the_simulated_queue_refuses_the_eleventh() -> None:
@@ -299,71 +303,71 @@ def test_faults_latch_the_gate(kind: str) -> None:
     """The commands go past this gate, so that it is told of no pulses: it would ask who wanted them."""
 
     def told_after(t_ns: int) -> None:
-        for event in sorted([*rig.statuses, *rig.alive], key=lambda e: e.t_ns):
+        for event in sorted([*bench.statuses, *bench.alive], key=lambda e: e.t_ns):
             if event.t_ns > t_ns:
                 gate.observe(replace(event, pulses=0) if isinstance(event, StimStatus) else event)
 
     channel = load_session(SETTINGS).channels[0].model_copy(update={"number": 1})
     gate = SafetyGate((channel,), max_data_age_ms=40, validity_ms=60)
-    rig = TestBench(kind)
-    rig.drive(3)
+    bench = Bench(kind)
+    bench.drive(3)
     told_after(0)
     assert gate.latched == ""
-    rig.device.set_fault(rig.t_ns, "reboot", 1)
-    seen_ns = rig.t_ns
-    rig.drive(30)
+    bench.device.set_fault(bench.t_ns, "reboot", 1)
+    seen_ns = bench.t_ns
+    bench.drive(30)
     told_after(seen_ns)
     assert "stimulator" in gate.latched
 
 
 def test_rehastim2_sends_one_list_for_all_channels_of_a_step() -> None:
-    rig = TestBench("rehastim2", channels=(4, 2))
+    bench = Bench("rehastim2", channels=(4, 2))
     for _ in range(50):
-        rig.turn(command(rig.t_ns, channel=4, current_ma=30.5), command(rig.t_ns, channel=2, frequency_hz=25.0))
-    starts = [f for f in rig.frames if f.identifier == rig.port.identifiers + sm2.Code.LIST_START]
-    by_channel = {number: [p for p in rig.pulses if p.channel == number] for number in (2, 4)}
+        bench.turn(command(bench.t_ns, channel=4, current_ma=30.5), command(bench.t_ns, channel=2, frequency_hz=25.0))
+    starts = [f for f in bench.frames if f.identifier == bench.port.identifiers + sm2.Code.LIST_START]
+    by_channel = {number: [p for p in bench.pulses if p.channel == number] for number in (2, 4)}
     assert len(by_channel[4]) == pytest.approx(40, abs=1)
     assert len(by_channel[2]) == pytest.approx(25, abs=1)
     assert len(starts) < len(by_channel[2]) + len(by_channel[4])
     assert {p.current_ma for p in by_channel[4]} == {30.0}  # whole mA, rounded down
-    assert rig.faults == []
+    assert bench.faults == []
 
 
 def test_rehastim2_delivers_nothing_of_a_step_that_broke_off() -> None:
-    rig = TestBench("rehastim2", channels=(1, 2))
-    rig.turn(command(rig.t_ns, channel=1))  # the last channel's command does not come
-    rig.turn(command(rig.t_ns, channel=2, on=False), for_ms=100)
-    assert rig.pulses == []
+    bench = Bench("rehastim2", channels=(1, 2))
+    bench.turn(command(bench.t_ns, channel=1))  # the last channel's command does not come
+    bench.turn(command(bench.t_ns, channel=2, on=False), for_ms=100)
+    assert bench.pulses == []
 
 
 def test_rehastim2_delivers_nothing_when_all_is_switched_off_in_the_middle_of_a_step() -> None:
-    rig = TestBench("rehastim2", channels=(4, 2))
-    gathered = command(rig.t_ns, channel=4)
-    rig.turn(gathered, *(command(rig.t_ns, channel=number, on=False) for number in (4, 2)), for_ms=100)
-    assert rig.pulses == []
+    bench = Bench("rehastim2", channels=(4, 2))
+    gathered = command(bench.t_ns, channel=4)
+    bench.turn(gathered, *(command(bench.t_ns, channel=number, on=False) for number in (4, 2)), for_ms=100)
+    assert bench.pulses == []
 
 
 def test_rehastim2_is_kept_alive_by_commands_alone() -> None:
-    rig = TestBench("rehastim2")
-    rig.drive(150, on=False)
-    assert not any(e.event == "watchdog" for e in rig.record)
-    sent_ns = [f.t_ns for f in rig.frames if f.identifier == rig.port.identifiers + sm2.Code.GET_MODE]
+    bench = Bench("rehastim2")
+    bench.drive(150, on=False)
+    assert not any(e.event == "watchdog" for e in bench.record)
+    sent_ns = [f.t_ns for f in bench.frames if f.identifier == bench.port.identifiers + sm2.Code.GET_MODE]
     assert len(sent_ns) > 10
     assert all(b - a <= 270 * MS for a, b in pairwise(sent_ns))
-    assert len(rig.alive) >= len(sent_ns) - 1  # each is answered: it is known to be there while nothing is stimulated
-    rig.turn(for_ms=3000)
-    assert any(e.event == "watchdog" for e in rig.record)
-    assert any("restarted, or its watchdog" in a.fault for a in rig.alive)
+    assert len(bench.alive) >= len(sent_ns) - 1  # each is answered: it is known to be there while nothing is stimulated
+    bench.turn(for_ms=3000)
+    assert any(e.event == "watchdog" for e in bench.record)
+    assert any("restarted, or its watchdog" in a.fault for a in bench.alive)
 
 
 def test_a_repeating_rehastim2_list_runs_on_for_its_watchdog() -> None:
     """Why lists are one-shot: with any other main interval it is 1.2 s until silence."""
-    rig = TestBench("rehastim2")
-    device = rig.device
-    device.receive(rig.t_ns, sm2.encode(Packet(9, sm2.Code.LIST_STOP)))
-    device.receive(rig.t_ns, sm2.encode(sm2.list_init(10, (1,), interval=48)))
-    device.receive(rig.t_ns, sm2.encode(sm2.list_start(11, [(300, 20)])))
-    begin_ns = rig.t_ns
+    bench = Bench("rehastim2")
+    device = bench.device
+    device.receive(bench.t_ns, sm2.encode(Packet(9, sm2.Code.LIST_STOP)))
+    device.receive(bench.t_ns, sm2.encode(sm2.list_init(10, (1,), interval=48)))
+    device.receive(bench.t_ns, sm2.encode(sm2.list_start(11, [(300, 20)])))
+    begin_ns = bench.t_ns
     device.advance(begin_ns + 5000 * MS)
     times_ns = [e.t_ns for e in device.take_record() if e.event == "pulse"]
     assert times_ns[1] - times_ns[0] == 25 * MS
@@ -372,20 +376,20 @@ def test_a_repeating_rehastim2_list_runs_on_for_its_watchdog() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nobody_there_says_what_to_check(kind: str) -> None:
-    rig = TestBench(kind)
-    rig.line.faults.set("mute", 1.0)
+    bench = Bench(kind)
+    bench.line.faults.set("mute", 1.0)
     with pytest.raises(StimulatorLost, match=r"simulated device: no .*switched on"):
-        rig.port.open(0, timeout_s=1.0, clock_ns=rig.line.clock_ns)
+        bench.port.open(0, timeout_s=1.0, clock_ns=bench.line.clock_ns)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_pulled_cable_is_a_lost_stimulator(kind: str) -> None:
-    rig = TestBench(kind)
-    rig.line.unplugged = True
+    bench = Bench(kind)
+    bench.line.unplugged = True
     with pytest.raises(StimulatorLost, match="cable"):
-        rig.port.poll(0)
+        bench.port.poll(0)
     with pytest.raises(StimulatorLost, match="cable"):
-        rig.port.send(command(rig.t_ns + 1000 * MS))
+        bench.port.send(command(bench.t_ns + 1000 * MS))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -393,24 +397,24 @@ def test_a_pulled_cable_is_a_lost_stimulator(kind: str) -> None:
     "bad", [{"current_ma": 131.0}, {"current_ma": float("nan")}, {"channel": 9}, {"frequency_hz": float("nan")}]
 )
 def test_a_command_that_cannot_be_expressed_changes_nothing(kind: str, bad: dict[str, Any]) -> None:
-    rig = TestBench(kind)
-    rig.drive(2)
-    outstanding = rig.port.outstanding
+    bench = Bench(kind)
+    bench.drive(2)
+    outstanding = bench.port.outstanding
     with pytest.raises(ValueError):
-        rig.port.send(command(rig.t_ns, **bad))
-    assert rig.port.outstanding == outstanding
-    before = len(rig.statuses)
+        bench.port.send(command(bench.t_ns, **bad))
+    assert bench.port.outstanding == outstanding
+    before = len(bench.statuses)
     for step in range(2, 12):  # the counter did not move
-        rig.turn(command(rig.t_ns, current_ma=20.0 + step))
-    assert {s.counter for s in rig.statuses[before:]} <= {step % 16 for step in range(2, 12)}
-    assert rig.faults == []
+        bench.turn(command(bench.t_ns, current_ma=20.0 + step))
+    assert {s.counter for s in bench.statuses[before:]} <= {step % 16 for step in range(2, 12)}
+    assert bench.faults == []
 
 
 def test_off_for_an_unknown_channel_is_never_refused() -> None:
     for kind in KINDS:
-        rig = TestBench(kind)
-        rig.turn(command(rig.t_ns, channel=-1, on=False))
-        assert rig.faults == []
+        bench = Bench(kind)
+        bench.turn(command(bench.t_ns, channel=-1, on=False))
+        assert bench.faults == []
 
 
 def test_a_handshake_after_another_session_of_mid_level_silences_it() -> None:
@@ -438,8 +442,8 @@ def test_device_refusals_are_told_at_the_handshake() -> None:
 
 
 def test_device_errors_unasked_reach_the_controller() -> None:
-    rig = TestBench("low")
-    rig.line.faults.send(rig.t_ns, [sm4.encode(Packet(0, sm4.Code.GENERAL_ERROR, b"\x08"))])
-    rig.turn()
-    assert rig.alive[-1].rejected == 1
-    assert "high voltage" in rig.alive[-1].fault
+    bench = Bench("low")
+    bench.line.faults.send(bench.t_ns, [sm4.encode(Packet(0, sm4.Code.GENERAL_ERROR, b"\x08"))])
+    bench.turn()
+    assert bench.alive[-1].rejected == 1
+    assert "high voltage" in bench.alive[-1].fault

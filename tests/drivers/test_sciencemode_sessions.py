@@ -7,13 +7,13 @@ import random
 import pytest
 from replays import Burst, bursts, replay, write_cut
 
-from drivers.simulated.stimulator.firmware import RecordEntry
+from drivers.simulated.record import RecordEntry
 from drivers.simulated.stimulator.in_process import DeviceLine
 from drivers.simulated.stimulator.sciencemode2 import ScienceMode2Device
 from drivers.simulated.stimulator.sciencemode4 import ScienceMode4Device
+from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevelStimulator
 from drivers.stimulator.sciencemode.port import ScienceModePort
-from drivers.stimulator.sciencemode.port2 import RehaStim2
-from drivers.stimulator.sciencemode.port4 import LowLevelStimulator, MidLevelStimulator
+from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
 from fes.signals import StimCommand, StimStatus
 from fes.stimulation.dose import DoseLedger
 

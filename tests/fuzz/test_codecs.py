@@ -24,8 +24,8 @@ from drivers.imu import ximu3_codec as ximu3
 from drivers.imu.can_codec import DbcSensor
 from drivers.stimulator import can_codec, canopen_codec
 from drivers.stimulator.can_codec import Alive, Charge, Command, Result, SessionOpen, Status
-from drivers.stimulator.sciencemode import codec2 as sm2
-from drivers.stimulator.sciencemode import codec4 as sm4
+from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
+from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
 from drivers.stimulator.sciencemode.framing import Packet
 from fes.config import ImuDevice
 from fes.recording import RecordingError, read_recording, write_recording

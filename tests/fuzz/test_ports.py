@@ -10,15 +10,15 @@ import can
 import pytest
 from examples import examples
 from spoiled import no_longer_than
-from test_can_port import TestBench as CanRig
+from test_can_port import Bench as CanBench
 from test_can_port import command as can_command
-from test_sciencemode_ports import KINDS, MS, TestBench, command
+from test_sciencemode_ports import KINDS, MS, Bench, command
 
 from drivers.stimulator import can_codec
 from drivers.stimulator.can_codec import Alive, Charge, Frame, Result, Status
 from drivers.stimulator.port import StimulatorLost
-from drivers.stimulator.sciencemode import codec2 as sm2
-from drivers.stimulator.sciencemode import codec4 as sm4
+from drivers.stimulator.sciencemode import sciencemode2_codec as sm2
+from drivers.stimulator.sciencemode import sciencemode4_codec as sm4
 from drivers.stimulator.sciencemode.framing import Packet
 
 
@@ -48,17 +48,17 @@ def test_well_framed_nonsense(kind: str, capsys: pytest.CaptureFixture[str]) -> 
     encode, numbers = (sm2.encode, 256) if kind == "rehastim2" else (sm4.encode, 64)
     sessions, lost, faults = examples(15, 1_500), 0, 0
     for _ in range(sessions):
-        rig = TestBench(kind)
-        line: Any = Chatty(rig.line, encode, numbers, chance)
-        rig.port._line = line
+        bench = Bench(kind)
+        line: Any = Chatty(bench.line, encode, numbers, chance)
+        bench.port._line = line
         try:
             with no_longer_than(20):
                 for _ in range(25):
-                    rig._turn((command(rig.t_ns, on=chance.random() < 0.8),), 20)
+                    bench._turn((command(bench.t_ns, on=chance.random() < 0.8),), 20)
         except StimulatorLost:
             lost += 1
-        faults += bool(rig.faults)
-        for status in rig.statuses:
+        faults += bool(bench.faults)
+        for status in bench.statuses:
             assert status.channel == 1
             assert 0.0 <= status.current_ma <= 20.0
             assert 0.0 <= status.charge_uc <= status.pulses * 20.0 * 0.3 + 1e-9
@@ -91,22 +91,22 @@ def test_intact_nonsense_on_can(capsys: pytest.CaptureFixture[str]) -> None:
     chance = random.Random(6)
     sessions, lost, faults = examples(10, 1_000), 0, 0
     for number in range(sessions):
-        rig = CanRig(name=f"nonsense {number}")
+        bench = CanBench(name=f"nonsense {number}")
         try:
-            rig.port.open(0, clock_ns=rig.clock)
+            bench.port.open(0, clock_ns=bench.clock)
             with no_longer_than(20):
                 for _ in range(25):
-                    rig.port.send(can_command(on=chance.random() < 0.8))
-                    rig.turn(rig.t_ns + 20 * MS)
+                    bench.port.send(can_command(on=chance.random() < 0.8))
+                    bench.turn(bench.t_ns + 20 * MS)
                     if chance.random() < 0.5:
                         identifier, data = nonsense(chance)
-                        rig.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
-                    for event in rig.port.poll(rig.t_ns):
+                        bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+                    for event in bench.port.poll(bench.t_ns):
                         faults += bool(event.fault)
         except StimulatorLost:
             lost += 1
         finally:
-            rig.close()
+            bench.close()
     assert faults > 0
     with capsys.disabled():
         print(f"\nCAN: {sessions} sessions of half a second with nonsense, {faults} faults told, {lost} sessions ended")

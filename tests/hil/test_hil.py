@@ -20,13 +20,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.simulated.bus_guests import Rogue, StopButton, flipped, random_frames
-from drivers.simulated.can_link import LinkLoop, SlcanFront, waiting
+from drivers.simulated.can_link import LinkLoop, SlcanDecoder, SlcanFront, encode_frame, waiting
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
 from drivers.simulated.imu.wire import LSL_RECORD, LslWire
-from drivers.simulated.lines import PtyEnd, SlcanDecoder, encode_frame
+from drivers.simulated.lines import PtyEnd
+from drivers.simulated.record import RecordEntry, RecordReader, RecordWriter
 from drivers.simulated.stimulator.can_node import NodeLoop
-from drivers.simulated.stimulator.firmware import RecordEntry, RecordWriter, StimulatorNode
-from drivers.simulated.stimulator.node_clock import RealClock
+from drivers.simulated.stimulator.firmware import StimulatorNode
+from drivers.simulated.stimulator.lockstep import RealClock
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import COMMAND_ID, FrameRejected, decode, encode_command
 from drivers.stimulator.can_port import CanStimulator
@@ -36,7 +37,7 @@ from fes.cli import main
 from fes.config import Bus, StimulatorDevice, load_session
 from fes.hil.baseline import Baseline, Lateness
 from fes.hil.controller import Child, ScriptedOperator
-from fes.hil.devices import TRANSPORTS, RecordTail, point
+from fes.hil.devices import TRANSPORTS, point
 from fes.hil.expected_no_effect import judged
 from fes.hil.hardware import BusWitness, Hardware
 from fes.hil.injections import INJECTIONS
@@ -188,16 +189,16 @@ def test_a_record_read_bit_by_bit_tells_the_same_as_at_once(kinds: list[int], cu
 
 def test_a_record_is_read_once_and_only_whole_lines(tmp_path: Path) -> None:
     path = tmp_path / "record.jsonl"
-    tail = RecordTail(path)
-    assert tail.news() == []
+    tail = RecordReader(path)
+    assert tail.new_entries() == []
     with path.open("w") as file:
         file.write('{"t_ns":1,"event":"boot"}\n{"t_ns":2,"ev')
         file.flush()
-        assert [entry.t_ns for entry in tail.news()] == [1]
-        assert tail.news() == []
+        assert [entry.t_ns for entry in tail.new_entries()] == [1]
+        assert tail.new_entries() == []
         file.write('ent":"off"}\nnoise\n')
     with pytest.raises(ValueError, match=r"record.jsonl:3"):
-        tail.news()
+        tail.new_entries()
 
 
 # --- the table -------------------------------------------------------------------------------------------
@@ -253,16 +254,18 @@ def test_a_machine_that_was_away_is_no_success() -> None:
 
 
 def test_lost_time_counts_as_the_machines_only_where_an_idle_loop_lost_it_too() -> None:
-    rig = TestBench(
+    bench = TestBench(
         Hardware(Path(), Path(), Path(), 1.0, BusWitness(Rogue(Bus(interface="virtual")))), frozenset(), ExitStack()
     )
-    assert not rig.was_away("controller stalled for 51 ms", 0, 10**12)
-    rig.gaps = lambda since_ns: [(1000 * MS, 50.0)]
-    assert rig.was_away("controller stalled for 51 ms", 1040 * MS, 1100 * MS)
-    assert not rig.was_away("controller stalled for 51 ms", 1060 * MS, 1100 * MS)
-    assert not rig.was_away("controller stalled for 51 ms", 900 * MS, 990 * MS)
-    assert rig.was_away("stimulator fault on channel 0: 2 pulses are unanswered; none was added", 1040 * MS, 1100 * MS)
-    assert not rig.was_away("non-finite sample from right_foot", 900 * MS, 1100 * MS)
+    assert not bench.was_away("controller stalled for 51 ms", 0, 10**12)
+    bench.gaps = lambda since_ns: [(1000 * MS, 50.0)]
+    assert bench.was_away("controller stalled for 51 ms", 1040 * MS, 1100 * MS)
+    assert not bench.was_away("controller stalled for 51 ms", 1060 * MS, 1100 * MS)
+    assert not bench.was_away("controller stalled for 51 ms", 900 * MS, 990 * MS)
+    assert bench.was_away(
+        "stimulator fault on channel 0: 2 pulses are unanswered; none was added", 1040 * MS, 1100 * MS
+    )
+    assert not bench.was_away("non-finite sample from right_foot", 900 * MS, 1100 * MS)
 
 
 def level(t_ms: float, event: str, current_ma: float = 18.0, detail: str = "") -> RecordEntry:

@@ -11,7 +11,8 @@ import pytest
 
 from drivers.imu import xbus_codec as xbus
 from drivers.simulated.pulses import Pulse, PulseInlet, PulseOutlet
-from drivers.simulated.stimulator.firmware import RecordEntry, StimulatorNode
+from drivers.simulated.record import RecordEntry
+from drivers.simulated.stimulator.firmware import StimulatorNode
 from fes.hil.closed_loop.patient_device import HELD, PatientDevice
 from fes.signals import NS_PER_S
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, settings_for
@@ -172,18 +173,18 @@ def test_every_pulse_of_a_stage_is_told_by_its_own_time_even_when_the_node_was_l
     node = StimulatorNode(1, 0)
     node.channels[2].drive(0, (20.0, 250.0, 40.0), 60)
     node.advance(55 * MS)  # three pulses at once
-    outlet.of_channels(node.channels)
-    assert inlet.take() == [Pulse(t_ms * MS, 2, 20.0, 250.0) for t_ms in (0, 25, 50)]
+    outlet.send_made(node.channels)
+    assert inlet.receive() == [Pulse(t_ms * MS, 2, 20.0, 250.0) for t_ms in (0, 25, 50)]
     node.advance(500 * MS)  # the lease has ended
-    outlet.of_channels(node.channels)
-    outlet.of_record([RecordEntry(5, "pulse", 1, 18.0, 300.0), RecordEntry(6, "off", 1)])
-    assert inlet.take() == [Pulse(5, 1, 18.0, 300.0)]
+    outlet.send_made(node.channels)
+    outlet.send_record([RecordEntry(5, "pulse", 1, 18.0, 300.0), RecordEntry(6, "off", 1)])
+    assert inlet.receive() == [Pulse(5, 1, 18.0, 300.0)]
     inlet.close()
-    outlet.tell(Pulse(7, 0, 1.0, 1.0))  # nobody is there any more
+    outlet.send(Pulse(7, 0, 1.0, 1.0))  # nobody is there any more
     assert outlet.lost == 1
     outlet.close()
     assert not (tmp_path / "p").exists()
-    PulseOutlet(None).tell(Pulse(7, 0, 1.0, 1.0))
+    PulseOutlet(None).send(Pulse(7, 0, 1.0, 1.0))
 
 
 def test_nothing_but_pulses_comes_out_of_the_socket(tmp_path: Path) -> None:
@@ -193,7 +194,7 @@ def test_nothing_but_pulses_comes_out_of_the_socket(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as stranger:
         for datagram in (b"", b"x", b"x" * 27, b"x" * 29, b"x" * 2000):
             stranger.sendto(datagram, str(tmp_path / "p"))
-        assert inlet.take() == []
+        assert inlet.receive() == []
     assert (tmp_path / "p").stat().st_mode & 0o077 == 0
     inlet.close()
 

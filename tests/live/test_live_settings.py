@@ -12,7 +12,7 @@ from replays import SETTINGS
 from test_live_operator import CALIBRATION, FOOT, settings
 from test_live_run import SENSOR, run
 
-from drivers.stimulator.open import electrodes_told_from_ma
+from drivers.stimulator.open import open_lead_detected_from_ma
 from fes.cli.common.exits import UNUSABLE
 from fes.cli.replay.log import repeat
 from fes.cli.run.devices import serial_ports_of
@@ -125,7 +125,7 @@ def test_a_burst_in_coarse_steps_that_begins_right_after_a_command_is_let_throug
 def test_what_a_stimulator_cannot_tell_of_its_electrodes_is_said(
     device: Literal["can", "canopen", "p24_low_level", "p24_mid_level", "rehastim2"], said: str
 ) -> None:
-    from_ma = electrodes_told_from_ma(StimulatorDevice(device=device, port="/dev/ttyUSB0"))
+    from_ma = open_lead_detected_from_ma(StimulatorDevice(device=device, port="/dev/ttyUSB0"))
     electrodes = Electrodes([3, 0], from_ma)
     assert electrodes.unknown() == said
     electrodes.note(StimStatus(1, 0, 0, True, (from_ma or 1.0) - 0.5, 300.0, 40.0, fault="open lead"))

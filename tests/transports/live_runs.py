@@ -23,7 +23,7 @@ from replays import MS, SETTINGS, cut, edit, keep, trial
 from shank_walks import ShankWalk, shank_walk
 
 from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
-from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
 from drivers.stimulator.bus import open_bus
 from fes.calibration.recording import Found, calibrate_drivers, calibrate_shank_track, save
@@ -114,7 +114,7 @@ Stimulator = NodeHandle | DeviceHandle
 
 
 @dataclass
-class TestBench:
+class Bench:
     """A sensor, a stimulator, and what the session file says of them."""
 
     sensor: str
@@ -137,21 +137,21 @@ def bus_text(bus: Bus) -> str:
     return f'[bus]\ninterface = "{bus.interface}"\nchannel = "{bus.channel}"\n[bus.options]\n{options}'
 
 
-def xbus_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
+def xbus_and_can(folder: Path, recording: Path, stack: ExitStack) -> Bench:
     """A foot's sensor on a serial line, the stimulator on CAN."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     imu = stack.enter_context(spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ))
-    return TestBench(FOOT, imu, node, bus_text(node.bus) + sensor_text("xbus", imu.port))
+    return Bench(FOOT, imu, node, bus_text(node.bus) + sensor_text("xbus", imu.port))
 
 
-def xsens_can_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
+def xsens_can_and_can(folder: Path, recording: Path, stack: ExitStack) -> Bench:
     """Both on one CAN bus."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     imu = stack.enter_context(
         spawn_imu("xsens_can", sensor=FOOT, recording=recording, rate_hz=SLOW_RATE_HZ, bus=node.bus, id_offset=0x400)
     )
     options = "id_offset = 0x400"
-    return TestBench(
+    return Bench(
         FOOT,
         imu,
         node,
@@ -159,34 +159,34 @@ def xsens_can_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBe
     )
 
 
-def shank_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
+def shank_and_can(folder: Path, recording: Path, stack: ExitStack) -> Bench:
     """No sensor on the foot: the shank's drives it."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     imu = stack.enter_context(spawn_imu("xbus", sensor=SHANK, recording=recording, rate_hz=SHANK_RATE_HZ))
     sensor = sensor_text("xbus", imu.port, sensor=SHANK, rate_hz=SHANK_RATE_HZ)
-    return TestBench(SHANK, imu, node, bus_text(node.bus) + sensor)
+    return Bench(SHANK, imu, node, bus_text(node.bus) + sensor)
 
 
-def lsl_and_can(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
+def lsl_and_can(folder: Path, recording: Path, stack: ExitStack) -> Bench:
     """A sensor's stream over Lab Streaming Layer."""
     name = f"fes-run-{os.getpid()}"
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     imu = stack.enter_context(spawn_imu("lsl", sensor=FOOT, recording=recording, rate_hz=SLOW_RATE_HZ, name=name))
-    return TestBench(
+    return Bench(
         FOOT, imu, node, bus_text(node.bus) + sensor_text("lsl", name, rate_hz=SLOW_RATE_HZ, options="timeout_s = 20")
     )
 
 
-def serial_rig(device: str, kind: DeviceKind) -> Callable[[Path, Path, ExitStack], TestBench]:
+def serial_rig(device: str, kind: DeviceKind) -> Callable[[Path, Path, ExitStack], Bench]:
     """An x-IMU3 and a serial stimulator, each on a pseudo-terminal; the stimulator's has a name that stays."""
 
-    def make(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
+    def make(folder: Path, recording: Path, stack: ExitStack) -> Bench:
         stimulator = stack.enter_context(spawn_device(kind, record=folder / "device.jsonl"))
         port = folder / "stimulator"
         port.symlink_to(stimulator.port)
         imu = stack.enter_context(spawn_imu("ximu3", sensor=FOOT, recording=recording, rate_hz=RATE_HZ))
         stim = f'[stimulator]\ndevice = "{device}"\nport = "{port}"\n'
-        return TestBench(FOOT, imu, stimulator, stim + sensor_text("ximu3", imu.port))
+        return Bench(FOOT, imu, stimulator, stim + sensor_text("ximu3", imu.port))
 
     return make
 
@@ -201,12 +201,12 @@ ximu3_and_rehastim2 = serial_rig("rehastim2", "sciencemode2")
 class LiveRun:
     """A running session; orders go over its control socket, statuses come back."""
 
-    def __init__(self, process: subprocess.Popen[str], folder: Path, rig: TestBench, keys: int):
+    def __init__(self, process: subprocess.Popen[str], folder: Path, bench: Bench, keys: int):
         self.process = process
         self.folder = folder
-        self.sensor = rig.sensor
-        self.stimulator: Stimulator = rig.stimulator
-        self.imu = rig.imu
+        self.sensor = bench.sensor
+        self.stimulator: Stimulator = bench.stimulator
+        self.imu = bench.imu
         self.keys = keys
         self.link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.link.bind(str(folder / "me.sock"))
@@ -396,11 +396,11 @@ def live_run(
     recording: Path,
     *options: str | Path,
     text: str = "",
-    rig: Callable[[Path, Path, ExitStack], TestBench] = xbus_and_can,
+    bench: Callable[[Path, Path, ExitStack], Bench] = xbus_and_can,
 ) -> Iterator[LiveRun]:
-    """A session with what a rig connects; ``text`` is added to its settings. At its end it lists what it had loaded."""
+    """A session with what a bench connects. ``text`` is added to its settings; at its end it lists what is loaded."""
     with ExitStack() as stack:
-        connected = rig(folder, recording, stack)
+        connected = bench(folder, recording, stack)
         settings = folder / "live.toml"
         at_once = SETTINGS.read_text().replace("strides_before_start = 2", "strides_before_start = 0")
         settings.write_text(f"{at_once}\n{connected.text}\n{text}")

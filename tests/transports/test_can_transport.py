@@ -21,10 +21,10 @@ from pathlib import Path
 import can
 import pytest
 
-from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.stimulator.spawn import NodeFailed, NodeHandle, free_bus, spawn_node, why_silent
 from drivers.stimulator.bus import LOOPBACK, MULTICAST, open_bus
-from drivers.stimulator.can_codec import commands_of
+from drivers.stimulator.can_codec import logged_commands
 from drivers.stimulator.can_port import ByteSink, CanStimulator
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus
@@ -139,7 +139,7 @@ def deliver_a_second(node: NodeHandle) -> None:
     run.answered()
     run.port.close()
 
-    sent = commands_of(run.frames)
+    sent = logged_commands(run.frames)
     result = compare_delivered(sent, run.statuses)
     assert len(sent) == 100
     assert result.ok, result.differences[:3]
@@ -160,7 +160,7 @@ def test_wire_truth_sees_a_node_that_delivers_less(tmp_path: Path) -> None:
         run.turn([command(channel) for channel in CHANNELS])
         run.answered()
         run.port.close()
-    result = compare_delivered(commands_of(run.frames), run.statuses)
+    result = compare_delivered(logged_commands(run.frames), run.statuses)
     assert (result.matched, result.different) == (1, 1)
     assert result.differences[0].what == "current commanded 20 mA, delivered 10 mA"
 
@@ -171,7 +171,7 @@ def test_a_node_that_restarts_stays_off_and_the_controller_is_told() -> None:
         for step in range(30):
             if step == 15:
                 run.answered()
-                node.tell("reboot", 0.0)
+                node.inject("reboot", 0.0)
             run.turn([command(0)], 0.02)
         run.answered()
         run.port.close()

@@ -38,17 +38,17 @@ kinds = pytest.mark.parametrize("kind", [pytest.param("node", marks=needs_bus), 
 @kinds
 def test_all_of_them_start_take_faults_and_end_alike(tmp_path: Path, kind: str) -> None:
     with START[kind](tmp_path) as handle:
-        first_ns, second_ns = handle.tell(A_FAULT[kind]), handle.tell(A_FAULT[kind], 0.0)
+        first_ns, second_ns = handle.inject(A_FAULT[kind]), handle.inject(A_FAULT[kind], 0.0)
         assert 0 < first_ns < second_ns
         with pytest.raises((NodeFailed, ImuLost), match=r"refused: .*smoke.* is not known"):
-            handle.tell("smoke")
+            handle.inject("smoke")
         with pytest.raises((NodeFailed, ImuLost), match="refused"):
-            handle.ask({"no": "fault"})
-        assert handle.tell(A_FAULT[kind], 0.0) > second_ns  # and it goes on
+            handle.request({"no": "fault"})
+        assert handle.inject(A_FAULT[kind], 0.0) > second_ns  # and it goes on
         assert handle.stop() == 0
         assert handle.stop() == 0
         with pytest.raises((NodeFailed, ImuLost), match="has been stopped"):
-            handle.tell("mute")
+            handle.inject("mute")
     assert [entry.event for entry in handle.entries("boot")] == (["boot"] if handle.record else [])
 
 
@@ -56,7 +56,7 @@ def test_one_that_was_killed_is_gone_and_its_status_is_told(tmp_path: Path) -> N
     with START["serial"](tmp_path) as handle:
         handle.process.kill()
         with pytest.raises(NodeFailed, match="is gone; it said: nothing; it ended with status -9"):
-            handle.tell("mute")
+            handle.inject("mute")
 
 
 def test_what_a_patient_says_unasked_is_no_answer_and_none_of_it_is_lost(tmp_path: Path) -> None:

@@ -53,7 +53,7 @@ def test_a_stimulator_that_reports_a_fault_fails(tmp_path: Path) -> None:
         path.write_text(f'{SETTINGS.read_text()}\n[stimulator]\ndevice = "p24_low_level"\nport = "{device.port}"\n')
         assert doctor_devices.stimulator(load_session(path)).verdict is Verdict.OK
         assert device.entries("pulse") == []
-        device.tell("mute")
+        device.inject("mute")
         silent = doctor_devices.stimulator(load_session(path))
         assert silent.verdict is Verdict.FAILURE
         assert silent.remedy

@@ -17,7 +17,7 @@ from imu_reading import Taken, collect, collect_samples, collect_until, settings
 from drivers.imu.line import READS_AT_MOST, ByteLine
 from drivers.imu.open import open_imus
 from drivers.imu.port import ImuLost
-from drivers.simulated.imu.device import walking
+from drivers.simulated.imu.device import walking_signal
 from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
 from drivers.simulated.stimulator.spawn import free_bus, why_silent
 from drivers.stimulator.bus import open_bus
@@ -57,7 +57,7 @@ def test_two_sensors_at_500_hz_lose_nothing_and_keep_their_own_clocks() -> None:
             least_ns = min(map(taken.late_ns, mine))
             assert 0 <= least_ns <= min(settled)
             assert least_ns - CLOCK_NS < mapped_ns - taken.ns(mine[-1]) < min(settled) + CLOCK_NS
-            signal = walking(sensor, 500.0)
+            signal = walking_signal(sensor, 500.0)
             assert all(taken.as_played(sample, signal) for sample in mine)
             port.close()
 
@@ -68,23 +68,23 @@ def test_faults_on_the_line_are_counted_and_survived(kind: str) -> None:
         (port,) = open_imus([settings(kind, handle.port)])
         counts, taken = port.counts["right_foot"], Taken(handle, 10.0)
         collect_samples([port], 10)
-        handle.fault("drop", 3)
+        handle.inject("drop", 3)
         collect_until([port], lambda: counts.missing >= 3)
         assert counts.missing == 3
-        handle.fault("doubled", 2)
+        handle.inject("doubled", 2)
         collect_until([port], lambda: counts.doubled >= 2)
         assert counts.doubled == 2
-        handle.fault("reorder", 1)
+        handle.inject("reorder", 1)
         collect_until([port], lambda: counts.backward >= 1)
         assert counts.backward == 1
-        handle.fault("nan", 2)
+        handle.inject("nan", 2)
         found = collect_until([port], lambda: counts.bad_values >= 2)
         assert len([sample for sample in found if math.isnan(sample.acc_mps2[0])]) == counts.bad_values == 2
-        wrong = taken.since(port, handle.fault("unit", 1000.0), 20)
+        wrong = taken.since(port, handle.inject("unit", 1000.0), 20)
         assert all(math.isnan(sample.acc_mps2[0]) for sample in wrong)
         handle.clear()
         before = counts.bad_frames
-        handle.fault("garble", 4)
+        handle.inject("garble", 4)
         if kind == "xbus":
             collect_until([port], lambda: counts.bad_frames >= before + 4)
         after = taken.since(port, time.monotonic_ns(), 40)
@@ -105,14 +105,14 @@ def test_mute_delay_reboot_and_jump_reach_the_clock() -> None:
             return found[-1].t_device_ns
 
         pass_on(50)
-        told_ns = handle.fault("mute")
+        told_ns = handle.inject("mute")
         assert all(taken.ns(sample) < told_ns for sample in collect([port], 0.3))
         handle.clear()
         pass_on(50)
-        handle.fault("reboot")
+        handle.inject("reboot")
         assert any(pass_on(1) < 10_000_000_000 for _ in range(100))
         assert clock.resets == 1
-        handle.fault("jump", 100.0)
+        handle.inject("jump", 100.0)
         assert any(pass_on(1) > 100_000_000_000 for _ in range(100))
         assert clock.resets == 2
         port.close()
@@ -123,7 +123,7 @@ def test_an_unplugged_line_is_lost_and_says_so(kind: str, line: str) -> None:
     with spawn_imu("xbus" if kind == "xbus" else "ximu3", line="tcp" if line == "tcp" else "pty") as handle:
         (port,) = open_imus([settings(kind, handle.port)])
         collect_samples([port], 1)
-        handle.fault("unplug")
+        handle.inject("unplug")
         assert "Check cable" in until_lost(port)
         with pytest.raises(ImuLost):
             port.reopen()
@@ -221,17 +221,17 @@ def test_a_sensor_by_any_dbc(tmp_path: Path) -> None:
         found = collect_samples([port], 100)
         assert {b.t_device_ns - a.t_device_ns for a, b in itertools.pairwise(found)} == {5_000_000}
         assert (counts.missing, counts.doubled, counts.backward, counts.bad_frames) == (0, 0, 0, begun)
-        signal = walking("right_foot", 200.0)
+        signal = walking_signal("right_foot", 200.0)
         assert all(taken.as_played(sample, signal, 5e-3, 1e-3) for sample in found)  # whole numbers on the wire
-        handle.fault("drop", 1)  # a frame, and with it a sample
+        handle.inject("drop", 1)  # a frame, and with it a sample
         collect_until([port], lambda: counts.missing >= 1)
         assert counts.missing == 1
         with pytest.raises(ImuLost, match=r"refused: .*fault 'nan' does not exist here"):
-            handle.fault("nan", 2)
-        for sample in taken.since(port, handle.fault("full") + TICK_NS, 20):  # what such a sensor has instead
+            handle.inject("nan", 2)
+        for sample in taken.since(port, handle.inject("full") + TICK_NS, 20):  # what such a sensor has instead
             assert max(map(abs, sample.acc_mps2)) == pytest.approx(16.0 * G_MPS2, rel=1e-3)
         handle.clear()
-        told_ns = handle.fault("mute")
+        told_ns = handle.inject("mute")
         assert all(taken.ns(sample) < told_ns + TICK_NS for sample in collect([port], 0.3))
         port.close()
 
@@ -250,10 +250,10 @@ def test_a_wireless_sensor_over_udp() -> None:
         assert steps == {2_500_000}
         assert (counts.missing, counts.bad_frames, counts.bytes_skipped) == (0, 0, 0)
         assert min(map(taken.late_ns, found)) >= 0
-        handle.fault("drop", 3)
+        handle.inject("drop", 3)
         collect_until([port], lambda: counts.missing >= 3)
         assert counts.missing == 3
-        told_ns = handle.fault("unplug")
+        told_ns = handle.inject("unplug")
         assert all(taken.ns(sample) < told_ns for sample in collect([port], 0.3))  # nobody tells that the end is gone
         port.reopen()
         assert collect([port], 0.1) == []
@@ -269,7 +269,7 @@ def test_a_flooded_line_lets_go_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> 
 
 def drop_one(left: ImuHandle, right: ImuHandle) -> None:
     """One frame of the left sensor; the right one is as it was."""
-    left.fault("drop", 1)
+    left.inject("drop", 1)
     right.clear()
 
 
@@ -283,9 +283,9 @@ def test_a_stream_of_lab_streaming_layer() -> None:
             pytest.skip(f"LSL streams are not found on this machine: {error}")
         found = collect_samples([port], 100)
         assert port.counts["right_foot"].missing == 0
-        signal = walking("right_foot", 100.0)
+        signal = walking_signal("right_foot", 100.0)
         assert all(Taken(handle, 50.0).as_played(sample, signal) for sample in found)
-        handle.fault("unplug")
+        handle.inject("unplug")
         assert until_lost(port)
         port.close()
 

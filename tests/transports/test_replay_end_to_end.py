@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from replays import FES, MS, SETTINGS, bursts, run_fes, write_cut
 
-from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.stimulator.spawn import NodeHandle, free_bus, spawn_node, why_silent
 from fes.cli.common.exits import FAILED, INTERRUPTED, OK, STOPPED
 from fes.cli.replay.log import repeat
@@ -210,7 +210,7 @@ def test_a_stimulator_that_goes_silent_is_noticed_within_the_replay(recording: P
         options = ("--stimulator", "bus", "--session", settings_for(node, tmp_path), "--speed", "4")
         with replaying(recording, tmp_path, *options) as process:
             wait_for(lambda: bool(entries_of(tmp_path / "node.jsonl")), process)
-            node.tell("mute", 1)
+            node.inject("mute", 1)
             _, said = process.communicate(timeout=60)
     assert process.returncode == FAILED, said
     assert "did not deliver what was sent" in said

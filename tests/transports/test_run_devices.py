@@ -76,7 +76,7 @@ def faults_of(run: LiveRun) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("rig", "moves"),
+    ("bench", "moves"),
     [
         (ximu3_and_p24, "foot"),
         (ximu3_and_rehastim2, "foot"),
@@ -91,17 +91,17 @@ def faults_of(run: LiveRun) -> list[str]:
     ids=["ximu3 and p24", "ximu3 and rehastim2", "xsens and stimulator on one bus", "shank", "lsl"],
 )
 def test_it_walks_stimulates_stops_and_replays(
-    rig: Callable[[Path, Path, ExitStack], TestBench], moves: str, recordings: Recordings, tmp_path: Path
+    bench: Callable[[Path, Path, ExitStack], TestBench], moves: str, recordings: Recordings, tmp_path: Path
 ) -> None:
     recording, calibration = recordings[moves]
-    with live_run(tmp_path, recording, "--calibration", calibration, rig=rig) as run:
+    with live_run(tmp_path, recording, "--calibration", calibration, bench=bench) as run:
         run.armed_at()
         run.in_mid_burst()
         run.order("stop")
         blow_ns = time.monotonic_ns()
         off_ms = run.off_after_ms(blow_ns)
         print(f"off {off_ms:.1f} ms after the order")
-        assert off_ms <= STOP_MS + MARGIN_MS + (REHASTIM2_MS if rig is ximu3_and_rehastim2 else 0)
+        assert off_ms <= STOP_MS + MARGIN_MS + (REHASTIM2_MS if bench is ximu3_and_rehastim2 else 0)
         run.until(lambda status: status.state == "stopped" and bool(status.fault) and status.stops > 0)
         assert run.stays_off(run.off_ns, 0.5)
         said = run.quit()
@@ -112,7 +112,7 @@ def test_it_walks_stimulates_stops_and_replays(
         assert len(record.samples[run.sensor].t_ns) == record.summary["received"][run.sensor]
         asked = {command.current_ma for command in record.commands if command.on}
         step_ma = record.header["current_step_ma"]
-        assert step_ma == (1.0 if rig is ximu3_and_rehastim2 else 0.5)
+        assert step_ma == (1.0 if bench is ximu3_and_rehastim2 else 0.5)
         assert asked
         assert all(current_ma % step_ma == 0.0 for current_ma in asked)
         assert not {"pyarrow", "jinja2", "rich", "scipy.signal"} & run.loaded()
@@ -149,7 +149,7 @@ def test_a_stimulator_on_the_bus_that_is_lost_comes_back_and_is_armed_by_hand(
 
 
 @pytest.mark.parametrize(
-    ("rig", "kind", "greeting", "late_ms"),
+    ("bench", "kind", "greeting", "late_ms"),
     [
         (ximu3_and_p24, "sciencemode4", 0x4000_0000, 0),
         (ximu3_and_rehastim2, "sciencemode2", 0x2000_0000 + 30, REHASTIM2_MS),
@@ -157,7 +157,7 @@ def test_a_stimulator_on_the_bus_that_is_lost_comes_back_and_is_armed_by_hand(
     ids=["p24", "rehastim2"],
 )
 def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_hand(
-    rig: Callable[[Path, Path, ExitStack], TestBench],
+    bench: Callable[[Path, Path, ExitStack], TestBench],
     kind: DeviceKind,
     greeting: int,
     late_ms: int,
@@ -165,11 +165,11 @@ def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_ha
     tmp_path: Path,
 ) -> None:
     recording, calibration = recordings["foot"]
-    with ExitStack() as stack, live_run(tmp_path, recording, "--calibration", calibration, rig=rig) as run:
+    with ExitStack() as stack, live_run(tmp_path, recording, "--calibration", calibration, bench=bench) as run:
         run.armed_at()
         run.in_mid_burst()
         assert isinstance(run.stimulator, DeviceHandle)
-        blow_ns = run.stimulator.tell("unplug")
+        blow_ns = run.stimulator.inject("unplug")
         # one pulse a command, and none can come any more
         assert run.off_after_ms(blow_ns) <= MARGIN_MS + late_ms
         run.until(lambda status: status.state == "fault" and "lost" in status.stimulator)
@@ -197,23 +197,23 @@ def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_ha
         assert {frame.data for frame in again.now.frames} <= {frame.data for frame in record.frames}
 
 
-@pytest.mark.parametrize("rig", [ximu3_and_p24, ximu3_and_rehastim2], ids=["p24", "rehastim2"])
+@pytest.mark.parametrize("bench", [ximu3_and_p24, ximu3_and_rehastim2], ids=["p24", "rehastim2"])
 def test_pulses_withheld_from_a_serial_stimulators_queue_are_withheld_in_the_replay(
-    rig: Callable[[Path, Path, ExitStack], TestBench], recordings: Recordings, tmp_path: Path
+    bench: Callable[[Path, Path, ExitStack], TestBench], recordings: Recordings, tmp_path: Path
 ) -> None:
     """It is mute for a while in mid-burst: what was not sent, and what was asked meanwhile, follows from what came."""
     recording, calibration = recordings["foot"]
     withheld = "none was added to the stimulator's queue"
-    with live_run(tmp_path, recording, "--calibration", calibration, rig=rig) as run:
+    with live_run(tmp_path, recording, "--calibration", calibration, bench=bench) as run:
         run.armed_at()
         assert isinstance(run.stimulator, DeviceHandle)
         latched = ""
         for _ in range(BURSTS):  # held up, it may latch for another reason before it has two pulses unanswered
             run.in_mid_burst()
-            run.stimulator.tell("mute", 1)
+            run.stimulator.inject("mute", 1)
             latched = run.until(lambda status: status.state == "fault").fault
             time.sleep(0.3)
-            run.stimulator.tell("mute", 0)
+            run.stimulator.inject("mute", 0)
             if withheld in latched:
                 break
             print(f"latched by another reason: {latched}")
@@ -234,13 +234,13 @@ def test_an_electrode_that_is_known_to_be_off_forbids_arming(recordings: Recordi
         run.armed_at()
         run.in_mid_burst()
         assert isinstance(run.stimulator, NodeHandle)
-        blow_ns = run.stimulator.tell("electrode", 0)
+        blow_ns = run.stimulator.inject("electrode", 0)
         assert run.off_after_ms(blow_ns) <= 100
         # where it latched for another reason first, the next burst shows it
         run.until(lambda status: "check the electrodes" in status.message, run.operated)
         assert run.status is not None
         assert run.status.state == "fault"
-        run.stimulator.tell("electrode", -1)
+        run.stimulator.inject("electrode", -1)
         run.until(lambda status: status.stimulator == "open")
         run.armed_at()  # under a new session, by hand
         run.in_mid_burst()
@@ -336,13 +336,13 @@ def test_a_stop_button_and_a_foot_switch_on_the_bus(recordings: Recordings, tmp_
     )
 
     def with_switches(folder: Path, path: Path, stack: ExitStack) -> TestBench:
-        rig = xbus_and_can(folder, path, stack)
-        assert isinstance(rig.stimulator, NodeHandle)
+        bench = xbus_and_can(folder, path, stack)
+        assert isinstance(bench.stimulator, NodeHandle)
         nonlocal bus
-        bus = rig.stimulator.bus
-        return rig
+        bus = bench.stimulator.bus
+        return bench
 
-    with live_run(tmp_path, recording, "--calibration", calibration, rig=with_switches, text=text) as run:
+    with live_run(tmp_path, recording, "--calibration", calibration, bench=with_switches, text=text) as run:
         button, switch = Button(bus, 0x1F0, 3), Button(bus, 0x1F1, 0)
         try:
             run.until(lambda status: "nothing is heard of the stop button" in status.message, "arm")

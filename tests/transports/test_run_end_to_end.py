@@ -174,14 +174,14 @@ def test_an_unplugged_sensor_is_off_in_time_and_comes_back_without_arming(
     with live_run(tmp_path, recording, "--calibration", calibration) as run:
         run.armed_at()
         run.in_mid_burst()
-        blow_ns = run.imu.fault("mute")
+        blow_ns = run.imu.inject("mute")
         off_ms = run.off_after_ms(blow_ns)
         print(f"off {off_ms:.1f} ms after the sensor fell silent")
         # held up, the session leaves it to the lease, which counts from when the stimulator read the last command
         assert off_ms <= 100 + (MARGIN_MS if run.ended().event == "lease_expired" else 0)
         run.until(lambda status: status.state == "fault")
         time.sleep(1.2)
-        run.imu.fault("mute", 0.0)
+        run.imu.inject("mute", 0.0)
         back = run.until(lambda status: status.feet[FOOT].rate_hz > 450)
         assert back.state == "fault"
         assert run.stays_off(run.off_ns, 0.5)

@@ -220,7 +220,7 @@ def test_a_controller_that_hangs(host: Host, stimulator: DeviceHandle, device: D
 
 def test_a_device_that_restarts(host: Host, stimulator: DeviceHandle) -> None:
     host.drive(0.3)
-    told_ns = stimulator.tell("reboot")
+    told_ns = stimulator.inject("reboot")
     with pytest.raises(StimulatorLost, match=r"restarted.*must be opened again"):
         host.drive(5.0)
     assert host.has_fault("restarted")()
@@ -230,7 +230,7 @@ def test_a_device_that_restarts(host: Host, stimulator: DeviceHandle) -> None:
 
 def test_a_cable_pulled(host: Host, stimulator: DeviceHandle, device: Device) -> None:
     host.drive(0.3)
-    told_ns = stimulator.tell("unplug")
+    told_ns = stimulator.inject("unplug")
     with pytest.raises(StimulatorLost, match="Check cable"):
         host.drive(5.0)
     time.sleep(0.3)
@@ -240,7 +240,7 @@ def test_a_cable_pulled(host: Host, stimulator: DeviceHandle, device: Device) ->
 
 def test_an_open_lead(host: Host, stimulator: DeviceHandle) -> None:
     host.drive(0.2)
-    stimulator.tell("electrode", 0)
+    stimulator.inject("electrode", 0)
     host.drive(5.0, until=host.has_fault("electrode"))
     assert host.has_fault("electrode")()
 
@@ -258,7 +258,7 @@ def test_answers_that_do_not_come_as_they_should(
     host: Host, stimulator: DeviceHandle, fault: str, value: float, words: str
 ) -> None:
     host.drive(0.2)
-    stimulator.tell(fault, value)
+    stimulator.inject(fault, value)
     host.drive(5.0, until=host.has_fault(words))
     assert host.has_fault(words)()
 
@@ -266,7 +266,7 @@ def test_answers_that_do_not_come_as_they_should(
 @pytest.mark.parametrize("device", ["rehastim2"], indirect=True)
 def test_the_emergency_switch(host: Host, stimulator: DeviceHandle) -> None:
     host.drive(0.3)
-    told_ns = stimulator.tell("emergency")
+    told_ns = stimulator.inject("emergency")
     host.drive(5.0, until=host.has_fault("emergency"))
     assert host.has_fault("emergency")()
     host.drive(0.2)
@@ -290,8 +290,8 @@ def test_over_tcp(device: Device, tmp_path: Path) -> None:
 def test_a_fault_that_nobody_knows_is_refused() -> None:
     with spawn_device("sciencemode4") as stimulator:
         with pytest.raises(NodeFailed, match="is not known"):
-            stimulator.tell("smoke")
-        assert stimulator.tell("slow", 0.0) > 0
+            stimulator.inject("smoke")
+        assert stimulator.inject("slow", 0.0) > 0
         assert stimulator.stop() == 0
     with pytest.raises(NodeFailed, match="NAME=NUMBER"):
         spawn_device("sciencemode4", faults="electrode")

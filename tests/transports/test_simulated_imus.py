@@ -85,10 +85,10 @@ def test_a_recording_is_played_sample_by_sample_round_and_round(port: ImuPort) -
 
 
 def test_stuck_it_says_the_same_again_and_again_with_new_stamps(handle: ImuHandle, port: ImuPort, taken: Taken) -> None:
-    found = taken.since(port, handle.fault("stuck"), 60)
+    found = taken.since(port, handle.inject("stuck"), 60)
     assert len({sample.gyr_radps for sample in found}) == 1
     assert stamps_are_a_period_apart(found)
-    after = numbers(taken.since(port, handle.fault("stuck", 0.0), 20))
+    after = numbers(taken.since(port, handle.inject("stuck", 0.0), 20))
     assert all(b == (a + 1) % SAMPLES for a, b in itertools.pairwise(after))
 
 
@@ -97,12 +97,12 @@ def test_clipped_its_values_end_early_and_its_flag_says_so(handle: ImuHandle, po
     counts = port.counts["left_foot"]
     assert counts.clipped == 0
     limit_mps2 = 0.03 * 16.0 * G_MPS2  # below gravity's share on one axis
-    found = taken.since(port, handle.fault("clip", 0.03), 60)
+    found = taken.since(port, handle.inject("clip", 0.03), 60)
     for sample in found:
         assert sample.acc_mps2 == pytest.approx((0.0, limit_mps2, limit_mps2), rel=1e-6)
     assert counts.clipped >= len(found)  # and those taken before it was told, but sent after
     assert counts.bad_values == 0
-    told_ns = handle.fault("clip", 0.0)
+    told_ns = handle.inject("clip", 0.0)
     assert taken.since(port, told_ns, 1)[0].acc_mps2[2] == pytest.approx(0.8 * G_MPS2, rel=1e-6)
     clipped = counts.clipped
     collect_samples([port], 20)
@@ -113,7 +113,7 @@ def test_clipped_its_values_end_early_and_its_flag_says_so(handle: ImuHandle, po
 def test_delayed_it_comes_late_with_the_stamps_of_when_it_was_taken(
     handle: ImuHandle, port: ImuPort, taken: Taken
 ) -> None:
-    found = taken.since(port, handle.fault("delay", 0.15), 60)
+    found = taken.since(port, handle.inject("delay", 0.15), 60)
     end_s = time.monotonic() + 10.0
     while min(map(taken.late_ns, found)) >= 155_000_000:  # of many samples one meets a machine with time for it
         assert time.monotonic() < end_s, "later than it was told"
@@ -127,7 +127,7 @@ def test_its_clock_drifts_when_told_and_its_beat_with_it() -> None:
     with spawn_imu("xbus", sensor="left_foot", rate_hz=RATE_HZ, offset_s=OFFSET_NS / NS_PER_S) as handle:
         port = opened(handle)
         assert gained(port) == pytest.approx(0.0, abs=0.2)
-        handle.fault("drift", 500_000.0)  # far more than a busy machine adds
+        handle.inject("drift", 500_000.0)  # far more than a busy machine adds
         collect_samples([port], 20)
         assert gained(port) == pytest.approx(0.5, abs=0.2)
         port.close()

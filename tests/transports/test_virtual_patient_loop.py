@@ -30,7 +30,7 @@ import pytest
 from campaigns import HELD_UP_MS, faults_but_lost_time
 
 from drivers.imu.port import ImuLost
-from drivers.simulated.stimulator.firmware import RecordEntry, read_record
+from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.stimulator.spawn import free_bus, why_silent
 from drivers.stimulator.open import Port, open_stimulator
 from fes.calibration.recording import load
@@ -222,7 +222,7 @@ def test_the_patient_feels_what_is_delivered_and_nothing_else(tmp_path: Path, st
         whole = felt_of(bench, port)
         assert whole["pulses"] >= 10
         assert whole["charge_uc"] == pytest.approx(6.0 * whole["pulses"])  # 20 mA for 300 µs
-        bench.stimulator.tell(fault, session.channels[0].number)
+        bench.stimulator.inject(fault, session.channels[0].number)
         less = felt_of(bench, port)
         if fault == "weak":
             assert less["charge_uc"] == pytest.approx(3.0 * less["pulses"])

@@ -7,9 +7,7 @@ within ± this share of full scale; 0 ends it), ``full`` (1: every value at the 
 ``drift`` (ppm of its clock from now on), ``jump`` (its clock, by so many seconds, once), ``jumping`` (every eighth
 stamp is ahead by so many seconds; 0 ends it). ``stand``: its wearer stays within the first so many seconds of the
 signal, in which they stand, once they come there; 0: goes on at their end. A sensor that sends whole numbers, as most
-do on CAN, has no ``nan`` and no ``inf``: what it cannot measure it says as the end of its range, or not at all.
-
-What a simulated inertial sensor feels: a recording's track, or a simulated walker's foot; played round and round.
+do on CAN, has no ``nan`` and no ``inf``: what it cannot measure it sends as the end of its range, or not at all.
 """
 
 from __future__ import annotations
@@ -24,10 +22,21 @@ import numpy as np
 from drivers.simulated.imu.wire import Reading, Wire
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, Vector3
 
+LASTING: Final = ("unit", "stuck", "clip", "full", "nan", "inf", "doubled", "axes", "jumping")  # until set to 0
+FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
+NOT_FINITE: Final = ("nan", "inf")
+JUMPING_EVERY: Final = 8  # more than one in twenty
+BOOT_NS: Final = 300_000_000
+_NAN: Final = (math.nan, math.nan, math.nan)
+_INF: Final = (math.inf, -math.inf, math.inf)
+
 
 @dataclass(frozen=True, slots=True)
 class ImuSignal:
-    """Specific force (N, 3) in m/s² and rate (N, 3) in rad/s, ``rate_hz`` samples a second."""
+    """What a sensor feels, played round and round: a recording's track, or a simulated walker's foot.
+
+    Specific force (N, 3) in m/s² and rate (N, 3) in rad/s, ``rate_hz`` samples a second.
+    """
 
     rate_hz: float
     acc_mps2: FloatArray
@@ -38,14 +47,14 @@ class ImuSignal:
         """N."""
         return len(self.acc_mps2)
 
-    def at(self, number: int) -> tuple[Vector3, Vector3]:
+    def sample(self, number: int) -> tuple[Vector3, Vector3]:
         """The ``number``-th sample from the start, beginning again at the end."""
-        ax, ay, az = self.acc_mps2[number % len(self.acc_mps2)].tolist()
-        gx, gy, gz = self.gyr_radps[number % len(self.gyr_radps)].tolist()
+        ax, ay, az = self.acc_mps2[number % self.size].tolist()
+        gx, gy, gz = self.gyr_radps[number % self.size].tolist()
         return (ax, ay, az), (gx, gy, gz)
 
 
-def recorded(path: Path, sensor: str, rate_hz: float) -> ImuSignal:
+def recorded_signal(path: Path, sensor: str, rate_hz: float) -> ImuSignal:
     """A track of a recording, at ``rate_hz`` by linear interpolation.
 
     Raises:
@@ -67,7 +76,7 @@ def recorded(path: Path, sensor: str, rate_hz: float) -> ImuSignal:
     return ImuSignal(rate_hz, even(track.acc_mps2), even(track.gyr_radps))
 
 
-def walking(sensor: str, rate_hz: float, strides: int = 12, seed: int = 7) -> ImuSignal:
+def walking_signal(sensor: str, rate_hz: float, strides: int = 12, seed: int = 7) -> ImuSignal:
     """Four seconds of standing, ``strides`` strides on a treadmill, standing again; the same for the same seed."""
     from fes.simulation.sensor import ImuModel
     from fes.simulation.session import Placement, new_session
@@ -80,15 +89,6 @@ def walking(sensor: str, rate_hz: float, strides: int = 12, seed: int = 7) -> Im
     session.stand(2.0)
     track = session.recording(rate_hz, ImuModel(), "simulated").tracks[foot]
     return ImuSignal(rate_hz, track.acc_mps2, track.gyr_radps)
-
-
-LASTING: Final = ("unit", "stuck", "clip", "full", "nan", "inf", "doubled", "axes", "jumping")  # until set to 0
-FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
-NOT_FINITE: Final = ("nan", "inf")
-JUMPING_EVERY: Final = 8  # more than one in twenty
-BOOT_NS: Final = 300_000_000
-_NAN: Final = (math.nan, math.nan, math.nan)
-_INF: Final = (math.inf, -math.inf, math.inf)
 
 
 class SimulatedImu:
@@ -110,7 +110,7 @@ class SimulatedImu:
         self._acc_range = acc_range_g * G_MPS2
         self._gyr_range = math.radians(gyr_range_dps)
         self._values = dict.fromkeys(FAULTS, 0.0)
-        self._last: tuple[Vector3, Vector3] = signal.at(0)
+        self._last: tuple[Vector3, Vector3] = signal.sample(0)
         self._played = 0
         self._start(t_ns, int(offset_s * NS_PER_S), drift_ppm)
 
@@ -131,16 +131,17 @@ class SimulatedImu:
             own_ns = self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
             if self._values["jumping"] and self._counter % JUMPING_EVERY == 0:
                 own_ns += int(self._values["jumping"] * NS_PER_S)
-            messages = self._wire.say(self._reading(own_ns))
-            out += messages + (messages if self._take("doubled") else [])
+            messages = self._wire.encode(self._reading(own_ns))
+            out += messages + (messages if self._use_up("doubled") else [])
             self._counter += 1
             self._beat += 1
-            self._played = self._next_played()
+            played = (self._played + 1) % self._signal.size
+            self._played = 0 if played == self._standing_samples else played
         return out
 
     def receive(self, t_ns: int, data: bytes) -> list[bytes]:
         """Bytes from the host."""
-        return self._wire.hear(data)
+        return self._wire.answer(data)
 
     def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
         """Bring a fault about, or with 0 end it.
@@ -167,22 +168,18 @@ class SimulatedImu:
             self._counter = counter
             return []
         if name == "stand" and not value:
-            self._played = max(self._played, self._stood) % self._signal.size
+            self._played = max(self._played, self._standing_samples) % self._signal.size
         self._values[name] = value
         return []
 
     @property
-    def _stood(self) -> int:
-        """How many samples of the signal are of standing, as far as was said."""
+    def _standing_samples(self) -> int:
+        """How many samples of the signal are of standing, by the fault ``stand``."""
         return round(self._values["stand"] * self._signal.rate_hz)
-
-    def _next_played(self) -> int:
-        number = (self._played + 1) % self._signal.size
-        return 0 if number == self._stood else number
 
     def _reading(self, own_ns: int) -> Reading:
         if not self._values["stuck"]:
-            self._last = self._signal.at(self._played)
+            self._last = self._signal.sample(self._played)
         acc, gyr = self._last
         factor = self._values["unit"] or 1.0
         share = self._values["clip"] or 1.0
@@ -195,13 +192,13 @@ class SimulatedImu:
             held_acc, held_gyr = _held(acc, 1e9, self._acc_range), _held(gyr, 1e9, self._gyr_range)
         if self._values["axes"]:
             held_acc, held_gyr = _turned(held_acc), _turned(held_gyr)
-        if self._take("nan"):
+        if self._use_up("nan"):
             held_acc = _NAN
-        if self._take("inf"):
+        if self._use_up("inf"):
             held_acc = held_gyr = _INF
         return Reading(self._counter, own_ns, held_acc, held_gyr, clipped)
 
-    def _take(self, name: str) -> bool:
+    def _use_up(self, name: str) -> bool:
         if self._values[name] < 1:
             return False
         self._values[name] -= 1

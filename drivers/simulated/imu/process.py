@@ -1,11 +1,7 @@
 """A simulated inertial sensor as a process of its own: ``python -m drivers.simulated.imu.process --device xbus``.
 
-It owns its end of a pseudo-terminal, a TCP or UDP port, a CAN bus or an LSL outlet, says in one JSON line how it is
+It owns its end of a pseudo-terminal, a TCP or UDP port, a CAN bus or an LSL outlet, prints in one JSON line how it is
 reached, and takes faults on stdin (:mod:`drivers.simulated.process_end`). It keeps its beat by absolute deadlines.
-
-A simulated sensor's end of a line that carries no bytes: a CAN bus, or an LSL outlet.
-
-For lines of bytes see :mod:`drivers.simulated.lines`.
 """
 
 from __future__ import annotations
@@ -19,35 +15,35 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import can
 
-from drivers.simulated.imu.device import SimulatedImu, recorded, walking
-from drivers.simulated.imu.wire import CAN_RECORD, LSL_RECORD, LslWire, Wire, XbusWire, Ximu3Wire, XsensCanWire
+from drivers.simulated.imu.device import SimulatedImu, recorded_signal, walking_signal
+from drivers.simulated.imu.wire import (
+    AXES,
+    CAN_RECORD,
+    LSL_RECORD,
+    DbcWire,
+    LslWire,
+    Wire,
+    XbusWire,
+    Ximu3Wire,
+    XsensCanWire,
+)
 from drivers.simulated.line_faults import DeviceLoop
-from drivers.simulated.lines import DeviceEnd, PtyEnd, TcpEnd, UdpEnd
-from drivers.simulated.process_end import become_real_time, say_ready, stop_signals
+from drivers.simulated.lines import DeviceEnd, PtyEnd, SendingEnd, TcpEnd, UdpEnd
+from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
 from drivers.stimulator.bus import open_bus
 from fes.config import Bus
 
-LABELS: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
 
-
-class CanEnd:
+class CanEnd(SendingEnd):
     """Records of ``CAN_RECORD`` as frames on a bus."""
 
     def __init__(self, settings: Bus) -> None:
         self.port = "bus"
         self._bus: can.BusABC | None = open_bus(settings, frozenset())
-
-    def descriptors(self) -> list[int]:
-        """Nothing is listened to."""
-        return []
-
-    def read(self) -> bytes:
-        """Nothing."""
-        return b""
 
     def write(self, data: bytes) -> None:
         """Frames that the bus does not take are lost."""
@@ -64,27 +60,19 @@ class CanEnd:
             self._bus = None
 
 
-class LslEnd:
+class LslEnd(SendingEnd):
     """Records of ``LSL_RECORD`` as samples of an outlet."""
 
     def __init__(self, name: str, rate_hz: float) -> None:
         lsl = importlib.import_module("pylsl")
-        info = lsl.StreamInfo(name, "IMU", len(LABELS), rate_hz, "double64", f"{name}-{os.getpid()}")
+        info = lsl.StreamInfo(name, "IMU", len(AXES), rate_hz, "double64", f"{name}-{os.getpid()}")
         channels = info.desc().append_child("channels")
-        for label in LABELS:
+        for label in AXES:
             channel = channels.append_child("channel")
             channel.append_child_value("label", label)
             channel.append_child_value("unit", "m/s2" if label.startswith("acc") else "rad/s")
         self.port = name
         self._outlet: Any = lsl.StreamOutlet(info, 1)
-
-    def descriptors(self) -> list[int]:
-        """Nothing is listened to."""
-        return []
-
-    def read(self) -> bytes:
-        """Nothing."""
-        return b""
 
     def write(self, data: bytes) -> None:
         """Push them with the device's stamps."""
@@ -98,7 +86,7 @@ class LslEnd:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the sensor until told to stop; exit status 2 when the settings are wrong."""
+    """Run the sensor until a signal ends it; exit status 2 when the settings are wrong."""
     parser = argparse.ArgumentParser(prog="imu_process", description="A simulated inertial sensor.")
     parser.add_argument("--device", choices=("xbus", "ximu3", "xsens_can", "dbc_can", "lsl"), required=True)
     parser.add_argument("--line", choices=("pty", "tcp", "udp"), default="pty", help="for xbus and ximu3")
@@ -116,16 +104,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         wire, end = _line(options)
         if options.recording is not None:
-            feels = recorded(options.recording, options.sensor, options.rate)
+            feels = recorded_signal(options.recording, options.sensor, options.rate)
         else:
-            feels = walking(options.sensor, options.rate)
+            feels = walking_signal(options.sensor, options.rate)
     except (ValueError, RuntimeError, ImportError, OSError) as error:
         print(f"imu_process: {error}", file=sys.stderr)
         return 2
     real_time = become_real_time()
     now_ns = time.monotonic_ns()
     device = SimulatedImu(wire, feels, now_ns, offset_s=options.offset, drift_ppm=options.drift)
-    say_ready(port=end.port, real_time=real_time, t0_ns=now_ns)
+    publish_ready(port=end.port, real_time=real_time, t0_ns=now_ns)
     try:
         DeviceLoop(device, end, stop.fileno()).run()
     finally:
@@ -135,20 +123,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _line(options: argparse.Namespace) -> tuple[Wire, DeviceEnd]:
     if options.device in ("xsens_can", "dbc_can"):
-        return _can_wire(options), CanEnd(Bus.model_validate_json(options.bus or "{}"))
+        xsens = options.device == "xsens_can"
+        wire: Wire = XsensCanWire(options.id_offset) if xsens else DbcWire(json.loads(options.options))
+        return wire, CanEnd(Bus.model_validate_json(options.bus or "{}"))
     if options.device == "lsl":
         return LslWire(), LslEnd(options.name, options.rate)
-    wire: Wire = XbusWire(options.rate) if options.device == "xbus" else Ximu3Wire()
+    wire = XbusWire(options.rate) if options.device == "xbus" else Ximu3Wire()
     ends: dict[str, type[PtyEnd | TcpEnd | UdpEnd]] = {"pty": PtyEnd, "tcp": TcpEnd, "udp": UdpEnd}
     return wire, ends[options.line]()
-
-
-def _can_wire(options: argparse.Namespace) -> Wire:
-    if options.device == "xsens_can":
-        return XsensCanWire(options.id_offset)
-    from drivers.simulated.imu.wire import DbcWire
-
-    return DbcWire(json.loads(options.options))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Start a simulated inertial sensor's process, tell it its faults while it runs, and be sure to end it."""
+"""Start a simulated inertial sensor's process, inject faults while it runs, and be sure to end it."""
 
 from __future__ import annotations
 
@@ -24,18 +24,14 @@ class ImuHandle(ProcessHandle):
         module = "drivers.simulated.imu.process"
         super().__init__("the simulated sensor", module, arguments, lost=ImuLost, timeout_s=timeout_s)
 
-    def _take(self, ready: Mapping[str, Any]) -> None:
-        super()._take(ready)
+    def _on_ready(self, ready: Mapping[str, Any]) -> None:
+        super()._on_ready(ready)
         self.t0_ns = int(ready["t0_ns"])
-
-    def fault(self, name: str, value: float = 1.0) -> int:
-        """See :meth:`tell`."""
-        return self.tell(name, value)
 
     def clear(self) -> None:
         """End the faults that last."""
         for name in (*LASTING, *sorted(LINE_FAULTS)):
-            self.tell(name, 0.0)
+            self.inject(name, 0.0)
 
 
 def spawn_imu(

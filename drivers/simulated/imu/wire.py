@@ -1,19 +1,17 @@
-"""How each kind of simulated sensor says a sample, and what it answers to the host; no I/O, no clock.
+"""How each kind of simulated sensor encodes a sample, and what it answers to the host; no I/O, no clock.
 
-A simulated inertial sensor on CAN that speaks by any DBC, named as a session's ``dbc_can`` options name it.
-
-A sample is sent as one group of frames, the one with the time (else the counter) first. It shares no code with the
-driver's decoder, so that the two check each other.
+What is on CAN shares no code with the driver's decoder, so that the two check each other.
 """
 
 from __future__ import annotations
 
 import math
 import struct
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from cantools.database.can import Database, Message, Signal
 
@@ -25,6 +23,11 @@ from fes.signals import G_MPS2, Vector3
 CAN_RECORD: Final = struct.Struct(">IB8s")  # identifier, length, data
 LSL_RECORD: Final = struct.Struct(">7d")  # stamp in s, acceleration, rate
 CLIP_FLAGS: Final = xbus.CLIPPED_ACC | xbus.CLIPPED_GYR | xbus.CLIPPED_ANY
+AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
+PER_UNIT: Final = {"m/s2": 1.0, "m/s^2": 1.0, "g": G_MPS2, "rad/s": 1.0, "deg/s": math.pi / 180.0}
+NS_PER_UNIT: Final = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+LAST_ID: Final = 0x7FF
+LONGEST: Final = 8  # bytes of a frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,35 +46,33 @@ class Reading:
         return all(map(math.isfinite, (*self.acc_mps2, *self.gyr_radps)))
 
 
-class Wire(Protocol):
+class Wire(ABC):
     """A kind of device. ``carries_nan``: it sends floating point, in which a value can be NaN or infinite."""
 
-    carries_nan: bool
+    carries_nan = True
 
-    def say(self, reading: Reading) -> list[bytes]:
+    @abstractmethod
+    def encode(self, reading: Reading) -> list[bytes]:
         """The messages of one sample."""
-        ...
 
-    def hear(self, data: bytes) -> list[bytes]:
-        """The answers to the host."""
-        ...
+    def answer(self, data: bytes) -> list[bytes]:
+        """The answers to the host: most kinds do not listen."""
+        return []
 
     def boot(self) -> list[bytes]:
-        """What it says when switched on."""
-        ...
+        """What it sends when switched on."""
+        return []
 
 
-class XbusWire:
+class XbusWire(Wire):
     """An MTi: configuration and measurement state, the host's choice of rate acknowledged if it is its own."""
-
-    carries_nan = True
 
     def __init__(self, rate_hz: float) -> None:
         self._rate = round(rate_hz)
         self._decoder = xbus.XbusDecoder()
         self._measuring = True
 
-    def say(self, reading: Reading) -> list[bytes]:
+    def encode(self, reading: Reading) -> list[bytes]:
         """MTData2, in measurement state only."""
         if not self._measuring:
             return []
@@ -83,11 +84,11 @@ class XbusWire:
         data += xbus.block(Xdi.STATUS_WORD, struct.pack(">I", CLIP_FLAGS if reading.clipped else 0))
         return [xbus.encode(Mid.MT_DATA2, data)]
 
-    def hear(self, data: bytes) -> list[bytes]:
+    def answer(self, data: bytes) -> list[bytes]:
         """Acknowledge what an MTi acknowledges; error 04 for what it does not know, 03 for a rate it has not."""
-        return [answer for message in self._decoder.feed(data) for answer in self._answer(message)]
+        return [answer for message in self._decoder.feed(data) for answer in self._answers(message)]
 
-    def _answer(self, message: xbus.XbusMessage) -> list[bytes]:
+    def _answers(self, message: xbus.XbusMessage) -> list[bytes]:
         if message.mid == Mid.GO_TO_CONFIG:
             self._measuring = False
             return [xbus.encode(Mid.GO_TO_CONFIG_ACK)]
@@ -112,22 +113,10 @@ class XbusWire:
         return [xbus.encode(Mid.WAKE_UP)]
 
 
-class _Mute:
-    carries_nan = True
-
-    def hear(self, data: bytes) -> list[bytes]:
-        """Not listened to."""
-        return []
-
-    def boot(self) -> list[bytes]:
-        """Nothing."""
-        return []
-
-
-class Ximu3Wire(_Mute):
+class Ximu3Wire(Wire):
     """An x-IMU3: inertial messages."""
 
-    def say(self, reading: Reading) -> list[bytes]:
+    def encode(self, reading: Reading) -> list[bytes]:
         """One inertial message."""
         gx, gy, gz = reading.gyr_radps
         ax, ay, az = reading.acc_mps2
@@ -136,7 +125,7 @@ class Ximu3Wire(_Mute):
         return [ximu3_codec.encode(message)]
 
 
-class XsensCanWire(_Mute):
+class XsensCanWire(Wire):
     """An MTi-600 on CAN: SampleTime, GroupCounter, RateOfTurn, Acceleration, as records of ``CAN_RECORD``.
 
     Its values are of 16 bits, which have no NaN: a sample without numbers is not sent.
@@ -147,7 +136,7 @@ class XsensCanWire(_Mute):
     def __init__(self, id_offset: int = 0) -> None:
         self._offset = id_offset
 
-    def say(self, reading: Reading) -> list[bytes]:
+    def encode(self, reading: Reading) -> list[bytes]:
         """Four frames."""
         if not reading.finite:
             return []
@@ -160,10 +149,10 @@ class XsensCanWire(_Mute):
         return [CAN_RECORD.pack(number + self._offset, len(data), data) for number, data in frames]
 
 
-class LslWire(_Mute):
+class LslWire(Wire):
     """A stream's sample as a record of ``LSL_RECORD``."""
 
-    def say(self, reading: Reading) -> list[bytes]:
+    def encode(self, reading: Reading) -> list[bytes]:
         """One row."""
         return [LSL_RECORD.pack(reading.t_device_ns * 1e-9, *reading.acc_mps2, *reading.gyr_radps)]
 
@@ -172,26 +161,24 @@ def _steps(values: Vector3, per_unit: int) -> bytes:
     return struct.pack(">3h", *(min(max(round(v * per_unit), -(2**15)), 2**15 - 1) for v in values))
 
 
-Options = Mapping[str, str | int | float | bool]
-AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
-PER_UNIT: Final = {"m/s2": 1.0, "m/s^2": 1.0, "g": G_MPS2, "rad/s": 1.0, "deg/s": math.pi / 180.0}
-LAST_ID: Final = 0x7FF
-LONGEST: Final = 8  # bytes of a frame
-NS_PER_UNIT: Final = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+class DbcWire(Wire):
+    """A sensor on CAN that speaks by any DBC, named as ``dbc_can`` options name it: records of ``CAN_RECORD``.
 
-
-class DbcWire:
-    """Readings as records of ``CAN_RECORD``.
-
-    A value beyond what its signal can carry is sent as the signal's end. A signal of integers has no NaN: a sample with
-    one is not sent. Signals that no option names are sent as 0.
+    A sample is one group of frames, the one with the time (else the counter) first. A value beyond what its signal can
+    carry is sent as the signal's end. A signal of integers has no NaN: a sample with one is not sent. Signals that no
+    option names are sent as 0.
 
     Raises:
         ValueError: the DBC cannot be read, or an option does not fit it; the message names the option.
     """
 
-    def __init__(self, options: Options) -> None:
-        database = _database(str(options.get("dbc", "")))
+    def __init__(self, options: Mapping[str, str | int | float | bool]) -> None:
+        path = str(options.get("dbc", ""))
+        database = Database(strict=True)
+        try:
+            database.add_dbc_file(str(Path(path)))
+        except Exception as error:  # cantools raises OSError, its own parse errors, UnicodeDecodeError …
+            raise ValueError(f"options.dbc = {path!r} cannot be read as a DBC: {error}") from error
         wanted = [*(name for name in ("time", "counter") if options.get(name)), *AXES]
         self._signals: dict[str, Signal] = {}
         self._messages: dict[str, Message] = {}
@@ -220,11 +207,11 @@ class DbcWire:
             if message.length > LONGEST:
                 raise ValueError(f"message {name} has {message.length} bytes; classical CAN carries {LONGEST}")
         try:
-            self.say(Reading(0, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+            self.encode(Reading(0, 0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
         except Exception as error:  # multiplexed …: cantools' own errors, bitstruct's
             raise ValueError(f"{options.get('dbc')}: its messages cannot be sent: {error}") from error
 
-    def say(self, reading: Reading) -> list[bytes]:
+    def encode(self, reading: Reading) -> list[bytes]:
         """The frames of one sample."""
         if not (self.carries_nan or reading.finite):
             return []
@@ -246,23 +233,6 @@ class DbcWire:
             records.append(CAN_RECORD.pack(message.frame_id + self._offset, len(data), data))
         return records
 
-    def hear(self, data: bytes) -> list[bytes]:
-        """Not listened to."""
-        return []
-
-    def boot(self) -> list[bytes]:
-        """Nothing."""
-        return []
-
-
-def _database(path: str) -> Database:
-    database = Database(strict=True)
-    try:
-        database.add_dbc_file(str(Path(path)))
-    except Exception as error:  # cantools raises OSError, its own parse errors, UnicodeDecodeError …
-        raise ValueError(f"options.dbc = {path!r} cannot be read as a DBC: {error}") from error
-    return database
-
 
 def _unit(name: object, factors: Mapping[str, float]) -> float:
     if name not in factors:
@@ -274,7 +244,6 @@ def _raw(signal: Signal, value: float) -> int | float:
     raw = (value - float(signal.offset)) / float(signal.scale)
     if signal.is_float:
         return raw
-    least, most = (-(1 << signal.length - 1), (1 << signal.length - 1) - 1)
-    if not signal.is_signed:
-        least, most = 0, (1 << signal.length) - 1
+    least = -(1 << signal.length - 1) if signal.is_signed else 0
+    most = least + (1 << signal.length) - 1
     return round(min(max(raw, least), most))

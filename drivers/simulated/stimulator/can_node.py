@@ -22,10 +22,18 @@ import can
 
 from drivers.simulated.imu.wire import CAN_RECORD
 from drivers.simulated.line_faults import LINE_FAULTS, LineFaults
-from drivers.simulated.process_end import STDIN, Orders, become_real_time, fault_orders, say_ready, stop_signals
+from drivers.simulated.process_end import (
+    STDIN,
+    CommandReader,
+    become_real_time,
+    fault_commands,
+    publish_ready,
+    stop_signals,
+)
 from drivers.simulated.pulses import PulseOutlet
-from drivers.simulated.stimulator.firmware import RecordWriter, StimulatorNode, parse_faults
-from drivers.simulated.stimulator.node_clock import SIM_TIME_ID, BusClock, NodeClock, RealClock
+from drivers.simulated.record import RecordWriter
+from drivers.simulated.stimulator.firmware import StimulatorNode, parse_faults
+from drivers.simulated.stimulator.lockstep import SIM_TIME_ID, BusClock, RealClock
 from drivers.stimulator.bus import MULTICAST, BusError, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS, Frame
 from fes.config import Bus
@@ -47,7 +55,7 @@ class NodeLoop:
         bus: can.BusABC,
         record: RecordWriter,
         stop: Sequence[int],
-        clock: NodeClock,
+        clock: RealClock,
         pulses: PulseOutlet | None = None,
     ) -> None:
         self._pulses = pulses or PulseOutlet(None)
@@ -58,7 +66,7 @@ class NodeLoop:
         self._stop = tuple(stop)
         self._read_errors = 0
         self._faults = LineFaults()
-        self._orders = Orders(fault_orders(self._fault), clock.now_ns)
+        self._commands = CommandReader(fault_commands(self._inject), clock.now_ns)
 
     def run(self) -> None:
         """Until a stop descriptor speaks. The outputs are off afterwards.
@@ -77,8 +85,9 @@ class NodeLoop:
         self._put_out(self._node.advance(self._clock.now_ns()))
         wait_s = self._clock.wait_s(min(self._node.next_deadline_ns(), self._faults.next_deadline_ns()))
         ready, _, _ = select.select([self._bus.fileno(), *self._stop], [], [], wait_s)
-        if any(descriptor in ready and self._is_over(descriptor) for descriptor in self._stop):
-            return False
+        for descriptor in self._stop:  # a signal ends the node, so does the end of stdin, but not what is sent there
+            if descriptor in ready and (descriptor != STDIN or not self._commands.read()):
+                return False
         if self._bus.fileno() in ready:
             for _ in range(FRAMES_AT_ONCE):
                 message = self._read()
@@ -87,7 +96,7 @@ class NodeLoop:
                 if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
                     continue
                 if message.arbitration_id == SIM_TIME_ID:
-                    self._clock.told(bytes(message.data))
+                    self._clock.set_time(bytes(message.data))
                     self._put_out(self._node.advance(self._clock.now_ns()))
                     continue
                 now_ns = self._clock.now_ns()
@@ -95,7 +104,7 @@ class NodeLoop:
         return True
 
     def _put_out(self, frames: list[Frame]) -> None:
-        self._pulses.of_channels(self._node.channels)
+        self._pulses.send_made(self._node.channels)
         now_ns = self._clock.now_ns()
         self._faults.send(now_ns, [CAN_RECORD.pack(identifier, len(data), data) for identifier, data in frames])
         for identifier, length, data in CAN_RECORD.iter_unpack(self._faults.due(now_ns)):
@@ -116,11 +125,7 @@ class NodeLoop:
         self._read_errors = 0
         return message
 
-    def _is_over(self, descriptor: int) -> bool:
-        """A byte from the signal pipe ends the node; so does the end of stdin, but not what is typed there."""
-        return descriptor != STDIN or not self._orders.read()
-
-    def _fault(self, name: str, value: float) -> None:
+    def _inject(self, name: str, value: float) -> None:
         if name in LINE_FAULTS:
             self._faults.set(name, value)
         else:
@@ -128,7 +133,7 @@ class NodeLoop:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the node until told to stop; exit status 2 when the settings are wrong, 1 when the bus broke."""
+    """Run the node until a signal ends it; exit status 2 when the settings are wrong, 1 when the bus broke."""
     parser = argparse.ArgumentParser(prog="can_node", description="A simulated CAN stimulator in its own process.")
     parser.add_argument(
         "--interface", default=MULTICAST, help="python-can interface, or loopback (default %(default)s)"
@@ -137,10 +142,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--port", type=int, help="UDP port, for udp_multicast and loopback")
     parser.add_argument("--boot-id", type=int, help="0 to 65535; default: random")
     parser.add_argument("--record", type=Path, help="write what was delivered to this file, JSON lines")
-    parser.add_argument("--pulses", type=Path, help="tell each pulse to the socket of this name")
+    parser.add_argument("--pulses", type=Path, help="send each pulse to the socket of this name")
     parser.add_argument("--faults", default="", help="electrode=CH,weak=CH,drop=N,reboot=SECONDS,mute=SECONDS")
     parser.add_argument(
-        "--clock", choices=("real", "bus"), default="real", help="bus: a replay on a virtual bus tells the time"
+        "--clock", choices=("real", "bus"), default="real", help="bus: a replay on a simulated bus sends the time"
     )
     parser.add_argument("--until-stdin-closes", action="store_true", help="end when the starting process is gone")
     options = parser.parse_args(arguments)
@@ -165,9 +170,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"can_node: {error}", file=sys.stderr)
         return 2
     real_time = become_real_time()
-    clock: NodeClock = BusClock() if options.clock == "bus" else RealClock()
+    clock = BusClock() if options.clock == "bus" else RealClock()
     node = StimulatorNode(boot_id, clock.now_ns(), faults)
-    say_ready(boot_id=boot_id, real_time=real_time)
+    publish_ready(boot_id=boot_id, real_time=real_time)
     try:
         NodeLoop(node, bus, record, stop, clock, PulseOutlet(options.pulses)).run()
     except BusBroken as error:

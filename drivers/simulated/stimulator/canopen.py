@@ -20,7 +20,7 @@ import can
 import canopen
 from canopen.objectdictionary import UNSIGNED8, ObjectDictionary, ODArray, ODVariable
 
-from drivers.simulated.stimulator.firmware import RecordEntry, RecordWriter
+from drivers.simulated.record import RecordEntry, RecordWriter
 from drivers.stimulator.bus import LOOPBACK, BusError, open_bus
 from drivers.stimulator.canopen_codec import SYNC_ID
 from fes.config import Bus

@@ -6,23 +6,15 @@ or older frame never acts). Five wrong counts in a row close the session. A comm
 a validity of 0 or over 60 ms, turns its channel off. It boots with everything off and no session. A session opens only
 for its own boot id and under an identifier that no executed command has carried since boot, and ends where its count
 would carry into one: no number acts twice, so a capture played back later does nothing.
-
-The simulated stimulator's own account of what it delivered, one JSON object per line.
-
-What a simulated stimulator can be told to do wrong.
-
-One output stage of the simulated stimulator: makes pulses while its lease lasts, and counts them.
 """
 
 from __future__ import annotations
 
-import json
 from collections import deque
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Final
 
+from drivers.simulated.record import RecordEntry
 from drivers.stimulator import can_codec
 from drivers.stimulator.can_codec import (
     CURRENT_STEP_MA,
@@ -39,73 +31,21 @@ from drivers.stimulator.can_codec import (
     SessionOpen,
     Status,
 )
-from drivers.stimulator.e2e import COUNTS, carried, number_of
+from drivers.stimulator.e2e import COUNTS, carried, command_number
 from fes.signals import NS_PER_S
 
-
-@dataclass(frozen=True, slots=True)
-class RecordEntry:
-    """One thing the node did, by its own clock (the host's monotonic one): to be held against what was commanded.
-
-    ``event``: boot, session, on, level, off, lease_expired, on_time, fault, or refused (``detail`` says why).
-    Levels are those delivered from ``t_ns`` on. ``accepted_ns`` is when the channel's newest on command was
-    accepted, ``pulses`` its count since the session was opened, ``last_pulse_ns`` its newest pulse.
-    """
-
-    t_ns: int
-    event: str
-    channel: int = -1
-    current_ma: float = 0.0
-    pulse_width_us: float = 0.0
-    frequency_hz: float = 0.0
-    accepted_ns: int = 0
-    pulses: int = 0
-    last_pulse_ns: int = 0
-    detail: str = ""
-
-
-class RecordWriter:
-    """Appends entries to a file and flushes them at once; ``None`` for the path writes nothing."""
-
-    def __init__(self, path: Path | None) -> None:
-        self._file = None if path is None else path.open("w", encoding="utf-8")
-
-    def write(self, entries: list[RecordEntry]) -> None:
-        """Append; on return the lines are with the operating system."""
-        if self._file is not None and entries:
-            self._file.writelines(json.dumps(asdict(entry)) + "\n" for entry in entries)
-            self._file.flush()
-
-    def close(self) -> None:
-        """Close the file."""
-        if self._file is not None:
-            self._file.close()
-
-
-def read_record(path: Path) -> list[RecordEntry]:
-    """All complete lines of a record; a last line without its end (the node was killed) is left out.
-
-    Raises:
-        ValueError: a line is no record entry; names file and line.
-    """
-    entries = []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(keepends=True), start=1):
-        if not line.endswith("\n"):
-            break
-        try:
-            entries.append(RecordEntry(**json.loads(line)))
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"{path}:{number}: is no entry of a stimulator's record: {error}") from error
-    return entries
-
-
-_KINDS: Final[dict[str, Callable[[str], float]]] = {
-    "electrode": int,
-    "weak": int,
-    "drop": int,
-    "reboot": float,
-    "mute": float,
-}
+MAX_ON_NS: Final = 3 * NS_PER_S  # the node's own limit on continuous stimulation
+NS_PER_MS: Final = 1_000_000
+NEVER: Final = 2**63 - 1
+CHANNELS: Final = 8
+MAX_CURRENT_MA: Final = 130.0
+MAX_PULSE_WIDTH_US: Final = 500.0
+MAX_FREQUENCY_HZ: Final = 100.0
+MAX_VALIDITY_MS: Final = 60
+MAX_COUNTER_STEP: Final = 3
+MAX_WRONG_COUNTERS: Final = 5
+ALIVE_PERIOD_NS: Final = 100_000_000
+ON_THEIR_WAY: Final = 64  # numbers that a session may have sent beyond the last one that was heard
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,9 +57,9 @@ class NodeFaults:
     the node restarts with another boot id / sends nothing any more.
     """
 
-    electrode: int = -1
-    weak: int = -1
-    drop: int = 0
+    electrode: float = -1
+    weak: float = -1
+    drop: float = 0
     reboot: float = -1.0
     mute: float = -1.0
 
@@ -128,34 +68,38 @@ def parse_faults(text: str) -> NodeFaults:
     """``"electrode=2,reboot=1.5"`` → faults; "" → none.
 
     Raises:
-        ValueError: an unknown name or a value that is no number.
+        ValueError: an unknown name or a value that is no number as this fault needs it.
     """
-    values: dict[str, float] = {}
+    values = dict(parse_fault_values(text))
+    for name, value in values.items():
+        if name not in NodeFaults.__dataclass_fields__:
+            names = ", ".join(NodeFaults.__dataclass_fields__)
+            raise ValueError(f"fault '{name}={value:g}' is not known; write NAME=NUMBER with one of: {names}")
+        if name in ("electrode", "weak", "drop") and not value.is_integer():
+            raise ValueError(f"fault {name!r}: {value!r} is no whole number")
+    return NodeFaults(**values)
+
+
+def parse_fault_values(text: str) -> list[tuple[str, float]]:
+    """``"electrode=2,delay=0.2"`` → names and values; "" → none.
+
+    Raises:
+        ValueError: not of that form.
+    """
+    faults: list[tuple[str, float]] = []
     for item in filter(None, (part.strip() for part in text.split(","))):
         name, equals, value = item.partition("=")
-        if name not in _KINDS or not equals:
-            raise ValueError(f"fault {item!r} is not known; write NAME=NUMBER with one of: {', '.join(_KINDS)}")
         try:
-            values[name] = _KINDS[name](value)
+            faults.append((name, float(value if equals else "")))
         except ValueError:
-            raise ValueError(f"fault {item!r}: {value!r} is not a number as {name} needs it") from None
-    return NodeFaults(
-        electrode=int(values.get("electrode", -1)),
-        weak=int(values.get("weak", -1)),
-        drop=int(values.get("drop", 0)),
-        reboot=values.get("reboot", -1.0),
-        mute=values.get("mute", -1.0),
-    )
-
-
-MAX_ON_NS: Final = 3 * NS_PER_S  # the node's own limit on continuous stimulation
-NS_PER_MS: Final = 1_000_000
-NEVER: Final = 2**63 - 1
+            raise ValueError(f"fault {item!r}: write NAME=NUMBER") from None
+    return faults
 
 
 class OutputChannel:
-    """Silent until :meth:`drive`, and again when the lease or the on-time ends. Times are the node's own clock.
+    """One output stage: silent until :meth:`drive`, and again when the lease or the on-time ends.
 
+    Times are the node's own clock.
     ``pulses`` and ``charge_steps`` (0.5 nC, one phase) run since the last :meth:`reset`. ``blocked`` after the
     on-time limit: only an off command releases it.
     """
@@ -231,17 +175,6 @@ class OutputChannel:
         return int(NS_PER_S / self.frequency_hz)
 
 
-CHANNELS: Final = 8
-MAX_CURRENT_MA: Final = 130.0
-MAX_PULSE_WIDTH_US: Final = 500.0
-MAX_FREQUENCY_HZ: Final = 100.0
-MAX_VALIDITY_MS: Final = 60
-MAX_COUNTER_STEP: Final = 3
-MAX_WRONG_COUNTERS: Final = 5
-ALIVE_PERIOD_NS: Final = 100_000_000
-ON_THEIR_WAY: Final = 64  # numbers that a session may have sent beyond the last one that was heard
-
-
 class StimulatorNode:
     """Call :meth:`receive` for every frame and :meth:`advance` at every deadline; both return what to send."""
 
@@ -267,11 +200,11 @@ class StimulatorNode:
                     frames += self._command(t_ns, message)
                 elif isinstance(message, SessionOpen):
                     frames += self._open(t_ns, message)
-        return self._heard(t_ns, frames)
+        return self._frames_out(t_ns, frames)
 
     def advance(self, t_ns: int) -> list[Frame]:
         """Do all that is due by ``t_ns``: pulses, ends of leases, the heartbeat."""
-        return self._heard(t_ns, self._pass_time(t_ns))
+        return self._frames_out(t_ns, self._pass_time(t_ns))
 
     def next_deadline_ns(self) -> int:
         """When :meth:`advance` must be called again at the latest."""
@@ -362,7 +295,7 @@ class StimulatorNode:
 
     def _command(self, t_ns: int, command: Command) -> list[Frame]:
         channel = self.channels[command.channel]
-        number = number_of(self.session_id, command.session_id, command.counter)
+        number = command_number(self.session_id, command.session_id, command.counter)
         result = self._judge(command, number, channel)
         counter = command.counter % ECHOED_COUNTS
         session_id = command.session_id if result is Result.BAD_SESSION else self.session_id or command.session_id
@@ -477,7 +410,7 @@ class StimulatorNode:
             Alive(counter, PROTOCOL_VERSION, self.boot_id, self.session_id, self.rejected, int(self.flags))
         )
 
-    def _heard(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
+    def _frames_out(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
         """What of ``frames`` reaches the bus: all of it, unless a fault was asked for."""
         if t_ns >= self._mute_ns:
             return []

@@ -1,12 +1,7 @@
-"""The simulated CAN stimulator in this process, on a time that is handed in: its own end of the line, and its pulses.
+"""Simulated stimulators in this process: no wire, no clock, no waiting; whoever owns one says what time it is.
 
-The controller's side is the real port with its codec, counters and answers; the other side is the simulated node's
-firmware. Between them frames pass at once. Every pulse that the node makes is kept until :meth:`take_pulses`, which is
-what a virtual patient feels.
-
-A simulated device as a :class:`~drivers.stimulator.serial_line.Line` in this process: no line, no clock, no waiting.
-
-For replays, and for tests on an injected time: whoever owns it says what time it is.
+The controller's side is the real port with its codec, counters and answers; the other side is the simulated firmware.
+Between them bytes and frames pass at once.
 """
 
 from __future__ import annotations
@@ -27,7 +22,10 @@ from fes.simulation.forward.settings import DeliveredPulse
 
 
 class DeviceLine:
-    """Writing reaches the device at once, at :attr:`t_ns`; waiting lets its time pass."""
+    """A serial device as a :class:`~drivers.stimulator.serial_line.Line`.
+
+    Writing reaches the device at once, at :attr:`t_ns`; waiting lets its time pass.
+    """
 
     name = "simulated device"
 
@@ -114,7 +112,10 @@ class NodeBus(can.BusABC):
 
 
 class InProcessStimulator(CanStimulator):
-    """:class:`CanStimulator` to a node in this process; :meth:`send` and :meth:`poll` tell it the time."""
+    """:class:`CanStimulator` to a node in this process; :meth:`send` and :meth:`poll` advance it.
+
+    Every pulse that the node makes is kept until :meth:`take_pulses`: what a virtual patient feels.
+    """
 
     def __init__(self, session_id: int, boot_id: int = 1, t_ns: int = 0, faults: NodeFaults | None = None) -> None:
         self.bus = NodeBus(boot_id, t_ns, faults)

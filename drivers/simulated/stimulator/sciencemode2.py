@@ -3,7 +3,7 @@
 It announces itself every 500 ms until it is answered. 1.2 s without a valid packet, or the emergency switch, stop
 everything and reset its modes. A main interval of 0 gives one pulse for each start; any other repeats the list.
 
-``python -m drivers.simulated.stimulator.sciencemode2``: a simulated HASOMED RehaStim2 in its own process.
+As a process of its own: ``python -m drivers.simulated.stimulator.sciencemode2``.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ import struct
 import sys
 from typing import Final
 
-from drivers.simulated.stimulator.firmware import NEVER
-from drivers.simulated.stimulator.process import run_device
-from drivers.simulated.stimulator.serial_device import CHANNELS, NS_PER_MS, Repeater, SimulatedDevice
-from drivers.stimulator.sciencemode import codec2 as codec
-from drivers.stimulator.sciencemode.codec2 import Code
+from drivers.simulated.stimulator.firmware import NEVER, NS_PER_MS
+from drivers.simulated.stimulator.serial_device import CHANNELS, Repeater, SimulatedDevice, run_device
+from drivers.stimulator.sciencemode import sciencemode2_codec as codec
 from drivers.stimulator.sciencemode.framing import Packet
+from drivers.stimulator.sciencemode.sciencemode2_codec import Code
 
 WATCHDOG_NS: Final = 1200 * NS_PER_MS
 INIT_EVERY_NS: Final = 500 * NS_PER_MS

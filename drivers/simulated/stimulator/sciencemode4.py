@@ -4,7 +4,7 @@ Low level: one pulse for each channel-config, executed one after another from a 
 busy. Mid level: repeats by itself and stops 2 s after the last update or question. It refuses what is over 130 mA and,
 like the real one, delivers an unbalanced pulse without a word. An open lead is only noticed at 15 mA and above.
 
-``python -m drivers.simulated.stimulator.sciencemode4``: a simulated HASOMED P24 / RehaMove3 in its own process.
+As a process of its own: ``python -m drivers.simulated.stimulator.sciencemode4``.
 """
 
 from __future__ import annotations
@@ -14,12 +14,11 @@ import sys
 from collections import deque
 from typing import Final
 
-from drivers.simulated.stimulator.firmware import NEVER
-from drivers.simulated.stimulator.process import run_device
-from drivers.simulated.stimulator.serial_device import CHANNELS, NS_PER_MS, Repeater, SimulatedDevice
-from drivers.stimulator.sciencemode import codec4 as codec
-from drivers.stimulator.sciencemode.codec4 import Code, Point, Result
+from drivers.simulated.stimulator.firmware import NEVER, NS_PER_MS
+from drivers.simulated.stimulator.serial_device import CHANNELS, Repeater, SimulatedDevice, run_device
+from drivers.stimulator.sciencemode import sciencemode4_codec as codec
 from drivers.stimulator.sciencemode.framing import Packet
+from drivers.stimulator.sciencemode.sciencemode4_codec import Code, Point, Result
 
 QUEUE_DEPTH: Final = 10
 WATCHDOG_NS: Final = 2000 * NS_PER_MS

@@ -1,16 +1,31 @@
-"""What simulated serial stimulators have in common: bytes and time in, messages and pulses out; no I/O, no clock."""
+"""What the simulated serial stimulators have in common: the device itself, and the process that runs one.
+
+The device is bytes and time in, messages and pulses out; no I/O, no clock. Its process prints one JSON line when it is
+ready, with the port that the host opens, and takes faults on stdin (:mod:`drivers.simulated.process_end`). It ends on
+SIGTERM, SIGINT, or when stdin closes (``--until-stdin-closes``). What it delivered is in its record, pulse by pulse, by
+CLOCK_MONOTONIC.
+"""
 
 from __future__ import annotations
 
+import argparse
+import sys
+import time
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Final
 
-from drivers.simulated.stimulator.firmware import NEVER, RecordEntry
+from drivers.simulated.line_faults import DeviceLoop
+from drivers.simulated.lines import DeviceEnd, PtyEnd, TcpEnd
+from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
+from drivers.simulated.pulses import PulseOutlet
+from drivers.simulated.record import RecordEntry, RecordWriter
+from drivers.simulated.stimulator.firmware import NEVER, parse_fault_values
 from drivers.stimulator.sciencemode.framing import FrameDecoder, Packet
 from fes.signals import NS_PER_S
 
 CHANNELS: Final = 8
-NS_PER_MS: Final = 1_000_000
 
 
 class SimulatedDevice(ABC):
@@ -19,8 +34,6 @@ class SimulatedDevice(ABC):
     Faults that are the device's own, set by :meth:`set_fault`: ``electrode`` (this channel's lead is open), ``slow``
     (each answer takes so many seconds), ``reboot`` (now), ``emergency`` (1: the switch is pressed).
     """
-
-    OWN_FAULTS: Final = frozenset(("electrode", "slow", "reboot", "emergency"))
 
     def __init__(self, t_ns: int, decoder: FrameDecoder) -> None:
         self.electrode = -1
@@ -50,6 +63,18 @@ class SimulatedDevice(ABC):
     def power_off(self, t_ns: int) -> None:
         """Silence every channel."""
 
+    @abstractmethod
+    def _act(self, t_ns: int, packet: Packet) -> list[bytes]:
+        """Deal with one intact packet."""
+
+    @abstractmethod
+    def _boot(self, t_ns: int) -> None:
+        """All state as after switching on."""
+
+    def _emergency(self, t_ns: int, pressed: bool) -> list[bytes]:
+        """This kind of device has no emergency switch of its own."""
+        return []
+
     def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
         """Bring about one of the device's own faults.
 
@@ -66,25 +91,13 @@ class SimulatedDevice(ABC):
         elif name == "emergency":
             return self._emergency(t_ns, bool(value))
         else:
-            raise ValueError(f"fault {name!r} is not known; one of {', '.join(sorted(self.OWN_FAULTS))}")
+            raise ValueError(f"fault {name!r} is not known; one of electrode, emergency, reboot, slow")
         return []
 
     def take_record(self) -> list[RecordEntry]:
         """What happened since the last call."""
         entries, self._record = self._record, []
         return entries
-
-    @abstractmethod
-    def _act(self, t_ns: int, packet: Packet) -> list[bytes]:
-        """Deal with one intact packet."""
-
-    @abstractmethod
-    def _boot(self, t_ns: int) -> None:
-        """All state as after switching on."""
-
-    def _emergency(self, t_ns: int, pressed: bool) -> list[bytes]:
-        """This kind of device has no emergency switch of its own."""
-        return []
 
     def _restart(self, t_ns: int) -> None:
         self._boots += 1
@@ -125,3 +138,46 @@ class Repeater:
             times.append(self.next_ns)
             self.next_ns += self.period_ns
         return times
+
+
+def run_device(name: str, make: Callable[[int], SimulatedDevice], arguments: Sequence[str] | None = None) -> int:
+    """Run a device until a signal ends it; everything is off then. Exit status 2 when the settings are wrong."""
+    parser = argparse.ArgumentParser(prog=name, description=f"A simulated stimulator ({name}) in its own process.")
+    parser.add_argument("--line", choices=("pty", "tcp"), default="pty", help="what the host opens")
+    parser.add_argument("--record", type=Path, help="write what was delivered to this file, JSON lines")
+    parser.add_argument("--pulses", type=Path, help="send each pulse to the socket of this name")
+    parser.add_argument("--faults", default="", help="electrode=CH,slow=S,garble=N,drop=N,reorder=N,delay=S,mute=1 …")
+    parser.add_argument("--until-stdin-closes", action="store_true", help="listen to stdin, and end with it")
+    options = parser.parse_args(arguments)
+    stop = stop_signals()
+    try:
+        record = RecordWriter(options.record)
+        end: DeviceEnd = PtyEnd() if options.line == "pty" else TcpEnd()
+    except OSError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return 2
+    real_time = become_real_time()
+    pulses = PulseOutlet(options.pulses)
+    device = make(time.monotonic_ns())
+
+    def keep() -> None:
+        entries = device.take_record()
+        pulses.send_record(entries)
+        record.write(entries)
+
+    loop = DeviceLoop(device, end, stop.fileno(), stdin=options.until_stdin_closes, afterwards=keep)
+    try:
+        for fault, value in parse_fault_values(options.faults):
+            loop.inject(fault, value)
+    except ValueError as error:
+        parser.error(f"--faults: {error}")
+    publish_ready(port=end.port, real_time=real_time)
+    try:
+        loop.run()
+    finally:
+        device.power_off(time.monotonic_ns())
+        keep()
+        record.close()
+        pulses.close()
+        end.unplug()
+    return 0

@@ -1,9 +1,4 @@
-"""Start the simulated CAN stimulator's process, on a bus of its own, and be sure to end it.
-
-Start the process that joins two CAN buses, and be sure to end it.
-
-Start a simulated serial stimulator's process, tell it its faults while it runs, and be sure to end it.
-"""
+"""Start the process of a simulated stimulator, or of the line to one, and be sure to end it."""
 
 from __future__ import annotations
 
@@ -19,11 +14,12 @@ from drivers.stimulator.bus import LOOPBACK, MULTICAST, BusError, open_bus
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus
 
+DeviceKind = Literal["sciencemode4", "sciencemode2"]
 _PROBES: Final = frozenset((1,))
 
 
 class NodeFailed(StimulatorLost):
-    """The simulated stimulator did not start; the message holds what it said."""
+    """The simulated stimulator did not start; the message holds what it printed."""
 
 
 class NodeHandle(ProcessHandle):
@@ -43,8 +39,8 @@ class NodeHandle(ProcessHandle):
         self.boot_id = -1
         super().__init__(what, module, arguments, lost=NodeFailed, timeout_s=timeout_s, record=record)
 
-    def _take(self, ready: Mapping[str, Any]) -> None:
-        super()._take(ready)
+    def _on_ready(self, ready: Mapping[str, Any]) -> None:
+        super()._on_ready(ready)
         self.boot_id = int(ready.get("boot_id", -1))
 
 
@@ -105,7 +101,7 @@ def why_silent(settings: Bus) -> str:
 def spawn_link(
     back: Bus, *, front: Bus | None = None, slcan: Path | None = None, timeout_s: float = 20.0
 ) -> NodeHandle:
-    """Start ``python -m drivers.simulated.can_link`` and wait until it is ready; ``tell`` it to ``cut`` or ``unplug``.
+    """Start ``python -m drivers.simulated.can_link`` and wait until it is ready; it can ``cut`` or ``unplug``.
 
     Args:
         back: the node's bus.
@@ -119,9 +115,6 @@ def spawn_link(
     arguments += ["--front", front.model_dump_json()] if front is not None else ["--slcan", str(slcan)]
     module = "drivers.simulated.can_link"
     return NodeHandle("the simulated CAN line", module, arguments, front or back, timeout_s=timeout_s)
-
-
-DeviceKind = Literal["sciencemode4", "sciencemode2"]
 
 
 class DeviceHandle(ProcessHandle):

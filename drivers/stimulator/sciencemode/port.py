@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import ClassVar, Final
 
 from drivers.stimulator.can_port import COUNTERS, Handshake
@@ -19,13 +20,23 @@ NOTHING_SENT: Final = 0x6000_0000  # identifier of a frame without data: this co
 NO_ANSWER: Final = f"no answer within {ANSWER_WITHIN_NS // 1_000_000} ms"
 
 
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """A handshake under way: the time that it is stamped with, its deadline by ``clock_ns``, what it has written."""
+
+    t_ns: int
+    deadline_ns: int
+    clock_ns: Callable[[], int]
+    frames: list[WireFrame] = field(default_factory=list)
+
+
 class ScienceModePort(ABC):
     """Base of the :class:`~drivers.stimulator.port.StimulatorPort` s on a ScienceMode line, which it then owns.
 
     Every command takes one count (modulo 16), whether it put bytes on the wire or not; a :class:`StimStatus` carries
     the count of the command that it answers. A :class:`WireFrame` holds all bytes that a command put on the wire,
     under :attr:`identifiers` plus the command of the first message; none: :data:`NOTHING_SENT`. All keep-alives are
-    part of :meth:`send`: a controller that hangs sends none. A device that restarted is first told of by a
+    part of :meth:`send`: a controller that hangs sends none. A device that restarted is first reported by a
     :class:`StimAlive`, and is lost from then on: only a new handshake brings it back.
 
     What goes out depends on the commands, on the handshake, on when :meth:`poll` was called and on what it
@@ -34,15 +45,15 @@ class ScienceModePort(ABC):
 
     one_pulse_per_command: ClassVar[bool]
     current_step_ma: ClassVar[float]
-    pulse_width_step_us: ClassVar[float] = 1.0
     numbers: ClassVar[int]
     identifiers: ClassVar[int]  # added to a command's number in the log: beyond every CAN identifier, never 0
     greetings: ClassVar[frozenset[int]]  # identifiers of frames that only a handshake puts on the wire
 
-    def __init__(self, line: Line, decoder: FrameDecoder, session_id: int) -> None:
+    def __init__(self, line: Line, decoder: FrameDecoder, encode: Callable[[Packet], bytes], session_id: int) -> None:
         self.session_id = session_id
         self._line = line
         self._decoder = decoder
+        self._encode = encode
         self._answers = Answers()
         self._counter = 0
         self._number = 0
@@ -52,7 +63,7 @@ class ScienceModePort(ABC):
         self._refusals: list[tuple[Pulse, str]] = []
         self._sent_ns: int | None = None
         self._ended = ""
-        self._told = False
+        self._end_reported = False
         self._carried = b""
         self.heard = b""
 
@@ -72,16 +83,14 @@ class ScienceModePort(ABC):
         Raises:
             StimulatorLost: nobody answered, or the device refused; the message says what to check.
         """
-        deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
-        frames: list[WireFrame] = []
+        opening = Opening(t_ns, clock_ns() + int(timeout_s * NS_PER_S), clock_ns)
         while self._line.read():  # what lies there is another session's
             pass
-        why = self._greet(t_ns, deadline_ns, clock_ns, frames)
-        if why:
+        if why := self._greet(opening):
             raise StimulatorLost(f"{self._line.name}: {why}")
         self._sent_ns = None
         self._carried = self._decoder.pending
-        return Handshake(self._boot_id, tuple(frames), (StimAlive(t_ns, self._boot_id, 0),))
+        return Handshake(self._boot_id, tuple(opening.frames), (StimAlive(t_ns, self._boot_id, 0),))
 
     def resume(self, frames: Sequence[WireFrame]) -> None:
         """Be as after an :meth:`open` that put ``frames`` on the wire: for replays, with nobody at the other end."""
@@ -121,9 +130,12 @@ class ScienceModePort(ABC):
         for packet in self._decoder.feed(data):
             self._received(t_ns, packet)
         for awaited in self._answers.overdue(t_ns):
-            self._fault(t_ns, awaited, NO_ANSWER)
+            if not awaited.pulses:
+                self._alive(t_ns, NO_ANSWER)
+            for pulse in awaited.pulses:
+                self._confirm(t_ns, pulse, NO_ANSWER, pulses=0)
         events, self._events = self._events, []
-        self._told = bool(self._ended)
+        self._end_reported = bool(self._ended)
         return events
 
     def fileno(self) -> int:
@@ -142,7 +154,7 @@ class ScienceModePort(ABC):
     # --- what each device does its own way ---------------------------------------------------------------
 
     @abstractmethod
-    def _greet(self, t_ns: int, deadline_ns: int, clock_ns: Callable[[], int], frames: list[WireFrame]) -> str:
+    def _greet(self, opening: Opening) -> str:
         """The handshake; "" when the device takes commands now, else why not."""
 
     @abstractmethod
@@ -156,10 +168,6 @@ class ScienceModePort(ABC):
     @abstractmethod
     def _answered(self, t_ns: int, packet: Packet, awaited: Awaited, fault: str) -> None:
         """Deal with an answer; ``fault`` says what is wrong with its turn."""
-
-    @abstractmethod
-    def _encode(self, packet: Packet) -> bytes:
-        """The packet's frame."""
 
     # --- for them to use ---------------------------------------------------------------------------------
 
@@ -182,9 +190,11 @@ class ScienceModePort(ABC):
     def _confirm(self, t_ns: int, pulse: Pulse, fault: str, *, pulses: int) -> None:
         """Report what an answer says of one channel; at a fault nothing counts as delivered."""
         if fault:
-            self._events.append(_status(t_ns, Pulse(pulse.channel, pulse.counter, False), fault))
-        else:
-            self._events.append(_status(t_ns, pulse, "", pulses))
+            pulse, pulses = Pulse(pulse.channel, pulse.counter, False), 0
+        levels = (pulse.current_ma, pulse.pulse_width_us, pulse.frequency_hz)
+        charge_uc = pulses * pulse.current_ma * pulse.pulse_width_us * 1e-3
+        status = StimStatus(t_ns, pulse.channel, pulse.counter, pulse.on, *levels, pulses, charge_uc, fault)
+        self._events.append(status)
 
     def _alive(self, t_ns: int, fault: str = "") -> None:
         self._events.append(StimAlive(t_ns, self._boot_id, self._rejected, fault))
@@ -193,19 +203,13 @@ class ScienceModePort(ABC):
         self._rejected = min(self._rejected + 1, REJECTED_MOST)
 
     def _need_session(self) -> None:
-        if self._told:
+        if self._end_reported:
             raise StimulatorLost(f"{self._line.name}: {self._ended}; its session must be opened again")
 
     def _restarted(self, t_ns: int, fault: str) -> None:
         self._ended = fault
         self._boot_id += 1
         self._alive(t_ns, fault)
-
-    def _fault(self, t_ns: int, awaited: Awaited, fault: str) -> None:
-        if not awaited.pulses:
-            self._alive(t_ns, fault)
-        for pulse in awaited.pulses:
-            self._confirm(t_ns, pulse, fault, pulses=0)
 
     def _received(self, t_ns: int, packet: Packet) -> None:
         if self._unasked(t_ns, packet):
@@ -216,43 +220,24 @@ class ScienceModePort(ABC):
         else:
             self._answered(t_ns, packet, awaited, fault)
 
-    def _ask(
-        self,
-        make: Callable[[int], Packet],
-        t_ns: int,
-        deadline_ns: int,
-        clock_ns: Callable[[], int],
-        frames: list[WireFrame],
-    ) -> Packet | None:
+    def _write(self, opening: Opening, packet: Packet) -> None:
+        """Handshake only: put a message on the wire, and note it for the log."""
+        data = self._encode(packet)
+        self._line.write(data)
+        opening.frames.append(WireFrame(opening.t_ns, self.identifiers + packet.command, data))
+
+    def _request(self, opening: Opening, make: Callable[[int], Packet]) -> Packet | None:
         """Handshake only: send a message, again every 250 ms under a new number, until its answer comes."""
-        while clock_ns() < deadline_ns:
+        while opening.clock_ns() < opening.deadline_ns:
             packet = make(self._next_number())
-            data = self._encode(packet)
-            self._line.write(data)
-            frames.append(WireFrame(t_ns, self.identifiers + packet.command, data))
-            again_ns = min(clock_ns() + ASK_AGAIN_NS, deadline_ns)
-            for heard in self._heard_until(again_ns, clock_ns):
-                if (heard.number, heard.command) == (packet.number, packet.command + 1):
-                    return heard
+            self._write(opening, packet)
+            for answer in self._packets_until(opening, opening.clock_ns() + ASK_AGAIN_NS):
+                if (answer.number, answer.command) == (packet.number, packet.command + 1):
+                    return answer
         return None
 
-    def _heard_until(self, deadline_ns: int, clock_ns: Callable[[], int]) -> Iterator[Packet]:
-        """Handshake only: packets as they come, until the deadline."""
-        while (left_ns := deadline_ns - clock_ns()) > 0:
+    def _packets_until(self, opening: Opening, end_ns: int) -> Iterator[Packet]:
+        """Handshake only: packets as they come, until this time or the deadline."""
+        while (left_ns := min(end_ns, opening.deadline_ns) - opening.clock_ns()) > 0:
             self._line.wait(left_ns / NS_PER_S)
             yield from self._decoder.feed(self._line.read())
-
-
-def _status(t_ns: int, pulse: Pulse, fault: str, pulses: int = 0) -> StimStatus:
-    return StimStatus(
-        t_ns=t_ns,
-        channel=pulse.channel,
-        counter=pulse.counter,
-        on=pulse.on,
-        current_ma=pulse.current_ma,
-        pulse_width_us=pulse.pulse_width_us,
-        frequency_hz=pulse.frequency_hz,
-        pulses=pulses,
-        charge_uc=pulses * pulse.current_ma * pulse.pulse_width_us * 1e-3,
-        fault=fault,
-    )

@@ -137,7 +137,7 @@ def repeat(path: Path) -> Repeated:
     sink: LoggedSink | SerialSink
     if repeats_bytes(session, record.header):
         sink = SerialSink(session)
-        recorded = sink.commands_of(record.frames)
+        recorded = sink.logged_commands(record.frames)
         sink.sent = [frame.identifier != UNSENT for frame in recorded]
         events = sink.told(iter_inputs(path), session_id)
         compares_bytes = True

@@ -17,7 +17,7 @@ import click
 from drivers.simulated.stimulator.lockstep import LockstepStimulator
 from drivers.simulated.stimulator.spawn import spawn_node
 from drivers.stimulator.bus import open_bus
-from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, commands_of
+from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, logged_commands
 from drivers.stimulator.can_port import ByteSink, CanStimulator
 from drivers.stimulator.open import SERIAL, open_stimulator
 from drivers.stimulator.port import StimulatorLost
@@ -100,7 +100,7 @@ class SerialSink:
             looked_ns = None if isinstance(each, StimStatus | StimAlive) else each.t_ns
         self._look(looked_ns)
 
-    def commands_of(self, frames: Iterable[WireFrame]) -> list[WireFrame]:
+    def logged_commands(self, frames: Iterable[WireFrame]) -> list[WireFrame]:
         """Of all frames those of commands, one each: all but the handshakes'."""
         return [frame for frame in frames if frame.identifier not in self._port.greetings]
 
@@ -211,7 +211,7 @@ def last_answers(stimulator: OpenStimulator, t_ns: int) -> list[StimStatus | Sti
 
 def wire_truth(frames: list[WireFrame], statuses: list[StimStatus]) -> Delivered:
     """Hold the command frames that went out against what the stimulator said it delivered."""
-    return compare_delivered(commands_of([f for f in frames if f.identifier in CONTROLLER_IDS]), statuses)
+    return compare_delivered(logged_commands([f for f in frames if f.identifier in CONTROLLER_IDS]), statuses)
 
 
 def as_summary(truth: Delivered) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from drivers.stimulator.open import electrodes_told_from_ma, open_session
+from drivers.stimulator.open import open_lead_detected_from_ma, open_session
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
@@ -187,7 +187,7 @@ def _run(
         view,
         options.duration_s,
         current_step_ma=port.current_step_ma,
-        electrodes_told_from_ma=electrodes_told_from_ma(session.stimulator),
+        electrodes_told_from_ma=open_lead_detected_from_ma(session.stimulator),
     )
     _give_inputs(live, session, options, folder, keys, stack)
     if page is not None:

@@ -41,11 +41,11 @@ class PatientHandle(ProcessHandle):
         module = "fes.hil.closed_loop.patient_process"
         super().__init__("the virtual patient", module, arguments, lost=ImuLost, timeout_s=timeout_s)
 
-    def _take(self, ready: Mapping[str, Any]) -> None:
-        super()._take(ready)
+    def _on_ready(self, ready: Mapping[str, Any]) -> None:
+        super()._on_ready(ready)
         self.ports, self.start_ns = dict(ready["ports"]), int(ready["start_ns"])
 
-    def _hear(self, said: Mapping[str, Any]) -> bool:
+    def _on_message(self, said: Mapping[str, Any]) -> bool:
         if "stride" in said:
             self._strides.append(VirtualStride(**said["stride"]))
         elif "summary" in said and "done" not in said:
@@ -61,7 +61,7 @@ class PatientHandle(ProcessHandle):
 
     def new_strides(self) -> list[VirtualStride]:
         """Strides of the affected foot that were completed since the last call."""
-        self.listen()
+        self.receive_messages()
         strides, self._strides = self._strides, []
         return strides
 
@@ -71,15 +71,15 @@ class PatientHandle(ProcessHandle):
         Raises:
             ImuLost: it does not know that, or is gone.
         """
-        return int(self.ask({"do": deed, "value": value})["t_ns"])
+        return int(self.request({"do": deed, "value": value})["t_ns"])
 
-    def fault(self, name: str, value: float = 1.0, sensor: str = "") -> int:
+    def inject(self, name: str, value: float = 1.0, sensor: str = "") -> int:
         """Bring a fault of a worn sensor about, without ``sensor`` of all; returns when.
 
         Raises:
             ImuLost: it does not know it, or is gone.
         """
-        return int(self.ask({"fault": name, "value": value, "sensor": sensor})["t_ns"])
+        return int(self.request({"fault": name, "value": value, "sensor": sensor})["t_ns"])
 
     def hold(self, held: bool) -> int:
         """A patient who walks in turns stands for as long as this holds; returns when it was told.
@@ -87,7 +87,7 @@ class PatientHandle(ProcessHandle):
         Raises:
             ImuLost: it is gone.
         """
-        return int(self.ask({"hold": held})["t_ns"])
+        return int(self.request({"hold": held})["t_ns"])
 
     def begin(self) -> None:
         """Let the time of a patient begin that was started ``held``.
@@ -95,7 +95,7 @@ class PatientHandle(ProcessHandle):
         Raises:
             ImuLost: it has begun already, or is gone.
         """
-        self.start_ns = int(self.ask({"begin": True})["start_ns"])
+        self.start_ns = int(self.request({"begin": True})["start_ns"])
 
     def replug(self, sensor: str) -> str:
         """Another line in the place of a sensor's; its port.
@@ -103,7 +103,7 @@ class PatientHandle(ProcessHandle):
         Raises:
             ImuLost: it is gone.
         """
-        self.ports[sensor] = str(self.ask({"replug": sensor})["port"])
+        self.ports[sensor] = str(self.request({"replug": sensor})["port"])
         return self.ports[sensor]
 
     def punctuality(self) -> dict[str, Any]:
@@ -112,7 +112,7 @@ class PatientHandle(ProcessHandle):
         Raises:
             ImuLost: it is gone.
         """
-        found: dict[str, Any] = self.ask({"ask": "summary"})["summary"]
+        found: dict[str, Any] = self.request({"ask": "summary"})["summary"]
         return found
 
 

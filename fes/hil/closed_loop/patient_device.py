@@ -39,7 +39,7 @@ class Sensor(Protocol):
         """What the host opens."""
         ...
 
-    def fault(self, name: str, value: float = 1.0) -> int:
+    def inject(self, name: str, value: float = 1.0) -> int:
         """Bring a fault about now; when that was, CLOCK_MONOTONIC ns."""
         ...
 
@@ -66,14 +66,14 @@ class PatientSensor:
             self._port = self._patient.replug(FOOT)
         return self._port
 
-    def fault(self, name: str, value: float = 1.0) -> int:
+    def inject(self, name: str, value: float = 1.0) -> int:
         """As a simulated sensor's; ``stand`` keeps the patient standing, 0 lets it walk on."""
-        return self._patient.hold(bool(value)) if name == "stand" else self._patient.fault(name, value, FOOT)
+        return self._patient.hold(bool(value)) if name == "stand" else self._patient.inject(name, value, FOOT)
 
     def clear(self) -> None:
         """End the faults that last."""
         for name in (*LASTING, *sorted(LINE_FAULTS)):
-            self._patient.fault(name, 0.0, FOOT)
+            self._patient.inject(name, 0.0, FOOT)
 
     def stop(self) -> int:
         """Nothing: whoever started the patient ends it."""

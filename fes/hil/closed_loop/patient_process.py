@@ -25,7 +25,7 @@ from typing import Any, Final
 
 from drivers.simulated.line_faults import LINE_FAULTS, LineFaults
 from drivers.simulated.lines import PtyEnd
-from drivers.simulated.process_end import STDIN, Orders, become_real_time, say_ready, stop_signals
+from drivers.simulated.process_end import STDIN, CommandReader, become_real_time, publish_ready, stop_signals
 from drivers.simulated.pulses import PulseInlet
 from fes.hil.closed_loop.patient_device import HELD, PatientDevice
 from fes.signals import NS_PER_S, SENSORS
@@ -44,7 +44,7 @@ class PatientLoop:
         self._wake = wake
         self.ends = {sensor: PtyEnd() for sensor in sensors}
         self._faults = {sensor: LineFaults() for sensor in sensors}
-        self._orders = Orders(self._obey)
+        self._commands = CommandReader(self._execute)
 
     def run(self) -> None:
         """Until a signal or the end of stdin."""
@@ -59,7 +59,7 @@ class PatientLoop:
 
     def _turn(self) -> bool:
         now_ns = time.monotonic_ns()
-        for sensor, messages in self._device.advance(now_ns, self._inlet.take()).items():
+        for sensor, messages in self._device.advance(now_ns, self._inlet.receive()).items():
             self._put_out(sensor, now_ns, messages)
         for stride in self._device.new_strides():
             print(json.dumps({"stride": asdict(stride)}), flush=True)
@@ -67,7 +67,7 @@ class PatientLoop:
         wait_s = min(max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_S), LONGEST_WAIT_S)
         lines = {line: sensor for sensor, end in self.ends.items() for line in end.descriptors()}
         ready, _, _ = select.select([self._wake, STDIN, *lines], [], [], wait_s)
-        if self._wake in ready or (STDIN in ready and not self._orders.read()):
+        if self._wake in ready or (STDIN in ready and not self._commands.read()):
             return False
         for line in ready:
             if line in lines and (data := self.ends[lines[line]].read()):
@@ -80,7 +80,7 @@ class PatientLoop:
         if data := self._faults[sensor].due(now_ns):
             self.ends[sensor].write(data)
 
-    def _obey(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def _execute(self, asked: dict[str, Any]) -> dict[str, Any]:
         if "do" in asked:
             do_to(self._device.patient, str(asked["do"]), float(asked.get("value", 0.0)))
         elif "hold" in asked:
@@ -134,7 +134,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     start_ns = HELD if options.held else time.monotonic_ns()
     device = PatientDevice(settings, start_ns, cycle_s=cycle_s, waits=options.waits)
     loop = PatientLoop(device, worn, inlet, stop.fileno())
-    say_ready(ports={sensor: end.port for sensor, end in loop.ends.items()}, start_ns=start_ns, real_time=real_time)
+    publish_ready(ports={sensor: end.port for sensor, end in loop.ends.items()}, start_ns=start_ns, real_time=real_time)
     try:
         loop.run()
     finally:

@@ -9,18 +9,17 @@ not come delivers nothing.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import ClassVar, Final
 
 from drivers.stimulator.port import Awaited, Pulse, PulseTrain
-from drivers.stimulator.sciencemode import codec2 as codec
-from drivers.stimulator.sciencemode.codec2 import Code
+from drivers.stimulator.sciencemode import sciencemode2_codec as codec
 from drivers.stimulator.sciencemode.framing import Packet
-from drivers.stimulator.sciencemode.port import ScienceModePort
+from drivers.stimulator.sciencemode.port import Opening, ScienceModePort
+from drivers.stimulator.sciencemode.sciencemode2_codec import Code
 from drivers.stimulator.serial_line import Line
-from fes.signals import StimCommand, WireFrame
+from fes.signals import StimCommand
 
-WATCHDOG_S: Final = 1.2
 KEEP_ALIVE_NS: Final = 250_000_000
 
 
@@ -44,30 +43,26 @@ class RehaStim2(ScienceModePort):
 
     def __init__(self, line: Line, session_id: int, channels: Sequence[int]) -> None:
         codec.list_init(0, channels)
-        super().__init__(line, codec.Decoder(), session_id)
+        super().__init__(line, codec.Decoder(), codec.encode, session_id)
         self._channels = tuple(sorted(set(channels)))
         self._last = channels[-1]
         self._trains = {channel: PulseTrain(int(codec.MIN_INTERVAL_MS * 1e6)) for channel in self._channels}
         self._due: dict[int, Pulse] = {}
         self._step_ns: int | None = None
 
-    def _greet(self, t_ns: int, deadline_ns: int, clock_ns: Callable[[], int], frames: list[WireFrame]) -> str:
-        met = False
+    def _greet(self, opening: Opening) -> str:
         asked = -1
-        for heard in self._heard_until(deadline_ns, clock_ns):
-            if heard.command == Code.INIT:
-                met = True
+        for packet in self._packets_until(opening, opening.deadline_ns):
+            if packet.command == Code.INIT:
                 asked = self._next_number()
-                for packet in (Packet(heard.number, Code.INIT_ACK, b"\0"), codec.list_init(asked, self._channels)):
-                    data = codec.encode(packet)
-                    self._line.write(data)
-                    frames.append(WireFrame(t_ns, self.identifiers + packet.command, data))
-            elif (heard.number, heard.command) == (asked, Code.LIST_INIT + 1):
-                result = codec.signed(heard.data)
+                self._write(opening, Packet(packet.number, Code.INIT_ACK, b"\0"))
+                self._write(opening, codec.list_init(asked, self._channels))
+            elif (packet.number, packet.command) == (asked, Code.LIST_INIT + 1):
+                result = codec.signed(packet.data)
                 return f"the stimulator refused the channel list: {codec.result_text(result)}" if result else ""
-            elif heard.command == Code.STIMULATION_ERROR:
-                return codec.error_text(codec.signed(heard.data))
-        if met:
+            elif packet.command == Code.STIMULATION_ERROR:
+                return codec.error_text(codec.signed(packet.data))
+        if asked >= 0:
             return "the stimulator did not answer to the channel list"
         return (
             "no RehaStim2 was heard; it announces itself every 0.5 s. Is it switched on and in ScienceMode, is this "
@@ -75,15 +70,15 @@ class RehaStim2(ScienceModePort):
         )
 
     def _packets_for(self, command: StimCommand, counter: int) -> list[Packet]:
-        self._gather(command, counter)
+        self._note_due(command, counter)
         if command.channel == self._last and self._due:
             return [self._list(command.t_ns)]
         if self._quiet_for(command.t_ns, KEEP_ALIVE_NS):
-            # asked for its mode rather than told that we live: the answer tells that it does, too
+            # asked for its mode rather than sent a watchdog message: its answer shows that it lives, too
             return [self._expect(Packet(self._next_number(), Code.GET_MODE), command.t_ns)]
         return []
 
-    def _gather(self, command: StimCommand, counter: int) -> None:
+    def _note_due(self, command: StimCommand, counter: int) -> None:
         """Whether this command is a pulse of the list that this step's last command will send."""
         pulse = codec.NO_PULSE
         if command.on:
@@ -138,6 +133,3 @@ class RehaStim2(ScienceModePort):
                 self._alive(t_ns, fault)
         for pulse in awaited.pulses:
             self._confirm(t_ns, pulse, fault, pulses=1)
-
-    def _encode(self, packet: Packet) -> bytes:
-        return codec.encode(packet)

@@ -1,14 +1,13 @@
-"""HASOMED P24 and RehaMove3 in low level: every pulse is a command of its own, and none comes without one.
+"""HASOMED P24 and RehaMove3 by ScienceMode4, in low level and in mid level.
 
-When the controller dies, the last pulse it asked for is the last one delivered. The device queues up to ten pulses; at
-most two of a channel are ever unanswered, so that none is delivered late.
+Low level: every pulse is a command of its own, and none comes without one. When the controller dies, the last pulse it
+asked for is the last one delivered. The device queues up to ten pulses; at most two of a channel are ever unanswered,
+so that none is delivered late.
 
-HASOMED P24 and RehaMove3 in mid level: the device repeats the pulses by itself until it is told otherwise.
-
-It stops by itself no sooner than **2 s** after the last update or question. That is as long as a whole stance: a
-controller that dies in mid-swing leaves the muscle stimulated through it. So a session must accept this in its settings
-(``accept_watchdog_s = 2.0``); low level has no such tail. What the host can do, it does: questions go out only as part
-of a command, and *off* goes out at once.
+Mid level: the device repeats the pulses by itself until it gets another command. It stops by itself no sooner than
+**2 s** after the last update or question. That is as long as a whole stance: a controller that dies in mid-swing leaves
+the muscle stimulated through it. So a session must accept this in its settings (``accept_watchdog_s = 2.0``); low level
+has no such tail. What the host can do, it does: questions go out only as part of a command, and *off* goes out at once.
 """
 
 from __future__ import annotations
@@ -18,19 +17,82 @@ from collections.abc import Callable
 from typing import ClassVar, Final
 
 from drivers.stimulator.port import Awaited, Pulse, PulseTrain
-from drivers.stimulator.sciencemode import codec4 as codec
-from drivers.stimulator.sciencemode.codec4 import Code, Result, Train
+from drivers.stimulator.sciencemode import sciencemode4_codec as codec
 from drivers.stimulator.sciencemode.framing import Packet
-from drivers.stimulator.sciencemode.port import ScienceModePort
+from drivers.stimulator.sciencemode.port import Opening, ScienceModePort
+from drivers.stimulator.sciencemode.sciencemode4_codec import Code, Result, Train
 from drivers.stimulator.serial_line import Line
-from fes.signals import StimCommand, WireFrame
+from fes.signals import StimCommand
 
 ASK_EVERY_NS: Final = 250_000_000
 LEVEL_NAMES: Final = ("not initialised", "low level", "mid level", "mid level, running")
 LOW_LEVEL: Final = 1
+WATCHDOG_S: Final = 2.0
+STOP_ON_ALL_ERRORS: Final = b"\x01"
+_CHANNEL_ERRORS: Final = (Result.OK, Result.ELECTRODE, Result.PULSE_TIMEOUT, Result.LOW_CURRENT)
 
 
-class LowLevelStimulator(ScienceModePort):
+class _P24(ScienceModePort):
+    """What both levels share; ``channels`` is 8 for the P24, 4 for the RehaMove3."""
+
+    current_step_ma: ClassVar[float] = codec.CURRENT_STEP_MA
+    numbers: ClassVar[int] = codec.NUMBERS
+    identifiers: ClassVar[int] = 0x4000_0000
+
+    def __init__(self, line: Line, session_id: int, channels: int) -> None:
+        super().__init__(line, codec.Decoder(), codec.encode, session_id)
+        self._channels = channels
+        self._asked_ns: int | None = None
+
+    def _initialise(self, opening: Opening, make: Callable[[int], Packet]) -> str:
+        """What is wrong with the answer to an initialisation; "" for nothing."""
+        answer = self._request(opening, make)
+        if answer is None:
+            return (
+                "no stimulator answered. Is it switched on, is this the right port, is it a P24 or RehaMove3? Answers "
+                "that are garbled speak for a wrong baud rate."
+            )
+        if answer.data[:1] != b"\0":
+            return f"the stimulator refused to start: {codec.result_text(answer.data[0] if answer.data else 1)}"
+        return ""
+
+    def _points(self, command: StimCommand) -> codec.Points:
+        if not 0 <= command.channel < self._channels:
+            raise ValueError(f"channel {command.channel}; this stimulator has 0 to {self._channels - 1}")
+        return codec.biphasic(command.current_ma, command.pulse_width_us)
+
+    def _question_due(self, t_ns: int) -> bool:
+        """Whether the device is to be asked for its state with this command; remembers it if so."""
+        if self._asked_ns is not None and t_ns - self._asked_ns < ASK_EVERY_NS:
+            return False
+        self._asked_ns = t_ns
+        return True
+
+    def _unasked(self, t_ns: int, packet: Packet) -> bool:
+        if packet.command not in (Code.GENERAL_ERROR, Code.UNKNOWN_COMMAND):
+            return False
+        self.report_error(t_ns, codec.result_text(_result(packet)))
+        return True
+
+    def _count_result(self, packet: Packet, fault: str) -> tuple[int, str]:
+        """The answer's result, and what is wrong with it: its turn, else what the result says."""
+        result = _result(packet)
+        if result:
+            self._count_rejected()
+        return result, fault or codec.result_text(result)
+
+
+def _result(packet: Packet) -> int:
+    return packet.data[0] if packet.data else int(Result.TRANSFER)
+
+
+def _level(command: StimCommand, counter: int, points: codec.Points, frequency_hz: float) -> Pulse:
+    """What of a command the device delivers: current and width in its steps."""
+    current_ma, width_us = points[0].steps * codec.CURRENT_STEP_MA, float(points[0].width_us)
+    return Pulse(command.channel, counter, True, current_ma, width_us, frequency_hz)
+
+
+class LowLevelStimulator(_P24):
     """:class:`~drivers.stimulator.port.StimulatorPort` for ScienceMode4 low level.
 
     Args:
@@ -40,18 +102,14 @@ class LowLevelStimulator(ScienceModePort):
     """
 
     one_pulse_per_command: ClassVar[bool] = True
-    current_step_ma: ClassVar[float] = codec.CURRENT_STEP_MA
-    numbers: ClassVar[int] = codec.NUMBERS
-    identifiers: ClassVar[int] = 0x4000_0000
-    greetings: ClassVar[frozenset[int]] = frozenset((identifiers + Code.LOW_INIT,))
+    greetings: ClassVar[frozenset[int]] = frozenset((_P24.identifiers + Code.LOW_INIT,))
 
     def __init__(self, line: Line, session_id: int, channels: int = codec.CHANNELS) -> None:
-        super().__init__(line, codec.Decoder(), session_id)
+        super().__init__(line, session_id, channels)
         self._trains = tuple(PulseTrain() for _ in range(channels))
-        self._asked_ns: int | None = None
 
-    def _greet(self, t_ns: int, deadline_ns: int, clock_ns: Callable[[], int], frames: list[WireFrame]) -> str:
-        return initialise(self._ask(codec.low_init, t_ns, deadline_ns, clock_ns, frames))
+    def _greet(self, opening: Opening) -> str:
+        return self._initialise(opening, codec.low_init)
 
     def _packets_for(self, command: StimCommand, counter: int) -> list[Packet]:
         packets: list[Packet] = []
@@ -59,16 +117,13 @@ class LowLevelStimulator(ScienceModePort):
             packets = self._pulse(command, counter)
         elif 0 <= command.channel < len(self._trains):
             self._trains[command.channel].off()
-        if self._asked_ns is None or command.t_ns - self._asked_ns >= ASK_EVERY_NS:
-            self._asked_ns = command.t_ns
+        if self._question_due(command.t_ns):
             packets.append(self._expect(Packet(self._next_number(), Code.STIM_STATUS), command.t_ns))
         return packets
 
     def _pulse(self, command: StimCommand, counter: int) -> list[Packet]:
         channel = command.channel
-        if not 0 <= channel < len(self._trains):
-            raise ValueError(f"channel {channel}; this stimulator has 0 to {len(self._trains) - 1}")
-        points = codec.biphasic(command.current_ma, command.pulse_width_us)
+        points = self._points(command)
         if not math.isfinite(command.frequency_hz):
             raise ValueError(f"frequency_hz = {command.frequency_hz!r} must be a finite number")
         if not points or not self._trains[channel].due(command.t_ns, command.frequency_hz):
@@ -77,18 +132,10 @@ class LowLevelStimulator(ScienceModePort):
             self._withheld(command, counter, why)
             return []
         packet = codec.low_pulse(self._next_number(), channel, points)
-        current_ma, width_us = points[0].steps * codec.CURRENT_STEP_MA, float(points[0].width_us)
-        pulse = Pulse(channel, counter, True, current_ma, width_us, command.frequency_hz)
-        return [self._expect(packet, command.t_ns, (pulse,))]
-
-    def _unasked(self, t_ns: int, packet: Packet) -> bool:
-        return told_of_an_error(self, t_ns, packet)
+        return [self._expect(packet, command.t_ns, (_level(command, counter, points, command.frequency_hz),))]
 
     def _answered(self, t_ns: int, packet: Packet, awaited: Awaited, fault: str) -> None:
-        result = packet.data[0] if packet.data else int(Result.TRANSFER)
-        fault = fault or codec.result_text(result)
-        if result:
-            self._count_rejected()
+        result, fault = self._count_result(packet, fault)
         if packet.command == Code.STIM_STATUS + 1:
             level = packet.data[1] if len(packet.data) > 1 else 0
             if not fault and level != LOW_LEVEL:
@@ -104,39 +151,10 @@ class LowLevelStimulator(ScienceModePort):
         if result == Result.NOT_INITIALISED:
             self._restarted(t_ns, codec.result_text(result))
 
-    def _encode(self, packet: Packet) -> bytes:
-        return codec.encode(packet)
-
-
-def initialise(answer: Packet | None) -> str:
-    """What is wrong with the answer to an initialisation; "" for nothing."""
-    if answer is None:
-        return (
-            "no stimulator answered. Is it switched on, is this the right port, is it a P24 or RehaMove3? Answers that "
-            "are garbled speak for a wrong baud rate."
-        )
-    if answer.data[:1] != b"\0":
-        return f"the stimulator refused to start: {codec.result_text(answer.data[0] if answer.data else 1)}"
-    return ""
-
-
-def told_of_an_error(port: ScienceModePort, t_ns: int, packet: Packet) -> bool:
-    """Whether this was one of the device's own error messages; it is then reported."""
-    if packet.command not in (Code.GENERAL_ERROR, Code.UNKNOWN_COMMAND):
-        return False
-    port.report_error(t_ns, codec.result_text(packet.data[0] if packet.data else int(Result.TRANSFER)))
-    return True
-
 
 def _named_channel(byte: int) -> int:
     """Channel in the low half, connector in the high half."""
     return (byte & 0x0F) + codec.CHANNELS_PER_CONNECTOR * (byte >> 4)
-
-
-WATCHDOG_S: Final = 2.0
-REFRESH_NS: Final = 250_000_000
-STOP_ON_ALL_ERRORS: Final = b"\x01"
-_CHANNEL_ERRORS: Final = (Result.OK, Result.ELECTRODE, Result.PULSE_TIMEOUT, Result.LOW_CURRENT)
 
 
 def not_accepted(accept_watchdog_s: float) -> str:
@@ -149,7 +167,7 @@ def not_accepted(accept_watchdog_s: float) -> str:
     )
 
 
-class MidLevelStimulator(ScienceModePort):
+class MidLevelStimulator(_P24):
     """:class:`~drivers.stimulator.port.StimulatorPort` for ScienceMode4 mid level.
 
     The device counts no pulses, so its :class:`StimStatus` carry none. Ramps are the plan's; the device's are not used.
@@ -159,29 +177,20 @@ class MidLevelStimulator(ScienceModePort):
     """
 
     one_pulse_per_command: ClassVar[bool] = False
-    current_step_ma: ClassVar[float] = codec.CURRENT_STEP_MA
-    numbers: ClassVar[int] = codec.NUMBERS
-    identifiers: ClassVar[int] = 0x4000_0000
-    greetings: ClassVar[frozenset[int]] = frozenset((identifiers + Code.MID_INIT,))
+    greetings: ClassVar[frozenset[int]] = frozenset((_P24.identifiers + Code.MID_INIT,))
 
     def __init__(
         self, line: Line, session_id: int, channels: int = codec.CHANNELS, *, accept_watchdog_s: float
     ) -> None:
         if why := not_accepted(accept_watchdog_s):
             raise ValueError(why)
-        super().__init__(line, codec.Decoder(), session_id)
-        self._channels = channels
+        super().__init__(line, session_id, channels)
         self._trains: dict[int, Train] = {}
         self._levels: dict[int, Pulse] = {}
-        self._refreshed_ns: int | None = None
         self._must_stop = False
 
-    def _greet(self, t_ns: int, deadline_ns: int, clock_ns: Callable[[], int], frames: list[WireFrame]) -> str:
-        return initialise(
-            self._ask(
-                lambda number: Packet(number, Code.MID_INIT, STOP_ON_ALL_ERRORS), t_ns, deadline_ns, clock_ns, frames
-            )
-        )
+    def _greet(self, opening: Opening) -> str:
+        return self._initialise(opening, lambda number: Packet(number, Code.MID_INIT, STOP_ON_ALL_ERRORS))
 
     def _packets_for(self, command: StimCommand, counter: int) -> list[Packet]:
         train = self._wanted(command)
@@ -191,8 +200,7 @@ class MidLevelStimulator(ScienceModePort):
             packets.append(self._expect(Packet(self._next_number(), Code.MID_STOP), command.t_ns))
         if train != self._trains.get(command.channel):
             packets += self._update(command, counter, train)
-        if self._refreshed_ns is None or command.t_ns - self._refreshed_ns >= REFRESH_NS:
-            self._refreshed_ns = command.t_ns
+        if self._question_due(command.t_ns):
             active = tuple(self._levels[channel] for channel in sorted(self._trains))
             packets.append(self._expect(codec.mid_current_data(self._next_number()), command.t_ns, active))
         return packets
@@ -200,9 +208,7 @@ class MidLevelStimulator(ScienceModePort):
     def _wanted(self, command: StimCommand) -> Train | None:
         if not command.on:
             return None
-        if not 0 <= command.channel < self._channels:
-            raise ValueError(f"channel {command.channel}; this stimulator has 0 to {self._channels - 1}")
-        points = codec.biphasic(command.current_ma, command.pulse_width_us)
+        points = self._points(command)
         return Train(points, codec.period_steps(command.frequency_hz)) if points else None
 
     def _update(self, command: StimCommand, counter: int, train: Train | None) -> list[Packet]:
@@ -215,20 +221,12 @@ class MidLevelStimulator(ScienceModePort):
             del self._trains[channel]
         else:
             self._trains[channel] = train
-            current_ma, width_us = train.points[0].steps * codec.CURRENT_STEP_MA, float(train.points[0].width_us)
-            frequency_hz = 1000.0 / (train.period_steps * codec.PERIOD_STEP_MS)
-            level = Pulse(channel, counter, True, current_ma, width_us, frequency_hz)
+            level = _level(command, counter, train.points, 1000.0 / (train.period_steps * codec.PERIOD_STEP_MS))
         self._levels[channel] = level
         return [self._expect(codec.mid_update(self._next_number(), self._trains), command.t_ns, (level,))]
 
-    def _unasked(self, t_ns: int, packet: Packet) -> bool:
-        return told_of_an_error(self, t_ns, packet)
-
     def _answered(self, t_ns: int, packet: Packet, awaited: Awaited, fault: str) -> None:
-        result = packet.data[0] if packet.data else int(Result.TRANSFER)
-        fault = fault or codec.result_text(result)
-        if result:
-            self._count_rejected()
+        result, fault = self._count_result(packet, fault)
         if result == Result.NOT_INITIALISED:
             self._restarted(t_ns, fault)
         if packet.command == Code.MID_CURRENT_DATA + 1:
@@ -239,7 +237,7 @@ class MidLevelStimulator(ScienceModePort):
             self._confirm(t_ns, pulse, fault, pulses=0)
 
     def _states(self, t_ns: int, data: bytes, expected: dict[int, Pulse], fault: str) -> None:
-        """The channels as the device sees them, held against what it was told when it was asked."""
+        """The channels as the device sees them, held against what was commanded when it was asked."""
         if not fault and len(data) < 7:
             fault = f"the stimulator's channel states are cut off after {len(data)} bytes"
         self._alive(t_ns, fault)
@@ -257,6 +255,3 @@ class MidLevelStimulator(ScienceModePort):
             if what:
                 counter = expected[channel].counter if channel in expected else 0
                 self._confirm(t_ns, Pulse(channel, counter, False), what, pulses=0)
-
-    def _encode(self, packet: Packet) -> bytes:
-        return codec.encode(packet)
