@@ -31,9 +31,9 @@ import pyarrow as pa
 from pyarrow import parquet
 from speed_row import Row, print_rows
 
-from fes.cohort.engine import cluster, run
+from fes.cohort.engine import analyse_all, cluster
 from fes.cohort.page import write_pages
-from fes.cohort.sources import Source, find
+from fes.cohort.sources import Source, find_sources
 from fes.cohort.store import RECORDINGS, Store
 from fes.cohort.task import DONE, Outcome, Settings, analyse_one
 
@@ -94,7 +94,7 @@ def timed(sources: list[Source], store: Store, workers: int, kill: bool = False)
 
         spent_s = sum(client.run(_spent).values())
         own_s, begin_s = time.process_time(), time.perf_counter()
-        outcomes = run(client, sources, store, Settings(), tell)
+        outcomes = analyse_all(client, sources, store, Settings(), tell)
         seconds, own_s = time.perf_counter() - begin_s, time.process_time() - own_s
         spent_s = sum(client.run(_spent).values()) - spent_s  # nonsense where a worker was killed, and not used then
         return Run(seconds, begin_s - start_s, spent_s, own_s, outcomes)
@@ -112,7 +112,7 @@ def cohort_rows(count: int, folder: Path) -> Iterator[Row]:
     make(folder / "in", count)
     _tell(f"{count} recordings made, {time.process_time() - begin_s:.0f} s")
     begin_s = time.process_time()
-    sources = find([str(folder / "in")])
+    sources = find_sources([str(folder / "in")])
     yield Row(GROUP, f"finding {count} recordings", time.process_time() - begin_s, "s")
     runs: dict[int, list[Run]] = {1: [], 2: []}
     for turn, workers in enumerate(TURNS):

@@ -53,9 +53,8 @@ def command(
     Exit code: 0 all analysed, 1 some not, 2 unusable arguments or storage, 3 stopped early (no room for the results,
     the scheduler gone), 130 interrupted.
     """
-    from fes.cohort.engine import cluster, run, workers_here
-    from fes.cohort.program import program
-    from fes.cohort.sources import CohortError, find
+    from fes.cohort.engine import analyse_all, cluster, processors
+    from fes.cohort.sources import CohortError, find_sources, program
     from fes.cohort.store import Store
     from fes.cohort.task import Settings, drop_replaced
 
@@ -66,7 +65,7 @@ def command(
     store, settings = Store(results_at(out)), Settings(not uneven, subject_from)
     ended: type[Problem] = Problem  # how, should it not come to its end: nothing has been done yet
     try:
-        sources = find([absolute(pattern) for pattern in recordings])
+        sources = find_sources([absolute(pattern) for pattern in recordings])
         by_identity = {source.identity(settings.text()): source for source in sources}
         about = {"command": "fes cohort", "recordings": list(recordings), "settings": settings.text()}
         store.prepare(about | {"program": program()})
@@ -79,10 +78,10 @@ def command(
         if finished:
             click.echo(f"{len(finished)} of {len(sources)} are finished already.", err=True)
         if todo:
-            number = min(workers or workers_here(), len(todo))
+            number = min(workers or processors(), len(todo))
             with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "analysing") as bar:
                 ended = StoppedEarly
-                run(client, todo, store, settings, bar.tell, time_limit)
+                analyse_all(client, todo, store, settings, bar.tell, time_limit)
         if replaced := drop_replaced(store, sources, settings):
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
         rows = _rows(store, by_identity)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,11 +14,9 @@ from fes.cli.common.options import Number
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from fes.cohort.engine import Task
-    from fes.cohort.store import Store
-    from fes.cohort.sweep.grid import Point
-    from fes.cohort.sweep.table import Combination, Measure
-    from fes.cohort.sweep.task import Bench, Case
+    from fes.cohort.store import Measure, Store
+    from fes.cohort.sweep.table import Combination
+    from fes.cohort.sweep.task import Case
 
 LISTED = 10
 MOST_TRIALS = 1_000_000  # what is still to do is kept in memory
@@ -28,9 +25,9 @@ PAGE, TABLE = "index.html", "combinations.parquet"
 
 def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None:
     if asked:
-        from fes.cohort.sweep.grid import names
+        from fes.cohort.sweep.grid import swept_names
 
-        click.echo("\n".join(names()))
+        click.echo("\n".join(swept_names()))
         context.exit()
 
 
@@ -81,11 +78,11 @@ def command(
     Exit code: 0 all tried, 1 some trials failed, 2 unusable arguments, settings or storage, 3 stopped early (no room
     for the results, the scheduler gone), 130 interrupted.
     """
-    from fes.cohort.engine import cluster, run_tasks, workers_here
-    from fes.cohort.sources import CohortError, find
-    from fes.cohort.sweep.grid import axis, points
-    from fes.cohort.sweep.table import RESULTS, combinations, measures_of, store_at
-    from fes.cohort.sweep.task import TRUTH_FILES, Bench, Patient
+    from fes.cohort.engine import cluster, processors, run_tasks
+    from fes.cohort.sources import CohortError, find_sources
+    from fes.cohort.sweep.grid import combinations_of, parse_axis
+    from fes.cohort.sweep.table import RESULTS, combinations, measures_in, sweep_store
+    from fes.cohort.sweep.task import TRUTH_FILES, Bench, Patient, sweep_tasks
     from fes.cohort.task import DONE
     from fes.config import ConfigError, load_session
 
@@ -95,19 +92,19 @@ def command(
         raise Problem("Nothing to sweep. Give --set NAME=VALUE,VALUE; `fes sweep --names` lists the names.")
     ended: type[Problem] = Problem  # how, should it not come to its end: nothing has been done yet
     try:
-        axes = [axis(each) for each in asked]
-        tried = points(axes, sample, seed)
+        axes = [parse_axis(each) for each in asked]
+        tried = combinations_of(axes, sample, seed)
         bench = Bench(load_session(session), str(session), seconds if patients else 0.0)
         cases: list[Case] = [Patient(number, seed) for number in range(patients or 0)]
-        cases += find([absolute(pattern) for pattern in recordings], TRUTH_FILES) if recordings else []
+        cases += find_sources([absolute(pattern) for pattern in recordings], TRUTH_FILES) if recordings else []
         if len(cases) * len(tried) > MOST_TRIALS:
             raise Problem(
                 f"{len(tried)} combinations on {len(cases)} cases are {len(cases) * len(tried)} trials, more than "
                 f"{MOST_TRIALS}; give fewer, or --sample N."
             )
-        store = store_at(results_at(out))
+        store = sweep_store(results_at(out))
         store.prepare({"command": "fes sweep", "session": str(session), "set": list(asked), "seed": seed})
-        tasks = {task.key: task for task in _tasks(cases, tried, bench, store)}
+        tasks = sweep_tasks(cases, tried, bench, store)
         finished = store.finished() & tasks.keys()
         if retry_failed:
             rows = store.table(RESULTS, finished).to_pylist()
@@ -118,12 +115,12 @@ def command(
         if finished:
             click.echo(f"{len(finished)} of {len(tasks)} are finished already.", err=True)
         if todo:
-            number = min(workers or workers_here(), len(todo))
+            number = min(workers or processors(), len(todo))
             with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "trying") as bar:
                 ended = StoppedEarly
                 run_tasks(client, todo, store.url, bar.tell, time_limit)
         rows = store.table(RESULTS, tasks).to_pylist()
-        measures = measures_of(rows)
+        measures = measures_in(rows)
         found = combinations(rows, measures)
         _write(store, found, measures)
         if not no_report:
@@ -143,40 +140,19 @@ def command(
     failed = sum(one.failed for one in found)
     if failed:
         for one in [one for one in found if one.failed][:LISTED]:
-            click.secho(f"Failed: {_words(one)}: {'; '.join(one.reasons)}", fg="red", err=True)
+            click.secho(f"Failed: {one.text}: {'; '.join(one.reasons)}", fg="red", err=True)
         click.secho(f"{failed} of {len(rows)} trials failed.", fg="red", err=True)
         raise SystemExit(FAILED)
-
-
-def _tasks(cases: Sequence[Case], tried: Sequence[Point], bench: Bench, store: Store) -> list[Task]:
-    """Every combination on every case; those of one case follow each other, which a worker reads once."""
-    from fes.cohort.engine import Task
-    from fes.cohort.sweep.task import case_identity, keep, try_one
-    from fes.cohort.task import FAILED as NOT_DONE
-
-    def lost(case: Case, point: Point, why: str) -> Any:
-        return keep(case, bench, point, store, NOT_DONE, why, {})
-
-    return [
-        Task(
-            bench.identity(case_identity(case), point),
-            try_one,
-            (case, bench, point, store),
-            partial(lost, case, point),
-        )
-        for case in cases
-        for point in tried
-    ]
 
 
 def _write(store: Store, found: Sequence[Combination], measures: Sequence[Measure]) -> None:
     import pyarrow as pa
     from pyarrow import parquet
 
-    from fes.cohort.sweep.table import table_of
+    from fes.cohort.sweep.table import combination_table
 
     sink = pa.BufferOutputStream()
-    parquet.write_table(table_of(found, measures), sink)
+    parquet.write_table(combination_table(found, measures), sink)
     store.write_bytes(TABLE, sink.getvalue().to_pybytes())
 
 
@@ -188,23 +164,14 @@ def _tell(found: Sequence[Combination], measures: Sequence[Measure]) -> None:
     from rich.table import Table
 
     from fes.cli.common.show import PIPED_COLUMNS
-    from fes.cohort.sweep.page import figure_words
 
     judged = [measure for measure in measures if measure.best] or list(measures[:3])
     table = Table(title=f"Best of {len(found)} combinations", title_justify="left")
     table.add_column("settings", no_wrap=True)
     for measure in judged:
-        table.add_column(f"{measure.title}{f', {measure.unit}' if measure.unit else ''}", justify="right")
+        table.add_column(measure.axis, justify="right")
     listed = [one for at, one in enumerate(found) if not one.failed and (at < LISTED or not one.settings)]
     for one in listed:
-        table.add_row(
-            _words(one).replace(", ", "\n"), *(figure_words(measure, one.figures[measure.name]) for measure in judged)
-        )
+        table.add_row(one.text.replace(", ", "\n"), *(measure.text(one.figures[measure.name]) for measure in judged))
     if listed:
         Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS).print(table)
-
-
-def _words(one: Combination) -> str:
-    from fes.cohort.sweep.page import setting_words
-
-    return setting_words(one.settings)

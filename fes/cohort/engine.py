@@ -1,6 +1,6 @@
 """Work through Dask: a cluster of this machine's own processes, or one that is there already.
 
-A time limit that holds whatever a piece of work hangs in: its process is ended, as by a crash.
+A time limit holds whatever a piece of work hangs in: its process is ended, as by a crash.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from functools import partial
 from itertools import count
 from typing import TYPE_CHECKING, Any, Final
 
-from fes.cohort.program import program
-from fes.cohort.sources import CohortError, Source
+from fes.cohort.sources import CohortError, Source, program
 from fes.cohort.store import Store
 from fes.cohort.task import Outcome, Settings, analyse_one, keep_failure, reason_of
 
@@ -41,14 +40,14 @@ def ended_after(limit_s: float | None) -> Iterator[None]:
     if limit_s is None:
         yield
         return
-    _set(time.monotonic() + limit_s)
+    _set_due(time.monotonic() + limit_s)
     try:
         yield
     finally:
-        _set(None)
+        _set_due(None)
 
 
-def _set(due_s: float | None) -> None:
+def _set_due(due_s: float | None) -> None:
     with _lock:
         _due_s.pop(threading.get_ident(), None)
         if due_s is not None:
@@ -73,7 +72,7 @@ QUIET: Final = {  # what Dask does besides the work every 10 ms to 2 s took 4 % 
     "distributed.scheduler.active-memory-manager.start": False,  # looks for results that two workers have
 }
 
-Tell = Callable[[Outcome], None]
+OnOutcome = Callable[[Outcome], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +83,7 @@ class Task:
         key: names it; no two tasks have the same.
         work: called with ``arguments`` in a worker process.
         arguments: must survive pickling, as ``work`` must.
-        lost: called here with the reason when the task cannot be worked on; what it says is the outcome.
+        lost: called here with the reason when the task cannot be worked on; it gives the outcome.
     """
 
     key: str
@@ -120,7 +119,7 @@ def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> 
                 f"leave --scheduler away to use this machine."
             ) from error
         with client:
-            _check(client, scheduler)
+            _check_workers(client, scheduler)
             yield client
         return
     with (
@@ -130,7 +129,7 @@ def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> 
             processes=True,
             dashboard_address=":0",  # health and metrics are served in any case; left away, where others serve theirs
             scheduler_kwargs={"dashboard": False},
-            preload=["fes.cohort.worker"],
+            preload=["fes.cohort.engine"],  # whose dask_setup every worker calls
             silence_logs=logging.CRITICAL,  # a worker that died is told as what was lost, if anything was
         ) as own,
         Client(own) as client,
@@ -138,7 +137,7 @@ def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> 
         yield client
 
 
-def _check(client: Client, scheduler: str) -> None:
+def _check_workers(client: Client, scheduler: str) -> None:
     """All workers must be able to do what this process would do."""
     try:
         versions = client.run(program)
@@ -151,15 +150,15 @@ def _check(client: Client, scheduler: str) -> None:
             raise CohortError(f"{address}: has fes {version}, not {program()}. Install the same version on all.")
 
 
-def run(
+def analyse_all(
     client: Client,
     sources: Sequence[Source],
     store: Store,
     settings: Settings,
-    tell: Tell,
+    on_outcome: OnOutcome,
     limit_s: float | None = None,
 ) -> list[Outcome]:
-    """Analyse recordings on a cluster, each once; ``tell`` hears of each as it is finished, or after ``limit_s``.
+    """Analyse recordings on a cluster, each once; ``on_outcome`` hears of each as it is finished, or after ``limit_s``.
 
     Raises:
         CohortError: as :func:`run_tasks`.
@@ -169,11 +168,11 @@ def run(
         lost = partial(keep_failure, source, store, settings)
         return Task(source.identity(settings.text()), analyse_one, (source, store, settings), lost)
 
-    return run_tasks(client, [task(source) for source in sources], store.url, tell, limit_s)
+    return run_tasks(client, [task(source) for source in sources], store.url, on_outcome, limit_s)
 
 
 def run_tasks(
-    client: Client, tasks: Sequence[Task], place: str, tell: Tell, limit_s: float | None = None
+    client: Client, tasks: Sequence[Task], place: str, on_outcome: OnOutcome, limit_s: float | None = None
 ) -> list[Outcome]:
     """Do every task once, many of them in a batch; ``place`` is where results are kept, for messages.
 
@@ -192,25 +191,25 @@ def run_tasks(
     workers = max(sum(client.nthreads().values()), 1)
     waiting = list(tasks)[::-1]
     suspects: list[Task] = []
-    of: dict[str, list[Task]] = {}
+    submitted: dict[str, list[Task]] = {}
     outcomes: list[Outcome] = []
     numbers, pace_s = count(), BATCH_S  # a task takes: long ones go one by one, so do the first
 
-    def submitted(batch: list[Task]) -> object:
+    def submit(batch: list[Task]) -> object:
         key = f"fes-{batch[0].key}-{next(numbers)}"
-        of[key] = batch
+        submitted[key] = batch
         pickled = pickle.dumps([(task.work, task.arguments) for task in batch])
-        return client.submit(_do, pickled, limit_s, key=key, pure=False)
+        return client.submit(_work_on, pickled, limit_s, key=key, pure=False)
 
-    def following() -> list[Task]:
+    def next_batch() -> list[Task]:
         share = max(len(waiting) // (BATCHES * workers), int(SHORTEST_S / pace_s))
         most = max(min(share, int(BATCH_S / pace_s), LARGEST_BATCH, len(waiting)), 1)
         return [waiting.pop() for _ in range(most)]
 
-    running = as_completed([submitted(following()) for _ in range(min(AHEAD * workers, len(waiting)))])
+    running = as_completed([submit(next_batch()) for _ in range(min(AHEAD * workers, len(waiting)))])
     alone, began_s = False, 0.0
     for future in running:
-        batch = of.pop(future.key)
+        batch = submitted.pop(future.key)
         finished: list[Outcome] = []
         again = f"{len(outcomes)} are kept; run the same command again: it goes on from there."
         try:
@@ -238,17 +237,17 @@ def run_tasks(
             raise CohortError(f"The workers cannot do it: {reason_of(error)}. {again}") from error
         outcomes.extend(finished)
         for outcome in finished:
-            tell(outcome)
+            on_outcome(outcome)
         future.release()
-        while waiting and len(of) < AHEAD * workers:
-            running.add(submitted(following()))
-        if suspects and not of:
+        while waiting and len(submitted) < AHEAD * workers:
+            running.add(submit(next_batch()))
+        if suspects and not submitted:
             alone, began_s = True, time.monotonic()
-            running.add(submitted([suspects.pop()]))
+            running.add(submit([suspects.pop()]))
     return outcomes
 
 
-def _do(pickled: bytes, limit_s: float | None = None) -> tuple[list[Outcome | str], float]:
+def _work_on(pickled: bytes, limit_s: float | None = None) -> tuple[list[Outcome | str], float]:
     """Work on a batch; the outcomes, and how long it took in s. In one piece, or Dask looks into all of it.
 
     Where a task ends with an error that nobody foresaw, its reason stands in place of the outcome.
@@ -269,6 +268,11 @@ def _do(pickled: bytes, limit_s: float | None = None) -> tuple[list[Outcome | st
     return outcomes, time.perf_counter() - begin_s
 
 
-def workers_here() -> int:
+def dask_setup(worker: Any) -> None:
+    """Leave Ctrl-C to the process that was asked: it ends its workers, which would each print a trace."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def processors() -> int:
     """As many processes as this one may use processors."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -6,13 +6,12 @@ import hashlib
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from fes import __version__
-from fes.cohort.store import RECORDINGS, STRIDES, Store
+from fes.cohort.store import RECORDINGS, STRIDES, Measure, Store
 from fes.cohort.task import DONE
 from fes.report.figures.strides import FOOT_COLORS, foot_color
 from fes.report.figures.svg import Figure, Plot, padded
@@ -28,22 +27,11 @@ MISSING_SHARE: Final = 0.01
 SHARES: Final = (0.005, 0.995)  # of the strides that a histogram shows: a few wild ones would leave no room
 
 
-@dataclass(frozen=True, slots=True)
-class Measure:
-    """A column that pages show: its factor to the shown unit."""
-
-    column: str
-    name: str
-    unit: str
-    factor: float = 1.0
-    digits: int = 2
-
-
 MEASURES: Final = (
-    Measure("stride_length_m", "Stride length", "m"),
-    Measure("speed_mps", "Walking speed", "m/s"),
-    Measure("stride_time_s", "Stride time", "s"),
-    Measure("clearance_m", "Greatest sensor height", "cm", 100.0, 1),
+    Measure("stride_length_m", "Stride length", "m", digits=2),
+    Measure("speed_mps", "Walking speed", "m/s", digits=2),
+    Measure("stride_time_s", "Stride time", "s", digits=2),
+    Measure("clearance_m", "Greatest sensor height", "cm", factor=100.0),
 )
 NAMES: Final = ("recording", "subject", "foot")
 COLUMNS: Final = (*NAMES, "valid", "t_start_s", "t_end_s", "stride_length_m", "speed_mps", "clearance_m")
@@ -65,42 +53,30 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
     by_subject = {name: [row for row in rows if row["subject"] == name] for name in subjects}
     done = [row for row in rows if row["status"] == DONE]
     page = templates("fes.cohort").get_template("cohort.html.j2")
-    common = {"style": style(), "page_of": _file, "version": __version__, "measures": MEASURES, "colors": FOOT_COLORS}
+
+    def write(name: str, own: Sequence[dict[str, Any]], mask: Any, figures: list[Figure], **more: Any) -> None:
+        values = {"above": "", "recordings": [], "subjects": [], "outliers": [], **more}
+        values |= {"style": style(), "page_of": _file, "version": __version__, "measures": MEASURES, "flags": _flags}
+        values |= {"colors": FOOT_COLORS, "figures": trusted(figures), "strides": int(strides["valid"][mask].sum())}
+        store.write_text(name, page.render(failed=[row for row in own if row["status"] != DONE], **values))
+
     for name, own in by_subject.items():
         mask = strides["subject"] == name
         of_subject = {column: values[mask] for column, values in strides.items()}
-        text = page.render(
-            title=f"Subject {name or 'without a name'}",
-            above=f"../{PAGE}",
-            recordings=own,
-            failed=[row for row in own if row["status"] != DONE],
-            subjects=[],
-            outliers=[],
-            figures=trusted([*_histograms(of_subject), *_strides_over_time(of_subject, own)]),
-            strides=int(of_subject["valid"].sum()),
-            flags=_flags,
-            **common,
-        )
-        store.write_text(f"subjects/{_file(name)}", text)
-    text = page.render(
+        figures = [*_histograms(of_subject), *_strides_over_time(of_subject, own)]
+        title = f"Subject {name or 'without a name'}"
+        write(f"subjects/{_file(name)}", own, mask, figures, title=title, above=f"../{PAGE}", recordings=own)
+    totals = {"recordings": len(rows), "used": len(done), "subjects": len(subjects)}
+    write(
+        PAGE,
+        rows,
+        slice(None),
+        [*_histograms(strides), *_spreads(done)],
         title="Cohort",
-        above="",
-        recordings=[],
-        failed=[row for row in rows if row["status"] != DONE],
         subjects=[_subject_row(name, own) for name, own in by_subject.items()],
         outliers=_outliers(done),
-        figures=trusted([*_histograms(strides), *_spreads(done)]),
-        strides=int(strides["valid"].sum()),
-        flags=_flags,
-        **common,
-        totals={
-            "recordings": len(rows),
-            "used": len(done),
-            "subjects": len(subjects),
-            "hours": sum(row["duration_s"] or 0.0 for row in done) / 3600.0,
-        },
+        totals=totals | {"hours": sum(row["duration_s"] or 0.0 for row in done) / 3600.0},
     )
-    store.write_text(PAGE, text)
     return store.place(PAGE)
 
 
@@ -114,13 +90,13 @@ def _columns(table: Any) -> dict[str, Any]:
 
     found["t_start_s"] = numbers("t_start_s")
     found["stride_time_s"] = numbers("t_end_s") - found["t_start_s"]
-    return found | {m.column: numbers(m.column) for m in MEASURES if m.column not in found}
+    return found | {m.name: numbers(m.name) for m in MEASURES if m.name not in found}
 
 
 def _histograms(strides: dict[str, Any]) -> list[Figure]:
     figures = []
     for measure in MEASURES:
-        values = measure.factor * strides[measure.column]
+        values = measure.factor * strides[measure.name]
         usable = strides["valid"] & np.isfinite(values)
         if not usable.any():
             continue
@@ -130,9 +106,7 @@ def _histograms(strides: dict[str, Any]) -> list[Figure]:
         feet = sorted(set(strides["foot"][usable]))
         counts = {f: np.histogram(values[usable & (strides["foot"] == f)], edges)[0].astype(float) for f in feet}
         most = max(float(count.max()) for count in counts.values())
-        plot = Plot(
-            measure.name, f"{measure.name}, {measure.unit}", "strides", (edges[0], edges[-1]), (0.0, 1.05 * most)
-        )
+        plot = Plot(measure.title, measure.axis, "strides", (edges[0], edges[-1]), (0.0, 1.05 * most))
         for k, (foot, count) in enumerate(counts.items()):
             shift = (k - (len(counts) - 1) / 2) * width / len(counts)
             plot.bars(middle + shift, 0 * count, count, 0.9 * width / len(counts), foot_color(foot), foot)
@@ -140,10 +114,10 @@ def _histograms(strides: dict[str, Any]) -> list[Figure]:
         median = float(np.median(values[usable]))
         figures.append(
             Figure(
-                f"{measure.name}, all valid strides",
+                f"{measure.title}, all valid strides",
                 plot.render(),
-                f"{int(usable.sum())} strides, median {median:.{measure.digits}f} {measure.unit}; the outermost {cut} "
-                "are not drawn.",
+                f"{int(usable.sum())} strides, median {median:.{measure.digits}f} {measure.unit}; "
+                f"the outermost {cut} are not drawn.",
             )
         )
     return figures
@@ -153,26 +127,25 @@ def _spreads(rows: Sequence[dict[str, Any]]) -> list[Figure]:
     """Every recording's median, in order: where the cohort lies, and who lies apart."""
     figures = []
     for measure in MEASURES:
-        known = sorted((row for row in rows if row[measure.column] is not None), key=lambda row: row[measure.column])
+        known = sorted((row for row in rows if row[measure.name] is not None), key=lambda row: row[measure.name])
         if len(known) < 2:
             continue
-        values = measure.factor * np.array([row[measure.column] for row in known])
+        values = measure.factor * np.array([row[measure.name] for row in known])
         x = np.arange(1.0, len(known) + 1.0)
         plot = Plot(
-            f"{measure.name} by recording",
+            f"{measure.title} by recording",
             "recording, ordered",
-            f"{measure.name}, {measure.unit}",
+            measure.axis,
             padded([x]),
             padded([values]),
         )
         titles = [
-            f"{row['name']} ({row['subject']}): {v:.{measure.digits}f} {measure.unit}"
-            for row, v in zip(known, values, strict=True)
+            f"{row['name']} ({row['subject']}): {measure.text(row[measure.name])} {measure.unit}" for row in known
         ]
         plot.points(x, values, "#333333", titles)
         plot.level(float(np.median(values)), "#777777")
         caption = "One point a recording: its median over valid strides. Dashed: the cohort's median."
-        figures.append(Figure(f"{measure.name}, recording by recording", plot.render(), caption))
+        figures.append(Figure(f"{measure.title}, recording by recording", plot.render(), caption))
     return figures
 
 
@@ -187,7 +160,7 @@ def _strides_over_time(strides: dict[str, Any], rows: Sequence[dict[str, Any]]) 
             continue
         t_s = strides["t_start_s"][mine]
         bounds.append((x0, row["name"]))
-        parts.append((x0 + t_s - t_s.min(), measure.factor * strides[measure.column][mine], strides["foot"][mine]))
+        parts.append((x0 + t_s - t_s.min(), measure.factor * strides[measure.name][mine], strides["foot"][mine]))
         x0 = float(parts[-1][0].max()) + 5.0
     if not parts:
         return []
@@ -207,8 +180,8 @@ def _subject_row(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     done = [row for row in rows if row["status"] == DONE]
     medians = {}
     for measure in MEASURES:
-        known = [row[measure.column] for row in done if row[measure.column] is not None]
-        medians[measure.column] = measure.factor * float(np.median(known)) if known else None
+        known = [row[measure.name] for row in done if row[measure.name] is not None]
+        medians[measure.name] = float(np.median(known)) if known else None
     return {
         "name": name,
         "page": f"subjects/{_file(name)}",
@@ -223,8 +196,8 @@ def _outliers(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Recordings whose median lies far from the others', by median and median absolute deviation."""
     found: dict[str, list[str]] = defaultdict(list)
     for measure in MEASURES:
-        known = [row for row in rows if row[measure.column] is not None]
-        values = np.array([row[measure.column] for row in known])
+        known = [row for row in rows if row[measure.name] is not None]
+        values = np.array([row[measure.name] for row in known])
         if len(known) < LEAST:
             continue
         middle = float(np.median(values))
@@ -234,24 +207,24 @@ def _outliers(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
         for row, value in zip(known, values, strict=True):
             z = MAD_TO_SD * (value - middle) / mad
             if abs(z) > OUTLIER:
-                shown = f"{measure.factor * value:.{measure.digits}f} {measure.unit}"
-                found[row["recording"]].append(f"{measure.name.lower()} {shown} (robust z {z:+.1f})")
+                what = f"{measure.title.lower()} {measure.text(value)} {measure.unit}"
+                found[row["recording"]].append(f"{what} (robust z {z:+.1f})")
     return [{"row": row, "why": "; ".join(found[row["recording"]])} for row in rows if row["recording"] in found]
 
 
 def _flags(row: dict[str, Any]) -> str:
     """What is to be known before this recording's numbers are used."""
-    said = []
+    notes = []
     samples = row["samples"] or 1
     if (row["missing"] or 0) > MISSING_SHARE * samples:
-        said.append(f"{100 * row['missing'] / samples:.1f} % of the samples missing")
+        notes.append(f"{100 * row['missing'] / samples:.1f} % of the samples missing")
     if row["clipped"]:
-        said.append(f"{row['clipped']} samples clipped")
+        notes.append(f"{row['clipped']} samples clipped")
     if row["reason"]:
-        said.append(row["reason"])
+        notes.append(row["reason"])
     if row["status"] == DONE and not row["valid_strides"]:
-        said.append("no valid stride")
-    return "; ".join(said)
+        notes.append("no valid stride")
+    return "; ".join(notes)
 
 
 def _file(subject: str) -> str:

@@ -1,6 +1,7 @@
 """Which recordings a cohort is made of: paths, globs and addresses on any storage that fsspec opens.
 
-What a recording is made of besides its data file: the sidecar, and what that names: sensors' own files, a DBC.
+A recording is a data file, its sidecar, and what that names: sensors' own files, a DBC. With the program that worked on
+it they name its results, so that no old result passes for new.
 """
 
 from __future__ import annotations
@@ -14,17 +15,33 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.util import find_spec
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import fsspec
 
-from fes.cohort.program import program
+from fes import __version__
 from fes.recording.read import CAN_SUFFIXES, TABLE_SUFFIXES
 
 SIDECAR: Final = ".toml"
 LARGEST_SIDECAR: Final = 1_000_000  # bytes: a larger one is no sidecar, and is known by its size and time only
 _DEEP: Final = 8  # folders that a file may lie above its sidecar, at most
+PACKAGES: Final = ("fes", "drivers", "statemachine")
+
+
+@cache
+def program() -> str:
+    """The version, and eight digits that change with any line of this program."""
+    digest = hashlib.sha256()
+    for package in PACKAGES:
+        found = find_spec(package)
+        for folder in (found.submodule_search_locations if found else None) or ():
+            for source in sorted(Path(folder).rglob("*.py")):
+                digest.update(source.relative_to(folder).as_posix().encode() + b"\0")
+                digest.update(source.read_bytes())
+    return f"{__version__}+{digest.hexdigest()[:8]}"
 
 
 def sidecar_of(path: str) -> str:
@@ -32,7 +49,7 @@ def sidecar_of(path: str) -> str:
     return str(PurePosixPath(path).with_suffix(SIDECAR))
 
 
-def named_in(sidecar: bytes) -> tuple[str, ...]:
+def files_named_in(sidecar: bytes) -> tuple[str, ...]:
     """The files that a sidecar names, as written there: each sensor's own, and the DBC; none if it is no sidecar."""
     try:
         data = tomllib.loads(sidecar.decode("utf-8-sig"))
@@ -45,16 +62,16 @@ def named_in(sidecar: bytes) -> tuple[str, ...]:
     return tuple(sorted({name for name in found if isinstance(name, str) and name}))
 
 
-def mark_of_info(info: dict[str, Any]) -> str:
+def mark_of_file(info: dict[str, Any]) -> str:
     """Size and time or tag of a file, as its storage tells."""
-    told = [info.get(key) for key in ("size", "ETag", "etag", "CRC", "md5Hash", "sha")]
+    tags = [info.get(key) for key in ("size", "ETag", "etag", "CRC", "md5Hash", "sha")]
     times = [info.get(key) for key in ("mtime", "LastModified", "last_modified", "modified", "modify", "date_time")]
     if all(time is None for time in times):  # elsewhere it changes when nothing in the file does
         times = [info.get("created")]
-    return "|".join(str(value) for value in (*told, *times) if value is not None) + ";"
+    return "|".join(str(value) for value in (*tags, *times) if value is not None) + ";"
 
 
-def mark_beside(
+def mark_of_companions(
     filesystem: Any, path: str, sidecar: bytes | None, infos: dict[str, Any], endings: tuple[str, ...]
 ) -> str:
     """What tells whether anything besides the data file at ``path`` has changed.
@@ -65,20 +82,15 @@ def mark_beside(
 
     def mark(file: str) -> str:
         try:
-            return mark_of_info(infos.get(file) or filesystem.info(file))
+            return mark_of_file(infos.get(file) or filesystem.info(file))
         except (OSError, ValueError):
             return "absent;"
 
-    if sidecar is None:
-        beside = mark(sidecar_of(path))
-        names: tuple[str, ...] = ()
-    else:
-        beside = hashlib.sha256(sidecar).hexdigest() + ";"
-        names = named_in(sidecar)
-    folder = posixpath.dirname(path)
-    marks = [f"{name}={mark(posixpath.normpath(posixpath.join(folder, name)))}" for name in names]
+    marks = [mark(sidecar_of(path))] if sidecar is None else [hashlib.sha256(sidecar).hexdigest() + ";"]
+    folder, names = posixpath.dirname(path), files_named_in(sidecar or b"")
+    marks += [f"{name}={mark(posixpath.normpath(posixpath.join(folder, name)))}" for name in names]
     marks += [f"{ending}={mark(str(PurePosixPath(path).with_suffix(ending)))}" for ending in endings]
-    return beside + "".join(marks)
+    return "".join(marks)
 
 
 def fetch(filesystem: Any, path: str, folder: Path, endings: tuple[str, ...]) -> Path:
@@ -92,7 +104,7 @@ def fetch(filesystem: Any, path: str, folder: Path, endings: tuple[str, ...]) ->
     """
     other = sidecar_of(path)
     sidecar: bytes | None = filesystem.cat_file(other) if filesystem.isfile(other) else None
-    names = [posixpath.normpath(name) for name in named_in(sidecar or b"")]
+    names = [posixpath.normpath(name) for name in files_named_in(sidecar or b"")]
     above = min(max((PurePosixPath(name).parts.count("..") for name in names), default=0), _DEEP)
     here = folder.joinpath(*["down"] * above, PurePosixPath(path).name)
     here.parent.mkdir(parents=True, exist_ok=True)
@@ -151,11 +163,11 @@ class Source:
         return found.groupdict().get("subject") or (found.group(1) if found.groups() else found.group(0)) or ""
 
 
-def find(patterns: Sequence[str], beside: Sequence[str] = ()) -> list[Source]:
+def find_sources(patterns: Sequence[str], companions: Sequence[str] = ()) -> list[Source]:
     """All recordings below folders, matching globs or named, each once, in the order of their addresses.
 
     In folders and globs only files that have a sidecar beside them count; a file that is named outright always does,
-    so that a missing sidecar is told. ``beside``: endings of files of the same name that results rest on too.
+    so that a missing sidecar is told. ``companions``: endings of files of the same name that results rest on too.
 
     Raises:
         CohortError: a storage cannot be opened, or nothing is found.
@@ -164,7 +176,7 @@ def find(patterns: Sequence[str], beside: Sequence[str] = ()) -> list[Source]:
     for pattern in patterns:
         try:
             filesystem, path = fsspec.core.url_to_fs(pattern)
-            for source in _below(filesystem, path, pattern, tuple(beside)):
+            for source in _below(filesystem, path, pattern, tuple(companions)):
                 found.setdefault(source.url, source)
         except Exception as error:  # storages have errors of their own: no rights, no such account, no package
             raise CohortError(f"{pattern}: cannot be opened: {str(error) or type(error).__name__}") from error
@@ -195,8 +207,8 @@ def _below(filesystem: Any, path: str, pattern: str, endings: tuple[str, ...]) -
     for name in names:
         sidecar = sidecar_of(name)
         if sidecar in infos or outright:
-            mark = mark_of_info(infos[name]) + mark_beside(filesystem, name, sidecars.get(sidecar), infos, endings)
-            yield Source(_url(filesystem, name, pattern), mark)
+            others = mark_of_companions(filesystem, name, sidecars.get(sidecar), infos, endings)
+            yield Source(_url(filesystem, name, pattern), mark_of_file(infos[name]) + others)
 
 
 def _texts(filesystem: Any, infos: dict[str, Any]) -> dict[str, bytes]:
@@ -217,25 +229,21 @@ def _url(filesystem: Any, path: str, pattern: str) -> str:
 
 
 @contextmanager
-def local_copy(source: Source, beside: Sequence[str] = ()) -> Iterator[Path]:
+def local_copy(source: Source, companions: Sequence[str] = ()) -> Iterator[Path]:
     """The recording as a file here, with its sidecar and what that names, for as long as it is needed.
 
-    ``beside``: endings of further files of the same name that come too where they are there, as ``.strides.csv``.
+    ``companions``: endings of further files of the same name that come too where they are there, as ``.strides.csv``.
 
     Raises:
         CohortError: it is gone, or the storage does not answer.
     """
     try:
         filesystem, path = fsspec.core.url_to_fs(source.url)
-        if "file" in _protocols(filesystem):
+        protocol = filesystem.protocol
+        if "file" in ((protocol,) if isinstance(protocol, str) else protocol):
             yield Path(path)
             return
         with tempfile.TemporaryDirectory(prefix="fes-cohort-") as folder:
-            yield fetch(filesystem, path, Path(folder), tuple(beside))
+            yield fetch(filesystem, path, Path(folder), tuple(companions))
     except OSError as error:
         raise CohortError(f"{source.url}: cannot be fetched: {error}") from error
-
-
-def _protocols(filesystem: Any) -> tuple[str, ...]:
-    protocol = filesystem.protocol
-    return (protocol,) if isinstance(protocol, str) else tuple(protocol)

@@ -19,6 +19,7 @@ from fsspec.implementations.local import LocalFileSystem
 from pyarrow import parquet
 
 from fes.cohort.sources import CohortError
+from fes.report.text import number
 
 RECORDINGS: Final = "recordings"
 STRIDES: Final = "strides"
@@ -56,6 +57,27 @@ SCHEMAS: Final[Mapping[str, pa.Schema]] = {
         [*_OF, *_numbers("t_foot_off_s", "t_mid_swing_s", "t_initial_contact_s", "foot_strike_angle_rad")]
     ),
 }
+
+
+@dataclass(frozen=True, slots=True)
+class Measure:
+    """A column that pages and tables show; ``best`` is which end of it is good, 0 where neither is."""
+
+    name: str
+    title: str
+    unit: str = ""
+    best: int = 0
+    digits: int = 1
+    factor: float = 1.0
+
+    @property
+    def axis(self) -> str:
+        """Title and unit."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+    def text(self, value: float | None) -> str:
+        """An SI value in this unit; a dash where it is unknown."""
+        return number(None if value is None else self.factor * value, self.digits)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,11 +193,11 @@ class Store:
             raise
 
     def write_text(self, name: str, text: str) -> None:
-        """A page beside the tables."""
+        """Write a page beside the tables."""
         self.write_bytes(name, text.encode())
 
     def write_bytes(self, name: str, data: bytes) -> None:
-        """A file beside the tables."""
+        """Write a file beside the tables."""
         filesystem, root = self._open()
         filesystem.makedirs(f"{root}/{name}".rsplit("/", 1)[0], exist_ok=True)
         with filesystem.open(f"{root}/{name}", "wb") as file:

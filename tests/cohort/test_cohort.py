@@ -14,9 +14,9 @@ import pytest
 from click.testing import CliRunner
 
 from fes.cli import main
-from fes.cohort.engine import cluster, run
+from fes.cohort.engine import analyse_all, cluster
 from fes.cohort.page import write_pages
-from fes.cohort.sources import CohortError, Source, find
+from fes.cohort.sources import CohortError, Source, find_sources
 from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
 from fes.cohort.task import DONE, FAILED, Outcome, Settings, analyse_one
 
@@ -40,26 +40,26 @@ def rows(store: Store, table: str = RECORDINGS) -> list[dict[str, object]]:
 def test_folders_globs_and_files_are_found_once_and_only_with_a_sidecar(tmp_path: Path) -> None:
     folder = lay(tmp_path / "a", ["one", "two"])
     (folder / "truth.parquet").write_bytes(b"no sidecar")
-    found = find([str(folder), str(folder / "*.parquet"), str(folder / "one.parquet")])
+    found = find_sources([str(folder), str(folder / "*.parquet"), str(folder / "one.parquet")])
     assert [source.path.name for source in found] == ["one.parquet", "two.parquet"]
-    assert find([str(folder / "truth.parquet")])[0].path.name == "truth.parquet", "a file named outright counts"
+    assert find_sources([str(folder / "truth.parquet")])[0].path.name == "truth.parquet", "a file named outright counts"
 
 
 @pytest.mark.parametrize("pattern", ["{}/nothing", "{}/*.blf", "nowhere://x"])
 def test_nothing_found_is_an_error_that_says_where(tmp_path: Path, pattern: str) -> None:
     with pytest.raises(CohortError, match=r"no recording|cannot be opened"):
-        find([pattern.format(tmp_path)])
+        find_sources([pattern.format(tmp_path)])
 
 
 def test_another_file_other_settings_or_another_sidecar_is_another_recording(tmp_path: Path) -> None:
     folder = lay(tmp_path / "a", ["one"])
-    (before,) = find([str(folder)])
+    (before,) = find_sources([str(folder)])
     sidecar = folder / "one.toml"
     sidecar.write_text(sidecar.read_text(encoding="utf-8") + "\n# more\n", encoding="utf-8")
-    (after,) = find([str(folder)])
+    (after,) = find_sources([str(folder)])
     level, uneven = Settings().text(), Settings(level=False).text()
     assert len({before.identity(level), after.identity(level), after.identity(uneven)}) == 3
-    assert after.identity(level) == find([str(folder / "one.parquet")])[0].identity(level)
+    assert after.identity(level) == find_sources([str(folder / "one.parquet")])[0].identity(level)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_a_recording_in_memory_or_in_an_archive_gives_the_same_rows_as_a_file(tm
     strides = []
     places = (str(folder), "memory://cohort", f"zip://*.parquet::{archive}")
     for number, place in enumerate(places):
-        (source,) = find([place])
+        (source,) = find_sources([place])
         store = Store(f"memory://results{number}")
         store.prepare({})
         outcome = analyse_one(source, store, Settings())
@@ -110,7 +110,7 @@ def test_a_bad_recording_is_a_row_with_its_reason(tmp_path: Path, spoil: object,
     spoil(folder)
     store = Store(str(tmp_path / "out"))
     store.prepare({})
-    outcome = analyse_one(find([str(folder / "one.parquet")])[0], store, Settings())
+    outcome = analyse_one(find_sources([str(folder / "one.parquet")])[0], store, Settings())
     assert outcome.status == FAILED
     (row,) = rows(store)
     assert word in str(row["reason"])
@@ -120,7 +120,7 @@ def test_a_bad_recording_is_a_row_with_its_reason(tmp_path: Path, spoil: object,
 def test_half_a_recordings_results_count_as_none(tmp_path: Path) -> None:
     folder, store = lay(tmp_path / "a", ["one"]), Store(str(tmp_path / "out"))
     store.prepare({})
-    (source,) = find([str(folder)])
+    (source,) = find_sources([str(folder)])
     identity = source.identity(Settings().text())
     store.put(identity, {STRIDES: []})
     (tmp_path / "out" / RECORDINGS / f".{identity}.part").write_bytes(b"PAR1")
@@ -144,7 +144,7 @@ def test_a_killed_worker_loses_nothing_and_what_is_finished_is_not_done_again(tm
     names = [f"walk{number}" for number in range(8)]
     folder, store, settings = lay(tmp_path / "a", names), Store(str(tmp_path / "out")), Settings()
     (folder / "walk3.parquet").write_bytes(b"PAR1 torn")
-    sources = find([str(folder)])
+    sources = find_sources([str(folder)])
     store.prepare({})
     killed: list[int] = []
     with cluster(2) as client:
@@ -155,7 +155,7 @@ def test_a_killed_worker_loses_nothing_and_what_is_finished_is_not_done_again(tm
                 killed.append(victim)
                 os.kill(victim, signal.SIGKILL)
 
-        outcomes = run(client, sources, store, settings, tell)
+        outcomes = analyse_all(client, sources, store, settings, tell)
     assert killed
     assert sorted(outcome.identity for outcome in outcomes) == sorted(s.identity(settings.text()) for s in sources)
     found = rows(store)

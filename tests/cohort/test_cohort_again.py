@@ -20,8 +20,7 @@ from processes import gone_after_s
 from pyarrow import parquet
 
 from fes.cli import main
-from fes.cohort.program import program
-from fes.cohort.sources import LARGEST_SIDECAR, Source, find, local_copy, named_in
+from fes.cohort.sources import LARGEST_SIDECAR, Source, files_named_in, find_sources, local_copy, program
 from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
 from fes.cohort.sweep.task import TRUTH_FILES
 from fes.cohort.task import DONE, FAILED, Settings, analyse_one, drop_replaced
@@ -44,7 +43,7 @@ def two_files(folder: Path, name: str = "walk") -> Path:
 
 
 def identity(folder: Path, settings: Settings | None = None) -> str:
-    (source,) = find([str(folder)])
+    (source,) = find_sources([str(folder)])
     return source.identity((settings or Settings()).text())
 
 
@@ -86,7 +85,7 @@ def test_a_change_in_any_file_makes_it_another_recording(tmp_path: Path, change:
 
 def test_settings_and_program_make_it_another_recording_and_touching_the_sidecar_does_not(tmp_path: Path) -> None:
     folder = two_files(tmp_path / "a")
-    (source,) = find([str(folder)])
+    (source,) = find_sources([str(folder)])
     found = {identity(folder), identity(folder, Settings(level=False)), identity(folder, Settings(subject_from="P"))}
     found.add(Source(source.url, source.mark, "another").identity(Settings().text()))
     assert len(found) == 4
@@ -99,7 +98,7 @@ def test_the_program_is_known_by_its_sources(tmp_path: Path) -> None:
     for package in ("fes", "drivers", "statemachine"):
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(Path(__file__).parents[2] / package, tmp_path / package, ignore=ignored)
-    code = "from fes.cohort.program import program; print(program())"
+    code = "from fes.cohort.sources import program; print(program())"
 
     def told() -> str:
         asked = subprocess.run(
@@ -119,10 +118,10 @@ def test_a_truth_counts_where_results_rest_on_it(tmp_path: Path) -> None:
     folder = two_files(tmp_path / "a")
     truth = folder / "walk.strides.csv"
     truth.write_text("a", encoding="utf-8")
-    (plain,), (with_truth,) = find([str(folder)]), find([str(folder)], TRUTH_FILES)
+    (plain,), (with_truth,) = find_sources([str(folder)]), find_sources([str(folder)], TRUTH_FILES)
     truth.write_text("ab", encoding="utf-8")
-    assert find([str(folder)]) == [plain]
-    assert find([str(folder)], TRUTH_FILES) != [with_truth]
+    assert find_sources([str(folder)]) == [plain]
+    assert find_sources([str(folder)], TRUTH_FILES) != [with_truth]
 
 
 @pytest.mark.parametrize(
@@ -138,7 +137,7 @@ def test_a_truth_counts_where_results_rest_on_it(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_sidecar_names(text: bytes, names: tuple[str, ...]) -> None:
-    assert named_in(text) == names
+    assert files_named_in(text) == names
 
 
 def test_a_sidecar_of_any_size_is_survived(tmp_path: Path) -> None:
@@ -160,7 +159,7 @@ def test_a_recordings_further_files_are_fetched_too(tmp_path: Path) -> None:
             memory.pipe_file(f"/again/deep/{path.name}", path.read_bytes())
     strides = []
     for number, place in enumerate((str(folder), "memory://again", f"zip://deep/walk.parquet::{archive}")):
-        (source,) = [each for each in find([place]) if each.path.stem == "walk"]
+        (source,) = [each for each in find_sources([place]) if each.path.stem == "walk"]
         store = Store(f"memory://again_results{number}")
         store.prepare({})
         outcome = analyse_one(source, store, Settings())
@@ -169,9 +168,9 @@ def test_a_recordings_further_files_are_fetched_too(tmp_path: Path) -> None:
         strides.append([{**row, "recording": "", "subject": ""} for row in rows])
     assert {row["foot"] for row in strides[0]} == {"left_foot", "right_foot"}
     assert strides[0] == strides[1] == strides[2]
-    (before,) = [each for each in find(["memory://again"]) if each.path.stem == "walk"]
+    (before,) = [each for each in find_sources(["memory://again"]) if each.path.stem == "walk"]
     memory.pipe_file(f"/again/deep/{SECOND}", b"PAR1")
-    (after,) = [each for each in find(["memory://again"]) if each.path.stem == "walk"]
+    (after,) = [each for each in find_sources(["memory://again"]) if each.path.stem == "walk"]
     assert before.mark != after.mark
 
 
@@ -182,7 +181,7 @@ def test_a_dbc_comes_along_from_where_the_sidecar_says(dbc: str) -> None:
     memory.pipe_file(f"{root}/study/P1/walk.log", b"(0.0) can0 101#00")
     memory.pipe_file(f"{root}/study/P1/walk.toml", f'[can]\ndbc = "{dbc}"'.encode())
     memory.pipe_file(os.path.normpath(f"{root}/study/P1/{dbc}"), b"a DBC")
-    (source,) = find([f"memory:/{root}"])
+    (source,) = find_sources([f"memory:/{root}"])
     with local_copy(source) as path:
         assert (path.parent / dbc).read_bytes() == b"a DBC"
 
@@ -194,7 +193,7 @@ def test_nothing_is_written_where_a_sidecar_wants_it(tmp_path: Path, name: str) 
     memory.pipe_file("/evil/walk.log", b"(0.0) can0 101#00")
     memory.pipe_file("/evil/walk.toml", f'[can]\ndbc = "{outside}"'.encode())
     memory.pipe_file(f"{tmp_path}/x.dbc", b"mine")
-    (source,) = find(["memory://evil"])
+    (source,) = find_sources(["memory://evil"])
     with local_copy(source) as path:
         assert path.read_bytes()
     assert not list(tmp_path.iterdir())
@@ -204,12 +203,12 @@ def test_what_was_done_anew_replaces_what_was_there(tmp_path: Path) -> None:
     """The folder is read as one table by others: no recording may be in it twice; nobody else's may go."""
     folder, store = two_files(tmp_path / "a"), Store(str(tmp_path / "out"))
     store.prepare({})
-    sources = find([str(folder)])
+    sources = find_sources([str(folder)])
     analyse_one(sources[0], store, Settings())
     store.put("others", {RECORDINGS: [{"recording": "others", "source": "file:///elsewhere", "status": FAILED}]})
     assert drop_replaced(store, sources, Settings()) == 0
     (folder / "walk.toml").write_text((folder / "walk.toml").read_text(encoding="utf-8") + "\n", encoding="utf-8")
-    sources = find([str(folder)])
+    sources = find_sources([str(folder)])
     assert drop_replaced(store, sources, Settings()) == 0, "not done anew yet"
     analyse_one(sources[0], store, Settings())
     assert drop_replaced(store, sources, Settings()) == 1
@@ -284,7 +283,7 @@ def test_a_folder_that_lets_nothing_go_is_told(tmp_path: Path, monkeypatch: pyte
     folder, out = two_files(tmp_path / "a"), tmp_path / "out"
     store = Store(str(out))
     store.prepare({})
-    (source,) = find([str(folder)])
+    (source,) = find_sources([str(folder)])
     analyse_one(source, store, Settings())
     store.put("old", {RECORDINGS: [{"recording": "old", "source": source.url, "status": DONE}]})
 

@@ -24,9 +24,9 @@ from fes.cli import main
 from fes.cli.common.exits import STOPPED, UNUSABLE
 from fes.cohort.engine import Task, cluster, ended_after, run_tasks
 from fes.cohort.page import write_pages
-from fes.cohort.sources import CohortError, Source, find
+from fes.cohort.sources import CohortError, Source, find_sources
 from fes.cohort.store import RECORDINGS, STRIDES, Store
-from fes.cohort.sweep.grid import axis, points
+from fes.cohort.sweep.grid import combinations_of, parse_axis
 from fes.cohort.task import DONE, FAILED, Outcome, Settings, analyse_one
 from fes.recording import RecordingError
 from fes.recording.sidecar import load_sidecar
@@ -52,14 +52,14 @@ def test_a_name_of_any_kind_is_analysed_and_told(tmp_path: Path, name: str) -> N
     """
     folder, store = lay(tmp_path / name, name), Store(str(tmp_path / "out"))
     store.prepare({"recordings": [str(folder)]})
-    (source,) = find([str(folder)])
+    (source,) = find_sources([str(folder)])
     outcome = analyse_one(source, store, Settings(subject_from="([^/]+)/[^/]*$"))
     if name.isprintable():
         assert outcome.status == DONE, outcome.reason
     else:
         assert "walk" in outcome.reason
     (folder / f"{name}.parquet").write_bytes(b"PAR1 torn")
-    (torn,) = find([str(folder)])
+    (torn,) = find_sources([str(folder)])
     assert analyse_one(torn, store, Settings()).status == FAILED
     page = Path(write_pages(store, store.finished())).read_text(encoding="utf-8")
     assert "<script>" not in page
@@ -70,14 +70,14 @@ def test_a_name_of_any_kind_is_analysed_and_told(tmp_path: Path, name: str) -> N
 
 def test_a_folder_may_have_brackets_in_its_name(tmp_path: Path) -> None:
     folder = lay(tmp_path / "visit[1]*", "walk")
-    assert len(find([str(folder)])) == len(find([str(folder / "walk.parquet")])) == 1
+    assert len(find_sources([str(folder)])) == len(find_sources([str(folder / "walk.parquet")])) == 1
 
 
 def test_a_sidecar_that_is_a_pipe_holds_nobody_up(tmp_path: Path) -> None:
     folder = lay(tmp_path / "a", "walk")
     (folder / "walk.toml").unlink()
     os.mkfifo(folder / "walk.toml")
-    assert len(find([str(folder)])) == 1
+    assert len(find_sources([str(folder)])) == 1
     with pytest.raises(RecordingError, match="is no file"):
         load_sidecar(folder / "walk.toml")
 
@@ -121,14 +121,14 @@ def test_a_storage_with_errors_of_its_own_is_told(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("fsspec.core.url_to_fs", refused)
     with pytest.raises(CohortError, match="NoCredentialsError"):
-        find(["s3://bucket"])
+        find_sources(["s3://bucket"])
 
 
 def test_a_damaged_part_is_named_with_what_to_do(tmp_path: Path) -> None:
     folder, out = lay(tmp_path / "a", "walk"), tmp_path / "out"
     store = Store(str(out))
     store.prepare({})
-    (source,) = find([str(folder)])
+    (source,) = find_sources([str(folder)])
     analyse_one(source, store, Settings())
     (part,) = (out / RECORDINGS).iterdir()
     part.write_bytes(part.read_bytes()[:-9])
@@ -174,7 +174,7 @@ def test_results_that_another_run_took_away_are_missed(tmp_path: Path, monkeypat
     folder, out = lay(tmp_path / "a", "walk"), tmp_path / "out"
     store = Store(str(out))
     store.prepare({})
-    (source,) = find([str(folder)])
+    (source,) = find_sources([str(folder)])
     analyse_one(source, store, Settings())
 
     def other_run(mine: Store, *_: object) -> int:
@@ -361,23 +361,27 @@ def test_no_room_for_the_results_is_an_early_end(
 )
 def test_a_grid_of_nonsense_is_refused_in_words(asked: str) -> None:
     with pytest.raises(CohortError, match=r"^--set"):
-        axis(asked)
+        parse_axis(asked)
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, "9" * 5000])
 def test_what_toml_cannot_read_is_a_word(text: str) -> None:
     """Which the session then refuses, combination by combination."""
-    assert axis(f"phases.swing_begins={text}").values == (text,)
+    assert parse_axis(f"phases.swing_begins={text}").values == (text,)
 
 
 @pytest.mark.parametrize(("count", "sample"), [(10_000, None), (10_000, 10), (1000, 2_000_000), (1000, None)])
 def test_more_than_can_be_tried_is_refused(count: int, sample: int | None) -> None:
     axes = [
-        axis(f"thresholds.{name}=0:1:{count}") for name in ("rest_gyr_radps", "leave_gyr", "leave_acc", "long_rest_s")
+        parse_axis(f"thresholds.{name}=0:1:{count}")
+        for name in ("rest_gyr_radps", "leave_gyr", "leave_acc", "long_rest_s")
     ]
     axes = axes if count > 1000 else axes[:3]
     with pytest.raises(CohortError, match="combinations are"):
-        points([*axes, axis("phases.swing_begins=peak,reversal"), axis(f"channels.tuning.gain=0:1:{count}")], sample)
+        combinations_of(
+            [*axes, parse_axis("phases.swing_begins=peak,reversal"), parse_axis(f"channels.tuning.gain=0:1:{count}")],
+            sample,
+        )
 
 
 def test_a_sweep_on_more_than_memory_holds_is_refused(tmp_path: Path) -> None:

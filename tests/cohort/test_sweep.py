@@ -18,10 +18,18 @@ from pyarrow import parquet
 
 from fes.cli import main
 from fes.cohort.engine import Task, cluster, run_tasks
-from fes.cohort.sources import CohortError, find
-from fes.cohort.sweep.grid import Factor, Point, axis, changed, names, points, session_at
+from fes.cohort.sources import CohortError, find_sources
+from fes.cohort.sweep.grid import (
+    Factor,
+    Point,
+    change_thresholds,
+    combinations_of,
+    parse_axis,
+    session_with,
+    swept_names,
+)
 from fes.cohort.sweep.page import sweep_page
-from fes.cohort.sweep.table import RESULTS, combinations, measures_of, store_at, table_of
+from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_store
 from fes.cohort.sweep.task import Bench, Patient, burst_scores, bursts_of, keep, patient_scores, truth_scores, try_one
 from fes.cohort.task import DONE, FAILED, Outcome
 from fes.config import ConfigError, load_session
@@ -73,7 +81,7 @@ def tuned(folder: Path) -> Path:
     ],
 )
 def test_values_are_read_as_the_session_file_would(asked: str, values: tuple[object, ...]) -> None:
-    assert axis(asked).values == values
+    assert parse_axis(asked).values == values
 
 
 @pytest.mark.parametrize(
@@ -94,66 +102,68 @@ def test_values_are_read_as_the_session_file_would(asked: str, values: tuple[obj
 )
 def test_what_is_no_setting_is_told_with_the_nearest(asked: str, told: str) -> None:
     with pytest.raises(CohortError, match=r"--set") as caught:
-        axis(asked)
+        parse_axis(asked)
     assert told in str(caught.value)
 
 
 def test_every_name_can_be_set() -> None:
-    for name in names():
-        assert axis(f"{name}=1").name == name
-    assert not [name for name in names() if "limits" in name or name.endswith(".foot")]
+    for name in swept_names():
+        assert parse_axis(f"{name}=1").name == name
+    assert not [name for name in swept_names() if "limits" in name or name.endswith(".foot")]
 
 
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=4), st.integers(1, 40), st.integers(0, 9))
 def test_a_sample_is_part_of_the_grid_and_the_same_for_the_same_seed(sizes: list[int], count: int, seed: int) -> None:
     chosen = ("thresholds.rest_gyr_radps", "thresholds.leave_gyr", "stimulation.intensity", "channels.fall_s")
-    axes = [axis(f"{name}={','.join(str(k) for k in range(size))}") for name, size in zip(chosen, sizes, strict=False)]
-    grid, drawn = points(axes), points(axes, count, seed)
+    axes = [
+        parse_axis(f"{name}={','.join(str(k) for k in range(size))}") for name, size in zip(chosen, sizes, strict=False)
+    ]
+    grid, drawn = combinations_of(axes), combinations_of(axes, count, seed)
     assert grid[0] == drawn[0] == Point()
     assert len(set(grid)) == len(grid) == 1 + int(np.prod(sizes))
     assert len(set(drawn)) == len(drawn) == 1 + min(count, len(grid) - 1)
     assert set(drawn) <= set(grid)
-    assert drawn == points(axes, count, seed)
+    assert drawn == combinations_of(axes, count, seed)
     assert len({point.identity for point in grid}) == len(grid)
 
 
 def test_too_many_combinations_and_a_setting_named_twice_are_refused() -> None:
-    axes = [axis(f"{name}=0:1:400") for name in ("thresholds.rest_gyr_radps", "thresholds.leave_gyr")]
+    axes = [parse_axis(f"{name}=0:1:400") for name in ("thresholds.rest_gyr_radps", "thresholds.leave_gyr")]
     with pytest.raises(CohortError, match=r"160000 combinations.*--sample"):
-        points(axes)
-    assert len(points(axes, 5)) == 6
+        combinations_of(axes)
+    assert len(combinations_of(axes, 5)) == 6
     with pytest.raises(CohortError, match="twice"):
-        points([axes[0], axes[0]])
+        combinations_of([axes[0], axes[0]])
 
 
 def test_a_combination_changes_what_it_names_and_nothing_else(tmp_path: Path) -> None:
     base = load_session(tuned(tmp_path))
     point = Point((("channels.tuning.gain", 0.3), ("stimulation.strides_before_start", 4), ("channels.0.fall_s", 0.2)))
-    session = session_at(base, point, SESSION)
+    session = session_with(base, point, SESSION)
     assert session.channels[0].tuning is not None
     assert (session.channels[0].tuning.gain, session.channels[0].fall_s) == (0.3, 0.2)
     assert session.stimulation.strides_before_start == 4
-    back = session_at(
+    back = session_with(
         session,
         Point((("channels.tuning.gain", 0.6), ("stimulation.strides_before_start", 2), ("channels.fall_s", 0.1))),
         SESSION,
     )
     assert back == base
     with pytest.raises(ConfigError, match="over this channel's limit"):
-        session_at(base, Point((("channels.current_ma", 60.0),)), SESSION)
+        session_with(base, Point((("channels.current_ma", 60.0),)), SESSION)
     with pytest.raises(CohortError, match="no such channel"):
-        session_at(base, Point((("channels.5.fall_s", 0.1),)), SESSION)
+        session_with(base, Point((("channels.5.fall_s", 0.1),)), SESSION)
     with pytest.raises(CohortError, match="has no tuning"):
-        session_at(load_session(SESSION), Point((("channels.tuning.gain", 0.3),)), SESSION)
+        session_with(load_session(SESSION), Point((("channels.tuning.gain", 0.3),)), SESSION)
 
 
 def test_thresholds_by_value_by_factor_and_of_the_wrong_kind() -> None:
     own = Thresholds(rest_gyr_radps=0.5)
-    new = changed(own, {"rest_gyr_radps": Factor(1.2), "min_swing_s": 0.2, "swing_at_reversal": True})
+    new = change_thresholds(own, {"rest_gyr_radps": Factor(1.2), "min_swing_s": 0.2, "swing_at_reversal": True})
     assert new == own._replace(rest_gyr_radps=0.6, min_swing_s=0.2, swing_at_reversal=True)
     for wrong in ({"min_swing_s": "soon"}, {"min_swing_s": True}, {"swing_at_reversal": 1}, {"min_swing_s": -1.0}):
         with pytest.raises(CohortError, match="must be"):
-            changed(own, dict(wrong))
+            change_thresholds(own, dict(wrong))
 
 
 def test_scores_against_the_truth_count_what_was_made_wrong() -> None:
@@ -207,24 +217,24 @@ def test_combinations_are_ordered_and_the_efficient_ones_marked() -> None:
         row({A: 5}, marks=100, missed=0, extra=0, off=0, error_ms=1.0),
         row({A: 5}, status=FAILED),
     ]
-    measures = measures_of(rows)
+    measures = measures_in(rows)
     found = combinations(rows, measures)
     assert [one.settings[A] for one in found] == [2, 1, 3, 4, 5]
     assert [one.efficient for one in found] == [True, True, True, False, False]
     assert found[1].figures["wrong"] == pytest.approx(4 / 200)
     assert found[1].figures["error_ms"] == pytest.approx(40.0)
     assert (found[-1].failed, found[-1].reasons) == (1, ("no",))
-    table = table_of(found, measures)
+    table = combination_table(found, measures)
     assert table[A].to_pylist() == [2.0, 1.0, 3.0, 4.0, 5.0]
-    page = sweep_page([axis(f"{A}=1,2,3,4,5")], found, measures, ["<b>"], "A <i>")
+    page = sweep_page([parse_axis(f"{A}=1,2,3,4,5")], found, measures, ["<b>"], "A <i>")
     assert "<b>" not in page
     assert "A <i>" not in page
     assert page.count("◆") == 3 + 1, "and once in the words"
 
 
 def test_thresholds_change_what_a_recording_shows(tmp_path: Path) -> None:
-    (source,) = find([str(TRIAL)])
-    store = store_at(str(tmp_path))
+    (source,) = find_sources([str(TRIAL)])
+    store = sweep_store(str(tmp_path))
     store.prepare({})
     tried = [
         Point(),
@@ -247,7 +257,7 @@ def test_thresholds_change_what_a_recording_shows(tmp_path: Path) -> None:
 
 
 def test_a_patient_answers_to_the_settings_and_is_the_same_again(tmp_path: Path) -> None:
-    store = store_at(str(tmp_path / "out"))
+    store = sweep_store(str(tmp_path / "out"))
     store.prepare({})
     settings = bench(tuned(tmp_path), 15.0)
     weak, strong = (Point((("channels.current_ma", current),)) for current in (10.0, 30.0))
@@ -262,7 +272,7 @@ def test_a_patient_answers_to_the_settings_and_is_the_same_again(tmp_path: Path)
 
 def test_another_session_file_is_another_trial(tmp_path: Path) -> None:
     """By what it says: a copy elsewhere is the same, a changed one is not, whatever its time."""
-    point, case = Point((("stimulation.intensity", 0.5),)), str(TRIAL)
+    point, case = Point((("stimulation.intensity", 0.5),)), Patient(1, 7)
     path = tmp_path / "session.toml"
     path.write_text(SESSION.read_text(encoding="utf-8"), encoding="utf-8")
     assert bench(path).identity(case, point) == bench().identity(case, point)
@@ -300,9 +310,9 @@ def test_a_failing_combination_stops_nothing_and_what_is_finished_is_not_done_ag
 def test_what_kills_its_process_is_given_up_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("fes.cohort.engine.DEATHS", 0)
     monkeypatch.setattr("fes.cohort.engine.BATCHES", 1)
-    store, settings = store_at(str(tmp_path / "out")), bench()
+    store, settings = sweep_store(str(tmp_path / "out")), bench()
     store.prepare({})
-    (source,) = find([str(TRIAL)])
+    (source,) = find_sources([str(TRIAL)])
     told = [Point((("stimulation.intensity", 0.05 * number),)) for number in range(12)]  # the first go by themselves
 
     def lost(point: Point, why: str) -> Outcome:
@@ -348,4 +358,4 @@ def test_what_cannot_be_used_is_told_at_once(arguments: list[object], told: str)
 def test_the_names_are_listed() -> None:
     result = sweep("--names")
     assert result.exit_code == 0
-    assert result.output.split() == names()
+    assert result.output.split() == swept_names()

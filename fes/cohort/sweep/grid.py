@@ -75,7 +75,7 @@ class Point:
         return hashlib.sha256(self.text().encode()).hexdigest()[:12]
 
 
-def axis(asked: str) -> Axis:
+def parse_axis(asked: str) -> Axis:
     """``name=a,b,c`` or ``name=low:high:count``.
 
     Raises:
@@ -93,7 +93,7 @@ def axis(asked: str) -> Axis:
     return Axis(name, found)
 
 
-def points(axes: Sequence[Axis], sample: int | None = None, seed: int = 1) -> list[Point]:
+def combinations_of(axes: Sequence[Axis], sample: int | None = None, seed: int = 1) -> list[Point]:
     """The session as it is, then all combinations, or ``sample`` different ones drawn by ``seed``.
 
     Raises:
@@ -115,7 +115,7 @@ def points(axes: Sequence[Axis], sample: int | None = None, seed: int = 1) -> li
     return [Point(), *(Point(tuple(zip(names, values, strict=True))) for values in chosen)]
 
 
-def session_at(base: Session, point: Point, path: Path) -> Session:
+def session_with(base: Session, point: Point, path: Path) -> Session:
     """The session with a combination's settings.
 
     Raises:
@@ -139,13 +139,13 @@ def session_at(base: Session, point: Point, path: Path) -> Session:
     return validate_session(data, path)
 
 
-def thresholds_at(point: Point) -> dict[str, Value | Factor]:
+def thresholds_of(point: Point) -> dict[str, Value | Factor]:
     """The guards' thresholds that a combination changes, by name."""
     named = (name.partition(".") for name, _ in point.values)
     return {name: value for (root, _, name), (_, value) in zip(named, point.values, strict=True) if root == THRESHOLDS}
 
 
-def changed(thresholds: Thresholds, changes: dict[str, Value | Factor]) -> Thresholds:
+def change_thresholds(thresholds: Thresholds, changes: dict[str, Value | Factor]) -> Thresholds:
     """Thresholds with a combination's.
 
     Raises:
@@ -167,7 +167,7 @@ def changed(thresholds: Thresholds, changes: dict[str, Value | Factor]) -> Thres
     return thresholds._replace(**new)
 
 
-def names() -> list[str]:
+def swept_names() -> list[str]:
     """All settings that can be swept."""
     of_session = [name for root in SWEPT for name in _leaves(Session.model_fields[root].annotation, root)]
     of_session = [name for name in of_session if not re.match(rf"channels\.({'|'.join(FIXED)})(\.|$)", name)]
@@ -176,7 +176,7 @@ def names() -> list[str]:
 
 def _check_name(name: str) -> None:
     """Refuse what is no setting, with the nearest that is."""
-    known = names()
+    known = swept_names()
     if re.sub(r"^channels\.\d+\.", "channels.", name) in known:
         return
     last = name.rpartition(".")[2]

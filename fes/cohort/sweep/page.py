@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from fes import __version__
+from fes.cohort.store import Measure
 from fes.cohort.sweep.grid import Axis, Factor
-from fes.cohort.sweep.table import Combination, Measure
+from fes.cohort.sweep.table import Combination
 from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.html import style, templates, trusted
 from fes.signals import FloatArray
@@ -43,20 +44,9 @@ def sweep_page(
             failures=len(failed),
             cases=cases,
             figures=trusted(figures),
-            words=figure_words,
             judged=[measure.title for measure in measures if measure.best],
         )
     )
-
-
-def figure_words(measure: Measure, value: float | None) -> str:
-    """A figure in the measure's unit; a dash where it is unknown."""
-    return "–" if value is None else f"{measure.factor * value:.{measure.digits}f}"
-
-
-def setting_words(settings: dict[str, Any]) -> str:
-    """A combination in a line."""
-    return ", ".join(f"{name} = {value}" for name, value in settings.items()) or "as it is"
 
 
 def _trade_off(found: Sequence[Combination], measures: Sequence[Measure]) -> list[Figure]:
@@ -68,9 +58,9 @@ def _trade_off(found: Sequence[Combination], measures: Sequence[Measure]) -> lis
     if len(points) < 2:
         return []
     across, up = (np.array([m.factor * (one.figures[m.name] or 0.0) for one in points]) for m in (x, y))
-    plot = Plot(f"{y.title} over {x.title}", _axis_name(x), _axis_name(y), padded([across]), padded([up]))
+    plot = Plot(f"{y.title} over {x.title}", x.axis, y.axis, padded([across]), padded([up]))
     kinds = np.array([AS_IS if not one.settings else BEST if one.efficient else OTHER for one in points])
-    titles = [setting_words(one.settings) for one in points]
+    titles = [one.text for one in points]
     for colour in (OTHER, BEST, AS_IS):
         own = np.flatnonzero(kinds == colour)
         plot.points(across[own], up[own], colour, [titles[at] for at in own], hollow=colour == OTHER)
@@ -85,9 +75,8 @@ def _by_setting(axes: Sequence[Axis], found: Sequence[Combination], measures: Se
     figures = []
     for axis in axes[:FIGURES]:
         labels = [str(value) for value in axis.values]
-        of = {label: at for at, label in enumerate(labels)}
         known = [
-            (of[str(one.settings[axis.name])], judged.factor * value)
+            (labels.index(str(one.settings[axis.name])), judged.factor * value)
             for one in found
             if axis.name in one.settings and (value := one.figures[judged.name]) is not None
         ]
@@ -95,7 +84,7 @@ def _by_setting(axes: Sequence[Axis], found: Sequence[Combination], measures: Se
             continue
         at, across = _places(axis)
         x, y = at[[number for number, _ in known]], np.array([value for _, value in known])
-        plot = Plot(f"{judged.title} by {axis.name}", across, _axis_name(judged), padded([at]), padded([y]))
+        plot = Plot(f"{judged.title} by {axis.name}", across, judged.axis, padded([at]), padded([y]))
         caption = "Every combination."
         if across:
             order = np.argsort(at)
@@ -119,7 +108,3 @@ def _places(axis: Axis) -> tuple[FloatArray, str]:
     if len(numbers) == len(axis.values):
         return np.array(numbers, np.float64), axis.name
     return np.arange(len(axis.values), dtype=np.float64), ""
-
-
-def _axis_name(measure: Measure) -> str:
-    return f"{measure.title}, {measure.unit}" if measure.unit else measure.title

@@ -11,20 +11,14 @@ from typing import Any, Final
 import numpy as np
 import pyarrow as pa
 
-from fes.cohort.store import Store
+from fes.cohort.store import Measure, Store
 from fes.cohort.task import DONE
 
 RESULTS: Final = "results"
 _TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
-_COUNTS: Final = ("strides", "valid_strides", "four_phases", "marks", "missed", "extra", "off", "bursts")
-_COUNTS_MORE: Final = (
-    "swings_without",
-    "bursts_without",
-    "reached_after",
-    "dragged",
-    "stumbled",
-    "roll_backs",
-    "latched",
+_COUNTS: Final = (
+    *("strides", "valid_strides", "four_phases", "marks", "missed", "extra", "off", "bursts", "swings_without"),
+    *("bursts_without", "reached_after", "dragged", "stumbled", "roll_backs", "latched"),
 )
 _NUMBERS: Final = (
     *("stride_time_s", "stride_length_m", "error_ms", "error_p95_ms", "foot_off_error_ms", "contact_error_ms"),
@@ -34,23 +28,11 @@ SCHEMAS: Final[Mapping[str, pa.Schema]] = {
     RESULTS: pa.schema(
         [
             *[(n, _TEXT) for n in ("result", "combination", "settings", "on", "status", "reason", "fes_version")],
-            *[(name, _COUNT) for name in (*_COUNTS, *_COUNTS_MORE)],
+            *[(name, _COUNT) for name in _COUNTS],
             *[(name, _NUMBER) for name in _NUMBERS],
         ]
     )
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Measure:
-    """A figure of a combination over all cases; ``best`` is which end is good, 0 where neither is."""
-
-    name: str
-    title: str
-    unit: str = ""
-    best: int = 0
-    digits: int = 1
-    factor: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +53,11 @@ class Combination:
     failed: int
     reasons: tuple[str, ...]
     efficient: bool = False
+
+    @property
+    def text(self) -> str:
+        """The settings in a line."""
+        return ", ".join(f"{name} = {value}" for name, value in self.settings.items()) or "as it is"
 
 
 AGAINST_TRUTH: Final = (
@@ -106,24 +93,24 @@ ON_PATIENTS: Final = (
     Measure("roll_backs", "rolled back", digits=0),
     Measure("latched", "stopped by the gate", digits=0),
 )
-_SUMS: Final = frozenset((*_COUNTS, *_COUNTS_MORE)) - {"reached_after"}
+_SUMS: Final = frozenset(_COUNTS) - {"reached_after"}
 
 
-def store_at(url: str) -> Store:
-    """Where a sweep's rows are kept."""
+def sweep_store(url: str) -> Store:
+    """A store for a sweep's rows."""
     return Store(url, SCHEMAS, RESULTS)
 
 
-def measures_of(rows: Iterable[Mapping[str, Any]]) -> tuple[Measure, ...]:
+def measures_in(rows: Iterable[Mapping[str, Any]]) -> tuple[Measure, ...]:
     """What these rows are judged by, the most telling first.
 
     Where any case has a truth, or is a patient, that is what counts; strides are then only told.
     """
     found = {name for row in rows for name, value in row.items() if value is not None}
     groups = ((AGAINST_TRUTH, "marks"), (BURSTS, "swings_without"), (ON_PATIENTS, "in_band"))
-    told = [measure for group, sign in groups if sign in found for measure in group]
-    by_strides = [replace(measure, best=0) for measure in BY_STRIDES] if told else BY_STRIDES
-    return tuple(measure for measure in (*told, *by_strides) if _source(measure.name) in found)
+    telling = [measure for group, sign in groups if sign in found for measure in group]
+    by_strides = [replace(measure, best=0) for measure in BY_STRIDES] if telling else BY_STRIDES
+    return tuple(measure for measure in (*telling, *by_strides) if _source(measure.name) in found)
 
 
 def combinations(rows: Sequence[Mapping[str, Any]], measures: Sequence[Measure]) -> list[Combination]:
@@ -150,7 +137,7 @@ def combinations(rows: Sequence[Mapping[str, Any]], measures: Sequence[Measure])
     return listed
 
 
-def table_of(found: Sequence[Combination], measures: Sequence[Measure]) -> pa.Table:
+def combination_table(found: Sequence[Combination], measures: Sequence[Measure]) -> pa.Table:
     """For a Parquet file: a row a combination, best first, with a column a setting (text where kinds differ)."""
     names = list(dict.fromkeys(name for each in found for name in each.settings))
     columns: dict[str, Any] = {}

@@ -1,15 +1,15 @@
-"""One combination of settings on one recording or virtual patient, in whichever process; its row is kept at once.
+"""One combination of settings tried on one recording or virtual patient, scored, and its row kept at once.
 
-How good one combination of settings was on one recording or patient: counts and times that can be compared.
+Scores are counts and times that can be compared.
 """
 
 from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from fes import __version__
-from fes.cohort.program import program
-from fes.cohort.sources import CohortError, Source, local_copy
+from fes.cohort.engine import Task
+from fes.cohort.sources import CohortError, Source, local_copy, program
 from fes.cohort.store import Store
-from fes.cohort.sweep.grid import Factor, Point, Value, changed, session_at, thresholds_at
+from fes.cohort.sweep.grid import Factor, Point, Value, change_thresholds, session_with, thresholds_of
 from fes.cohort.sweep.table import RESULTS
 from fes.cohort.task import DONE, FAILED, LONGEST_REASON, Outcome, reason_of
 from fes.config import Session
@@ -82,8 +82,7 @@ def truth_scores(
         for row in rows
     }
     every = np.concatenate([np.zeros(0), *errors.values()])
-    lengths = [_length_errors(truth, foot, strides) for foot in sorted(feet)]
-    length = np.concatenate([np.zeros(0), *lengths])
+    length = np.concatenate([np.zeros(0), *(_length_errors(truth, foot, strides) for foot in sorted(feet))])
     return {
         "marks": len(expected),
         "missed": sum(row.missed for row in rows),
@@ -91,12 +90,8 @@ def truth_scores(
         "off": sum(row.early + row.late for row in rows),
         "error_ms": _median(every),
         "error_p95_ms": float(np.percentile(every, 95)) if every.size else None,
-        "foot_off_error_ms": _median(
-            np.concatenate([np.zeros(0), *(e for (_, what), e in errors.items() if what == "T2")])
-        ),
-        "contact_error_ms": _median(
-            np.concatenate([np.zeros(0), *(e for (_, what), e in errors.items() if what == "T3")])
-        ),
+        "foot_off_error_ms": _median(ms for (_, what), own in errors.items() if what == "T2" for ms in own),
+        "contact_error_ms": _median(ms for (_, what), own in errors.items() if what == "T3" for ms in own),
         "stride_length_rmse_m": float(np.sqrt(np.mean(length**2))) if length.size else None,
     }
 
@@ -189,9 +184,10 @@ class Bench:
     seconds: float = 90.0
     program: str = field(default_factory=program)
 
-    def identity(self, case: str, point: Point) -> str:
+    def identity(self, case: Case, point: Point) -> str:
         """The name of a result: the same for the same case, session, settings and program."""
-        text = "\n".join((case, self.session.model_dump_json(), str(self.seconds), point.text(), self.program))
+        name = case.url if isinstance(case, Patient) else case.identity("sweep")
+        text = "\n".join((name, self.session.model_dump_json(), str(self.seconds), point.text(), self.program))
         return hashlib.sha256(text.encode()).hexdigest()[:20]
 
 
@@ -236,9 +232,18 @@ class Patient:
 Case = Source | Patient
 
 
-def case_identity(case: Case) -> str:
-    """Another file or another patient, another name."""
-    return case.url if isinstance(case, Patient) else case.identity("sweep")
+def sweep_tasks(cases: Iterable[Case], points: Sequence[Point], bench: Bench, store: Store) -> dict[str, Task]:
+    """Every combination on every case, by its result's name; those of one case, which a worker reads once, together."""
+
+    def lost(case: Case, point: Point, reason: str) -> Outcome:
+        return keep(case, bench, point, store, FAILED, reason, {})
+
+    tasks = (
+        Task(bench.identity(case, point), try_one, (case, bench, point, store), partial(lost, case, point))
+        for case in cases
+        for point in points
+    )
+    return {task.key: task for task in tasks}
 
 
 def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
@@ -247,13 +252,8 @@ def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
     Raises:
         OSError: the results cannot be kept; it counts as not done.
     """
-    work: Callable[[], Scores] = (
-        (lambda: _on_patient(case, bench, point))
-        if isinstance(case, Patient)
-        else (lambda: _on_recording(case, bench, point))
-    )
     try:
-        scores = work()
+        scores = _on_patient(case, bench, point) if isinstance(case, Patient) else _on_recording(case, bench, point)
     except Exception as error:  # one bad combination, however bad, must not stop the others
         return keep(case, bench, point, store, FAILED, reason_of(error), {})
     return keep(case, bench, point, store, DONE, "", scores)
@@ -261,7 +261,7 @@ def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
 
 def keep(case: Case, bench: Bench, point: Point, store: Store, status: str, reason: str, scores: Scores) -> Outcome:
     """Keep a row."""
-    identity = bench.identity(case_identity(case), point)
+    identity = bench.identity(case, point)
     row = {"result": identity, "combination": point.identity, "settings": point.text(), "on": case.url}
     row |= {"status": status, "reason": reason[:LONGEST_REASON], "fes_version": __version__}
     store.put(identity, {RESULTS: [{**row, **scores}]})
@@ -277,27 +277,27 @@ class SweptFoot(FootCalibration):
     def thresholds(self, *, swing_at_reversal: bool = False) -> Thresholds:
         """This person's, changed."""
         own = FootCalibration.thresholds(self, swing_at_reversal=swing_at_reversal)
-        return changed(own, dict(self.changes))
+        return change_thresholds(own, dict(self.changes))
 
 
-def swept(calibrations: dict[str, Calibration], point: Point) -> dict[str, Calibration]:
+def with_thresholds(calibrations: dict[str, Calibration], point: Point) -> dict[str, Calibration]:
     """Calibrations with a combination's thresholds.
 
     Raises:
         CohortError: a sensor is none on a foot, or a value is not of the threshold's kind.
     """
-    changes = thresholds_at(point)
+    changes = thresholds_of(point)
     if not changes:
         return calibrations
-    found: dict[str, Calibration] = {}
+    changed: dict[str, Calibration] = {}
     for sensor, each in calibrations.items():
         if not isinstance(each, FootCalibration):
             raise CohortError(f"{sensor}: thresholds are swept for sensors on feet; this phase comes from a shank")
         own = {item.name: getattr(each, item.name) for item in fields(FootCalibration)}
         foot = SweptFoot(**own, changes=tuple(changes.items()))
         foot.thresholds()
-        found[sensor] = foot
-    return found
+        changed[sensor] = foot
+    return changed
 
 
 @lru_cache(maxsize=2)
@@ -326,8 +326,8 @@ def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
     from statemachine.phases import PhaseChange
 
     recording, calibrations, truth = _loaded(source)
-    session = session_for(recording, session_at(bench.session, point, Path(bench.path)))
-    calibrations = swept(calibrations, point)
+    session = session_for(recording, session_with(bench.session, point, Path(bench.path)))
+    calibrations = with_thresholds(calibrations, point)
     drivers = phase_sensors(calibrations)
     scores: Scores = {}
     if any(name.startswith(("stimulation.", "channels.")) for name, _ in point.values):
@@ -355,7 +355,7 @@ def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
 
 
 @lru_cache(maxsize=4)
-def _met(patient: Patient, foot: str, channel: int) -> tuple[PatientSettings, dict[str, Calibration], Any]:
+def _calibrated(patient: Patient, foot: str, channel: int) -> tuple[PatientSettings, dict[str, Calibration], Any]:
     """A patient's settings, calibrations from a walk without stimulation, and where toe and heel are."""
     from fes.hil.closed_loop.session import calibration_of
     from fes.simulation.forward import VirtualPatient
@@ -370,11 +370,11 @@ def _on_patient(patient: Patient, bench: Bench, point: Point) -> Scores:
     from fes.hil.closed_loop.processes import course
     from fes.session_log import Note
 
-    asked = session_at(bench.session, point, Path(bench.path))
+    asked = session_with(bench.session, point, Path(bench.path))
     if not asked.channels:
         raise CohortError(f"{bench.path}: has no channel, so there is nothing to try on patients")
     foot = asked.channels[0].foot
-    settings, calibrations, geometry = _met(patient, foot, asked.channels[0].number)
+    settings, calibrations, geometry = _calibrated(patient, foot, asked.channels[0].number)
     channels = tuple(channel for channel in asked.channels if channel.foot == foot)
     session = asked.model_copy(update={"geometry": {foot: geometry}, "channels": channels, "treadmill": None})
     strides: list[VirtualStride] = []
@@ -383,7 +383,7 @@ def _on_patient(patient: Patient, bench: Bench, point: Point) -> Scores:
         run_in_one_process(
             settings,
             session,
-            swept(calibrations, point),
+            with_thresholds(calibrations, point),
             course(STAND_S + bench.seconds),
             Path(folder) / "session.feslog",
             CREATED,
