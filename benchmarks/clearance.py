@@ -32,7 +32,15 @@ from scipy.signal import butter, filtfilt
 from stroke_treadmill import data_folder
 
 from fes.calibration.foot_track import calibrate_track
-from fes.estimation.clearance.clearance import FootArms, FootPath, arms_of, clearance, contact_levels, mid_swing
+from fes.estimation.clearance.clearance import (
+    FootArms,
+    FootPath,
+    arms_of,
+    clearance,
+    contact_heights,
+    contact_levels,
+    mid_swing,
+)
 from fes.estimation.clearance.geometry import estimate_geometry
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
@@ -166,7 +174,7 @@ def marker_rows(folder: Path) -> Iterator[Row]:
             errors = []
             for strides in sides.values():
                 arms = arms_by_geometry(strides)[name]
-                levels = contact_levels([stride.path for stride in strides], arms) if anchored else None
+                levels = contact_levels(contact_heights([s.path for s in strides], arms)) if anchored else None
                 for stride in strides:
                     if stride.straight:
                         found = clearance(stride.path, arms, levels)
@@ -189,7 +197,7 @@ def _trial_errors(trial: str, *, estimated: bool, anchored: bool) -> list[FloatA
     errors = []
     for foot, geometry, paths in trial_paths(trial):
         arms = arms_of(estimate_geometry(paths).geometry) if estimated else geometry
-        levels = contact_levels(paths, arms) if anchored else None
+        levels = contact_levels(contact_heights(paths, arms)) if anchored else None
         for true in (each for each in truth.of(foot) if each.steady and each.walking):
             path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
             if path is not None:

@@ -13,8 +13,8 @@ from fes.estimation.clearance.clearance import (
     arms_of,
     clearances,
     contact_heights,
-    in_one,
-    levels_of,
+    contact_levels,
+    join_paths,
 )
 from fes.estimation.clearance.geometry import EstimatedGeometry, estimate_geometry
 from fes.signals import FloatArray, StrideResult
@@ -104,11 +104,11 @@ def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -
         return None, ToeAndHeel(None, reason="no stride could be used")
     if given is None and not level:
         return None, ToeAndHeel(None, reason="they show on level ground only; give [geometry] in the sidecar")
-    paths = in_one(paths)
+    paths = join_paths(paths)
     estimate = estimate_geometry(paths) if given is None else None
     geometry = given if estimate is None else estimate.geometry
     assert geometry is not None
     arms = arms_of(geometry)
     heights = contact_heights(paths, arms) if level else None
-    levels = None if heights is None else levels_of(heights)
+    levels = None if heights is None else contact_levels(heights)
     return clearances(paths, arms, levels, heights)[:, 0:4:3], ToeAndHeel(geometry, estimate, levels is not None)

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, find_peaks, sosfiltfilt
 
-from fes.estimation.events.offline import look
+from fes.estimation.events.offline import filter_signals
 from fes.estimation.numerics.filters import (
     BLOCK,
     PADDING,
@@ -44,7 +44,7 @@ def test_the_low_passes_are_scipys(x: FloatArray, rate_hz: float, cutoffs_hz: tu
     one, two, three = (low_pass(rate_hz, cutoff_hz) for cutoff_hz in cutoffs_hz)
     turning, energy, jump = np.empty((3, len(x) + 2 * PADDING)), np.empty(len(x)), np.empty(len(x))
     acc = np.cumsum(gyr, axis=0)
-    assert look(acc, gyr, bias, axis, rate_hz, 2, 3, one, two, three, turning, energy, jump)
+    assert filter_signals(acc, gyr, bias, axis, rate_hz, 2, 3, one, two, three, turning, energy, jump)
     for found, cutoff_hz in zip(turning[:, PADDING:-PADDING], cutoffs_hz, strict=True):
         sections = butter(2, min(cutoff_hz, 0.45 * rate_hz), fs=rate_hz, output="sos")
         assert found == pytest.approx(sosfiltfilt(sections, x), rel=1e-8, abs=1e-8)
@@ -61,9 +61,9 @@ def test_what_is_not_finite_is_seen_anywhere(of_force: bool, bad: float, at: int
     arrays_ = np.empty((3, 30 + 2 * PADDING)), np.empty(30), np.empty(30)
     section = low_pass(100.0, 8.0)
     for column in range(3):
-        assert look(acc, gyr, np.zeros(3), np.ones(3), 100.0, 2, 3, section, section, section, *arrays_)
+        assert filter_signals(acc, gyr, np.zeros(3), np.ones(3), 100.0, 2, 3, section, section, section, *arrays_)
         (acc if of_force else gyr)[at, column] = bad
-        assert not look(acc, gyr, np.zeros(3), np.ones(3), 100.0, 2, 3, section, section, section, *arrays_)
+        assert not filter_signals(acc, gyr, np.zeros(3), np.ones(3), 100.0, 2, 3, section, section, section, *arrays_)
         (acc if of_force else gyr)[at, column] = 1.0
 
 

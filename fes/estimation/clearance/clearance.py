@@ -1,7 +1,7 @@
 """Clearance of sensor, toe and heel: the height of a point of the foot above where it stood, through its lever arm.
 
 A point that sits ``arm`` away from the sensor (forward, left, up with the foot flat) is ``(R(t) - R(0)) arm`` higher
-than the sensor's own way says. That takes the whole orientation, roll too: a sensor on the side of the shoe rises and
+than the sensor's own path says. That takes the whole orientation, roll too: a sensor on the side of the shoe rises and
 falls by centimetres when the foot tips sideways, though toe and heel do not.
 
 Definitions. *Minimum toe clearance*: the lowest point between the toe's first peak after foot off and its last before
@@ -13,30 +13,29 @@ clearance*: the heel's greatest height (Mariani et al.). Heights count from the 
 Double integration leaves millimetres to a centimetre of slow height error in each stride. But at foot off the toe is on
 the ground, and at contact the lowest point of the foot is: :class:`ContactLevels` says where a recording sees them then
 on the whole, and each stride is shifted to agree, in proportion to time between contacts and stances.
-
-Compiled heights of a foot's points over one stride; :mod:`fes.estimation.clearance.clearance` says what they are.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
 from fes.config import FootGeometry
 from fes.estimation.numerics.jit import inlined, jit_fused
+from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import foot_axes, quaternions_of, to_world, up_in_sensor
 from fes.estimation.strides.boundaries import UNSEEN_NS
-from fes.signals import FloatArray, IntArray, StrideResult, Vector3
+from fes.signals import FloatArray, IntArray, Vector3
 
 LEAST_DIP_M = 0.001  # shallower than that is no minimum between two peaks
 
 
 @jit_fused
-def index_at(t_ns: Any, begin: int, last: int, at_ns: int) -> int:
+def index_at(t_ns: Vec, begin: int, last: int, at_ns: int) -> int:
     """Of the samples ``begin`` … ``last`` the first at or after a time, the last if there is none."""
     while begin < last:
         middle = (begin + last) >> 1
@@ -48,7 +47,7 @@ def index_at(t_ns: Any, begin: int, last: int, at_ns: int) -> int:
 
 
 @jit_fused
-def reach(quaternion: Any, arm: Any, i: int) -> float:
+def reach(quaternion: Mat, arm: Vec, i: int) -> float:
     """How much higher than the sensor the point at ``arm`` (3,), in its frame, is at sample ``i``."""
     x, y, z = up_in_sensor(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3])
     height: float = x * arm[0] + y * arm[1] + z * arm[2]
@@ -56,7 +55,7 @@ def reach(quaternion: Any, arm: Any, i: int) -> float:
 
 
 @jit_fused
-def contacts_at(t_ns: Any, begin: int, last: int, off_ns: int, contact_ns: int) -> tuple[int, int]:
+def contacts_at(t_ns: Vec, begin: int, last: int, off_ns: int, contact_ns: int) -> tuple[int, int]:
     """The samples of foot off and, from there on, of contact; ``begin`` twice where they were not both seen."""
     if off_ns == UNSEEN_NS or contact_ns == UNSEEN_NS:
         return begin, begin
@@ -66,7 +65,7 @@ def contacts_at(t_ns: Any, begin: int, last: int, off_ns: int, contact_ns: int) 
 
 @jit_fused
 def all_contact_heights(
-    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, out: Any
+    t_ns: Vec, position: Mat, quaternion: Mat, spans: Mat, swings: Mat, toe_arm: Vec, heel_arm: Vec, out: Vec
 ) -> None:
     """Of K strides, rows ``spans``, ``swings`` (K, 2), fill ``out`` (K, 3), NaN where not both contacts were seen.
 
@@ -97,7 +96,7 @@ def drift_at(t: int, begin: int, off: int, contact: int, end: int, a: float, b: 
 
 
 @jit_fused
-def deepest(height: Any, begin: int, end: int, after: Any) -> tuple[int, float]:
+def deepest(height: Vec, begin: int, end: int, after: Vec) -> tuple[int, float]:
     """Which of the samples ``begin`` … ``end - 1`` lies deepest below the lower of the peaks before and after it, and
     how deep; ``after`` is room for as many numbers as there are heights."""
     greatest = before = depth = -math.inf
@@ -114,7 +113,7 @@ def deepest(height: Any, begin: int, end: int, after: Any) -> tuple[int, float]:
 
 
 @jit_fused
-def fastest(t_ns: Any, begin: int, n: int, level: Any) -> int:
+def fastest(t_ns: Vec, begin: int, n: int, level: Mat) -> int:
     """Which of ``n`` samples, in ``t_ns`` from ``begin`` on, has the greatest speed; ``level`` (N, 2): the places."""
     at, speed2 = 0, -math.inf
     for i in range(n):
@@ -132,7 +131,7 @@ def fastest(t_ns: Any, begin: int, n: int, level: Any) -> int:
 
 
 @jit_fused
-def lowest_in_swing(t_ns: Any, height: Any, level: Any) -> tuple[int, bool]:
+def lowest_in_swing(t_ns: Vec, height: Vec, level: Mat) -> tuple[int, bool]:
     """As :func:`fes.estimation.clearance.clearance.mid_swing`."""
     n = t_ns.shape[0]
     at, depth = deepest(height, 0, n, np.empty(n))
@@ -140,9 +139,9 @@ def lowest_in_swing(t_ns: Any, height: Any, level: Any) -> tuple[int, bool]:
 
 
 @jit_fused
-def all_clear(
-    t_ns: Any, position: Any, quaternion: Any, spans: Any, swings: Any, toe_arm: Any, heel_arm: Any, drifts: Any,
-    toe: Any, after: Any, level: Any, out: Any,
+def all_clearances(
+    t_ns: Vec, position: Mat, quaternion: Mat, spans: Mat, swings: Mat, toe_arm: Vec, heel_arm: Vec, drifts: Vec,
+    toe: Vec, after: Vec, level: Mat, out: Vec,
 ) -> None:  # fmt: skip
     """Clearances of K strides, rows ``spans``, ``swings`` (K, 2); each fills a row of ``out`` (K, 6).
 
@@ -198,7 +197,7 @@ TRIM = 0.1  # share of the strides left out at either end when levels are averag
 
 @dataclass(frozen=True, slots=True)
 class FootPath:
-    """One stride's way at its own samples.
+    """One stride's path at its own samples.
 
     ``position_m`` (N, 3): the sensor, z up, origin at the start, where the foot is flat; ``axes`` (N, 3, 3): columns
     are the foot's forward, left and up in the world; ``foot_off_ns`` and ``contact_ns``: the swing, None if unseen.
@@ -229,7 +228,7 @@ class FootPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FootPaths:
-    """The ways of one foot's K strides as one: rows ``spans`` (K, 2) of ``t_ns`` (R,), ``position_m``, ``quaternion``.
+    """The paths of one foot's K strides as one: rows ``spans`` (K, 2) of ``t_ns`` (R,), ``position_m``, ``quaternion``.
 
     ``numbers`` (K,) are the strides', ``swings_ns`` (K, 2) foot off and contact, ``UNSEEN_NS`` for what was not seen.
     ``quaternion`` (R, 4) turns sensor vectors into the world; the columns of ``foot`` (3, 3) are the foot's forward,
@@ -253,7 +252,7 @@ class FootPaths:
         return int((self.spans[:, 1] - self.spans[:, 0]).max(initial=0))
 
     def each(self) -> list[FootPath]:
-        """One by one."""
+        """The paths, one by one."""
         axes = np.empty((len(self.t_ns), 3, 3))
         foot_axes(self.quaternion, self.foot[:, 0].copy(), self.foot[:, 2].copy(), axes)
         return [
@@ -270,8 +269,8 @@ class FootPaths:
 AnyPaths: TypeAlias = FootPaths | Sequence[FootPath]
 
 
-def in_one(paths: AnyPaths) -> FootPaths:
-    """The same paths as one."""
+def join_paths(paths: AnyPaths) -> FootPaths:
+    """The same paths as one :class:`FootPaths`."""
     if isinstance(paths, FootPaths):
         return paths
     counts = np.array([len(path.t_ns) for path in paths], dtype=np.int64)
@@ -285,23 +284,6 @@ def in_one(paths: AnyPaths) -> FootPaths:
         quaternions_of(np.concatenate([np.zeros((0, 3, 3)), *(path.axes for path in paths)])),
         np.eye(3),
     )
-
-
-def foot_path(
-    number: int,
-    t_ns: IntArray,
-    quaternion: FloatArray,
-    position_m: FloatArray,
-    forward: FloatArray,
-    up: FloatArray,
-    foot_off_ns: int | None,
-    contact_ns: int | None,
-) -> FootPath:
-    """A path from orientations (N, 4), sensor to world, and the foot's ``forward`` and ``up`` (3,) in the sensor."""
-    axes = np.empty((len(quaternion), 3, 3))
-    foot_axes(quaternion, forward, up, axes)
-    # the tracker's buffer of times is used again: a path must keep its own
-    return FootPath(number, t_ns.copy(), position_m.copy(), axes, foot_off_ns, contact_ns)
 
 
 @dataclass(frozen=True, slots=True)
@@ -353,19 +335,14 @@ def contact_heights(paths: AnyPaths, arms: FootArms) -> FloatArray:
     The height of the toe at foot off over the stance before; of the lower of toe and heel at contact over the next; and
     of the foot in the stance after over that before. So steps up and down do not make the first two differ.
     """
-    paths = in_one(paths)
+    paths = join_paths(paths)
     toe, heel, out = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), np.empty((len(paths), 3))
     all_contact_heights(paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, out)
     return out
 
 
-def contact_levels(paths: AnyPaths, arms: FootArms) -> ContactLevels | None:
-    """Levels of one foot's recording, from all its strides; None if fewer than five show both contacts."""
-    return levels_of(contact_heights(paths, arms))
-
-
-def levels_of(heights: FloatArray) -> ContactLevels | None:
-    """As :func:`contact_levels`, from the :func:`contact_heights` (K, 3)."""
+def contact_levels(heights: FloatArray) -> ContactLevels | None:
+    """Levels of one foot's recording, from all its :func:`contact_heights` (K, 3); None for fewer than five."""
     seen = heights[heights[:, 0] == heights[:, 0]]
     if len(seen) < LEAST_STRIDES:
         return None
@@ -412,14 +389,14 @@ def clearances(
 ) -> FloatArray:
     """What :class:`Clearance` holds of every stride (K, 6), in its order; ``dips`` is 0 or 1.
 
-    ``heights`` are their :func:`contact_heights` where already known.
+    ``heights`` are their :func:`contact_heights` where already worked out.
     """
-    paths, out, drifts = in_one(paths), np.empty((len(paths), 6)), np.zeros((len(paths), 3))
+    paths, out, drifts = join_paths(paths), np.empty((len(paths), 6)), np.zeros((len(paths), 3))
     if levels is not None:
         drifts = levels.drifts(contact_heights(paths, arms) if heights is None else heights)
     toe, heel, longest = paths.foot @ np.array(arms.toe_m), paths.foot @ np.array(arms.heel_m), paths.longest
     room = np.empty(longest), np.empty(longest), np.empty((longest, 2))
-    all_clear(
+    all_clearances(
         paths.t_ns, paths.position_m, paths.quaternion, paths.spans, paths.swings_ns, toe, heel, drifts, *room, out
     )  # fmt: skip
     return out
@@ -433,19 +410,3 @@ def mid_swing(t_ns: IntArray, height_m: FloatArray, level_m: FloatArray) -> tupl
     """
     lowest, dips = lowest_in_swing(*(np.ascontiguousarray(values) for values in (t_ns, height_m, level_m)))
     return int(lowest), bool(dips)
-
-
-def with_clearance(
-    strides: Sequence[StrideResult], paths: Sequence[FootPath], arms: FootArms, levels: ContactLevels | None
-) -> list[StrideResult]:
-    """The strides of one foot's recording with toe and heel clearance from their paths, shifted to ``levels`` if given.
-
-    A stride without a path of the same number is passed on as it is.
-    """
-    found = dict(zip((path.number for path in paths), clearances(paths, arms, levels).tolist(), strict=True))
-    return [
-        replace(stride, toe_clearance_m=found[stride.number][0], heel_clearance_m=found[stride.number][3])
-        if stride.number in found
-        else stride
-        for stride in strides
-    ]

@@ -12,22 +12,20 @@ far they are from the sensor. Three things are found in turn, each per stride an
 What cannot be seen (a foot that lands flat shows no heel) comes from a prior: people's soles are much alike in length.
 The points found are on the sole, the heel's 1 cm behind the one that touches the ground first, as heels are round.
 Sideways nothing is found (roll is small, and in step with pitch): the sensor is taken to sit over the foot's axis.
-
-What one stride shows of toe and heel, compiled; :mod:`fes.estimation.clearance.geometry` says what and why.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.clearance.clearance import AnyPaths, in_one, index_at, reach
+from fes.estimation.clearance.clearance import AnyPaths, index_at, join_paths, reach
 from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.ranks import median
+from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import to_world
 from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import FloatArray
@@ -42,7 +40,7 @@ BALL, OVER_HEEL, TOE, HEEL = 0, 1, 2, 4  # the last two: at no height, and per m
 
 
 @jit_fused
-def _pointing(quaternion: Any, axis: Any, i: int) -> tuple[float, float, float]:
+def _pointing(quaternion: Mat, axis: Vec, i: int) -> tuple[float, float, float]:
     """An axis of the sensor in the world."""
     return to_world(
         quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3], axis[0], axis[1], axis[2]
@@ -51,7 +49,7 @@ def _pointing(quaternion: Any, axis: Any, i: int) -> tuple[float, float, float]:
 
 @jit_fused
 def _products(
-    position: Any, quaternion: Any, forward: Any, up: Any, begin: int, end: int
+    position: Mat, quaternion: Mat, forward: Vec, up: Vec, begin: int, end: int
 ) -> tuple[float, float, float, float, float]:
     """Sums over ``begin`` … ``end - 1`` and the world's three axes of products of forward f, up u and place p.
 
@@ -93,8 +91,8 @@ def _height(products: tuple[float, float, float, float, float]) -> float:
 
 
 @jit_fused
-def all_signs(
-    t_ns: Any, position: Any, quaternion: Any, forward: Any, up: Any, spans: Any, swings: Any, sines: Any, out: Any
+def all_geometry_signs(
+    t_ns: Vec, position: Mat, quaternion: Mat, forward: Vec, up: Vec, spans: Mat, swings: Mat, sines: Vec, out: Vec
 ) -> None:
     """Fill ``out`` (6, K) from the paths of K strides, rows ``spans``, ``swings`` (K, 2), NaN for what does not show.
 
@@ -121,7 +119,7 @@ def all_signs(
 
 @jit_fused
 def _rising(
-    position: Any, quaternion: Any, forward: Any, up: Any, begin: int, n: int, sines: Any, k: int, out: Any
+    position: Mat, quaternion: Mat, forward: Vec, up: Vec, begin: int, n: int, sines: Vec, k: int, out: Vec
 ) -> None:
     """While the heel rises, in the ``n`` samples from ``begin`` up to just after foot off."""
     # the fastest turn toe-down tells foot off: a session may place it later than that
@@ -158,7 +156,7 @@ def _rising(
 
 @jit_fused
 def _struck(
-    position: Any, quaternion: Any, forward: Any, up: Any, begin: int, end: int, last: int, k: int, out: Any
+    position: Mat, quaternion: Mat, forward: Vec, up: Vec, begin: int, end: int, last: int, k: int, out: Vec
 ) -> None:
     """After a heel strike: a point of the sole is on the ground, and still."""
     products = _products(position, quaternion, forward, up, begin, end)
@@ -218,10 +216,10 @@ def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
 
     Always gives a usable geometry: what lies outside the plausible bounds is dropped, and the reason says so.
     """
-    paths = in_one(paths)
+    paths = join_paths(paths)
     signs = np.empty((SIGNS, len(paths)))
     forward, up = paths.foot[:, 0].copy(), paths.foot[:, 2].copy()
-    all_signs(
+    all_geometry_signs(
         paths.t_ns, paths.position_m, paths.quaternion, forward, up, paths.spans, paths.swings_ns,
         np.empty(paths.longest), signs,
     )  # fmt: skip

@@ -17,11 +17,7 @@ Two rules share the machinery (:class:`Rule`):
 
 The machine goes FO → mid-swing → IC → FO, so that between two decided mid-swings there is exactly one IC and one FO.
 The one exception is a heel lifted and put back: nobody can know at the time that no swing will follow, so its FO has
-been told, is not taken back, and the next push-off's FO follows.
-
-The compiled rules of :mod:`fes.estimation.events.causal`, sample by sample; all that evolves is in ``STATE``.
-
-Kumar et al. (2015), "Initial Contact and Foot Off"; what is kept and what is not is said there.
+been decided, is not taken back, and the next push-off's FO follows.
 """
 
 from __future__ import annotations
@@ -36,6 +32,7 @@ import numpy as np
 from fes.estimation.foot.calibration import PUSH_OFF_SHARE, FootCalibration
 from fes.estimation.foot.features import LAGS, lags_at
 from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import FloatArray, IntArray
 
 UNIT_RADPS = 1.0
@@ -76,7 +73,7 @@ STATE = np.dtype(
         ("low_ns", np.int64),  # when (by peaks)
         ("push_off", np.float64),  # peak of this stride's
         ("high", np.float64),  # greatest since mid-swing
-        ("jump", np.float64),  # the same of the jump
+        ("jerk", np.float64),  # the same of the jerk
         ("stride_now_s", np.float64),
         ("acc", np.float64, (LAGS, 3)),  # rings of the last samples
         ("rate", np.float64, LAGS),
@@ -84,11 +81,11 @@ STATE = np.dtype(
         ("peaks", np.float64, MEMORY),
         ("falls", np.float64, MEMORY),
         ("troughs", np.float64, MEMORY),
-        ("jumps", np.float64, MEMORY),
+        ("jerks", np.float64, MEMORY),
         ("stride_s", np.float64, MEMORY),
         ("typical_peak", np.float64),
         ("typical_fall", np.float64),
-        ("typical_jump", np.float64),
+        ("typical_jerk", np.float64),
         ("gyr_t", np.float64),
         ("tim_t", np.float64),
     ],
@@ -105,13 +102,13 @@ class Sensor(NamedTuple):
     bias_x: float
     bias_y: float
     bias_z: float
-    jump_lag: int  # 10 ms
+    jerk_lag: int  # 10 ms
     change_lag: int  # 20 ms
     sample_s: float
 
 
 @jit
-def _typical(values: Any, n: int) -> float:
+def _median(values: Vec, n: int) -> float:
     return float(np.median(values[: min(n, MEMORY)]))
 
 
@@ -122,158 +119,164 @@ def gyr_threshold(median_radps: float) -> float:
 
 
 @jit
-def _contact(s: Any) -> None:
+def _complete_stride(state: Any) -> None:
     """A stride is complete: remember what it was like, and retune after every fourth."""
-    if s.stride_now_s > LONGEST_STRIDE_S:
+    if state.stride_now_s > LONGEST_STRIDE_S:
         return
-    k = s.strides % MEMORY
-    s.peaks[k] = s.push_off
-    s.falls[k] = s.push_off - s.low
-    s.troughs[k] = max(-s.low, 0.01)
-    s.jumps[k] = s.jump
-    s.stride_s[k] = s.stride_now_s
-    s.strides += 1
-    if s.strides % RETUNE_STRIDES == 0:
-        s.typical_peak = _typical(s.peaks, s.strides)
-        s.typical_fall = _typical(s.falls, s.strides)
-        s.typical_jump = _typical(s.jumps, s.strides)
-        s.gyr_t = gyr_threshold(_typical(s.troughs, s.strides))
-        s.tim_t = _typical(s.stride_s, s.strides) / 3.0
+    k = state.strides % MEMORY
+    state.peaks[k] = state.push_off
+    state.falls[k] = state.push_off - state.low
+    state.troughs[k] = max(-state.low, 0.01)
+    state.jerks[k] = state.jerk
+    state.stride_s[k] = state.stride_now_s
+    state.strides += 1
+    if state.strides % RETUNE_STRIDES == 0:
+        state.typical_peak = _median(state.peaks, state.strides)
+        state.typical_fall = _median(state.falls, state.strides)
+        state.typical_jerk = _median(state.jerks, state.strides)
+        state.gyr_t = gyr_threshold(_median(state.troughs, state.strides))
+        state.tim_t = _median(state.stride_s, state.strides) / 3.0
 
 
 @jit
-def _by_instants(s: Any, t_ns: int, rate: float, norm: float, jump: float, change: float) -> int:
+def _by_instants(state: Any, t_ns: int, rate: float, norm: float, jerk: float, change: float) -> int:
     """Our rule at one sample; the number of the event decided, 0 for none."""
-    tim_ns = 1e9 * s.tim_t
-    if norm > LOADED * s.typical_peak:
-        s.moving_ns = t_ns
-    still_ns = t_ns - s.moving_ns
-    if s.stage == 0:
-        s.jump = max(s.jump, jump)
+    tim_ns = 1e9 * state.tim_t
+    if norm > LOADED * state.typical_peak:
+        state.moving_ns = t_ns
+    still_ns = t_ns - state.moving_ns
+    if state.stage == 0:
+        state.jerk = max(state.jerk, jerk)
         # a foot that never comes flat pushes off all the same, but not at once
-        flat = still_ns > LOADED_PER_TIMT * tim_ns and t_ns - s.feature_ns > LOADING_PER_TIMT * tim_ns
-        if flat or t_ns - s.feature_ns > tim_ns:
-            _contact(s)
-            s.stage = 1
-            s.top = 0.0
-    elif s.stage == 1:
-        if rate > s.top:
-            s.top, s.top_ns = rate, t_ns
+        flat = still_ns > LOADED_PER_TIMT * tim_ns and t_ns - state.feature_ns > LOADING_PER_TIMT * tim_ns
+        if flat or t_ns - state.feature_ns > tim_ns:
+            _complete_stride(state)
+            state.stage = 1
+            state.top = 0.0
+    elif state.stage == 1:
+        if rate > state.top:
+            state.top, state.top_ns = rate, t_ns
         if still_ns > RESTED_PER_TIMT * tim_ns:
-            s.top, s.top_ns = 0.0, t_ns
-        pushed = s.top > PUSH_OFF * s.typical_peak and rate < FALLEN * s.top
-        if pushed or rate < -TOE_UP * s.typical_peak:
-            s.push_off = s.top
-            s.stage = 2
-            s.low = rate
-            s.feature_ns = s.top_ns
+            state.top, state.top_ns = 0.0, t_ns
+        pushed = state.top > PUSH_OFF * state.typical_peak and rate < FALLEN * state.top
+        if pushed or rate < -TOE_UP * state.typical_peak:
+            state.push_off = state.top
+            state.stage = 2
+            state.low = rate
+            state.feature_ns = state.top_ns
             return 1
-    elif s.stage == 2:
-        s.push_off = max(s.push_off, rate)  # it was a shoulder of a larger push-off
-        s.low = min(s.low, rate)
-        if (s.push_off - rate > MID_FALL * s.typical_fall and rate < 0.0) or rate < -TOE_UP * s.typical_peak:
-            s.stage = 3
-            s.jump = 0.0
-            s.high = -math.inf
-            s.off_ns = s.feature_ns
-            s.feature_ns = t_ns
+    elif state.stage == 2:
+        state.push_off = max(state.push_off, rate)  # it was a shoulder of a larger push-off
+        state.low = min(state.low, rate)
+        if (
+            state.push_off - rate > MID_FALL * state.typical_fall and rate < 0.0
+        ) or rate < -TOE_UP * state.typical_peak:
+            state.stage = 3
+            state.jerk = 0.0
+            state.high = -math.inf
+            state.off_ns = state.feature_ns
+            state.feature_ns = t_ns
             return 2
         if still_ns > RESTED_PER_TIMT * tim_ns:
-            s.stage = 1
-            s.top = 0.0
-    elif s.stage == 3:
-        s.low = min(s.low, rate)
-        if t_ns - s.off_ns > SWING_PER_TIMT * tim_ns and rate > MID_RISE * s.low:
-            s.jump = max(s.jump, jump)
-            s.high = max(s.high, rate)
-            share = rate / s.typical_peak
-            turned = (share > TURNING and change > STRUCK_PER_S * s.typical_peak) or share > TURNED
-            dropping = s.high > 0.0 and share < -TURNING
-            impact = jump > max(IMPACT_SHARE * s.typical_jump, LEAST_IMPACT_MPS3)
+            state.stage = 1
+            state.top = 0.0
+    elif state.stage == 3:
+        state.low = min(state.low, rate)
+        if t_ns - state.off_ns > SWING_PER_TIMT * tim_ns and rate > MID_RISE * state.low:
+            state.jerk = max(state.jerk, jerk)
+            state.high = max(state.high, rate)
+            share = rate / state.typical_peak
+            turned = (share > TURNING and change > STRUCK_PER_S * state.typical_peak) or share > TURNED
+            dropping = state.high > 0.0 and share < -TURNING
+            impact = jerk > max(IMPACT_SHARE * state.typical_jerk, LEAST_IMPACT_MPS3)
             if turned or dropping or impact or still_ns > RESTED_PER_TIMT * tim_ns:
-                s.stage = 0
-                s.stride_now_s = 1e-9 * (t_ns - s.last_ns)
-                s.last_ns = t_ns
-                s.feature_ns = t_ns
+                state.stage = 0
+                state.stride_now_s = 1e-9 * (t_ns - state.last_ns)
+                state.last_ns = t_ns
+                state.feature_ns = t_ns
                 return 3
     return 0
 
 
 @jit
-def _by_peaks(s: Any, t_ns: int, rate: float) -> int:
+def _by_peaks(state: Any, t_ns: int, rate: float) -> int:
     """The paper's rule at one sample: a peak is one once no higher sample has followed for ``timT/5``."""
-    wait_ns = 0.2e9 * s.tim_t
-    height = NEGATIVE_SHARE * s.gyr_t
-    if s.stage == 2:  # mid-swing: the toe-up peak
-        if rate < s.low:
-            s.low, s.low_ns = rate, t_ns
-        # printed is timT/2, which would tell of mid-swing after contact
-        if -s.low > s.gyr_t and t_ns - s.low_ns >= wait_ns:
-            s.stage = 3
-            s.feature_ns = s.low_ns
-            s.top = 0.0
+    wait_ns = 0.2e9 * state.tim_t
+    height = NEGATIVE_SHARE * state.gyr_t
+    if state.stage == 2:  # mid-swing: the toe-up peak
+        if rate < state.low:
+            state.low, state.low_ns = rate, t_ns
+        # printed is timT/2, which would decide on mid-swing after contact
+        if -state.low > state.gyr_t and t_ns - state.low_ns >= wait_ns:
+            state.stage = 3
+            state.feature_ns = state.low_ns
+            state.top = 0.0
             return 2
     else:
-        if rate > s.top:
-            s.top, s.top_ns = rate, t_ns
-        if s.stage == 0:  # the rate must have come down from the peak before
+        if rate > state.top:
+            state.top, state.top_ns = rate, t_ns
+        if state.stage == 0:  # the rate must have come down from the peak before
             if rate < height:
-                s.stage = 1
-                s.top = 0.0
-        elif s.top > height and t_ns - s.top_ns >= wait_ns:
-            s.feature_ns = s.top_ns
-            if s.stage == 3:
-                s.stage = 0
-                s.stride_now_s = 1e-9 * (s.top_ns - s.last_ns)
-                s.last_ns = s.top_ns
-                _contact(s)
+                state.stage = 1
+                state.top = 0.0
+        elif state.top > height and t_ns - state.top_ns >= wait_ns:
+            state.feature_ns = state.top_ns
+            if state.stage == 3:
+                state.stage = 0
+                state.stride_now_s = 1e-9 * (state.top_ns - state.last_ns)
+                state.last_ns = state.top_ns
+                _complete_stride(state)
                 return 3
-            s.stage = 2
-            s.push_off = s.top
-            s.low, s.low_ns = rate, t_ns
+            state.stage = 2
+            state.push_off = state.top
+            state.low, state.low_ns = rate, t_ns
             return 1
     return 0
 
 
 @jit
-def _restart(s: Any, t_ns: int) -> None:
+def _restart(state: Any, t_ns: int) -> None:
     """Nothing is known of the stride under way; what has been tuned stays."""
-    s.samples = 0
-    s.stage = 1
-    s.top = 0.0
-    s.top_ns = t_ns
-    s.moving_ns = t_ns
-    s.last_ns = t_ns - 2 * int(1e9 * LONGEST_STRIDE_S)
+    state.samples = 0
+    state.stage = 1
+    state.top = 0.0
+    state.top_ns = t_ns
+    state.moving_ns = t_ns
+    state.last_ns = t_ns - 2 * int(1e9 * LONGEST_STRIDE_S)
 
 
 @jit
-def advance(s: Any, p: Sensor, rule: int, t_ns: Any, acc: Any, gyr: Any, begin: int, end: int) -> tuple[int, int]:
+def advance(
+    state: Any, sensor: Sensor, rule: int, t_ns: Vec, acc: Mat, gyr: Mat, begin: int, end: int
+) -> tuple[int, int]:
     """Advance over the samples ``begin`` … ``end - 1``; stop behind the first at which an event is decided.
 
     Returns how far it came and the event's number (0: the block's end).
     """
     for i in range(begin, end):
-        x, y, z = gyr[i, 0] - p.bias_x, gyr[i, 1] - p.bias_y, gyr[i, 2] - p.bias_z
-        rate = p.x * x + p.y * y + p.z * z
-        if s.samples == 0 or t_ns[i] - s.newest_ns > SILENCE_NS:
-            _restart(s, t_ns[i])
-        s.newest_ns = t_ns[i]
-        s.samples += 1
-        now = s.samples % LAGS
-        s.acc[now, 0], s.acc[now, 1], s.acc[now, 2] = acc[i, 0], acc[i, 1], acc[i, 2]
-        jump = 0.0
-        if s.samples > p.jump_lag:
-            then = (s.samples - p.jump_lag) % LAGS
-            dx, dy, dz = acc[i, 0] - s.acc[then, 0], acc[i, 1] - s.acc[then, 1], acc[i, 2] - s.acc[then, 2]
-            jump = math.sqrt(dx * dx + dy * dy + dz * dz) / (p.jump_lag * p.sample_s)
-        s.rate[now] = rate
+        x, y, z = gyr[i, 0] - sensor.bias_x, gyr[i, 1] - sensor.bias_y, gyr[i, 2] - sensor.bias_z
+        rate = sensor.x * x + sensor.y * y + sensor.z * z
+        if state.samples == 0 or t_ns[i] - state.newest_ns > SILENCE_NS:
+            _restart(state, t_ns[i])
+        state.newest_ns = t_ns[i]
+        state.samples += 1
+        now = state.samples % LAGS
+        state.acc[now, 0], state.acc[now, 1], state.acc[now, 2] = acc[i, 0], acc[i, 1], acc[i, 2]
+        jerk = 0.0
+        if state.samples > sensor.jerk_lag:
+            then = (state.samples - sensor.jerk_lag) % LAGS
+            dx, dy, dz = acc[i, 0] - state.acc[then, 0], acc[i, 1] - state.acc[then, 1], acc[i, 2] - state.acc[then, 2]
+            jerk = math.sqrt(dx * dx + dy * dy + dz * dz) / (sensor.jerk_lag * sensor.sample_s)
+        state.rate[now] = rate
         change = 0.0
-        if s.samples > p.change_lag:
-            change = (rate - s.rate[(s.samples - p.change_lag) % LAGS]) / (p.change_lag * p.sample_s)
+        if state.samples > sensor.change_lag:
+            change = (rate - state.rate[(state.samples - sensor.change_lag) % LAGS]) / (
+                sensor.change_lag * sensor.sample_s
+            )
         if rule == 0:
-            event = _by_peaks(s, t_ns[i], rate)
+            event = _by_peaks(state, t_ns[i], rate)
         else:
-            event = _by_instants(s, t_ns[i], rate, math.sqrt(x * x + y * y + z * z), jump, change)
+            event = _by_instants(state, t_ns[i], rate, math.sqrt(x * x + y * y + z * z), jerk, change)
         if event != 0:
             return i + 1, event
     return end, 0
@@ -321,7 +324,7 @@ class OnlineEvents:
         s = self._state
         s["typical_peak"] = calibration.min_toe_down_peak_radps / PUSH_OFF_SHARE
         s["typical_fall"] = START_FALL * s["typical_peak"]
-        s["typical_jump"] = calibration.contact_jerk_mps3 / IMPACT_SHARE
+        s["typical_jerk"] = calibration.contact_jerk_mps3 / IMPACT_SHARE
         s["gyr_t"] = gyr_threshold(START_TROUGH * s["typical_peak"])
         s["tim_t"] = START_STRIDE_S / 3.0
 

@@ -16,9 +16,7 @@ peak the other way is IC and the second FO. Kept is the frame (mid-swing to mid-
   and far too early where push-off has shoulders (turning); the fall alone is 3 ms late where it is abrupt and 20 ms
   where it is gentle.
 
-Rates are smoothed without lag, so the offsets hold at every sampling rate.
-
-Compiled rules of :mod:`fes.estimation.events.offline`, which says what they are; positions are sample indices.
+Rates are smoothed without lag, so the offsets hold at every sampling rate. In the code positions are sample indices.
 
 Foot-strike angle: pitch of the foot at IC relative to mid-stance, toe-up positive, from the mediolateral rate alone.
 
@@ -51,6 +49,7 @@ from fes.estimation.numerics.filters import (
 )
 from fes.estimation.numerics.jit import jit, jit_ieee
 from fes.estimation.numerics.ranks import median
+from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 NEIGHBOURS = 10  # falls before and after that say what is typical
@@ -62,26 +61,26 @@ FO_FALL_SHARE = 0.75  # of push-off's peak
 HEEL_SHARE = 0.2  # of push-off's peak: a toe-down peak after contact above it is a heel strike
 SOFT_SHARE = 0.1  # the same: a swing's rate has died down once it is below
 TURN_SHARE = 0.04  # the same: the rate at which it has turned
-IMPACT_SHARE = 0.3  # of this walk's typical jump at contact: a jump above it is an impact …
+IMPACT_SHARE = 0.3  # of this walk's typical jerk at contact: a jerk above it is an impact …
 IMPACT_MPS3 = 150.0  # … if above this as well
-IMPACT_ONSET_SHARE = 0.3  # of the jump: there the impact begins
+IMPACT_ONSET_SHARE = 0.3  # of the jerk: there the impact begins
 NONE = -1.0  # where there is no instant
 
 
 class Signals(NamedTuple):
-    """What the rules look at, (N,) each: the toe-down rate smoothed in three ways, its energy, the force's jump."""
+    """What the rules look at, (N,) each: the toe-down rate smoothed in three ways, its energy, the force's jerk."""
 
     shape: Any
     feature: Any
     turn: Any
     energy: Any
-    jump: Any
+    jerk: Any
 
 
 @jit_ieee
-def look(
-    acc: Any, gyr: Any, bias: Any, axis: Any, rate_hz: float, lag: int, window: int,
-    one: Section, two: Section, three: Section, turning: Any, energy: Any, jump: Any,
+def filter_signals(
+    acc: Mat, gyr: Mat, bias: Vec, axis: Vec, rate_hz: float, lag: int, window: int,
+    one: Section, two: Section, three: Section, turning: Mat, energy: Vec, jerk: Vec,
 ) -> bool:  # fmt: skip
     """Of specific force and angular rate (N, 3) the rate about ``axis`` (3,) without ``bias`` (3,), low-passed in three
     ways without lag: ``turning`` (3, N and ``PADDING`` at both ends); the mean of the rate's square over ``window``
@@ -89,7 +88,7 @@ def look(
 
     False if any of them is not finite.
     """
-    n, per, off = jump.shape[0], rate_hz / lag, 0.0
+    n, per, off = jerk.shape[0], rate_hz / lag, 0.0
     bx, by, bz, ux, uy, uz = bias[0], bias[1], bias[2], axis[0], axis[1], axis[2]
     early_u = late_u = early_v = late_v = early_w = late_w = 0.0
     for i in range(-PADDING, n + PADDING):
@@ -100,7 +99,7 @@ def look(
             off += total - total  # nothing, if all are finite
             before = max(i - lag, 0)
             x, y, z = acc[i, 0] - acc[before, 0], acc[i, 1] - acc[before, 1], acc[i, 2] - acc[before, 2]
-            jump[i] = math.sqrt(x * x + y * y + z * z) * per if i >= lag else 0.0
+            jerk[i] = math.sqrt(x * x + y * y + z * z) * per if i >= lag else 0.0
         else:  # the ends are padded with their odd reflection
             end, at = (0, -i) if i < 0 else (n - 1, 2 * (n - 1) - i)
             x, y = 2.0 * gyr[end, 0] - gyr[at, 0] - bx, 2.0 * gyr[end, 1] - gyr[at, 1] - by
@@ -120,7 +119,7 @@ def look(
 
 
 @jit
-def greatest_at(x: Any, begin: int, end: int) -> int:
+def greatest_at(x: Vec, begin: int, end: int) -> int:
     """The first greatest of ``x[begin:end]``."""
     at, greatest = begin, x[begin]
     for i in range(begin + 1, min(end, x.shape[0])):
@@ -130,14 +129,14 @@ def greatest_at(x: Any, begin: int, end: int) -> int:
 
 
 @jit
-def all_greatest_at(x: Any, begins: Any, ends: Any, out: Any) -> None:
+def all_greatest_at(x: Vec, begins: Vec, ends: Vec, out: Vec) -> None:
     """As :func:`greatest_at` of K spans."""
     for k in range(begins.shape[0]):
         out[k] = greatest_at(x, begins[k], ends[k])
 
 
 @jit
-def typical_falls(falls: Any, out: Any) -> None:
+def typical_falls(falls: Vec, out: Vec) -> None:
     """At each of K falls the median of the upper third of it and its neighbours: some of the peaks are not swings."""
     near, n, end = np.empty(2 * NEIGHBOURS + 1), 0, 0  # rising
     for k in range(falls.shape[0]):
@@ -161,7 +160,7 @@ def typical_falls(falls: Any, out: Any) -> None:
 
 
 @jit
-def join_swings(shape: Any, falls: Any, offs: Any, mids: Any, kept: Any) -> int:
+def join_swings(shape: Vec, falls: Vec, offs: Vec, mids: Vec, kept: Vec) -> int:
     """Fill ``kept`` (K, 2) with (push-off's peak, mid-swing) of every swing; how many they are.
 
     A fall before which the foot has not turned toe-down belongs to the swing before.
@@ -191,7 +190,7 @@ def _share(part: float, whole: float) -> float:
 
 
 @jit
-def _foot_off(x: Any, push_off: int, around: int) -> float:
+def _foot_off(x: Vec, push_off: int, around: int) -> float:
     """Half-way between push-off's last peak and the fall to a share of its greatest."""
     top = greatest_at(x, max(push_off - around, 1), push_off + around)
     level = FO_FALL_SHARE * x[top]
@@ -212,7 +211,7 @@ def _foot_off(x: Any, push_off: int, around: int) -> float:
 
 
 @jit
-def _rising(x: Any, sign: float, level: float, begin: int, end: int, first: bool) -> float:
+def _rising(x: Vec, sign: float, level: float, begin: int, end: int, first: bool) -> float:
     """Where ``sign · x - level`` last (or first) rises through 0 in ``begin`` … ``end``, or NONE; between samples."""
     at = -1
     for i in range(begin, end):
@@ -229,7 +228,7 @@ def _rising(x: Any, sign: float, level: float, begin: int, end: int, first: bool
 
 @jit
 def _contact(
-    s: Signals, push_off: int, mid: int, end: int, cut_off: bool, run: int, peak_rate: float, typical_jump: float
+    s: Signals, push_off: int, mid: int, end: int, cut_off: bool, run: int, peak_rate: float, typical_jerk: float
 ) -> tuple[float, bool]:
     """IC after a mid-swing and before ``end``, and whether the heel struck first.
 
@@ -254,12 +253,12 @@ def _contact(
         at = _rising(s.turn, 1.0, TURN_SHARE * strongest, mid, loading, False)
         if at != NONE:
             return at, True
-    impact = greatest_at(s.jump, mid, over + 1)
-    if s.jump[impact] > max(IMPACT_SHARE * typical_jump, IMPACT_MPS3):
-        level = IMPACT_ONSET_SHARE * s.jump[impact]
-        while impact > mid + 1 and s.jump[impact - 1] > level:
+    impact = greatest_at(s.jerk, mid, over + 1)
+    if s.jerk[impact] > max(IMPACT_SHARE * typical_jerk, IMPACT_MPS3):
+        level = IMPACT_ONSET_SHARE * s.jerk[impact]
+        while impact > mid + 1 and s.jerk[impact - 1] > level:
             impact -= 1
-        before, after = s.jump[impact - 1], s.jump[impact]
+        before, after = s.jerk[impact - 1], s.jerk[impact]
         return impact - _share(after - level, after - before), False  # between samples: it began before this one
     # a soft contact: the heel begins to drop (or, failing that, the foot has come to rest)
     top = mid
@@ -272,7 +271,7 @@ def _contact(
 
 
 @jit
-def _time_ns(t_ns: Any, at: float) -> int:
+def _time_ns(t_ns: Vec, at: float) -> int:
     """The time of a place between samples."""
     before = max(min(int(at), t_ns.shape[0] - 2), 0)
     since: float = np.rint((t_ns[before + 1] - t_ns[before]) * (at - before) + (t_ns[before] - t_ns[0]))
@@ -282,8 +281,8 @@ def _time_ns(t_ns: Any, at: float) -> int:
 
 @jit
 def instants(
-    t_ns: Any, s: Signals, falls: Any, peaks: Any, mids: Any, rate_hz: float, lead: float,
-    peak_rate: float, typical_jump: float, swings: Any, offs: Any, out: Any, heels: Any,
+    t_ns: Vec, s: Signals, falls: Vec, peaks: Vec, mids: Vec, rate_hz: float, lead: float,
+    peak_rate: float, typical_jerk: float, swings: Mat, offs: Vec, out: Vec, heels: Vec,
 ) -> int:  # fmt: skip
     """Fill ``out`` (K, 3) with the times of FO, mid-swing and IC, and ``heels`` (K,) with whether the heel struck
     first; how many of the swings have them.
@@ -304,7 +303,7 @@ def instants(
         cut_off = k + 1 == count
         end = last if cut_off else int(offs[k + 1])
         mid = swings[k, 1]
-        at, heel = _contact(s, swings[k, 0], mid, end, cut_off, run, peak_rate, typical_jump)
+        at, heel = _contact(s, swings[k, 0], mid, end, cut_off, run, peak_rate, typical_jerk)
         if at != NONE:
             at = min(max(at + (lead if heel else 0.0), mid + 1.0), end - 0.5)
             out[found, 0], out[found, 1], out[found, 2] = _time_ns(t_ns, offs[k]), t_ns[mid], _time_ns(t_ns, at)
@@ -324,7 +323,7 @@ SMALL_FALL_SHARE = 0.15  # of a step between two rests, as in turning on the spo
 SMALL_TROUGH_SHARE = 0.08  # … that turns toe-up by this share of a typical fall
 SMALL_RATE_SHARE = 0.4  # the same of the greatest rate about any axis
 REST_S = 0.15  # … if for this long
-JUMP_S = 0.01
+JERK_S = 0.01
 ENERGY_S = 0.1
 BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
 NOT_FINITE = "{}: samples that are not finite; leave them out first"
@@ -390,19 +389,19 @@ class _Walk:
         if len(acc) <= PADDING:
             raise ValueError(f"{len(acc)} samples are too few to filter: more than {PADDING} are needed")
         self._rate_hz = rate_hz
-        energy, jump, turning = np.empty(len(acc)), np.empty(len(acc)), np.empty((3, len(acc) + 2 * PADDING))
-        if not look(
+        energy, jerk, turning = np.empty(len(acc)), np.empty(len(acc)), np.empty((3, len(acc) + 2 * PADDING))
+        if not filter_signals(
             np.ascontiguousarray(acc), np.ascontiguousarray(gyr),
             np.array(calibration.gyr_bias_radps), np.array(calibration.toe_down),
-            rate_hz, max(round(JUMP_S * rate_hz), 1), max(round(ENERGY_S * rate_hz), 3),
+            rate_hz, max(round(JERK_S * rate_hz), 1), max(round(ENERGY_S * rate_hz), 3),
             low_pass(rate_hz, SHAPE_HZ), low_pass(rate_hz, FEATURE_HZ), low_pass(rate_hz, TURN_HZ),
-            turning, energy, jump,
+            turning, energy, jerk,
         ):  # fmt: skip
             raise ValueError(NOT_FINITE.format(calibration.sensor))
         shape, feature, turn = turning[:, PADDING:-PADDING]
-        self._signals = Signals(shape, feature, turn, energy, jump)
+        self._signals = Signals(shape, feature, turn, energy, jerk)
         self._peak_rate = 0.0
-        self._typical_jump = 0.0
+        self._typical_jerk = 0.0
 
     def instants(self, t_ns: IntArray) -> tuple[IntArray, BoolArray]:
         """Times (K, 3) of FO, mid-swing and IC, and whether the heel struck first (K,)."""
@@ -411,7 +410,7 @@ class _Walk:
         heels, lead = np.empty(len(mids), np.bool_), IC_OFFSET_S * self._rate_hz
         count = instants(
             np.ascontiguousarray(t_ns, np.int64), self._signals, falls, peaks, mids, self._rate_hz, lead,
-            self._peak_rate, self._typical_jump, swings, offs, out, heels,
+            self._peak_rate, self._typical_jerk, swings, offs, out, heels,
         )  # fmt: skip
         return out[:count], heels[:count]
 
@@ -437,7 +436,7 @@ class _Walk:
         mids = peaks[either]
         # a mid-swing is the first trough that comes near to the greatest fall
         offs = _greatest_at(s.shape, np.maximum(mids - reach + 1, 0), mids + 1)
-        self._typical_jump = median(_greatest(s.jump, mids, mids + reach))
+        self._typical_jerk = median(_greatest(s.jerk, mids, mids + reach))
         return falls[either], offs, mids
 
     def _is_alone(self, mid: int, others: IntArray) -> bool:

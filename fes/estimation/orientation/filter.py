@@ -24,11 +24,12 @@ What a sensor at its limit, or a lost sample, leaves to be guessed: compiled, ca
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import from_gravity, quaternion_step, to_sensor, to_world
 from fes.signals import G_MPS2, FloatArray, Vector3
 
@@ -110,7 +111,7 @@ AT_LIMIT = 0.999  # of the range
 
 
 @jit
-def usable_rate(memory: Any, gyr: Any, range_radps: float, dt_s: float, settings: BodySettings) -> float:
+def usable_rate(memory: Vec, gyr: Mat, range_radps: float, dt_s: float, settings: BodySettings) -> float:
     """Fill ``memory`` at RATE with the rate to integrate (rad/s); return for how long it has been guessed (s).
 
     An axis at its limit goes on as it rose before, ever more slowly: ``w + dw/dt · T (1 - exp(-t/T))``, at least the
@@ -140,7 +141,7 @@ def usable_rate(memory: Any, gyr: Any, range_radps: float, dt_s: float, settings
 
 
 @jit
-def usable_force(memory: Any, acc: Any, range_mps2: float, dt_s: float) -> float:
+def usable_force(memory: Vec, acc: Mat, range_mps2: float, dt_s: float) -> float:
     """Fill ``memory`` at FORCE with the force to integrate (m/s²); return for how long it has been guessed (s).
 
     At the limit the reading is the best guess there is; a lost sample repeats the last.
@@ -173,7 +174,7 @@ def _start(state: State) -> None:
 
 
 @jit
-def carry(p: Any, quaternion: Any, dt_s: float, bias_share: float, speed_share: float) -> None:
+def carry(p: Vec, quaternion: Mat, dt_s: float, bias_share: float, speed_share: float) -> None:
     """``P ← Φ P`` in place, on the transposed view ``P Φᵀ``; ``quaternion`` (4,) is that at the interval's end."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     ax, ay, az = to_world(w, x, y, z, dt_s, 0.0, 0.0)
@@ -230,7 +231,7 @@ def measure(state: State, at: int, residual: float, variance: float) -> None:
 
 
 @jit
-def _still(memory: Any, dt_s: float, settings: BodySettings) -> bool:
+def _still(memory: Vec, dt_s: float, settings: BodySettings) -> bool:
     """Follow the means of rate and force; whether both have been steady for long enough."""
     share = 1.0 - math.exp(-dt_s / settings.still_mean_s)
     rate = force = mean = 0.0
@@ -251,7 +252,7 @@ def _still(memory: Any, dt_s: float, settings: BodySettings) -> bool:
 
 @jit
 def one_sample(
-    state: State, acc: Any, gyr: Any, known_rest: bool, dt_s: float, ranges: Any, settings: BodySettings
+    state: State, acc: Mat, gyr: Mat, known_rest: bool, dt_s: float, ranges: Vec, settings: BodySettings
 ) -> None:
     """Take one sample ``acc`` (3,) m/s², ``gyr`` (3,) rad/s; ``ranges`` are the full scales of both, in this order."""
     m, q, p, bias, velocity = state.memory, state.quaternion, state.covariance, state.bias, state.velocity
@@ -307,7 +308,7 @@ def one_sample(
 
 @jit
 def advance(
-    state: State, acc: Any, gyr: Any, rest: Any, dt_s: float, ranges: Any, settings: BodySettings, out: Any, tilt: Any
+    state: State, acc: Mat, gyr: Mat, rest: Vec, dt_s: float, ranges: Vec, settings: BodySettings, out: Vec, tilt: Vec
 ) -> None:
     """Take samples (N, 3), (N, 3), (N,); fill ``out`` (N, 4) and ``tilt`` (N,), the mean tilt variance in rad²."""
     for k in range(acc.shape[0]):
