@@ -10,7 +10,7 @@ import os
 import select
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -303,37 +303,29 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
         for event in patient_events(walker, None, options.seconds, samples.append):
             after(event)
         return
-    from fes.calibration.recording import calibrate_drivers
     from fes.config import ConfigError, load_session
-    from fes.control.replay import session_for
     from fes.estimation.warm_up import warm_up
     from fes.hil.closed_loop.one_process import walk_stimulated
     from fes.report.quality import Notice
-    from fes.simulation.forward.closed_loop import calibration_walk
 
+    notes: list[Note] = []
     try:
-        walk = calibration_walk(walker.settings)
-        found = calibrate_drivers(walk).calibrations
-        session = session_for(walk, load_session(options.session or bundled_file("session.toml")))
+        session = load_session(options.session or bundled_file("session.toml"))
         if options.session is None:
             session = session.model_copy(update={"name": f"Virtual patient, {options.name}"})
-    except (ConfigError, CalibrationError) as error:
-        fail(error)
-    warm_up()
-    notes: list[Note] = []
-    log, named = options.out / f"{options.name}{LOG_SUFFIX}", replace(walk, name=options.name)
-    try:
+        warm_up()
         walk_stimulated(
             walker,
             session,
-            named,
-            found,
             options.seconds,
-            log,
+            options.out / f"{options.name}{LOG_SUFFIX}",
+            name=options.name,
             on_sample=samples.append,
             on_note=notes.append,
             after=after,
         )
+    except (ConfigError, CalibrationError) as error:
+        fail(error)
     finally:
         tell_latched(Notice(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
 

@@ -51,6 +51,17 @@ def digest(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
+def recording_digest(recording: Recording) -> str:
+    """SHA-256 of a recording's file, or of its samples where it was made in memory, in hex."""
+    if recording.path is not None:
+        return digest(recording.path)
+    found = hashlib.sha256()
+    for sensor, track in recording.tracks.items():
+        for values in (track.t_ns, track.t_sensor_ns, track.acc_mps2, track.gyr_radps):
+            found.update(sensor.encode() + values.tobytes())
+    return found.hexdigest()
+
+
 def identity(recording_sha256: str, session: Session) -> Identity:
     """Session and boot identifiers (1–65535) of a replay."""
     both = hashlib.sha256((recording_sha256 + session.model_dump_json()).encode()).digest()

@@ -140,6 +140,24 @@ def agreement_json(evaluation: Evaluation) -> dict[str, Any]:
     return told
 
 
+def agreement_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
+    """A flat row for each quantity and foot, SI: bias and 95 % limits of estimate minus reference, ICC(2,1)."""
+    return [
+        {
+            "quantity": row.quantity,
+            "foot": row.foot,
+            "n": row.differences.n,
+            "reference_mean": row.reference_mean,
+            "estimate_mean": row.estimate_mean,
+            "bias": row.differences.bias.value,
+            "lower_limit": row.differences.lower_limit.value,
+            "upper_limit": row.differences.upper_limit.value,
+            "icc": row.icc.value,
+        }
+        for row in evaluation.rows
+    ]
+
+
 def pair_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
     """A flat row for each pair, SI."""
     return [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -11,19 +12,29 @@ import numpy as np
 
 from drivers.simulated.stimulator.in_process import InProcessStimulator
 from fes import __version__
+from fes.calibration.recording import calibrate_drivers
 from fes.config import Session
 from fes.control.controller import Controller
-from fes.control.replay import LOG_FORMAT, identity, log_header
+from fes.control.replay import (
+    LOG_FORMAT,
+    identity,
+    log_header,
+    recording_digest,
+    refuse_long_silence,
+    session_for,
+)
 from fes.control.runner import Runner
 from fes.control.sources import armed_after, with_ticks
-from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
+from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.gate import gate_of
 from fes.hil.closed_loop.processes import Happening, Protocol
 from fes.recording import Recording
+from fes.recording.samples import samples_of
 from fes.session_log import Note, SessionWriter
-from fes.signals import NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction, Vector3
+from fes.signals import NS_PER_S, SHANK_SENSORS, Event, ImuSample, OperatorAct, OperatorAction, Vector3
 from fes.simulation.forward import PatientSettings, VirtualPatient, VirtualStride
-from fes.simulation.forward.closed_loop import PulseSource, do_to, patient_events
+from fes.simulation.forward.closed_loop import PulseSource, calibration_walk, do_to, patient_events
 
 ARMED_AFTER_S: Final = 0.5
 _ACTS = {
@@ -139,49 +150,96 @@ def run_loop(
 def walk_stimulated(
     patient: VirtualPatient,
     session: Session,
-    walk: Recording,
-    calibrations: Mapping[str, Calibration],
     seconds: float,
     log_path: Path,
     *,
+    name: str,
     on_sample: Callable[[ImuSample], None],
     on_note: Callable[[Note], None] = lambda note: None,
     after: Callable[[Event], None] = lambda event: None,
 ) -> None:
-    """Let a patient walk for ``seconds``, armed after half a second, stimulated by the controller in closed loop.
+    """Calibrate on a walk of the same patient, then let it walk, stimulated by the controller in closed loop.
 
     Args:
         patient: who walks; knows its strides afterwards.
         session: the controller's settings.
-        walk: the walk that the sensors were calibrated on; its name and sensors go into the log.
-        calibrations: by sensor.
-        seconds: how long.
+        seconds: how long; it is armed after half a second.
         log_path: of the session log, which must not be there.
+        name: the recording's, in the log.
         on_sample: given every sample.
         on_note: given every remark in the log.
         after: called after every event; may raise to end the run.
 
     Raises:
+        CalibrationError: no foot could be calibrated.
+        ConfigError: the settings do not fit the patient.
         SessionLogError: the log cannot be written.
     """
+    walk = replace(calibration_walk(patient.settings), name=name)
+    calibrations = calibrate_drivers(walk).calibrations
+    session = session_for(walk, session)
     numbers = identity(f"{__version__}{patient.settings!r}", session)
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    header = log_header(walk, "", session, calibrations, numbers.session_id, created) | {"kind": "simulated"}
-    log = ListenedLog(log_path, header, on_note)
+    header = log_header(walk, "", session, calibrations, numbers.session_id, _now()) | {"kind": "simulated"}
     stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
-    ended = "interrupted"
 
     def walked() -> Iterator[Event]:
         yield from patient_events(patient, stimulator, seconds, on_sample)
         # switched off at the end as by hand: the silence after it is no sensor that was lost
         yield OperatorAct(patient.now_ns, OperatorAction.DISARM)
 
+    log = ListenedLog(log_path, header, on_note)
+    _armed(walked(), session, calibrations, stimulator, log, after)
+
+
+def replay_in_one_process(
+    recording: Recording, session: Session | None, calibrations: Mapping[str, Calibration], log_path: Path
+) -> None:
+    """Put a recording through the loop, armed after half a second, into a simulated stimulator.
+
+    Args:
+        recording: what the sensors brought.
+        session: its channels without a sensor are left out; None stimulates nothing.
+        calibrations: by sensor.
+        log_path: of the session log, which must not be there.
+
+    Raises:
+        RecordingError: nothing came for ten minutes.
+        CalibrationError: a channel's foot has no calibration.
+        SessionLogError: the log cannot be written.
+    """
+    refuse_long_silence(recording)
+    chosen, sha256 = session_for(recording, session), recording_digest(recording)
+    for channel in chosen.channels:
+        if channel.foot not in phase_sensors(calibrations):
+            raise CalibrationError(f"Channel {channel.name!r} follows the {channel.foot}, which has no calibration.")
+    numbers = identity(sha256, chosen)
+    header = log_header(recording, sha256, chosen, calibrations, numbers.session_id, _now())
+    begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
+    samples = samples_of(recording, set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS)))
+    stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id, begin_ns)
+    _armed(samples, chosen, calibrations, stimulator, SessionWriter(log_path, header), begin_ns=begin_ns)
+
+
+def _armed(
+    events: Iterable[Event],
+    session: Session,
+    calibrations: Mapping[str, Calibration],
+    stimulator: InProcessStimulator,
+    log: SessionWriter,
+    after: Callable[[Event], None] = lambda event: None,
+    begin_ns: int = 0,
+) -> None:
+    ended, controller = "interrupted", Controller(session, calibrations)
     try:
-        events = armed_after(with_ticks(walked()), ARMED_AFTER_S, session.stimulation.intensity)
-        run_loop(Controller(session, calibrations), session, calibrations, stimulator, log, events, after)
+        armed = armed_after(with_ticks(events), ARMED_AFTER_S, session.stimulation.intensity)
+        run_loop(controller, session, calibrations, stimulator, log, armed, after, begin_ns)
         ended = "complete"
     finally:
         log.close({"ended": ended})
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def _events(patient: VirtualPatient, pulses: PulseSource, session: Session, course: Protocol) -> Iterator[Event]:
