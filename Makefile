@@ -7,13 +7,14 @@ WHEEL := .venv-wheel
 PYTHONS ?= python3.11 python3.12 python3.13
 
 .DEFAULT_GOAL := help
-.PHONY: help hil demo test test-live lint format bench bench-figures bench-accuracy peers nightly mutants hazards docs trials lock \
+.PHONY: help hil demo test test-slow test-live lint format bench bench-figures bench-accuracy peers nightly mutants hazards docs trials lock \
   wheel-test test-pythons clean
 
 help:
 	@echo "make demo     replay a bundled trial into a simulated stimulator and write its report"
 	@echo "make test     style, types and tests"
-	@echo "make test-live  the tests that take longer, most of them live sessions on every simulated device"
+	@echo "make test-slow  the tests that take longer"
+	@echo "make test-live  live sessions and simulated devices as processes, against their deadlines"
 	@echo "make wheel-test  the built wheel in an empty environment, outside the checkout: demo, simulate, analyse, hil"
 	@echo "make test-pythons  demo and quick tests under each of PYTHONS ($(PYTHONS)) that this machine has"
 	@echo "make lint     style and types only"
@@ -43,13 +44,16 @@ $(VENV)/dev.stamp: requirements-dev.lock $(VENV)/run.stamp
 demo: $(VENV)/run.stamp
 	$(BIN)/fes demo
 
-# What meets real-time deadlines between processes runs by itself, the rest on two cores.
+# What anybody's machine must pass, whatever else runs on it.
 test: lint
-	$(BIN)/python -m pytest -n 2 --ignore=tests/transports -m "not slow"
-	$(BIN)/python -m pytest tests/transports -m "not slow"
+	$(BIN)/python -m pytest -n 2 -m "not slow and not live"
 
+test-slow: $(VENV)/dev.stamp
+	$(BIN)/python -m pytest -n 2 -m "slow and not live"
+
+# Deadlines between processes, one test at a time; prints what it measured.
 test-live: $(VENV)/dev.stamp
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -rA -m live
 
 # PYTHONPATH is cleared: the checkout must not be found.
 wheel-test: $(VENV)/run.stamp

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -30,6 +31,18 @@ settings.load_profile("any machine")
 if "MUTANT_UNDER_TEST" in os.environ:  # a busy machine must not look like a test that noticed the mutant
     settings.register_profile("mutants", derandomize=True, deadline=None, suppress_health_check=list(HealthCheck))
     settings.load_profile("mutants")
+
+
+# their verdict depends on when the machine schedules a process: deadlines between processes, a killed one's end
+LIVE = ("transports/", "live/test_live_orphans.py", "live/test_live_log.py", "live/test_page_server.py")
+LIVE += ("live/test_page_browser.py", "hil/test_hil_killed.py", "drivers/test_canopen_stimulator.py")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    here = Path(__file__).parent
+    for item in items:
+        if item.path.relative_to(here).as_posix().startswith(LIVE):
+            item.add_marker("live")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
