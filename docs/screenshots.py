@@ -17,7 +17,7 @@ from subprocess import DEVNULL, run
 ROOT = Path(__file__).resolve().parents[1]
 sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "transports")]
 
-from live_runs import LiveRun, TestBench, bus_text, live_run, sensor_text, standing_first  # noqa: E402
+from live_runs import CampaignBench, LiveRun, bus_text, live_run, sensor_text, standing_first  # noqa: E402
 from page_browser import Page, chromium  # noqa: E402
 from replays import cut, trial  # noqa: E402
 from small_png import smaller  # noqa: E402
@@ -66,7 +66,7 @@ min_off_s = 0.1
 """
 
 
-def both_feet(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
+def both_feet(folder: Path, recording: Path, stack: ExitStack) -> CampaignBench:
     """A sensor on each foot, each on a line of its own, the stimulator on CAN."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     sensors = ("right_foot", "left_foot")
@@ -77,7 +77,7 @@ def both_feet(folder: Path, recording: Path, stack: ExitStack) -> TestBench:
     lines = [
         sensor_text("xbus", imu.port, sensor=sensor, rate_hz=RATE_HZ) for imu, sensor in zip(imus, sensors, strict=True)
     ]
-    return TestBench(sensors[0], imus[0], node, CHANNEL + bus_text(node.bus) + "".join(lines))
+    return CampaignBench(sensors[0], imus[0], node, CHANNEL + bus_text(node.bus) + "".join(lines))
 
 
 def link_of(run: LiveRun) -> str:

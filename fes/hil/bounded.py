@@ -9,7 +9,7 @@ from fes.hil.judge import MS, length_ms, resumed_after, with_late_pulses
 from fes.hil.results import Attempt
 from fes.hil.scenarios import Scenario
 from fes.hil.settings import DOSE_MC
-from fes.hil.test_bench import LATCHED, TestBench, badly_named, named_now
+from fes.hil.test_bench import LATCHED, CampaignBench, badly_named, named_now
 from fes.signals import NS_PER_S
 
 STUCK_MS: Final = 1500.0  # on for so long, the burst is none of walking
@@ -18,7 +18,7 @@ DOSE_TRIES: Final = 4
 DOSE_ROUNDING_UC: Final = 12.0  # one command's and one pulse's charge
 
 
-def burst_without_end(rig: TestBench, scenario: Scenario) -> Attempt:
+def burst_without_end(rig: CampaignBench, scenario: Scenario) -> Attempt:
     """A stance that does not end: the burst must, at its longest on-time."""
     rig.prepare(scenario.variant)
     burst = rig.in_burst(STUCK_MS)
@@ -34,7 +34,7 @@ def burst_without_end(rig: TestBench, scenario: Scenario) -> Attempt:
     return Attempt(length_ms(longest, time.monotonic_ns()), last_ms, named, tuple(faults))
 
 
-def charge_without_end(rig: TestBench, scenario: Scenario) -> Attempt:
+def charge_without_end(rig: CampaignBench, scenario: Scenario) -> Attempt:
     """Step after step: the charge of a minute must end it, and not a moment later."""
     begin_ns = time.monotonic_ns()
     rig.prepare(scenario.variant)

@@ -27,7 +27,7 @@ from fes.hil.injections import INJECTIONS
 from fes.hil.judge import MS, off_after_ms, on_at, resumed_after
 from fes.hil.results import Attempt, Campaign, Row
 from fes.hil.scenarios import Effect, Needs, Scenario
-from fes.hil.test_bench import LATCHED, CampaignBroken, TestBench, badly_named, named_now
+from fes.hil.test_bench import LATCHED, CampaignBench, CampaignBroken, badly_named, named_now
 from fes.session_log import SessionLogError, read_session
 from fes.signals import NS_PER_S
 
@@ -39,7 +39,7 @@ ORPHANS_S: Final = 3.0
 BEFORE_NS: Final = NS_PER_S // 5  # a moment of the machine's that began so long before the fault still tells
 
 
-def attempt(rig: TestBench, scenario: Scenario, n: int) -> Attempt:
+def attempt(rig: CampaignBench, scenario: Scenario, n: int) -> Attempt:
     """Bring a scenario about for the n-th time and judge the answer.
 
     Raises:
@@ -51,7 +51,7 @@ def attempt(rig: TestBench, scenario: Scenario, n: int) -> Attempt:
     return replace(found, value=f"{rig.value:g} {scenario.unit}") if scenario.values else found
 
 
-def _goes_off(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
+def _goes_off(rig: CampaignBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
     inject, heal = INJECTIONS[scenario.name]
     for _ in range(TRIES):
         rig.prepare(scenario.variant)
@@ -92,7 +92,7 @@ def _goes_off(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: float) 
     raise CampaignBroken(f"no burst lasted until the fault was there, {TRIES} times")
 
 
-def _not_armed_again(rig: TestBench) -> list[str]:
+def _not_armed_again(rig: CampaignBench) -> list[str]:
     """When the fault is over, a person must be able to go on; else the next row begins with a new session."""
     try:
         rig.arm()
@@ -102,7 +102,7 @@ def _not_armed_again(rig: TestBench) -> list[str]:
     return []
 
 
-def _left_behind(rig: TestBench, scenario: Scenario, t_ns: int) -> list[str]:
+def _left_behind(rig: CampaignBench, scenario: Scenario, t_ns: int) -> list[str]:
     """The next session is started; meanwhile nothing of a killed one may go on."""
     orphans, rig.orphans = rig.orphans, []
     rig.start(scenario.variant)
@@ -115,11 +115,11 @@ def _left_behind(rig: TestBench, scenario: Scenario, t_ns: int) -> list[str]:
     return [f"{ORPHANS_S:g} s later still running: {', '.join(child.module for child in left)}"] if left else []
 
 
-def _alarm(rig: TestBench) -> str:
+def _alarm(rig: CampaignBench) -> str:
     return next((line for line in rig.session().said().splitlines() if "ALARM" in line), "").strip("\a")
 
 
-def _ended(rig: TestBench, t_ns: int) -> list[str]:
+def _ended(rig: CampaignBench, t_ns: int) -> list[str]:
     """What is wrong with how the session ended."""
     session = rig.session()
     status = session.wait(END_S)
@@ -140,11 +140,11 @@ def _ended(rig: TestBench, t_ns: int) -> list[str]:
     return [*faults, f"{lost_ms:.0f} ms of the log lost"] if lost_ms > LOST_MS else faults
 
 
-def _bounded(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
+def _bounded(rig: CampaignBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
     return charge_without_end(rig, scenario) if scenario.name == "dose" else burst_without_end(rig, scenario)
 
 
-_JUDGES: Final[dict[Effect, Callable[[TestBench, Scenario, int, float], Attempt]]] = {
+_JUDGES: Final[dict[Effect, Callable[[CampaignBench, Scenario, int, float], Attempt]]] = {
     Effect.LATCHED: _goes_off,
     Effect.ENDED: _goes_off,
     Effect.NONE: no_effect,
@@ -184,7 +184,7 @@ def simulated_campaign(
     """
     with ExitStack() as stack:
         devices = start_devices(transport, folder, stack, channel, closed_loop=closed_loop)
-        rig = TestBench(devices, devices.can_do | machine_can_do(), stack)
+        rig = CampaignBench(devices, devices.can_do | machine_can_do(), stack)
         return run_campaign(rig, transport, scenarios, repeat, tell)
 
 
@@ -203,11 +203,11 @@ def hardware_campaign(
         witness = BusWitness(stack.enter_context(Rogue(session.bus)))
         witness.start(stack)
         bench = Hardware(folder, path, calibration, session.stimulation.intensity, witness)
-        rig = TestBench(bench, machine_can_do(), stack, by_hand=True)
+        rig = CampaignBench(bench, machine_can_do(), stack, by_hand=True)
         return run_campaign(rig, f"hardware ({path.name})", scenarios, repeat, tell)
 
 
-def run_campaign(rig: TestBench, name: str, scenarios: Sequence[Scenario], repeat: int, tell: Tell) -> Campaign:
+def run_campaign(rig: CampaignBench, name: str, scenarios: Sequence[Scenario], repeat: int, tell: Tell) -> Campaign:
     """The rows, one after the other.
 
     Raises:
@@ -250,7 +250,7 @@ def run_campaign(rig: TestBench, name: str, scenarios: Sequence[Scenario], repea
     return Campaign(name, tuple(rows), lateness, started, seconds, repeat, tuple(rig.unasked), tuple(rig.away))
 
 
-def _undisturbed(rig: TestBench, row: Row, n: int) -> Attempt:
+def _undisturbed(rig: CampaignBench, row: Row, n: int) -> Attempt:
     """The n-th attempt; made again while the machine itself spoils it, a few times at most."""
     for _ in range(SPOILT_AT_MOST):
         found = attempt(rig, row.scenario, n)

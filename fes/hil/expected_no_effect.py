@@ -12,7 +12,7 @@ from fes.hil.judge import began_after, resumed_after
 from fes.hil.results import Attempt
 from fes.hil.scenarios import Effect, Scenario
 from fes.hil.settings import CHANNEL, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US
-from fes.hil.test_bench import ALLOWED, CampaignBroken, TestBench, badly_named, is_latched, named_now
+from fes.hil.test_bench import ALLOWED, CampaignBench, CampaignBroken, badly_named, is_latched, named_now
 from fes.session_log import SessionLogError, read_session
 from fes.signals import NS_PER_S
 
@@ -27,7 +27,7 @@ SESSION: Final = "session"  # the record's word for one that was opened
 NO_CRC: Final = ("wrong CRC", "bytes instead")
 
 
-def no_effect(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
+def no_effect(rig: CampaignBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
     """The walk goes on with the next burst."""
     inject, heal = INJECTIONS[scenario.name]
     rig.prepare(scenario.variant)
@@ -49,7 +49,7 @@ def no_effect(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: float) 
     return Attempt(faults=tuple(faults), remark=f"goes on: {bursts} bursts after it")
 
 
-def no_burst_begins(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
+def no_burst_begins(rig: CampaignBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
     """Brought about while the patient stands, armed: they walk, and nothing is stimulated; nor can it be armed."""
     inject, heal = INJECTIONS[scenario.name]
     rig.prepare(scenario.variant, walks=False)
@@ -75,13 +75,13 @@ def no_burst_begins(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: f
     return Attempt(named=named or refusal, faults=tuple(faults), remark="no burst began, arming refused")
 
 
-def _arms_or_says_why_not(rig: TestBench, scenario: Scenario) -> bool:
+def _arms_or_says_why_not(rig: CampaignBench, scenario: Scenario) -> bool:
     rig.keep_armed()
     status = rig.status()
     return status is not None and (status.state in ALLOWED or not badly_named(status.message, scenario))
 
 
-def nothing_executed(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
+def nothing_executed(rig: CampaignBench, scenario: Scenario, n: int, into_burst_ms: float) -> Attempt:
     """What others send is refused by the stimulator, and it does nothing that the session did not ask for."""
     inject, heal = INJECTIONS[scenario.name]
     for _ in range(TRIES):
@@ -104,7 +104,7 @@ def nothing_executed(rig: TestBench, scenario: Scenario, n: int, into_burst_ms: 
     raise CampaignBroken(f"the controller sent no command in the burst, {TRIES} times")
 
 
-def _opened_by_itself(rig: TestBench) -> frozenset[str]:
+def _opened_by_itself(rig: CampaignBench) -> frozenset[str]:
     """The sessions that the controller has opened again since its start, by its log, as the record names them.
 
     It does that when it hears no heartbeat for a while, or a false one that chance gave the right CRC.

@@ -22,7 +22,7 @@ from drivers.simulated.bus_guests import FRAMES_PER_S, Rogue, asks_for_current, 
 from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, Frame
 from fes.hil.devices import SERIAL
 from fes.hil.settings import CHANNEL
-from fes.hil.test_bench import CampaignBroken, TestBench
+from fes.hil.test_bench import CampaignBench, CampaignBroken
 from fes.live.dashboard.message_handler import press_stop
 
 RANDOM_FRAMES: Final = 62_500  # each time: 21 seconds' worth, 1,000,000 in 16 attempts
@@ -33,13 +33,13 @@ ECHO_S: Final = 0.002  # what is sent to a multicast group comes back to its sen
 PAIRS: Final = 10
 
 
-def _rogue(rig: TestBench) -> Rogue:
+def _rogue(rig: CampaignBench) -> Rogue:
     if rig.devices.back is None:
         raise CampaignBroken("there is no CAN bus")
     return Rogue(rig.devices.back)
 
 
-def flips(rig: TestBench, n: int) -> int:
+def flips(rig: CampaignBench, n: int) -> int:
     """One of the present session's commands, with every one and every two bits inverted."""
     with _rogue(rig) as rogue:
         commands = rogue.on_commands(0.1)
@@ -48,7 +48,7 @@ def flips(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-def repeats(rig: TestBench, n: int) -> int:
+def repeats(rig: CampaignBench, n: int) -> int:
     """After each command of the session an earlier one that asked for current: the newest itself, the one before …"""
     with _rogue(rig) as rogue:
         commands = [frame for frame in rogue.receive(0.1) if frame[0] == COMMAND_ID]
@@ -65,7 +65,7 @@ def repeats(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-def exchange(rig: TestBench, n: int) -> int:
+def exchange(rig: CampaignBench, n: int) -> int:
     """On the line between them, each pair of commands changes places."""
     if rig.devices.link is None:
         raise CampaignBroken("there is no line between controller and stimulator")
@@ -75,7 +75,7 @@ def exchange(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-def old_session(rig: TestBench, n: int) -> int:
+def old_session(rig: CampaignBench, n: int) -> int:
     """Commands of the present session, sent again in the next one, while its patient stands and it is armed."""
     with _rogue(rig) as rogue:
         commands = rogue.on_commands(0.25)
@@ -86,7 +86,7 @@ def old_session(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-def random(rig: TestBench, n: int) -> int:
+def random(rig: CampaignBench, n: int) -> int:
     """By turns one with any identifier and one with those that a controller uses; the patient walks on meanwhile."""
 
     def frames() -> Iterator[Frame]:
@@ -104,9 +104,9 @@ def random(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-Inject = Callable[[TestBench, int], int]
+Inject = Callable[[CampaignBench, int], int]
 """Brings the fault about for the n-th time; returns when, by CLOCK_MONOTONIC in ns."""
-Heal = Callable[[TestBench], None]
+Heal = Callable[[CampaignBench], None]
 
 STARVED_S: Final = 1.0
 HOGS: Final = 3
@@ -118,7 +118,7 @@ STARVING_PRIORITY: Final = 60
 MANY: Final = 100_000
 
 
-def _nothing(rig: TestBench) -> None:
+def _nothing(rig: CampaignBench) -> None:
     """Nothing to mend."""
 
 
@@ -127,7 +127,7 @@ def _sensor(name: str, value: float = 1.0) -> tuple[Inject, Heal]:
 
 
 def _stimulator(name: str, value: float, healed: float) -> tuple[Inject, Heal]:
-    def heal(rig: TestBench) -> None:
+    def heal(rig: CampaignBench) -> None:
         rig.devices.node.inject(name, healed)
 
     return lambda rig, n: rig.devices.node.inject(name, value), heal
@@ -136,32 +136,32 @@ def _stimulator(name: str, value: float, healed: float) -> tuple[Inject, Heal]:
 # --- the sensor ------------------------------------------------------------------------------------------
 
 
-def _unplug_sensor(rig: TestBench, n: int) -> int:
+def _unplug_sensor(rig: CampaignBench, n: int) -> int:
     return rig.devices.imu.inject("unplug")
 
 
-def _plug_sensor(rig: TestBench) -> None:
+def _plug_sensor(rig: CampaignBench) -> None:
     rig.watch(SILENT_S)
     rig.devices.sensor_replugged()
 
 
-def _unmute_sensor(rig: TestBench) -> None:
+def _unmute_sensor(rig: CampaignBench) -> None:
     rig.watch(SILENT_S)
     rig.devices.imu.clear()
 
 
-def _delay_sensor(rig: TestBench, n: int) -> int:
+def _delay_sensor(rig: CampaignBench, n: int) -> int:
     return rig.devices.imu.inject("delay", rig.value)
 
 
-def _undrift(rig: TestBench) -> None:
+def _undrift(rig: CampaignBench) -> None:
     rig.devices.imu.inject("drift", 0.0)
 
 
 # --- the controller --------------------------------------------------------------------------------------
 
 
-def _kill(rig: TestBench, n: int) -> int:
+def _kill(rig: CampaignBench, n: int) -> int:
     rig.orphans = rig.session().children()
     os.kill(rig.session().pid, signal.SIGKILL)
     t_ns = time.monotonic_ns()  # what holds this process up on its way to the kill is not the lease's delay
@@ -169,7 +169,7 @@ def _kill(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-def _stop(rig: TestBench, n: int) -> int:
+def _stop(rig: CampaignBench, n: int) -> int:
     os.kill(rig.session().pid, signal.SIGSTOP)
     t_ns = time.monotonic_ns()
     rig.watch(rig.value)
@@ -177,7 +177,7 @@ def _stop(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-def _starve(rig: TestBench, n: int) -> int:
+def _starve(rig: CampaignBench, n: int) -> int:
     """A process of higher priority takes the controller's processor for a second; the devices have the other one."""
     pid = rig.session().pid
     before = os.sched_getaffinity(pid)
@@ -203,7 +203,7 @@ def _starve(rig: TestBench, n: int) -> int:
     return int(done.stdout)
 
 
-def _hogs(rig: TestBench, n: int) -> int:
+def _hogs(rig: CampaignBench, n: int) -> int:
     code = f"import time; end = time.monotonic() + {HOGS_S}\nwhile time.monotonic() < end: pass"
     t_ns = time.monotonic_ns()
     for _ in range(HOGS):
@@ -213,7 +213,7 @@ def _hogs(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-def _full_disk(rig: TestBench, n: int) -> int:
+def _full_disk(rig: CampaignBench, n: int) -> int:
     """The log's file may not grow any more: its next write is refused, as a full disk's is."""
     log = rig.session().log()
     if log is None:
@@ -224,10 +224,10 @@ def _full_disk(rig: TestBench, n: int) -> int:
     return t_ns
 
 
-def _to_child(module: str, do: Callable[[TestBench, int], None]) -> Inject:
+def _to_child(module: str, do: Callable[[CampaignBench, int], None]) -> Inject:
     """Something happens to one of the session's processes."""
 
-    def inject(rig: TestBench, n: int) -> int:
+    def inject(rig: CampaignBench, n: int) -> int:
         child = rig.session().child(module)
         t_ns = time.monotonic_ns()
         do(rig, child)
@@ -236,11 +236,11 @@ def _to_child(module: str, do: Callable[[TestBench, int], None]) -> Inject:
     return inject
 
 
-def _killed(rig: TestBench, pid: int) -> None:
+def _killed(rig: CampaignBench, pid: int) -> None:
     os.kill(pid, signal.SIGKILL)
 
 
-def _frozen(rig: TestBench, pid: int) -> None:
+def _frozen(rig: CampaignBench, pid: int) -> None:
     """It reads nothing for a while, and everything that it is sent has to stay somewhere or be given up."""
     os.kill(pid, signal.SIGSTOP)
     try:
@@ -252,23 +252,23 @@ def _frozen(rig: TestBench, pid: int) -> None:
 # --- the operator ----------------------------------------------------------------------------------------
 
 
-def _space(rig: TestBench, n: int) -> int:
+def _space(rig: CampaignBench, n: int) -> int:
     t_ns = time.monotonic_ns()
     rig.session().key(b" ")
     return t_ns
 
 
-def _stop_file(rig: TestBench, n: int) -> int:
+def _stop_file(rig: CampaignBench, n: int) -> int:
     t_ns = time.monotonic_ns()
     rig.session().stop_file.touch()
     return t_ns
 
 
-def _no_stop_file(rig: TestBench) -> None:
+def _no_stop_file(rig: CampaignBench) -> None:
     rig.session().stop_file.unlink(missing_ok=True)
 
 
-def _stop_order(rig: TestBench, n: int) -> int:
+def _stop_order(rig: CampaignBench, n: int) -> int:
     t_ns = time.monotonic_ns()
     rig.order("stop")
     return t_ns
@@ -277,7 +277,7 @@ def _stop_order(rig: TestBench, n: int) -> int:
 # --- the stimulator and its line -------------------------------------------------------------------------
 
 
-def _cut(rig: TestBench, n: int) -> int:
+def _cut(rig: CampaignBench, n: int) -> int:
     if rig.devices.transport in SERIAL:
         return rig.devices.node.inject("unplug")
     if rig.devices.link is None:
@@ -285,7 +285,7 @@ def _cut(rig: TestBench, n: int) -> int:
     return rig.devices.link.inject("cut")
 
 
-def _mend(rig: TestBench) -> None:
+def _mend(rig: CampaignBench) -> None:
     rig.watch(CUT_S)
     if rig.devices.transport in SERIAL:
         rig.devices.stimulator_replugged()
@@ -296,32 +296,32 @@ def _mend(rig: TestBench) -> None:
 def _line(name: str, value: float, healed: float = 0.0) -> tuple[Inject, Heal]:
     """A fault of the line between controller and stimulator that ends after half a second."""
 
-    def tell(rig: TestBench, worth: float) -> int:
+    def tell(rig: CampaignBench, worth: float) -> int:
         if rig.devices.link is None:
             raise CampaignBroken("there is no line between controller and stimulator")
         return rig.devices.link.inject(name, worth)
 
-    def heal(rig: TestBench) -> None:
+    def heal(rig: CampaignBench) -> None:
         rig.watch(CUT_S)
         tell(rig, healed)
 
     return lambda rig, n: tell(rig, value), heal
 
 
-def _stop_on_page(rig: TestBench, n: int) -> int:
+def _stop_on_page(rig: CampaignBench, n: int) -> int:
     port = rig.session().page_port()
     t_ns = time.monotonic_ns()
     press_stop(port)
     return t_ns
 
 
-def _press(rig: TestBench, n: int) -> int:
+def _press(rig: CampaignBench, n: int) -> int:
     t_ns = time.monotonic_ns()
     rig.devices.stop_button().press()
     return t_ns
 
 
-def _by_itself(rig: TestBench, n: int) -> int:
+def _by_itself(rig: CampaignBench, n: int) -> int:
     """Nothing is done: the walk does it."""
     return time.monotonic_ns()
 
@@ -368,8 +368,8 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "stop_control": (_stop_order, _nothing),
     "stop_page": (_stop_on_page, _nothing),
     "stop_button": (_press, lambda rig: rig.devices.stop_button().press(False)),
-    "view_killed": (_to_child("fes.live.terminal_view", _killed), TestBench.end_session),
-    "page_killed": (_to_child("fes.live.dashboard", _killed), TestBench.end_session),
+    "view_killed": (_to_child("fes.live.terminal_view", _killed), CampaignBench.end_session),
+    "page_killed": (_to_child("fes.live.dashboard", _killed), CampaignBench.end_session),
     "view_frozen": (_to_child("fes.live.terminal_view", _frozen), _nothing),
     "page_frozen": (_to_child("fes.live.dashboard", _frozen), _nothing),
     "phase_stuck": (_by_itself, _nothing),

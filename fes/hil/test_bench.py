@@ -68,7 +68,7 @@ class CampaignBroken(RuntimeError):
 
 
 @dataclass(slots=True)
-class TestBench:
+class CampaignBench:
     """See the module; make one, :meth:`prepare` it for each row, :meth:`close` it."""
 
     bench: Bench
@@ -303,13 +303,13 @@ class TestBench:
 LATCHED: Final = ("fault", "stopped")
 
 
-def named_now(rig: TestBench) -> str:
+def named_now(rig: CampaignBench) -> str:
     """The session's reason; "" when it gives none."""
     status = rig.status() if rig.session().alive else None
     return status.fault if status else ""
 
 
-def is_latched(rig: TestBench) -> bool:
+def is_latched(rig: CampaignBench) -> bool:
     """Whether only a person leads on."""
     status = rig.status()
     return status is not None and status.state in LATCHED

@@ -17,7 +17,7 @@ from scipy.io import savemat
 from fes.cli.main import main
 from fes.datasets import ImportProblem
 from fes.datasets.xsens_text import read_xsens_text
-from fes.evaluation.reference.read import beside, read_references
+from fes.evaluation.reference.read import companion_references, read_references
 from fes.recording import read_recording
 from fes.signals import G_MPS2
 
@@ -66,7 +66,7 @@ def test_gaitmap(tmp_path):
     np.testing.assert_allclose(left.acc_mps2, acc, atol=1e-5)
     np.testing.assert_allclose(left.gyr_radps, gyr, atol=1e-6)  # degrees became radians
     assert recording.extra["licence"] == "MIT"
-    reference = read_references(beside(Path(told["made"][0]["recording"])))
+    reference = read_references(companion_references(Path(told["made"][0]["recording"])))
     assert {(p.foot, p.point) for p in reference.paths} == {
         (f, p) for f in ("left_foot", "right_foot") for p in ("heel", "toe")
     }
@@ -101,7 +101,7 @@ def test_stroke_treadmill(tmp_path):
     assert belt.belt_speed_mps == 0.9
     assert list(belt.tracks) == ["left_foot", "right_foot", "left_shank", "right_shank"]
     assert belt.extra["foot_strike_mean_deg"] == 12.0
-    reference = read_references(beside(Path(made[1]["recording"])))
+    reference = read_references(companion_references(Path(made[1]["recording"])))
     assert reference.belt[:, 1].tolist() == [0.9] * 3
 
 
@@ -151,7 +151,7 @@ def test_stroke_treadmill_as_its_authors_publish_it(tmp_path):
     np.testing.assert_allclose(1e-9 * left.t_sensor_ns, kept / 100.0, atol=1e-9)  # the counter wraps at 65536
     assert right.t_sensor_ns[0] == 30_000_000
     assert any("2 packets were lost" in note for note in made[-1]["notes"] + made[0]["notes"])
-    assert read_references(beside(Path(belt.path))).belt[:, 1].tolist() == [1.6] * 3
+    assert read_references(companion_references(Path(belt.path))).belt[:, 1].tolist() == [1.6] * 3
     one = imported("stroke_treadmill", run, "--out", tmp_path / "again")["made"]
     assert len(one) == 1
 
@@ -202,7 +202,7 @@ def test_pyshoe_leaves_jumps_out(tmp_path):
     savemat(tmp_path / "2017-01-01" / "processed_data.mat", {"imu": np.hstack([acc, gyr]), "gt": place})
     made = imported("pyshoe", tmp_path, "--out", tmp_path / "out")["made"][0]
     assert Path(made["recording"]).stem == "pyshoe_2017-01-01"
-    path = read_references(beside(Path(made["recording"]))).paths[0]
+    path = read_references(companion_references(Path(made["recording"]))).paths[0]
     assert (path.foot, path.point) == ("right_foot", "sensor")
     assert np.flatnonzero(np.isnan(path.position_m[:, 0])).tolist() == [99, 100, 101]
     np.testing.assert_allclose(path.position_m[50], place[50], atol=1e-6)
@@ -214,7 +214,7 @@ def test_ruler(tmp_path):
     table = tmp_path / "SensorConnectData_7_strideIndex_timestamp_gcpX_gcpY.csv"
     table.write_text("strideIndex,timestamp,gcpX,gcpY\n100,0.5,0,0\n300,1.5,0.3,0.4\n500,2.5,0.9,1.2\n")
     made = imported("ruler", tmp_path, "--out", tmp_path / "out", "--foot", "left")["made"][0]
-    strides = read_references(beside(Path(made["recording"]))).strides
+    strides = read_references(companion_references(Path(made["recording"]))).strides
     assert [(s.foot, s.t_start_s, s.values["stride_length_m"]) for s in strides] == [
         ("left_foot", 0.5, pytest.approx(0.5)),
         ("left_foot", 1.5, pytest.approx(1.0)),

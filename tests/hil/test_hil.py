@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.simulated.bus_guests import Rogue, StopButton, flipped, random_frames
-from drivers.simulated.can_link import LinkLoop, SlcanDecoder, SlcanFront, encode_frame, waiting
+from drivers.simulated.can_link import LinkLoop, SlcanDecoder, SlcanFront, encode_frame, waiting_frames
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
 from drivers.simulated.imu.wire import LSL_RECORD, LslWire
 from drivers.simulated.lines import PtyEnd
@@ -55,7 +55,7 @@ from fes.hil.judge import (
 from fes.hil.results import Attempt, Campaign, Row, Verdict
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Effect
 from fes.hil.settings import BUTTON_ID, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US, session_text
-from fes.hil.test_bench import TestBench
+from fes.hil.test_bench import CampaignBench
 from fes.live.status import Status
 from fes.signals import StimCommand
 
@@ -254,7 +254,7 @@ def test_a_machine_that_was_away_is_no_success() -> None:
 
 
 def test_lost_time_counts_as_the_machines_only_where_an_idle_loop_lost_it_too() -> None:
-    bench = TestBench(
+    bench = CampaignBench(
         Hardware(Path(), Path(), Path(), 1.0, BusWitness(Rogue(Bus(interface="virtual")))), frozenset(), ExitStack()
     )
     assert not bench.was_away("controller stalled for 51 ms", 0, 10**12)
@@ -466,7 +466,7 @@ def test_the_line_exchanges_pairs_of_commands(tmp_path: Path) -> None:
         line._fault("reorder", 2)
         for number in range(6):
             line._pass_on(can.Message(arbitration_id=COMMAND_ID, data=[number], is_extended_id=False))
-        assert [frame.data[0] for frame in waiting(there)] == [1, 0, 3, 2, 4, 5]
+        assert [frame.data[0] for frame in waiting_frames(there)] == [1, 0, 3, 2, 4, 5]
         with pytest.raises(ValueError, match="coffee"):
             line._fault("coffee", 1)
         front.plug(False)

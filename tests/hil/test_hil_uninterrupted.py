@@ -17,7 +17,7 @@ from fes.hil import controller as controller_module
 from fes.hil.closed_loop.bench import PatientBench
 from fes.hil.closed_loop.processes import run_between_processes
 from fes.hil.controller import SIGNALS, uninterrupted
-from fes.hil.test_bench import Bench, TestBench
+from fes.hil.test_bench import Bench, CampaignBench
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
@@ -138,7 +138,7 @@ def test_a_rig_interrupted_while_it_starts_a_session_ends_it(
     tmp_path: Path, interrupted_starts: list[subprocess.Popen[bytes]]
 ) -> None:
     with ExitStack() as stack:
-        rig = TestBench(cast(Bench, OnlyFiles(tmp_path)), frozenset(), stack)
+        rig = CampaignBench(cast(Bench, OnlyFiles(tmp_path)), frozenset(), stack)
         stack.callback(rig.close)
         with pytest.raises(KeyboardInterrupt):
             rig.start("")

@@ -19,9 +19,9 @@ import pytest
 from live_runs import (
     EVERY,
     FOOT,
+    Bench,
     Button,
     LiveRun,
-    TestBench,
     faults_named,
     live_run,
     lsl_and_can,
@@ -91,7 +91,7 @@ def faults_of(run: LiveRun) -> list[str]:
     ids=["ximu3 and p24", "ximu3 and rehastim2", "xsens and stimulator on one bus", "shank", "lsl"],
 )
 def test_it_walks_stimulates_stops_and_replays(
-    bench: Callable[[Path, Path, ExitStack], TestBench], moves: str, recordings: Recordings, tmp_path: Path
+    bench: Callable[[Path, Path, ExitStack], Bench], moves: str, recordings: Recordings, tmp_path: Path
 ) -> None:
     recording, calibration = recordings[moves]
     with live_run(tmp_path, recording, "--calibration", calibration, bench=bench) as run:
@@ -157,7 +157,7 @@ def test_a_stimulator_on_the_bus_that_is_lost_comes_back_and_is_armed_by_hand(
     ids=["p24", "rehastim2"],
 )
 def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_hand(
-    bench: Callable[[Path, Path, ExitStack], TestBench],
+    bench: Callable[[Path, Path, ExitStack], Bench],
     kind: DeviceKind,
     greeting: int,
     late_ms: int,
@@ -199,7 +199,7 @@ def test_a_serial_stimulator_that_is_unplugged_is_named_reopened_and_armed_by_ha
 
 @pytest.mark.parametrize("bench", [ximu3_and_p24, ximu3_and_rehastim2], ids=["p24", "rehastim2"])
 def test_pulses_withheld_from_a_serial_stimulators_queue_are_withheld_in_the_replay(
-    bench: Callable[[Path, Path, ExitStack], TestBench], recordings: Recordings, tmp_path: Path
+    bench: Callable[[Path, Path, ExitStack], Bench], recordings: Recordings, tmp_path: Path
 ) -> None:
     """It is mute for a while in mid-burst: what was not sent, and what was asked meanwhile, follows from what came."""
     recording, calibration = recordings["foot"]
@@ -335,7 +335,7 @@ def test_a_stop_button_and_a_foot_switch_on_the_bus(recordings: Recordings, tmp_
         f'[[foot_switches]]\nfoot = "{FOOT}"\nsource = "can_bit"\nidentifier = 0x1F1\nbit = 0\n'
     )
 
-    def with_switches(folder: Path, path: Path, stack: ExitStack) -> TestBench:
+    def with_switches(folder: Path, path: Path, stack: ExitStack) -> Bench:
         bench = xbus_and_can(folder, path, stack)
         assert isinstance(bench.stimulator, NodeHandle)
         nonlocal bus

@@ -46,7 +46,7 @@ from fes.hil.closed_loop.session import calibration_of, session_text
 from fes.hil.devices import start_devices
 from fes.hil.judge import MS
 from fes.hil.scenarios import SCENARIOS
-from fes.hil.test_bench import LOST_TIME, TestBench
+from fes.hil.test_bench import LOST_TIME, CampaignBench
 from fes.session_log import SessionRecord, read_session
 from fes.signals import NS_PER_S, StimCommand
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, VirtualStride
@@ -296,7 +296,7 @@ def test_a_campaign_on_a_patient_who_feels_the_stimulation(tmp_path: Path, trans
     names = ("imu_unplugged", "controller_killed")
     with ExitStack() as stack:
         devices = start_devices(transport, tmp_path, stack, closed_loop=True)
-        rig = TestBench(devices, devices.can_do, stack)
+        rig = CampaignBench(devices, devices.can_do, stack)
         scenarios = [scenario for scenario in SCENARIOS if scenario.name in names]
         done = run_campaign(rig, transport, scenarios, 1, lambda scenario, n, found: None)
         assert devices.patient is not None
