@@ -186,9 +186,9 @@ def _between_processes(
 ) -> tuple[Path, dict[str, Any]]:
     from drivers.imu.port import ImuLost
     from drivers.stimulator.port import StimulatorLost
+    from fes.hil.campaign_bench import CampaignBroken
     from fes.hil.closed_loop.bench import start_patient_bench
     from fes.hil.closed_loop.processes import run_between_processes
-    from fes.hil.test_bench import CampaignBroken
 
     view.state("starting patient, stimulator and controller, each a process of its own")
     told: dict[str, str] = {}

@@ -15,12 +15,12 @@ from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fai
 from fes.cli.replay.command import fresh_folder
 from fes.config import ConfigError
 from fes.hil.campaign import hardware_campaign, save_campaign, simulated_campaign
+from fes.hil.campaign_bench import CampaignBroken
 from fes.hil.controller import SIGNALS
 from fes.hil.devices import TRANSPORTS, Unavailable
 from fes.hil.hardware import host_side
 from fes.hil.results import Attempt, Campaign, Verdict, summary, why
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Scenario
-from fes.hil.test_bench import CampaignBroken
 
 COLOURS: Final = {Verdict.MET: "green", Verdict.JITTER: "yellow", Verdict.FAILED: "red", Verdict.SKIPPED: "blue"}
 

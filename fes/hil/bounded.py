@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from typing import Final
 
+from fes.hil.campaign_bench import LATCHED, CampaignBench, badly_named, named_now
 from fes.hil.judge import MS, length_ms, resumed_after, with_late_pulses
 from fes.hil.results import Attempt
 from fes.hil.scenarios import Scenario
 from fes.hil.settings import DOSE_MC
-from fes.hil.test_bench import LATCHED, CampaignBench, badly_named, named_now
 from fes.signals import NS_PER_S
 
 STUCK_MS: Final = 1500.0  # on for so long, the burst is none of walking

@@ -20,6 +20,7 @@ from drivers.simulated.bus_guests import Rogue
 from drivers.stimulator.port import StimulatorLost
 from fes.hil.baseline import Baseline
 from fes.hil.bounded import burst_without_end, charge_without_end
+from fes.hil.campaign_bench import LATCHED, CampaignBench, CampaignBroken, badly_named, named_now
 from fes.hil.devices import start_devices
 from fes.hil.expected_no_effect import no_burst_begins, no_effect, nothing_executed
 from fes.hil.hardware import BusWitness, Hardware, hardware_session
@@ -27,7 +28,6 @@ from fes.hil.injections import INJECTIONS
 from fes.hil.judge import MS, off_after_ms, on_at, resumed_after
 from fes.hil.results import Attempt, Campaign, Row
 from fes.hil.scenarios import Effect, Needs, Scenario
-from fes.hil.test_bench import LATCHED, CampaignBench, CampaignBroken, badly_named, named_now
 from fes.session_log import SessionLogError, read_session
 from fes.signals import NS_PER_S
 

@@ -7,12 +7,12 @@ import time
 from typing import Final
 
 from drivers.simulated.record import RecordEntry
+from fes.hil.campaign_bench import ALLOWED, CampaignBench, CampaignBroken, badly_named, is_latched, named_now
 from fes.hil.injections import INJECTIONS
 from fes.hil.judge import began_after, resumed_after
 from fes.hil.results import Attempt
 from fes.hil.scenarios import Effect, Scenario
 from fes.hil.settings import CHANNEL, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US
-from fes.hil.test_bench import ALLOWED, CampaignBench, CampaignBroken, badly_named, is_latched, named_now
 from fes.session_log import SessionLogError, read_session
 from fes.signals import NS_PER_S
 

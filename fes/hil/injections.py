@@ -20,9 +20,9 @@ from typing import Final
 
 from drivers.simulated.bus_guests import FRAMES_PER_S, Rogue, asks_for_current, flipped, random_frames
 from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, Frame
+from fes.hil.campaign_bench import CampaignBench, CampaignBroken
 from fes.hil.devices import SERIAL
 from fes.hil.settings import CHANNEL
-from fes.hil.test_bench import CampaignBench, CampaignBroken
 from fes.live.dashboard.message_handler import press_stop
 
 RANDOM_FRAMES: Final = 62_500  # each time: 21 seconds' worth, 1,000,000 in 16 attempts

@@ -36,6 +36,7 @@ from drivers.switches import CanSwitch
 from fes.cli import main
 from fes.config import Bus, StimulatorDevice, load_session
 from fes.hil.baseline import Baseline, Lateness
+from fes.hil.campaign_bench import CampaignBench
 from fes.hil.controller import Child, ScriptedOperator
 from fes.hil.devices import TRANSPORTS, point
 from fes.hil.expected_no_effect import judged
@@ -55,7 +56,6 @@ from fes.hil.judge import (
 from fes.hil.results import Attempt, Campaign, Row, Verdict
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Effect
 from fes.hil.settings import BUTTON_ID, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US, session_text
-from fes.hil.test_bench import CampaignBench
 from fes.live.status import Status
 from fes.signals import StimCommand
 

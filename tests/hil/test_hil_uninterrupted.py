@@ -14,10 +14,10 @@ from typing import Any, cast
 import pytest
 
 from fes.hil import controller as controller_module
+from fes.hil.campaign_bench import Bench, CampaignBench
 from fes.hil.closed_loop.bench import PatientBench
 from fes.hil.closed_loop.processes import run_between_processes
 from fes.hil.controller import SIGNALS, uninterrupted
-from fes.hil.test_bench import Bench, CampaignBench
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from fes.hil.test_bench import LOST_TIME
+from fes.hil.campaign_bench import LOST_TIME
 
 HELD_UP_MS = 100.0  # one process alone, which no idle loop beside it sees
 

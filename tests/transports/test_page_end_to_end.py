@@ -20,7 +20,7 @@ from replays import MS, cut, trial
 from drivers.simulated.stimulator.spawn import free_bus, why_silent
 from fes.cli.common.exits import OK
 from fes.cli.replay.log import repeat
-from fes.hil.test_bench import LOST_TIME
+from fes.hil.campaign_bench import LOST_TIME
 from fes.live.dashboard.message_handler import press_stop
 from fes.recording import write_recording
 from fes.session_log import SessionRecord, read_session

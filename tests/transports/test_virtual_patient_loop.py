@@ -39,6 +39,7 @@ from fes.cli.replay.log import repeat
 from fes.config import load_session, validate_session
 from fes.hil.baseline import Baseline
 from fes.hil.campaign import run_campaign
+from fes.hil.campaign_bench import LOST_TIME, CampaignBench
 from fes.hil.closed_loop.bench import PatientBench, spawn_patient, start_patient_bench
 from fes.hil.closed_loop.one_process import run_in_one_process
 from fes.hil.closed_loop.processes import Ran, SwitchedOff, course, run_between_processes
@@ -46,7 +47,6 @@ from fes.hil.closed_loop.session import calibration_of, session_text
 from fes.hil.devices import start_devices
 from fes.hil.judge import MS
 from fes.hil.scenarios import SCENARIOS
-from fes.hil.test_bench import LOST_TIME, CampaignBench
 from fes.session_log import SessionRecord, read_session
 from fes.signals import NS_PER_S, StimCommand
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, VirtualStride

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from fes.hil.campaign_bench import LATCHED, CampaignBroken
 from fes.hil.closed_loop.bench import PatientBench
 from fes.hil.controller import ControllerProcess, ScriptedOperator, uninterrupted
-from fes.hil.test_bench import LATCHED, CampaignBroken
 from fes.live.status import Status
 from fes.simulation.forward import VirtualStride
 from fes.simulation.forward.closed_loop import INTERVENTIONS
