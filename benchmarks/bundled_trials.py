@@ -116,7 +116,8 @@ def evaluate(name: str) -> list[Errors]:
     recording = read_recording(TRIALS / f"{name}.parquet")
     truth = load_truth(TRIALS / f"{name}.parquet")
     return [
-        compare(recording, foot, [s for s in truth.of(foot) if s.steady and s.walking]) for foot in recording.tracks
+        compare(recording, foot, [s for s in truth.strides_of(foot) if s.steady and s.walking])
+        for foot in recording.tracks
     ]
 
 

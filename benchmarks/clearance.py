@@ -198,7 +198,7 @@ def _trial_errors(trial: str, *, estimated: bool, anchored: bool) -> list[FloatA
     for foot, geometry, paths in trial_paths(trial):
         arms = arms_of(estimate_geometry(paths).geometry) if estimated else geometry
         levels = contact_levels(contact_heights(paths, arms)) if anchored else None
-        for true in (each for each in truth.of(foot) if each.steady and each.walking):
+        for true in (each for each in truth.strides_of(foot) if each.steady and each.walking):
             path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
             if path is not None:
                 found = clearance(path, arms, levels)

@@ -91,7 +91,7 @@ def bundled_cases() -> list[Case]:
     for name in NAMES:
         recording, truth = read_recording(TRIALS / f"{name}.parquet"), load_truth(TRIALS / f"{name}.parquet")
         for foot, track in recording.tracks.items():
-            strides = truth.of(foot)
+            strides = truth.strides_of(foot)
             contacts = np.array([s.t_loading_response_s for s in strides])
             cases.append(Case(f"bundled {name}", track, contacts, np.array([s.t_swing_s for s in strides])))
     return cases

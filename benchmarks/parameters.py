@@ -120,10 +120,10 @@ def compare(case: Case) -> tuple[list[Errors], Analysis]:
     result = analyse(recording, found.calibrations)
     parameters = gait_parameters(result)
     out = []
-    full = [true for foot in parameters.strides for true in case.truth.of(foot) if true.steady]
+    full = [true for foot in parameters.strides for true in case.truth.strides_of(foot) if true.steady]
     begin_s, end_s = min(true.t_start_s for true in full), max(true.t_end_s for true in full)
     for foot, strides in parameters.strides.items():
-        truth = case.truth.of(foot)
+        truth = case.truth.strides_of(foot)
         afflicted = foot.removesuffix("_foot") in case.name
         errors = Errors(case.name, foot, afflicted, sum(t.steady and t.walking for t in truth))
         arms = arms_of(case.recording.geometry[foot])
@@ -210,7 +210,7 @@ def _step_length(truth: Truth, true: TruthStride) -> float:
     other = next((name for name in truth.feet if name != true.foot), None)
     if other is None:
         return math.nan
-    landed = [s.t_end_s for s in truth.of(other) if s.t_loading_response_s < true.t_loading_response_s]
+    landed = [s.t_end_s for s in truth.strides_of(other) if s.t_loading_response_s < true.t_loading_response_s]
     places = []
     for foot, t_s in ((true.foot, true.t_end_s), (other, landed[-1] if landed else 0.0)):
         poses = truth.feet[foot]

@@ -1,4 +1,4 @@
-"""A rigid foot whose curved sole rolls on the ground without slipping.
+"""A rigid foot whose curved sole rolls on the ground without slipping, and where it and its sensor are.
 
 Foot frame: x forward, y left, z up, origin on the sole below the ankle; ``pitch`` is rotation about +y, toe-down
 positive. The sole is a convex curve given by its radius of curvature over the tangent's angle: a small heel arc, an
@@ -6,16 +6,12 @@ almost flat middle, a toe arc. For pitch ``p`` the contact point is ``c(p) = ∫
 height ``h = cx sin p - cz cos p``, and rolling without slip moves the origin forward by ``dx = h dp`` (the contact is
 the instantaneous centre), so a foot in contact can neither sink into the ground nor slide, whatever its pitch does.
 
-Where a foot and its sensor are: ten smooth channels → world pose, angular rate and acceleration.
-
 The walking frame (belt frame) has x forward, y left, z up and moves with the belt; the world stands still. For
 channels pitch ``p``, roll ``r``, yaw ``w`` and a point ``b`` of the foot, with travel ``X`` and height ``H`` of the
-rocker::
+rocker, yaw and roll turn the foot about its ball on the ground, not about the ankle::
 
     position = [along, across, lift] + Rz(w) (Rx(r) ([X, 0, H] + Ry(p) b) - ball) + ball
     R_world_from_foot = Rz(w) Rx(r) Ry(p)
-
-so that yaw and roll turn the foot about its ball on the ground, not about the ankle.
 """
 
 from __future__ import annotations

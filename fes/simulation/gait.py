@@ -21,61 +21,33 @@ TILT_SEEN_RAD = math.radians(2.0)  # a sole tilted by this much stands 5 mm off 
 
 @dataclass(frozen=True, slots=True)
 class StridePlan:
-    """One stride from the stance before its swing to the stance after it. Times in s, lengths in m, angles in rad.
+    """One stride from the stance before its swing to the stance after it. Times in s, lengths in m, angles in rad."""
 
-    Attributes:
-        heel_off_s: heel 5 mm up, end of the stance before.
-        toe_off_s: the toe leaves the ground.
-        contact_s: first contact, with whatever part of the sole comes first.
-        flat_s: the sole lies flat again.
-        next_heel_off_s: end of the stance after.
-        forward_m: how far this swing carries the foot, in the walking frame.
-        sideways_m: the same to the left.
-        push_rad: greatest toe-down pitch, reached just after toe-off.
-        strike_rad: pitch at contact (negative: heel first).
-        dangle_rad: how far the toe drops again in late swing, to arrive at ``strike_rad``.
-        invert_rad: roll at contact, to be loaded flat.
-        turn_rad: change of heading over the swing.
-        swerve_rad: passing change of heading within the swing.
-        circumduction_m: passing sideways excursion of the swing.
-        lift_m: greatest clearance of the sole's lowest point in early swing.
-        toe_clearance_m: least clearance of the sole's lowest point in mid-swing.
-        fall_mps: downward speed at contact.
-        forward_mps: forward speed of the landing foot at contact.
-        stop_s: how long the ground takes to stop both.
-        ring_mps2: size of the ringing after contact.
-        drift_rad: pitch (forward rocking) gained over the stance after.
-        creep_m: instep's creep forward over the stance after.
-        slow_share: part of the push that is the slow heel rise; the rest is the quick push-off.
-        jolt_mps2: size of the jolt that the other foot's contact sends through the deck as this heel rises.
-        contact: what meets the ground first: "heel", "forefoot", "flat"; "soft" if no sensor could tell.
-    """
-
-    heel_off_s: float
-    toe_off_s: float
-    contact_s: float
-    flat_s: float
-    next_heel_off_s: float
-    forward_m: float
-    sideways_m: float
-    push_rad: float
-    strike_rad: float
-    dangle_rad: float
-    invert_rad: float
-    turn_rad: float
-    swerve_rad: float
-    circumduction_m: float
-    lift_m: float
-    toe_clearance_m: float
-    fall_mps: float
-    forward_mps: float
-    stop_s: float
-    ring_mps2: float
-    drift_rad: float
-    creep_m: float
-    slow_share: float
-    jolt_mps2: float
-    contact: str
+    heel_off_s: float  # heel 5 mm up, end of the stance before
+    toe_off_s: float  # the toe leaves the ground
+    contact_s: float  # first contact, with whatever part of the sole comes first
+    flat_s: float  # the sole lies flat again
+    next_heel_off_s: float  # end of the stance after
+    forward_m: float  # how far this swing carries the foot, in the walking frame
+    sideways_m: float  # the same to the left
+    push_rad: float  # greatest toe-down pitch, reached just after toe-off
+    strike_rad: float  # pitch at contact (negative: heel first)
+    dangle_rad: float  # how far the toe drops again in late swing, to arrive at ``strike_rad``
+    invert_rad: float  # roll at contact, to be loaded flat
+    turn_rad: float  # change of heading over the swing
+    swerve_rad: float  # passing change of heading within the swing
+    circumduction_m: float  # passing sideways excursion of the swing
+    lift_m: float  # greatest clearance of the sole's lowest point in early swing
+    toe_clearance_m: float  # least clearance of the sole's lowest point in mid-swing
+    fall_mps: float  # downward speed at contact
+    forward_mps: float  # forward speed of the landing foot at contact
+    stop_s: float  # how long the ground takes to stop both
+    ring_mps2: float  # size of the ringing after contact
+    drift_rad: float  # pitch (forward rocking) gained over the stance after
+    creep_m: float  # instep's creep forward over the stance after
+    slow_share: float  # part of the push that is the slow heel rise; the rest is the quick push-off
+    jolt_mps2: float  # size of the jolt that the other foot's contact sends through the deck as this heel rises
+    contact: str  # what meets the ground first: "heel", "forefoot", "flat"; "soft" if no sensor could tell
 
 
 def write_stride(motion: FootMotion, plan: StridePlan, previous_drift_rad: float, previous_creep_m: float) -> None:

@@ -1,9 +1,7 @@
 """Building blocks of a motion: smooth steps, pulses of speed, ringing and wander; twice continuously differentiable.
 
 A channel (one coordinate over time) is a sum of such blocks. Each acts over a limited time and is constant outside
-it, so a channel of hundreds of strides costs no more than its samples.
-
-Quantities that carry their first and second time derivative: motion differentiated exactly, not by differences.
+it, so a channel of hundreds of strides costs no more than its samples. Derivatives are exact, not by differences.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from fes.estimation.numerics.rotation import quaternions_of
 from fes.signals import NS_PER_S, FloatArray, IntArray
 from fes.simulation.foot import FootPath, stack
 from fes.simulation.gait import StridePlan
@@ -24,10 +25,10 @@ def observe(session: Session, *, reference: str = "") -> Truth:
     """The truth of a finished session; ``reference`` names the foot that carries the lab's marker, "" for none."""
     feet, strides = {}, []
     for name in session.feet:
-        watched = _Watched(session, name)
-        mine = watched.strides()
+        observed = _ObservedFoot(session, name)
+        mine = observed.strides()
         strides += mine
-        feet[name] = watched.foot_truth(mine)
+        feet[name] = observed.foot_truth(mine)
     strides.sort(key=lambda stride: (stride.t_pre_swing_s, stride.foot))
     marker = lab_reference(session, reference) if reference else np.zeros((0, 4))
     return Truth(session.name, feet, strides, session.activities, marker)
@@ -44,7 +45,7 @@ def lab_reference(session: Session, foot: str) -> FloatArray:
     return np.column_stack([t_s, position + session.rng.normal(0.0, REFERENCE_NOISE_M, position.shape)])
 
 
-class _Watched:
+class _ObservedFoot:
     """One foot's path on a 1 kHz grid, with what the criteria need."""
 
     def __init__(self, session: Session, name: str) -> None:
@@ -61,24 +62,24 @@ class _Watched:
         self.heel_up = self.heel[:, 2] - session.heel_m[2]
         self.off_flat = (self.tilt > TILT_RAD) | (self.heel_up > HEEL_UP_M)
 
-    def at(self, t_s: float) -> int:
+    def index(self, t_s: float) -> int:
         return min(max(round(t_s * FINE_HZ), 0), len(self.t_s) - 1)
 
     def strides(self) -> list[TruthStride]:
         plans = self.session.feet[self.name].plans
-        found = []
-        flat = self.at(max(0.05, plans[0].heel_off_s - 0.45)) if plans else 0
+        strides = []
+        flat = self.index(max(0.05, plans[0].heel_off_s - 0.45)) if plans else 0
         for number, plan in enumerate(plans):
             following = plans[number + 1].toe_off_s if number + 1 < len(plans) else plan.flat_s + 0.35
-            heel_off = self.last(self.heel_up > HEEL_UP_M, False, flat, self.at(plan.toe_off_s))
-            now_flat = self.last(self.off_flat, True, self.at(plan.contact_s), self.at(plan.flat_s + 0.15))
+            heel_off = self.last(self.heel_up > HEEL_UP_M, False, flat, self.index(plan.toe_off_s))
+            now_flat = self.last(self.off_flat, True, self.index(plan.contact_s), self.index(plan.flat_s + 0.15))
             if number + 1 < len(plans):
-                next_off = self.last(self.heel_up > HEEL_UP_M, False, now_flat, self.at(following))
+                next_off = self.last(self.heel_up > HEEL_UP_M, False, now_flat, self.index(following))
             else:
-                next_off = self.at(following)
-            found.append(self.stride(number + 1, plan, (flat, heel_off, now_flat, next_off)))
+                next_off = self.index(following)
+            strides.append(self.stride(number + 1, plan, (flat, heel_off, now_flat, next_off)))
             flat = now_flat
-        return found
+        return strides
 
     def last(self, condition: np.ndarray[tuple[int], np.dtype[np.bool_]], value: bool, start: int, end: int) -> int:
         """One past the last index in start … end where ``condition`` is ``value``; ``start`` if nowhere."""
@@ -94,8 +95,8 @@ class _Watched:
         flat, heel_off, now_flat, next_off = marks
         start, end = self.quietest(flat, heel_off), self.quietest(now_flat, next_off)
         swing = plan.contact_s - plan.toe_off_s
-        middle = slice(self.at(plan.toe_off_s + 0.3 * swing), self.at(plan.toe_off_s + 0.8 * swing))
-        contact = self.at(plan.contact_s)
+        middle = slice(self.index(plan.toe_off_s + 0.3 * swing), self.index(plan.toe_off_s + 0.8 * swing))
+        contact = self.index(plan.contact_s)
         yaw = self.path.channels["yaw"].value
         t_start, t_end = float(self.t_s[start]), float(self.t_s[end])
         belt = self.session.belt
@@ -125,7 +126,7 @@ class _Watched:
         phase = np.where(self.heel_up > HEEL_UP_M, int(Phase.PRE_SWING), int(Phase.STANCE))
         for stride in strides:
             off, contact, flat = (
-                self.at(t) for t in (stride.t_swing_s, stride.t_loading_response_s, stride.t_stance_s)
+                self.index(t) for t in (stride.t_swing_s, stride.t_loading_response_s, stride.t_stance_s)
             )
             phase[off:contact] = int(Phase.SWING)
             phase[contact:flat] = int(Phase.LOADING_RESPONSE)
@@ -147,27 +148,7 @@ class _Watched:
 
 def quaternions(rotations: FloatArray) -> FloatArray:
     """(N, 4) unit quaternions wxyz of rotation matrices (N, 3, 3), without jumps of sign."""
-    r = rotations
-    trace = r[:, 0, 0] + r[:, 1, 1] + r[:, 2, 2]
-    # four ways to the same quaternion; each row of `candidates` is 4 q times one of its components
-    candidates = np.stack(
-        [
-            np.column_stack([1 + trace, r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]]),
-            np.column_stack(
-                [r[:, 2, 1] - r[:, 1, 2], 1 + 2 * r[:, 0, 0] - trace, r[:, 0, 1] + r[:, 1, 0], r[:, 0, 2] + r[:, 2, 0]]
-            ),
-            np.column_stack(
-                [r[:, 0, 2] - r[:, 2, 0], r[:, 0, 1] + r[:, 1, 0], 1 + 2 * r[:, 1, 1] - trace, r[:, 1, 2] + r[:, 2, 1]]
-            ),
-            np.column_stack(
-                [r[:, 1, 0] - r[:, 0, 1], r[:, 0, 2] + r[:, 2, 0], r[:, 1, 2] + r[:, 2, 1], 1 + 2 * r[:, 2, 2] - trace]
-            ),
-        ],
-        axis=1,
-    )
-    size = np.linalg.norm(candidates, axis=2)
-    best = candidates[np.arange(len(r)), np.argmax(size, axis=1)]
-    q: FloatArray = best / np.linalg.norm(best, axis=1, keepdims=True)
+    q = quaternions_of(rotations)
     if q[0, 0] < 0:
         q[0] = -q[0]
     turn = np.sum(q[1:] * q[:-1], axis=1) < 0

@@ -22,40 +22,24 @@ class ImuModel:
     """What is wrong with the sensor; every 0 (or None) switches an effect off.
 
     Densities and errors are typical of consumer MEMS units (0.007 °/s/√Hz, 120 µg/√Hz, 16 bit).
-
-    Attributes:
-        gyr_noise_radps_rthz: white noise density, rad/s/√Hz.
-        acc_noise_mps2_rthz: white noise density, m/s²/√Hz.
-        gyr_bias_radps: greatest constant bias per axis; drawn uniformly within ±.
-        acc_bias_mps2: greatest constant bias per axis.
-        gyr_walk_radps_rts: bias random walk, rad/s/√s.
-        acc_walk_mps2_rts: bias random walk, m/s²/√s.
-        scale_error: standard deviation of the scale factors' error.
-        cross_axis: standard deviation of the off-diagonal sensitivities.
-        acc_range_mps2: full scale ±, None for unlimited.
-        gyr_range_radps: full scale ±, None for unlimited.
-        bits: resolution over the full scale; 0 switches quantisation off. Needs both ranges.
-        bandwidth: cut-off of the linear-phase low-pass as a share of the sampling rate; 0 is off.
-        jitter_s: standard deviation of the instant of sampling around the regular grid; the stamps tell the truth.
-        lost: share of samples that never arrive.
-        doubled: share of samples that arrive twice with the same stamp.
     """
 
-    gyr_noise_radps_rthz: float = math.radians(0.007)
-    acc_noise_mps2_rthz: float = 120e-6 * G_MPS2
-    gyr_bias_radps: float = math.radians(0.5)
-    acc_bias_mps2: float = 0.15
-    gyr_walk_radps_rts: float = math.radians(0.003)
-    acc_walk_mps2_rts: float = 2e-4
-    scale_error: float = 0.003
-    cross_axis: float = 0.002
-    acc_range_mps2: float | None = 16.0 * G_MPS2
-    gyr_range_radps: float | None = math.radians(2000.0)
-    bits: int = 16
-    bandwidth: float = 0.4
+    gyr_noise_radps_rthz: float = math.radians(0.007)  # white noise density, rad/s/√Hz
+    acc_noise_mps2_rthz: float = 120e-6 * G_MPS2  # white noise density, m/s²/√Hz
+    gyr_bias_radps: float = math.radians(0.5)  # greatest constant bias per axis; drawn uniformly within ±
+    acc_bias_mps2: float = 0.15  # greatest constant bias per axis
+    gyr_walk_radps_rts: float = math.radians(0.003)  # bias random walk, rad/s/√s
+    acc_walk_mps2_rts: float = 2e-4  # bias random walk, m/s²/√s
+    scale_error: float = 0.003  # standard deviation of the scale factors' error
+    cross_axis: float = 0.002  # standard deviation of the off-diagonal sensitivities
+    acc_range_mps2: float | None = 16.0 * G_MPS2  # full scale ±, None for unlimited
+    gyr_range_radps: float | None = math.radians(2000.0)  # full scale ±, None for unlimited
+    bits: int = 16  # resolution over the full scale; 0 switches quantisation off. Needs both ranges.
+    bandwidth: float = 0.4  # cut-off of the linear-phase low-pass as a share of the sampling rate; 0 is off
+    # standard deviation of the instant of sampling around the regular grid; the stamps tell the truth
     jitter_s: float = 0.0
-    lost: float = 0.0
-    doubled: float = 0.0
+    lost: float = 0.0  # share of samples that never arrive
+    doubled: float = 0.0  # share of samples that arrive twice with the same stamp
 
 
 PERFECT = replace(
@@ -126,9 +110,7 @@ def distort(
         noise, bias, walk, full = (
             model.gyr_noise_radps_rthz, model.gyr_bias_radps, model.gyr_walk_radps_rts, model.gyr_range_radps,
         )  # fmt: skip
-    sensitivity = np.diag(1.0 + model.scale_error * rng.normal(size=3))
-    sensitivity += model.cross_axis * rng.normal(size=(3, 3)) * (1.0 - np.eye(3))
-    out = true @ sensitivity.T + bias * rng.uniform(-1.0, 1.0, 3)
+    out = true @ draw_sensitivity(rng, model).T + bias * rng.uniform(-1.0, 1.0, 3)
     if walk > 0.0:
         out = out + np.cumsum(rng.normal(0.0, walk / math.sqrt(rate_hz), out.shape), axis=0)
     if noise > 0.0:
@@ -141,6 +123,12 @@ def distort(
         lsb = full / 2 ** (model.bits - 1)
         out = np.clip(np.round(out / lsb), -(2 ** (model.bits - 1)), 2 ** (model.bits - 1) - 1) * lsb
     return np.ascontiguousarray(out)
+
+
+def draw_sensitivity(rng: np.random.Generator, model: ImuModel) -> FloatArray:
+    """(3, 3) scale factors and cross-axis sensitivities of one sensor triad."""
+    out: FloatArray = np.diag(1.0 + model.scale_error * rng.normal(size=3))
+    return out + model.cross_axis * rng.normal(size=(3, 3)) * (1.0 - np.eye(3))
 
 
 def low_pass(signal: FloatArray, cut_off: float, half_length: float = 2.0) -> FloatArray:

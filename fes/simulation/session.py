@@ -12,7 +12,7 @@ from fes.signals import FOOT_SENSORS, FloatArray, Vector3
 from fes.simulation.foot import FootPath, Rocker, Sole, stack
 from fes.simulation.motion import Jet, evaluate, zeros
 from fes.simulation.sensor import FINE_HZ, ImuModel, ideal_signals, measure, mounting
-from fes.simulation.walk import Activity, Belt, Foot, Style, other_times, single_times, unrest, write_walk
+from fes.simulation.walk import Activity, Belt, Foot, Style, add_sway, other_times, single_times, write_walk
 
 STANDING_SWAY_DEG = 0.05
 WALKING_SWAY_DEG = 0.65
@@ -83,7 +83,7 @@ class Session:
             end = end_flat + 0.9
             write_walk(self.rng, foot, styles[name], times[name], belt, end, landing)
             landing = foot.along_m
-            unrest(self.rng, foot, start, belt.stop_s + ramp_s, WALKING_SWAY_DEG, BELT_SHAKE_M)
+            add_sway(self.rng, foot, start, belt.stop_s + ramp_s, WALKING_SWAY_DEG, BELT_SHAKE_M)
         self.do("treadmill_start", first)
         self.do("walking", end_flat, walking=True)
         self.do("treadmill_stop", belt.stop_s + ramp_s)
@@ -91,7 +91,7 @@ class Session:
     def finish(self) -> None:
         """Nobody stands like a statue: small movements over the whole session."""
         for foot in self.feet.values():
-            unrest(self.rng, foot, 0.0, self.now_s, STANDING_SWAY_DEG, 0.0)
+            add_sway(self.rng, foot, 0.0, self.now_s, STANDING_SWAY_DEG, 0.0)
 
     def path(self, foot: str, t_s: FloatArray) -> FootPath:
         """One foot's channels at the ascending instants ``t_s`` (N,)."""

@@ -29,45 +29,25 @@ TILT_RAD = math.radians(2.0)
 
 @dataclass(frozen=True, slots=True)
 class TruthStride:
-    """One stride of one foot, times in s from the recording's start, lengths in m in the belt's frame.
+    """One stride of one foot, times in s from the recording's start, lengths in m in the belt's frame."""
 
-    Attributes:
-        foot: sensor name.
-        number: 1, 2, … per foot.
-        t_start_s: quietest instant of the stance before the swing.
-        t_end_s: quietest instant of the stance after it.
-        t_pre_swing_s: pre-swing begins (heel 5 mm up).
-        t_swing_s: swing begins (toe-off, FO).
-        t_loading_response_s: loading response begins (initial contact, IC).
-        t_stance_s: stance begins (foot flat).
-        stride_length_m: horizontal distance of the sensor between t_start_s and t_end_s.
-        clearance_m: greatest height of the sensor above where it is at t_start_s.
-        toe_clearance_m: least height of the toe over 30–80 % of the swing, above its height in stance.
-        heel_clearance_m: greatest height of the heel above its height in stance.
-        foot_strike_deg: angle of the sole at IC, toe-up positive.
-        turn_deg: change of heading, to the left positive.
-        contact: "heel", "flat", "forefoot", or "soft": so gentle that an accelerometer need not see it.
-        steady: the belt ran at full speed from t_start_s to t_end_s.
-        walking: part of a walk (False: a step while turning on the spot).
-    """
-
-    foot: str
-    number: int
-    t_start_s: float
-    t_end_s: float
-    t_pre_swing_s: float
-    t_swing_s: float
-    t_loading_response_s: float
-    t_stance_s: float
-    stride_length_m: float
-    clearance_m: float
-    toe_clearance_m: float
-    heel_clearance_m: float
-    foot_strike_deg: float
-    turn_deg: float
-    contact: str
-    steady: bool
-    walking: bool
+    foot: str  # sensor name
+    number: int  # 1, 2, … per foot
+    t_start_s: float  # quietest instant of the stance before the swing
+    t_end_s: float  # quietest instant of the stance after it
+    t_pre_swing_s: float  # pre-swing begins (heel 5 mm up)
+    t_swing_s: float  # swing begins (toe-off, FO)
+    t_loading_response_s: float  # loading response begins (initial contact, IC)
+    t_stance_s: float  # stance begins (foot flat)
+    stride_length_m: float  # horizontal distance of the sensor between t_start_s and t_end_s
+    clearance_m: float  # greatest height of the sensor above where it is at t_start_s
+    toe_clearance_m: float  # least height of the toe over 30–80 % of the swing, above its height in stance
+    heel_clearance_m: float  # greatest height of the heel above its height in stance
+    foot_strike_deg: float  # angle of the sole at IC, toe-up positive
+    turn_deg: float  # change of heading, to the left positive
+    contact: str  # "heel", "flat", "forefoot", or "soft": so gentle that an accelerometer need not see it
+    steady: bool  # the belt ran at full speed from t_start_s to t_end_s
+    walking: bool  # part of a walk (False: a step while turning on the spot)
 
     @property
     def loading_detectable(self) -> bool:
@@ -100,7 +80,7 @@ class Truth:
     activities: list[Activity] = field(default_factory=list)
     reference: FloatArray = field(default_factory=lambda: np.zeros((0, 4)))
 
-    def of(self, foot: str) -> list[TruthStride]:
+    def strides_of(self, foot: str) -> list[TruthStride]:
         """One foot's strides."""
         return [stride for stride in self.strides if stride.foot == foot]
 

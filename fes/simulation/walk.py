@@ -1,7 +1,4 @@
-"""A walk on a treadmill: when and where each foot lands, with stride-to-stride variation, bound to the belt.
-
-What people do besides walking: stand, shift their weight, turn on the spot, lift a heel, sit down, get up.
-"""
+"""What a person does on a treadmill: walk, no stride like the last, stand, shift weight, turn, sit, get up."""
 
 from __future__ import annotations
 
@@ -228,7 +225,7 @@ def _draw(
     )
 
 
-def unrest(rng: np.random.Generator, foot: Foot, start_s: float, end_s: float, size: float, shake_m: float) -> None:
+def add_sway(rng: np.random.Generator, foot: Foot, start_s: float, end_s: float, size: float, shake_m: float) -> None:
     """Small movements that never stop: sway of the foot (``size`` degrees) and, on a running belt, its shaking."""
     for channel, share in (("pitch", 0.35), ("roll", 1.0), ("yaw", 0.5)):
         foot.motion.add(channel, wander(rng, start_s, end_s, 0.11, math.radians(share * size)))

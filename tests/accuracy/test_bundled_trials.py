@@ -55,7 +55,7 @@ class Run:
     def pairs(self, foot: str) -> list[tuple[StrideResult, TruthStride]]:
         """The strides that the truth marks steady, each with the one found that holds its foot off."""
         found = []
-        for true in self.truth.of(foot):
+        for true in self.truth.strides_of(foot):
             if true.steady and true.walking:
                 match = [s for s in self.strides if s.t_start_ns < 1e9 * true.t_swing_s < s.t_end_ns]
                 assert len(match) == 1, f"stride {true.number}: {len(match)} found"
@@ -89,7 +89,7 @@ def test_every_stride_passes_the_phases_in_order(name: str, foot: str) -> None:
     """Of all strides of the walk, steady or not: between one true mid-swing and the next T3, T4, T1, T2, once each."""
     r = run(name, foot)
     landing = [6] if name == "soft_contact" else [3, 4]
-    walked = [true for true in r.truth.of(foot) if true.walking]
+    walked = [true for true in r.truth.strides_of(foot) if true.walking]
     middles = [0.5e9 * (true.t_swing_s + true.t_loading_response_s) for true in walked]
     assert len(walked) >= 9
     for number, (begin, end) in enumerate(pairwise([-math.inf, *middles, math.inf])):
@@ -108,7 +108,7 @@ def test_every_stride_passes_the_phases_in_order(name: str, foot: str) -> None:
 def test_nothing_else_fires(name: str, foot: str) -> None:
     r = run(name, foot)
     count = Counter(change.transition for change in r.changes)
-    strides = len(r.truth.of(foot))
+    strides = len(r.truth.strides_of(foot))
     assert count[Transition.T2] == strides
     assert count[Transition.T6 if name == "soft_contact" else Transition.T4] == strides
     assert count[Transition.T5] <= (1 if name == "soft_contact" else 0)

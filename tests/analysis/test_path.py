@@ -130,7 +130,7 @@ def test_the_way_is_that_of_the_simulated_walker() -> None:
     result = analyse(*calibrated(recording))
     assert set(result.paths) == {"left_foot", "right_foot"}
     for foot, path in result.paths.items():
-        true_m = sum(stride.stride_length_m for stride in truth.of(foot))
+        true_m = sum(stride.stride_length_m for stride in truth.strides_of(foot))
         assert path.way_m == pytest.approx(true_m, rel=0.03)
         assert abs(path.height_gained_m) < 0.05
     rows = [row for row in result.stride_rows() if row["valid"]]

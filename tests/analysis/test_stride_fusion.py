@@ -62,7 +62,7 @@ def test_against_the_truth(track: Track, strides: list[StrideResult]) -> None:
     both = fuse(strides, track)
     errors = [
         next(s for s in both if s.t_start_ns < 1e9 * true.t_swing_s < s.t_end_ns).stride_length_m - true.stride_length_m
-        for true in load_truth(TRIAL).of(FOOT)
+        for true in load_truth(TRIAL).strides_of(FOOT)
         if true.steady and true.walking
     ]
     assert len(errors) > 35

@@ -169,7 +169,7 @@ def test_thresholds_by_value_by_factor_and_of_the_wrong_kind() -> None:
 def test_scores_against_the_truth_count_what_was_made_wrong() -> None:
     truth = load_truth(TRIAL)
     foot = next(iter(truth.feet))
-    known = truth.of(foot)
+    known = truth.strides_of(foot)
 
     def change(t_s: float, transition: Transition) -> PhaseChange:
         return PhaseChange(round(t_s * NS_PER_S), foot, transition, Phase.STANCE, Phase.STANCE)
@@ -188,7 +188,7 @@ def test_scores_against_the_truth_count_what_was_made_wrong() -> None:
 def test_bursts_are_held_against_the_swings() -> None:
     truth = load_truth(TRIAL)
     foot = next(iter(truth.feet))
-    walked = [stride for stride in truth.of(foot) if stride.walking]
+    walked = [stride for stride in truth.strides_of(foot) if stride.walking]
     asked: list[tuple[int, StimRequest]] = [(0, StimRequest(0, on=True)), (NS_PER_S // 10, StimRequest(0, on=False))]
     for stride in walked[1:]:
         asked.append((round(stride.t_swing_s * NS_PER_S), StimRequest(0, on=True)))

@@ -28,7 +28,7 @@ def test_every_stimulated_stride_has_one_foot_off_and_one_contact(speed: str, tm
     analysis = analyse(recording, found.calibrations)
     parameters, truth = gait_parameters(analysis), load_truth(tmp_path / "walk.parquet")
     for foot in FOOT_SENSORS:
-        events, strides = analysis.events[foot], truth.of(foot)
+        events, strides = analysis.events[foot], truth.strides_of(foot)
         off = np.array([stride.t_swing_s for stride in strides])
         contact = np.array([stride.t_loading_response_s for stride in strides])
         found_off, found_contact = 1e-9 * events.fo_ns, 1e-9 * events.ic_ns

@@ -288,7 +288,7 @@ def test_simulated_walks_smoothed(name: str, rmse_m: float) -> None:
     for sensor, track in recording.tracks.items():
         new = np.append(True, np.diff(track.t_sensor_ns) > 0)  # one of the sensors doubles samples
         path = zupt_path(track.t_sensor_ns[new], track.acc_mps2[new], track.gyr_radps[new])
-        strides = [s for s in truth.of(sensor) if s.steady and s.walking]
+        strides = [s for s in truth.strides_of(sensor) if s.steady and s.walking]
         begin = np.array([round(1e9 * s.t_start_s) for s in strides])
         end = np.array([round(1e9 * s.t_end_s) for s in strides])
         errors = path.stride_lengths(begin, end) - [s.stride_length_m for s in strides]

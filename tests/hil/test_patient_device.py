@@ -16,7 +16,7 @@ from drivers.simulated.stimulator.firmware import StimulatorNode
 from fes.hil.closed_loop.patient_device import HELD, PatientDevice
 from fes.signals import NS_PER_S
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, settings_for
-from fes.simulation.forward.closed_loop import INTERVENTIONS, do_to
+from fes.simulation.forward.closed_loop import INTERVENTIONS, intervene
 from fes.simulation.forward.settings import MuscleSettings, from_plain, to_plain
 
 MS = 1_000_000
@@ -116,15 +116,15 @@ def test_waiting_means_waiting() -> None:
     device = PatientDevice(SETTINGS, 0, waits=True)
     device.advance(20 * NS_PER_S, [])
     assert device.patient.walks == []
-    do_to(device.patient, "walk")
+    intervene(device.patient, "walk")
     device.advance(26 * NS_PER_S, [])
     strides = device.new_strides()
     assert {stride.foot for stride in strides} == {"right_foot"}
     assert device.new_strides() == []
-    for deed in INTERVENTIONS:
-        do_to(device.patient, deed, 0.5)
+    for intervention in INTERVENTIONS:
+        intervene(device.patient, intervention, 0.5)
     with pytest.raises(ValueError, match="cannot be done"):
-        do_to(device.patient, "jump")
+        intervene(device.patient, "jump")
 
 
 def test_its_sensors_have_the_faults_of_simulated_ones() -> None:

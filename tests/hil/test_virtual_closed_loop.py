@@ -107,7 +107,7 @@ def test_fes_simulate_writes_what_fes_reads(tmp_path: Path) -> None:
     recording = read_recording(Path(result["recording"]))
     assert set(recording.tracks) == {"left_foot", "right_foot", "left_shank", "right_shank"}
     assert recording.tracks["right_foot"].duration_s == pytest.approx(15.0, abs=0.02)
-    assert len(load_truth(tmp_path / "simulated.parquet").of("right_foot")) == result["strides"]
+    assert len(load_truth(tmp_path / "simulated.parquet").strides_of("right_foot")) == result["strides"]
     first = (tmp_path / "simulated.parquet").read_bytes()
     code, out = invoke("--out", str(tmp_path))
     assert code == 2

@@ -88,7 +88,7 @@ def test_ideal_signals_integrate_back_to_the_pose(name: str, foot: str) -> None:
     walk = session(name)
     rate_hz = 4000.0
     mount = mounting(*walk.placements[foot].angles_deg)
-    for stride in truth(name).of(foot)[10:12]:
+    for stride in truth(name).strides_of(foot)[10:12]:
         t = np.arange(round(stride.t_start_s * rate_hz), round(stride.t_end_s * rate_hz)) / rate_hz
         force, rate = walk.ideal(foot, t)
         path = walk.path(foot, t)
@@ -144,7 +144,7 @@ def test_what_touches_the_ground_does_not_slide(name: str) -> None:
         t = np.arange(0.0, walk.now_s, 0.004)
         path = walk.path(foot, t)
         marks = [stack(path.point(walk.rocker, body))[0] for body in ((walk.rocker.sole.ball_m, 0.0, 0.0), walk.heel_m)]
-        strides = [stride for stride in truth(name).of(foot) if stride.walking]
+        strides = [stride for stride in truth(name).strides_of(foot) if stride.walking]
         for before, after in pairwise(strides):
             flat, off, free = np.searchsorted(t, [before.t_stance_s, after.t_pre_swing_s, after.t_swing_s])
             for mark in marks:
@@ -173,7 +173,7 @@ def jump_of_contact(name: str, foot: str) -> FloatArray:
     jump = np.abs(norm[span:] - norm[:-span]) / (span / track.rate_hz)
     t = track.t_ns[:-span] * 1e-9
     found = []
-    for stride in truth(name).of(foot):
+    for stride in truth(name).strides_of(foot):
         near = (t > stride.t_loading_response_s - 0.03) & (t < stride.t_loading_response_s + 0.08)
         found.append(float(jump[near].max()))
     return np.array(found)
@@ -203,7 +203,7 @@ def test_misaligned_sensors_are_far_off_and_differ() -> None:
         track = recording("misaligned").tracks[foot]
         down = [
             track.gyr_radps[np.searchsorted(track.t_ns, round(stride.t_swing_s * 1e9) - 10_000_000)]
-            for stride in truth("misaligned").of(foot)
+            for stride in truth("misaligned").strides_of(foot)
             if stride.steady
         ]
         mean = np.mean(down, axis=0)

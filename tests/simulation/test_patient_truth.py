@@ -49,7 +49,9 @@ def test_stride_lengths_add_up_to_the_way_of_the_belt(name: str) -> None:
     speed = recording(name).belt_speed_mps
     assert speed is not None
     for foot in truth(name).feet:
-        steady = [stride for stride in truth(name).of(foot) if stride.steady][:-1]  # the last one only closes up
+        steady = [stride for stride in truth(name).strides_of(foot) if stride.steady][
+            :-1
+        ]  # the last one only closes up
         way = sum(stride.stride_length_m for stride in steady)
         assert way == pytest.approx(speed * (steady[-1].t_end_s - steady[0].t_start_s), abs=0.035 * way)
 
@@ -83,7 +85,7 @@ def test_patient_2_has_the_published_phase_durations() -> None:
 @pytest.mark.parametrize("name", [*PARQUET, "example_csv"])
 def test_strides_are_in_order_and_within_physiology(name: str) -> None:
     for foot in truth(name).feet:
-        strides = truth(name).of(foot)
+        strides = truth(name).strides_of(foot)
         assert [stride.number for stride in strides] == list(range(1, len(strides) + 1))
         for stride in strides:
             assert stride.t_start_s < stride.t_pre_swing_s < stride.t_swing_s
@@ -99,13 +101,13 @@ def test_strides_are_in_order_and_within_physiology(name: str) -> None:
 def test_phase_series_tells_the_same_as_the_strides(name: str) -> None:
     for foot, series in truth(name).feet.items():
         t = series.t_ns * 1e-9
-        for stride in truth(name).of(foot):
+        for stride in truth(name).strides_of(foot):
             middle = 0.5 * (stride.t_swing_s + stride.t_loading_response_s)
             assert series.phase[np.searchsorted(t, middle)] == Phase.SWING
             assert series.phase[np.searchsorted(t, stride.t_swing_s) - 3] == Phase.PRE_SWING
             assert series.phase[np.searchsorted(t, stride.t_stance_s) + 2] == Phase.STANCE
         swings = np.count_nonzero(np.diff((series.phase == Phase.SWING).astype(int)) == 1)
-        assert swings == len(truth(name).of(foot))
+        assert swings == len(truth(name).strides_of(foot))
 
 
 def test_the_reference_marker_in_the_belts_frame_is_the_sensor() -> None:

@@ -83,10 +83,12 @@ def test_the_truth_survives_writing_and_agrees_with_itself(tmp_path: Path) -> No
     write_recording(recording_of(patient, samples, "walk", "told"), tmp_path / "walk.parquet")
     again = load_truth(tmp_path / "walk.parquet")
     assert read_recording(tmp_path / "walk.parquet").belt_speed_mps == 0.9
-    assert [stride.number for stride in again.of("left_foot")] == [stride.number for stride in truth.of("left_foot")]
+    assert [stride.number for stride in again.strides_of("left_foot")] == [
+        stride.number for stride in truth.strides_of("left_foot")
+    ]
     for foot, poses in again.feet.items():
         assert np.allclose(np.linalg.norm(poses.q_world_from_sensor, axis=1), 1.0, atol=1e-4)
-        for stride in again.of(foot)[1:-1]:
+        for stride in again.strides_of(foot)[1:-1]:
             rows = (poses.t_ns * 1e-9 > stride.t_swing_s + 0.02) & (
                 poses.t_ns * 1e-9 < stride.t_loading_response_s - 0.02
             )

@@ -120,7 +120,9 @@ def burst_scores(bursts: dict[int, list[Burst]], foot_of: dict[int, str], truth:
     without, idle = 0, 0
     for channel, foot in foot_of.items():
         spans = bursts.get(channel, [])
-        own = [(round(s.t_swing_s * NS_PER_S), round(s.t_loading_response_s * NS_PER_S), s) for s in truth.of(foot)]
+        own = [
+            (round(s.t_swing_s * NS_PER_S), round(s.t_loading_response_s * NS_PER_S), s) for s in truth.strides_of(foot)
+        ]
         idle += sum(not any(off < end and begin < on for off, on, _ in own) for begin, end in spans)
         without += sum(s.walking and not any(off < end and begin < on for begin, end in spans) for off, on, s in own)
     return {**scores, "swings_without": without, "bursts_without": idle}
@@ -149,7 +151,7 @@ def patient_scores(strides: Sequence[VirtualStride], roll_backs: int, latched: b
 
 
 def _length_errors(truth: Truth, foot: str, strides: Sequence[StrideResult]) -> FloatArray:
-    known = [s for s in truth.of(foot) if s.walking and s.steady]
+    known = [s for s in truth.strides_of(foot) if s.walking and s.steady]
     mine = [s for s in strides if s.foot == foot and s.valid and s.t_swing_ns is not None]
     should = np.array([round(s.t_swing_s * NS_PER_S) for s in known], np.int64)
     did = np.array([s.t_swing_ns for s in mine], np.int64)

@@ -34,7 +34,7 @@ from fes.recording.samples import samples_of
 from fes.session_log import Note, SessionWriter
 from fes.signals import NS_PER_S, SHANK_SENSORS, Event, ImuSample, OperatorAct, OperatorAction, Vector3
 from fes.simulation.forward import PatientSettings, VirtualPatient, VirtualStride
-from fes.simulation.forward.closed_loop import PulseSource, calibration_walk, do_to, patient_events
+from fes.simulation.forward.closed_loop import PulseSource, calibration_walk, intervene, patient_events
 
 ARMED_AFTER_S: Final = 0.5
 _ACTS = {
@@ -263,7 +263,7 @@ def _happen(one: Happening, t_ns: int, patient: VirtualPatient, session: Session
             yield OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0)
         yield OperatorAct(t_ns, _ACTS[one.what], one.value)
     else:
-        do_to(patient, one.what, one.value)
+        intervene(patient, one.what, one.value)
 
 
 def _as_carried(event: Event) -> Event:

@@ -29,7 +29,7 @@ from drivers.simulated.process_end import STDIN, CommandReader, become_real_time
 from drivers.simulated.pulses import PulseInlet
 from fes.hil.closed_loop.patient_device import HELD, PatientDevice
 from fes.signals import NS_PER_S, SENSORS
-from fes.simulation.forward.closed_loop import do_to
+from fes.simulation.forward.closed_loop import intervene
 from fes.simulation.forward.settings import from_plain
 
 LONGEST_WAIT_S: Final = 1.0
@@ -82,7 +82,7 @@ class PatientLoop:
 
     def _execute(self, asked: dict[str, Any]) -> dict[str, Any]:
         if "do" in asked:
-            do_to(self._device.patient, str(asked["do"]), float(asked.get("value", 0.0)))
+            intervene(self._device.patient, str(asked["do"]), float(asked.get("value", 0.0)))
         elif "hold" in asked:
             self._device.hold(bool(asked["hold"]))
         elif "begin" in asked:

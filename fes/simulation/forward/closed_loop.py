@@ -2,8 +2,6 @@
 
 No clock is read and nothing waits, so a minute's walk takes a second, and the same settings give the same bytes. The
 stimulator is handed in: anything with :meth:`PulseSource.take_pulses`, such as the simulated one of the drivers.
-
-What can happen to a virtual patient while it lives, by name: for commands, processes and courses.
 """
 
 from __future__ import annotations
@@ -18,34 +16,34 @@ from fes.simulation.forward.settings import DeliveredPulse, PatientSettings
 from fes.simulation.forward.truth import recording_of
 
 INTERVENTIONS: Final = ("walk", "stand", "speed", "electrode", "fitness")
+CALIBRATION_S: Final = 25.0
 
 
-def do_to(patient: VirtualPatient, deed: str, value: float = 0.0) -> None:
-    """Let something happen now: start or stop the belt, change its speed (m/s), how much of the charge reaches the
-    nerve, or how much of its fresh force the muscle has left (shares 0–1).
+def intervene(patient: VirtualPatient, intervention: str, value: float = 0.0) -> None:
+    """Do one of :data:`INTERVENTIONS` to the patient now.
+
+    Start or stop the belt, change its speed (m/s), how much of the charge reaches the nerve, or how much of its fresh
+    force the muscle has left (shares 0–1).
 
     Raises:
         ValueError: no such thing, or a value out of range.
     """
-    if deed == "walk":
+    if intervention == "walk":
         patient.walk()
-    elif deed == "stand":
+    elif intervention == "stand":
         patient.stop()
-    elif deed == "speed":
+    elif intervention == "speed":
         patient.set_speed(value)
-    elif deed == "electrode":
+    elif intervention == "electrode":
         patient.set_electrode_quality(value)
-    elif deed == "fitness":
+    elif intervention == "fitness":
         patient.set_fitness(value)
     else:
-        raise ValueError(f"{deed!r} cannot be done to a patient; one of {', '.join(INTERVENTIONS)}")
-
-
-CALIBRATION_S = 25.0
+        raise ValueError(f"{intervention!r} cannot be done to a patient; one of {', '.join(INTERVENTIONS)}")
 
 
 class PulseSource(Protocol):
-    """A stimulator that tells what it has delivered."""
+    """A stimulator that reports what it has delivered."""
 
     def take_pulses(self) -> Sequence[DeliveredPulse]:
         """The pulses since the last call, by time."""

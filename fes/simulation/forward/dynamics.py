@@ -1,36 +1,20 @@
-"""The compiled integration of a leg: plan, ankle, ground. Scalar code only, so that bits do not differ.
+"""The compiled integration of a leg: plan, ankle, muscle, ground. Scalar code only, so that bits do not differ.
 
 A leg is a point (the ankle) that the rest of the body carries along a planned path through a spring and a damper, and a
 rigid foot that turns about it. What acts on the foot: gravity, the swinging leg's inertia, passive tissue, voluntary
 and stimulated dorsiflexors, the calf, its stretch reflex, and the ground at heel, ball and toe. Semi-implicit Euler.
 
-Ground: springs with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction by bristles. In
-pre-swing the foot rolls over its ball and then, as the shoe bends no further, over the tip of its toe. Passive tissue
-about the ankle is in :mod:`fes.simulation.forward.dynamics`, the muscle in :mod:`fes.simulation.forward.dynamics`.
-
-Angles: foot pitch and shank tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is forward in
-the belt's frame, z up from the ground.
-
-What the compiled integration works on: one record per leg, one for the belt; names instead of index numbers.
-
-The ground under one round point of the foot, compiled. Scalar code only, so that bits do not differ.
-
-Hertz's law of a sphere with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction by
-bristles. Where the numbers come from: docs/virtual_patient.md.
-
-Relaxed tissue about the ankle, compiled: a spring that tightens at both ends of the range, and what it loses.
-
-Scalar code only, so that bits do not differ.
-
-The stimulated dorsiflexors, compiled: from pulses to torque. Scalar code only, so that bits do not differ.
-
+- Ground: Hertz's law of a sphere with damping that grows with depth (Hunt & Crossley, *J Appl Mech* 42, 1975); friction
+  by bristles. In pre-swing the foot rolls over its ball and then, as the shoe bends no further, over its toe's tip.
 - Recruitment over charge: Durfee & MacLean, *IEEE Trans Biomed Eng* 36 (1989); so used by Riener & Fuhr, *IEEE Trans
   Rehabil Eng* 6 (1998).
 - Calcium transients summed over pulses, then saturation: Ding, Wexler & Binder-Macleod, *J Appl Physiol* 88 (2000).
 - Activation with its own time constants, fatigue and recovery: Riener, Quintern & Schmidt, *J Biomech* 29 (1996).
 - Force against velocity: Hill's hyperbola for a muscle that shortens, up to 1.4 times as much for one stretched.
 
-The electromechanical delay is applied where pulses are taken in (:mod:`fes.simulation.forward.patient`).
+Where the numbers come from: docs/virtual_patient.md. One record per leg, one for the belt. Angles: foot pitch and shank
+tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is forward in the belt's frame, z up from
+the ground. The electromechanical delay is applied where pulses come in (:mod:`fes.simulation.forward.patient`).
 """
 
 from __future__ import annotations

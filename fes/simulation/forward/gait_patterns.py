@@ -1,18 +1,15 @@
-"""How healthy legs move: joint angles over the gait cycle, segment lengths, stride time against speed.
+"""How legs move: joint angles over the gait cycle, segment lengths, stride time against speed, hemiparetic patterns.
 
 Sagittal angles: the values at the ends of the eight phases of gait that Perry & Burnfield (*Gait Analysis*, 2nd ed.,
 2010, ch. 3–6) give for thigh, knee and ankle, with the peaks they place between them; a periodic cubic spline through
 them, then its first harmonics (Winter, *Biomechanics and Motor Control of Human Movement*, 4th ed., 2009, found six
 enough for gait), so that any number of derivatives is smooth. Segments and masses: Winter, table 4.1. Stride rate:
-Grieve & Gear, *Ergonomics* 9 (1966): ``64.8 (v/h)^0.57`` strides a minute.
+Grieve & Gear, *Ergonomics* 9 (1966): ``64.8 (v/h)^0.57`` strides a minute. Entered from memory of these works; which
+numbers have been compared since is in docs/virtual_patient.md.
 
-Entered from memory of these works; which numbers have been compared since is in docs/virtual_patient.md.
-
-The five hemiparetic walks of Wang et al. (Tables 1 and 2) as settings of the affected leg.
-
-The paper gives no names, only numbers: speed, stride length, durations, the foot's greatest height (MHL) and rotation
-(MLR), and how much strides differ (PV, OV). What moves those numbers here stands beside each; what a walk then shows
-follows from the model.
+The five hemiparetic walks of Wang et al. (Tables 1 and 2) are settings of the affected leg. The paper gives only
+numbers: speed, stride length (SL), durations, the foot's greatest height (MHL) and rotation (MLR), and how much strides
+differ (PV, OV). What moves those numbers here stands beside each; what a walk then shows follows from the model.
 """
 
 from __future__ import annotations
@@ -29,31 +26,18 @@ from fes.signals import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Pattern:
-    """How the affected leg departs from the normal one.
+    """How the affected leg departs from the normal one."""
 
-    Attributes:
-        speed_mps: the walk's own speed (Table 1); what to choose for ``speed_mps``.
-        cycle_factor: stride time against a healthy person's at that speed (from SL and speed).
-        stance_shift: share of the cycle that the affected leg stands less.
-        toe_off_deg: toe-down pitch at foot off at comfortable speed (MLR, from stance to the steepest).
-        knee: share of the normal knee flexion in swing (a stiff knee has little).
-        hike_m: lift of the whole leg by the pelvis in mid-swing, beyond the habitual compensation (MHL).
-        circumduction_m: sideways excursion of the swing (MDD).
-        swerve_deg: passing outward turn of the swing.
-        invert_deg: inversion of the foot that hangs in swing.
-        variation: stride-to-stride variation against the usual (PV, OV).
-    """
-
-    speed_mps: float = 0.8
-    cycle_factor: float = 1.0
-    stance_shift: float = 0.0
-    toe_off_deg: float = 62.0
-    knee: float = 1.0
-    hike_m: float = 0.0
-    circumduction_m: float = 0.015
-    swerve_deg: float = 3.0
-    invert_deg: float = 6.0
-    variation: float = 1.0
+    speed_mps: float = 0.8  # the walk's own speed (Table 1); what to choose for ``speed_mps``
+    cycle_factor: float = 1.0  # stride time against a healthy person's at that speed (from SL and speed)
+    stance_shift: float = 0.0  # share of the cycle that the affected leg stands less
+    toe_off_deg: float = 62.0  # toe-down pitch at foot off at comfortable speed (MLR, from stance to the steepest)
+    knee: float = 1.0  # share of the normal knee flexion in swing (a stiff knee has little)
+    hike_m: float = 0.0  # lift of the whole leg by the pelvis in mid-swing, beyond the habitual compensation (MHL)
+    circumduction_m: float = 0.015  # sideways excursion of the swing (MDD)
+    swerve_deg: float = 3.0  # passing outward turn of the swing
+    invert_deg: float = 6.0  # inversion of the foot that hangs in swing
+    variation: float = 1.0  # stride-to-stride variation against the usual (PV, OV)
 
 
 PATTERNS: Final[dict[str, Pattern]] = {

@@ -1,7 +1,4 @@
-"""The compiled loop over internal steps: until something happens that needs a new plan, or the time asked for.
-
-How far the belt still goes: where to set a foot down when it stops.
-"""
+"""The compiled loop over internal steps: until something happens that needs a new plan, or the time asked for."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""One leg's plans: what its next stance, heel rise and swing shall be, written into its record at each event.
-
-The two kinds of curves that plans are made of: Fourier series over the cycle and quintics from one to the next.
-"""
+"""One leg's plans: what its next stance, heel rise and swing shall be, written into its record at each event."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ class VirtualPatient:
         if end < self._step:
             raise ValueError(f"the patient is at {self.now_ns} ns already; it cannot go back to {until_ns} ns")
         if pulses:
-            self._take(pulses)
+            self._queue(pulses)
         return self._to(end)
 
     # --- what happens to the patient --------------------------------------------------------------------
@@ -164,16 +164,16 @@ class VirtualPatient:
     @property
     def geometry(self) -> dict[str, FootGeometry]:
         """Where toe and heel are, seen from each foot's sensor with the foot flat: for a session's settings."""
-        found = {}
+        geometry = {}
         for side, foot in enumerate(FOOT_SENSORS):
             leg = self._walker.legs[side]
             x, y, z = self._places[side]
-            found[foot] = FootGeometry(
+            geometry[foot] = FootGeometry(
                 toe_forward_m=round(float(leg["ball_x"] + leg["toe_m"]) - x, 4), toe_up_m=round(-leg["sole_m"] - z, 4),
                 heel_forward_m=round(float(leg["heel_x"]) - x, 4), heel_up_m=round(-leg["sole_m"] - z, 4),
                 toe_left_m=round(-y, 4), heel_left_m=round(-y, 4),
             )  # fmt: skip
-        return found
+        return geometry
 
     # --- inside -----------------------------------------------------------------------------------------
 
@@ -185,7 +185,7 @@ class VirtualPatient:
         x, y, z = placement.body_m
         return [x, y, z - self.sole_m if name in FOOT_SENSORS else z]
 
-    def _take(self, pulses: Sequence[DeliveredPulse]) -> None:
+    def _queue(self, pulses: Sequence[DeliveredPulse]) -> None:
         mine = [pulse for pulse in pulses if pulse.channel == self.settings.channel]
         if not mine:
             return

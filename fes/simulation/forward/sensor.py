@@ -15,7 +15,7 @@ import numpy as np
 from fes.estimation.numerics.jit import jit
 from fes.signals import SENSORS, FloatArray
 from fes.simulation.forward.settings import STEP_NS
-from fes.simulation.sensor import ImuModel, mounting
+from fes.simulation.sensor import ImuModel, draw_sensitivity, mounting
 from fes.simulation.session import Placement
 
 BUFFER: Final = 512  # rows of random numbers drawn at once
@@ -78,7 +78,7 @@ class SensorBank:
             rng = np.random.default_rng((seed, 20 + k))
             mount = mounting(*placements[name].angles_deg) if name in placements else np.eye(3)
             for part, bias in enumerate((model.acc_bias_mps2, model.gyr_bias_radps)):
-                self._matrix[k, part] = mount @ _sensitivity(rng, model).T
+                self._matrix[k, part] = mount @ draw_sensitivity(rng, model).T
                 self._offset[k, 3 * part : 3 * part + 3] = bias * rng.uniform(-1.0, 1.0, 3)
         half_band = math.sqrt(0.5 * rate_hz)
         self._white = np.repeat([model.acc_noise_mps2_rthz * half_band, model.gyr_noise_radps_rthz * half_band], 3)
@@ -115,8 +115,3 @@ class SensorBank:
                 chance = self._chance[k].uniform(size=BUFFER)
                 self._arrives[:, k] = np.where(chance < self._lost, 0, np.where(chance > 1.0 - self._doubled, 2, 1))
         self._row = 0
-
-
-def _sensitivity(rng: np.random.Generator, model: ImuModel) -> FloatArray:
-    out: FloatArray = np.diag(1.0 + model.scale_error * rng.normal(size=3))
-    return out + model.cross_axis * rng.normal(size=(3, 3)) * (1.0 - np.eye(3))

@@ -1,7 +1,4 @@
-"""What a virtual patient is: body, gait, ankle, muscle and sensors, in plain numbers with their allowed ranges.
-
-Ready patients by name, and patients from a settings file.
-"""
+"""A virtual patient in plain numbers with their allowed ranges: body, gait, muscle, sensors; ready ones by name."""
 
 from __future__ import annotations
 
@@ -22,31 +19,18 @@ STEP_NS = 500_000  # the internal step: the shoe sole's contact modes (about 70 
 
 @dataclass(frozen=True, slots=True)
 class MuscleSettings:
-    """The stimulated dorsiflexors.
+    """The stimulated dorsiflexors."""
 
-    Attributes:
-        threshold_uc: charge per phase at which the first fibres answer, µC.
-        saturation_uc: charge per phase at which all that the electrodes reach are recruited, µC.
-        max_torque_nm: greatest torque of the fresh, fully recruited muscle at 40 Hz, N·m.
-        delay_s: electromechanical delay, from pulse to first force.
-        tau_calcium_s: decay of the calcium transient of one pulse.
-        tau_rise_s: time constant of activation rising.
-        tau_fall_s: time constant of activation falling.
-        fatigue_s: time constant of tiring under full activation; ``inf`` never tires.
-        recovery_s: time constant of recovery at rest.
-        fatigue_floor: share of the torque that is left however long it goes on.
-    """
-
-    threshold_uc: float = 3.5
-    saturation_uc: float = 11.0
-    max_torque_nm: float = 14.0
-    delay_s: float = 0.03
-    tau_calcium_s: float = 0.02
-    tau_rise_s: float = 0.04
-    tau_fall_s: float = 0.06
-    fatigue_s: float = 400.0
-    recovery_s: float = 120.0
-    fatigue_floor: float = 0.3
+    threshold_uc: float = 3.5  # charge per phase at which the first fibres answer, µC
+    saturation_uc: float = 11.0  # charge per phase at which all that the electrodes reach are recruited, µC
+    max_torque_nm: float = 14.0  # greatest torque of the fresh, fully recruited muscle at 40 Hz, N·m
+    delay_s: float = 0.03  # electromechanical delay, from pulse to first force
+    tau_calcium_s: float = 0.02  # decay of the calcium transient of one pulse
+    tau_rise_s: float = 0.04  # time constant of activation rising
+    tau_fall_s: float = 0.06  # time constant of activation falling
+    fatigue_s: float = 400.0  # time constant of tiring under full activation; ``inf`` never tires
+    recovery_s: float = 120.0  # time constant of recovery at rest
+    fatigue_floor: float = 0.3  # share of the torque that is left however long it goes on
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,49 +59,29 @@ def _default_placements() -> dict[str, Placement]:
 
 @dataclass(frozen=True, slots=True)
 class PatientSettings:
-    """One virtual patient.
+    """One virtual patient."""
 
-    Attributes:
-        seed: fixes every random number.
-        side: the affected leg.
-        speed_mps: belt speed.
-        height_m: body height; segments are Winter's shares of it.
-        mass_kg: body mass.
-        voluntary_dorsiflexion: share of a healthy person's own dorsiflexion in swing that is left, 0–1.
-        spasticity: 0 (none) to 1 (the calf answers every stretch, and is short and stiff).
-        pattern: "none", or one of Wang et al.'s five, "hemiparetic_1" … "hemiparetic_5".
-        muscle: the stimulated dorsiflexors of the affected side.
-        channel: the stimulator's channel on them; pulses of other channels do nothing here.
-        electrode_quality: share of the charge that reaches the nerve, 0–1.
-        compensation: habitual extra lift by hip and knee against the dropped foot, 0 (none) to 1 (just clears).
-        variability: stride-to-stride variation, 1 being usual.
-        asymmetry: how much shorter the affected leg's stance is, as a share of the cycle.
-        rate_hz: samples a second of every sensor; 2000 must be a multiple of it.
-        sensors: which sensors are worn.
-        imu: what is wrong with the sensors.
-        placements: where they sit; a shank's position is from the ankle, its z up the shank.
-        stand_s: quiet standing before the belt starts.
-    """
-
-    seed: int = 1
-    side: str = "right"
-    speed_mps: float = 0.8
-    height_m: float = 1.75
-    mass_kg: float = 75.0
-    voluntary_dorsiflexion: float = 0.0
-    spasticity: float = 0.2
-    pattern: str = "none"
-    muscle: MuscleSettings = field(default_factory=MuscleSettings)
-    channel: int = 0
-    electrode_quality: float = 1.0
+    seed: int = 1  # fixes every random number
+    side: str = "right"  # the affected leg
+    speed_mps: float = 0.8  # belt speed
+    height_m: float = 1.75  # body height; segments are Winter's shares of it
+    mass_kg: float = 75.0  # body mass
+    voluntary_dorsiflexion: float = 0.0  # share of a healthy person's own dorsiflexion in swing that is left, 0–1
+    spasticity: float = 0.2  # 0 (none) to 1 (the calf answers every stretch, and is short and stiff)
+    pattern: str = "none"  # "none", or one of Wang et al.'s five, "hemiparetic_1" … "hemiparetic_5"
+    muscle: MuscleSettings = field(default_factory=MuscleSettings)  # the stimulated dorsiflexors of the affected side
+    channel: int = 0  # the stimulator's channel on them; pulses of other channels do nothing here
+    electrode_quality: float = 1.0  # share of the charge that reaches the nerve, 0–1
+    # habitual extra lift by hip and knee against the dropped foot, 0 (none) to 1 (just clears)
     compensation: float = 0.6
-    variability: float = 1.0
-    asymmetry: float = 0.02
-    rate_hz: float = 100.0
-    sensors: tuple[str, ...] = FOOT_SENSORS + SHANK_SENSORS
-    imu: ImuModel = field(default_factory=ImuModel)
+    variability: float = 1.0  # stride-to-stride variation, 1 being usual
+    asymmetry: float = 0.02  # how much shorter the affected leg's stance is, as a share of the cycle
+    rate_hz: float = 100.0  # samples a second of every sensor; 2000 must be a multiple of it
+    sensors: tuple[str, ...] = FOOT_SENSORS + SHANK_SENSORS  # which sensors are worn
+    imu: ImuModel = field(default_factory=ImuModel)  # what is wrong with the sensors
+    # where they sit; a shank's position is from the ankle, its z up the shank
     placements: dict[str, Placement] = field(default_factory=_default_placements)
-    stand_s: float = 4.0
+    stand_s: float = 4.0  # quiet standing before the belt starts
 
     def __post_init__(self) -> None:
         if self.side not in ("left", "right"):

@@ -1,9 +1,4 @@
-"""The walk: at every event of a leg, decide what comes next and write down what was.
-
-What a virtual patient's walk truly was: events and strides.
-
-When the feet land: a rhythm of two legs with variation from stride to stride, drawn as the walk goes on.
-"""
+"""The walk: at every event of a leg, decide when and where the feet go next; note events and strides as they were."""
 
 from __future__ import annotations
 
@@ -35,45 +30,27 @@ class FootEvent:
 
 @dataclass(frozen=True, slots=True)
 class VirtualStride:
-    """One stride of one foot, told when its foot lies flat again.
+    """One stride of one foot, complete when its foot lies flat again."""
 
-    Attributes:
-        foot: sensor name; number: 1, 2, … per foot.
-        t_heel_off_ns, t_foot_off_ns, t_contact_ns, t_flat_ns: pre-swing, swing, loading response, stance begin.
-        stride_length_m: distance between the places where the foot stood, in the belt's frame.
-        speed_mps: the belt's speed at contact.
-        toe_clearance_m: least height of toe or ball over 30–80 % of the swing; a dragged toe is at about 0.
-        heel_clearance_m: greatest height of the heel.
-        pitch_at_contact_rad: sole against the ground, toe-up positive.
-        ankle_at_contact_rad: dorsiflexion positive.
-        inversion_at_contact_rad: sole turned inward, positive.
-        drag_s: how long the forefoot touched the ground in swing.
-        dragged: it did so between 25 % and 90 % of the swing, for over 20 ms.
-        stumbled: it caught, and the step was cut short.
-        charge_uc: charge delivered on the patient's channel since the contact before.
-        peak_torque_nm: greatest torque of the stimulated muscle in this swing.
-        walking: false for the last step into standing.
-    """
-
-    foot: str
-    number: int
-    t_heel_off_ns: int
-    t_foot_off_ns: int
-    t_contact_ns: int
-    t_flat_ns: int
-    stride_length_m: float
-    speed_mps: float
-    toe_clearance_m: float
-    heel_clearance_m: float
-    pitch_at_contact_rad: float
-    ankle_at_contact_rad: float
-    inversion_at_contact_rad: float
-    drag_s: float
-    dragged: bool
-    stumbled: bool
-    charge_uc: float
-    peak_torque_nm: float
-    walking: bool
+    foot: str  # sensor name
+    number: int  # 1, 2, … per foot
+    t_heel_off_ns: int  # pre-swing begins
+    t_foot_off_ns: int  # swing begins
+    t_contact_ns: int  # loading response begins
+    t_flat_ns: int  # stance begins
+    stride_length_m: float  # distance between the places where the foot stood, in the belt's frame
+    speed_mps: float  # the belt's speed at contact
+    toe_clearance_m: float  # least height of toe or ball over 30–80 % of the swing; a dragged toe is at about 0
+    heel_clearance_m: float  # greatest height of the heel
+    pitch_at_contact_rad: float  # sole against the ground, toe-up positive
+    ankle_at_contact_rad: float  # dorsiflexion positive
+    inversion_at_contact_rad: float  # sole turned inward, positive
+    drag_s: float  # how long the forefoot touched the ground in swing
+    dragged: bool  # it did so between 25 % and 90 % of the swing, for over 20 ms
+    stumbled: bool  # it caught, and the step was cut short
+    charge_uc: float  # charge delivered on the patient's channel since the contact before
+    peak_torque_nm: float  # greatest torque of the stimulated muscle in this swing
+    walking: bool  # false for the last step into standing
 
 
 @dataclass(slots=True)
