@@ -463,12 +463,12 @@ def test_the_line_exchanges_pairs_of_commands(tmp_path: Path) -> None:
     with open_bus(bus, frozenset()) as here, open_bus(bus, frozenset()) as there:
         front = SlcanFront(tmp_path / "adapter")
         line = LinkLoop(front, here, -1)
-        line._fault("reorder", 2)
+        line._inject("reorder", 2)
         for number in range(6):
             line._pass_on(can.Message(arbitration_id=COMMAND_ID, data=[number], is_extended_id=False))
         assert [frame.data[0] for frame in waiting_frames(there)] == [1, 0, 3, 2, 4, 5]
         with pytest.raises(ValueError, match="coffee"):
-            line._fault("coffee", 1)
+            line._inject("coffee", 1)
         front.plug(False)
 
 
@@ -559,9 +559,9 @@ def test_the_node_takes_its_faults_while_it_runs() -> None:
 
 def test_a_node_loop_knows_the_faults_of_its_line() -> None:
     loop = NodeLoop(StimulatorNode(1, 0), can.Bus(interface="virtual"), RecordWriter(None), [], RealClock())
-    loop._fault("mute", 1.0)
+    loop._inject("mute", 1.0)
     with pytest.raises(ValueError):
-        loop._fault("mute", -1.0)
+        loop._inject("mute", -1.0)
 
 
 def test_a_port_on_an_adapter_that_is_gone_closes_all_the_same() -> None:

@@ -43,7 +43,7 @@ class Taken:
     def as_played(self, sample: RawSample, signal: ImuSignal, acc: float = 1e-3, gyr: float = 1e-5) -> bool:
         """Whether it is what the sensor plays at that time of its clock, to within so many m/s² and rad/s."""
         number = round((sample.t_device_ns - int(self.offset_s * NS_PER_S)) * signal.rate_hz / NS_PER_S)
-        acc_mps2, gyr_radps = signal.at(number)
+        acc_mps2, gyr_radps = signal.sample(number)
         return math.dist(sample.acc_mps2, acc_mps2) < acc and math.dist(sample.gyr_radps, gyr_radps) < gyr
 
     def since(self, port: ImuPort, told_ns: int, number: int) -> list[RawSample]:
