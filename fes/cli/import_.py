@@ -60,7 +60,7 @@ def command(
     for file in todo:
         try:
             imported = read_file(name, file, foot=foot)
-            written = write_imported(imported, out, about.words(), form=form, overwrite=overwrite)
+            written = write_imported(imported, out, about.provenance(), form=form, overwrite=overwrite)
         except ImportProblem as error:
             if len(todo) == 1:
                 fail(error)
@@ -74,7 +74,7 @@ def command(
             for note in imported.notes:
                 click.echo(f"  note: {note}")
     if as_json:
-        click.echo(json.dumps({**about.words(), "made": made}, indent=2, ensure_ascii=False))
+        click.echo(json.dumps({**about.provenance(), "made": made}, indent=2, ensure_ascii=False))
     else:
         click.echo(f"From {about.source}; licence: {about.licence}")
     if failures:

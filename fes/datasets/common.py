@@ -75,41 +75,17 @@ def _cell(value: Any) -> Any:
     return value
 
 
-def even_track(
-    sensor: str,
-    rate_hz: float,
-    acc_mps2: FloatArray,
-    gyr_radps: FloatArray,
-    *,
-    acc_range_mps2: float | None = None,
-    gyr_range_radps: float | None = None,
-) -> Track:
+def even_track(sensor: str, rate_hz: float, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Track:
     """A track (N, 3) of even rate that begins at 0."""
     t_ns = np.round(np.arange(len(acc_mps2)) * 1e9 / rate_hz).astype(np.int64)
-    return stamped_track(sensor, rate_hz, t_ns, acc_mps2, gyr_radps, acc_range_mps2, gyr_range_radps)
+    return stamped_track(sensor, rate_hz, t_ns, acc_mps2, gyr_radps)
 
 
-def stamped_track(
-    sensor: str,
-    rate_hz: float,
-    t_ns: IntArray,
-    acc_mps2: FloatArray,
-    gyr_radps: FloatArray,
-    acc_range_mps2: float | None = None,
-    gyr_range_radps: float | None = None,
-) -> Track:
+def stamped_track(sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Track:
     """A track (N, 3) with its own stamps."""
-    return Track(
-        sensor,
-        rate_hz,
-        np.maximum.accumulate(t_ns),
-        t_ns,
-        np.ascontiguousarray(acc_mps2, np.float64),
-        np.ascontiguousarray(gyr_radps, np.float64),
-        acc_range_mps2,
-        gyr_range_radps,
-        TrackQuality(samples=len(t_ns)),
-    )
+    acc, gyr = (np.ascontiguousarray(values, np.float64) for values in (acc_mps2, gyr_radps))
+    arrival_ns, quality = np.maximum.accumulate(t_ns), TrackQuality(samples=len(t_ns))
+    return Track(sensor, rate_hz, arrival_ns, t_ns, acc, gyr, quality=quality)
 
 
 def checked(path: Path, acc: FloatArray, gyr: FloatArray) -> None:
@@ -140,9 +116,8 @@ def mat_file(path: Path, *needed: str) -> dict[str, Any]:
 
     try:
         found: dict[str, Any] = loadmat(path)
-    except (OSError, ValueError, TypeError, LookupError, EOFError, OverflowError, MemoryError) as error:
-        raise ImportProblem(f"{path}: is no readable MATLAB file: {error}") from error
-    except (NotImplementedError, MatReadError, struct.error, zlib.error) as error:
+    except (OSError, ValueError, TypeError, LookupError, EOFError, OverflowError, MemoryError, NotImplementedError,
+            MatReadError, struct.error, zlib.error) as error:  # fmt: skip
         raise ImportProblem(f"{path}: is no readable MATLAB file: {error}") from error
     _need(path, found, needed)
     return found
@@ -172,18 +147,23 @@ def _need(path: Path, found: Mapping[str, Any], needed: Iterable[str]) -> None:
         raise ImportProblem(f"{path}: lacks {', '.join(missing)}; it holds {have or 'nothing'}")
 
 
+def _csv_numbers(path: Path, header_lines: int) -> tuple[list[list[str]], FloatArray]:
+    """The cells of a CSV's header lines, and the numbers (N, K) below them; empty cells are NaN."""
+    try:
+        with path.open(encoding="utf-8-sig") as file:
+            header = [file.readline().rstrip("\r\n").split(",") for _ in range(header_lines)]
+            return header, np.genfromtxt(file, delimiter=",", ndmin=2)
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise ImportProblem(f"{path}: cannot be read: {error}") from error
+
+
 def two_header_csv(path: Path) -> dict[tuple[str, str], FloatArray]:
     """Columns (N,) of a CSV whose names stand in two lines; empty cells are NaN. The index column is left out.
 
     Raises:
         ImportProblem: it is no such table.
     """
-    try:
-        with path.open(encoding="utf-8") as file:
-            first, second = (file.readline().rstrip("\r\n").split(",") for _ in range(2))
-            values = np.genfromtxt(file, delimiter=",", ndmin=2)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise ImportProblem(f"{path}: cannot be read: {error}") from error
+    (first, second), values = _csv_numbers(path, 2)
     if len(first) != len(second) or values.shape[1:] != (len(first),) or len(values) < 3:
         raise ImportProblem(f"{path}: is no table with two lines of column names")
     values = values[np.isfinite(values[:, 0])]  # an empty row below the names holds the index's name
@@ -196,12 +176,8 @@ def plain_csv(path: Path) -> tuple[list[str], FloatArray]:
     Raises:
         ImportProblem: it is no such table.
     """
-    try:
-        with path.open(encoding="utf-8-sig") as file:
-            names = [name.strip() for name in file.readline().rstrip("\r\n").split(",")]
-            values = np.genfromtxt(file, delimiter=",", ndmin=2)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise ImportProblem(f"{path}: cannot be read: {error}") from error
+    (cells,), values = _csv_numbers(path, 1)
+    names = [name.strip() for name in cells]
     if values.shape[1:] != (len(names),) or not len(values):
         raise ImportProblem(f"{path}: is no table of {len(names)} columns below a line of names")
     return names, values

@@ -6,6 +6,7 @@ clips at 16 g at heel strike.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,7 +39,7 @@ def read(path: Path, foot: str | None = None) -> Imported:
             raise ImportProblem(f"{path}: lacks the column {error.args[0]}; is it gaitmap's imu_sample.csv?") from error
         checked(path, acc, gyr)
         name = f"{side}_foot"
-        tracks[name] = even_track(name, RATE_HZ, acc, np.radians(gyr), acc_range_mps2=16.0 * G_MPS2)
+        tracks[name] = replace(even_track(name, RATE_HZ, acc, np.radians(gyr)), acc_range_mps2=16.0 * G_MPS2)
     stairs = "stair" in path.stem
     references: dict[str, Any] = {}
     if not stairs:

@@ -6,6 +6,7 @@ would be faster than 8 m/s they are left empty.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -45,5 +46,5 @@ def read(path: Path, foot: str | None = None) -> Imported:
         "the gyroscope clips near 9.7 rad/s; the marker is near the sensor, not at it",
     )
     trial = path.parent.name if path.stem == "processed_data" else path.stem
-    track = even_track(sensor, RATE_HZ, imu[:, :3], imu[:, 3:], gyr_range_radps=GYR_RANGE_RADPS)
+    track = replace(even_track(sensor, RATE_HZ, imu[:, :3], imu[:, 3:]), gyr_range_radps=GYR_RANGE_RADPS)
     return Imported(Recording(f"pyshoe_{trial}", None, {sensor: track}), {".path.csv": (names, rows)}, notes)

@@ -21,7 +21,7 @@ class DataSet:
     licence: str
     looks_like: tuple[str, ...]
 
-    def words(self) -> dict[str, str]:
+    def provenance(self) -> dict[str, str]:
         """For the sidecar of everything that comes from it."""
         return {"data_set": self.name, "source": self.source, "licence": self.licence}
 

@@ -1,18 +1,16 @@
-"""Stroke survivors on a treadmill (Sint Maartenskliniek), as downloaded or packed.
+"""Stroke survivors on a treadmill (Sint Maartenskliniek): a folder of Xsens texts for each run, or packed.
 
-As downloaded, a run is a folder of sensor texts (:mod:`fes.datasets.stroke_treadmill`). Packed, it is one NumPy
-archive, ``MRpp_TRIAL.npz``: arrays ``acc_``/``gyr_`` + left/right + foot/shank (m/s², rad/s), ``fs``, ``belt_speed``
-(m/s, NaN where self-paced) and ``fsa_mean_deg``. Only the mean is true of the belt: its speed is quoted to 0.1 m/s, and
-holds over the last 120 s.
+As downloaded, ``data/1019_ppNN/Xsens/exportedKKK`` holds a text a sensor (two feet, two shanks, lumbar). Which run it
+is stands in ``data/1019_ppNN/corresponding_files.txt``; which sensor sat where in ``sensorspec.json`` (or
+``.json.txt``) in one of a participant's folders. Where that is missing the sensors' numbers tell: two sets were used,
+and each sat the same way in all folders that say so. The belt's speed is none of the files: it is the authors' table of
+comfortable speeds (``MovingReality_functions.py``), which holds for the runs with feedback; the others are self-paced.
+Checked against the repository's files at the first samples of two participants (one of each set), which are those of
+the packed archives.
 
-The stroke survivors' walks as their authors publish them: a folder of Xsens text exports for each run.
-
-``data/1019_ppNN/Xsens/exportedKKK`` holds a text a sensor (two feet, two shanks, lumbar). Which run it is stands in
-``data/1019_ppNN/corresponding_files.txt``; which sensor sat where in ``sensorspec.json`` (or ``.json.txt``) in one of a
-participant's folders. Where that is missing the sensors' numbers tell: two sets were used, and each sat the same way in
-all folders that say so. The belt's speed is none of the files: it is the authors' table of comfortable speeds
-(``MovingReality_functions.py``), which holds for the runs with feedback; the others are self-paced. Checked against the
-repository's files at the first samples of two participants (one of each set), which are those of the packed archives.
+Packed, a run is one NumPy archive, ``MRpp_TRIAL.npz``: arrays ``acc_``/``gyr_`` + left/right + foot/shank (m/s²,
+rad/s), ``fs``, ``belt_speed`` (m/s, NaN where self-paced) and ``fsa_mean_deg``. Only the mean is true of the belt: its
+speed is quoted to 0.1 m/s, and holds over the last 120 s.
 """
 
 from __future__ import annotations
@@ -73,8 +71,8 @@ def read_tracks(folder: Path) -> tuple[dict[str, Track], list[str]]:
 
 def run_of(folder: Path) -> tuple[str, str, float | None]:
     """A name for the run, its participant, and the belt's speed (m/s), None where it is self-paced or not known."""
-    told = folder.parents[1] / "corresponding_files.txt"
-    lines = told.read_text(encoding="utf-8", errors="replace").splitlines() if told.is_file() else []
+    listing = folder.parents[1] / "corresponding_files.txt"
+    lines = listing.read_text(encoding="utf-8", errors="replace").splitlines() if listing.is_file() else []
     for line in lines:
         found = _RUN.match(line)
         trial = _TRIAL.search(found[2]) if found else None
@@ -91,12 +89,12 @@ def _places(folder: Path) -> tuple[dict[str, str], str]:
     near = [*sorted(folder.glob("sensorspec.json*")), *sorted(folder.parent.glob("exported*/sensorspec.json*"))]
     for spec in near:
         try:
-            told = json.loads(spec.read_text(encoding="utf-8-sig"))
+            spec_places = json.loads(spec.read_text(encoding="utf-8-sig"))
             found = {
                 str(number).upper().removesuffix(".TXT"): f"{place[:-4]}_foot"
                 if place.endswith("foot")
                 else f"{place[:-5]}_shank"
-                for place, number in told.items()
+                for place, number in spec_places.items()
                 if place in ("leftfoot", "rightfoot", "leftshank", "rightshank")
             }
         except (OSError, ValueError, AttributeError) as error:
@@ -124,11 +122,11 @@ def read(path: Path, foot: str | None = None) -> Imported:
     folder = (path if path.is_dir() else path.parent).resolve()
     tracks, notes = read_tracks(folder)
     name, subject, belt_mps = run_of(folder)
-    references, said = _belt(belt_mps, tracks)
+    references, note = _belt(belt_mps, tracks)
     return Imported(
         Recording(f"stroke_treadmill_{name}", None, tracks, belt_speed_mps=belt_mps, subject=subject),
         references,
-        (*NOTES, said, *notes),
+        (*NOTES, note, *notes),
     )
 
 
@@ -147,8 +145,8 @@ def _packed(path: Path) -> Imported:
         tracks[sensor] = even_track(sensor, rate_hz, acc, gyr)
     if not tracks:
         raise ImportProblem(f"{path}: holds no sensor such as acc_leftfoot and gyr_leftfoot")
-    references, said = _belt(belt_mps if math.isfinite(belt_mps) and belt_mps > 0.0 else None, tracks)
-    notes = [*NOTES, said]
+    references, note = _belt(belt_mps if math.isfinite(belt_mps) and belt_mps > 0.0 else None, tracks)
+    notes = [*NOTES, note]
     extra: dict[str, Any] = {}
     if "fsa_mean_deg" in data and math.isfinite(float(data["fsa_mean_deg"])):
         extra["foot_strike_mean_deg"] = float(data["fsa_mean_deg"])
@@ -173,5 +171,5 @@ def _belt(belt_mps: float | None, tracks: Mapping[str, Track]) -> tuple[dict[str
     end_s = max(track.duration_s for track in tracks.values())
     begin_s = max(end_s - STEADY_S, 0.0)
     rows = [(t, belt_mps) for t in (begin_s, 0.5 * (begin_s + end_s), end_s)]
-    said = "the belt's speed is quoted to 0.1 m/s and taken for the last 120 s: right on average only"
-    return {".belt.csv": (["t_s", "speed_mps"], rows)}, said
+    note = "the belt's speed is quoted to 0.1 m/s and taken for the last 120 s: right on average only"
+    return {".belt.csv": (["t_s", "speed_mps"], rows)}, note

@@ -1,4 +1,4 @@
-"""A long recording piece by piece, so that memory does not grow with it; a short one is a single piece."""
+"""A long recording chunk by chunk, so that memory does not grow with it; a short one is a single chunk."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from fes.recording.read import follow_recording
 from fes.recording.tracks import Recording, Track
 from fes.signals import NS_PER_S, IntArray
 
-WHOLE_S = 1800.0  # a recording that is no longer is one piece, …
+WHOLE_S = 1800.0  # a recording that is no longer is one chunk, …
 CHUNK_S = 900.0  # … of a longer one each is so long at most
-AROUND_S = 30.0  # on either side of a piece, for what needs neighbours: strides, rests, filters without lag
+AROUND_S = 30.0  # on either side of a chunk, for what needs neighbours: strides, rests, filters without lag
 ALWAYS_NS, NEVER_NS = -(2**63), 2**63 - 1
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """A piece of a recording: what is newer than ``begin_ns``, up to ``end_ns`` on the sensors' clock, and what lies
+    """A chunk of a recording: what is newer than ``begin_ns``, up to ``end_ns`` on the sensors' clock, and what lies
     around it."""
 
     recording: Recording
@@ -28,7 +28,7 @@ class Chunk:
     end_ns: int = NEVER_NS
 
     def own(self, track: Track) -> slice:
-        """Which of a track's samples are this piece's own; every sample is that of one piece."""
+        """Which of a track's samples are this chunk's own; every sample is that of one chunk."""
         if self.whole:
             return slice(None)
         newest = np.maximum.accumulate(track.t_sensor_ns)
@@ -45,19 +45,19 @@ class Chunk:
         return self.begin_ns == ALWAYS_NS and self.end_ns == NEVER_NS
 
 
-def recording_chunks(path: Path, *, piece_s: float = CHUNK_S, whole_s: float = WHOLE_S) -> Iterator[Chunk]:
-    """Read a recording of more than ``whole_s`` in pieces of equal length, of ``piece_s`` at most.
+def recording_chunks(path: Path, *, chunk_s: float = CHUNK_S, whole_s: float = WHOLE_S) -> Iterator[Chunk]:
+    """Read a recording of more than ``whole_s`` in chunks of equal length, of ``chunk_s`` at most.
 
     Errors are those of ``read_recording``.
 
-    Parquet whose sensors share one time column is read from the file piece by piece, anything else at once. The rate is
-    that stated, or else that of the first piece.
+    Parquet whose sensors share one time column is read from the file chunk by chunk, anything else at once. The rate is
+    that stated, or else that of the first chunk.
     """
-    return in_chunks(follow_recording(path, piece_s, whole_s))
+    return cut_into_chunks(follow_recording(path, chunk_s, whole_s))
 
 
-def in_chunks(parts: Iterable[Recording], *, around_s: float = AROUND_S) -> Iterator[Chunk]:
-    """Pieces from parts of a recording that follow each other; each piece ends ``around_s`` before its part."""
+def cut_into_chunks(parts: Iterable[Recording], *, around_s: float = AROUND_S) -> Iterator[Chunk]:
+    """Chunks from parts of a recording that follow each other; each chunk ends ``around_s`` before its part."""
     around_ns = round(around_s * NS_PER_S)
     ahead, tail, begin_ns = iter(parts), None, ALWAYS_NS
     part = next(ahead, None)
@@ -69,10 +69,10 @@ def in_chunks(parts: Iterable[Recording], *, around_s: float = AROUND_S) -> Iter
             newest_ns = max(int(track.t_sensor_ns.max()) for track in recording.tracks.values())
             end_ns = max(newest_ns - around_ns, begin_ns)
         tail = _newer(recording, end_ns - around_ns) if following is not None else None
-        piece = Chunk(recording, begin_ns, end_ns)
-        del part, recording  # whoever takes the piece decides how long it stays
-        yield piece
-        del piece
+        chunk = Chunk(recording, begin_ns, end_ns)
+        del part, recording  # whoever takes the chunk decides how long it stays
+        yield chunk
+        del chunk
         begin_ns, part, following = end_ns, following, None
 
 

@@ -1,9 +1,8 @@
-"""The text side of a CSV file: its header, where its rows are, and what exactly is wrong when it cannot be read.
+"""The text side of a CSV file: where its header and rows are, and what exactly is wrong when it cannot be read.
 
-How a CSV that nobody has described is laid out: where its header and its rows are, and what stands above them.
-
-Devices and spreadsheets put lines of their own above the header (``sep=,``, the device, the rate), units under it, and
-write commas where others write points. The rows tell: numbers in the same columns, line after line, to the end.
+A file that nobody has described may be laid out in many ways. Devices and spreadsheets put lines of their own above the
+header (``sep=,``, the device, the rate), units under it, and write commas where others write points. The rows tell:
+numbers in the same columns, line after line, to the end.
 """
 
 from __future__ import annotations
@@ -184,8 +183,8 @@ def _no_number(path: Path, number: int, name: str, cell: str, first: bool) -> st
 
 
 _STYLES = ((",", "."), (";", ","), (";", "."), ("\t", "."), ("\t", ","), ("|", "."), ("|", ","))
-_LOOKED_AT_BYTES = 65_536
-_LOOKED_AT_LINES = 200
+_SAMPLE_BYTES = 65_536
+_SAMPLE_LINES = 200
 _TAIL = 20  # rows that tell how a row looks
 _UNIT_CELL = re.compile(
     r"\W*(n/?a|raw|u?ncal|cal|no ?units?|[munµμ]?s(ec)?|m?g|m ?/ ?\(?s.{0,4}|(m?deg|°|º|rad)( ?/ ?s(ec)?)?|m?dps|"
@@ -253,12 +252,12 @@ def csv_layout(path: Path) -> Layout:
 
 def _first_lines(path: Path, encoding: str) -> list[str]:
     with path.open("rb") as file:
-        start = file.read(_LOOKED_AT_BYTES)
+        start = file.read(_SAMPLE_BYTES)
     text = start.decode("utf-8-sig" if encoding == "utf-8" else encoding, errors="replace")
     lines = text.splitlines()
-    if len(start) == _LOOKED_AT_BYTES and len(lines) > 1:
+    if len(start) == _SAMPLE_BYTES and len(lines) > 1:
         lines.pop()  # cut in the middle
-    return lines[:_LOOKED_AT_LINES]
+    return lines[:_SAMPLE_LINES]
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

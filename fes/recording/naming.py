@@ -1,6 +1,6 @@
-"""What names tell: which column is which axis of which sensor, in which unit; which side a text speaks of.
+"""What names say: which column is which axis of which sensor, in which unit; which side a text speaks of.
 
-What a file tells beside its columns: the rate and the side in its own header or name, the units in its numbers.
+Also what else a file shows: rate and side in its header or name, units in its numbers.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class Numbers:
     peak: float
 
 
-def look(data: FloatArray) -> Numbers:
+def characterise(data: FloatArray) -> Numbers:
     """Sum up (N, 6) raw values, accelerometer first."""
     acc, gyr = np.ascontiguousarray(data[:, :3]), np.ascontiguousarray(data[:, 3:])
     gravity = quiet_level(acc, gyr, 100.0).acc
@@ -221,12 +221,12 @@ def stated_rate(above: list[tuple[int, str]]) -> tuple[float, str] | None:
 def place_of(path: Path, above: list[tuple[int, str]]) -> tuple[str, str, str]:
     """Return (side, part, what told it) from a file's name or, if that is silent, from the lines over its header."""
     name = plain(path.stem)
-    said = [(plain(text), f"line {number}: “{text[:60]}”") for number, text in above]
-    parts = {part for words, _ in said if (part := part_of(words))}
+    above_lines = [(plain(text), f"line {number}: “{text[:60]}”") for number, text in above]
+    parts = {part for words, _ in above_lines if (part := part_of(words))}
     part = part_of(name) or (parts.pop() if len(parts) == 1 else "")
-    for words, told in [(name, "the file's name"), *said]:
+    for words, source in [(name, "the file's name"), *above_lines]:
         if side := side_of(words):
-            return side, part, told
+            return side, part, source
     return "", part, ""
 
 

@@ -21,7 +21,7 @@ GRAVITY_BAND = (0.75, 1.33)  # quiet shanks and lively feet still read within it
 MAX_RATE_RADPS = 60.0  # 3400 deg/s: no leg turns so fast, no usual sensor measures it
 MOVING_MPS2 = 3.0  # walking feet leave 1 g by more than 10 m/s², idle ones by less than 1
 MIN_MOVING_RADPS = 0.35  # 20 deg/s: a foot that walks peaks at 200 to 600
-LOOKED_AT_S = 10.0  # of a long recording so long stretches are looked at …
+SAMPLED_S = 10.0  # of a long recording so long stretches are looked at …
 STRETCHES = 24  # … so many of them, evenly apart: units do not change in between
 
 
@@ -34,7 +34,7 @@ class Quiet:
 
 
 @dataclass(frozen=True)
-class _Looked:
+class _Spreads:
     """Squared lengths (M,) of what was looked at of a sensor, and its spread (K,) in windows of ``window`` samples."""
 
     squares: FloatArray
@@ -57,10 +57,10 @@ def quiet_level(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> Quiet:
     Quietness is the spread of the acceleration in a window and its turning rate, each relative to its median over
     the file, so that no unit is needed to rank by it.
     """
-    return _quiet(*_look(acc, gyr, rate_hz, len(acc)))
+    return _quiet(*_window_spreads(acc, gyr, rate_hz, len(acc)))
 
 
-def _look(acc: FloatArray, gyr: FloatArray, rate_hz: float, size: int) -> tuple[_Looked, _Looked]:
+def _window_spreads(acc: FloatArray, gyr: FloatArray, rate_hz: float, size: int) -> tuple[_Spreads, _Spreads]:
     """Look at evenly spread stretches of ``size`` rows, or at all (N, 3) of them where they are no more."""
     from fes.recording.kernels import spreads  # here, for who only writes recordings needs no compiler
 
@@ -69,16 +69,16 @@ def _look(acc: FloatArray, gyr: FloatArray, rate_hz: float, size: int) -> tuple[
     if len(acc) <= STRETCHES * size:
         begins, size = begins[:1], len(acc)
     window = min(max(4, round(WINDOW_S * rate_hz)), len(begins) * size)
-    looked = []
+    spreads_of_both = []
     for vectors in (acc, gyr):
         squares = np.empty(len(begins) * size)
         spread = np.empty(len(squares) // window)
         spreads(np.ascontiguousarray(vectors), begins, size, window, squares, spread)
-        looked.append(_Looked(squares, spread, window))
-    return looked[0], looked[1]
+        spreads_of_both.append(_Spreads(squares, spread, window))
+    return spreads_of_both[0], spreads_of_both[1]
 
 
-def _quiet(acc: _Looked, gyr: _Looked) -> Quiet:
+def _quiet(acc: _Spreads, gyr: _Spreads) -> Quiet:
     restless = acc.relative() + gyr.relative()
     last = max(1, math.ceil(QUIET_SHARE * len(restless))) - 1
     chosen = np.flatnonzero(restless <= np.partition(restless, last)[last])
@@ -101,7 +101,7 @@ def check_units(
     Raises:
         RecordingError: gravity or the turning rates do not fit; the message says which unit would.
     """
-    of_acc, of_gyr = _look(acc, gyr, rate_hz, round(LOOKED_AT_S * rate_hz))
+    of_acc, of_gyr = _window_spreads(acc, gyr, rate_hz, round(SAMPLED_S * rate_hz))
     _check_gravity(where, _quiet(of_acc, of_gyr), acc_unit, factors[0])
     _check_turning(where, of_acc.squares, of_gyr.squares, gyr_unit, factors)
 

@@ -1,7 +1,4 @@
-"""One sensor's rows as the file has them: complete, finite, lost samples set aside; units not yet applied.
-
-Time stamps → arrival times, rate and what was irregular; a clock nobody can follow is refused.
-"""
+"""One sensor's rows as the file has them: finite, lost samples set aside, time stamps judged; units not yet applied."""
 
 from __future__ import annotations
 
@@ -157,7 +154,8 @@ def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, Ra
     raw: dict[str, RawTrack] = {}
     for file in dict.fromkeys(columns.file for columns in sidecar.sensors.values()):
         sensors = [sensor for sensor, columns in sidecar.sensors.items() if columns.file == file]
-        raw |= _of_one_file(path.with_name(file) if file else path, sidecar_path, sidecar, sensors)
+        table = Table(path.with_name(file) if file else path, *_columns(sidecar_path, sidecar, sensors))
+        raw |= {sensor: _raw_track(table, sidecar, sensor) for sensor in sensors}
     return raw
 
 
@@ -177,11 +175,6 @@ def read_parts(path: Path, sidecar_path: Path, sidecar: Sidecar, rows: int) -> I
                 found[sensor] = raw
         del table, raw  # who clears what is yielded lets go of the file's columns too
         yield found
-
-
-def _of_one_file(path: Path, sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> dict[str, RawTrack]:
-    table = Table(path, *_columns(sidecar_path, sidecar, sensors))
-    return {sensor: _raw_track(table, sidecar, sensor) for sensor in sensors}
 
 
 def _columns(sidecar_path: Path, sidecar: Sidecar, sensors: list[Sensor]) -> tuple[list[str], list[str], Dialect]:

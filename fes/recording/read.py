@@ -77,8 +77,8 @@ def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, 
     rows = Table.parquet_rows(path)
     if rows <= FIRST_ROWS:
         return 0
-    begun = next(read_parts(path, sidecar_path, sidecar, FIRST_ROWS), {})
-    steps = {name: np.diff(raw.t_sensor_ns) for name, raw in begun.items()}
+    first_rows = next(read_parts(path, sidecar_path, sidecar, FIRST_ROWS), {})
+    steps = {name: np.diff(raw.t_sensor_ns) for name, raw in first_rows.items()}
     rates = [NS_PER_S / median(each[each > 0]) for each in steps.values() if (each > 0).any()]
     if not rates or max(rates) > (1.0 + RATE_TOLERANCE) * min(rates):
         return 0

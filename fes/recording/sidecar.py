@@ -24,7 +24,7 @@ _KEY = re.compile(r"\s*([\w.\"'-]+)\s*=")
 def explain_sidecar(error: ValidationError, model: type[BaseModel], path: Path, text: str) -> str:
     """Return one line per fault; ``model`` is what the text should have been and gives the names allowed."""
     lines_of = _lines_of(text)
-    said = []
+    explained = []
     for fault in error.errors(include_url=False):
         place = tuple(str(part) for part in fault["loc"] if part != "[key]")
         message = fault["msg"].removeprefix("Value error, ")
@@ -44,8 +44,8 @@ def explain_sidecar(error: ValidationError, model: type[BaseModel], path: Path, 
         value = fault.get("input")
         shown = f" = {value!r:.80}" if isinstance(value, (str, int, float, list)) and place[-1:] != (value,) else ""
         line = next((lines_of[place[:size]] for size in range(len(place), 0, -1) if place[:size] in lines_of), 0)
-        said.append(f"{path}{f':{line}' if line else ''}: {'.'.join(place) or 'sidecar'}{shown}: {message}")
-    return "\n".join(dict.fromkeys(said))
+        explained.append(f"{path}{f':{line}' if line else ''}: {'.'.join(place) or 'sidecar'}{shown}: {message}")
+    return "\n".join(dict.fromkeys(explained))
 
 
 def _names_in(model: Any, place: tuple[str, ...]) -> list[str]:
@@ -123,7 +123,7 @@ class SensorColumns(Settings):
     file: str | None = None  # of its own, beside the recording's
 
     @model_validator(mode="after")
-    def _said_once(self) -> Self:
+    def _given_once(self) -> Self:
         if self.file is not None and (not self.file or Path(self.file).name != self.file):
             raise ValueError(f"file = {self.file!r} must be the name of a file that lies beside the sidecar")
         names = (*self.acc, *self.gyr)
@@ -177,7 +177,7 @@ class Sidecar(Settings):
     extra: dict[str, Any] = Field(default_factory=dict)
 
     @model_validator(mode="after")
-    def _every_sensor_is_told_fully(self) -> Self:
+    def _every_sensor_is_complete(self) -> Self:
         if not self.sensors:
             raise ValueError("names no sensor; give at least one table such as [sensors.left_foot]")
         if self.delimiter == self.decimal:

@@ -54,7 +54,7 @@ class Table:
         part.path, part.is_csv, part._dialect = path, False, dialect
         part._check_names(cls.parquet_names(path), wanted)
         first, taken, batches = 0, 0, list[Any]()
-        with _damage_told(path):
+        with _damage_explained(path):
             for batch in _batches(path, min(rows, _BATCH_ROWS), wanted):
                 while batch.num_rows:
                     head = batch.slice(0, rows - taken)
@@ -63,14 +63,14 @@ class Table:
                     if taken == rows:
                         table, batches = pa.Table.from_batches(batches), []
                         del head
-                        yield part._of(table, first)
+                        yield part._rows_from(table, first)
                         del table
                         pa.default_memory_pool().release_unused()
                         first, taken = first + rows, 0
         if batches:
-            yield part._of(pa.Table.from_batches(batches), first)
+            yield part._rows_from(pa.Table.from_batches(batches), first)
 
-    def _of(self, table: Any, first: int) -> Table:
+    def _rows_from(self, table: Any, first: int) -> Table:
         """The same file's rows from ``first`` on."""
         part = copy.copy(self)
         part._times = {}
@@ -196,7 +196,7 @@ class Table:
 
         _check_ends(self.path)
         with (
-            _damage_told(self.path),
+            _damage_explained(self.path),
             parquet.ParquetFile(self.path, page_checksum_verification=True, pre_buffer=False) as file,
         ):
             self._check_names(file.schema_arrow.names, wanted)
@@ -221,7 +221,7 @@ class Table:
         from pyarrow import parquet
 
         _check_ends(path)
-        with _damage_told(path):
+        with _damage_explained(path):
             return list(parquet.read_schema(path).names)
 
     def _check_names(self, names: list[str], wanted: list[str]) -> None:
@@ -275,7 +275,7 @@ def _check_ends(path: Path) -> None:
 
 
 @contextmanager
-def _damage_told(path: Path) -> Iterator[None]:
+def _damage_explained(path: Path) -> Iterator[None]:
     """What fails in reading a Parquet file, as a RecordingError."""
     import pyarrow as pa
 

@@ -15,9 +15,9 @@ from fes.recording.csv_layout import Dialect, Layout, csv_layout, settings_of
 from fes.recording.naming import Group, group_columns, stated_unit, time_columns
 from fes.recording.raw import RATE_TOLERANCE
 from fes.recording.table import Table
-from fes.recording.toml_text import string_text, value_text
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GYR_UNITS, TIME_UNITS_NS
+from fes.recording.write import toml_value
 from fes.signals import G_MPS2, NS_PER_S, SENSORS
 
 _PROBE_ROWS = 100_000
@@ -50,13 +50,13 @@ def sidecar_template(path: Path) -> str:
     times = [name for name in time_columns(layout.names) if name in layout.filled]
     probe = _probe(path, layout, groups, times)
     lines = [f"# {path.name} has these columns:", *(f"#   {name}" for name in layout.names if name), ""]
-    lines += [f"{key} = {value_text(value)}" for key, value in settings_of(layout.dialect).items()]
+    lines += [f"{key} = {toml_value(value)}" for key, value in settings_of(layout.dialect).items()]
     lines += _time_lines(layout, times, probe)
     lines += [_acc_line(layout, groups, probe), _gyr_line(layout, groups, probe)]
     for number, group in enumerate(groups, start=1):
         key = group.sensor or (f'"? {number}"' if len(groups) > 1 else '"?"')
         lines += ["", f"[sensors.{key}]{why.get(number, '') if group.sensor else f'  # {_WHICH}'}"]
-        lines += [f"{kind} = {value_text(group.names(kind))}" for kind in ("acc", "gyr")]
+        lines += [f"{kind} = {toml_value(group.names(kind))}" for kind in ("acc", "gyr")]
     if not all(group.whole for group in groups):
         lines.append("# ? put the columns' names, x, y, z, where a name starts with “?”")
     lines += _other_foot(path, layout, groups)
@@ -68,16 +68,16 @@ def sidecar_template(path: Path) -> str:
 
 
 def _place(path: Path, layout: Layout, groups: list[Group]) -> dict[int, str]:
-    """Name a lone sensor by what the file tells; return group number → the comment that says what told."""
+    """Name a lone sensor by what the file tells; return group number → the comment that says what source."""
     why = {}
     for number, group in enumerate(groups, start=1):
         if group.sensor.endswith("foot") and "foot" not in group.called and "shoe" not in group.called:
             why[number] = "  # taken for the foot: no name says shank"
     if len(groups) == 1 and not groups[0].sensor:
-        side, part, told = hints.place_of(path, layout.above)
+        side, part, source = hints.place_of(path, layout.above)
         if side:
             groups[0].sensor = f"{side}_{part or 'foot'}"
-            why[1] = f"  # by {told}" + ("" if part else "; taken for the foot: no name says shank")
+            why[1] = f"  # by {source}" + ("" if part else "; taken for the foot: no name says shank")
     return why
 
 
@@ -97,7 +97,7 @@ def _probe(path: Path, layout: Layout, groups: list[Group], times: list[str]) ->
             table = Table(path, values, [], layout.dialect)
             data = np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values])
             data = data[np.isfinite(data).all(axis=1)]
-            probe.numbers = hints.look(data) if len(data) else None
+            probe.numbers = hints.characterise(data) if len(data) else None
     except (RecordingError, ValueError, IndexError):
         return probe
     return probe
@@ -117,10 +117,10 @@ def _time_lines(layout: Layout, times: list[str], probe: _Probe) -> list[str]:
             continue
         rate = NS_PER_S / (step * TIME_UNITS_NS[fitting[0]])
         agree = stated is not None and abs(rate / stated[0] - 1.0) <= RATE_TOLERANCE
-        told = "the file says so" if unit else f"steps of {step:g}"
+        source = "the file says so" if unit else f"steps of {step:g}"
         lines = [
-            f"time_column = {string_text(name)}",
-            f"time_unit = {string_text(fitting[0])}  # {told}: {rate:.5g} Hz",
+            f"time_column = {toml_value(name)}",
+            f"time_unit = {toml_value(fitting[0])}  # {source}: {rate:.5g} Hz",
         ]
         if stated and not agree:
             lines.append(f"# rate_hz = {stated[0]:g} stands in {stated[1]}, and the times say {rate:.5g}")
@@ -137,31 +137,31 @@ def _fits(step: float, unit: str) -> bool:
 
 def _acc_line(layout: Layout, groups: list[Group], probe: _Probe) -> str:
     stated = {stated_unit("acc", name, layout.units.get(name, "")) for name in groups[0].names("acc")}
-    said = stated.pop() if len(stated) == 1 else ""
+    named = stated.pop() if len(stated) == 1 else ""
     if probe.numbers is None:
-        return f'acc_unit = "{said}"' if said else 'acc_unit = "?"  # ? "m/s^2", "g" or "mg"'
+        return f'acc_unit = "{named}"' if named else 'acc_unit = "?"  # ? "m/s^2", "g" or "mg"'
     gravity, found = probe.numbers.gravity, hints.acc_unit_of(probe.numbers)
     rest = f"at rest it reads {gravity:.4g}"
-    if said and found and said != found:
-        return f'acc_unit = "?"  # ? its name says {said}, but {rest}, as {found} would'
+    if named and found and named != found:
+        return f'acc_unit = "?"  # ? its name says {named}, but {rest}, as {found} would'
     if found:
         return f'acc_unit = "{found}"  # {rest}, gravity is {G_MPS2 / ACC_UNITS[found]:.4g} {found}'
-    if gravity > 20.0 and not said:
+    if gravity > 20.0 and not named:
         return f'acc_unit = "?"  # ? m/s² per count, for {rest}: {G_MPS2 / gravity:.6g} would make that gravity'
-    return f'acc_unit = "?"  # ? {f"its name says {said}, but " if said else ""}{rest}, and gravity is due there'
+    return f'acc_unit = "?"  # ? {f"its name says {named}, but " if named else ""}{rest}, and gravity is due there'
 
 
 def _gyr_line(layout: Layout, groups: list[Group], probe: _Probe) -> str:
     stated = {stated_unit("gyr", name, layout.units.get(name, "")) for name in groups[0].names("gyr")}
-    said = stated.pop() if len(stated) == 1 else ""
+    named = stated.pop() if len(stated) == 1 else ""
     if probe.numbers is None:
-        return f'gyr_unit = "{said}"' if said else 'gyr_unit = "?"  # ? "rad/s" or "deg/s"'
+        return f'gyr_unit = "{named}"' if named else 'gyr_unit = "?"  # ? "rad/s" or "deg/s"'
     found = hints.gyr_unit_of(probe.numbers, hints.acc_unit_of(probe.numbers))
     peaks = f"peaks of {probe.numbers.peak:.4g}"
-    if said and found and said != found:
-        return f'gyr_unit = "?"  # ? its name says {said}, but {peaks} (99th percentile) look like {found}'
-    if said:
-        return f'gyr_unit = "{said}"  # the file says so; {peaks} (99th percentile)'
+    if named and found and named != found:
+        return f'gyr_unit = "?"  # ? its name says {named}, but {peaks} (99th percentile) look like {found}'
+    if named:
+        return f'gyr_unit = "{named}"  # the file says so; {peaks} (99th percentile)'
     if found:
         degrees = np.degrees(probe.numbers.peak * GYR_UNITS[found])
         return f'gyr_unit = "{found}"  # {peaks} (99th percentile): {degrees:.0f} deg/s, as legs walk'
@@ -183,13 +183,13 @@ def _other_foot(path: Path, layout: Layout, groups: list[Group]) -> list[str]:
         "",
         "# If this file holds the other side of the same walk, delete the “# ” of these lines:",
         f"# [sensors.{'right' if side == 'left' else 'left'}_{part}]",
-        f"# file = {string_text(other.name)}",
-        *(f"# {kind} = {value_text(groups[0].names(kind))}" for kind in ("acc", "gyr")),
+        f"# file = {toml_value(other.name)}",
+        *(f"# {kind} = {toml_value(groups[0].names(kind))}" for kind in ("acc", "gyr")),
     ]
 
 
 def _can_template() -> str:
-    sensor = [f"{kind} = {value_text([f'? Message.{kind}_{axis}' for axis in 'xyz'])}" for kind in ("acc", "gyr")]
+    sensor = [f"{kind} = {toml_value([f'? Message.{kind}_{axis}' for axis in 'xyz'])}" for kind in ("acc", "gyr")]
     return "\n".join(
         [
             'acc_unit = "m/s^2"  # ? "m/s^2" or "g", after the DBC\'s scaling',

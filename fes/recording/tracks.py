@@ -27,9 +27,9 @@ class SidecarMissingError(RecordingError):
         proposal: text to begin it with.
     """
 
-    def __init__(self, said: str, sidecar: Path, proposal: str) -> None:
-        """``said``: what to do; the proposal follows it in the message."""
-        super().__init__(f"{said}\n\n{proposal}")
+    def __init__(self, message: str, sidecar: Path, proposal: str) -> None:
+        """``message``: what to do; the proposal follows it."""
+        super().__init__(f"{message}\n\n{proposal}")
         self.sidecar = sidecar
         self.proposal = proposal
 

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
+import math
 import os
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fes.recording import toml_text
 from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, Track
 from fes.signals import SENSORS, IntArray
 
 _AXES = "xyz"
+_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def write_recording(recording: Recording, path: Path, *, overwrite: bool = False) -> None:
@@ -40,7 +44,7 @@ def write_recording(recording: Recording, path: Path, *, overwrite: bool = False
             raise RecordingError(f"{target}: is there already; choose another name or pass overwrite=True")
     columns, settings = _lay_out(recording, single=path.suffix.lower() == ".parquet")
     try:
-        text = toml_text.dump(settings)
+        text = toml_text(settings)
     except TypeError as error:
         raise RecordingError(f"{sidecar}: cannot be written: {error}") from error
     temporary = [target.with_name(f".{target.name}.{os.getpid()}.part") for target in (path, sidecar)]
@@ -134,3 +138,44 @@ def _write_table(columns: dict[str, Any], path: Path, suffix: str) -> None:
         parquet.write_table(
             table, path, compression="lz4", use_dictionary=False, column_encoding=encodings, write_page_checksum=True
         )
+
+
+def toml_text(values: Mapping[str, Any], path: tuple[str, ...] = ()) -> str:
+    """TOML of nested mappings of str, bool, int, float and lists of these; None is left out. ``path``: the table's own.
+
+    Raises:
+        TypeError: a value has no TOML form; the message names its key.
+    """
+    plain = {key: value for key, value in values.items() if not isinstance(value, Mapping) and value is not None}
+    tables = {key: value for key, value in values.items() if isinstance(value, Mapping)}
+    text = "".join(f"{_key(key)} = {toml_value(value, (*path, key))}\n" for key, value in plain.items())
+    if path and (plain or not tables):
+        text = f"\n[{'.'.join(map(_key, path))}]\n{text}"
+    text += "".join(toml_text(table, (*path, key)) for key, table in tables.items())
+    return text if path else text.lstrip("\n") or "\n"
+
+
+def toml_value(value: object, path: tuple[str, ...] = ()) -> str:
+    """One value's TOML text; JSON's escapes are TOML's, but for DEL, which TOML wants escaped.
+
+    Raises:
+        TypeError: the value has no TOML form.
+    """
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, int):
+        return str(int(value))
+    if isinstance(value, float):
+        return repr(float(value)) if math.isfinite(value) else str(value)
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(toml_value(item, path) for item in value) + "]"
+    if isinstance(value, Mapping):
+        pairs = (f"{_key(key)} = {toml_value(item, (*path, key))}" for key, item in value.items() if item is not None)
+        return "{ " + ", ".join(pairs) + " }"
+    raise TypeError(f"{'.'.join(path)}: {type(value).__name__} has no TOML form; use text, numbers, lists or tables")
+
+
+def _key(key: str) -> str:
+    return key if _BARE_KEY.fullmatch(key) else toml_value(key)

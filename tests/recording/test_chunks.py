@@ -29,7 +29,7 @@ from fes.cli.common.table_file import TableFile, write_table
 from fes.cli.main import main
 from fes.memory import keep_freed_memory
 from fes.recording import Recording, RecordingError, read, read_recording, write_recording
-from fes.recording.chunks import Chunk, in_chunks, recording_chunks
+from fes.recording.chunks import Chunk, cut_into_chunks, recording_chunks
 from fes.recording.read import follow_recording
 
 TRIAL = Path(__file__).resolve().parents[2] / "sim_inputs" / "both_feet_100hz.parquet"
@@ -54,7 +54,7 @@ def parts_of(recording: Recording, cuts: list[int]) -> list[Recording]:
 @given(st.lists(st.integers(1, 6_400), min_size=1, max_size=3))
 def test_wherever_a_recording_is_cut_phases_and_strides_stay_to_the_bit(walk, cuts):
     recording, calibrations, whole = walk
-    pieces = list(analyse_chunks(in_chunks(parts_of(recording, cuts), around_s=5.0), calibrations))
+    pieces = list(analyse_chunks(cut_into_chunks(parts_of(recording, cuts), around_s=5.0), calibrations))
     order = lambda change: (change.t_ns, change.foot)  # noqa: E731
     assert sorted((c for p in pieces for c in p.phases), key=order) == sorted(whole.phases, key=order)
     name = lambda stride: (stride.foot, stride.number)  # noqa: E731
@@ -69,7 +69,7 @@ def test_wherever_a_recording_is_cut_phases_and_strides_stay_to_the_bit(walk, cu
 
 def test_two_pieces_show_the_same_events_lengths_and_path(walk):
     recording, calibrations, whole = walk
-    pieces = list(analyse_chunks(in_chunks(parts_of(recording, [4_000]), around_s=15.0), calibrations))
+    pieces = list(analyse_chunks(cut_into_chunks(parts_of(recording, [4_000]), around_s=15.0), calibrations))
     key = lambda row: (row["foot"], row["t_mid_swing_s"])  # noqa: E731
     events = sorted((row for p in pieces for row in p.event_rows()), key=key)
     for row, other in zip(events, sorted(whole.event_rows(), key=key), strict=True):
@@ -89,7 +89,7 @@ def test_two_pieces_show_the_same_events_lengths_and_path(walk):
 
 def test_a_recording_that_is_one_piece_is_analysed_as_a_whole(walk):
     recording, calibrations, whole = walk
-    (only,) = analyse_chunks(in_chunks([recording]), calibrations)
+    (only,) = analyse_chunks(cut_into_chunks([recording]), calibrations)
     assert only.path_rows() == whole.path_rows()
     assert only.event_rows() == whole.event_rows()
     np.testing.assert_equal(only.stride_rows(), whole.stride_rows())
@@ -100,7 +100,7 @@ def test_pieces_that_are_done_with_are_not_kept(walk):
     held: list[weakref.ref[np.ndarray]] = []
 
     def watched():
-        for piece in in_chunks(iter_parts(recording), around_s=2.0):
+        for piece in cut_into_chunks(iter_parts(recording), around_s=2.0):
             held.append(weakref.ref(piece.recording.tracks["left_foot"].acc_mps2))
             yield piece
 
@@ -136,7 +136,7 @@ def test_a_file_read_in_parts_holds_the_same_samples(part_s, monkeypatch):
 @given(st.lists(st.integers(1, 6_400), min_size=1, max_size=5))
 def test_every_sample_is_one_piece_s_own(walk, cuts):
     recording = walk[0]
-    pieces = list(in_chunks(parts_of(recording, cuts), around_s=3.0))
+    pieces = list(cut_into_chunks(parts_of(recording, cuts), around_s=3.0))
     for name, track in recording.tracks.items():
         own = [piece.recording.tracks[name].t_sensor_ns[piece.own(piece.recording.tracks[name])] for piece in pieces]
         assert np.array_equal(np.concatenate(own), track.t_sensor_ns)
@@ -152,14 +152,14 @@ def test_a_fault_late_in_the_file_is_told_with_its_row(tmp_path, monkeypatch):
     place = table.column_names.index("left_foot_gyr_x")
     parquet.write_table(table.set_column(place, "left_foot_gyr_x", [damaged]), path)
     with pytest.raises(RecordingError, match=r"row 5877, column 'left_foot_gyr_x'"):
-        list(recording_chunks(path, piece_s=20.0, whole_s=60.0))
+        list(recording_chunks(path, chunk_s=20.0, whole_s=60.0))
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet", "json"])
 def test_a_long_recording_s_tables_are_those_of_a_short_one(kind, tmp_path, monkeypatch, walk):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
     for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, piece_s=35.0, whole_s=60.0))
+        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
     report = [] if kind == "csv" else ["--no-report"]
     done = CliRunner().invoke(main, ["analyse", str(TRIAL), "--out", str(tmp_path), "--format", kind, *report])
     assert done.exit_code == 0, done.output
@@ -177,7 +177,7 @@ def test_a_long_recording_s_tables_are_those_of_a_short_one(kind, tmp_path, monk
 def test_a_long_recording_as_json(tmp_path, monkeypatch):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
     for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, piece_s=35.0, whole_s=60.0))
+        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
     done = CliRunner().invoke(main, ["analyse", str(TRIAL), "--out", str(tmp_path), "--json", "--no-report"])
     told = json.loads(done.stdout)
     assert len(told["pieces"]) == 2
@@ -188,7 +188,7 @@ def test_a_long_recording_as_json(tmp_path, monkeypatch):
 def test_feet_that_are_not_labelled_are_named_in_every_piece(stored, tmp_path, monkeypatch, walk):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
     for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, piece_s=35.0, whole_s=60.0))
+        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
     path = tmp_path / "walk.parquet"
     feet = {"foot_a": "right_foot", "foot_b": "left_foot"}
     tracks = {name: replace(walk[0].tracks[foot], sensor=name) for name, foot in feet.items()}
@@ -206,7 +206,7 @@ def test_feet_that_are_not_labelled_are_named_in_every_piece(stored, tmp_path, m
 def test_a_sensor_that_falls_silent_does_not_end_the_analysis(tmp_path, monkeypatch, walk):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
     for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, piece_s=25.0, whole_s=60.0))
+        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, chunk_s=25.0, whole_s=60.0))
     path = tmp_path / "walk.parquet"
     write_recording(walk[0], path)
     table = parquet.read_table(path)
