@@ -20,8 +20,9 @@ from stroke_treadmill import LAST_S, data_folder, runs_of
 
 from fes.estimation.foot.calibration import stretch_for_calibration
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
-from fes.estimation.shank.strides import ShankIntegrationSettings, shank_strides
-from fes.signals import FloatArray, IntArray
+from fes.estimation.shank.motion import stride_spans, swing_peaks
+from fes.estimation.shank.strides import ShankIntegrationSettings, solve_shank_stride
+from fes.signals import FloatArray, IntArray, StrideResult
 
 FIXED_ARM_M = 0.35
 MEAN_BAR = (0.98, 1.02)
@@ -67,6 +68,32 @@ def calibrate(sensor: str, rate_hz: float, acc: FloatArray, gyr: FloatArray) -> 
     t_ns = stamps(len(acc), rate_hz)
     n = stretch_for_calibration(t_ns)
     return calibrate_shank(sensor, rate_hz, t_ns[:n], acc[:n], gyr[:n])
+
+
+def shank_strides(
+    t_ns: IntArray,
+    acc_mps2: FloatArray,
+    gyr_radps: FloatArray,
+    calibration: ShankCalibration,
+    settings: ShankIntegrationSettings | None = None,
+) -> list[StrideResult]:
+    """All strides of a recording, off-line; unusable ones are there too, with the reason.
+
+    Args:
+        t_ns: (N,) strictly increasing.
+        acc_mps2: (N, 3) specific force as measured.
+        gyr_radps: (N, 3) angular rate as measured.
+        calibration: of this sensor.
+        settings: how to integrate, by default what the calibration says.
+    """
+    settings = settings or ShankIntegrationSettings.of(calibration)
+    acc = acc_mps2 - np.array(calibration.acc_bias_mps2)
+    gyr = gyr_radps - np.array(calibration.gyr_bias_radps)
+    spans = stride_spans(gyr, swing_peaks(gyr @ settings.left, calibration.rate_hz), calibration.rate_hz)
+    return [
+        solve_shank_stride(calibration.sensor, number, span, t_ns, acc, gyr, settings)
+        for number, span in enumerate(spans, start=1)
+    ]
 
 
 def speed(

@@ -62,7 +62,7 @@ def main() -> int:
         for foot in feet:
             rest = calibrate_zero_velocity(foot.acc_mps2, foot.gyr_radps, foot.rate_hz)
             still = detect_zero_velocity(rest, foot.acc_mps2, foot.gyr_radps, foot.rate_hz, causal=name == "causal")
-            path = follow(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, at_rest=still)
+            path = follow(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, zero_velocity=still)
             errors[foot.name] = foot.score(upward(path.quaternion))
         each = ", ".join(f"{foot} {error:.2f}°" for foot, error in errors.items())
         console.print(f"shoe, stance known, {name}: {np.mean(list(errors.values())):.2f}° ({each})")

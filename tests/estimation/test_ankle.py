@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ankle import shank_strides
 from shank_walks import ShankWalk, shank_walk
 
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
 from fes.estimation.shank.lever_arm import ANKLE, ARM_BOUNDS_M, SHANK, ArmEstimate, ArmPrior, learn_arm
 from fes.estimation.shank.motion import levelled, moving_mean, rotate_each, still_spans, stride_spans, swing_peaks
-from fes.estimation.shank.strides import ShankIntegrationSettings, shank_strides
+from fes.estimation.shank.strides import ShankIntegrationSettings
 from fes.signals import FloatArray, StrideResult
 
 

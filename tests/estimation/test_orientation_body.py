@@ -115,7 +115,7 @@ def hostile_block(seed: int) -> tuple[FloatArray, FloatArray, np.ndarray]:
 def test_blocks_are_samples_to_the_bit(seed: int, cuts: list[int]) -> None:
     acc, gyr, rest = hostile_block(seed)
     ranges = {"acc_range_mps2": 11.0, "gyr_range_radps": 1.5}
-    whole = track_orientation(acc, gyr, RATE_HZ, at_rest=rest, **ranges)
+    whole = track_orientation(acc, gyr, RATE_HZ, zero_velocity=rest, **ranges)
     assert np.isfinite(whole.quaternion).all()
     tracker = OrientationTracker(RATE_HZ, **ranges)
     edges = [0, *sorted(cuts), 400]
@@ -281,7 +281,7 @@ def test_known_rest_helps() -> None:
     acc = np.column_stack((push, np.zeros(n), np.full(n, G_MPS2))) + 0.2 * rng.normal(size=(n, 3))
     gyr = 0.01 * rng.normal(size=(n, 3)) + 0.004
     up = np.tile([0.0, 0.0, 1.0], (n, 1))
-    with_rest = track_orientation(acc, gyr, RATE_HZ, at_rest=~swing)
+    with_rest = track_orientation(acc, gyr, RATE_HZ, zero_velocity=~swing)
     without = track_orientation(acc, gyr, RATE_HZ)
     late = slice(600, None)
     assert np.mean(tilt_deg(with_rest, up)[late] ** 2) < 0.7 * np.mean(tilt_deg(without, up)[late] ** 2)
@@ -371,9 +371,9 @@ def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="shape"):
         track_orientation(good, good[:3], 100.0)
     with pytest.raises(ValueError, match="one bool per sample"):
-        track_orientation(good, good, 100.0, at_rest=np.zeros(3, dtype=bool))
+        track_orientation(good, good, 100.0, zero_velocity=np.zeros(3, dtype=bool))
     with pytest.raises(ValueError, match="one bool per sample"):
-        track_orientation(good, good, 100.0, at_rest=np.array([0.0, 1.0, 0.0, 0.5]))
+        track_orientation(good, good, 100.0, zero_velocity=np.array([0.0, 1.0, 0.0, 0.5]))
     with pytest.raises(ValueError, match="no sample"):
         smooth_orientation(np.empty((0, 3)), np.empty((0, 3)), 100.0)
     assert len(track_orientation(np.empty((0, 3)), np.empty((0, 3)), 100.0).quaternion) == 0

@@ -3,9 +3,8 @@
 The world's z axis points up; the heading starts at zero turn from the sensor's own and then follows the gyroscope
 alone. :mod:`fes.estimation.orientation.filter` says what the filter assumes and where it is from.
 
-Orientation of a whole recording with the future's help: the causal filter forwards, backwards, and forwards again.
-
-Each pass starts where the last one ended, so the later two know the gyroscope's bias from their first sample. At every
+With the future's help (:func:`smooth_orientation`) the causal filter runs forwards, backwards, and forwards again. Each
+pass starts where the last one ended, so the later two know the gyroscope's bias from their first sample. At every
 sample the upward directions of the last two are averaged by their information: one knows the past, the other the
 future (Fraser and Potter 1969, two-filter smoothing; the little that they share, the bias, is neglected). The heading
 is that of the last forward pass.
@@ -85,20 +84,20 @@ class OrientationTracker:
         return self._state.covariance.copy()
 
     def advance(
-        self, acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, at_rest: npt.ArrayLike | None = None
+        self, acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, zero_velocity: npt.ArrayLike | None = None
     ) -> OrientationPath:
         """Take one sample (3,), (3,) or a block (N, 3), (N, 3); values that are not finite are lost samples.
 
         Args:
             acc_mps2: specific force.
             gyr_radps: angular rate.
-            at_rest: (N,) where the body is known to stand still, as a foot in stance. None: nobody knows.
+            zero_velocity: (N,) where the body is known to stand still, as a foot in stance. None: not known.
 
         Raises:
             ValueError: shapes that do not fit.
         """
-        acc, gyr, rest = as_blocks(acc_mps2, gyr_radps, at_rest)
-        return run(self._state, acc, gyr, rest, self._dt_s, self._ranges, self._settings)
+        acc, gyr, still = as_blocks(acc_mps2, gyr_radps, zero_velocity)
+        return run(self._state, acc, gyr, still, self._dt_s, self._ranges, self._settings)
 
 
 def track_orientation(
@@ -106,7 +105,7 @@ def track_orientation(
     gyr_radps: FloatArray,
     rate_hz: float,
     *,
-    at_rest: BoolArray | None = None,
+    zero_velocity: BoolArray | None = None,
     acc_range_mps2: float | None = None,
     gyr_range_radps: float | None = None,
     settings: BodySettings | None = None,
@@ -115,28 +114,28 @@ def track_orientation(
     tracker = OrientationTracker(
         rate_hz, acc_range_mps2=acc_range_mps2, gyr_range_radps=gyr_range_radps, settings=settings
     )
-    return tracker.advance(acc_mps2, gyr_radps, at_rest)
+    return tracker.advance(acc_mps2, gyr_radps, zero_velocity)
 
 
 def run(
     state: State,
     acc: FloatArray,
     gyr: FloatArray,
-    rest: BoolArray,
+    still: BoolArray,
     dt_s: float,
     ranges: FloatArray,
     settings: BodySettings,
 ) -> OrientationPath:
     """Carry ``state`` over checked samples, see :func:`as_blocks`; ``ranges`` (2,) of force and rate."""
     out, tilt = np.empty((len(acc), 4)), np.empty(len(acc))
-    advance(state, acc, gyr, rest, dt_s, ranges, settings, out, tilt)
+    advance(state, acc, gyr, still, dt_s, ranges, settings, out, tilt)
     return OrientationPath(out, np.sqrt(tilt), state.bias.copy())
 
 
 def as_blocks(
-    acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, at_rest: npt.ArrayLike | None
+    acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, zero_velocity: npt.ArrayLike | None
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Force (N, 3), rate (N, 3) and rest (N,) for the compiled code.
+    """Force (N, 3), rate (N, 3) and zero velocity (N,) for the compiled code.
 
     Raises:
         ValueError: shapes that do not fit.
@@ -145,13 +144,13 @@ def as_blocks(
     gyr = np.ascontiguousarray(np.atleast_2d(np.asarray(gyr_radps, dtype=np.float64)))
     if acc.ndim != 2 or acc.shape[1] != 3 or acc.shape != gyr.shape:
         raise ValueError(f"specific force {acc.shape} and rate {gyr.shape} must both have the shape (N, 3)")
-    rest = np.zeros(len(acc), dtype=np.bool_)
-    if at_rest is not None:
-        given = np.atleast_1d(np.asarray(at_rest))
-        if given.shape != rest.shape or given.dtype != np.bool_:
-            raise ValueError(f"at_rest is {given.dtype} {given.shape}: give one bool per sample, shape {rest.shape}")
-        rest[:] = given
-    return acc, gyr, rest
+    still = np.zeros(len(acc), dtype=np.bool_)
+    if zero_velocity is not None:
+        given = np.atleast_1d(np.asarray(zero_velocity))
+        if given.shape != still.shape or given.dtype != np.bool_:
+            raise ValueError(f"zero_velocity is {given.dtype} {given.shape}: give one bool per sample, {still.shape}")
+        still[:] = given
+    return acc, gyr, still
 
 
 def full_scales(acc_range_mps2: float | None, gyr_range_radps: float | None) -> FloatArray:
@@ -186,7 +185,7 @@ def smooth_orientation(
     gyr_radps: FloatArray,
     rate_hz: float,
     *,
-    at_rest: BoolArray | None = None,
+    zero_velocity: BoolArray | None = None,
     acc_range_mps2: float | None = None,
     gyr_range_radps: float | None = None,
     settings: BodySettings | None = None,
@@ -196,7 +195,7 @@ def smooth_orientation(
     Raises:
         ValueError: also for a recording without samples.
     """
-    acc, gyr, rest = as_blocks(acc_mps2, gyr_radps, at_rest)
+    acc, gyr, still = as_blocks(acc_mps2, gyr_radps, zero_velocity)
     if len(acc) == 0:
         raise ValueError("there is no sample to smooth")
     dt_s, ranges = sample_time_s(rate_hz), full_scales(acc_range_mps2, gyr_range_radps)
@@ -205,11 +204,11 @@ def smooth_orientation(
     # the rate of sample k leads from k - 1 to k; backwards it leads from k to k - 1
     gyr_back = -np.roll(gyr, -1, axis=0)[::-1]
 
-    path = run(new_state(first), acc, gyr, rest, dt_s, ranges, first)
+    path = run(new_state(first), acc, gyr, still, dt_s, ranges, first)
     state = new_state(later, _reversed(path.gyr_bias_radps), path.quaternion[-1])
-    back = run(state, acc[::-1], gyr_back, rest[::-1], dt_s, ranges, later)
+    back = run(state, acc[::-1], gyr_back, still[::-1], dt_s, ranges, later)
     state = new_state(later, _reversed(back.gyr_bias_radps), back.quaternion[-1])
-    path = run(state, acc, gyr, rest, dt_s, ranges, later)
+    path = run(state, acc, gyr, still, dt_s, ranges, later)
     variance = _average(path.quaternion, back.quaternion[::-1], path.tilt_sd_rad**2, back.tilt_sd_rad[::-1] ** 2)
     return OrientationPath(path.quaternion, np.sqrt(variance), path.gyr_bias_radps)
 

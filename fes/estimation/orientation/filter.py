@@ -13,12 +13,9 @@ State, as errors in the world: ``theta`` with ``R^ = exp(theta) R``, ``beta = b^
 
 In ``dnu/dt`` stands gravity instead of the whole force, so the heading has no part in it, and the gain of every speed
 measurement is zero in the heading's row: neither the heading nor its variance is changed. Joseph's form
-holds for such a gain. Sources: Negård et al. (2005), Eq. (4)-(13), for the indirect filter and the Markov bias; Laidig
+holds for such a gain. A reading at the sensor's limit, or a lost sample, is guessed, and nothing is learnt from it.
+Sources: Negård et al. (2005), Eq. (4)-(13), for the indirect filter and the Markov bias; Laidig
 and Seel (2023), VQF, for averaging the force in a frame that gyroscopes carry and for learning the bias in stillness.
-
-What the orientation filter of a moving body assumes, and what it remembers between samples.
-
-What a sensor at its limit, or a lost sample, leaves to be guessed: compiled, causal.
 """
 
 from __future__ import annotations
@@ -252,7 +249,7 @@ def _still(memory: Vec, dt_s: float, settings: BodySettings) -> bool:
 
 @jit
 def one_sample(
-    state: State, acc: Mat, gyr: Mat, known_rest: bool, dt_s: float, ranges: Vec, settings: BodySettings
+    state: State, acc: Mat, gyr: Mat, zero_velocity: bool, dt_s: float, ranges: Vec, settings: BodySettings
 ) -> None:
     """Take one sample ``acc`` (3,) m/s², ``gyr`` (3,) rad/s; ``ranges`` are the full scales of both, in this order."""
     m, q, p, bias, velocity = state.memory, state.quaternion, state.covariance, state.bias, state.velocity
@@ -295,9 +292,9 @@ def one_sample(
         return  # nothing is learnt from a guess
     t = settings.movement_s
     variance = (settings.least_speed_mps**2 + t * t * m[ENERGY]) * max(2.0 * t / dt_s, 1.0)
-    if known_rest:
-        at_rest = settings.rest_speed_mps**2 + settings.rest_speed_per_rate_m**2 * rate2
-        variance = min(variance, at_rest * max(2.0 * settings.rest_correlation_s / dt_s, 1.0))
+    if zero_velocity:
+        standing = settings.rest_speed_mps**2 + settings.rest_speed_per_rate_m**2 * rate2
+        variance = min(variance, standing * max(2.0 * settings.rest_correlation_s / dt_s, 1.0))
     for j in range(2):
         measure(state, 6 + j, -velocity[j], variance)
     if still:

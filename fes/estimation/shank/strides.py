@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fes.estimation.shank.calibration import ShankCalibration
-from fes.estimation.shank.motion import StrideSpan, levelled, rotate_each, stride_spans, swing_peaks
+from fes.estimation.shank.motion import StrideSpan, levelled, rotate_each
 from fes.estimation.strides.constrained import double_integral, integrate
 from fes.signals import FloatArray, IntArray, StrideResult
 
@@ -66,32 +66,6 @@ class ShankIntegrationSettings:
         """The settings that a calibration leads to; ``equal_height`` overrules what it says of the ground."""
         up, left, arm = (np.array(v) for v in (calibration.up, calibration.left, calibration.arm.arm_m))
         return ShankIntegrationSettings(up, left, arm, calibration.level if equal_height is None else equal_height)
-
-
-def shank_strides(
-    t_ns: IntArray,
-    acc_mps2: FloatArray,
-    gyr_radps: FloatArray,
-    calibration: ShankCalibration,
-    settings: ShankIntegrationSettings | None = None,
-) -> list[StrideResult]:
-    """All strides of a recording, off-line; unusable ones are there too, with the reason.
-
-    Args:
-        t_ns: (N,) strictly increasing.
-        acc_mps2: (N, 3) specific force as measured.
-        gyr_radps: (N, 3) angular rate as measured.
-        calibration: of this sensor.
-        settings: how to integrate, by default what the calibration says.
-    """
-    settings = settings or ShankIntegrationSettings.of(calibration)
-    acc = acc_mps2 - np.array(calibration.acc_bias_mps2)
-    gyr = gyr_radps - np.array(calibration.gyr_bias_radps)
-    spans = stride_spans(gyr, swing_peaks(gyr @ settings.left, calibration.rate_hz), calibration.rate_hz)
-    return [
-        solve_shank_stride(calibration.sensor, number, span, t_ns, acc, gyr, settings)
-        for number, span in enumerate(spans, start=1)
-    ]
 
 
 def solve_shank_stride(
