@@ -1,7 +1,7 @@
 """Make the pictures of the live page and of the report: ``python docs/screenshots.py [page] [report]``; needs Chromium.
 
-Nothing is staged: simulated sensors on both feet, a simulated stimulator, `fes run --page`, armed and raised over the
-control socket, and a real browser; `fes demo` and `fes analyse --hemiparetic`. The printed page needs pdftoppm.
+Nothing is staged: simulated sensors on both feet, a simulated stimulator, `fes run --dashboard`, armed and raised over
+the control socket, and a real browser; `fes demo` and `fes analyse --hemiparetic`. The printed page needs pdftoppm.
 """
 
 from __future__ import annotations
@@ -121,7 +121,9 @@ def live_page() -> None:
         recording, calibration = folder / "loop.parquet", folder / "loop.calibration.json"
         write_recording(standing_first(cut(whole, 0.0, 30.0), STANDING_S), recording)
         save(calibrate_drivers(whole), calibration)
-        run = stack.enter_context(live_run(folder, recording, "--calibration", calibration, "--page", rig=both_feet))
+        run = stack.enter_context(
+            live_run(folder, recording, "--calibration", calibration, "--dashboard", rig=both_feet)
+        )
         page = stack.enter_context(chromium(folder / "browser"))
         page.size(1280, 800)
         page.go(link_of(run))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, fail
+from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
 from fes.cli.common.options import Number
 
 if TYPE_CHECKING:
@@ -160,7 +160,6 @@ def _markers(given: tuple[str, ...]) -> dict[str, tuple[str, str]] | None:
 
 def _written(result: Evaluation, out: Path, recording: Path) -> Path:
     from fes.cli.common.table_file import write_table
-    from fes.cli.replay.command import fresh_folder
     from fes.report.agreement import agreement_json, pair_rows, write_page
 
     folder = fresh_folder(out, f"{recording.stem}-evaluation")

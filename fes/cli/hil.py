@@ -11,8 +11,7 @@ from typing import Final
 import click
 
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail
-from fes.cli.replay.command import fresh_folder
+from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail, fresh_folder
 from fes.config import ConfigError
 from fes.hil.campaign import hardware_campaign, save_campaign, simulated_campaign
 from fes.hil.campaign_bench import CampaignBroken

@@ -112,7 +112,7 @@ class ScriptedOperator:
 
 
 LONGEST_S: Final = 3600
-_WITH_PARENT: Final = "from fes.live.orphan import interrupted_with; interrupted_with({}); "
+_WITH_PARENT: Final = "from fes.live.processes import interrupted_with; interrupted_with({}); "
 _START: Final = "from fes.cli import main; main(prog_name='fes')"
 
 
@@ -182,7 +182,7 @@ class ControllerProcess:
         command = [sys.executable, "-c", program, "run", str(settings), "--out", str(folder)]
         command += ["--calibration", str(calibration), "--control", str(self.control)]
         command += ["--stop-file", str(self.stop_file), "--keys-from", str(reading), "--duration", str(LONGEST_S)]
-        command += ["--view" if view else "--no-view", *(["--page"] if page else [])]
+        command += ["--view" if view else "--no-view", *(["--dashboard"] if page else [])]
         self._said = (folder / "said.txt").open("a+", encoding="utf-8")
         try:
             self.process = subprocess.Popen(

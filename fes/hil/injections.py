@@ -23,7 +23,7 @@ from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, Frame
 from fes.hil.campaign_bench import CampaignBench, CampaignBroken
 from fes.hil.devices import SERIAL
 from fes.hil.settings import CHANNEL
-from fes.live.dashboard.message_handler import press_stop
+from fes.live.dashboard.process import press_stop
 
 RANDOM_FRAMES: Final = 62_500  # each time: 21 seconds' worth, 1,000,000 in 16 attempts
 TEND_EVERY: Final = 150

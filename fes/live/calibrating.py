@@ -1,4 +1,4 @@
-"""Calibration as a session's first part: stand still, walk some strides; found while the samples go on being read."""
+"""Calibration as a session's first part: stand still, walk some strides; the samples go on being read meanwhile."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _Row = tuple[int, tuple[float, ...]]
 
 
 class Calibrating:
-    """Collects the samples of every sensor that drives a foot; tries every two seconds whether they show enough.
+    """Collects the samples of every foot's phase sensor; tries every two seconds whether they show enough.
 
     Args:
         strides: how many each must have walked.
@@ -43,11 +43,11 @@ class Calibrating:
 
     @property
     def done(self) -> bool:
-        """Whether every sensor that drives a foot is calibrated."""
+        """Whether every foot's phase sensor is calibrated."""
         return self._thread is None and self.found.keys() == self._rates_hz.keys()
 
-    def take(self, event: Event) -> None:
-        """Take in an event; the finding itself goes on in a thread of its own."""
+    def add_event(self, event: Event) -> None:
+        """Take in an event; the calibration itself goes on in a thread of its own."""
         if isinstance(event, ImuSample) and event.sensor in self._rows:
             rows = self._rows[event.sensor]
             values = (*event.acc_mps2, *event.gyr_radps)

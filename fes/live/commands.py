@@ -1,6 +1,4 @@
-"""What an operator can order, from the keyboard or over the control socket, as plain values.
-
-The states of a live session and the table of what may lead from where to where. Pure: no clock, no I/O.
+"""The states of a live session, what leads from one to another, and what an operator can command. No clock, no I/O.
 
 *off*: nothing is decided yet. *shadow*: phases, strides and bursts are decided, none is delivered. *armed*: current is
 allowed. *running*: a foot is judged to walk, so steps start bursts. *paused*: off by choice, one key from armed.
@@ -88,8 +86,8 @@ class SessionMachine:
         return True
 
 
-class Ask(StrEnum):
-    """One thing to do; what it means depends on the session's state."""
+class CommandKind(StrEnum):
+    """What to do; what it means depends on the session's state."""
 
     STOP = "stop"
     ARM = "arm"
@@ -111,79 +109,78 @@ class Ask(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Order:
-    """An ask with its ``value`` and where it came from, in words."""
+class OperatorCommand:
+    """One command with its ``value``, and where it came from, for people."""
 
-    ask: Ask
+    kind: CommandKind
     value: float = 0.0
     origin: str = "key"
 
 
 KEYS: Final = {
-    " ": Ask.STOP,
-    "a": Ask.ARM,
-    "d": Ask.DISARM,
-    "p": Ask.PAUSE,
-    "+": Ask.UP,
-    "=": Ask.UP,
-    "-": Ask.DOWN,
-    "b": Ask.TEST,
-    "t": Ask.TRIGGER,
-    ">": Ask.BELT_UP,
-    "<": Ask.BELT_DOWN,
-    "q": Ask.QUIT,
-    "f": Ask.FREEZE_TUNING,
-    "g": Ask.RESUME_TUNING,
-    "y": Ask.ACCEPT_SUGGESTION,
-    "r": Ask.ROLL_BACK,
+    " ": CommandKind.STOP,
+    "a": CommandKind.ARM,
+    "d": CommandKind.DISARM,
+    "p": CommandKind.PAUSE,
+    "+": CommandKind.UP,
+    "=": CommandKind.UP,
+    "-": CommandKind.DOWN,
+    "b": CommandKind.TEST,
+    "t": CommandKind.TRIGGER,
+    ">": CommandKind.BELT_UP,
+    "<": CommandKind.BELT_DOWN,
+    "q": CommandKind.QUIT,
+    "f": CommandKind.FREEZE_TUNING,
+    "g": CommandKind.RESUME_TUNING,
+    "y": CommandKind.ACCEPT_SUGGESTION,
+    "r": CommandKind.ROLL_BACK,
 }
 ESCAPE: Final = re.compile(rb"[\x1b\x8f\x9b]")  # what an arrow, an F key, the keypad, Alt with a letter begins with
 NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
-    (Ask.ARM, Ask.UP, Ask.TEST, Ask.TRIGGER, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK)
+    CommandKind(kind) for kind in ("arm", "up", "test", "trigger", "resume_tuning", "accept_suggestion", "roll_back")
 )
 CONTROL: Final = "control"  # the origin of what comes through the control socket
-LONGEST_ORDER: Final = 1024
+LONGEST_MESSAGE: Final = 1024
 LARGEST_VALUE: Final = 1e9
 
 
 class CommandRefused(ValueError):
-    """The message is no order; the text says why."""
+    """The message is no command; the text says why."""
 
 
-def orders_of_keys(typed: bytes) -> list[Order]:
-    """The orders in what was typed; a stop among them comes first. Keys that mean nothing are passed over.
+def commands_of_keys(typed: bytes) -> list[OperatorCommand]:
+    """The commands in what was typed; a stop among them comes first. Keys that mean nothing are passed over.
 
-    Behind an escape only a stop counts: what a terminal sends for a key that is no letter ends in letters that are
-    orders.
+    Behind an escape only a stop counts: what a terminal sends for a key that is no letter may end in a letter.
     """
-    orders: list[Order] = []
+    commands: list[OperatorCommand] = []
     escape = ESCAPE.search(typed)
     end = escape.start() if escape else len(typed)
     for key in typed[:end].decode("latin-1") + " " * (b" " in typed[end:]):
         if key.isdecimal() and key <= "7":
-            orders.append(Order(Ask.CHANNEL, float(key)))
+            commands.append(OperatorCommand(CommandKind.CHANNEL, float(key)))
         elif key in KEYS:
-            orders.append(Order(KEYS[key]))
-    return sorted(orders, key=lambda order: order.ask is not Ask.STOP)
+            commands.append(OperatorCommand(KEYS[key]))
+    return sorted(commands, key=lambda command: command.kind is not CommandKind.STOP)
 
 
-def order_of_message(message: bytes) -> Order:
-    """The order in a control message ``{"ask": "up", "value": 0, "confirm": true}``.
+def command_of_message(message: bytes) -> OperatorCommand:
+    """The command in a control message ``{"ask": "up", "value": 0, "confirm": true}``.
 
     Raises:
         CommandRefused: it is none, or one that needs ``"confirm": true`` and has it not.
     """
-    if len(message) > LONGEST_ORDER:
-        raise CommandRefused(f"an order has at most {LONGEST_ORDER} bytes")
+    if len(message) > LONGEST_MESSAGE:
+        raise CommandRefused(f"a command has at most {LONGEST_MESSAGE} bytes")
     try:
         data = json.loads(message)
     except (ValueError, RecursionError) as error:
         raise CommandRefused(f"not JSON: {error}") from error
-    if not isinstance(data, dict) or data.get("ask") not in list(Ask):
-        raise CommandRefused(f'an order is {{"ask": …}} with one of {", ".join(Ask)}')
-    ask, value = Ask(data["ask"]), data.get("value", 0.0)
+    if not isinstance(data, dict) or data.get("ask") not in list(CommandKind):
+        raise CommandRefused(f'a command is {{"ask": …}} with one of {", ".join(CommandKind)}')
+    kind, value = CommandKind(data["ask"]), data.get("value", 0.0)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST_VALUE:
         raise CommandRefused(f"value must be a number of at most {LARGEST_VALUE:.0e}")
-    if ask in NEEDS_CONFIRMATION and data.get("confirm") is not True:
-        raise CommandRefused(f'{ask} can lead to more current and needs "confirm": true')
-    return Order(ask, float(value), CONTROL)
+    if kind in NEEDS_CONFIRMATION and data.get("confirm") is not True:
+        raise CommandRefused(f'{kind} can lead to more current and needs "confirm": true')
+    return OperatorCommand(kind, float(value), CONTROL)

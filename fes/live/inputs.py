@@ -1,7 +1,4 @@
-"""Everything else that can make something happen: the control socket, the stop file, switches; keys: ``keyboard``.
-
-Keys: the terminal's mode while a session runs, and the orders in what is typed.
-"""
+"""What brings an operator's commands, and switches: keys, the control socket, the stop file, the stop button."""
 
 from __future__ import annotations
 
@@ -17,11 +14,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Protocol, Self
 
-from fes.live.commands import ESCAPE, Ask, CommandRefused, Order, order_of_message, orders_of_keys
+from fes.live.commands import ESCAPE, CommandKind, CommandRefused, OperatorCommand, command_of_message, commands_of_keys
 from fes.signals import Event, FootSwitchEvent
 
-Carry = Callable[[Order, int], list[Event]]
-"""Carries an order out at a time; see :meth:`fes.live.operator.Operator.order`."""
+Execute = Callable[[OperatorCommand, int], list[Event]]
+"""Executes a command at a time (ns); see :meth:`fes.live.operator.Operator.execute`."""
 
 MESSAGES_AT_ONCE: Final = 32
 SUBSCRIBERS: Final = 4
@@ -29,19 +26,19 @@ SOCKET_MODE: Final = 0o600
 
 
 class Control:
-    """A datagram socket that takes orders and answers them; who asks ``watch`` gets the session's status from then on.
+    """A datagram socket that takes commands and answers them; who sends ``watch`` gets every status from then on.
 
     Only its owner may write to it. Answers and status are dropped where the other side does not read.
     """
 
-    def __init__(self, path: Path, carry: Carry) -> None:
+    def __init__(self, path: Path, execute: Execute) -> None:
         """Bind.
 
         Raises:
             OSError: the path is taken, too long (107 bytes), or cannot be made.
         """
         self._path = path
-        self._carry = carry
+        self._execute = execute
         self._watchers: list[str] = []
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
@@ -52,11 +49,11 @@ class Control:
             os.umask(before)
 
     def fileno(self) -> int | None:
-        """Readable with orders."""
+        """Readable with commands."""
         return self._socket.fileno()
 
-    def take(self, t_ns: int) -> list[Event]:
-        """Carry out what has come."""
+    def read_events(self, t_ns: int) -> list[Event]:
+        """Execute what has come."""
         events: list[Event] = []
         for _ in range(MESSAGES_AT_ONCE):
             try:
@@ -68,14 +65,14 @@ class Control:
                 self._watchers = [*(name for name in self._watchers if name != sender), sender][-SUBSCRIBERS:]
             else:
                 try:
-                    events += self._carry(order_of_message(message), t_ns)
+                    events += self._execute(command_of_message(message), t_ns)
                 except CommandRefused as error:
-                    answer = b'{"ok":false,"why":' + _quoted(str(error)) + b"}"
+                    answer = b'{"ok":false,"why":' + json.dumps(str(error)).encode() + b"}"
             self._send(answer, sender)
         return events
 
     def publish(self, status: bytes) -> None:
-        """The status, to everybody who watches."""
+        """Send the status to everybody who watches."""
         for watcher in list(self._watchers):
             self._send(status, watcher)
 
@@ -102,10 +99,10 @@ class StopFile:
     So is it where it could not appear or be seen: its folder is missing, is none, or may not be looked into.
     """
 
-    def __init__(self, path: Path, carry: Carry) -> None:
+    def __init__(self, path: Path, execute: Execute) -> None:
         self.path = path
-        self._carry = carry
-        self._doubt = ""
+        self._execute = execute
+        self._not_ready = ""
         self._shown, self._name = printable(str(path)), printable(path.name)
         self._folder = path.parent
 
@@ -113,16 +110,17 @@ class StopFile:
         """None: a file on any file system is looked for, not waited for."""
         return None
 
-    def take(self, t_ns: int) -> list[Event]:
+    def read_events(self, t_ns: int) -> list[Event]:
         """A stop when the file has appeared, or can no longer be looked for."""
-        was, self._doubt = self._doubt, self._look()
-        return self._carry(Order(Ask.STOP, origin=f"file {self._name}"), t_ns) if self._doubt and not was else []
+        was, self._not_ready = self._not_ready, self._reason()
+        stops = self._not_ready and not was
+        return self._execute(OperatorCommand(CommandKind.STOP, origin=f"file {self._name}"), t_ns) if stops else []
 
-    def doubt(self) -> str:
+    def not_ready(self) -> str:
         """Why it forbids arming; "" when it does not."""
-        return self._doubt
+        return self._not_ready
 
-    def _look(self) -> str:
+    def _reason(self) -> str:
         try:
             try:
                 self.path.lstat()  # a link that leads nowhere is there too
@@ -147,23 +145,24 @@ class SwitchLine(Protocol):
 class StopSwitch:
     """A hardware button: pressed, or lost after it was known, it is an emergency stop."""
 
-    def __init__(self, line: SwitchLine, carry: Carry) -> None:
+    def __init__(self, line: SwitchLine, execute: Execute) -> None:
         self._line = line
-        self._carry = carry
+        self._execute = execute
         self._pressed: bool | None = None
 
     def fileno(self) -> int | None:
         """As its line's."""
         return self._line.fileno()
 
-    def take(self, t_ns: int) -> list[Event]:
+    def read_events(self, t_ns: int) -> list[Event]:
         """A stop when it goes down or goes missing."""
         was, self._pressed = self._pressed, self._line.read()
         if self._pressed is False or self._pressed == was:
             return []
-        return self._carry(Order(Ask.STOP, origin="button" if self._pressed else "button lost"), t_ns)
+        origin = "button" if self._pressed else "button lost"
+        return self._execute(OperatorCommand(CommandKind.STOP, origin=origin), t_ns)
 
-    def doubt(self) -> str:
+    def not_ready(self) -> str:
         """Why it forbids arming; "" when it does not."""
         if self._pressed is None:
             return "nothing is heard of the stop button"
@@ -177,30 +176,26 @@ class FootSwitchInput:
         self._foot = foot
         self._line = line
         self._pressed: bool | None = None
-        self._told: bool | None = None
+        self._reported: bool | None = None
 
     def fileno(self) -> int | None:
         """As its line's."""
         return self._line.fileno()
 
-    def take(self, t_ns: int) -> list[Event]:
+    def read_events(self, t_ns: int) -> list[Event]:
         """The change, if there was one. A foot that is found lifted after a silence may long have been."""
         was, self._pressed = self._pressed, self._line.read()
         if self._pressed is None:
             return [] if was is None else [FootSwitchEvent(t_ns, self._foot, None)]
-        if self._pressed == self._told or (was is None and not self._pressed):
+        if self._pressed == self._reported or (was is None and not self._pressed):
             return []
-        self._told = self._pressed
+        self._reported = self._pressed
         return [FootSwitchEvent(t_ns, self._foot, self._pressed)]
 
 
 def printable(text: str) -> str:
     """The same, with escapes for what is no Unicode: a file's name may be any bytes, a log's text may not."""
     return text.encode("utf-8", "backslashreplace").decode()
-
-
-def _quoted(text: str) -> bytes:
-    return json.dumps(text).encode()
 
 
 ESCAPE_NS: Final = 200_000_000  # a sequence's pieces lie closer together, two keys that a person means hardly
@@ -255,13 +250,13 @@ class Keyboard:
     """Keys from a terminal, or from whatever the descriptor is.
 
     Args:
-        gone: told, once, that they have ended: the stop key with them; its events are what that makes happen.
+        gone: called once when they have ended, and the stop key with them; returns the events that come of it.
 
     An escape sequence may come in pieces: for 0.2 s after an escape only a stop counts.
     """
 
-    def __init__(self, descriptor: int, carry: Carry, gone: Callable[[int], list[Event]] = lambda t_ns: []) -> None:
-        self._carry = carry
+    def __init__(self, descriptor: int, execute: Execute, gone: Callable[[int], list[Event]] = lambda t_ns: []) -> None:
+        self._execute = execute
         self._gone = gone
         self._escape_until_ns: int | None = None
         self._given = descriptor
@@ -275,8 +270,8 @@ class Keyboard:
         """While it is open."""
         return self._descriptor
 
-    def take(self, t_ns: int) -> list[Event]:
-        """The orders in what was typed."""
+    def read_events(self, t_ns: int) -> list[Event]:
+        """The commands in what was typed."""
         if self._descriptor is None:
             return []
         try:
@@ -293,7 +288,7 @@ class Keyboard:
             self._escape_until_ns = t_ns + ESCAPE_NS
         if goes_on:
             typed = b"\x1b" + typed
-        return [event for order in orders_of_keys(typed) for event in self._carry(order, t_ns)]
+        return [event for command in commands_of_keys(typed) for event in self._execute(command, t_ns)]
 
     def close(self) -> None:
         """Leave the descriptor as it was."""
@@ -309,7 +304,7 @@ class Keyboard:
 def _opened_again(descriptor: int) -> int | None:
     """The same terminal through an opening of its own; None where there is none, or it may not be opened.
 
-    Whether reading waits belongs to the opening, and the shell's is also the view's and of whatever runs afterwards.
+    Whether reading waits belongs to the opening, and the shell's opening is shared with whatever runs afterwards.
     """
     if not os.isatty(descriptor):
         return None

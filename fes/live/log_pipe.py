@@ -49,7 +49,7 @@ class PipedLog(RecordBuffer):
         self._sent, self._written = 0, 0
         self._answers = b""
         self._behind_since_ns: int | None = None
-        self.warning = ""  # what a person should be told; whoever does it, empties it
+        self.warning = ""  # what a person should know; who shows it empties it
         self._closed = False
         self.flush()
         self._wait_until_written()

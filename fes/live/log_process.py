@@ -33,11 +33,11 @@ class Syncing:
         self._file = file
         self._thread: threading.Thread | None = None
         self._begun_s = time.monotonic()
-        self._told = False
+        self._reported = False
         self._failed: OSError | None = None
 
-    def tend(self) -> float:
-        """Begin what is due; how long one has been waited for (s) when that is told of, once; otherwise 0.
+    def poll(self) -> float:
+        """Begin what is due; how long one has been waited for (s) when that is to be reported, once; otherwise 0.
 
         Raises:
             OSError: the disk has refused one.
@@ -47,11 +47,11 @@ class Syncing:
             raise self._failed
         if self._thread is not None and self._thread.is_alive():
             lasts_s = now_s - self._begun_s
-            if lasts_s > SLOW_S and not self._told:
-                self._told = True
+            if lasts_s > SLOW_S and not self._reported:
+                self._reported = True
                 return lasts_s
         elif now_s - self._begun_s > SYNC_EVERY_S:
-            self._begun_s, self._told = now_s, False
+            self._begun_s, self._reported = now_s, False
             self._thread = threading.Thread(target=self._wait, daemon=True)
             self._thread.start()
         return 0.0
@@ -84,14 +84,14 @@ def copy(link: socket.socket, file: int) -> int:
             try:
                 while done < len(view):
                     done += os.write(file, view[done:])
-                slow_s = syncing.tend()
+                slow_s = syncing.poll()
             except OSError as error:
-                _say(link, f"error {error.errno or 5}\n")
+                _answer(link, f"error {error.errno or 5}\n")
                 return 1
         written += done
-        _say(link, f"ok {written}\n")
+        _answer(link, f"ok {written}\n")
         if slow_s:
-            _say(link, f"slow {slow_s:.0f}\n")
+            _answer(link, f"slow {slow_s:.0f}\n")
     try:
         syncing.finish()
     except OSError:
@@ -116,7 +116,7 @@ def _sync(file: int) -> None:
             raise
 
 
-def _say(link: socket.socket, line: str) -> None:
+def _answer(link: socket.socket, line: str) -> None:
     with contextlib.suppress(OSError):  # the controller is gone: write on
         link.send(line.encode(), socket.MSG_NOSIGNAL)
 

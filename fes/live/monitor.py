@@ -1,18 +1,18 @@
-"""What people are told while a session runs, gathered where the log passes by; sending it never waits."""
+"""What people see while a session runs, gathered where the log passes by; sending it never waits."""
 
 from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from fes.control.controller import Controller
+from fes.control.runner import Log
 from fes.gate import SafetyGate
 from fes.live.inputs import printable
-from fes.live.log_pipe import PipedLog
 from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator
 from fes.live.sensor_monitor import SensorMonitor
@@ -21,6 +21,9 @@ from fes.live.status import FootStatus, Status
 from fes.session_log import Note
 from fes.signals import Event, FootSwitchEvent, ImuSample, StimAlive, StimCommand, StimStatus, StrideResult, WireFrame
 from statemachine.phases import PhaseChange
+
+if TYPE_CHECKING:
+    from fes.live.dashboard.stream import DashboardStream
 
 FRAME_NS: Final = 100_000_000
 KEPT: Final = 4096  # latencies: eight seconds of one sensor at 500 Hz
@@ -58,82 +61,118 @@ class Timing:
         return {"count": self.count, "most_ms": round(self.most_ms, 3), "longer_than_ms": over}
 
 
-class Page(Protocol):
-    """What a browser's page is told; see ``fes.live.dashboard.server``.
+class ShownLog:
+    """A loop's log that passes everything on, to the real one first, and remembers what a status needs.
 
-    ``lost``: why it is told nothing any more. ``dropped``: how many frames it missed.
+    Args:
+        phase_sensor_of: by foot, the sensor that its phases come from.
+        dashboard: where it is shown too; None where there is none.
     """
 
-    lost: str
-    dropped: int
+    def __init__(self, log: Log, phase_sensor_of: Mapping[str, str], dashboard: DashboardStream | None = None) -> None:
+        self.dashboard = dashboard
+        self.latencies = Timing()
+        self.on: set[int] = set()
+        self._log = log
+        self._foot_of = {sensor: foot for foot, sensor in phase_sensor_of.items()}
+        self._strides: dict[str, StrideResult] = {}
 
     def event(self, event: Event) -> None:
         """As the log's."""
+        self._log.event(event)
+        if self.dashboard is not None:
+            self.dashboard.event(event)
 
-    def command(self, command: StimCommand) -> None:
+    def command(self, command: StimCommand, frame: WireFrame) -> None:
         """As the log's."""
+        self._log.command(command, frame)
+        (self.on.add if command.on else self.on.discard)(command.channel)
+        if self.dashboard is not None:
+            self.dashboard.command(command)
 
     def phase(self, change: PhaseChange) -> None:
         """As the log's."""
+        self._log.phase(change)
+        if self.dashboard is not None:
+            self.dashboard.phase(change)
 
     def stride(self, result: StrideResult) -> None:
         """As the log's."""
+        self._log.stride(result)
+        self._strides[result.foot] = result
+        if self.dashboard is not None:
+            self.dashboard.stride(result)
 
     def note(self, note: Note) -> None:
         """As the log's."""
+        self._log.note(note)
+        if self.dashboard is not None:
+            self.dashboard.note(note)
 
-    def tell(self, status: bytes) -> None:
-        """Send the status and what has gathered; never waits."""
+    def latency(self, t_ns: int, latency_ns: int) -> None:
+        """As the log's."""
+        self._log.latency(t_ns, latency_ns)
+        self.latencies.add(latency_ns)
+
+    def foot_status(self, sensor: str, controller: Controller, rate_hz: float, age_ms: float) -> FootStatus:
+        """What a sensor shows of its foot; ``age_ms`` is that of its newest sample."""
+        foot = self._foot_of.get(sensor, "")
+        stride = self._strides.get(sensor) or self._strides.get(foot)
+        return FootStatus(
+            phase=controller.phase(foot).name.lower() if foot else "",
+            walking=bool(foot) and controller.walking(foot),
+            strides=stride.number if stride else 0,
+            stride_length_m=round(stride.stride_length_m, 3) if stride else None,
+            speed_mps=round(stride.speed_mps, 3) if stride else None,
+            rate_hz=rate_hz,
+            age_ms=age_ms,
+        )
 
 
-class Monitor:
-    """The loop's log: passes everything on to the real one and remembers what a status needs.
+class Monitor(ShownLog):
+    """A live session's log; feeds the sensors' monitors and sends the status.
 
     Args:
-        watches: by sensor; they are fed here.
-        drivers: by foot, the sensor that tells its phases.
-        view: the socket of the process that shows it; None where there is none.
+        sensors: their monitors.
+        phase_sensor_of: by foot, the sensor that its phases come from.
+        view: the socket of the terminal view's process; None where there is none.
         publish: further listeners.
-        remarks: what a person should know though nothing is latched; they are told of every event here.
+        notices: what a person should know though nothing is latched; they get every event here.
     """
 
     def __init__(
         self,
-        log: PipedLog,
-        watches: Mapping[str, SensorMonitor],
-        drivers: Mapping[str, str],
+        log: Log,
+        sensors: Mapping[str, SensorMonitor],
+        phase_sensor_of: Mapping[str, str],
         view: socket.socket | None,
         publish: Callable[[bytes], None] | None = None,
-        remarks: Notices | None = None,
+        notices: Notices | None = None,
     ) -> None:
-        self.log = log
-        self.latencies, self.lateness = Timing(), Timing()
+        super().__init__(log, phase_sensor_of)
+        self.lateness = Timing()
         self.dropped_frames = 0
-        self.page: Page | None = None
-        self._missed_by_lost_page = 0
         self.switches = SwitchComparison()
         self.answered_ns: int | None = None
         self.device_fault = ""
-        self.arrivals: dict[str, Timing] = {sensor: Timing() for sensor in watches}
-        self.watches = watches
-        self._foot_of = {sensor: foot for foot, sensor in drivers.items()}
+        self.arrivals: dict[str, Timing] = {sensor: Timing() for sensor in sensors}
+        self.sensors = sensors
+        self._missed_by_lost_dashboard = 0
         self._view = view
         self._publish = publish
-        self._remarks = remarks
-        self._strides: dict[str, StrideResult] = {}
-        self._on: set[int] = set()
+        self._notices = notices
         self._next_ns = 0
 
     # --- the loop's log ----------------------------------------------------------------------------------
 
     def event(self, event: Event) -> None:
         """As the log's."""
-        self.log.event(event)
-        if self._remarks is not None:
-            self._remarks.take(event)
+        super().event(event)
+        if self._notices is not None:
+            self._notices.add_event(event)
         if isinstance(event, ImuSample):
-            if (watch := self.watches.get(event.sensor)) is not None:
-                watch.note(event)
+            if (monitor := self.sensors.get(event.sensor)) is not None:
+                monitor.add(event)
                 # later than the sensor's own clock says; both stamps are in the log, for every sample
                 self.arrivals[event.sensor].add(event.t_ns - event.t_sensor_ns)
         elif isinstance(event, (StimAlive, StimStatus)):
@@ -141,52 +180,27 @@ class Monitor:
             if isinstance(event, StimAlive):
                 self.device_fault = event.fault
         elif isinstance(event, FootSwitchEvent):
-            self.switches.switch(event)
-        if self.page is not None:
-            self.page.event(event)
-
-    def command(self, command: StimCommand, frame: WireFrame) -> None:
-        """As the log's."""
-        self.log.command(command, frame)
-        (self._on.add if command.on else self._on.discard)(command.channel)
-        if self.page is not None:
-            self.page.command(command)
+            self.switches.add_switch(event)
 
     def phase(self, change: PhaseChange) -> None:
         """As the log's."""
-        self.log.phase(change)
-        self.switches.phase(change)
-        if self.page is not None:
-            self.page.phase(change)
-
-    def stride(self, result: StrideResult) -> None:
-        """As the log's."""
-        self.log.stride(result)
-        self._strides[result.foot] = result
-        if self.page is not None:
-            self.page.stride(result)
+        super().phase(change)
+        self.switches.add_phase(change)
 
     def note(self, note: Note) -> None:
         """As the log's."""
         if not note.text.isascii():
             note = replace(note, text=printable(note.text))  # a name in it may be any bytes: that must end no session
-        self.log.note(note)
-        if self.page is not None:
-            self.page.note(note)
-
-    def latency(self, t_ns: int, latency_ns: int) -> None:
-        """As the log's."""
-        self.log.latency(t_ns, latency_ns)
-        self.latencies.add(latency_ns)
+        super().note(note)
 
     @property
-    def dropped_page_frames(self) -> int:
-        """Frames that a page did not take in time."""
-        return self._missed_by_lost_page + (self.page.dropped if self.page is not None else 0)
+    def dropped_dashboard_frames(self) -> int:
+        """Frames that a dashboard did not take in time."""
+        return self._missed_by_lost_dashboard + (self.dashboard.dropped if self.dashboard is not None else 0)
 
     # --- the status --------------------------------------------------------------------------------------
 
-    def tell(
+    def publish(
         self, t_ns: int, operator: Operator, controller: Controller, gate: SafetyGate, stimulator: str = ""
     ) -> None:
         """Send the status if 100 ms have passed; a listener that does not keep up misses frames."""
@@ -200,18 +214,18 @@ class Monitor:
             fault=gate.latched,
             intensity=controller.intensity,
             channel=operator.channel,
-            on=bool(self._on),
-            feet={sensor: self._foot(sensor, t_ns, controller) for sensor in self.watches},
+            on=bool(self.on),
+            feet={sensor: self._foot(sensor, t_ns, controller) for sensor in self.sensors},
             belt_speed_mps=operator.belt_speed_mps,
             latency_p50_ms=self.latencies.percentile_ms(50),
             latency_p99_ms=self.latencies.percentile_ms(99),
             lateness_p99_ms=self.lateness.percentile_ms(99),
-            samples=sum(watch.count for watch in self.watches.values()),
+            samples=sum(monitor.count for monitor in self.sensors.values()),
             stimulator=stimulator,
             dropped_frames=self.dropped_frames,
             tuning=tuning_status(controller.tuning),
             stops=operator.stops,
-            remarks=self._remarks.now() if self._remarks else [],
+            notices=self._notices.now() if self._notices else [],
         )
         datagram = status.encode()
         if self._view is not None:
@@ -223,26 +237,17 @@ class Monitor:
                 self._view.close()
                 self._view = None
                 self.note(Note(t_ns, "warning", "view", "the terminal view has ended; the session goes on"))
-        if self.page is not None:
-            self.page.tell(datagram)
-            if self.page.lost:
-                self._missed_by_lost_page = self.page.dropped
-                operator.message = f"the page has ended ({self.page.lost}): no stop there; the session goes on"
-                self.page = None
-                self.note(Note(t_ns, "warning", "page", operator.message))
+        if self.dashboard is not None:
+            self.dashboard.send(datagram)
+            if self.dashboard.lost:
+                self._missed_by_lost_dashboard = self.dashboard.dropped
+                why, self.dashboard = self.dashboard.lost, None
+                operator.message = f"the dashboard has ended ({why}): no stop there; the session goes on"
+                self.note(Note(t_ns, "warning", "dashboard", operator.message))
         if self._publish is not None:
             self._publish(datagram)
 
     def _foot(self, sensor: str, t_ns: int, controller: Controller) -> FootStatus:
-        watch, foot = self.watches[sensor], self._foot_of.get(sensor)
-        stride = self._strides.get(sensor) or self._strides.get(foot or "")
-        age_ms = watch.age_ms(t_ns)
-        return FootStatus(
-            phase=controller.phase(foot).name.lower() if foot else "",
-            walking=foot is not None and controller.walking(foot),
-            strides=stride.number if stride else 0,
-            stride_length_m=round(stride.stride_length_m, 3) if stride else None,
-            speed_mps=round(stride.speed_mps, 3) if stride else None,
-            rate_hz=watch.rate_hz(t_ns),
-            age_ms=round(min(age_ms, 1e6), 1),
-        )
+        monitor = self.sensors[sensor]
+        age_ms = round(min(monitor.age_ms(t_ns), 1e6), 1)
+        return self.foot_status(sensor, controller, monitor.rate_hz(t_ns), age_ms)

@@ -1,4 +1,4 @@
-"""What a session's status says beside the signals: notices, the tuning, the charge. Pure."""
+"""What a session's status says beside the signals: notices, the tuning, the charge. No clock, no I/O."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from fes.stimulation.tuning.session import Tuners
 
 
 class Notices:
-    """Faulty samples and lost lines of sensors that drive no channel, electrodes that nothing is known of yet.
+    """What a person should know though nothing is latched: shown with every status, logged when it begins.
 
+    Faulty samples and lost lines of sensors that no channel follows, electrodes of which nothing is known yet.
     ``lasting``: what else holds until the session ends.
     """
 
     def __init__(self, gate: SafetyGate, electrodes: Electrodes) -> None:
         self.electrodes = electrodes
-        self.lines: Sequence[SensorStream] = ()
+        self.streams: Sequence[SensorStream] = ()
         self.lasting: list[str] = []
         self._gate = gate
         self._losses: dict[SensorStream, int] = {}
 
-    def take(self, event: Event) -> None:
+    def add_event(self, event: Event) -> None:
         """An event passes by."""
-        self.electrodes.note(event)
+        self.electrodes.add_event(event)
 
     def now(self) -> list[str]:
         """All that holds now."""
@@ -38,26 +39,26 @@ class Notices:
             f"{sensor}: {flag.samples} faulty samples, the newest: {flag.fault}; it drives no channel"
             for sensor, flag in self._gate.flagged.items()
         ]
-        remarks = [*flags, *(line.why_lost for line in self.lines), self.electrodes.unknown(), *self.lasting]
-        return [remark for remark in remarks if remark]
+        notices = [*flags, *(stream.why_lost for stream in self.streams), self.electrodes.unknown(), *self.lasting]
+        return [notice for notice in notices if notice]
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""
         new = []
-        for line in self.lines:
-            if line.losses != self._losses.get(line, 0):
-                self._losses[line] = line.losses
-                if not line.needed:
-                    new.append(f"{line.why_lost or ', '.join(line.sensors)}; it drives no channel")
+        for stream in self.streams:
+            if stream.losses != self._losses.get(stream, 0):
+                self._losses[stream] = stream.losses
+                if not stream.needed:
+                    new.append(f"{stream.why_lost or ', '.join(stream.sensors)}; it drives no channel")
         return new
 
 
 def tuning_status(tuning: Tuners) -> dict[str, TuningStatus]:
     """Every channel by its number, also those that only have a ledger."""
-    return {str(number): _of(tuning, number) for number in tuning.ledger.electrodes}
+    return {str(number): _channel_status(tuning, number) for number in tuning.ledger.electrodes}
 
 
-def _of(tuning: Tuners, number: int) -> TuningStatus:
+def _channel_status(tuning: Tuners, number: int) -> TuningStatus:
     dose, tuner = tuning.ledger.electrodes[number], tuning.tuners.get(number)
     charge = TuningStatus(
         step_uc=round(dose.steps_uc[-1], 1) if dose.steps_uc else 0.0,
@@ -66,22 +67,22 @@ def _of(tuning: Tuners, number: int) -> TuningStatus:
     )
     if tuner is None:
         return charge
-    said = {kind: report.text for (channel, kind), report in tuning.said.items() if channel == number}
+    texts = {kind: report.text for (channel, kind), report in tuning.said.items() if channel == number}
     changes = [tuning.said[number, kind] for kind in ("change", "roll_back") if (number, kind) in tuning.said]
     newest = max(changes, key=lambda report: report.t_ns, default=None)
     return replace(
         charge,
         mode=tuner.tuning.mode,
         frozen=tuner.frozen,
-        now=in_words(tuner.parameters),
+        now=describe_parameters(tuner.parameters),
         suggestion="" if tuner.pending is None else difference(tuner.parameters, tuner.pending),
-        why=said.get("suggestion", "") if tuner.pending is not None else "",
+        why=texts.get("suggestion", "") if tuner.pending is not None else "",
         last_change="" if newest is None else newest.text,
         last_change_ns=0 if newest is None else newest.t_ns,
-        hint=said.get("hint", ""),
+        hint=texts.get("hint", ""),
     )
 
 
-def in_words(parameters: BurstParameters) -> str:
-    """What the next burst is to have."""
+def describe_parameters(parameters: BurstParameters) -> str:
+    """Current and pulse width for people."""
     return f"{parameters.current_ma:.1f} mA, {parameters.mean_width_us:.0f} µs"

@@ -52,17 +52,6 @@ class Imu(Protocol):
         """Release the line."""
 
 
-class SensorClock(Protocol):
-    """One sensor's clock mapped to the host's; see ``fes.control.clock_sync``."""
-
-    @property
-    def resets(self) -> int:
-        """How often the mapping began anew."""
-
-    def map(self, t_host_ns: int, t_device_ns: int) -> int:
-        """The sample's time in the host's time."""
-
-
 class StimulatorLine(Protocol):
     """An open stimulator; see ``drivers.stimulator.port``."""
 
@@ -86,5 +75,5 @@ class Input(Protocol):
     def fileno(self) -> int | None:
         """A descriptor to wait on; None: it is asked every turn."""
 
-    def take(self, t_ns: int) -> list[Event]:
+    def read_events(self, t_ns: int) -> list[Event]:
         """What it makes happen now; never waits, never raises."""

@@ -1,4 +1,4 @@
-"""The last second of each sensor: is it alive, at its rate, at rest, upright? Asked before arming. Pure."""
+"""The last second of each sensor: is it alive, at its rate, at rest, upright? Asked before arming. No clock, no I/O."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class SensorMonitor:
         self.count = 0
         self.newest_ns: int | None = None
 
-    def note(self, sample: ImuSample) -> None:
+    def add(self, sample: ImuSample) -> None:
         """Take in a sample."""
-        at = self.count % self._size
-        self._t_ns[at] = self.newest_ns = sample.t_ns
-        self._values[at, :3] = sample.acc_mps2
-        self._values[at, 3:] = sample.gyr_radps
+        row = self.count % self._size
+        self._t_ns[row] = self.newest_ns = sample.t_ns
+        self._values[row, :3] = sample.acc_mps2
+        self._values[row, 3:] = sample.gyr_radps
         self.count += 1
 
     def rate_hz(self, t_ns: int) -> float:

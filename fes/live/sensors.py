@@ -1,7 +1,4 @@
-"""The sensors' lines as the loop sees them: samples in the host's time, losses as events, lines opened again.
-
-Opening a lost device again without holding up the loop: in a thread of its own, later each time it fails.
-"""
+"""A line to sensors as the loop sees it: samples in the host's time, losses as events, opened again when it is lost."""
 
 from __future__ import annotations
 
@@ -9,7 +6,8 @@ import threading
 from collections.abc import Callable, Iterator
 from typing import Final, Generic, TypeVar
 
-from fes.live.ports import Imu, SensorClock
+from fes.control.clock_sync import SensorClock
+from fes.live.ports import Imu
 from fes.signals import Event, ImuSample, SystemFault
 
 Port = TypeVar("Port")
@@ -19,7 +17,7 @@ LONGEST_PAUSE_NS: Final = 4_000_000_000
 
 
 class Reopening(Generic[Port]):
-    """Attempts at opening something, one at a time, with pauses that double from 0.25 s up to 4 s."""
+    """Attempts at opening something, in a thread so that the loop goes on; pauses double from 0.25 s up to 4 s."""
 
     def __init__(self, opener: Callable[[], Port], t_ns: int) -> None:
         self._opener = opener
@@ -129,8 +127,8 @@ class SensorStream:
                 return
             yield ImuSample(t_ns + took_ns, sample.sensor, t_sensor_ns, sample.acc_mps2, sample.gyr_radps)
 
-    def tend(self, t_ns: int) -> Iterator[Event]:
-        """Notice that a line says nothing any more; go on opening a lost one."""
+    def supervise(self, t_ns: int) -> Iterator[Event]:
+        """Notice that the line says nothing any more; go on opening a lost one."""
         if self.port is not None:
             if self._newest_ns is not None and t_ns - self._newest_ns >= STUCK_NS:
                 yield from self._lose(t_ns, "nothing has come for a second")

@@ -1,7 +1,4 @@
-"""One live session: controller, gate, operator, monitor and log around the one loop.
-
-What a live session's log begins with: all that its replay needs beside the events.
-"""
+"""One live session: controller, gate, operator, monitor and log around the one loop."""
 
 from __future__ import annotations
 
@@ -18,22 +15,20 @@ from fes.control.runner import Runner
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.gate import gate_of
 from fes.live.commands import CURRENT_ALLOWED
-from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopFile, StopSwitch, SwitchLine
+from fes.live.inputs import Control, Keyboard, StopFile, StopSwitch
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.notices import Notices
 from fes.live.operator import NO_STOP, Operator
 from fes.live.ports import Input
+from fes.live.processes import ViewProcess
 from fes.live.realtime import Grant
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.sensors import SensorStream
-from fes.live.source import LiveSource, stalled
+from fes.live.source import LiveSource, stall_text
 from fes.live.stimulator import Electrodes, LiveStimulator
-from fes.live.view_process import ViewProcess
 from fes.session_log import Note, Received
 from fes.signals import NS_PER_S, Event, SystemFault, WireFrame
-
-LIVE = "live"
 
 
 def live_header(
@@ -44,11 +39,11 @@ def live_header(
     t_ns: int,
     current_step_ma: float = CURRENT_STEP_MA,
 ) -> dict[str, Any]:
-    """All that a replay of the log needs beside the events; ``t_ns`` is the monotonic clock at ``created``."""
+    """A live log's header, all that its replay needs beside events; ``t_ns``: the monotonic clock at ``created``."""
     return {
         "format": LOG_FORMAT,
         "fes_version": __version__,
-        "kind": LIVE,
+        "kind": "live",
         "created": created,
         "created_t_ns": t_ns,
         "recording": {
@@ -74,7 +69,7 @@ class LiveSession:
         clock_ns: the monotonic clock that everything is stamped by.
         duration_s: ends the session by itself after this long; None: the operator does.
         current_step_ma: the stimulator's step of current.
-        electrodes_told_from_ma: see :class:`fes.live.stimulator.Electrodes`.
+        open_lead_detected_from_ma: see :class:`fes.live.stimulator.Electrodes`.
     """
 
     def __init__(
@@ -88,7 +83,7 @@ class LiveSession:
         duration_s: float | None = None,
         *,
         current_step_ma: float = CURRENT_STEP_MA,
-        electrodes_told_from_ma: float | None = None,
+        open_lead_detected_from_ma: float | None = None,
     ) -> None:
         self.controller = Controller(session, calibrations, current_step_ma=current_step_ma)
         self.gate = gate_of(
@@ -97,22 +92,22 @@ class LiveSession:
             shank_phase_sensors(calibrations),
             current_step_ma,
         )
-        watches = {
+        monitors = {
             str(device.sensor): SensorMonitor(device, calibrations.get(device.sensor)) for device in session.sensors
         }
-        drivers = phase_sensors(calibrations)
-        electrodes = Electrodes((channel.number for channel in session.channels), electrodes_told_from_ma)
-        self.remarks = Notices(self.gate, electrodes)
-        self.monitor = Monitor(log, watches, drivers, view.link if view else None, self._publish, self.remarks)
+        phase_sensor_of = phase_sensors(calibrations)
+        electrodes = Electrodes((channel.number for channel in session.channels), open_lead_detected_from_ma)
+        self.notices = Notices(self.gate, electrodes)
+        self.monitor = Monitor(log, monitors, phase_sensor_of, view.link if view else None, self._publish, self.notices)
         self.operator = Operator(
             session,
             self.controller,
             self.gate,
-            watches,
-            drivers,
+            monitors,
+            phase_sensor_of,
             self.monitor.note,
             lambda: self.monitor.answered_ns,
-            self._doubts,
+            self._reasons_not_ready,
             electrodes.unknown,
         )
         self.stimulator = stimulator
@@ -133,7 +128,7 @@ class LiveSession:
 
     def add_keys(self, descriptor: int) -> None:
         """Keys from a terminal or a pipe."""
-        self._keyboard = Keyboard(descriptor, self.operator.order, self._keys_gone)
+        self._keyboard = Keyboard(descriptor, self.operator.execute, self._keys_gone)
         self._inputs.append(self._keyboard)
 
     def add_control(self, path: Path) -> None:
@@ -142,30 +137,18 @@ class LiveSession:
         Raises:
             OSError: it cannot be made.
         """
-        self._control = Control(path, self.operator.order)
+        self._control = Control(path, self.operator.execute)
         self._inputs.append(self._control)
 
-    def add_stop_file(self, path: Path) -> None:
-        """A file whose appearance stops."""
-        self._inputs.append(StopFile(path, self.operator.order))
-
-    def add_stop_switch(self, line: SwitchLine) -> None:
-        """A button that stops."""
-        self._inputs.append(StopSwitch(line, self.operator.order))
-
-    def add_foot_switch(self, foot: str, line: SwitchLine) -> None:
-        """A switch under a foot."""
-        self._inputs.append(FootSwitchInput(foot, line))
-
     def add_input(self, each: Input) -> None:
-        """Anything else that can make something happen."""
+        """Anything else that makes something happen: a stop file or button, a foot switch, the dashboard."""
         self._inputs.append(each)
 
     # --- the session -------------------------------------------------------------------------------------
 
     def run(
         self,
-        lines: Sequence[SensorStream],
+        streams: Sequence[SensorStream],
         handshake: Sequence[WireFrame],
         first_answers: Sequence[Event],
         grants: Sequence[Grant],
@@ -183,7 +166,7 @@ class LiveSession:
             SessionLogError: the log cannot be written any more.
         """
         begin_ns = self._clock_ns()
-        self.remarks.lines = lines
+        self.notices.streams = streams
         self._end_ns = None if self._duration_s is None else begin_ns + int(self._duration_s * NS_PER_S)
         for frame in handshake:
             self._log.frame(frame)
@@ -192,7 +175,7 @@ class LiveSession:
         for grant in grants:
             self.monitor.note(Note(begin_ns, "warning" if grant.refused else "info", "realtime", str(grant)))
         self._source = LiveSource(
-            lines,
+            streams,
             self._inputs,
             self.stimulator,
             self._clock_ns,
@@ -214,7 +197,7 @@ class LiveSession:
         source = self._source
         return {
             "samples": {foot: tracker.counts.to_dict() for foot, tracker in self.controller.trackers.items()},
-            "received": {sensor: watch.count for sensor, watch in self.monitor.watches.items()},
+            "received": {sensor: monitor.count for sensor, monitor in self.monitor.sensors.items()},
             "latency": self.monitor.latencies.to_dict(),
             "lateness": self.monitor.lateness.to_dict(),
             "arrival": {sensor: timing.to_dict() for sensor, timing in self.monitor.arrivals.items()},
@@ -224,12 +207,12 @@ class LiveSession:
             "unsent": self.stimulator.unsent,
             "flagged": {sensor: flag.samples for sensor, flag in self.gate.flagged.items()},
             "dropped_view_frames": self.monitor.dropped_frames,
-            "dropped_page_frames": self.monitor.dropped_page_frames,
+            "dropped_page_frames": self.monitor.dropped_dashboard_frames,
         }
 
     def _after(self, event: Event, check: Callable[[], None]) -> None:
-        self.operator.after(event)
-        for text in self.remarks.new_losses():
+        self.operator.follow(event)
+        for text in self.notices.new_losses():
             self.monitor.note(Note(event.t_ns, "warning", "session", text))
         if isinstance(event, SystemFault) and not self.gate.latched:
             self.monitor.note(Note(event.t_ns, "warning", "session", event.text))
@@ -238,7 +221,7 @@ class LiveSession:
         if self._log.warning:
             self.monitor.note(Note(event.t_ns, "warning", "log", self._log.warning))
             self.operator.message, self._log.warning = self._log.warning, ""
-        self.monitor.tell(now_ns, self.operator, self.controller, self.gate, self.stimulator.state)
+        self.monitor.publish(now_ns, self.operator, self.controller, self.gate, self.stimulator.state)
         if self.operator.state is not self._state:
             self._state = self.operator.state
             if self._state not in CURRENT_ALLOWED:
@@ -250,36 +233,38 @@ class LiveSession:
         begin_ns = self._clock_ns()
         gc.collect()
         if self._source is not None:
-            self._source.took(self._clock_ns() - begin_ns)
+            self._source.exclude_from_stalls(self._clock_ns() - begin_ns)
 
     def _stalled(self, t_ns: int, away_ns: int) -> None:
-        self.monitor.note(Note(t_ns, "warning", "session", f"{stalled(away_ns)}; it was off before that was noticed"))
+        self.monitor.note(
+            Note(t_ns, "warning", "session", f"{stall_text(away_ns)}; it was off before that was noticed")
+        )
 
     def _over(self) -> bool:
         return self.operator.quitting or (self._end_ns is not None and self._clock_ns() >= self._end_ns)
 
     def _keys_gone(self, t_ns: int) -> list[Event]:
         events = self.operator.keys_gone(t_ns, self._other_stops())
-        self.remarks.lasting.append(self.operator.message)
+        self.notices.lasting.append(self.operator.message)
         return events
 
     def _other_stops(self) -> list[str]:
         """What stops beside the keyboard."""
         kinds = ((StopFile, "file"), (StopSwitch, "button"), (Control, "control socket"))
         found = [name for kind, name in kinds if any(isinstance(each, kind) for each in self._inputs)]
-        return [*found, "page"] if self.monitor.page is not None else found
+        return [*found, "dashboard"] if self.monitor.dashboard is not None else found
 
-    def _doubts(self) -> list[str]:
-        doubts = [each.doubt() for each in self._inputs if isinstance(each, (StopFile, StopSwitch))]
-        doubts += [self._log.healthy, "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}"]
+    def _reasons_not_ready(self) -> list[str]:
+        reasons = [each.not_ready() for each in self._inputs if isinstance(each, (StopFile, StopSwitch))]
+        reasons += [self._log.healthy, "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}"]
         if self._keyboard is not None and self._keyboard.fileno() is None and not self._other_stops():
-            doubts.append(NO_STOP)
+            reasons.append(NO_STOP)
         if fault := self.monitor.device_fault:
             # a device keeps such a flag until a new session is opened; what still holds is flagged again
             self.stimulator.renew(self.runner.t_ns)
             self.monitor.device_fault = ""
-            doubts.append(f"the stimulator reports: {fault}; check the electrodes, its session is opened again")
-        return doubts
+            reasons.append(f"the stimulator reports: {fault}; check the electrodes, its session is opened again")
+        return reasons
 
     def _publish(self, status: bytes) -> None:
         if self._control is not None:

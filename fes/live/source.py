@@ -1,10 +1,8 @@
-"""The live source of events: one poll over sensors, keys, control and stop inputs; silence and stalls made audible.
+"""The live source of events: one poll over sensors, keys, control and stop inputs; silence and stalls are events.
 
 Events come out in the order of their times, which are the host's monotonic clock when they were read. Everything that
 has queued up while the loop was away is still given on, so that nothing is lost to the estimator, with honest times:
 the gate sees by the sensors' own clocks how old it is.
-
-How a foot switch differs from the sensor's phases: contact against loading response, release against swing.
 """
 
 from __future__ import annotations
@@ -28,20 +26,20 @@ PAIRED_WITHIN_NS: Final = 300_000_000  # half of a quick stride
 
 
 class SwitchComparison:
-    """Collects both; a few hundred numbers for an hour of walking."""
+    """How a foot switch differs from the sensor's phases: contact against loading response, release against swing."""
 
     def __init__(self) -> None:
         self._switch: dict[tuple[str, str], list[int]] = defaultdict(list)
         self._phase: dict[tuple[str, str], list[int]] = defaultdict(list)
 
-    def switch(self, event: FootSwitchEvent) -> None:
+    def add_switch(self, event: FootSwitchEvent) -> None:
         """The switch closed or opened."""
         if event.pressed is None:
             return
         self._switch[event.foot, "contact" if event.pressed else "release"].append(event.t_ns)
 
-    def phase(self, change: PhaseChange) -> None:
-        """The sensor told a phase."""
+    def add_phase(self, change: PhaseChange) -> None:
+        """The sensor's foot came into a phase."""
         what = {Phase.LOADING_RESPONSE: "contact", Phase.SWING: "release"}.get(change.destination)
         if what is not None:
             self._phase[change.foot, what].append(change.t_ns)
@@ -50,10 +48,10 @@ class SwitchComparison:
         """By foot and kind: the sensor's delay behind the switch (ms; median, least, most), and what had no pair."""
         found: dict[str, Any] = {}
         for (foot, what), switched in self._switch.items():
-            told = sorted(self._phase[foot, what])
-            delays_ms = [delay * 1e-6 for t_ns in switched if (delay := _nearest(told, t_ns)) is not None]
+            of_phases = sorted(self._phase[foot, what])
+            delays_ms = [delay * 1e-6 for t_ns in switched if (delay := _nearest(of_phases, t_ns)) is not None]
             entry: dict[str, Any] = {"pairs": len(delays_ms), "switch_only": len(switched) - len(delays_ms)}
-            entry["sensor_only"] = max(len(told) - len(delays_ms), 0)
+            entry["sensor_only"] = max(len(of_phases) - len(delays_ms), 0)
             if delays_ms:
                 entry["delay_ms"] = [round(f(delays_ms), 1) for f in (median, min, max)]
             found.setdefault(foot, {})[what] = entry
@@ -69,9 +67,9 @@ def _nearest(times_ns: list[int], t_ns: int) -> int | None:
 
 
 STALL_NS: Final = 40_000_000  # data must not be older when used, so a loop that was away longer has lost its ground
-LOOK_UP_AFTER: Final = 32  # samples of a backlog between two looks at the clock and the stop inputs
-LOOK_UP_NS: Final = 5_000_000
-LOOK_UPS: Final = 3  # in a row, at most
+CHECK_AFTER: Final = 32  # samples of a backlog between two checks of the clock and the stop inputs
+CHECK_NS: Final = 5_000_000
+CHECKS: Final = 3  # in a row, at most
 PROMPT_NS: Final = 500_000
 POLLED_NS: Final = 1_000_000  # between two looks at a device that has nothing to wait on
 
@@ -81,23 +79,23 @@ class LiveSource:
 
     Args:
         clock_ns: the monotonic clock.
-        ended: asked every turn.
+        ended: called every turn.
         current_allowed: whether a stall now is a fault; otherwise it is only counted.
 
-    ``on_stall`` is told (when, how long) of a stall that began while current was allowed and is found when it no longer
-    is: what came of it, an answer of the stimulator's perhaps, was dealt with first and has switched off.
+    ``on_stall`` gets (when, how long) of a stall that began while current was allowed and is found when it no
+    longer is: what came of it, an answer of the stimulator's perhaps, was dealt with first and has switched off.
     """
 
     def __init__(
         self,
-        lines: Sequence[SensorStream],
+        streams: Sequence[SensorStream],
         inputs: Sequence[Input],
         stimulator: LiveStimulator | None,
         clock_ns: Callable[[], int],
         ended: Callable[[], bool],
         current_allowed: Callable[[], bool],
     ) -> None:
-        self._lines = lines
+        self._streams = streams
         self._inputs = inputs
         self._stimulator = stimulator
         self._clock_ns = clock_ns
@@ -109,10 +107,10 @@ class LiveSource:
         self._was_allowed = False  # at that look
         self.stalls = 0
         self.longest_stall_ns = 0
-        self.on_lateness: Callable[[int], None] = _forget
-        self.on_stall: Callable[[int, int], None] = _forget
+        self.on_lateness: Callable[[int], None] = _ignore
+        self.on_stall: Callable[[int, int], None] = _ignore
 
-    def took(self, time_ns: int) -> None:
+    def exclude_from_stalls(self, time_ns: int) -> None:
         """The loop has just done something on purpose that took so long; it counts in no stall."""
         self._checked_ns += time_ns
 
@@ -123,45 +121,45 @@ class LiveSource:
             self._selector.close()
 
     def _turns(self) -> Iterator[Event]:
-        for line in self._lines:  # what queued up before anybody listened belongs to no session
-            yield from line.discard(self._clock_ns())
+        for stream in self._streams:  # what queued up before anybody listened belongs to no session
+            yield from stream.discard(self._clock_ns())
         self._checked_ns = self._stamp_ns = heard_ns = self._clock_ns()
         while not self._ended():
             self._register()
             self._wait(heard_ns + TICK_NS)
-            yield from self._look_up_until_prompt()
-            for line in self._lines:
-                for event in self._restamped(line.read(self._checked_ns, self._clock_ns)):
+            yield from self._check_until_prompt()
+            for stream in self._streams:
+                for event in self._restamped(stream.read(self._checked_ns, self._clock_ns)):
                     heard_ns = self._stamp_ns
                     yield event
             if self._clock_ns() - heard_ns >= TICK_NS:
-                yield from self._look_up()
+                yield from self._check_inputs()
                 heard_ns = self._checked_ns
                 yield Tick(heard_ns)
-            for line in self._lines:
-                yield from line.tend(self._stamp_ns)
+            for stream in self._streams:
+                yield from stream.supervise(self._stamp_ns)
 
     def _restamped(self, events: Iterator[Event]) -> Iterator[Event]:
-        """A backlog takes time to go through: look up now and then, and never let time run backward."""
+        """A backlog takes time to go through: check now and then, and never let time run backward."""
         for number, event in enumerate(events, start=1):
             if isinstance(event, ImuSample):
-                if event.t_ns - self._checked_ns > LOOK_UP_NS:  # held up between looking up and reading
-                    yield from self._look_up()
+                if event.t_ns - self._checked_ns > CHECK_NS:  # held up between check and reading
+                    yield from self._check_inputs()
                 self._stamp_ns = max(self._stamp_ns, event.t_ns)
                 if event.t_ns != self._stamp_ns:
                     event = ImuSample(self._stamp_ns, event.sensor, event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
             yield event
-            if number % LOOK_UP_AFTER == 0 and self._clock_ns() - self._checked_ns > LOOK_UP_NS:
-                yield from self._look_up()
+            if number % CHECK_AFTER == 0 and self._clock_ns() - self._checked_ns > CHECK_NS:
+                yield from self._check_inputs()
 
-    def _look_up_until_prompt(self) -> Iterator[Event]:
-        """What was looked up may take long to deal with; samples that came meanwhile must not be dated before it."""
-        for _ in range(LOOK_UPS):
-            yield from self._look_up()
+    def _check_until_prompt(self) -> Iterator[Event]:
+        """What was found may take long to deal with; samples that came meanwhile must not be dated before it."""
+        for _ in range(CHECKS):
+            yield from self._check_inputs()
             if self._clock_ns() - self._checked_ns <= PROMPT_NS:
                 return
 
-    def _look_up(self) -> Iterator[Event]:
+    def _check_inputs(self) -> Iterator[Event]:
         """What the clock, the stop inputs and the stimulator's line have to say; a stop waits for nobody."""
         now_ns = self._clock_ns()
         away_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
@@ -171,16 +169,16 @@ class LiveSource:
             self.stalls += 1
             self.longest_stall_ns = max(self.longest_stall_ns, away_ns)
             if self._was_allowed:
-                yield SystemFault(now_ns, stalled(away_ns))
+                yield SystemFault(now_ns, stall_text(away_ns))
             elif was_allowed:
                 self.on_stall(now_ns, away_ns)
         for each in self._inputs:
-            yield from each.take(now_ns)
+            yield from each.read_events(now_ns)
         if self._stimulator is not None:
             yield from self._stimulator.events(now_ns)
 
     def _wait(self, deadline_ns: int) -> None:
-        if any(line.must_be_polled for line in self._lines):
+        if any(stream.must_be_polled for stream in self._streams):
             deadline_ns = min(deadline_ns, self._clock_ns() + POLLED_NS)
         left_ns = deadline_ns - self._clock_ns()
         ready = self._selector.select(max(left_ns, 0) * 1e-9)
@@ -189,7 +187,7 @@ class LiveSource:
 
     def _register(self) -> None:
         """Wait on what is open now and has something to wait on."""
-        everything: list[SensorStream | Input] = [*self._lines, *self._inputs]
+        everything: list[SensorStream | Input] = [*self._streams, *self._inputs]
         for each in everything:
             descriptor, known = each.fileno(), self._registered.get(each)
             if descriptor == known:
@@ -203,10 +201,10 @@ class LiveSource:
                 self._registered[each] = descriptor
 
 
-def stalled(away_ns: int) -> str:
-    """What is said of a stall."""
+def stall_text(away_ns: int) -> str:
+    """A stall for people."""
     return f"controller stalled for {away_ns / 1e6:.0f} ms"
 
 
-def _forget(*what: int) -> None:
+def _ignore(*what: int) -> None:
     """Nobody asked for it."""

@@ -1,4 +1,4 @@
-"""What a session tells whoever watches it, ten times a second: one JSON datagram, never waited for."""
+"""A session's status for people, ten times a second as one JSON datagram. No clock, no I/O."""
 
 from __future__ import annotations
 
@@ -73,14 +73,14 @@ class Status:
     stimulator: str = ""
     dropped_frames: int = 0
     tuning: dict[str, TuningStatus] = field(default_factory=dict)  # by channel number
-    stops: int = 0  # emergency stops by order so far
-    remarks: list[str] = field(default_factory=list)  # what to know though nothing is latched
+    stops: int = 0  # emergency stops by command so far
+    notices: list[str] = field(default_factory=list)  # what to know though nothing is latched
     version: int = VERSION
 
     def plain(self) -> dict[str, Any]:
         """As data for JSON: null for what is no number."""
         found: dict[str, Any] = finite(asdict(self))
-        return found
+        return found | {"remarks": found["notices"]}  # as the notices were called once
 
     def encode(self) -> bytes:
         """The datagram."""
@@ -97,6 +97,7 @@ class Status:
             data: dict[str, Any] = json.loads(datagram)
             if data["version"] != VERSION:
                 raise ValueError(f"status of version {data['version']}, this program reads {VERSION}")
+            data.pop("remarks", None)
             feet = {name: FootStatus(**foot) for name, foot in data.pop("feet").items()}
             tuning = {number: TuningStatus(**one) for number, one in data.pop("tuning", {}).items()}
             return Status(**data, feet=feet, tuning=tuning)

@@ -1,7 +1,4 @@
-"""The stimulator as the live loop sees it: lost and found again as events, and nothing that has grown old goes out.
-
-What is known of the electrodes: some stimulators tell of an open lead only with a pulse of some size.
-"""
+"""The stimulator as the live loop sees it: lost and found again as events, and nothing that has grown old goes out."""
 
 from __future__ import annotations
 
@@ -15,38 +12,37 @@ from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, S
 
 
 class Electrodes:
-    """Which channels have had a pulse that tells.
+    """Which channels' electrodes are not known yet: some stimulators report an open lead only with a pulse.
 
     Args:
         channels: those of the session.
-        told_from_ma: the least current whose answer tells of an open lead, 0 for any pulse; None: the stimulator tells
-            of it by itself, so that nothing is ever unknown.
+        detected_from_ma: the least current whose answer reports an open lead, 0 for any pulse; None: the stimulator
+            reports it by itself, so that nothing is ever unknown.
     """
 
-    def __init__(self, channels: Iterable[int], told_from_ma: float | None) -> None:
-        self._channels = tuple(sorted(channels)) if told_from_ma is not None else ()
-        self._told_from_ma = told_from_ma or 0.0
+    def __init__(self, channels: Iterable[int], detected_from_ma: float | None) -> None:
+        self._channels = tuple(sorted(channels)) if detected_from_ma is not None else ()
+        self._detected_from_ma = detected_from_ma or 0.0
         self._unknown = set(self._channels)
 
-    def note(self, event: Event) -> None:
-        """An answer without a fault at such a current makes known; a stimulator that was away may have been rewired."""
+    def add_event(self, event: Event) -> None:
+        """An answer without a fault at such a current makes known; one that was away may have been rewired."""
         if isinstance(event, StimStatus):
-            if event.on and not event.fault and event.current_ma >= max(self._told_from_ma, 1e-9):
+            if event.on and not event.fault and event.current_ma >= max(self._detected_from_ma, 1e-9):
                 self._unknown.discard(event.channel)
         elif isinstance(event, StimOpened):
             self._unknown = set(self._channels)
 
     def unknown(self) -> str:
-        """What to say of those that are not known yet; "" when all are."""
+        """Which are not known yet, for people; "" when all are."""
         if not self._unknown:
             return ""
-        at = f" at {self._told_from_ma:g} mA" if self._told_from_ma else ""
+        at = f" at {self._detected_from_ma:g} mA" if self._detected_from_ma else ""
         which = ", ".join(map(str, sorted(self._unknown)))
         return f"electrode not known until the first pulse{at} (channel {which})"
 
 
 UNSENT: Final = 0  # the identifier of a frame that did not go out
-OPEN_WORD: Final = "open"
 
 
 class Opened(NamedTuple):
@@ -58,7 +54,7 @@ class Opened(NamedTuple):
 
 
 class LiveStimulator:
-    """Wraps a line; what it meets becomes events for the loop, taken with :meth:`events`.
+    """Wraps a line; what it meets becomes events for the loop, see :meth:`events`.
 
     Args:
         line: open.
@@ -66,7 +62,7 @@ class LiveStimulator:
         lost: the exception that says that the line is gone.
         clock_ns: the clock that events are stamped by.
 
-    ``on_heard`` and ``on_frame`` are told of what belongs in the log beside commands and events.
+    ``on_heard`` and ``on_frame`` get what belongs in the log beside commands and events.
     """
 
     def __init__(
@@ -79,14 +75,14 @@ class LiveStimulator:
         self._attempts: Reopening[Opened] | None = None
         self._events: list[Event] = []
         self.unsent = 0
-        self.on_heard: Callable[[int, bytes], None] = _nobody_asked
-        self.on_frame: Callable[[WireFrame], None] = _nobody_asked
+        self.on_heard: Callable[[int, bytes], None] = _ignore
+        self.on_frame: Callable[[WireFrame], None] = _ignore
 
     @property
     def state(self) -> str:
         """ "open", or why it is not."""
         if self._attempts is None:
-            return OPEN_WORD
+            return "open"
         return f"lost, is being opened again ({self._attempts.why_not})" if self._attempts.why_not else "lost"
 
     @property
@@ -155,5 +151,5 @@ class LiveStimulator:
         self._events.append(SystemFault(t_ns, f"stimulator lost: {error}"[:200]))
 
 
-def _nobody_asked(*what: object) -> None:
-    """There is no log to tell."""
+def _ignore(*what: object) -> None:
+    """There is no log."""

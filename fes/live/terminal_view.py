@@ -16,7 +16,7 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-from fes.live.orphan import LOOK_EVERY_S, end_with, orphaned
+from fes.live.processes import LOOK_EVERY_S, end_with, orphaned
 from fes.live.status import Status, TuningStatus
 
 COLOURS: Final = {
@@ -61,7 +61,7 @@ def picture(status: Status) -> Group:
         f"stimulator {status.stimulator}"
     )
     lines: list[Text | Table | Panel] = [head, table, Text(timing, "dim"), Text(status.message)]
-    lines += [Text(f"! {remark}", "yellow") for remark in status.remarks]
+    lines += [Text(f"! {notice}", "yellow") for notice in status.notices]
     lines += [text for number, one in status.tuning.items() if (text := _tuning(number, one))]
     if status.fault:
         lines.append(Panel(Text(f"{status.fault}\nOff until armed again by hand (a).", "bold red"), title="FAULT"))

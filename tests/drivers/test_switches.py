@@ -18,7 +18,7 @@ from drivers.stimulator.serial_line import LineSettings, open_line
 from drivers.switches import SILENT_NS, CanSwitch, SerialSwitch, SwitchFailed, open_switch
 from fes.config import Bus
 from fes.config.devices import FootSwitch
-from fes.live.commands import Order
+from fes.live.commands import OperatorCommand
 from fes.live.inputs import FootSwitchInput, StopSwitch
 from fes.signals import Event, FootSwitchEvent
 
@@ -78,25 +78,25 @@ class Frames:
 
 def test_a_stop_button_that_falls_silent_on_the_bus_is_a_stop() -> None:
     bus = Frames()
-    orders: list[str] = []
+    commands: list[str] = []
 
-    def carry(order: Order, t_ns: int) -> list[Event]:
-        orders.append(order.origin)
+    def execute(command: OperatorCommand, t_ns: int) -> list[Event]:
+        commands.append(command.origin)
         return []
 
-    button = StopSwitch(bus.switch(), carry)
+    button = StopSwitch(bus.switch(), execute)
     for _ in range(50):
         bus.say(False)
-        button.take(bus.t_ns)
+        button.read_events(bus.t_ns)
         bus.t_ns += 100_000_000
-    assert (orders, button.doubt()) == ([], "")
+    assert (commands, button.not_ready()) == ([], "")
     bus.t_ns += SILENT_NS
-    button.take(bus.t_ns)
-    assert orders == ["button lost"]
-    assert "nothing is heard" in button.doubt()
+    button.read_events(bus.t_ns)
+    assert commands == ["button lost"]
+    assert "nothing is heard" in button.not_ready()
     bus.say(False)
-    button.take(bus.t_ns)
-    assert (orders, button.doubt()) == (["button lost"], "")  # heard again: a person may arm
+    button.read_events(bus.t_ns)
+    assert (commands, button.not_ready()) == (["button lost"], "")  # heard again: a person may arm
 
 
 @pytest.mark.parametrize("kind", ["is_extended_id", "is_remote_frame", "is_error_frame"])
@@ -119,18 +119,18 @@ def test_a_foot_switch_back_from_silence_tells_only_what_was_seen_to_change() ->
 
     def said(pressed: bool) -> list[Event]:
         bus.say(pressed)
-        return foot.take(bus.t_ns)
+        return foot.read_events(bus.t_ns)
 
     assert said(True) == [FootSwitchEvent(bus.t_ns, "left_foot", True)]
     bus.t_ns += SILENT_NS + 1
-    assert foot.take(bus.t_ns) == [FootSwitchEvent(bus.t_ns, "left_foot", None)]
-    assert foot.take(bus.t_ns) == []
+    assert foot.read_events(bus.t_ns) == [FootSwitchEvent(bus.t_ns, "left_foot", None)]
+    assert foot.read_events(bus.t_ns) == []
     assert said(False) == []
     assert said(True) == []
     assert said(False) == [FootSwitchEvent(bus.t_ns, "left_foot", False)]
     bus.t_ns += SILENT_NS + 1
-    assert foot.take(bus.t_ns) == [FootSwitchEvent(bus.t_ns, "left_foot", None)]
-    assert foot.take(bus.t_ns) == []
+    assert foot.read_events(bus.t_ns) == [FootSwitchEvent(bus.t_ns, "left_foot", None)]
+    assert foot.read_events(bus.t_ns) == []
     assert said(True) == [FootSwitchEvent(bus.t_ns, "left_foot", True)]  # late, but it ends what is on
 
 

@@ -33,7 +33,7 @@ def standing_then_walking(stand_s: float) -> tuple[Calibrating, Iterator[ImuSamp
 
 
 def give(finding: Calibrating, sample: ImuSample) -> None:
-    finding.take(sample)
+    finding.add_event(sample)
     if finding._thread is not None:  # what it tries is done before the next sample: the test knows no race
         finding._thread.join()
 

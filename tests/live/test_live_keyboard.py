@@ -1,4 +1,4 @@
-"""Keys over real pseudo-terminals: the terminal's mode, what is left of it, what counts as an order."""
+"""Keys over real pseudo-terminals: the terminal's mode, what is left of it, what counts as a command."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from fes.live.commands import Ask, Order
+from fes.live.commands import CommandKind as Kind
+from fes.live.commands import OperatorCommand
 from fes.live.inputs import Keyboard
 from fes.signals import Event
 
@@ -25,11 +26,11 @@ SESSION = """
 import os, sys, time
 from fes.live.inputs import Keyboard, Terminal
 with Terminal(0):
-    keys = Keyboard(0, lambda order, t_ns: [order.ask])
+    keys = Keyboard(0, lambda command, t_ns: [command.kind])
     print("ready", flush=True)
     asked = []
     while not asked:
-        asked = keys.take(0)
+        asked = keys.read_events(0)
         time.sleep(0.005)
     print("asked", *asked, flush=True)
     keys.close()
@@ -45,18 +46,18 @@ def pair() -> Iterator[tuple[int, int]]:
 
 
 class Carried:
-    """Keeps the orders."""
+    """Keeps the commands."""
 
     def __init__(self) -> None:
-        self.orders: list[Order] = []
+        self.commands: list[OperatorCommand] = []
 
-    def __call__(self, order: Order, t_ns: int) -> list[Event]:
-        self.orders.append(order)
+    def __call__(self, command: OperatorCommand, t_ns: int) -> list[Event]:
+        self.commands.append(command)
         return []
 
     @property
-    def asks(self) -> list[Ask]:
-        return [order.ask for order in self.orders]
+    def asks(self) -> list[Kind]:
+        return [command.kind for command in self.commands]
 
 
 def read_until(master: int, text: bytes, timeout_s: float = 20.0) -> bytes:
@@ -120,14 +121,14 @@ def test_a_pipe_is_left_as_it_was() -> None:
     read_end, write_end = os.pipe()
     carried = Carried()
     keys = Keyboard(read_end, carried)
-    assert keys.take(0) == []  # and does not wait
+    assert keys.read_events(0) == []  # and does not wait
     os.write(write_end, b"p")
-    keys.take(0)
-    assert carried.asks == [Ask.PAUSE]
+    keys.read_events(0)
+    assert carried.asks == [Kind.PAUSE]
     keys.close()
     keys.close()
     assert os.get_blocking(read_end)
-    assert (keys.fileno(), keys.take(0)) == (None, [])
+    assert (keys.fileno(), keys.read_events(0)) == (None, [])
     os.close(read_end)
     os.close(write_end)
 
@@ -136,7 +137,7 @@ def test_a_terminal_that_has_gone_is_the_end_of_the_keys() -> None:
     master, slave = pty.openpty()
     keys = Keyboard(slave, Carried())
     os.close(master)
-    assert keys.take(0) == []
+    assert keys.read_events(0) == []
     assert keys.fileno() is None
     keys.close()
     os.close(slave)
@@ -157,15 +158,15 @@ SEQUENCES = {
 AGAIN_MS = 200
 
 
-def typed_in_pieces(pieces: list[tuple[bytes, int]]) -> list[Ask]:
-    """What keys order that come over a pipe, each piece so many ms after the one before."""
+def typed_in_pieces(pieces: list[tuple[bytes, int]]) -> list[Kind]:
+    """What keys command that come over a pipe, each piece so many ms after the one before."""
     read_end, write_end = os.pipe()
     carried, t_ns = Carried(), 0
     keys = Keyboard(read_end, carried)
     for piece, pause_ms in pieces:
         t_ns += pause_ms * 1_000_000
         os.write(write_end, piece)
-        keys.take(t_ns)
+        keys.read_events(t_ns)
     os.close(write_end)
     keys.close()
     os.close(read_end)
@@ -178,8 +179,8 @@ def test_a_key_that_is_no_letter_is_no_order_however_its_bytes_come(name: str) -
     assert typed_in_pieces([(sequence, 0)]) == []
     for cut in range(1, len(sequence)):
         assert typed_in_pieces([(sequence[:cut], 0), (sequence[cut:], 30)]) == []
-        assert typed_in_pieces([(sequence[:cut], 0), (b" ", 1), (sequence[cut:], 30)]) == [Ask.STOP]
-    assert typed_in_pieces([(sequence, 0), (b"p", AGAIN_MS)]) == [Ask.PAUSE], "and then keys count again"
+        assert typed_in_pieces([(sequence[:cut], 0), (b" ", 1), (sequence[cut:], 30)]) == [Kind.STOP]
+    assert typed_in_pieces([(sequence, 0), (b"p", AGAIN_MS)]) == [Kind.PAUSE], "and then keys count again"
 
 
 @pytest.mark.requirement("SR-16")
@@ -191,10 +192,10 @@ def test_behind_an_escape_nothing_is_an_order_but_a_stop_always(rest: bytes, cut
     edges = [0, *sorted(set(cuts)), len(typed)]
     pieces = [typed[a:b] for a, b in itertools.pairwise(edges) if typed[a:b]]
     asked = typed_in_pieces([(piece, 40 * bool(number)) for number, piece in enumerate(pieces)])
-    assert set(asked) == ({Ask.STOP} if b" " in rest else set())
+    assert set(asked) == ({Kind.STOP} if b" " in rest else set())
 
 
 @pytest.mark.requirement("SR-16")
 @given(st.binary(max_size=60), st.binary(max_size=60))
 def test_a_space_anywhere_is_a_stop_and_comes_first(before: bytes, after: bytes) -> None:
-    assert typed_in_pieces([(before + b" " + after, 0)])[0] is Ask.STOP
+    assert typed_in_pieces([(before + b" " + after, 0)])[0] is Kind.STOP

@@ -12,6 +12,7 @@ from live_parts import FakeStimulator, Lost
 from test_live_operator import CALIBRATION, FOOT, settings
 
 from fes.live.commands import State
+from fes.live.inputs import StopFile
 from fes.live.log_pipe import PipedLog
 from fes.live.session import LiveSession
 from fes.live.stimulator import LiveStimulator, Opened
@@ -37,21 +38,21 @@ def without_keys(live: LiveSession) -> list[object]:
     os.close(write_end)
     live.add_keys(read_end)
     keys = live._inputs[-1]
-    events = [*keys.take(5), *keys.take(6)]
+    events = [*keys.read_events(5), *keys.read_events(6)]
     for event in events:
         live.runner.handle(event)
-        live.operator.after(event)
+        live.operator.follow(event)
     os.close(read_end)
     return list(events)
 
 
 def test_it_is_noted_and_shown_with_what_else_stops(live: LiveSession, tmp_path: Path) -> None:
-    live.add_stop_file(tmp_path / "stop")
+    live.add_input(StopFile(tmp_path / "stop", live.operator.execute))
     live.add_control(tmp_path / "c.sock")
     assert without_keys(live) == []
     said = "the keyboard is gone; stop by file or control socket"
     assert live.operator.message == said
-    assert said in live.remarks.now(), "with every status from now on"
+    assert said in live.notices.now(), "with every status from now on"
     assert live.operator.state is not State.STOPPED
     live._log.close({})
     (note,) = [note for note in read_session(tmp_path / "session.feslog").notes if note.severity == "warning"]
@@ -63,4 +64,4 @@ def test_where_nothing_else_stops_it_is_a_stop_and_nothing_arms(live: LiveSessio
     assert without_keys(live) == [OperatorAct(5, OperatorAction.EMERGENCY_STOP)]
     assert live.operator.state is State.STOPPED
     assert live.gate.latched == "emergency stop"
-    assert "the keyboard is gone, and there is no other stop" in "; ".join(live.operator.doubts(7))
+    assert "the keyboard is gone, and there is no other stop" in "; ".join(live.operator.reasons_not_ready(7))

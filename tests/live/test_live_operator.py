@@ -21,10 +21,20 @@ from fes.config import ImuDevice, Session, load_session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import FootCalibration
 from fes.gate import gate_of
-from fes.live.commands import NEEDS_CONFIRMATION, Ask, CommandRefused, Order, State, order_of_message, orders_of_keys
-from fes.live.dashboard.message_handler import DashboardCommands, MessageHandler
-from fes.live.dashboard.network_guard import Access
-from fes.live.dashboard.stream import DashboardStream
+from fes.live.commands import (
+    NEEDS_CONFIRMATION,
+    CommandRefused,
+    OperatorCommand,
+    State,
+    command_of_message,
+    commands_of_keys,
+)
+from fes.live.commands import (
+    CommandKind as Kind,
+)
+from fes.live.dashboard.access import Access
+from fes.live.dashboard.message_handler import MessageHandler
+from fes.live.dashboard.stream import DashboardCommands, DashboardStream
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
@@ -72,12 +82,12 @@ class Bench:
         self.further: list[str] = []
         self.controller = Controller(session, {FOOT: CALIBRATION})
         self.gate = gate_of(session, {FOOT: CALIBRATION.up})
-        self.watch = SensorMonitor(session.sensors[0], CALIBRATION)
+        self.monitor = SensorMonitor(session.sensors[0], CALIBRATION)
         self.operator = Operator(
             session,
             self.controller,
             self.gate,
-            {FOOT: self.watch},
+            {FOOT: self.monitor},
             {FOOT: FOOT},
             self.notes.append,
             lambda: self.answered_ns,
@@ -86,11 +96,11 @@ class Bench:
 
     def handle(self, event: Event) -> None:
         if isinstance(event, ImuSample):
-            self.watch.note(event)
+            self.monitor.add(event)
         self.gate.observe(event)
         for request in self.controller.step(event).requests:
             self.gate.judge(event.t_ns, request)
-        self.operator.after(event)
+        self.operator.follow(event)
 
     def stand(self, seconds: float, acc: Vector3 = (0.0, 0.0, 9.81), gyr_radps: float = 0.0, every: int = 1) -> None:
         for number in range(int(seconds * RATE_HZ)):
@@ -102,15 +112,15 @@ class Bench:
                 self.answered_ns = self.t_ns
                 self.handle(StimAlive(self.t_ns, 7, 0))
 
-    def order(self, ask: Ask, value: float = 0.0) -> list[Event]:
-        events = self.operator.order(Order(ask, value), self.t_ns)
+    def command(self, ask: Kind, value: float = 0.0) -> list[Event]:
+        events = self.operator.execute(OperatorCommand(ask, value), self.t_ns)
         for event in events:
             self.handle(event)
         return events
 
     def armed(self) -> Bench:
         self.stand(3.0)
-        self.order(Ask.ARM)
+        self.command(Kind.ARM)
         assert self.operator.state is State.ARMED, self.operator.message
         return self
 
@@ -119,13 +129,13 @@ def test_it_gets_ready_is_armed_by_hand_and_starts_from_nothing() -> None:
     bench = Bench()
     bench.stand(1.0)
     assert bench.operator.state is State.OFF
-    assert bench.order(Ask.ARM) == []
+    assert bench.command(Kind.ARM) == []
     bench.stand(2.0)
     assert bench.operator.state is State.SHADOW
-    bench.order(Ask.UP)
+    bench.command(Kind.UP)
     assert bench.controller.intensity == pytest.approx(0.05)  # in the shadow it stimulates nobody
     assert not bench.gate.armed
-    bench.order(Ask.ARM)
+    bench.command(Kind.ARM)
     assert bench.operator.state is State.ARMED
     assert bench.gate.armed
     assert bench.controller.intensity == 0.0
@@ -143,26 +153,26 @@ def test_where_gravity_is_not_what_it_was_at_calibration_the_foot_is_measured_bu
 ) -> None:
     bench = Bench(tuned())
     bench.stand(3.0, acc=(0.0, 0.0, gravity_mps2))
-    bench.order(Ask.ARM)
+    bench.command(Kind.ARM)
     assert bench.gate.armed  # stimulation as set is not what depends on heights
     (status,) = tuning_status(bench.controller.tuning).values()
     assert status.frozen.endswith(f"wrong by some {mm} mm; calibrate again")  # not "on demand"
     assert f"wrong by some {mm} mm; calibrate again; tuning is frozen" in bench.operator.message
     assert [note.severity for note in bench.notes if "calibrate again" in note.text] == ["warning"]
-    bench.order(Ask.RESUME_TUNING)  # whoever knows better
+    bench.command(Kind.RESUME_TUNING)  # whoever knows better
     assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
-    bench.order(Ask.DISARM)
-    bench.order(Ask.ARM)  # forgotten by then
+    bench.command(Kind.DISARM)
+    bench.command(Kind.ARM)  # forgotten by then
     assert all(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
 
 
 def test_going_on_after_a_pause_does_not_call_frozen_what_a_person_has_resumed() -> None:
     bench = Bench(tuned())
     bench.stand(3.0, acc=(0.0, 0.0, 9.97))
-    bench.order(Ask.ARM)
-    bench.order(Ask.RESUME_TUNING)
-    bench.order(Ask.PAUSE)
-    bench.order(Ask.PAUSE)
+    bench.command(Kind.ARM)
+    bench.command(Kind.RESUME_TUNING)
+    bench.command(Kind.PAUSE)
+    bench.command(Kind.PAUSE)
     assert bench.operator.state is State.ARMED
     assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
     assert "tuning is frozen" not in bench.operator.message
@@ -173,17 +183,17 @@ def test_who_arms_again_is_told_again_that_tuning_is_frozen() -> None:
     bench = Bench(tuned())
     bench.stand(3.0, acc=(0.0, 0.0, 9.97))
     for _ in range(2):
-        bench.order(Ask.ARM)
+        bench.command(Kind.ARM)
         assert bench.gate.armed
         assert "calibrate again; tuning is frozen" in bench.operator.message
-        bench.order(Ask.DISARM)
+        bench.command(Kind.DISARM)
 
 
 def test_where_gravity_is_what_it_was_tuning_goes_on() -> None:
     for gravity_mps2 in (9.76, 9.86):
         bench = Bench(tuned())
         bench.stand(3.0, acc=(0.0, 0.0, gravity_mps2))
-        bench.order(Ask.ARM)
+        bench.command(Kind.ARM)
         assert bench.gate.armed
         assert not any(tuner.frozen for tuner in bench.controller.tuning.tuners.values())
         assert "calibrate again" not in bench.operator.message
@@ -192,7 +202,9 @@ def test_where_gravity_is_what_it_was_tuning_goes_on() -> None:
 def test_whoever_tunes_nothing_hears_nothing_of_moved_zeros() -> None:
     bench = Bench()
     bench.stand(3.0, acc=(0.0, 0.0, 9.97))
-    assert [event.action for event in bench.order(Ask.ARM) if isinstance(event, OperatorAct)][-1] is OperatorAction.ARM
+    assert [event.action for event in bench.command(Kind.ARM) if isinstance(event, OperatorAct)][
+        -1
+    ] is OperatorAction.ARM
     assert "calibrate again" not in bench.operator.message
 
 
@@ -214,7 +226,7 @@ def test_whatever_speaks_against_arming_is_named(spoil: object, says: str) -> No
     bench.stand(3.0)
     assert callable(spoil)
     spoil(bench)
-    assert bench.order(Ask.ARM) == []
+    assert bench.command(Kind.ARM) == []
     assert not bench.gate.armed
     assert bench.operator.state is not State.ARMED
     assert "cannot arm" in bench.operator.message
@@ -224,28 +236,28 @@ def test_whatever_speaks_against_arming_is_named(spoil: object, says: str) -> No
 
 def test_intensity_goes_in_steps_up_to_the_sessions_and_not_faster_than_a_person_means() -> None:
     bench = Bench().armed()
-    assert bench.order(Ask.UP)
-    assert bench.order(Ask.UP) == [], "a key held down repeats faster than this"
+    assert bench.command(Kind.UP)
+    assert bench.command(Kind.UP) == [], "a key held down repeats faster than this"
     for _ in range(40):
         bench.t_ns += 200 * MS
-        bench.operator.order(Order(Ask.UP), bench.t_ns)
-    (act,) = bench.operator.order(Order(Ask.DOWN), bench.t_ns)
+        bench.operator.execute(OperatorCommand(Kind.UP), bench.t_ns)
+    (act,) = bench.operator.execute(OperatorCommand(Kind.DOWN), bench.t_ns)
     assert isinstance(act, OperatorAct)
     assert act.value == pytest.approx(settings().stimulation.intensity - 0.05)
     for _ in range(40):
-        (act,) = bench.operator.order(Order(Ask.DOWN), bench.t_ns)
+        (act,) = bench.operator.execute(OperatorCommand(Kind.DOWN), bench.t_ns)
     assert isinstance(act, OperatorAct)
     assert act.value == 0.0
 
 
 def test_pause_is_off_and_one_key_from_armed_with_its_intensity() -> None:
     bench = Bench().armed()
-    bench.order(Ask.UP)
-    bench.order(Ask.PAUSE)
+    bench.command(Kind.UP)
+    bench.command(Kind.PAUSE)
     assert (bench.operator.state, bench.gate.armed) == (State.PAUSED, False)
-    assert bench.order(Ask.UP) == []
+    assert bench.command(Kind.UP) == []
     bench.stand(0.5, gyr_radps=0.4)  # moving: no reason against going on
-    bench.order(Ask.PAUSE)
+    bench.command(Kind.PAUSE)
     assert (bench.operator.state, bench.gate.armed) == (State.ARMED, True)
     assert bench.controller.intensity == pytest.approx(0.05)
 
@@ -253,11 +265,11 @@ def test_pause_is_off_and_one_key_from_armed_with_its_intensity() -> None:
 def test_a_pause_through_the_control_socket_never_goes_on_an_arm_does() -> None:
     bench = Bench().armed()
     for _ in range(2):
-        for event in bench.operator.order(order_of_message(b'{"ask": "pause"}'), bench.t_ns):
+        for event in bench.operator.execute(command_of_message(b'{"ask": "pause"}'), bench.t_ns):
             bench.handle(event)
         assert bench.operator.state is State.PAUSED
     assert "paused already" in bench.operator.message
-    bench.order(Ask.ARM)
+    bench.command(Kind.ARM)
     assert bench.operator.state is State.ARMED
 
 
@@ -267,19 +279,21 @@ def test_an_emergency_stop_latches_from_everywhere_and_arming_starts_from_nothin
     bench.stand(3.0)
     if before != "shadow":
         bench.armed()
-        bench.order(Ask.UP)
+        bench.command(Kind.UP)
     if before == "paused":
-        bench.order(Ask.PAUSE)
-    bench.order(Ask.STOP)
+        bench.command(Kind.PAUSE)
+    bench.command(Kind.STOP)
     assert bench.operator.state is State.STOPPED
     assert bench.gate.latched == "emergency stop"
     assert not bench.gate.armed
     bench.stand(0.4)
-    assert bench.order(Ask.PAUSE) == bench.order(Ask.UP) == bench.order(Ask.TEST) == bench.order(Ask.ARM) == []
+    assert (
+        bench.command(Kind.PAUSE) == bench.command(Kind.UP) == bench.command(Kind.TEST) == bench.command(Kind.ARM) == []
+    )
     assert bench.operator.state is State.STOPPED
     assert bench.operator.message == "cannot arm: stopped just now"
     bench.stand(0.1)
-    bench.order(Ask.ARM)
+    bench.command(Kind.ARM)
     assert bench.operator.state is State.ARMED
     assert bench.controller.intensity == 0.0
 
@@ -293,10 +307,10 @@ def test_an_arming_on_its_way_does_not_undo_a_stop(before: str, typed: bytes) ->
     if before != "shadow":
         bench.armed()
     if before == "paused":
-        bench.order(Ask.PAUSE)
+        bench.command(Kind.PAUSE)
     read_end, write_end = os.pipe()
     os.write(write_end, typed)
-    for event in Keyboard(read_end, bench.operator.order).take(bench.t_ns):
+    for event in Keyboard(read_end, bench.operator.execute).read_events(bench.t_ns):
         bench.handle(event)
     os.close(write_end)
     assert (bench.operator.state, bench.gate.armed) == (State.STOPPED, False)
@@ -308,11 +322,11 @@ def test_the_pages_confirmation_that_was_asked_for_before_a_stop_does_not_undo_i
     bench = Bench()
     bench.stand(3.0)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    page = DashboardCommands(DashboardStream(ours), bench.operator.order, lambda: bench.operator.state)
-    bench.order(Ask.STOP)
+    page = DashboardCommands(DashboardStream(ours), bench.operator.execute, lambda: bench.operator.state)
+    bench.command(Kind.STOP)
     bench.stand(0.3)
     theirs.send(b'{"ask":"arm","confirm":true}')
-    for event in page.take(bench.t_ns):
+    for event in page.read_events(bench.t_ns):
         bench.handle(event)
     assert (bench.operator.state, bench.gate.armed) == (State.STOPPED, False)
     ours.close()
@@ -326,31 +340,31 @@ def test_a_fault_latches_and_only_a_person_ends_it() -> None:
     assert not bench.gate.armed
     bench.stand(2.0)
     assert bench.operator.state is State.FAULT
-    bench.order(Ask.ARM)
+    bench.command(Kind.ARM)
     assert bench.operator.state is State.ARMED
 
 
 def test_bursts_by_hand_only_when_armed_and_a_test_only_at_rest() -> None:
     bench = Bench()
     bench.stand(3.0)
-    assert bench.order(Ask.TEST) == bench.order(Ask.TRIGGER) == []
+    assert bench.command(Kind.TEST) == bench.command(Kind.TRIGGER) == []
     bench.armed()
     bench.stand(0.6, gyr_radps=0.25)
-    assert bench.order(Ask.TEST) == []
+    assert bench.command(Kind.TEST) == []
     bench.stand(0.6)
-    assert bench.order(Ask.CHANNEL, 5) == []
+    assert bench.command(Kind.CHANNEL, 5) == []
     assert "no channel 5" in bench.operator.message
-    assert bench.order(Ask.TEST) == [OperatorAct(bench.t_ns, OperatorAction.TEST_BURST, 0.0)]
-    assert bench.order(Ask.TRIGGER) == [OperatorAct(bench.t_ns, OperatorAction.TRIGGER, 0.0)]
+    assert bench.command(Kind.TEST) == [OperatorAct(bench.t_ns, OperatorAction.TEST_BURST, 0.0)]
+    assert bench.command(Kind.TRIGGER) == [OperatorAct(bench.t_ns, OperatorAction.TRIGGER, 0.0)]
 
 
 def test_a_test_burst_goes_through_plan_and_gate_and_ends_by_itself() -> None:
     bench = Bench().armed()
     for _ in range(10):
         bench.stand(0.2)
-        bench.order(Ask.UP)
+        bench.command(Kind.UP)
     on: list[tuple[int, float]] = []
-    bench.order(Ask.TEST)
+    bench.command(Kind.TEST)
     begin_ns = bench.t_ns
     while bench.t_ns < begin_ns + 1500 * MS:
         bench.t_ns += 10 * MS
@@ -369,34 +383,40 @@ def test_a_test_burst_goes_through_plan_and_gate_and_ends_by_itself() -> None:
 def test_the_belt_is_a_setting_within_bounds() -> None:
     bench = Bench()
     bench.stand(0.1)
-    assert bench.order(Ask.BELT, 0.8) == [OperatorAct(bench.t_ns, OperatorAction.SET_BELT_SPEED, 0.8)]
-    bench.order(Ask.BELT_UP)
+    assert bench.command(Kind.BELT, 0.8) == [OperatorAct(bench.t_ns, OperatorAction.SET_BELT_SPEED, 0.8)]
+    bench.command(Kind.BELT_UP)
     assert bench.operator.belt_speed_mps == pytest.approx(0.9)
-    bench.order(Ask.BELT, 99)
+    bench.command(Kind.BELT, 99)
     assert bench.operator.belt_speed_mps == 5.0
-    bench.order(Ask.BELT, -1)
+    bench.command(Kind.BELT, -1)
     assert bench.operator.belt_speed_mps == 0.0
 
 
 def test_a_stop_among_keys_comes_first_and_unknown_keys_are_nothing() -> None:
-    asks = [order.ask for order in orders_of_keys(b"+9zt  ")]
-    assert asks == [Ask.STOP, Ask.STOP, Ask.UP, Ask.TRIGGER]
-    asks = [order.ask for order in orders_of_keys(b"+\x1b[A9zt ")]
-    assert asks == [Ask.STOP, Ask.UP], "behind an escape only a stop counts"
-    assert orders_of_keys(b"3") == [Order(Ask.CHANNEL, 3.0)]
+    asks = [command.kind for command in commands_of_keys(b"+9zt  ")]
+    assert asks == [Kind.STOP, Kind.STOP, Kind.UP, Kind.TRIGGER]
+    asks = [command.kind for command in commands_of_keys(b"+\x1b[A9zt ")]
+    assert asks == [Kind.STOP, Kind.UP], "behind an escape only a stop counts"
+    assert commands_of_keys(b"3") == [OperatorCommand(Kind.CHANNEL, 3.0)]
 
 
 @given(st.binary(max_size=2000))
 def test_no_message_is_more_than_an_order_or_a_refusal(message: bytes) -> None:
     try:
-        order = order_of_message(message)
+        command = command_of_message(message)
     except CommandRefused:
         return
-    assert order.ask in Ask
+    assert command.kind in Kind
 
 
 ANYTHING = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.just(10**400) | st.text() | st.sampled_from(list(Ask)),
+    st.none()
+    | st.booleans()
+    | st.floats()
+    | st.integers()
+    | st.just(10**400)
+    | st.text()
+    | st.sampled_from(list(Kind)),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=8,
 )
@@ -412,65 +432,65 @@ SAID = st.dictionaries(st.sampled_from(["ask", "value", "confirm", "token", "sec
 def test_no_json_ends_the_session_by_whichever_way_it_comes(said: object) -> None:
     message = json.dumps(said).encode()
     with suppress(CommandRefused):
-        order = order_of_message(message)
-        assert order.ask in Ask
-        assert abs(order.value) <= 1e9
+        command = command_of_message(message)
+        assert command.kind in Kind
+        assert abs(command.value) <= 1e9
         bench = Bench()
-        bench.operator.order(order, 0)
+        bench.operator.execute(command, 0)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours, theirs:
         theirs.send(message)
-        DashboardCommands(DashboardStream(ours), lambda order, t_ns: [], lambda: State.ARMED).take(0)
-    desk = MessageHandler(
+        DashboardCommands(DashboardStream(ours), lambda command, t_ns: [], lambda: State.ARMED).read_events(0)
+    handler = MessageHandler(
         Access("link", lambda: "secret"), {"mode": "live"}, lambda t_ns: (None, 0), lambda: "question"
     )
     for text in ('{"token":"link"}', message.decode()):
-        outcome = desk.take(text, 0)
-        assert outcome.reply or outcome.stop or outcome.order
+        outcome = handler.handle(text, 0)
+        assert outcome.reply or outcome.stop or outcome.command
         json.dumps(outcome.reply)
 
 
 def test_the_control_socket_answers_what_is_no_order_and_goes_on(tmp_path: Path) -> None:
-    control = Control(tmp_path / "c.sock", lambda order, t_ns: [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)])
+    control = Control(tmp_path / "c.sock", lambda command, t_ns: [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)])
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
         other.bind(str(tmp_path / "o.sock"))
         other.settimeout(2)
         for message in (b'{"ask":[]}', b'{"ask":"belt","value":1' + b"0" * 400 + b"}", b'{"ask":"stop"}'):
             other.sendto(message, str(tmp_path / "c.sock"))
-        assert [type(event) for event in control.take(5)] == [OperatorAct]
+        assert [type(event) for event in control.read_events(5)] == [OperatorAct]
         assert [json.loads(other.recv(4096))["ok"] for _ in range(3)] == [False, False, True]
     control.close()
 
 
-@pytest.mark.parametrize("ask", list(Ask))
-def test_what_can_lead_to_more_current_needs_a_confirmation(ask: Ask) -> None:
+@pytest.mark.parametrize("ask", list(Kind))
+def test_what_can_lead_to_more_current_needs_a_confirmation(ask: Kind) -> None:
     plain = json.dumps({"ask": ask}).encode()
     if ask in NEEDS_CONFIRMATION:
         with pytest.raises(CommandRefused, match="confirm"):
-            order_of_message(plain)
+            command_of_message(plain)
     else:
-        assert order_of_message(plain).ask is ask
-    assert order_of_message(json.dumps({"ask": ask, "confirm": True}).encode()).ask is ask
+        assert command_of_message(plain).kind is ask
+    assert command_of_message(json.dumps({"ask": ask, "confirm": True}).encode()).kind is ask
 
 
 def test_the_control_socket_carries_orders_answers_and_status(tmp_path: Path) -> None:
-    carried: list[Order] = []
+    carried: list[OperatorCommand] = []
 
-    def carry(order: Order, t_ns: int) -> list[Event]:
-        carried.append(order)
+    def execute(command: OperatorCommand, t_ns: int) -> list[Event]:
+        carried.append(command)
         return [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)]
 
-    control = Control(tmp_path / "c.sock", carry)
+    control = Control(tmp_path / "c.sock", execute)
     assert (tmp_path / "c.sock").stat().st_mode & 0o077 == 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
         other.bind(str(tmp_path / "o.sock"))
         other.settimeout(2)
         other.sendto(b'{"ask":"stop"}', str(tmp_path / "c.sock"))
-        assert [type(event) for event in control.take(5)] == [OperatorAct]
+        assert [type(event) for event in control.read_events(5)] == [OperatorAct]
         assert json.loads(other.recv(4096)) == {"ok": True}
         other.sendto(b'{"ask":"up"}', str(tmp_path / "c.sock"))
         other.sendto(b"watch", str(tmp_path / "c.sock"))
-        assert control.take(6) == []
+        assert control.read_events(6) == []
         assert json.loads(other.recv(4096))["ok"] is False
         assert json.loads(other.recv(4096)) == {"ok": True}
         for _ in range(5000):  # nobody reads: frames are dropped, the session does not wait
@@ -479,7 +499,7 @@ def test_the_control_socket_carries_orders_answers_and_status(tmp_path: Path) ->
     control.publish(b"gone")
     control.close()
     assert not (tmp_path / "c.sock").exists()
-    assert [order.ask for order in carried] == [Ask.STOP]
+    assert [command.kind for command in carried] == [Kind.STOP]
 
 
 class Switch:
@@ -495,19 +515,19 @@ class Switch:
 
 def test_a_stop_button_stops_when_pressed_and_when_it_goes_missing() -> None:
     line = Switch()
-    button = StopSwitch(line, lambda order, t_ns: [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)])
-    assert button.take(1) == []
-    assert "nothing is heard" in button.doubt()
+    button = StopSwitch(line, lambda command, t_ns: [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)])
+    assert button.read_events(1) == []
+    assert "nothing is heard" in button.not_ready()
     line.pressed = False
-    assert (button.take(2), button.doubt()) == ([], "")
+    assert (button.read_events(2), button.not_ready()) == ([], "")
     line.pressed = True
-    assert len(button.take(3)) == 1
-    assert button.take(4) == []
-    assert "pressed" in button.doubt()
+    assert len(button.read_events(3)) == 1
+    assert button.read_events(4) == []
+    assert "pressed" in button.not_ready()
     line.pressed = False
-    assert button.take(5) == []
+    assert button.read_events(5) == []
     line.pressed = None
-    assert len(button.take(6)) == 1
+    assert len(button.read_events(6)) == 1
 
 
 def test_a_foot_switch_tells_its_changes() -> None:
@@ -516,7 +536,7 @@ def test_a_foot_switch_tells_its_changes() -> None:
     told = []
     for t_ns, pressed in enumerate([None, True, True, False, None, False, True]):
         line.pressed = pressed
-        told += switch.take(t_ns)
+        told += switch.read_events(t_ns)
     assert [(event.t_ns, event.pressed) for event in told] == [(1, True), (3, False), (4, None), (6, True)]
 
 
@@ -524,12 +544,12 @@ def test_a_foot_switch_is_held_against_the_sensors_phases() -> None:
     comparison = SwitchComparison()
     for stride in range(5):
         at_ns = stride * 1200 * MS
-        comparison.switch(FootSwitchEvent(at_ns, FOOT, True))
-        comparison.switch(FootSwitchEvent(at_ns + 700 * MS, FOOT, False))
+        comparison.add_switch(FootSwitchEvent(at_ns, FOOT, True))
+        comparison.add_switch(FootSwitchEvent(at_ns + 700 * MS, FOOT, False))
         if stride != 2:
             late_ns = at_ns + (20 + stride) * MS
-            comparison.phase(PhaseChange(late_ns, FOOT, Transition.T3, Phase.SWING, Phase.LOADING_RESPONSE))
-        comparison.phase(PhaseChange(at_ns + 690 * MS, FOOT, Transition.T2, Phase.PRE_SWING, Phase.SWING))
+            comparison.add_phase(PhaseChange(late_ns, FOOT, Transition.T3, Phase.SWING, Phase.LOADING_RESPONSE))
+        comparison.add_phase(PhaseChange(at_ns + 690 * MS, FOOT, Transition.T2, Phase.PRE_SWING, Phase.SWING))
     found = comparison.to_dict()[FOOT]
     assert found["contact"] == {"pairs": 4, "switch_only": 1, "sensor_only": 0, "delay_ms": [22.0, 20.0, 24.0]}
     assert found["release"] == {"pairs": 5, "switch_only": 0, "sensor_only": 0, "delay_ms": [-10.0, -10.0, -10.0]}
@@ -546,7 +566,7 @@ def test_a_status_is_the_same_behind_the_line_and_nothing_else_is_one() -> None:
 def test_what_is_no_number_is_null_to_every_listener() -> None:
     nan, inf = float("nan"), float("inf")
     feet = {FOOT: FootStatus("stance", True, 3, nan, -inf, 500.0, 1.0)}
-    datagram = Status(5, "armed", feet=feet, belt_speed_mps=inf, latency_p99_ms=nan, remarks=["as is"]).encode()
+    datagram = Status(5, "armed", feet=feet, belt_speed_mps=inf, latency_p99_ms=nan, notices=["as is"]).encode()
 
     def refuse(text: str) -> None:
         raise AssertionError(text)
@@ -560,20 +580,20 @@ def test_what_is_no_number_is_null_to_every_listener() -> None:
 def test_frames_that_a_page_missed_are_counted_to_the_end(tmp_path: Path) -> None:
     bench = Bench()
     log = PipedLog(tmp_path / "session.feslog", {})
-    monitor = Monitor(log, {FOOT: bench.watch}, {FOOT: FOOT}, None)
+    monitor = Monitor(log, {FOOT: bench.monitor}, {FOOT: FOOT}, None)
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with ours:
-        monitor.page = DashboardStream(ours)
+        monitor.dashboard = DashboardStream(ours)
         for _ in range(2000):  # nobody reads
             bench.t_ns += 100 * MS
-            monitor.tell(bench.t_ns, bench.operator, bench.controller, bench.gate)
-        missed = monitor.dropped_page_frames
+            monitor.publish(bench.t_ns, bench.operator, bench.controller, bench.gate)
+        missed = monitor.dropped_dashboard_frames
         assert missed > 1000
         theirs.close()
         bench.t_ns += 100 * MS
-        monitor.tell(bench.t_ns, bench.operator, bench.controller, bench.gate)
-        assert monitor.page is None
-        assert monitor.dropped_page_frames == missed
+        monitor.publish(bench.t_ns, bench.operator, bench.controller, bench.gate)
+        assert monitor.dashboard is None
+        assert monitor.dropped_dashboard_frames == missed
     log.close({})
 
 

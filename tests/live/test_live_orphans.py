@@ -18,8 +18,8 @@ pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no
 CONTROLLER = """
 import sys, time
 from contextlib import suppress
+from fes.live.processes import ViewProcess
 from fes.live.status import Status
-from fes.live.view_process import ViewProcess
 with ViewProcess() as view:
     print(view.process.pid, file=sys.stderr, flush=True)
     for number in range(10**9):

@@ -128,16 +128,16 @@ def test_what_a_stimulator_cannot_tell_of_its_electrodes_is_said(
     from_ma = open_lead_detected_from_ma(StimulatorDevice(device=device, port="/dev/ttyUSB0"))
     electrodes = Electrodes([3, 0], from_ma)
     assert electrodes.unknown() == said
-    electrodes.note(StimStatus(1, 0, 0, True, (from_ma or 1.0) - 0.5, 300.0, 40.0, fault="open lead"))
-    electrodes.note(StimStatus(1, 0, 0, False, 0.0, 0.0, 0.0))
+    electrodes.add_event(StimStatus(1, 0, 0, True, (from_ma or 1.0) - 0.5, 300.0, 40.0, fault="open lead"))
+    electrodes.add_event(StimStatus(1, 0, 0, False, 0.0, 0.0, 0.0))
     if from_ma:
-        electrodes.note(StimStatus(1, 0, 0, True, from_ma - 0.5, 300.0, 40.0))
+        electrodes.add_event(StimStatus(1, 0, 0, True, from_ma - 0.5, 300.0, 40.0))
     assert electrodes.unknown() == said
-    electrodes.note(StimStatus(2, 0, 0, True, from_ma or 1.0, 300.0, 40.0))
+    electrodes.add_event(StimStatus(2, 0, 0, True, from_ma or 1.0, 300.0, 40.0))
     assert electrodes.unknown() == said.replace("0, ", "")
-    electrodes.note(StimStatus(3, 3, 0, True, 20.0, 300.0, 40.0))
+    electrodes.add_event(StimStatus(3, 3, 0, True, 20.0, 300.0, 40.0))
     assert electrodes.unknown() == ""
-    electrodes.note(StimOpened(4, 9))
+    electrodes.add_event(StimOpened(4, 9))
     assert electrodes.unknown() == said
 
 

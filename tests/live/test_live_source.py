@@ -1,4 +1,4 @@
-"""The live source over real socket pairs: order, silence, stalls, backlog, loss; and the stimulator's wrapper."""
+"""The live source over real socket pairs: command, silence, stalls, backlog, loss; and the stimulator's wrapper."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import pytest
 from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock, SocketImu
 
 from fes.control.clock_sync import SensorClock
-from fes.live.commands import Ask, Order
+from fes.live.commands import CommandKind as Kind
+from fes.live.commands import OperatorCommand
 from fes.live.inputs import Keyboard, StopFile
 from fes.live.ports import Input
 from fes.live.sensors import SensorStream
@@ -33,8 +34,8 @@ from fes.signals import (
 FOOT = "right_foot"
 
 
-def stop(order: Order, t_ns: int) -> list[Event]:
-    return [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)] if order.ask is Ask.STOP else []
+def stop(command: OperatorCommand, t_ns: int) -> list[Event]:
+    return [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)] if command.kind is Kind.STOP else []
 
 
 class Bench:
@@ -184,8 +185,8 @@ def test_a_line_that_falls_silent_is_opened_again() -> None:
     bench = Bench()
     bench.imu.give(1)
     assert len(list(bench.line.read(1000 * MS))) == 1
-    assert list(bench.line.tend(1999 * MS)) == []
-    (fault,) = bench.line.tend(2001 * MS)
+    assert list(bench.line.supervise(1999 * MS)) == []
+    (fault,) = bench.line.supervise(2001 * MS)
     assert isinstance(fault, SystemFault)
     assert bench.line.port is None
 
@@ -224,7 +225,7 @@ def test_one_of_two_sensors_on_a_line_that_falls_silent_is_a_fault_if_it_is_need
     faults: list[Event] = []
     for t_ns in range(1000 * MS, 5000 * MS, 10 * MS):
         port.give(t_ns, *(port.sensors if t_ns <= 2000 * MS else ("right_foot",)))
-        faults += [event for event in (*line.read(t_ns), *line.tend(t_ns)) if isinstance(event, SystemFault)]
+        faults += [event for event in (*line.read(t_ns), *line.supervise(t_ns)) if isinstance(event, SystemFault)]
         if faults:
             break
     if told:
@@ -258,7 +259,7 @@ def test_late_data_never_turn_fresh_by_a_new_mapping(
     for t_ns in range(1000 * MS, 30_000 * MS, 10 * MS):
         port.give(t_ns, "left_foot", stamp_ns=t_ns if t_ns <= since_ns else stamp_ns(t_ns))
         port.give(t_ns, "right_foot")
-        events = [*line.read(t_ns), *line.tend(t_ns)]
+        events = [*line.read(t_ns), *line.supervise(t_ns)]
         faults += [event for event in events if isinstance(event, SystemFault)]
         if faults:
             assert not [each for each in events if isinstance(each, ImuSample)], "nor is what came with it"
@@ -277,17 +278,17 @@ def test_a_sensor_that_is_still_away_after_the_line_was_opened_again_takes_the_o
     line = SensorStream(port, SameClock, Lost, frozenset({"left_foot"}))
     port.give(0, *port.sensors)
     assert len(list(line.read(0))) == 2
-    assert len(list(line.tend(1000 * MS))) == 1
+    assert len(list(line.supervise(1000 * MS))) == 1
     t_ns, end_s = 1000 * MS, time.monotonic() + 5
     while line.port is None:
         t_ns += 10 * MS
-        assert list(line.tend(t_ns)) == []
+        assert list(line.supervise(t_ns)) == []
         assert time.monotonic() < end_s
     for _ in range(300):
         t_ns += 10 * MS
         port.give(t_ns, "right_foot")
         assert len(list(line.read(t_ns))) == 1
-        assert list(line.tend(t_ns)) == []
+        assert list(line.supervise(t_ns)) == []
     assert line.losses == 1
 
 
@@ -297,7 +298,7 @@ def test_the_time_that_nobody_listened_is_no_silence() -> None:
     assert len(list(bench.line.read(1000 * MS))) == 1
     bench.imu.give(2)
     assert list(bench.line.discard(9000 * MS)) == []
-    assert list(bench.line.tend(9000 * MS)) == []
+    assert list(bench.line.supervise(9000 * MS)) == []
     assert list(bench.line.read(9001 * MS)) == []
     assert bench.line.port is bench.imu
 
@@ -329,17 +330,17 @@ def test_a_stop_file_stops_once_and_forbids_arming_while_it_is_there(tmp_path: P
     bench.inputs = [file]
     source = iter(bench.source())
     next(source)
-    assert file.doubt() == ""
+    assert file.not_ready() == ""
     made_ns = time.monotonic_ns()
     file.path.touch()
     *_, act = bench.until(source, OperatorAct)
     assert act.t_ns - made_ns < 50 * MS
     assert all(isinstance(next(source), Tick) for _ in range(5))
-    assert "remove it" in file.doubt()
+    assert "remove it" in file.not_ready()
     file.path.unlink()
     next(source)
     next(source)
-    assert file.doubt() == ""
+    assert file.not_ready() == ""
 
 
 def remove_folder(path: Path) -> None:
@@ -365,21 +366,21 @@ def test_a_stop_file_that_cannot_appear_or_leads_nowhere_stops(
     path.parent.mkdir()
     file = StopFile(path, stop)
     if not from_the_start:
-        assert (file.take(0), file.doubt()) == ([], "")
+        assert (file.read_events(0), file.not_ready()) == ([], "")
     spoil(path)
-    assert [type(event) for event in file.take(1)] == [OperatorAct]
-    assert says in file.doubt()
-    assert file.take(2) == []
+    assert [type(event) for event in file.read_events(1)] == [OperatorAct]
+    assert says in file.not_ready()
+    assert file.read_events(2) == []
 
 
 def test_a_stop_file_whose_name_is_no_unicode_stops_and_can_be_told_of(tmp_path: Path) -> None:
     origins: list[str] = []
-    file = StopFile(tmp_path / os.fsdecode(b"st\xf6p"), lambda order, t_ns: origins.append(order.origin) or [])
+    file = StopFile(tmp_path / os.fsdecode(b"st\xf6p"), lambda command, t_ns: origins.append(command.origin) or [])
     file.path.touch()
-    file.take(0)
+    file.read_events(0)
     assert origins == ["file st\\udcf6p"]
-    assert file.doubt().isprintable()
-    file.doubt().encode()
+    assert file.not_ready().isprintable()
+    file.not_ready().encode()
 
 
 # --- the stimulator ----------------------------------------------------------------------------------------

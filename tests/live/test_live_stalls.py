@@ -60,7 +60,7 @@ class Written(SessionWriter):
     healthy = warning = ""
 
 
-class Order:
+class OperatorCommand:
     """One act of the operator's, once it is time."""
 
     def __init__(self, at_ns: int, action: OperatorAction) -> None:
@@ -70,7 +70,7 @@ class Order:
     def fileno(self) -> int | None:
         return None
 
-    def take(self, t_ns: int) -> list[Event]:
+    def read_events(self, t_ns: int) -> list[Event]:
         if self._at_ns is None or t_ns < self._at_ns:
             return []
         self._at_ns = None
@@ -93,14 +93,16 @@ class Held(FakeStimulator):
         return [StimStatus(t_ns, 0, 0, False, 0.0, 0.0, 0.0, fault=LEASE_EXPIRED)]
 
 
-def run(folder: Path, clock: SetClock, stimulator: FakeStimulator, *orders: Order) -> tuple[SessionRecord, State]:
+def run(
+    folder: Path, clock: SetClock, stimulator: FakeStimulator, *commands: OperatorCommand
+) -> tuple[SessionRecord, State]:
     """A second of a session that is armed at rest, then of what the test makes happen; its log, and its last state."""
     log = Written(folder / "session.feslog", {})
     wrapped = LiveStimulator(stimulator, lambda: Opened(stimulator, 2), Lost, clock)
     live = LiveSession(settings(), {FOOT: CALIBRATION}, log, wrapped, clock)
     begin_ns = clock.now_ns
-    for order in (Order(begin_ns + WARM_NS, OperatorAction.ARM), *orders):
-        live.add_input(order)
+    for command in (OperatorCommand(begin_ns + WARM_NS, OperatorAction.ARM), *commands):
+        live.add_input(command)
     states = set()
 
     def check() -> None:
@@ -155,7 +157,7 @@ def test_what_the_loop_does_on_purpose_once_it_is_off_is_no_stall(
     clock = SetClock()
     collect = Slow(clock)
     monkeypatch.setattr(gc, "collect", collect)
-    stop = Order(clock.now_ns + WARM_NS + NS_PER_S, OperatorAction.EMERGENCY_STOP)
+    stop = OperatorCommand(clock.now_ns + WARM_NS + NS_PER_S, OperatorAction.EMERGENCY_STOP)
     record, state = run(tmp_path, clock, FakeStimulator(), stop)
     assert state is State.STOPPED
     assert collect.collected >= 1

@@ -36,7 +36,7 @@ class Order30Ms:
     def fileno(self) -> int | None:
         return None
 
-    def take(self, t_ns: int) -> list[Event]:
+    def read_events(self, t_ns: int) -> list[Event]:
         return [] if self.given_ns else [OperatorAct(t_ns, OperatorAction.ARM)]
 
     def dealt_with(self) -> None:

@@ -15,9 +15,10 @@ from fes.config import Session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import FootCalibration
 from fes.gate import gate_of
-from fes.live.commands import NEEDS_CONFIRMATION, Ask, Order, orders_of_keys
+from fes.live.commands import NEEDS_CONFIRMATION, OperatorCommand, commands_of_keys
+from fes.live.commands import CommandKind as Kind
 from fes.live.notices import tuning_status
-from fes.live.operator import AGAIN_NS, Operator, Refusal, TuningOrders
+from fes.live.operator import AGAIN_NS, Operator, Refusal, TuningCommands
 from fes.live.status import Status, TuningStatus
 from fes.live.terminal_view import picture
 from fes.session_log import Note
@@ -38,95 +39,102 @@ def dragging(mode: str, calibrations: dict[str, FootCalibration], strides: int =
     return Walk(tuned_session(mode), calibrations, [0.002] * 20).until(strides, [full()])
 
 
-def pressed(ask: Ask) -> Order:
-    return Order(ask)
+def pressed(ask: Kind) -> OperatorCommand:
+    return OperatorCommand(ask)
 
 
-def over_control(ask: Ask) -> Order:
-    return Order(ask, origin="control")
+def over_control(ask: Kind) -> OperatorCommand:
+    return OperatorCommand(ask, origin="control")
 
 
 def test_the_keys_of_the_tuning() -> None:
-    asked = [Ask.FREEZE_TUNING, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK]
-    assert [order.ask for order in orders_of_keys(b"fgyr")] == asked
+    asked = [Kind.FREEZE_TUNING, Kind.RESUME_TUNING, Kind.ACCEPT_SUGGESTION, Kind.ROLL_BACK]
+    assert [command.kind for command in commands_of_keys(b"fgyr")] == asked
     assert set(asked[1:]) <= NEEDS_CONFIRMATION  # freezing alone can never lead to more current
-    assert Ask.FREEZE_TUNING not in NEEDS_CONFIRMATION
+    assert Kind.FREEZE_TUNING not in NEEDS_CONFIRMATION
 
 
 def test_a_suggestion_is_accepted_by_the_second_press_and_acts_from_the_next_burst_on(
     calibrations: dict[str, FootCalibration],
 ) -> None:
     walk = dragging("suggest", calibrations)
-    orders = TuningOrders(walk.controller)
-    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS) == []
-    assert orders.message == "channel 0, accept: current 30.0 → 32.0 mA? y again"
-    acts = orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS)
+    commands = TuningCommands(walk.controller)
+    assert commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS) == []
+    assert commands.message == "channel 0, accept: current 30.0 → 32.0 mA? y again"
+    acts = commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS)
     assert acts == [OperatorAct(AT_NS + AGAIN_NS, OperatorAction.ACCEPT_SUGGESTION, 0.0)]
-    assert "from the next burst on" in orders.message
+    assert "from the next burst on" in commands.message
     walk.take(acts[0])
     assert walk.controller.tuning.parameters()[0].current_ma == 32.0
     with pytest.raises(Refusal, match="nothing is suggested for channel 0"):
-        orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS)
+        commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS)
 
 
 def test_a_second_press_too_late_or_for_something_else_only_asks_again(
     calibrations: dict[str, FootCalibration],
 ) -> None:
     walk = dragging("suggest", calibrations)
-    orders = TuningOrders(walk.controller)
-    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS) == []
-    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 1) == []
+    commands = TuningCommands(walk.controller)
+    assert commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS) == []
+    assert commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 1) == []
     tuner = walk.controller.tuning.tuners[0]
     assert tuner.pending is not None
     tuner.pending = replace(tuner.pending, current_ma=31.0)  # the foot took another step meanwhile
-    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 2) == []
-    assert "30.0 → 31.0 mA" in orders.message
-    assert orders.take(pressed(Ask.ROLL_BACK), 0, AT_NS + AGAIN_NS + 3) == []
-    assert orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 4) == []  # the roll-back came between
-    assert len(orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 5)) == 1
+    assert commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 2) == []
+    assert "30.0 → 31.0 mA" in commands.message
+    assert commands.execute(pressed(Kind.ROLL_BACK), 0, AT_NS + AGAIN_NS + 3) == []
+    assert (
+        commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 4) == []
+    )  # the roll-back came between
+    assert len(commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS + AGAIN_NS + 5)) == 1
 
 
 def test_over_the_control_socket_the_messages_confirmation_is_enough(
     calibrations: dict[str, FootCalibration],
 ) -> None:
     walk = dragging("suggest", calibrations)
-    acts = TuningOrders(walk.controller).take(over_control(Ask.ACCEPT_SUGGESTION), 0, AT_NS)
+    acts = TuningCommands(walk.controller).execute(over_control(Kind.ACCEPT_SUGGESTION), 0, AT_NS)
     assert [act.action for act in acts] == [OperatorAction.ACCEPT_SUGGESTION]
 
 
 def test_freezing_going_on_and_rolling_back(calibrations: dict[str, FootCalibration]) -> None:
     walk = dragging("act", calibrations)
-    orders = TuningOrders(walk.controller)
+    commands = TuningCommands(walk.controller)
     assert walk.controller.tuning.parameters()[0].current_ma > 30.0
     with pytest.raises(Refusal, match="not frozen"):
-        orders.take(pressed(Ask.RESUME_TUNING), 0, AT_NS)
-    (freeze,) = orders.take(pressed(Ask.FREEZE_TUNING), 0, AT_NS)
+        commands.execute(pressed(Kind.RESUME_TUNING), 0, AT_NS)
+    (freeze,) = commands.execute(pressed(Kind.FREEZE_TUNING), 0, AT_NS)
     walk.take(freeze)
     with pytest.raises(Refusal, match="frozen already"):
-        orders.take(pressed(Ask.FREEZE_TUNING), 0, AT_NS)
+        commands.execute(pressed(Kind.FREEZE_TUNING), 0, AT_NS)
     assert tuning_status(walk.controller.tuning)["0"].frozen == "on demand"
-    (go_on,) = orders.take(pressed(Ask.RESUME_TUNING), 0, AT_NS)
+    (go_on,) = commands.execute(pressed(Kind.RESUME_TUNING), 0, AT_NS)
     walk.take(go_on)
     assert not walk.controller.tuning.tuners[0].frozen
-    assert orders.take(pressed(Ask.ROLL_BACK), 0, AT_NS) == []
-    assert "roll back and freeze: current 36.0 → 30.0 mA? r again" in orders.message
-    (back,) = orders.take(pressed(Ask.ROLL_BACK), 0, AT_NS)
+    assert commands.execute(pressed(Kind.ROLL_BACK), 0, AT_NS) == []
+    assert "roll back and freeze: current 36.0 → 30.0 mA? r again" in commands.message
+    (back,) = commands.execute(pressed(Kind.ROLL_BACK), 0, AT_NS)
     walk.take(back)
     status = tuning_status(walk.controller.tuning)["0"]
     assert status.now == "30.0 mA, 300 µs"
     assert status.last_change.startswith("back to the session's settings")
     with pytest.raises(Refusal, match="is frozen"):
-        orders.take(pressed(Ask.ACCEPT_SUGGESTION), 0, AT_NS)
+        commands.execute(pressed(Kind.ACCEPT_SUGGESTION), 0, AT_NS)
 
 
 def test_what_does_not_tune_itself_is_refused_in_words(calibrations: dict[str, FootCalibration]) -> None:
-    orders = TuningOrders(dragging("act", calibrations).controller)
+    commands = TuningCommands(dragging("act", calibrations).controller)
     with pytest.raises(Refusal, match="channel 5 does not tune itself"):
-        orders.take(pressed(Ask.ROLL_BACK), 5, AT_NS)
-    untuned = TuningOrders(Controller(tuned_session("off"), calibrations))
-    for ask in (Ask.FREEZE_TUNING, Ask.RESUME_TUNING, Ask.ACCEPT_SUGGESTION, Ask.ROLL_BACK):
+        commands.execute(pressed(Kind.ROLL_BACK), 5, AT_NS)
+    untuned = TuningCommands(Controller(tuned_session("off"), calibrations))
+    for ask in (
+        Kind.FREEZE_TUNING,
+        Kind.RESUME_TUNING,
+        Kind.ACCEPT_SUGGESTION,
+        Kind.ROLL_BACK,
+    ):
         with pytest.raises(Refusal, match="no channel of this session tunes itself"):
-            untuned.take(pressed(ask), 0, AT_NS)
+            untuned.execute(pressed(ask), 0, AT_NS)
 
 
 def operator_of(session: Session, controller: Controller, notes: list[Note]) -> Operator:
@@ -137,12 +145,12 @@ def test_the_operator_carries_orders_and_notes_refusals(calibrations: dict[str, 
     walk = dragging("suggest", calibrations)
     notes: list[Note] = []
     operator = operator_of(tuned_session("suggest"), walk.controller, notes)
-    assert operator.order(Order(Ask.ACCEPT_SUGGESTION), AT_NS) == []
+    assert operator.execute(OperatorCommand(Kind.ACCEPT_SUGGESTION), AT_NS) == []
     assert operator.message.endswith("y again")
     assert notes == []
-    acts = operator.order(Order(Ask.ACCEPT_SUGGESTION), AT_NS + MS)
+    acts = operator.execute(OperatorCommand(Kind.ACCEPT_SUGGESTION), AT_NS + MS)
     assert acts == [OperatorAct(AT_NS + MS, OperatorAction.ACCEPT_SUGGESTION, 0.0)]
-    assert operator.order(Order(Ask.RESUME_TUNING), AT_NS) == []
+    assert operator.execute(OperatorCommand(Kind.RESUME_TUNING), AT_NS) == []
     assert (notes[-1].severity, notes[-1].text) == ("warning", "tuning is not frozen")
 
 

@@ -16,14 +16,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fes.live.commands import Ask, Order, State
-from fes.live.dashboard.frames import DETAIL, LARGEST, STATUS, detail, hello, read_detail, read_hello
-from fes.live.dashboard.message_handler import AT_ONCE, ORDERS_A_SECOND, DashboardCommands, MessageHandler, Outcome
-from fes.live.dashboard.message_handler import ORDERS_RESUME as RESUME
-from fes.live.dashboard.network_guard import Access, Confirmations, Role, Situation
-from fes.live.dashboard.replay import ShownLog
+from fes.live.commands import CommandKind as Kind
+from fes.live.commands import OperatorCommand, State
+from fes.live.dashboard.access import Access, Confirmations, Role, Situation
+from fes.live.dashboard.frames import DETAIL, LARGEST, NAMES, STATUS, detail, hello, read_detail, read_hello
+from fes.live.dashboard.message_handler import COMMANDS_A_SECOND, MessageHandler, Outcome
+from fes.live.dashboard.replay import ReplayLog
 from fes.live.dashboard.state_buffer import STRIDES, StateBuffer
-from fes.live.dashboard.stream import LEVELS_KEPT, STRIDES_KEPT, DashboardStream
+from fes.live.dashboard.stream import AT_ONCE, LEVELS_KEPT, STRIDES_KEPT, DashboardCommands, DashboardStream
+from fes.live.dashboard.stream import RESUME_MESSAGE as RESUME
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimCommand, StimStatus, StrideResult
@@ -83,17 +84,17 @@ def test_a_confirmation_counts_once_soon_and_for_what_was_seen(before: float, no
 
 
 class Browser:
-    """One browser at a desk, and the clock."""
+    """One browser at a handler, and the clock."""
 
     def __init__(self, access: Access, **about: Any) -> None:
         self.t_ns = 0
         self.status: Status | None = SHOWN
         self.age_ns = 0
-        self.desk = MessageHandler(access, {**ABOUT, **about}, lambda t_ns: (self.status, self.age_ns), fresh())
+        self.handler = MessageHandler(access, {**ABOUT, **about}, lambda t_ns: (self.status, self.age_ns), fresh())
 
     def say(self, **message: Any) -> Outcome:
         self.t_ns += NS_PER_S
-        return self.desk.take(json.dumps(message), self.t_ns)
+        return self.handler.handle(json.dumps(message), self.t_ns)
 
     def asked(self, ask: str) -> str:
         """What it is asked back."""
@@ -122,18 +123,18 @@ def browser(access: Access) -> Browser:
 def test_what_raises_needs_the_newest_link_and_a_confirmation(access: Access, browser: Browser, ask: str) -> None:
     stranger, old = Browser(access), browser
     for message in ({"ask": ask}, {"ask": ask, "confirm": True}, {"confirm": "fresh-1"}):
-        assert stranger.say(**message).order == b""
-    assert browser.say(ask=ask, confirm="").order == b""
+        assert stranger.say(**message).command == b""
+    assert browser.say(ask=ask, confirm="").command == b""
     assert (
-        browser.say(confirm=browser.asked(ask)).order
+        browser.say(confirm=browser.asked(ask)).command
         == json.dumps({"ask": ask, "confirm": True}, separators=(",", ":")).encode()
     )
     identifier = old.asked(ask)
     newest = Browser(access)
     assert newest.say(token=access.token).entered
-    assert old.say(confirm=identifier).order == b""  # asked while it still controlled
+    assert old.say(confirm=identifier).command == b""  # asked while it still controlled
     assert "another browser" in str(old.say(ask=ask).reply)
-    assert newest.say(confirm=newest.asked(ask)).order
+    assert newest.say(confirm=newest.asked(ask)).command
 
 
 @pytest.mark.parametrize("state", ["shadow", "stopped", "fault"])
@@ -142,18 +143,18 @@ def test_a_stop_makes_every_question_void(browser: Browser, state: str) -> None:
     browser.status = replace(SHOWN, state=state, stops=1)
     identifier = browser.asked("arm")
     browser.status = replace(SHOWN, state=state, stops=2)
-    assert browser.say(confirm=identifier).order == b""
+    assert browser.say(confirm=identifier).command == b""
     identifier = browser.asked("arm")
     assert browser.say(ask="stop").stop
-    assert browser.say(confirm=identifier).order == b"", "before any status tells of it"
-    assert browser.say(confirm=browser.asked("arm")).order
+    assert browser.say(confirm=identifier).command == b"", "before any status tells of it"
+    assert browser.say(confirm=browser.asked("arm")).command
 
 
 def test_an_old_link_may_still_lower_and_pause_and_none_may_not(access: Access, browser: Browser) -> None:
     assert Browser(access).say(token=access.token).entered
     for ask in ("pause", "down", "disarm"):
-        assert json.loads(browser.say(ask=ask).order) == {"ask": ask}
-        assert Browser(access).say(ask=ask).order == b""
+        assert json.loads(browser.say(ask=ask).command) == {"ask": ask}
+        assert Browser(access).say(ask=ask).command == b""
 
 
 @pytest.mark.parametrize(
@@ -163,8 +164,8 @@ def test_a_stop_needs_nothing(access: Access, first: dict[str, Any]) -> None:
     browser = Browser(access)
     browser.say(**first)
     browser.status = None
-    for _ in range(3 * ORDERS_A_SECOND):
-        assert browser.desk.take('{"ask":"stop"}', browser.t_ns).stop
+    for _ in range(3 * COMMANDS_A_SECOND):
+        assert browser.handler.handle('{"ask":"stop"}', browser.t_ns).stop
 
 
 def test_a_raise_is_refused_at_the_bound_and_where_nothing_is_known(browser: Browser) -> None:
@@ -176,7 +177,7 @@ def test_a_raise_is_refused_at_the_bound_and_where_nothing_is_known(browser: Bro
     assert "changed" in str(browser.say(confirm=identifier).reply)
     identifier = browser.asked("up")
     browser.status = replace(SHOWN, intensity=0.25, state="running")  # the patient began to walk: as was asked
-    assert browser.say(confirm=identifier).order
+    assert browser.say(confirm=identifier).command
     identifier = browser.asked("up")
     browser.status = replace(SHOWN, intensity=0.25, state="fault")
     assert "changed" in str(browser.say(confirm=identifier).reply)
@@ -185,16 +186,16 @@ def test_a_raise_is_refused_at_the_bound_and_where_nothing_is_known(browser: Bro
 
 
 def test_too_many_orders_are_let_fall_but_no_stop(browser: Browser) -> None:
-    outcomes = [browser.desk.take('{"ask":"down"}', browser.t_ns) for _ in range(50)]
-    assert sum(bool(outcome.order) for outcome in outcomes) <= ORDERS_A_SECOND
-    assert browser.desk.take('{"ask":"stop"}', browser.t_ns).stop
+    outcomes = [browser.handler.handle('{"ask":"down"}', browser.t_ns) for _ in range(50)]
+    assert sum(bool(outcome.command) for outcome in outcomes) <= COMMANDS_A_SECOND
+    assert browser.handler.handle('{"ask":"stop"}', browser.t_ns).stop
 
 
 def test_a_replay_can_only_be_stopped(access: Access) -> None:
     browser = Browser(access, mode="replay")
     browser.say(token="link")
-    assert browser.say(ask="pause").order == b""
-    assert browser.say(ask="arm").order == b""
+    assert browser.say(ask="pause").command == b""
+    assert browser.say(ask="arm").command == b""
     assert browser.say(ask="stop").stop
 
 
@@ -203,15 +204,15 @@ def test_nonsense_orders_nothing(text: str) -> None:
     access = Access("link", fresh())
     browser = Browser(access)
     browser.say(token="link")
-    outcome = browser.desk.take(text, browser.t_ns)
-    assert not outcome.order
+    outcome = browser.handler.handle(text, browser.t_ns)
+    assert not outcome.command
     assert not outcome.stop
     assert outcome.reply
 
 
 def test_deep_nesting_is_nonsense(browser: Browser) -> None:
-    assert browser.desk.take("[" * 500, 0).reply == {"said": "not understood"}
-    assert browser.desk.take('{"ask":"stop"' + " " * 1000 + "}", 0).reply == {"said": "not understood"}
+    assert browser.handler.handle("[" * 500, 0).reply == {"said": "not understood"}
+    assert browser.handler.handle('{"ask":"stop"' + " " * 1000 + "}", 0).reply == {"said": "not understood"}
 
 
 # --- between session and page -----------------------------------------------------------------------------
@@ -226,119 +227,126 @@ def pair() -> Iterator[tuple[DashboardStream, socket.socket]]:
 
 
 def test_what_the_log_sees_arrives_with_its_numbers(pair: tuple[DashboardStream, socket.socket]) -> None:
-    feed, page = pair
-    feed.command(StimCommand(5, 0, True, 12.5, 300.0, 40.0, 60))
-    feed.command(StimCommand(6, 0, False, 12.5, 300.0, 40.0, 60))
-    feed.event(StimStatus(7, 0, 1, True, 12.0, 300.0, 40.0))
-    feed.phase(PhaseChange(8, "right_foot", Transition.T1, Phase.STANCE, Phase.PRE_SWING))
-    feed.stride(stride(3, toe_clearance_m=float("nan")))
-    feed.note(Note(9, "fault", "gate", "why"))
-    feed.tell(SHOWN.encode())
+    stream, page = pair
+    stream.command(StimCommand(5, 0, True, 12.5, 300.0, 40.0, 60))
+    stream.command(StimCommand(6, 0, False, 12.5, 300.0, 40.0, 60))
+    stream.event(StimStatus(7, 0, 1, True, 12.0, 300.0, 40.0))
+    stream.phase(PhaseChange(8, "right_foot", Transition.T1, Phase.STANCE, Phase.PRE_SWING))
+    stream.stride(stride(3, toe_clearance_m=float("nan")))
+    stream.note(Note(9, "fault", "gate", "why"))
+    stream.send(SHOWN.encode())
     first = page.recv(LARGEST)
     assert first[:1] == STATUS
     assert Status.decode(first[1:]) == SHOWN
     told = read_detail(page.recv(LARGEST))
-    assert [list(each) for each in told.sent] == [[5, 0, 12.5], [6, 0, 0.0]]
-    assert [list(each) for each in told.answered] == [[7, 0, 12.0]]
-    assert [list(each) for each in told.phases] == [[8, "right_foot", "pre_swing"]]
-    assert [list(each) for each in told.notes] == [[9, "fault", "why"]]
-    (one,) = told.strides
-    assert (one.length_m, one.clearance_m, one.toe_clearance_m, one.valid) == (1.234567, 0.0765, None, True)
-    assert one.path_m[-2:] == pytest.approx((1.25, 0.02), abs=1e-3)
-    feed.tell(SHOWN.encode())
+    assert [list(each) for each in told["sent"]] == [[5, 0, 12.5], [6, 0, 0.0]]
+    assert [list(each) for each in told["answered"]] == [[7, 0, 12.0]]
+    assert [list(each) for each in told["phases"]] == [[8, "right_foot", "pre_swing"]]
+    assert [list(each) for each in told["notes"]] == [[9, "fault", "why"]]
+    (one,) = told["strides"]
+    assert (one["length_m"], one["clearance_m"], one["toe_clearance_m"], one["valid"]) == (1.234567, 0.0765, None, True)
+    assert one["path_m"][-2:] == pytest.approx((1.25, 0.02), abs=1e-3)
+    stream.send(SHOWN.encode())
     page.recv(LARGEST)
-    assert read_detail(page.recv(LARGEST)).strides == []
+    assert read_detail(page.recv(LARGEST))["strides"] == []
 
 
 def test_a_page_that_does_not_read_costs_no_memory_and_catches_up(pair: tuple[DashboardStream, socket.socket]) -> None:
-    feed, page = pair
+    stream, page = pair
     for number in range(3000):
-        feed.command(StimCommand(number, 0, True, 1.0, 300.0, 40.0, 60))
-        feed.stride(stride(number))
-        feed.tell(SHOWN.encode())
-    assert feed.dropped > 1000
-    assert not feed.lost
+        stream.command(StimCommand(number, 0, True, 1.0, 300.0, 40.0, 60))
+        stream.stride(stride(number))
+        stream.send(SHOWN.encode())
+    assert stream.dropped > 1000
+    assert not stream.lost
     page.setblocking(False)
     with suppress(BlockingIOError):
         while page.recv(LARGEST):
             pass
-    feed.tell(SHOWN.encode())
+    stream.send(SHOWN.encode())
     page.recv(LARGEST)
     told = read_detail(page.recv(LARGEST))
-    assert len(told.sent) <= LEVELS_KEPT
-    assert [each.number for each in told.strides] == list(range(3000 - STRIDES_KEPT, 3000))
+    assert len(told["sent"]) <= LEVELS_KEPT
+    assert [each["number"] for each in told["strides"]] == list(range(3000 - STRIDES_KEPT, 3000))
 
 
 def test_a_replay_shows_at_its_end_what_came_since_the_status_before(
     pair: tuple[DashboardStream, socket.socket],
 ) -> None:
-    feed, theirs = pair
+    stream, theirs = pair
     controller, gate = Mock(intensity=0.3), Mock(latched="", armed=True)
-    shown = ShownLog(Mock(), feed, controller, gate, {}, {}, None)
-    shown.tell(0, 0)
+    shown = ReplayLog(Mock(), stream, controller, gate, {}, {}, None)
+    shown.publish(0, 0)
     assert theirs.recv(LARGEST)[:1] + theirs.recv(LARGEST)[:1] == STATUS + DETAIL
     shown.stride(stride(1))
-    shown.tell(50 * MS, 50 * MS)
+    shown.publish(50 * MS, 50 * MS)
     theirs.setblocking(False)
     with pytest.raises(BlockingIOError):
         theirs.recv(LARGEST)
-    shown.tell(60 * MS, 60 * MS, last=True)
+    shown.publish(60 * MS, 60 * MS, last=True)
     assert theirs.recv(LARGEST)[:1] == STATUS
-    assert [each.number for each in read_detail(theirs.recv(LARGEST)).strides] == [1]
+    assert [each["number"] for each in read_detail(theirs.recv(LARGEST))["strides"]] == [1]
 
 
 def test_a_dead_page_is_lost_and_no_more(pair: tuple[DashboardStream, socket.socket]) -> None:
-    feed, page = pair
+    stream, page = pair
     page.close()
-    feed.tell(SHOWN.encode())
-    feed.tell(SHOWN.encode())
-    assert feed.lost
+    stream.send(SHOWN.encode())
+    stream.send(SHOWN.encode())
+    assert stream.lost
 
 
 class Session:
-    """What orders are carried out on."""
+    """What commands are carried out on."""
 
-    def __init__(self, feed: DashboardStream) -> None:
+    def __init__(self, stream: DashboardStream) -> None:
         self.state = State.RUNNING
-        self.done: list[tuple[Ask, str]] = []
+        self.done: list[tuple[Kind, str]] = []
         self.confused: list[str] = []
-        self.orders = DashboardCommands(
-            feed, self.carry, lambda: self.state, lambda t_ns, text: self.confused.append(text)
+        self.commands = DashboardCommands(
+            stream, self.execute, lambda: self.state, lambda t_ns, text: self.confused.append(text)
         )
 
-    def carry(self, order: Order, t_ns: int) -> list[Event]:
-        self.done.append((order.ask, order.origin))
-        return [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)] if order.ask is Ask.STOP else []
+    def execute(self, command: OperatorCommand, t_ns: int) -> list[Event]:
+        self.done.append((command.kind, command.origin))
+        return [OperatorAct(t_ns, OperatorAction.EMERGENCY_STOP)] if command.kind is Kind.STOP else []
 
 
 def test_a_stop_comes_first_once_and_alone(pair: tuple[DashboardStream, socket.socket]) -> None:
-    feed, page = pair
-    session = Session(feed)
+    stream, page = pair
+    session = Session(stream)
     for message in (b'{"ask":"up","confirm":true}', b'{"ask":"stop"}', b'{"ask":"stop"}', b'{"ask":"down"}'):
         page.send(message)
-    assert session.orders.take(5) == [OperatorAct(5, OperatorAction.EMERGENCY_STOP)]
-    assert session.done == [(Ask.STOP, "page")]
+    assert session.commands.read_events(5) == [OperatorAct(5, OperatorAction.EMERGENCY_STOP)]
+    assert session.done == [(Kind.STOP, "dashboard")]
 
 
 def test_the_session_itself_asks_for_confirmation_and_knows_six_orders(
     pair: tuple[DashboardStream, socket.socket],
 ) -> None:
-    feed, page = pair
-    session = Session(feed)
-    for ask in Ask:
+    stream, page = pair
+    session = Session(stream)
+    for ask in Kind:
         page.send(json.dumps({"ask": ask}).encode())
-        session.orders.take(0)
+        session.commands.read_events(0)
         page.send(json.dumps({"ask": ask, "confirm": True}).encode())
-        session.orders.take(0)
-    assert {ask for ask, _ in session.done} == {Ask.STOP, Ask.ARM, Ask.DISARM, Ask.PAUSE, Ask.UP, Ask.DOWN}
-    assert session.done.count((Ask.UP, "page")) == 1
-    assert session.done.count((Ask.ARM, "page")) == 1
+        session.commands.read_events(0)
+    assert {ask for ask, _ in session.done} == {
+        Kind.STOP,
+        Kind.ARM,
+        Kind.DISARM,
+        Kind.PAUSE,
+        Kind.UP,
+        Kind.DOWN,
+    }
+    assert session.done.count((Kind.UP, "dashboard")) == 1
+    assert session.done.count((Kind.ARM, "dashboard")) == 1
     assert session.confused
 
 
 def test_pause_never_goes_on_and_going_on_never_pauses(pair: tuple[DashboardStream, socket.socket]) -> None:
-    feed, page = pair
-    session = Session(feed)
+    stream, page = pair
+    session = Session(stream)
     for state, message, carried in (
         (State.RUNNING, b'{"ask":"pause"}', True),
         (State.PAUSED, b'{"ask":"pause"}', False),
@@ -349,7 +357,7 @@ def test_pause_never_goes_on_and_going_on_never_pauses(pair: tuple[DashboardStre
         session.state = state
         session.done.clear()
         page.send(message)
-        session.orders.take(0)
+        session.commands.read_events(0)
         assert bool(session.done) == carried, (state, message)
 
 
@@ -365,7 +373,7 @@ def test_whatever_the_page_sends_the_loop_reads_a_little_and_goes_on(messages: l
                 sent += bool(theirs.send(message))
             except BlockingIOError:
                 break
-        events = session.orders.take(0)
+        events = session.commands.read_events(0)
         assert len(events) <= 1
         assert len(session.confused) <= AT_ONCE
 
@@ -373,31 +381,35 @@ def test_whatever_the_page_sends_the_loop_reads_a_little_and_goes_on(messages: l
 # --- the page's memory ------------------------------------------------------------------------------------
 
 
-def test_the_board_tells_each_browser_what_it_has_not_seen_and_keeps_little() -> None:
-    board = StateBuffer()
-    board.status(SHOWN, 100 * MS)
+def happened(**lists: list[Any]) -> dict[str, list[Any]]:
+    return read_detail(detail({name: lists.get(name, []) for name in NAMES}))
+
+
+def test_the_buffer_tells_each_browser_what_it_has_not_seen_and_keeps_little() -> None:
+    buffer = StateBuffer()
+    buffer.status(SHOWN, 100 * MS)
     for number in range(500):
-        board.detail(read_detail(detail([(number * MS, 0, 1.0)], [], [], [stride(number)], [])))
-    whole = board.since(0, 350 * MS)
+        buffer.detail(happened(sent=[(number * MS, 0, 1.0)], strides=[stride(number)]))
+    whole = buffer.since(0, 350 * MS)
     assert len(whole["strides"]) == STRIDES
     assert whole["age_ms"] == 250
     assert whole["status"]["state"] == "armed"
-    seen = board.number
-    board.detail(read_detail(detail([], [], [(8 * NS_PER_S, "right_foot", "swing")], [], [])))
-    assert board.since(seen, 0)["phases"] == [[1000.0, "right_foot", "swing"]]
-    assert "strides" not in board.since(seen, 0)
-    board.end("over")
-    board.end("again")
-    assert board.since(seen, 0)["ended"] == "over"
+    seen = buffer.number
+    buffer.detail(happened(phases=[(8 * NS_PER_S, "right_foot", "swing")]))
+    assert buffer.since(seen, 0)["phases"] == [[1000.0, "right_foot", "swing"]]
+    assert "strides" not in buffer.since(seen, 0)
+    buffer.end("over")
+    buffer.end("again")
+    assert buffer.since(seen, 0)["ended"] == "over"
     json.dumps(whole, allow_nan=False)
 
 
 def test_what_is_no_number_is_none_in_a_frame() -> None:
-    board = StateBuffer()
+    buffer = StateBuffer()
     foot = FootStatus("stance", False, 1, float("nan"), float("nan"), 500.0, float("inf"))
-    board.status(replace(SHOWN, feet={"left_foot": foot}, latency_p50_ms=float("nan")), 0)
-    board.detail(read_detail(detail([], [], [], [stride(1, stride_length_m=float("nan"), speed_mps=float("nan"))], [])))
-    frame = board.since(0, 0)
+    buffer.status(replace(SHOWN, feet={"left_foot": foot}, latency_p50_ms=float("nan")), 0)
+    buffer.detail(happened(strides=[stride(1, stride_length_m=float("nan"), speed_mps=float("nan"))]))
+    frame = buffer.since(0, 0)
     json.dumps(frame, allow_nan=False)
     assert frame["status"]["feet"]["left_foot"]["stride_length_m"] is None
     assert frame["strides"][0]["length_m"] is None

@@ -12,7 +12,7 @@ import pytest
 from page_browser import CHROMIUM, Page, chromium
 
 from fes.live.commands import State
-from fes.live.dashboard.process import PageProcess
+from fes.live.dashboard.process import DashboardProcess
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note
 from fes.signals import NS_PER_S, StimCommand, StrideResult
@@ -44,13 +44,13 @@ ABOUT = {
 
 
 @pytest.fixture(scope="module")
-def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
-    with PageProcess(tmp_path_factory.mktemp("page"), ABOUT) as made:
+def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DashboardProcess]:
+    with DashboardProcess(tmp_path_factory.mktemp("page"), ABOUT) as made:
         yield made
 
 
 @pytest.fixture(scope="module")
-def page(process: PageProcess, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+def page(process: DashboardProcess, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
     with chromium(tmp_path_factory.mktemp("browser")) as made:
         made.size(1024, 768)
         made.call("Page.addScriptToEvaluateOnNewDocument", source=REMEMBER)
@@ -59,18 +59,18 @@ def page(process: PageProcess, tmp_path_factory: pytest.TempPathFactory) -> Iter
         yield made
 
 
-def until(process: PageProcess, page: Page, status: Status, expression: str) -> None:
+def until(process: DashboardProcess, page: Page, status: Status, expression: str) -> None:
     """Tell it, as a session would, until the page shows it."""
     end_s = time.monotonic() + 20
     while not page.run(expression):
         assert time.monotonic() < end_s, page.run("document.body.innerText")
-        process.feed.tell(status.encode())
+        process.stream.send(status.encode())
         time.sleep(0.05)
 
 
 @pytest.mark.parametrize("state", State)
 def test_every_state_is_said_in_words_and_the_stop_is_in_view(
-    process: PageProcess, page: Page, state: State, tmp_path: Path
+    process: DashboardProcess, page: Page, state: State, tmp_path: Path
 ) -> None:
     current = state in (State.ARMED, State.RUNNING)
     fault = {State.FAULT: "right_foot: sensor lost", State.STOPPED: "emergency stop"}.get(state, "")
@@ -96,14 +96,14 @@ def test_every_state_is_said_in_words_and_the_stop_is_in_view(
     assert page.run("document.getElementById('up').disabled") == (not (current or state is State.SHADOW))
 
 
-def test_names_and_messages_are_text_and_nothing_else(process: PageProcess, page: Page) -> None:
-    process.feed.note(Note(2 * NS_PER_S, "fault", "gate", SMUGGLED))
+def test_names_and_messages_are_text_and_nothing_else(process: DashboardProcess, page: Page) -> None:
+    process.stream.note(Note(2 * NS_PER_S, "fault", "gate", SMUGGLED))
     made = StrideResult("right_foot", 1, 0, NS_PER_S, 1.25, 0.08, 0.0, 0.0, 0.6, 1, 2, 3, 4)
-    process.feed.stride(replace(made, trajectory_m=np.linspace((0.0, 0.0, 0.0), (1.25, 0.0, 0.0), 50)))
-    process.feed.stride(replace(made, number=2, valid=False, reason=SMUGGLED, stride_length_m=float("nan")))
-    process.feed.command(StimCommand(NS_PER_S, 0, True, 12.5, 300.0, 40.0, 60))
+    process.stream.stride(replace(made, trajectory_m=np.linspace((0.0, 0.0, 0.0), (1.25, 0.0, 0.0), 50)))
+    process.stream.stride(replace(made, number=2, valid=False, reason=SMUGGLED, stride_length_m=float("nan")))
+    process.stream.command(StimCommand(NS_PER_S, 0, True, 12.5, 300.0, 40.0, 60))
     unmeasured = replace(FOOT, stride_length_m=float("nan"), speed_mps=float("nan"))
-    status = replace(SHOWN, message=SMUGGLED, remarks=[SMUGGLED], feet={"right_foot": unmeasured})
+    status = replace(SHOWN, message=SMUGGLED, notices=[SMUGGLED], feet={"right_foot": unmeasured})
     until(process, page, status, "document.querySelectorAll('#strides tr').length === 2")
     assert SMUGGLED in page.text("#session-name")
     assert SMUGGLED in page.text("#notes")
@@ -118,9 +118,9 @@ def test_names_and_messages_are_text_and_nothing_else(process: PageProcess, page
     assert page.console == []
 
 
-def test_a_connection_that_comes_back_shows_nothing_twice(process: PageProcess, page: Page) -> None:
+def test_a_connection_that_comes_back_shows_nothing_twice(process: DashboardProcess, page: Page) -> None:
     for k in range(100):
-        process.feed.command(StimCommand(NS_PER_S + k * 20_000_000, 0, True, 9.0, 300.0, 40.0, 60))
+        process.stream.command(StimCommand(NS_PER_S + k * 20_000_000, 0, True, 9.0, 300.0, 40.0, 60))
     later = replace(SHOWN, t_ns=3 * NS_PER_S)
     drawn = "Number(document.getElementById('envelope').dataset.drawn)"
     until(process, page, later, f"{drawn} >= 100 && document.querySelectorAll('#strides tr').length === 2")
@@ -132,24 +132,24 @@ def test_a_connection_that_comes_back_shows_nothing_twice(process: PageProcess, 
     assert page.text("#link-text") == "this page controls"
 
 
-def test_silence_is_said_to_be_old_and_the_space_bar_stops(process: PageProcess, page: Page) -> None:
+def test_silence_is_said_to_be_old_and_the_space_bar_stops(process: DashboardProcess, page: Page) -> None:
     until(process, page, SHOWN, "document.body.dataset.state === 'running'")
     page.until("document.body.dataset.state === 'lost'")  # nothing is told any more
     assert "Nothing is heard of the session" in page.text("#alarm")
     assert page.text("#current") == "Current unknown"
     assert page.run("document.getElementById('up').disabled")
     page.call("Input.dispatchKeyEvent", type="keyDown", key=" ", code="Space", text=" ")
-    process.feed.link.settimeout(10.0)
-    assert process.feed.link.recv(100) == b'{"ask":"stop"}'
-    process.feed.link.setblocking(False)
+    process.stream.link.settimeout(10.0)
+    assert process.stream.link.recv(100) == b'{"ask":"stop"}'
+    process.stream.link.setblocking(False)
 
 
-def test_a_page_opened_without_a_link_stops_all_the_same(process: PageProcess, tmp_path: Path) -> None:
+def test_a_page_opened_without_a_link_stops_all_the_same(process: DashboardProcess, tmp_path: Path) -> None:
     with chromium(tmp_path / "browser") as stranger:
         stranger.go(process.url.partition("#")[0])
         stranger.until("!document.getElementById('alarm').hidden")
         assert stranger.text("#session-name") == ""
         stranger.press("#stop")
-        process.feed.link.settimeout(10.0)
-        assert process.feed.link.recv(100) == b'{"ask":"stop"}'
-        process.feed.link.setblocking(False)
+        process.stream.link.settimeout(10.0)
+        assert process.stream.link.recv(100) == b'{"ask":"stop"}'
+        process.stream.link.setblocking(False)

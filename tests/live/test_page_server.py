@@ -19,8 +19,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from fes.live.dashboard.message_handler import press_stop
-from fes.live.dashboard.process import PageProcess
+from fes.live.dashboard.process import DashboardProcess, press_stop
 from fes.live.dashboard.server import BROWSERS, SLOW_S, assets
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.status import Status
@@ -31,29 +30,29 @@ STOP = b'{"ask":"stop"}'
 
 
 @contextmanager
-def serving(folder: Path) -> Iterator[PageProcess]:
+def serving(folder: Path) -> Iterator[DashboardProcess]:
     """Started, and up: what asks from now on need not wait for that."""
-    with PageProcess(folder, ABOUT) as process:
-        process.feed.link.settimeout(10.0)
+    with DashboardProcess(folder, ABOUT) as process:
+        process.stream.link.settimeout(10.0)
         assert asked(process).status == 200
         yield process
 
 
 @pytest.fixture
-def page(tmp_path: Path) -> Iterator[PageProcess]:
+def page(tmp_path: Path) -> Iterator[DashboardProcess]:
     with serving(tmp_path) as process:
         yield process
         assert not (tmp_path / "page.log").read_text()
 
 
 @pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PageProcess]:
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DashboardProcess]:
     """One process for all that is refused."""
     with serving(tmp_path_factory.mktemp("page")) as process:
         yield process
 
 
-def asked(page: PageProcess, method: str = "GET", path: str = "/", **headers: str) -> http.client.HTTPResponse:
+def asked(page: DashboardProcess, method: str = "GET", path: str = "/", **headers: str) -> http.client.HTTPResponse:
     """One request, with exactly these headers."""
     connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=30)
     connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
@@ -66,7 +65,7 @@ def asked(page: PageProcess, method: str = "GET", path: str = "/", **headers: st
     return answer
 
 
-def browser(page: PageProcess, origin: str | None = "", **more: Any) -> Any:
+def browser(page: DashboardProcess, origin: str | None = "", **more: Any) -> Any:
     """A web socket as the page opens it."""
     own = f"http://127.0.0.1:{page.port}"
     return connect(f"ws://127.0.0.1:{page.port}/live", origin=own if origin == "" else origin, proxy=None, **more)
@@ -81,30 +80,30 @@ def say(link: ClientConnection, **message: Any) -> dict[str, Any]:
             return answer
 
 
-def token_of(page: PageProcess) -> str:
+def token_of(page: DashboardProcess) -> str:
     return page.url.partition("#")[2]
 
 
-def tell(page: PageProcess, status: Status = SHOWN) -> None:
-    page.feed.link.setblocking(False)
-    page.feed.tell(status.encode())
-    page.feed.link.settimeout(10.0)
+def tell(page: DashboardProcess, status: Status = SHOWN) -> None:
+    page.stream.link.setblocking(False)
+    page.stream.send(status.encode())
+    page.stream.link.settimeout(10.0)
 
 
-def order(page: PageProcess) -> bytes:
-    return page.feed.link.recv(1000)
+def command(page: DashboardProcess) -> bytes:
+    return page.stream.link.recv(1000)
 
 
-def silent(page: PageProcess) -> bool:
+def silent(page: DashboardProcess) -> bool:
     """Nothing was ordered; a stop shows that all before it had been dealt with."""
     press_stop(page.port)
-    return order(page) == STOP
+    return command(page) == STOP
 
 
 # --- who may speak to it ----------------------------------------------------------------------------------
 
 
-def test_the_page_and_all_it_needs_is_there_and_strict(shared: PageProcess) -> None:
+def test_the_page_and_all_it_needs_is_there_and_strict(shared: DashboardProcess) -> None:
     for path in assets():
         answer = asked(shared, path=path)
         assert answer.status == 200, path
@@ -129,7 +128,7 @@ def test_no_address_of_anybody_else_and_nothing_inline_in_the_page() -> None:
 
 
 @pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "127.0.0.1:1", "localhost.evil.example:{port}", ""])
-def test_another_name_is_refused(shared: PageProcess, host: str) -> None:
+def test_another_name_is_refused(shared: DashboardProcess, host: str) -> None:
     host = host.format(port=shared.port)
     own = f"http://127.0.0.1:{shared.port}"
     assert asked(shared, host=host).status == 403
@@ -140,7 +139,7 @@ def test_another_name_is_refused(shared: PageProcess, host: str) -> None:
 @pytest.mark.parametrize(
     "origin", ["http://evil.example", "null", "https://127.0.0.1:{port}", "http://127.0.0.1:1", None]
 )
-def test_another_origin_is_refused(shared: PageProcess, origin: str | None) -> None:
+def test_another_origin_is_refused(shared: DashboardProcess, origin: str | None) -> None:
     origin = origin and origin.format(port=shared.port)
     headers = {} if origin is None else {"origin": origin}
     assert asked(shared, "POST", "/stop", **headers).status == 403
@@ -150,14 +149,14 @@ def test_another_origin_is_refused(shared: PageProcess, origin: str | None) -> N
     assert silent(shared)
 
 
-def test_a_part_of_another_site_gets_nothing(shared: PageProcess) -> None:
+def test_a_part_of_another_site_gets_nothing(shared: DashboardProcess) -> None:
     assert asked(shared, sec_fetch_site="cross-site", sec_fetch_mode="no-cors").status == 403
     assert asked(shared, sec_fetch_site="same-origin", sec_fetch_mode="cors").status == 200
     assert asked(shared, "GET", "/stop").status == 405
     assert silent(shared)
 
 
-def test_only_loopback_listens(shared: PageProcess) -> None:
+def test_only_loopback_listens(shared: DashboardProcess) -> None:
     try:
         own = socket.gethostbyname(socket.gethostname())
     except OSError:
@@ -171,7 +170,7 @@ def test_only_loopback_listens(shared: PageProcess) -> None:
 # --- links ------------------------------------------------------------------------------------------------
 
 
-def test_a_link_is_for_one_browser_and_the_file_has_the_next(page: PageProcess, tmp_path: Path) -> None:
+def test_a_link_is_for_one_browser_and_the_file_has_the_next(page: DashboardProcess, tmp_path: Path) -> None:
     file = tmp_path / "page.url"
     assert file.read_text().strip() == page.url
     assert file.stat().st_mode & 0o077 == 0
@@ -194,39 +193,39 @@ def test_a_link_is_for_one_browser_and_the_file_has_the_next(page: PageProcess, 
         assert question["text"] == "Raise the intensity from 20% to 25%?"
         tell(page)
         two.send(json.dumps({"confirm": question["id"]}))
-        assert order(page) == b'{"ask":"up","confirm":true}'
+        assert command(page) == b'{"ask":"up","confirm":true}'
         assert "nothing was asked" in say(two, confirm=question["id"])["said"]
         one.send('{"ask":"down"}')
-        assert order(page) == b'{"ask": "down"}'
+        assert command(page) == b'{"ask": "down"}'
         assert silent(page)
 
 
-def test_a_stop_comes_from_anybody_on_the_page(page: PageProcess) -> None:
+def test_a_stop_comes_from_anybody_on_the_page(page: DashboardProcess) -> None:
     for first in ({}, {"token": "wrong"}, {"secret": "stale"}):
         with browser(page) as link:
             if first:
                 say(link, **first)
             begin_s = time.monotonic()
             link.send('{"ask":"stop"}')
-            assert order(page) == STOP
+            assert command(page) == STOP
             print(f"{1e3 * (time.monotonic() - begin_s):.1f} ms from the web socket to the session's end")
     press_stop(page.port)
-    assert order(page) == STOP
+    assert command(page) == STOP
 
 
-def test_both_ways_of_a_press_are_one_stop_and_two_presses_are_two(page: PageProcess) -> None:
+def test_both_ways_of_a_press_are_one_stop_and_two_presses_are_two(page: DashboardProcess) -> None:
     own = f"http://127.0.0.1:{page.port}"
     with browser(page) as link:
         for press in ("1", "2"):
             link.send(json.dumps({"ask": "stop", "press": press}))
-            assert order(page) == STOP
+            assert command(page) == STOP
             assert asked(page, "POST", f"/stop?press={press}", origin=own).status == 200
-        page.feed.link.setblocking(False)
+        page.stream.link.setblocking(False)
         with pytest.raises(BlockingIOError):
-            order(page)
+            command(page)
 
 
-def test_a_stop_waits_where_the_session_does_not_read_and_is_not_lost(page: PageProcess) -> None:
+def test_a_stop_waits_where_the_session_does_not_read_and_is_not_lost(page: DashboardProcess) -> None:
     with browser(page) as link:
         say(link, token=token_of(page))
         for _ in range(200):
@@ -235,11 +234,11 @@ def test_a_stop_waits_where_the_session_does_not_read_and_is_not_lost(page: Page
         page.process.send_signal(signal.SIGSTOP)
         page.process.send_signal(signal.SIGCONT)
         link.send('{"ask":"stop"}')
-        assert order(page) == STOP
+        assert command(page) == STOP
 
 
 @pytest.mark.parametrize("nonsense", ["{", "[]", '{"ask":"quit"}', '{"ask":"test","confirm":true}', "x" * 5000])
-def test_nonsense_harms_nobody(shared: PageProcess, nonsense: str) -> None:
+def test_nonsense_harms_nobody(shared: DashboardProcess, nonsense: str) -> None:
     with browser(shared) as link:
         link.send(nonsense)
     with browser(shared) as link:
@@ -255,7 +254,7 @@ def rss_kb(pid: int) -> int:
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc on this system")
-def test_a_browser_that_does_not_read_costs_nothing_and_delays_nobody(page: PageProcess) -> None:
+def test_a_browser_that_does_not_read_costs_nothing_and_delays_nobody(page: DashboardProcess) -> None:
     with browser(page, max_queue=1, close_timeout=0.1) as slow, browser(page) as quick:
         say(slow, token=token_of(page))
         text = "x" * 20_000
@@ -265,7 +264,7 @@ def test_a_browser_that_does_not_read_costs_nothing_and_delays_nobody(page: Page
             if number % 50 == 49:
                 begin_s = time.monotonic()
                 quick.send('{"ask":"stop"}')
-                assert order(page) == STOP
+                assert command(page) == STOP
                 waits_ms.append(1e3 * (time.monotonic() - begin_s))
                 sizes.append(rss_kb(page.process.pid))
             time.sleep(0.002)
@@ -275,13 +274,13 @@ def test_a_browser_that_does_not_read_costs_nothing_and_delays_nobody(page: Page
         assert max(waits_ms) < 0.5e3 * SLOW_S  # nobody has waited for the slow one to be let go
 
 
-def test_no_more_browsers_than_it_says(page: PageProcess) -> None:
+def test_no_more_browsers_than_it_says(page: DashboardProcess) -> None:
     links = [browser(page) for _ in range(BROWSERS)]
     try:
         with pytest.raises((InvalidStatus, ConnectionClosed)), browser(page) as one_more:
             one_more.recv(timeout=5)
         press_stop(page.port)  # that one is not shut out
-        assert order(page) == STOP
+        assert command(page) == STOP
     finally:
         for link in links:
             link.__enter__()
@@ -295,13 +294,13 @@ def test_killed_the_session_notices_and_is_not_held_up(tmp_path: Path) -> None:
         page.process.wait(5)
         took_s = []
         for _ in range(5):  # the machine may hold us up now and then
-            feed = DashboardStream(page.feed.link.dup())
+            stream = DashboardStream(page.stream.link.dup())
             begin_s = time.monotonic()
-            feed.tell(SHOWN.encode())
-            feed.tell(SHOWN.encode())
+            stream.send(SHOWN.encode())
+            stream.send(SHOWN.encode())
             took_s.append(time.monotonic() - begin_s)
-            assert feed.lost
-            feed.link.close()
+            assert stream.lost
+            stream.link.close()
         assert min(took_s) < 0.05
         with pytest.raises(OSError):
             press_stop(page.port)
@@ -311,7 +310,7 @@ def test_killed_the_session_notices_and_is_not_held_up(tmp_path: Path) -> None:
 def test_it_ends_with_the_session_and_says_so(tmp_path: Path) -> None:
     with serving(tmp_path) as page, browser(page) as link:
         say(link, token=token_of(page))
-        page.feed.link.close()  # as if the session had been killed
+        page.stream.link.close()  # as if the session had been killed
         while "ended" not in (frame := json.loads(link.recv(timeout=10))):
             pass
         assert "unexpectedly" in frame["ended"]
@@ -320,4 +319,4 @@ def test_it_ends_with_the_session_and_says_so(tmp_path: Path) -> None:
 
 def test_a_port_that_is_taken_is_an_error_with_its_reason(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(OSError, match="in use"):
-        PageProcess(tmp_path, ABOUT, taken.getsockname()[1])
+        DashboardProcess(tmp_path, ABOUT, taken.getsockname()[1])

@@ -35,7 +35,7 @@ from fes.session_log import SessionRecord
 STAND_S = 8  # so that a session that has just begun can be armed before the first step
 FOOT = "right_foot"
 RATE_HZ = 500.0
-EVERY = 5  # of its samples, for lines that carry less
+EVERY = 5  # of its samples, for lines that execute less
 SLOW_RATE_HZ = RATE_HZ / EVERY
 SHANK = "right_shank"
 SHANK_RATE_HZ = 100.0

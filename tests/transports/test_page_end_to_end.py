@@ -1,4 +1,4 @@
-"""`fes run --page` in a real browser, between simulated devices; the stimulator's own record is the judge."""
+"""`fes run --dashboard` in a real browser, between simulated devices; the stimulator's own record is the judge."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.simulated.stimulator.spawn import free_bus, why_silent
 from fes.cli.common.exits import OK
 from fes.cli.replay.log import repeat
 from fes.hil.campaign_bench import LOST_TIME
-from fes.live.dashboard.message_handler import press_stop
+from fes.live.dashboard.process import press_stop
 from fes.recording import write_recording
 from fes.session_log import SessionRecord, read_session
 from fes.signals import OperatorAction
@@ -109,7 +109,7 @@ def burst_by_hand(run: LiveRun) -> Iterator[None]:
 def test_arms_raises_only_when_confirmed_and_its_stop_button_stops(standing: tuple[Path, Path], tmp_path: Path) -> None:
     recording, calibration = standing
     with (
-        live_run(tmp_path, recording, "--calibration", calibration, "--page") as run,
+        live_run(tmp_path, recording, "--calibration", calibration, "--dashboard") as run,
         chromium(tmp_path / "browser") as page,
     ):
         page.size(1024, 768, touch=True)
@@ -149,7 +149,7 @@ def test_what_it_shows_is_what_the_log_holds_also_after_reloading_and_in_a_secon
 ) -> None:
     recording, calibration = loop
     with (
-        live_run(tmp_path, recording, "--calibration", calibration, "--page") as run,
+        live_run(tmp_path, recording, "--calibration", calibration, "--dashboard") as run,
         chromium(tmp_path / "browser") as page,
     ):
         page.size(1280, 800)
@@ -173,7 +173,7 @@ def test_what_it_shows_is_what_the_log_holds_also_after_reloading_and_in_a_secon
             other.go("about:blank")
             other.go(link_of(run))
             other.until("document.querySelectorAll('#strides tr').length >= 5")
-            page.until("document.getElementById('link-text').textContent === 'this page watches'")
+            page.until("document.getElementById('link-text').textContent === 'this page monitors'")
             assert page.run("document.getElementById('up').disabled")
             assert run.until(lambda status: True).state in ("armed", "running")
             page.press("#stop")  # an old link's
@@ -213,7 +213,7 @@ def test_the_stop_button_again_and_again(standing: tuple[Path, Path], tmp_path: 
     recording, calibration = standing
     stops: list[tuple[int, float]] = []
     with (
-        live_run(tmp_path, recording, "--calibration", calibration, "--page") as run,
+        live_run(tmp_path, recording, "--calibration", calibration, "--dashboard") as run,
         chromium(tmp_path / "browser") as page,
     ):
         page.size(768, 1024, touch=True)
@@ -253,7 +253,7 @@ def test_the_stop_button_again_and_again(standing: tuple[Path, Path], tmp_path: 
 def test_stopped_or_killed_its_process_changes_nothing(loop: tuple[Path, Path], tmp_path: Path) -> None:
     recording, calibration = loop
     with (
-        live_run(tmp_path, recording, "--calibration", calibration, "--page") as run,
+        live_run(tmp_path, recording, "--calibration", calibration, "--dashboard") as run,
         chromium(tmp_path / "browser") as browser,
     ):
         link = link_of(run)
@@ -269,7 +269,7 @@ def test_stopped_or_killed_its_process_changes_nothing(loop: tuple[Path, Path], 
         run.in_mid_burst()
         blow_ns = time.monotonic_ns()
         os.kill(page, signal.SIGKILL)
-        seen = run.until(lambda status: "the page has ended" in status.message)
+        seen = run.until(lambda status: "the dashboard has ended" in status.message)
         assert seen.state in ("armed", "running")
         run.until(lambda status: not status.on)
         run.in_mid_burst()  # the next step is stimulated like those before
@@ -291,7 +291,7 @@ def test_stopped_or_killed_its_process_changes_nothing(loop: tuple[Path, Path], 
 @pytest.mark.slow
 def test_a_stop_by_request_is_prompt(standing: tuple[Path, Path], tmp_path: Path) -> None:
     recording, calibration = standing
-    with live_run(tmp_path, recording, "--calibration", calibration, "--page") as run:
+    with live_run(tmp_path, recording, "--calibration", calibration, "--dashboard") as run:
         port = int(link_of(run).split(":")[2].split("/")[0])
         assert answer_of(port) == http.client.OK  # the link is there sooner than the server
         run.armed_at(0.3)

@@ -1,4 +1,4 @@
-"""`fes replay --page`: a recording and a session log played to a browser, and stopped there."""
+"""`fes replay --dashboard`: a recording and a session log played to a browser, and stopped there."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from fes.cli.common.exits import INTERRUPTED, OK, UNUSABLE
 from fes.cli.replay.log import repeat
-from fes.live.dashboard.message_handler import press_stop
+from fes.live.dashboard.process import press_stop
 from fes.session_log import read_session
 
 SPEED = 8
@@ -30,7 +30,7 @@ RECORDING = Path(__file__).resolve().parents[2] / "sim_inputs" / "negard_patient
 @contextmanager
 def replay(folder: Path, *arguments: str | Path) -> Iterator[tuple[subprocess.Popen[str], str, int]]:
     """The command, the token of its link, and its port."""
-    command = [*FES, "replay", *map(str, arguments), "--page"]
+    command = [*FES, "replay", *map(str, arguments), "--dashboard"]
     process = subprocess.Popen(
         command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, encoding="utf-8"
     )
@@ -89,7 +89,7 @@ def test_a_recording_is_played_at_its_speed_and_a_stop_ends_it(tmp_path: Path) -
     # not as fast as it goes: by then that would be over; the page may be open long after it has begun, though
     recorded_s = (logged[shown[-1]["number"]].t_end_ns - int(record.samples["right_foot"].t_ns[0])) * 1e-9
     assert seen_s - datetime.fromisoformat(record.header["created"]).timestamp() >= recorded_s / SPEED
-    assert any("stopped on the page" in note.text for note in record.notes)
+    assert any("stopped on the dashboard" in note.text for note in record.notes)
     assert not record.commands[-1].on
     assert repeat(log).difference == ""
     assert not list(log.parent.glob("page.*"))
@@ -116,7 +116,7 @@ def test_a_session_log_is_played_too_and_then_checked(tmp_path: Path) -> None:
 def test_a_taken_port_is_said(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        done = run_fes("replay", RECORDING, "--page", "--page-port", str(port), cwd=tmp_path)
+        done = run_fes("replay", RECORDING, "--dashboard", "--dashboard-port", str(port), cwd=tmp_path)
     assert done.returncode == UNUSABLE
     assert "Choose another port" in done.stderr
     assert "Traceback" not in done.stderr

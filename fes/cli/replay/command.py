@@ -1,7 +1,4 @@
-"""``fes replay``: a recording, or a session log, through the same loop as a live session.
-
-What ``fes replay`` says of settings that it does not use, or that have no meaning.
-"""
+"""``fes replay``: a recording, or a session log, through the same loop as a live session."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import StimulatorLost
 from fes.calibration.recording import calibrate_drivers, drivers_from
 from fes.cli.common.exits import FAILED, INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
-from fes.cli.common.options import MonotonicClock, Number
+from fes.cli.common.options import MonotonicClock, Number, RenamedOptions
 from fes.cli.common.progress import Interrupt, ReplayProgress
 from fes.cli.common.show import show, tell_latched
 from fes.cli.replay.stimulators import (
@@ -32,7 +29,7 @@ from fes.cli.replay.stimulators import (
     wire_truth,
 )
 from fes.cli.replay.timing import PARAMETERS, TimingOptions, check_timing, expected_of, tell, timing_options
-from fes.cli.run.page import page_options
+from fes.cli.run.dashboard import FORMER_OPTIONS, dashboard_options
 from fes.config import ConfigError, Session, load_session
 from fes.control.controller import Controller
 from fes.control.replay import digest, identity, log_header, refuse_long_silence, session_for
@@ -47,8 +44,6 @@ from fes.recording.samples import samples_of
 from fes.session_log import SessionLogError, SessionWriter, read_session
 from fes.signals import SHANK_SENSORS, Event
 
-__all__ = ["LOG_SUFFIX", "Options", "fresh_folder", "replay_recording"]
-
 
 def refuse_settings_of_a_recording(*allowed: str) -> None:
     """A session log brings its own settings; one given here would change nothing, so say so.
@@ -57,12 +52,13 @@ def refuse_settings_of_a_recording(*allowed: str) -> None:
         Problem: one was given that is not ``allowed``.
     """
     context = click.get_current_context()
-    given = [name for name in context.params if name not in ("recording", "as_json", "page", *allowed, *PARAMETERS)]
-    for name in given:
-        if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE:
+    meant = {"recording", "as_json", "dashboard", *allowed, *PARAMETERS}
+    for option in context.command.params:
+        given = context.get_parameter_source(option.name or "") is click.core.ParameterSource.COMMANDLINE
+        if given and option.name not in meant:
             raise Problem(
-                f"--{name.replace('_', '-')} has no meaning for a session log, which is replayed with the settings it "
-                f"holds. Replay its recording instead, or leave the option out."
+                f"{option.opts[0]} has no meaning for a session log, which is replayed with the settings it holds. "
+                f"Replay its recording instead, or leave the option out."
             )
 
 
@@ -72,7 +68,7 @@ def settings_beside(path: Path) -> Path | None:
     return settings if settings.is_file() else None
 
 
-def say_what_is_left_out(
+def show_what_is_left_out(
     session: Session,
     settings: Path | None,
     left_out: list[str],
@@ -112,11 +108,11 @@ class Options:
     report: bool = True
     calibration: Path | None = None
     timing: TimingOptions | None = None
-    page: bool = False
-    page_port: int = 0
+    dashboard: bool = False
+    dashboard_port: int = 0
 
 
-@click.command(name="replay")
+@click.command(name="replay", cls=RenamedOptions, former=FORMER_OPTIONS)
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--session", type=click.Path(path_type=Path), help="Settings (TOML). Default: session.toml beside it.")
 @click.option("--calibration", type=click.Path(path_type=Path), help="From fes calibrate. Default: from the recording.")
@@ -131,66 +127,39 @@ class Options:
     show_default=True,
     help="bus: what is on the session's bus, at recorded speed. A DEVICE THERE STIMULATES.",
 )
-@click.option("--arm-after", type=Number(min=0), default=0.5, show_default=True, help="Operator arms (s).")
-@click.option("--rearm-after", type=Number(min=0), help="Operator arms again this long after a fault (s).")
+@click.option("--arm-after", "arm_after_s", type=Number(0), default=0.5, show_default=True, help="Operator arms (s).")
+@click.option("--rearm-after", "rearm_after_s", type=Number(0), help="Operator arms again this long after a fault (s).")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
-@page_options
+@dashboard_options
 @timing_options
-def command(
-    recording: Path,
-    session: Path | None,
-    calibration: Path | None,
-    out: Path,
-    speed: float | None,
-    stimulator: str,
-    arm_after: float,
-    rearm_after: float | None,
-    as_json: bool,
-    no_report: bool,
-    page: bool,
-    page_port: int,
-    timing: TimingOptions | None,
-) -> None:
+def command(recording: Path, no_report: bool, **chosen: Any) -> None:
     """Replay RECORDING (CSV or Parquet with its sidecar) or a session log (.feslog).
 
     Prints the table of strides and a summary; writes the session log and the report. A session log is replayed from its
     own settings and must give the bytes that it recorded.
 
-    --page shows it in a browser as it was, at recorded speed or --speed; the page's stop ends the replay.
+    --dashboard shows it in a browser as it was, at recorded speed or --speed; the stop there ends the replay.
 
     --check-timing compares with the truth beside RECORDING, a session log with what it recorded; either with --against.
 
-    A gate that latched is told of last and is no failure: the exit code says whether the replay went through.
+    A gate that latched is reported last and is no failure: the exit code says whether the replay went through.
 
     Exit code: 0 all is well, 1 a check failed, 2 unusable input, 3 stopped early, 4 a fault of fes itself, 130
     interrupted.
     """
-    if recording.suffix == LOG_SUFFIX:
-        from fes.cli.replay.log import replay_log
-
-        refuse_settings_of_a_recording(*(("speed", "out", "page_port") if page else ()))
-        if page:
-            from fes.cli.replay.page import play_log
-
-            play_log(recording, fresh_folder(out, recording.stem), speed or 1.0, page_port)
-        replay_log(recording, as_json=as_json, timing=timing)
+    options = Options(report=not no_report, **chosen)
+    if recording.suffix != LOG_SUFFIX:
+        replay_recording(recording, options)
         return
-    options = Options(
-        session,
-        out,
-        speed or (1.0 if page else None),
-        stimulator,
-        arm_after,
-        rearm_after,
-        as_json,
-        not no_report,
-        calibration,
-        timing,
-        page,
-        page_port,
-    )
-    replay_recording(recording, options)
+    from fes.cli.replay.log import replay_log
+
+    refuse_settings_of_a_recording(*(("speed", "out", "dashboard_port") if options.dashboard else ()))
+    if options.dashboard:
+        from fes.cli.replay.dashboard import play_log
+
+        play_log(recording, fresh_folder(options.out, recording.stem), options.speed or 1.0, options.dashboard_port)
+    replay_log(recording, as_json=options.as_json, timing=options.timing)
 
 
 def replay_recording(path: Path, options: Options) -> Path:
@@ -204,18 +173,19 @@ def replay_recording(path: Path, options: Options) -> Path:
         recording = read_recording(path)
         refuse_long_silence(recording)
         settings = options.session or settings_beside(path)
-        asked = load_session(settings) if settings else None
+        wanted = load_session(settings) if settings else None
         if options.calibration:
             recording, found = drivers_from(options.calibration, recording)
         else:
             found = calibrate_drivers(recording)
         calibrations, missing = found.calibrations, found.missing
-        session = session_for(recording, asked)
+        session = session_for(recording, wanted)
     except (RecordingError, ConfigError, CalibrationError) as error:
         fail(error)
     kept = {channel.number for channel in session.channels}
-    left_out = [channel.name for channel in (asked.channels if asked else ()) if channel.number not in kept]
-    say_what_is_left_out(session, settings, left_out, calibrations, missing)
+    left_out = [channel.name for channel in (wanted.channels if wanted else ()) if channel.number not in kept]
+    show_what_is_left_out(session, settings, left_out, calibrations, missing)
+    speed = options.speed or (1.0 if options.dashboard else None)
     expected = expected_of(options.timing, path, calibrations) if options.timing else None
     sha256 = digest(path)
     numbers = identity(sha256, session)
@@ -235,13 +205,13 @@ def replay_recording(path: Path, options: Options) -> Path:
             numbers.session_id,
             numbers.boot_id,
             begin_ns,
-            lockstep=options.speed is None,
+            lockstep=speed is None,
             record=folder / "stimulator.jsonl",
         )
     warm_up()
     try:
         with opening as opened:
-            ended = _go(recording, session, calibrations, opened, header, log_path, options)
+            ended = _go(recording, session, calibrations, opened, header, log_path, options, speed)
     except (StimulatorLost, BusError, SessionLogError) as error:
         fail(error, StoppedEarly)
     if ended == "interrupted":
@@ -251,10 +221,10 @@ def replay_recording(path: Path, options: Options) -> Path:
     if options.timing and expected:
         timing = check_timing(read_session(log_path), options.timing, expected)
     more = {"timing": timing.to_json()} if timing else None
-    remarks = show(
+    notices = show(
         log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None, more=more
     )
-    tell_latched(remarks)
+    tell_latched(notices)
     if ended == "different":
         click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
         raise SystemExit(FAILED)
@@ -273,6 +243,7 @@ def _go(
     header: dict[str, Any],
     log_path: Path,
     options: Options,
+    speed: float | None,
 ) -> str:
     """Run the loop over the recording; returns how it ended: complete, different, interrupted, or why it stopped."""
     stimulation = session.stimulation
@@ -281,12 +252,13 @@ def _go(
     )
     log = SessionWriter(log_path, header)
     controller = Controller(session, calibrations)
-    stage = None
-    if options.page:
-        from fes.cli.replay.page import Stage
+    shown = None
+    if options.dashboard:
+        from fes.cli.replay.dashboard import ReplayDashboard
 
-        stage = Stage(log_path.parent, session, calibrations, header, log, controller, gate, options.page_port)
-    runner = Runner(controller, gate, opened.stimulator, stage.log if stage else log, time.perf_counter_ns)
+        port = options.dashboard_port
+        shown = ReplayDashboard(log_path.parent, session, calibrations, header, log, controller, gate, port)
+    runner = Runner(controller, gate, opened.stimulator, shown.log if shown else log, time.perf_counter_ns)
     events = armed_after(
         with_ticks(samples_of(recording, set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS)))),
         options.arm_after_s,
@@ -294,8 +266,8 @@ def _go(
         options.rearm_after_s,
         lambda: bool(gate.latched),
     )
-    if options.stimulator == "bus" or options.speed is not None:
-        events = paced(events, stage.clock if stage else MonotonicClock(), options.speed or 1.0)
+    if options.stimulator == "bus" or speed is not None:
+        events = paced(events, shown.clock if shown else MonotonicClock(), speed or 1.0)
     begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
     end_ns = max(int(track.t_ns[-1]) for track in recording.tracks.values())
     ended = "complete"
@@ -310,8 +282,8 @@ def _go(
             def after(event: Event) -> None:
                 log.flush_due(time.monotonic_ns())
                 progress.at(event.t_ns)
-                if stage:
-                    stage.tell(event.t_ns)
+                if shown:
+                    shown.publish(event.t_ns)
                 interrupt.check()
 
             runner.run(events, after)
@@ -331,6 +303,6 @@ def _go(
         summary["ended"] = ended
         summary["samples"] = {foot: tracker.counts.to_dict() for foot, tracker in runner.controller.trackers.items()}
         log.close(summary)
-        if stage:
-            stage.close(ended)
+        if shown:
+            shown.close(ended)
     return ended

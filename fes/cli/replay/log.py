@@ -245,12 +245,12 @@ def replay_log(path: Path, *, as_json: bool, timing: TimingOptions | None = None
         again = repeat(path)
         more: dict[str, Any] = {"replayed": {name: getattr(again, name) for name in REPORTED}}
         checked = check_replayed(path, timing, again.now.phases, again.now.commands) if timing else None
-        remarks = show(
+        notices = show(
             path, as_json=as_json, report=None, more=more | ({"timing": checked.to_json()} if checked else {})
         )
     except (SessionLogError, ConfigError) as error:
         fail(error)
-    tell_latched(remarks)
+    tell_latched(notices)
     if again.difference:
         click.secho(f"Not the same when replayed: {again.difference}", fg="red", err=True)
         if not checked:

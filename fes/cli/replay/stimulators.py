@@ -93,12 +93,12 @@ class SerialSink:
             if isinstance(each, Received):
                 self._line.brings += each.data
                 continue
-            self._look(looked_ns)
+            self._check(looked_ns)
             if isinstance(each, StimOpened):
                 self._resume(each.session_id, greeted)
             yield each
             looked_ns = None if isinstance(each, StimStatus | StimAlive) else each.t_ns
-        self._look(looked_ns)
+        self._check(looked_ns)
 
     def logged_commands(self, frames: Iterable[WireFrame]) -> list[WireFrame]:
         """Of all frames those of commands, one each: all but the handshakes'."""
@@ -115,7 +115,7 @@ class SerialSink:
         """Its answers are events in the log."""
         return []
 
-    def _look(self, t_ns: int | None) -> None:
+    def _check(self, t_ns: int | None) -> None:
         if t_ns is not None:
             with suppress(StimulatorLost):  # as it was then, and the log says so
                 self._port.poll(t_ns)

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import click
 
-from fes.calibration.recording import Found as Calibrated
+from fes.calibration.recording import Found
 from fes.cli.calibrate import describe, save_calibrations
 from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, fail
 from fes.cli.common.progress import Interrupt
-from fes.cli.run.devices import Found
 from fes.config import Session
 from fes.estimation.sensor_choice import Calibration
 from fes.live.calibrating import Calibrating
-from fes.live.commands import Ask, Order
+from fes.live.commands import CommandKind, OperatorCommand
 from fes.live.inputs import Keyboard
 from fes.live.log_pipe import PipedLog
+from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, live_header
 from fes.live.source import LiveSource
 from fes.session_log import SessionLogError
@@ -27,34 +28,41 @@ from fes.signals import Event
 
 
 def calibrate(
-    session: Session, found: Found, strides: int, folder: Path, keys: int | None, interrupt: Interrupt
+    session: Session,
+    streams: Sequence[SensorStream],
+    strides: int,
+    folder: Path,
+    keys: int | None,
+    interrupt: Interrupt,
 ) -> dict[str, Calibration]:
     """Record standing and walking, and calibrate from it; the recording and the result stay in the session's folder."""
     finding = Calibrating(session, strides)
     click.echo("Calibration: stand still for two seconds, then walk straight ahead. q gives up.", err=True)
     log = open_log(folder / f"calibration{LOG_SUFFIX}", live_header(session, {}, 0, utc_now(), time.monotonic_ns()))
-    given_up: list[Ask] = []
+    given_up: list[CommandKind] = []
 
-    def carry(order: Order, t_ns: int) -> list[Event]:
-        if order.ask in (Ask.QUIT, Ask.STOP):
-            given_up.append(order.ask)
+    def execute(command: OperatorCommand, t_ns: int) -> list[Event]:
+        if command.kind in (CommandKind.QUIT, CommandKind.STOP):
+            given_up.append(command.kind)
         return []
 
-    keyboard = Keyboard(keys, carry) if keys is not None else None
+    def ended() -> bool:
+        return finding.done or bool(given_up)
+
+    keyboard = Keyboard(keys, execute) if keys is not None else None
     inputs = [keyboard] if keyboard is not None else []
-    over = lambda: finding.done or bool(given_up)  # noqa: E731
-    said = ""
+    shown = ""
     try:
-        for event in LiveSource(found.lines, inputs, None, time.monotonic_ns, over, lambda: False):
+        for event in LiveSource(streams, inputs, None, time.monotonic_ns, ended, lambda: False):
             log.event(event)
             log.flush_due(time.monotonic_ns())
-            finding.take(event)
+            finding.add_event(event)
             interrupt.check()
-            if finding.message != said:
-                said = finding.message
-                click.echo(said, err=True)
+            if finding.message != shown:
+                shown = finding.message
+                click.echo(shown, err=True)
     except KeyboardInterrupt:
-        given_up.append(Ask.QUIT)
+        given_up.append(CommandKind.QUIT)
     except SessionLogError as error:
         fail(error, StoppedEarly)
     finally:
@@ -68,7 +76,7 @@ def calibrate(
         raise Problem("Calibration was given up; nothing was stimulated.")
     for calibration in finding.found.values():
         click.echo(describe(calibration), err=True)
-    save_calibrations(Calibrated(finding.found), folder / "calibration.json")
+    save_calibrations(Found(finding.found), folder / "calibration.json")
     return finding.found
 
 

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -16,20 +18,21 @@ from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
 from fes.calibration.recording import load
 from fes.cli.common.exits import INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
-from fes.cli.common.options import Number
+from fes.cli.common.options import Number, RenamedOptions
 from fes.cli.common.progress import Interrupt
 from fes.cli.run.calibration import calibrate, open_log, utc_now
-from fes.cli.run.devices import Found, open_sensors, serial_ports_of, stop_switch_settings
-from fes.cli.run.page import about_session, add_page, open_page, page_options
+from fes.cli.run.dashboard import FORMER_OPTIONS, add_dashboard, dashboard_options, open_dashboard
+from fes.cli.run.devices import open_sensors, serial_ports_of, stop_switch_settings
 from fes.config import ConfigError, Session, load_session
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
-from fes.live.inputs import Terminal, standard_keys
+from fes.live.inputs import FootSwitchInput, StopFile, StopSwitch, Terminal, standard_keys
+from fes.live.processes import ViewProcess
 from fes.live.realtime import become_real_time
+from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, LiveSession, live_header
 from fes.live.stimulator import LiveStimulator, Opened
-from fes.live.view_process import ViewProcess
 from fes.session_log import SessionLogError
 
 SOCKET_NAME = "control.sock"
@@ -49,11 +52,11 @@ class Options:
     control: Path | None = None
     keys_from: int | None = None
     view: bool | None = None
-    page: bool = False
-    page_port: int = 0
+    dashboard: bool = False
+    dashboard_port: int = 0
 
 
-@click.command(name="run")
+@click.command(name="run", cls=RenamedOptions, former=FORMER_OPTIONS)
 @click.argument("session", type=click.Path(path_type=Path))
 @click.option("--out", type=click.Path(path_type=Path), help="Results go below. Default: live.folder, or out.")
 @click.option("--calibration", type=click.Path(path_type=Path), help="From `fes calibrate`. Default: calibrate first.")
@@ -68,21 +71,8 @@ class Options:
 @click.option("--control", type=click.Path(path_type=Path), help="Control socket. Default: OUT/…/control.sock.")
 @click.option("--keys-from", type=click.IntRange(min=0), help="Read keys from this descriptor instead of the terminal.")
 @click.option("--view/--no-view", default=None, help="The terminal view. Default: where there is a terminal.")
-@page_options
-def command(
-    session: Path,
-    out: Path | None,
-    calibration: Path | None,
-    strides: int,
-    duration_s: float | None,
-    stop_file: Path | None,
-    stop_input: str,
-    control: Path | None,
-    keys_from: int | None,
-    view: bool | None,
-    page: bool,
-    page_port: int,
-) -> None:
+@dashboard_options
+def command(session: Path, **options: Any) -> None:
     """Run a live session with the settings in SESSION (TOML).
 
     Nothing is stimulated until you arm it by hand (a) and raise the intensity (+), which starts at 0. SPACE stops at
@@ -91,10 +81,7 @@ def command(
     Exit code: 0 ended as asked, 2 unusable settings or devices, 3 stopped early, 4 a fault of fes itself, 130
     interrupted.
     """
-    options = Options(
-        out, calibration, strides, duration_s, stop_file, stop_input, control, keys_from, view, page, page_port
-    )
-    run_session(session, options)
+    run_session(session, Options(**options))
 
 
 def run_session(path: Path, options: Options) -> Path:
@@ -111,14 +98,14 @@ def run_session(path: Path, options: Options) -> Path:
         fail(error)
     folder = fresh_folder(options.out or Path(session.live.folder), path.stem)
     with ExitStack() as stack:
-        found = open_sensors(session, stack)
+        streams = open_sensors(session, stack)
         keys = options.keys_from if options.keys_from is not None else standard_keys()
         if keys is not None:
             stack.enter_context(Terminal(keys))
         interrupt = stack.enter_context(Interrupt())
         warm_up()
         if calibrations is None:
-            calibrations = calibrate(session, found, options.strides, folder, keys, interrupt)
+            calibrations = calibrate(session, streams, options.strides, folder, keys, interrupt)
         worn = {device.sensor for device in session.sensors}
         calibrations = {sensor: each for sensor, each in calibrations.items() if sensor in worn}
         missing = sorted({str(channel.foot) for channel in session.channels} - phase_sensors(calibrations).keys())
@@ -126,7 +113,7 @@ def run_session(path: Path, options: Options) -> Path:
             raise Problem(
                 f"{options.calibration}: holds no calibration of {', '.join(missing)}, which a channel follows."
             )
-        log_path, ended = _run(session, calibrations, found, options, folder, keys, interrupt, stack)
+        log_path, ended = _run(session, calibrations, streams, options, folder, keys, interrupt, stack)
     if ended == "interrupted":
         click.secho(f"Interrupted; stimulation is off. Session log: {log_path}", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED)
@@ -145,9 +132,9 @@ def usable(session: Session, path: Path) -> Session:
     """
     if not session.sensors:
         raise ConfigError(f"{path}: sensors are missing; a live session needs a [[sensors]] table for each")
-    driven = phase_sensors(str(device.sensor) for device in session.sensors)
+    feet = phase_sensors(str(device.sensor) for device in session.sensors)
     for channel in session.channels:
-        if channel.foot not in driven:
+        if channel.foot not in feet:
             raise ConfigError(
                 f"{path}: channel {channel.name!r} follows the {channel.foot}, which no [[sensors]] table is worn on"
             )
@@ -157,7 +144,7 @@ def usable(session: Session, path: Path) -> Session:
 def _run(
     session: Session,
     calibrations: dict[str, Calibration],
-    found: Found,
+    streams: Sequence[SensorStream],
     options: Options,
     folder: Path,
     keys: int | None,
@@ -173,7 +160,7 @@ def _run(
     stack.callback(port.close)
     log_path = folder / f"session{LOG_SUFFIX}"
     log = open_log(log_path, live_header(session, calibrations, session_id, utc_now(), opened_ns, port.current_step_ma))
-    page = open_page(folder, about_session(session, "live"), options.page_port, stack) if options.page else None
+    dashboard = open_dashboard(folder, session, "live", options.dashboard_port, stack) if options.dashboard else None
     terminal = sys.stdout.isatty()
     view = stack.enter_context(ViewProcess()) if (terminal if options.view is None else options.view) else None
     stimulator = LiveStimulator(port, lambda: _open_again(session), StimulatorLost, time.monotonic_ns)
@@ -187,11 +174,11 @@ def _run(
         view,
         options.duration_s,
         current_step_ma=port.current_step_ma,
-        electrodes_told_from_ma=open_lead_detected_from_ma(session.stimulator),
+        open_lead_detected_from_ma=open_lead_detected_from_ma(session.stimulator),
     )
     _give_inputs(live, session, options, folder, keys, stack)
-    if page is not None:
-        add_page(live, page)
+    if dashboard is not None:
+        add_dashboard(live, dashboard)
     click.secho("A stimulator is connected. Nothing is stimulated until you arm.", fg="red", bold=True, err=True)
     for port_name in serial_ports_of(session):
         if hint := latency_hint(port_name):
@@ -202,7 +189,7 @@ def _run(
             click.secho(f"{grant}. Remedy: {grant.remedy}", fg="yellow", err=True)
     ended = COMPLETE
     try:
-        live.run(found.lines, handshake.frames, handshake.alive, grants, interrupt.check)
+        live.run(streams, handshake.frames, handshake.alive, grants, interrupt.check)
     except KeyboardInterrupt:
         ended = "interrupted"
     except SessionLogError as error:
@@ -215,8 +202,8 @@ def _run(
             log.close({"ended": ended, **live.summary()})
         except SessionLogError as error:
             ended = str(error) if ended == COMPLETE else ended
-    if page is not None and ended != COMPLETE:
-        page.over = f"The session has ended: {ended}. Stimulation is off."
+    if dashboard is not None and ended != COMPLETE:
+        dashboard.farewell = f"The session has ended: {ended}. Stimulation is off."
     return log_path, ended
 
 
@@ -231,7 +218,7 @@ def _give_inputs(
     if keys is not None:
         live.add_keys(keys)
     named = Path(session.live.stop_file) if session.live.stop_file else None
-    live.add_stop_file(options.stop_file or named or folder / STOP_NAME)
+    live.add_input(StopFile(options.stop_file or named or folder / STOP_NAME, live.operator.execute))
     try:
         live.add_control(options.control or folder / SOCKET_NAME)
     except OSError as error:
@@ -242,11 +229,11 @@ def _give_inputs(
         for settings in session.foot_switches:
             switch = open_switch(settings, session.bus)
             stack.callback(switch.close)
-            live.add_foot_switch(settings.foot, switch)
+            live.add_input(FootSwitchInput(settings.foot, switch))
         wanted = stop_switch_settings(options.stop_input) if options.stop_input else session.live.stop_button
         if wanted is not None:
             button = open_switch(wanted, session.bus)
             stack.callback(button.close)
-            live.add_stop_switch(button)
+            live.add_input(StopSwitch(button, live.operator.execute))
     except (SwitchFailed, ConfigError) as error:
         fail(error)

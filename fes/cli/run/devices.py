@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from dataclasses import dataclass
 
 from drivers.imu.open import ON_CAN, open_imus
 from drivers.imu.port import ImuLost
@@ -15,14 +14,7 @@ from fes.estimation.sensor_choice import phase_sensors
 from fes.live.sensors import SensorStream
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
-    """The open lines."""
-
-    lines: tuple[SensorStream, ...]
-
-
-def open_sensors(session: Session, stack: ExitStack) -> Found:
+def open_sensors(session: Session, stack: ExitStack) -> list[SensorStream]:
     """Open every line that a sensor of the session is on; ``stack`` closes them.
 
     Raises:
@@ -32,15 +24,15 @@ def open_sensors(session: Session, stack: ExitStack) -> Found:
         ports = open_imus(session.sensors, session.bus)
     except (ImuLost, BusError, ConfigError, ValueError) as error:
         fail(error)
-    drivers = phase_sensors(str(device.sensor) for device in session.sensors)
-    # what drives no channel must not stop the therapy of a sound foot; without channels there is none to stop
-    needed = frozenset(drivers[channel.foot] for channel in session.channels if channel.foot in drivers)
-    lines = []
+    phase_sensor_of = phase_sensors(str(device.sensor) for device in session.sensors)
+    # what no channel follows must not stop the therapy of a sound foot; without channels there is none to stop
+    needed = frozenset(phase_sensor_of[channel.foot] for channel in session.channels if channel.foot in phase_sensor_of)
+    streams = []
     for port in ports:
-        line = SensorStream(port, SensorClock, ImuLost, needed)
-        stack.callback(line.close)
-        lines.append(line)
-    return Found(tuple(lines))
+        stream = SensorStream(port, SensorClock, ImuLost, needed)
+        stack.callback(stream.close)
+        streams.append(stream)
+    return streams
 
 
 def stop_switch_settings(text: str) -> Switch:

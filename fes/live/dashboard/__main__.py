@@ -1,4 +1,4 @@
-"""The page's process: ``python -m fes.live.dashboard LISTENING_FD LINK_FD``; it decides nothing."""
+"""The dashboard's process: ``python -m fes.live.dashboard LISTENING_FD LINK_FD``; it decides nothing."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from typing import Any, Final
 
 import uvicorn
 
+from fes.live.dashboard.access import Access, link_address, write_link
 from fes.live.dashboard.frames import DETAIL, END, LARGEST, STATUS, read_detail, read_hello
-from fes.live.dashboard.network_guard import Access, link_address, write_link
 from fes.live.dashboard.server import Server
 from fes.live.dashboard.state_buffer import StateBuffer
 from fes.live.status import Status
@@ -29,12 +29,12 @@ TRIES: Final = 2000
 FAREWELL_S: Final = 0.2
 
 
-def fresh() -> str:
+def new_token() -> str:
     """A token, a secret, an identifier."""
     return secrets.token_urlsafe(24)
 
 
-class PageProcess:
+class SessionLink:
     """The link to the session on one side, the server on the other."""
 
     def __init__(self, listening: socket.socket, link: socket.socket) -> None:
@@ -44,10 +44,10 @@ class PageProcess:
         self._port = int(listening.getsockname()[1])
         self._listening = listening
         self._url_file = Path(about.pop("url_file"))
-        self._access = Access(about.pop("token"), fresh)
-        self._board = StateBuffer()
+        self._access = Access(about.pop("token"), new_token)
+        self._buffer = StateBuffer()
         self._server = Server(
-            self._board, self._access, about, self._port, fresh, self.stop, self._order, self._entered
+            self._buffer, self._access, about, self._port, new_token, self.stop, self._send, self._write_next_link
         )
         self._web = uvicorn.Server(self._config())
         self._presses: deque[str] = deque(maxlen=PRESSES)
@@ -90,11 +90,11 @@ class PageProcess:
 
     def _hand_on(self, tries: int) -> None:
         """Now, and where the link is full, again until it is through."""
-        self._pending = not self._order(STOP) and tries > 0 and not self._board.ended
+        self._pending = not self._send(STOP) and tries > 0 and not self._buffer.ended
         if self._pending:
             asyncio.get_running_loop().call_later(AGAIN_S, self._hand_on, tries - 1)
 
-    def _order(self, message: bytes) -> bool:
+    def _send(self, message: bytes) -> bool:
         try:
             self._link.send(message)
         except OSError:
@@ -102,8 +102,8 @@ class PageProcess:
         return True
 
     def _hear(self) -> None:
-        """All that the session has sent; its end is the page's, after a word of farewell."""
-        while not self._board.ended:
+        """All that the session has sent; its end is the dashboard's, after a word of farewell."""
+        while not self._buffer.ended:
             try:
                 message = self._link.recv(LARGEST)
             except BlockingIOError:
@@ -111,17 +111,17 @@ class PageProcess:
             except OSError:
                 message = b""
             with suppress(ValueError):  # of another version: shown is what is understood
-                self._take(message)
+                self._receive(message)
         self._server.changed()
 
-    def _take(self, message: bytes) -> None:
+    def _receive(self, message: bytes) -> None:
         kind = message[:1]
         if kind == STATUS:
-            self._board.status(Status.decode(message[1:]), time.monotonic_ns())
+            self._buffer.status(Status.decode(message[1:]), time.monotonic_ns())
         elif kind == DETAIL:
-            self._board.detail(read_detail(message))
+            self._buffer.detail(read_detail(message))
         elif kind == END or not message:
-            self._board.end(message[1:].decode() or "The session's process has ended unexpectedly.")
+            self._buffer.end(message[1:].decode() or "The session's process has ended unexpectedly.")
             loop = asyncio.get_running_loop()
             loop.remove_reader(self._link.fileno())
             self._goodbye = loop.call_later(FAREWELL_S if self._server.browsers else 0.0, self._leave)
@@ -129,7 +129,7 @@ class PageProcess:
     def _leave(self) -> None:
         self._web.should_exit = True
 
-    def _entered(self) -> None:
+    def _write_next_link(self) -> None:
         """The link was used: the file holds the next one."""
         with suppress(OSError):
             write_link(self._url_file, link_address(self._port, self._access.token))
@@ -141,7 +141,7 @@ def main() -> int:
     os.umask(0o077)
     listening, link = (socket.socket(fileno=int(argument)) for argument in sys.argv[1:3])
     with link, listening:
-        asyncio.run(PageProcess(listening, link).run())
+        asyncio.run(SessionLink(listening, link).run())
     return 0
 
 

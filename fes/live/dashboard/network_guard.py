@@ -1,22 +1,11 @@
-"""In front of everything the page's server does: who may speak to it at all, and what browsers are told to forbid.
+"""In front of all that the dashboard's server does: who may speak to it, and what browsers are told to forbid.
 
 A name that an attacker points at 127.0.0.1 comes with that name as Host; another site's script comes with that site as
 Origin, and so does one on another port of this machine. Neither gets further than here. Nothing rests on cookies.
-
-The page's address, and the file that holds the newest link.
-
-Who may do what on the page: one-time links, the one browser that controls, confirmations. Pure: no clock, no I/O.
 """
 
 from __future__ import annotations
 
-import hmac
-import os
-from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
-from enum import StrEnum
-from pathlib import Path
 from typing import Final
 
 from starlette.datastructures import Headers, MutableHeaders
@@ -24,122 +13,8 @@ from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocketClose
 
-ADDRESS_LOOPBACK: Final = "127.0.0.1"
+from fes.live.dashboard.access import LOOPBACK
 
-
-def link_address(port: int, token: str) -> str:
-    """The address to open; what stands behind # never leaves the browser by itself."""
-    return f"http://{ADDRESS_LOOPBACK}:{port}/#{token}"
-
-
-def write_link(path: Path, address: str) -> None:
-    """Put the address into its file, for the owner only; who reads meanwhile gets the old one or the new one.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    new = path.with_suffix(".new")
-    descriptor = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        file.write(address + "\n")
-    new.replace(path)
-
-
-CONFIRM_WITHIN_NS: Final = 10_000_000_000
-EARLIER_KEPT: Final = 16
-
-
-class Role(StrEnum):
-    """What a browser may do beside stopping, which everybody may."""
-
-    NOBODY = "nobody"
-    WATCH = "watch"  # see, lower, pause
-    CONTROL = "control"  # also arm, raise and go on, each after a confirmation
-
-
-class Access:
-    """Links and the secrets that browsers got for them.
-
-    A link works once: its token buys a secret, and a new link is made. The newest secret controls; those before it go
-    on watching.
-
-    Args:
-        token: of the first link.
-        fresh: makes tokens and secrets.
-    """
-
-    def __init__(self, token: str, fresh: Callable[[], str]) -> None:
-        self.token = token
-        self._fresh = fresh
-        self._controls = ""
-        self._earlier: deque[str] = deque(maxlen=EARLIER_KEPT)
-
-    def enter(self, token: str) -> str:
-        """The secret for a link's token; "" where it is wrong or used up."""
-        if not _same(token, self.token):
-            return ""
-        self.token = self._fresh()
-        if self._controls:
-            self._earlier.append(self._controls)
-        self._controls = self._fresh()
-        return self._controls
-
-    def role(self, secret: str) -> Role:
-        """What the browser that holds this secret may do now."""
-        if _same(secret, self._controls):
-            return Role.CONTROL
-        watches = [_same(secret, earlier) for earlier in self._earlier]
-        return Role.WATCH if any(watches) else Role.NOBODY
-
-
-def _same(one: str, other: str) -> bool:
-    return bool(other) and hmac.compare_digest(one.encode(errors="replace"), other.encode())
-
-
-@dataclass(frozen=True, slots=True)
-class Situation:
-    """What a person saw when asked: the session's state, the intensity (0–1), how many stops there had been."""
-
-    state: str
-    intensity: float
-    stops: int = 0
-
-
-class Confirmations:
-    """One browser's open question: answered once, within ten seconds, and only while things are as they were.
-
-    Args:
-        fresh: makes identifiers.
-    """
-
-    def __init__(self, fresh: Callable[[], str]) -> None:
-        self._fresh = fresh
-        self._open: tuple[str, str, Situation, int] | None = None
-
-    def ask(self, what: str, situation: Situation, t_ns: int) -> str:
-        """A question's identifier; an earlier question is forgotten."""
-        identifier = self._fresh()
-        self._open = (identifier, what, situation, t_ns)
-        return identifier
-
-    def forget(self) -> None:
-        """The question is not open any more."""
-        self._open = None
-
-    def answer(self, identifier: str, situation: Situation, t_ns: int) -> tuple[str, str]:
-        """What was confirmed, or "" and why it was not."""
-        asked, self._open = self._open, None
-        if asked is None or not _same(identifier, asked[0]):
-            return "", "nothing was asked"
-        _, what, before, asked_ns = asked
-        if t_ns - asked_ns > CONFIRM_WITHIN_NS:
-            return "", "not confirmed within 10 s; nothing was done"
-        same = (before.state, before.stops) == (situation.state, situation.stops)
-        same = same and abs(before.intensity - situation.intensity) < 1e-6
-        return (what, "") if same else ("", "the session has changed meanwhile; nothing was done")
-
-
-LOOPBACK: Final = "127.0.0.1"
 NAMES: Final = (LOOPBACK, "localhost")
 READING: Final = frozenset(("GET", "HEAD"))
 

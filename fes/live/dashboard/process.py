@@ -1,7 +1,8 @@
-"""Starting and ending the page's process; its link, which is good for one browser once."""
+"""The dashboard's process as the session sees it: its link, starting and ending it, pressing its stop."""
 
 from __future__ import annotations
 
+import http.client
 import secrets
 import socket
 import subprocess
@@ -12,20 +13,21 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from fes.config import Session
+from fes.live.dashboard.access import LOOPBACK, link_address, write_link
 from fes.live.dashboard.frames import END, hello
-from fes.live.dashboard.network_guard import ADDRESS_LOOPBACK as LOOPBACK
-from fes.live.dashboard.network_guard import link_address, write_link
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.operator import INTENSITY_STEP
+from fes.live.processes import end_helper
 
 LINK_NAME: Final = "page.url"
-TROUBLE_NAME: Final = "page.log"
-OVER: Final = "The session has ended. Stimulation is off."
+ERRORS_NAME: Final = "page.log"
+FAREWELL: Final = "The session has ended. Stimulation is off."
 SLOW_MS: Final = 10_000
+ANSWER_WAIT_S: Final = 2.0
 
 
 def about_session(session: Session, mode: str) -> dict[str, Any]:
-    """What the page has to know before anything happens: channels, bounds. ``mode``: live or replay."""
+    """What the dashboard shows before anything happens: channels, bounds. ``mode``: live or replay."""
     return {
         "mode": mode,
         "name": session.name,
@@ -45,8 +47,26 @@ def about_session(session: Session, mode: str) -> dict[str, Any]:
     }
 
 
-class PageProcess:
-    """The page while entered. ``url`` opens it once; the file ``page.url`` in the folder always has the next link.
+def press_stop(port: int) -> None:
+    """Ask the dashboard on this port for an emergency stop; returns when its process has handed that on.
+
+    Raises:
+        OSError: nobody serves there, or it refuses.
+    """
+    connection = http.client.HTTPConnection(LOOPBACK, port, timeout=ANSWER_WAIT_S)
+    try:
+        connection.request("POST", "/stop", headers={"Origin": f"http://{LOOPBACK}:{port}"})
+        answer = connection.getresponse()
+        if answer.status != http.client.OK:
+            raise OSError(f"the dashboard answered {answer.status} {answer.read(200).decode(errors='replace')}")
+    except http.client.HTTPException as error:
+        raise OSError(f"the dashboard does not answer: {error}") from error
+    finally:
+        connection.close()
+
+
+class DashboardProcess:
+    """The dashboard while entered. ``url`` opens it once; the file ``page.url`` in the folder always has the next link.
 
     Args:
         about: see :func:`about_session`.
@@ -58,8 +78,8 @@ class PageProcess:
 
     def __init__(self, folder: Path, about: dict[str, Any], port: int = 0) -> None:
         token = secrets.token_urlsafe(24)
-        self.over = OVER
-        self._trouble = folder / TROUBLE_NAME
+        self.farewell = FAREWELL
+        self._errors = folder / ERRORS_NAME
         self._url_file = folder / LINK_NAME
         with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
             listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -71,18 +91,18 @@ class PageProcess:
             self.url = link_address(self.port, token)
             write_link(self._url_file, self.url)
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            with theirs, self._trouble.open("wb") as trouble:
+            with theirs, self._errors.open("wb") as errors:
                 self.process = subprocess.Popen(
                     [sys.executable, "-m", "fes.live.dashboard", str(listening.fileno()), str(theirs.fileno())],
                     pass_fds=(listening.fileno(), theirs.fileno()),
                     stdin=subprocess.DEVNULL,
-                    stdout=trouble,
-                    stderr=trouble,
+                    stdout=errors,
+                    stderr=errors,
                     start_new_session=True,
                 )
         # the token goes this way: a command line can be read by everybody on the machine
         ours.send(hello({**about, "token": token, "url_file": str(self._url_file.absolute())}))
-        self.feed = DashboardStream(ours)
+        self.stream = DashboardStream(ours)
 
     def __enter__(self) -> Self:
         return self
@@ -90,19 +110,8 @@ class PageProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        link = self.feed.link
-        try:
-            link.settimeout(0.5)
-            link.send(END + self.over.encode())
-        except OSError:
-            self.process.kill()  # it has ended, or does not read
-        try:
-            self.process.wait(3.0)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-        link.close()
+        end_helper(self.process, self.stream.link, END + self.farewell.encode(), 3.0)
         with suppress(OSError):
             self._url_file.unlink(missing_ok=True)
-            if not self._trouble.stat().st_size:
-                self._trouble.unlink()
+            if not self._errors.stat().st_size:
+                self._errors.unlink()

@@ -1,8 +1,4 @@
-"""The page's web server: a few files held in memory, one web socket per browser, and a stop that needs no more than one
-request.
-
-The loop's end of the way to the page: remembers what the log passes by, sends it with each status, never waits.
-"""
+"""The dashboard's web server: files held in memory, one web socket a browser, and a stop that needs one request."""
 
 from __future__ import annotations
 
@@ -21,8 +17,9 @@ from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from fes.live.dashboard.access import Access
 from fes.live.dashboard.message_handler import NAME, MessageHandler, Outcome
-from fes.live.dashboard.network_guard import Access, NetworkGuard
+from fes.live.dashboard.network_guard import NetworkGuard
 from fes.live.dashboard.state_buffer import StateBuffer
 from fes.live.status import Status
 
@@ -50,29 +47,30 @@ class Server:
     """The application, and the browsers that are connected.
 
     Args:
+        new_token: makes identifiers.
         stop: hands an emergency stop on, at once; it is given the press's name, which may be "".
-        order: hands another order on; False where that was not possible.
-        entered: called when a link has been used.
+        send: hands another command on; False where that was not possible.
+        on_link_used: called when a link has been used.
     """
 
     def __init__(
         self,
-        board: StateBuffer,
+        buffer: StateBuffer,
         access: Access,
         about: dict[str, Any],
         port: int,
-        fresh: Callable[[], str],
+        new_token: Callable[[], str],
         stop: Callable[[str], None],
-        order: Callable[[bytes], bool],
-        entered: Callable[[], None],
+        send: Callable[[bytes], bool],
+        on_link_used: Callable[[], None],
     ) -> None:
-        self._board = board
+        self._buffer = buffer
         self._access = access
         self._about = about
-        self._fresh = fresh
+        self._new_token = new_token
         self._stop = stop
-        self._order = order
-        self._entered = entered
+        self._send = send
+        self._on_link_used = on_link_used
         self._waiting: dict[WebSocket, asyncio.Event] = {}
         pages = [Route(path, _constant(answer), methods=["GET"]) for path, answer in assets().items()]
         self.app = Starlette(
@@ -86,7 +84,7 @@ class Server:
         return len(self._waiting)
 
     def changed(self) -> None:
-        """The board has something new."""
+        """The buffer has something new."""
         for event in self._waiting.values():
             event.set()
 
@@ -101,16 +99,16 @@ class Server:
             return
         await socket.accept()
         self._waiting[socket] = asyncio.Event()
-        desk = MessageHandler(self._access, self._about, self._newest, self._fresh)
+        handler = MessageHandler(self._access, self._about, self._newest, self._new_token)
         pushing: asyncio.Task[None] | None = None
         try:
             while True:
-                outcome = desk.take(await socket.receive_text(), time.monotonic_ns())
+                outcome = handler.handle(await socket.receive_text(), time.monotonic_ns())
                 if outcome.stop:
                     self._stop(outcome.press)
-                await self._follow(socket, outcome)
+                await self._answer(socket, outcome)
                 if outcome.reply and "hello" in outcome.reply and pushing is None:
-                    pushing = asyncio.create_task(self._push(socket, desk))
+                    pushing = asyncio.create_task(self._push(socket, handler))
         except (WebSocketDisconnect, RuntimeError, TimeoutError, KeyError):  # gone, or sent bytes: either way done
             pass
         finally:
@@ -118,16 +116,16 @@ class Server:
             if pushing is not None:
                 pushing.cancel()
 
-    async def _follow(self, socket: WebSocket, outcome: Outcome) -> None:
+    async def _answer(self, socket: WebSocket, outcome: Outcome) -> None:
         if outcome.entered:
-            self._entered()
+            self._on_link_used()
         reply = outcome.reply
-        if outcome.order and not self._order(outcome.order):
+        if outcome.command and not self._send(outcome.command):
             reply = {"said": "the session does not take it now; not done"}
         if reply is not None:
             await asyncio.wait_for(socket.send_text(json.dumps(reply)), SLOW_S)
 
-    async def _push(self, socket: WebSocket, desk: MessageHandler) -> None:
+    async def _push(self, socket: WebSocket, handler: MessageHandler) -> None:
         """Frames to one browser, each when the one before has been taken; what it missed is in the next."""
         changed, seen = self._waiting[socket], 0
         with suppress(WebSocketDisconnect, RuntimeError, TimeoutError, OSError):
@@ -135,19 +133,19 @@ class Server:
                 with suppress(TimeoutError):
                     await asyncio.wait_for(changed.wait(), KEEP_ALIVE_S)
                 changed.clear()
-                number = self._board.number
-                frame = self._board.since(seen, time.monotonic_ns())
-                frame |= {"role": desk.role, "browsers": len(self._waiting)}
+                number = self._buffer.number
+                frame = self._buffer.since(seen, time.monotonic_ns())
+                frame |= {"role": handler.role, "browsers": len(self._waiting)}
                 await asyncio.wait_for(socket.send_text(json.dumps(frame)), SLOW_S)
                 seen = number
 
     def _newest(self, t_ns: int) -> tuple[Status | None, int]:
-        heard_ns = self._board.heard_ns
-        return self._board.newest, 0 if heard_ns is None else t_ns - heard_ns
+        heard_ns = self._buffer.heard_ns
+        return self._buffer.newest, 0 if heard_ns is None else t_ns - heard_ns
 
 
 def _constant(answer: Response) -> Callable[[Request], Response]:
-    def give(request: Request) -> Response:
+    def answer_with(request: Request) -> Response:
         return Response(answer.body, media_type=answer.media_type)
 
-    return give
+    return answer_with

@@ -1,13 +1,11 @@
-"""What the page's process knows of the session: the newest of everything, in rings, handed on since a number. Pure."""
+"""What the dashboard's process knows of the session: the newest of everything, handed on since a number."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from fes.live.dashboard.frames import Detail
 from fes.live.status import Status
 
 LEVELS: Final = 4096  # ten seconds of eight channels at 50 Hz
@@ -29,13 +27,8 @@ class StateBuffer:
         self.ended = ""
         self.origin_ns: int | None = None
         self.number = 0
-        self._rings: dict[str, deque[tuple[int, Any]]] = {
-            "sent": deque(maxlen=LEVELS),
-            "answered": deque(maxlen=LEVELS),
-            "phases": deque(maxlen=PHASES),
-            "strides": deque(maxlen=STRIDES),
-            "notes": deque(maxlen=NOTES),
-        }
+        kept = {"sent": LEVELS, "answered": LEVELS, "phases": PHASES, "strides": STRIDES, "notes": NOTES}
+        self._rings: dict[str, deque[tuple[int, Any]]] = {name: deque(maxlen=most) for name, most in kept.items()}
 
     def status(self, status: Status, heard_ns: int) -> None:
         """The newest status, and when it came."""
@@ -44,15 +37,15 @@ class StateBuffer:
         self.newest = status
         self.heard_ns = heard_ns
 
-    def detail(self, detail: Detail) -> None:
-        """What has happened."""
+    def detail(self, happened: Mapping[str, Sequence[Any]]) -> None:
+        """What has happened; see :func:`fes.live.dashboard.frames.read_detail`."""
         self.number += 1
-        for name in ("sent", "answered", "phases", "notes"):
-            self._keep(name, [[self._ms(t_ns), *rest] for t_ns, *rest in getattr(detail, name)])
-        for stride in detail.strides:
-            shown = asdict(stride)
-            shown["t_ms"] = self._ms(shown.pop("t_end_ns"))
-            self._keep("strides", [shown])
+        for name, values in happened.items():
+            if name == "strides":
+                shown = [stride | {"t_ms": self._ms(stride.pop("t_end_ns"))} for stride in values]
+            else:
+                shown = [[self._ms(t_ns), *rest] for t_ns, *rest in values]
+            self._rings[name].extend((self.number, value) for value in shown)
 
     def end(self, why: str) -> None:
         """The session is over."""
@@ -60,18 +53,17 @@ class StateBuffer:
 
     def since(self, number: int, now_ns: int) -> dict[str, Any]:
         """A frame: all that came after ``number``, and the newest status with its age."""
-        found: dict[str, Any] = {
-            name: fresh for name, ring in self._rings.items() if (fresh := [value for at, value in ring if at > number])
+        frame: dict[str, Any] = {
+            name: fresh
+            for name, ring in self._rings.items()
+            if (fresh := [value for number_of, value in ring if number_of > number])
         }
         if self.newest is not None and self.heard_ns is not None:
-            found["status"] = self.newest.plain() | {"t_ms": self._ms(self.newest.t_ns)}
-            found["age_ms"] = round((now_ns - self.heard_ns) / NS_PER_MS)
+            frame["status"] = self.newest.plain() | {"t_ms": self._ms(self.newest.t_ns)}
+            frame["age_ms"] = round((now_ns - self.heard_ns) / NS_PER_MS)
         if self.ended:
-            found["ended"] = self.ended
-        return found
-
-    def _keep(self, name: str, values: Sequence[Any]) -> None:
-        self._rings[name].extend((self.number, value) for value in values)
+            frame["ended"] = self.ended
+        return frame
 
     def _ms(self, t_ns: int) -> float:
         return round((t_ns - (self.origin_ns or 0)) / NS_PER_MS, 1)

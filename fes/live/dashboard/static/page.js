@@ -115,7 +115,7 @@ function draw() {
   alarm(blind);
   write($("link-text"), view.role === "control" ? "this page controls" : view.role === "watch" ? "this page watches" : "no valid link");
   document.body.classList.toggle("watching", view.role === "watch");
-  write($("message"), view.said || [status?.message, ...(status?.remarks ?? []).map((each) => `! ${each}`)].filter(Boolean).join(" · "));
+  write($("message"), view.said || [status?.message, ...(status?.notices ?? []).map((each) => `! ${each}`)].filter(Boolean).join(" · "));
   write($("intensity"), status ? percent(status.intensity) : "–");
   buttons(status, Boolean(blind || view.ended));
 }

@@ -1,4 +1,4 @@
-"""``fes replay --page``: a recording, or a session log, played to a browser."""
+"""``fes replay --dashboard``: a recording, or a session log, played to a browser."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import click
 from fes.cli.common.exits import INTERRUPTED, fail
 from fes.cli.common.progress import Interrupt
 from fes.cli.replay.log import Collected, LoggedSink
-from fes.cli.run.page import about_session, open_page
+from fes.cli.run.dashboard import open_dashboard
 from fes.config import ConfigError, Session
 from fes.control.controller import CURRENT_STEP_MA, Controller
 from fes.control.replay import settings_of
@@ -22,16 +22,16 @@ from fes.control.sources import paced
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.gate import SafetyGate, gate_of
-from fes.live.dashboard.replay import ShownLog, StoppableClock
+from fes.live.dashboard.replay import ReplayLog, StoppableClock
 from fes.session_log import Note, SessionLogError, iter_events, read_session
 from fes.signals import Event, StimOpened
 
 
-class Stage:
-    """The page of a replay: ``log`` for its loop, ``clock`` to pace it by; :meth:`tell` after every event.
+class ReplayDashboard:
+    """The dashboard of a replay: ``log`` for its loop, ``clock`` to pace it by; :meth:`publish` after every event.
 
     Raises:
-        Problem: no page can be served.
+        Problem: it cannot be served.
     """
 
     def __init__(
@@ -46,35 +46,36 @@ class Stage:
         port: int,
     ) -> None:
         self._stack = ExitStack()
-        self._page = open_page(folder, about_session(session, "replay"), port, self._stack)
+        self._process = open_dashboard(folder, session, "replay", port, self._stack)
         recording = header.get("recording", {})
         rates_hz = {name: rate for name, rate in recording.get("rates_hz", {}).items() if name in calibrations}
         belt_mps = session.treadmill.belt_speed_mps if session.treadmill else recording.get("belt_speed_mps")
-        self.log = ShownLog(log, self._page.feed, controller, gate, rates_hz, phase_sensors(calibrations), belt_mps)
-        self.clock = StoppableClock(self._page.feed, self._stopped)
+        stream = self._process.stream
+        self.log = ReplayLog(log, stream, controller, gate, rates_hz, phase_sensors(calibrations), belt_mps)
+        self.clock = StoppableClock(stream, self._stopped)
         self._t_ns = 0
 
-    def tell(self, t_ns: int) -> None:
+    def publish(self, t_ns: int) -> None:
         """Show what there is to show at the recording's time ``t_ns``."""
         self._t_ns = t_ns
-        self.log.tell(t_ns, time.monotonic_ns())
+        self.log.publish(t_ns, time.monotonic_ns())
 
     def close(self, ended: str) -> None:
-        """End the page; ``ended`` says how the replay did."""
-        self.log.tell(self._t_ns, time.monotonic_ns(), last=True)
-        self._page.over = f"The replay has ended: {ended}."
+        """End the dashboard; ``ended`` says how the replay did."""
+        self.log.publish(self._t_ns, time.monotonic_ns(), last=True)
+        self._process.farewell = f"The replay has ended: {ended}."
         self._stack.close()
 
     def _stopped(self) -> None:
-        self.log.note(Note(self._t_ns, "warning", "page", "stopped on the page"))
+        self.log.note(Note(self._t_ns, "warning", "dashboard", "stopped on the dashboard"))
 
 
 def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
-    """Play a session log's events to a page, ``speed`` times as fast as they came; nothing is stimulated.
+    """Play a session log's events to a dashboard, ``speed`` times as fast as they came; nothing is stimulated.
 
     Raises:
-        Problem: the log cannot be read, or no page can be served.
-        SystemExit: stopped on the page, or interrupted.
+        Problem: the log cannot be read, or no dashboard can be served.
+        SystemExit: stopped on the dashboard, or interrupted.
     """
     try:
         record = read_session(path)
@@ -88,24 +89,24 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
     gate = gate_of(session, up, shank_phase_sensors(calibrations), step_ma)
     controller = Controller(session, calibrations, current_step_ma=step_ma)
     warm_up()
-    stage = Stage(folder, session, calibrations, record.header, Collected(), controller, gate, port)
+    shown = ReplayDashboard(folder, session, calibrations, record.header, Collected(), controller, gate, port)
     sink = LoggedSink(session_id, [])
-    runner = Runner(controller, gate, sink, stage.log, time.perf_counter_ns)
+    runner = Runner(controller, gate, sink, shown.log, time.perf_counter_ns)
     ended = "interrupted"
     try:
         with Interrupt() as interrupt:
 
             def after(event: Event) -> None:
-                stage.tell(event.t_ns)
+                shown.publish(event.t_ns)
                 interrupt.check()
 
-            runner.run(_opening(paced(iter_events(path), stage.clock, speed), sink), after)
+            runner.run(_opening(paced(iter_events(path), shown.clock, speed), sink), after)
         ended = "complete"
     except KeyboardInterrupt:
         click.secho("Interrupted: the log was not played to its end, and not checked.", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED) from None
     finally:
-        stage.close(ended)
+        shown.close(ended)
 
 
 def _opening(events: Iterable[Event], sink: LoggedSink) -> Iterable[Event]:

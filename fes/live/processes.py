@@ -1,0 +1,89 @@
+"""Helper processes: started and ended by the session; each ends with the one that started it, however that went."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from types import TracebackType
+from typing import Final, Self
+
+LOOK_EVERY_S: Final = 0.25
+STUCK_S: Final = 0.5  # what is still busy so long after the parent's death is stuck in a write that nobody reads
+_PR_SET_PDEATHSIG: Final = 1
+
+
+def orphaned(parent: int) -> bool:
+    """Whether the process that started this one is gone; asked at least every :data:`LOOK_EVERY_S`."""
+    return os.getppid() != parent
+
+
+def end_with(parent: int) -> None:
+    """Where the system tells of a parent's death, half a second later end even in the middle of a write.
+
+    :func:`orphaned` alone does not see it while this process waits for a terminal that is held up.
+    """
+    _once_orphaned(parent, lambda: signal.setitimer(signal.ITIMER_REAL, STUCK_S))  # SIGALRM, left as it is, ends it
+
+
+def interrupted_with(parent: int) -> None:
+    """Where the system tells of a parent's death, be interrupted by it as by SIGTERM: in order, all switched off."""
+    _once_orphaned(parent, lambda: signal.raise_signal(signal.SIGTERM))
+
+
+def _once_orphaned(parent: int, act: Callable[[], object]) -> None:
+    """Linux tells of it by a signal; by SIGCONT, for one that is stopped would never hear of another."""
+
+    def check(number: int, frame: object) -> None:
+        if orphaned(parent):
+            act()
+
+    signal.signal(signal.SIGCONT, check)
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGCONT), 0, 0, 0)
+    check(0, None)  # it may have died before it was asked for
+
+
+def end_helper(process: subprocess.Popen[bytes], link: socket.socket, farewell: bytes, wait_s: float) -> None:
+    """Say over the link that the session is over; kill the process if it does not read, or not end in time."""
+    try:
+        link.settimeout(0.5)
+        link.send(farewell)
+    except OSError:
+        process.kill()  # it has ended, or does not read
+    try:
+        process.wait(wait_s)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+    link.close()
+
+
+class ViewProcess:
+    """The terminal view while entered; ``link`` takes status datagrams and never blocks."""
+
+    def __init__(self) -> None:
+        self.link, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.link.setblocking(False)
+        try:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "fes.live.terminal_view", str(theirs.fileno()), str(os.getpid())],
+                pass_fds=(theirs.fileno(),),
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        finally:
+            theirs.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        end_helper(self.process, self.link, b"", 2.0)
