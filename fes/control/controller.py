@@ -125,7 +125,7 @@ class Controller:
             else:
                 permitted = judge.on_phase(outcome)
                 fallback = self._fallbacks.get(foot)
-                if fallback is not None and not fallback.sensor(outcome):
+                if fallback is not None and not fallback.follows_sensor(outcome):
                     continue
                 # stimulation keeps to the host's clock, whatever the sensor's does
                 change = PhaseChange(sample.t_ns, foot, outcome.transition, outcome.source, outcome.destination)
@@ -134,7 +134,7 @@ class Controller:
     def _fall_back(self, event: Event) -> None:
         """What the foot switches say, where the sensors tell no steps."""
         for fallback in self._fallbacks.values():
-            for change in fallback.take(event):
+            for change in fallback.changes_at(event):
                 self._plan.on_phase(change, permitted=True)
 
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:

@@ -67,8 +67,8 @@ def _channel_status(tuning: Tuners, number: int) -> TuningStatus:
     )
     if tuner is None:
         return charge
-    texts = {kind: report.text for (channel, kind), report in tuning.said.items() if channel == number}
-    changes = [tuning.said[number, kind] for kind in ("change", "roll_back") if (number, kind) in tuning.said]
+    texts = {kind: report.text for (channel, kind), report in tuning.latest.items() if channel == number}
+    changes = [tuning.latest[number, kind] for kind in ("change", "roll_back") if (number, kind) in tuning.latest]
     newest = max(changes, key=lambda report: report.t_ns, default=None)
     return replace(
         charge,

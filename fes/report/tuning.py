@@ -82,7 +82,7 @@ def dose_rows(record: SessionRecord, settings: Session | None, origin_ns: int) -
         while closed < len(strides) and strides[closed].t_end_ns < status.t_ns:
             _close(ledger, feet, strides[closed].foot, strides[closed].t_start_ns, strides[closed].t_end_ns, origin_ns)
             closed += 1
-        ledger.take(_since(status, origin_ns))
+        ledger.book(_since(status, origin_ns))
     for stride in strides[closed:]:
         _close(ledger, feet, stride.foot, stride.t_start_ns, stride.t_end_ns, origin_ns)
     return tuple(_row(dose, names) for _, dose in sorted(ledger.electrodes.items()) if dose.session_uc > 0.0)

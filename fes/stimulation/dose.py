@@ -18,9 +18,7 @@ from fes.signals import NS_PER_S, StimStatus
 
 KEPT_NS: Final = 30 * NS_PER_S  # of single bookings; a stride is closed within 20 s
 MINUTE_NS: Final = 60 * NS_PER_S
-LONGEST_HOLD_NS: Final = (
-    2 * NS_PER_S
-)  # an answer stands until the next; longer no device goes on (P24 mid level's watchdog)
+LONGEST_HOLD_NS: Final = 2 * NS_PER_S  # an answer stands until the next; longer no device goes on (P24's watchdog)
 WINDOW: Final = 10  # stimulated strides whose median counts
 SETTLING: Final = 20  # strides in which people still lift the leg as they did without stimulation, less and less
 LEAST_M: Final = 0.004  # clearance is measured to some millimetres: less that is missing tells nothing
@@ -52,7 +50,7 @@ class ElectrodeDose:
     _first: tuple[float, float] | None = field(default=None, repr=False)
     _hinted: float = field(default=1.0, repr=False)
 
-    def take(self, status: StimStatus) -> None:
+    def book(self, status: StimStatus) -> None:
         """Book one answer of the stimulator."""
         charge_uc, pulses = status.charge_uc, status.pulses
         self._counts = self._counts or pulses > 0  # between two pulses such a device counts none: that is no estimate
@@ -100,7 +98,7 @@ class ElectrodeDose:
         return charge_uc
 
     def respond(self, response: float, charge_uc: float, intensity: float = 1.0) -> str:
-        """Note what a step's charge achieved; a hint in words when the response per charge has fallen, else "".
+        """Note what a step's charge achieved; a hint when the response per charge has fallen, else "".
 
         Args:
             response: what the foot did (the tuner's measure), m, greater being more; not-a-number is passed over.
@@ -162,12 +160,12 @@ class DoseLedger:
     def __init__(self, channels: Iterable[int]) -> None:
         self.electrodes = {number: ElectrodeDose(number) for number in channels}
 
-    def take(self, status: StimStatus) -> None:
+    def book(self, status: StimStatus) -> None:
         """Book one answer of the stimulator."""
         dose = self.electrodes.get(status.channel)
         if dose is None:
             dose = self.electrodes[status.channel] = ElectrodeDose(status.channel)
-        dose.take(status)
+        dose.book(status)
 
     def to_dict(self) -> dict[str, Any]:
         """All channels, by number, for summaries and reports."""

@@ -40,7 +40,7 @@ class Envelope:
         self.t_fall_ns = latest_ns if self.t_stop_ns is None else min(self.t_stop_ns + self.extension_ns, latest_ns)
 
     @classmethod
-    def of(
+    def for_channel(
         cls,
         channel: Channel,
         t_start_ns: int,

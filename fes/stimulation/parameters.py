@@ -24,7 +24,7 @@ class BurstParameters:
     widths_us: tuple[float, ...]
 
     @classmethod
-    def of(cls, channel: Channel) -> BurstParameters:
+    def for_channel(cls, channel: Channel) -> BurstParameters:
         """As the session has them."""
         return cls(channel.current_ma, channel.start_delay_s, channel.extension_s, (channel.pulse_width_us,) * BINS)
 

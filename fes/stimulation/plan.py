@@ -1,6 +1,6 @@
 """Which current, when: gait phases become bursts of stimulation, one envelope per channel.
 
-How one channel's burst comes and goes, after the trapezoid of the drop-foot stimulators:
+A burst comes and goes after the trapezoid of the drop-foot stimulators:
 
 - the foot enters ``start_phase``, and stimulation is permitted: a burst starts ``start_delay_s`` later;
 - it enters ``stop_phase``: the burst goes on for ``extension_s`` and then falls; one not yet started is dropped;
@@ -31,7 +31,7 @@ EXPECTED_FROM = 3  # strides; the longest of their times counts, for to end late
 
 
 @dataclass(slots=True, eq=False)
-class _Line:
+class _ChannelState:
     """One channel and where it stands; ``on`` and ``off_since_ns`` are what was last requested and since when.
 
     ``by_hand_ns`` is how long a burst asked for by hand lasts before it falls; one to ``adopt`` passes to the phases.
@@ -47,7 +47,7 @@ class _Line:
     before: Phase
     upcoming: BurstParameters
     taken: BurstParameters
-    partners: tuple[_Line, ...] = ()
+    partners: tuple[_ChannelState, ...] = ()
     awaited_ns: int | None = None
     burst: Envelope | None = None
     steady: Envelope | None = None
@@ -99,70 +99,70 @@ class StimulationPlan:
     ) -> None:
         self._current_step_ma = current_step_ma
         self._pulse_width_step_us = pulse_width_step_us
-        self._lines = tuple(_line(channel) for channel in channels)
+        self._states = tuple(_state_of(channel) for channel in channels)
         self._asked_ns: int | None = None
-        for line in self._lines:
-            line.partners = tuple(other for other in self._lines if _exclusive(line.channel, other.channel))
+        for state in self._states:
+            state.partners = tuple(other for other in self._states if _exclusive(state.channel, other.channel))
 
     def on_phase(self, change: PhaseChange, *, permitted: bool) -> None:
         """A foot changed phase. Without ``permitted`` no burst starts with this entry, nor later in the same cycle."""
-        for line in self._lines:
-            if line.channel.foot != change.foot:
+        for state in self._states:
+            if state.channel.foot != change.foot:
                 continue
-            line.note(change)
+            state.note(change)
             lost = change.transition == LOST
-            if lost or change.destination not in line.run:
-                line.awaited_ns, line.burst = None, None
-            elif change.destination == line.start:
-                if line.adopt and line.burst is not None and not line.burst.falls(change.t_ns):
-                    line.burst = line.burst.unstopped()
+            if lost or change.destination not in state.run:
+                state.awaited_ns, state.burst = None, None
+            elif change.destination == state.start:
+                if state.adopt and state.burst is not None and not state.burst.falls(change.t_ns):
+                    state.burst = state.burst.unstopped()
                 else:
-                    line.burst, line.taken = None, line.upcoming
-                    line.awaited_ns = change.t_ns + to_ns(line.taken.start_delay_s) if permitted else None
-                line.by_hand_ns, line.adopt = None, False
-            elif change.destination == line.stop:
-                line.awaited_ns = None
-                line.burst = line.burst.stopped(change.t_ns) if line.burst else None
-            if line.burst is not None and change.destination == line.before:
-                line.burst = line.burst.due(line.due_ns())
+                    state.burst, state.taken = None, state.upcoming
+                    state.awaited_ns = change.t_ns + to_ns(state.taken.start_delay_s) if permitted else None
+                state.by_hand_ns, state.adopt = None, False
+            elif change.destination == state.stop:
+                state.awaited_ns = None
+                state.burst = state.burst.stopped(change.t_ns) if state.burst else None
+            if state.burst is not None and change.destination == state.before:
+                state.burst = state.burst.due(state.due_ns())
 
     def start(self, number: float, t_ns: int, hold_ns: int, *, adopt: bool) -> None:
         """Start a burst of one channel by hand; it falls after ``hold_ns``, and what the foot does may end it sooner.
 
         With ``adopt`` a foot that enters the start phase meanwhile makes it the burst of its step.
         """
-        for line in self._lines:
-            if line.channel.number == number and line.burst is None:
-                line.awaited_ns, line.by_hand_ns, line.adopt = t_ns, hold_ns, adopt
-                line.taken = line.upcoming
+        for state in self._states:
+            if state.channel.number == number and state.burst is None:
+                state.awaited_ns, state.by_hand_ns, state.adopt = t_ns, hold_ns, adopt
+                state.taken = state.upcoming
 
     def set_parameters(self, number: int, parameters: BurstParameters) -> None:
         """What one channel's bursts are to have from the next entry into its start phase on; no burst changes."""
-        for line in self._lines:
-            if line.channel.number == number:
-                line.upcoming = parameters
+        for state in self._states:
+            if state.channel.number == number:
+                state.upcoming = parameters
 
     def cancel(self, foot: str | None = None) -> None:
         """End every burst of a foot (None: of both) at once; the next entry into a start phase may start another."""
-        for line in self._lines:
-            if foot in (None, line.channel.foot):
-                line.awaited_ns, line.burst = None, None
+        for state in self._states:
+            if foot in (None, state.channel.foot):
+                state.awaited_ns, state.burst = None, None
 
     def due(self, t_ns: int, intensity: float) -> bool:
         """Whether a channel would go on or off now, against what :meth:`requests` last said; changes nothing.
 
         Lets the controller send at once at such a moment and otherwise keep to its command period.
         """
-        for line in self._lines:
-            burst = line.burst
+        for state in self._states:
+            burst = state.burst
             # the usual cases, at every sample: nothing to come, what starts now and has no current yet, what goes on
             if burst is None:
-                if not line.on and line.awaited_ns in (None, t_ns):
+                if not state.on and state.awaited_ns in (None, t_ns):
                     continue
-            elif line.on and burst is line.steady and t_ns < line.steady_ns and intensity >= burst.intensity:
+            elif state.on and burst is state.steady and t_ns < state.steady_ns and intensity >= burst.intensity:
                 continue
-            burst = self._burst(line, t_ns, intensity)
-            if (burst is not None and self._is_on(burst, t_ns)) != line.on:
+            burst = self._burst(state, t_ns, intensity)
+            if (burst is not None and self._is_on(burst, t_ns)) != state.on:
                 return True
         return False
 
@@ -173,45 +173,47 @@ class StimulationPlan:
             t_ns: now; no earlier than in any call before.
             intensity: the operator's setting, 0–1; anything else is clipped, not-a-number is 0.
         """
-        requests = tuple([self._commit(line, t_ns, intensity) for line in self._lines])
+        requests = tuple([self._commit(state, t_ns, intensity) for state in self._states])
         self._asked_ns = t_ns
         return requests
 
-    def _commit(self, line: _Line, t_ns: int, intensity: float) -> StimRequest:
-        burst, pulse = self._burst(line, t_ns, intensity), None
+    def _commit(self, state: _ChannelState, t_ns: int, intensity: float) -> StimRequest:
+        burst, pulse = self._burst(state, t_ns, intensity), None
         if burst is not None:
-            line.awaited_ns = None
-            if burst is not line.steady:
-                line.steady, line.steady_ns = burst, burst.steady_until_ns(self._pulse_width_step_us)
+            state.awaited_ns = None
+            if burst is not state.steady:
+                state.steady, state.steady_ns = burst, burst.steady_until_ns(self._pulse_width_step_us)
             pulse = self._pulse(burst, t_ns)
-            if pulse is None and (line.on or burst.over(t_ns)):
+            if pulse is None and (state.on or burst.over(t_ns)):
                 burst = None
-        if line.on and pulse is None:
-            line.off_since_ns = t_ns
-        line.burst, line.on = burst, pulse is not None
-        number = line.channel.number
+        if state.on and pulse is None:
+            state.off_since_ns = t_ns
+        state.burst, state.on = burst, pulse is not None
+        number = state.channel.number
         return StimRequest(number, False) if pulse is None else StimRequest(number, True, *pulse)
 
-    def _burst(self, line: _Line, t_ns: int, intensity: float) -> Envelope | None:
+    def _burst(self, state: _ChannelState, t_ns: int, intensity: float) -> Envelope | None:
         """The burst under way, or the awaited one if it can start by now."""
         intensity = min(intensity, 1.0) if intensity > 0.0 else 0.0
-        if line.burst is not None:
-            return line.burst.dimmed(intensity)
-        if line.awaited_ns is None or line.on:
+        if state.burst is not None:
+            return state.burst.dimmed(intensity)
+        if state.awaited_ns is None or state.on:
             return None
-        for other in line.partners:
+        for other in state.partners:
             if other.on or other.burst is not None:
                 return None
-        t_start_ns = line.awaited_ns
+        t_start_ns = state.awaited_ns
         if self._asked_ns is not None:  # the rise counts from the last command, at which the channel was off
             t_start_ns = max(t_start_ns, self._asked_ns)
-        if line.off_since_ns is not None:
-            t_start_ns = max(t_start_ns, line.off_since_ns + to_ns(line.channel.limits.min_off_s))
-        if t_start_ns > t_ns or t_start_ns - line.awaited_ns > LATEST_NS:
+        if state.off_since_ns is not None:
+            t_start_ns = max(t_start_ns, state.off_since_ns + to_ns(state.channel.limits.min_off_s))
+        if t_start_ns > t_ns or t_start_ns - state.awaited_ns > LATEST_NS:
             return None
-        if line.by_hand_ns is not None:
-            return Envelope.of(line.channel, t_start_ns, intensity, line.taken).stopped(t_start_ns + line.by_hand_ns)
-        return Envelope.of(line.channel, t_start_ns, intensity, line.taken, line.due_ns())
+        if state.by_hand_ns is not None:
+            return Envelope.for_channel(state.channel, t_start_ns, intensity, state.taken).stopped(
+                t_start_ns + state.by_hand_ns
+            )
+        return Envelope.for_channel(state.channel, t_start_ns, intensity, state.taken, state.due_ns())
 
     def _is_on(self, burst: Envelope, t_ns: int) -> bool:
         """Whether :meth:`_pulse` is not None: nothing of it is less than the device's step."""
@@ -231,12 +233,12 @@ class StimulationPlan:
         return current_ma, pulse_width_us, frequency_hz
 
 
-def _line(channel: Channel) -> _Line:
+def _state_of(channel: Channel) -> _ChannelState:
     first = PHASE_ORDER.index(channel.start_phase)
     length = (PHASE_ORDER.index(channel.stop_phase) - first) % len(PHASE_ORDER) + 1
     run = [Phase[PHASE_ORDER[(first + i) % len(PHASE_ORDER)].upper()] for i in range(length)]
-    own = BurstParameters.of(channel)
-    return _Line(channel, run[0], run[-1], frozenset(run), run[-2], own, own)
+    own = BurstParameters.for_channel(channel)
+    return _ChannelState(channel, run[0], run[-1], frozenset(run), run[-2], own, own)
 
 
 def _exclusive(one: Channel, other: Channel) -> bool:

@@ -1,8 +1,8 @@
-"""A foot switch as the trigger's fallback: it times bursts while the sensor's side tells no steps. Pure, causal.
+"""A foot switch as the trigger's fallback: it times bursts while the sensor's side shows no steps. Pure, causal.
 
 The switch opens when the foot is lifted and closes when it lands. Once it has gone through two cycles of walking while
-the sensor told no swing, its changes stand for the phases; the sensor's first swing takes over again, and a switch that
-falls silent ends what it began. The gate judges as ever: without fresh data from the sensor there is no current,
+the sensor showed no swing, its changes stand for the phases; the sensor's first swing takes over again, and a switch
+that falls silent ends what it began. The gate judges as ever: without fresh data from the sensor there is no current,
 whatever the switch says.
 """
 
@@ -33,14 +33,14 @@ class SwitchFallback:
         """Whether the switch times the bursts."""
         return self._cycles >= CYCLES
 
-    def sensor(self, change: PhaseChange) -> bool:
-        """The sensor told a phase; returns whether the plan is to follow it."""
+    def follows_sensor(self, change: PhaseChange) -> bool:
+        """The sensor's side changed phase; whether the plan is to follow it."""
         if change.destination is Phase.SWING:
             self._cycles = 0
         return not self.active or change.transition is Transition.NONE
 
-    def take(self, event: Event) -> list[PhaseChange]:
-        """What the plan is to follow instead; nothing while the sensor's side tells steps."""
+    def changes_at(self, event: Event) -> list[PhaseChange]:
+        """What the plan is to follow instead at this event; nothing while the sensor's side shows steps."""
         t_ns = event.t_ns
         changes: list[PhaseChange] = []
         if self._landed_ns is not None and t_ns - self._landed_ns >= LOADING_NS:

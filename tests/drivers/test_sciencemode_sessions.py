@@ -120,7 +120,7 @@ def test_the_dose_ledger_books_the_charge_that_the_device_delivered(kind: str, c
     pulses, statuses, _ = deliver(kind, commands, 500 * MS)
     ledger = DoseLedger([0])
     for status in statuses:
-        ledger.take(status)
+        ledger.book(status)
     delivered_uc = sum(1e-3 * pulse.current_ma * pulse.pulse_width_us for pulse in pulses)
     booked = ledger.electrodes[0]
     assert booked.estimated == (kind == "mid")

@@ -67,13 +67,13 @@ def test_after_a_silence_it_is_believed_after_two_cycles_again() -> None:
     fallback = SwitchFallback(FOOT)
 
     def released(at_ms: int) -> list[PhaseChange]:
-        fallback.take(FootSwitchEvent((at_ms - STRIDE_MS // 2) * MS, FOOT, True))
-        return fallback.take(FootSwitchEvent(at_ms * MS, FOOT, False))
+        fallback.changes_at(FootSwitchEvent((at_ms - STRIDE_MS // 2) * MS, FOOT, True))
+        return fallback.changes_at(FootSwitchEvent(at_ms * MS, FOOT, False))
 
     assert [bool(released(cycle * STRIDE_MS)) for cycle in range(1, 5)] == [False, False, True, True]
-    (lost,) = fallback.take(FootSwitchEvent(5000 * MS, FOOT, None))
+    (lost,) = fallback.changes_at(FootSwitchEvent(5000 * MS, FOOT, None))
     assert lost.transition is Transition.NONE
-    assert fallback.take(FootSwitchEvent(5100 * MS, FOOT, None)) == []  # the sensor's bursts are not its to end
+    assert fallback.changes_at(FootSwitchEvent(5100 * MS, FOOT, None)) == []  # the sensor's bursts are not its to end
     assert [bool(released(6000 + cycle * STRIDE_MS)) for cycle in range(1, 5)] == [False, False, True, True]
 
 
@@ -94,23 +94,23 @@ def test_the_sensors_first_swing_takes_over_again() -> None:
     fallback = SwitchFallback(FOOT)
     for cycle in range(4):
         at_ns = cycle * STRIDE_MS * MS
-        fallback.take(FootSwitchEvent(at_ns, FOOT, False))
-        fallback.take(FootSwitchEvent(at_ns + SWING_MS * MS, FOOT, True))
+        fallback.changes_at(FootSwitchEvent(at_ns, FOOT, False))
+        fallback.changes_at(FootSwitchEvent(at_ns + SWING_MS * MS, FOOT, True))
     assert fallback.active
     lifted = PhaseChange(5000 * MS, FOOT, Transition.T1, Phase.STANCE, Phase.PRE_SWING)
     swing = PhaseChange(5100 * MS, FOOT, Transition.T2, Phase.PRE_SWING, Phase.SWING)
-    assert not fallback.sensor(lifted)
-    assert fallback.sensor(swing)
+    assert not fallback.follows_sensor(lifted)
+    assert fallback.follows_sensor(swing)
     assert not fallback.active
-    assert fallback.take(FootSwitchEvent(5200 * MS, FOOT, True)) == []
+    assert fallback.changes_at(FootSwitchEvent(5200 * MS, FOOT, True)) == []
 
 
 def test_a_switch_that_chatters_or_stands_is_not_believed() -> None:
     fallback = SwitchFallback(FOOT)
     for number in range(50):
-        fallback.take(FootSwitchEvent(number * 40 * MS, FOOT, bool(number % 2)))
+        fallback.changes_at(FootSwitchEvent(number * 40 * MS, FOOT, bool(number % 2)))
     assert not fallback.active
     slow = SwitchFallback(FOOT)
     for number in range(6):
-        slow.take(FootSwitchEvent(number * 3500 * MS, FOOT, False))
+        slow.changes_at(FootSwitchEvent(number * 3500 * MS, FOOT, False))
     assert not slow.active

@@ -17,9 +17,9 @@ def status(t_s: float, pulses: int = 1, charge_uc: float = 9.0, channel: int = 0
 def test_charge_is_booked_by_minute_and_session_and_channel() -> None:
     ledger = DoseLedger([0, 1])
     for t_s in (1.0, 59.0, 61.0):
-        ledger.take(status(t_s))
-    ledger.take(status(62.0, channel=1, charge_uc=4.0))
-    ledger.take(status(63.0, channel=5, charge_uc=1.0))  # nobody's channel, and delivered all the same
+        ledger.book(status(t_s))
+    ledger.book(status(62.0, channel=1, charge_uc=4.0))
+    ledger.book(status(63.0, channel=5, charge_uc=1.0))  # nobody's channel, and delivered all the same
     first = ledger.electrodes[0]
     assert first.session_uc == 27.0
     assert first.pulses == 3
@@ -31,7 +31,7 @@ def test_charge_is_booked_by_minute_and_session_and_channel() -> None:
 def test_a_step_has_the_charge_between_its_ends() -> None:
     dose = ElectrodeDose(0)
     for t_s in (1.0, 1.5, 2.0, 2.5):
-        dose.take(status(t_s))
+        dose.book(status(t_s))
     assert dose.close_step(SECOND, 2 * SECOND) == 18.0  # the answer at the very start belongs to the step before
     assert dose.close_step(2 * SECOND, 3 * SECOND) == 9.0
     summary = dose.to_dict()
@@ -44,22 +44,22 @@ def test_a_device_that_counts_nothing_is_estimated_from_what_it_says_it_delivers
     """Its last answer holds until the next: a level that does not change is not said again."""
     dose = ElectrodeDose(0)
     uc_per_s = 30.0 * 300.0 * 1e-3 * 40.0
-    dose.take(status(1.0, 0, 0.0))
+    dose.book(status(1.0, 0, 0.0))
     assert dose.session_uc == 0.0
-    dose.take(status(1.5, 0, 0.0))
+    dose.book(status(1.5, 0, 0.0))
     assert dose.session_uc == pytest.approx(0.5 * uc_per_s)
     assert dose.estimated
-    dose.take(status(1.6, 0, 0.0, on=False))
-    dose.take(status(2.6, 0, 0.0))  # off until then
+    dose.book(status(1.6, 0, 0.0, on=False))
+    dose.book(status(2.6, 0, 0.0))  # off until then
     assert dose.session_uc == pytest.approx(0.6 * uc_per_s)
-    dose.take(status(60.0, 0, 0.0))  # no device holds that long
+    dose.book(status(60.0, 0, 0.0))  # no device holds that long
     assert dose.session_uc == pytest.approx((0.6 + 1e-9 * LONGEST_HOLD_NS) * uc_per_s)
 
 
 @pytest.mark.parametrize("charge_uc", [float("nan"), -3.0, float("inf")])
 def test_nonsense_is_not_booked(charge_uc: float) -> None:
     dose = ElectrodeDose(0)
-    dose.take(status(1.0, 1, charge_uc))
+    dose.book(status(1.0, 1, charge_uc))
     assert dose.session_uc == 0.0
 
 
@@ -119,9 +119,9 @@ def test_millimetres_are_no_tired_muscle() -> None:
 
 def test_the_minute_under_way_is_that_of_the_newest_answer() -> None:
     dose = ElectrodeDose(0)
-    dose.take(status(50.0))
+    dose.book(status(50.0))
     assert dose.this_minute_uc == 9.0
-    dose.take(status(61.0, 0, 0.0, on=False))
+    dose.book(status(61.0, 0, 0.0, on=False))
     assert dose.this_minute_uc == 0.0
     assert dose.session_uc == 9.0
 

@@ -28,7 +28,7 @@ def test_due_says_what_asking_would_show(
     steps: list[tuple[str, int, tuple[float, ...], float]], early_s: float, every_ms: int
 ) -> None:
     channel = make_channel()
-    own = replace(BurstParameters.of(channel), extension_s=early_s)
+    own = replace(BurstParameters.for_channel(channel), extension_s=early_s)
     plan, phase, t_ms, on, changes = StimulationPlan((channel,)), STANCE, 0, False, 0
     plan.set_parameters(0, own)
     for act, dwell_ms, widths_us, intensity in steps:
@@ -105,7 +105,7 @@ def test_pulses_that_become_narrower_than_a_step_end_in_mid_burst() -> None:
     channel = make_channel()
     plan = StimulationPlan((channel,))
     narrow = (300.0, 300.0, 0.5, *(200.0,) * (BINS - 3))
-    plan.set_parameters(0, replace(BurstParameters.of(channel), widths_us=narrow))
+    plan.set_parameters(0, replace(BurstParameters.for_channel(channel), widths_us=narrow))
     plan.requests(0, 1.0)
     plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
     assert plan.requests(60 * MS, 1.0)[0].on

@@ -20,7 +20,7 @@ def early(before_s: float, start_phase: str = "pre_swing") -> Walk:
     """A walk whose bursts begin to fall so long before contact; 20 mA, 100 ms up and down."""
     channel = make_channel(extension_s=0.0, start_phase=start_phase)
     walk = Walk(channel)
-    walk.plan.set_parameters(0, replace(BurstParameters.of(channel), extension_s=-before_s))
+    walk.plan.set_parameters(0, replace(BurstParameters.for_channel(channel), extension_s=-before_s))
     return walk
 
 
@@ -112,7 +112,7 @@ def test_what_is_not_negative_waits_for_contact() -> None:
 def test_a_burst_that_starts_with_the_swing_can_end_before_contact_too() -> None:
     channel = make_channel(extension_s=0.0, start_phase="swing")
     walk = Walk(channel)
-    walk.plan.set_parameters(0, replace(BurstParameters.of(channel), extension_s=-0.08))
+    walk.plan.set_parameters(0, replace(BurstParameters.for_channel(channel), extension_s=-0.08))
     assert [fall_begins(step(walk)) for _ in range(5)][-1] == SWING_MS - 80
 
 

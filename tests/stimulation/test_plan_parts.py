@@ -236,7 +236,7 @@ def test_unless_told_otherwise_a_burst_is_as_the_session_has_it() -> None:
 
 def own_burst() -> Envelope:
     """Stopped, and due besides; no number of it is a default."""
-    parameters = replace(BurstParameters.of(make_channel()), current_ma=20.0)
+    parameters = replace(BurstParameters.for_channel(make_channel()), current_ma=20.0)
     return Envelope(5 * S, parameters, 40.0, S // 10, S // 50, S // 5, 2 * S, 0.9, 6 * S, 7 * S)
 
 

@@ -13,7 +13,7 @@ from fes.config import Band, Tuning
 from fes.config import Session as Settings
 from fes.signals import OperatorAct, OperatorAction
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.answering import LIKE_NONE, NO_ANSWER, Answering
+from fes.stimulation.tuning.answering import LIKE_NONE, NO_ANSWER, AnswerMonitor
 from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.session import Tuners
 from fes.stimulation.tuning.targets import PITCH as TOE_UP
@@ -240,7 +240,7 @@ def test_not_reached_below_the_bound_is_not_said_to_be_at_it() -> None:
 def test_a_foot_among_the_strides_without_stimulation_is_lost_once_more_did_not_help(
     drives: list[float], lost: bool, level: float, bare: bool
 ) -> None:
-    answering, own = Answering(), BurstParameters.of(channel())
+    answering, own = AnswerMonitor(), BurstParameters.for_channel(channel())
 
     def reading(at: float) -> Reading:
         band = Band(**PITCH)

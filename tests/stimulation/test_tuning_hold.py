@@ -80,7 +80,7 @@ def answered(base: BurstParameters, toe: float, pitch: float, **bounds: Any) -> 
 
 def held(hold_us: float, current_ma: float = 30.0) -> BurstParameters:
     """A burst with this hold from the zones' border on."""
-    own = BurstParameters.of(channel())
+    own = BurstParameters.for_channel(channel())
     return replace(own, current_ma=current_ma, widths_us=(OWN_US,) * 7 + (hold_us,) * 23)
 
 

@@ -152,5 +152,5 @@ def test_a_new_speed_is_the_usual_one_after_some_strides(seen: StrideFilter) -> 
 
 
 def test_nothing_different_is_said_as_nothing() -> None:
-    own = BurstParameters.of(channel())
+    own = BurstParameters.for_channel(channel())
     assert difference(own, own) == ""

@@ -15,7 +15,7 @@ from fes.config import Band, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.demand import NOISE, SAFE_SDS, SLOPE_BOUNDS, Demand, Response, room
-from fes.stimulation.tuning.guardrails import used
+from fes.stimulation.tuning.guardrails import share_used
 from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.targets import Measure
 from fes.stimulation.tuning.timing import WEAK, SpeedTiming
@@ -322,11 +322,11 @@ def test_how_much_of_the_bound_is_used() -> None:
     current = BurstParameters(15.0, 0.0, 0.0, (300.0, 300.0))
     asked = tuning()
     assert asked.bounds is not None
-    assert used(current, asked) == pytest.approx(15.0 / asked.bounds.current_ma.high)
-    assert used(current, asked.model_copy(update={"bounds": None})) == 1.0
+    assert share_used(current, asked) == pytest.approx(15.0 / asked.bounds.current_ma.high)
+    assert share_used(current, asked.model_copy(update={"bounds": None})) == 1.0
     learning = tuning(method="learning")
     assert learning.bounds is not None
-    assert used(current, learning) == pytest.approx(300.0 / learning.bounds.pulse_width_us.high)
+    assert share_used(current, learning) == pytest.approx(300.0 / learning.bounds.pulse_width_us.high)
 
 
 def test_timing_moves_by_no_more_than_a_step_a_stride() -> None:

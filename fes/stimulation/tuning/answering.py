@@ -1,10 +1,10 @@
 """Whether the foot answers to stimulation at all: one whose electrode has come off must not be given ever more.
 
-Two things tell. *A climb in vain*: over a run of strides below the target the drive has been raised, and a straight
+Two things show it. *A climb in vain*: over a run of strides below the target the drive has been raised, and a straight
 line through level against drive rises by less than even a weak foot's would, two standard errors allowed for. *A sudden
 loss*: strides that lay well above those without stimulation lie among these, and more drive does not bring them back.
 The foot's pitch at contact is the best witness, for a hip that lifts a dragging leg hardly moves it; of several
-measures the one that tells most exactly decides, the others must not contradict it.
+measures the one that shows it most exactly decides, the others must not contradict it.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ LIKE_NONE: Final = "the foot moves as it does without stimulation"
 
 
 @dataclass(frozen=True, slots=True)
-class _Walked:
+class _SeenStride:
     """A stride: levels by measure, the drive each has seen, and the settings."""
 
     levels: Mapping[str, float]
@@ -49,12 +49,12 @@ class _Walked:
     parameters: BurstParameters
 
 
-class Answering:
-    """Of one channel's foot."""
+class AnswerMonitor:
+    """Whether one channel's foot answers, stride by stride."""
 
     def __init__(self) -> None:
-        self._run: deque[_Walked] = deque(maxlen=REMEMBERED)  # since all targets were last reached
-        self._recent: deque[_Walked] = deque(maxlen=HELD + LAST)
+        self._run: deque[_SeenStride] = deque(maxlen=REMEMBERED)  # since all targets were last reached
+        self._recent: deque[_SeenStride] = deque(maxlen=HELD + LAST)
         self._bare: deque[Mapping[str, float]] = deque(maxlen=BARE)
         self._contact: set[str] = set()
 
@@ -69,7 +69,7 @@ class Answering:
             self._bare.append(_levels(reading))
 
     def stride(self, reading: Reading, drives: Mapping[str, float], parameters: BurstParameters, *, spent: bool) -> str:
-        """Take in a valid stride; in words that the foot does not answer, else "".
+        """Take in a valid stride; says so when the foot does not answer, else "".
 
         Args:
             reading: of the stride.
@@ -78,19 +78,19 @@ class Answering:
             spent: whether that is at the intensity's upper bound.
         """
         self._contact |= {measure.name for measure in reading.measures if measure.at_contact}
-        walked = _Walked(_levels(reading), dict(drives), parameters)
-        self._recent.append(walked)
+        seen = _SeenStride(_levels(reading), dict(drives), parameters)
+        self._recent.append(seen)
         if reading.level >= 0.0:
             self._run.clear()
             return ""
-        self._run.append(walked)
+        self._run.append(seen)
         if self._climbed_in_vain(LEAST_CLIMB if spent else CLIMB):
             return NO_ANSWER
         return LIKE_NONE if self._suddenly_lost() else ""
 
     def before(self, own: BurstParameters) -> BurstParameters:
         """The settings before the climb, the intensity at most the session's ``own``."""
-        weakest = min((walked.parameters for walked in self._run), key=lambda one: drive_of(one, own), default=own)
+        weakest = min((seen.parameters for seen in self._run), key=lambda one: drive_of(one, own), default=own)
         return at_most(weakest, own)
 
     def _climbed_in_vain(self, enough: float) -> bool:
@@ -98,8 +98,8 @@ class Answering:
             return False
         slopes = []
         for name in _common(self._run):
-            levels = [walked.levels[name] for walked in self._run]
-            drives = [walked.drives[name] for walked in self._run]
+            levels = [seen.levels[name] for seen in self._run]
+            drives = [seen.drives[name] for seen in self._run]
             if median(levels) >= 0.0 or drives[-1] - min(drives) < enough:
                 return False  # where one target is reached, more or less, the foot is being lifted
             if median(levels) - self._without(name) > CLEAR * self._noise(name):
@@ -107,7 +107,7 @@ class Answering:
             slopes.append(_slope(drives, levels, self._noise(name)))
         if not slopes:
             return False
-        slope, error = min(slopes, key=lambda found: found[1])
+        slope, error = min(slopes, key=lambda each: each[1])
         return slope < error and slope + SDS * error < NONE and all(other < WEAKEST for other, _ in slopes)
 
     def _suddenly_lost(self) -> bool:
@@ -115,14 +115,14 @@ class Answering:
         if len(earlier) < LAST or not self._bare:
             return False
         names = [name for name in _common(self._recent) if all(name in levels for levels in self._bare)]
-        if not names or any(median(walked.levels[name] for walked in last) >= 0.0 for name in names):
+        if not names or any(median(seen.levels[name] for seen in last) >= 0.0 for name in names):
             return False
         name = next((name for name in names if name in self._contact), names[0])
         bare = self._without(name)
-        held = median(walked.levels[name] for walked in earlier) - bare
-        left = max(walked.levels[name] for walked in last) - bare
-        usual = median(walked.drives[name] for walked in earlier)
-        if sum(walked.drives[name] >= usual + CLIMB for walked in last) < MORE:
+        held = median(seen.levels[name] for seen in earlier) - bare
+        left = max(seen.levels[name] for seen in last) - bare
+        usual = median(seen.drives[name] for seen in earlier)
+        if sum(seen.drives[name] >= usual + CLIMB for seen in last) < MORE:
             return False
         return held > CLEAR * self._noise(name) and left < LOST * held
 
@@ -138,9 +138,9 @@ def _levels(reading: Reading) -> dict[str, float]:
     return {measure.name: measure.level for measure in reading.measures}
 
 
-def _common(strides: Sequence[_Walked] | deque[_Walked]) -> list[str]:
+def _common(strides: Sequence[_SeenStride] | deque[_SeenStride]) -> list[str]:
     """Measures that all of them have, in an order that does not change."""
-    return sorted(set.intersection(*(set(walked.levels) for walked in strides)))
+    return sorted(set.intersection(*(set(seen.levels) for seen in strides)))
 
 
 def _slope(drives: Sequence[float], levels: Sequence[float], usual_noise: float) -> tuple[float, float]:

@@ -1,22 +1,15 @@
-"""What each measure asks for: every target has its own response to the drive, and the one that needs most leads.
-
-A measure that varies little can lie near the low end of its band, one that varies much must keep away from it; so each
-has its own slope, noise and aim (:mod:`fes.stimulation.tuning.demand`).
-
-How this foot answers to stimulation, learnt from its own strides: level against drive.
+"""How this foot answers to stimulation, learnt from its own strides, and what each measure asks for.
 
 The drive is the stimulation relative to the session's (1 is what the session says), the level the place in the target
-band (:mod:`fes.stimulation.tuning.targets`). Between patients the slope differs tenfold, so it is estimated: a ridge
-regression over recent strides towards a prior, which is the Bayesian estimate for a normal prior and noise (Hoerl &
-Kennard 1970, Technometrics 12:55-67), kept within bounds. With it, strides walked under other settings still tell the
-level under the present ones, so that the median does not lag behind the changes.
+band (:mod:`fes.stimulation.tuning.targets`). Between patients the slope of level against drive differs tenfold, so it
+is estimated: a ridge regression over recent strides towards a prior, which is the Bayesian estimate for a normal prior
+and noise (Hoerl & Kennard 1970, Technometrics 12:55-67), kept within bounds. With it, strides walked under other
+settings still show the level under the present ones, so that the median does not lag behind the changes.
 
-Run-to-run control of the intensity: one step of drive a stride, towards the aim within the band.
-
-``u[k+1] = sat(u[k] + gamma (aim - measured[k]))`` with ``gamma = gain / slope``: normalised by the slope that the foot
-itself shows, so that one gain does for strong and weak responders. The aim is no fixed point: the less strides differ,
-the nearer it lies to the low end of the band, for what is not needed is charge and fatigue. With several targets each
-has its own error, and the one that needs most is followed (:mod:`fes.stimulation.tuning.demand`).
+Run-to-run control moves the drive one step a stride: ``u[k+1] = sat(u[k] + gamma (aim - measured[k]))`` with ``gamma =
+gain / slope``, so that one gain does for strong and weak responders. The less strides differ, the nearer the aim lies
+to the low end of the band, for what is not needed is charge and fatigue. Every measure has its own slope, noise and
+aim; the one that needs most leads.
 """
 
 from __future__ import annotations
@@ -43,6 +36,13 @@ NOISE_BOUNDS: Final = (0.04, 0.60)
 NEAR: Final = 0.05  # of drive: strides this near the present one need no trust in the slope
 LAST: Final = 3
 FADE: Final = 0.85  # weight of a stride against the one after it
+
+SAFE_SDS: Final = 2.0  # of a stride's noise between the aim and the low end: 2.3 % of strides below
+LEAST_AIM: Final = 0.30  # a toe's height is known to some millimetres only, …
+LEAST_AIM_AT_CONTACT: Final = 0.06  # … the foot's pitch to a degree or two
+GREATEST_AIM: Final = 0.55
+DEAD: Final = 0.05  # of the band: nearer to the aim nothing moves
+DEAD_ABOVE: Final = 0.03  # above it, where more is only charge
 
 
 class Response:
@@ -112,20 +112,12 @@ class Response:
         the strides' own surprises and from what is usual, each by the number of strides that speak for it.
         """
         total = BELIEVED * self._usual_noise**2 + sum(off * off for off in self._surprises)
-        found = math.sqrt(total / (BELIEVED + len(self._surprises)))
-        return min(max(found, NOISE_BOUNDS[0]), NOISE_BOUNDS[1])
+        deviation = math.sqrt(total / (BELIEVED + len(self._surprises)))
+        return min(max(deviation, NOISE_BOUNDS[0]), NOISE_BOUNDS[1])
 
     def last_levels(self, n: int) -> list[float]:
         """Levels of the last ``n`` strides, oldest first."""
         return [z for _, z in list(self._strides)[-n:]]
-
-
-SAFE_SDS: Final = 2.0  # of a stride's noise between the aim and the low end: 2.3 % of strides below
-LEAST_AIM: Final = 0.30  # a toe's height is known to some millimetres only, …
-LEAST_AIM_AT_CONTACT: Final = 0.06  # … the foot's pitch to a degree or two
-GREATEST_AIM: Final = 0.55
-DEAD: Final = 0.05  # of the band: nearer to the aim nothing moves
-DEAD_ABOVE: Final = 0.03  # above it, where more is only charge
 
 
 def aim_of(response: Response, least: float = LEAST_AIM) -> float:
@@ -179,13 +171,13 @@ class Responses:
 
     def demands(self, reading: Reading, drives: Mapping[str, float]) -> tuple[Demand, ...]:
         """Of the reading's measures, the one that asks for most first; ``reading`` must have been added."""
-        found = []
+        demands = []
         for measure in reading.measures:
             response, drive = self._by_name[measure.name], drives[measure.name]
             least = LEAST_AIM_AT_CONTACT if measure.at_contact else LEAST_AIM
             error, usual = drive_error(response, drive, least), response.level_at(drive)
-            found.append(Demand(measure, usual, error, response.slope, aim_of(response, least), response.surprise))
-        return tuple(sorted(found, key=lambda demand: -demand.step))
+            demands.append(Demand(measure, usual, error, response.slope, aim_of(response, least), response.surprise))
+        return tuple(sorted(demands, key=lambda demand: -demand.step))
 
 
 def leading(demands: tuple[Demand, ...]) -> Demand:
@@ -198,10 +190,15 @@ def in_mid_swing(demands: tuple[Demand, ...]) -> Demand:
     return next((demand for demand in demands if not demand.measure.at_contact), demands[0])
 
 
+def late_demand(demands: tuple[Demand, ...]) -> Demand | None:
+    """Of what is measured at contact; None where nothing is."""
+    return next((demand for demand in demands if demand.measure.at_contact), None)
+
+
 def at_contact(demands: tuple[Demand, ...]) -> tuple[float | None, float]:
     """Of what is measured at contact the lower of usual and newest level, and the error; (None, 0) where nothing is."""
-    found = next((demand for demand in demands if demand.measure.at_contact), None)
-    return (None, 0.0) if found is None else (min(found.usual, found.measure.level), found.error)
+    late = late_demand(demands)
+    return (None, 0.0) if late is None else (min(late.usual, late.measure.level), late.error)
 
 
 def room(demands: tuple[Demand, ...]) -> float:
@@ -232,5 +229,5 @@ def reason(demand: Demand, *, other_way: bool = False, stand_in: str = "") -> st
             f"lately {value(demand.usual)}; strides differ by some {differ:.0f} {measure.unit}, so "
             f"{value(demand.aim)} is aimed at"
         )
-    said = f"{measure.text()} in this stride, {why}"
-    return f"{said} ({stand_in})" if stand_in else said
+    text = f"{measure.text()} in this stride, {why}"
+    return f"{text} ({stand_in})" if stand_in else text

@@ -54,7 +54,7 @@ def peak_of(parameters: BurstParameters, own: BurstParameters) -> float:
     return parameters.current_ma / own.current_ma * max(parameters.widths_us) / max(own.widths_us)
 
 
-def used(parameters: BurstParameters, tuning: Tuning) -> float:
+def share_used(parameters: BurstParameters, tuning: Tuning) -> float:
     """Share of the intensity's upper bound that is in use where the burst is strongest; 1 without bounds."""
     if tuning.bounds is None:
         return 1.0
@@ -88,8 +88,8 @@ class Trial:
     unchanged: int = 0
 
 
-class Watch:
-    """Watches whether changes do harm. Changes in one direction are one trial, until it is proved harmless.
+class HarmMonitor:
+    """Finds out whether changes do harm. Changes in one direction are one trial, until it is proved harmless.
 
     ``other_way`` is whether this foot answers the other way round, as far as is known.
     """
@@ -124,13 +124,12 @@ class Watch:
         now = outside(median(response.last_levels(LAST)))
         if trial.strides < LAST:
             return None
-        if abs(drive - trial.drive) >= TRIAL_DRIVE:
-            worse = now - outside(trial.level) > max(WORSE, WORSE_SDS * response.noise)
-            if worse:
-                # too little although more made it worse: next time less is tried, and the other way round
-                self.other_way = not self.other_way and (drive > trial.drive) == (trial.level < 0.5)
-                self._trial, self._harmed = None, now
-                return trial.parameters
+        worse = now - outside(trial.level) > max(WORSE, WORSE_SDS * response.noise)
+        if worse and abs(drive - trial.drive) >= TRIAL_DRIVE:
+            # too little although more made it worse: next time less is tried, and the other way round
+            self.other_way = not self.other_way and (drive > trial.drive) == (trial.level < 0.5)
+            self._trial, self._harmed = None, now
+            return trial.parameters
         if trial.unchanged >= PROVED and now <= outside(trial.level):
             self._trial = None
         return None

@@ -1,19 +1,16 @@
 """What the demands do to the intensity, by method: current and a hold, or a profile of widths over the burst.
 
-Run-to-run moves the current. Where the session's bounds let the pulse width fall below the channel's own and foot pitch
-at contact has a target, the burst has two levels: full width until the foot has been carried over, then a *hold* until
-the end, which the pitch at contact is answerable to. One current for both is too much for one of them: the hold is as
-strong as contact needs, never stronger than the channel's own width.
+*Run-to-run* moves the current. Where the session's bounds let the pulse width fall below the channel's own and foot
+pitch at contact has a target, the burst has two levels: full width until the foot has been carried over, then a *hold*
+until the end, as strong as the pitch at contact needs, never stronger than the channel's own width.
 
-Iterative learning of the pulse-width profile over the burst.
-
-``u[k+1](t) = Q{u[k](t) + L e[k](t + d)}``: ``d`` is about the delay from pulse to movement; the swing's length varies,
-so only what the last swing reached is updated (variable pass length); inside the reference band the error is 0. It
-converges if ``|Q (1 - L G)| < 1``: with ``L = gain / slope`` and Q an average over neighbours (no greater than 1 at any
-frequency), for a true slope G from 0 to ``2 / gain`` times the estimated one. After Seel, Werner, Raisch & Schauer,
-*Control Engineering Practice* 48 (2016), with a profile of widths and bands instead of a reference curve: until the end
-of mid-swing the error is the clearance's, from there to contact the pitch's. So the part of the burst that holds the
-toe up to meet the ground, the calf being stretched by then, can be stronger than the part that carries it over.
+*Learning* is iterative learning of the pulse-width profile over the burst: ``u[k+1](t) = Q{u[k](t) + L e[k](t + d)}``.
+``d`` is about the delay from pulse to movement; the swing's length varies, so only what the last swing reached is
+updated (variable pass length); inside the reference band the error is 0. It converges if ``|Q (1 - L G)| < 1``: with
+``L = gain / slope`` and Q an average over neighbours (no greater than 1 at any frequency), for a true slope G from 0 to
+``2 / gain`` times the estimated one. After Seel, Werner, Raisch & Schauer, *Control Engineering Practice* 48 (2016),
+with a profile of widths and bands instead of a reference curve: until the end of mid-swing the error is the
+clearance's, from there to contact the pitch's.
 """
 
 from __future__ import annotations
@@ -27,13 +24,16 @@ from typing import Final
 from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BIN_S, BurstParameters
-from fes.stimulation.tuning.demand import Demand, in_mid_swing, leading, reason, room
+from fes.stimulation.tuning.demand import Demand, in_mid_swing, late_demand, leading, reason, room
 from fes.stimulation.tuning.guardrails import QUANTUM_MA, limited
 from fes.stimulation.tuning.targets import Reading, SwingTimes, swing_times
 
 DELAY_S: Final = 0.15  # electromechanical delay 20–50 ms, rise of the activation 50 ms, and the foot's own inertia
 SIDE: Final = 0.15  # weight of each neighbour in Q
 MOST_AT_ONCE: Final = 1.0  # of the band: one bad moment must not move the profile further
+WEAKEST_HOLD: Final = 0.5  # of the channel's own width: less would hardly reach the muscle
+REMEMBERED: Final = 5
+HELD_BACK: Final = 0.99  # of the own width: a hold below it can still be raised
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,17 +87,12 @@ def next_profile(
     return smooth
 
 
-WEAKEST_HOLD: Final = 0.5  # of the channel's own width: less would hardly reach the muscle
-REMEMBERED: Final = 5
-HELD_BACK: Final = 0.99  # of the own width: a hold below it can still be raised
-
-
 class Intensity:
     """Of one channel: settings in, settings out."""
 
     def __init__(self, channel: Channel, tuning: Tuning) -> None:
         self._channel, self._tuning = channel, tuning
-        self._own = BurstParameters.of(channel)
+        self._own = BurstParameters.for_channel(channel)
         learns, bounds = tuning.method == "learning", tuning.bounds
         may_fall = bounds is not None and bounds.pulse_width_us.low < channel.pulse_width_us
         self._middles: deque[int] = deque(maxlen=REMEMBERED)  # so that the hold's begin does not follow every stride
@@ -129,7 +124,7 @@ class Intensity:
         middle = in_mid_swing(demands)
         if self._holds_back(zones, parameters):
             return middle if middle.error else next((demand for demand in demands if demand.error), middle)
-        late = _late(demands)
+        late = late_demand(demands)
         if zones is not None and not demands[0].error and late is not None and late.error < 0.0:
             return late
         return demands[0]
@@ -146,14 +141,14 @@ class Intensity:
         step = min(self._tuning.gain * asks.step, room((asks, *others)) if zones is None else room((asks,)))
         current_ma = base.current_ma + step / intensity * self._own.current_ma
         after = limited(base, replace(base, current_ma=current_ma), self._tuning)
-        late = _late(demands)
+        late = late_demand(demands)
         return after if zones is None or late is None else self._held(base, after, late, zones, intensity)
 
     def why_held(
         self, before: BurstParameters, after: BurstParameters, demands: tuple[Demand, ...], led: Demand
     ) -> str:
         """Why the hold changes, in words, where what led to the change says nothing about it; "" otherwise."""
-        late = _late(demands)
+        late = late_demand(demands)
         if self._tuning.method == "learning" or after.widths_us == before.widths_us or late in (None, led):
             return ""
         return (
@@ -187,14 +182,10 @@ class Intensity:
     def _reshaped(
         self, base: BurstParameters, demands: tuple[Demand, ...], zones: Zones, intensity: float
     ) -> BurstParameters:
-        late = _late(demands) or demands[0]
+        late = late_demand(demands) or demands[0]
         middle = in_mid_swing(demands)
         width_us = self._channel.pulse_width_us / intensity
         profile = next_profile(
             base.widths_us, zones, (middle.error, late.error), (middle.slope, late.slope), width_us, self._tuning.gain
         )
         return replace(base, widths_us=tuple(profile))
-
-
-def _late(demands: tuple[Demand, ...]) -> Demand | None:
-    return next((demand for demand in demands if demand.measure.at_contact), None)

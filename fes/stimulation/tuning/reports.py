@@ -1,4 +1,4 @@
-"""What the tuning says: each with its reason in words."""
+"""What the tuning reports: each change with its reason in words."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ class TuningReport:
 
 def difference(before: BurstParameters, after: BurstParameters) -> str:
     """What changes, in words; "" for nothing."""
-    said = []
+    changes = []
     if after.current_ma != before.current_ma:
-        said.append(f"current {before.current_ma:.1f} → {after.current_ma:.1f} mA")
+        changes.append(f"current {before.current_ma:.1f} → {after.current_ma:.1f} mA")
     moved = [(b, a) for b, a in zip(before.widths_us, after.widths_us, strict=True) if a != b]
     if moved:
         most = max(moved, key=lambda pair: abs(pair[1] - pair[0]))
-        said.append(
+        changes.append(
             f"pulse width {most[0]:.0f} → {most[1]:.0f} µs where it changes most "
             f"(mean {before.mean_width_us:.0f} → {after.mean_width_us:.0f} µs)"
         )
     if after.start_delay_s != before.start_delay_s:
-        said.append(f"start delay {1e3 * before.start_delay_s:.0f} → {1e3 * after.start_delay_s:.0f} ms")
+        changes.append(f"start delay {1e3 * before.start_delay_s:.0f} → {1e3 * after.start_delay_s:.0f} ms")
     if after.extension_s != before.extension_s:
-        said.append(f"extension {1e3 * before.extension_s:.0f} → {1e3 * after.extension_s:.0f} ms")
-    return ", ".join(said)
+        changes.append(f"extension {1e3 * before.extension_s:.0f} → {1e3 * after.extension_s:.0f} ms")
+    return ", ".join(changes)

@@ -12,14 +12,8 @@ from fes.stimulation.parameters import BurstParameters
 from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.tuner import Tuner
 
-TUNING_ACTS = frozenset(
-    (
-        OperatorAction.FREEZE_TUNING,
-        OperatorAction.RESUME_TUNING,
-        OperatorAction.ACCEPT_SUGGESTION,
-        OperatorAction.ROLL_BACK,
-    )
-)
+_CHOICES = (OperatorAction.ACCEPT_SUGGESTION, OperatorAction.ROLL_BACK)
+TUNING_ACTS = frozenset((OperatorAction.FREEZE_TUNING, OperatorAction.RESUME_TUNING, *_CHOICES))
 
 
 class Tuners:
@@ -28,8 +22,8 @@ class Tuners:
     def __init__(self, session: Session) -> None:
         self.ledger = DoseLedger(channel.number for channel in session.channels)
         self._intensity = 0.0
-        self.said: dict[tuple[int, str], TuningReport] = {}  # the newest of each kind, by channel and kind
-        self._start = {channel.number: BurstParameters.of(channel) for channel in session.channels}
+        self.latest: dict[tuple[int, str], TuningReport] = {}  # the newest of each kind, by channel and kind
+        self._start = {channel.number: BurstParameters.for_channel(channel) for channel in session.channels}
         feet = sorted({str(channel.foot) for channel in session.channels})
         self._channels_of = {foot: [c.number for c in session.channels if c.foot == foot] for foot in feet}
         self.tuners = {
@@ -44,10 +38,10 @@ class Tuners:
 
     def on_status(self, status: StimStatus) -> None:
         """The stimulator answered."""
-        self.ledger.take(status)
+        self.ledger.book(status)
 
     def on_act(self, act: OperatorAct) -> tuple[TuningReport, ...]:
-        """A person acted; what does not concern the tuning only tells it that strides may be disturbed.
+        """A person acted; what does not concern the tuning may still disturb strides.
 
         Less by hand freezes it: it would bring back, stride by stride, what the person took away.
         """
@@ -68,9 +62,7 @@ class Tuners:
 
     def _on_intensity(self, act: OperatorAct) -> tuple[TuningReport, ...]:
         lowered, self._intensity = 0.0 < act.value < self._intensity, act.value
-        if not lowered:
-            return ()
-        return self._freeze(act.t_ns, "the intensity was lowered by hand")
+        return self._freeze(act.t_ns, "the intensity was lowered by hand") if lowered else ()
 
     def _freeze(self, t_ns: int, why: str) -> tuple[TuningReport, ...]:
         """All that go on. One that has stopped itself keeps its reason, and goes back to less, but not to more."""
@@ -99,6 +91,6 @@ class Tuners:
         return self._remember(reports) if reports else ()
 
     def _remember(self, reports: Iterable[TuningReport]) -> tuple[TuningReport, ...]:
-        told = tuple(reports)
-        self.said |= {(report.channel, report.kind): report for report in told}
-        return told
+        new = tuple(reports)
+        self.latest |= {(report.channel, report.kind): report for report in new}
+        return new

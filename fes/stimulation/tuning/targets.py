@@ -1,9 +1,8 @@
-"""What a stride measured, held against the target bands.
+"""What a stride measured, held against the target bands, and which strides teach nothing.
 
 Every measure is put on one scale: 0 is the low end of its band, 1 the high end. A stride is as good as its least
-satisfied measure, so that one number says whether more stimulation is needed.
-
-Which strides teach nothing, and why: the tuner must not learn from a stumble's, a turn's or a pause's.
+satisfied measure, so that one number says whether more stimulation is needed. The tuner must not learn from a stumble,
+a turn or a pause.
 """
 
 from __future__ import annotations
@@ -26,6 +25,8 @@ REMEMBERED: Final = 5
 SHORTEST_SWING: Final = 0.16  # of the stride; a third is usual, a quarter is a very slow walk's
 BELOW_GROUND_M: Final = -0.015  # no toe is there
 NO_CHARGE: Final = "no stimulation was delivered in it"
+PITCH = "foot pitch at contact"
+MID_SWING_END = 0.80  # of the swing: until there the toe passes low, as the stride's own toe clearance has it
 
 
 def jolted(stride: StrideResult) -> str:
@@ -45,7 +46,7 @@ def jolted(stride: StrideResult) -> str:
 
 
 class StrideFilter:
-    """Looks at every stride of one channel's foot, in order."""
+    """Judges every stride of one channel's foot, in order."""
 
     def __init__(self, tuning: Tuning, min_stride_length_m: float) -> None:
         self._tuning = tuning
@@ -70,9 +71,8 @@ class StrideFilter:
         end_ns, self._end_ns = self._end_ns, stride.t_end_ns
         if not stride.valid:
             return f"the stride is not usable ({stride.reason})"
-        if not all(
-            map(math.isfinite, (stride.speed_mps, stride.stride_length_m, stride.turn_rad, stride.height_gained_m))
-        ):
+        numbers = (stride.speed_mps, stride.stride_length_m, stride.turn_rad, stride.height_gained_m)
+        if not all(map(math.isfinite, numbers)):
             return "the stride's own numbers are none"
         if end_ns is not None and stride.t_end_ns <= end_ns:
             return "it is no newer than the stride before"
@@ -105,10 +105,6 @@ class StrideFilter:
         return ""
 
 
-PITCH = "foot pitch at contact"
-MID_SWING_END = 0.80  # of the swing: until there the toe passes low, as the stride's own toe clearance has it
-
-
 @dataclass(frozen=True, slots=True)
 class Measure:
     """One measured value with its band; ``scale`` and ``unit`` are for people (m → mm)."""
@@ -137,7 +133,7 @@ class Measure:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a stride says: its measures, the least satisfied first."""
+    """A stride's measures, the least satisfied first."""
 
     measures: tuple[Measure, ...]
     stand_in: str = ""  # says so where one measure stands in for another

@@ -1,24 +1,18 @@
 """Start and end of the burst that follow the walking speed.
 
 A trapezoid that rises while the heel does must have the foot up as the toe begins to pass low, a quarter of the swing
-after foot off, and its current up at foot off at the latest; a quick swing needs it earlier, for the muscle does not
-hurry. While what is asked for is reached with intensity to spare, the start is put off, step by step, until the foot is
-up a third of the swing after foot off: of every pulse, what lies below the muscle's threshold is charge for nothing, so
-later and stronger costs less. A foot that hardly answers to a stronger burst gets an earlier one.
-
-Past contact it must let the foot down, which takes as long as the loading response does; the force outlives the pulses,
-so these end sooner by that. They end before contact, step by step, where foot pitch at contact is reached and the toe
-comes down no faster for it: a pulse works after an electromechanical delay of 30-50 ms, so the last ones before contact
-hold nothing up until it.
-
-All last a share of the stride that hardly differs from stride to stride, while the stride's duration follows the speed:
-so the next stride's are the usual shares of the newest durations' median.
-
-How fast the foot is let down after contact: what the burst's end is for, and what tells whether it may come sooner.
+after foot off, and its current up at foot off at the latest. While what is asked for is reached with intensity to
+spare, the start is put off, step by step, until the foot is up a third of the swing after foot off: of every pulse,
+what lies below the muscle's threshold is charge for nothing, so later and stronger costs less. A foot that hardly
+answers to a stronger burst gets an earlier one.
 
 From contact to foot flat the dorsiflexors give way slowly, so that the forefoot does not slap (the first rocker: Perry
-& Burnfield, *Gait Analysis*, 2nd ed. 2010). The force outlives the pulses, so these may end before contact; whether too
-much was left out is seen in how fast the toe then comes down, against what it did while pulses went on past contact.
+& Burnfield, *Gait Analysis*, 2nd ed. 2010). The force outlives the pulses, so these end sooner by that; they end before
+contact, step by step, where foot pitch at contact is reached and the toe comes down no faster for it than it did while
+pulses went on past contact.
+
+All of these last a share of the stride that hardly differs from stride to stride, while the stride's duration follows
+the speed: so the next stride's are the usual shares of the newest durations' median.
 """
 
 from __future__ import annotations
@@ -37,6 +31,19 @@ LOWERING_REMEMBERED: Final = 12
 FASTER: Final = 1.25  # than it was: that is too fast …
 WELL: Final = 1.15  # … and this still well; strides of one person differ by a tenth
 SHORTEST_NS: Final = 4_000_000  # between two readings of the angle
+
+REMEMBERED: Final = 6
+NEEDED: Final = 3
+NEWEST: Final = 3  # strides whose duration is followed
+FORCE_S: Final = 0.15  # from the end of the rise until the foot is up: delay, activation, and the foot's own inertia
+OUTLIVES_S: Final = 0.13  # force outlives pulses: delay 20–50 ms, then 1.5 times the activation's fall, 60 ms
+LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low …
+SOONEST_S: Final = 0.10  # before contact: what falls to nothing until then leaves nine tenths of the force there
+LATEST: Final = 0.35  # … and here the foot must be up, where the intensity suffices for so late a start
+SPENT: Final = 0.99  # of the intensity's bound: from there on only an earlier start can give more
+WEAK: Final = 1.5  # bands per drive; 2 to 3 are usual
+PATIENCE: Final = 0.25  # of the way from the one to the other, with one stride
+SPREADS: Final = 1.5  # strides whose foot leaves early must find the current up as well
 
 
 class Lowering:
@@ -78,22 +85,6 @@ def lowering_radps(stride: StrideResult) -> float:
     between = [time for time in times if contact_ns + SHORTEST_NS <= time <= flat_ns - SHORTEST_NS]
     points = [(time, interpolate(time, times, pitches)) for time in (contact_ns, *between, flat_ns)]
     return max(max(1e9 * (a - b) / (t_b - t_a) for (t_a, a), (t_b, b) in pairwise(points)), 0.0)
-
-
-REMEMBERED: Final = 6
-NEEDED: Final = 3
-NEWEST: Final = 3  # strides whose duration is followed
-FORCE_S: Final = 0.15  # from the end of the rise until the foot is up: delay, activation, and the foot's own inertia
-OUTLIVES_S: Final = (
-    0.13  # by which force outlives the pulses: delay 20–50 ms, then 1.5 times the activation's fall, 60 ms
-)
-LOW_FROM: Final = 0.25  # of the swing: from there on the toe passes low …
-SOONEST_S: Final = 0.10  # before contact: what falls to nothing until then leaves nine tenths of the force there
-LATEST: Final = 0.35  # … and here the foot must be up, where the intensity suffices for so late a start
-SPENT: Final = 0.99  # of the intensity's bound: from there on only an earlier start can give more
-WEAK: Final = 1.5  # bands per drive; 2 to 3 are usual
-PATIENCE: Final = 0.25  # of the way from the one to the other, with one stride
-SPREADS: Final = 1.5  # strides whose foot leaves early must find the current up as well
 
 
 class SpeedTiming:
@@ -141,12 +132,8 @@ class SpeedTiming:
 
     def add(self, stride: StrideResult) -> None:
         """A valid stride; one that did not pass all phases says nothing."""
-        pre, swing, loading, stance = (
-            stride.t_pre_swing_ns,
-            stride.t_swing_ns,
-            stride.t_loading_response_ns,
-            stride.t_stance_ns,
-        )
+        pre, swing = stride.t_pre_swing_ns, stride.t_swing_ns
+        loading, stance = stride.t_loading_response_ns, stride.t_stance_ns
         duration_s = (stride.t_end_ns - stride.t_start_ns) / NS_PER_S
         if pre is None or swing is None or loading is None or stance is None or duration_s <= 0.0:
             return

@@ -11,9 +11,9 @@ from typing import Final
 from fes.config import Channel, Tuning
 from fes.signals import StrideResult
 from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.answering import Answering
+from fes.stimulation.tuning.answering import AnswerMonitor
 from fes.stimulation.tuning.demand import Demand, Response, Responses, at_contact, in_mid_swing, reason
-from fes.stimulation.tuning.guardrails import Watch, at_most, drive_of, limited, outside, peak_of, used
+from fes.stimulation.tuning.guardrails import HarmMonitor, at_most, drive_of, limited, outside, peak_of, share_used
 from fes.stimulation.tuning.intensity import Intensity, Zones
 from fes.stimulation.tuning.reports import Kind, TuningReport, difference
 from fes.stimulation.tuning.targets import NO_CHARGE, Reading, StrideFilter, jolted, read_stride
@@ -41,7 +41,7 @@ class Tuner:
     def __init__(self, channel: Channel, min_stride_length_m: float = 0.15, usual_intensity: float = 1.0) -> None:
         self.channel = channel
         self.tuning = channel.tuning or Tuning()
-        self.start = BurstParameters.of(channel)
+        self.start = BurstParameters.for_channel(channel)
         self.parameters = self.start
         self.pending: BurstParameters | None = None
         self.frozen = ""
@@ -52,8 +52,8 @@ class Tuner:
         self._filter = StrideFilter(self.tuning, min_stride_length_m)
         self._timing = SpeedTiming()
         self._lowering = Lowering()
-        self._watch = Watch()
-        self._answering = Answering()
+        self._harm = HarmMonitor()
+        self._answers = AnswerMonitor()
         self._returning: BurstParameters | None = None
         self._lost = False  # the foot did not answer
         self._hold = 0
@@ -72,8 +72,8 @@ class Tuner:
     def freeze(self, t_ns: int, why: str = "on demand") -> TuningReport:
         """Nothing changes any more until :meth:`resume`."""
         self.frozen, self.pending, self._returning = why, None, None
-        self._watch.forget()
-        self._answering.forget()
+        self._harm.forget()
+        self._answers.forget()
         return self._report(t_ns, "frozen", f"tuning is frozen ({why}); the settings stay as they are")
 
     def stay(self) -> None:
@@ -96,20 +96,20 @@ class Tuner:
             return None
         before, self.parameters, self.pending = self.parameters, self.pending, None
         self._settle = 1
-        said = difference(before, self.parameters)
-        return self._report(t_ns, "change", f"suggestion accepted by the operator: {said}", before)
+        changes = difference(before, self.parameters)
+        return self._report(t_ns, "change", f"suggestion accepted by the operator: {changes}", before)
 
     def roll_back(self, t_ns: int) -> TuningReport:
         """Back to the session's own settings with the next burst, and freeze."""
         before, self.parameters = self.parameters, self.start
         self.freeze(t_ns, "rolled back by the operator")
-        said = difference(before, self.parameters) or "nothing had been changed"
-        return self._report(t_ns, "roll_back", f"back to the session's settings, tuning is frozen: {said}", before)
+        changes = difference(before, self.parameters) or "nothing had been changed"
+        return self._report(t_ns, "roll_back", f"back to the session's settings, tuning is frozen: {changes}", before)
 
     # --- what the foot does -------------------------------------------------------------------------------
 
     def observe(self, t_ns: int, stride: StrideResult, charge_uc: float, intensity: float) -> TuningReport | None:
-        """Take in the newest stride of the channel's foot; what came of it, None when nothing is to be said.
+        """Take in the newest stride of the channel's foot; what came of it, None when there is nothing to report.
 
         Args:
             t_ns: now.
@@ -122,7 +122,7 @@ class Tuner:
         drive = self.drive * intensity
         why = self._filter.why_skip(stride, charge_uc, drive)
         if why == NO_CHARGE:
-            self._answering.add_bare(read_stride(stride, self.tuning))
+            self._answers.add_bare(read_stride(stride, self.tuning))
         stopped = self.frozen and stride.valid and charge_uc > 0.0 and drive > 0.0
         if stopped and self._returning is not None and (report := self._still_returning(t_ns)):
             return report  # it has stopped itself: whatever the stride was like, less is on the way
@@ -143,9 +143,9 @@ class Tuner:
         self._responses.add(reading, drives)
         self._timing.add(stride)
         self._lowering.add(stride, self.parameters.extension_s)
-        harmful = self._watch.stride(drive, self.response)
-        spent = used(self.parameters, self.tuning) >= SPENT
-        if not self.frozen and (why := self._answering.stride(reading, drives, self.parameters, spent=spent)):
+        harmful = self._harm.stride(drive, self.response)
+        spent = share_used(self.parameters, self.tuning) >= SPENT
+        if not self.frozen and (why := self._answers.stride(reading, drives, self.parameters, spent=spent)):
             return self._stop(t_ns, why)
         if self._returning is not None and (report := self._still_returning(t_ns)):
             return report
@@ -165,10 +165,10 @@ class Tuner:
         self._jolts += 1
         if self._jolts >= JOLTS and not self.frozen and self._returning is None:
             after = limited(self.parameters, self._intensity.lessened(self.parameters, -1.0), self.tuning)
-            if said := difference(self.parameters, after):
+            if changes := difference(self.parameters, after):
                 self.response.forget()
                 self._responses.forget()
-                text = f"stride {stride.number}: {why}; stimulation may jerk the foot up, less is tried: {said}"
+                text = f"stride {stride.number}: {why}; stimulation may jerk the foot up, less is tried: {changes}"
                 return self._propose(t_ns, after, text, drive, 0.0)
         return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
 
@@ -192,20 +192,20 @@ class Tuner:
             self._returning = self.start
             text += " once more; tuning stops itself and goes back to the session's settings, look at the electrodes"
         self._return()
-        said = difference(before, self.parameters)
-        return self._report(t_ns, "roll_back", f"{text}: rolled back, {said}", before)
+        changes = difference(before, self.parameters)
+        return self._report(t_ns, "roll_back", f"{text}: rolled back, {changes}", before)
 
     def _stop(self, t_ns: int, why: str) -> TuningReport:
         """The foot does not answer: nothing is raised any more, and what was raised is taken back."""
-        before, weaker = self.parameters, self._answering.before(self.start)
+        before, weaker = self.parameters, self._answers.before(self.start)
         self.freeze(t_ns, f"{why}: look at the electrodes")
         self._lost = True
         text = f"{why}: look at the electrodes; tuning has stopped"
         if self.tuning.mode == "act":
             self._returning = weaker
             self._return()
-        said = difference(before, self.parameters)
-        return self._report(t_ns, "roll_back", f"{text} and goes back: {said}" if said else text, before)
+        changes = difference(before, self.parameters)
+        return self._report(t_ns, "roll_back", f"{text} and goes back: {changes}" if changes else text, before)
 
     def _return(self) -> None:
         """A step on the way back; each stride no further than any change may go."""
@@ -217,8 +217,8 @@ class Tuner:
     def _still_returning(self, t_ns: int) -> TuningReport | None:
         before = self.parameters
         self._return()
-        said = difference(before, self.parameters)
-        return self._report(t_ns, "roll_back", f"still going back: {said}", before) if said else None
+        changes = difference(before, self.parameters)
+        return self._report(t_ns, "roll_back", f"still going back: {changes}", before) if changes else None
 
     def _tune(
         self, t_ns: int, reading: Reading, demands: tuple[Demand, ...], drive: float, zones: Zones | None,
@@ -228,8 +228,8 @@ class Tuner:
         if self._hold:
             self._hold -= 1
             if not self._hold:
-                self._watch.returned(self.response)
-        other_way = self._watch.other_way
+                self._harm.returned(self.response)
+        other_way = self._harm.other_way
         worst = demands[0] if other_way else self._intensity.leader(demands, zones, before)
         error = 0.0 if self._hold else worst.error
         if other_way and outside(self.response.level_at(drive)) == 0.0:
@@ -238,7 +238,7 @@ class Tuner:
             error = 0.0
         self._settle = max(self._settle - 1, 0)
         if not self._hold:
-            self._timing.put_off(demands[0].error, used(before, self.tuning), in_mid_swing(demands).slope)
+            self._timing.put_off(demands[0].error, share_used(before, self.tuning), in_mid_swing(demands).slope)
             self._timing.bring_forward(*at_contact(demands), self._lowering, before.extension_s)
         wanted = self._timed(before)
         if error and other_way:
@@ -249,12 +249,12 @@ class Tuner:
         after = limited(before, wanted, self.tuning)
         if intensity < self._usual_intensity and peak_of(after, self.start) > max(peak_of(before, self.start), 1.0):
             after = before  # with the intensity up again it would be far more at once
-        if said := difference(before, after):
+        if changes := difference(before, after):
             why = self._timing.reason(after.extension_s)
             if error:
                 why = reason(replace(worst, error=error), other_way=other_way, stand_in=reading.stand_in)
                 why += self._intensity.why_held(before, after, demands, worst)
-            return self._propose(t_ns, after, f"{why}: {said}", drive, error)
+            return self._propose(t_ns, after, f"{why}: {changes}", drive, error)
         self.pending = None
         return self._hint_if_unreached(t_ns, reading)
 
@@ -276,7 +276,7 @@ class Tuner:
             self.pending = after
             return TuningReport(t_ns, self.channel.number, "suggestion", f"suggested: {text}", before, after)
         if error:
-            self._watch.changed(before, drive, error, self.response)
+            self._harm.changed(before, drive, error, self.response)
             self._settle = 1
         self.parameters = after
         return self._report(t_ns, "change", text, before)
@@ -285,7 +285,7 @@ class Tuner:
         self._unreached = self._unreached + 1 if reading.level < 0.0 else 0
         if self._unreached != UNREACHED_STRIDES or self._hold:
             return None
-        if used(self.parameters, self.tuning) >= SPENT:
+        if share_used(self.parameters, self.tuning) >= SPENT:
             where = "at the upper bound: look at electrodes, fatigue and target"
         else:
             where = "below the upper bound: look at electrodes, the other target and the intensity set by hand"
