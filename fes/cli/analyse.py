@@ -207,7 +207,7 @@ def _show(
     from rich.console import Console
 
     from fes.cli.common.show import PIPED_COLUMNS
-    from fes.report.parameter_lines import parameter_lines, parameter_table
+    from fes.report.tables import parameter_lines, parameter_table
 
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     screen.print(stride_table(summary))

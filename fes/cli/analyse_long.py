@@ -118,7 +118,7 @@ def _show(told: list[_Told], every: GaitParameters, folder: Path, *, report: boo
     from rich.table import Table
 
     from fes.cli.common.show import PIPED_COLUMNS
-    from fes.report.parameter_lines import parameter_lines, parameter_table
+    from fes.report.tables import parameter_lines, parameter_table
 
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     feet = list(dict.fromkeys(foot for each in told for foot in each.strides))

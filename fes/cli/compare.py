@@ -110,7 +110,7 @@ def _report(
     names = labels or [f"{chr(65 + k)} {path.stem if path.is_file() else path.name}" for k, path in enumerate(paths)]
     try:
         comparison = compare_sessions(
-            [read_compared(path, name) for path, name in zip(paths, names, strict=True)], afflicted=paretic_side
+            [read_compared(path, name) for path, name in zip(paths, names, strict=True)], paretic=paretic_side
         )
         write_comparison(comparison, report)
     except ComparisonProblem as error:

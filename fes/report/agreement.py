@@ -1,10 +1,11 @@
-"""How an estimate agrees with its reference: the console's table, plain JSON, and one HTML page with figures.
+"""How an estimate agrees with its reference: the terminal's table, JSON, and one HTML page with figures.
 
-Figures of an agreement: Bland–Altman, estimate over reference, errors over time; inline SVG.
+The figures are Bland–Altman's, the estimate over the reference, and the errors over time.
 """
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,12 @@ from rich.text import Text
 
 from fes import __version__
 from fes.evaluation.agreement import Interval
-from fes.evaluation.reference.compare import Pair
+from fes.evaluation.reference.compare import Count, Pair
 from fes.evaluation.reference.evaluation import BOTH, AgreementRow, Evaluation
 from fes.report.figures.strides import foot_color
 from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.html import style, templates, trusted, write_page_file
-from fes.report.text import number, plain, readable
+from fes.report.text import capitalised, number, plain, readable
 from fes.signals import FloatArray
 
 GREY, LIMIT = "#5a636d", "#b3261e"
@@ -102,16 +103,14 @@ def _errors(row: AgreementRow, pairs: list[Pair]) -> Figure:
     return Figure(
         f"{q.label}: errors",
         plot.render(),
-        f"{q.about[0].upper()}{q.about[1:]}. A slope would be a clock or a sensor that drifts.",
+        f"{capitalised(q.about)}. A slope would be a clock or a sensor that drifts.",
     )
 
 
 def _values(row: AgreementRow, pairs: list[Pair]) -> tuple[FloatArray, FloatArray]:
     factor = row.about.factor
-    return (
-        factor * np.array([pair.reference for pair in pairs]),
-        factor * np.array([pair.estimate for pair in pairs]),
-    )
+    reference, estimate = factor * np.array([(pair.reference, pair.estimate) for pair in pairs]).T
+    return reference, estimate
 
 
 def _points(plot: Plot, pairs: list[Pair], x: FloatArray, y: FloatArray, unit: str, digits: int) -> None:
@@ -124,20 +123,21 @@ def _points(plot: Plot, pairs: list[Pair], x: FloatArray, y: FloatArray, unit: s
 def agreement_json(evaluation: Evaluation) -> dict[str, Any]:
     """Everything in SI, with the pairs; what is not known is null."""
     lag = evaluation.synchrony
-    told: dict[str, Any] = plain(
-        {
-            "recording": evaluation.estimate.source,
-            "estimate": evaluation.estimate.how,
-            "reference": list(evaluation.sources),
-            "clock": {"applied_lag_s": lag.applied_s, "found_by": lag.by, "found": lag.found},
-            "counts": evaluation.counts,
-            "agreement": evaluation.rows,
-            "notes": evaluation.notes,
-            "warnings": evaluation.warnings,
-            "pairs": evaluation.pairs,
-        }
+    return dict(
+        plain(
+            {
+                "recording": evaluation.estimate.source,
+                "estimate": evaluation.estimate.how,
+                "reference": list(evaluation.sources),
+                "clock": {"applied_lag_s": lag.applied_s, "found_by": lag.by, "found": lag.found},
+                "counts": evaluation.counts,
+                "agreement": evaluation.rows,
+                "notes": evaluation.notes,
+                "warnings": evaluation.warnings,
+                "pairs": evaluation.pairs,
+            }
+        )
     )
-    return told
 
 
 def agreement_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
@@ -160,17 +160,7 @@ def agreement_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
 
 def pair_rows(evaluation: Evaluation) -> list[dict[str, Any]]:
     """A flat row for each pair, SI."""
-    return [
-        {
-            "quantity": pair.quantity,
-            "foot": pair.foot,
-            "t_s": pair.t_s,
-            "reference": pair.reference,
-            "estimate": pair.estimate,
-            "error": pair.estimate - pair.reference,
-        }
-        for pair in evaluation.pairs
-    ]
+    return [asdict(pair) | {"error": pair.estimate - pair.reference} for pair in evaluation.pairs]
 
 
 def agreement_text(evaluation: Evaluation) -> RenderableType:
@@ -189,28 +179,31 @@ def agreement_text(evaluation: Evaluation) -> RenderableType:
         table.add_column(title, no_wrap=True)
     for title in ("n", "bias", "SD", "RMSE", "LoA", "ICC", "slope"):
         table.add_column(title, justify="right", no_wrap=True)
-    for row in evaluation.rows:
-        c = cells(row)
-        names = ("n", "bias", "sd", "rmse", "limits", "icc", "slope")
-        table.add_row(c["label"], c["foot"], c["unit"], *(c[name] for name in names))
-    lines = [Text(count_words(evaluation, k)) for k in range(len(evaluation.counts))]
-    lines += [Text(clock_words(evaluation))]
+    names = ("label", "foot", "unit", "n", "bias", "sd", "rmse", "limits", "icc", "slope")
+    for cells in map(_cells, evaluation.rows):
+        table.add_row(*(cells[name] for name in names))
+    lines = [Text(_describe_count(count)) for count in evaluation.counts]
+    lines += [Text(_describe_clocks(evaluation))]
     lines += [Text(note) for note in evaluation.notes]
     lines += [Text(f"! {warning}", style="yellow") for warning in evaluation.warnings]
     return Group(table, *lines)
 
 
-def cells(row: AgreementRow) -> dict[str, str]:
+def _cells(row: AgreementRow) -> dict[str, str]:
     """One row as people read it."""
     q, d = row.about, row.differences
     half = q.factor * 0.5 * (d.bias.high - d.bias.low)
 
     def shown(value: float, sign: str = "") -> str:
-        scaled = q.factor * value
-        return f"{round(scaled, q.digits) + 0.0:{sign}.{q.digits}f}" if np.isfinite(scaled) else "–"
+        return number(q.factor * value, q.digits, sign)
 
-    def between(interval: Interval) -> str:
-        return f"{shown(interval.low, '+')} … {shown(interval.high, '+')}"
+    def between(low: float, high: float) -> str:
+        return f"{shown(low, '+')} … {shown(high, '+')}"
+
+    def with_interval(value: Interval) -> str:
+        if not np.isfinite(value.value):
+            return "–"
+        return f"{number(value.value, 2)} ({number(value.low, 2)}…{number(value.high, 2)})"
 
     return {
         "label": q.label,
@@ -222,31 +215,24 @@ def cells(row: AgreementRow) -> dict[str, str]:
         "sd": shown(d.sd),
         "rmse": shown(d.rmse),
         "worst": shown(d.worst),
-        "limits": f"{shown(d.lower_limit.value, '+')} … {shown(d.upper_limit.value, '+')}",
-        "lower": between(d.lower_limit),
-        "upper": between(d.upper_limit),
-        "icc": f"{number(row.icc.value, 2)} ({number(row.icc.low, 2)}…{number(row.icc.high, 2)})"
-        if np.isfinite(row.icc.value)
-        else "–",
+        "limits": between(d.lower_limit.value, d.upper_limit.value),
+        "lower": between(d.lower_limit.low, d.lower_limit.high),
+        "upper": between(d.upper_limit.low, d.upper_limit.high),
+        "icc": with_interval(row.icc),
         "slope": number(row.line.slope.value, 2),
         "intercept": shown(row.line.intercept.value, "+"),
         "r": number(row.line.r, 3),
-        "trend": f"{number(row.line.trend.value, 2)} ({number(row.line.trend.low, 2)}…{number(row.line.trend.high, 2)})"
-        if np.isfinite(row.line.trend.value)
-        else "–",
+        "trend": with_interval(row.line.trend),
         "about": q.about,
     }
 
 
-def count_words(evaluation: Evaluation, k: int) -> str:
-    """One count in words."""
-    c = evaluation.counts[k]
+def _describe_count(c: Count) -> str:
     text = f"{c.what}, {readable(c.foot)}: {c.expected} expected, {c.missed} missed, {c.extra} extra"
     return text + (f"; {c.left_out} left out, for one side cannot be relied on there" if c.left_out else "")
 
 
-def clock_words(evaluation: Evaluation) -> str:
-    """What became of the clocks, in words."""
+def _describe_clocks(evaluation: Evaluation) -> str:
     lag = evaluation.synchrony
     if lag.found is None:
         return f"Clocks: lag of {lag.applied_s:+.3f} s applied, not checked"
@@ -276,9 +262,9 @@ def render_page(evaluation: Evaluation) -> str:
             title=f"{Path(evaluation.estimate.source).name} – agreement",
             e=evaluation,
             version=__version__,
-            rows=[cells(row) for row in evaluation.rows],
-            counts=[count_words(evaluation, k) for k in range(len(evaluation.counts))],
-            clock=clock_words(evaluation),
+            rows=[_cells(row) for row in evaluation.rows],
+            counts=[_describe_count(count) for count in evaluation.counts],
+            clock=_describe_clocks(evaluation),
             feet=[(readable(foot), foot_color(foot)) for foot in sorted({pair.foot for pair in evaluation.pairs})],
             figures=trusted(agreement_figures(evaluation)),
             style=style(),

@@ -1,6 +1,6 @@
 """Which strides to be careful with, and why: sensors at their limit, lost samples, phases or numbers that are unsure.
 
-A sensor's limit is its range, where the recording or the session file names it. Else it is told from the samples: noise
+A sensor's limit is its range, where the recording or the session file names it. Else it is found in the samples: noise
 never repeats the greatest value of a whole recording four times in a row, a sensor at its limit does.
 """
 
@@ -27,6 +27,12 @@ LEAST_LIMIT: Final = {"acc": 15.0, "gyr": 4.0}  # m/s², rad/s: a sensor that ha
 
 CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE = "accelerometer", "gyroscope", "lost", "unsure"
 SHORT: Final = {CLIPPED_ACC: "clip a", CLIPPED_GYR: "clip g", LOST: "gap", UNSURE: "unsure"}
+NAMES: Final = {
+    CLIPPED_ACC: "accelerometer at its limit",
+    CLIPPED_GYR: "gyroscope at its limit",
+    LOST: "lost samples",
+    UNSURE: "a phase not seen",
+}
 MEANING: Final = {
     CLIPPED_ACC: "the accelerometer was at its limit: lengths, heights and paths may be off",
     CLIPPED_GYR: "the gyroscope was at its limit: angles, lengths, heights and paths may be off",
@@ -65,7 +71,7 @@ class SensorFlags:
         at_limit: by "acc" and "gyr", (N,) which samples have an axis at the limit.
         lost: (N,) how many samples are missing just before this one, if they leave a gap that matters.
         limits: by "acc" and "gyr": the limit (m/s², rad/s), NaN where none was reached and none is known.
-        known: the limits were given, not told from the samples.
+        known: the limits were given, not found in the samples.
         period_ns: the usual time from sample to sample.
     """
 
@@ -115,14 +121,14 @@ def sensor_flags(samples: SampleArrays, ranges: Mapping[str, float] | None = Non
     values = {"acc": samples.acc_mps2, "gyr": samples.gyr_radps}
     if (t_ns[1:] < t_ns[:-1]).any():
         order = np.argsort(t_ns, kind="stable")
-        t_ns, values = t_ns[order], {name: of[order] for name, of in values.items()}
+        t_ns, values = t_ns[order], {name: vectors[order] for name, vectors in values.items()}
     limits: dict[str, float] = {}
     at_limit: dict[str, BoolArray] = {}
-    for name, of in values.items():
-        limit = (ranges or {}).get(name) or _told_limit(of, LEAST_LIMIT[name])
+    for name, vectors in values.items():
+        limit = (ranges or {}).get(name) or _limit_reached(vectors, LEAST_LIMIT[name])
         limits[name] = limit
         at_limit[name] = np.zeros(t_ns.size, np.bool_)
-        for axis in of.T:  # one by one: hours of samples are not to be there twice
+        for axis in vectors.T:  # one by one: hours of samples are not to be there twice
             at_limit[name] |= np.abs(axis) >= AT_LIMIT * limit
     lost = np.zeros(t_ns.size, dtype=np.int64)
     whole = np.flatnonzero(np.isfinite(values["acc"]).all(axis=1) & np.isfinite(values["gyr"]).all(axis=1))
@@ -135,7 +141,7 @@ def sensor_flags(samples: SampleArrays, ranges: Mapping[str, float] | None = Non
     return SensorFlags(t_ns, at_limit, lost, limits, bool(ranges), usual_ns)
 
 
-def _told_limit(values: FloatArray, least: float) -> float:
+def _limit_reached(values: FloatArray, least: float) -> float:
     """The greatest size in (N, 3), if it stands so often in a row that it must be a limit; else NaN."""
     greatest = max(float(np.abs(axis).max(where=np.isfinite(axis), initial=0.0)) for axis in values.T)
     if greatest < least:
@@ -173,17 +179,11 @@ def stride_flags(
     return found
 
 
-def told(flags: Iterable[Sequence[Flag]]) -> str:
+def describe_flags(flags: Iterable[Sequence[Flag]]) -> str:
     """How many of these strides have which flag, in words; "" where none has."""
-    every = list(flags)
-    parts = []
-    for kind in MEANING:
-        count = sum(any(flag.kind == kind for flag in own) for own in every)
-        if count:
-            names = {CLIPPED_ACC: "accelerometer at its limit", CLIPPED_GYR: "gyroscope at its limit"}
-            names |= {LOST: "lost samples", UNSURE: "a phase not seen"}
-            parts.append(f"{names[kind]} in {count}")
-    return ", ".join(parts)
+    strides = list(flags)
+    counts = {kind: sum(any(flag.kind == kind for flag in own) for own in strides) for kind in NAMES}
+    return ", ".join(f"{NAMES[kind]} in {count}" for kind, count in counts.items() if count)
 
 
 def _ranges(header: Mapping[str, Any], settings: Session | None) -> dict[str, dict[str, float]]:

@@ -1,15 +1,19 @@
-"""What the words and numbers mean: shown on hover and, for paper and tablets, at the end of the report.
+"""What words and numbers mean: shown on hover, focus and touch, and listed at the report's end.
 
-What is usual, where somebody has published it: shown beside the key numbers, each with its source.
-
-Ranges are of comfortable walking over ground. They depend on age, sex and height, which a session does not know, and
-on a treadmill the belt sets the speed: they are there to see how far away a number is, and judge nothing.
+What is usual stands beside the key numbers where somebody has published it, each with its source. Ranges are of
+comfortable walking over ground. They depend on age, sex and height, which a session does not know, and on a treadmill
+the belt sets the speed: they are there to see how far away a number is, and judge nothing.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
+
+from fes.analysis.parameters.definitions import DEFINITIONS
+from fes.report.flags import MEANING, SHORT
+from fes.report.text import capitalised, slug
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +69,7 @@ GLOSSARY: dict[str, str] = {
     "T5": "The heel was lifted and put back without a swing.",
     "T6": "The swing ended in stance without a loading response being seen.",
     "valid": "The stride's numbers can be used; if not, the reason is given and it is left out of all averages.",
-    "walking speed": "Way over time of the valid strides within 30 % of the median one's speed (m/s); mean of feet.",
+    "walking speed": "Distance over time of the valid strides within 30 % of the median speed (m/s); mean of feet.",
     "cadence": "Two steps per stride: 120 s divided by the mean stride time in s (steps/min).",
     "onset": "First command to stimulate, counted from the entry into pre-swing of the same foot (ms).",
     "burst": "A stretch in which a channel was commanded on without a break.",
@@ -77,3 +81,45 @@ GLOSSARY: dict[str, str] = {
     "gate": "The safety gate: the last check before the wire. It turns a command off when in doubt and says why.",
     "pitch": "Rotation of the foot about the axis across it (°): toe up positive, 0 in the stance at the start.",
 }
+
+
+_MORE = {
+    "CV": "Coefficient of variation: standard deviation over the size of the mean (%).",
+    "n": "How many steady strides the mean is of: within 30 % of the median stride's length, turning by 20° at most.",
+    "usual": "What a published source found; of healthy people over ground, not of this person. "
+    + "; ".join(norm.hover() for norm in NORMS.values()),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """``name`` is what is explained, ``text`` the explanation with unit, formula in words and source."""
+
+    name: str
+    text: str
+
+
+@cache
+def terms() -> dict[str, Term]:
+    """By anchor: words of the report, then gait parameters."""
+    found = {slug(name): Term(name, text) for name, text in (*GLOSSARY.items(), *_MORE.items())}
+    for kind, name in SHORT.items():
+        found[slug(f"flag {name}")] = Term(name, f"{capitalised(MEANING[kind])}.")
+    for key, known in DEFINITIONS.items():
+        symbol = f" ({known.symbol})" if known.symbol else ""
+        unit = f" Unit: {known.shown}." if known.shown else ""
+        source = f" [{known.source}]" if known.source else ""
+        text = f"{capitalised(known.text)}.{unit}{source}"
+        found[slug(key)] = Term(f"{known.name}{symbol}", text)
+    found[slug("temporal_symmetry")] = Term(
+        "temporal symmetry",
+        "Swing over stance time of the paretic side over that of the other; left over right where no side was named. "
+        f"1 is symmetric. Usual: {NORMS['temporal_symmetry'].hover()}.",
+    )
+    found[slug("speed_class")] = Term("speed class after stroke", f"{SPEED_CLASSES_SOURCE}.")
+    return found
+
+
+def parameter_slugs() -> list[str]:
+    """Anchors of the gait parameters, in the table's order."""
+    return [slug(key) for key in DEFINITIONS] + [slug("temporal_symmetry"), slug("speed_class")]

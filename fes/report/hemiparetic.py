@@ -13,7 +13,7 @@ from fes.analysis.hemiparetic.side import MIN_AGREEING, MIN_SCORE
 from fes.report.figures.space import SpaceFigure, SpaceFoot
 from fes.report.findings import Finding
 from fes.report.gait import POINTS, spread_of
-from fes.report.text import readable
+from fes.report.text import capitalised, mean_sd, readable, spread
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.foot import FootTrack
@@ -31,7 +31,7 @@ MOST_MISCOUNTED = 0.1  # of the strides
 
 @dataclass(frozen=True, slots=True)
 class Vote:
-    """One sign: what it looks at, which side it takes for afflicted, and how strongly, as text."""
+    """One sign: what it looks at, which side it takes for paretic, and how strongly, as text."""
 
     sign: str
     side: str
@@ -55,8 +55,8 @@ class WindowRow:
 class HemipareticSection:
     """Everything of the section as text, ``space`` None where there are no windows.
 
-    ``sure``: the walk itself tells the side. ``terrain``: by foot, "46 level, 2 up". ``doubt``: why not to trust the
-    windows.
+    ``sure``: the walk itself tells the side. ``terrain``: by foot, "46 level, 2 up". ``miscounts``: where the
+    windows find another number of strides.
     """
 
     heading: str
@@ -68,7 +68,7 @@ class HemipareticSection:
     terrain_of: dict[tuple[str, int], str]
     windows: tuple[WindowRow, ...]
     no_windows: str
-    doubt: str
+    miscounts: str
     space: SpaceFigure | None
 
     @property
@@ -81,18 +81,17 @@ def hemiparetic_section(walk: HemipareticWalk) -> HemipareticSection:
     """Put the walk into words."""
     side = walk.side
     votes = [vote for vote in side.votes.values() if math.isfinite(vote)]
-    told = "left" if sum(votes) >= 0.0 else "right"
-    sure = side.score >= MIN_SCORE and side.agreeing >= MIN_AGREEING and told == side.side
-    heading = f"Afflicted side: {side.side}" if side.side is not None else "Afflicted side: not sure"
+    voted = "left" if sum(votes) >= 0.0 else "right"
+    sure = side.score >= MIN_SCORE and side.agreeing >= MIN_AGREEING and voted == side.side
+    heading = "Paretic side: not sure"
     if side.side is not None:
-        heading += (
-            f", told from the walk (score {side.score:.2f})" if sure else ", as given; the signs alone do not tell"
-        )
+        why = f"by the signs of the walk (score {side.score:.2f})" if sure else "as given; the signs alone do not tell"
+        heading = f"Paretic side: {side.side}, {why}"
     return HemipareticSection(
         heading=heading,
         sign={"left": "L", "right": "R"}.get(side.side or "", "?"),
         sure=sure,
-        sentence=side.words()[:1].upper() + side.words()[1:],
+        sentence=capitalised(side.words()),
         votes=tuple(_vote(sign, vote) for sign, vote in side.votes.items()),
         terrain={
             readable(foot): _counted([str(kind) for kind in found.values()]) for foot, found in walk.terrain.items()
@@ -100,8 +99,8 @@ def hemiparetic_section(walk: HemipareticWalk) -> HemipareticSection:
         terrain_of={(foot, n): str(kind) for foot, found in walk.terrain.items() for n, kind in found.items()},
         windows=() if walk.windows is None else tuple(_window_row(walk.windows, track) for track in _tracks(walk)),
         no_windows=walk.no_windows,
-        doubt=_doubt(walk),
-        space=_space(walk),
+        miscounts=_miscounts(walk),
+        space=_space_figure(walk),
     )
 
 
@@ -126,13 +125,13 @@ def _window_row(windows: Windows, track: FootTrack) -> WindowRow:
         role="taken for healthy" if track.name == windows.healthy else "its windows mapped",
         threshold=f"{windows.thresholds_m2ps4[track.name]:.3f}",
         strides=max(len(track.windows) - 1, 0),
-        length=_mean_sd(track.stride_lengths_m()),
-        swing=_mean_sd(track.swing_s()),
-        stance=_mean_sd(track.stance_s()),
+        length=mean_sd(spread(track.stride_lengths_m()), 2),
+        swing=mean_sd(spread(track.swing_s()), 2),
+        stance=mean_sd(spread(track.stance_s()), 2),
     )
 
 
-def _doubt(walk: HemipareticWalk) -> str:
+def _miscounts(walk: HemipareticWalk) -> str:
     """What tells against the windows: another number of strides than the project's own; "" where they agree."""
     parts = []
     for track in _tracks(walk):
@@ -142,23 +141,16 @@ def _doubt(walk: HemipareticWalk) -> str:
     return "; ".join(parts)
 
 
-def _mean_sd(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> str:
-    kept = values[np.isfinite(values)]
-    if not kept.size:
-        return "–"
-    return f"{kept.mean():.2f} ± {kept.std(ddof=1):.2f}" if kept.size > 1 else f"{kept[0]:.2f}"
-
-
-def _space(walk: HemipareticWalk) -> SpaceFigure | None:
+def _space_figure(walk: HemipareticWalk) -> SpaceFigure | None:
     """Wang et al.'s own Figure 5: strides between the centres of windows, without the first and the last."""
     feet = {track.name: foot for track in _tracks(walk) if (foot := _space_foot(track)) is not None}
     if not feet:
         return None
-    told = (
+    caption = (
         "By the method of Wang et al. (2013) with its zero-velocity windows, in its visualization frame: x right, "
         "y along the walk, z up; strides stretched to the same length in time, the first and the last left out."
     )
-    return SpaceFigure("windows", feet, "Strides between zero-velocity windows", told)
+    return SpaceFigure("windows", feet, "Strides between zero-velocity windows", caption)
 
 
 def _space_foot(track: FootTrack) -> SpaceFoot | None:

@@ -21,16 +21,16 @@ from fes.report.figures.strides import (
     phase_figures,
     stride_figures,
 )
-from fes.report.flags import Flag, all_flags, stride_flags, told
-from fes.report.front_page import front_page
+from fes.report.figures.timeseries import chart_data
+from fes.report.findings import front_page
+from fes.report.flags import Flag, all_flags, describe_flags, stride_flags
 from fes.report.gait import foot_curves, gait_of_strides
+from fes.report.glossary import parameter_slugs, terms
 from fes.report.html import asset, css_text, embed, templates, trusted, write_page_file
-from fes.report.parameter_table import KEY_NUMBERS, compared, parameter_rows, walk_rows
+from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, sides_compared, walk_rows
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark
-from fes.report.terms import parameter_slugs, terms
 from fes.report.text import local_time, plain, readable
-from fes.report.timeseries import chart_data
 from fes.session_log import SessionRecord
 
 if TYPE_CHECKING:
@@ -96,14 +96,14 @@ def render_report(
             front_figures=trusted(over_stride[:2]),
             gait=measured,
             from_samples=gait is not None,
-            compared=compared(measured),
+            compared=sides_compared(measured),
             key_rows=parameter_rows(measured, flags, KEY_NUMBERS),
             walk_rows=walk_rows(measured),
             front_walk=[row for row in walk_rows(measured) if row.norm],
             parameter_rows=parameter_rows(measured, flags),
             hemiparetic=section,
             flags=flags,
-            flags_told=told(flags.values()),
+            flags_described=describe_flags(flags.values()),
             sensors=sensors,
             terms=terms(),
             parameter_slugs=parameter_slugs(),
@@ -141,8 +141,8 @@ def _running_head(view: ReportData) -> str:
 
 def _care(flags: Mapping[tuple[str, int], tuple[Flag, ...]], numbers: Mapping[str, tuple[int, ...]]) -> str:
     """What is to be said of the drawn strides' flags."""
-    said = told(flags.get((foot, number), ()) for foot, own in numbers.items() for number in own)
-    return f" With care: {said}." if said else ""
+    described = describe_flags(flags.get((foot, number), ()) for foot, own in numbers.items() for number in own)
+    return f" With care: {described}." if described else ""
 
 
 def _header_parts(header: dict[str, Any]) -> list[tuple[str, str]]:

@@ -10,25 +10,20 @@ from typing import Final
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.gait import GaitParameters
 from fes.analysis.parameters.summary import Statistic
-from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, told
+from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, describe_flags
 from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
-from fes.report.text import number, readable
+from fes.report.text import DIGITS, number, readable
 
-DIGITS: Final = {"m": 2, "s": 2, "m/s": 2, "cm": 1, "°": 1, "%": 1, "": 2}
 KEY_NUMBERS: Final = (
     *("stride_length_m", "stride_time_s", "swing_s", "stance_share", "double_support_share", "lift_m"),
     *("toe_clearance_m", "circumduction_m", "angle_contact_rad"),
 )
-_TIMES: Final = frozenset(
-    (
-        *("stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share", "step_time_s"),
-        *("double_support_s", "double_support_share"),
-    )
+_TIMES: Final = (
+    *("stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share", "step_time_s"),
+    *("double_support_s", "double_support_share"),
 )
-_ANGLES: Final = frozenset(
-    ("heel_rotation_rad", "angle_contact_rad", "angle_off_rad", "orientation_variation_rad", "turn_rad")
-)
-_MIXED: Final = frozenset(("speed_mps", "step_length_m", "angle_contact_rad", "angle_off_rad"))  # need a contact, too
+_ANGLES: Final = ("heel_rotation_rad", "angle_contact_rad", "angle_off_rad", "orientation_variation_rad", "turn_rad")
+_MIXED: Final = ("speed_mps", "step_length_m", "angle_contact_rad", "angle_off_rad")  # need a contact, too
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +62,7 @@ class WalkRow:
     norm_detail: str = ""
 
 
-def touches(key: str) -> frozenset[str]:
+def flags_touching(key: str) -> frozenset[str]:
     """The kinds of flags that a stride parameter may be wrong by."""
     if key in _TIMES:
         return frozenset((LOST, UNSURE))
@@ -118,7 +113,7 @@ def walk_rows(gait: GaitParameters) -> list[WalkRow]:
 def temporal_symmetry(gait: GaitParameters) -> float:
     """Patterson et al. (2008): swing over stance time of one side over that of the other; NaN without two feet.
 
-    Afflicted over other side, left over right where no side was named.
+    Paretic over other side, left over right where no side was named.
     """
     if set(gait.feet) != {"left_foot", "right_foot"}:
         return math.nan
@@ -128,7 +123,7 @@ def temporal_symmetry(gait: GaitParameters) -> float:
     return parts[0] / parts[1] if parts[1] > 0 else math.nan
 
 
-def compared(gait: GaitParameters) -> str:
+def sides_compared(gait: GaitParameters) -> str:
     """Which side is compared to which, in words."""
     both = next(iter(gait.sides.values()), None)
     return "" if both is None else f"{both.first} over {both.second}"
@@ -136,7 +131,7 @@ def compared(gait: GaitParameters) -> str:
 
 def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, int], Sequence[Flag]]) -> SideCell:
     value: Statistic = gait.feet[foot][key]
-    known, kinds = DEFINITIONS[key], touches(key)
+    known, kinds = DEFINITIONS[key], flags_touching(key)
     digits = DIGITS[known.shown]
     own = [
         [flag for flag in flags.get((foot, stride.number), ()) if flag.kind in kinds]
@@ -151,5 +146,7 @@ def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, i
         number(100.0 * value.cv, 1),
         value.n,
         flagged,
-        f"{flagged} of these {value.n} strides of the {readable(foot)} may be off: {told(own)}" if flagged else "",
+        f"{flagged} of these {value.n} strides of the {readable(foot)} may be off: {describe_flags(own)}"
+        if flagged
+        else "",
     )

@@ -5,7 +5,7 @@ Means and spreads over the strides of a foot and the bursts of a channel.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -25,13 +25,13 @@ from fes.report.stimulation import (
     status_columns,
 )
 from fes.report.strides import StrideRow, stride_rows
-from fes.report.text import Spread, plain
+from fes.report.text import Spread, plain, spread
 from fes.report.timeline import PhaseTimeline, build_timeline
 from fes.report.tuning import DoseRow, TuningRow, dose_rows, tuning_rows
 from fes.session_log import SessionLogError, SessionRecord
 from fes.signals import FOOT_SENSORS, NS_PER_S
 
-AGGREGATE_NAN = float("nan")
+NAN = float("nan")
 STEADY_SHARE = 0.3
 
 
@@ -81,16 +81,6 @@ class ChannelSummary:
     burst_duration_s: Spread
 
 
-def spread(values: Iterable[float]) -> Spread:
-    """Mean and standard deviation of the finite values."""
-    kept = np.array([value for value in values if np.isfinite(value)])
-    return Spread(
-        mean=float(kept.mean()) if kept.size else AGGREGATE_NAN,
-        sd=float(kept.std(ddof=1)) if kept.size > 1 else AGGREGATE_NAN,
-        n=int(kept.size),
-    )
-
-
 def steady_speed_mps(rows: Sequence[StrideRow]) -> float:
     """Way over time of the steady strides, m/s; NaN where there is none.
 
@@ -100,9 +90,9 @@ def steady_speed_mps(rows: Sequence[StrideRow]) -> float:
     pairs = [(row.stride_length_m, row.duration_s) for row in rows if row.duration_s > 0]
     length_m, time_s = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
     speed_mps = length_m / time_s
-    usual = float(np.median(speed_mps[np.isfinite(speed_mps)])) if np.isfinite(speed_mps).any() else AGGREGATE_NAN
+    usual = float(np.median(speed_mps[np.isfinite(speed_mps)])) if np.isfinite(speed_mps).any() else NAN
     steady = np.abs(speed_mps - usual) <= STEADY_SHARE * abs(usual)
-    return float(length_m[steady].sum() / time_s[steady].sum()) if steady.any() else AGGREGATE_NAN
+    return float(length_m[steady].sum() / time_s[steady].sum()) if steady.any() else NAN
 
 
 def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
@@ -121,7 +111,7 @@ def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
         toe_clearance_cm=spread(row.toe_clearance_cm for row in valid),
         stride_time_s=stride_time,
         walking_speed_mps=steady_speed_mps(valid),
-        cadence_steps_per_min=120.0 / stride_time.mean if stride_time.n else AGGREGATE_NAN,
+        cadence_steps_per_min=120.0 / stride_time.mean if stride_time.n else NAN,
         pre_swing_s=spread(row.pre_swing_s for row in valid),
         swing_s=spread(row.swing_s for row in valid),
         loading_response_s=spread(row.loading_response_s for row in valid),
@@ -149,8 +139,8 @@ def channel_summary(
         pulses=sum(burst.pulses for burst in bursts),
         charge_uc=sum(burst.charge_uc for burst in bursts),
         charge_counted_by_device=any(burst.counted for burst in bursts),
-        outside_s=sum(outside) if known else AGGREGATE_NAN,
-        longest_outside_s=max(outside, default=0.0) if known else AGGREGATE_NAN,
+        outside_s=sum(outside) if known else NAN,
+        longest_outside_s=max(outside, default=0.0) if known else NAN,
         bursts_outside=sum(value > 0 for value in outside),
         on_without_command=stray,
         onset_after_pre_swing_ms=spread(item.onset_after_pre_swing_ms for item in own),
@@ -159,7 +149,6 @@ def channel_summary(
 
 
 FORMAT = 1
-NAN = float("nan")
 LONGEST_NS = 31 * 24 * 3600 * NS_PER_S
 FURTHEST_NS = 2**62  # 146 years: differences stay within 64 bits
 

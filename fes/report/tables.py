@@ -1,8 +1,10 @@
-"""What the terminal shows: a row per stride and a summary of about a dozen lines; colour is decoration only."""
+"""What the terminal shows: strides, a summary of about a dozen lines, gait parameters; colour is decoration only."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -13,8 +15,13 @@ from rich.text import Text
 from fes.report.findings import Finding, findings
 from fes.report.strides import StrideRow
 from fes.report.summary import SessionSummary
-from fes.report.text import count_of, mean_sd, number, readable
-from fes.report.tuning import told
+from fes.report.text import capitalised, count_of, mean_sd, number, readable
+from fes.report.tuning import tuning_lines
+
+if TYPE_CHECKING:
+    from fes.analysis.hemiparetic.walk import HemipareticWalk
+    from fes.analysis.parameters.gait import GaitParameters
+
 
 MARKS = {"good": ("✓", "green"), "info": ("·", ""), "warning": ("!", "yellow"), "alert": ("✗", "bold red")}
 
@@ -30,12 +37,12 @@ def path_mark(row: StrideRow) -> str:
 def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
     """A row per stride and channel, at most 100 columns wide; ``limit`` shows only the last so many strides."""
     rows = summary.strides if limit is None else summary.strides[max(len(summary.strides) - limit, 0) :]
-    remarks = list(dict.fromkeys(text for row in rows for text in _remarks(row)))
+    notes = list(dict.fromkeys(text for row in rows for text in _notes(row)))
     legend = [
         "len.: stride length; clr.: greatest height of the sensor; pre to stance: time",
         "path: 4 = all four phases, T6 = no loading response, +T5 = heel put back",
         "onset: after pre-swing began; dose: charge of one phase of all pulses",
-        *(f"note {index}: {text}" for index, text in enumerate(remarks, 1)),
+        *(f"note {index}: {text}" for index, text in enumerate(notes, 1)),
     ]
     shown, total = len(rows), len(summary.strides)
     table = Table(
@@ -55,14 +62,14 @@ def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
     table.add_column("\npath", no_wrap=True)
     for title in ("\nch", "onset\nms", "on\nms", "peak\nmA", "dose\nµC"):
         table.add_column(title, justify="right", no_wrap=True)
-    if remarks:
+    if notes:
         table.add_column("\nnote", no_wrap=True)
     for row in rows:
-        _add(table, row, " ".join(str(remarks.index(text) + 1) for text in _remarks(row)))
+        _add(table, row, " ".join(str(notes.index(text) + 1) for text in _notes(row)))
     return table
 
 
-def _remarks(row: StrideRow) -> tuple[str, ...]:
+def _notes(row: StrideRow) -> tuple[str, ...]:
     left_out = (f"left out: {row.reason or 'no reason given'}",) if not row.valid else ()
     return (*left_out, *(f"gate: {reason}" for reason in row.refused))
 
@@ -108,7 +115,7 @@ def summary_block(summary: SessionSummary) -> RenderableType:
                     f"onset {mean_sd(channel.onset_after_pre_swing_ms, 0, 'ms')}"
                 )
             )
-    lines += [Text(f"  {line}") for line in told(summary.tuning, summary.dose)]
+    lines += [Text(f"  {line}") for line in tuning_lines(summary.tuning, summary.dose)]
     lines += [_finding_line(finding) for finding in findings(summary)]
     return Group(*lines)
 
@@ -139,3 +146,55 @@ def _foot_line(summary: SessionSummary, name: str) -> Text:
 def _finding_line(finding: Finding) -> Text:
     mark, style = MARKS[finding.level]
     return Text(f"{mark} {finding.text}", style=style)
+
+
+def parameter_table(parameters: GaitParameters) -> Table:
+    """One row per parameter: mean ± SD and CV of each foot, and the symmetry index; at most 100 columns wide."""
+    from fes.analysis.parameters.definitions import DEFINITIONS
+    from fes.report.parameter_table import parameter_rows
+
+    table = Table(title="Gait parameters", title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1), pad_edge=False)
+    table.add_column("parameter", no_wrap=True)
+    for foot in parameters.feet:
+        table.add_column(f"{foot.removesuffix('_foot')}, mean ± SD", justify="right", no_wrap=True)
+        table.add_column("CV %", justify="right", no_wrap=True)
+    if parameters.sides:
+        table.add_column("SI %", justify="right", no_wrap=True)
+    for row in parameter_rows(parameters, {}):
+        symbol = DEFINITIONS[row.key].symbol
+        cells = [f"{row.name}{f' ({symbol})' if symbol else ''}, {row.unit}"]
+        for side in row.sides:
+            cells += [f"{side.mean} ± {side.sd}" if side.n else "–", side.cv]
+        table.add_row(*cells, *([row.index] if parameters.sides else []))
+    return table
+
+
+def parameter_lines(parameters: GaitParameters, hemiparetic: HemipareticWalk | None) -> list[str]:
+    """Sentences for people."""
+    walk = parameters.walk
+    if not any(value.n for foot in parameters.feet.values() for value in foot.values()):
+        return [f"No gait parameters: {parameters.no_step_lengths or 'no steady stride'}"]
+    lines = [
+        f"Walk: {number(walk.walking_speed_mps, 2)} m/s, {number(walk.cadence_per_min, 1)} steps/min, "
+        f"walk ratio {number(1000.0 * walk.walk_ratio_m_min, 1)} mm/(steps/min)"
+        + (f", speed over belt {walk.belt_ratio:.3f}" if math.isfinite(walk.belt_ratio) else "")
+    ]
+    if parameters.no_step_lengths:
+        lines.append(f"No step lengths: {parameters.no_step_lengths}")
+    if hemiparetic is None:
+        return lines
+    from fes.analysis.hemiparetic.walk import Terrain
+
+    lines.append(capitalised(hemiparetic.side.words()))
+    for foot, terrain in hemiparetic.terrain.items():
+        kinds = list(terrain.values())
+        counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in Terrain if kind in kinds)
+        lines.append(f"Ground, {foot.removesuffix('_foot')}: {counts}")
+    if hemiparetic.windows is None:
+        lines.append(f"No windows after Wang et al.: {hemiparetic.no_windows}")
+    else:
+        counts = ", ".join(
+            f"{len(t.windows) - 1} {f.removesuffix('_foot')}" for f, t in hemiparetic.windows.tracks.items()
+        )
+        lines.append(f"Strides between windows after Wang et al.: {counts}")
+    return lines

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from datetime import datetime
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+
+DIGITS: Final = {"m": 2, "s": 2, "m/s": 2, "cm": 1, "°": 1, "%": 1, "": 2}  # decimals of a unit
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,16 @@ class Spread:
         return 100 * self.sd / abs(self.mean) if self.mean else math.nan
 
 
+def spread(values: Iterable[float]) -> Spread:
+    """Mean and standard deviation of the finite values."""
+    kept = np.array([value for value in values if np.isfinite(value)])
+    return Spread(
+        mean=float(kept.mean()) if kept.size else math.nan,
+        sd=float(kept.std(ddof=1)) if kept.size > 1 else math.nan,
+        n=int(kept.size),
+    )
+
+
 def number(value: float | None, digits: int, sign: str = "") -> str:
     """A number, with ``sign="+"`` always signed, or a dash for what is not known."""
     if value is None or not math.isfinite(value):
@@ -33,12 +45,12 @@ def number(value: float | None, digits: int, sign: str = "") -> str:
     return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
 
 
-def mean_sd(values: Spread, digits: int, unit: str) -> str:
+def mean_sd(values: Spread, digits: int, unit: str = "") -> str:
     """``0.63 ± 0.02 m``, or a dash when there is nothing."""
     if not values.n:
         return "–"
     sd = f" ± {values.sd:.{digits}f}" if values.n > 1 else ""
-    return f"{values.mean:.{digits}f}{sd} {unit}"
+    return f"{values.mean:.{digits}f}{sd} {unit}".rstrip()
 
 
 def readable(name: str) -> str:

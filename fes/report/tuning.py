@@ -15,7 +15,7 @@ from fes.stimulation.dose import DoseLedger, ElectrodeDose
 
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
-_KINDS: Final = (  # the first that fits; what else is said is a change
+_KINDS: Final = (  # the first that fits; any other text is a change
     ("skip", " skipped: "),
     ("suggestion", "suggested: "),
     ("roll_back", "rolled back"),
@@ -63,7 +63,7 @@ def tuning_rows(notes: Sequence[Note], origin_ns: int) -> tuple[TuningRow, ...]:
         if note.source == SOURCE:
             named = _CHANNEL.match(note.text)
             text = note.text[named.end() :] if named else note.text
-            kind = next((kind for kind, words in _KINDS if words in text), "change")
+            kind = next((kind for kind, phrase in _KINDS if phrase in text), "change")
             rows.append(TuningRow((note.t_ns - origin_ns) / NS_PER_S, int(named[1]) if named else -1, kind, text))
     return tuple(rows)
 
@@ -118,11 +118,11 @@ def _row(dose: ElectrodeDose, names: Mapping[int, str]) -> DoseRow:
     )
 
 
-def told(tuning: Sequence[TuningRow], dose: Sequence[DoseRow]) -> list[str]:
+def tuning_lines(tuning: Sequence[TuningRow], dose: Sequence[DoseRow]) -> list[str]:
     """Charge and tuning in two lines of each channel that tuned itself, for the table of a session."""
     lines = []
     for row in dose:
-        own = [said for said in tuning if said.channel == row.channel]
+        own = [each for each in tuning if each.channel == row.channel]
         if not own:
             continue
         counted = " (estimated)" if row.estimated else ""
@@ -130,8 +130,8 @@ def told(tuning: Sequence[TuningRow], dose: Sequence[DoseRow]) -> list[str]:
             f"{row.name}: {row.median_step_uc:.0f} µC a step (median; most {row.greatest_step_uc:.0f}), "
             f"{max(row.by_minute_mc, default=0.0):.2f} mC in the fullest minute, {row.session_mc:.2f} in all{counted}"
         )
-        changes = [said for said in own if said.kind in ("change", "roll_back")]
-        skipped = sum(said.kind == "skip" for said in own)
+        changes = [each for each in own if each.kind in ("change", "roll_back")]
+        skipped = sum(each.kind == "skip" for each in own)
         last = f"; last at {changes[-1].time_s:.0f} s: {changes[-1].text}" if changes else ""
         lines.append(f"{row.name}: tuning made {len(changes)} changes, skipped {skipped} strides{last}")
     return lines

@@ -28,7 +28,7 @@ from fes.analysis.parameters.summary import Statistic, statistic, symmetry
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.cli.main import main
 from fes.recording import Recording, read_recording
-from fes.report.parameter_lines import parameter_lines, parameter_table
+from fes.report.tables import parameter_lines, parameter_table
 from fes.signals import NS_PER_S, StrideResult
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -103,7 +103,7 @@ def test_a_log_without_samples_is_taken_as_it_was_decided_and_that_is_told(both)
     left = both.sessions[1].sides["left"]
     shank = replace(both.sessions[1], sides={**both.sessions[1].sides, "left": replace(left, sensor="left_shank")})
     told = compare_sessions([both.sessions[0], shank]).confounders
-    assert any("told by the left foot sensor, after's by the left shank's" in finding.text for finding in told)
+    assert any("those of the left foot sensor, after's of the left shank's" in finding.text for finding in told)
     empty = record()
     empty.strides = []
     with pytest.raises(ComparisonProblem, match="holds no stride that can be used"):
@@ -114,7 +114,7 @@ def test_symmetry_before_and_after(both):
     found = next(each for each in both.symmetry if each.about.key == "lift_m")
     assert (found.first, found.second) == ("left", "right")
     assert found.indices[0].value == pytest.approx(200 * 0.02 / 0.22, abs=6.0)  # the right foot is lifted 2 cm less
-    turned = compare_sessions(both.sessions, afflicted="right")
+    turned = compare_sessions(both.sessions, paretic="right")
     other = next(each for each in turned.symmetry if each.about.key == "lift_m")
     assert other.indices[0].value == pytest.approx(-found.indices[0].value)
 

@@ -16,11 +16,11 @@ from click.testing import CliRunner
 
 from fes.cli import main
 from fes.report.figures.svg import Plot, nice_ticks, padded
+from fes.report.figures.timeseries import MISSING, chart_data, even_grid, main_axis_rate_radps, pack
 from fes.report.html import ReportError, embed
 from fes.report.page import render_report, write_report
 from fes.report.summary import summarise_session
 from fes.report.text import local_time
-from fes.report.timeseries import MISSING, chart_data, even_grid, main_axis_rate_radps, pack
 from fes.session_log import Note, SampleArrays, SessionRecord
 from fes.session_log.writer import SessionWriter
 from fes.signals import Tick

@@ -21,16 +21,25 @@ from fes.cli.main import main
 from fes.recording import read_recording
 from fes.report.figures.space import projected, space_of
 from fes.report.figures.strides import butterfly_figures
-from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, all_flags, sensor_flags, stride_flags, told
+from fes.report.figures.timeseries import chart_data
+from fes.report.flags import (
+    CLIPPED_ACC,
+    CLIPPED_GYR,
+    LOST,
+    UNSURE,
+    all_flags,
+    describe_flags,
+    sensor_flags,
+    stride_flags,
+)
 from fes.report.gait import foot_curves, gait_of_strides
+from fes.report.glossary import terms
 from fes.report.hemiparetic import hemiparetic_section
 from fes.report.html import css_text
 from fes.report.page import render_report
-from fes.report.parameter_table import parameter_rows, temporal_symmetry, touches, walk_rows
+from fes.report.parameter_table import flags_touching, parameter_rows, temporal_symmetry, walk_rows
 from fes.report.summary import summarise_session
-from fes.report.terms import terms
 from fes.report.text import number, slug
-from fes.report.timeseries import chart_data
 from fes.session_log import SampleArrays
 
 
@@ -74,7 +83,7 @@ def test_the_report_shows_the_numbers_of_the_json(walked):
 def test_a_hemiparetic_walk_has_its_section(walked):
     record, walk = walked.record("2026-11-20T10:00:00+00:00"), hemiparetic_walk(walked)
     html = render_report(record, gait=walk.parameters, hemiparetic=walk)
-    assert "Afflicted side: not sure" in html  # the simulated person has none
+    assert "Paretic side: not sure" in html  # the simulated person has none
     assert "Strides between zero-velocity windows" in html
     assert html.count('data-space="') == 2
     assert "do not go by them here" in html  # a brisk treadmill walk is not what the windows were made for
@@ -82,10 +91,10 @@ def test_a_hemiparetic_walk_has_its_section(walked):
     assert [int(count) for count in level] == [sum(s.foot == foot for s in walked.strides) for foot in walk.terrain]
     given = hemiparetic_walk(walked, afflicted="right")
     section = hemiparetic_section(given)
-    assert section.heading.startswith("Afflicted side: right, as given")
+    assert section.heading.startswith("Paretic side: right, as given")
     assert not section.sure
-    told = replace(given, side=replace(given.side, score=0.9, agreeing=4, votes=dict.fromkeys(given.side.votes, -0.9)))
-    assert hemiparetic_section(told).sure
+    sure = replace(given, side=replace(given.side, score=0.9, agreeing=4, votes=dict.fromkeys(given.side.votes, -0.9)))
+    assert hemiparetic_section(sure).sure
     assert 'id="hemiparetic"' not in render_report(record, gait=walk.parameters)
 
 
@@ -99,7 +108,7 @@ def test_the_command_hands_over_what_it_found(tmp_path):
     html = report.read_text(encoding="utf-8")
     assert f">{speed:.2f} m/s</td>" in html
     assert "From the samples, off-line" in html
-    assert "Afflicted side: left" in html
+    assert "Paretic side: left" in html
 
 
 def test_a_logs_parameters_are_those_of_its_strides():
@@ -153,7 +162,7 @@ def test_a_missing_stride_makes_no_long_one(walked, gone):
         assert whole.feet[foot][key].n - torn.feet[foot][key].n in (1, 2)
 
 
-def test_temporal_symmetry_counts_from_the_afflicted_side(walked):
+def test_temporal_symmetry_counts_from_the_paretic_side(walked):
     gait = gait_of_strides(walked.strides)
     assert temporal_symmetry(replace(gait, afflicted="right")) == pytest.approx(1.0 / temporal_symmetry(gait))
     assert math.isnan(temporal_symmetry(gait_of_strides([s for s in walked.strides if s.foot == "left_foot"])))
@@ -228,7 +237,7 @@ def test_flags_stand_at_the_strides_the_plots_and_the_parameters():
     assert rows["heel_rotation_rad"] < everything  # the accelerometer's limit does not touch an angle
     assert rows["swing_s"] == sum(LOST in own for own in kinds.values()) > 0
     assert "accelerometer at its limit of 30 m/s²" in html
-    assert "told from the samples" in html
+    assert "found in the samples" in html
 
 
 def test_a_phase_that_was_not_seen_makes_times_unsure():
@@ -237,9 +246,9 @@ def test_a_phase_that_was_not_seen_makes_times_unsure():
     record.strides[4] = replace(stride, t_loading_response_ns=None)
     flags = stride_flags(record, summarise_session(record).summary.strides, {})
     assert {key: [flag.kind for flag in own] for key, own in flags.items()} == {(stride.foot, stride.number): [UNSURE]}
-    assert told(flags.values()) == "a phase not seen in 1"
-    assert UNSURE in touches("swing_s")
-    assert UNSURE not in touches("lift_m")
+    assert describe_flags(flags.values()) == "a phase not seen in 1"
+    assert UNSURE in flags_touching("swing_s")
+    assert UNSURE not in flags_touching("lift_m")
 
 
 def test_curves_bring_heel_rise_and_foot_flat_together():

@@ -1,6 +1,6 @@
 """Figures of a comparison: the foot's height and pitch of all sessions over each other, their phases, and intervals.
 
-Sessions are told apart by colour and by dash, so that neither colour vision nor colour printing is needed.
+Sessions differ by colour and by dash, so that neither colour vision nor colour printing is needed.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from fes.report.comparison.rows import ParameterRow
 from fes.report.comparison.session import PHASES, ComparedSession
 from fes.report.figures.strides import PHASE_COLORS
 from fes.report.figures.svg import Figure, Plot, nice_ticks, padded
+from fes.report.gait import POINTS, spread_of
 from fes.report.text import readable
 from fes.signals import FloatArray, StrideResult
 
 COLORS: Final = ("#444444", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#0072B2")  # Okabe–Ito, not those of the feet
 DASHES: Final = ("", "9 4", "3 3", "12 3 3 3", "6 2 2 2 2 2", "1 3")
-POINTS: Final = 101
 BAR, LEFT, WIDTH = 22, 158, 560
 SKETCH: Final = (110, 18)
 
@@ -38,14 +38,14 @@ class Curve:
 
 
 def curve_figures(sessions: Sequence[ComparedSession]) -> list[Figure]:
-    """For each side the height over the way forward, and the pitch from heel rise to foot flat."""
+    """For each side the height over the distance forward, and the pitch from heel rise to foot flat."""
     figures = []
-    for title, of, axes, zero in (
+    for title, curve_of, axes, zero in (
         ("Foot height", height_curve, ("forward (m)", "height of the sensor (cm)"), True),
         ("Foot pitch", pitch_curve, ("from heel rise (0 %) to foot flat (100 %)", "pitch (°), toe up +"), True),
     ):
         found = {
-            side: [of(session.sides[side].strides) if side in session.sides else None for session in sessions]
+            side: [curve_of(session.sides[side].strides) if side in session.sides else None for session in sessions]
             for side in ("left", "right")
         }
         every = [curve for curves in found.values() for curve in curves if curve is not None]
@@ -68,7 +68,7 @@ def curve_figures(sessions: Sequence[ComparedSession]) -> list[Figure]:
 
 
 def height_curve(strides: Sequence[StrideResult]) -> Curve | None:
-    """Height in cm at equal shares of each stride's way, so that waiting in stance does not smear the swing."""
+    """Height in cm at equal shares of each stride's distance, so that waiting in stance does not smear the swing."""
     share = np.linspace(0.0, 1.0, POINTS)
     rows = []
     for stride in strides:
@@ -100,8 +100,7 @@ def _curve(x: Sequence[FloatArray], y: Sequence[FloatArray]) -> Curve | None:
     if not y:
         return None
     stacked = np.stack(y)
-    sd = stacked.std(axis=0, ddof=1) if len(stacked) > 1 else np.zeros(POINTS)
-    return Curve(np.stack(x).mean(axis=0), stacked.mean(axis=0), sd, len(stacked))
+    return Curve(np.stack(x).mean(axis=0), stacked.mean(axis=0), spread_of(stacked), len(stacked))
 
 
 def phase_figure(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRow]) -> Figure | None:
@@ -121,7 +120,8 @@ def phase_figure(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRo
     parts = []
     for number, (name, lasted) in enumerate(bars):
         top, at = 8 + (BAR + 8) * number, float(LEFT)
-        parts.append(f'<text x="{LEFT - 8}" y="{top + 15}" text-anchor="end">{escape(_short(name))}</text>')
+        short = name if len(name) <= 20 else f"{name[:19]}…"
+        parts.append(f'<text x="{LEFT - 8}" y="{top + 15}" text-anchor="end">{escape(short)}</text>')
         for phase, seconds in lasted:
             wide = scale * seconds
             parts.append(
@@ -156,7 +156,3 @@ def sketch(change: Interval, reach: float, color: str) -> str:
         f'<path d="M{low:.1f} {height / 2}H{high:.1f}" stroke="{color}" stroke-width="4"/>'
         f'<circle cx="{at:.1f}" cy="{height / 2}" r="4" fill="{color}"/></svg>'
     )
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= 20 else f"{name[:19]}…"

@@ -14,13 +14,13 @@ from fes import __version__
 from fes.evaluation.agreement import Interval
 from fes.report.comparison.figures import COLORS, DASHES, curve_figures, phase_figure, sketch
 from fes.report.comparison.rows import KEY, ParameterRow, SymmetryRow, parameter_rows, phase_rows, symmetry_rows
-from fes.report.comparison.sentences import changes, confounders, describe_stimulation, shown, speed_differs
+from fes.report.comparison.sentences import changes, confounders, describe_stimulation, speed_differs, value_text
 from fes.report.comparison.session import ComparedSession, one_way_of_timing
 from fes.report.figures.strides import PHASE_COLORS, foot_color
 from fes.report.findings import Finding
 from fes.report.glossary import GLOSSARY
 from fes.report.html import style, templates, trusted, write_page_file
-from fes.report.text import number, plain
+from fes.report.text import capitalised, number, plain
 
 FORMAT: Final = 1
 MOST: Final = len(COLORS)
@@ -40,31 +40,32 @@ class SessionComparison:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, SI, null for what is not known; ``format`` changes when a key changes its meaning."""
-        told: dict[str, Any] = plain(
-            {
-                "format": FORMAT,
-                "sessions": [_session_json(session) for session in self.sessions],
-                "parameters": [_row_json(row) for row in (*self.parameters, *self.phases)],
-                "symmetry": [
-                    {
-                        "parameter": row.about.key,
-                        "first": row.first,
-                        "second": row.second,
-                        "index_percent": row.indices,
-                        "change": row.changes,
-                    }
-                    for row in self.symmetry
-                ],
-                "speed_differs": self.speed_differs,
-                "confounders": self.confounders,
-                "changes": self.changes,
-            }
+        return dict(
+            plain(
+                {
+                    "format": FORMAT,
+                    "sessions": [_session_json(session) for session in self.sessions],
+                    "parameters": [_row_json(row) for row in (*self.parameters, *self.phases)],
+                    "symmetry": [
+                        {
+                            "parameter": row.about.key,
+                            "first": row.first,
+                            "second": row.second,
+                            "index_percent": row.indices,
+                            "change": row.changes,
+                        }
+                        for row in self.symmetry
+                    ],
+                    "speed_differs": self.speed_differs,
+                    "confounders": self.confounders,
+                    "changes": self.changes,
+                }
+            )
         )
-        return told
 
 
-def compare_sessions(sessions: Sequence[ComparedSession], *, afflicted: str | None = None) -> SessionComparison:
-    """Hold the later sessions against the first; ``afflicted`` is "left", "right" or None where nobody said."""
+def compare_sessions(sessions: Sequence[ComparedSession], *, paretic: str | None = None) -> SessionComparison:
+    """Hold the later sessions against the first; ``paretic`` is "left", "right" or None where nobody said."""
     sessions, why = one_way_of_timing(sessions)
     rows, phases = parameter_rows(sessions), phase_rows(sessions)
     timing = [Finding("info", why)] if why else []
@@ -72,7 +73,7 @@ def compare_sessions(sessions: Sequence[ComparedSession], *, afflicted: str | No
         tuple(sessions),
         tuple(rows),
         tuple(phases),
-        tuple(symmetry_rows(sessions, afflicted)),
+        tuple(symmetry_rows(sessions, paretic)),
         tuple(confounders(sessions) + timing),
         tuple(changes(sessions, rows)),
         speed_differs(sessions),
@@ -112,7 +113,7 @@ def render_comparison(comparison: SessionComparison) -> str:
             sources=sorted({row.detectable.source for row in comparison.parameters if row.detectable}),
             figures=trusted(curve_figures(sessions)),
             phase_figures=trusted([phases] if phases else []),
-            looks=[_look(k) for k in range(len(sessions))],
+            looks=[_line_sample(k) for k in range(len(sessions))],
             style=style(),
             stimulation=describe_stimulation,
             phase_colors=PHASE_COLORS,
@@ -131,9 +132,9 @@ def _groups(comparison: SessionComparison, rows: Sequence[ParameterRow]) -> list
         marks = [mine[0].with_speed and speed_differs((first, other)) for other in others]
         groups.append(
             {
-                "name": f"{about.name[0].upper()}{about.name[1:]}",
+                "name": capitalised(about.name),
                 "unit": about.shown,
-                "about": f"{about.text[0].upper()}{about.text[1:]}." + (f" [{about.source}]" if about.source else ""),
+                "about": f"{capitalised(about.text)}." + (f" [{about.source}]" if about.source else ""),
                 "marks": marks,
                 "rows": [_cells(row) for row in mine],
             }
@@ -147,11 +148,14 @@ def _cells(row: ParameterRow) -> dict[str, Any]:
     return {
         "side": row.side,
         "color": color,
-        "means": [{"text": f"{shown(row, m.mean)} ± {shown(row, m.sd)}" if m.n else "–", "n": m.n} for m in row.means],
+        "means": [
+            {"text": f"{value_text(row, m.mean)} ± {value_text(row, m.sd)}" if m.n else "–", "n": m.n}
+            for m in row.means
+        ],
         "changes": [
             {
-                "value": shown(row, change.value, "+"),
-                "interval": f"{shown(row, change.low, '+')} … {shown(row, change.high, '+')}"
+                "value": value_text(row, change.value, "+"),
+                "interval": f"{value_text(row, change.low, '+')} … {value_text(row, change.high, '+')}"
                 if np.isfinite(change.low)
                 else "too few strides",
                 "sketch": Markup(sketch(change, reach, color)),
@@ -182,7 +186,7 @@ def _symmetry(row: SymmetryRow) -> dict[str, Any]:
 
     nearer = {True: "nearer to symmetric", False: "farther from symmetric", None: "not clear"}
     return {
-        "name": f"{row.about.name[0].upper()}{row.about.name[1:]}",
+        "name": capitalised(row.about.name),
         "about": row.about.text,
         "first": row.first,
         "second": row.second,
@@ -191,7 +195,7 @@ def _symmetry(row: SymmetryRow) -> dict[str, Any]:
     }
 
 
-def _look(k: int) -> dict[str, Any]:
+def _line_sample(k: int) -> dict[str, Any]:
     line = f'<path d="M0 7H34" stroke="{COLORS[k]}" stroke-width="4" stroke-dasharray="{DASHES[k]}"/>'
     return {"color": COLORS[k], "line": Markup(f'<svg width="34" height="14" aria-hidden="true">{line}</svg>')}
 

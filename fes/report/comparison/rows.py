@@ -1,8 +1,7 @@
 """What a comparison says in numbers: each parameter of each side, the phases, and the symmetry of the sides.
 
-How much a parameter must change before day-to-day error cannot explain it, where somebody has measured that.
-
-Only what was found in print, each with its people and its setting. Where nothing was found there is no number.
+How much a parameter must change before day-to-day error cannot explain it stands beside it where that was found in
+print, with its people and its setting.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from fes.evaluation.agreement import Interval
 from fes.evaluation.agreement.unpaired import Mean, combined, difference, mean_of, symmetry_index
 from fes.report.comparison.session import PHASES, ComparedSession, Side
 from fes.report.glossary import GLOSSARY
-from fes.report.text import readable
+from fes.report.text import DIGITS, readable
 from fes.signals import FloatArray
 
 KESAR: Final = (
@@ -59,45 +58,18 @@ def detectable_change(key: str, first_speed_mps: float, *, belt: bool) -> Detect
 
 
 KEY: Final = (
-    "speed_mps",
-    "stride_length_m",
-    "stride_time_s",
-    "step_length_m",
-    "toe_clearance_m",
-    "angle_contact_rad",
-    "circumduction_m",
-    "swing_share",
-    "double_support_share",
+    *("speed_mps", "stride_length_m", "stride_time_s", "step_length_m", "toe_clearance_m", "angle_contact_rad"),
+    *("circumduction_m", "swing_share", "double_support_share"),
 )
 SYMMETRIC: Final = ("step_length_m", "step_time_s", "swing_s", "stance_s", "toe_clearance_m", "lift_m")
 # spatiotemporal parameters and joint kinematics change with speed: Fukuchi et al. 2019, Systematic Reviews 8:153;
 # so does minimum toe clearance: De Asha & Buckley 2015 (PMC4361493)
-WITH_SPEED: Final = frozenset(
-    (
-        "stride_length_m",
-        "speed_mps",
-        "stride_time_s",
-        "swing_s",
-        "stance_s",
-        "swing_share",
-        "stance_share",
-        "step_time_s",
-        "double_support_s",
-        "double_support_share",
-        "step_length_m",
-        "lift_m",
-        "toe_clearance_m",
-        "heel_clearance_m",
-        "heel_rotation_rad",
-        "angle_contact_rad",
-        "angle_off_rad",
-        "phase_pre_swing",
-        "phase_swing",
-        "phase_loading_response",
-        "phase_stance",
-    )
+WITH_SPEED: Final = (
+    *("stride_length_m", "speed_mps", "stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share"),
+    *("step_time_s", "double_support_s", "double_support_share", "step_length_m", "lift_m", "toe_clearance_m"),
+    *("heel_clearance_m", "heel_rotation_rad", "angle_contact_rad", "angle_off_rad"),
+    *("phase_pre_swing", "phase_swing", "phase_loading_response", "phase_stance"),
 )
-DIGITS: Final = {"m": 2, "s": 2, "m/s": 2, "cm": 1, "°": 1, "%": 1}
 Pick: TypeAlias = Callable[[Side, Definition], FloatArray | None]
 
 
@@ -191,9 +163,9 @@ def _mean(side: Side | None, about: Definition, pick: Pick) -> Mean:
     return mean_of(() if values is None else values)
 
 
-def symmetry_rows(sessions: Sequence[ComparedSession], afflicted: str | None = None) -> list[SymmetryRow]:
-    """Of the parameters in which sides differ: ``afflicted`` against the other side, left against right without it."""
-    first = afflicted or "left"
+def symmetry_rows(sessions: Sequence[ComparedSession], paretic: str | None = None) -> list[SymmetryRow]:
+    """Of the parameters in which sides differ: ``paretic`` against the other side, left against right without it."""
+    first = paretic or "left"
     second = "right" if first == "left" else "left"
     rows = []
     for key in SYMMETRIC:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 from fes.report.comparison.rows import KEY, ParameterRow
 from fes.report.comparison.session import ComparedSession
@@ -36,15 +36,15 @@ def changes(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRow]) -
     """For each later session which of the key parameters clearly changed, the greatest first, and which did not.
 
     Great and small are against how much strides differ from one another: a change that is clear only because strides
-    are so alike is told as small.
+    are so alike counts as small.
     """
     found, first = [], sessions[0].label
     most = MOST_CHANGES if len(sessions) == 2 else MOST_CHANGES // 2
     key = [row for row in rows if row.about.key in KEY]
     for k, other in enumerate(sessions[1:]):
         dagger = speed_differs((sessions[0], other))
-        told = [row for row in key if math.isfinite(row.changes[k].low)]
-        clear = sorted((row for row in told if row.clear(k)), key=lambda row: -_in_sd(row, k))
+        known = [row for row in key if math.isfinite(row.changes[k].low)]
+        clear = sorted((row for row in known if row.clear(k)), key=lambda row: -_in_sd(row, k))
         great = [row for row in clear if _in_sd(row, k) >= SMALL_SD]
         found += [Finding("info", _change(row, k, sessions[0], other, dagger)) for row in great[:most]]
         if len(great) > most:
@@ -53,18 +53,16 @@ def changes(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRow]) -
         if small := [_name(row, dagger) for row in clear if _in_sd(row, k) < SMALL_SD]:
             text = "changed clearly, but by less than half of what strides differ among themselves"
             found.append(Finding("info", f"{who}, {text}: {'; '.join(small)}."))
-        if same := [_name(row, dagger) for row in told if not row.clear(k)]:
+        if same := [_name(row, dagger) for row in known if not row.clear(k)]:
             found.append(Finding("info", f"{who}, no clear change: {'; '.join(same)}."))
-        if not told:
+        if not known:
             found.append(Finding("warning", f"{other.label}: too few strides to compare with {first}."))
     return found
 
 
-def shown(row: ParameterRow, value: float, sign: str = "") -> str:
+def value_text(row: ParameterRow, value: float, sign: str = "") -> str:
     """A value of a row as people read it, without its unit; with a ``sign`` (a change) one digit finer in m and s."""
-    scaled = row.about.factor * value
-    digits = row.digits + (1 if sign and row.digits == 2 else 0)
-    return f"{round(scaled, digits) + 0.0:{sign}.{digits}f}" if math.isfinite(scaled) else "–"
+    return number(row.about.factor * value, row.digits + (1 if sign and row.digits == 2 else 0), sign)
 
 
 def _name(row: ParameterRow, dagger: bool) -> str:
@@ -82,8 +80,8 @@ def _in_sd(row: ParameterRow, k: int) -> float:
 def _change(row: ParameterRow, k: int, first: ComparedSession, other: ComparedSession, dagger: bool) -> str:
     change = row.changes[k]
     name = _name(row, dagger)
-    before, after = shown(row, row.means[0].mean), shown(row, row.means[k + 1].mean)
-    by, low, high = (shown(row, value, "+") for value in (change.value, change.low, change.high))
+    before, after = value_text(row, row.means[0].mean), value_text(row, row.means[k + 1].mean)
+    by, low, high = (value_text(row, value, "+") for value in (change.value, change.low, change.high))
     far = ""
     if row.detectable is not None:
         least = f"{row.about.factor * row.detectable.value:.{row.digits}f}\u00a0{row.about.shown}"
@@ -120,12 +118,12 @@ def _against(first: ComparedSession, other: ComparedSession) -> Iterator[Finding
             f"{b.walking_speed_mps:.2f}): parameters marked † change with speed.",
         )
     if set(first.sides) != set(other.sides):
-        yield Finding("warning", f"{one} has the sides {_list(first.sides)}, {two} {_list(other.sides)}.")
+        yield Finding("warning", f"{one} has the sides {', '.join(first.sides)}, {two} {', '.join(other.sides)}.")
     for side in sorted(set(first.sides) & set(other.sides)):
-        told = first.sides[side].sensor, other.sides[side].sensor
-        if told[0] != told[1]:
-            names = readable(told[0]), readable(told[1])
-            by = f"{one}'s {side} strides are told by the {names[0]} sensor, {two}'s by the {names[1]}'s"
+        sensors = first.sides[side].sensor, other.sides[side].sensor
+        if sensors[0] != sensors[1]:
+            names = [readable(sensor) for sensor in sensors]
+            by = f"{one}'s {side} strides are those of the {names[0]} sensor, {two}'s of the {names[1]}'s"
             yield Finding("warning", f"{by}: the methods differ, and so may the numbers.")
     if first.how != other.how:
         yield Finding(
@@ -180,10 +178,6 @@ def _belt_gap(first: ComparedSession, other: ComparedSession) -> float:
 def _measured_gap(first: ComparedSession, other: ComparedSession) -> float:
     gap = other.summary.walking_speed_mps - first.summary.walking_speed_mps
     return gap if math.isfinite(gap) and abs(gap) > MEASURED_MPS else 0.0
-
-
-def _list(names: Iterable[str]) -> str:
-    return ", ".join(names)
 
 
 def describe_stimulation(session: ComparedSession) -> str:

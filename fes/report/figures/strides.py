@@ -18,8 +18,7 @@ from typing import Final
 import numpy as np
 
 from fes.report.figures.svg import Figure, Plot, padded
-from fes.report.flags import LOST, UNSURE, Flag
-from fes.report.flags import told as told_of
+from fes.report.flags import LOST, UNSURE, Flag, describe_flags
 from fes.report.gait import POINTS, FootCurves, spread_of
 from fes.report.strides import StrideRow
 from fes.report.summary import ReportData
@@ -55,7 +54,7 @@ def stride_figures(view: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
         expected_m = belt * float(np.mean(times))
         length.level(expected_m, "#000000", dash="2 3")
         lengths += f". Dotted: belt speed · mean stride time, {expected_m:.2f} m"
-    ringed = f" Ringed, with care: {said}." if (said := told_of(care.values())) else ""
+    ringed = f" Ringed, with care: {described}." if (described := describe_flags(care.values())) else ""
     height = "Greatest height of the sensor above its start."
     return [
         Figure("Stride length", length.render(), f"{told} {lengths}.{ringed}"),
@@ -130,11 +129,12 @@ def _phase_bars(foot: str, rows: Sequence[StrideRow], care: Mapping[int, Sequenc
         floor = floor + height
     ringed = np.array([row.number in care for row in rows])
     plot.rings(number[ringed], floor[ringed], RING_COLOR)
-    said = f" Ringed, with care: {told}." if (told := told_of(care.values())) else ""
+    ringed_care = f" Ringed, with care: {flaws}." if (flaws := describe_flags(care.values())) else ""
     return Figure(
         f"Phase durations, {readable(foot)}",
         plot.render(),
-        f"From below: pre-swing, swing, loading response, stance. Stances over 3 s are standing, not drawn.{said}",
+        "From below: pre-swing, swing, loading response, stance. Stances over 3 s are standing, not drawn."
+        f"{ringed_care}",
     )
 
 
