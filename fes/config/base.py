@@ -1,7 +1,4 @@
-"""What all settings have in common.
-
-Turning pydantic's errors into lines that name file, line, key, value and what is allowed.
-"""
+"""What all settings have in common; pydantic's errors as lines of file, line, key, value and what is allowed."""
 
 from __future__ import annotations
 
@@ -33,7 +30,7 @@ class Settings(BaseModel):
 def explain(error: ValidationError, path: Path, text: str, root: type[Settings]) -> str:
     """Put a pydantic error about ``root`` settings into lines of ``file:line: key = value: what is allowed``."""
     lines_of = _lines_of(text)
-    said = []
+    faults = []
     for fault in error.errors(include_url=False):
         location = tuple(part for part in fault["loc"] if part != "[key]")
         message = fault["msg"].removeprefix("Value error, ")
@@ -49,8 +46,8 @@ def explain(error: ValidationError, path: Path, text: str, root: type[Settings])
         shown = f" = {value!r:.80}" if isinstance(value, (str, int, float, list)) else ""
         line = next((lines_of[location[:n]] for n in range(len(location), 0, -1) if location[:n] in lines_of), 0)
         place = f"{path}:{line}" if line else f"{path}"
-        said.append(f"{place}: {key or 'session'}{shown}: {message}")
-    return "\n".join(dict.fromkeys(said))
+        faults.append(f"{place}: {key or 'session'}{shown}: {message}")
+    return "\n".join(dict.fromkeys(faults))
 
 
 def _settings_beside(root: type[Settings], location: tuple[int | str, ...]) -> list[str]:
@@ -67,7 +64,7 @@ def _table_in(annotation: Any) -> type[Settings] | None:
     """The kind of table that a setting holds, alone, in a list, in a mapping or as one of two."""
     if isinstance(annotation, type) and issubclass(annotation, Settings):
         return annotation
-    return next((found for part in get_args(annotation) if (found := _table_in(part))), None)
+    return next((table for part in get_args(annotation) if (table := _table_in(part))), None)
 
 
 _HEADER = re.compile(r"\s*(\[\[?)([^\[\]]+)\]")

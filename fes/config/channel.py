@@ -8,7 +8,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, mod
 
 from fes import limits
 from fes.config.base import Foot, Phase, Settings
-from fes.config.tuning import Tuning, refuse_tuning
+from fes.config.tuning import Tuning
 
 
 class ChannelLimits(Settings):
@@ -77,18 +77,44 @@ class Channel(Settings):
 
     @model_validator(mode="after")
     def _tuning_stays_within_the_limits(self) -> Self:
-        if self.tuning is not None:
-            values = {
-                "current_ma": self.current_ma,
-                "pulse_width_us": self.pulse_width_us,
-                "start_delay_s": self.start_delay_s,
-                "extension_s": self.extension_s,
-            }
-            caps = self.limits.model_dump()
-            refuse_tuning(
-                self.tuning, self.start_phase, self.stop_phase, values, caps, self.frequency_hz,
-                self.electrode_area_cm2, self.rise_s,
-            )  # fmt: skip
+        """Refuse a tuning that could leave the channel's limits, or that starts outside its own bounds."""
+        tuning = self.tuning
+        if tuning is None or tuning.mode == "off" or tuning.bounds is None:
+            return self
+        if self.start_phase not in ("pre_swing", "swing"):
+            raise ValueError(f'tuning is for channels that start in "pre_swing" or "swing", not {self.start_phase!r}')
+        bounds = tuning.bounds
+        for name in type(bounds).model_fields:
+            allowed, value = getattr(bounds, name), getattr(self, name)
+            if not allowed.low <= value <= allowed.high:
+                raise ValueError(
+                    f"tuning.bounds.{name} = {allowed.low:g} … {allowed.high:g} must contain the channel's {value:g}"
+                )
+        if bounds.start_delay_s.high > 1.0 or bounds.extension_s.high > 0.5:
+            raise ValueError("tuning.bounds: start_delay_s goes to 1.0 at most, extension_s to 0.5")
+        contact_seen = tuning.pitch_at_contact_deg is not None and self.stop_phase == "loading_response"
+        if bounds.extension_s.low < 0.0 and not contact_seen:
+            raise ValueError(
+                "tuning.bounds.extension_s below 0 (an end before contact) needs pitch_at_contact_deg, which shows "
+                'whether the heel still comes first, and stop_phase = "loading_response"'
+            )
+        learns = tuning.method == "learning"
+        current_ma = self.current_ma if learns else bounds.current_ma.high
+        width_us = bounds.pulse_width_us.high if learns else self.pulse_width_us
+        area_cm2 = self.electrode_area_cm2
+        density = limits.current_density_ma_per_cm2(current_ma, width_us, self.frequency_hz, area_cm2)
+        checks = (
+            (current_ma, "max_current_ma", "mA"),
+            (width_us, "max_pulse_width_us", "µs"),
+            (limits.charge_per_phase_uc(current_ma, width_us), "max_charge_per_phase_uc", "µC"),
+            (density, "max_current_density_ma_per_cm2", "mA/cm² r.m.s."),
+            (current_ma / self.rise_s, "max_rise_ma_per_s", "mA/s"),
+        )
+        for value, name, unit in checks:
+            if value > (cap := getattr(self.limits, name)):
+                raise ValueError(
+                    f"tuning could reach {value:.4g} {unit}, over this channel's {name} = {cap:.4g}; lower its bounds"
+                )
         return self
 
     @model_serializer(mode="wrap")

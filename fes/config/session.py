@@ -33,7 +33,7 @@ class Treadmill(Settings):
 
 
 class Phases(Settings):
-    """How phases are told: swing begins at the peak of the toe-down rate (foot off), or when it turns to toe-up."""
+    """How phases are found: swing begins at the peak of the toe-down rate (foot off), or when it turns to toe-up."""
 
     swing_begins: Literal["peak", "reversal"] = "peak"
 

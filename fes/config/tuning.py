@@ -6,7 +6,6 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from fes import limits
 from fes.config.base import Settings
 
 
@@ -91,64 +90,3 @@ class Tuning(Settings):
                 f'mode = "{self.mode}" needs a target: toe_clearance_m, sensor_clearance_m or pitch_at_contact_deg'
             )
         return self
-
-
-def refuse_tuning(
-    tuning: Tuning,
-    start_phase: str,
-    stop_phase: str,
-    values: dict[str, float],
-    caps: dict[str, float],
-    frequency_hz: float,
-    electrode_area_cm2: float,
-    rise_s: float,
-) -> None:
-    """Refuse a tuning that could leave its channel's limits, or that starts outside its own bounds.
-
-    Args:
-        tuning: as set.
-        start_phase: of the channel, as the next.
-        stop_phase: where it ends.
-        values: the channel's own current_ma, pulse_width_us, start_delay_s and extension_s.
-        caps: the channel's limits by name (``ChannelLimits``).
-        frequency_hz: of the channel, as the next two.
-        electrode_area_cm2: for the density.
-        rise_s: for the rise.
-
-    Raises:
-        ValueError: says which bound and what would be right.
-    """
-    if tuning.mode == "off" or tuning.bounds is None:
-        return
-    if start_phase not in ("pre_swing", "swing"):
-        raise ValueError(f'tuning is for channels that start in "pre_swing" or "swing", not {start_phase!r}')
-    bounds = tuning.bounds
-    for name, value in values.items():
-        allowed: Bounds = getattr(bounds, name)
-        if not allowed.low <= value <= allowed.high:
-            raise ValueError(
-                f"tuning.bounds.{name} = {allowed.low:g} … {allowed.high:g} must contain the channel's {value:g}"
-            )
-    if bounds.start_delay_s.high > 1.0 or bounds.extension_s.high > 0.5:
-        raise ValueError("tuning.bounds: start_delay_s goes to 1.0 at most, extension_s to 0.5")
-    if bounds.extension_s.low < 0.0 and (tuning.pitch_at_contact_deg is None or stop_phase != "loading_response"):
-        raise ValueError(
-            "tuning.bounds.extension_s below 0 (an end before contact) needs pitch_at_contact_deg, which shows whether "
-            'the heel still comes first, and stop_phase = "loading_response"'
-        )
-    learns = tuning.method == "learning"
-    current_ma = values["current_ma"] if learns else bounds.current_ma.high
-    width_us = bounds.pulse_width_us.high if learns else values["pulse_width_us"]
-    density = limits.current_density_ma_per_cm2(current_ma, width_us, frequency_hz, electrode_area_cm2)
-    checks = (
-        (current_ma, "max_current_ma", "mA"),
-        (width_us, "max_pulse_width_us", "µs"),
-        (limits.charge_per_phase_uc(current_ma, width_us), "max_charge_per_phase_uc", "µC"),
-        (density, "max_current_density_ma_per_cm2", "mA/cm² r.m.s."),
-        (current_ma / rise_s, "max_rise_ma_per_s", "mA/s"),
-    )
-    for value, cap, unit in checks:
-        if value > caps[cap]:
-            raise ValueError(
-                f"tuning could reach {value:.4g} {unit}, over this channel's {cap} = {caps[cap]:.4g}; lower its bounds"
-            )

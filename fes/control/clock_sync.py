@@ -81,7 +81,7 @@ class SensorClock:
             return self._begin(t_host_ns, t_device_ns)
         if slipped:
             return self._mapped_ns  # as one that says nothing new: the estimator passes over it, the gate counts it
-        self._take(time_s, excess_ns)
+        self._keep_least(time_s, excess_ns)
         if step_ns > 0:
             self._newest_ns = t_device_ns
             self._follow(time_s, step_ns, excess_ns)
@@ -108,7 +108,7 @@ class SensorClock:
         line = self._level + self._slope * time_s * NS_PER_S
         return min(line, self._least[1]) if not self._bins else line
 
-    def _take(self, time_s: float, excess_ns: float) -> None:
+    def _keep_least(self, time_s: float, excess_ns: float) -> None:
         """Keep the least delayed sample of every second; at a second's end draw the line anew."""
         number = int(time_s * NS_PER_S // BIN_NS)
         if number <= self._bin:

@@ -62,12 +62,12 @@ class Controller:
     def __init__(
         self, session: Session, calibrations: Mapping[str, Calibration], *, current_step_ma: float = CURRENT_STEP_MA
     ) -> None:
-        drivers = phase_sensors(calibrations)
-        self.trackers: dict[str, Tracker] = {  # by the foot whose phases they tell
-            foot: tracker_of(session, calibrations[sensor]) for foot, sensor in drivers.items()
+        sensor_of = phase_sensors(calibrations)
+        self.trackers: dict[str, Tracker] = {  # by the foot whose phases they follow
+            foot: tracker_of(session, calibrations[sensor]) for foot, sensor in sensor_of.items()
         }
-        self._foot_of = {sensor: foot for foot, sensor in drivers.items()}
-        self._judges = {foot: WalkingJudge(session.stimulation) for foot in drivers}
+        self._foot_of = {sensor: foot for foot, sensor in sensor_of.items()}
+        self._judges = {foot: WalkingJudge(session.stimulation) for foot in sensor_of}
         self._fallbacks = {
             str(switch.foot): SwitchFallback(switch.foot)
             for switch in session.foot_switches
@@ -96,10 +96,10 @@ class Controller:
         if isinstance(event, ImuSample):
             foot = self._foot_of.get(event.sensor)
             if foot is not None:
-                found = self.trackers[foot].step(event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
-                if found:
-                    self._follow(foot, event, found)
-                    outcomes = tuple(found)
+                results = self.trackers[foot].step(event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
+                if results:
+                    self._follow(foot, event, results)
+                    outcomes = tuple(results)
         elif isinstance(event, OperatorAct):
             self._on_act(event)
         elif isinstance(event, StimStatus):
@@ -132,13 +132,13 @@ class Controller:
                 self._plan.on_phase(change, permitted=permitted)
 
     def _fall_back(self, event: Event) -> None:
-        """What the foot switches say, where the sensors tell no steps."""
+        """What the foot switches show, where the sensors show no steps."""
         for fallback in self._fallbacks.values():
             for change in fallback.changes_at(event):
                 self._plan.on_phase(change, permitted=True)
 
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:
-        """What the tuning says; its parameters count from each channel's next burst."""
+        """What the tuning reports; its parameters count from each channel's next burst."""
         self._reports += reports
         for number, parameters in self.tuning.parameters().items():
             self._plan.set_parameters(number, parameters)

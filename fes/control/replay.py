@@ -55,11 +55,11 @@ def recording_digest(recording: Recording) -> str:
     """SHA-256 of a recording's file, or of its samples where it was made in memory, in hex."""
     if recording.path is not None:
         return digest(recording.path)
-    found = hashlib.sha256()
+    hashed = hashlib.sha256()
     for sensor, track in recording.tracks.items():
         for values in (track.t_ns, track.t_sensor_ns, track.acc_mps2, track.gyr_radps):
-            found.update(sensor.encode() + values.tobytes())
-    return found.hexdigest()
+            hashed.update(sensor.encode() + values.tobytes())
+    return hashed.hexdigest()
 
 
 def identity(recording_sha256: str, session: Session) -> Identity:
@@ -114,19 +114,19 @@ def session_for(recording: Recording, session: Session | None) -> Session:
 
     Channels of a foot that no sensor of the recording drives are left out. Without a session nothing is stimulated.
     """
-    known: dict[str, Any] = {}
+    changes: dict[str, Any] = {}
     base = session or Session(name=recording.name)
     if not base.subject and recording.subject:
-        known["subject"] = recording.subject
+        changes["subject"] = recording.subject
     if base.treadmill is None and recording.belt_speed_mps:
-        known["treadmill"] = {"belt_speed_mps": recording.belt_speed_mps}
+        changes["treadmill"] = {"belt_speed_mps": recording.belt_speed_mps}
     if not base.geometry and recording.geometry:
-        known["geometry"] = {foot: value.model_dump() for foot, value in recording.geometry.items()}
+        changes["geometry"] = {foot: value.model_dump() for foot, value in recording.geometry.items()}
     driven = phase_sensors(recording.tracks)
     channels = [channel for channel in base.channels if channel.foot in driven]
     kept = {channel.number for channel in channels}
-    known["channels"] = [
+    changes["channels"] = [
         {**channel.model_dump(), "never_with": [number for number in channel.never_with if number in kept]}
         for channel in channels
     ]
-    return validate_session({**base.model_dump(), **known}, recording.path or Path(recording.name))
+    return validate_session({**base.model_dump(), **changes}, recording.path or Path(recording.name))

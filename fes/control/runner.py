@@ -135,17 +135,23 @@ class Runner:
             text = f"channel {report.channel}: {report.text}"
             self._log.note(Note(event.t_ns, report.severity, "tuning", text))
         if len(self.gate.flagged) > len(self._flagged):
-            self._note_flags()
+            for sensor in sorted(self.gate.flagged.keys() - self._flagged):  # the first fault; the gate counts the rest
+                self._flagged.add(sensor)
+                text = f"{self.gate.flagged[sensor].fault}; {sensor} drives no channel, stimulation goes on"
+                self._log.note(Note(event.t_ns, "warning", "gate", text))
         if self.gate.latched != self._latched:
-            self._note_latch()
-            if self._latched:  # not at the next command: now
-                self.all_off()
+            self._latched = self.gate.latched
+            if self._latched:
+                self._log.note(Note(event.t_ns, "fault", "gate", f"off until armed again: {self._latched}"))
+                self.all_off()  # not at the next command: now
+            else:
+                self._log.note(Note(event.t_ns, "info", "gate", "armed again"))
 
     def all_off(self) -> None:
         """Switch off every channel that was ever commanded; each is tried, then the first error is raised.
 
-        In the order in which they are commanded: a device that delivers all with the last one's command must have been
-        told *off* for the others by then.
+        In the order in which they are commanded: a device that delivers all with the last one's command must have
+        been sent *off* for the others by then.
         """
         errors: list[Exception] = []
         for channel in list(self._refused):
@@ -172,20 +178,5 @@ class Runner:
         self._refused[command.channel] = command.refused
         # a refusal whose numbers alone have moved on is the same refusal
         if command.refused and _NUMBER.sub("", command.refused) != _NUMBER.sub("", before):
-            self._log.note(
-                Note(command.t_ns, "warning", "gate", f"channel {command.channel} refused: {command.refused}")
-            )
-
-    def _note_flags(self) -> None:
-        """A sensor's first fault; the gate counts the rest."""
-        for sensor in sorted(self.gate.flagged.keys() - self._flagged):
-            self._flagged.add(sensor)
-            text = f"{self.gate.flagged[sensor].fault}; {sensor} drives no channel, stimulation goes on"
-            self._log.note(Note(self._t_ns, "warning", "gate", text))
-
-    def _note_latch(self) -> None:
-        self._latched = self.gate.latched
-        if self._latched:
-            self._log.note(Note(self._t_ns, "fault", "gate", f"off until armed again: {self._latched}"))
-        else:
-            self._log.note(Note(self._t_ns, "info", "gate", "armed again"))
+            text = f"channel {command.channel} refused: {command.refused}"
+            self._log.note(Note(command.t_ns, "warning", "gate", text))
