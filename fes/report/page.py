@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from fes.analysis.ground_path import GroundPath
 from fes.analysis.parameters.gait import GaitParameters
-from fes.report.figures.space import ground_figures, space_of
+from fes.report.figures.space import ground_figures, space_figure
 from fes.report.figures.stimulation import channel_color, latency_figure, stimulation_figures, tuning_figures
 from fes.report.figures.strides import (
     PHASE_COLORS,
@@ -71,15 +71,15 @@ def render_report(
     hemiparetic: HemipareticWalk | None = None,
 ) -> str:
     """The report of a session as HTML text; arguments as of :func:`write_report`."""
-    view = summarise_session(record)
-    summary = view.summary
+    data = summarise_session(record)
+    summary = data.summary
     measured = gait if gait is not None else gait_of_strides(record.strides, summary.belt_speed_mps)
-    sensors = all_flags(record, view.settings)
+    sensors = all_flags(record, data.settings)
     flags = stride_flags(record, summary.strides, sensors)
-    curves = foot_curves(record.strides, measured, list(view.timelines))
+    curves = foot_curves(record.strides, measured, list(data.timelines))
     care = _care(flags, {foot: one.numbers for foot, one in curves.items()})
     over_stride = curve_figures(curves, care)
-    space = space_of(curves)
+    space = space_figure(curves)
     section = None
     if hemiparetic is not None:
         from fes.report.hemiparetic import hemiparetic_section
@@ -111,12 +111,12 @@ def render_report(
                 [*over_stride, *butterfly_figures(curves, care), *([space.figure] if space else [])]
             ),
             window_figures=trusted([section.space.figure] if section and section.space else []),
-            ground_figures=trusted(ground_figures(view, paths or {})),
-            each_figures=trusted(stride_figures(view, flags)),
-            phase_figures=trusted(phase_figures(view, flags)),
-            stimulation_figures=trusted(stimulation_figures(view)),
-            tuning_figures=trusted(tuning_figures(view)),
-            latency_figure=trusted([figure for figure in [latency_figure(view)] if figure]),
+            ground_figures=trusted(ground_figures(data, paths or {})),
+            each_figures=trusted(stride_figures(data, flags)),
+            phase_figures=trusted(phase_figures(data, flags)),
+            stimulation_figures=trusted(stimulation_figures(data)),
+            tuning_figures=trusted(tuning_figures(data)),
+            latency_figure=trusted([figure for figure in [latency_figure(data)] if figure]),
             phase_colors=PHASE_COLORS,
             foot_color=foot_color,
             channel_color=channel_color,
@@ -124,17 +124,17 @@ def render_report(
             long_table=len(summary.strides) > LONG_TABLE_ROWS,
             run_summary=json.dumps(summary.run_summary, indent=2, ensure_ascii=False),
             header_parts=_header_parts(record.header),
-            data=Markup(embed(chart_data(view, sensors) | {"spaces": [figure.to_data() for figure in spaces]})),
-            style=Markup("".join(asset(name) for name in STYLES) + _running_head(view)),
+            data=Markup(embed(chart_data(data, sensors) | {"spaces": [figure.to_data() for figure in spaces]})),
+            style=Markup("".join(asset(name) for name in STYLES) + _running_head(data)),
             script=Markup("".join(asset(name) for name in SCRIPTS)),
             uplot=Markup(f"/*\n{asset('uPlot.LICENSE')}*/\n{asset('uPlot.iife.min.js')}"),
         )
     )
 
 
-def _running_head(view: ReportData) -> str:
+def _running_head(data: ReportData) -> str:
     """What stands at the top of every printed page but the first."""
-    s = view.summary
+    s = data.summary
     text = " – ".join(part[:60] for part in (s.name, s.subject, local_time(s.created)) if part)
     return f"@page {{ @top-left {{ content: {css_text(text)}; }} }}\n"
 

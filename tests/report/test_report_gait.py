@@ -19,7 +19,7 @@ from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import Analysis, analyse, calibrations_of
 from fes.cli.main import main
 from fes.recording import read_recording
-from fes.report.figures.space import projected, space_of
+from fes.report.figures.space import projected, space_figure
 from fes.report.figures.strides import butterfly_figures
 from fes.report.figures.timeseries import chart_data
 from fes.report.flags import (
@@ -300,7 +300,7 @@ def test_the_butterflys_wings_are_the_two_feet():
 
 def test_the_space_figure_is_drawn_as_the_script_would_turn_it():
     curves = foot_curves(make.walk(6).strides, None, ["left_foot", "right_foot"])
-    space = space_of(curves)
+    space = space_figure(curves)
     assert space is not None
     data = space.to_data()
     assert space.figure.svg.count("<path") == len(data["lines"])
@@ -308,7 +308,7 @@ def test_the_space_figure_is_drawn_as_the_script_would_turn_it():
     assert projected(np.array([[1.0, 2.0, 3.0]]), 0.0, 0.0).tolist() == [[1.0, 3.0]]  # from behind
     np.testing.assert_allclose(projected(np.array([[1.0, 2.0, 3.0]]), -math.pi / 2, 0.0), [[2.0, 3.0]])  # from the side
     np.testing.assert_allclose(projected(np.array([[1.0, 2.0, 3.0]]), 0.0, math.pi / 2), [[1.0, 2.0]], atol=1e-12)
-    assert space_of({}) is None
+    assert space_figure({}) is None
 
 
 def test_a_running_head_cannot_end_its_style_sheet():

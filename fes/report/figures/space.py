@@ -1,9 +1,8 @@
-"""Strides of both feet in three dimensions: mean and mean ± SD, as Figure 5 of Wang et al. (2013).
+"""Where the feet went over the ground, from above and how high; and strides of both feet in three dimensions.
 
-Drawn here as it stands at first, which is also what is printed; the report's script turns the same lines. Axes are
-those of the paper's visualization frame: x to the right, y along the walk, z up.
-
-Figures of where the feet went over the ground: from above, and how high.
+The latter are drawn as Figure 5 of Wang et al. (2013), mean and mean ± SD, in the axes of the paper's visualization
+frame: x to the right, y along the walk, z up. It is drawn here as it stands at first, which is also what is printed;
+the report's script turns the same lines.
 """
 
 from __future__ import annotations
@@ -30,19 +29,19 @@ HEIGHTS = (200, 520)  # of the view from above, whose two scales are the same
 LEAST_HEIGHT_M = 0.05  # a path that rises or falls less gets no side view
 
 
-def ground_figures(view: ReportData, paths: Mapping[str, GroundPath]) -> list[Figure]:
-    """All feet from above, and their heights along the way where they change."""
+def ground_figures(data: ReportData, paths: Mapping[str, GroundPath]) -> list[Figure]:
+    """All feet from above, and their heights along the path where they change."""
     known = {foot: path for foot, path in paths.items() if len(path.t_ns) > 1}
     if not known:
         return []
-    figures = [_from_above(view, known)]
-    level = view.record.header.get("ground", {}).get("level", True)
+    figures = [_from_above(data, known)]
+    level = data.record.header.get("ground", {}).get("level", True)
     if not level and any(np.ptp(path.position_m[:, 2]) > LEAST_HEIGHT_M for path in known.values()):
-        figures.append(_heights(view, known))
+        figures.append(_heights(data, known))
     return figures
 
 
-def _from_above(view: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
+def _from_above(data: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
     x = padded((path.position_m[:, 0] for path in paths.values()), zero=True)
     y = padded((path.position_m[:, 1] for path in paths.values()), zero=True)
     x_range, y_range, height = same_scale(x, y)
@@ -51,22 +50,22 @@ def _from_above(view: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
     for foot, path in paths.items():
         color = foot_color(foot)
         plot.line(path.position_m[:, 0], path.position_m[:, 1], color, width=1.6, opacity=0.75)
-        places, titles = _stride_ends(view, foot, path)
+        places, titles = _stride_ends(data, foot, path)
         plot.points(places[:, 0], places[:, 1], color, titles)
         parts.append(f"{readable(foot)} {path.way_m:.1f} m, ends {path.closure_m:.2f} m from its start")
     plot.points(np.zeros(1), np.zeros(1), "#000000", ["start"], hollow=True)
     return Figure(
         "Path over the ground, from above",
         plot.render(),
-        f"Way from stance to stance: {'; '.join(parts)}. Points: ends of strides; hollow: the start, drawn in one "
-        "place for every foot. Heading is the gyroscope's alone and drifts; on a treadmill this is the way over the "
+        f"Distance from stance to stance: {'; '.join(parts)}. Points: ends of strides; hollow: the start, drawn in one "
+        "place for every foot. Heading is the gyroscope's alone and drifts; on a treadmill this is the path over the "
         "belt.",
     )
 
 
-def _heights(view: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
+def _heights(data: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
     """Height over time; stances are level."""
-    seconds = {foot: (path.t_ns - view.origin_ns) / NS_PER_S for foot, path in paths.items()}
+    seconds = {foot: (path.t_ns - data.origin_ns) / NS_PER_S for foot, path in paths.items()}
     plot = Plot(
         "Height of the feet over time",
         "time (s)",
@@ -77,18 +76,18 @@ def _heights(view: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
     parts = []
     for foot, path in paths.items():
         plot.line(seconds[foot], path.position_m[:, 2], foot_color(foot), width=1.6)
-        gained = [s.height_gained_m for s in view.record.strides if s.foot == foot and s.valid]
+        gained = [s.height_gained_m for s in data.record.strides if s.foot == foot and s.valid]
         usual = f", {100 * float(np.median(gained)):+.1f} cm in the median stride" if gained else ""
         parts.append(f"{readable(foot)} {path.height_gained_m:+.2f} m{usual}")
     return Figure("Height gained", plot.render(), f"From start to end: {'; '.join(parts)}.")
 
 
-def _stride_ends(view: ReportData, foot: str, path: GroundPath) -> tuple[FloatArray, list[str]]:
+def _stride_ends(data: ReportData, foot: str, path: GroundPath) -> tuple[FloatArray, list[str]]:
     """Where the valid strides of a foot end (M, 2), and a hover text for each."""
-    strides = [stride for stride in view.record.strides if stride.foot == foot and stride.valid]
+    strides = [stride for stride in data.record.strides if stride.foot == foot and stride.valid]
     places = path.at(np.array([stride.t_end_ns for stride in strides], dtype=np.int64))[:, :2]
     titles = [
-        f"{readable(foot)}, stride {stride.number}, {(stride.t_end_ns - view.origin_ns) / NS_PER_S:.1f} s: "
+        f"{readable(foot)}, stride {stride.number}, {(stride.t_end_ns - data.origin_ns) / NS_PER_S:.1f} s: "
         f"{stride.stride_length_m:.2f} m"
         for stride in strides
     ]
@@ -108,7 +107,7 @@ def same_scale(x: tuple[float, float], y: tuple[float, float]) -> tuple[tuple[fl
 WIDTH, HEIGHT, MARGIN = 640, 340, 22
 AZIMUTH_DEG, ELEVATION_DEG = -62.0, 24.0
 MOST_LARGER = 6.0  # height and width, compared to length
-APART = 0.3  # of the length: how far apart the feet are drawn
+FEET_GAP = 0.3  # of the length: how far apart the feet are drawn
 FLOOR, POST = "#c3cad1", "#6b747d"
 
 
@@ -133,14 +132,14 @@ class _Line:
 @dataclass(frozen=True)
 class _Text:
     place: FloatArray
-    words: str
+    text: str
     color: str = "#3c444d"
 
 
 class SpaceFigure:
     """A figure and the numbers that the script turns it by."""
 
-    def __init__(self, key: str, feet: Mapping[str, SpaceFoot], title: str, told: str) -> None:
+    def __init__(self, key: str, feet: Mapping[str, SpaceFoot], title: str, about: str) -> None:
         self.key = key
         self._lines: list[_Line] = []
         self._texts: list[_Text] = []
@@ -151,7 +150,7 @@ class SpaceFigure:
         counts = ", ".join(f"{readable(name)} {count_of(foot.count, 'stride')}" for name, foot in feet.items())
         dots = "Dots: foot off and first contact. " if any(foot.marks for foot in feet.values()) else ""
         caption = (
-            f"{told} Bold: mean; thin: mean + SD and mean − SD; grey: the mean's shadow; {counts}. {dots}"
+            f"{about} Bold: mean; thin: mean + SD and mean − SD; grey: the mean's shadow; {counts}. {dots}"
             f"Height and width are drawn {self._larger:.0f} times larger than length; how far apart the feet are is "
             "not known."
         )
@@ -171,7 +170,7 @@ class SpaceFigure:
         larger = np.array([self._larger, 1.0, self._larger])
         middle = 0.5 * (len(feet) - 1)
         ends = [
-            foot.mean_m * larger + np.array([(at - middle) * APART * length, 0.0, 0.0])
+            foot.mean_m * larger + np.array([(at - middle) * FEET_GAP * length, 0.0, 0.0])
             for at, foot in enumerate(feet.values())
         ]
         every = np.concatenate(ends)
@@ -220,7 +219,7 @@ class SpaceFigure:
             at += len(line.points)
         for text in self._texts:
             (x, y), at = placed(1)[0].tolist(), at + 1
-            parts.append(f'<text x="{x:.1f}" y="{y:.1f}" style="fill:{text.color}">{escape(text.words)}</text>')
+            parts.append(f'<text x="{x:.1f}" y="{y:.1f}" style="fill:{text.color}">{escape(text.text)}</text>')
         return (
             f'<svg class="plot space" data-space="{escape(self.key)}" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
             f'aria-label="{escape(label)}">{"".join(parts)}</svg>'
@@ -237,16 +236,16 @@ def projected(points: FloatArray, azimuth_rad: float, elevation_rad: float) -> F
 _MARKED: Final = (Phase.SWING, Phase.LOADING_RESPONSE)
 
 
-def space_of(curves: Mapping[str, FootCurves]) -> SpaceFigure | None:
+def space_figure(curves: Mapping[str, FootCurves]) -> SpaceFigure | None:
     """Of the project's own strides; None without any."""
     feet = {foot: _turned(one) for foot, one in curves.items()}
     if not feet:
         return None
-    told = (
+    about = (
         "As Figure 5 of Wang et al. (2013), from the strides of this report, heel rise and foot flat brought together: "
         "x right, y along the stride, z up."
     )
-    return SpaceFigure("strides", feet, "Strides in three dimensions", told)
+    return SpaceFigure("strides", feet, "Strides in three dimensions", about)
 
 
 def _turned(one: FootCurves) -> SpaceFoot:

@@ -1,7 +1,4 @@
-"""Figures of the stimulation and of the controller's haste: onsets, durations, envelopes, latency.
-
-Figures of the tuning: what it aimed at and what it set, stride by stride; and the charge of each minute.
-"""
+"""Figures of the stimulation, the controller's latency, and the tuning: what it aimed at and what it set."""
 
 from __future__ import annotations
 
@@ -28,13 +25,13 @@ def channel_color(number: int) -> str:
     return CHANNEL_COLORS[number % len(CHANNEL_COLORS)]
 
 
-def stimulation_figures(view: ReportData) -> list[Figure]:
+def stimulation_figures(data: ReportData) -> list[Figure]:
     """Onset and duration per stride for all channels, then one figure of envelopes per channel that was used."""
-    if not any(row.stimulation for row in view.summary.strides):
+    if not any(row.stimulation for row in data.summary.strides):
         return []
-    onset = _per_stride(view, "onset after pre-swing (ms)", lambda item: item.onset_after_pre_swing_ms, "ms")
-    lasted = _per_stride(view, "time on in the stride (s)", lambda item: item.duration_s, "s")
-    envelopes = [_envelopes(view, info) for info in view.channels]
+    onset = _per_stride(data, "onset after pre-swing (ms)", lambda item: item.onset_after_pre_swing_ms, "ms")
+    lasted = _per_stride(data, "time on in the stride (s)", lambda item: item.duration_s, "s")
+    envelopes = [_envelopes(data, info) for info in data.channels]
     return [
         Figure("Onset", onset, "First command to stimulate, counted from the entry into pre-swing of the same foot."),
         Figure("Duration", lasted, "All bursts of a channel in the stride together."),
@@ -42,12 +39,12 @@ def stimulation_figures(view: ReportData) -> list[Figure]:
     ]
 
 
-def _per_stride(view: ReportData, label: str, pick: Callable[[StrideStimulation], float], unit: str) -> str:
+def _per_stride(data: ReportData, label: str, pick: Callable[[StrideStimulation], float], unit: str) -> str:
     chosen = {
-        info: [(row, item) for row in view.summary.strides for item in row.stimulation if item.channel == info.number]
-        for info in view.channels
+        info: [(row, item) for row in data.summary.strides for item in row.stimulation if item.channel == info.number]
+        for info in data.channels
     }
-    start_s = np.array([row.start_s for row in view.summary.strides])
+    start_s = np.array([row.start_s for row in data.summary.strides])
     y_range = padded([np.array([pick(item) for _, item in own]) for own in chosen.values()], zero=True, share=0.25)
     plot = Plot(f"{label} per stride", "time (s)", label, padded([start_s], share=0.03), y_range)
     for info, own in chosen.items():
@@ -57,12 +54,12 @@ def _per_stride(view: ReportData, label: str, pick: Callable[[StrideStimulation]
     return plot.render()
 
 
-def _envelopes(view: ReportData, info: ChannelInfo) -> Figure | None:
+def _envelopes(data: ReportData, info: ChannelInfo) -> Figure | None:
     """Current against time from the entry into swing, every stride faint and the mean bold."""
-    bursts = view.bursts[info.number]
+    bursts = data.bursts[info.number]
     strides = [
         stride
-        for stride in view.record.strides
+        for stride in data.record.strides
         if stride.foot == info.foot and stride.t_swing_ns is not None and stride.t_pre_swing_ns is not None
     ]
     if not bursts or not strides:
@@ -79,7 +76,7 @@ def _envelopes(view: ReportData, info: ChannelInfo) -> Figure | None:
     high = (float(np.nanpercentile(loading_s, 95)) if np.isfinite(loading_s).any() else 0.6) + 0.35
     grid_s = np.arange(low, high, ENVELOPE_STEP_S)
     times_ns = swing_ns[:, None] + np.round(grid_s * NS_PER_S).astype(np.int64)
-    current_ma = view.commands[info.number].current_at(times_ns)
+    current_ma = data.commands[info.number].current_at(times_ns)
     used = current_ma[current_ma.any(axis=1)]
     if not len(used):
         return None
@@ -109,12 +106,12 @@ def _relative(t_ns: IntArray, origin_ns: IntArray) -> FloatArray:
     return np.asarray((t_ns - origin_ns) / NS_PER_S, dtype=np.float64)
 
 
-def latency_figure(view: ReportData) -> Figure | None:
-    """How often which decision latency occurred; the slowest half percent is told in words."""
-    latency = view.summary.latency
+def latency_figure(data: ReportData) -> Figure | None:
+    """How often which decision latency occurred; the slowest half percent stands in the caption."""
+    latency = data.summary.latency
     if not latency.count:
         return None
-    values_ms = view.record.latency_ns / 1e6
+    values_ms = data.record.latency_ns / 1e6
     last = max(float(np.percentile(values_ms, 99.5)) * 1.15, 1e-3)
     counts, edges = np.histogram(values_ms, bins=LATENCY_BINS, range=(0.0, last))
     beyond = int((values_ms > last).sum())
@@ -138,23 +135,23 @@ BAND_COLOR = "#009E73"
 CHANGE_COLOR = "#D55E00"
 
 
-def tuning_figures(view: ReportData) -> list[Figure]:
+def tuning_figures(data: ReportData) -> list[Figure]:
     """For each tuned channel toe clearance with its target and current per stride; none where nothing is tuned."""
     tuned = [
         channel
-        for channel in (view.settings.channels if view.settings else ())
+        for channel in (data.settings.channels if data.settings else ())
         if channel.tuning is not None and channel.tuning.mode != "off"
     ]
-    return [figure for channel in tuned for figure in _of(view, channel)]
+    return [figure for channel in tuned for figure in _tuning_of_channel(data, channel)]
 
 
-def _of(view: ReportData, channel: Channel) -> list[Figure]:
-    rows = [row for row in view.summary.strides if row.foot == channel.foot]
+def _tuning_of_channel(data: ReportData, channel: Channel) -> list[Figure]:
+    rows = [row for row in data.summary.strides if row.foot == channel.foot]
     if not rows or channel.tuning is None:
         return []
     start_s = np.array([row.start_s for row in rows])
     x_range = padded([start_s], share=0.03)
-    changes = [said for said in view.summary.tuning if said.channel == channel.number and said.kind == "change"]
+    changes = [row for row in data.summary.tuning if row.channel == channel.number and row.kind == "change"]
     figures = []
     band = channel.tuning.toe_clearance_m
     toe_cm = np.array([row.toe_clearance_cm for row in rows])
@@ -181,9 +178,9 @@ def _of(view: ReportData, channel: Channel) -> list[Figure]:
     if np.isfinite(peak_ma).any():
         plot = Plot("peak current per stride", "time (s)", "peak current (mA)", x_range, padded([peak_ma], zero=True))
         plot.line(start_s, peak_ma, channel_color(channel.number), width=2.0)
-        at_s = np.array([said.time_s for said in changes])
+        at_s = np.array([row.time_s for row in changes])
         level_ma = np.interp(at_s, start_s[np.isfinite(peak_ma)], peak_ma[np.isfinite(peak_ma)])
-        plot.points(at_s, level_ma, CHANGE_COLOR, [said.text for said in changes])
+        plot.points(at_s, level_ma, CHANGE_COLOR, [row.text for row in changes])
         figures.append(
             Figure(
                 f"What the tuning set, {channel.name}",

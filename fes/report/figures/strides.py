@@ -1,13 +1,9 @@
-"""Figures of every stride by itself: lengths, clearance and phase durations; flagged strides are ringed.
-
-Figures over the stride: mean and ± 1 SD of height, pitch and forward speed, both feet in one, phases below.
-
-The feet's swing paths as the two wings of a butterfly: left foot to the left, right foot to the right.
+"""Figures of strides: every stride by itself, means over the stride, and the swing paths as a butterfly.
 
 Clinics call *butterfly* the path of the centre of pressure on an instrumented treadmill: it crosses from foot to foot
-in double support, and its two wings are the two steps. No force is measured here. These wings are the ways of the two
-foot sensors from stance to stance, laid against each other so that the sides can be compared at a glance; where the
-feet stand to each other is not known and not shown.
+in double support, and its two wings are the two steps. No force is measured here. These wings are the paths of the two
+foot sensors from stance to stance, left foot to the left, right foot to the right, laid against each other so that the
+sides can be compared at a glance. Where the feet stand to each other is not known and not shown.
 """
 
 from __future__ import annotations
@@ -40,16 +36,16 @@ def foot_color(foot: str) -> str:
     return FOOT_COLORS.get(foot, OTHER_COLOR)
 
 
-def stride_figures(view: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
-    """Stride length and clearance of every stride against time; ``flags`` of foot and number are told."""
-    rows, belt = view.summary.strides, view.summary.belt_speed_mps
+def stride_figures(data: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
+    """Stride length and clearance of every stride against time; flagged strides are ringed."""
+    rows, belt = data.summary.strides, data.summary.belt_speed_mps
     if not rows:
         return []
     care = {key: own for key, found in flags.items() if (own := [flag for flag in found if flag.kind != UNSURE])}
-    length, lengths = _per_stride(view, [row.stride_length_m for row in rows], "stride length (m)", 2, "m", care)
-    clearance, clearances = _per_stride(view, [row.clearance_cm for row in rows], "clearance (cm)", 1, "cm", care)
+    length, lengths = _per_stride(data, [row.stride_length_m for row in rows], "stride length (m)", 2, "m", care)
+    clearance, clearances = _per_stride(data, [row.clearance_cm for row in rows], "clearance (cm)", 1, "cm", care)
     times = [row.duration_s for row in rows if row.valid]
-    told = "Filled: used, hollow: left out. Dashed: mean"
+    legend = "Filled: used, hollow: left out. Dashed: mean"
     if np.isfinite(belt) and times:
         expected_m = belt * float(np.mean(times))
         length.level(expected_m, "#000000", dash="2 3")
@@ -57,16 +53,16 @@ def stride_figures(view: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
     ringed = f" Ringed, with care: {described}." if (described := describe_flags(care.values())) else ""
     height = "Greatest height of the sensor above its start."
     return [
-        Figure("Stride length", length.render(), f"{told} {lengths}.{ringed}"),
-        Figure("Clearance", clearance.render(), f"{height} {told} {clearances}.{ringed}"),
+        Figure("Stride length", length.render(), f"{legend} {lengths}.{ringed}"),
+        Figure("Clearance", clearance.render(), f"{height} {legend} {clearances}.{ringed}"),
     ]
 
 
 def _per_stride(
-    view: ReportData, values: Sequence[float], label: str, digits: int, unit: str, care: Flags
+    data: ReportData, values: Sequence[float], label: str, digits: int, unit: str, care: Flags
 ) -> tuple[Plot, str]:
-    """The plot and the means in words."""
-    rows = view.summary.strides
+    """The plot, and the means as text."""
+    rows = data.summary.strides
     y = np.array(values)
     start_s = np.array([row.start_s for row in rows])
     valid = np.array([row.valid for row in rows])
@@ -74,7 +70,7 @@ def _per_stride(
     y = np.clip(y, low, high)  # a stride that was left out may lie anywhere and must not squeeze the others
     plot = Plot(f"{label} of every stride", "time (s)", label, padded([start_s], share=0.03), (low, high))
     means: list[str] = []
-    for foot in view.timelines:
+    for foot in data.timelines:
         for used in (True, False):
             pick = [i for i, row in enumerate(rows) if row.foot == foot and row.valid == used]
             titles = [
@@ -91,11 +87,11 @@ def _per_stride(
     return plot, ", ".join(means) or "–"
 
 
-def phase_figures(view: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
+def phase_figures(data: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
     """Per foot: how long each phase of each stride lasted, stacked; strides with a flag that tells on times ringed."""
     figures = []
-    for foot in view.timelines:
-        rows = [row for row in view.summary.strides if row.foot == foot]
+    for foot in data.timelines:
+        rows = [row for row in data.summary.strides if row.foot == foot]
         if rows:
             care = {
                 row.number: own
@@ -168,7 +164,7 @@ def dash_of(foot: str) -> str:
 
 
 def curve_figures(curves: Mapping[str, FootCurves], care: str = "") -> list[Figure]:
-    """Height, pitch and forward speed over the stride; ``care``: what is to be said of the strides' flags."""
+    """Height, pitch and forward speed over the stride; ``care``: a sentence on the strides' flags."""
     return [_figure(curves, *one, care) for one in _CURVES] if curves else []
 
 
@@ -177,7 +173,7 @@ def _figure(
     title: str,
     label: str,
     values_of: Callable[[FootCurves], FloatArray],
-    told: str,
+    about: str,
     care: str,
 ) -> Figure:
     every = {foot: values_of(one) for foot, one in curves.items()}
@@ -204,7 +200,7 @@ def _figure(
     return Figure(
         title,
         plot.render(),
-        f"{told} Mean (right dashed) and ±1 SD: {counts}, "
+        f"{about} Mean (right dashed) and ±1 SD: {counts}, "
         f"heel rise and foot flat brought together. Below: mean phases.{care}",
     )
 
@@ -224,21 +220,21 @@ def _strips(plot: Plot, curves: Mapping[str, FootCurves], floor: float, height: 
 
 
 BUTTERFLY_FAINT_STRIDES = 40  # of a foot, evenly picked
-HONEST = (
-    "Not the clinics' butterfly of the centre of pressure: no force is measured. Each wing is the way of one foot's "
+NO_FORCE = (
+    "Not the clinics' butterfly of the centre of pressure: no force is measured. Each wing is the path of one foot's "
     "sensor, both from the same point; how far apart the feet are is not known."
 )
 
 
 def butterfly_figures(curves: Mapping[str, FootCurves], care: str = "") -> list[Figure]:
-    """From the side (height over way) and from above (way over excursion outwards); with one foot one wing each."""
-    by_way = {foot: ways for foot, one in curves.items() if (ways := _by_way(one)) is not None}
-    if not by_way:
+    """From the side (height over distance) and from above (distance over excursion); with one foot one wing each."""
+    distances = {foot: paths for foot, one in curves.items() if (paths := _by_distance(one)) is not None}
+    if not distances:
         return []
-    counts = ", ".join(f"{readable(foot)} {count_of(len(ways), 'stride')}" for foot, ways in by_way.items())
-    told = f"Bold: mean (right dashed), band: ±1 SD at the same share of the way; {counts}.{care}"
-    name = "Butterfly" if len(by_way) > 1 else "Path"
-    return [_from_the_side(name, by_way, told), _from_above(name, by_way, told)]
+    counts = ", ".join(f"{readable(foot)} {count_of(len(paths), 'stride')}" for foot, paths in distances.items())
+    legend = f"Bold: mean (right dashed), band: ±1 SD at the same share of the distance; {counts}.{care}"
+    name = "Butterfly" if len(distances) > 1 else "Path"
+    return [_from_the_side(name, distances, legend), _from_above(name, distances, legend)]
 
 
 def outward(foot: str) -> float:
@@ -246,19 +242,19 @@ def outward(foot: str) -> float:
     return -1.0 if foot.startswith("right") else 1.0
 
 
-def _by_way(one: FootCurves) -> FloatArray | None:
-    """(S, POINTS, 3): way forward (m), outward (cm), height (cm) at equal shares of each stride's way; None: no way.
+def _by_distance(one: FootCurves) -> FloatArray | None:
+    """(S, POINTS, 3): forward (m), outward (cm), height (cm) at equal shares of each stride's distance; None if 0.
 
     By place and not by time: a foot that waits longer in stance would else smear the mean over the swing.
     """
     share = np.linspace(0.0, 1.0, POINTS)
     forward = np.maximum.accumulate(one.path_m[:, :, 0], axis=1)
     rows = []
-    for way, path in zip(forward, one.path_m, strict=True):
-        if way[-1] > way[0]:
-            x = way[0] + share * (way[-1] - way[0])
-            sideways = outward(one.foot) * np.interp(x, way, path[:, 1])
-            rows.append(np.column_stack((x, 100.0 * sideways, 100.0 * np.interp(x, way, path[:, 2]))))
+    for ahead, path in zip(forward, one.path_m, strict=True):
+        if ahead[-1] > ahead[0]:
+            x = ahead[0] + share * (ahead[-1] - ahead[0])
+            sideways = outward(one.foot) * np.interp(x, ahead, path[:, 1])
+            rows.append(np.column_stack((x, 100.0 * sideways, 100.0 * np.interp(x, ahead, path[:, 2]))))
     return np.array(rows) if rows else None
 
 
@@ -267,60 +263,58 @@ def _wing(foot: str) -> float:
     return -1.0 if foot.startswith("left") else 1.0
 
 
-def _from_the_side(name: str, by_way: Mapping[str, FloatArray], told: str) -> Figure:
-    sides = {foot: _wing(foot) * ways[:, :, 0] for foot, ways in by_way.items()}
+def _from_the_side(name: str, distances: Mapping[str, FloatArray], legend: str) -> Figure:
+    sides = {foot: _wing(foot) * paths[:, :, 0] for foot, paths in distances.items()}
     plot = Plot(
         f"{name} of the swing paths seen from the side",
-        _ends(by_way, "forward (m)"),
+        _ends(distances, "forward (m)"),
         "height (cm)",
         padded(sides.values(), zero=True, share=0.03),
-        padded((ways[:, :, 2] for ways in by_way.values()), zero=True),
+        padded((paths[:, :, 2] for paths in distances.values()), zero=True),
         mirrored=True,
     )
-    honest = HONEST if len(by_way) > 1 else ""
-    for foot, ways in by_way.items():
-        color, x, height = foot_color(foot), sides[foot], ways[:, :, 2]
-        for at in _picked(len(ways)):
+    no_force = NO_FORCE if len(distances) > 1 else ""
+    for foot, paths in distances.items():
+        color, x, height = foot_color(foot), sides[foot], paths[:, :, 2]
+        for at in _picked(len(paths)):
             plot.line(x[at], height[at], color, width=0.8, opacity=0.2)
         mean, sd = height.mean(axis=0), spread_of(height)
         plot.band(x.mean(axis=0), mean - sd, mean + sd, color, 0.32)
         plot.line(x.mean(axis=0), mean, color, width=3, dash=dash_of(foot))
-    return Figure(f"{name}, from the side", plot.render(), f"{told} Height is drawn larger than length. {honest}")
+    return Figure(f"{name}, from the side", plot.render(), f"{legend} Height is drawn larger than length. {no_force}")
 
 
-def _from_above(name: str, by_way: Mapping[str, FloatArray], told: str) -> Figure:
-    sides = {foot: _wing(foot) * ways[:, :, 1] for foot, ways in by_way.items()}
+def _from_above(name: str, distances: Mapping[str, FloatArray], legend: str) -> Figure:
+    sides = {foot: _wing(foot) * paths[:, :, 1] for foot, paths in distances.items()}
     most = max(float(np.abs(values).max()) for values in sides.values()) * 1.1 or 1.0
     plot = Plot(
         f"{name} of the swing paths seen from above",
-        _ends(by_way, "outwards from the straight line (cm)"),
+        _ends(distances, "outwards from the straight line (cm)"),
         "forward (m)",
         (-most, most),
-        padded((ways[:, :, 0] for ways in by_way.values()), zero=True, share=0.03),
+        padded((paths[:, :, 0] for paths in distances.values()), zero=True, share=0.03),
         mirrored=True,
     )
     plot.upright(0.0, "#555555", "")
-    for foot, ways in by_way.items():
-        color, x, way = foot_color(foot), sides[foot], ways[:, :, 0]
-        for at in _picked(len(ways)):
-            plot.line(x[at], way[at], color, width=0.8, opacity=0.2)
-        mean, sd, along = x.mean(axis=0), spread_of(x), way.mean(axis=0)
+    for foot, paths in distances.items():
+        color, x, ahead = foot_color(foot), sides[foot], paths[:, :, 0]
+        for at in _picked(len(paths)):
+            plot.line(x[at], ahead[at], color, width=0.8, opacity=0.2)
+        mean, sd, along = x.mean(axis=0), spread_of(x), ahead.mean(axis=0)
         plot.area(np.append(mean - sd, (mean + sd)[::-1]), np.append(along, along[::-1]), color, 0.32)
         plot.line(mean, along, color, width=3, dash=dash_of(foot))
     return Figure(
         f"{name}, from above",
         plot.render(),
-        f"{told} A wing that bulges is circumduction; one that crosses the middle went inwards. Width is drawn larger "
-        "than length.",
+        f"{legend} A wing that bulges is circumduction; one that crosses the middle went inwards. Width is drawn "
+        "larger than length.",
     )
 
 
-def _ends(by_way: Mapping[str, FloatArray], label: str) -> str:
-    return f"◀ left foot · {label} · right foot ▶" if len(by_way) > 1 else label
+def _ends(distances: Mapping[str, FloatArray], label: str) -> str:
+    return f"◀ left foot · {label} · right foot ▶" if len(distances) > 1 else label
 
 
 def _picked(count: int) -> list[int]:
-    picked: list[int] = np.unique(
-        np.linspace(0, count - 1, min(count, BUTTERFLY_FAINT_STRIDES)).round().astype(int)
-    ).tolist()
-    return picked
+    places = np.linspace(0, count - 1, min(count, BUTTERFLY_FAINT_STRIDES))
+    return list(np.unique(places.round().astype(int)))

@@ -106,11 +106,11 @@ class Plot:
         """The inside of a closed curve."""
         self._marks.append(f'<path d="{self._path(x, y)}Z" fill="{color}" fill-opacity="{opacity:g}"/>')
 
-    def text(self, x: float, y: float, words: str, color: str, *, anchor: str = "start") -> None:
-        """Words at a place."""
+    def text(self, x: float, y: float, text: str, color: str, *, anchor: str = "start") -> None:
+        """Text at a place."""
         px, py = float(self._x(np.array(x))), float(self._y(np.array(y)))
         self._marks.append(
-            f'<text class="halo" x="{px:.1f}" y="{py:.1f}" text-anchor="{anchor}" fill="{color}">{escape(words)}</text>'
+            f'<text class="halo" x="{px:.1f}" y="{py:.1f}" text-anchor="{anchor}" fill="{color}">{escape(text)}</text>'
         )
 
     def rings(self, x: FloatArray, y: FloatArray, color: str) -> None:
@@ -144,9 +144,9 @@ class Plot:
                 f'<path d="{dots}" stroke="{color}" stroke-width="4" stroke-linecap="round" stroke-opacity="0.7"/>'
             )
             return
-        look = f'fill="#fff" stroke="{color}" stroke-width="1.6"' if hollow else f'fill="{color}"'
+        paint = f'fill="#fff" stroke="{color}" stroke-width="1.6"' if hollow else f'fill="{color}"'
         self._marks += [
-            f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3.4" {look}><title>{escape(titles[i])}</title></circle>'
+            f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3.4" {paint}><title>{escape(titles[i])}</title></circle>'
             for i, a, b in zip(ok.tolist(), px, py, strict=True)
         ]
 

@@ -27,26 +27,26 @@ MISSING = -32768
 FULL_SCALE = 32000
 
 
-def chart_data(view: ReportData, sensors: Mapping[str, SensorFlags] | None = None) -> dict[str, Any]:
+def chart_data(data: ReportData, sensors: Mapping[str, SensorFlags] | None = None) -> dict[str, Any]:
     """All that the script draws, in plain values: per foot its signals and phases, and the channels' current.
 
     ``sensors``: by foot, what is wrong with the samples; drawn where it is.
     """
     wrong = sensors or {}
-    seconds = (view.end_ns - view.origin_ns) / NS_PER_S
+    seconds = (data.end_ns - data.origin_ns) / NS_PER_S
     points_per_s = next(points for longest_s, points in DETAIL if seconds <= longest_s)
     feet = [
-        _foot(view.record.samples[foot], timeline, view.origin_ns, points_per_s)
-        | {"wrong": wrong[foot].spans(view.origin_ns) if foot in wrong else []}
-        for foot, timeline in view.timelines.items()
-        if foot in view.record.samples and view.record.samples[foot].t_ns.size > 1
+        _foot(data.record.samples[foot], timeline, data.origin_ns, points_per_s)
+        | {"wrong": wrong[foot].spans(data.origin_ns) if foot in wrong else []}
+        for foot, timeline in data.timelines.items()
+        if foot in data.record.samples and data.record.samples[foot].t_ns.size > 1
     ]
     count = int(seconds * points_per_s) + 1
-    grid_ns = view.origin_ns + (np.arange(count) * (NS_PER_S // points_per_s)).astype(np.int64)
-    channels = [_channel(view, info, grid_ns) for info in view.channels]
+    grid_ns = data.origin_ns + (np.arange(count) * (NS_PER_S // points_per_s)).astype(np.int64)
+    channels = [_channel(data, info, grid_ns) for info in data.channels]
     return {
         "duration_s": seconds,
-        "opening_s": _opening_s(view),
+        "opening_s": _opening_s(data),
         "feet": feet,
         "current": {"start_s": 0.0, "step_s": 1.0 / points_per_s, "count": count, "channels": channels},
         "phases": [
@@ -111,12 +111,12 @@ def main_axis_rate_radps(samples: SampleArrays, timeline: PhaseTimeline) -> tupl
     return (rate if pushing.mean() >= 0 else -rate), True
 
 
-def _opening_s(view: ReportData) -> float:
+def _opening_s(data: ReportData) -> float:
     """Where the first window begins: just before the first stimulation, or else the first stride."""
     bursts = [
-        (burst.t_start_ns - view.origin_ns) / NS_PER_S - 3.0 for all_of in view.bursts.values() for burst in all_of
+        (burst.t_start_ns - data.origin_ns) / NS_PER_S - 3.0 for all_of in data.bursts.values() for burst in all_of
     ]
-    strides = [row.start_s - 0.5 for row in view.summary.strides]
+    strides = [row.start_s - 0.5 for row in data.summary.strides]
     return max(0.0, min(bursts or strides or [0.0]))
 
 
@@ -146,11 +146,11 @@ def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points
     }
 
 
-def _channel(view: ReportData, info: ChannelInfo, grid_ns: IntArray) -> dict[str, Any]:
+def _channel(data: ReportData, info: ChannelInfo, grid_ns: IntArray) -> dict[str, Any]:
     return {
         "name": info.name,
         "color": channel_color(info.number),
-        "current_ma": pack(view.commands[info.number].current_at(grid_ns)),
+        "current_ma": pack(data.commands[info.number].current_at(grid_ns)),
     }
 
 
