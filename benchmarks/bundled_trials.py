@@ -17,10 +17,8 @@ from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
 
 from fes.calibration.foot_track import calibrate_track
-from fes.config import Session
-from fes.control.controller import stride_settings
-from fes.control.replay import session_for
 from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides.results import StrideMaker
 from fes.recording import Recording, read_recording
 from fes.signals import StrideResult
@@ -67,7 +65,7 @@ def strides_of(recording: Recording, foot: str) -> list[StrideResult]:
     """All strides that the tracker finds, with the recording's own calibration and geometry."""
     track = recording.tracks[foot]
     calibration = calibrate_track(track)
-    settings = stride_settings(session_for(recording, Session(name=recording.name)), calibration)
+    settings = stride_settings(calibration, recording.geometry.get(foot))
     tracker = FootTracker(calibration, StrideMaker(foot, settings))
     outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
     return [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]

@@ -16,7 +16,8 @@ from fes.analysis.hemiparetic.foot import FootTrack
 from fes.analysis.hemiparetic.sync import Offset, Samples, offset
 from fes.analysis.hemiparetic.walk import HemipareticWalk, Terrain, feet_of, hemiparetic_walk, windows_of
 from fes.analysis.hemiparetic.windows import THRESHOLD_M2PS4
-from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.results import Analysis
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import Recording, read_recording
@@ -148,7 +149,7 @@ def stroke_run(path: Path) -> tuple[list[FootResult], SideResult, GroundResult]:
         begin_s = track.t_ns[-1] / NS_PER_S - LAST_S
         kept = [r for r in rows if r.t_start_s >= begin_s and math.isfinite(r.values["stride_time_s"])]
         time_s = sum(r.values["stride_time_s"] for r in kept)
-        found.belt_ratio["parameters"] = sum(r.values["stride_length_m"] for r in kept) / time_s / belt_mps
+        found.belt_ratio["parameters"] = sum(r.values["stride_length_common_m"] for r in kept) / time_s / belt_mps
         out.append(found)
     return out, told_side(path.stem, walk, ""), ground(path.stem, walk, "level")
 

@@ -22,7 +22,8 @@ from ankle import evaluate as shanks_of
 from stroke_treadmill import LAST_S, data_folder
 
 from fes.analysis.parameters.gait import gait_parameters
-from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.results import Analysis
 from fes.datasets import read_data_set
 from fes.evaluation.reference.compare import from_analysis
 from fes.evaluation.reference.evaluation import BOTH, AgreementRow, Settings, evaluate
@@ -36,7 +37,7 @@ BEGIN, END = "<!-- tables: benchmarks/papers.py -->", "<!-- end of the tables --
 Cells = list[list[str]]
 PHASES = ("pre_swing", "swing", "loading_response", "stance")
 WANG = {
-    "stride_length_m": ("SL, m", 1.0, 2),
+    "stride_length_common_m": ("SL, m", 1.0, 2),
     "swing_s": ("swing, s", 1.0, 2),
     "stance_s": ("stance, s", 1.0, 2),
     "position_variation_m": ("PV, m", 1.0, 2),

@@ -35,7 +35,8 @@ from scipy.spatial.transform import Rotation
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.parameters.motion import Motion, variation
 from fes.analysis.parameters.strides import StrideParameters
-from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.results import Analysis
 from fes.estimation.clearance.clearance import FootArms, FootPath, arms_of, clearance
 from fes.recording import Recording, read_recording
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
@@ -187,7 +188,7 @@ def _differences(
     v = own.values
     stance = true.t_swing_s - before.t_loading_response_s if before is not None else math.nan
     return {
-        "stride_length_percent": 100.0 * (v["stride_length_m"] / true.stride_length_m - 1.0),
+        "stride_length_percent": 100.0 * (v["stride_length_common_m"] / true.stride_length_m - 1.0),
         "swing_ms": 1e3 * (v["swing_s"] - (true.t_loading_response_s - true.t_swing_s)),
         "stance_ms": 1e3 * (v["stance_s"] - stance),
         "clearance_cm": 100.0 * (v["lift_m"] - motion.lift_m()),

@@ -35,7 +35,6 @@ from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
 from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import point_heights
-from fes.control.replay import session_for
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
@@ -95,12 +94,12 @@ def least(work: Callable[[], Any], repeats: int = REPEATS) -> float:
 def stages(recording: Recording) -> dict[str, float]:
     """Processor time of the parts of an analysis, in s, all feet together."""
     recording, found = calibrations_of(recording)
-    session, seconds = session_for(recording, None), dict[str, float]()
+    seconds = dict[str, float]()
     for sensor, calibration in found.calibrations.items():
         assert isinstance(calibration, FootCalibration)
         track = recording.tracks[sensor]
         data = newer_samples(track)
-        settings = stride_settings(session, calibration)
+        settings = stride_settings(calibration, recording.geometry.get(sensor))
 
         def follow(calibration: FootCalibration = calibration, settings: Any = settings, data: Any = data) -> Any:
             return FootTracker(calibration, StrideMaker(calibration.sensor, settings)).walk(*data)

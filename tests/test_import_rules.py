@@ -18,6 +18,7 @@ STDLIB = sys.stdlib_module_names
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("fes", "fes.signals", "fes.limits", "fes.memory"),
     ("fes.config", "statemachine"),
+    ("fes.walk_record",),
     ("fes.estimation", "fes.stimulation", "fes.session_log", "fes.gate"),
     ("fes.recording",),
     ("fes.control", "fes.simulation", "fes.datasets"),
@@ -38,11 +39,12 @@ NARROWER: dict[str, set[str]] = {
     "fes.limits": set(),
     "fes.config": {"pydantic", "fes.limits"},
     "statemachine": {"transitions", "fes.signals", "fes.limits", "fes.config"},
+    "fes.walk_record": {"numpy", "fes.signals", "statemachine.phases"},
     "fes.gate": {"fes.config", "fes.signals", "fes.limits"},
     "fes.stimulation": {"statemachine.phases", "fes.config", "fes.signals", "fes.limits"},
     "fes.estimation": {"numpy", "numba", "statemachine", "fes.config", "fes.signals", "fes.limits"},
 }
-ANALYSIS_KNOWS_NOT = {"fes.stimulation", "fes.gate", "fes.live"}
+ANALYSIS_KNOWS_NOT = {"fes.stimulation", "fes.gate", "fes.live", "fes.control", "fes.session_log", "fes.config.session"}
 PURE: tuple[str, ...] = (
     "fes.control",
     "fes.gate",

@@ -37,7 +37,7 @@ class GroundPath:
         position_m: (K, 3): x ahead, towards where the foot first is 2 m away from its start, y left, z up; from its
             start.
         heading_rad: (K,) where the toe points, from x towards y; it turns by less than half a turn between stances.
-        way_m: horizontal distances from stance to stance, summed.
+        distance_m: horizontal distances from stance to stance, summed.
         stance_ns: (M,) the quietest instant of every stance.
     """
 
@@ -45,7 +45,7 @@ class GroundPath:
     t_ns: IntArray
     position_m: FloatArray
     heading_rad: FloatArray
-    way_m: float
+    distance_m: float
     stance_ns: IntArray
 
     @property

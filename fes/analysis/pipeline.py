@@ -13,8 +13,7 @@ from fes.analysis.results import Analysis
 from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import ToeAndHeel, point_heights
 from fes.calibration.recording import Found, calibrate_all, calibrate_sensors, drivers_from, labelled, load
-from fes.config import Session
-from fes.control.replay import session_for
+from fes.config import FootGeometry
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
@@ -31,113 +30,133 @@ from fes.recording.samples import newer_samples
 from fes.recording.tracks import UNLABELLED_FEET
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray, StrideResult
 
-__all__ = ["Analysis", "analyse", "analyse_chunks", "calibrations_of", "calibrations_of_chunks", "uneven_strides"]
 
-
-def analyse(recording: Recording, calibrations: Mapping[str, Calibration], *, level: bool = True) -> Analysis:
+def analyse(
+    recording: Recording,
+    calibrations: Mapping[str, Calibration] | None = None,
+    *,
+    geometry: Mapping[str, FootGeometry] | None = None,
+    level: bool = True,
+) -> Analysis:
     """Track every foot through the whole recording, by its own sensor or else its side's shank.
 
-    ``level``: every stride ends at the height at which it began; not on stairs and slopes, where the height gained is
-    measured instead.
+    Args:
+        recording: its samples.
+        calibrations: by sensor; None: from the recording itself (:func:`calibrations_of`).
+        geometry: where toe and heel are, by foot; what is not given is the recording's own, or else estimated.
+        level: every stride ends at the height at which it began; not on stairs and slopes, where the height gained is
+            measured instead.
+
+    Raises:
+        CalibrationError: no sensor could be calibrated.
     """
-    return next(analyse_chunks([Chunk(recording)], calibrations, level=level))
+    if calibrations is None:
+        recording, found = calibrations_of(recording, level=level)
+        calibrations = found.calibrations
+    return next(analyse_chunks([Chunk(recording)], calibrations, geometry=geometry, level=level))
 
 
 def analyse_chunks(
-    pieces: Iterable[Chunk], calibrations: Mapping[str, Calibration], *, level: bool = True
+    chunks: Iterable[Chunk],
+    calibrations: Mapping[str, Calibration],
+    *,
+    geometry: Mapping[str, FootGeometry] | None = None,
+    level: bool = True,
 ) -> Iterator[Analysis]:
-    """As :func:`analyse`, of a recording's pieces one after the other (:mod:`fes.recording.chunks`).
+    """As :func:`analyse`, of a recording's chunks one after the other (:mod:`fes.recording.chunks`).
 
     Phases and strides run through as if nothing were cut, to the bit; paths go on where they ended. What rest looks
-    like, how large steps usually are, and how the paths drift apart is found for each piece from its own samples, where
-    toe and heel are from the first piece that shows it.
+    like, how large steps usually are, and how the paths drift apart is found for each chunk from its own samples, where
+    toe and heel are from the first chunk that shows it.
     """
-    course = _AnalysisRun(calibrations, level=level)
-    for piece in pieces:
-        result = course.take(piece)
-        del piece  # it stays as long as whoever takes the result keeps that
+    run = _AnalysisRun(calibrations, geometry or {}, level=level)
+    for chunk in chunks:
+        result = run.analyse_chunk(chunk)
+        del chunk  # it stays as long as whoever takes the result keeps that
         yield result
         del result
 
 
 class _AnalysisRun:
-    """An analysis under way: what is carried from one piece to the next."""
+    """An analysis under way: what is carried from one chunk to the next."""
 
-    def __init__(self, calibrations: Mapping[str, Calibration], *, level: bool) -> None:
-        self._calibrations, self._level = dict(calibrations), level
+    def __init__(
+        self, calibrations: Mapping[str, Calibration], geometry: Mapping[str, FootGeometry], *, level: bool
+    ) -> None:
+        self._calibrations, self._geometry, self._level = dict(calibrations), geometry, level
         self._trackers: dict[str, Tracker] = {}
         self._points: dict[str, ToeAndHeel] = {}
         self._paths: dict[str, GroundPath] = {}
         self._path_begins_ns: dict[str, int] = {}
 
-    def take(self, piece: Chunk) -> Analysis:
-        """Analyse the next piece."""
-        session = session_for(piece.recording, None)
-        result = Analysis(piece.recording, dict(self._calibrations), level=self._level, piece=piece)
+    def analyse_chunk(self, chunk: Chunk) -> Analysis:
+        """Analyse the next chunk: every sensor by itself, then both feet's paths together."""
+        result = Analysis(chunk.recording, dict(self._calibrations), level=self._level, chunk=chunk)
         for sensor in phase_sensors(self._calibrations).values():
-            if sensor not in piece.recording.tracks:
+            if sensor not in chunk.recording.tracks:
                 continue
-            if isinstance(self._calibrations[sensor], ShankCalibration):
-                self._shank(result, piece, sensor)
+            calibration = self._calibrations[sensor]
+            if isinstance(calibration, ShankCalibration):
+                self._analyse_shank(result, chunk, calibration)
             else:
-                self._foot(result, piece, sensor, session)
+                self._analyse_foot(result, chunk, calibration)
         if set(FOOT_SENSORS) <= set(result.paths):
             left, right = (result.paths[foot] for foot in FOOT_SENSORS)
             result.paths.update(zip(FOOT_SENSORS, together(left, right), strict=True))
         for foot, path in result.paths.items():
             if foot in self._paths:
-                result.paths[foot] = continued(self._paths[foot], path, piece.begin_ns)
+                result.paths[foot] = continued(self._paths[foot], path, chunk.begin_ns)
             self._path_begins_ns.setdefault(foot, int(path.t_ns[0]))
         self._paths |= result.paths
         result.path_begins_ns.update(self._path_begins_ns)
         return result
 
-    def _shank(self, result: Analysis, piece: Chunk, sensor: str) -> None:
-        calibration = self._calibrations[sensor]
-        assert isinstance(calibration, ShankCalibration)
+    def _analyse_shank(self, result: Analysis, chunk: Chunk, calibration: ShankCalibration) -> None:
+        """Phases and strides of a shank; it never rests, so it has no path."""
+        sensor = calibration.sensor
         if sensor not in self._trackers:
             self._trackers[sensor] = shank_tracker(calibration, equal_height=None if self._level else False)
         tracker = self._trackers[sensor]
-        result.outcomes[sensor] = tracker.advance(*_own(piece, piece.recording.tracks[sensor]))
+        result.outcomes[sensor] = tracker.advance(*_own_samples(chunk, chunk.recording.tracks[sensor]))
         result.counts[sensor] = tracker.counts
         result.no_path[sensor] = f"{sensor}: a path needs a sensor that rests at every step, as on the foot"
 
-    def _foot(self, result: Analysis, piece: Chunk, sensor: str, session: Session) -> None:
-        calibration, track, level = self._calibrations[sensor], piece.recording.tracks[sensor], self._level
-        assert isinstance(calibration, FootCalibration)
-        tracker = self._trackers.get(sensor) or _foot_tracker(session, calibration, level=level)
+    def _analyse_foot(self, result: Analysis, chunk: Chunk, calibration: FootCalibration) -> None:
+        """One foot, step by step: phases and strides, their lengths fused with the path's, clearance, events."""
+        sensor, track, level = calibration.sensor, chunk.recording.tracks[calibration.sensor], self._level
+        geometry = self._geometry.get(sensor, chunk.recording.geometry.get(sensor))
+        tracker = self._trackers.get(sensor) or _foot_tracker(calibration, geometry, level=level)
         assert isinstance(tracker, FootTracker)
         self._trackers[sensor] = tracker
-        walked = tracker.walk(*_own(piece, track))
-        rows, paths = walked.rows, walked.paths()
+
+        block = tracker.walk(*_own_samples(chunk, track))
+        strides, trajectories = block.rows, block.paths()
         try:
             ranges = (track.acc_range_mps2, track.gyr_range_radps)
-            foot = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
-            walked.longer = fuse(rows, foot)
-            result.paths[sensor] = ground_path(track, calibration, level=level, foot=foot)
+            samples = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
+            block.longer = fuse(strides, samples)
+            result.paths[sensor] = ground_path(track, calibration, level=level, foot=samples)
         except ValueError as error:
             result.no_path[sensor] = f"{sensor}: {error}"
-        known = self._points.get(sensor)
-        given = next((value for name, value in session.geometry.items() if name == sensor), None)
-        heights, found = point_heights(paths, given if known is None else known.geometry, level=level)
-        result.points[sensor] = found if known is None else known
+        before = self._points.get(sensor)
+        heights, points = point_heights(trajectories, geometry if before is None else before.geometry, level=level)
+        result.points[sensor] = points if before is None else before
         if result.points[sensor].geometry is not None:
             self._points[sensor] = result.points[sensor]
         if heights is not None:
-            valid = rows["outcome"] == SOLVED
-            rows["toe_m"][valid], rows["heel_m"][valid] = heights.T
-        result.walked[sensor] = walked
-        result.counts[sensor] = tracker.counts
+            valid = strides["outcome"] == SOLVED
+            strides["toe_clearance_m"][valid], strides["heel_clearance_m"][valid] = heights.T
+        result.blocks[sensor], result.counts[sensor] = block, tracker.counts
         result.events[sensor] = find_events(*newer_samples(track), calibration)
 
 
-def _own(piece: Chunk, track: Track) -> tuple[IntArray, FloatArray, FloatArray]:
-    own = piece.own(track)
+def _own_samples(chunk: Chunk, track: Track) -> tuple[IntArray, FloatArray, FloatArray]:
+    own = chunk.own(track)
     return track.t_sensor_ns[own], track.acc_mps2[own], track.gyr_radps[own]
 
 
-def _foot_tracker(session: Session, calibration: FootCalibration, *, level: bool) -> FootTracker:
-    settings = replace(stride_settings(session, calibration), equal_height=level)
+def _foot_tracker(calibration: FootCalibration, geometry: FootGeometry | None, *, level: bool) -> FootTracker:
+    settings = replace(stride_settings(calibration, geometry), equal_height=level)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
 
 
@@ -146,13 +165,12 @@ def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]
 
     Calibrations may be from level walking or not: their accelerometer bias across gravity is not used.
     """
-    session, found = session_for(recording, None), {}
+    found = {}
     for sensor in phase_sensors(calibrations).values():
         calibration, track = calibrations[sensor], recording.tracks[sensor]
         if isinstance(calibration, FootCalibration):
-            tracker = _foot_tracker(session, _along_gravity_foot(calibration), level=False)
-            outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-            found[sensor] = [outcome for outcome in outcomes if isinstance(outcome, StrideResult)]
+            tracker = _foot_tracker(_along_gravity(calibration), recording.geometry.get(sensor), level=False)
+            found[sensor] = tracker.walk(track.t_sensor_ns, track.acc_mps2, track.gyr_radps).strides()
     return found
 
 
@@ -166,36 +184,38 @@ def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Record
     Raises:
         CalibrationError: no sensor could be calibrated, or which unlabelled foot is which is not clear.
     """
-    unlabelled = any(name in UNLABELLED_FEET for name in recording.tracks)
-    if unlabelled:
+    if any(name in UNLABELLED_FEET for name in recording.tracks):
         found = calibrate_all(recording, level=level)
         recording = labelled(recording, found.sides)
     else:
         found = calibrate_sensors(recording, phase_sensors(recording.tracks).values(), level=level)
     if level:
         return recording, found
-    kept = {sensor: _along_gravity(calibration) for sensor, calibration in found.calibrations.items()}
+    kept = {
+        sensor: calibration if isinstance(calibration, ShankCalibration) else _along_gravity(calibration)
+        for sensor, calibration in found.calibrations.items()
+    }
     return recording, replace(found, calibrations=kept)
 
 
-def calibrations_of_chunks(pieces: Iterable[Chunk], stored: Path | Found | None = None, *, level: bool = True) -> Found:
-    """Calibrations for a recording in pieces, of each sensor from the first piece that shows it.
+def calibrations_of_chunks(chunks: Iterable[Chunk], stored: Path | Found | None = None, *, level: bool = True) -> Found:
+    """Calibrations for a recording in chunks, of each sensor from the first chunk that shows it.
 
     Args:
-        pieces: all are taken, so that what is wrong with a later part of a file is raised here.
+        chunks: all are taken, so that what is wrong with a later part of a file is raised here.
         stored: calibrations to use instead, which must fit.
         level: as of :func:`calibrations_of`.
 
     Raises:
-        RecordingError: a piece of the file cannot be used.
-        CalibrationError: no piece showed any sensor.
+        RecordingError: a chunk of the file cannot be used.
+        CalibrationError: no chunk showed any sensor.
     """
     found: Found | None = None
     failed: CalibrationError | None = None
-    for piece in pieces:
+    for chunk in chunks:
         if found is not None and (stored is not None or not found.missing):
             continue
-        recording = piece.recording if found is None else labelled(piece.recording, found.sides)
+        recording = chunk.recording if found is None else labelled(chunk.recording, found.sides)
         try:
             new = calibrations_of(recording, level=level) if stored is None else drivers_from(stored, recording)
         except CalibrationError as error:
@@ -217,11 +237,8 @@ def _both(first: Found, later: Found) -> Found:
     return replace(first, calibrations=calibrations, missing=missing)
 
 
-def _along_gravity(calibration: Calibration) -> Calibration:
-    return calibration if isinstance(calibration, ShankCalibration) else _along_gravity_foot(calibration)
-
-
-def _along_gravity_foot(calibration: FootCalibration) -> FootCalibration:
+def _along_gravity(calibration: FootCalibration) -> FootCalibration:
+    """The calibration with its accelerometer bias along gravity only."""
     up, bias = np.array(calibration.up), np.array(calibration.acc_bias_mps2)
     x, y, z = (float(v) for v in up * (up @ bias))
     return replace(calibration, acc_bias_mps2=(x, y, z))

@@ -99,13 +99,13 @@ def fuse(rows: Rows, foot: FootSamples) -> FloatArray:
 
     Returns by how much each is longer than by itself (K,), for its way ahead.
     """
-    own_m = np.where(rows["outcome"] == SOLVED, rows["length_m"], math.nan)
+    own_m = np.where(rows["outcome"] == SOLVED, rows["stride_length_m"], math.nan)
     lengths = _means(own_m, lengths_along(foot, rows["t_start_ns"], rows["t_end_ns"]))
     longer, k = np.ones(len(rows)), np.flatnonzero(lengths == lengths)
     own_m, lengths = own_m[k], lengths[k]
     longer[k] = lengths / own_m
     rows["speed_mps"][k] = rows["speed_mps"][k] * lengths / own_m
-    rows["length_m"][k] = lengths
+    rows["stride_length_m"][k] = lengths
     return longer
 
 

@@ -59,7 +59,7 @@ class ToeAndHeel:
             }
         return known
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """One sentence for people."""
         if self.geometry is None:
             return f"toe and heel not known: {self.reason}"

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fes.analysis.pipeline import Analysis, analyse, calibrations_of, calibrations_of_chunks
+from fes.analysis.pipeline import analyse, calibrations_of, calibrations_of_chunks
+from fes.analysis.results import Analysis
 from fes.calibration.recording import drivers_from
 from fes.cli.analyse_long import analyse_long
 from fes.cli.common.exits import FAILED, fail, fresh_folder
@@ -161,7 +162,7 @@ def _gait(
         from fes.analysis.hemiparetic.walk import hemiparetic_walk
 
         try:
-            walk = hemiparetic_walk(result, afflicted=paretic_side)
+            walk = hemiparetic_walk(result, paretic=paretic_side)
         except ValueError as error:
             click.secho(f"Not looked at as a hemiparetic walk: {error}", fg="yellow", err=True)
     parameters = gait_parameters(result) if walk is None else walk.parameters
@@ -186,7 +187,7 @@ def _show(
     from fes.report.summary import summarise
     from fes.report.tables import stride_table, summary_block
 
-    record = result.record(datetime.now(UTC).isoformat(timespec="seconds"))
+    record = result.walk_record(datetime.now(UTC).isoformat(timespec="seconds"))
     if report:
         from fes.report.page import write_report
 
@@ -242,7 +243,7 @@ def _clearance_lines(result: Analysis) -> list[str]:
             "heel": [100.0 * s.heel_clearance_m for s in valid if s.heel_clearance_m == s.heel_clearance_m],
         }
         said = (f"{name} {mean(cm):.1f} ± {stdev(cm):.1f} cm" for name, cm in heights.items() if len(cm) > 1)
-        lines.append(f"Clearance, {foot.removesuffix('_foot')}: {'; '.join([*said, known.words()])}")
+        lines.append(f"Clearance, {foot.removesuffix('_foot')}: {'; '.join([*said, known.describe()])}")
     return lines
 
 
@@ -251,7 +252,7 @@ def _path_lines(result: Analysis) -> list[str]:
     lines = []
     for foot, path in result.paths.items():
         side = foot.removesuffix("_foot")
-        line = f"Path, {side}: {path.way_m:.2f} m, ends {path.closure_m:.2f} m from its start"
+        line = f"Path, {side}: {path.distance_m:.2f} m, ends {path.closure_m:.2f} m from its start"
         gained = [s.height_gained_m for s in result.strides if s.valid and s.foot == foot]
         if not result.level:
             line += f", {path.height_gained_m:+.2f} m in height ({sum(gained):+.2f} m in {len(gained)} valid strides)"

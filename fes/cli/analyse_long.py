@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from fes.analysis.pipeline import Analysis, analyse_chunks
+from fes.analysis.pipeline import analyse_chunks
+from fes.analysis.results import Analysis
 from fes.calibration.recording import Found, labelled
 from fes.cli.common.exits import fresh_folder
 from fes.cli.common.show import doubts
@@ -76,7 +77,7 @@ class _Told:
     @staticmethod
     def of(result: Analysis, number: int) -> _Told:
         """Of one piece."""
-        piece = result.piece or Chunk(result.recording)
+        piece = result.chunk or Chunk(result.recording)
         tracks = result.recording.tracks.values()
         first = min(int(track.t_sensor_ns[0]) for track in tracks)
         last = max(int(track.t_sensor_ns[-1]) for track in tracks)
@@ -96,7 +97,7 @@ def _report(
     """One piece's report, and its numbers where JSON is asked for."""
     if not (report or as_json):
         return
-    record = result.record(datetime.now(UTC).isoformat(timespec="seconds"))
+    record = result.walk_record(datetime.now(UTC).isoformat(timespec="seconds"))
     if report:
         from fes.report.page import write_report
 
@@ -146,7 +147,9 @@ def _show(told: list[_Told], every: GaitParameters, folder: Path, *, report: boo
 
 
 def _points(result: Analysis) -> tuple[str, ...]:
-    return tuple(f"Clearance, {foot.removesuffix('_foot')}: {known.words()}" for foot, known in result.points.items())
+    return tuple(
+        f"Clearance, {foot.removesuffix('_foot')}: {points.describe()}" for foot, points in result.points.items()
+    )
 
 
 def _no_paths(told: list[_Told]) -> Iterator[str]:

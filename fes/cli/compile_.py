@@ -165,4 +165,4 @@ def _everything(aside: tuple[str, ...], here: tuple[str, ...]) -> None:
             compile_part(part)
     result = analyse(walk, found.calibrations)
     mean_strides(result.strides, gait_parameters(result).strides)
-    summarise(result.record(""))
+    summarise(result.walk_record())

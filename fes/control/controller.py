@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from operator import attrgetter
 
 from fes.config import Session
-from fes.estimation.sensor_choice import Calibration, phase_sensors, stride_settings, tracker_of
+from fes.estimation.sensor_choice import Calibration, phase_sensors, tracker_of
 from fes.estimation.tracking.tracker import Outcome, Tracker
 from fes.signals import (
     NS_PER_S,
@@ -29,8 +29,6 @@ from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.session import TUNING_ACTS, Tuners
 from fes.stimulation.walking import WalkingJudge
 from statemachine.phases import Phase, PhaseChange
-
-__all__ = ["NOTHING", "Controller", "Decision", "stride_settings"]
 
 CURRENT_STEP_MA = 0.5  # of most stimulators
 BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls

@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from fes.config import Session
+from fes.config import FootGeometry, Session
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.shank.calibration import ShankCalibration
@@ -45,13 +45,13 @@ def tracker_of(session: Session, calibration: Calibration) -> Tracker:
     at_reversal = session.phases.swing_begins == "reversal"
     if isinstance(calibration, ShankCalibration):
         return shank_tracker(calibration, swing_at_reversal=at_reversal)
-    maker = StrideMaker(calibration.sensor, stride_settings(session, calibration))
+    geometry = next((own for foot, own in session.geometry.items() if foot == calibration.sensor), None)
+    maker = StrideMaker(calibration.sensor, stride_settings(calibration, geometry))
     return FootTracker(calibration, maker, swing_at_reversal=at_reversal)
 
 
-def stride_settings(session: Session, calibration: FootCalibration) -> StrideSettings:
-    """How this session's strides are integrated, with the foot's geometry where the session gives it."""
-    geometry = {str(foot): value for foot, value in session.geometry.items()}.get(calibration.sensor)
+def stride_settings(calibration: FootCalibration, geometry: FootGeometry | None = None) -> StrideSettings:
+    """How a foot's strides are integrated; ``geometry`` says where toe and heel are, if that is known."""
     height_m = SENSOR_HEIGHT_M
     if geometry is not None:
         height_m = max(-0.5 * (geometry.toe_up_m + geometry.heel_up_m), 0.0)

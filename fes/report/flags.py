@@ -17,8 +17,8 @@ import numpy.typing as npt
 from fes.config import Session
 from fes.report.quality import GAP_FACTOR, sample_times
 from fes.report.strides import StrideRow
-from fes.session_log import SampleArrays, SessionRecord
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray
+from fes.walk_record import SampleArrays, WalkRecord
 
 AT_LIMIT: Final = 0.999  # of a range that is known
 IN_A_ROW: Final = 4  # equal greatest values that tell a limit where it is not
@@ -152,7 +152,7 @@ def _limit_reached(values: FloatArray, least: float) -> float:
     return greatest if longest >= IN_A_ROW else float("nan")
 
 
-def all_flags(record: SessionRecord, settings: Session | None) -> dict[str, SensorFlags]:
+def all_flags(record: WalkRecord, settings: Session | None) -> dict[str, SensorFlags]:
     """Of every sensor that sent anything, by name."""
     ranges = _ranges(record.header, settings)
     return {
@@ -161,7 +161,7 @@ def all_flags(record: SessionRecord, settings: Session | None) -> dict[str, Sens
 
 
 def stride_flags(
-    record: SessionRecord, rows: Sequence[StrideRow], sensors: Mapping[str, SensorFlags]
+    record: WalkRecord, rows: Sequence[StrideRow], sensors: Mapping[str, SensorFlags]
 ) -> dict[tuple[str, int], tuple[Flag, ...]]:
     """By foot and stride number: what to be careful about; strides without anything are left out."""
     spans = {(stride.foot, stride.number): (stride.t_start_ns, stride.t_end_ns) for stride in record.strides}

@@ -41,7 +41,8 @@ NO_STEP_LENGTHS = "the sensors of a session do not tell how far apart the feet a
 def gait_of_strides(strides: Sequence[StrideResult], belt_speed_mps: float = NAN) -> GaitParameters:
     """The parameters of all feet in ``strides``; of shanks there are none."""
     by_foot = {foot: sorted_by_start(strides, foot) for foot in FOOT_SENSORS}
-    every = equalise_sides({foot: own for foot, own in by_foot.items() if any(stride.valid for stride in own)})
+    every = {foot: own for foot, own in by_foot.items() if any(stride.valid for stride in own)}
+    scales = equalise_sides(every)
     valid = {foot: [stride for stride in own if stride.valid] for foot, own in every.items()}
     swings = {
         foot: {stride.number: swing for stride in own if (swing := _swing(stride)) is not None}
@@ -50,10 +51,10 @@ def gait_of_strides(strides: Sequence[StrideResult], belt_speed_mps: float = NAN
     rows = {}
     for foot, own in valid.items():
         others = next((list(swings[other].values()) for other in valid if other != foot), [])
-        rows[foot] = _parameters(own, swings[foot], steps_by_number(own, swings[foot], others))
+        rows[foot] = _parameters(own, swings[foot], steps_by_number(own, swings[foot], others), scales[foot])
     feet = {foot: statistics_of(own) for foot, own in rows.items()}
     belt = belt_speed_mps if math.isfinite(belt_speed_mps) else None
-    return GaitParameters(rows, feet, symmetry(feet), walk_of(rows, belt), None, NO_STEP_LENGTHS)
+    return GaitParameters(rows, feet, symmetry(feet), walk_of(rows, belt), None, NO_STEP_LENGTHS, scales)
 
 
 def sorted_by_start(strides: Sequence[StrideResult], foot: str) -> list[StrideResult]:
@@ -80,16 +81,16 @@ def _swing(stride: StrideResult) -> Swing | None:
 
 
 def _parameters(
-    strides: Sequence[StrideResult], swings: Mapping[int, Swing], steps: Mapping[int, Step]
+    strides: Sequence[StrideResult], swings: Mapping[int, Swing], steps: Mapping[int, Step], scale: float
 ) -> list[StrideParameters]:
     lengths = np.array([stride.stride_length_m for stride in strides])
     usual = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else NAN
     changes = _variations(strides)
     rows = []
     for stride in strides:
-        swing, step = swings.get(stride.number), steps[stride.number]
+        swing, step, common_m = swings.get(stride.number), steps[stride.number], scale * stride.stride_length_m
         values = dict.fromkeys(STRIDE_KEYS, NAN) | {
-            "stride_length_m": stride.stride_length_m,
+            "stride_length_common_m": common_m,
             "toe_clearance_m": stride.toe_clearance_m,
             "heel_clearance_m": stride.heel_clearance_m,
             "height_gained_m": stride.height_gained_m,
@@ -98,12 +99,16 @@ def _parameters(
             "position_variation_m": changes.get(stride.number, NAN),
         }
         values |= _of_path(stride, swing) if drawable(stride) else {}
-        values |= times_of(swing, step, stride.stride_length_m) if swing is not None else {}
+        values |= times_of(swing, step, common_m) if swing is not None else {}
         off, contact = (NAN, NAN) if swing is None else (1e-9 * swing.foot_off_ns, 1e-9 * swing.contact_ns)
         near = abs(stride.stride_length_m - usual) <= STEADY_SHARE * usual
         steady = bool(near and abs(stride.turn_rad) <= MOST_TURN_RAD)
         start_s, end_s = 1e-9 * stride.t_start_ns, 1e-9 * stride.t_end_ns
-        rows.append(StrideParameters(stride.foot, stride.number, start_s, off, contact, end_s, steady, values))
+        rows.append(
+            StrideParameters(
+                stride.foot, stride.number, start_s, off, contact, end_s, steady, stride.stride_length_m, values
+            )
+        )
     return rows
 
 

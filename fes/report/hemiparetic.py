@@ -91,7 +91,7 @@ def hemiparetic_section(walk: HemipareticWalk) -> HemipareticSection:
         heading=heading,
         sign={"left": "L", "right": "R"}.get(side.side or "", "?"),
         sure=sure,
-        sentence=capitalised(side.words()),
+        sentence=capitalised(side.describe()),
         votes=tuple(_vote(sign, vote) for sign, vote in side.votes.items()),
         terrain={
             readable(foot): _counted([str(kind) for kind in found.values()]) for foot, found in walk.terrain.items()

@@ -27,11 +27,11 @@ from fes.report.flags import Flag, all_flags, describe_flags, stride_flags
 from fes.report.gait import foot_curves, gait_of_strides
 from fes.report.glossary import parameter_slugs, terms
 from fes.report.html import asset, css_text, embed, templates, trusted, write_page_file
-from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, sides_compared, walk_rows
+from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, scales_in_words, sides_compared, walk_rows
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark
 from fes.report.text import local_time, plain, readable
-from fes.session_log import SessionRecord
+from fes.walk_record import WalkRecord
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.walk import HemipareticWalk
@@ -43,7 +43,7 @@ SCRIPTS = ("report.js", "terms.js", "space.js")
 
 
 def write_report(
-    record: SessionRecord,
+    record: WalkRecord,
     path: Path,
     *,
     paths: Mapping[str, GroundPath] | None = None,
@@ -64,7 +64,7 @@ def write_report(
 
 
 def render_report(
-    record: SessionRecord,
+    record: WalkRecord,
     *,
     paths: Mapping[str, GroundPath] | None = None,
     gait: GaitParameters | None = None,
@@ -97,6 +97,7 @@ def render_report(
             gait=measured,
             from_samples=gait is not None,
             compared=sides_compared(measured),
+            common_scales=scales_in_words(measured),
             key_rows=parameter_rows(measured, flags, KEY_NUMBERS),
             walk_rows=walk_rows(measured),
             front_walk=[row for row in walk_rows(measured) if row.norm],

@@ -15,7 +15,7 @@ from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
 from fes.report.text import DIGITS, number, readable
 
 KEY_NUMBERS: Final = (
-    *("stride_length_m", "stride_time_s", "swing_s", "stance_share", "double_support_share", "lift_m"),
+    *("stride_length_common_m", "stride_time_s", "swing_s", "stance_share", "double_support_share", "lift_m"),
     *("toe_clearance_m", "circumduction_m", "angle_contact_rad"),
 )
 _TIMES: Final = (
@@ -72,6 +72,12 @@ def flags_touching(key: str) -> frozenset[str]:
     return frozenset(kinds)
 
 
+def scales_in_words(gait: GaitParameters) -> str:
+    """By how much each foot's stride lengths were scaled so that both feet go equally far; "" where none was."""
+    scaled = {foot: 100.0 * (scale - 1.0) for foot, scale in gait.common_scales.items() if scale != 1.0}
+    return ", ".join(f"{readable(foot)} by {percent:+.2f} %" for foot, percent in scaled.items())
+
+
 def parameter_rows(
     gait: GaitParameters, flags: Mapping[tuple[str, int], Sequence[Flag]], keys: Sequence[str] = STRIDE_KEYS
 ) -> list[ParameterRow]:
@@ -117,7 +123,7 @@ def temporal_symmetry(gait: GaitParameters) -> float:
     """
     if set(gait.feet) != {"left_foot", "right_foot"}:
         return math.nan
-    first = "right_foot" if gait.afflicted == "right" else "left_foot"
+    first = "right_foot" if gait.paretic == "right" else "left_foot"
     second = "left_foot" if first == "right_foot" else "right_foot"
     parts = [gait.feet[foot]["swing_s"].mean / gait.feet[foot]["stance_s"].mean for foot in (first, second)]
     return parts[0] / parts[1] if parts[1] > 0 else math.nan

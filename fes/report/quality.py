@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.session_log import Note, SampleArrays, SessionRecord
 from fes.signals import NS_PER_S, IntArray, StimAlive, StimCommand
+from fes.walk_record import Note, SampleArrays, WalkRecord
 
 CLOCKS_AGREE_NS = NS_PER_S
 FAR_NS = 3600 * NS_PER_S
@@ -131,7 +131,7 @@ def latency_of(latency_ns: IntArray) -> Latency:
     return Latency(int(latency_ns.size), float(p50), float(p99), float(latency_ns.max()) / 1e6)
 
 
-def remarks(record: SessionRecord, origin_ns: int) -> tuple[Notice, ...]:
+def remarks(record: WalkRecord, origin_ns: int) -> tuple[Notice, ...]:
     """All notes, and what the stimulator itself reported as a fault, in order of time."""
     found = [Notice((note.t_ns - origin_ns) / NS_PER_S, note.severity, note.source, note.text) for note in record.notes]
     found += [
@@ -141,7 +141,7 @@ def remarks(record: SessionRecord, origin_ns: int) -> tuple[Notice, ...]:
     return tuple(sorted(found, key=lambda remark: remark.time_s))
 
 
-def _status_faults(record: SessionRecord) -> Iterable[Note]:
+def _status_faults(record: WalkRecord) -> Iterable[Note]:
     groups = Counter((status.channel, status.fault) for status in record.statuses if status.fault)
     for (channel, fault), count in groups.items():
         first = next(s for s in record.statuses if s.channel == channel and s.fault == fault)

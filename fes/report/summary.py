@@ -28,8 +28,9 @@ from fes.report.strides import StrideRow, stride_rows
 from fes.report.text import Spread, plain, spread
 from fes.report.timeline import PhaseTimeline, build_timeline
 from fes.report.tuning import DoseRow, TuningRow, dose_rows, tuning_rows
-from fes.session_log import SessionLogError, SessionRecord
+from fes.session_log import SessionLogError
 from fes.signals import FOOT_SENSORS, NS_PER_S
+from fes.walk_record import WalkRecord
 
 NAN = float("nan")
 STEADY_SHARE = 0.3
@@ -195,7 +196,7 @@ class SessionSummary:
 class ReportData:
     """A summary together with what the figures need besides it."""
 
-    record: SessionRecord
+    record: WalkRecord
     settings: Session | None
     summary: SessionSummary
     origin_ns: int
@@ -206,12 +207,12 @@ class ReportData:
     bursts: dict[int, tuple[Burst, ...]] = field(repr=False)
 
 
-def summarise(record: SessionRecord) -> SessionSummary:
+def summarise(record: WalkRecord) -> SessionSummary:
     """Work out a session's numbers."""
     return summarise_session(record).summary
 
 
-def summarise_session(record: SessionRecord) -> ReportData:
+def summarise_session(record: WalkRecord) -> ReportData:
     """Work out a session's numbers and keep the columns they came from.
 
     Raises:
@@ -241,8 +242,8 @@ def summarise_session(record: SessionRecord) -> ReportData:
     header, recording = record.header, _section(record.header, "recording")
     session = _section(header, "session")
     summary = SessionSummary(
-        name=str(session.get("name", "") or "session"),
-        subject=str(session.get("subject", "")),
+        name=str(session.get("name", "") or recording.get("name", "") or "session"),
+        subject=str(session.get("subject", "") or recording.get("subject", "")),
         recording=str(recording.get("name", "")),
         kind=str(header.get("kind", "")),
         created=str(header.get("created", "")),
@@ -276,7 +277,7 @@ def summarise_session(record: SessionRecord) -> ReportData:
     return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)
 
 
-def _span(record: SessionRecord) -> tuple[int, int]:
+def _span(record: WalkRecord) -> tuple[int, int]:
     """First and last instant that anything happened."""
     times = [arrays.t_ns for arrays in record.samples.values()] + [record.ticks_ns, record.latency_t_ns]
     edges = [int(edge) for array in times if array.size for edge in (array.min(), array.max())]
@@ -287,7 +288,7 @@ def _span(record: SessionRecord) -> tuple[int, int]:
     return (min(edges), max(edges)) if edges else (0, 0)
 
 
-def _feet(record: SessionRecord, settings: Session | None) -> list[str]:
+def _feet(record: WalkRecord, settings: Session | None) -> list[str]:
     """The feet that anything is known about, left first, then whatever else a log names."""
     seen = {stride.foot for stride in record.strides} | {change.foot for change in record.phases}
     seen |= {name for name, arrays in record.samples.items() if name in FOOT_SENSORS and arrays.t_ns.size}

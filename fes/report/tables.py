@@ -185,7 +185,7 @@ def parameter_lines(parameters: GaitParameters, hemiparetic: HemipareticWalk | N
         return lines
     from fes.analysis.hemiparetic.walk import Terrain
 
-    lines.append(capitalised(hemiparetic.side.words()))
+    lines.append(capitalised(hemiparetic.side.describe()))
     for foot, terrain in hemiparetic.terrain.items():
         kinds = list(terrain.values())
         counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in Terrain if kind in kinds)

@@ -9,9 +9,9 @@ from statistics import median
 from typing import Final
 
 from fes.config import Session
-from fes.session_log import Note, SessionRecord
 from fes.signals import NS_PER_S, StimStatus
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
+from fes.walk_record import Note, WalkRecord
 
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
@@ -68,7 +68,7 @@ def tuning_rows(notes: Sequence[Note], origin_ns: int) -> tuple[TuningRow, ...]:
     return tuple(rows)
 
 
-def dose_rows(record: SessionRecord, settings: Session | None, origin_ns: int) -> tuple[DoseRow, ...]:
+def dose_rows(record: WalkRecord, settings: Session | None, origin_ns: int) -> tuple[DoseRow, ...]:
     """The ledger of every channel that was given any charge, worked out as the controller does while it runs."""
     channels = settings.channels if settings else ()
     names = {channel.number: channel.name for channel in channels}

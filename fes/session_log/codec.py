@@ -21,7 +21,7 @@ from typing import Any, Final
 import numpy as np
 
 from fes.session_log.framing import RecordType
-from fes.session_log.record import Note, Received, SampleArrays
+from fes.session_log.record import Received
 from fes.signals import (
     NS_PER_S,
     SENSORS,
@@ -39,6 +39,7 @@ from fes.signals import (
     Tick,
     WireFrame,
 )
+from fes.walk_record import Note, SampleArrays
 from statemachine.phases import Phase, PhaseChange, Transition
 
 WIDE_TIME: Final = 1  # bit 0 of the layout

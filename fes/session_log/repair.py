@@ -30,9 +30,10 @@ from fes.session_log.framing import (
     unreadable,
     wrong_start,
 )
-from fes.session_log.record import Note, SessionLogError
+from fes.session_log.record import SessionLogError
 from fes.session_log.writer import create
 from fes.signals import StrideResult
+from fes.walk_record import Note
 
 LONGEST_RESYNC_BYTES: Final = 1 << 20  # of a record looked for behind damage; what is written stays far below
 ZEROS: Final = "zeros, as a file system leaves them after a power cut"

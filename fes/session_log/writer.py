@@ -15,8 +15,9 @@ from typing import Any, Final
 
 from fes.session_log.codec import LatencyRun, Rare, SampleRun, encode, encode_json
 from fes.session_log.framing import MAGIC, RecordType, framed
-from fes.session_log.record import Note, Received, SessionLogError, not_made
+from fes.session_log.record import Received, SessionLogError, not_made
 from fes.signals import NS_PER_S, Event, ImuSample, StimCommand, StrideResult, WireFrame
+from fes.walk_record import Note
 from statemachine.phases import PhaseChange
 
 FLUSH_INTERVAL_NS: Final = NS_PER_S // 20

@@ -18,10 +18,8 @@ import numpy as np
 import pytest
 
 from fes.calibration.foot_track import calibrate_track
-from fes.config import Session
-from fes.control.controller import stride_settings
-from fes.control.replay import session_for
 from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides.results import StrideMaker
 from fes.recording import read_recording
 from fes.signals import FloatArray, StrideResult
@@ -69,7 +67,7 @@ def run(name: str, foot: str) -> Run:
     recording = read_recording(path)
     track = recording.tracks[foot]
     calibration = calibrate_track(track)
-    settings = stride_settings(session_for(recording, Session(name=name)), calibration)
+    settings = stride_settings(calibration, recording.geometry.get(foot))
     outcomes = FootTracker(calibration, StrideMaker(foot, settings)).advance(
         track.t_sensor_ns, track.acc_mps2, track.gyr_radps
     )

@@ -219,13 +219,13 @@ def test_signs_that_agree_tell_the_side_and_mirror_with_the_feet():
     assert (left.side, right.side) == ("left", "right")
     assert left.score == pytest.approx(right.score)
     assert left.agreeing == right.agreeing == 4
-    assert "afflicted side: left" in left.words()
+    assert "paretic side: left" in left.describe()
 
 
 def test_signs_that_contradict_each_other_tell_no_side():
     told = paretic_side(Power(0.7, 0.6), feet_with((0.45, 0.5), (1.0, 0.98), (0.3, 0.25)))
     assert told.side is None
-    assert "not clear" in told.words()
+    assert "not clear" in told.describe()
 
 
 def test_what_was_not_measured_does_not_vote():
@@ -249,7 +249,7 @@ def patients():
 def test_the_afflicted_side_of_a_virtual_patient_is_told(patients, side):
     walk = hemiparetic_walk(patients[side])
     assert walk.side.side == side
-    assert walk.parameters.afflicted == side
+    assert walk.parameters.paretic == side
     assert walk.parameters.sides["swing_s"].first == side
     assert walk.parameters.sides["swing_s"].ratio > 1.1
     assert {row["afflicted"] for row in walk.rows() if row["foot"] == f"{side}_foot"} == {"yes"}
@@ -262,7 +262,7 @@ def test_the_afflicted_side_of_a_virtual_patient_is_told(patients, side):
 
 
 def test_a_side_that_somebody_names_is_taken(patients):
-    walk = hemiparetic_walk(patients["left"], afflicted="right")
+    walk = hemiparetic_walk(patients["left"], paretic="right")
     assert walk.side.side == "right"
     assert walk.windows is not None
     assert walk.windows.healthy == "left_foot"

@@ -88,7 +88,7 @@ def test_a_square_ends_where_it_began(side: float) -> None:
     track = polygon(4, side * math.pi / 2)
     path = ground_path(track, calibrate_track(track))
     leg_m = LEG_STRIDES * STRIDE_M
-    assert path.way_m == pytest.approx(4 * leg_m, abs=0.2)
+    assert path.distance_m == pytest.approx(4 * leg_m, abs=0.2)
     assert path.closure_m < 0.15
     assert path.heading_rad[-1] == pytest.approx(side * 2.0 * math.pi, abs=0.03)
     leg_ns = int(track.t_ns[-1] / 4)
@@ -121,7 +121,7 @@ def test_stairs_rise_and_level_ground_does_not() -> None:
     gained = [s.height_gained_m for s in up.strides if s.valid]
     assert len(gained) >= 2 * LEG_STRIDES - 3
     assert np.median(gained) == pytest.approx(0.17, abs=0.02)
-    assert up.record("").header["ground"] == {"level": False}
+    assert up.walk_record().header["ground"] == {"level": False}
 
 
 def test_the_way_is_that_of_the_simulated_walker() -> None:
@@ -131,7 +131,7 @@ def test_the_way_is_that_of_the_simulated_walker() -> None:
     assert set(result.paths) == {"left_foot", "right_foot"}
     for foot, path in result.paths.items():
         true_m = sum(stride.stride_length_m for stride in truth.strides_of(foot))
-        assert path.way_m == pytest.approx(true_m, rel=0.03)
+        assert path.distance_m == pytest.approx(true_m, rel=0.03)
         assert abs(path.height_gained_m) < 0.05
     rows = [row for row in result.stride_rows() if row["valid"]]
     for foot, path in result.paths.items():
@@ -187,7 +187,7 @@ def test_a_real_walk_to_and_fro_ends_where_markers_say() -> None:
         pytest.skip(f"no gaitmap_walk in {DATA}")
     result = analyse(*calibrated(Recording("walk", None, gaitmap_tracks("imu_sample.csv"))))
     for path in result.paths.values():
-        assert 39.0 < path.way_m < 43.0
+        assert 39.0 < path.distance_m < 43.0
         assert path.closure_m < 0.6
 
 
@@ -269,8 +269,8 @@ def test_a_real_loop_closes() -> None:
     columns = np.column_stack([np.interp(grid, table[:, 0], table[:, k]) for k in range(1, 7)])
     track = track_of(columns[:, 3:] * G_MPS2, np.radians(columns[:, :3]), rate_hz=400.0)
     found = ground_path(track, calibrate_track(track))
-    assert 20.0 < found.way_m < 26.0
-    assert found.closure_m < 0.01 * found.way_m
+    assert 20.0 < found.distance_m < 26.0
+    assert found.closure_m < 0.01 * found.distance_m
 
 
 @pytest.mark.data

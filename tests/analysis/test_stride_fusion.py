@@ -111,7 +111,7 @@ def test_nothing_to_go_by(track: Track, strides: list[StrideResult]) -> None:
 def test_a_strides_way_is_as_long_as_its_fused_length() -> None:
     recording, found = calibrations_of(read_recording(TRIAL))
     result = analyse(recording, found.calibrations)
-    longer = np.concatenate([walked.longer for walked in result.walked.values() if walked.longer is not None])
+    longer = np.concatenate([block.longer for block in result.blocks.values() if block.longer is not None])
     assert np.abs(longer - 1.0).max() > 1e-4
     for stride in result.strides:
         if stride.valid:

@@ -90,9 +90,9 @@ def test_it_says_whether_toe_and_heel_were_given_or_estimated(analysed, estimate
         assert abs(found.geometry.heel_forward_m - true.heel_forward_m) < 2.0 * told["heel_forward_sd_m"]
         assert given.levels
         assert found.levels
-        assert "estimated" in found.words()
-        assert "[geometry]" in given.words()
-    record = estimated.record("")
+        assert "estimated" in found.describe()
+        assert "[geometry]" in given.describe()
+    record = estimated.walk_record()
     assert {note.source for note in record.notes} == {"left_foot", "right_foot"}
     assert all(note.severity == "info" and "estimated" in note.text for note in record.notes)
     assert record.header["toe_and_heel"]["left_foot"]["source"] == "estimated"
@@ -109,7 +109,7 @@ def test_on_stairs_toe_and_heel_are_not_estimated(analysed):
     stairs = analyse(without_geometry(analysed.recording), analysed.calibrations, level=False)
     assert all(stride.toe_clearance_m != stride.toe_clearance_m for stride in stairs.strides)
     assert {known.to_json()["source"] for known in stairs.points.values()} == {"unknown"}
-    notes = stairs.record("").notes
+    notes = stairs.walk_record().notes
     assert [note.severity for note in notes] == ["warning", "warning"]
     assert all("give [geometry]" in note.text for note in notes)
 
@@ -130,7 +130,7 @@ def test_few_strides_leave_the_prior_and_a_warning(analysed):
         assert told["observed"] is False
         assert "3 are needed" in told["reason"]
         assert told["toe_forward_sd_m"] > 0.02
-        note = next(note for note in short.record("").notes if note.source == foot)
+        note = next(note for note in short.walk_record().notes if note.source == foot)
         assert note.severity == "warning"
         assert "assumed, not measured" in note.text
 
@@ -235,7 +235,7 @@ def test_a_shank_alone_tells_the_foots_strides(tmp_path, rise_m):
     assert lengths[len(lengths) // 2] == pytest.approx(walk.stride_length_m, rel=0.08)
     assert result.event_rows() == result.path_rows() == []
     assert "a path needs a sensor" in result.no_path["left_shank"]
-    assert len(result.record("").samples) == 1
+    assert len(result.walk_record().samples) == 1
 
 
 def test_unlabelled_feet_are_told_apart(analysed):

@@ -17,9 +17,10 @@ from replays import MS, SETTINGS, trial
 
 from fes.calibration.foot_track import calibrate
 from fes.config import FootGeometry, Session, load_session
-from fes.control.controller import Controller, Decision, stride_settings
+from fes.control.controller import Controller, Decision
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.sensor_choice import stride_settings, tracker_of
 from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, StimRequest, StrideResult, Tick
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -255,11 +256,11 @@ def test_requests_come_in_time_whatever_the_events(
 
 
 def test_geometry_sets_the_sensor_height(calibrations: dict[str, FootCalibration]) -> None:
-    plain = Session(name="x")
-    known = Session(
-        name="x",
-        geometry={"right_foot": FootGeometry(toe_forward_m=0.1, toe_up_m=-0.06, heel_forward_m=-0.1, heel_up_m=-0.08)},
-    )
+    geometry = FootGeometry(toe_forward_m=0.1, toe_up_m=-0.06, heel_forward_m=-0.1, heel_up_m=-0.08)
     calibration = calibrations[FOOT]
-    assert stride_settings(plain, calibration).geometry is None
-    assert stride_settings(known, calibration).sensor_height_m == pytest.approx(0.07)
+    assert stride_settings(calibration).geometry is None
+    assert stride_settings(calibration, geometry).sensor_height_m == pytest.approx(0.07)
+    for session in (Session(name="x"), Session(name="x", geometry={FOOT: geometry})):
+        tracker = tracker_of(session, calibration)
+        assert isinstance(tracker, FootTracker)
+        assert tracker._maker.settings.geometry == dict(session.geometry).get(FOOT)

@@ -181,7 +181,7 @@ def test_a_long_recording_as_json(tmp_path, monkeypatch):
     done = CliRunner().invoke(main, ["analyse", str(TRIAL), "--out", str(tmp_path), "--json", "--no-report"])
     told = json.loads(done.stdout)
     assert len(told["pieces"]) == 2
-    assert told["parameters"]["feet"]["left_foot"]["stride_length_m"]["n"] > 20
+    assert told["parameters"]["feet"]["left_foot"]["stride_length_common_m"]["n"] > 20
 
 
 @pytest.mark.parametrize("stored", [False, True])

@@ -59,7 +59,7 @@ def row(comparison: SessionComparison, key: str, side: str = "left") -> Any:
 
 
 def test_a_change_is_found_with_its_interval(both):
-    found = row(both, "stride_length_m")
+    found = row(both, "stride_length_common_m")
     assert found.means[0].n == 30
     assert found.changes[0].value == pytest.approx(0.1, abs=0.02)
     assert found.clear(0)

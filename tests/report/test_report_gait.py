@@ -16,7 +16,8 @@ from replays import TRIALS
 from fes.analysis.hemiparetic.walk import hemiparetic_walk
 from fes.analysis.parameters.definitions import DEFINITIONS
 from fes.analysis.parameters.gait import gait_parameters
-from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.results import Analysis
 from fes.cli.main import main
 from fes.recording import read_recording
 from fes.report.figures.space import projected, space_figure
@@ -58,7 +59,7 @@ def shown_rows(html: str) -> dict[str, list[str]]:
 def test_the_report_shows_the_numbers_of_the_json(walked):
     hemiparetic = hemiparetic_walk(walked)
     gait = hemiparetic.parameters
-    record = walked.record("2026-11-20T10:00:00+00:00")
+    record = walked.walk_record("2026-11-20T10:00:00+00:00")
     html = render_report(record, paths=walked.paths, gait=gait, hemiparetic=hemiparetic)
     told_json = json.loads(json.dumps(gait.to_json(), allow_nan=False))
     rows, feet, sides = shown_rows(html), told_json["feet"], told_json["sides"]
@@ -81,7 +82,7 @@ def test_the_report_shows_the_numbers_of_the_json(walked):
 
 
 def test_a_hemiparetic_walk_has_its_section(walked):
-    record, walk = walked.record("2026-11-20T10:00:00+00:00"), hemiparetic_walk(walked)
+    record, walk = walked.walk_record("2026-11-20T10:00:00+00:00"), hemiparetic_walk(walked)
     html = render_report(record, gait=walk.parameters, hemiparetic=walk)
     assert "Paretic side: not sure" in html  # the simulated person has none
     assert "Strides between zero-velocity windows" in html
@@ -89,7 +90,7 @@ def test_a_hemiparetic_walk_has_its_section(walked):
     assert "do not go by them here" in html  # a brisk treadmill walk is not what the windows were made for
     level = re.findall(r"<td class=\"text\">(\d+) level</td>", html)
     assert [int(count) for count in level] == [sum(s.foot == foot for s in walked.strides) for foot in walk.terrain]
-    given = hemiparetic_walk(walked, afflicted="right")
+    given = hemiparetic_walk(walked, paretic="right")
     section = hemiparetic_section(given)
     assert section.heading.startswith("Paretic side: right, as given")
     assert not section.sure
@@ -136,7 +137,7 @@ def test_live_and_off_line_parameters_of_one_walk_agree(walked):
     live = gait_of_strides(walked.strides, 1.2)
     for foot in ("left_foot", "right_foot"):
         for key, near in (
-            ("stride_length_m", 0.01),
+            ("stride_length_common_m", 0.01),
             ("stride_time_s", 0.01),
             ("lift_m", 0.002),
             ("deviation_m", 0.004),
@@ -164,7 +165,7 @@ def test_a_missing_stride_makes_no_long_one(walked, gone):
 
 def test_temporal_symmetry_counts_from_the_paretic_side(walked):
     gait = gait_of_strides(walked.strides)
-    assert temporal_symmetry(replace(gait, afflicted="right")) == pytest.approx(1.0 / temporal_symmetry(gait))
+    assert temporal_symmetry(replace(gait, paretic="right")) == pytest.approx(1.0 / temporal_symmetry(gait))
     assert math.isnan(temporal_symmetry(gait_of_strides([s for s in walked.strides if s.foot == "left_foot"])))
     by_key = {row.key: row for row in walk_rows(gait)}
     assert by_key["walking_speed_mps"].norm == "0.94 … 1.43 m/s"
@@ -173,7 +174,7 @@ def test_temporal_symmetry_counts_from_the_paretic_side(walked):
 
 
 def test_every_parameter_and_number_has_its_definition(walked):
-    html = render_report(walked.record("2026-11-20T10:00:00+00:00"))
+    html = render_report(walked.walk_record("2026-11-20T10:00:00+00:00"))
     anchors = set(re.findall(r'<dt id="([^"]+)">', html))
     links = set(re.findall(r'class="term[^"]*" href="#([^"]+)"', html))
     assert links <= anchors

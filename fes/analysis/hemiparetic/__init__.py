@@ -1,1 +1,1 @@
-"""Hemiparetic walks after Wang et al. (2013): zero-velocity windows, afflicted side, reconstruction, stairs."""
+"""Hemiparetic walks after Wang et al. (2013): zero-velocity windows, paretic side, reconstruction, stairs."""

@@ -1,10 +1,10 @@
-"""Which side is afflicted, and how sure that is.
+"""Which side is paretic, and how sure that is.
 
 Source: Wang et al. (2013), section 3.1: the ratio left over right of the largest power spectral density of the
-acceleration along the walk, gravity removed; the afflicted leg swings less vigorously. The paper gives neither the
+acceleration along the walk, gravity removed; the paretic leg swings less vigorously. The paper gives neither the
 ratio that separates a hemiparetic walk from a balanced one nor an error rate. So the ratio is one of four signs here,
 beside three that textbooks of hemiparetic gait agree on (Perry & Burnfield 2010; Olney & Richards 1996): the
-afflicted side swings longer, rises less steeply on its toes, and lands flatter. Each sign votes with its size; where
+paretic side swings longer, rises less steeply on its toes, and lands flatter. Each sign votes with its size; where
 they do not agree clearly, no side is told. The score is a measure of agreement, no probability: nobody has counted
 how often it errs on patients.
 """
@@ -39,7 +39,7 @@ class Power:
 
     @property
     def weaker(self) -> str:
-        """The side with the smaller peak: what the paper would call afflicted."""
+        """The side with the smaller peak: what the paper would call paretic."""
         return "left" if self.ratio < 1.0 else "right"
 
 
@@ -53,7 +53,7 @@ class PareticSide:
         score: 0–1, size of the mean vote.
         agreeing: how many of the signs lean that way, of ``known``.
         known: how many signs could be measured.
-        votes: by sign −1 … 1, left afflicted positive; NaN where not measured.
+        votes: by sign −1 … 1, left paretic positive; NaN where not measured.
         power: the paper's ratio.
     """
 
@@ -65,13 +65,13 @@ class PareticSide:
     votes: dict[str, float]
     power: Power
 
-    def words(self) -> str:
+    def describe(self) -> str:
         """One sentence for people."""
         of = f"score {self.score:.2f}, {self.agreeing} of {self.known} signs"
         steady = f"power left/right {self.power.ratio:.2f}, the same side weaker in {100 * self.power.steady:.0f} %"
         if self.side is None:
-            return f"which side is afflicted is not clear (leaning to the {self.leaning}: {of}; {steady})"
-        return f"afflicted side: {self.side} ({of}; {steady})"
+            return f"which side is paretic is not clear (leaning to the {self.leaning}: {of}; {steady})"
+        return f"paretic side: {self.side} ({of}; {steady})"
 
 
 def power(left: Foot, right: Foot, walk_ns: tuple[int, int] | None = None) -> Power:

@@ -1,4 +1,4 @@
-"""A hemiparetic walk from both feet: the afflicted side, Wang et al.'s windows, and today's strides beside them.
+"""A hemiparetic walk from both feet: the paretic side, Wang et al.'s windows, and today's strides beside them.
 
 The figures to go by are those of :mod:`fes.analysis.parameters`, from the project's own strides:
 ``benchmarks/hemiparetic.py`` shows that they count strides and measure speed better than the windows. The windows, and
@@ -28,7 +28,8 @@ from fes.analysis.hemiparetic.side import PareticSide, paretic_side, power
 from fes.analysis.hemiparetic.windows import energy, fitted_threshold, mapped, still_windows
 from fes.analysis.parameters.gait import GaitParameters, gait_parameters
 from fes.analysis.parameters.summary import symmetry
-from fes.analysis.pipeline import Analysis, uneven_strides
+from fes.analysis.pipeline import uneven_strides
+from fes.analysis.results import Analysis
 from fes.estimation.foot.calibration import FootCalibration
 from fes.signals import FOOT_SENSORS, NS_PER_S, StrideResult
 
@@ -166,12 +167,12 @@ class HemipareticWalk:
         }
 
 
-def hemiparetic_walk(analysis: Analysis, *, afflicted: str | None = None) -> HemipareticWalk:
+def hemiparetic_walk(analysis: Analysis, *, paretic: str | None = None) -> HemipareticWalk:
     """Look at a recording of both feet as at a hemiparetic walk.
 
     Args:
         analysis: with both feet's sensors, synchronised (else see :mod:`fes.analysis.hemiparetic.sync`).
-        afflicted: "left" or "right" where somebody knows; None: told from the walk, if it can be.
+        paretic: "left" or "right" where somebody knows; None: told from the walk, if it can be.
 
     Raises:
         ValueError: not both feet were analysed.
@@ -184,9 +185,9 @@ def hemiparetic_walk(analysis: Analysis, *, afflicted: str | None = None) -> Hem
     parameters = gait_parameters(analysis)
     feet = feet_of(analysis)
     side = paretic_side(power(feet["left_foot"], feet["right_foot"], _walk_ns(analysis)), parameters.feet)
-    if afflicted is not None:
-        side = replace(side, side=afflicted, leaning=afflicted)
-    parameters = replace(parameters, **_compared(parameters, side.side))
+    if paretic is not None:
+        side = replace(side, side=paretic, leaning=paretic)
+    parameters = replace(parameters, paretic=side.side, sides=symmetry(parameters.feet, side.side))
     healthy = "left_foot" if side.leaning == "right" else "right_foot"
     windows, why = None, ""
     try:
@@ -243,10 +244,6 @@ def _walk_ns(analysis: Analysis) -> tuple[int, int] | None:
     if not events:
         return None
     return min(int(e.fo_ns[0]) for e in events), max(int(e.ic_ns[-1]) for e in events)
-
-
-def _compared(parameters: GaitParameters, afflicted: str | None) -> dict[str, Any]:
-    return {"afflicted": afflicted, "sides": symmetry(parameters.feet, afflicted)}
 
 
 def _terrain(analysis: Analysis) -> dict[str, dict[int, Terrain]]:

@@ -12,15 +12,15 @@ that begins or ends the recording is standing, and stays. "By selecting a proper
 :func:`fitted_threshold` selects one where the printed value shows hardly any rest, as on a shaking treadmill or with
 a brisk foot.
 
-The healthy foot's motion windows become the afflicted foot's zero-velocity windows, and are adjusted.
+The healthy foot's motion windows become the paretic foot's zero-velocity windows, and are adjusted.
 
-Source: Wang et al. (2013), section 3.1. While the healthy foot swings, the afflicted one must carry the body: it
+Source: Wang et al. (2013), section 3.1. While the healthy foot swings, the paretic one must carry the body: it
 stands. Four adjustments are named there, none with a number; what is silent is settled so:
 
 - *appending*: the parts at the recording's start and end in which both feet stand;
 - *shifting*, against errors of synchronisation: all windows by the same time, at most a fifth of the usual stride, to
-  where the afflicted foot's energy in them is least;
-- *expanding* into double support: outwards while the afflicted foot's energy is below the threshold;
+  where the paretic foot's energy in them is least;
+- *expanding* into double support: outwards while the paretic foot's energy is below the threshold;
 - *shrinking*: inwards while it is above. Of a window that would vanish, its quietest 0.1 s stays: the foot did stand.
 """
 
@@ -123,7 +123,7 @@ MOST_SHIFT_SHARE = 0.2  # of the time from window to window
 
 @dataclass(frozen=True, slots=True)
 class Mapped:
-    """The afflicted foot's zero-velocity windows (K, 2), and by how much (s) all were shifted, later positive."""
+    """The paretic foot's zero-velocity windows (K, 2), and by how much (s) all were shifted, later positive."""
 
     windows: IntArray
     shift_s: float
@@ -132,30 +132,30 @@ class Mapped:
 def mapped(
     healthy: IntArray,
     healthy_energy: FloatArray,
-    afflicted_energy: FloatArray,
+    paretic_energy: FloatArray,
     thresholds_m2ps4: tuple[float, float],
     rate_hz: float,
 ) -> Mapped:
-    """Windows of the afflicted foot from those of the healthy one.
+    """Windows of the paretic foot from those of the healthy one.
 
     Args:
         healthy: (K, 2) zero-velocity windows of the healthy foot.
         healthy_energy: (N,) m²/s⁴, see :func:`fes.analysis.hemiparetic.windows.energy`.
-        afflicted_energy: (N,) at the same instants.
-        thresholds_m2ps4: of the healthy and of the afflicted foot.
+        paretic_energy: (N,) at the same instants.
+        thresholds_m2ps4: of the healthy and of the paretic foot.
         rate_hz: sampling rate.
     """
-    n = len(afflicted_energy)
+    n = len(paretic_energy)
     if len(healthy) < 2:
         return Mapped(np.zeros((0, 2), np.int64), 0.0)
     windows = between(healthy)
     usual = float(np.median(np.diff(healthy.mean(axis=1))))
-    shift = _shift(windows, afflicted_energy, round(MOST_SHIFT_SHARE * usual))
+    shift = _shift(windows, paretic_energy, round(MOST_SHIFT_SHARE * usual))
     windows = np.clip(windows + shift, 0, n)
     threshold = thresholds_m2ps4[1]
     hold = max(round(ENERGY_WINDOW_S * rate_hz), 1)
-    adjusted = [_fitted(int(a), int(b), afflicted_energy, threshold, hold) for a, b in windows if b > a]
-    both = (healthy_energy < thresholds_m2ps4[0]) & (afflicted_energy < threshold)
+    adjusted = [_fitted(int(a), int(b), paretic_energy, threshold, hold) for a, b in windows if b > a]
+    both = (healthy_energy < thresholds_m2ps4[0]) & (paretic_energy < threshold)
     adjusted += _ends(runs(both), np.array(adjusted, np.int64).reshape(-1, 2), n, hold)
     return Mapped(_joined(np.array(sorted(adjusted), dtype=np.int64).reshape(-1, 2)), shift / rate_hz)
 

@@ -57,8 +57,9 @@ def _of(
 
 
 _ALL = (
-    _of("stride_length_m", "stride length", "SL", "m", _M,
-        "horizontal distance of the foot between two of its mid-stances", f"{WANG}, 4.1"),
+    _of("stride_length_common_m", "stride length", "SL", "m", _M,
+        "horizontal distance of the foot between two of its mid-stances, scaled so that both feet go equally far",
+        f"{WANG}, 4.1"),
     _of("speed_mps", "stride speed", "", "m/s", _MPS, "stride length over stride time", PERRY),
     _of("stride_time_s", "stride time", "", "s", _S, "from initial contact to the next of the same foot", PERRY),
     _of("swing_s", "swing time", "SwingT", "s", _S, "from foot off to initial contact", PERRY),
@@ -98,14 +99,14 @@ _ALL = (
     _of("height_gained_m", "height gained", "", "m", _CM, "height of the next stance above the stance before", WANG),
     _of("turn_rad", "turn", "", "rad", _DEG, "change of the foot's heading over the stride, to the left positive", ""),
     _of("walking_speed_mps", "walking speed", "WS", "m/s", _MPS,
-        "way over time of the steady strides, mean of both feet", f"{WANG}, 4.1", "walk"),
+        "distance over time of the steady strides, mean of both feet", f"{WANG}, 4.1", "walk"),
     _of("cadence_per_min", "cadence", "", "1/min", ("steps/min", 1.0), "120 s over the mean stride time in s", PERRY,
         "walk"),
     _of("walk_ratio_m_min", "walk ratio", "WR", "m·min", ("mm/(steps/min)", 1000.0),
         "mean step length (half the stride length) over cadence", "Sekiya & Nagasaki 1998", "walk"),
     _of("belt_ratio", "speed over belt", "", "1", ("", 1.0), "walking speed over the treadmill belt's", "", "walk"),
     _of("ratio", "symmetry ratio", "SR", "1", ("", 1.0),
-        "afflicted over other side; left over right where no side was named", "Patterson et al. 2010", "sides"),
+        "paretic over other side; left over right where no side was named", "Patterson et al. 2010", "sides"),
     _of("index_percent", "symmetry index", "SI", "%", ("%", 1.0),
         "difference of the sides over their mean, in percent; 0 is symmetric", "Robinson et al. 1987", "sides"),
 )  # fmt: skip

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,7 @@ from fes.analysis.parameters.summary import (
     walk_of,
     walk_of_sums,
 )
-from fes.analysis.pipeline import Analysis
+from fes.analysis.results import Analysis
 from fes.estimation.clearance.clearance import FootArms, arms_of
 from fes.signals import FOOT_SENSORS, FloatArray, StrideResult
 
@@ -93,16 +93,18 @@ class GaitParameters:
         feet: by foot, mean, SD and CV of every stride parameter over the steady strides.
         sides: by parameter, the two sides compared; empty with one foot.
         walk: speed, cadence, walk ratio.
-        afflicted: the side that ``sides`` counts from: "left", "right", or None where nobody named one.
+        paretic: the side that ``sides`` counts from: "left", "right", or None where nobody named one.
         no_step_lengths: why there are none, else "".
+        common_scales: by foot, what its stride lengths were scaled by so that both feet go equally far.
     """
 
     strides: dict[str, list[StrideParameters]]
     feet: dict[str, dict[str, Statistic]]
     sides: dict[str, Symmetry]
     walk: Walk
-    afflicted: str | None
+    paretic: str | None
     no_step_lengths: str
+    common_scales: Mapping[str, float] = field(default_factory=dict)
 
     def rows(self) -> list[dict[str, Any]]:
         """One flat row per stride, by time."""
@@ -135,24 +137,26 @@ class GaitParameters:
                 foot: {key: _plain(asdict(value)) for key, value in found.items()} for foot, found in self.feet.items()
             },
             "sides": {key: _plain(asdict(both)) for key, both in self.sides.items()},
-            "afflicted": self.afflicted,
+            "afflicted": self.paretic,
+            "stride_length_common_scale": dict(self.common_scales),
             "no_step_lengths": self.no_step_lengths,
         }
 
 
-def gait_parameters(analysis: Analysis, *, afflicted: str | None = None) -> GaitParameters:
+def gait_parameters(analysis: Analysis, *, paretic: str | None = None) -> GaitParameters:
     """The parameters of all feet with their own sensor.
 
     Args:
         analysis: from :func:`fes.analysis.pipeline.analyse`.
-        afflicted: "left" or "right", for the comparison of the sides; None where nobody knows.
+        paretic: "left" or "right", for the comparison of the sides; None where nobody knows.
     """
     feet = [foot for foot in FOOT_SENSORS if foot in analysis.events]
     swings = {foot: _swings(analysis, foot) for foot in feet}
-    every = equalise_sides({foot: [s for s in analysis.strides if s.foot == foot] for foot in feet})
+    every = {foot: [s for s in analysis.strides if s.foot == foot] for foot in feet}
+    scales = equalise_sides(every)
     numbered = {foot: [s for s in own if s.valid] for foot, own in every.items()}
     steps = {foot: _steps(foot, swings, numbered[foot]) for foot in feet}
-    lengths, why = _lengths(analysis, every, swings)
+    lengths, why = _lengths(analysis, every, swings, scales)
     strides = {
         foot: stride_parameters(
             numbered[foot],
@@ -160,12 +164,13 @@ def gait_parameters(analysis: Analysis, *, afflicted: str | None = None) -> Gait
             swings[foot],
             steps[foot],
             lengths.get(foot, {}),
+            scales[foot],
         )
         for foot in feet
     }
     found = {foot: statistics_of(rows) for foot, rows in strides.items()}
     walk = walk_of(strides, analysis.recording.belt_speed_mps)
-    return GaitParameters(strides, found, symmetry(found, afflicted), walk, afflicted, why)
+    return GaitParameters(strides, found, symmetry(found, paretic), walk, paretic, why, scales)
 
 
 def _swings(analysis: Analysis, foot: str) -> dict[int, Swing]:
@@ -182,13 +187,16 @@ def _steps(foot: str, swings: Mapping[str, Mapping[int, Swing]], strides: Sequen
 
 
 def _lengths(
-    analysis: Analysis, strides: Mapping[str, Sequence[StrideResult]], swings: Mapping[str, Mapping[int, Swing]]
+    analysis: Analysis,
+    strides: Mapping[str, Sequence[StrideResult]],
+    swings: Mapping[str, Mapping[int, Swing]],
+    scales: Mapping[str, float],
 ) -> tuple[dict[str, dict[int, float]], str]:
     tracks = [analysis.recording.tracks[foot] for foot in strides]
     if not tracks:
         return {}, "no foot sensor"
     span = max(int(track.t_sensor_ns[0]) for track in tracks), min(int(track.t_sensor_ns[-1]) for track in tracks)
-    return step_lengths(strides, swings, span)
+    return step_lengths(strides, swings, span, scales)
 
 
 def _head(of: str, key: str, unit: str) -> dict[str, Any]:

@@ -6,7 +6,7 @@ standing for longer than a stride is taken for it), the feet's strides are added
 end is taken back in proportion to time; else there are no step lengths, for a few per mille of a hundred metres are
 as long as a step. In long walks the error grows with the square root of the strides.
 
-Two feet of one person go the same way: what their stride lengths differ by on the whole is error.
+Two feet of one person go equally far: what their stride lengths differ by on the whole is error.
 
 In strides of two and three seconds, as in severe hemiparesis, a stride length is some percent off, mostly by the same
 amount in all strides of a foot (tilt and bias of its own sensor). Feet alternate, so their mean stride lengths are
@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -43,24 +43,21 @@ class _Foot:
     turn_rad: float
 
 
-def equalise_sides(feet: Mapping[str, Sequence[StrideResult]]) -> dict[str, list[StrideResult]]:
-    """The same strides, lengths and speeds of each foot scaled so that both feet went equally far.
+def equalise_sides(feet: Mapping[str, Sequence[StrideResult]]) -> dict[str, float]:
+    """By foot, the factor that scales its stride lengths and speeds so that both feet go equally far.
 
-    With fewer than two feet, on a curve, or where the feet differ by more than a tenth, they are as they were.
+    It is 1 with fewer than two feet, on a curve, and where the feet differ by more than a tenth.
     """
-    same = {foot: list(strides) for foot, strides in feet.items()}
-    if len(feet) != 2:
+    same = dict.fromkeys(feet, 1.0)
+    measured = {foot: one for foot, strides in feet.items() if (one := _measure(strides)) is not None}
+    if len(feet) != 2 or len(measured) != 2 or any(abs(one.turn_rad) > LARGEST_TURN_RAD for one in measured.values()):
         return same
-    measured = {foot: _measure(strides) for foot, strides in feet.items()}
-    known = {foot: one for foot, one in measured.items() if one is not None}
-    if len(known) != 2 or any(abs(one.turn_rad) > LARGEST_TURN_RAD for one in known.values()):
+    weights = {foot: one.moving_s**-4 for foot, one in measured.items()}
+    common_m = sum(weights[foot] * one.length_m for foot, one in measured.items()) / sum(weights.values())
+    one, other = measured.values()
+    if abs(one.length_m - other.length_m) > MOST_APART * common_m or abs(one.strides - other.strides) > MOST_EXTRA:
         return same
-    weights = {foot: one.moving_s**-4 for foot, one in known.items()}
-    common = sum(weights[foot] * one.length_m for foot, one in known.items()) / sum(weights.values())
-    one, other = known.values()
-    if abs(one.length_m - other.length_m) > MOST_APART * common or abs(one.strides - other.strides) > MOST_EXTRA:
-        return same
-    return {foot: [_scaled(s, common / known[foot].length_m) for s in strides] for foot, strides in feet.items()}
+    return {foot: common_m / one.length_m for foot, one in measured.items()}
 
 
 def _measure(strides: Sequence[StrideResult]) -> _Foot | None:
@@ -87,18 +84,6 @@ def _moving_s(strides: Sequence[StrideResult]) -> float:
         if s.valid
     ]
     return max(float(np.median(times)) / NS_PER_S, 0.1)
-
-
-def _scaled(stride: StrideResult, factor: float) -> StrideResult:
-    if not stride.valid:
-        return stride
-    stretch = np.array([factor, 1.0, 1.0])
-    return replace(
-        stride,
-        stride_length_m=factor * stride.stride_length_m,
-        speed_mps=factor * stride.speed_mps,
-        trajectory_m=stride.trajectory_m * stretch if len(stride.trajectory_m) else stride.trajectory_m,
-    )
 
 
 LONGEST_STRIDE_S = 5.0  # from one contact to the next; beyond, the foot stood
@@ -182,7 +167,10 @@ def _step(before: Swing | None, swing: Swing | None, contacts: IntArray, offs: I
 
 
 def step_lengths(
-    strides: Mapping[str, Sequence[StrideResult]], swings: Mapping[str, Mapping[int, Swing]], span_ns: tuple[int, int]
+    strides: Mapping[str, Sequence[StrideResult]],
+    swings: Mapping[str, Mapping[int, Swing]],
+    span_ns: tuple[int, int],
+    scales: Mapping[str, float],
 ) -> tuple[dict[str, dict[int, float]], str]:
     """Step lengths (m) by foot and stride number; and why there are none, else "".
 
@@ -190,18 +178,22 @@ def step_lengths(
         strides: by foot, all its strides by time.
         swings: by foot and stride number.
         span_ns: the recording's first and last time.
+        scales: by foot, of its stride lengths, as :func:`equalise_sides` gives them.
     """
     why = _untied(strides, span_ns)
     if why:
         return {}, why
     begin = min(own[0].t_start_ns for own in strides.values())
     end = max(own[-1].t_end_ns for own in strides.values())
-    ways = {foot: np.cumsum([0.0] + [stride.stride_length_m for stride in own]) for foot, own in strides.items()}
+    distances = {
+        foot: np.cumsum([0.0] + [scales[foot] * stride.stride_length_m for stride in own])
+        for foot, own in strides.items()
+    }
     names = list(strides)
     found: dict[str, dict[int, float]] = {}
     for foot, other in ((names[0], names[1]), (names[1], names[0])):
         landed = np.array(sorted(swing.contact_ns for swing in swings[other].values()), dtype=np.int64)
-        left_over = float(ways[foot][-1] - ways[other][-1])
+        left_over = float(distances[foot][-1] - distances[other][-1])
         found[foot] = {}
         if len(landed) != len(strides[other]):
             return {}, f"{other}: not every stride shows its contact"
@@ -211,12 +203,12 @@ def step_lengths(
                 continue
             its = int(np.searchsorted(landed, swing.contact_ns))
             drift = left_over * (swing.contact_ns - begin) / (end - begin)
-            found[foot][stride.number] = float(ways[foot][k + 1] - ways[other][its]) - drift
+            found[foot][stride.number] = float(distances[foot][k + 1] - distances[other][its]) - drift
     return found, ""
 
 
 def _untied(strides: Mapping[str, Sequence[StrideResult]], span_ns: tuple[int, int]) -> str:
-    """Why the feet's ways cannot be laid side by side, "" if they can."""
+    """Why the feet's strides cannot be laid side by side, "" if they can."""
     if len(strides) != 2 or not all(strides.values()):
         return "strides of one foot only"
     for foot, own in strides.items():

@@ -30,7 +30,7 @@ class StrideParameters:
 
     ``values`` holds every key of :data:`fes.analysis.parameters.definitions.STRIDE_KEYS`, SI units, NaN where it is not
     known. ``steady``: within 30 % of the median stride's length, and turning by no more than 20°; only such count in
-    means.
+    means. ``stride_length_m`` is the measured one, before it is scaled to ``stride_length_common_m``.
     """
 
     foot: str
@@ -40,6 +40,7 @@ class StrideParameters:
     t_contact_s: float
     t_end_s: float
     steady: bool
+    stride_length_m: float
     values: Mapping[str, float]
 
     @property
@@ -57,6 +58,7 @@ class StrideParameters:
             "t_contact_s": self.t_contact_s,
             "t_end_s": self.t_end_s,
             "steady": self.steady,
+            "stride_length_m": self.stride_length_m,
             **self.values,
         }
 
@@ -67,6 +69,7 @@ def stride_parameters(
     swings: Mapping[int, Swing],
     steps: Mapping[int, Step],
     step_lengths_m: Mapping[int, float],
+    scale: float = 1.0,
 ) -> list[StrideParameters]:
     """The parameters of one foot's valid strides, in order.
 
@@ -76,6 +79,8 @@ def stride_parameters(
         swings: by stride number.
         steps: by stride number.
         step_lengths_m: by stride number.
+        scale: of the stride lengths, so that both feet go equally far
+            (:func:`fes.analysis.parameters.steps.equalise_sides`).
     """
     valid = [stride for stride in strides if stride.valid]
     steady = _steady(valid)
@@ -83,10 +88,10 @@ def stride_parameters(
     changes = _variations(valid, motions)
     rows = []
     for stride, is_steady in zip(valid, steady, strict=True):
-        n, swing = stride.number, swings.get(stride.number)
+        n, swing, common_m = stride.number, swings.get(stride.number), scale * stride.stride_length_m
         values = dict.fromkeys(STRIDE_KEYS, NAN)
         values |= {
-            "stride_length_m": stride.stride_length_m,
+            "stride_length_common_m": common_m,
             "toe_clearance_m": stride.toe_clearance_m,
             "heel_clearance_m": stride.heel_clearance_m,
             "height_gained_m": stride.height_gained_m,
@@ -98,11 +103,19 @@ def stride_parameters(
         if n in motions:
             values |= _of_motion(motions[n], swing, stride.foot.removesuffix("_foot"))
         if swing is not None:
-            values |= times_of(swing, steps.get(n), stride.stride_length_m)
+            values |= times_of(swing, steps.get(n), common_m)
         off, contact = (NAN, NAN) if swing is None else (1e-9 * swing.foot_off_ns, 1e-9 * swing.contact_ns)
         rows.append(
             StrideParameters(
-                stride.foot, n, 1e-9 * stride.t_start_ns, off, contact, 1e-9 * stride.t_end_ns, is_steady, values
+                stride.foot,
+                n,
+                1e-9 * stride.t_start_ns,
+                off,
+                contact,
+                1e-9 * stride.t_end_ns,
+                is_steady,
+                stride.stride_length_m,
+                values,
             )
         )
     return rows

@@ -64,15 +64,15 @@ def statistics_of(strides: Sequence[StrideParameters]) -> dict[str, Statistic]:
     return {key: replace(value, cv=NAN) if key in NO_CV else value for key, value in found.items()}
 
 
-def symmetry(feet: Mapping[str, Mapping[str, Statistic]], afflicted: str | None = None) -> dict[str, Symmetry]:
-    """Of every parameter, afflicted over other side; left over right where ``afflicted`` is None.
+def symmetry(feet: Mapping[str, Mapping[str, Statistic]], paretic: str | None = None) -> dict[str, Symmetry]:
+    """Of every parameter, the paretic side over the other; left over right where ``paretic`` is None.
 
     Empty without two feet. Parameters that may be negative or pass through zero get the index only where both sides
     have the same sign.
     """
     if set(feet) != {"left_foot", "right_foot"}:
         return {}
-    first = "right" if afflicted == "right" else "left"
+    first = "right" if paretic == "right" else "left"
     second = "left" if first == "right" else "right"
     found = {}
     for key in STRIDE_KEYS:
@@ -88,19 +88,19 @@ def symmetry(feet: Mapping[str, Mapping[str, Statistic]], afflicted: str | None 
 class Travelled:
     """How far one foot's steady strides led, how long they took, and how many they are."""
 
-    way_m: float = 0.0
+    distance_m: float = 0.0
     time_s: float = 0.0
     strides: int = 0
 
     def __add__(self, other: Travelled) -> Travelled:
-        return Travelled(self.way_m + other.way_m, self.time_s + other.time_s, self.strides + other.strides)
+        return Travelled(self.distance_m + other.distance_m, self.time_s + other.time_s, self.strides + other.strides)
 
 
 def travelled(strides: Sequence[StrideParameters]) -> Travelled:
     """Of one foot's steady strides whose time is known."""
     steady = [s for s in strides if s.steady and math.isfinite(s.values["stride_time_s"])]
     time_s = sum(stride.values["stride_time_s"] for stride in steady)
-    return Travelled(sum(stride.values["stride_length_m"] for stride in steady), time_s, len(steady))
+    return Travelled(sum(stride.values["stride_length_common_m"] for stride in steady), time_s, len(steady))
 
 
 def walk_of(feet: Mapping[str, Sequence[StrideParameters]], belt_mps: float | None) -> Walk:
@@ -113,7 +113,7 @@ def walk_of_sums(feet: Iterable[Travelled], belt_mps: float | None) -> Walk:
     went = [foot for foot in feet if foot.strides and foot.time_s > 0.0]
     if not went:
         return Walk(NAN, NAN, NAN, NAN)
-    speed = float(np.mean([foot.way_m / foot.time_s for foot in went]))
+    speed = float(np.mean([foot.distance_m / foot.time_s for foot in went]))
     cadence = float(np.mean([120.0 * foot.strides / foot.time_s for foot in went]))
-    length = float(np.mean([foot.way_m / foot.strides for foot in went]))
+    length = float(np.mean([foot.distance_m / foot.strides for foot in went]))
     return Walk(speed, cadence, 0.5 * length / cadence, speed / belt_mps if belt_mps else NAN)

@@ -78,7 +78,7 @@ class TrackedBlock:
 
     @property
     def rows(self) -> Rows:
-        """The strides (K,), of ``fes.estimation.strides.segmentation.STRIDE``."""
+        """The strides (K,), of ``fes.estimation.strides.schema.STRIDE``."""
         rows: Rows = self.out.strides[: self.out.filled[STRIDES]]
         return rows
 

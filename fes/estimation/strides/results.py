@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from struct import Struct
 from typing import Any, Literal
 
 import numpy as np
@@ -24,6 +23,7 @@ from fes.estimation.numerics.rotation import cross
 from fes.estimation.strides import integration as solution
 from fes.estimation.strides import segmentation as course
 from fes.estimation.strides.boundaries import REST_RADPS, UNSEEN_NS
+from fes.estimation.strides.schema import COLUMNS, STRIDE
 from fes.estimation.strides.segmentation import Out, SegmentationSettings, new_out
 from fes.signals import FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange
@@ -32,8 +32,10 @@ SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where t
 TRAJECTORY_POINTS = 101
 Rows = np.ndarray[Any, np.dtype[Any]]
 NO_BIASES = np.zeros((2, 3))
-_KINDS = (course.STRIDE[name] for name in course.STRIDE.names or ())
-UNPACK_STRIDE = Struct("".join("q" if kind == np.int64 else "d" for kind in _KINDS)).unpack_from  # numpy takes longer
+_NAMES = STRIDE.names or ()
+_HIDDEN = [column.name for column in COLUMNS if column.core and not column.shown]
+_ENTRIES = [f"t_{phase.name.lower()}_ns" for phase in Phase]
+_UNKNOWN = {column.name: math.nan for column in COLUMNS if column.core and column.shown and column.kind is float}
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,8 +164,7 @@ def solve_stride(
     out = new_out(1, len(t_ns), TRAJECTORY_POINTS)
     row = out.strides[0]
     row["number"], row["t_start_ns"], row["t_end_ns"] = number, t_ns[first], t_ns[last]
-    names = "stance_ns", "pre_swing_ns", "swing_ns", "loading_response_ns"
-    for name, phase in zip(names, Phase, strict=True):
+    for name, phase in zip(_ENTRIES, Phase, strict=True):
         row[name] = times.get(phase, UNSEEN_NS)
     out.filled[course.STRIDES] = 1
     own = new_core(course.STRIDE_STATE, settings=settings.compiled())
@@ -175,7 +176,7 @@ def solve_stride(
 def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
     """The only stride in ``out``; its path is shown to who watches."""
     shape = out.shapes[0].copy()
-    result = _result(foot, UNPACK_STRIDE(out.strides), shape[:, :3], shape[:, 3])
+    result = _result(foot, out.strides[:1].tolist()[0], shape[:, :3], shape[:, 3])
     if settings.watch is not None and result.valid:
         settings.watch(copy.deepcopy(stride_paths(out.strides, out, settings).each()[0]))
     return result
@@ -184,13 +185,13 @@ def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
 def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
     """The paths of the valid ones of (K,) strides, whose ways are in ``out`` and stay there."""
     rows = rows[rows["outcome"] == solution.SOLVED]
-    contact = np.where(rows["loading_response_ns"] == UNSEEN_NS, rows["stance_ns"], rows["loading_response_ns"])
+    contact = np.where(rows["t_loading_response_ns"] == UNSEEN_NS, rows["t_stance_ns"], rows["t_loading_response_ns"])
     end = int((rows["first"] + rows["rows"]).max(initial=0))
     forward, up = settings.forward, settings.up
     return FootPaths(
         rows["number"].copy(),
         np.column_stack((rows["first"], rows["first"] + rows["rows"])),
-        np.column_stack((rows["swing_ns"], contact)),
+        np.column_stack((rows["t_swing_ns"], contact)),
         out.t_ns[:end],
         out.position[:end],
         out.quaternion[:end],
@@ -204,39 +205,33 @@ def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResu
     return [_result(foot, row, ways[k], pitches[k]) for k, row in enumerate(rows.tolist())]
 
 
-def _result(foot: str, row: tuple[Any, ...], way: FloatArray, pitch: FloatArray) -> StrideResult:
+def _result(foot: str, row: tuple[Any, ...], trajectory: FloatArray, pitch: FloatArray) -> StrideResult:
     """Result of one stride from its row and shape."""
-    (
-        number, start_ns, end_ns, pre_swing_ns, swing_ns, loading_response_ns, stance_ns, outcome, _, _, _,
-        gap_s, tilt, unrest, length, speed, highest, turn, gained, toe, heel,
-    ) = row  # fmt: skip
-    valid, reason = outcome == solution.SOLVED, ""
-    if not valid or unrest > REST_RADPS:
-        reason = _reason(outcome, start_ns, end_ns, gap_s, tilt, unrest, length)
+    columns: dict[str, Any] = dict(zip(_NAMES, row, strict=True))
+    valid, reason = columns["outcome"] == solution.SOLVED, ""
+    if not valid or columns["residual_rate_radps"] > REST_RADPS:
+        reason = _reason(columns)
+    for name in _HIDDEN:
+        del columns[name]
     if not valid:
-        length = highest = gained = turn = speed = toe = heel = math.nan
-        way, pitch = np.zeros((0, 3)), np.zeros(0)
-    return StrideResult(
-        foot, number, start_ns, end_ns, length, highest, gained, turn, speed,
-        None if pre_swing_ns == UNSEEN_NS else pre_swing_ns,
-        None if swing_ns == UNSEEN_NS else swing_ns,
-        None if loading_response_ns == UNSEEN_NS else loading_response_ns,
-        None if stance_ns == UNSEEN_NS else stance_ns,
-        toe, heel, valid, reason, way, pitch,
-    )  # fmt: skip
+        columns |= _UNKNOWN
+        trajectory, pitch = np.zeros((0, 3)), np.zeros(0)
+    for name in _ENTRIES:
+        if columns[name] == UNSEEN_NS:
+            columns[name] = None
+    return StrideResult(foot, valid=valid, reason=reason, trajectory_m=trajectory, pitch_rad=pitch, **columns)
 
 
-def _reason(
-    outcome: int, start_ns: int, end_ns: int, gap_s: float, tilt: float, residual_rate_radps: float, length_m: float
-) -> str:
+def _reason(row: Mapping[str, Any]) -> str:
     """Why a stride is not valid, or not as good as others."""
+    rate_radps = row["residual_rate_radps"]
     return {
-        solution.SOLVED: f"no true rest: {residual_rate_radps:.1f} rad/s at its quietest",
+        solution.SOLVED: f"no true rest: {rate_radps:.1f} rad/s at its quietest",
         solution.NO_SOLUTION: "the constraints cannot be met",
-        solution.TILTED: f"the orientation is {math.degrees(tilt):.0f}° off at its end",
-        solution.NO_LENGTH: f"{length_m:.2f} m is no stride length",
-        solution.NO_REST: f"the foot never rests: {residual_rate_radps:.1f} rad/s at its quietest",
+        solution.TILTED: f"the orientation is {math.degrees(row['tilt_rad']):.0f}° off at its end",
+        solution.NO_LENGTH: f"{row['stride_length_m']:.2f} m is no stride length",
+        solution.NO_REST: f"the foot never rests: {rate_radps:.1f} rad/s at its quietest",
         course.FORGOTTEN: "longer than the history kept",
-        course.NO_STRIDE_TIME: f"lasts {1e-9 * (end_ns - start_ns):.2f} s",
-        course.GAP: f"samples missing for {1e3 * gap_s:.0f} ms",
-    }[outcome]
+        course.NO_STRIDE_TIME: f"lasts {1e-9 * (row['t_end_ns'] - row['t_start_ns']):.2f} s",
+        course.GAP: f"samples missing for {1e3 * row['gap_s']:.0f} ms",
+    }[row["outcome"]]

@@ -11,8 +11,9 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from fes.signals import StrideResult
+
 NEGARD = "Negård et al. 2005"
-UNSEEN_NS = -(2**63)  # in compiled code: the time of what did not happen
 
 
 class Column(NamedTuple):
@@ -62,7 +63,11 @@ COLUMNS: Final = (
     Column("reason", str, "", "why it is not valid, or not as good as others"),
     _stamp("t_start_ns", "where it begins: the quietest instant of the stance before its swing", NEGARD),
     _stamp("t_end_ns", "where it ends: the quietest instant of the stance after its swing", NEGARD),
-    _stamp("t_pre_swing_ns", "heel off, the entry into pre-swing; empty where it was not seen", f"{NEGARD}, Fig. 5"),
+    _stamp(
+        "t_pre_swing_ns",
+        "heel off, the entry into pre-swing; empty where it was not seen",
+        f"{NEGARD}, Fig. 5",
+    ),
     _stamp("t_swing_ns", "foot off, the entry into swing", f"{NEGARD}, Fig. 5"),
     _stamp("t_loading_response_ns", "initial contact, the entry into loading response", f"{NEGARD}, Fig. 5"),
     _stamp("t_stance_ns", "foot flat, the entry into stance", f"{NEGARD}, Fig. 5"),
@@ -77,15 +82,38 @@ COLUMNS: Final = (
     Column("y_m", float, "m", "to the left of the path's start"),
     Column("z_m", float, "m", "above the path's start"),
     Column("heading_rad", float, "rad", "where the toe points there, from x towards y"),
-    _inner("outcome", int, "", "how its integration went: a number of segmentation or integration"),
+    _inner("outcome", int, "", "``SOLVED``, or why it was not solved: the numbers of segmentation and integration"),
     _inner("changes", int, "", "how many phase changes came before it"),
     _inner("first", int, "", "the first row of its trajectory"),
     _inner("rows", int, "", "how many rows its trajectory has"),
     _inner("gap_s", float, "s", "the longest time between two of its samples"),
     _inner("tilt_rad", float, "rad", "how far the orientation is off at its end"),
-    _inner("residual_rate_radps", float, "rad/s", "how fast the foot turns at the quieter-seeming ends"),
+    _inner("residual_rate_radps", float, "rad/s", "the rate at the end that is the less quiet one"),
 )
 
 TABLE: Final = tuple(column.in_table() for column in COLUMNS if column.shown)
 _DTYPES: Final[dict[type, Any]] = {int: np.int64, float: np.float64}
 STRIDE: Final = np.dtype([(column.name, _DTYPES[column.kind]) for column in COLUMNS if column.core], align=True)
+_SHOWN: Final = [
+    (column.name, column.in_table().name, column.unit == "ns")
+    for column in COLUMNS
+    if column.shown and column.name in StrideResult.__dataclass_fields__
+]
+
+
+def table_row(stride: StrideResult) -> dict[str, Any]:
+    """A stride's columns of :data:`TABLE`, but where it lies on a path; a time that it has not is None."""
+    row: dict[str, Any] = {}
+    for name, shown, is_time in _SHOWN:
+        value = getattr(stride, name)
+        row[shown] = 1e-9 * value if is_time and value is not None else value
+    return row
+
+
+def markdown() -> str:
+    """The table of ``docs/strides.md``."""
+    rows = [
+        f"| `{column.name}` | {column.unit or column.kind.__name__} | {column.text} | {column.source} |"
+        for column in TABLE
+    ]
+    return "\n".join(["| column | unit | what it is | source |", "|---|---|---|---|", *rows])

@@ -27,6 +27,7 @@ from fes.estimation.strides.integration import (
     solve_span,
     stride_shape,
 )
+from fes.estimation.strides.schema import STRIDE
 from fes.signals import NS_PER_S
 
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
@@ -51,33 +52,6 @@ STATE = np.dtype(
         ("stance_ns", np.int64),
         ("times_ns", np.int64, 4),  # the entries into the phases since
         ("number", np.int64),
-    ],
-    align=True,
-)
-
-STRIDE = np.dtype(
-    [
-        ("number", np.int64),
-        ("t_start_ns", np.int64),
-        ("t_end_ns", np.int64),
-        ("pre_swing_ns", np.int64),  # the entries into the phases, UNSEEN_NS where there was none
-        ("swing_ns", np.int64),
-        ("loading_response_ns", np.int64),
-        ("stance_ns", np.int64),
-        ("outcome", np.int64),  # of the solution, or FORGOTTEN, NO_STRIDE_TIME, GAP
-        ("changes", np.int64),  # how many phase changes were told before it
-        ("first", np.int64),  # row of its way
-        ("rows", np.int64),  # how many they are
-        ("gap_s", np.float64),
-        ("tilt_rad", np.float64),
-        ("residual_rate_radps", np.float64),
-        ("length_m", np.float64),
-        ("speed_mps", np.float64),
-        ("peak_height_m", np.float64),
-        ("turn_rad", np.float64),
-        ("height_change_m", np.float64),
-        ("toe_m", np.float64),
-        ("heel_m", np.float64),
     ],
     align=True,
 )
@@ -201,8 +175,8 @@ def close(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tu
     s.number += 1
     row = out.strides[out.filled[STRIDES]]
     row.number, row.t_start_ns, row.t_end_ns = s.number, start_ns, t_ns[last]
-    row.pre_swing_ns, row.swing_ns = s.times_ns[PRE_SWING], s.times_ns[SWING]
-    row.loading_response_ns, row.stance_ns = s.times_ns[LOADING_RESPONSE], stance_ns
+    row.t_pre_swing_ns, row.t_swing_ns = s.times_ns[PRE_SWING], s.times_ns[SWING]
+    row.t_loading_response_ns, row.t_stance_ns = s.times_ns[LOADING_RESPONSE], stance_ns
     row.rows, row.changes = 0, out.filled[CHANGES]
     _forget(s.times_ns)
     out.filled[STRIDES] += 1
@@ -250,16 +224,16 @@ def solve_rows(
         first - begin, last - begin, start, p.forward_x, p.forward_y, p.forward_z, p.sensor_height_m,
         p.constrained, p.equal_height, quaternion, position, numbers,
     )  # fmt: skip
-    row.tilt_rad, row.residual_rate_radps, row.length_m = numbers[TILT], numbers[RESIDUAL_RATE], numbers[LENGTH]
-    row.peak_height_m, row.turn_rad, row.height_change_m = numbers[PEAK_HEIGHT], numbers[TURN], numbers[HEIGHT_CHANGE]
+    row.tilt_rad, row.residual_rate_radps, row.stride_length_m = numbers[TILT], numbers[RESIDUAL_RATE], numbers[LENGTH]
+    row.clearance_m, row.turn_rad, row.height_gained_m = numbers[PEAK_HEIGHT], numbers[TURN], numbers[HEIGHT_CHANGE]
     if row.outcome != SOLVED:
         return
     if k < out.shapes.shape[0]:
         stride_shape(
             out.t_ns[at : at + count], quaternion, position, p.forward_x, p.forward_y, p.forward_z, out.shapes[k]
         )
-    row.speed_mps = row.length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
-    row.toe_m = row.heel_m = math.nan
+    row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
+    row.toe_clearance_m = row.heel_clearance_m = math.nan
     if p.known:
         _toe_and_heel(p, row, out.t_ns[at : at + count], position, quaternion)
 
@@ -286,8 +260,8 @@ def _toe_and_heel(p: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -
     Mid-swing is the middle of the time from foot off to contact: the toe leaves the ground and, after its first peak,
     passes low once more before it rises for the contact.
     """
-    off_ns = row.swing_ns
-    contact_ns = row.stance_ns if row.loading_response_ns == UNSEEN_NS else row.loading_response_ns
+    off_ns = row.t_swing_ns
+    contact_ns = row.t_stance_ns if row.t_loading_response_ns == UNSEEN_NS else row.t_loading_response_ns
     swung = off_ns != UNSEEN_NS and contact_ns != UNSEEN_NS
     begin, end = off_ns + 0.25 * (contact_ns - off_ns), off_ns + 0.8 * (contact_ns - off_ns)
     toe_start = heel_start = 0.0
@@ -303,6 +277,6 @@ def _toe_and_heel(p: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -
         most = max(most, heel - heel_start)
         if swung and begin <= t_ns[i] < end:
             least = min(least, toe - toe_start)
-    row.heel_m = most
+    row.heel_clearance_m = most
     if least < math.inf:
-        row.toe_m = least
+        row.toe_clearance_m = least

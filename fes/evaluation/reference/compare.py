@@ -15,7 +15,7 @@ from fes.signals import NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
 
 if TYPE_CHECKING:
-    from fes.analysis.pipeline import Analysis
+    from fes.analysis.results import Analysis
     from fes.session_log import SessionRecord
 
 

@@ -58,14 +58,14 @@ def detectable_change(key: str, first_speed_mps: float, *, belt: bool) -> Detect
 
 
 KEY: Final = (
-    *("speed_mps", "stride_length_m", "stride_time_s", "step_length_m", "toe_clearance_m", "angle_contact_rad"),
+    *("speed_mps", "stride_length_common_m", "stride_time_s", "step_length_m", "toe_clearance_m", "angle_contact_rad"),
     *("circumduction_m", "swing_share", "double_support_share"),
 )
 SYMMETRIC: Final = ("step_length_m", "step_time_s", "swing_s", "stance_s", "toe_clearance_m", "lift_m")
 # spatiotemporal parameters and joint kinematics change with speed: Fukuchi et al. 2019, Systematic Reviews 8:153;
 # so does minimum toe clearance: De Asha & Buckley 2015 (PMC4361493)
 WITH_SPEED: Final = (
-    *("stride_length_m", "speed_mps", "stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share"),
+    *("stride_length_common_m", "speed_mps", "stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share"),
     *("step_time_s", "double_support_s", "double_support_share", "step_length_m", "lift_m", "toe_clearance_m"),
     *("heel_clearance_m", "heel_rotation_rad", "angle_contact_rad", "angle_off_rad"),
     *("phase_pre_swing", "phase_swing", "phase_loading_response", "phase_stance"),

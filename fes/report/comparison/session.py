@@ -17,7 +17,8 @@ from fes.analysis.parameters.contacts import Swing
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.parameters.steps import steps_of
 from fes.analysis.parameters.strides import StrideParameters, stride_parameters
-from fes.analysis.pipeline import Analysis, analyse, calibrations_of
+from fes.analysis.pipeline import analyse, calibrations_of
+from fes.analysis.results import Analysis
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, calibration_from_dict, phase_sensors
 from fes.recording import Recording, RecordingError, Track, read_recording
@@ -33,7 +34,7 @@ FOUND_SHARE: Final = 0.8  # of the strides whose phases are known must have off-
 OFF_LINE: Final = "analysed off-line"
 AS_DECIDED: Final = "as decided in the session, for its log keeps no samples that could be analysed"
 _OF_ROWS: Final = {
-    "stride_length_m": ("stride_length_m", 1.0),
+    "stride_length_common_m": ("stride_length_m", 1.0),
     "stride_time_s": ("duration_s", 1.0),
     "speed_mps": ("speed_mps", 1.0),
     "lift_m": ("clearance_cm", 0.01),
@@ -104,7 +105,7 @@ def read_compared(path: Path, label: str) -> ComparedSession:
         analysis = analyse(recording, found.calibrations)
     except (SessionLogError, RecordingError, CalibrationError) as error:
         raise ComparisonProblem(str(error)) from error
-    return _made(label, path, OFF_LINE, summarise(analysis.record("")), analysis, recording.subject)
+    return _made(label, path, OFF_LINE, summarise(analysis.walk_record()), analysis, recording.subject)
 
 
 def of_record(record: SessionRecord, label: str, path: Path) -> ComparedSession:
@@ -174,8 +175,8 @@ def _made(
     detailed: dict[str, dict[str, FloatArray]] = {}
     phased: dict[str, dict[str, FloatArray]] = {}
     if analysis is not None:
-        rows, strides = summarise(analysis.record("")).strides, analysis.strides
-        toe = {_side(foot): known.words() for foot, known in analysis.points.items()}
+        rows, strides = summarise(analysis.walk_record()).strides, analysis.strides
+        toe = {_side(foot): known.describe() for foot, known in analysis.points.items()}
         detailed = {_side(foot): _steady(found) for foot, found in gait_parameters(analysis).strides.items()}
         phased = {_side(foot): _steady(found) for foot, found in by_phases(analysis).items()}
     sides = {}

@@ -52,7 +52,7 @@ def _from_above(data: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
         plot.line(path.position_m[:, 0], path.position_m[:, 1], color, width=1.6, opacity=0.75)
         places, titles = _stride_ends(data, foot, path)
         plot.points(places[:, 0], places[:, 1], color, titles)
-        parts.append(f"{readable(foot)} {path.way_m:.1f} m, ends {path.closure_m:.2f} m from its start")
+        parts.append(f"{readable(foot)} {path.distance_m:.1f} m, ends {path.closure_m:.2f} m from its start")
     plot.points(np.zeros(1), np.zeros(1), "#000000", ["start"], hollow=True)
     return Figure(
         "Path over the ground, from above",

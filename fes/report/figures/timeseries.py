@@ -16,8 +16,8 @@ from fes.report.stimulation import ChannelInfo
 from fes.report.summary import ReportData
 from fes.report.text import readable
 from fes.report.timeline import PhaseTimeline
-from fes.session_log import SampleArrays
 from fes.signals import NS_PER_S, FloatArray, IntArray
+from fes.walk_record import SampleArrays
 from statemachine.phases import Phase
 
 DETAIL = ((600.0, 200), (1800.0, 100), (float("inf"), 80))  # sessions up to so long (s) keep so many points a second

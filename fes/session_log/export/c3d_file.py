@@ -20,8 +20,9 @@ import numpy as np
 
 from fes.session_log import read_session
 from fes.session_log.export.tables import ANOTHER, Exported
-from fes.session_log.record import SampleArrays, SessionLogError, SessionRecord, not_made
+from fes.session_log.record import SessionLogError, SessionRecord, not_made
 from fes.signals import FloatArray, IntArray, StimCommand, StrideResult
+from fes.walk_record import SampleArrays
 from statemachine.phases import Phase, PhaseChange
 
 EXTRA: Final = "c3d"

@@ -14,7 +14,7 @@ import numpy as np
 
 from fes.session_log.codec import Rare, SampleParts, latency_arrays
 from fes.session_log.framing import RecordType
-from fes.session_log.record import Note, Received
+from fes.session_log.record import Received
 from fes.session_log.repair import Damage, stretches
 from fes.signals import (
     SENSORS,
@@ -29,6 +29,7 @@ from fes.signals import (
     Tick,
     WireFrame,
 )
+from fes.walk_record import Note
 from statemachine.phases import PhaseChange
 
 BATCH_ROWS: Final = 20_000

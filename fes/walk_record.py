@@ -1,0 +1,67 @@
+"""A walk as tables and the report take it: what an analysis found in a recording, or a session left behind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from fes.signals import FloatArray, IntArray, StimAlive, StimCommand, StimStatus, StrideResult
+from statemachine.phases import PhaseChange
+
+SEVERITIES = ("info", "warning", "fault")
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """Something worth reading later: ``severity`` is one of ``SEVERITIES``, ``source`` the part that speaks."""
+
+    t_ns: int
+    severity: str
+    source: str
+    text: str
+
+    def __post_init__(self) -> None:
+        if self.severity not in SEVERITIES:
+            raise ValueError(f"severity {self.severity!r} is none of {', '.join(SEVERITIES)}")
+
+
+@dataclass(frozen=True, eq=False)
+class SampleArrays:
+    """One sensor's samples in the order they came: (N,) arrival and sensor times, (N, 3) m/s² and rad/s."""
+
+    t_ns: IntArray
+    t_sensor_ns: IntArray
+    acc_mps2: FloatArray
+    gyr_radps: FloatArray
+
+
+def no_times() -> IntArray:
+    """An empty array of times."""
+    return np.zeros(0, np.int64)
+
+
+@dataclass(eq=False)
+class WalkRecord:
+    """What is known of a walk, in the order in which it happened.
+
+    ``header`` says what it is and what is known of its sensors: its kind, when it was made, the recording's name, belt
+    and ranges, the calibrations. ``commands`` and what follows are empty where nothing was stimulated. ``complete`` is
+    False where the end is missing; ``lost`` says what that cost, "" if nothing.
+    """
+
+    header: dict[str, Any]
+    samples: dict[str, SampleArrays] = field(default_factory=dict)
+    phases: list[PhaseChange] = field(default_factory=list)
+    strides: list[StrideResult] = field(default_factory=list)
+    notes: list[Note] = field(default_factory=list)
+    commands: list[StimCommand] = field(default_factory=list)
+    statuses: list[StimStatus] = field(default_factory=list)
+    alive: list[StimAlive] = field(default_factory=list)
+    ticks_ns: IntArray = field(default_factory=no_times)
+    latency_t_ns: IntArray = field(default_factory=no_times)
+    latency_ns: IntArray = field(default_factory=no_times)
+    summary: dict[str, Any] = field(default_factory=dict)
+    complete: bool = False
+    lost: str = ""
