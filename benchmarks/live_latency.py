@@ -100,18 +100,18 @@ def drive(operator: ScriptedOperator, controller: ControllerProcess, seconds: fl
     """Arm whenever it is not, raise, until the time is over or the session ends."""
     end_s, faults = time.monotonic() + seconds, 0
     while time.monotonic() < end_s and controller.alive:
-        operator.watch()
+        operator.subscribe()
         time.sleep(0.2)
-        status = operator.listen()
+        status = operator.receive_status()
         if status is None:
             continue
         if status.state in ("shadow", "fault"):
             if status.state == "fault" and status.fault:
                 faults += 1
-            operator.order("arm")
+            operator.send_command("arm")
         elif status.intensity < INTENSITY:
-            operator.order("up")
-    operator.order("quit")
+            operator.send_command("up")
+    operator.send_command("quit")
     controller.wait(20.0)
 
 
@@ -165,9 +165,9 @@ def main() -> int:
         operator = ScriptedOperator(controller.control, folder / "operator")
         stack.callback(operator.close)
         for _ in range(300):
-            operator.watch()
+            operator.subscribe()
             time.sleep(0.2)
-            if (status := operator.listen()) is not None and status.state != "off":
+            if (status := operator.receive_status()) is not None and status.state != "off":
                 break
         baseline = Baseline()
         seconds = 60.0 * options.minutes
@@ -180,10 +180,10 @@ def main() -> int:
         print(f"baseline     {baseline.end()}")
         log = controller.log()
         if log is None:
-            print(controller.said())
+            print(controller.printed())
             return 1
         good = report(read_session(log), options.hogs)
-        said = [line for line in controller.said().splitlines() if "Remedy" in line]
+        said = [line for line in controller.printed().splitlines() if "Remedy" in line]
         print(*said, sep="\n")
     return 0 if good else 1
 

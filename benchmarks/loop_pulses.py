@@ -23,8 +23,8 @@ from fes.cli.demo import CURRENT_MA, patient
 from fes.config import validate_session
 from fes.estimation.sensor_choice import Calibration
 from fes.hil.closed_loop import one_process
-from fes.hil.closed_loop.processes import course
-from fes.hil.closed_loop.session import calibration_of, session_text
+from fes.hil.closed_loop.processes import armed_protocol
+from fes.hil.closed_loop.session import patient_calibration, session_text
 from fes.session_log import read_session
 from fes.simulation.forward import DeliveredPulse, VirtualStride
 
@@ -89,7 +89,7 @@ def walked(folder: Path, calibrations: Mapping[str, Calibration], disturbance: D
     text = session_text(settings, current_ma=CURRENT_MA)
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     log = folder / f"{'as it is' if disturbance is None else disturbance.seed}.feslog"
-    lived = one_process.run_in_one_process(settings, session, calibrations, course(SECONDS), log, "")
+    lived = one_process.run_in_one_process(settings, session, calibrations, armed_protocol(SECONDS), log, "")
     record = read_session(log)
     phases: dict[tuple[str, str], list[float]] = {}
     for change in record.phases:
@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--jitter-ms", type=float, default=0.0, help="each of its pulses once more up to so much")
     parser.add_argument("--same-number", action="store_true", help="no pulse more or less in any burst")
     asked = parser.parse_args()
-    calibrations = calibration_of(patient()).calibrations
+    calibrations = patient_calibration(patient()).calibrations
     disturbed = patch.object(one_process, "InProcessStimulator", DisturbedStimulator)
     with disturbed, tempfile.TemporaryDirectory() as name:
         usual = walked(Path(name), calibrations, None)

@@ -1,7 +1,4 @@
-"""What the loop asks of every inertial sensor, whatever the line to it.
-
-A device's counters and stamps: unwrapped to integers that do not run over, and what they say about losses.
-"""
+"""What the loop asks of every inertial sensor, and what the ports share: ranges, options, counters and stamps."""
 
 from __future__ import annotations
 
@@ -60,37 +57,30 @@ class SensorDevice(Protocol):
     @property
     def sensor(self) -> str:
         """Where it is worn."""
-        ...
 
     @property
     def device(self) -> str:
         """What it is."""
-        ...
 
     @property
     def port(self) -> str:
         """How it is reached."""
-        ...
 
     @property
     def rate_hz(self) -> float:
         """Samples per second."""
-        ...
 
     @property
     def acc_range_g(self) -> float:
         """Full scale (±) of the accelerometer."""
-        ...
 
     @property
     def gyr_range_dps(self) -> float:
         """Full scale (±) of the gyroscope."""
-        ...
 
     @property
     def options(self) -> dict[str, str | int | float | bool]:
         """Whatever else this kind of device needs."""
-        ...
 
 
 class ImuPort(Protocol):
@@ -101,7 +91,6 @@ class ImuPort(Protocol):
 
     def fileno(self) -> int | None:
         """Readable when something waits; None: read at every tick."""
-        ...
 
     def read(self, t_ns: int) -> list[RawSample]:
         """Everything that has arrived, stamped ``t_ns``; never waits.
@@ -109,7 +98,6 @@ class ImuPort(Protocol):
         Raises:
             ImuLost: the line broke; :meth:`reopen` may mend it.
         """
-        ...
 
     def reopen(self) -> None:
         """Let go of the line and open it again.
@@ -117,11 +105,9 @@ class ImuPort(Protocol):
         Raises:
             ImuLost: it is still gone.
         """
-        ...
 
     def close(self) -> None:
         """Release the line; may be called twice."""
-        ...
 
 
 class Ranges:

@@ -1,17 +1,7 @@
 """Open whichever CAN bus the settings name: socketcan, pcan, kvaser, udp_multicast … need configuration only.
 
-Besides python-can's interfaces there is ``loopback``, for a machine without any network.
-
-python-can's bus for serial CAN adapters (slcan), so that neither reading nor writing ever waits.
-
-As python-can has it, a write of no time-out spins until the adapter takes the bytes, each write then waits for the last
-of them to be on the line, and a read takes a system call for each byte and waits a millisecond for one more. All of
-that would be the control loop's time.
-
-CAN frames between processes of this machine when it has no network at all.
-
-python-can's ``udp_multicast`` joins its group on whatever interface the default route names, so without a route it
-cannot be opened. This bus joins on the loopback interface instead: nothing leaves the machine, nothing enters.
+Besides python-can's interfaces there is ``loopback``, for a machine without any network, and python-can's bus for
+serial adapters (slcan) so that it never waits.
 """
 
 from __future__ import annotations
@@ -34,13 +24,37 @@ from drivers.stimulator.can_codec import NODE_IDS
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus
 
+MULTICAST: Final = "udp_multicast"
+LOOPBACK: Final = "loopback"
+SLCAN: Final = "slcan"
+_HINTS: Final = {
+    MULTICAST: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number, and "
+    "the machine needs a route for it; with no network at all use the interface loopback.",
+    LOOPBACK: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number.",
+    "socketcan": "Bring the interface up first: ip link set can0 up type can bitrate 500000; ip -br link lists them.",
+    "pcan": "Install PEAK's PCANBasic library, plug the adapter in; channels are named PCAN_USBBUS1, PCAN_USBBUS2 …",
+    "kvaser": "Install Kvaser's canlib, plug the adapter in; channels are numbered from 0.",
+    "slcan": "The channel is the adapter's serial port; its options are bitrate and tty_baudrate.",
+}
+LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."
+_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
 TAKES_NONE: Final = "the adapter takes no frames"
 _READ_AT_MOST: Final = 4096
 _ENDS: Final = (b"\r", b"\a")  # of a line; the bell says that a command was refused
+GROUP: Final = "239.74.163.2"
+DEFAULT_PORT: Final = 43113
+_HOST: Final = "127.0.0.1"
+_FRAME: Final = struct.Struct("!IB8s")  # identifier with SocketCAN's extended flag, length, data padded with zeros
+_EXTENDED: Final = 0x8000_0000
+_IP_MULTICAST_ALL: Final = 49  # linux/in.h: 0 = only groups that this very socket joined
 
 
 class PromptSlcanBus(slcanBus):
-    """As :class:`can.interfaces.slcan.slcanBus`; lines that are no frames are passed over, whatever they hold.
+    """As :class:`can.interfaces.slcan.slcanBus`, but neither reading nor writing ever waits.
+
+    As python-can has it, a write of no time-out spins until the adapter takes the bytes, each write then waits for the
+    last of them to be on the line, and a read takes a system call for each byte and waits a millisecond for one more.
+    All of that would be the control loop's time. Lines that are no frames are passed over, whatever they hold.
 
     Raises:
         can.CanOperationError: from ``send`` when the adapter does not take a frame whole at once, from ``recv`` when it
@@ -110,18 +124,12 @@ class PromptSlcanBus(slcanBus):
         self.serialPortOrig.close()
 
 
-GROUP: Final = "239.74.163.2"
-DEFAULT_PORT: Final = 43113
-_HOST: Final = "127.0.0.1"
-_FRAME: Final = struct.Struct("!IB8s")  # identifier with SocketCAN's extended flag, length, data padded with zeros
-_EXTENDED: Final = 0x8000_0000
-_IP_MULTICAST_ALL: Final = 49  # linux/in.h: 0 = only groups that this very socket joined
-
-
 class LoopbackBus(can.BusABC):
     """Classical data frames over multicast on 127.0.0.1; every bus on the same group and port hears every frame.
 
-    As with python-can's multicast, a bus hears its own frames too.
+    python-can's ``udp_multicast`` joins its group on whatever interface the default route names, so without a route it
+    cannot be opened. This bus joins on the loopback interface instead: nothing leaves the machine, nothing enters. As
+    with python-can's multicast, a bus hears its own frames too.
 
     Raises:
         OSError: the group is no multicast address, or the port is out of range or not ours to use.
@@ -187,23 +195,6 @@ class LoopbackBus(can.BusABC):
         """Close the socket; may be called twice."""
         super().shutdown()
         self._socket.close()
-
-
-MULTICAST: Final = "udp_multicast"
-LOOPBACK: Final = "loopback"
-SLCAN: Final = "slcan"
-_HINTS: Final = {
-    MULTICAST: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number, and "
-    "the machine needs a route for it; with no network at all use the interface loopback.",
-    LOOPBACK: "The channel must be a multicast address (224.0.0.0 to 239.255.255.255), the option port a number.",
-    "socketcan": "Bring the interface up first: ip link set can0 up type can bitrate 500000; ip -br link lists them.",
-    "pcan": "Install PEAK's PCANBasic library, plug the adapter in; channels are named PCAN_USBBUS1, PCAN_USBBUS2 …",
-    "kvaser": "Install Kvaser's canlib, plug the adapter in; channels are numbered from 0.",
-    "slcan": "The channel is the adapter's serial port; its options are bitrate and tty_baudrate.",
-}
-
-LINE_HINT: Final = "Check cable, termination (120 ohm at both ends) and the adapter; then start a new session."
-_ERR_BUSOFF: Final = 0x40  # linux/can/error.h
 
 
 class BusError(StimulatorLost):

@@ -1,8 +1,6 @@
 """The CAN stimulator behind a python-can bus: the thin part between the codec and the wire.
 
-Which commands the CAN stimulator has answered, whether each answer says what was asked, and which are overdue.
-
-A stimulator port with nothing behind it: the bytes that would have gone out, for replays without a device.
+It keeps account of which commands are answered, whether each answer says what was asked, and which are overdue.
 """
 
 from __future__ import annotations
@@ -38,6 +36,10 @@ from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 REMEMBERED: Final = 128  # commands: more than are sent until one is overdue, 36 with 8 channels at 100 Hz
 ANSWER_WITHIN_MS: Final = 45  # two command periods and some: the next command, 20 ms later, is the one retry
 HEARTBEAT_WITHIN_MS: Final = 350  # NODE_ALIVE comes every 100 ms
+POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
+COUNTERS: Final = ECHOED_COUNTS
+OPEN_AGAIN_AFTER_ALIVES: Final = 3  # without our session in them: SESSION_OPEN was lost, or refused
+_SESSION_GONE: Final = "the stimulator has not our session open (it restarted, or another controller took it)"
 _HALF_STEPS: Final = (("current_ma", 0.25, "mA"), ("pulse_width_us", 0.5, "µs"), ("frequency_hz", 0.5, "Hz"))
 
 
@@ -52,7 +54,7 @@ class CommandAnswers:
     def __init__(self, *, in_real_time: bool) -> None:
         self._in_real_time = in_real_time
         self._waiting: deque[tuple[int, StimCommand, int]] = deque(maxlen=REMEMBERED)
-        self._heard_ns: int | None = None
+        self._heartbeat_ns: int | None = None
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -73,19 +75,18 @@ class CommandAnswers:
         for position in range(len(self._waiting) - 1, -1, -1):
             counter, command, _ = self._waiting[position]
             if counter == status.counter and command.channel == status.channel:
-                older = list(self._waiting)[: position + 1]
-                for entry in older:
+                for entry in list(self._waiting)[: position + 1]:
                     if entry[1].channel == status.channel:
                         self._waiting.remove(entry)
                 return _difference(command, status)
         return ""
 
-    def heard(self, t_ns: int) -> None:
+    def heartbeat(self, t_ns: int) -> None:
         """The node's heartbeat came."""
-        self._heard_ns = t_ns
+        self._heartbeat_ns = t_ns
 
     def overdue(self, t_ns: int) -> StimCommand | None:
-        """The oldest command that waits longer than it may; all that wait are then forgotten, to be told once.
+        """The oldest command that waits longer than it may; all that wait are then forgotten, to be reported once.
 
         One lost answer is none yet: the next command, 20 to 30 ms later, is the retry, and its answer settles both.
         """
@@ -98,17 +99,17 @@ class CommandAnswers:
         return command
 
     def silent(self, t_ns: int) -> bool:
-        """Whether the heartbeat has stopped; told once for every 350 ms of silence."""
-        if not self._in_real_time or self._heard_ns is None:
+        """Whether the heartbeat has stopped; reported once for every 350 ms of silence."""
+        if not self._in_real_time or self._heartbeat_ns is None:
             return False
-        if t_ns - self._heard_ns <= HEARTBEAT_WITHIN_MS * 1_000_000:
+        if t_ns - self._heartbeat_ns <= HEARTBEAT_WITHIN_MS * 1_000_000:
             return False
-        self._heard_ns = t_ns
+        self._heartbeat_ns = t_ns
         return True
 
 
 def _difference(command: StimCommand, status: Status) -> str:
-    if status.result:  # it says itself that it did not do as told, and why
+    if status.result:  # it says itself that it did not do as commanded, and why
         return ""
     if status.on != command.on:
         return f"commanded {'on' if command.on else 'off'}, delivered {'on' if status.on else 'off'}"
@@ -120,11 +121,6 @@ def _difference(command: StimCommand, status: Status) -> str:
         if abs((got := getattr(status, name)) - (wanted := getattr(command, name))) > half_step + 1e-6
     ]
     return ", ".join(wrong)
-
-
-POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
-COUNTERS: Final = ECHOED_COUNTS
-OPEN_AGAIN_AFTER_ALIVES: Final = 3  # without our session in them: SESSION_OPEN was lost, or refused
 
 
 class CommandEncoder:
@@ -145,7 +141,7 @@ class CommandEncoder:
         self.number += 1
         return frame
 
-    def names(self, session_id: int) -> bool:
+    def is_recent(self, session_id: int) -> bool:
         """Whether an answer with this identifier is to one of the newest commands: as opened, or as they carried it."""
         oldest = max(0, self.number - COUNTERS)
         recent = (carried(self.session_id, number)[0] for number in (self.number, oldest))
@@ -215,7 +211,8 @@ class CanStimulator:
         asked_boot_id, alives_since = -1, 0
         last: Alive | None = None
         while (left_ns := deadline_ns - clock_ns()) > 0:
-            message = self._receive(left_ns / NS_PER_S)
+            raw = read_frame(self._bus, left_ns / NS_PER_S)
+            message = None if raw is None else self._decoded(raw)
             if not isinstance(message, Alive):
                 continue
             last = message
@@ -282,7 +279,7 @@ class CanStimulator:
         """Shut the bus down; sends nothing."""
         if not self._closed:
             self._closed = True
-            with contextlib.suppress(can.CanError, OSError):  # an adapter that is gone cannot be told
+            with contextlib.suppress(can.CanError, OSError):  # an adapter that is gone cannot be shut down
                 self._bus.shutdown()
 
     def _status(self, status: Status, t_ns: int) -> StimStatus:
@@ -292,18 +289,11 @@ class CanStimulator:
         pulses, steps = self._totals.get(status.channel, (0, 0))
         seen_pulses, seen_steps = self._delivered.get(status.channel, (0, 0))
         self._delivered[status.channel] = (pulses, steps)
-        return StimStatus(
-            t_ns=t_ns,
-            channel=status.channel,
-            counter=status.counter,
-            on=status.on,
-            current_ma=status.current_ma,
-            pulse_width_us=status.pulse_width_us,
-            frequency_hz=status.frequency_hz,
-            pulses=(pulses - seen_pulses) % can_codec.PULSES_TOTAL,
-            charge_uc=((steps - seen_steps) % can_codec.CHARGE_TOTAL_STEPS) * can_codec.CHARGE_STEP_UC,
-            fault=RESULT_TEXT[status.result] or different,
-        )
+        levels = (status.current_ma, status.pulse_width_us, status.frequency_hz)
+        new_pulses = (pulses - seen_pulses) % can_codec.PULSES_TOTAL
+        charge_uc = ((steps - seen_steps) % can_codec.CHARGE_TOTAL_STEPS) * can_codec.CHARGE_STEP_UC
+        fault = RESULT_TEXT[status.result] or different
+        return StimStatus(t_ns, status.channel, status.counter, status.on, *levels, new_pulses, charge_uc, fault)
 
     def _overdue(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """What should have come by now, as faults."""
@@ -321,12 +311,8 @@ class CanStimulator:
             self._session_gone = True
             fault = f"{_SESSION_GONE}; {fault}" if fault else _SESSION_GONE
         self._boot_id = alive.boot_id
-        self._answers.heard(t_ns)
+        self._answers.heartbeat(t_ns)
         return StimAlive(t_ns, alive.boot_id, alive.rejected, fault)
-
-    def _receive(self, timeout_s: float) -> Message | None:
-        raw = read_frame(self._bus, timeout_s)
-        return None if raw is None else self._decoded(raw)
 
     def _decoded(self, raw: can.Message) -> Message | None:
         """The node's message when it is intact and of our session; None, and counted, otherwise."""
@@ -336,7 +322,7 @@ class CanStimulator:
             except can_codec.FrameRejected:
                 self.foreign += 1
                 return None
-            if isinstance(message, Alive) or self._encoder.names(message.session_id):
+            if isinstance(message, Alive) or self._encoder.is_recent(message.session_id):
                 return message
         if raw.arbitration_id not in can_codec.CONTROLLER_IDS:
             self.foreign += 1
@@ -354,18 +340,15 @@ class CanStimulator:
                 f"the stimulator on {where} speaks protocol version {last.version}, this program {PROTOCOL_VERSION}: "
                 f"update the older one"
             )
-        said = fault_text(last.faults) or "it named no reason; does another controller use it?"
+        why = fault_text(last.faults) or "it named no reason; does another controller use it?"
         return (
             f"the stimulator on {where} (boot id {last.boot_id}) did not open session {self.session_id} within "
-            f"{timeout_s:g} s: {said}"
+            f"{timeout_s:g} s: {why}"
         )
 
 
-_SESSION_GONE: Final = "the stimulator has not our session open (it restarted, or another controller took it)"
-
-
 class ByteSink:
-    """Encodes exactly as :class:`~drivers.stimulator.can_port.CanStimulator` does and sends nothing."""
+    """For replays without a device: encodes exactly as :class:`CanStimulator` does and sends nothing."""
 
     outstanding = 0
 

@@ -71,7 +71,7 @@ class CanOpenSettings:
             raise ValueError(f"current_index and width_index are both 0x{self.width_index:04x}")
 
     @classmethod
-    def of(cls, options: Mapping[str, Any]) -> CanOpenSettings:
+    def from_options(cls, options: Mapping[str, Any]) -> CanOpenSettings:
         """From a session's options.
 
         Raises:
@@ -99,10 +99,9 @@ class CanOpenSettings:
             ValueError: not finite, negative, or over the device's limits or what its entries hold.
         """
         out: list[int] = []
-        for name, value, step, most in (
-            ("current_ma", current_ma, self.current_step_ma, self.max_current_ma),
-            ("pulse_width_us", pulse_width_us, self.width_step_us, self.max_width_us),
-        ):
+        current = ("current_ma", current_ma, self.current_step_ma, self.max_current_ma)
+        width = ("pulse_width_us", pulse_width_us, self.width_step_us, self.max_width_us)
+        for name, value, step, most in (current, width):
             if not math.isfinite(value) or not 0 <= value <= most:
                 raise ValueError(f"{name} = {value!r}; this stimulator takes 0 to {most:g}")
             steps = math.floor(value / step)

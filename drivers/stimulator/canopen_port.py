@@ -38,7 +38,7 @@ HEARTBEATS_MISSED: Final = 3
 
 
 @dataclass(slots=True)
-class _Line:
+class _ChannelState:
     """One channel: steps of current and width as commanded, and as the device confirmed them."""
 
     wanted: list[int] = field(default_factory=lambda: [0, 0])
@@ -55,7 +55,7 @@ class _Line:
 class CanOpenStimulator:
     """:class:`~drivers.stimulator.port.StimulatorPort` on an open bus, which it then owns.
 
-    A node that restarted, or was stopped or silent for a while, is told of by a :class:`StimAlive` and is lost from
+    A node that restarted, or was stopped or silent for a while, is reported by a :class:`StimAlive` and is lost from
     then on: nobody knows what its entries hold now, and only :meth:`open` begins with what is known.
 
     In the log, identifier 0x80 is a SYNC with, as its data, the SDO that went out after it, if any; another identifier
@@ -75,7 +75,7 @@ class CanOpenStimulator:
         self.pulse_width_step_us = settings.width_step_us
         self._bus = bus
         self._settings = settings
-        self._lines = {channel: _Line() for channel in channels}
+        self._channels = {channel: _ChannelState() for channel in channels}
         self._last = channels[-1]
         self._train = PulseTrain()
         self._counter = 0
@@ -100,7 +100,7 @@ class CanOpenStimulator:
         deadline_ns = clock_ns() + int(timeout_s * NS_PER_S)
         node = self._settings.node_id
         frames: list[WireFrame] = []
-        todo = zeros = [self._settings.sdo(CURRENT, channel, 0) for channel in self._lines]
+        todo = zeros = [self._settings.sdo(CURRENT, channel, 0) for channel in self._channels]
         asked: Sdo | None = None
         state = -1
         while (left_ns := deadline_ns - clock_ns()) > 0:
@@ -174,7 +174,7 @@ class CanOpenStimulator:
         if self._pending is not None and t_ns - self._pending[2] > ANSWER_WITHIN_NS:
             sdo, channel, _ = self._pending
             self._pending = None
-            held = self._lines[channel].confirmed  # it may have arrived all the same: reckon with the larger
+            held = self._channels[channel].confirmed  # it may have arrived all the same: reckon with the larger
             held[self._settings.what(sdo)] = max(held[self._settings.what(sdo)], sdo.value)
             events.append(self._status(t_ns, channel, "no answer within 100 ms"))
         if self._beat_ns is None:
@@ -196,39 +196,39 @@ class CanOpenStimulator:
             self._bus.shutdown()
 
     def _want(self, command: StimCommand) -> None:
-        line = self._lines.get(command.channel)
-        if line is None:
+        state = self._channels.get(command.channel)
+        if state is None:
             if command.on:
-                raise ValueError(f"channel {command.channel} is not one of this session's {sorted(self._lines)}")
+                raise ValueError(f"channel {command.channel} is not one of this session's {sorted(self._channels)}")
             return
         if not command.on:
-            line.wanted[CURRENT] = 0
+            state.wanted[CURRENT] = 0
         else:
             if not math.isfinite(command.frequency_hz):
                 raise ValueError(f"frequency_hz = {command.frequency_hz!r} must be a finite number")
-            line.wanted = self._settings.steps(command.current_ma, command.pulse_width_us)
-            line.frequency_hz = command.frequency_hz
-        line.counter = self._counter
+            state.wanted = self._settings.steps(command.current_ma, command.pulse_width_us)
+            state.frequency_hz = command.frequency_hz
+        state.counter = self._counter
 
     def _sync_is_due(self, t_ns: int) -> bool:
-        on = [line for line in self._lines.values() if line.confirmed[CURRENT] and line.wanted[CURRENT]]
+        on = [state for state in self._channels.values() if state.confirmed[CURRENT] and state.wanted[CURRENT]]
         if not on:
             self._train.off()
             return False
-        lines = self._lines.values()
-        if self._pending is not None or not all(line.holds_no_more_than_wanted() for line in lines):
+        states = self._channels.values()
+        if self._pending is not None or not all(state.holds_no_more_than_wanted() for state in states):
             return False
-        return self._train.due(t_ns, min(line.frequency_hz for line in on))
+        return self._train.due(t_ns, min(state.frequency_hz for state in on))
 
     def _next_download(self, t_ns: int) -> tuple[int, bytes] | None:
-        """What to tell next: first what is too much, then widths, then what is too little; one at a time."""
+        """What to set next: first what is too much, then widths, then what is too little; one at a time."""
         if self._pending is not None:
             return None
-        too_much = [(c, CURRENT) for c, n in self._lines.items() if n.confirmed[CURRENT] > n.wanted[CURRENT]]
-        widths = [(c, WIDTH) for c, n in self._lines.items() if n.confirmed[WIDTH] != n.wanted[WIDTH]]
-        too_little = [(c, CURRENT) for c, n in self._lines.items() if n.confirmed[CURRENT] < n.wanted[CURRENT]]
+        too_much = [(c, CURRENT) for c, n in self._channels.items() if n.confirmed[CURRENT] > n.wanted[CURRENT]]
+        widths = [(c, WIDTH) for c, n in self._channels.items() if n.confirmed[WIDTH] != n.wanted[WIDTH]]
+        too_little = [(c, CURRENT) for c, n in self._channels.items() if n.confirmed[CURRENT] < n.wanted[CURRENT]]
         for channel, what in [*too_much, *widths, *too_little]:
-            sdo = self._settings.sdo(what, channel, self._lines[channel].wanted[what])
+            sdo = self._settings.sdo(what, channel, self._channels[channel].wanted[what])
             self._pending = (sdo, channel, t_ns)
             return encode_download(self._settings.node_id, sdo)
         return None
@@ -240,7 +240,7 @@ class CanOpenStimulator:
         self._pending = None
         if why := self._settings.refusal(message):
             return [self._status(t_ns, channel, f"the stimulator {why}")]
-        self._lines[channel].confirmed[self._settings.what(sdo)] = sdo.value
+        self._channels[channel].confirmed[self._settings.what(sdo)] = sdo.value
         return [self._status(t_ns, channel, "")]
 
     def _heartbeat(self, t_ns: int, state: int) -> StimAlive:
@@ -260,11 +260,11 @@ class CanOpenStimulator:
             raise StimulatorLost(f"{self._bus.channel_info}: {self._ended}; its session must be opened again")
 
     def _status(self, t_ns: int, channel: int, fault: str) -> StimStatus:
-        line = self._lines[channel]
-        current, width = line.confirmed if not fault else (0, 0)
-        on = bool(current) and bool(line.wanted[CURRENT])
+        state = self._channels[channel]
+        current, width = state.confirmed if not fault else (0, 0)
+        on = bool(current) and bool(state.wanted[CURRENT])
         current_ma = current * self.current_step_ma if on else 0.0
         width_us = width * self.pulse_width_step_us if on else 0.0
         return StimStatus(
-            t_ns, channel, line.counter, on, current_ma, width_us, line.frequency_hz if on else 0.0, fault=fault
+            t_ns, channel, state.counter, on, current_ma, width_us, state.frequency_hz if on else 0.0, fault=fault
         )

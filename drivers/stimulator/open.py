@@ -75,12 +75,11 @@ def open_stimulator(settings: StimulatorDevice, session: Session, session_id: in
         ConfigError: an option that this device does not have, or a session that it cannot serve.
         StimulatorLost: the line or bus cannot be opened.
     """
-    make = _MAKERS[settings.device]
-    return make(settings, session, session_id, opener)
+    return _MAKERS[settings.device](settings, session, session_id, opener)
 
 
 def open_lead_detected_from_ma(settings: StimulatorDevice) -> float | None:
-    """From which current on such a device notices an open lead, 0: any pulse; None when its heartbeat tells of it."""
+    """From which current on such a device notices an open lead, 0: any pulse; None when its heartbeat says so."""
     if settings.device in ("p24_low_level", "p24_mid_level"):
         return 15.0
     return None if settings.device in ("can", "canopen") else 0.0
@@ -119,7 +118,7 @@ def _rehastim2(settings: StimulatorDevice, session: Session, session_id: int, op
 
 def _canopen(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
     try:
-        node = CanOpenSettings.of(settings.options)
+        node = CanOpenSettings.from_options(settings.options)
     except ValueError as error:
         raise ConfigError(f"stimulator.options of device {settings.device!r}: {error}") from None
     _rate_suffices(settings, session)

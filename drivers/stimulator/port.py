@@ -1,8 +1,6 @@
-"""What the runner asks of every stimulator, whatever the line to it.
+"""What the runner asks of every stimulator, and what its ports share: owed answers, and one pulse for each command.
 
-Which answers a device still owes, and which of them are wrong or late. No I/O, no clock.
-
-When a command becomes a pulse, for devices that deliver one pulse for each command and none by themselves.
+No I/O, no clock.
 """
 
 from __future__ import annotations
@@ -17,6 +15,39 @@ ANSWER_WITHIN_NS: Final = 100_000_000  # ScienceMode2: answers within 100 ms, on
 MAX_PER_CHANNEL: Final = 2  # unanswered pulses of one channel; a third would wait in the device's queue
 MAX_IN_ALL: Final = 8  # the device's queue holds ten
 FORGOTTEN_AFTER_NS: Final = 1_000_000_000  # what was not answered for so long is in no queue any more
+
+
+class StimulatorLost(RuntimeError):
+    """The stimulator cannot be reached (any more): nothing was sent, or nothing can be heard.
+
+    What it was doing ends by itself when the last command's validity runs out.
+    """
+
+
+class SessionUsed(StimulatorLost):
+    """The device opens no session under this identifier, for it has carried commands before; another one it may."""
+
+
+class StimulatorPort(Protocol):
+    """One stimulator. No method waits, none reads a clock, none repeats a command by itself."""
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """Encode and write at once; returns what went out, stamped with the command's time.
+
+        Raises:
+            StimulatorLost: the line did not take the frame.
+            ValueError: the command cannot be expressed on this line.
+        """
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """Whatever has arrived since the last call, stamped ``t_ns``.
+
+        Raises:
+            StimulatorLost: the line broke.
+        """
+
+    def close(self) -> None:
+        """Release the line; may be called twice. Sends nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +115,7 @@ class Answers:
         return None, f"answer {answer} number {number} to no command of ours: late, repeated or foreign"
 
     def overdue(self, t_ns: int) -> list[Awaited]:
-        """Messages not answered in time, each told once; an answer that still comes will be to no command."""
+        """Messages not answered in time, each returned once; an answer that still comes will be to no command."""
         late: list[Awaited] = []
         while self._awaited and t_ns - self._awaited[0].t_ns > ANSWER_WITHIN_NS:
             late.append(self._awaited.popleft())
@@ -93,7 +124,7 @@ class Answers:
 
 
 class PulseTrain:
-    """One channel's turn. Told of every command of the channel, by the command's own time; reads no clock.
+    """One channel's turn. It is given every command of the channel, by the command's own time.
 
     On average no more than ``frequency_hz`` pulses a second come out, and no two closer than half a period (nor than
     ``least_ns``): a command a quarter of a period early is taken, so that jitter does not halve the rate, and the
@@ -124,39 +155,3 @@ class PulseTrain:
     def off(self) -> None:
         """The burst is over; the next one begins with a pulse of its own."""
         self._next_ns = None
-
-
-class StimulatorLost(RuntimeError):
-    """The stimulator cannot be reached (any more): nothing was sent, or nothing can be heard.
-
-    What it was doing ends by itself when the last command's validity runs out.
-    """
-
-
-class SessionUsed(StimulatorLost):
-    """The device opens no session under this identifier, for it has carried commands before; another one it may."""
-
-
-class StimulatorPort(Protocol):
-    """One stimulator. No method waits, none reads a clock, none repeats a command by itself."""
-
-    def send(self, command: StimCommand) -> WireFrame:
-        """Encode and write at once; returns what went out, stamped with the command's time.
-
-        Raises:
-            StimulatorLost: the line did not take the frame.
-            ValueError: the command cannot be expressed on this line.
-        """
-        ...
-
-    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """Whatever has arrived since the last call, stamped ``t_ns``.
-
-        Raises:
-            StimulatorLost: the line broke.
-        """
-        ...
-
-    def close(self) -> None:
-        """Release the line; may be called twice. Sends nothing."""
-        ...

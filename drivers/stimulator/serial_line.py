@@ -27,27 +27,21 @@ class Line(Protocol):
     @property
     def name(self) -> str:
         """As messages name it."""
-        ...
 
     def write(self, data: bytes) -> None:
         """Hand over all bytes at once, or raise."""
-        ...
 
     def read(self) -> bytes:
         """What has arrived, b"" for nothing."""
-        ...
 
     def wait(self, timeout_s: float) -> None:
         """Until something has arrived or the time is over; only ever used while opening a session."""
-        ...
 
     def fileno(self) -> int:
         """For ``select``."""
-        ...
 
     def close(self) -> None:
         """Release it; may be called twice."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)

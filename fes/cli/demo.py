@@ -22,7 +22,7 @@ from fes.cli.common.exits import INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly,
 from fes.cli.common.loop_view import LoopView, outcome
 from fes.cli.common.options import Number
 from fes.cli.common.progress import Interrupt
-from fes.hil.closed_loop.processes import WALK_S, Happening, Protocol, course
+from fes.hil.closed_loop.processes import WALK_S, Happening, Protocol, armed_protocol
 from fes.live.status import Status
 from fes.session_log import Note, SessionLogError
 from fes.signals import FOOT_SENSORS, NS_PER_S, Event
@@ -60,7 +60,7 @@ def patient() -> PatientSettings:
 def demo_protocol(seconds: float = SECONDS) -> Protocol:
     """Walk, and let an electrode slip half-way."""
     slip = (Happening(SLIPS_S, "electrode", SLIPS_TO),) if seconds > SLIPS_S else ()
-    return course(seconds, slip)
+    return armed_protocol(seconds, slip)
 
 
 def demo_closed_loop(options: Options) -> Path:
@@ -151,13 +151,13 @@ def _in_one_process(
     from fes.config import validate_session
     from fes.estimation.warm_up import warm_up
     from fes.hil.closed_loop.one_process import run_in_one_process
-    from fes.hil.closed_loop.session import calibration_of, session_text
+    from fes.hil.closed_loop.session import patient_calibration, session_text
 
     text = session_text(settings, current_ma=CURRENT_MA)
     (folder / "session.toml").write_text(text, encoding="utf-8")
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     view.state("on injected time, in one process")
-    calibrations = calibration_of(settings).calibrations
+    calibrations = patient_calibration(settings).calibrations
     warm_up()
 
     def on_note(note: Note) -> None:
@@ -210,7 +210,7 @@ def _between_processes(
                 settings, folder, stack, stimulator=stimulator, current_ma=CURRENT_MA, held=True
             )
             ran = run_between_processes(
-                bench, plan, on_stride=on_stride, on_status=on_status, look=interrupt.check, go_on=GO_ON
+                bench, plan, on_stride=on_stride, on_status=on_status, on_tick=interrupt.check, most_rearms=GO_ON
             )
     except (ImuLost, StimulatorLost) as error:
         fail(error)

@@ -17,8 +17,8 @@ from fes.hil.campaign import hardware_campaign, save_campaign, simulated_campaig
 from fes.hil.campaign_bench import CampaignBroken
 from fes.hil.controller import SIGNALS
 from fes.hil.devices import TRANSPORTS, Unavailable
-from fes.hil.hardware import host_side
-from fes.hil.results import Attempt, Campaign, Verdict, summary, why
+from fes.hil.hardware import host_side_scenarios
+from fes.hil.results import Attempt, Campaign, Verdict, failure_reason, measured_times
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Scenario
 
 COLOURS: Final = {Verdict.MET: "green", Verdict.JITTER: "yellow", Verdict.FAILED: "red", Verdict.SKIPPED: "blue"}
@@ -115,7 +115,7 @@ def _for_hardware(
         )
     if calibration is None:
         raise Problem("--hardware needs --calibration FILE, from `fes calibrate`.")
-    possible = host_side()
+    possible = host_side_scenarios()
     if only and (refused := [scenario.name for scenario in scenarios if scenario not in possible]):
         raise Problem(f"--only {', '.join(refused)}: needs simulated devices.")
     return [scenario for scenario in scenarios if scenario in possible]
@@ -140,7 +140,7 @@ class _Told:
                 click.echo(f"\r\x1b[K{place} …", nl=False, err=True)
             return
         measured = "" if found.off_ms is None else f"{found.off_ms:.1f} ms"
-        said = "; ".join(filter(None, (found.value, measured, found.remark, *found.faults)))
+        said = "; ".join(filter(None, (found.value, measured, found.notice, *found.faults)))
         start = "\r\x1b[K" if sys.stderr.isatty() else ""
         click.secho(f"{start}{place}: {said}", fg="red" if found.faults else None, err=True)
 
@@ -154,18 +154,18 @@ def _print(campaign: Campaign) -> None:
         verdict = row.verdict(campaign.baseline.p999_ms)
         deadline = "–" if row.scenario.deadline_ms is None else f"{row.scenario.deadline_ms:g} ms"
         times = row.times_ms()
-        said = f"{verdict}: {why(row)}" if why(row) else str(verdict)
+        said = f"{verdict}: {failure_reason(row)}" if failure_reason(row) else str(verdict)
         table.add_row(
             row.scenario.fault,
             row.scenario.response,
             deadline,
-            summary(row),
+            measured_times(row),
             f"{row.within()}/{len(times)}" if times else "–",
             f"[{COLOURS[verdict]}]{said}",
         )
     Console().print(table)
-    for remark in campaign.remarks:
-        click.secho(remark, fg="yellow")
+    for notice in campaign.notices:
+        click.secho(notice, fg="yellow")
     click.echo(f"{campaign.baseline}; {campaign.seconds:.0f} s in all.")
 
 

@@ -137,7 +137,7 @@ class _Live:
                 self._do("fitness", 0.6)
 
     def _do(self, deed: str, value: float = 0.0) -> None:
-        self._bench.patient.do(deed, value)
+        self._bench.patient.intervene(deed, value)
         shown: dict[str, Any] = {"speed": f" {value:g} m/s", "electrode": f" {value:.0%}", "fitness": f" {value:.0%}"}
         click.echo(f"          {deed}{shown.get(deed, '')}")
 

@@ -1,7 +1,4 @@
-"""Everything that a campaign runs: devices, the session under test, the scripted operator; and waiting for things.
-
-A simulated stimulator's record, read on from where it was read before.
-"""
+"""Everything that a campaign runs: devices, the session under test, the scripted operator; and waiting for things."""
 
 from __future__ import annotations
 
@@ -9,58 +6,28 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from drivers.simulated.record import RecordEntry
 from fes.hil.baseline import Gap
 from fes.hil.controller import Child, ControllerProcess, ScriptedOperator, uninterrupted
 from fes.hil.devices import Devices
-from fes.hil.judge import MS, Output, Outputs, on_at
+from fes.hil.hardware import Hardware
+from fes.hil.judge import MS, Output, Outputs, output_at
 from fes.hil.scenarios import Needs, Scenario
 from fes.live.status import Status
 from fes.signals import NS_PER_S
 
 LOOK_S: Final = 0.004
-ORDER_EVERY_S: Final = 0.16  # intensity is raised at most every 150 ms
+COMMAND_EVERY_S: Final = 0.16  # intensity is raised at most every 150 ms
 START_S: Final = 60.0
 ALLOWED: Final = ("armed", "running")
+LATCHED: Final = ("fault", "stopped")
 LOST_TIME: Final = ("stalled for", "ms old", "ms late", "no answer", "unanswered", "no heartbeat", "lease expired")
 KEPT_NS: Final = 600 * NS_PER_S
 ARM_S: Final = 30.0
 BURST_S: Final = 30.0
 TRIGGER_EVERY_S: Final = 1.5  # a burst by hand lasts 1 s and falls
-
-
-class Bench(Protocol):
-    """What a session under test is run against: simulated devices, or real ones."""
-
-    @property
-    def folder(self) -> Path:
-        """For all files of the campaign."""
-        ...
-
-    @property
-    def calibration(self) -> Path:
-        """Of the sensors."""
-        ...
-
-    @property
-    def intensity(self) -> float:
-        """That the operator raises to."""
-        ...
-
-    def session_file(self, number: int, variant: str) -> Path:
-        """Settings for the campaign's ``number``-th session."""
-        ...
-
-    def news(self) -> list[RecordEntry]:
-        """What the stimulator's end of the line has said since the last call."""
-        ...
-
-    def processes(self) -> list[int]:
-        """Ids of those that must keep their time whatever happens to the controller."""
-        ...
 
 
 class CampaignBroken(RuntimeError):
@@ -69,10 +36,10 @@ class CampaignBroken(RuntimeError):
 
 @dataclass(slots=True)
 class CampaignBench:
-    """See the module; make one, :meth:`prepare` it for each row, :meth:`close` it."""
+    """Make one, :meth:`prepare` it for each row, :meth:`close` it."""
 
-    bench: Bench
-    can_do: frozenset[Needs]
+    equipment: Devices | Hardware
+    capabilities: frozenset[Needs]
     stack: ExitStack
     by_hand: bool = False  # nobody walks: bursts are triggered by hand
     variant: str = ""
@@ -85,11 +52,11 @@ class CampaignBench:
     sent: int = 0  # by whoever else is on the bus, with identifiers that the stimulator listens to
     value: float = 0.0  # what the fault is brought about with this time
     orphans: list[Child] = field(default_factory=list)  # what a killed session leaves behind
-    heard: list[RecordEntry] | None = None  # the record's entries are kept here, when it is a list
+    recorded: list[RecordEntry] | None = None  # the record's entries are kept here, when it is a list
     _outputs: Outputs = field(default_factory=Outputs)
     _watched_s: float = field(default=0.0)
     _trigger_s: float = field(default=0.0)
-    _order_s: float = field(default=0.0)
+    _command_s: float = field(default=0.0)
 
     @property
     def devices(self) -> Devices:
@@ -98,9 +65,9 @@ class CampaignBench:
         Raises:
             CampaignBroken: the devices are real.
         """
-        if not isinstance(self.bench, Devices):
+        if not isinstance(self.equipment, Devices):
             raise CampaignBroken("this fault needs simulated devices")
-        return self.bench
+        return self.equipment
 
     # --- the session under test --------------------------------------------------------------------------
 
@@ -136,7 +103,7 @@ class CampaignBench:
             return
         try:
             self.stand(True)
-            self.until(self._is_ready, self._next_order, ARM_S, "it cannot be armed and raised")
+            self.until(self._is_ready, self._next_command, ARM_S, "it cannot be armed and raised")
         finally:
             if walks:
                 self.stand(False)
@@ -144,11 +111,11 @@ class CampaignBench:
     def keep_armed(self) -> None:
         """As :meth:`arm`, but without waiting: call it again and again while something else is being done."""
         status = self.status()
-        if status is None or self.ready() or time.monotonic() < self._order_s:
+        if status is None or self.ready() or time.monotonic() < self._command_s:
             return
-        self._order_s = time.monotonic() + ORDER_EVERY_S
+        self._command_s = time.monotonic() + COMMAND_EVERY_S
         self.stand(status.state not in ALLOWED)
-        self.order(self._next_order(status))
+        self.command(self._next_command(status))
 
     def ready(self) -> bool:
         """Whether the session is armed and raised already."""
@@ -185,21 +152,25 @@ class CampaignBench:
             raise CampaignBroken("there is no session")
         return self.controller
 
-    def order(self, ask: str) -> None:
+    def _need_session(self) -> None:
+        if not self.session().alive:
+            raise CampaignBroken(f"the session has ended; it said: {self.session().printed()}")
+
+    def command(self, ask: str) -> None:
         """As the operator."""
         if self.operator is not None:
-            self.operator.order(ask)
+            self.operator.send_command(ask)
 
     # --- waiting -----------------------------------------------------------------------------------------
 
     def until(
         self,
         what: Callable[[Status], bool],
-        order: Callable[[Status], str] | None,
+        command: Callable[[Status], str] | None,
         timeout_s: float,
         else_say: str,
     ) -> Status:
-        """Wait for a status, ordering meanwhile what that of the moment asks for.
+        """Wait for a status, sending meanwhile what the one of the moment asks for.
 
         Raises:
             CampaignBroken: it did not come in time, or the session has ended.
@@ -209,14 +180,13 @@ class CampaignBench:
             status = self.status()
             if status is not None and what(status):
                 return status
-            if not self.session().alive:
-                raise CampaignBroken(f"the session has ended; it said: {self.session().said()}")
-            if order is not None and status is not None and time.monotonic() >= next_s:
-                next_s = time.monotonic() + ORDER_EVERY_S
-                self.order(order(status))
+            self._need_session()
+            if command is not None and status is not None and time.monotonic() >= next_s:
+                next_s = time.monotonic() + COMMAND_EVERY_S
+                self.command(command(status))
             time.sleep(2 * LOOK_S)
         status = self.status()
-        last = f"{status.state}: {status.message}" if status else self.session().said()
+        last = f"{status.state}: {status.message}" if status else self.session().printed()
         raise CampaignBroken(f"{else_say} for {timeout_s:g} s; last: {last}")
 
     def status(self) -> Status | None:
@@ -225,8 +195,8 @@ class CampaignBench:
             return None
         if time.monotonic() - self._watched_s > 1.0:
             self._watched_s = time.monotonic()
-            self.operator.watch()
-        return self.operator.listen()
+            self.operator.subscribe()
+        return self.operator.receive_status()
 
     def in_burst(self, since_on_ms: float) -> Output:
         """Wait until current has been on for this long, at the stimulator's end; that stretch of current.
@@ -238,11 +208,10 @@ class CampaignBench:
         while time.monotonic() < end_s:
             self._trigger()
             now_ns = time.monotonic_ns()
-            output = on_at(self.outputs(now_ns - NS_PER_S), now_ns)
+            output = output_at(self.outputs(now_ns - NS_PER_S), now_ns)
             if output is not None and now_ns - output.on_ns >= since_on_ms * MS:
                 return output
-            if not self.session().alive:
-                raise CampaignBroken(f"the session has ended; it said: {self.session().said()}")
+            self._need_session()
             status = self.status()
             if status is not None and status.state in LATCHED:
                 self.went_off(status.fault)
@@ -254,13 +223,13 @@ class CampaignBench:
 
     def outputs(self, since_ns: int = 0) -> list[Output]:
         """What the stimulator has put out since then, as far as it is kept: ten minutes."""
-        news = self.bench.news()
-        self._outputs.take(news)
-        if self.heard is not None:
-            self.heard += news
-        return self._outputs.so_far(time.monotonic_ns(), since_ns)
+        entries = self.equipment.new_entries()
+        self._outputs.add(entries)
+        if self.recorded is not None:
+            self.recorded += entries
+        return self._outputs.stretches(time.monotonic_ns(), since_ns)
 
-    def watch(self, seconds: float, over: Callable[[], bool] = lambda: False) -> None:
+    def observe(self, seconds: float, over: Callable[[], bool] = lambda: False) -> None:
         """Let time pass, keeping up with what the session says; where nobody walks, bursts are asked for meanwhile."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s and not over():
@@ -269,29 +238,29 @@ class CampaignBench:
             time.sleep(2 * LOOK_S)
 
     def _is_ready(self, status: Status) -> bool:
-        return status.state in ALLOWED and status.intensity >= self.bench.intensity - 1e-6
+        return status.state in ALLOWED and status.intensity >= self.equipment.intensity - 1e-6
 
     @staticmethod
-    def _next_order(status: Status) -> str:
+    def _next_command(status: Status) -> str:
         return "up" if status.state in ALLOWED else "arm"
 
     def stand(self, stands: bool) -> None:
-        """The simulated patient stays standing once they stand, or walks on; nobody else can be told."""
-        if isinstance(self.bench, Devices):
-            self.bench.stand(stands)
+        """The simulated patient stays standing once they stand, or walks on; nobody else can be made to."""
+        if isinstance(self.equipment, Devices):
+            self.equipment.stand(stands)
 
     def _trigger(self) -> None:
         if self.by_hand and time.monotonic() >= self._trigger_s:
             self._trigger_s = time.monotonic() + TRIGGER_EVERY_S
-            self.order("trigger")
+            self.command("trigger")
 
     def _start(self, variant: str) -> None:
         self.runs, self.variant = self.runs + 1, variant
-        settings = self.bench.session_file(self.runs, variant)
-        folder = self.bench.folder / f"run{self.runs}"
+        settings = self.equipment.session_file(self.runs, variant)
+        folder = self.equipment.folder / f"run{self.runs}"
         seen = variant == "seen"
         with uninterrupted():
-            self.controller = ControllerProcess(settings, self.bench.calibration, folder, view=seen, page=seen)
+            self.controller = ControllerProcess(settings, self.equipment.calibration, folder, view=seen, page=seen)
         self.operator = ScriptedOperator(self.controller.control, folder / "operator")
         self._watched_s = 0.0
         self.stand(True)  # so that the patient is at rest when the session is ready
@@ -300,22 +269,19 @@ class CampaignBench:
         self.until(lambda status: status.state != "off", None, START_S, "the session does not come up")
 
 
-LATCHED: Final = ("fault", "stopped")
-
-
-def named_now(rig: CampaignBench) -> str:
+def stated_reason(bench: CampaignBench) -> str:
     """The session's reason; "" when it gives none."""
-    status = rig.status() if rig.session().alive else None
+    status = bench.status() if bench.session().alive else None
     return status.fault if status else ""
 
 
-def is_latched(rig: CampaignBench) -> bool:
+def is_latched(bench: CampaignBench) -> bool:
     """Whether only a person leads on."""
-    status = rig.status()
+    status = bench.status()
     return status is not None and status.state in LATCHED
 
 
-def badly_named(named: str, scenario: Scenario) -> list[str]:
+def reason_faults(named: str, scenario: Scenario) -> list[str]:
     """What is wrong with the reason, if anything."""
     if scenario.restart or not scenario.words or any(word in named for word in scenario.words):
         return []

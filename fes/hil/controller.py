@@ -1,8 +1,6 @@
-"""The session under test: ``fes run`` as a process of its own, with keys, control socket and children to aim at.
+"""The session under test: ``fes run`` as a process of its own, and the scripted operator at its control socket.
 
 Ctrl-C waits until a process that is being started, or ended, is in somebody's hands.
-
-The scripted operator: orders over a session's control socket, statuses back.
 """
 
 from __future__ import annotations
@@ -75,17 +73,17 @@ class ScriptedOperator:
         self._link.bind(str(own))
         self._link.setblocking(False)
 
-    def order(self, ask: str, value: float = 0.0) -> None:
-        """Give an order, confirmed; a session that is not there hears nothing."""
+    def send_command(self, ask: str, value: float = 0.0) -> None:
+        """Send a command, confirmed; a session that is not there hears nothing."""
         with suppress(OSError):
             self._link.sendto(json.dumps({"ask": ask, "value": value, "confirm": True}).encode(), self._to)
 
-    def watch(self) -> None:
+    def subscribe(self) -> None:
         """Ask for statuses."""
         with suppress(OSError):
             self._link.sendto(b"watch", self._to)
 
-    def listen(self) -> Status | None:
+    def receive_status(self) -> Status | None:
         """Take in what has come; the newest status."""
         while True:
             try:
@@ -99,11 +97,6 @@ class ScriptedOperator:
                     answer = json.loads(datagram)
                     if not answer.get("ok"):
                         self.refusals.append(str(answer.get("why")))
-
-    def forget(self) -> None:
-        """The session that told this is gone."""
-        self.listen()
-        self.status = None
 
     def close(self) -> None:
         """Release the socket."""
@@ -125,7 +118,7 @@ class Child:
     module: str
 
     @staticmethod
-    def of(pid: int) -> Child | None:
+    def running(pid: int) -> Child | None:
         """The process of this number; None when there is none any more."""
         if not (began := _began(pid)):
             return None
@@ -183,13 +176,13 @@ class ControllerProcess:
         command += ["--calibration", str(calibration), "--control", str(self.control)]
         command += ["--stop-file", str(self.stop_file), "--keys-from", str(reading), "--duration", str(LONGEST_S)]
         command += ["--view" if view else "--no-view", *(["--dashboard"] if page else [])]
-        self._said = (folder / "said.txt").open("a+", encoding="utf-8")
+        self._output = (folder / "said.txt").open("a+", encoding="utf-8")
         try:
             self.process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
-                stdout=self._said,
-                stderr=self._said,
+                stdout=self._output,
+                stderr=self._output,
                 pass_fds=(reading,),
                 start_new_session=True,
             )
@@ -236,10 +229,10 @@ class ControllerProcess:
         """The newest session log in the folder."""
         return max(self.folder.glob("**/session.feslog"), key=lambda path: path.stat().st_mtime_ns, default=None)
 
-    def said(self) -> str:
+    def printed(self) -> str:
         """The end of what it printed."""
-        self._said.seek(0)
-        return self._said.read()[-2000:].strip()
+        self._output.seek(0)
+        return self._output.read()[-2000:].strip()
 
     def wait(self, timeout_s: float) -> int | None:
         """Its exit status; None when it still runs."""
@@ -269,7 +262,7 @@ class ControllerProcess:
             child.kill()
         with suppress(OSError):
             os.close(self._keys)
-            self._said.close()
+            self._output.close()
 
     def children(self) -> list[Child]:
         """Its processes now; none where there is no /proc."""
@@ -277,4 +270,4 @@ class ControllerProcess:
             names = Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text(encoding="ascii").split()
         except OSError:
             return []
-        return [child for name in names if (child := Child.of(int(name))) is not None]
+        return [child for name in names if (child := Child.running(int(name))) is not None]

@@ -11,7 +11,7 @@ from typing import Final
 
 from drivers.imu.port import ImuLost
 from drivers.simulated.bus_guests import StopButton
-from drivers.simulated.imu.spawn import spawn_imu
+from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
 from drivers.simulated.record import RecordEntry, RecordReader
 from drivers.simulated.stimulator.spawn import (
     DeviceHandle,
@@ -26,7 +26,7 @@ from drivers.simulated.stimulator.spawn import (
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Bus, StimulatorDevice
 from fes.hil.closed_loop.bench import PatientHandle
-from fes.hil.closed_loop.patient_device import PatientSensor, Sensor, campaign_patient
+from fes.hil.closed_loop.patient_device import PatientSensor, campaign_patient
 from fes.hil.scenarios import Needs
 from fes.hil.settings import BUTTON_ID, FOOT, INTENSITY, RATE_HZ, STANDS_S, session_text, walker
 
@@ -35,6 +35,9 @@ SERIAL: Final[dict[str, tuple[DeviceKind, str]]] = {
     "serial": ("sciencemode4", "p24_low_level"),
     "serial_rehastim2": ("sciencemode2", "rehastim2"),
 }
+
+
+Sensor = ImuHandle | PatientSensor
 
 
 class Unavailable(RuntimeError):
@@ -60,7 +63,7 @@ class Devices:
     imu: Sensor
     spare: Sensor
     stack: ExitStack
-    can_do: frozenset[Needs]
+    capabilities: frozenset[Needs]
     button_bus: Bus | None = None
     button: StopButton | None = None
     patient: PatientHandle | None = None
@@ -94,7 +97,7 @@ class Devices:
         """Ids of those that must keep their time whatever happens to the controller."""
         return [self.node.process.pid, *([self.link.process.pid] if self.link is not None else [])]
 
-    def news(self) -> list[RecordEntry]:
+    def new_entries(self) -> list[RecordEntry]:
         """What the stimulators of this campaign have recorded since the last call; a replaced one's first."""
         left, self._left = self._left, []
         return left + self._tail.new_entries()
@@ -106,7 +109,7 @@ class Devices:
 
     def sensor_replugged(self) -> None:
         """Another sensor is plugged in where the unplugged one was; it plays the same walk from its beginning."""
-        point(self.sensor_port, self.spare.port)
+        set_link(self.sensor_port, self.spare.port)
         self.imu.stop()
         self.imu, self.spare = self.spare, self._sensor()
         self.stand(self._stands)
@@ -120,7 +123,7 @@ class Devices:
         again = spawn_device(kind, record=self.folder / f"stimulator{self._replaced}.jsonl", pulses=self.pulses)
         self.stack.callback(again.stop)
         self.node, self._tail = again, self._tail_of(again)
-        point(self.folder / "stimulator", again.port)
+        set_link(self.folder / "stimulator", again.port)
 
     def stop_button(self) -> StopButton:
         """The button on its bus, made when it is first asked for; let go."""
@@ -142,12 +145,12 @@ class Devices:
         return sensor
 
 
-def point(link: Path, target: str) -> None:
+def set_link(link: Path, target: str) -> None:
     """Make a symbolic link, or turn it to another target in one step."""
-    beside = link.with_name(link.name + ".new")
-    beside.unlink(missing_ok=True)
-    beside.symlink_to(target)
-    beside.replace(link)
+    new = link.with_name(link.name + ".new")
+    new.unlink(missing_ok=True)
+    new.symlink_to(target)
+    new.replace(link)
 
 
 def start_devices(
@@ -179,14 +182,14 @@ def start_devices(
         raise Unavailable(f"{transport}: {error}") from error
     for each in imus:
         stack.callback(each.stop)
-    point(folder / "sensor", imus[0].port)
-    can_do = {Needs.SIMULATED}
-    can_do |= {Needs.SERIAL, Needs.LINK} if transport in SERIAL else {Needs.CAN}
-    can_do |= {Needs.LINK} if link is not None else set()
-    can_do |= {Needs.SLCAN} if transport == "slcan" else set()
+    set_link(folder / "sensor", imus[0].port)
+    capabilities = {Needs.SIMULATED}
+    capabilities |= {Needs.SERIAL, Needs.LINK} if transport in SERIAL else {Needs.CAN}
+    capabilities |= {Needs.LINK} if link is not None else set()
+    capabilities |= {Needs.SLCAN} if transport == "slcan" else set()
     # nobody else can be on a serial adapter's line; a serial stimulator leaves the bus to the button
     button_bus = None if transport == "slcan" else free_bus() if front is None else front
-    can_do |= {Needs.BUTTON} if button_bus is not None else set()
+    capabilities |= {Needs.BUTTON} if button_bus is not None else set()
     return Devices(
         folder,
         transport,
@@ -200,7 +203,7 @@ def start_devices(
         imus[0],
         imus[1],
         stack,
-        frozenset(can_do),
+        frozenset(capabilities),
         button_bus,
         patient=patient,
         pulses=pulses,
@@ -218,7 +221,7 @@ def _stimulator(
         kind, name = SERIAL[transport]
         device = spawn_device(kind, record=record, pulses=pulses)
         stack.callback(device.stop)
-        point(folder / "stimulator", device.port)
+        set_link(folder / "stimulator", device.port)
         settings = StimulatorDevice.model_validate({"device": name, "port": str(folder / "stimulator")})
         return None, None, None, device, settings
     if transport == "socketcan":

@@ -23,7 +23,7 @@ WITHOUT_DEVICES: Final = ("imu_", "stamp", "clock", "stale", "commands", "random
 _ENDED_BY: Final = {Result.LEASE_EXPIRED: "lease_expired", Result.ON_TIME: "on_time"}
 
 
-def host_side() -> list[Scenario]:
+def host_side_scenarios() -> list[Scenario]:
     """The rows that need no simulated device."""
     return [
         scenario
@@ -63,9 +63,9 @@ class Hardware:
         """The one that there is."""
         return self.path
 
-    def news(self) -> list[RecordEntry]:
+    def new_entries(self) -> list[RecordEntry]:
         """What the stimulator said on the bus since the last call."""
-        return self.witness.news()
+        return self.witness.new_entries()
 
     def processes(self) -> list[int]:
         """None: devices keep their own time."""
@@ -78,7 +78,7 @@ class BusWitness:
 
     rogue: Rogue
     _entries: list[RecordEntry] = field(default_factory=list)
-    _told: int = 0
+    _read: int = 0
     _on: set[int] = field(default_factory=set)
     _over: threading.Event = field(default_factory=threading.Event)
     _thread: threading.Thread | None = None
@@ -95,12 +95,12 @@ class BusWitness:
         if self._thread is not None:
             self._thread.join(2.0)
 
-    def news(self) -> list[RecordEntry]:
+    def new_entries(self) -> list[RecordEntry]:
         """What was heard since the last call."""
-        before, self._told = self._told, len(self._entries)
-        return self._entries[before : self._told]
+        before, self._read = self._read, len(self._entries)
+        return self._entries[before : self._read]
 
-    def take(self, t_ns: int, identifier: int, data: bytes) -> None:
+    def note(self, t_ns: int, identifier: int, data: bytes) -> None:
         """A frame was heard."""
         if identifier != STATUS_ID:
             return
@@ -124,4 +124,4 @@ class BusWitness:
     def _listen(self) -> None:
         while not self._over.is_set():
             for identifier, data in self.rogue.receive(0.02, first_only=True):
-                self.take(time.monotonic_ns(), identifier, data)
+                self.note(time.monotonic_ns(), identifier, data)

@@ -1,9 +1,8 @@
 """How each fault of the table is brought about, and how it is mended again.
 
-Injections by whoever else is on the CAN bus: what no controller would send, or not now.
-
-Each returns when it began, by CLOCK_MONOTONIC in ns, and sets ``rig.sent`` to how many frames with identifiers that the
-stimulator listens to it must have refused.
+Each injection returns when it began, by CLOCK_MONOTONIC in ns. Those by a rogue on the CAN bus, which sends what no
+controller would, set ``bench.sent`` to how many frames with identifiers that the stimulator listens to it must have
+refused.
 """
 
 from __future__ import annotations
@@ -19,6 +18,7 @@ from contextlib import suppress
 from typing import Final
 
 from drivers.simulated.bus_guests import FRAMES_PER_S, Rogue, asks_for_current, flipped, random_frames
+from drivers.simulated.stimulator.spawn import NodeHandle
 from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, Frame
 from fes.hil.campaign_bench import CampaignBench, CampaignBroken
 from fes.hil.devices import SERIAL
@@ -31,83 +31,6 @@ LATEST: Final = 40  # commands between one and its repetition: twice a count of 
 REPEATS_S: Final = 3.0
 ECHO_S: Final = 0.002  # what is sent to a multicast group comes back to its sender
 PAIRS: Final = 10
-
-
-def _rogue(rig: CampaignBench) -> Rogue:
-    if rig.devices.back is None:
-        raise CampaignBroken("there is no CAN bus")
-    return Rogue(rig.devices.back)
-
-
-def flips(rig: CampaignBench, n: int) -> int:
-    """One of the present session's commands, with every one and every two bits inverted."""
-    with _rogue(rig) as rogue:
-        commands = rogue.on_commands(0.1)
-        t_ns = time.monotonic_ns()
-        rig.sent = sum(rogue.send(flipped(command)) for command in commands[:1])
-    return t_ns
-
-
-def repeats(rig: CampaignBench, n: int) -> int:
-    """After each command of the session an earlier one that asked for current: the newest itself, the one before …"""
-    with _rogue(rig) as rogue:
-        commands = [frame for frame in rogue.receive(0.1) if frame[0] == COMMAND_ID]
-        lags = list(range(LATEST + 1))
-        t_ns, end_s = time.monotonic_ns(), time.monotonic() + REPEATS_S
-        while lags and time.monotonic() < end_s:
-            heard = [frame for frame in rogue.receive(0.05, first_only=True) if frame[0] == COMMAND_ID]
-            commands += heard
-            lag = next((k for k in lags if k < len(commands) and asks_for_current(commands[-1 - k])), None)
-            if heard and lag is not None:
-                lags.remove(lag)
-                rig.sent += rogue.send([commands[-1 - lag]])
-                rogue.receive(ECHO_S)
-    return t_ns
-
-
-def exchange(rig: CampaignBench, n: int) -> int:
-    """On the line between them, each pair of commands changes places."""
-    if rig.devices.link is None:
-        raise CampaignBroken("there is no line between controller and stimulator")
-    t_ns = rig.devices.link.inject("reorder", PAIRS)
-    rig.watch(1.0)
-    rig.sent = PAIRS
-    return t_ns
-
-
-def old_session(rig: CampaignBench, n: int) -> int:
-    """Commands of the present session, sent again in the next one, while its patient stands and it is armed."""
-    with _rogue(rig) as rogue:
-        commands = rogue.on_commands(0.25)
-        rig.end_session()
-        rig.prepare(rig.variant)
-        t_ns = time.monotonic_ns()
-        rig.sent = rogue.send([command for _ in range(20) for command in commands], 500.0)
-    return t_ns
-
-
-def random(rig: CampaignBench, n: int) -> int:
-    """By turns one with any identifier and one with those that a controller uses; the patient walks on meanwhile."""
-
-    def frames() -> Iterator[Frame]:
-        anything = random_frames(RANDOM_FRAMES // 2, 2 * n)
-        commands = random_frames(RANDOM_FRAMES // 2, 2 * n + 1, (COMMAND_ID, OPEN_ID))
-        for number, pair in enumerate(zip(anything, commands, strict=True)):
-            if number % TEND_EVERY == 0:
-                rig.outputs()
-                rig.keep_armed()
-            yield from pair
-
-    t_ns = time.monotonic_ns()
-    with _rogue(rig) as rogue:
-        rig.sent = rogue.send(frames(), FRAMES_PER_S) // 2
-    return t_ns
-
-
-Inject = Callable[[CampaignBench, int], int]
-"""Brings the fault about for the n-th time; returns when, by CLOCK_MONOTONIC in ns."""
-Heal = Callable[[CampaignBench], None]
-
 STARVED_S: Final = 1.0
 HOGS: Final = 3
 HOGS_S: Final = 4.0
@@ -117,69 +40,144 @@ FROZEN_S: Final = 2.0
 STARVING_PRIORITY: Final = 60
 MANY: Final = 100_000
 
+Inject = Callable[[CampaignBench, int], int]
+"""Brings the fault about for the n-th time; returns when, by CLOCK_MONOTONIC in ns."""
+Heal = Callable[[CampaignBench], None]
 
-def _nothing(rig: CampaignBench) -> None:
+
+def _rogue(bench: CampaignBench) -> Rogue:
+    if bench.devices.back is None:
+        raise CampaignBroken("there is no CAN bus")
+    return Rogue(bench.devices.back)
+
+
+def _link(bench: CampaignBench) -> NodeHandle:
+    if bench.devices.link is None:
+        raise CampaignBroken("there is no line between controller and stimulator")
+    return bench.devices.link
+
+
+def flips(bench: CampaignBench, n: int) -> int:
+    """One of the present session's commands, with every one and every two bits inverted."""
+    with _rogue(bench) as rogue:
+        commands = rogue.on_commands(0.1)
+        t_ns = time.monotonic_ns()
+        bench.sent = sum(rogue.send(flipped(command)) for command in commands[:1])
+    return t_ns
+
+
+def repeats(bench: CampaignBench, n: int) -> int:
+    """After each command of the session an earlier one that asked for current: the newest itself, the one before …"""
+    with _rogue(bench) as rogue:
+        commands = [frame for frame in rogue.receive(0.1) if frame[0] == COMMAND_ID]
+        lags = list(range(LATEST + 1))
+        t_ns, end_s = time.monotonic_ns(), time.monotonic() + REPEATS_S
+        while lags and time.monotonic() < end_s:
+            heard = [frame for frame in rogue.receive(0.05, first_only=True) if frame[0] == COMMAND_ID]
+            commands += heard
+            lag = next((k for k in lags if k < len(commands) and asks_for_current(commands[-1 - k])), None)
+            if heard and lag is not None:
+                lags.remove(lag)
+                bench.sent += rogue.send([commands[-1 - lag]])
+                rogue.receive(ECHO_S)
+    return t_ns
+
+
+def exchange(bench: CampaignBench, n: int) -> int:
+    """On the line between them, each pair of commands changes places."""
+    t_ns = _link(bench).inject("reorder", PAIRS)
+    bench.observe(1.0)
+    bench.sent = PAIRS
+    return t_ns
+
+
+def old_session(bench: CampaignBench, n: int) -> int:
+    """Commands of the present session, sent again in the next one, while its patient stands and it is armed."""
+    with _rogue(bench) as rogue:
+        commands = rogue.on_commands(0.25)
+        bench.end_session()
+        bench.prepare(bench.variant)
+        t_ns = time.monotonic_ns()
+        bench.sent = rogue.send([command for _ in range(20) for command in commands], 500.0)
+    return t_ns
+
+
+def random(bench: CampaignBench, n: int) -> int:
+    """By turns one with any identifier and one with those that a controller uses; the patient walks on meanwhile."""
+
+    def frames() -> Iterator[Frame]:
+        anything = random_frames(RANDOM_FRAMES // 2, 2 * n)
+        commands = random_frames(RANDOM_FRAMES // 2, 2 * n + 1, (COMMAND_ID, OPEN_ID))
+        for number, pair in enumerate(zip(anything, commands, strict=True)):
+            if number % TEND_EVERY == 0:
+                bench.outputs()
+                bench.keep_armed()
+            yield from pair
+
+    t_ns = time.monotonic_ns()
+    with _rogue(bench) as rogue:
+        bench.sent = rogue.send(frames(), FRAMES_PER_S) // 2
+    return t_ns
+
+
+def _nothing(bench: CampaignBench) -> None:
     """Nothing to mend."""
 
 
-def _sensor(name: str, value: float = 1.0) -> tuple[Inject, Heal]:
-    return lambda rig, n: rig.devices.imu.inject(name, value), lambda rig: rig.devices.imu.clear()
+def _sensor(name: str, value: float = 1.0, healed: float | None = None) -> tuple[Inject, Heal]:
+    """A fault of the sensor; mended by this value, or by an end to all faults that last."""
+
+    def heal(bench: CampaignBench) -> None:
+        if healed is None:
+            bench.devices.imu.clear()
+        else:
+            bench.devices.imu.inject(name, healed)
+
+    return lambda bench, n: bench.devices.imu.inject(name, value), heal
 
 
 def _stimulator(name: str, value: float, healed: float) -> tuple[Inject, Heal]:
-    def heal(rig: CampaignBench) -> None:
-        rig.devices.node.inject(name, healed)
+    def heal(bench: CampaignBench) -> None:
+        bench.devices.node.inject(name, healed)
 
-    return lambda rig, n: rig.devices.node.inject(name, value), heal
+    return lambda bench, n: bench.devices.node.inject(name, value), heal
 
 
 # --- the sensor ------------------------------------------------------------------------------------------
 
 
-def _unplug_sensor(rig: CampaignBench, n: int) -> int:
-    return rig.devices.imu.inject("unplug")
+def _plug_sensor(bench: CampaignBench) -> None:
+    bench.observe(SILENT_S)
+    bench.devices.sensor_replugged()
 
 
-def _plug_sensor(rig: CampaignBench) -> None:
-    rig.watch(SILENT_S)
-    rig.devices.sensor_replugged()
-
-
-def _unmute_sensor(rig: CampaignBench) -> None:
-    rig.watch(SILENT_S)
-    rig.devices.imu.clear()
-
-
-def _delay_sensor(rig: CampaignBench, n: int) -> int:
-    return rig.devices.imu.inject("delay", rig.value)
-
-
-def _undrift(rig: CampaignBench) -> None:
-    rig.devices.imu.inject("drift", 0.0)
+def _unmute_sensor(bench: CampaignBench) -> None:
+    bench.observe(SILENT_S)
+    bench.devices.imu.clear()
 
 
 # --- the controller --------------------------------------------------------------------------------------
 
 
-def _kill(rig: CampaignBench, n: int) -> int:
-    rig.orphans = rig.session().children()
-    os.kill(rig.session().pid, signal.SIGKILL)
+def _kill(bench: CampaignBench, n: int) -> int:
+    bench.orphans = bench.session().children()
+    os.kill(bench.session().pid, signal.SIGKILL)
     t_ns = time.monotonic_ns()  # what holds this process up on its way to the kill is not the lease's delay
-    rig.session().process.wait()
+    bench.session().process.wait()
     return t_ns
 
 
-def _stop(rig: CampaignBench, n: int) -> int:
-    os.kill(rig.session().pid, signal.SIGSTOP)
+def _stop(bench: CampaignBench, n: int) -> int:
+    os.kill(bench.session().pid, signal.SIGSTOP)
     t_ns = time.monotonic_ns()
-    rig.watch(rig.value)
-    os.kill(rig.session().pid, signal.SIGCONT)
+    bench.observe(bench.value)
+    os.kill(bench.session().pid, signal.SIGCONT)
     return t_ns
 
 
-def _starve(rig: CampaignBench, n: int) -> int:
+def _starve(bench: CampaignBench, n: int) -> int:
     """A process of higher priority takes the controller's processor for a second; the devices have the other one."""
-    pid = rig.session().pid
+    pid = bench.session().pid
     before = os.sched_getaffinity(pid)
     mine = max(before)
     code = (
@@ -188,7 +186,7 @@ def _starve(rig: CampaignBench, n: int) -> int:
         f"print(time.monotonic_ns(), flush=True); end = time.monotonic() + {STARVED_S}\n"
         "while time.monotonic() < end: pass"
     )
-    others = rig.bench.processes()
+    others = bench.equipment.processes()
     for other in others:
         os.sched_setaffinity(other, before - {mine})
     os.sched_setaffinity(pid, {mine})
@@ -203,22 +201,22 @@ def _starve(rig: CampaignBench, n: int) -> int:
     return int(done.stdout)
 
 
-def _hogs(rig: CampaignBench, n: int) -> int:
+def _hogs(bench: CampaignBench, n: int) -> int:
     code = f"import time; end = time.monotonic() + {HOGS_S}\nwhile time.monotonic() < end: pass"
     t_ns = time.monotonic_ns()
     for _ in range(HOGS):
         hog = subprocess.Popen([sys.executable, "-c", code], start_new_session=True)
-        rig.stack.callback(hog.wait)
-        rig.stack.callback(hog.kill)
+        bench.stack.callback(hog.wait)
+        bench.stack.callback(hog.kill)
     return t_ns
 
 
-def _full_disk(rig: CampaignBench, n: int) -> int:
+def _full_disk(bench: CampaignBench, n: int) -> int:
     """The log's file may not grow any more: its next write is refused, as a full disk's is."""
-    log = rig.session().log()
+    log = bench.session().log()
     if log is None:
         raise CampaignBroken("the session has no log")
-    writer = rig.session().child("fes.live.log_process")
+    writer = bench.session().child("fes.live.log_process")
     t_ns = time.monotonic_ns()
     resource.prlimit(writer, resource.RLIMIT_FSIZE, (log.stat().st_size, resource.RLIM_INFINITY))
     return t_ns
@@ -227,108 +225,86 @@ def _full_disk(rig: CampaignBench, n: int) -> int:
 def _to_child(module: str, do: Callable[[CampaignBench, int], None]) -> Inject:
     """Something happens to one of the session's processes."""
 
-    def inject(rig: CampaignBench, n: int) -> int:
-        child = rig.session().child(module)
+    def inject(bench: CampaignBench, n: int) -> int:
+        child = bench.session().child(module)
         t_ns = time.monotonic_ns()
-        do(rig, child)
+        do(bench, child)
         return t_ns
 
     return inject
 
 
-def _killed(rig: CampaignBench, pid: int) -> None:
+def _killed(bench: CampaignBench, pid: int) -> None:
     os.kill(pid, signal.SIGKILL)
 
 
-def _frozen(rig: CampaignBench, pid: int) -> None:
+def _frozen(bench: CampaignBench, pid: int) -> None:
     """It reads nothing for a while, and everything that it is sent has to stay somewhere or be given up."""
     os.kill(pid, signal.SIGSTOP)
     try:
-        rig.watch(FROZEN_S)
+        bench.observe(FROZEN_S)
     finally:
         os.kill(pid, signal.SIGCONT)
 
 
-# --- the operator ----------------------------------------------------------------------------------------
+def _at_once(do: Callable[[CampaignBench], object]) -> Inject:
+    """Something is done whose moment is the one just before it."""
 
+    def inject(bench: CampaignBench, n: int) -> int:
+        t_ns = time.monotonic_ns()
+        do(bench)
+        return t_ns
 
-def _space(rig: CampaignBench, n: int) -> int:
-    t_ns = time.monotonic_ns()
-    rig.session().key(b" ")
-    return t_ns
-
-
-def _stop_file(rig: CampaignBench, n: int) -> int:
-    t_ns = time.monotonic_ns()
-    rig.session().stop_file.touch()
-    return t_ns
-
-
-def _no_stop_file(rig: CampaignBench) -> None:
-    rig.session().stop_file.unlink(missing_ok=True)
-
-
-def _stop_order(rig: CampaignBench, n: int) -> int:
-    t_ns = time.monotonic_ns()
-    rig.order("stop")
-    return t_ns
+    return inject
 
 
 # --- the stimulator and its line -------------------------------------------------------------------------
 
 
-def _cut(rig: CampaignBench, n: int) -> int:
-    if rig.devices.transport in SERIAL:
-        return rig.devices.node.inject("unplug")
-    if rig.devices.link is None:
-        raise CampaignBroken("there is no line to cut")
-    return rig.devices.link.inject("cut")
+def _cut(bench: CampaignBench, n: int) -> int:
+    if bench.devices.transport in SERIAL:
+        return bench.devices.node.inject("unplug")
+    return _link(bench).inject("cut")
 
 
-def _mend(rig: CampaignBench) -> None:
-    rig.watch(CUT_S)
-    if rig.devices.transport in SERIAL:
-        rig.devices.stimulator_replugged()
-    elif rig.devices.link is not None:
-        rig.devices.link.inject("cut", 0.0)
+def _mend(bench: CampaignBench) -> None:
+    bench.observe(CUT_S)
+    if bench.devices.transport in SERIAL:
+        bench.devices.stimulator_replugged()
+    else:
+        _link(bench).inject("cut", 0.0)
 
 
-def _line(name: str, value: float, healed: float = 0.0) -> tuple[Inject, Heal]:
+def _line(name: str) -> tuple[Inject, Heal]:
     """A fault of the line between controller and stimulator that ends after half a second."""
 
-    def tell(rig: CampaignBench, worth: float) -> int:
-        if rig.devices.link is None:
-            raise CampaignBroken("there is no line between controller and stimulator")
-        return rig.devices.link.inject(name, worth)
+    def heal(bench: CampaignBench) -> None:
+        bench.observe(CUT_S)
+        _link(bench).inject(name, 0.0)
 
-    def heal(rig: CampaignBench) -> None:
-        rig.watch(CUT_S)
-        tell(rig, healed)
-
-    return lambda rig, n: tell(rig, value), heal
+    return lambda bench, n: _link(bench).inject(name, 1.0), heal
 
 
-def _stop_on_page(rig: CampaignBench, n: int) -> int:
-    port = rig.session().page_port()
-    t_ns = time.monotonic_ns()
-    press_stop(port)
-    return t_ns
+def _stop_on_page(bench: CampaignBench, n: int) -> int:
+    port = bench.session().page_port()
+    return _at_once(lambda bench: press_stop(port))(bench, n)
 
 
-def _press(rig: CampaignBench, n: int) -> int:
-    t_ns = time.monotonic_ns()
-    rig.devices.stop_button().press()
-    return t_ns
+def _no_stop_file(bench: CampaignBench) -> None:
+    bench.session().stop_file.unlink(missing_ok=True)
 
 
-def _by_itself(rig: CampaignBench, n: int) -> int:
+def _release(bench: CampaignBench) -> None:
+    bench.devices.stop_button().press(False)
+
+
+def _by_itself(bench: CampaignBench) -> None:
     """Nothing is done: the walk does it."""
-    return time.monotonic_ns()
 
 
 INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "imu_silent": (_sensor("mute")[0], _unmute_sensor),
-    "imu_unplugged": (_unplug_sensor, _plug_sensor),
+    "imu_unplugged": (_sensor("unplug")[0], _plug_sensor),
     "imu_frozen": _sensor("stuck"),
     "imu_nan": _sensor("nan", MANY),
     "imu_inf": _sensor("inf", MANY),
@@ -343,17 +319,17 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "stamps_order": _sensor("reorder", MANY),
     "stamps_jumping": _sensor("jumping", 0.2),
     "clock_jump": _sensor("jump", 0.5),
-    "clock_drift": (_sensor("drift", 100.0)[0], _undrift),
-    "stale_data": (_delay_sensor, lambda rig: rig.devices.imu.clear()),
-    "cpu_hogs": (_hogs, lambda rig: rig.watch(HOGS_S - 1.5)),
+    "clock_drift": _sensor("drift", 100.0, healed=0.0),
+    "stale_data": (lambda bench, n: bench.devices.imu.inject("delay", bench.value), _sensor("delay")[1]),
+    "cpu_hogs": (_hogs, lambda bench: bench.observe(HOGS_S - 1.5)),
     "controller_killed": (_kill, _nothing),
     "controller_stopped": (_stop, _nothing),
     "controller_starved": (_starve, _nothing),
     "link_lost": (_cut, _mend),
-    "adapter_unplugged": _line("unplug", 1.0),
-    "bus_off": _line("bus_off", 1.0),
-    "adapter_full": _line("clog", 1.0),
-    "node_reboot": (lambda rig, n: rig.devices.node.inject("reboot", 0.0), _nothing),
+    "adapter_unplugged": _line("unplug"),
+    "bus_off": _line("bus_off"),
+    "adapter_full": _line("clog"),
+    "node_reboot": (lambda bench, n: bench.devices.node.inject("reboot", 0.0), _nothing),
     "ack_missing": _stimulator("mute", 1.0, 0.0),
     "ack_late": _stimulator("delay", 0.15, 0.0),
     "delivered_differs": _stimulator("weak", CHANNEL, -1.0),
@@ -363,17 +339,17 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "commands_reordered": (exchange, _nothing),
     "commands_old_session": (old_session, _nothing),
     "random_frames": (random, _nothing),
-    "stop_key": (_space, _nothing),
-    "stop_file": (_stop_file, _no_stop_file),
-    "stop_control": (_stop_order, _nothing),
+    "stop_key": (_at_once(lambda bench: bench.session().key(b" ")), _nothing),
+    "stop_file": (_at_once(lambda bench: bench.session().stop_file.touch()), _no_stop_file),
+    "stop_control": (_at_once(lambda bench: bench.command("stop")), _nothing),
     "stop_page": (_stop_on_page, _nothing),
-    "stop_button": (_press, lambda rig: rig.devices.stop_button().press(False)),
+    "stop_button": (_at_once(lambda bench: bench.devices.stop_button().press()), _release),
     "view_killed": (_to_child("fes.live.terminal_view", _killed), CampaignBench.end_session),
     "page_killed": (_to_child("fes.live.dashboard", _killed), CampaignBench.end_session),
     "view_frozen": (_to_child("fes.live.terminal_view", _frozen), _nothing),
     "page_frozen": (_to_child("fes.live.dashboard", _frozen), _nothing),
-    "phase_stuck": (_by_itself, _nothing),
-    "dose": (_by_itself, _nothing),
+    "phase_stuck": (_at_once(_by_itself), _nothing),
+    "dose": (_at_once(_by_itself), _nothing),
     "disk_full": (_full_disk, _nothing),
     "log_writer_killed": (_to_child("fes.live.log_process", _killed), _nothing),
 }

@@ -1,7 +1,4 @@
-"""What the stimulator's own record says: when it put out current, and how a fault was answered. Pure.
-
-Rows in which nothing may come of the fault: the session goes on, no foreign frame acts, no burst begins.
-"""
+"""What the stimulator's own record says: when it put out current, and how a fault was answered. Pure."""
 
 from __future__ import annotations
 
@@ -49,7 +46,7 @@ class Outputs:
         self._open: dict[int, list[RecordEntry]] = {}
         self._trains: dict[int, list[RecordEntry]] = {}
 
-    def take(self, entries: Iterable[RecordEntry]) -> None:
+    def add(self, entries: Iterable[RecordEntry]) -> None:
         """The record goes on with these; each device's in order."""
         for entry in entries:
             if entry.event == "pulse":
@@ -66,7 +63,7 @@ class Outputs:
                     if levels := self._open.pop(channel, None):
                         self._over.append(_stretch([*levels, entry], entry.t_ns, entry.event))
 
-    def so_far(self, now_ns: int, since_ns: int = 0) -> list[Output]:
+    def stretches(self, now_ns: int, since_ns: int = 0) -> list[Output]:
         """The stretches that were on at ``since_ns`` or later, oldest first.
 
         Args:
@@ -85,11 +82,11 @@ class Outputs:
         self._over = [output for output in self._over if (output.off_ns or output.on_ns) >= before_ns]
 
 
-def outputs(entries: Iterable[RecordEntry], now_ns: int) -> list[Output]:
+def record_outputs(entries: Iterable[RecordEntry], now_ns: int) -> list[Output]:
     """All stretches of current of a whole record, oldest first; ``now_ns`` is the present."""
     found = Outputs()
-    found.take(entries)
-    return found.so_far(now_ns)
+    found.add(entries)
+    return found.stretches(now_ns)
 
 
 def _train(train: list[RecordEntry], off_ns: int | None) -> Output:
@@ -109,7 +106,7 @@ def _stretch(entries: list[RecordEntry], off_ns: int | None, ended_by: str) -> O
     return Output(entries[0].t_ns, off_ns, newest.last_pulse_ns, ended_by, pulses, charge_uc)
 
 
-def on_at(stretches: Iterable[Output], t_ns: int) -> Output | None:
+def output_at(stretches: Iterable[Output], t_ns: int) -> Output | None:
     """The stretch of current at a moment; of a train of pulses also shortly after its last, when the next was due."""
     for output in stretches:
         more_ns = PERIOD_NS if output.ended_by == LAST_PULSE else 0

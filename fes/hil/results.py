@@ -33,7 +33,7 @@ class Attempt:
         last_pulse_ms: from the fault to the last pulse; below 0 when there was none after it.
         named: what the session gave as its reason.
         faults: what was wrong with the answer besides its time.
-        remark: anything else worth a line.
+        notice: anything else worth a line.
         value: what the fault was brought about with, in words.
         away: something else took the session off: this machine lost time, and an idle loop beside it saw that. No
             verdict; it is made again.
@@ -43,7 +43,7 @@ class Attempt:
     last_pulse_ms: float | None = None
     named: str = ""
     faults: tuple[str, ...] = ()
-    remark: str = ""
+    notice: str = ""
     value: str = ""
     away: bool = False
 
@@ -93,7 +93,7 @@ class Campaign:
     away: tuple[str, ...] = ()  # such reasons where an idle loop shows that this machine lost time just then
 
     @property
-    def remarks(self) -> list[str]:
+    def notices(self) -> list[str]:
         """What is to be said above the table; "machine away" is no fault of the session's, and no success either."""
         again = [reason for row in self.rows for reason in row.away]
         lines = []
@@ -133,22 +133,22 @@ class Campaign:
             "last pulse (worst) | in time | named | verdict |",
             "|---|---|---|---|---|---|---|---|",
         ]
-        for remark in reversed(self.remarks):
-            lines[1:1] = ["", remark]
+        for notice in reversed(self.notices):
+            lines[1:1] = ["", notice]
         return "\n".join([*lines, *(_line(row, self.baseline.p999_ms) for row in self.rows), ""])
 
 
-def summary(row: Row) -> str:
+def measured_times(row: Row) -> str:
     """Measured times in a few words."""
     times_ms = row.times_ms()
     if row.skipped:
         return "–"
     if not times_ms:
-        return next((attempt.remark for attempt in row.attempts if attempt.remark), "–")
+        return next((attempt.notice for attempt in row.attempts if attempt.notice), "–")
     return f"{_ms(float(np.median(times_ms)))} / {_ms(max(times_ms))}"
 
 
-def why(row: Row) -> str:
+def failure_reason(row: Row) -> str:
     """What was wrong, or why it was not run; "" when all is well."""
     away = ["this machine was away in every try"] if any(attempt.away for attempt in row.attempts) else []
     return row.skipped or _distinct([*away, *(fault for attempt in row.attempts for fault in attempt.faults)])
@@ -173,7 +173,7 @@ def _row(row: Row, machine_ms: float) -> dict[str, Any]:
         "in_time": row.within(),
         **dict(zip(names, spread, strict=True)),
         "verdict": str(row.verdict(machine_ms)),
-        "why": why(row),
+        "failure_reason": failure_reason(row),
     }
 
 
@@ -186,7 +186,7 @@ def _attempt(attempt: Attempt) -> dict[str, Any]:
         "last_pulse_ms": number(attempt.last_pulse_ms),
         "named": attempt.named,
         "faults": list(attempt.faults),
-        "remark": attempt.remark,
+        "remark": attempt.notice,
         "value": attempt.value,
     }
 
@@ -203,8 +203,8 @@ def _line(row: Row, machine_ms: float) -> str:
     in_time = f"{row.within()} of {len(times_ms)}" if times_ms else "–"
     named = next((attempt.named for attempt in row.attempts if attempt.named), "–")
     verdict = str(row.verdict(machine_ms))
-    cells = (scenario.fault, scenario.response, deadline, summary(row), last, in_time, named)
-    return _cells([*cells, f"{verdict}: {why(row)}" if why(row) else verdict])
+    cells = (scenario.fault, scenario.response, deadline, measured_times(row), last, in_time, named)
+    return _cells([*cells, f"{verdict}: {failure_reason(row)}" if failure_reason(row) else verdict])
 
 
 def _cells(cells: Iterable[str]) -> str:

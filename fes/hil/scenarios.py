@@ -1,11 +1,8 @@
-"""The faults of a campaign as a table: one row, one fault; what is done about each is in ``injections``.
-
-Does the session say why it is off, and is it the reason that was given to it?
-"""
+"""The faults of a campaign as a table: one row, one fault; how each is brought about is in ``injections``."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Final
 
@@ -20,6 +17,7 @@ class Effect(StrEnum):
     SILENT = "no burst begins any more"
     NOT_EXECUTED = "nothing executed"
     BOUNDED = "the burst ends by itself"
+    DOSED = "the charge of a minute ends it"
 
 
 class Needs(StrEnum):
@@ -35,13 +33,22 @@ class Needs(StrEnum):
     PROC = "/proc (Linux)"
 
 
+_SIM = frozenset((Needs.SIMULATED,))
+_CAN = frozenset((Needs.SIMULATED, Needs.CAN))
+_NONE = frozenset[Needs]()
+_LINK = frozenset((Needs.SIMULATED, Needs.LINK))
+_SLCAN = frozenset((Needs.SIMULATED, Needs.SLCAN))
+_FIFO = frozenset((Needs.FIFO,))
+_PROC = frozenset((Needs.PROC,))
+
+
 @dataclass(frozen=True, slots=True)
 class Scenario:
     """One row.
 
     Attributes:
         deadline_ms: by when the stimulator's output must be off; None where nothing has to go off.
-        words: the reason that the session states must hold one of these; empty: any.
+        reasons: the reason that the session states must hold one of these, separated by ``|``; "": any.
         needs: without these the row is left out, with that reason.
         variant: which of the campaign's sessions it needs; "" is the usual one.
         restart: the controller is gone afterwards and is started again.
@@ -52,16 +59,22 @@ class Scenario:
 
     name: str
     fault: str
-    response: str
-    effect: Effect
-    deadline_ms: float | None = None
-    words: tuple[str, ...] = ()
-    needs: frozenset[Needs] = frozenset()
+    deadline_ms: float | None
+    reasons: str = ""
+    _: KW_ONLY
+    response: str = "off, latched, named"
+    effect: Effect = Effect.LATCHED
+    needs: frozenset[Needs] = _SIM
     variant: str = ""
     restart: bool = False
     watch_s: float = 1.5
     values: tuple[float, ...] = ()
     unit: str = ""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The reason that the session states must hold one of these; empty: any."""
+        return tuple(filter(None, self.reasons.split("|")))
 
     def attempts(self, repeat: int) -> int:
         """How many are made when ``repeat`` are asked for."""
@@ -72,31 +85,6 @@ class Scenario:
         return self.values[n % len(self.values)] if self.values else 0.0
 
 
-_SIM = frozenset((Needs.SIMULATED,))
-_CAN = frozenset((Needs.SIMULATED, Needs.CAN))
-_NONE = frozenset[Needs]()
-_OFF = "off, latched, named"
-
-
-def _row(
-    name: str,
-    fault: str,
-    deadline_ms: float | None,
-    words: str = "",
-    *,
-    response: str = _OFF,
-    effect: Effect = Effect.LATCHED,
-    needs: frozenset[Needs] = _SIM,
-    variant: str = "",
-    restart: bool = False,
-    watch_s: float = 1.5,
-    values: tuple[float, ...] = (),
-    unit: str = "",
-) -> Scenario:
-    named = tuple(filter(None, words.split("|")))
-    return Scenario(name, fault, response, effect, deadline_ms, named, needs, variant, restart, watch_s, values, unit)
-
-
 def _harmless(
     name: str,
     fault: str,
@@ -105,28 +93,31 @@ def _harmless(
     variant: str = "",
     effect: Effect = Effect.NONE,
 ) -> Scenario:
-    return _row(name, fault, None, response=response, effect=effect, needs=needs, variant=variant, watch_s=1.5)
+    return Scenario(name, fault, None, response=response, effect=effect, needs=needs, variant=variant)
 
 
-def _refused(name: str, fault: str, needs: frozenset[Needs], watch_s: float = 0.3) -> Scenario:
-    response = "none executed"
-    return _row(name, fault, None, response=response, effect=Effect.NOT_EXECUTED, needs=needs, watch_s=watch_s)
+def _refused(name: str, fault: str, needs: frozenset[Needs]) -> Scenario:
+    effect = Effect.NOT_EXECUTED
+    return Scenario(name, fault, None, response="none executed", effect=effect, needs=needs, watch_s=0.3)
 
 
 _LEASE = "the stimulator's lease"
 _STAYS = "the stimulator's lease; notices the gap itself, stays off"
 _BACK = "off; reconnects by itself, is never armed by itself"
+_OPENED = "off by lease; opened again; armed by hand"
+_ALARM = "session ends with an alarm; the log is readable, at most 250 ms lost"
+_STOP = "off, latched"
 
 SCENARIOS: Final[tuple[Scenario, ...]] = (
-    _row("imu_silent", "sensor silent", 100, "old|lost|no data", response=_BACK),
-    _row("imu_unplugged", "sensor unplugged, plugged in again", 100, "old|lost|no data", response=_BACK),
-    _row("imu_frozen", "sensor repeats one value", 100, "frozen"),
-    _row("imu_nan", "NaN in the sensor's values", 100, "non-finite"),
-    _row("imu_inf", "infinite values", 100, "non-finite"),
-    _row("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit"),
-    _row("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
-    _row("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
-    _row(
+    Scenario("imu_silent", "sensor silent", 100, "old|lost|no data", response=_BACK),
+    Scenario("imu_unplugged", "sensor unplugged, plugged in again", 100, "old|lost|no data", response=_BACK),
+    Scenario("imu_frozen", "sensor repeats one value", 100, "frozen"),
+    Scenario("imu_nan", "NaN in the sensor's values", 100, "non-finite"),
+    Scenario("imu_inf", "infinite values", 100, "non-finite"),
+    Scenario("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit"),
+    Scenario("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
+    Scenario("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
+    Scenario(
         "imu_remounted",
         "sensor remounted, axes exchanged: while standing, armed",
         None,
@@ -135,12 +126,14 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         effect=Effect.SILENT,
         watch_s=3.0,
     ),
-    _row("imu_remounted_in_swing", "sensor's axes exchanged in mid-swing", 100, "remounted|calibration|unit|frozen"),
+    Scenario(
+        "imu_remounted_in_swing", "sensor's axes exchanged in mid-swing", 100, "remounted|calibration|unit|frozen"
+    ),
     _harmless("stamp_doubled_once", "one time stamp doubled", "counted, no effect"),
     _harmless("stamp_order_once", "two samples out of order, once", "counted, no effect"),
-    _row("stamps_doubled", "more than 5 % of the stamps doubled", 1100, "stamps|clock"),
-    _row("stamps_order", "more than 5 % of the stamps out of order", 1100, "stamps|clock"),
-    _row("stamps_jumping", "more than 5 % of the stamps ahead by 0.2 s", 1100, "stamps|clock"),
+    Scenario("stamps_doubled", "more than 5 % of the stamps doubled", 1100, "stamps|clock"),
+    Scenario("stamps_order", "more than 5 % of the stamps out of order", 1100, "stamps|clock"),
+    Scenario("stamps_jumping", "more than 5 % of the stamps ahead by 0.2 s", 1100, "stamps|clock"),
     _harmless(
         "clock_jump",
         "sensor's clock set ahead by 0.5 s, once",
@@ -148,7 +141,7 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         effect=Effect.HARMLESS,
     ),
     _harmless("clock_drift", "sensor's clock runs 100 ppm fast", "no effect"),
-    _row(
+    Scenario(
         "stale_data",
         "samples delayed by 60, 100, 200, 500 ms",
         100,
@@ -156,8 +149,8 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         values=(0.06, 0.1, 0.2, 0.5),
         unit="s",
     ),
-    _harmless("cpu_hogs", "three busy processes", "no effect under SCHED_FIFO", frozenset((Needs.FIFO,))),
-    _row(
+    _harmless("cpu_hogs", "three busy processes", "no effect under SCHED_FIFO", _FIFO),
+    Scenario(
         "controller_killed",
         "controller kill -9",
         65,
@@ -167,7 +160,7 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         restart=True,
         watch_s=1.3,
     ),
-    _row(
+    Scenario(
         "controller_stopped",
         "controller SIGSTOP for 0.2, 1, 5 s",
         65,
@@ -177,73 +170,69 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         values=(0.2, 1.0, 5.0),
         unit="s",
     ),
-    _row(
+    Scenario(
         "controller_starved",
         "controller without processor for 1 s",
         65,
         "stalled|late|old|lease expired",
         response=_STAYS,
-        needs=frozenset((Needs.FIFO,)),
+        needs=_FIFO,
     ),
-    _row(
-        "link_lost",
-        "line to the stimulator lost and back",
-        65,
-        response="off by lease; opened again; armed by hand",
-        needs=frozenset((Needs.SIMULATED, Needs.LINK)),
-    ),
-    _row(
+    Scenario("link_lost", "line to the stimulator lost and back", 65, response=_OPENED, needs=_LINK),
+    Scenario(
         "adapter_unplugged",
         "CAN adapter unplugged, plugged in again",
         65,
         "lost|stimulator",
-        response="off by lease; opened again; armed by hand",
-        needs=frozenset((Needs.SIMULATED, Needs.SLCAN)),
+        response=_OPENED,
+        needs=_SLCAN,
     ),
-    _row(
+    Scenario(
         "bus_off",
         "CAN adapter goes bus-off, and comes back",
         65,
         "bus-off|answer|lost",
-        response="off by lease; opened again; armed by hand",
+        response=_OPENED,
         needs=_CAN | {Needs.LINK},
     ),
-    _row(
+    Scenario(
         "adapter_full",
         "CAN adapter takes nothing more, its buffer is full",
         65,
         "stalled|late|answer|lost|old|lease expired",
         response="off by lease; latched when it takes commands again",
-        needs=frozenset((Needs.SIMULATED, Needs.SLCAN)),
+        needs=_SLCAN,
     ),
-    _row("node_reboot", "stimulator restarts", 100, "restart|session|initial|stimulator", response="comes up off; off"),
-    _row("ack_missing", "stimulator's answers missing", 100, "answer|heartbeat", response="one retry, then off"),
-    _row("ack_late", "stimulator's answers 150 ms late", 100, "answer|heartbeat", response="one retry, then off"),
-    _row("delivered_differs", "delivers half of what it is told", 100, "delivered", needs=_CAN),
-    _row("electrode", "electrode or lead open", 100, "electrode|output|lead"),
+    Scenario(
+        "node_reboot", "stimulator restarts", 100, "restart|session|initial|stimulator", response="comes up off; off"
+    ),
+    Scenario("ack_missing", "stimulator's answers missing", 100, "answer|heartbeat", response="one retry, then off"),
+    Scenario("ack_late", "stimulator's answers 150 ms late", 100, "answer|heartbeat", response="one retry, then off"),
+    Scenario("delivered_differs", "delivers half of what it is told", 100, "delivered", needs=_CAN),
+    Scenario("electrode", "electrode or lead open", 100, "electrode|output|lead"),
     _refused("commands_flipped", "a valid command with every 1 and 2 bits flipped", _CAN),
     _refused("commands_repeated", "valid commands repeated, 0 to 40 commands late", _CAN),
     _refused("commands_reordered", "ten pairs of commands exchanged on the way", _CAN | {Needs.LINK}),
     _refused("commands_old_session", "valid commands of an earlier session", _CAN),
     _refused("random_frames", "random frames on the bus, 62,500 each time", _CAN),
-    _row("stop_key", "emergency stop: space bar", 50, "emergency stop", needs=_NONE, response="off, latched"),
-    _row("stop_file", "emergency stop: stop file", 50, "emergency stop", needs=_NONE, response="off, latched"),
-    _row("stop_control", "emergency stop: control socket", 50, "emergency stop", needs=_NONE, response="off, latched"),
-    _row("stop_page", "emergency stop: live page", 50, "emergency stop", response="off, latched", variant="seen"),
-    _row(
+    Scenario("stop_key", "emergency stop: space bar", 50, "emergency stop", needs=_NONE, response=_STOP),
+    Scenario("stop_file", "emergency stop: stop file", 50, "emergency stop", needs=_NONE, response=_STOP),
+    Scenario("stop_control", "emergency stop: control socket", 50, "emergency stop", needs=_NONE, response=_STOP),
+    Scenario("stop_page", "emergency stop: live page", 50, "emergency stop", response=_STOP, variant="seen"),
+    Scenario(
         "stop_button",
         "emergency stop: hardware button (a bit on CAN)",
         50,
         "emergency stop",
         needs=_SIM | {Needs.BUTTON},
-        response="off, latched",
+        response=_STOP,
         variant="button",
     ),
-    _harmless("view_killed", "terminal view kill -9", "no effect", frozenset((Needs.PROC,)), "seen"),
-    _harmless("page_killed", "live page kill -9", "no effect", frozenset((Needs.PROC,)), "seen"),
-    _harmless("view_frozen", "terminal view SIGSTOP for 2 s", "no effect", frozenset((Needs.PROC,)), "seen"),
-    _harmless("page_frozen", "live page SIGSTOP for 2 s", "no effect", frozenset((Needs.PROC,)), "seen"),
-    _row(
+    _harmless("view_killed", "terminal view kill -9", "no effect", _PROC, "seen"),
+    _harmless("page_killed", "live page kill -9", "no effect", _PROC, "seen"),
+    _harmless("view_frozen", "terminal view SIGSTOP for 2 s", "no effect", _PROC, "seen"),
+    _harmless("page_frozen", "live page SIGSTOP for 2 s", "no effect", _PROC, "seen"),
+    Scenario(
         "phase_stuck",
         "phase stuck: stance without end",
         3020,
@@ -251,32 +240,25 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
         effect=Effect.BOUNDED,
         variant="stance",
     ),
-    _row(
+    Scenario(
         "dose",
         "more charge a minute than allowed",
         None,
         "mC within a minute",
         response="no more than the limit a minute, off, latched",
-        effect=Effect.BOUNDED,
+        effect=Effect.DOSED,
         variant="dose",
     ),
-    _row(
-        "disk_full",
-        "disk full",
-        1000,
-        response="session ends with an alarm; the log is readable, at most 250 ms lost",
-        effect=Effect.ENDED,
-        needs=frozenset((Needs.PROC,)),
-        restart=True,
-        watch_s=0.5,
+    Scenario(
+        "disk_full", "disk full", 1000, response=_ALARM, effect=Effect.ENDED, needs=_PROC, restart=True, watch_s=0.5
     ),
-    _row(
+    Scenario(
         "log_writer_killed",
         "log writer kill -9",
         1000,
-        response="session ends with an alarm; the log is readable, at most 250 ms lost",
+        response=_ALARM,
         effect=Effect.ENDED,
-        needs=frozenset((Needs.PROC,)),
+        needs=_PROC,
         restart=True,
         watch_s=0.5,
     ),

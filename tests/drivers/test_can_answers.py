@@ -115,7 +115,7 @@ def test_an_answers_time_counts_from_when_the_command_was_written() -> None:
 
 def test_nothing_is_late_where_times_are_not_the_walls() -> None:
     answers = waiting(in_real_time=False)
-    answers.heard(0)
+    answers.heartbeat(0)
     assert answers.overdue(10_000 * MS) is None
     assert not answers.silent(10_000 * MS)
 
@@ -123,7 +123,7 @@ def test_nothing_is_late_where_times_are_not_the_walls() -> None:
 def test_heartbeat() -> None:
     answers = waiting()
     assert not answers.silent(10_000 * MS), "none was heard yet: that is the handshake's affair"
-    answers.heard(0)
+    answers.heartbeat(0)
     assert not answers.silent(HEARTBEAT_WITHIN_MS * MS)
     assert answers.silent(HEARTBEAT_WITHIN_MS * MS + 1)
     assert not answers.silent(HEARTBEAT_WITHIN_MS * MS + 2), "told once for each such silence"

@@ -46,7 +46,7 @@ def virtual(name: str) -> can.BusABC:
 def test_bus_off_is_a_lost_stimulator(tmp_path: Path) -> None:
     bus = virtual(f"off {tmp_path}")
     with virtual(f"off {tmp_path}") as adapter:
-        port = CanOpenStimulator(bus, 7, (0,), CanOpenSettings.of(OPTIONS))
+        port = CanOpenStimulator(bus, 7, (0,), CanOpenSettings.from_options(OPTIONS))
         adapter.send(bus_off_frame())
         with pytest.raises(StimulatorLost, match="bus-off"):
             port.poll(0)
@@ -58,7 +58,7 @@ class Bench:
 
     def __init__(self, name: str, channels: tuple[int, ...] = (0,)) -> None:
         self.device = simulated.CanOpenDevice(virtual(name), 5)
-        self.port = CanOpenStimulator(virtual(name), 7, channels, CanOpenSettings.of(OPTIONS))
+        self.port = CanOpenStimulator(virtual(name), 7, channels, CanOpenSettings.from_options(OPTIONS))
         self.handshake = self.port.open(0, timeout_s=10.0)
         self.statuses: list[StimStatus] = []
         self.alive: list[StimAlive] = []
@@ -199,7 +199,7 @@ class SelfStarting:
 
 def opened(node: SelfStarting) -> CanOpenStimulator:
     node.beat(5)
-    port = CanOpenStimulator(node, 7, (0,), CanOpenSettings.of(OPTIONS))
+    port = CanOpenStimulator(node, 7, (0,), CanOpenSettings.from_options(OPTIONS))
     port.open(0)
     return port
 
@@ -267,12 +267,14 @@ def test_a_node_that_restarts_while_it_is_opened_has_all_currents_set_to_0_after
 
     node = TwoChannels()
     node.beat(5)
-    CanOpenStimulator(node, 7, (0, 1), CanOpenSettings.of(OPTIONS)).open(0)
+    CanOpenStimulator(node, 7, (0, 1), CanOpenSettings.from_options(OPTIONS)).open(0)
     assert set(node.entries.values()) == {0}
 
 
 def test_a_refused_value_is_a_fault(bench: Bench) -> None:
-    other = CanOpenStimulator(virtual("refused"), 7, (0,), CanOpenSettings.of(OPTIONS | {"current_index": 0x4000}))
+    other = CanOpenStimulator(
+        virtual("refused"), 7, (0,), CanOpenSettings.from_options(OPTIONS | {"current_index": 0x4000})
+    )
     node = simulated.CanOpenDevice(virtual("refused"), 5)
     with pytest.raises(StimulatorLost, match=r"refused object 0x4000:1 \(SDO abort 0x06020000\)"):
         other.open(0, timeout_s=10.0)
@@ -281,7 +283,7 @@ def test_a_refused_value_is_a_fault(bench: Bench) -> None:
 
 
 def test_nobody_there_says_what_to_check() -> None:
-    port = CanOpenStimulator(virtual("nobody"), 7, (0,), CanOpenSettings.of(OPTIONS))
+    port = CanOpenStimulator(virtual("nobody"), 7, (0,), CanOpenSettings.from_options(OPTIONS))
     with pytest.raises(StimulatorLost, match=r"no CANopen node 5 was heard.*node number"):
         port.open(0, timeout_s=0.1)
     port.send(StimCommand(0, 0, True, 20.0, 300.0, 40.0, 60))
@@ -297,7 +299,7 @@ def test_nobody_there_says_what_to_check() -> None:
 
 def test_a_value_without_an_answer_is_reckoned_with() -> None:
     """It may have arrived: no SYNC for less, and the lower value goes out first."""
-    port = CanOpenStimulator(virtual("deaf"), 7, (0,), CanOpenSettings.of(OPTIONS))
+    port = CanOpenStimulator(virtual("deaf"), 7, (0,), CanOpenSettings.from_options(OPTIONS))
     sent = []
     for step, current_ma in enumerate((20.0, 20.0, 10.0)):
         t_ns = step * 200_000_000
@@ -325,9 +327,9 @@ def test_an_expedited_download() -> None:
 )
 def test_settings_out_of_range_are_named(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        CanOpenSettings.of(OPTIONS | change)
+        CanOpenSettings.from_options(OPTIONS | change)
     with pytest.raises(ValueError, match="missing"):
-        CanOpenSettings.of({"node_id": 1})
+        CanOpenSettings.from_options({"node_id": 1})
     assert StimulatorDevice(device="canopen", options=OPTIONS).options["node_id"] == 5
 
 
@@ -341,7 +343,7 @@ def test_a_node_in_its_own_process(tmp_path: Path) -> None:
     try:
         assert process.stdout is not None
         assert json.loads(process.stdout.readline())["ready"]
-        port = CanOpenStimulator(open_bus(bus), 7, (0,), CanOpenSettings.of(OPTIONS))
+        port = CanOpenStimulator(open_bus(bus), 7, (0,), CanOpenSettings.from_options(OPTIONS))
         port.open(0, timeout_s=10.0)
         syncs = 0
         for _ in range(40):

@@ -95,7 +95,7 @@ def test_a_loopback_bus_has_a_whole_port(value: str | float | bool) -> None:
 @pytest.mark.parametrize("value", [1.0, True, "1", 3])
 def test_a_canopen_value_has_whole_bytes(value: str | float | bool) -> None:
     with pytest.raises(ValueError, match=r"value_bytes = .* must be 1, 2 or 4"):
-        CanOpenSettings.of({**NODE, "value_bytes": value})
+        CanOpenSettings.from_options({**NODE, "value_bytes": value})
 
 
 @pytest.mark.parametrize(

@@ -35,11 +35,11 @@ from drivers.stimulator.port import PulseTrain
 from drivers.switches import CanSwitch
 from fes.cli import main
 from fes.config import Bus, StimulatorDevice, load_session
+from fes.hil.attempts import refusal_attempt
 from fes.hil.baseline import Baseline, Lateness
 from fes.hil.campaign_bench import CampaignBench
 from fes.hil.controller import Child, ScriptedOperator
-from fes.hil.devices import TRANSPORTS, point
-from fes.hil.expected_no_effect import judged
+from fes.hil.devices import TRANSPORTS, set_link
 from fes.hil.hardware import BusWitness, Hardware
 from fes.hil.injections import INJECTIONS
 from fes.hil.judge import (
@@ -48,8 +48,8 @@ from fes.hil.judge import (
     began_after,
     length_ms,
     off_after_ms,
-    on_at,
-    outputs,
+    output_at,
+    record_outputs,
     resumed_after,
     with_late_pulses,
 )
@@ -79,64 +79,64 @@ BURST = [
 
 
 def test_a_burst_by_its_levels() -> None:
-    (output,) = outputs(BURST, 1000 * MS)
+    (output,) = record_outputs(BURST, 1000 * MS)
     assert (output.on_ns, output.off_ns, output.ended_by) == (100 * MS, 400 * MS, "off")
     assert output.charge_uc == pytest.approx(2 * 5.0 * 0.3 + 10 * 20.0 * 0.3)
-    assert on_at([output], 99 * MS) is None
-    assert on_at([output], 250 * MS) is output
+    assert output_at([output], 99 * MS) is None
+    assert output_at([output], 250 * MS) is output
     assert off_after_ms([output], 250 * MS) == 150.0
     assert off_after_ms([output], 500 * MS) == 0.0
 
 
 @pytest.mark.parametrize("event", ["lease_expired", "on_time", "fault"])
 def test_whatever_ends_it_is_an_end(event: str) -> None:
-    assert off_after_ms(outputs([*BURST[:2], can_entry(300, event)], 1000 * MS), 250 * MS) == 50.0
+    assert off_after_ms(record_outputs([*BURST[:2], can_entry(300, event)], 1000 * MS), 250 * MS) == 50.0
 
 
 def test_a_restart_ends_every_channel() -> None:
     entries = [can_entry(100, "on", 5.0), can_entry(110, "on", 5.0, channel=3), can_entry(200, "boot", channel=-1)]
-    assert [output.off_ns for output in outputs(entries, 1000 * MS)] == [200 * MS, 200 * MS]
+    assert [output.off_ns for output in record_outputs(entries, 1000 * MS)] == [200 * MS, 200 * MS]
 
 
 def test_current_that_does_not_end_or_comes_back_is_no_time() -> None:
-    assert math.isinf(off_after_ms(outputs(BURST[:2], 1000 * MS), 250 * MS))
+    assert math.isinf(off_after_ms(record_outputs(BURST[:2], 1000 * MS), 250 * MS))
     again = [*BURST, can_entry(900, "on", 5.0), can_entry(1100, "off")]
-    assert off_after_ms(outputs(again, 2000 * MS), 250 * MS) == 850.0
-    assert began_after(outputs(again, 2000 * MS), 250 * MS) == 1
+    assert off_after_ms(record_outputs(again, 2000 * MS), 250 * MS) == 850.0
+    assert began_after(record_outputs(again, 2000 * MS), 250 * MS) == 1
 
 
 def test_a_train_of_pulses_ends_with_its_last() -> None:
     entries = [pulse_entry(t) for t in (100, 125, 150, 900, 925)]
-    first, second = outputs(entries, 1000 * MS)
+    first, second = record_outputs(entries, 1000 * MS)
     assert (first.on_ns, first.off_ns, first.pulses) == (100 * MS, 150 * MS, 3)
     assert first.charge_uc == pytest.approx(18.0)
-    assert on_at([first], 160 * MS) is first  # the next pulse was due at 175
-    assert on_at([first], 250 * MS) is None
+    assert output_at([first], 160 * MS) is first  # the next pulse was due at 175
+    assert output_at([first], 250 * MS) is None
     assert second.off_ns == 925 * MS
-    assert outputs(entries, 960 * MS)[1].off_ns is None  # another pulse may be due
+    assert record_outputs(entries, 960 * MS)[1].off_ns is None  # another pulse may be due
 
 
 def test_the_longest_on_time_is_that_of_one_burst() -> None:
     """A heel lifted once more: 0.3 s of pulses, a pause of 80 ms, and then the stance that does not end, 3 s."""
     entries = [pulse_entry(t) for t in [*range(0, 301, 25), *range(380, 3381, 25)]]
-    before, stuck = outputs(entries, 5000 * MS)
+    before, stuck = record_outputs(entries, 5000 * MS)
     assert length_ms([before], 5000 * MS) == 300.0
     assert length_ms(with_late_pulses([before, stuck], stuck), 5000 * MS) == 3000.0
     # and what comes so soon after it that it may be its own is not left out
-    *_, again = late = outputs([*entries, pulse_entry(3480)], 5000 * MS)
+    *_, again = late = record_outputs([*entries, pulse_entry(3480)], 5000 * MS)
     assert length_ms(with_late_pulses(late, stuck), 5000 * MS) == 3100.0
     assert again.on_ns == 3480 * MS
-    assert with_late_pulses(outputs([*entries, pulse_entry(3600)], 5000 * MS), stuck) == [stuck]
+    assert with_late_pulses(record_outputs([*entries, pulse_entry(3600)], 5000 * MS), stuck) == [stuck]
 
 
 @pytest.mark.parametrize(("pause_ms", "began", "resumed"), [(50, 0, 0), (60, 1, 0), (150, 1, 0), (151, 1, 1)])
 def test_a_late_pulse_is_no_current_again_but_its_time_counts(pause_ms: int, began: int, resumed: int) -> None:
-    stretches = outputs([pulse_entry(t) for t in (100, 125, 150, 150 + pause_ms)], 1000 * MS)
+    stretches = record_outputs([pulse_entry(t) for t in (100, 125, 150, 150 + pause_ms)], 1000 * MS)
     assert began_after(stretches, 155 * MS) == began
     assert resumed_after(stretches, 155 * MS) == resumed
     assert off_after_ms(stretches, 155 * MS) == max(pause_ms - 5, 0)
     again = [*BURST, can_entry(410, "on", 5.0), can_entry(450, "off")]  # a record of levels knows no late pulses
-    assert resumed_after(outputs(again, 2000 * MS), 250 * MS) == 1
+    assert resumed_after(record_outputs(again, 2000 * MS), 250 * MS) == 1
 
 
 @given(st.lists(st.integers(-7, 7), min_size=80, max_size=80), st.integers(50, 200), st.integers(0, 19))
@@ -151,13 +151,13 @@ def test_a_burst_is_one_and_two_are_two(late_ms: list[int], pause_ms: int, at_ms
         if train.due(t_ms * MS, FREQUENCY_HZ):
             entries.append(pulse_entry(t_ms))
             asked.append(number < 40)
-    stretches = outputs(entries, 10_000 * MS)
+    stretches = record_outputs(entries, 10_000 * MS)
     assert [output.pulses for output in stretches] == [asked.count(True), asked.count(False)]
 
 
 @given(st.lists(st.integers(1, 3000), min_size=1, max_size=40, unique=True), st.integers(0, 3000))
 def test_off_is_never_before_the_last_pulse(times: list[int], fault_ms: int) -> None:
-    stretches = outputs([pulse_entry(t) for t in sorted(times)], 10_000 * MS)
+    stretches = record_outputs([pulse_entry(t) for t in sorted(times)], 10_000 * MS)
     assert off_after_ms(stretches, fault_ms * MS) == max(0, max(times) - fault_ms)
 
 
@@ -170,20 +170,20 @@ def test_a_record_read_bit_by_bit_tells_the_same_as_at_once(kinds: list[int], cu
     ]
     found, at = Outputs(), 0
     for cut in cuts:
-        found.take(entries[at : at + cut])
-        found.so_far(entries[at].t_ns if at < len(entries) else 0)
+        found.add(entries[at : at + cut])
+        found.stretches(entries[at].t_ns if at < len(entries) else 0)
         at += cut
-    found.take(entries[at:])
+    found.add(entries[at:])
     now_ns = 2000 * MS
-    assert found.so_far(now_ns) == outputs(entries, now_ns)
-    recent = [each for each in outputs(entries, now_ns) if each.off_ns is None or each.off_ns >= 600 * MS]
-    assert [each for each in found.so_far(now_ns, 600 * MS) if each in recent] == recent
-    before = found.so_far(now_ns)
+    assert found.stretches(now_ns) == record_outputs(entries, now_ns)
+    recent = [each for each in record_outputs(entries, now_ns) if each.off_ns is None or each.off_ns >= 600 * MS]
+    assert [each for each in found.stretches(now_ns, 600 * MS) if each in recent] == recent
+    before = found.stretches(now_ns)
     found.forget(0)
-    assert found.so_far(now_ns) == before
+    assert found.stretches(now_ns) == before
     found.forget(now_ns)
     assert [each for each in before if each.off_ns is None] == [
-        each for each in found.so_far(now_ns) if each.off_ns is None
+        each for each in found.stretches(now_ns) if each.off_ns is None
     ]
 
 
@@ -248,9 +248,9 @@ def test_a_machine_that_was_away_is_no_success() -> None:
     assert row.verdict(1e9) is Verdict.FAILED
     made_again = Row(BY_NAME["imu_nan"], [Attempt(20.0)], away=["controller stalled for 51 ms"])
     assert made_again.verdict(0.0) is Verdict.MET
-    (remark,) = campaign([made_again]).remarks
-    assert "Machine away 1 times" in remark
-    assert remark in campaign([made_again]).to_markdown()
+    (notice,) = campaign([made_again]).notices
+    assert "Machine away 1 times" in notice
+    assert notice in campaign([made_again]).to_markdown()
 
 
 def test_lost_time_counts_as_the_machines_only_where_an_idle_loop_lost_it_too() -> None:
@@ -274,19 +274,21 @@ def level(t_ms: float, event: str, current_ma: float = 18.0, detail: str = "") -
 
 def test_foreign_frames_are_judged_by_what_the_stimulator_noted() -> None:
     refused = [level(10.0 + k, "refused", detail="bad_counter") for k in range(3)]
-    assert judged([level(5, "on"), *refused], 3, "command refused", random=False).faults == ()
-    assert "only 3 of 4 refused" in judged(refused, 4, "", random=False).faults
-    assert judged([*refused, level(20, "level", 40.0)], 3, "", random=False).faults
-    assert judged([*refused, level(200, "on")], 3, "", random=False).faults == ()  # the session goes on
-    assert judged([*refused, level(200, "on")], 3, "command refused", random=False).faults
+    assert refusal_attempt([level(5, "on"), *refused], 3, "command refused", random=False).faults == ()
+    assert "only 3 of 4 refused" in refusal_attempt(refused, 4, "", random=False).faults
+    assert refusal_attempt([*refused, level(20, "level", 40.0)], 3, "", random=False).faults
+    assert refusal_attempt([*refused, level(200, "on")], 3, "", random=False).faults == ()  # the session goes on
+    assert refusal_attempt([*refused, level(200, "on")], 3, "command refused", random=False).faults
     noise = [level(k, "refused", detail="STIM_COMMAND: wrong CRC") for k in range(2000)]
     few, many = ([level(k, "refused", detail="bad_session") for k in range(count)] for count in (8, 40))
-    assert judged(noise + few, 2008, "", random=True).faults == ()
-    assert "have a right CRC" in judged(noise + many, 2040, "", random=True).faults[0]
+    assert refusal_attempt(noise + few, 2008, "", random=True).faults == ()
+    assert "have a right CRC" in refusal_attempt(noise + many, 2040, "", random=True).faults[0]
     opened = RecordEntry(50, "session", detail="session 77")
-    assert "executed" in judged([*refused, opened], 3, "", random=False).faults[0]
+    assert "executed" in refusal_attempt([*refused, opened], 3, "", random=False).faults[0]
     own = frozenset({"session 77"})
-    assert judged([*refused, opened], 3, "", random=False, own_sessions=own).faults == (), "the controller's own"
+    assert refusal_attempt([*refused, opened], 3, "", random=False, own_sessions=own).faults == (), (
+        "the controller's own"
+    )
 
 
 def result(transport: str, rows: list[Row]) -> dict[str, Any]:
@@ -298,7 +300,7 @@ def test_several_campaigns_make_one_table(tmp_path: Path) -> None:
     silent, flipped_ = BY_NAME["imu_silent"], BY_NAME["commands_flipped"]
     one = result("slcan", [Row(silent, [Attempt(40.0), Attempt(90.0)]), Row(flipped_, skipped="needs CAN")])
     two = result("slcan", [Row(silent, [Attempt(101.0)])])
-    three = result("serial", [Row(silent, [Attempt(math.inf)]), Row(flipped_, [Attempt(remark="fine")])])
+    three = result("serial", [Row(silent, [Attempt(math.inf)]), Row(flipped_, [Attempt(notice="fine")])])
     paths = []
     for number, data in enumerate((one, two, three)):
         paths.append(tmp_path / f"{number}.json")
@@ -363,13 +365,13 @@ def test_the_scripted_operator_orders_and_listens(tmp_path: Path) -> None:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as session:
         session.bind(str(tmp_path / "session"))
         operator = ScriptedOperator(tmp_path / "session", tmp_path / "me")
-        operator.order("arm")
+        operator.send_command("arm")
         asked, sender = session.recvfrom(1024)
         assert json.loads(asked) == {"ask": "arm", "value": 0.0, "confirm": True}
         session.sendto(b'{"ok":false,"why":"no"}', sender)
         session.sendto(Status(5, "armed").encode(), sender)
         session.sendto(b"noise", sender)
-        status = operator.listen()
+        status = operator.receive_status()
         assert status is not None
         assert status.state == "armed"
         assert operator.refusals == ["no"]
@@ -380,7 +382,7 @@ def test_the_scripted_operator_orders_and_listens(tmp_path: Path) -> None:
 def test_a_name_that_stays_when_what_is_behind_it_changes(tmp_path: Path) -> None:
     for target in ("one", "two"):
         (tmp_path / target).write_text(target)
-        point(tmp_path / "name", str(tmp_path / target))
+        set_link(tmp_path / "name", str(tmp_path / target))
         assert (tmp_path / "name").read_text() == target
 
 
@@ -532,14 +534,14 @@ def test_the_idle_loops_tell_when_the_machine_was_away() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are looked for in /proc")
 def test_a_child_is_known_until_it_has_ended() -> None:
     process = subprocess.Popen([sys.executable, "-c", "input()", "fes.example"], stdin=subprocess.PIPE)
-    child = Child.of(process.pid)
+    child = Child.running(process.pid)
     assert child is not None
     assert child.runs
     assert not Child(child.pid, "another time", child.module).runs
     child.kill()
     process.wait(5.0)
     assert not child.runs
-    assert Child.of(process.pid) is None
+    assert Child.running(process.pid) is None
 
 
 def test_the_node_takes_its_faults_while_it_runs() -> None:

@@ -38,7 +38,7 @@ starting = threading.Thread(
 )
 starting.start()
 starting.join()
-while begun[0].alive and "runs" not in begun[0].said():
+while begun[0].alive and "runs" not in begun[0].printed():
     time.sleep(0.01)
 print(begun[0].pid, flush=True)
 time.sleep(60)

@@ -14,7 +14,7 @@ from typing import Any, cast
 import pytest
 
 from fes.hil import controller as controller_module
-from fes.hil.campaign_bench import Bench, CampaignBench
+from fes.hil.campaign_bench import CampaignBench
 from fes.hil.closed_loop.bench import PatientBench
 from fes.hil.closed_loop.processes import run_between_processes
 from fes.hil.controller import SIGNALS, uninterrupted
@@ -138,10 +138,10 @@ def test_a_rig_interrupted_while_it_starts_a_session_ends_it(
     tmp_path: Path, interrupted_starts: list[subprocess.Popen[bytes]]
 ) -> None:
     with ExitStack() as stack:
-        rig = CampaignBench(cast(Bench, OnlyFiles(tmp_path)), frozenset(), stack)
-        stack.callback(rig.close)
+        bench = CampaignBench(cast(Any, OnlyFiles(tmp_path)), frozenset(), stack)
+        stack.callback(bench.close)
         with pytest.raises(KeyboardInterrupt):
-            rig.start("")
+            bench.start("")
     (process,) = interrupted_starts
     assert process.poll() is not None
 

@@ -18,9 +18,9 @@ from fes.cli.common.loop_view import LoopView
 from fes.cli.demo import command as demo
 from fes.cli.demo import patient, result_of
 from fes.config import Bus, StimulatorDevice, load_session, validate_session
-from fes.hil.closed_loop.one_process import ListenedLog, run_in_one_process
-from fes.hil.closed_loop.processes import WALK_S, Happening, course
-from fes.hil.closed_loop.session import calibration_of, session_text
+from fes.hil.closed_loop.one_process import NotifyingLog, run_in_one_process
+from fes.hil.closed_loop.processes import WALK_S, Happening, armed_protocol
+from fes.hil.closed_loop.session import patient_calibration, session_text
 from fes.session_log import SessionLogError, read_session
 from fes.simulation.forward import VirtualPatient, VirtualStride
 
@@ -33,7 +33,12 @@ def run(
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     log = folder / name
     return run_in_one_process(
-        settings, session, calibration_of(settings).calibrations, course(seconds, further), log, "2026-01-01T00:00:00"
+        settings,
+        session,
+        patient_calibration(settings).calibrations,
+        armed_protocol(seconds, further),
+        log,
+        "2026-01-01T00:00:00",
     ), log
 
 
@@ -111,7 +116,7 @@ def test_a_demo_on_a_full_disk_ends_with_a_message(tmp_path: Path, monkeypatch: 
     def full(log: object, change: object) -> None:
         raise SessionLogError("session.feslog: cannot be written any more: the disk is full")
 
-    monkeypatch.setattr(ListenedLog, "phase", full)
+    monkeypatch.setattr(NotifyingLog, "phase", full)
     done = CliRunner().invoke(demo, ["--closed-loop", "--fast", "--out", str(tmp_path)])
     assert done.exit_code == 3, done.output
     assert "the disk is full" in done.output
@@ -176,7 +181,7 @@ def test_a_run_without_strides_has_a_result() -> None:
 
 
 def test_a_course_holds_only_what_can_happen() -> None:
-    planned = course(60.0, (Happening(50.0, "electrode", 0.7), Happening(2.0, "speed", 0.9)))
+    planned = armed_protocol(60.0, (Happening(50.0, "electrode", 0.7), Happening(2.0, "speed", 0.9)))
     assert [one.what for one in planned.happenings] == ["speed", "arm", "full", "electrode"]
     assert planned.happenings[2].t_s + 4.0 < WALK_S
     with pytest.raises(ValueError, match="must be one of"):

@@ -42,8 +42,8 @@ from fes.hil.campaign import run_campaign
 from fes.hil.campaign_bench import LOST_TIME, CampaignBench
 from fes.hil.closed_loop.bench import PatientBench, spawn_patient, start_patient_bench
 from fes.hil.closed_loop.one_process import run_in_one_process
-from fes.hil.closed_loop.processes import Ran, SwitchedOff, course, run_between_processes
-from fes.hil.closed_loop.session import calibration_of, session_text
+from fes.hil.closed_loop.processes import ClosedLoopRun, SwitchedOff, armed_protocol, run_between_processes
+from fes.hil.closed_loop.session import patient_calibration, session_text
 from fes.hil.devices import start_devices
 from fes.hil.judge import MS
 from fes.hil.scenarios import SCENARIOS
@@ -62,11 +62,13 @@ def in_one_process(folder: Path) -> tuple[SessionRecord, list[VirtualStride]]:
     text = session_text(settings, current_ma=CURRENT_MA)
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     log = folder / "one.feslog"
-    lived = run_in_one_process(settings, session, calibration_of(settings).calibrations, course(SECONDS), log, "")
+    lived = run_in_one_process(
+        settings, session, patient_calibration(settings).calibrations, armed_protocol(SECONDS), log, ""
+    )
     return read_session(log), [stride for stride in lived.strides if stride.foot == settings.affected_foot]
 
 
-def between_processes(folder: Path, stimulator: str) -> tuple[Ran, int, list[RecordEntry]]:
+def between_processes(folder: Path, stimulator: str) -> tuple[ClosedLoopRun, int, list[RecordEntry]]:
     """The run, when the patient's time began, and the stimulator's record of it.
 
     A session that lost time switches off, as it must, and says so; what a stimulator tells that lost time comes too
@@ -84,7 +86,7 @@ def between_processes(folder: Path, stimulator: str) -> tuple[Ran, int, list[Rec
             idle = Baseline()
             stack.callback(idle.end)
             try:
-                ran = run_between_processes(bench, course(SECONDS))
+                ran = run_between_processes(bench, armed_protocol(SECONDS))
             except SwitchedOff as off:
                 if not any(word in off.reason for word in LOST_TIME):
                     raise
@@ -296,9 +298,9 @@ def test_a_campaign_on_a_patient_who_feels_the_stimulation(tmp_path: Path, trans
     names = ("imu_unplugged", "controller_killed")
     with ExitStack() as stack:
         devices = start_devices(transport, tmp_path, stack, closed_loop=True)
-        rig = CampaignBench(devices, devices.can_do, stack)
+        campaign = CampaignBench(devices, devices.capabilities, stack)
         scenarios = [scenario for scenario in SCENARIOS if scenario.name in names]
-        done = run_campaign(rig, transport, scenarios, 1, lambda scenario, n, found: None)
+        done = run_campaign(campaign, transport, scenarios, 1, lambda scenario, n, found: None)
         assert devices.patient is not None
         felt = devices.patient.punctuality()
         assert devices.patient.process.poll() is None  # the same patient all along

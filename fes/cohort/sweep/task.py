@@ -359,17 +359,17 @@ def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
 @lru_cache(maxsize=4)
 def _calibrated(patient: Patient, foot: str, channel: int) -> tuple[PatientSettings, dict[str, Calibration], Any]:
     """A patient's settings, calibrations from a walk without stimulation, and where toe and heel are."""
-    from fes.hil.closed_loop.session import calibration_of
+    from fes.hil.closed_loop.session import patient_calibration
     from fes.simulation.forward import VirtualPatient
 
     settings = patient.settings(foot, channel)
     geometry = VirtualPatient(settings).geometry[foot]
-    return settings, calibration_of(settings).calibrations, geometry
+    return settings, patient_calibration(settings).calibrations, geometry
 
 
 def _on_patient(patient: Patient, bench: Bench, point: Point) -> Scores:
     from fes.hil.closed_loop.one_process import run_in_one_process
-    from fes.hil.closed_loop.processes import course
+    from fes.hil.closed_loop.processes import armed_protocol
     from fes.session_log import Note
 
     asked = session_with(bench.session, point, Path(bench.path))
@@ -386,7 +386,7 @@ def _on_patient(patient: Patient, bench: Bench, point: Point) -> Scores:
             settings,
             session,
             with_thresholds(calibrations, point),
-            course(STAND_S + bench.seconds),
+            armed_protocol(STAND_S + bench.seconds),
             Path(folder) / "session.feslog",
             CREATED,
             on_stride=strides.append,

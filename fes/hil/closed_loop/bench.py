@@ -2,8 +2,6 @@
 
 sensors' lines ← patient ← pulses ← stimulator ← its line. What is between the two lines, ``fes run``, is not started
 here: whoever has the session file starts it.
-
-Start a virtual patient's process, hear of its strides, tell it what happens, and be sure to end it.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from drivers.simulated.process_handle import ProcessHandle
 from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
 from fes.calibration.recording import save
 from fes.config import StimulatorDevice
-from fes.hil.closed_loop.session import CURRENT_MA, calibration_of, session_text
+from fes.hil.closed_loop.session import CURRENT_MA, patient_calibration, session_text
 from fes.simulation.forward import PatientSettings, VirtualStride
 from fes.simulation.forward.settings import to_plain
 
@@ -45,11 +43,11 @@ class PatientHandle(ProcessHandle):
         super()._on_ready(ready)
         self.ports, self.start_ns = dict(ready["ports"]), int(ready["start_ns"])
 
-    def _on_message(self, said: Mapping[str, Any]) -> bool:
-        if "stride" in said:
-            self._strides.append(VirtualStride(**said["stride"]))
-        elif "summary" in said and "done" not in said:
-            self.summary = said["summary"]
+    def _on_message(self, message: Mapping[str, Any]) -> bool:
+        if "stride" in message:
+            self._strides.append(VirtualStride(**message["stride"]))
+        elif "summary" in message and "done" not in message:
+            self.summary = message["summary"]
         else:
             return False
         return True
@@ -65,13 +63,13 @@ class PatientHandle(ProcessHandle):
         strides, self._strides = self._strides, []
         return strides
 
-    def do(self, deed: str, value: float = 0.0) -> int:
+    def intervene(self, name: str, value: float = 0.0) -> int:
         """Let something happen to it: walk, stand, speed, electrode, fitness; returns when, CLOCK_MONOTONIC ns.
 
         Raises:
             ImuLost: it does not know that, or is gone.
         """
-        return int(self.request({"do": deed, "value": value})["t_ns"])
+        return int(self.request({"do": name, "value": value})["t_ns"])
 
     def inject(self, name: str, value: float = 1.0, sensor: str = "") -> int:
         """Bring a fault of a worn sensor about, without ``sensor`` of all; returns when.
@@ -82,7 +80,7 @@ class PatientHandle(ProcessHandle):
         return int(self.request({"fault": name, "value": value, "sensor": sensor})["t_ns"])
 
     def hold(self, held: bool) -> int:
-        """A patient who walks in turns stands for as long as this holds; returns when it was told.
+        """A patient who walks in turns stands for as long as this holds; returns when that was.
 
         Raises:
             ImuLost: it is gone.
@@ -112,8 +110,8 @@ class PatientHandle(ProcessHandle):
         Raises:
             ImuLost: it is gone.
         """
-        found: dict[str, Any] = self.request({"ask": "summary"})["summary"]
-        return found
+        summary: dict[str, Any] = self.request({"ask": "summary"})["summary"]
+        return summary
 
 
 def spawn_patient(
@@ -129,10 +127,10 @@ def spawn_patient(
     compile).
 
     Args:
-        pulses: the socket that the stimulator tells its pulses to; made by the patient.
+        pulses: the socket that the stimulator sends its pulses to; made by the patient.
         settings: who it is.
         cycle_s: walk and stand in turns, so many seconds each.
-        waits: stand until told to walk.
+        waits: stand until it is to walk.
         held: its time begins with :meth:`PatientHandle.begin`; until then its sensors are silent.
         timeout_s: until it must be there.
 
@@ -186,8 +184,8 @@ def start_patient_bench(
         stimulator: one of :data:`STIMULATORS`.
         current_ma: the session's to begin with.
         tuning: off, suggest or act.
-        waits: the patient stands until told to walk.
-        held: its time begins when told to.
+        waits: the patient stands until it is to walk.
+        held: its time begins with a command.
         cycle_s: it walks and stands in turns, so many seconds each.
 
     Raises:
@@ -195,7 +193,7 @@ def start_patient_bench(
         CalibrationError: this patient's walk does not show enough to calibrate on.
     """
     calibration = folder / CALIBRATION_NAME
-    save(calibration_of(settings), calibration)
+    save(patient_calibration(settings), calibration)
     # a socket's name may have 107 bytes, less than many a folder's
     pulses = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fes-"))) / "pulses"
     patient = spawn_patient(pulses, settings, waits=waits, held=held, cycle_s=cycle_s)

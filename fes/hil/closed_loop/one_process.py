@@ -46,24 +46,24 @@ _ACTS = {
 }
 
 
-class ListenedLog(SessionWriter):
-    """The session log; the notes that are told to people are also given to ``heard``."""
+class NotifyingLog(SessionWriter):
+    """The session log; its notes are also given to ``on_note``."""
 
-    def __init__(self, path: Path, header: dict[str, Any], heard: Callable[[Note], None]) -> None:
+    def __init__(self, path: Path, header: dict[str, Any], on_note: Callable[[Note], None]) -> None:
         super().__init__(path, header)
-        self._heard = heard
+        self._on_note = on_note
 
     def note(self, note: Note) -> None:
         """As the log's."""
         super().note(note)
-        self._heard(note)
+        self._on_note(note)
 
 
 def run_in_one_process(
     settings: PatientSettings,
     session: Session,
     calibrations: Mapping[str, Calibration],
-    course: Protocol,
+    protocol: Protocol,
     log_path: Path,
     created: str,
     *,
@@ -71,7 +71,7 @@ def run_in_one_process(
     on_note: Callable[[Note], None] = lambda note: None,
     after: Callable[[Event], None] = lambda event: None,
 ) -> VirtualPatient:
-    """Run a course with everything in this process; the patient as it is afterwards.
+    """Run a protocol with everything in this process; the patient as it is afterwards.
 
     The samples are rounded to what the sensors' lines carry (single precision), as between processes.
 
@@ -79,20 +79,20 @@ def run_in_one_process(
         settings: the patient.
         session: the controller's.
         calibrations: by sensor.
-        course: what happens when.
+        protocol: what happens when.
         log_path: of the session log, which must not be there.
         created: an ISO time for the log.
-        on_stride: told every stride of the affected foot.
-        on_note: told every remark in the log.
+        on_stride: given every stride of the affected foot.
+        on_note: given every note in the log.
         after: called after every event; may raise to end the run.
 
     Raises:
         SessionLogError: the log cannot be written.
     """
     patient = VirtualPatient(settings)
-    numbers = identity(f"{__version__}{settings!r}{course!r}", session)
+    numbers = identity(f"{__version__}{settings!r}{protocol!r}", session)
     header = _header(settings, session, calibrations, numbers.session_id, created)
-    log = ListenedLog(log_path, header, on_note)
+    log = NotifyingLog(log_path, header, on_note)
     stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
     ended = "interrupted"
     told = 0
@@ -107,7 +107,7 @@ def run_in_one_process(
 
     controller = Controller(session, calibrations)
     try:
-        events = with_ticks(_events(patient, stimulator, session, course))
+        events = with_ticks(_events(patient, stimulator, session, protocol))
         run_loop(controller, session, calibrations, stimulator, log, events, see)
         ended = "complete"
     finally:
@@ -187,7 +187,7 @@ def walk_stimulated(
         # switched off at the end as by hand: the silence after it is no sensor that was lost
         yield OperatorAct(patient.now_ns, OperatorAction.DISARM)
 
-    log = ListenedLog(log_path, header, on_note)
+    log = NotifyingLog(log_path, header, on_note)
     _armed(walked(), session, calibrations, stimulator, log, after)
 
 
@@ -242,11 +242,11 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
-def _events(patient: VirtualPatient, pulses: PulseSource, session: Session, course: Protocol) -> Iterator[Event]:
-    """The patient's samples and the course's orders, each right after the samples of its time; deeds are done."""
-    due = list(course.happenings)
+def _events(patient: VirtualPatient, pulses: PulseSource, session: Session, protocol: Protocol) -> Iterator[Event]:
+    """The patient's samples and the protocol's orders, each right after the samples of its time; deeds are done."""
+    due = list(protocol.happenings)
     newest_ns = 0
-    for event in patient_events(patient, pulses, course.seconds):
+    for event in patient_events(patient, pulses, protocol.seconds):
         if event.t_ns > newest_ns:
             newest_ns = event.t_ns
             while due and due[0].t_s * NS_PER_S < event.t_ns:

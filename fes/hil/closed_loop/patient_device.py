@@ -2,9 +2,8 @@
 
 No I/O and no clock. Each worn sensor is a simulated one with all the faults of :mod:`drivers.simulated.imu.device`;
 what it measures is the patient's foot or shank at the moment of its sample. The patient is advanced by one sampling
-interval at a time, so that the same pulses give the same samples however late the process was woken.
-
-A virtual patient's foot sensor in the place of a campaign's: the same faults; the patient feels the pulses.
+interval at a time, so that the same pulses give the same samples however late the process was woken. In a campaign the
+patient's foot sensor stands in the place of a simulated one.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,33 +22,15 @@ from drivers.simulated.line_faults import LINE_FAULTS
 from drivers.simulated.pulses import Pulse
 from fes.calibration.recording import save
 from fes.hil.closed_loop.bench import PatientHandle, spawn_patient
-from fes.hil.closed_loop.session import calibration_of
+from fes.hil.closed_loop.session import patient_calibration
 from fes.hil.settings import FOOT, RATE_HZ
 from fes.signals import G_MPS2, NS_PER_S
 from fes.simulation.forward import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride, settings_for
 
+REMEMBERED_S: Final = 60.0
+HELD: Final = 1 << 62
+LATE_NS: Final = 5_000_000  # a sample that goes out later than this is counted
 CYCLE_S: Final = (5.0, 3.5)  # walks and stands in turns; a stand is longer than a burst may last
-
-
-class Sensor(Protocol):
-    """A campaign's sensor: see :class:`~drivers.simulated.imu.spawn.ImuHandle`."""
-
-    @property
-    def port(self) -> str:
-        """What the host opens."""
-        ...
-
-    def inject(self, name: str, value: float = 1.0) -> int:
-        """Bring a fault about now; when that was, CLOCK_MONOTONIC ns."""
-        ...
-
-    def clear(self) -> None:
-        """End the faults that last."""
-        ...
-
-    def stop(self) -> int:
-        """It is not needed any more."""
-        ...
 
 
 class PatientSensor:
@@ -85,27 +66,22 @@ def campaign_patient(folder: Path, pulses: Path) -> tuple[PatientHandle, Path]:
 
     Args:
         folder: for the calibration.
-        pulses: the socket that the stimulator tells its pulses to.
+        pulses: the socket that the stimulator sends its pulses to.
 
     Raises:
         ImuLost: it does not start.
     """
     settings: PatientSettings = settings_for("moderate", seed=11, sensors=(FOOT,), rate_hz=RATE_HZ, speed_mps=1.0)
     calibration = folder / "patient.calibration.json"
-    save(calibration_of(settings), calibration)
+    save(patient_calibration(settings), calibration)
     return spawn_patient(pulses, settings, cycle_s=CYCLE_S), calibration
-
-
-REMEMBERED_S: Final = 60.0
-HELD: Final = 1 << 62
-LATE_NS: Final = 5_000_000  # a sample that goes out later than this is counted
 
 
 @dataclass(slots=True)
 class Punctuality:
     """How well a patient kept real time, and what reached it.
 
-    ``late_5ms``: intervals whose samples went out more than 5 ms after their moment. ``pulses_late``: pulses told
+    ``late_5ms``: intervals whose samples went out more than 5 ms after their moment. ``pulses_late``: pulses that came
     after the muscle should have answered, which acted at once instead.
     """
 
@@ -128,7 +104,7 @@ class PatientDevice:
         settings: who it is; every sensor of ``settings.sensors`` is worn.
         start_ns: the host's time at which the patient's own begins, and it with it; :data:`HELD`: with :meth:`begin`.
         cycle_s: walk and stand in turns, so many seconds each; None: walk on after ``settings.stand_s``.
-        waits: stand until told to walk.
+        waits: stand until it is to walk.
     """
 
     def __init__(
@@ -147,7 +123,7 @@ class PatientDevice:
         self._interval = 0
         self._cycle_s = cycle_s
         self._walked, self._changed_ns = False, 0
-        self._told = 0
+        self._read_strides = 0
         self._held = False
         if waits or cycle_s:
             self.patient.stay()
@@ -187,7 +163,7 @@ class PatientDevice:
         return self._start_ns + (self._interval + 1) * self._step_ns
 
     def advance(self, t_ns: int, pulses: Sequence[Pulse]) -> dict[str, list[bytes]]:
-        """All samples due by ``t_ns``, by sensor; ``pulses`` are those told since the last call."""
+        """All samples due by ``t_ns``, by sensor; ``pulses`` are those sent since the last call."""
         out: dict[str, list[bytes]] = {name: [] for name in self._imus}
         felt = self._feel(pulses)
         while (due_ns := self.next_deadline_ns()) <= t_ns:
@@ -203,7 +179,7 @@ class PatientDevice:
             self.counts.intervals += 1
             self.counts.late_5ms += late_ns > LATE_NS
             self.counts.latest_ms = max(self.counts.latest_ms, late_ns * 1e-6)
-        if felt:  # told between two deadlines
+        if felt:  # came between two deadlines
             self.patient.advance(self.patient.now_ns, felt)
         return out
 
@@ -227,8 +203,8 @@ class PatientDevice:
 
     def new_strides(self) -> list[VirtualStride]:
         """The affected foot's strides, complete since the last call."""
-        strides = self.patient.strides[self._told :]
-        self._told = len(self.patient.strides)
+        strides = self.patient.strides[self._read_strides :]
+        self._read_strides = len(self.patient.strides)
         return [stride for stride in strides if stride.foot == self.patient.settings.affected_foot]
 
     # --- inside -----------------------------------------------------------------------------------------

@@ -80,28 +80,28 @@ class PatientLoop:
         if data := self._faults[sensor].due(now_ns):
             self.ends[sensor].write(data)
 
-    def _execute(self, asked: dict[str, Any]) -> dict[str, Any]:
-        if "do" in asked:
-            intervene(self._device.patient, str(asked["do"]), float(asked.get("value", 0.0)))
-        elif "hold" in asked:
-            self._device.hold(bool(asked["hold"]))
-        elif "begin" in asked:
+    def _execute(self, command: dict[str, Any]) -> dict[str, Any]:
+        if "do" in command:
+            intervene(self._device.patient, str(command["do"]), float(command.get("value", 0.0)))
+        elif "hold" in command:
+            self._device.hold(bool(command["hold"]))
+        elif "begin" in command:
             start_ns = time.monotonic_ns()
             self._device.begin(start_ns)
             return {"done": True, "start_ns": start_ns}
-        elif "replug" in asked:
-            sensor = str(asked["replug"])
+        elif "replug" in command:
+            sensor = str(command["replug"])
             self.ends[sensor].unplug()
             self.ends[sensor] = PtyEnd()
             return {"done": True, "port": self.ends[sensor].port}
-        elif "ask" in asked:
+        elif "ask" in command:
             return {"done": True, "summary": self._device.counts.to_dict(), "now_s": self._device.now_s}
         else:
-            for sensor in [str(asked["sensor"])] if asked.get("sensor") else list(self.ends):
-                self._fault(sensor, str(asked["fault"]), float(asked.get("value", 1)))
+            for sensor in [str(command["sensor"])] if command.get("sensor") else list(self.ends):
+                self._inject(sensor, str(command["fault"]), float(command.get("value", 1)))
         return {"done": True}
 
-    def _fault(self, sensor: str, name: str, value: float) -> None:
+    def _inject(self, sensor: str, name: str, value: float) -> None:
         now_ns = time.monotonic_ns()
         if name == "unplug":
             self.ends[sensor].unplug()
@@ -112,13 +112,13 @@ class PatientLoop:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the patient until told to stop; exit status 2 when the settings are wrong."""
+    """Run the patient until a signal ends it; exit status 2 when the settings are wrong."""
     parser = argparse.ArgumentParser(prog="patient_process", description="A virtual patient with worn sensors.")
     parser.add_argument("--pulses", type=Path, required=True, help="socket that delivered pulses come to")
     parser.add_argument("--settings", default="{}", help="who it is: fes.simulation.forward.PatientSettings as JSON")
     parser.add_argument("--cycle", type=float, nargs=2, metavar=("WALK_S", "STAND_S"), help="walk and stand in turns")
-    parser.add_argument("--waits", action="store_true", help="stand until told to walk")
-    parser.add_argument("--held", action="store_true", help="its time begins when it is told to, not at once")
+    parser.add_argument("--waits", action="store_true", help="stand until it is to walk")
+    parser.add_argument("--held", action="store_true", help="its time begins with a command, not at once")
     options = parser.parse_args(arguments)
     stop = stop_signals()
     try:

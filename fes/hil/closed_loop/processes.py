@@ -1,6 +1,6 @@
-"""A closed-loop run in real time: patient, stimulator and ``fes run`` each in a process of its own.
+"""A closed-loop run in real time: patient, stimulator and ``fes run`` each in a process of its own; and its protocol.
 
-What happens in a closed-loop run, by the patient's own time: the same list for separate processes and for one.
+A protocol is what happens in a run, by the patient's own time: the same for separate processes and for one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fes.live.status import Status
 from fes.simulation.forward import VirtualStride
 from fes.simulation.forward.closed_loop import INTERVENTIONS
 
-ORDERS: Final = ("arm", "full", "freeze_tuning", "resume_tuning", "accept_suggestion", "roll_back")
+COMMANDS: Final = ("arm", "full", "freeze_tuning", "resume_tuning", "accept_suggestion", "roll_back")
 ARM_S: Final = 4.0
 FULL_S: Final = 4.5  # intensity to the session's; by hand that takes four seconds
 WALK_S: Final = 10.0
@@ -27,15 +27,15 @@ WALK_S: Final = 10.0
 
 @dataclass(frozen=True, slots=True)
 class Happening:
-    """At ``t_s`` of the patient's time: an order of the operator (:data:`ORDERS`) or a deed to the patient."""
+    """At ``t_s`` of the patient's time: an operator's command (:data:`COMMANDS`) or an intervention on the patient."""
 
     t_s: float
     what: str
     value: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.what not in (*ORDERS, *INTERVENTIONS):
-            raise ValueError(f"{self.what!r}: must be one of {', '.join((*ORDERS, *INTERVENTIONS))}")
+        if self.what not in (*COMMANDS, *INTERVENTIONS):
+            raise ValueError(f"{self.what!r}: must be one of {', '.join((*COMMANDS, *INTERVENTIONS))}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +46,16 @@ class Protocol:
     happenings: tuple[Happening, ...]
 
 
-def course(seconds: float, further: Sequence[Happening] = ()) -> Protocol:
+def armed_protocol(seconds: float, further: Sequence[Happening] = ()) -> Protocol:
     """Armed and raised to full while the patient stands, then whatever else, by time."""
     first = (Happening(ARM_S, "arm"), Happening(FULL_S, "full"))
     return Protocol(seconds, tuple(sorted((*first, *further), key=lambda one: one.t_s)))
 
 
-LOOK_S: Final = 0.01
+TICK_S: Final = 0.01
 START_S: Final = 120.0  # it may have to compile first
-ORDER_EVERY_S: Final = 0.16
-WATCH_EVERY_S: Final = 1.0
+COMMAND_EVERY_S: Final = 0.16
+SUBSCRIBE_EVERY_S: Final = 1.0
 END_S: Final = 20.0
 ARM_AGAIN_S: Final = 30.0  # the patient finishes a step, and rests
 TOO_LATE_MS: Final = 15.0
@@ -63,7 +63,7 @@ ARMED: Final = ("armed", "running")
 
 
 @dataclass(frozen=True, slots=True)
-class Ran:
+class ClosedLoopRun:
     """What a run left: the session log, the patient's strides of the affected foot, how punctual the patient was.
 
     ``interruptions``: why the session switched off meanwhile, each time it did.
@@ -77,28 +77,28 @@ class Ran:
 
 def run_between_processes(
     bench: PatientBench,
-    course: Protocol,
+    protocol: Protocol,
     *,
     on_stride: Callable[[VirtualStride], None] = lambda stride: None,
     on_status: Callable[[Status], None] = lambda status: None,
-    look: Callable[[], None] = lambda: None,
-    go_on: int = 0,
-) -> Ran:
-    """Run a course with a bench whose patient was started ``held``.
+    on_tick: Callable[[], None] = lambda: None,
+    most_rearms: int = 0,
+) -> ClosedLoopRun:
+    """Run a protocol with a bench whose patient was started ``held``.
 
     A session that latches, as on a computer that is too busy, ends the run, or is gone on with as a person would: the
     patient stands still, is armed for again by hand, and walks on.
 
     Args:
         bench: patient and stimulator.
-        course: what happens when, by the patient's time.
-        on_stride: told every stride of the affected foot.
-        on_status: told what the session says, ten times a second.
-        look: called every 10 ms; may raise to end the run.
-        go_on: how many times to go on.
+        protocol: what happens when, by the patient's time.
+        on_stride: given every stride of the affected foot.
+        on_status: given what the session says, ten times a second.
+        on_tick: called every 10 ms; may raise to end the run.
+        most_rearms: how many times to arm again.
 
     Raises:
-        SwitchedOff: the session latched, once more than ``go_on``.
+        SwitchedOff: the session latched, once more than ``most_rearms``.
         CampaignBroken: the session does not come up, is not armed in time, or ends early.
         ImuLost: the patient is gone.
     """
@@ -108,12 +108,12 @@ def run_between_processes(
             stack.callback(controller.end)
         operator = ScriptedOperator(controller.control, bench.folder / "operator")
         stack.callback(operator.close)
-        run = _Run(bench, controller, operator, on_stride, on_status, look, go_on)
+        run = _LiveRun(bench, controller, operator, on_stride, on_status, on_tick, most_rearms)
         run.until_ready()
         bench.patient.begin()
-        run.through(course)
+        run.through(protocol)
         log = run.to_the_end()
-        return Ran(log, tuple(run.strides), bench.patient.punctuality(), tuple(run.interruptions))
+        return ClosedLoopRun(log, tuple(run.strides), bench.patient.punctuality(), tuple(run.interruptions))
 
 
 class SwitchedOff(CampaignBroken):
@@ -132,7 +132,7 @@ class SwitchedOff(CampaignBroken):
         )
 
 
-class _Run:
+class _LiveRun:
     def __init__(
         self,
         bench: PatientBench,
@@ -140,17 +140,17 @@ class _Run:
         operator: ScriptedOperator,
         on_stride: Callable[[VirtualStride], None],
         on_status: Callable[[Status], None],
-        look: Callable[[], None],
-        go_on: int,
+        on_tick: Callable[[], None],
+        most_rearms: int,
     ) -> None:
-        self._go_on = go_on
+        self._most_rearms = most_rearms
         self._patient = bench.patient
         self._controller = controller
         self._operator = operator
         self._on_stride = on_stride
         self._on_status = on_status
-        self._look = look
-        self._watched_s = self._ordered_s = 0.0
+        self._on_tick = on_tick
+        self._subscribed_s = self._commanded_s = 0.0
         self._status: Status | None = None
         self._wanted: list[str] = []
         self._channel = bench.settings.channel
@@ -163,13 +163,13 @@ class _Run:
         end_s = time.monotonic() + START_S
         while self._status is None or self._status.state == "off":
             if time.monotonic() > end_s:
-                raise CampaignBroken(f"the session does not come up within {START_S:g} s; {self._controller.said()}")
+                raise CampaignBroken(f"the session does not come up within {START_S:g} s; {self._controller.printed()}")
             self._turn()
 
-    def through(self, course: Protocol) -> None:
+    def through(self, protocol: Protocol) -> None:
         """All that is to happen, at its time."""
-        due = list(course.happenings)
-        while (now_s := self._patient.now_s) < course.seconds:
+        due = list(protocol.happenings)
+        while (now_s := self._patient.now_s) < protocol.seconds:
             while due and due[0].t_s <= now_s:
                 self._happen(due.pop(0))
             self._press_on(now_s)
@@ -179,62 +179,62 @@ class _Run:
 
     def to_the_end(self) -> Path:
         """Quit; where the log is."""
-        self._operator.order("quit")
+        self._operator.send_command("quit")
         status = self._controller.wait(END_S)
         log = self._controller.log()
         if status != 0 or log is None:
-            raise CampaignBroken(f"the session ended with exit code {status}; it said: {self._controller.said()}")
+            raise CampaignBroken(f"the session ended with exit code {status}; it said: {self._controller.printed()}")
         return log
 
     def _latched(self, reason: str, now_s: float) -> None:
         if self._wanted and self._wanted[0] == "arm":
             return  # known; it is being armed again
-        if len(self.interruptions) >= self._go_on:
+        if len(self.interruptions) >= self._most_rearms:
             raise SwitchedOff(reason, float(self._patient.punctuality()["latest_ms"]))
         self.interruptions.append(reason)
-        self._patient.do("stand")
+        self._patient.intervene("stand")
         self._wanted = ["arm", "full", "walk"]
         self._armed_by_s = now_s + ARM_AGAIN_S
 
     def _happen(self, one: Happening) -> None:
         if one.what in INTERVENTIONS:
-            self._patient.do(one.what, one.value)
+            self._patient.intervene(one.what, one.value)
         elif one.what in ("arm", "full"):
             self._wanted.append(one.what)
         else:
-            self._operator.order(one.what, one.value)
+            self._operator.send_command(one.what, one.value)
 
     def _press_on(self, now_s: float) -> None:
         """Arm, then raise, a key press at a time, until the session says that it is so."""
-        if not self._wanted or time.monotonic() - self._ordered_s < ORDER_EVERY_S or self._status is None:
+        if not self._wanted or time.monotonic() - self._commanded_s < COMMAND_EVERY_S or self._status is None:
             return
-        self._ordered_s = time.monotonic()
+        self._commanded_s = time.monotonic()
         if self._wanted[0] == "arm":
             if self._status.state in ARMED:
                 self._wanted.pop(0)
             elif now_s > self._armed_by_s:
                 raise CampaignBroken(f"the session could not be armed in time: {self._status.message}")
             else:
-                self._operator.order("arm")
+                self._operator.send_command("arm")
         elif self._wanted[0] == "walk":
-            self._patient.do(self._wanted.pop(0))
+            self._patient.intervene(self._wanted.pop(0))
         elif self._status.intensity >= 1.0 - 1e-6:
             self._wanted.pop(0)
         else:
-            self._operator.order("up")
+            self._operator.send_command("up")
 
     def _turn(self) -> None:
         if not self._controller.alive:
-            raise CampaignBroken(f"the session has ended; it said: {self._controller.said()}")
-        if time.monotonic() - self._watched_s > WATCH_EVERY_S:
-            self._watched_s = time.monotonic()
-            self._operator.watch()
+            raise CampaignBroken(f"the session has ended; it said: {self._controller.printed()}")
+        if time.monotonic() - self._subscribed_s > SUBSCRIBE_EVERY_S:
+            self._subscribed_s = time.monotonic()
+            self._operator.subscribe()
         for stride in self._patient.new_strides():
             self.strides.append(stride)
             self._on_stride(stride)
-        status = self._operator.listen()
+        status = self._operator.receive_status()
         if status is not None and status is not self._status:
             self._status = status
             self._on_status(status)
-        self._look()
-        time.sleep(LOOK_S)
+        self._on_tick()
+        time.sleep(TICK_S)

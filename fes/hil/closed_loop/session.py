@@ -107,7 +107,7 @@ def session_text(
     return text
 
 
-def calibration_of(settings: PatientSettings) -> Found:
+def patient_calibration(settings: PatientSettings) -> Found:
     """What ``fes calibrate`` finds in a walk of this patient without stimulation.
 
     Raises:

@@ -1,0 +1,328 @@
+"""One fault, once: walk, inject in mid-burst, observe the stimulator's end, ask the session, mend; and the judgement.
+
+In most rows the output must go off and stay off. In some nothing may come of the fault: the session goes on, no foreign
+frame acts, no burst begins. In two nothing is injected: the walk itself asks for more than is allowed.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from drivers.simulated.record import RecordEntry
+from fes.hil.campaign_bench import (
+    ALLOWED,
+    LATCHED,
+    CampaignBench,
+    CampaignBroken,
+    is_latched,
+    reason_faults,
+    stated_reason,
+)
+from fes.hil.injections import INJECTIONS
+from fes.hil.judge import MS, began_after, length_ms, off_after_ms, output_at, resumed_after, with_late_pulses
+from fes.hil.results import Attempt
+from fes.hil.scenarios import Effect, Scenario
+from fes.hil.settings import CHANNEL, CURRENT_MA, DOSE_MC, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US
+from fes.session_log import SessionLogError, read_session
+from fes.signals import NS_PER_S
+
+INTO_BURST_MS: Final = (60.0, 100.0, 140.0, 180.0, 80.0, 120.0, 160.0)  # by turns; a swing lasts 400 ms
+TRIES: Final = 4  # a burst may have ended by itself while the fault was on its way
+LOST_MS: Final = 250.0
+END_S: Final = 15.0
+ORPHANS_S: Final = 3.0
+BEFORE_NS: Final = NS_PER_S // 5  # a moment of the machine's that began so long before the fault still counts
+AGAIN_S: Final = 12.0
+DISARM_S: Final = 0.3
+ARM_TRIED_S: Final = 8.0  # they come to a stand, and rest for a second
+FRAMES_LOST_SHARE: Final = 0.02  # a bus over UDP may lose some on the way
+CHECKED_SHARE: Final = 1 / 256  # of random frames have the right CRC (docs/can.md) and are looked at at all
+LATCHES_WITHIN_NS: Final = NS_PER_S // 10  # after the first refused command the session has heard of it
+SESSION: Final = "session"  # the record's word for one that was opened
+NO_CRC: Final = ("wrong CRC", "bytes instead")
+STUCK_MS: Final = 1500.0  # on for so long, the burst is none of walking
+DOSE_WAIT_S: Final = 60.0
+DOSE_TRIES: Final = 4
+DOSE_ROUNDING_UC: Final = 12.0  # one command's and one pulse's charge
+
+
+def make_attempt(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    """Bring a scenario about for the n-th time and judge the answer.
+
+    Raises:
+        CampaignBroken: it could not be brought about.
+    """
+    bench.value = scenario.value(n)
+    found = _JUDGES[scenario.effect](bench, scenario, n)
+    return replace(found, value=f"{bench.value:g} {scenario.unit}") if scenario.values else found
+
+
+def _goes_off(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    inject, heal = INJECTIONS[scenario.name]
+    for _ in range(TRIES):
+        bench.prepare(scenario.variant)
+        bench.in_burst(INTO_BURST_MS[n % len(INTO_BURST_MS)])
+        t_ns = inject(bench, n)
+        deadline_s = (scenario.deadline_ms or 0.0) * 1e-3
+        left_s = max(0.0, t_ns * 1e-9 + deadline_s - time.monotonic())
+        bench.observe(left_s + scenario.watch_s)
+        faults = _ended(bench, t_ns) if scenario.effect is Effect.ENDED else []
+        named = _alarm(bench) if scenario.effect is Effect.ENDED else stated_reason(bench)
+        heal(bench)
+        if not scenario.restart:
+            bench.observe(0.4)
+            named = named or stated_reason(bench)  # one that was held up itself speaks when it is let go
+            status = bench.status()
+            if not bench.session().alive:
+                faults = [f"the session has ended: {bench.session().printed()[-300:]}"]
+            elif status is None or status.state not in LATCHED:
+                faults.append(f"not latched: the session is {status.state if status else 'gone'}")
+        stretches = bench.outputs(t_ns - NS_PER_S)
+        if output_at(stretches, t_ns) is None:
+            continue
+        last_ms = max((o.last_pulse_ns - t_ns) / MS for o in stretches)
+        off_ms = off_after_ms(stretches, t_ns)
+        if resumed_after(stretches, t_ns):
+            faults.append("current again without arming")
+        misnamed = reason_faults(named, scenario) if scenario.effect is Effect.LATCHED else []
+        if misnamed and not faults and off_ms <= deadline_s * 1e3:
+            away = bench.was_away(named, t_ns - BEFORE_NS, t_ns + int(deadline_s * NS_PER_S))
+            if away:
+                return Attempt(off_ms, last_ms, named, away=True)
+        faults += misnamed
+        if scenario.restart:
+            faults += _left_behind(bench, scenario, t_ns)
+        elif bench.session().alive:
+            faults += _not_armed_again(bench)
+        return Attempt(off_ms, last_ms, named, tuple(faults))
+    raise CampaignBroken(f"no burst lasted until the fault was there, {TRIES} times")
+
+
+def _not_armed_again(bench: CampaignBench) -> list[str]:
+    """When the fault is over, a person must be able to go on; else the next row begins with a new session."""
+    try:
+        bench.arm()
+    except CampaignBroken as error:
+        bench.end_session()
+        return [f"cannot be armed again: {error}"]
+    return []
+
+
+def _left_behind(bench: CampaignBench, scenario: Scenario, t_ns: int) -> list[str]:
+    """The next session is started; meanwhile nothing of a killed one may go on."""
+    orphans, bench.orphans = bench.orphans, []
+    bench.start(scenario.variant)
+    if not orphans:
+        return []
+    bench.observe(max(0.0, t_ns * 1e-9 + ORPHANS_S - time.monotonic()))
+    left = [child for child in orphans if child.runs]
+    for child in left:
+        child.kill()
+    return [f"{ORPHANS_S:g} s later still running: {', '.join(child.module for child in left)}"] if left else []
+
+
+def _alarm(bench: CampaignBench) -> str:
+    return next((line for line in bench.session().printed().splitlines() if "ALARM" in line), "").strip("\a")
+
+
+def _ended(bench: CampaignBench, t_ns: int) -> list[str]:
+    """What is wrong with how the session ended."""
+    session = bench.session()
+    status = session.wait(END_S)
+    if status is None:
+        return ["the session goes on"]
+    faults = [] if status == 3 else [f"exit code {status} instead of 3"]
+    if "ALARM" not in session.printed():
+        faults.append("no alarm")
+    log = session.log()
+    if log is None:
+        return [*faults, "no log"]
+    try:
+        record = read_session(log)
+    except SessionLogError as error:
+        return [*faults, str(error)]
+    newest_ns = max((int(samples.t_ns[-1]) for samples in record.samples.values() if len(samples.t_ns)), default=0)
+    lost_ms = (t_ns - newest_ns) / MS
+    return [*faults, f"{lost_ms:.0f} ms of the log lost"] if lost_ms > LOST_MS else faults
+
+
+def _no_effect(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    """The walk goes on with the next burst."""
+    inject, heal = INJECTIONS[scenario.name]
+    bench.prepare(scenario.variant)
+    bench.in_burst(INTO_BURST_MS[n % len(INTO_BURST_MS)])
+    t_ns = inject(bench, n)
+    bench.observe(scenario.watch_s)
+    bench.observe(AGAIN_S, lambda: resumed_after(bench.outputs(t_ns), t_ns) > 0 or is_latched(bench))
+    latched, named, ended = is_latched(bench), stated_reason(bench), not bench.session().alive
+    bursts = resumed_after(bench.outputs(t_ns), t_ns)
+    heal(bench)
+    if latched and scenario.effect is Effect.HARMLESS and not ended:
+        bench.arm()
+        return Attempt(named=named, notice="off, armed again by hand")
+    if latched and bench.was_away(named, t_ns, time.monotonic_ns()):
+        return Attempt(named=named, away=True)
+    if ended:
+        return Attempt(faults=("the session has ended",))
+    faults = [f"went off: {named}"] if latched else [] if bursts else ["no burst after it"]
+    return Attempt(faults=tuple(faults), notice=f"goes on: {bursts} bursts after it")
+
+
+def _no_burst_begins(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    """Brought about while the patient stands, armed: they walk, and nothing is stimulated; nor can it be armed."""
+    inject, heal = INJECTIONS[scenario.name]
+    bench.prepare(scenario.variant, walks=False)
+    t_ns = inject(bench, n)
+    bench.stand(False)
+    bench.observe(scenario.watch_s)
+    named = stated_reason(bench)
+    faults = ["a burst began"] if began_after(bench.outputs(t_ns), t_ns) else []
+    if not faults and named and bench.was_away(named, t_ns, time.monotonic_ns()):
+        heal(bench)
+        return Attempt(named=named, away=True)
+    bench.command("disarm")
+    bench.stand(True)
+    bench.observe(DISARM_S)
+    bench.observe(ARM_TRIED_S, lambda: _arms_or_says_why_not(bench, scenario))
+    status = bench.status()
+    if status is None or status.state in ALLOWED:
+        faults.append("can be armed though it is not mended")
+    refusal = status.message if status is not None else ""
+    faults += reason_faults(refusal, scenario)
+    heal(bench)
+    bench.arm()
+    return Attempt(named=named or refusal, faults=tuple(faults), notice="no burst began, arming refused")
+
+
+def _arms_or_says_why_not(bench: CampaignBench, scenario: Scenario) -> bool:
+    bench.keep_armed()
+    status = bench.status()
+    return status is not None and (status.state in ALLOWED or not reason_faults(status.message, scenario))
+
+
+def _nothing_executed(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    """What others send is refused by the stimulator, and it does nothing that the session did not ask for."""
+    inject, heal = INJECTIONS[scenario.name]
+    for _ in range(TRIES):
+        bench.prepare(scenario.variant)
+        bench.in_burst(INTO_BURST_MS[n % len(INTO_BURST_MS)])
+        bench.sent = 0
+        bench.outputs()
+        recorded: list[RecordEntry] = []
+        bench.recorded = recorded
+        t_ns = inject(bench, n)
+        bench.observe(scenario.watch_s)
+        bench.outputs()
+        bench.recorded = None
+        named = stated_reason(bench)
+        heal(bench)
+        if bench.sent:
+            entries = [entry for entry in recorded if entry.t_ns >= t_ns]
+            own = _opened_by_itself(bench) if any(entry.event == SESSION for entry in entries) else frozenset()
+            return refusal_attempt(entries, bench.sent, named, random="random" in scenario.name, own_sessions=own)
+    raise CampaignBroken(f"the controller sent no command in the burst, {TRIES} times")
+
+
+def _opened_by_itself(bench: CampaignBench) -> frozenset[str]:
+    """The sessions that the controller has opened again since its start, by its log, as the record names them.
+
+    It does that when it hears no heartbeat for a while, or a false one that chance gave the right CRC.
+    """
+    log = bench.session().log()
+    try:
+        reopened = read_session(log).reopened if log is not None else []
+    except SessionLogError:
+        return frozenset()
+    return frozenset(f"session {opened.session_id}" for opened in reopened)
+
+
+def refusal_attempt(
+    entries: list[RecordEntry], sent: int, named: str, *, random: bool, own_sessions: frozenset[str] = frozenset()
+) -> Attempt:
+    """What the stimulator's record since the injection says of ``sent`` foreign frames under its own identifiers.
+
+    Args:
+        named: the session's reason for being off; "": it is not.
+        random: of random frames a share passes the CRC by chance; more than that share must not.
+        own_sessions: that the controller itself has opened.
+    """
+    refused = [entry for entry in entries if entry.event == "refused"]
+    odd = [entry for entry in entries if _odd(entry) and entry.detail not in own_sessions]
+    faults = [f"{len(odd)} executed: {odd[0]}"] if odd else []
+    if len(refused) < (1.0 - FRAMES_LOST_SHARE) * sent:
+        faults.append(f"only {len(refused)} of {sent} refused")
+    if named and refused and not random:
+        quiet_ns = refused[0].t_ns + LATCHES_WITHIN_NS
+        if late := [entry for entry in entries if entry.event == "on" and entry.t_ns > quiet_ns]:
+            faults.append(f"current though the session is off: {late[0]}")
+    remark = f"{sent} sent, {len(refused)} refused, {len(odd)} executed"
+    if random:
+        passed = sum(not any(word in entry.detail for word in NO_CRC) for entry in refused)
+        expected = CHECKED_SHARE * sent
+        if passed > expected + 5.0 * math.sqrt(expected):
+            faults.append(f"{passed} have a right CRC, {expected:.0f} are expected")
+        remark += f"; {passed} had a right CRC, {expected:.0f} expected"
+    return Attempt(named=named, faults=tuple(faults), notice=remark)
+
+
+def _odd(entry: RecordEntry) -> bool:
+    """Whether the stimulator did what the campaign's session never asks for."""
+    if entry.event == SESSION:
+        return True
+    return entry.event in ("on", "level") and (
+        entry.channel != CHANNEL
+        or entry.pulse_width_us != PULSE_WIDTH_US
+        or entry.frequency_hz != FREQUENCY_HZ
+        or entry.current_ma > CURRENT_MA * INTENSITY + 1e-6
+    )
+
+
+def _burst_without_end(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    """A stance that does not end: the burst must, at its longest on-time."""
+    bench.prepare(scenario.variant)
+    burst = bench.in_burst(STUCK_MS)
+    bench.observe((scenario.deadline_ms or 0.0) * 1e-3 - 1e-3 * STUCK_MS + 0.3)
+    named = stated_reason(bench)
+    stretches = bench.outputs(burst.on_ns)
+    first = next(output for output in stretches if output.on_ns == burst.on_ns)
+    longest = with_late_pulses(stretches, first)
+    faults = reason_faults(named, scenario)
+    if resumed_after(stretches, burst.on_ns):
+        faults.append("current again without arming")
+    last_ms = (longest[-1].last_pulse_ns - burst.on_ns) / MS
+    return Attempt(length_ms(longest, time.monotonic_ns()), last_ms, named, tuple(faults))
+
+
+def _charge_without_end(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
+    """Step after step: the charge of a minute must end it, and not a moment later."""
+    begin_ns = time.monotonic_ns()
+    bench.prepare(scenario.variant)
+    for _ in range(DOSE_TRIES):
+        bench.until(lambda status: status.state in LATCHED, None, DOSE_WAIT_S, "the charge is not capped")
+        named, now_ns = stated_reason(bench), time.monotonic_ns()
+        if not reason_faults(named, scenario) or not bench.was_away(named, now_ns - NS_PER_S, now_ns):
+            break
+        bench.away.append(named)  # not what is asked here; its charge still counts
+        bench.arm()
+    bench.observe(scenario.watch_s)
+    charge_uc = sum(output.charge_uc for output in bench.outputs(begin_ns) if output.on_ns >= begin_ns)
+    faults = reason_faults(named, scenario)
+    if not 0.0 < charge_uc <= 1e3 * DOSE_MC + DOSE_ROUNDING_UC:
+        faults.append(f"{charge_uc:.0f} µC delivered, limit {1e3 * DOSE_MC:.0f} µC")
+    return Attempt(named=named, faults=tuple(faults), notice=f"{charge_uc:.0f} µC of {1e3 * DOSE_MC:.0f} µC allowed")
+
+
+_JUDGES: Final[dict[Effect, Callable[[CampaignBench, Scenario, int], Attempt]]] = {
+    Effect.LATCHED: _goes_off,
+    Effect.ENDED: _goes_off,
+    Effect.NONE: _no_effect,
+    Effect.HARMLESS: _no_effect,
+    Effect.SILENT: _no_burst_begins,
+    Effect.NOT_EXECUTED: _nothing_executed,
+    Effect.BOUNDED: _burst_without_end,
+    Effect.DOSED: _charge_without_end,
+}
