@@ -30,9 +30,9 @@ from fes.hil.controller import ControllerProcess, ScriptedOperator, uninterrupte
 from fes.recording import Recording, write_recording
 from fes.session_log import SessionRecord, read_session
 from fes.signals import FOOT_SENSORS
-from fes.simulation.sensor import ImuModel
-from fes.simulation.session import Placement, new_session
-from fes.simulation.trials import HEALTHY
+from fes.simulation.sensor import ImuModel, Placement
+from sim_inputs.generator.session import new_session
+from sim_inputs.generator.trials import HEALTHY
 
 RATE_HZ = 500.0
 LINES: tuple[tuple[str, ImuKind, Literal["pty", "tcp"]], ...] = (

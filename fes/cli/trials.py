@@ -14,7 +14,12 @@ from fes.cli.common.exits import Problem
 @click.option("--only", help="One trial by name.")
 def command(folder: Path, only: str | None) -> None:
     """Write the bundled recordings, with their truth, to FOLDER; the same seeds give the same bytes."""
-    from fes.simulation.trials import main as generate
+    try:
+        from sim_inputs.generator.trials import main as generate
+    except ImportError:
+        raise Problem(
+            "What makes the bundled recordings is part of the project's folder: run make trials there."
+        ) from None
 
     try:
         code = generate([str(folder), *(("--only", only) if only else ())])

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 
 from fes.signals import FloatArray, IntArray
-from fes.simulation.walk import Activity
+
+pass
 
 HEEL_UP_M = 0.005
 TILT_RAD = math.radians(2.0)
@@ -165,7 +166,7 @@ def load_truth(path: Path) -> Truth:
     for file in files.values():
         if not file.is_file():
             raise FileNotFoundError(
-                f"{file}: no such truth file; `python -m fes.simulation.trials DIR` makes the bundled set"
+                f"{file}: no such truth file; `python -m sim_inputs.generator.trials DIR` makes the bundled set"
             )
     table = parquet.read_table(files["truth.parquet"])
     t_ns = table.column("t_ns").to_numpy()
@@ -204,3 +205,13 @@ def _row(kind: type, row: dict[str, str], path: Path) -> dict[str, Any]:
         except ValueError as error:
             raise ValueError(f"{path}: {item.name} = {text!r} is not a number") from error
     return out
+
+
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """From ``start_s`` to ``end_s`` the person does ``activity``; ``walking`` says whether that is walking."""
+
+    start_s: float
+    end_s: float
+    activity: str
+    walking: bool

@@ -29,8 +29,8 @@ from fes.signals import FOOT_SENSORS, G_MPS2, NS_PER_S, FloatArray, IntArray, St
 from fes.simulation.forward import VirtualPatient, settings_for
 from fes.simulation.forward.truth import recording_of
 from fes.simulation.sensor import ImuModel, mounting
-from fes.simulation.trials import TRIALS
 from fes.simulation.truth import load_truth
+from sim_inputs.generator.trials import TRIALS
 from statemachine.guards import Thresholds
 from statemachine.phases import Phase, PhaseChange
 

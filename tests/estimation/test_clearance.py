@@ -28,7 +28,7 @@ from fes.estimation.numerics.rotation import foot_axes
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import read_recording
 from fes.signals import StrideResult
-from fes.simulation.observe import quaternions
+from fes.simulation.sensor import quaternions
 
 SMALL = st.floats(-0.1, 0.1)
 SIM = Path(__file__).resolve().parents[2] / "sim_inputs"

@@ -25,10 +25,11 @@ from fes.estimation.foot.tracker import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S,
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
-from fes.simulation.sensor import FINE_HZ, PERFECT, measure
-from fes.simulation.session import new_session
-from fes.simulation.trials import HEALTHY, INSTEP, PATIENT_2
-from fes.simulation.walk import Style
+from fes.simulation.sensor import FINE_HZ, PERFECT
+from sim_inputs.generator.measured import measure
+from sim_inputs.generator.session import new_session
+from sim_inputs.generator.trials import HEALTHY, INSTEP, PATIENT_2
+from sim_inputs.generator.walk import Style
 from statemachine.machine import GuardDisagreement
 from statemachine.phases import Phase, PhaseChange, Transition
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fes.simulation.foot import FootMotion, Rocker, Sole, rotation, stack
-from fes.simulation.motion import Block, Jet, Pulse, Ring, Step, evaluate, step_time, step_value, wander
+from fes.simulation.sensor import rotation
+from sim_inputs.generator.foot import FootMotion, Rocker, Sole, stack
+from sim_inputs.generator.motion import Block, Jet, Pulse, Ring, Step, evaluate, step_time, step_value, wander
 
 FINE = np.arange(0.0, 2.0, 1e-4)
 ROCKER = Rocker(Sole())

@@ -8,17 +8,8 @@ import pytest
 
 from fes.recording import Track
 from fes.signals import G_MPS2, FloatArray
-from fes.simulation.sensor import (
-    PERFECT,
-    ImuModel,
-    delivered,
-    distort,
-    ideal_signals,
-    low_pass,
-    measure,
-    mounting,
-    resample,
-)
+from fes.simulation.sensor import PERFECT, ImuModel, mounting
+from sim_inputs.generator.measured import delivered, distort, ideal_signals, low_pass, measure, resample
 
 FINE = np.arange(0.0, 20.0, 1 / 2000)
 WAVE = np.column_stack([np.sin(2 * math.pi * f * FINE) for f in (1.0, 3.0, 7.0)])

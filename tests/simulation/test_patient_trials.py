@@ -10,11 +10,11 @@ import pytest
 
 from fes.recording import Recording, read_recording
 from fes.signals import G_MPS2, FloatArray
-from fes.simulation.foot import stack
 from fes.simulation.sensor import mounting
-from fes.simulation.session import Session
-from fes.simulation.trials import CSV_EXAMPLE, TRIALS, main
 from fes.simulation.truth import Truth, load_truth
+from sim_inputs.generator.foot import stack
+from sim_inputs.generator.session import Session
+from sim_inputs.generator.trials import CSV_EXAMPLE, TRIALS, main
 from statemachine.phases import Phase
 
 FOLDER = Path(__file__).resolve().parents[2] / "sim_inputs"

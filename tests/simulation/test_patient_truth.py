@@ -9,10 +9,9 @@ import pytest
 
 from fes.recording import Recording, read_recording
 from fes.signals import G_MPS2, FloatArray
-from fes.simulation.foot import rotation
-from fes.simulation.observe import quaternions
-from fes.simulation.trials import TRIALS
+from fes.simulation.sensor import quaternions, rotation
 from fes.simulation.truth import Truth, TruthStride, load_truth, write_truth
+from sim_inputs.generator.trials import TRIALS
 from statemachine.phases import Phase
 
 FOLDER = Path(__file__).resolve().parents[2] / "sim_inputs"

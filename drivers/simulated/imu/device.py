@@ -15,12 +15,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from drivers.simulated.imu.wire import Reading, Wire
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, Vector3
+
+if TYPE_CHECKING:
+    from fes.recording import Track
 
 LASTING: Final = ("unit", "stuck", "clip", "full", "nan", "inf", "doubled", "axes", "jumping")  # until set to 0
 FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
@@ -65,30 +68,26 @@ def recorded_signal(path: Path, sensor: str, rate_hz: float) -> ImuSignal:
     tracks = read_recording(path).tracks
     if sensor not in tracks:
         raise ValueError(f"{path}: has no {sensor}; it has {', '.join(tracks)}")
-    track = tracks[sensor]
+    return even_signal(tracks[sensor], rate_hz)
+
+
+def even_signal(track: Track, rate_hz: float) -> ImuSignal:
+    """A track at ``rate_hz``, by linear interpolation."""
     t_s = (track.t_sensor_ns - track.t_sensor_ns[0]) * 1e-9
     grid_s = np.arange(int(float(t_s.max()) * rate_hz) + 1) / rate_hz
     order = np.argsort(t_s, kind="stable")
-
-    def even(values: FloatArray) -> FloatArray:
-        return np.stack([np.interp(grid_s, t_s[order], values[order, axis]) for axis in range(3)], axis=1)
-
-    return ImuSignal(rate_hz, even(track.acc_mps2), even(track.gyr_radps))
+    columns = [np.interp(grid_s, t_s[order], axis[order]) for axis in (*track.acc_mps2.T, *track.gyr_radps.T)]
+    return ImuSignal(rate_hz, np.stack(columns[:3], axis=1), np.stack(columns[3:], axis=1))
 
 
-def walking_signal(sensor: str, rate_hz: float, strides: int = 12, seed: int = 7) -> ImuSignal:
-    """Four seconds of standing, ``strides`` strides on a treadmill, standing again; the same for the same seed."""
-    from fes.simulation.sensor import ImuModel
-    from fes.simulation.session import Placement, new_session
-    from fes.simulation.trials import HEALTHY
+def walking_signal(sensor: str, rate_hz: float, seed: int = 7) -> ImuSignal:
+    """Four seconds of standing, twelve of walking on a treadmill, standing again; the same for the same seed."""
+    from fes.simulation.forward import recorded_walk, settings_for
 
-    foot = sensor.replace("shank", "foot")
-    session = new_session("simulated", seed, {foot: Placement((0.070, -0.005, 0.068), (3.0, 21.0, -4.0))})
-    session.stand(4.0)
-    session.walk({foot: HEALTHY}, strides, 1.0, ramp_s=1.5, early=False)
-    session.stand(2.0)
-    track = session.recording(rate_hz, ImuModel(), "simulated").tracks[foot]
-    return ImuSignal(rate_hz, track.acc_mps2, track.gyr_radps)
+    every = max(round(2000.0 / rate_hz), 2)  # a virtual patient's sensors sample every so many of its own steps
+    patient = settings_for("healthy", seed=seed, speed_mps=1.0, sensors=(sensor,), rate_hz=2000.0 / every)
+    track = recorded_walk(patient, 12.0, 4.0, "simulated", "simulated").tracks[sensor]
+    return even_signal(track, rate_hz)
 
 
 class SimulatedImu:

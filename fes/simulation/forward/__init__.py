@@ -1,5 +1,6 @@
 """A patient simulated forward in time: stimulation pulses in, sensor samples and truth out."""
 
+from fes.simulation.forward.closed_loop import recorded_walk
 from fes.simulation.forward.patient import VirtualPatient
 from fes.simulation.forward.settings import DeliveredPulse, MuscleSettings, PatientSettings, load_patient, settings_for
 from fes.simulation.forward.walker import FootEvent, VirtualStride
@@ -12,5 +13,6 @@ __all__ = [
     "VirtualPatient",
     "VirtualStride",
     "load_patient",
+    "recorded_walk",
     "settings_for",
 ]

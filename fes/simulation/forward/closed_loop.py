@@ -70,8 +70,17 @@ def patient_events(
             yield sample
 
 
+def recorded_walk(settings: PatientSettings, walk_s: float, after_s: float, name: str, description: str) -> Recording:
+    """Stand for ``settings.stand_s``, walk for ``walk_s``, stop and stand until ``after_s`` later; not stimulated."""
+    patient = VirtualPatient(settings)
+    begun_s = settings.stand_s + walk_s
+    samples = list(patient.advance(round(begun_s * NS_PER_S)))
+    if after_s:
+        patient.stop()
+        samples += patient.advance(round((begun_s + after_s) * NS_PER_S))
+    return recording_of(patient, samples, name, description)
+
+
 def calibration_walk(settings: PatientSettings) -> Recording:
     """A walk of the same patient with the same sensors, without stimulation: what ``fes calibrate`` would be given."""
-    patient = VirtualPatient(settings)
-    samples = patient.advance(round((settings.stand_s + CALIBRATION_S) * NS_PER_S))
-    return recording_of(patient, samples, "calibration", "A walk to calibrate the sensors, not stimulated")
+    return recorded_walk(settings, CALIBRATION_S, 0.0, "calibration", "A walk to calibrate the sensors, not stimulated")

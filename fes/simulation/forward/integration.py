@@ -74,7 +74,7 @@ def feel(out: Any, leg: Any, belt_a: float, tilt: float, turn: float, turn1: flo
     """Specific force (m/s²) and angular rate (rad/s) in the segment's axes, at ``p`` m from the ankle; into ``out``.
 
     ``tilt`` is toe-up/forward positive, with its derivatives ``turn``, ``turn1``; ``with_roll`` 1 for the foot, 0 for
-    the shank. Rotation ``Rz(yaw) Rx(roll) Ry(pitch)`` as in :mod:`fes.simulation.foot`.
+    the shank. Rotation ``Rz(yaw) Rx(roll) Ry(pitch)`` as in :mod:`sim_inputs.generator.foot`.
     """
     p, p1, p2 = -tilt, -turn, -turn1
     r, r1, r2 = with_roll * leg.roll, with_roll * leg.vroll, with_roll * leg.aroll

@@ -15,8 +15,7 @@ import numpy as np
 from fes.estimation.numerics.jit import jit
 from fes.signals import SENSORS, FloatArray
 from fes.simulation.forward.settings import STEP_NS
-from fes.simulation.sensor import ImuModel, draw_sensitivity, mounting
-from fes.simulation.session import Placement
+from fes.simulation.sensor import ImuModel, Placement, draw_sensitivity, mounting
 
 BUFFER: Final = 512  # rows of random numbers drawn at once
 

@@ -11,8 +11,7 @@ from typing import Any, Final
 
 from fes.signals import FOOT_SENSORS, SENSORS, SHANK_SENSORS
 from fes.simulation.forward.gait_patterns import PATTERNS
-from fes.simulation.sensor import ImuModel
-from fes.simulation.session import Placement
+from fes.simulation.sensor import ImuModel, Placement
 
 STEP_NS = 500_000  # the internal step: the shoe sole's contact modes (about 70 Hz) are well below its 2 kHz
 

@@ -9,13 +9,10 @@ import numpy as np
 
 from fes.recording import Recording, Track
 from fes.signals import FOOT_SENSORS, NS_PER_S, SENSORS, FloatArray, ImuSample, IntArray
-from fes.simulation.foot import rotation
 from fes.simulation.forward.patient import VirtualPatient
 from fes.simulation.forward.walker import VirtualStride
-from fes.simulation.observe import quaternions
-from fes.simulation.sensor import mounting
-from fes.simulation.truth import FootTruth, Truth, TruthStride
-from fes.simulation.walk import Activity
+from fes.simulation.sensor import mounting, quaternions, rotation
+from fes.simulation.truth import Activity, FootTruth, Truth, TruthStride
 from statemachine.phases import Phase
 
 EVERY = 2  # rows of the 200 Hz trace: truth at 100 Hz

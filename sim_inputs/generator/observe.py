@@ -6,13 +6,12 @@ import math
 
 import numpy as np
 
-from fes.estimation.numerics.rotation import quaternions_of
 from fes.signals import NS_PER_S, FloatArray, IntArray
-from fes.simulation.foot import FootPath, stack
-from fes.simulation.gait import StridePlan
-from fes.simulation.sensor import mounting
-from fes.simulation.session import Session
+from fes.simulation.sensor import mounting, quaternions
 from fes.simulation.truth import HEEL_UP_M, TILT_RAD, FootTruth, Truth, TruthStride
+from sim_inputs.generator.foot import FootPath, stack
+from sim_inputs.generator.gait import StridePlan
+from sim_inputs.generator.session import Session
 from statemachine.phases import Phase
 
 FINE_HZ = 1000.0
@@ -144,13 +143,3 @@ class _ObservedFoot:
             quaternions(rotations),
             self.phases(strides)[pick],
         )
-
-
-def quaternions(rotations: FloatArray) -> FloatArray:
-    """(N, 4) unit quaternions wxyz of rotation matrices (N, 3, 3), without jumps of sign."""
-    q = quaternions_of(rotations)
-    if q[0, 0] < 0:
-        q[0] = -q[0]
-    turn = np.sum(q[1:] * q[:-1], axis=1) < 0
-    q[1:][np.cumsum(turn) % 2 == 1] *= -1.0
-    return q

@@ -23,7 +23,8 @@ from typing import Final
 import numpy as np
 
 from fes.signals import FloatArray, IntArray, Vector3
-from fes.simulation.motion import Block, Jet, cos, evaluate, sin
+from fes.simulation.sensor import rotation
+from sim_inputs.generator.motion import Block, Jet, cos, evaluate, sin
 
 AIR_FLAT_RAD = 0.26
 
@@ -147,7 +148,7 @@ CHANNELS: Final = (
     "along",  # m, forward in the walking frame, rolling taken apart
     "across",  # m, to the left
     "lift",  # m, least height of the sole's lowest point
-    "air",  # 0 on the ground, 1 free: see fes.simulation.foot.Rocker
+    "air",  # 0 on the ground, 1 free: see sim_inputs.generator.foot.Rocker
     "shear",  # m, sensor forward against the sole: shoe and soft tissue
     "bounce",  # m, sensor up against the sole: ringing after contact, shaking of the belt
     "nod",  # rad, sensor pitch against the sole: ringing after contact
@@ -216,19 +217,6 @@ class FootPath:
             c["across"] + sw * forward + cw * left,
             c["lift"] + up,
         )
-
-
-def rotation(pitch: FloatArray, roll: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(N, 3, 3) ``Rz(yaw) Rx(roll) Ry(pitch)`` from angles (N,) in rad."""
-    sp, cp = np.sin(pitch), np.cos(pitch)
-    sr, cr = np.sin(roll), np.cos(roll)
-    sw, cw = np.sin(yaw), np.cos(yaw)
-    rows = [
-        [cw * cp - sw * sr * sp, -sw * cr, cw * sp + sw * sr * cp],
-        [sw * cp + cw * sr * sp, cw * cr, sw * sp - cw * sr * cp],
-        [-cr * sp, sr, cr * cp],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def stack(vector: JetVector) -> tuple[FloatArray, FloatArray, FloatArray]:

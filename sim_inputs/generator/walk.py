@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fes.simulation.foot import FootMotion
-from fes.simulation.gait import StridePlan, write_stride
-from fes.simulation.motion import Pulse, Ring, Step, evaluate, wander
+from sim_inputs.generator.foot import FootMotion
+from sim_inputs.generator.gait import StridePlan, write_stride
+from sim_inputs.generator.motion import Pulse, Ring, Step, evaluate, wander
 
 HALF_WIDTH_M = 0.08  # half of the step width
 
@@ -20,7 +20,7 @@ class Style:
 
     ``spread_pre_swing … spread_stance`` are fractions of the mean, ``spread_deg`` is in degrees and holds for all
     angles, ``spread_m`` for landing spots and ``spread_clearance`` is a fraction. For the rest see
-    :class:`fes.simulation.gait.StridePlan`. In a pair of feet the second one's stance is what its cycle leaves.
+    :class:`sim_inputs.generator.gait.StridePlan`. In a pair of feet the second one's stance is what its cycle leaves.
     """
 
     pre_swing_s: float
@@ -232,16 +232,6 @@ def add_sway(rng: np.random.Generator, foot: Foot, start_s: float, end_s: float,
     if shake_m > 0.0:
         foot.motion.add("bounce", wander(rng, start_s, end_s, 0.016, shake_m))
         foot.motion.add("shear", wander(rng, start_s, end_s, 0.016, 0.6 * shake_m))
-
-
-@dataclass(frozen=True, slots=True)
-class Activity:
-    """From ``start_s`` to ``end_s`` the person does ``activity``; ``walking`` says whether that is walking."""
-
-    start_s: float
-    end_s: float
-    activity: str
-    walking: bool
 
 
 def weight_shifts(rng: np.random.Generator, feet: list[Foot], start_s: float, count: int) -> float:

@@ -1,4 +1,4 @@
-"""The bundled set of recorded steps: ``python -m fes.simulation.trials OUT_DIR`` makes every file of it again."""
+"""The bundled set of recorded steps: ``python -m sim_inputs.generator.trials OUT_DIR`` makes every file of it again."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from pathlib import Path
 
 from fes.recording import Recording, write_recording
 from fes.signals import G_MPS2
-from fes.simulation.observe import observe
-from fes.simulation.sensor import ImuModel
-from fes.simulation.session import Placement, Session, new_session
+from fes.simulation.sensor import ImuModel, Placement
 from fes.simulation.truth import Truth, write_truth
-from fes.simulation.walk import Style, heel_lift, sit_and_stand, turn_on_the_spot, weight_shifts
+from sim_inputs.generator.observe import observe
+from sim_inputs.generator.session import Session, new_session
+from sim_inputs.generator.walk import Style, heel_lift, sit_and_stand, turn_on_the_spot, weight_shifts
 
 KMH = 1.0 / 3.6
 INSTEP = {"right_foot": Placement((0.070, -0.005, 0.068), (3.0, 21.0, -4.0))}
@@ -171,7 +171,7 @@ def write_trial(trial: Trial, folder: Path, suffix: str = ".parquet") -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the bundled set into a folder; the same bytes every time."""
-    parser = argparse.ArgumentParser(prog="python -m fes.simulation.trials", description=main.__doc__)
+    parser = argparse.ArgumentParser(prog="python -m sim_inputs.generator.trials", description=main.__doc__)
     parser.add_argument("folder", type=Path, help="where to write; made if missing")
     parser.add_argument("--only", metavar="NAME", help="write only this trial")
     options = parser.parse_args(arguments)

@@ -9,26 +9,17 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.recording import Recording, Track
 from fes.signals import FOOT_SENSORS, FloatArray, Vector3
-from fes.simulation.foot import FootPath, Rocker, Sole, stack
-from fes.simulation.motion import Jet, evaluate, zeros
-from fes.simulation.sensor import FINE_HZ, ImuModel, ideal_signals, measure, mounting
-from fes.simulation.walk import Activity, Belt, Foot, Style, add_sway, other_times, single_times, write_walk
+from fes.simulation.sensor import FINE_HZ, ImuModel, Placement, mounting
+from fes.simulation.truth import Activity
+from sim_inputs.generator.foot import FootPath, Rocker, Sole, stack
+from sim_inputs.generator.measured import ideal_signals, measure
+from sim_inputs.generator.motion import Jet, evaluate, zeros
+from sim_inputs.generator.walk import Belt, Foot, Style, add_sway, other_times, single_times, write_walk
 
 STANDING_SWAY_DEG = 0.05
 WALKING_SWAY_DEG = 0.65
 BELT_SHAKE_M = 14e-6
 TOE_PITCH_RAD, HEEL_PITCH_RAD = 0.44, -0.35  # the toe is where the sole touches at 25° toe-down, the heel at 20° up
-
-
-@dataclass(frozen=True, slots=True)
-class Placement:
-    """Where a foot's sensor sits: ``body_m`` in the foot frame (x forward, y left, z up from the sole below the ankle).
-
-    ``angles_deg`` are roll, pitch, yaw of the sensor against the foot; an instep slopes down forward by about 20°.
-    """
-
-    body_m: Vector3 = (0.070, 0.0, 0.068)
-    angles_deg: Vector3 = (0.0, 20.0, 0.0)
 
 
 @dataclass(slots=True)

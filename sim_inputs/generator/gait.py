@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fes.simulation.foot import FootMotion
-from fes.simulation.motion import Pulse, Ring, Step, evaluate, step_time
+from sim_inputs.generator.foot import FootMotion
+from sim_inputs.generator.motion import Pulse, Ring, Step, evaluate, step_time
 
 TILT_SEEN_RAD = math.radians(2.0)  # a sole tilted by this much stands 5 mm off at the other end: no longer flat
 
