@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fes.analysis.ground_path import GroundPath, continued, ground_path, together
+from fes.analysis.methods import CausalEvents, Methods
 from fes.analysis.results import Analysis
 from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import ToeAndHeel, point_heights
@@ -37,6 +38,7 @@ def analyse(
     *,
     geometry: Mapping[str, FootGeometry] | None = None,
     level: bool = True,
+    methods: Methods | None = None,
 ) -> Analysis:
     """Track every foot through the whole recording, by its own sensor or else its side's shank.
 
@@ -46,6 +48,7 @@ def analyse(
         geometry: where toe and heel are, by foot; what is not given is the recording's own, or else estimated.
         level: every stride ends at the height at which it began; not on stairs and slopes, where the height gained is
             measured instead.
+        methods: other methods than those of every report, to replicate a paper.
 
     Raises:
         CalibrationError: no sensor could be calibrated.
@@ -53,7 +56,7 @@ def analyse(
     if calibrations is None:
         recording, found = calibrations_of(recording, level=level)
         calibrations = found.calibrations
-    return next(analyse_chunks([Chunk(recording)], calibrations, geometry=geometry, level=level))
+    return next(analyse_chunks([Chunk(recording)], calibrations, geometry=geometry, level=level, methods=methods))
 
 
 def analyse_chunks(
@@ -62,6 +65,7 @@ def analyse_chunks(
     *,
     geometry: Mapping[str, FootGeometry] | None = None,
     level: bool = True,
+    methods: Methods | None = None,
 ) -> Iterator[Analysis]:
     """As :func:`analyse`, of a recording's chunks one after the other (:mod:`fes.recording.chunks`).
 
@@ -69,7 +73,7 @@ def analyse_chunks(
     like, how large steps usually are, and how the paths drift apart is found for each chunk from its own samples, where
     toe and heel are from the first chunk that shows it.
     """
-    run = _AnalysisRun(calibrations, geometry or {}, level=level)
+    run = _AnalysisRun(calibrations, geometry or {}, methods or Methods(), level=level)
     for chunk in chunks:
         result = run.analyse_chunk(chunk)
         del chunk  # it stays as long as whoever takes the result keeps that
@@ -81,9 +85,16 @@ class _AnalysisRun:
     """An analysis under way: what is carried from one chunk to the next."""
 
     def __init__(
-        self, calibrations: Mapping[str, Calibration], geometry: Mapping[str, FootGeometry], *, level: bool
+        self,
+        calibrations: Mapping[str, Calibration],
+        geometry: Mapping[str, FootGeometry],
+        methods: Methods,
+        *,
+        level: bool,
     ) -> None:
         self._calibrations, self._geometry, self._level = dict(calibrations), geometry, level
+        self._methods = methods
+        self._causal: dict[str, CausalEvents] = {}
         self._trackers: dict[str, Tracker] = {}
         self._points: dict[str, ToeAndHeel] = {}
         self._paths: dict[str, GroundPath] = {}
@@ -124,8 +135,9 @@ class _AnalysisRun:
     def _analyse_foot(self, result: Analysis, chunk: Chunk, calibration: FootCalibration) -> None:
         """One foot, step by step: phases and strides, their lengths fused with the path's, clearance, events."""
         sensor, track, level = calibration.sensor, chunk.recording.tracks[calibration.sensor], self._level
+        methods = self._methods
         geometry = self._geometry.get(sensor, chunk.recording.geometry.get(sensor))
-        tracker = self._trackers.get(sensor) or _foot_tracker(calibration, geometry, level=level)
+        tracker = self._trackers.get(sensor) or _foot_tracker(calibration, geometry, level=level, methods=methods)
         assert isinstance(tracker, FootTracker)
         self._trackers[sensor] = tracker
 
@@ -133,8 +145,12 @@ class _AnalysisRun:
         strides, trajectories = block.rows, block.paths()
         try:
             ranges = (track.acc_range_mps2, track.gyr_range_radps)
-            samples = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges)
-            block.longer = fuse(strides, samples)
+            samples = foot_samples(
+                track.t_sensor_ns, track.acc_mps2, track.gyr_radps, *ranges,
+                detector=methods.detector, per_sample=methods.per_sample,
+            )  # fmt: skip
+            if methods.stride_method == "maximum_likelihood":
+                block.longer = fuse(strides, samples)
             result.paths[sensor] = ground_path(track, calibration, level=level, foot=samples)
         except ValueError as error:
             result.no_path[sensor] = f"{sensor}: {error}"
@@ -148,6 +164,9 @@ class _AnalysisRun:
             strides["toe_clearance_m"][valid], strides["heel_clearance_m"][valid] = heights.T
         result.blocks[sensor], result.counts[sensor] = block, tracker.counts
         result.events[sensor] = find_events(*newer_samples(track), calibration)
+        if methods.causal_events:
+            causal = self._causal.setdefault(sensor, CausalEvents(calibration))
+            result.causal_events[sensor] = causal.advance(*_own_samples(chunk, track))
 
 
 def _own_samples(chunk: Chunk, track: Track) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -155,8 +174,12 @@ def _own_samples(chunk: Chunk, track: Track) -> tuple[IntArray, FloatArray, Floa
     return track.t_sensor_ns[own], track.acc_mps2[own], track.gyr_radps[own]
 
 
-def _foot_tracker(calibration: FootCalibration, geometry: FootGeometry | None, *, level: bool) -> FootTracker:
+def _foot_tracker(
+    calibration: FootCalibration, geometry: FootGeometry | None, *, level: bool, methods: Methods | None = None
+) -> FootTracker:
     settings = replace(stride_settings(calibration, geometry), equal_height=level)
+    if methods is not None:
+        settings = replace(settings, method=methods.stride_method)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
 
 

@@ -13,9 +13,11 @@ import numpy as np
 
 from fes import __version__
 from fes.analysis.ground_path import GroundPath
+from fes.analysis.methods import CAUSAL_EVENT_COLUMNS, causal_event_rows
 from fes.analysis.tables import Table
 from fes.analysis.toe_and_heel import ToeAndHeel
 from fes.estimation.clearance.clearance import FootPath
+from fes.estimation.events.causal import Decision, Rule
 from fes.estimation.events.offline import GaitEvents, foot_strike_angles
 from fes.estimation.foot.block_results import TrackedBlock
 from fes.estimation.foot.calibration import FootCalibration
@@ -81,6 +83,7 @@ class Analysis:
     outcomes: dict[str, list[Outcome]] = field(default_factory=dict)
     chunk: Chunk | None = None
     path_begins_ns: dict[str, int] = field(default_factory=dict)
+    causal_events: dict[str, list[tuple[Rule, Decision]]] = field(default_factory=dict)
 
     @cached_property
     def phases(self) -> list[PhaseChange]:
@@ -108,6 +111,11 @@ class Analysis:
             "phases": Table.from_rows(PHASE_COLUMNS, self.phase_rows()),
             "events": Table.from_rows(EVENT_COLUMNS, self.event_rows()),
             "path": Table.from_rows(PATH_COLUMNS, self.path_rows()),
+            **(
+                {"events_causal": Table.from_rows(CAUSAL_EVENT_COLUMNS, self.causal_event_rows())}
+                if self.causal_events
+                else {}
+            ),
         }
 
     def stride_rows(self) -> list[dict[str, Any]]:
@@ -152,6 +160,15 @@ class Analysis:
             columns = [column.tolist() for column in (*seconds, angles[own])]
             rows += [{"foot": foot, **dict(zip(names, row, strict=True))} for row in zip(*columns, strict=True)]
         return sorted(rows, key=lambda row: row["t_foot_off_s"])
+
+    def causal_event_rows(self) -> list[dict[str, Any]]:
+        """One flat row per IC and FO as they would be known on-line; none unless the analysis was asked for them."""
+        rows = [
+            row
+            for foot, decisions in self.causal_events.items()
+            for row in causal_event_rows(foot, decisions, self.events[foot])
+        ]
+        return sorted(rows, key=lambda row: row["t_known_s"])
 
     def path_rows(self) -> list[dict[str, Any]]:
         """One flat row per foot and tenth of a second: place (m) and heading (rad) on its path."""

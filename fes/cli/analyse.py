@@ -7,10 +7,11 @@ import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import mean, stdev
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import click
 
+from fes.analysis.methods import Methods
 from fes.analysis.pipeline import analyse, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.calibration.recording import drivers_from
@@ -23,6 +24,7 @@ from fes.cli.common.table_file import write_table
 from fes.cli.compile_ import compiled_ahead
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.numerics.jit import CACHE
+from fes.estimation.zupt.detectors import Detector
 from fes.memory import keep_freed_memory
 from fes.recording import RecordingError, read_recording
 from fes.recording.chunks import Chunk, recording_chunks
@@ -36,6 +38,7 @@ if TYPE_CHECKING:
     from fes.recording import Recording
 
 FORMATS = ("csv", "parquet", "json")
+DETECTORS = ("shoe", "mv", "mag", "are", "gyr")
 
 
 @click.command(name="analyse", cls=RenamedOptions, former={"--afflicted": "--paretic-side", "--apart": "--sync-clocks"})
@@ -54,6 +57,29 @@ FORMATS = ("csv", "parquet", "json")
     help="The paretic side, where it is known; implies --hemiparetic.",
 )
 @click.option("--sync-clocks", is_flag=True, help="Each foot had its own clock: set the right one's by the walk.")
+@click.option(
+    "--detector",
+    type=click.Choice(DETECTORS),
+    default="shoe",
+    show_default=True,
+    help="Of zero velocity, for the path (Skog et al.).",
+)
+@click.option(
+    "--stride-method",
+    type=click.Choice(["maximum_likelihood", "constrained"]),
+    default="maximum_likelihood",
+    show_default=True,
+    help="How a stride is integrated; constrained: Negård et al.'s alone.",
+)
+@click.option(
+    "--path",
+    "path_filter",
+    type=click.Choice(["smoothed", "per-sample"]),
+    default="smoothed",
+    show_default=True,
+    help="Filter and smooth the path over intervals, or from sample to sample.",
+)
+@click.option("--causal-events", is_flag=True, help="Also events as known on-line (Kumar et al.): events_causal.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 def command(
     recordings: tuple[Path, ...],
@@ -65,6 +91,10 @@ def command(
     hemiparetic: bool,
     paretic_side: str | None,
     sync_clocks: bool,
+    detector: str,
+    stride_method: Literal["maximum_likelihood", "constrained"],
+    path_filter: str,
+    causal_events: bool,
     no_report: bool,
 ) -> None:
     """Find phases and strides in RECORDINGS; write tables of strides, phase changes, events (initial contact, foot
@@ -80,12 +110,16 @@ def command(
     Where toe and heel are is taken from [geometry] in the sidecar, or else, on level ground, estimated from the walking
     itself, which takes the sensor to sit over the middle of the foot; the output says which.
 
+    Who replicates a paper chooses with --detector, --stride-method and --path other methods than those of every report,
+    and with --causal-events has a table of when contact and foot off would have been known while walking.
+
     A recording of more than half an hour is analysed in pieces, with a report of each: memory does not grow with it.
 
     One recording that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
     failures = 0
     keep_freed_memory()
+    methods = Methods(Detector[detector.upper()], stride_method, path_filter == "per-sample", causal_events)
     for path in recordings:
         try:
             with compiled_ahead(CACHE):
@@ -113,14 +147,18 @@ def command(
             click.echo(f"Analysing {path.name} … (the first time on a computer takes a minute longer)", err=True)
         if not first.whole:
             del first, recording  # a piece that need not stay
-            analyse_long(path, found, out, kind, level=not uneven, as_json=as_json, report=not no_report)
+            analyse_long(
+                path, found, out, kind, level=not uneven, methods=methods, as_json=as_json, report=not no_report
+            )
             continue
-        result = analyse(recording, found.calibrations, level=not uneven)
+        result = analyse(recording, found.calibrations, level=not uneven, methods=methods)
         folder = fresh_folder(out, path.stem)
         write_table(result.stride_rows(), folder / f"strides.{kind}")
         write_table(result.phase_rows(), folder / f"phases.{kind}")
         write_table(result.event_rows(), folder / f"events.{kind}")
         write_table(result.path_rows(), folder / f"path.{kind}")
+        if causal_events:
+            write_table(result.causal_event_rows(), folder / f"events_causal.{kind}")
         hemiparetic = hemiparetic or paretic_side is not None
         gait = _gait(result, folder, kind, hemiparetic=hemiparetic, paretic_side=paretic_side)
         _show(result, gait, folder, as_json=as_json, report=not no_report)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from fes.analysis.methods import Methods
 from fes.analysis.pipeline import analyse_chunks
 from fes.analysis.results import Analysis
 from fes.calibration.recording import Found, labelled
@@ -29,7 +30,9 @@ if TYPE_CHECKING:
 TABLES = ("strides", "phases", "events", "path", "parameters")
 
 
-def analyse_long(path: Path, found: Found, out: Path, kind: str, *, level: bool, as_json: bool, report: bool) -> None:
+def analyse_long(
+    path: Path, found: Found, out: Path, kind: str, *, level: bool, methods: Methods, as_json: bool, report: bool
+) -> None:
     """Analyse piece by piece and write the tables as they come; what is kept does not grow with the recording."""
     from fes.analysis.parameters.gait import ChunkedGait, gait_parameters
 
@@ -37,9 +40,10 @@ def analyse_long(path: Path, found: Found, out: Path, kind: str, *, level: bool,
     named = (replace(piece, recording=labelled(piece.recording, found.sides)) for piece in recording_chunks(path))
     told: list[_Told] = []
     gait: ChunkedGait | None = None
+    tables = (*TABLES, "events_causal") if methods.causal_events else TABLES
     with ExitStack() as stack:
-        files = {name: stack.enter_context(TableFile(folder / f"{name}.{kind}")) for name in TABLES}
-        for result in analyse_chunks(named, found.calibrations, level=level):
+        files = {name: stack.enter_context(TableFile(folder / f"{name}.{kind}")) for name in tables}
+        for result in analyse_chunks(named, found.calibrations, level=level, methods=methods):
             parameters = gait_parameters(result)
             if gait is None:
                 gait = ChunkedGait(result.recording.belt_speed_mps)
@@ -48,6 +52,8 @@ def analyse_long(path: Path, found: Found, out: Path, kind: str, *, level: bool,
             files["phases"].add(result.phase_rows())
             files["events"].add(result.event_rows())
             files["path"].add(result.path_rows())
+            if methods.causal_events:
+                files["events_causal"].add(result.causal_event_rows())
             files["parameters"].add(parameters.rows())
             told.append(_Told.of(result, len(told) + 1))
             _report(result, parameters, folder, told[-1], as_json=as_json, report=report)

@@ -180,7 +180,7 @@ def foot_samples(
         acc_range_mps2: the accelerometer's full scale; found from flat tops if not given.
         gyr_range_radps: the same of the gyroscope.
         detector: of zero velocity; its threshold is found from the recording.
-        per_sample: filter from sample to sample: many times slower, and the same within millimetres.
+        per_sample: filter from sample to sample: many times slower, lengths within 2 mm.
 
     Raises:
         ValueError: too short, or the foot never rests.

@@ -1,0 +1,91 @@
+"""Methods of an analysis that whoever replicates a paper may exchange; the defaults are those of every report.
+
+Which zero-velocity detector, how a stride is integrated, whether the ZUPT-aided filter goes from sample to sample, and
+the events as they would be known on-line (Kumar et al. 2015), beside those found off-line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from fes.estimation.events.causal import Decision, OnlineEvent, OnlineEvents, Rule
+from fes.estimation.events.offline import GaitEvents
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.strides.schema import Column
+from fes.estimation.zupt.detectors import Detector
+from fes.signals import NS_PER_S, FloatArray, IntArray
+
+FARTHEST_NS = 250_000_000  # an off-line event farther away is another one
+CAUSAL_EVENT_COLUMNS = (
+    Column("foot", str, "", "the foot's sensor"),
+    Column("rule", str, "", "instants: ours; peaks: as printed", "Kumar et al. 2015"),
+    Column("event", str, "", "IC, initial contact, or FO, foot off"),
+    Column("t_known_s", float, "s", "when the decision was made"),
+    Column("t_feature_s", float, "s", "when the feature was on which it rests, never later"),
+    Column("t_offline_s", float, "s", "the event as found off-line"),
+    Column("delay_s", float, "s", "from the off-line event to the decision; empty where none is within 0.25 s"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Methods:
+    """What an analysis does it with.
+
+    Attributes:
+        detector: of zero velocity, for the path and for the stride lengths fused with it (Skog et al. 2010).
+        stride_method: "maximum_likelihood"; or "constrained", Negård et al.'s (2005) integration of each stride by
+            itself, whose lengths are not fused with the path's.
+        per_sample: the ZUPT-aided filter goes from sample to sample, not over intervals of some hundredths of a second.
+        causal_events: also the events as they would be known on-line.
+    """
+
+    detector: Detector = Detector.SHOE
+    stride_method: Literal["maximum_likelihood", "constrained"] = "maximum_likelihood"
+    per_sample: bool = False
+    causal_events: bool = False
+
+
+@dataclass(slots=True)
+class CausalEvents:
+    """One foot's causal decisions, by both rules, whatever the blocks in which its samples come."""
+
+    calibration: FootCalibration
+    _machines: dict[Rule, OnlineEvents] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._machines = {rule: OnlineEvents(self.calibration, rule) for rule in Rule}
+
+    def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[tuple[Rule, Decision]]:
+        """Decisions on the next samples (N,), (N, 3), (N, 3); arguments as for ``OnlineEvents.advance``."""
+        samples = t_ns, acc_mps2, gyr_radps
+        return [(rule, decision) for rule, events in self._machines.items() for decision in events.advance(*samples)]
+
+
+def causal_event_rows(
+    foot: str, decisions: Iterable[tuple[Rule, Decision]], events: GaitEvents
+) -> list[dict[str, Any]]:
+    """One flat row per IC and FO decided, with the off-line event beside it; columns ``CAUSAL_EVENT_COLUMNS``."""
+    offline = {OnlineEvent.IC: events.ic_ns, OnlineEvent.FO: events.fo_ns}
+    rows = []
+    for rule, decision in decisions:
+        if decision.event in offline:
+            nearest_ns = _nearest(offline[decision.event], decision.t_feature_ns)
+            delay_ns = None if nearest_ns is None else decision.t_ns - nearest_ns
+            times = (decision.t_ns, decision.t_feature_ns, nearest_ns, delay_ns)
+            seconds = (None if t_ns is None else t_ns / NS_PER_S for t_ns in times)
+            names = (column.name for column in CAUSAL_EVENT_COLUMNS)
+            values = (foot, rule.name.lower(), decision.event.name, *seconds)
+            rows.append(dict(zip(names, values, strict=True)))
+    return sorted(rows, key=lambda row: (row["t_known_s"], row["rule"]))
+
+
+def _nearest(t_ns: IntArray, to_ns: int) -> int | None:
+    """The nearest of the instants (N,), None if all are farther than ``FARTHEST_NS``."""
+    if not len(t_ns):
+        return None
+    nearest_ns = int(t_ns[np.argmin(np.abs(t_ns - to_ns))])
+    return nearest_ns if abs(nearest_ns - to_ns) <= FARTHEST_NS else None
