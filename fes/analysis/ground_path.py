@@ -130,11 +130,6 @@ def _about_z(angle_rad: float) -> FloatArray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-def distance_within(path: GroundPath, stance_ns: IntArray) -> float:
-    """Horizontal distances from each of these stances (M,) to the next, summed, in m."""
-    return float(np.hypot(*np.diff(path.at(stance_ns)[:, :2], axis=0).T).sum())
-
-
 def continued(before: GroundPath, path: GroundPath, at_ns: int) -> GroundPath:
     """The path turned and shifted so that it goes on where the one before is at a time that both know.
 

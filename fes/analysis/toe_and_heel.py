@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from fes.config import FootGeometry
 from fes.estimation.clearance.clearance import (
     AnyPaths,
-    FootPath,
     arms_of,
     clearances,
     contact_heights,
@@ -17,7 +15,7 @@ from fes.estimation.clearance.clearance import (
     join_paths,
 )
 from fes.estimation.clearance.geometry import EstimatedGeometry, estimate_geometry
-from fes.signals import FloatArray, StrideResult
+from fes.signals import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,24 +71,6 @@ class ToeAndHeel:
             f"sensor {-100 * found.toe_up_m:.1f} ± {100 * sd.height_sd_m:.1f} cm above the sole"
         )
         return said if sd.observed else f"{said}. Partly assumed, not measured: {sd.reason}"
-
-
-def toe_and_heel(
-    strides: Sequence[StrideResult], paths: Sequence[FootPath], given: FootGeometry | None, *, level: bool
-) -> tuple[list[StrideResult], ToeAndHeel]:
-    """One foot's strides with the clearance of toe and heel, and where these are; see :func:`point_heights`.
-
-    ``paths`` are those of the valid strides.
-    """
-    heights, known = point_heights(paths, given, level=level)
-    found = {} if heights is None else dict(zip((path.number for path in paths), heights.tolist(), strict=True))
-    told = [
-        replace(stride, toe_clearance_m=found[stride.number][0], heel_clearance_m=found[stride.number][1])
-        if stride.number in found
-        else stride
-        for stride in strides
-    ]
-    return told, known
 
 
 def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -> tuple[FloatArray | None, ToeAndHeel]:

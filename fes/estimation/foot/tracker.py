@@ -195,7 +195,7 @@ class FootTracker(Tracker):
         self._state = self._all["state"][0]
         self._maker = strides
         self._asks = type(strides) is not StrideMaker  # one that wants to be asked at every stride
-        self._rows = self._all, strides.course, h.book, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace, np.empty((2, 3))
+        self._rows = self._all, strides.core, h.book, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace, np.empty((2, 3))
         self._live = live, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
         self._out = new_out(1, len(h.t_ns), TRAJECTORY_POINTS)
         self._filled = self._out.filled.data  # the same memory, read and written in a third of the time
@@ -240,9 +240,9 @@ class FootTracker(Tracker):
             self._filled[:] = _NONE_FILLED
             _walk(0, row + 1, number, *self._end)
             if self._filled[STRIDES]:
-                outcomes.append(self._maker.told(self._out))
+                outcomes.append(self._maker.stride_in(self._out))
         else:
-            _change(self._all, self._maker.course, number, self._history.acc_mps2, row)
+            _change(self._all, self._maker.core, number, self._history.acc_mps2, row)
         if change is not None:
             outcomes.append(change)
         return outcomes

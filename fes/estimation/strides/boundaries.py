@@ -1,22 +1,19 @@
 """The ends of a stride: the quietest instant of a stance, and what the sensor shows there.
 
 The foot is never wholly at rest (Negård et al. 2005). What it still does at the chosen instant is measured: its mean
-rate gives the velocity of a foot that turns about its ground contact, its unrest says how far that is to be trusted
-(``fes.estimation.strides.integration``).
-
-How long a stride took, of all the time that its foot walked.
+rate gives the velocity of a foot that turns about its ground contact, and says how far that is to be trusted
+(``fes.estimation.strides.integration``). Also how long a stride took, of all the time that its foot walked.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from fes.estimation.numerics.jit import jit_ieee
-from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+from fes.signals import FloatArray, IntArray
 
 UNSEEN_NS = -(2**63)  # of what did not happen, for compiled code
 
@@ -44,14 +41,6 @@ def stride_time_ns(start_ns: int, end_ns: int, before_ns: int | None) -> int:
     return time_of(start_ns, end_ns, UNSEEN_NS if before_ns is None else before_ns)
 
 
-def at_walking_speed(stride: StrideResult, before_ns: int | None) -> StrideResult:
-    """The stride with its speed over all of its time; one that is not valid as it is. ``before_ns`` as above."""
-    if not stride.valid:
-        return stride
-    time_ns = stride_time_ns(stride.t_start_ns, stride.t_end_ns, before_ns)
-    return replace(stride, speed_mps=stride.stride_length_m * NS_PER_S / time_ns)
-
-
 QUIET_WINDOW_S = 0.1
 AROUND_S = 0.03  # on either side of an end, over which it is measured
 NEAR_S = 0.05  # of a stance's instant given from elsewhere, the quietest is sought this far on either side
@@ -62,19 +51,19 @@ NO_REST_RADPS = 3.0  # beyond this the velocity at the ends is a guess, and so i
 
 
 @jit_ieee
-def mean_and_variance(x: Any, begin: int, end: int) -> tuple[float, float, float, float, float, float]:
+def mean_and_variance(values: Any, begin: int, end: int) -> tuple[float, float, float, float, float, float]:
     """Means, then variances, of the three columns over the rows ``begin`` … ``end - 1``."""
     n = end - begin
     m0 = m1 = m2 = v0 = v1 = v2 = 0.0
     for i in range(begin, end):
-        m0 += x[i, 0]
-        m1 += x[i, 1]
-        m2 += x[i, 2]
+        m0 += values[i, 0]
+        m1 += values[i, 1]
+        m2 += values[i, 2]
     m0, m1, m2 = m0 / n, m1 / n, m2 / n
     for i in range(begin, end):
-        v0 += (x[i, 0] - m0) ** 2
-        v1 += (x[i, 1] - m1) ** 2
-        v2 += (x[i, 2] - m2) ** 2
+        v0 += (values[i, 0] - m0) ** 2
+        v1 += (values[i, 1] - m1) ** 2
+        v2 += (values[i, 2] - m2) ** 2
     return m0, m1, m2, v0 / n, v1 / n, v2 / n
 
 

@@ -1,7 +1,4 @@
-"""A stride's whole solution in one compiled call: its ends, its orientation, its way, and the numbers of them.
-
-Compiled numbers of a solved stride: its turn and height, and its way at evenly spaced times.
-"""
+"""A stride's whole solution in one compiled call: its ends, its orientation, its trajectory, and their numbers."""
 
 from __future__ import annotations
 
@@ -36,14 +33,14 @@ def height_and_turn(quaternion: Any, position: Any, fx: float, fy: float, fz: fl
         fy: see ``fx``.
         fz: see ``fx``.
     """
-    highest = -math.inf
+    peak_height = -math.inf
     for i in range(position.shape[0]):
-        highest = max(highest, position[i, 2])
+        peak_height = max(peak_height, position[i, 2])
     ahead, left, _ = _pointing(quaternion, 0, fx, fy, fz)
     turn = -math.atan2(left, ahead)
     ahead, left, _ = _pointing(quaternion, position.shape[0] - 1, fx, fy, fz)
     turn += math.atan2(left, ahead)
-    return highest, (turn + math.pi) % (2.0 * math.pi) - math.pi
+    return peak_height, (turn + math.pi) % (2.0 * math.pi) - math.pi
 
 
 @jit_fused
@@ -99,7 +96,7 @@ NOISE, HEIGHT_NOISE = StrideNoise(), HeightNoise()
 # forward, of an instep in mid-stance beyond w × r: shoe and skin give way, as optical systems see too. The constrained
 # method, which cannot tell a velocity from an acceleration error, needs more of it on the same recordings.
 DRIFT_SPEED_MPS = {"maximum_likelihood": 0.002, "constrained": 0.005}
-_CREEP_LIKELY, _CREEP_CONSTRAINED = DRIFT_SPEED_MPS["maximum_likelihood"], DRIFT_SPEED_MPS["constrained"]
+_DRIFT_SPEED_MPS, _DRIFT_SPEED_CONSTRAINED_MPS = DRIFT_SPEED_MPS["maximum_likelihood"], DRIFT_SPEED_MPS["constrained"]
 END_TILT_GAIN = 0.15
 MOST_TILT_RAD = math.radians(30)
 LONGEST_STRIDE_M = 3.0
@@ -112,7 +109,7 @@ def end_velocity(
     qw: float, qx: float, qy: float, qz: float, wx: float, wy: float, wz: float,
     fx: float, fy: float, fz: float, height_m: float, drift_speed_mps: float, row: int, out: Any,
 ) -> None:  # fmt: skip
-    """``w × r`` in the world of a foot that turns about the ground below its sensor, and its creep forward (m/s).
+    """``w × r`` in the world of a foot that turns about the ground below its sensor, and its drift forward (m/s).
 
     ``w`` is the rate and ``f`` the unit vector towards the toe, in the sensor frame; fills ``row`` of ``out`` (2, 3).
     """
@@ -171,7 +168,7 @@ def solve_span(
     t, f, w = t_ns[first : last + 1], acc[first : last + 1], gyr[first : last + 1]
     around = around_ends(t_ns, first, last)
     rates, forces, variances = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 2))
-    unrest = 0.0
+    residual_rate = 0.0
     for e in range(2):
         k = last if e else first
         begin, end = max(k - around, 0), min(k + around + 1, t_ns.shape[0])
@@ -182,17 +179,17 @@ def solve_span(
         rate = math.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
         spread = math.sqrt(max(p0, p1, p2))
         variances[e, 0], variances[e, 1] = end_variances(rate, math.sqrt(s0 + s1 + s2), spread, NOISE)
-        unrest = max(unrest, rate)
-    constrained = constrained or unrest > REST_RADPS
+        residual_rate = max(residual_rate, rate)
+    constrained = constrained or residual_rate > REST_RADPS
     gain = END_TILT_GAIN if constrained else 0.0
     tilt = orient(t, w, start, forces[1, 0], forces[1, 1], forces[1, 2], gain, quaternion)
-    creep = _CREEP_CONSTRAINED if constrained else _CREEP_LIKELY
+    drift_speed_mps = _DRIFT_SPEED_CONSTRAINED_MPS if constrained else _DRIFT_SPEED_MPS
     ends = np.empty((2, 3))
     for e in range(2):
         k = n - 1 if e else 0
         end_velocity(
             quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3],
-            rates[e, 0], rates[e, 1], rates[e, 2], fx, fy, fz, height_m, creep, e, ends,
+            rates[e, 0], rates[e, 1], rates[e, 2], fx, fy, fz, height_m, drift_speed_mps, e, ends,
         )  # fmt: skip
     velocity = np.empty((n, 3))
     if constrained:
@@ -207,7 +204,7 @@ def solve_span(
             solved = settle_height(t, f, quaternion, ends[:, 2], variances[:, 0], HEIGHT_NOISE, vertical)
             for i in range(n):
                 position[i, 2] = vertical[i, 1]
-    numbers[TILT], numbers[RESIDUAL_RATE] = tilt, unrest
+    numbers[TILT], numbers[RESIDUAL_RATE] = tilt, residual_rate
     if not solved:
         return NO_SOLUTION
     length = math.hypot(position[n - 1, 0], position[n - 1, 1])
@@ -216,7 +213,7 @@ def solve_span(
         return TILTED
     if not length <= LONGEST_STRIDE_M:
         return NO_LENGTH
-    if unrest > NO_REST_RADPS:
+    if residual_rate > NO_REST_RADPS:
         return NO_REST
     numbers[PEAK_HEIGHT], numbers[TURN] = height_and_turn(quaternion, position, fx, fy, fz)
     numbers[HEIGHT_CHANGE] = position[n - 1, 2]

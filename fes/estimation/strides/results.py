@@ -20,8 +20,7 @@ from fes.config import FootGeometry
 from fes.estimation.clearance.clearance import FootPath, FootPaths
 from fes.estimation.numerics.records import new_core
 from fes.estimation.numerics.rotation import cross
-from fes.estimation.strides import integration as solution
-from fes.estimation.strides import segmentation as course
+from fes.estimation.strides import integration, segmentation
 from fes.estimation.strides.boundaries import REST_RADPS, UNSEEN_NS
 from fes.estimation.strides.schema import COLUMNS, STRIDE
 from fes.estimation.strides.segmentation import Out, SegmentationSettings, new_out
@@ -84,21 +83,21 @@ class StrideMaker:
     def __init__(self, foot: str, settings: StrideSettings) -> None:
         self.foot = foot
         self.settings = settings
-        self.course = new_core(course.STRIDE_STATE, settings=settings.compiled())
-        self._due_ns = self.course["state"]["due_ns"]  # (1,) of the same memory: asked at every sample
+        self.core = new_core(segmentation.STRIDE_STATE, settings=settings.compiled())
+        self._due_ns = self.core["state"]["due_ns"]  # (1,) of the same memory: asked at every sample
         self._out: Out | None = None
-        course.restart(self.course, 0)
+        segmentation.restart(self.core, 0)
 
-    def keep_in(self, course: Rows) -> None:
-        """From now on keep all that evolves in this array (1,) of ``stride_course.COURSE``."""
-        course[:] = self.course
-        self.course, self._due_ns = course, course["state"]["due_ns"]
+    def keep_in(self, core: Rows) -> None:
+        """From now on keep all that evolves in this array (1,) of ``segmentation.STRIDE_STATE``."""
+        core[:] = self.core
+        self.core, self._due_ns = core, core["state"]["due_ns"]
 
     @property
     def due_ns(self) -> int | None:
         """The stride under way is closed at this time at the latest; None while there is none."""
         due_ns: int = self._due_ns.item()
-        return None if due_ns == course.NEVER_NS else due_ns
+        return None if due_ns == segmentation.NEVER_NS else due_ns
 
     @property
     def since_ns(self) -> int:
@@ -107,11 +106,11 @@ class StrideMaker:
 
     def restart(self, t_ns: int) -> None:
         """Data were lost: forget the stride under way; stance from now on."""
-        course.restart(self.course, t_ns)
+        segmentation.restart(self.core, t_ns)
 
     def on_phase(self, change: PhaseChange) -> None:
         """Note a phase change (after :meth:`leave_stance` for T1)."""
-        course.on_phase(self.course, change.destination.value, change.t_ns)
+        segmentation.on_phase(self.core, change.destination.value, change.t_ns)
 
     def leave_stance(
         self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray
@@ -122,7 +121,7 @@ class StrideMaker:
         (N, 4).
         """
         result = self.close(t_ns, acc, gyr, quaternion) if self.due_ns is not None else None
-        course.begin(self.course, len(t_ns), t_ns, gyr, NO_BIASES)
+        segmentation.begin(self.core, len(t_ns), t_ns, gyr, NO_BIASES)
         return result
 
     def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
@@ -131,12 +130,12 @@ class StrideMaker:
         if self._out is None or len(self._out.t_ns) < n:
             self._out = new_out(1, n, TRAJECTORY_POINTS)
         self._out.filled[:] = 0
-        first, last = course.close(self.course, n, t_ns, gyr, NO_BIASES, self._out)
+        first, last = segmentation.close(self.core, n, t_ns, gyr, NO_BIASES, self._out)
         if first < last:
-            course.solve_rows(self.course, first, last, n, t_ns, acc, gyr, quaternion[first], NO_BIASES, self._out)
-        return self.told(self._out) if self._out.filled[course.STRIDES] else None
+            segmentation.solve_rows(self.core, first, last, n, t_ns, acc, gyr, quaternion[first], NO_BIASES, self._out)
+        return self.stride_in(self._out) if self._out.filled[segmentation.STRIDES] else None
 
-    def told(self, out: Out) -> StrideResult:
+    def stride_in(self, out: Out) -> StrideResult:
         """The only stride in ``out``; its path is shown to who watches."""
         return _shown(self.foot, out, self.settings)
 
@@ -166,10 +165,10 @@ def solve_stride(
     row["number"], row["t_start_ns"], row["t_end_ns"] = number, t_ns[first], t_ns[last]
     for name, phase in zip(_ENTRIES, Phase, strict=True):
         row[name] = times.get(phase, UNSEEN_NS)
-    out.filled[course.STRIDES] = 1
-    own = new_core(course.STRIDE_STATE, settings=settings.compiled())
+    out.filled[segmentation.STRIDES] = 1
+    own = new_core(segmentation.STRIDE_STATE, settings=settings.compiled())
     own["state"]["before_ns"] = UNSEEN_NS if before_ns is None else before_ns
-    course.solve_rows(own, first, last, len(t_ns), t_ns, acc, gyr, start_quaternion, NO_BIASES, out)
+    segmentation.solve_rows(own, first, last, len(t_ns), t_ns, acc, gyr, start_quaternion, NO_BIASES, out)
     return _shown(foot, out, settings)
 
 
@@ -183,8 +182,8 @@ def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
 
 
 def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
-    """The paths of the valid ones of (K,) strides, whose ways are in ``out`` and stay there."""
-    rows = rows[rows["outcome"] == solution.SOLVED]
+    """The paths of the valid ones of (K,) strides, whose trajectories are in ``out`` and stay there."""
+    rows = rows[rows["outcome"] == integration.SOLVED]
     contact = np.where(rows["t_loading_response_ns"] == UNSEEN_NS, rows["t_stance_ns"], rows["t_loading_response_ns"])
     end = int((rows["first"] + rows["rows"]).max(initial=0))
     forward, up = settings.forward, settings.up
@@ -201,14 +200,14 @@ def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:
 
 def stride_results(foot: str, rows: Rows, shapes: FloatArray) -> list[StrideResult]:
     """Results of (K,) strides from their rows and shapes (K, ``TRAJECTORY_POINTS``, 4)."""
-    ways, pitches = shapes[:, :, :3].copy(), shapes[:, :, 3].copy()
-    return [_result(foot, row, ways[k], pitches[k]) for k, row in enumerate(rows.tolist())]
+    trajectories, pitches = shapes[:, :, :3].copy(), shapes[:, :, 3].copy()
+    return [_result(foot, row, trajectories[k], pitches[k]) for k, row in enumerate(rows.tolist())]
 
 
 def _result(foot: str, row: tuple[Any, ...], trajectory: FloatArray, pitch: FloatArray) -> StrideResult:
     """Result of one stride from its row and shape."""
     columns: dict[str, Any] = dict(zip(_NAMES, row, strict=True))
-    valid, reason = columns["outcome"] == solution.SOLVED, ""
+    valid, reason = columns["outcome"] == integration.SOLVED, ""
     if not valid or columns["residual_rate_radps"] > REST_RADPS:
         reason = _reason(columns)
     for name in _HIDDEN:
@@ -226,12 +225,12 @@ def _reason(row: Mapping[str, Any]) -> str:
     """Why a stride is not valid, or not as good as others."""
     rate_radps = row["residual_rate_radps"]
     return {
-        solution.SOLVED: f"no true rest: {rate_radps:.1f} rad/s at its quietest",
-        solution.NO_SOLUTION: "the constraints cannot be met",
-        solution.TILTED: f"the orientation is {math.degrees(row['tilt_rad']):.0f}° off at its end",
-        solution.NO_LENGTH: f"{row['stride_length_m']:.2f} m is no stride length",
-        solution.NO_REST: f"the foot never rests: {rate_radps:.1f} rad/s at its quietest",
-        course.FORGOTTEN: "longer than the history kept",
-        course.NO_STRIDE_TIME: f"lasts {1e-9 * (row['t_end_ns'] - row['t_start_ns']):.2f} s",
-        course.GAP: f"samples missing for {1e3 * row['gap_s']:.0f} ms",
+        integration.SOLVED: f"no true rest: {rate_radps:.1f} rad/s at its quietest",
+        integration.NO_SOLUTION: "the constraints cannot be met",
+        integration.TILTED: f"the orientation is {math.degrees(row['tilt_rad']):.0f}° off at its end",
+        integration.NO_LENGTH: f"{row['stride_length_m']:.2f} m is no stride length",
+        integration.NO_REST: f"the foot never rests: {rate_radps:.1f} rad/s at its quietest",
+        segmentation.FORGOTTEN: "longer than the history kept",
+        segmentation.NO_STRIDE_TIME: f"lasts {1e-9 * (row['t_end_ns'] - row['t_start_ns']):.2f} s",
+        segmentation.GAP: f"samples missing for {1e3 * row['gap_s']:.0f} ms",
     }[row["outcome"]]

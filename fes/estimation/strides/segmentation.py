@@ -1,7 +1,7 @@
 """The compiled side of a foot's strides: from phase changes to where each begins and ends, and its numbers.
 
-``fes.estimation.strides.results`` says what a stride is. What evolves is in one ``COURSE`` record, so that live (one
-sample) and analysis (many in one call) go the same way.
+``fes.estimation.strides.results`` says what a stride is. What evolves is in one ``STRIDE_STATE`` record, so that live
+(one sample) and analysis (many in one call) go the same way.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Out(NamedTuple):
     t_ns: Any  # (R,) the strides' own samples, one stride after the other
     position: Any  # (R, 3) m from each stride's start
     quaternion: Any  # (R, 4)
-    filled: Any  # STRIDES, ROWS, CHANGES (phase changes told so far)
+    filled: Any  # STRIDES, ROWS, CHANGES (phase changes so far)
 
 
 def new_out(strides: int, rows: int, points: int, *, shaped: bool = True) -> Out:
@@ -113,44 +113,44 @@ def _forget(times_ns: Any) -> None:
 
 
 @jit_ieee
-def restart(course: Any, t_ns: int) -> None:
+def restart(core: Any, t_ns: int) -> None:
     """Data were lost: forget the stride under way; stance from now on."""
-    s = course[0].state
-    s.due_ns, s.before_ns, s.start_ns, s.stance_ns = NEVER_NS, UNSEEN_NS, UNSEEN_NS, t_ns
-    _forget(s.times_ns)
+    state = core[0].state
+    state.due_ns, state.before_ns, state.start_ns, state.stance_ns = NEVER_NS, UNSEEN_NS, UNSEEN_NS, t_ns
+    _forget(state.times_ns)
 
 
 @jit_ieee
-def on_phase(course: Any, destination: int, t_ns: int) -> None:
+def on_phase(core: Any, destination: int, t_ns: int) -> None:
     """Note a phase change, after :func:`close` and :func:`begin` for T1."""
-    s = course[0].state
+    state = core[0].state
     if destination != STANCE:
-        s.times_ns[destination] = t_ns
+        state.times_ns[destination] = t_ns
         return
-    s.stance_ns = t_ns
-    if s.times_ns[SWING] != UNSEEN_NS:
-        s.times_ns[STANCE] = t_ns
-        s.due_ns = t_ns + _SEARCH_NS
+    state.stance_ns = t_ns
+    if state.times_ns[SWING] != UNSEEN_NS:
+        state.times_ns[STANCE] = t_ns
+        state.due_ns = t_ns + _SEARCH_NS
     else:  # the heel was lifted and put back: no stride
-        _forget(s.times_ns)
+        _forget(state.times_ns)
 
 
 @jit_ieee
-def begin(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any) -> None:
+def begin(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any) -> None:
     """T1: the next stride begins at the quietest instant of the stance that ends; arguments as for :func:`close`."""
-    s = course[0].state
+    state = core[0].state
     now = t_ns[n - 1]
-    earliest = max(s.stance_ns - _LEAD_NS, now - _SEARCH_NS)
-    s.start_ns = t_ns[quietest_of(t_ns, gyr, n, biases[1, 0], biases[1, 1], biases[1, 2], earliest, now)]
-    _forget(s.times_ns)
+    earliest = max(state.stance_ns - _LEAD_NS, now - _SEARCH_NS)
+    state.start_ns = t_ns[quietest_of(t_ns, gyr, n, biases[1, 0], biases[1, 1], biases[1, 2], earliest, now)]
+    _forget(state.times_ns)
 
 
 @jit_ieee
-def close(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tuple[int, int]:
+def close(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tuple[int, int]:
     """End the stride that ended with this stance, if there was one, with a row of ``out``.
 
     Args:
-        course: (1,) of ``COURSE``.
+        core: (1,) of ``STRIDE_STATE``.
         n: how many rows of the history there are up to now.
         t_ns: its time stamps.
         gyr: (…, 3) rad/s.
@@ -160,25 +160,25 @@ def close(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tu
     Returns:
         Its first and last row for :func:`solve_rows`, (0, 0) where there is nothing to solve.
     """
-    s = course[0].state
-    start_ns, stance_ns = s.start_ns, s.times_ns[STANCE]
-    s.due_ns, s.start_ns = NEVER_NS, UNSEEN_NS
+    state = core[0].state
+    start_ns, stance_ns = state.start_ns, state.times_ns[STANCE]
+    state.due_ns, state.start_ns = NEVER_NS, UNSEEN_NS
     if start_ns == UNSEEN_NS or stance_ns == UNSEEN_NS:
-        _forget(s.times_ns)
+        _forget(state.times_ns)
         return 0, 0
     now = t_ns[n - 1]
-    still_standing = now - s.stance_ns >= _SEARCH_NS
-    latest = min(now, s.stance_ns + (_STOPPED_NS if still_standing else _SEARCH_NS))
+    still_standing = now - state.stance_ns >= _SEARCH_NS
+    latest = min(now, state.stance_ns + (_STOPPED_NS if still_standing else _SEARCH_NS))
     bx, by, bz = biases[1, 0], biases[1, 1], biases[1, 2]
-    last = quietest_of(t_ns, gyr, n, bx, by, bz, s.stance_ns - _LEAD_NS, latest)
+    last = quietest_of(t_ns, gyr, n, bx, by, bz, state.stance_ns - _LEAD_NS, latest)
     first = rows_before(t_ns, n, start_ns)
-    s.number += 1
+    state.number += 1
     row = out.strides[out.filled[STRIDES]]
-    row.number, row.t_start_ns, row.t_end_ns = s.number, start_ns, t_ns[last]
-    row.t_pre_swing_ns, row.t_swing_ns = s.times_ns[PRE_SWING], s.times_ns[SWING]
-    row.t_loading_response_ns, row.t_stance_ns = s.times_ns[LOADING_RESPONSE], stance_ns
+    row.number, row.t_start_ns, row.t_end_ns = state.number, start_ns, t_ns[last]
+    row.t_pre_swing_ns, row.t_swing_ns = state.times_ns[PRE_SWING], state.times_ns[SWING]
+    row.t_loading_response_ns, row.t_stance_ns = state.times_ns[LOADING_RESPONSE], stance_ns
     row.rows, row.changes = 0, out.filled[CHANGES]
-    _forget(s.times_ns)
+    _forget(state.times_ns)
     out.filled[STRIDES] += 1
     if first >= last or t_ns[first] != start_ns:
         row.outcome = FORGOTTEN
@@ -188,15 +188,16 @@ def close(course: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tu
 
 @jit_ieee
 def solve_rows(
-    course: Any, first: int, last: int, n: int, t_ns: Any, acc: Any, gyr: Any, start: Any, biases: Any, out: Out
+    core: Any, first: int, last: int, n: int, t_ns: Any, acc: Any, gyr: Any, start: Any, biases: Any, out: Out
 ) -> None:
     """Integrate the samples ``first`` … ``last`` of a history into the newest row of ``out``.
 
     ``acc`` (…, 3) m/s²; ``start`` (4,) is the orientation at ``first``; else as :func:`close`.
     """
-    row, before_ns = out.strides[out.filled[STRIDES] - 1], course[0].state.before_ns
-    course[0].state.before_ns = row.t_end_ns
-    p = course[0].settings
+    row, before_ns = out.strides[out.filled[STRIDES] - 1], core[0].state.before_ns
+    core[0].state.before_ns = row.t_end_ns
+    settings = core[0].settings
+    fx, fy, fz = settings.forward_x, settings.forward_y, settings.forward_z
     count, most_ns = last + 1 - first, 0
     for i in range(first, last):
         most_ns = max(most_ns, t_ns[i + 1] - t_ns[i])
@@ -221,21 +222,19 @@ def solve_rows(
         numbers[i] = 0.0
     row.outcome = solve_span(
         t_ns[begin:end], without(acc[begin:end], biases[0]), without(gyr[begin:end], biases[1]),
-        first - begin, last - begin, start, p.forward_x, p.forward_y, p.forward_z, p.sensor_height_m,
-        p.constrained, p.equal_height, quaternion, position, numbers,
+        first - begin, last - begin, start, fx, fy, fz, settings.sensor_height_m, settings.constrained,
+        settings.equal_height, quaternion, position, numbers,
     )  # fmt: skip
     row.tilt_rad, row.residual_rate_radps, row.stride_length_m = numbers[TILT], numbers[RESIDUAL_RATE], numbers[LENGTH]
     row.clearance_m, row.turn_rad, row.height_gained_m = numbers[PEAK_HEIGHT], numbers[TURN], numbers[HEIGHT_CHANGE]
     if row.outcome != SOLVED:
         return
     if k < out.shapes.shape[0]:
-        stride_shape(
-            out.t_ns[at : at + count], quaternion, position, p.forward_x, p.forward_y, p.forward_z, out.shapes[k]
-        )
+        stride_shape(out.t_ns[at : at + count], quaternion, position, fx, fy, fz, out.shapes[k])
     row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_clearance_m = row.heel_clearance_m = math.nan
-    if p.known:
-        _toe_and_heel(p, row, out.t_ns[at : at + count], position, quaternion)
+    if settings.known:
+        _toe_and_heel(settings, row, out.t_ns[at : at + count], position, quaternion)
 
 
 @jit_ieee
@@ -254,7 +253,7 @@ def _usual_step(t_ns: Any, first: int, last: int) -> float:
 
 
 @jit_ieee
-def _toe_and_heel(p: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -> None:
+def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -> None:
     """Least height of the toe in mid-swing and greatest of the heel, above the starting stance (m); NaN if unknown.
 
     Mid-swing is the middle of the time from foot off to contact: the toe leaves the ground and, after its first peak,
@@ -268,10 +267,10 @@ def _toe_and_heel(p: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -
     least, most = math.inf, -math.inf
     for i in range(t_ns.shape[0]):
         w, x, y, z = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
-        forward = to_world(w, x, y, z, p.forward_x, p.forward_y, p.forward_z)[2]
-        up = to_world(w, x, y, z, p.up_x, p.up_y, p.up_z)[2]
-        toe = position[i, 2] + p.toe_forward_m * forward + p.toe_up_m * up
-        heel = position[i, 2] + p.heel_forward_m * forward + p.heel_up_m * up
+        forward = to_world(w, x, y, z, settings.forward_x, settings.forward_y, settings.forward_z)[2]
+        up = to_world(w, x, y, z, settings.up_x, settings.up_y, settings.up_z)[2]
+        toe = position[i, 2] + settings.toe_forward_m * forward + settings.toe_up_m * up
+        heel = position[i, 2] + settings.heel_forward_m * forward + settings.heel_up_m * up
         if i == 0:
             toe_start, heel_start = toe, heel
         most = max(most, heel - heel_start)
