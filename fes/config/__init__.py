@@ -1,6 +1,17 @@
 """Settings: one TOML file per session, validated before anything is opened."""
 
-from fes.config.base import PHASE_ORDER, ConfigError, Foot, NotNegative, Phase, Positive, SensorName, Settings
+from fes.config.base import (
+    PHASE_ORDER,
+    ConfigError,
+    Foot,
+    NotNegative,
+    Phase,
+    Positive,
+    SensorName,
+    Settings,
+    explain,
+    read_toml,
+)
 from fes.config.channel import Channel, ChannelLimits, Stimulation
 from fes.config.devices import Bus, FootSwitch, ImuDevice, Live, StimulatorDevice, Switch
 from fes.config.session import FootGeometry, Phases, Session, Treadmill, load_session, validate_session
@@ -32,6 +43,8 @@ __all__ = [
     "Treadmill",
     "Tuning",
     "TuningBounds",
+    "explain",
     "load_session",
+    "read_toml",
     "validate_session",
 ]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import tomllib
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -27,8 +29,34 @@ class Settings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
 
 
-def explain(error: ValidationError, path: Path, text: str, root: type[Settings]) -> str:
-    """Put a pydantic error about ``root`` settings into lines of ``file:line: key = value: what is allowed``."""
+def read_toml(path: Path, what: str, fault: type[ValueError]) -> tuple[dict[str, Any], str]:
+    """What a TOML file holds, and its text; ``what`` it should be and the kind of ``fault`` are for the messages.
+
+    Raises:
+        ValueError: of the kind of ``fault``: the file cannot be read or is not TOML.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")  # some editors put a mark in front
+        return tomllib.loads(text), text
+    except OSError as error:
+        raise fault(f"{path}: cannot be read: {error.strerror or error}. Name an existing {what} file.") from error
+    except UnicodeDecodeError as error:
+        raise fault(f"{path}: is not text (byte {error.start}). A {what} is a TOML file in UTF-8.") from error
+    except tomllib.TOMLDecodeError as error:
+        raise fault(f"{path}: is not valid TOML: {error}") from error
+
+
+def explain(
+    error: ValidationError,
+    path: Path,
+    text: str,
+    root: type[Settings],
+    reword: Callable[[Mapping[str, Any], tuple[int | str, ...]], str] = lambda fault, location: "",
+) -> str:
+    """Put a pydantic error about ``root`` settings into lines of ``file:line: key = value: what is allowed``.
+
+    ``reword`` may say of a fault at a location what is allowed, in better words; "" leaves it as it is.
+    """
     lines_of = _lines_of(text)
     faults = []
     for fault in error.errors(include_url=False):
@@ -41,12 +69,13 @@ def explain(error: ValidationError, path: Path, text: str, root: type[Settings])
             message = "is required and missing"
         elif fault["type"] == "extra_forbidden":
             message = f"is not a setting; allowed are {', '.join(_settings_beside(root, location))}"
+        message = reword(fault, location) or message
         key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
         value = fault.get("input")
         shown = f" = {value!r:.80}" if isinstance(value, (str, int, float, list)) else ""
         line = next((lines_of[location[:n]] for n in range(len(location), 0, -1) if location[:n] in lines_of), 0)
         place = f"{path}:{line}" if line else f"{path}"
-        faults.append(f"{place}: {key or 'session'}{shown}: {message}")
+        faults.append(f"{place}: {key or 'the file'}{shown}: {message}")
     return "\n".join(dict.fromkeys(faults))
 
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from fes.config.base import ConfigError, Foot, Settings, explain
+from fes.config.base import ConfigError, Foot, Settings, explain, read_toml
 from fes.config.channel import Channel, Stimulation
 from fes.config.devices import Bus, FootSwitch, ImuDevice, Live, StimulatorDevice, Switch
 
@@ -109,16 +108,7 @@ def load_session(path: Path) -> Session:
         ConfigError: the file is missing, is not TOML, or holds a setting that is not allowed; every fault is
             listed with its line, key, value and what would be right.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # some editors put a mark in front
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}. Name an existing session file.") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: is not text (byte {error.start}). A session is a TOML file in UTF-8.") from error
-    try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: is not valid TOML: {error}") from error
+    data, text = read_toml(path, "session", ConfigError)
     return validate_session(data, path, text)
 
 

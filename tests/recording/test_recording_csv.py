@@ -130,7 +130,7 @@ def test_nothing_that_a_file_does_not_tell_passes_unanswered(tmp_path: Path) -> 
     with pytest.raises(RecordingError) as caught:
         accepted(path)
     assert "rate_hz = 0" in str(caught.value)
-    assert "sensors.?: which sensor is it?" in str(caught.value)
+    assert "sensors.? = '?': which sensor is it?" in str(caught.value)
     same(accepted(path, ("rate_hz = 0", "rate_hz = 100"), ('"?"', "left_foot")).tracks["left_foot"], walk())
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
+from fes.config import read_toml
 from fes.signals import FOOT_SENSORS, SENSORS, SHANK_SENSORS
 from fes.simulation.forward.gait_patterns import PATTERNS
 from fes.simulation.sensor import ImuModel, Placement
@@ -197,12 +197,7 @@ def load_patient(path: Path, **others: Any) -> PatientSettings:
     Raises:
         ValueError: the file cannot be read, or holds what is no setting; the message names file and key.
     """
-    try:
-        data = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read: {error.strerror}. Name an existing settings file.") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: is not valid TOML: {error}") from error
+    data, _ = read_toml(path, "settings", ValueError)
     table = data.get("patient")
     if not isinstance(table, dict) or set(data) != {"patient"}:
         raise ValueError(f"{path}: must hold one table, [patient]; it has {', '.join(data) or 'nothing'}")
