@@ -131,14 +131,14 @@ def latency_of(latency_ns: IntArray) -> Latency:
     return Latency(int(latency_ns.size), float(p50), float(p99), float(latency_ns.max()) / 1e6)
 
 
-def remarks(record: WalkRecord, origin_ns: int) -> tuple[Notice, ...]:
+def session_notices(record: WalkRecord, origin_ns: int) -> tuple[Notice, ...]:
     """All notes, and what the stimulator itself reported as a fault, in order of time."""
     found = [Notice((note.t_ns - origin_ns) / NS_PER_S, note.severity, note.source, note.text) for note in record.notes]
     found += [
         Notice((note.t_ns - origin_ns) / NS_PER_S, note.severity, note.source, note.text)
         for note in (*_status_faults(record), *_heartbeat_faults(record.alive))
     ]
-    return tuple(sorted(found, key=lambda remark: remark.time_s))
+    return tuple(sorted(found, key=lambda notice: notice.time_s))
 
 
 def _status_faults(record: WalkRecord) -> Iterable[Note]:

@@ -12,7 +12,16 @@ from typing import Any
 import numpy as np
 
 from fes.config import Session
-from fes.report.quality import Latency, Notice, Refusal, SensorQuality, all_sensors, group_refusals, latency_of, remarks
+from fes.report.quality import (
+    Latency,
+    Notice,
+    Refusal,
+    SensorQuality,
+    all_sensors,
+    group_refusals,
+    latency_of,
+    session_notices,
+)
 from fes.report.stimulation import (
     Burst,
     ChannelInfo,
@@ -175,7 +184,7 @@ class SessionSummary:
     channels: tuple[ChannelSummary, ...]
     refusals: tuple[Refusal, ...]
     latency: Latency
-    remarks: tuple[Notice, ...]
+    notices: tuple[Notice, ...]
     sensors: tuple[SensorQuality, ...]
     run_summary: dict[str, Any]
     strides: tuple[StrideRow, ...]
@@ -184,12 +193,15 @@ class SessionSummary:
 
     @property
     def faults(self) -> tuple[Notice, ...]:
-        """The remarks that tell of a fault."""
-        return tuple(remark for remark in self.remarks if remark.severity == "fault")
+        """The notices of faults."""
+        return tuple(notice for notice in self.notices if notice.severity == "fault")
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values, NaN as null; ``format`` changes when a key changes its meaning."""
-        return {"format": FORMAT, **plain(self)}
+        """Plain values, NaN as null; ``format`` changes when a key changes its meaning.
+
+        The notices stand there as ``remarks``, too, as they were called once.
+        """
+        return {"format": FORMAT, **plain(self), "remarks": plain(self.notices)}
 
 
 @dataclass(frozen=True)
@@ -267,7 +279,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         ),
         refusals=group_refusals(refused, origin_ns),
         latency=latency_of(record.latency_ns),
-        remarks=remarks(record, origin_ns),
+        notices=session_notices(record, origin_ns),
         sensors=all_sensors(record.samples),
         run_summary=plain(record.summary),
         strides=rows,

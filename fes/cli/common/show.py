@@ -26,9 +26,9 @@ LATCHED: Final = "off until armed again: "  # as fes.control.runner notes it
 ARMED_AGAIN: Final = "armed again"
 
 
-def latched(remarks: Iterable[Notice]) -> str:
+def latched(notices: Iterable[Notice]) -> str:
     """How often and when the gate latched, and whether it stayed so; "" when it never did. Times are the session's."""
-    told = [each for each in remarks if each.source == GATE]
+    told = [each for each in notices if each.source == GATE]
     latches = [each for each in told if each.severity == "fault" and each.text.startswith(LATCHED)]
     if not latches:
         return ""
@@ -41,9 +41,9 @@ def latched(remarks: Iterable[Notice]) -> str:
     return f"{what} It was last armed again at {rearmed:.3f} s."
 
 
-def tell_latched(remarks: Iterable[Notice]) -> None:
+def tell_latched(notices: Iterable[Notice]) -> None:
     """On stderr, in red, where there is something to tell."""
-    if said := latched(remarks):
+    if said := latched(notices):
         click.secho(said, fg="red", bold=True, err=True)
 
 
@@ -67,7 +67,7 @@ PIPED_COLUMNS: Final = 110  # where no terminal says how wide it is
 def show(
     log_path: Path, *, as_json: bool, report: Path | None, more: dict[str, Any] | None = None
 ) -> tuple[Notice, ...]:
-    """Print what a session log holds and write its report; ``more`` joins the JSON. Returns the log's remarks.
+    """Print what a session log holds and write its report; ``more`` joins the JSON. Returns the log's notices.
 
     Raises:
         SessionLogError: the log cannot be read.
@@ -94,11 +94,11 @@ def show(
     if as_json:
         files = {"session_log": str(log_path), "report": str(report) if report else None}
         click.echo(json.dumps({**summary.to_json(), **(more or {}), "files": files}, indent=2, ensure_ascii=False))
-        return summary.remarks
+        return summary.notices
     console = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
     console.print(stride_table(summary))
     console.print(summary_block(summary))
     console.print(f"Session log  {log_path}")
     if report is not None:
         console.print(f"Report       {report}  (open it in a browser)")
-    return summary.remarks
+    return summary.notices
