@@ -9,11 +9,10 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags
-from fes.report.quality import SensorQuality
+from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
+from fes.report.stimulation import DoseRow
 from fes.report.summary import ChannelSummary, SessionSummary
 from fes.report.text import count_of, number, readable
-from fes.report.tuning import DoseRow
 
 Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s

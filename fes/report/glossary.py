@@ -12,7 +12,7 @@ from functools import cache
 from typing import Final
 
 from fes.analysis.parameters.definitions import DEFINITIONS
-from fes.report.flags import MEANING, SHORT
+from fes.report.quality import MEANING, SHORT
 from fes.report.text import capitalised, slug
 
 

@@ -23,11 +23,11 @@ from fes.report.figures.strides import (
 )
 from fes.report.figures.timeseries import chart_data
 from fes.report.findings import front_page
-from fes.report.flags import Flag, all_flags, describe_flags, stride_flags
 from fes.report.gait import foot_curves, gait_of_strides
 from fes.report.glossary import parameter_slugs, terms
 from fes.report.html import asset, css_text, embed, templates, trusted, write_page_file
 from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, scales_in_words, sides_compared, walk_rows
+from fes.report.quality import Flag, all_flags, describe_flags, stride_flags
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark
 from fes.report.text import local_time, plain, readable

@@ -10,8 +10,8 @@ from typing import Final
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
 from fes.analysis.parameters.gait import GaitParameters
 from fes.analysis.parameters.summary import Statistic
-from fes.report.flags import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, describe_flags
 from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
+from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, describe_flags
 from fes.report.text import DIGITS, number, readable
 
 KEY_NUMBERS: Final = (

@@ -1,15 +1,24 @@
-"""How good the recorded data are: gaps, doubled and backward stamps, stuck sensors; and what was noted."""
+"""How good the data are: gaps, doubled stamps, notices; and which strides to be careful with, and why.
+
+A sensor's limit is its range, where the recording or the session file names it. Else it is found in the samples: noise
+never repeats the greatest value of a whole recording four times in a row, a sensor at its limit does.
+"""
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import radians
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
-from fes.signals import NS_PER_S, IntArray, StimAlive, StimCommand
+from fes.config import Session
+from fes.report.strides import StrideRow
+from fes.report.text import without_numbers
+from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, StimAlive, StimCommand
 from fes.walk_record import Note, SampleArrays, WalkRecord
 
 CLOCKS_AGREE_NS = NS_PER_S
@@ -100,11 +109,6 @@ def all_sensors(samples: Mapping[str, SampleArrays]) -> tuple[SensorQuality, ...
     return tuple(sensor_quality(name, arrays) for name, arrays in samples.items() if arrays.t_ns.size)
 
 
-def without_numbers(text: str) -> str:
-    """The words of a reason, by which like reasons are told from unlike ones."""
-    return re.sub(r"\d+([.,]\d+)?", "#", text)
-
-
 def group_refusals(commands: Sequence[StimCommand], origin_ns: int) -> tuple[Refusal, ...]:
     """Group the refused commands by reason, most frequent first; each group shows its first wording."""
     groups: dict[str, list[StimCommand]] = {}
@@ -156,3 +160,185 @@ def _heartbeat_faults(alive: Sequence[StimAlive]) -> Iterable[Note]:
         if beat.boot_id != boot:
             yield Note(beat.t_ns, "fault", "stimulator", f"restarted (boot {boot} → {beat.boot_id})")
         fault, boot = beat.fault, beat.boot_id
+
+
+AT_LIMIT: Final = 0.999  # of a range that is known
+IN_A_ROW: Final = 4  # equal greatest values that tell a limit where it is not
+LEAST_GAP_S: Final = 0.025  # as long as a foot's impact; a sample or two that are lost elsewhere change nothing
+LEAST_LIMIT: Final = {"acc": 15.0, "gyr": 4.0}  # m/s², rad/s: a sensor that hardly moved has no limit to reach
+
+CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE = "accelerometer", "gyroscope", "lost", "unsure"
+SHORT: Final = {CLIPPED_ACC: "clip a", CLIPPED_GYR: "clip g", LOST: "gap", UNSURE: "unsure"}
+NAMES: Final = {
+    CLIPPED_ACC: "accelerometer at its limit",
+    CLIPPED_GYR: "gyroscope at its limit",
+    LOST: "lost samples",
+    UNSURE: "a phase not seen",
+}
+MEANING: Final = {
+    CLIPPED_ACC: "the accelerometer was at its limit: lengths, heights and paths may be off",
+    CLIPPED_GYR: "the gyroscope was at its limit: angles, lengths, heights and paths may be off",
+    LOST: "samples are missing for more than 25 ms: all numbers of the stride may be off",
+    UNSURE: "a phase was not seen: times of swing and stance may be off",
+}
+
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """One reason to be careful with one stride; ``count`` samples are concerned, 0 where it is not about samples."""
+
+    kind: str
+    count: int
+
+    @property
+    def short(self) -> str:
+        """For a table's cell."""
+        return f"{SHORT[self.kind]} {self.count}" if self.count else SHORT[self.kind]
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        samples = f" ({self.count} samples)" if self.count else ""
+        return f"{MEANING[self.kind]}{samples}"
+
+
+@dataclass(frozen=True)
+class SensorFlags:
+    """One sensor's samples that want care, by time.
+
+    Attributes:
+        t_ns: (N,) in order.
+        at_limit: by "acc" and "gyr", (N,) which samples have an axis at the limit.
+        lost: (N,) how many samples are missing just before this one, if they leave a gap that matters.
+        limits: by "acc" and "gyr": the limit (m/s², rad/s), NaN where none was reached and none is known.
+        known: the limits were given, not found in the samples.
+        period_ns: the usual time from sample to sample.
+    """
+
+    t_ns: IntArray
+    at_limit: dict[str, BoolArray]
+    lost: IntArray
+    limits: dict[str, float]
+    known: bool
+    period_ns: float = 0.0
+
+    def count(self, kind: str, start_ns: int, end_ns: int) -> int:
+        """How many samples of [start, end) are concerned."""
+        low, high = np.searchsorted(self.t_ns, [start_ns, end_ns])
+        values = self.lost if kind == LOST else self.at_limit["acc" if kind == CLIPPED_ACC else "gyr"]
+        return int(values[low:high].sum())
+
+    def spans(self, origin_ns: int, join_s: float = 0.05) -> list[dict[str, Any]]:
+        """Stretches with anything wrong, those less than ``join_s`` apart as one: kind, start and end in s."""
+        found = []
+        for kind, wrong in (
+            ("clipped", self.at_limit["acc"] | self.at_limit["gyr"]),
+            ("lost", self.lost > 0),
+        ):
+            at = np.flatnonzero(wrong)
+            if not at.size:
+                continue
+            begin = end = self.t_ns[at]
+            if kind == "lost":  # it began so many samples ago
+                begin = end - (self.lost[at] * self.period_ns).astype(np.int64)
+            new = np.append(True, begin[1:] - end[:-1] > join_s * NS_PER_S)
+            first = np.flatnonzero(new)
+            last = np.append(first[1:] - 1, at.size - 1)
+            found += [
+                {"kind": kind, "start_s": round(a, 4), "end_s": round(b, 4)}
+                for a, b in zip(
+                    ((begin[first] - origin_ns) / NS_PER_S).tolist(),
+                    ((end[last] - origin_ns) / NS_PER_S).tolist(),
+                    strict=True,
+                )
+            ]
+        return found
+
+
+def sensor_flags(samples: SampleArrays, ranges: Mapping[str, float] | None = None) -> SensorFlags:
+    """What is wrong with one sensor's samples; ``ranges`` by "acc" (m/s²) and "gyr" (rad/s), where they are known."""
+    t_ns = sample_times(samples)
+    values = {"acc": samples.acc_mps2, "gyr": samples.gyr_radps}
+    if (t_ns[1:] < t_ns[:-1]).any():
+        order = np.argsort(t_ns, kind="stable")
+        t_ns, values = t_ns[order], {name: vectors[order] for name, vectors in values.items()}
+    limits: dict[str, float] = {}
+    at_limit: dict[str, BoolArray] = {}
+    for name, vectors in values.items():
+        limit = (ranges or {}).get(name) or _limit_reached(vectors, LEAST_LIMIT[name])
+        limits[name] = limit
+        at_limit[name] = np.zeros(t_ns.size, np.bool_)
+        for axis in vectors.T:  # one by one: hours of samples are not to be there twice
+            at_limit[name] |= np.abs(axis) >= AT_LIMIT * limit
+    lost = np.zeros(t_ns.size, dtype=np.int64)
+    whole = np.flatnonzero(np.isfinite(values["acc"]).all(axis=1) & np.isfinite(values["gyr"]).all(axis=1))
+    step_ns = np.diff(t_ns[whole])
+    forward = step_ns[step_ns > 0]
+    usual_ns = float(np.median(forward)) if forward.size else 0.0
+    if usual_ns:
+        gap = step_ns > max(GAP_FACTOR * usual_ns, LEAST_GAP_S * NS_PER_S)
+        lost[whole[1:][gap]] = np.rint(step_ns[gap] / usual_ns).astype(np.int64) - 1
+    return SensorFlags(t_ns, at_limit, lost, limits, bool(ranges), usual_ns)
+
+
+def _limit_reached(values: FloatArray, least: float) -> float:
+    """The greatest size in (N, 3), if it stands so often in a row that it must be a limit; else NaN."""
+    greatest = max(float(np.abs(axis).max(where=np.isfinite(axis), initial=0.0)) for axis in values.T)
+    if greatest < least:
+        return float("nan")
+    full = np.concatenate([part for axis in values.T for part in (np.abs(axis) >= greatest, [False])])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], full]).astype(np.int8)))
+    longest = int((edges[1::2] - edges[::2]).max()) if edges.size > 1 else 0
+    return greatest if longest >= IN_A_ROW else float("nan")
+
+
+def all_flags(record: WalkRecord, settings: Session | None) -> dict[str, SensorFlags]:
+    """Of every sensor that sent anything, by name."""
+    ranges = _ranges(record.header, settings)
+    return {
+        name: sensor_flags(samples, ranges.get(name)) for name, samples in record.samples.items() if samples.t_ns.size
+    }
+
+
+def stride_flags(
+    record: WalkRecord, rows: Sequence[StrideRow], sensors: Mapping[str, SensorFlags]
+) -> dict[tuple[str, int], tuple[Flag, ...]]:
+    """By foot and stride number: what to be careful about; strides without anything are left out."""
+    spans = {(stride.foot, stride.number): (stride.t_start_ns, stride.t_end_ns) for stride in record.strides}
+    found = {}
+    for row in rows:
+        flags = []
+        sensor, span = sensors.get(row.foot), spans.get((row.foot, row.number))
+        if sensor is not None and span is not None:
+            counts = ((kind, sensor.count(kind, *span)) for kind in (CLIPPED_ACC, CLIPPED_GYR, LOST))
+            flags = [Flag(kind, count) for kind, count in counts if count]
+        if row.valid and not row.four_phases:
+            flags.append(Flag(UNSURE, 0))
+        if flags:
+            found[row.foot, row.number] = tuple(flags)
+    return found
+
+
+def describe_flags(flags: Iterable[Sequence[Flag]]) -> str:
+    """How many of these strides have which flag, in words; "" where none has."""
+    strides = list(flags)
+    counts = {kind: sum(any(flag.kind == kind for flag in own) for own in strides) for kind in NAMES}
+    return ", ".join(f"{NAMES[kind]} in {count}" for kind, count in counts.items() if count)
+
+
+def _ranges(header: Mapping[str, Any], settings: Session | None) -> dict[str, dict[str, float]]:
+    """By sensor, from the session's devices or the recording's header."""
+    found = {
+        str(device.sensor): {"acc": device.acc_range_g * G_MPS2, "gyr": radians(device.gyr_range_dps)}
+        for device in (settings.sensors if settings else ())
+    }
+    recording = header.get("recording")
+    given = recording.get("ranges") if isinstance(recording, dict) else None
+    for sensor, values in given.items() if isinstance(given, dict) else ():
+        sizes = {name: values.get(name) for name in ("acc", "gyr")} if isinstance(values, dict) else {}
+        numbers = {k: float(v) for k, v in sizes.items() if isinstance(v, (int, float)) and v > 0}
+        if numbers:
+            found.setdefault(str(sensor), numbers)
+    return found

@@ -10,9 +10,8 @@ from itertools import pairwise
 import numpy as np
 
 from fes.estimation.strides.boundaries import stride_time_ns
-from fes.report.quality import without_numbers
-from fes.report.stimulation import Burst, ChannelInfo
-from fes.report.timeline import PhaseTimeline
+from fes.report.stimulation import Burst, ChannelInfo, PhaseTimeline
+from fes.report.text import without_numbers
 from fes.signals import NS_PER_S, IntArray, StimCommand, StrideResult
 from statemachine.phases import Transition
 

@@ -26,17 +26,21 @@ from fes.report.stimulation import (
     Burst,
     ChannelInfo,
     CommandColumns,
+    DoseRow,
+    PhaseTimeline,
+    TuningRow,
     answers_without_command,
+    build_timeline,
     channel_infos,
     command_columns,
+    dose_rows,
     find_bursts,
     session_settings,
     status_columns,
+    tuning_rows,
 )
 from fes.report.strides import StrideRow, stride_rows
 from fes.report.text import Spread, plain, spread
-from fes.report.timeline import PhaseTimeline, build_timeline
-from fes.report.tuning import DoseRow, TuningRow, dose_rows, tuning_rows
 from fes.session_log import SessionLogError
 from fes.signals import FOOT_SENSORS, NS_PER_S
 from fes.walk_record import WalkRecord

@@ -13,10 +13,10 @@ from rich.table import Table
 from rich.text import Text
 
 from fes.report.findings import Finding, findings
+from fes.report.stimulation import tuning_lines
 from fes.report.strides import StrideRow
 from fes.report.summary import SessionSummary
 from fes.report.text import capitalised, count_of, mean_sd, number, readable
-from fes.report.tuning import tuning_lines
 
 if TYPE_CHECKING:
     from fes.analysis.hemiparetic.walk import HemipareticWalk

@@ -58,6 +58,11 @@ def readable(name: str) -> str:
     return name.replace("pre_swing", "pre-swing").replace("_", " ")
 
 
+def without_numbers(text: str) -> str:
+    """The words of a reason, by which like reasons are told from unlike ones."""
+    return re.sub(r"\d+([.,]\d+)?", "#", text)
+
+
 def capitalised(sentence: str) -> str:
     """The same with a capital first letter."""
     return sentence[:1].upper() + sentence[1:]

@@ -13,10 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fes.report.findings import findings
-from fes.report.stimulation import command_columns
+from fes.report.stimulation import build_timeline, command_columns, phases_between
 from fes.report.summary import summarise
 from fes.report.text import plain
-from fes.report.timeline import build_timeline, phases_between
 from fes.session_log import Note, SampleArrays, SessionRecord
 from fes.signals import StimAlive, StimCommand, StimStatus
 from statemachine.phases import Phase, PhaseChange, Transition

@@ -13,9 +13,9 @@ from rich.console import Console
 from test_one_process import run
 
 from fes.report.page import render_report
+from fes.report.stimulation import TuningRow, dose_rows, tuning_rows
 from fes.report.summary import summarise
 from fes.report.tables import summary_block
-from fes.report.tuning import TuningRow, dose_rows, tuning_rows
 from fes.session_log import Note, SessionRecord, read_session
 
 TEXTS = {

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from fes.report.figures.svg import Figure, Plot, padded
-from fes.report.flags import LOST, UNSURE, Flag, describe_flags
 from fes.report.gait import POINTS, FootCurves, spread_of
+from fes.report.quality import LOST, UNSURE, Flag, describe_flags
 from fes.report.strides import StrideRow
 from fes.report.summary import ReportData
 from fes.report.text import count_of, readable

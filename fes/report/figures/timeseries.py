@@ -10,12 +10,10 @@ import numpy as np
 
 from fes.report.figures.stimulation import channel_color
 from fes.report.figures.strides import PHASE_COLORS, foot_color
-from fes.report.flags import SensorFlags
-from fes.report.quality import sample_times
-from fes.report.stimulation import ChannelInfo
+from fes.report.quality import SensorFlags, sample_times
+from fes.report.stimulation import ChannelInfo, PhaseTimeline
 from fes.report.summary import ReportData
 from fes.report.text import readable
-from fes.report.timeline import PhaseTimeline
 from fes.signals import NS_PER_S, FloatArray, IntArray
 from fes.walk_record import SampleArrays
 from statemachine.phases import Phase
