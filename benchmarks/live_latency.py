@@ -24,7 +24,7 @@ import numpy as np
 
 from drivers.simulated.imu.spawn import ImuKind, spawn_imu
 from drivers.simulated.stimulator.spawn import NodeHandle, free_bus, spawn_node
-from fes.calibration.recording import calibrate_drivers, save
+from fes.calibration.recording import calibrate_phase_sensors, save
 from fes.hil.baseline import Baseline
 from fes.hil.controller import ControllerProcess, ScriptedOperator, uninterrupted
 from fes.recording import Recording, write_recording
@@ -150,7 +150,7 @@ def main() -> int:
         folder = Path(name)
         recording, calibration = folder / "walk.parquet", folder / "walk.calibration.json"
         write_recording(walk(4.0, 10), recording)
-        save(calibrate_drivers(walk(4.0, 12)), calibration)
+        save(calibrate_phase_sensors(walk(4.0, 12)), calibration)
         node = stack.enter_context(spawn_node(bus=free_bus(), record=folder / "node.jsonl"))
         ports = {}
         for foot, kind, line in LINES:

@@ -24,7 +24,7 @@ from small_png import smaller  # noqa: E402
 
 from drivers.simulated.imu.spawn import spawn_imu  # noqa: E402
 from drivers.simulated.stimulator.spawn import spawn_node  # noqa: E402
-from fes.calibration.recording import calibrate_drivers, save  # noqa: E402
+from fes.calibration.recording import calibrate_phase_sensors, save  # noqa: E402
 from fes.recording import Recording, write_recording  # noqa: E402
 from fes.signals import FOOT_SENSORS, NS_PER_S  # noqa: E402
 from fes.simulation.forward import VirtualPatient, settings_for  # noqa: E402
@@ -120,7 +120,7 @@ def live_page() -> None:
         whole = trial(TRIAL)
         recording, calibration = folder / "loop.parquet", folder / "loop.calibration.json"
         write_recording(standing_first(cut(whole, 0.0, 30.0), STANDING_S), recording)
-        save(calibrate_drivers(whole), calibration)
+        save(calibrate_phase_sensors(whole), calibration)
         run = stack.enter_context(
             live_run(folder, recording, "--calibration", calibration, "--dashboard", rig=both_feet)
         )

@@ -13,7 +13,14 @@ from fes.analysis.methods import CausalEvents, Methods
 from fes.analysis.results import Analysis
 from fes.analysis.stride_fusion import fuse
 from fes.analysis.toe_and_heel import ToeAndHeel, point_heights
-from fes.calibration.recording import Found, calibrate_all, calibrate_sensors, drivers_from, labelled, load
+from fes.calibration.recording import (
+    SensorCalibrations,
+    calibrate_all,
+    calibrate_sensors,
+    labelled,
+    load,
+    stored_calibrations,
+)
 from fes.config import FootGeometry
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
@@ -197,7 +204,7 @@ def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]
     return found
 
 
-def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Recording, Found]:
+def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Recording, SensorCalibrations]:
     """Calibrations from the recording itself, of the sensors that tell the feet's phases, and the recording relabelled
     where its feet were not labelled.
 
@@ -221,7 +228,9 @@ def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Record
     return recording, replace(found, calibrations=kept)
 
 
-def calibrations_of_chunks(chunks: Iterable[Chunk], stored: Path | Found | None = None, *, level: bool = True) -> Found:
+def calibrations_of_chunks(
+    chunks: Iterable[Chunk], stored: Path | SensorCalibrations | None = None, *, level: bool = True
+) -> SensorCalibrations:
     """Calibrations for a recording in chunks, of each sensor from the first chunk that shows it.
 
     Args:
@@ -233,14 +242,14 @@ def calibrations_of_chunks(chunks: Iterable[Chunk], stored: Path | Found | None 
         RecordingError: a chunk of the file cannot be used.
         CalibrationError: no chunk showed any sensor.
     """
-    found: Found | None = None
+    found: SensorCalibrations | None = None
     failed: CalibrationError | None = None
     for chunk in chunks:
         if found is not None and (stored is not None or not found.missing):
             continue
         recording = chunk.recording if found is None else labelled(chunk.recording, found.sides)
         try:
-            new = calibrations_of(recording, level=level) if stored is None else drivers_from(stored, recording)
+            new = calibrations_of(recording, level=level) if stored is None else stored_calibrations(stored, recording)
         except CalibrationError as error:
             if stored is not None:
                 raise
@@ -251,10 +260,10 @@ def calibrations_of_chunks(chunks: Iterable[Chunk], stored: Path | Found | None 
         raise failed or CalibrationError("The recording holds no samples.")
     if stored is None:
         return found
-    return replace(found, sides=(stored if isinstance(stored, Found) else load(stored)).sides)
+    return replace(found, sides=(stored if isinstance(stored, SensorCalibrations) else load(stored)).sides)
 
 
-def _both(first: Found, later: Found) -> Found:
+def _both(first: SensorCalibrations, later: SensorCalibrations) -> SensorCalibrations:
     calibrations = {**later.calibrations, **first.calibrations}
     missing = {sensor: why for sensor, why in first.missing.items() if sensor not in calibrations}
     return replace(first, calibrations=calibrations, missing=missing)

@@ -32,7 +32,7 @@ QUIET_PERCENT = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class SensorCalibrations:
     """What a recording's sensors are, and how they sit.
 
     Attributes:
@@ -50,7 +50,7 @@ class Found:
     swapped: bool = False
 
 
-def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, level: bool = True) -> Found:
+def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, level: bool = True) -> SensorCalibrations:
     """Calibrate these of a recording's sensors; ``level`` False: over stairs or slopes.
 
     Raises:
@@ -61,17 +61,20 @@ def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, level: bo
     for sensor in sensors:
         track = recording.tracks[sensor]
         try:
-            found[sensor] = calibrate_shank_track(track, level=level) if sensor in SHANK_SENSORS else _foot(track)
+            if sensor in SHANK_SENSORS:
+                found[sensor] = calibrate_shank_track(track, level=level)
+            else:
+                found[sensor] = calibrate_track(track)
         except CalibrationError as error:
             missing[sensor] = str(error)
     if not found:
         reasons = " ".join(missing.values()) or f"it holds none of the sensors {', '.join(SENSORS)}."
         raise CalibrationError(f"{recording.path or recording.name}: {reasons}")
-    return Found(found, missing)
+    return SensorCalibrations(found, missing)
 
 
-def calibrate_drivers(recording: Recording) -> Found:
-    """Calibrate the sensor that drives each foot: the foot's own, or where there is none the shank's.
+def calibrate_phase_sensors(recording: Recording) -> SensorCalibrations:
+    """Calibrate the sensor that tells each foot's phases: the foot's own, or where there is none the shank's.
 
     Raises:
         CalibrationError: none could be, or the feet are not labelled.
@@ -80,7 +83,7 @@ def calibrate_drivers(recording: Recording) -> Found:
     return calibrate_sensors(recording, phase_sensors(recording.tracks).values())
 
 
-def calibrate_all(recording: Recording, *, level: bool = True) -> Found:
+def calibrate_all(recording: Recording, *, level: bool = True) -> SensorCalibrations:
     """Calibrate all sensors, and tell left from right: of unlabelled feet to name them, of labelled ones to check.
 
     Raises:
@@ -96,8 +99,8 @@ def calibrate_all(recording: Recording, *, level: bool = True) -> Found:
         raise CalibrationError(f"{recording.path or recording.name}: {_unsure(verdict)} {_please_label(open_)}")
     sides = dict(zip(feet, FOOT_SENSORS if verdict.left == 0 else reversed(FOOT_SENSORS), strict=True))
     sides = {name: side for name, side in sides.items() if name in UNLABELLED_FEET}
-    named = {sides.get(name, name): _renamed(c, sides.get(name, name)) for name, c in found.calibrations.items()}
-    return Found(named, found.missing, sides, verdict)
+    named = {sides.get(name, name): replace(c, sensor=sides.get(name, name)) for name, c in found.calibrations.items()}
+    return SensorCalibrations(named, found.missing, sides, verdict)
 
 
 def calibrate_shank_track(track: Track, *, level: bool = True) -> ShankCalibration:
@@ -138,7 +141,7 @@ def labelled(recording: Recording, sides: Mapping[str, str]) -> Recording:
     return replace(recording, tracks={name: tracks[name] for name in (*SENSORS, *UNLABELLED_FEET) if name in tracks})
 
 
-def save(found: Found, path: Path) -> None:
+def save(found: SensorCalibrations, path: Path) -> None:
     """Write calibrations as JSON; OSError where that fails."""
     data: dict[str, Any] = {"format": FORMAT, "feet": {}, "shanks": {}, "sides": found.sides}
     for sensor, calibration in found.calibrations.items():
@@ -146,7 +149,7 @@ def save(found: Found, path: Path) -> None:
     path.write_text(json.dumps(data, indent=1), encoding="utf-8")
 
 
-def load(path: Path) -> Found:
+def load(path: Path) -> SensorCalibrations:
     """Read what :func:`save` wrote.
 
     Raises:
@@ -162,7 +165,7 @@ def load(path: Path) -> Found:
         sides = {str(name): str(side) for name, side in data.get("sides", {}).items()}
         found = {sensor: calibration_from_dict({**each, "sensor": sensor}) for sensor, each in values.items()}
         _refuse_nonsense(found, sides)
-        return Found(found, sides=sides)
+        return SensorCalibrations(found, sides=sides)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}. Make one with fes calibrate.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -171,20 +174,20 @@ def load(path: Path) -> Found:
         raise CalibrationError(f"{path}: is no calibration ({error}). Make one with fes calibrate.") from error
 
 
-def drivers_from(given: Path | Found, recording: Recording) -> tuple[Recording, Found]:
+def stored_calibrations(given: Path | SensorCalibrations, recording: Recording) -> tuple[Recording, SensorCalibrations]:
     """A recording, its feet named, with the calibrations of a file (or of what another recording gave) for the sensors
     that tell the phases.
 
     Raises:
         CalibrationError: the file cannot be used, or does not fit the recording.
     """
-    stored = given if isinstance(given, Found) else load(given)
-    path = "the calibration given" if isinstance(given, Found) else given
+    stored = given if isinstance(given, SensorCalibrations) else load(given)
+    path = "the calibration given" if isinstance(given, SensorCalibrations) else given
     recording = labelled(recording, stored.sides)
     refuse_unlabelled(recording)
-    drivers = phase_sensors(recording.tracks).values()
-    found = {sensor: stored.calibrations[sensor] for sensor in drivers if sensor in stored.calibrations}
-    missing = {s: f"{s}: {path} holds no calibration of it." for s in drivers if s not in stored.calibrations}
+    worn = phase_sensors(recording.tracks).values()
+    found = {sensor: stored.calibrations[sensor] for sensor in worn if sensor in stored.calibrations}
+    missing = {s: f"{s}: {path} holds no calibration of it." for s in worn if s not in stored.calibrations}
     if not found:
         raise CalibrationError(
             f"{path}: calibrates none of the sensors in {recording.path or recording.name}: "
@@ -192,7 +195,7 @@ def drivers_from(given: Path | Found, recording: Recording) -> tuple[Recording, 
         )
     for sensor, calibration in found.items():
         refuse_misfit(calibration, recording.tracks[sensor], path)
-    return recording, Found(found, missing)
+    return recording, SensorCalibrations(found, missing)
 
 
 def refuse_misfit(calibration: Calibration, track: Track, path: Path | str) -> None:
@@ -217,14 +220,6 @@ def refuse_misfit(calibration: Calibration, track: Track, path: Path | str) -> N
             f"{path}: {track.sensor} sits otherwise than when it was calibrated: gravity comes from {tilt_deg:.0f}° "
             f"elsewhere, at most {MOST_TILT_DEG:.0f}° is allowed. " + again
         )
-
-
-def _foot(track: Track) -> FootCalibration:
-    return calibrate_track(track)
-
-
-def _renamed(calibration: Calibration, sensor: str) -> Calibration:
-    return replace(calibration, sensor=sensor)
 
 
 def _sides(recording: Recording, calibrations: Mapping[str, Calibration], feet: list[str]) -> SideVerdict | None:

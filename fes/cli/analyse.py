@@ -14,7 +14,7 @@ import click
 from fes.analysis.methods import Methods
 from fes.analysis.pipeline import analyse, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
-from fes.calibration.recording import drivers_from
+from fes.calibration.recording import stored_calibrations
 from fes.cli.analyse_long import analyse_long
 from fes.cli.common.exits import FAILED, fail, fresh_folder
 from fes.cli.common.options import RenamedOptions
@@ -130,7 +130,7 @@ def command(
                 if not first.whole:
                     found = calibrations_of_chunks(recording_chunks(path), calibration, level=not uneven)
                 elif calibration:
-                    recording, found = drivers_from(calibration, recording)
+                    recording, found = stored_calibrations(calibration, recording)
                 else:
                     recording, found = calibrations_of(recording, level=not uneven)
             if sync_clocks:

@@ -16,7 +16,7 @@ import click
 from fes.analysis.methods import Methods
 from fes.analysis.pipeline import analyse_chunks
 from fes.analysis.results import Analysis
-from fes.calibration.recording import Found, labelled
+from fes.calibration.recording import SensorCalibrations, labelled
 from fes.cli.common.exits import fresh_folder
 from fes.cli.common.show import doubts
 from fes.cli.common.table_file import TableFile, write_table
@@ -31,7 +31,15 @@ TABLES = ("strides", "phases", "events", "path", "parameters")
 
 
 def analyse_long(
-    path: Path, found: Found, out: Path, kind: str, *, level: bool, methods: Methods, as_json: bool, report: bool
+    path: Path,
+    found: SensorCalibrations,
+    out: Path,
+    kind: str,
+    *,
+    level: bool,
+    methods: Methods,
+    as_json: bool,
+    report: bool,
 ) -> None:
     """Analyse piece by piece and write the tables as they come; what is kept does not grow with the recording."""
     from fes.analysis.parameters.gait import ChunkedGait, gait_parameters

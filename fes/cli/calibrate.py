@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fes.calibration.recording import Found, calibrate_all, load, save
+from fes.calibration.recording import SensorCalibrations, calibrate_all, load, save
 from fes.cli.common.exits import Problem, fail
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.sensor_choice import Calibration, phase_sensors
@@ -49,7 +49,7 @@ def command(recording: Path, out: Path | None, stairs: bool, as_json: bool) -> N
     click.echo(f"Calibration  {target}")
 
 
-def _show(found: Found) -> None:
+def _show(found: SensorCalibrations) -> None:
     """The table, then each sensor in words."""
     from rich.console import Console
     from rich.table import Table
@@ -78,13 +78,13 @@ def _show(found: Found) -> None:
         click.echo(describe(calibration))
 
 
-def _evidence(found: Found) -> str:
+def _evidence(found: SensorCalibrations) -> str:
     if found.verdict is None:
         return "as given"
     return f"{found.verdict.agreeing} of 4 signs agree, score {found.verdict.score:.2f} (sure from 0.30)"
 
 
-def as_dict(found: Found, target: Path) -> dict[str, Any]:
+def as_dict(found: SensorCalibrations, target: Path) -> dict[str, Any]:
     """What was found, for programs."""
     verdict = found.verdict
     return {
@@ -142,7 +142,7 @@ def _shank_lines(calibration: ShankCalibration) -> list[str]:
     ]
 
 
-def save_calibrations(found: Found, path: Path) -> None:
+def save_calibrations(found: SensorCalibrations, path: Path) -> None:
     """Write calibrations as JSON.
 
     Raises:

@@ -134,13 +134,13 @@ def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tup
         belt = record.header.get("recording", {}).get("belt_speed_mps")
         return from_session(record, str(recording)), float(belt) if belt else None
     from fes.analysis.pipeline import analyse, calibrations_of
-    from fes.calibration.recording import drivers_from
+    from fes.calibration.recording import stored_calibrations
     from fes.estimation.foot.calibration import CalibrationError
     from fes.recording import RecordingError, read_recording
 
     try:
         read = read_recording(recording)
-        read, found = drivers_from(calibration, read) if calibration else calibrations_of(read, level=level)
+        read, found = stored_calibrations(calibration, read) if calibration else calibrations_of(read, level=level)
     except (RecordingError, CalibrationError) as error:
         fail(error)
     for reason in found.missing.values():

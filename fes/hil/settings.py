@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from fes.calibration.recording import calibrate_drivers, save
+from fes.calibration.recording import calibrate_phase_sensors, save
 from fes.config import Bus, StimulatorDevice
 from fes.recording import write_recording
 from fes.simulation.forward import recorded_walk, settings_for
@@ -27,7 +27,7 @@ def walker(folder: Path) -> tuple[Path, Path]:
     """Write the recording that the simulated sensor plays round and round, and its calibration; both paths."""
     recording, calibration = folder / "walker.parquet", folder / "walker.calibration.json"
     write_recording(recorded_walk(_PATIENT, WALKS_S, STOPS_S, "walker", "simulated"), recording, overwrite=True)
-    save(calibrate_drivers(recorded_walk(_PATIENT, CALIBRATION_S, STOPS_S, "walker", "simulated")), calibration)
+    save(calibrate_phase_sensors(recorded_walk(_PATIENT, CALIBRATION_S, STOPS_S, "walker", "simulated")), calibration)
     return recording, calibration
 
 

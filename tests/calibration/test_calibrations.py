@@ -15,14 +15,14 @@ from scipy.spatial.transform import Rotation
 from shank_walks import shank_walk
 
 from fes.calibration.recording import (
-    Found,
+    SensorCalibrations,
     calibrate_all,
-    calibrate_drivers,
+    calibrate_phase_sensors,
     calibrate_sensors,
-    drivers_from,
     labelled,
     load,
     save,
+    stored_calibrations,
 )
 from fes.calibration.side_detection import USUAL_DIFFERENCE, tell_sides
 from fes.cli.main import main
@@ -71,8 +71,8 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
 def test_a_shank_drives_only_where_there_is_no_foot() -> None:
     alone = shank_recording()
     both = replace(alone, tracks={**trial("example_csv").tracks, **alone.tracks})
-    assert list(calibrate_drivers(both).calibrations) == ["right_foot"]
-    assert list(calibrate_drivers(alone).calibrations) == ["right_shank"]
+    assert list(calibrate_phase_sensors(both).calibrations) == ["right_foot"]
+    assert list(calibrate_phase_sensors(alone).calibrations) == ["right_shank"]
     channels = session_for(alone, load_session(SETTINGS)).channels
     assert [channel.foot for channel in channels] == ["right_foot"]
     assert session_for(shank_recording("left_shank"), load_session(SETTINGS)).channels == ()
@@ -101,7 +101,7 @@ def test_another_rate_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         CalibrationError, match=r"c\.json: right_shank was calibrated at 100 Hz and runs at 50 Hz\. Calib"
     ):
-        drivers_from(tmp_path / "c.json", recording)
+        stored_calibrations(tmp_path / "c.json", recording)
 
 
 @pytest.mark.requirement("SR-21")
@@ -111,10 +111,10 @@ def test_a_sensor_that_was_moved_is_refused(tmp_path: Path, name: str) -> None:
     save(calibrate_sensors(recording, [name]), tmp_path / "c.json")
     track = recording.tracks[name]
     little = replace(recording, tracks={name: turned(track, 8.0)})
-    assert list(drivers_from(tmp_path / "c.json", little)[1].calibrations) == [name]
+    assert list(stored_calibrations(tmp_path / "c.json", little)[1].calibrations) == [name]
     much = replace(recording, tracks={name: turned(track, 60.0)})
     with pytest.raises(CalibrationError, match=f"{name} sits otherwise than when it was calibrated"):
-        drivers_from(tmp_path / "c.json", much)
+        stored_calibrations(tmp_path / "c.json", much)
 
 
 @pytest.mark.parametrize(
@@ -164,7 +164,7 @@ def unlabelled(recording: Recording, names: dict[str, str]) -> Recording:
 def test_feet_without_a_label_are_never_driven_and_a_label_is_asked_for() -> None:
     recording = unlabelled(trial("example_csv"), {"right_foot": "foot_a"})
     with pytest.raises(CalibrationError, match=r"rename \[sensors\.foot_a\] to \[sensors\.left_foot\]"):
-        calibrate_drivers(recording)
+        calibrate_phase_sensors(recording)
     with pytest.raises(CalibrationError, match="takes two feet"):
         calibrate_all(recording)
 
@@ -196,7 +196,7 @@ def test_the_command_writes_what_replay_takes(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     told = json.loads(result.output)
     assert told["drives"] == {"right_foot": "right_shank"}
-    assert Found(load(target).calibrations).calibrations.keys() == told["sensors"].keys()
+    assert SensorCalibrations(load(target).calibrations).calibrations.keys() == told["sensors"].keys()
     table = CliRunner().invoke(main, ["calibrate", str(tmp_path / "walk.csv"), "--out", str(target)])
     assert "right_foot" in table.output
     assert "arm" in table.output

@@ -13,7 +13,7 @@ from pyarrow import parquet
 from shank_walks import shank_walk
 
 from fes.analysis.pipeline import analyse, calibrations_of
-from fes.calibration.recording import Found, load, save
+from fes.calibration.recording import SensorCalibrations, load, save
 from fes.cli.main import main
 from fes.estimation.foot.calibration import CalibrationError
 from fes.recording import Recording, Track, read_recording
@@ -148,7 +148,7 @@ def test_rows_hold_every_stride_and_phase_change(analysed):
 
 def test_calibration_survives_the_file(tmp_path, analysed):
     path = tmp_path / "a.json"
-    save(Found(analysed.calibrations), path)
+    save(SensorCalibrations(analysed.calibrations), path)
     assert load(path).calibrations == analysed.calibrations
 
 
@@ -217,7 +217,7 @@ def test_one_bad_recording_does_not_stop_the_others(tmp_path):
 
 def test_a_calibration_of_other_sensors_is_refused(tmp_path, analysed):
     path = tmp_path / "left.json"
-    save(Found({"left_foot": analysed.calibrations["left_foot"]}), path)
+    save(SensorCalibrations({"left_foot": analysed.calibrations["left_foot"]}), path)
     refused = run("analyse", TRIALS / "negard_patient2.parquet", "--calibration", path, "--out", tmp_path)
     assert refused.exit_code == 2
     assert "calibrates none of the sensors" in refused.output

@@ -11,7 +11,7 @@ SCRIPT = """
 import sys
 from pathlib import Path
 from numba.core.registry import CPUDispatcher
-from fes.calibration.recording import calibrate_drivers
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import load_session
 from fes.control.controller import Controller
 from fes.estimation.warm_up import GEOMETRY, warm_up
@@ -31,7 +31,7 @@ plain = load_session(folder / "session.toml")
 known = plain.model_copy(update={"geometry": {"left_foot": GEOMETRY, "right_foot": GEOMETRY}})
 for trial in sys.argv[2:]:
     recording = read_recording(folder / trial)
-    found = calibrate_drivers(recording)
+    found = calibrate_phase_sensors(recording)
     warm_up()
     before = compiled()
     for session in (plain, known):

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from virtual_walks import affected
 
 from drivers.simulated.stimulator.in_process import InProcessStimulator
-from fes.calibration.recording import calibrate_drivers
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.cli.simulate import command
 from fes.config import load_session
 from fes.control.controller import Controller
@@ -50,7 +50,7 @@ class Wire:
 def closed_loop(seconds: float) -> tuple[VirtualPatient, Wire]:
     settings = settings_for("severe", seed=12, sensors=("left_foot", "right_foot"))
     session = load_session(SESSION)
-    found = calibrate_drivers(calibration_walk(settings)).calibrations
+    found = calibrate_phase_sensors(calibration_walk(settings)).calibrations
     patient, wire = VirtualPatient(settings), Wire()
     stimulator = InProcessStimulator(session_id=7)
     stimulator.start(0)

@@ -26,7 +26,7 @@ from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
 from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
 from drivers.stimulator.bus import open_bus
-from fes.calibration.recording import Found, calibrate_drivers, calibrate_shank_track, save
+from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, calibrate_shank_track, save
 from fes.config import Bus
 from fes.live.status import Status
 from fes.recording import Recording, Track, write_recording
@@ -80,7 +80,7 @@ def prepare(folder: Path, every: int = 1) -> tuple[Path, Path]:
     whole = edit(trial("negard_patient2"), thinned)
     recording, calibration = folder / f"loop{every}.parquet", folder / f"loop{every}.calibration.json"
     write_recording(standing_first(cut(whole, 3.0, 11.0), STAND_S), recording)
-    save(calibrate_drivers(whole), calibration)
+    save(calibrate_phase_sensors(whole), calibration)
     return recording, calibration
 
 
@@ -104,7 +104,7 @@ def prepare_shank(folder: Path) -> tuple[Path, Path]:
 
     recording, calibration = folder / "shank.parquet", folder / "shank.calibration.json"
     write_recording(replace(whole, tracks={SHANK: track_of(made)}), recording)
-    save(Found({SHANK: calibrate_shank_track(track_of(learnt))}), calibration)
+    save(SensorCalibrations({SHANK: calibrate_shank_track(track_of(learnt))}), calibration)
     return recording, calibration
 
 

@@ -13,7 +13,7 @@ import click
 
 from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import StimulatorLost
-from fes.calibration.recording import calibrate_drivers, drivers_from
+from fes.calibration.recording import calibrate_phase_sensors, stored_calibrations
 from fes.cli.common.exits import FAILED, INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
 from fes.cli.common.options import MonotonicClock, Number, RenamedOptions
 from fes.cli.common.progress import Interrupt, ReplayProgress
@@ -175,9 +175,9 @@ def replay_recording(path: Path, options: Options) -> Path:
         settings = options.session or settings_beside(path)
         wanted = load_session(settings) if settings else None
         if options.calibration:
-            recording, found = drivers_from(options.calibration, recording)
+            recording, found = stored_calibrations(options.calibration, recording)
         else:
-            found = calibrate_drivers(recording)
+            found = calibrate_phase_sensors(recording)
         calibrations, missing = found.calibrations, found.missing
         session = session_for(recording, wanted)
     except (RecordingError, ConfigError, CalibrationError) as error:

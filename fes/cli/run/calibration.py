@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from fes.calibration.recording import Found
+from fes.calibration.recording import SensorCalibrations
 from fes.cli.calibrate import describe, save_calibrations
 from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, fail
 from fes.cli.common.progress import Interrupt
@@ -76,7 +76,7 @@ def calibrate(
         raise Problem("Calibration was given up; nothing was stimulated.")
     for calibration in finding.found.values():
         click.echo(describe(calibration), err=True)
-    save_calibrations(Found(finding.found), folder / "calibration.json")
+    save_calibrations(SensorCalibrations(finding.found), folder / "calibration.json")
     return finding.found
 
 

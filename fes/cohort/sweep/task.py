@@ -305,7 +305,7 @@ def with_thresholds(calibrations: dict[str, Calibration], point: Point) -> dict[
 @lru_cache(maxsize=2)
 def _loaded(source: Source) -> tuple[Recording, dict[str, Calibration], Truth | None]:
     """A recording with its calibrations and its truth; a process gets most combinations of one after the other."""
-    from fes.calibration.recording import calibrate_drivers
+    from fes.calibration.recording import calibrate_phase_sensors
     from fes.recording import read_recording
     from fes.simulation.truth import load_truth
 
@@ -315,7 +315,7 @@ def _loaded(source: Source) -> tuple[Recording, dict[str, Calibration], Truth | 
             truth = load_truth(path)
         except FileNotFoundError:
             truth = None
-    return recording, calibrate_drivers(recording).calibrations, truth
+    return recording, calibrate_phase_sensors(recording).calibrations, truth
 
 
 def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.simulated.stimulator.in_process import InProcessStimulator
 from fes import __version__
-from fes.calibration.recording import calibrate_drivers
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import Session
 from fes.control.controller import Controller
 from fes.control.replay import (
@@ -176,7 +176,7 @@ def walk_stimulated(
         SessionLogError: the log cannot be written.
     """
     walk = replace(calibration_walk(patient.settings), name=name)
-    calibrations = calibrate_drivers(walk).calibrations
+    calibrations = calibrate_phase_sensors(walk).calibrations
     session = session_for(walk, session)
     numbers = identity(f"{__version__}{patient.settings!r}", session)
     header = log_header(walk, "", session, calibrations, numbers.session_id, _now()) | {"kind": "simulated"}

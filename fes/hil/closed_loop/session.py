@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from fes.calibration.recording import Found, calibrate_drivers
+from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors
 from fes.config import Bus, FootGeometry, StimulatorDevice
 from fes.hil.settings import table
 from fes.signals import G_MPS2
@@ -107,13 +107,13 @@ def session_text(
     return text
 
 
-def patient_calibration(settings: PatientSettings) -> Found:
+def patient_calibration(settings: PatientSettings) -> SensorCalibrations:
     """What ``fes calibrate`` finds in a walk of this patient without stimulation.
 
     Raises:
         CalibrationError: no foot can be calibrated.
     """
-    return calibrate_drivers(calibration_walk(settings))
+    return calibrate_phase_sensors(calibration_walk(settings))
 
 
 def _geometry(foot: str, geometry: FootGeometry) -> str:
