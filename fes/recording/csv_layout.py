@@ -81,11 +81,7 @@ def guess_encoding(path: Path) -> str:
     Raises:
         RecordingError: the file cannot be read.
     """
-    try:
-        with path.open("rb") as file:
-            start = file.read(_ENCODING_BYTES)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    start = _start(path, _ENCODING_BYTES)
     for encoding in ("utf-8", "cp1252"):
         try:
             codecs.getincrementaldecoder(encoding)().decode(start)  # a letter cut in two at the end is no fault
@@ -93,6 +89,14 @@ def guess_encoding(path: Path) -> str:
             continue
         return encoding
     return "latin-1"
+
+
+def _start(path: Path, size: int) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(size)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
 
 
 def _joined(stacked: list[list[str]]) -> list[str]:
@@ -106,11 +110,7 @@ def header(path: Path, dialect: Dialect) -> list[str]:
     Raises:
         RecordingError: empty, binary or otherwise no CSV.
     """
-    try:
-        with path.open("rb") as file:
-            start = file.read(4096)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
+    start = _start(path, 4096)
     if not start.strip():
         raise RecordingError(f"{path}: is empty; a recording has a header line and a line per sample")
     if start[:2] in (b"\xff\xfe", b"\xfe\xff"):
@@ -251,8 +251,7 @@ def csv_layout(path: Path) -> Layout:
 
 
 def _first_lines(path: Path, encoding: str) -> list[str]:
-    with path.open("rb") as file:
-        start = file.read(_SAMPLE_BYTES)
+    start = _start(path, _SAMPLE_BYTES)
     text = start.decode("utf-8-sig" if encoding == "utf-8" else encoding, errors="replace")
     lines = text.splitlines()
     if len(start) == _SAMPLE_BYTES and len(lines) > 1:

@@ -61,7 +61,7 @@ class Group:
         columns: kind → axis → column.
         called: what the names call the sensor.
         sensor: one of :data:`fes.signals.SENSORS`, or "" where nothing tells.
-        why: what told the sensor, if not the columns' own names; "" otherwise.
+        why: what named the sensor, if not the columns' own names; "" otherwise.
     """
 
     columns: dict[str, dict[str, str]] = field(default_factory=lambda: {"acc": {}, "gyr": {}})
@@ -219,7 +219,7 @@ def stated_rate(above: list[tuple[int, str]]) -> tuple[float, str] | None:
 
 
 def place_of(path: Path, above: list[tuple[int, str]]) -> tuple[str, str, str]:
-    """Return (side, part, what told it) from a file's name or, if that is silent, from the lines over its header."""
+    """Return (side, part, what named it) from a file's name or, if that is silent, from the lines over its header."""
     name = plain(path.stem)
     above_lines = [(plain(text), f"line {number}: “{text[:60]}”") for number, text in above]
     parts = {part for words, _ in above_lines if (part := part_of(words))}

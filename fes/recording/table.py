@@ -1,4 +1,4 @@
-"""CSV or Parquet → columns as numbers; what is wrong with the file as a file is told here."""
+"""CSV or Parquet → columns as numbers; what is wrong with the file as a file is said here."""
 
 from __future__ import annotations
 
@@ -148,7 +148,7 @@ class Table:
             if counts.size and max(abs(int(counts.min())), abs(int(counts.max()))) * unit_ns >= 2**63:
                 self._check_span(name, counts.astype(np.float64) * unit_ns)
             return counts * unit_ns
-        with np.errstate(over="ignore"):  # what overflows is told below
+        with np.errstate(over="ignore"):  # what overflows is refused below
             stamps = self.numbers(name) * unit_ns
         empty = self.empty(name)
         if empty is not None:

@@ -12,7 +12,7 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.signals import SENSORS, FloatArray, ImuSample, IntArray
 
-UNLABELLED_FEET = ("foot_a", "foot_b")  # which is left is told by fes calibrate
+UNLABELLED_FEET = ("foot_a", "foot_b")  # fes calibrate finds which is left
 
 
 class RecordingError(ValueError):

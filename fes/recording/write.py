@@ -129,7 +129,7 @@ def _write_table(columns: dict[str, Any], path: Path, suffix: str) -> None:
         from pyarrow import parquet
 
         # bytes of like weight side by side, times as steps: smaller, and read faster, than a dictionary of numbers that
-        # hardly recur; where no cell is empty, none can be, and nobody has to look which ones are
+        # hardly recur; where no cell is empty, none can be, and no reader has to check
         table = table.cast(pa.schema([field.with_nullable(table[field.name].null_count > 0) for field in table.schema]))
         encodings = {
             field.name: "DELTA_BINARY_PACKED" if pa.types.is_integer(field.type) else "BYTE_STREAM_SPLIT"

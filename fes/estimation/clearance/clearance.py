@@ -131,14 +131,6 @@ def fastest(t_ns: Vec, begin: int, n: int, level: Mat) -> int:
 
 
 @jit_fused
-def lowest_in_swing(t_ns: Vec, height: Vec, level: Mat) -> tuple[int, bool]:
-    """As :func:`fes.estimation.clearance.clearance.mid_swing`."""
-    n = t_ns.shape[0]
-    at, depth = deepest(height, 0, n, np.empty(n))
-    return (at, True) if depth >= LEAST_DIP_M else (fastest(t_ns, 0, n, level), False)
-
-
-@jit_fused
 def all_clearances(
     t_ns: Vec, position: Mat, quaternion: Mat, spans: Mat, swings: Mat, toe_arm: Vec, heel_arm: Vec, drifts: Vec,
     toe: Vec, after: Vec, level: Mat, out: Vec,
@@ -408,5 +400,7 @@ def mid_swing(t_ns: IntArray, height_m: FloatArray, level_m: FloatArray) -> tupl
     ``height_m`` (N,) and ``level_m`` (N, 2) are the toe's height and horizontal place. The minimum is the sample that
     lies deepest below the lower of the peaks before and after it; without one, that of the greatest horizontal speed.
     """
-    lowest, dips = lowest_in_swing(*(np.ascontiguousarray(values) for values in (t_ns, height_m, level_m)))
-    return int(lowest), bool(dips)
+    lowest, depth = deepest(np.ascontiguousarray(height_m), 0, len(t_ns), np.empty(len(t_ns)))
+    if depth >= LEAST_DIP_M:
+        return int(lowest), True
+    return int(fastest(np.ascontiguousarray(t_ns), 0, len(t_ns), np.ascontiguousarray(level_m))), False

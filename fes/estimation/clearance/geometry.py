@@ -122,7 +122,7 @@ def _rising(
     position: Mat, quaternion: Mat, forward: Vec, up: Vec, begin: int, n: int, sines: Vec, k: int, out: Vec
 ) -> None:
     """While the heel rises, in the ``n`` samples from ``begin`` up to just after foot off."""
-    # the fastest turn toe-down tells foot off: a session may place it later than that
+    # the fastest turn toe-down is foot off: a session may place it later than that
     off, steepest, sine, cosine = 0, math.inf, 0.0, 0.0
     for i in range(n):
         before, level = sine, cosine
@@ -132,7 +132,7 @@ def _rising(
         turned = sine * level - cosine * before  # the sine of the turn between two samples
         if i > 0 and turned < steepest:
             off, steepest = i - 1, turned
-    # sines of pitches: they tell which of two is the higher, and cost less
+    # sines of pitches: they show which of two is the higher, and cost less
     cosine = math.sqrt(1.0 - sines[0] * sines[0])
     highest = sines[0] * math.cos(BALL_PITCH_RAD[0]) + cosine * math.sin(BALL_PITCH_RAD[0])
     lowest = -1.0  # straight down

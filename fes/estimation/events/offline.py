@@ -40,12 +40,12 @@ from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.numerics.filters import (
     PADDING,
     Section,
-    begun,
+    biquad_start,
+    biquad_step,
     falls_apart,
+    filter_backwards,
     low_pass,
     moving_sums,
-    pass_back,
-    passed,
 )
 from fes.estimation.numerics.jit import jit, jit_ieee
 from fes.estimation.numerics.ranks import median
@@ -68,7 +68,7 @@ NONE = -1.0  # where there is no instant
 
 
 class Signals(NamedTuple):
-    """What the rules look at, (N,) each: the toe-down rate smoothed in three ways, its energy, the force's jerk."""
+    """What the rules use, (N,) each: the toe-down rate smoothed in three ways, its energy, the force's jerk."""
 
     shape: Any
     feature: Any
@@ -106,14 +106,14 @@ def filter_signals(
             z = 2.0 * gyr[end, 2] - gyr[at, 2] - bz
             rate = x * ux + y * uy + z * uz
         if i == -PADDING:
-            early_u, late_u = begun(rate, one)
-            early_v, late_v = begun(rate, two)
-            early_w, late_w = begun(rate, three)
+            early_u, late_u = biquad_start(rate, one)
+            early_v, late_v = biquad_start(rate, two)
+            early_w, late_w = biquad_start(rate, three)
         j = i + PADDING
-        turning[0, j], early_u, late_u = passed(rate, one, early_u, late_u)
-        turning[1, j], early_v, late_v = passed(rate, two, early_v, late_v)
-        turning[2, j], early_w, late_w = passed(rate, three, early_w, late_w)
-    pass_back(one, two, three, turning)
+        turning[0, j], early_u, late_u = biquad_step(rate, one, early_u, late_u)
+        turning[1, j], early_v, late_v = biquad_step(rate, two, early_v, late_v)
+        turning[2, j], early_w, late_w = biquad_step(rate, three, early_w, late_w)
+    filter_backwards(one, two, three, turning)
     moving_sums(energy, window, window - window // 2 - 1, 1.0 / window, energy)
     return not math.isnan(off)
 
@@ -341,7 +341,7 @@ placement is not called for."""
 class GaitEvents:
     """Events of one foot, times in ns on the sensor's clock, all (K,) and in order: FO, mid-swing, IC, next FO, …
 
-    ``heel_strike`` (K,) tells if the foot landed heel first. ``ic_ns`` and ``heel_strike`` of a last swing cut off by
+    ``heel_strike`` (K,): the foot landed heel first. ``ic_ns`` and ``heel_strike`` of a last swing cut off by
     the recording's end are left out with it.
     """
 
@@ -383,7 +383,7 @@ def find_events(
 
 
 class _Walk:
-    """The signals of one recording that the rules look at, and the rules; positions are sample indices."""
+    """The signals of one recording that the rules use, and the rules; positions are sample indices."""
 
     def __init__(self, rate_hz: float, acc: FloatArray, gyr: FloatArray, calibration: FootCalibration) -> None:
         if len(acc) <= PADDING:

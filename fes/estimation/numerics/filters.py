@@ -34,13 +34,13 @@ def low_pass(rate_hz: float, cutoff_hz: float) -> Section:
 
 
 @inlined
-def begun(x: float, section: Section) -> tuple[float, float]:
+def biquad_start(x: float, section: Section) -> tuple[float, float]:
     """What a section remembers that has always been given ``x``."""
     return (1.0 - section[0]) * x, (section[0] - section[2]) * x
 
 
 @inlined
-def passed(x: float, section: Section, early: float, late: float) -> tuple[float, float, float]:
+def biquad_step(x: float, section: Section, early: float, late: float) -> tuple[float, float, float]:
     """What a section makes of the next sample, and what it remembers then."""
     b, a1, a2 = section
     y = b * x + early
@@ -48,17 +48,17 @@ def passed(x: float, section: Section, early: float, late: float) -> tuple[float
 
 
 @jit_ieee
-def pass_back(one: Section, two: Section, three: Section, x: Any) -> None:
+def filter_backwards(one: Section, two: Section, three: Section, x: Any) -> None:
     """Run a section over each row of ``x`` (3, N), from its end to its beginning: three at once, for each has to wait
     for its own last value, and hardly longer for the others."""
     last = x.shape[1] - 1
-    early_u, late_u = begun(x[0, last], one)
-    early_v, late_v = begun(x[1, last], two)
-    early_w, late_w = begun(x[2, last], three)
+    early_u, late_u = biquad_start(x[0, last], one)
+    early_v, late_v = biquad_start(x[1, last], two)
+    early_w, late_w = biquad_start(x[2, last], three)
     for i in range(last, -1, -1):
-        x[0, i], early_u, late_u = passed(x[0, i], one, early_u, late_u)
-        x[1, i], early_v, late_v = passed(x[1, i], two, early_v, late_v)
-        x[2, i], early_w, late_w = passed(x[2, i], three, early_w, late_w)
+        x[0, i], early_u, late_u = biquad_step(x[0, i], one, early_u, late_u)
+        x[1, i], early_v, late_v = biquad_step(x[1, i], two, early_v, late_v)
+        x[2, i], early_w, late_w = biquad_step(x[2, i], three, early_w, late_w)
 
 
 @jit_ieee

@@ -125,7 +125,7 @@ def filter_intervals(
                 and 1e-9 * (t_ns[i] - stance_began_ns) > settings.drift_s
                 and measured_ns > stance_began_ns
             ):
-                # whoever stands seems to accelerate by noise alone, which tells no heading
+                # whoever stands seems to accelerate by noise alone, which shows no heading
                 for j in range(3):
                     f[k, j, 0] = f[k, j, 1] = 0.0
             predict(P, k, r, f, dt, tape.added, settings)

@@ -31,8 +31,8 @@ def positions_at(known_ns: Vec, position: Mat, velocity: Mat, asked_ns: Vec, out
         u = min(max(1e-9 * (asked_ns[i] - known_ns[k]) / span_s, 0.0), 1.0)
         share, begin, end = u * u * (3.0 - 2.0 * u), u * (1.0 - u) * (1.0 - u) * span_s, u * u * (1.0 - u) * span_s
         for j in range(3):
-            way = position[k + 1, j] - position[k, j]
-            out[i, j] = position[k, j] + share * way + begin * velocity[k, j] - end * velocity[k + 1, j]
+            step = position[k + 1, j] - position[k, j]
+            out[i, j] = position[k, j] + share * step + begin * velocity[k, j] - end * velocity[k + 1, j]
 
 
 @jit_fused
@@ -55,7 +55,7 @@ def over_ground(
     t_ns: Vec, place: Mat, velocity: Mat, q: Mat, axis: Vec, stance_ns: Vec, kept_ns: Vec, facing: Vec, off: Vec,
     position: Mat, heading: Vec,
 ) -> None:  # fmt: skip
-    """Fill the last two, (M, 3) and (M,), with place and heading at the instants ``kept_ns`` (M,) of a foot's way (K,).
+    """Fill the last two, (M, 3) and (M,), with position and heading at instants ``kept_ns`` (M,) of a trajectory (K,).
 
     x points to where the foot first is 2 m away. ``facing`` (K,) and ``off``, one for each stance, are room.
     """
@@ -181,7 +181,7 @@ def bend(
     """Bend a path by an angle that grows by so much from stance to stance, linearly in time in between.
 
     ``t_ns`` (K,) and ``stance_ns`` (M,) rise; ``position`` (K, 3) and ``heading`` (K,) are the path, ``place`` and
-    ``turned`` the same to be filled. Each piece of the path turns by the mean of the angles at its ends.
+    ``turned`` the same to be filled. Each part of the path turns by the mean of the angles at its ends.
     """
     k, last, per_ns = -1, stance_ns.shape[0] - 1, 0.0
     c, s, middle, before = 1.0, 0.0, 0.0, 0.0
