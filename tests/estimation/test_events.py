@@ -92,7 +92,7 @@ def offline(name: str, foot: str) -> tuple[GaitEvents, Track, FootCalibration]:
 
 
 def truth_of(name: str, foot: str) -> tuple[FloatArray, FloatArray]:
-    strides = bundled(name)[1].of(foot)
+    strides = bundled(name)[1].strides_of(foot)
     return np.array([s.t_loading_response_s for s in strides]), np.array([s.t_swing_s for s in strides])
 
 
@@ -353,7 +353,7 @@ def test_after_a_silence_it_begins_anew_with_what_it_has_learnt() -> None:
 def test_foot_strike_angle_of_bundled_trials(name: str, foot: str) -> None:
     events, track, c = offline(name, foot)
     angles = np.degrees(foot_strike_angles(track.t_sensor_ns, track.gyr_radps, events, c))
-    true = np.array([s.foot_strike_deg for s in bundled(name)[1].of(foot)])
+    true = np.array([s.foot_strike_deg for s in bundled(name)[1].strides_of(foot)])
     error = (angles - true)[np.isfinite(angles)]
     assert len(error) >= len(true) - 1
     assert abs(error.mean()) < 1.5
