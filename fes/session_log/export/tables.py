@@ -12,23 +12,11 @@ from typing import Any, Final
 
 import numpy as np
 
+from fes import signals
 from fes.session_log.codec import Rare, SampleParts, latency_arrays
 from fes.session_log.framing import RecordType
 from fes.session_log.record import Received
 from fes.session_log.repair import Damage, stretches
-from fes.signals import (
-    SENSORS,
-    FootSwitchEvent,
-    OperatorAct,
-    StimAlive,
-    StimCommand,
-    StimOpened,
-    StimStatus,
-    StrideResult,
-    SystemFault,
-    Tick,
-    WireFrame,
-)
 from fes.walk_record import Note
 from statemachine.phases import PhaseChange
 
@@ -113,7 +101,7 @@ def _table_of(kind: type, name: str, time: str = "t_ns") -> Table:
 _IMU: Final = tuple(Column(name, "int") for name in ("t_ns", "t_sensor_ns")) + tuple(
     Column(f"{what}_{axis}_{unit}", "float") for what, unit in (("acc", "mps2"), ("gyr", "radps")) for axis in "xyz"
 )
-SAMPLES: Final = {sensor: Table(f"imu_{sensor}", _IMU) for sensor in SENSORS}
+SAMPLES: Final = {sensor: Table(f"imu_{sensor}", _IMU) for sensor in signals.SENSORS}
 LATENCY: Final = Table("latency", (Column("t_ns", "int"), Column("latency_ns", "int")))
 PHASES: Final = Table("phases", (*_table_of(PhaseChange, "phases").columns, Column("phase", "int")))
 PATHS: Final = Table(
@@ -127,18 +115,18 @@ PATHS: Final = Table(
     ),
 )
 SINGLES: Final[dict[type, Table]] = {
-    StrideResult: _table_of(StrideResult, "strides", "t_end_ns"),
-    StimCommand: _table_of(StimCommand, "commands"),
-    WireFrame: _table_of(WireFrame, "frames"),
+    signals.StrideResult: _table_of(signals.StrideResult, "strides", "t_end_ns"),
+    signals.StimCommand: _table_of(signals.StimCommand, "commands"),
+    signals.WireFrame: _table_of(signals.WireFrame, "frames"),
     Received: _table_of(Received, "received"),
-    StimStatus: _table_of(StimStatus, "statuses"),
-    StimAlive: _table_of(StimAlive, "heartbeats"),
-    StimOpened: _table_of(StimOpened, "reopened"),
-    OperatorAct: _table_of(OperatorAct, "operator"),
-    FootSwitchEvent: _table_of(FootSwitchEvent, "foot_switches"),
-    SystemFault: _table_of(SystemFault, "system_faults"),
+    signals.StimStatus: _table_of(signals.StimStatus, "statuses"),
+    signals.StimAlive: _table_of(signals.StimAlive, "heartbeats"),
+    signals.StimOpened: _table_of(signals.StimOpened, "reopened"),
+    signals.OperatorAct: _table_of(signals.OperatorAct, "operator"),
+    signals.FootSwitchEvent: _table_of(signals.FootSwitchEvent, "foot_switches"),
+    signals.SystemFault: _table_of(signals.SystemFault, "system_faults"),
     Note: _table_of(Note, "notes"),
-    Tick: _table_of(Tick, "ticks"),
+    signals.Tick: _table_of(signals.Tick, "ticks"),
     PhaseChange: PHASES,
 }
 
@@ -206,7 +194,7 @@ def _single(filling: dict[str, Batch], value: Rare) -> None:
     else:
         row = [_plain(getattr(value, name)) for name in names]
     _extend(filling, table, [[cell] for cell in row])
-    if isinstance(value, StrideResult) and len(value.trajectory_m) == len(value.pitch_rad) > 0:
+    if isinstance(value, signals.StrideResult) and len(value.trajectory_m) == len(value.pitch_rad) > 0:
         n = len(value.pitch_rad)
         t_ns = [value.t_start_ns + (value.t_end_ns - value.t_start_ns) * k // max(n - 1, 1) for k in range(n)]
         path = [*value.trajectory_m.T.tolist(), value.pitch_rad.tolist()]

@@ -144,7 +144,7 @@ class SpeedTiming:
         self._shares.append((pre_share, swing_share, loading_share))
 
     @property
-    def known(self) -> bool:
+    def enough_strides(self) -> bool:
         """Whether enough strides have been seen."""
         return len(self._shares) >= NEEDED
 

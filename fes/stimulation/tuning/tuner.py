@@ -259,7 +259,7 @@ class Tuner:
         return self._hint_if_unreached(t_ns, reading)
 
     def _timed(self, base: BurstParameters) -> BurstParameters:
-        if not self.tuning.timing or not self._timing.known:
+        if not self.tuning.timing or not self._timing.enough_strides:
             return base
         delay_s, extension_s = self._timing.wanted(self.channel.start_phase, self.channel.rise_s, self.channel.fall_s)
         if abs(delay_s - base.start_delay_s) > TIMING_DEAD_S:
