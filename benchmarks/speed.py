@@ -102,7 +102,7 @@ def stages(recording: Recording) -> dict[str, float]:
         settings = stride_settings(calibration, recording.geometry.get(sensor))
 
         def follow(calibration: FootCalibration = calibration, settings: Any = settings, data: Any = data) -> Any:
-            return FootTracker(calibration, StrideMaker(calibration.sensor, settings)).walk(*data)
+            return FootTracker(calibration, StrideMaker(calibration.sensor, settings)).track(*data)
 
         walked, foot = follow(), foot_samples(*data)
         parts: dict[str, Callable[[], Any]] = {

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": "vertical_jerk_mps3"}  # in old files
+
 
 class Features(NamedTuple):
     """What the guards may look at, at one sample of one foot. All causal.

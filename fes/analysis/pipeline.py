@@ -148,7 +148,7 @@ class _AnalysisRun:
         assert isinstance(tracker, FootTracker)
         self._trackers[sensor] = tracker
 
-        block = tracker.walk(*_own_samples(chunk, track))
+        block = tracker.track(*_own_samples(chunk, track))
         strides, trajectories = block.rows, block.paths()
         try:
             ranges = (track.acc_range_mps2, track.gyr_range_radps)

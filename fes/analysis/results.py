@@ -24,7 +24,8 @@ from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
 from fes.estimation.strides import schema
 from fes.estimation.strides.schema import Column
-from fes.estimation.tracking.tracker import Outcome, SampleCounts
+from fes.estimation.tracking.history import SampleCounts
+from fes.estimation.tracking.tracker import Outcome
 from fes.recording import Recording
 from fes.recording.chunks import Chunk
 from fes.recording.samples import newer_samples

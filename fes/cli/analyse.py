@@ -23,7 +23,6 @@ from fes.cli.common.show import doubts
 from fes.cli.common.table_file import write_table
 from fes.cli.compile_ import compiled_ahead
 from fes.estimation.foot.calibration import CalibrationError
-from fes.estimation.numerics.jit import CACHE
 from fes.estimation.zupt.detectors import Detector
 from fes.memory import keep_freed_memory
 from fes.recording import RecordingError, read_recording
@@ -122,7 +121,7 @@ def command(
     methods = Methods(Detector[detector.upper()], stride_method, path_filter == "per-sample", causal_events)
     for path in recordings:
         try:
-            with compiled_ahead(CACHE):
+            with compiled_ahead():
                 # --sync-clocks and --hemiparetic look at the walk as a whole
                 together = sync_clocks or hemiparetic or paretic_side is not None
                 first = Chunk(read_recording(path)) if together else next(recording_chunks(path))

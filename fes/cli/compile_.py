@@ -1,29 +1,25 @@
-"""``fes compile``: all compiled code made ahead, so that nobody waits for it at a command.
+"""``fes compile``: all compiled code made ahead; and the first analysis, which makes its own beside its work.
 
-The very first analysis: its parts are compiled in processes side by side; and ``fes compile``'s list of all parts.
-
-Compiling takes far longer than analysing, and one process compiles on one processor only. What each process has
-compiled stands in the cache (:mod:`fes.estimation.numerics.jit`) for all. The processes are forks of this one, which
-spares them loading numba again.
+Compiling takes far longer than analysing, and one process compiles on one processor only. So parts of it are compiled
+in processes of their own, which keep what they have made (:mod:`fes.estimation.numerics.jit`) for all.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 import click
-from numba.core import event
 
 from fes.analysis.parameters.gait import gait_parameters, mean_strides
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.cli.common.exits import FAILED
-from fes.estimation.numerics.jit import CACHE
+from fes.estimation.numerics.jit import KEPT, compiled_here
 from fes.recording import read_recording, write_recording
 from fes.recording.read import TABLE_SUFFIXES
 from fes.report.summary import summarise
@@ -31,50 +27,48 @@ from fes.simulation.forward.closed_loop import calibration_walk
 from fes.simulation.forward.settings import PatientSettings
 
 AHEAD_PARTS = ("strides", "path", "events")
+NOT_KEPT = "Compiled code cannot be kept on this computer; see the warning above."
 
 
 @contextmanager
-def compiled_ahead(cache: Path) -> Iterator[None]:
+def compiled_ahead() -> Iterator[None]:
     """Where nothing is compiled yet, do that beside and after what is done within, and wait for it at the end.
 
-    ``cache`` is the compiler's folder. Should one of the processes fail, its part is compiled where it is needed.
+    Should one of the processes fail, its part is compiled where it is needed.
     """
-    if next(cache.glob("*/*.nbi"), None) is not None:
+    if KEPT is None or not KEPT.is_empty():
         yield
         return
-    click.secho("First run: compiling, which takes some seconds (fes compile does it ahead) …", fg="yellow", err=True)
-    with in_processes(AHEAD_PARTS) as left:
+    click.secho("First run: compiling, which takes a minute (fes compile does it ahead) …", fg="yellow", err=True)
+    with in_processes(AHEAD_PARTS, len(os.sched_getaffinity(0)) - 1) as left:
         yield
-        for part in left:
-            compile_part(part)
+    KEPT.fetch()
+    for part in left:
+        compile_part(part)
 
 
 @contextmanager
-def in_processes(parts: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-    """Compile these in a process for each further processor; gives the parts left to this one. Waits at the end."""
-    free = len(os.sched_getaffinity(0)) - 1 if "fork" in multiprocessing.get_all_start_methods() else 0
-    helpers = []
+def in_processes(parts: tuple[str, ...], most: int) -> Iterator[tuple[str, ...]]:
+    """Compile the first of these, at most so many, each in a process; gives the other parts. Waits at the end."""
+    helpers: list[subprocess.Popen[bytes]] = []
     try:
         with suppress(OSError):
-            for part in parts[:free]:
-                helper = multiprocessing.get_context("fork").Process(target=_compile_quietly, args=(part,), daemon=True)
-                helper.start()
-                helpers.append(helper)
+            for part in parts[:most]:
+                helpers.append(_compiling(part))
         yield parts[len(helpers) :]
         for helper in helpers:
-            helper.join()
+            helper.wait()
     finally:
         for helper in helpers:
             helper.kill()
-            helper.join()
+            helper.wait()
 
 
-def _compile_quietly(part: str) -> None:
-    """In a process of its own: what it might say would stand in the middle of what the command says."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
-    os.dup2(nowhere, 2)
-    compile_part(part)
+def _compiling(part: str) -> subprocess.Popen[bytes]:
+    """A process that compiles a part; what it might say would stand in the middle of what the command says."""
+    code = f"from fes.cli.compile_ import compile_part; compile_part({part!r})"
+    silent = subprocess.DEVNULL
+    return subprocess.Popen([sys.executable, "-c", code], stdin=silent, stdout=silent, stderr=silent)
 
 
 def compile_part(part: str) -> None:
@@ -83,14 +77,13 @@ def compile_part(part: str) -> None:
     Raises:
         KeyError: there is no such part.
     """
-    ways = {"strides": _strides, "path": _path, "events": _events, "session": _session}
-    ways[part]()
+    PARTS[part]()
 
 
 def _strides() -> None:
     from fes.estimation.warm_up import made_up_foot, made_up_steps
 
-    made_up_foot().walk(*made_up_steps()).strides()
+    made_up_foot().track(*made_up_steps()).strides()
 
 
 def _path() -> None:
@@ -116,53 +109,60 @@ def _session() -> None:
     _strides()
 
 
-PARTS = ("session", "path", "events")
+def _analysis() -> None:
+    """An analysis of a virtual patient, whose recording is written and read too."""
+    walk, found = calibrations_of(calibration_walk(PatientSettings()))
+    with tempfile.TemporaryDirectory() as folder:
+        for suffix in TABLE_SUFFIXES:
+            write_recording(walk, Path(folder, "walk").with_suffix(suffix), overwrite=True)
+            read_recording(Path(folder, "walk").with_suffix(suffix))
+    result = analyse(walk, found.calibrations)
+    mean_strides(result.strides, gait_parameters(result).strides)
+    summarise(result.walk_record())
 
 
-class _NotCompiled(Exception):
-    pass
-
-
-class _Watch(event.Listener):
-    def on_start(self, event: Any) -> None:
-        raise _NotCompiled(event.data["dispatcher"].py_func.__qualname__)
-
-    def on_end(self, event: Any) -> None:
-        pass
+PARTS: dict[str, Callable[[], None]] = {
+    "strides": _strides, "path": _path, "events": _events, "session": _session, "analysis": _analysis,
+}  # fmt: skip
+ALL_PARTS: tuple[str, ...] = ("session", "path", "events", "analysis")  # the strides are in the session
 
 
 @click.command(name="compile")
-@click.option("--check", is_flag=True, help="Compile nothing, say whether something is missing; exit code 1 if so.")
+@click.option("--check", is_flag=True, help="Only say whether something is missing; exit code 1 if so.")
 def command(check: bool) -> None:
     """Compile the estimation for this processor and keep it, so that the first command starts as fast as any other.
 
     `make demo` and what else installs does this. Without it each command compiles what it needs at its first use, and
-    that takes some seconds longer. It is done again after an update, and on another processor.
+    that takes up to a minute longer. It is done again after an update, and on another processor.
     """
+    if KEPT is None:
+        click.secho(NOT_KEPT, fg="red", err=True)
+        raise SystemExit(FAILED)
     if check:
-        with event.install_listener("numba:compile", _Watch()):
-            try:
-                _everything((), PARTS)
-            except _NotCompiled as missing:
-                click.echo(f"Not compiled: {missing}, perhaps more. Run: fes compile")
-                raise SystemExit(FAILED) from None
-        click.echo(f"All is compiled, in {CACHE}")
+        if missing := _missing():
+            click.echo(f"Not compiled: {missing}. Run: fes compile")
+            raise SystemExit(FAILED)
+        click.echo(f"All is compiled, in {KEPT.root}")
         return
-    click.echo(f"Compiling for this processor, into {CACHE} …")
-    _everything(PARTS, ())
+    click.echo(f"Compiling for this processor, into {KEPT.root} …")
+    parts, together = ALL_PARTS, len(os.sched_getaffinity(0))
+    while parts and together > 1:
+        with in_processes(parts, together) as left:
+            pass
+        if left == parts:  # no process can be started
+            break
+        parts = left
+    KEPT.fetch()
+    for part in ALL_PARTS:  # what the processes have left out
+        compile_part(part)
 
 
-def _everything(aside: tuple[str, ...], here: tuple[str, ...]) -> None:
-    """Run all that is compiled: parts in processes of their own or here, then an analysis of a virtual patient, whose
-    recording is written and read too."""
-    with in_processes(aside) as left:
-        walk, found = calibrations_of(calibration_walk(PatientSettings()))
-        with tempfile.TemporaryDirectory() as folder:
-            for suffix in TABLE_SUFFIXES:
-                write_recording(walk, Path(folder, "walk").with_suffix(suffix), overwrite=True)
-                read_recording(Path(folder, "walk").with_suffix(suffix))
-        for part in (*left, *here):
-            compile_part(part)
-    result = analyse(walk, found.calibrations)
-    mean_strides(result.strides, gait_parameters(result).strides)
-    summarise(result.walk_record())
+def _missing() -> str:
+    """What has to be compiled; "" if all is there."""
+    if KEPT is None or KEPT.is_empty():
+        return "everything"
+    for part in ALL_PARTS:
+        compile_part(part)
+        if missing := compiled_here():
+            return f"{missing[0]}, perhaps more"
+    return ""

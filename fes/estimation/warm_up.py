@@ -1,7 +1,4 @@
-"""Compile everything before the first sample that matters: a compiler in the loop would cost seconds of stimulation.
-
-Compile what a shank needs before the first sample that matters.
-"""
+"""Compile everything before the first sample that matters: a compiler in the loop would cost seconds of stimulation."""
 
 from __future__ import annotations
 
@@ -12,6 +9,7 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.numerics.jit import signatures
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.lever_arm import ArmEstimate
 from fes.estimation.shank.motion import StrideSpan
@@ -21,43 +19,32 @@ from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.estimation.tracking.history import History
 from fes.signals import G_MPS2, FloatArray, IntArray
 
-
-def warm_up_shank(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> None:
-    """Run the shank's core sample by sample over made-up steps, and solve one stride of them.
-
-    ``t_ns`` (N,) strictly increasing at about 100 Hz, at least two seconds; ``acc_mps2`` and ``gyr_radps`` (N, 3) with
-    z up and y to the left.
-    """
-    arm = ArmEstimate((0.0, 0.0, 0.3), 0.3, False, "made up", math.inf, math.nan, math.inf, 0, 0)
-    calibration = ShankCalibration(
-        sensor="left_shank",
-        rate_hz=100.0,
-        up=(0.0, 0.0, 1.0),
-        left=(0.0, 1.0, 0.0),
-        acc_bias_mps2=(0.0, 0.0, 0.0),
-        gyr_bias_radps=(0.0, 0.0, 0.0),
-        arm=arm,
-        axis_confidence=1.0,
-        strides=0,
-        standing=True,
-    )
-    tracker = shank_tracker(calibration)
-    for k in range(len(t_ns)):
-        tracker.advance(t_ns[k : k + 1], acc_mps2[k : k + 1], gyr_radps[k : k + 1])
-    span = StrideSpan(20, 60, 140, 5, quiet=True)
-    solve_shank_stride(
-        calibration.sensor, 1, span, t_ns, acc_mps2.copy(), gyr_radps.copy(), ShankIntegrationSettings.of(calibration)
-    )
-
-
 GEOMETRY = FootGeometry(toe_forward_m=0.12, toe_up_m=-0.06, heel_forward_m=-0.1, heel_up_m=-0.06)
 
 
 def warm_up() -> None:
-    """Run the compiled core once on four seconds of made-up steps, through every function that the loop may call."""
+    """Run the compiled core on four seconds of made-up steps, through every function that the loop may call.
+
+    Raises:
+        RuntimeError: a second run has compiled something once more, so that the loop would too: no session may begin.
+    """
+    _run_once()
+    before = signatures()
+    _run_once()
+    if signatures() != before:
+        raise RuntimeError("The estimation does not stay compiled on this computer; no session may begin.")
+
+
+def _run_once() -> None:
     t_ns, acc, gyr = made_up_steps()
-    warm_up_foot(t_ns, acc, gyr)
-    warm_up_shank(t_ns, acc, gyr)
+    foot, calibration = made_up_foot(), _made_up_shank()
+    shank = shank_tracker(calibration)
+    for sample in zip(t_ns.tolist(), acc.tolist(), gyr.tolist(), strict=True):
+        foot.step(*sample)
+        shank.step(*sample)
+    History(100.0).forget_half()  # what happens when its room is full, after many seconds
+    span = StrideSpan(20, 60, 140, 5, quiet=True)
+    solve_shank_stride(calibration.sensor, 1, span, t_ns, acc, gyr, ShankIntegrationSettings.of(calibration))
 
 
 def made_up_steps() -> tuple[IntArray, FloatArray, FloatArray]:
@@ -70,14 +57,6 @@ def made_up_steps() -> tuple[IntArray, FloatArray, FloatArray]:
     gyr = np.column_stack((np.zeros(n), toe_down, np.zeros(n)))
     acc = np.column_stack((3.0 * toe_down, np.zeros(n), np.full(n, G_MPS2) + np.where((at % 200) == 172, 60.0, 0.0)))
     return at * 10_000_000, acc, gyr
-
-
-def warm_up_foot(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> None:
-    """Run a foot's core over these steps, sample by sample, with all that a session may ask of its strides."""
-    tracker = made_up_foot()
-    for t, acc, gyr in zip(t_ns.tolist(), acc_mps2.tolist(), gyr_radps.tolist(), strict=True):
-        tracker.step(t, acc, gyr)
-    History(100.0).forget_half()  # what happens when its room is full, after many seconds
 
 
 def made_up_calibration() -> FootCalibration:
@@ -104,3 +83,18 @@ def made_up_foot() -> FootTracker:
     calibration = made_up_calibration()
     settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up), geometry=GEOMETRY)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
+
+
+def _made_up_shank() -> ShankCalibration:
+    return ShankCalibration(
+        sensor="left_shank",
+        rate_hz=100.0,
+        up=(0.0, 0.0, 1.0),
+        left=(0.0, 1.0, 0.0),
+        acc_bias_mps2=(0.0, 0.0, 0.0),
+        gyr_bias_radps=(0.0, 0.0, 0.0),
+        arm=ArmEstimate((0.0, 0.0, 0.3), 0.3, False, "made up", math.inf, math.nan, math.inf, 0, 0),
+        axis_confidence=1.0,
+        strides=0,
+        standing=True,
+    )

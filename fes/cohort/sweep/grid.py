@@ -24,7 +24,7 @@ from typing import Any, Final, get_args
 from fes.cohort.sources import CohortError
 from fes.config import Session, validate_session
 from fes.config.base import Settings
-from statemachine.guards import Thresholds
+from statemachine.guards import FORMER_NAMES, Thresholds
 
 SWEPT: Final = ("phases", "stimulation", "channels")  # of a session; the rest is of devices and persons
 FIXED: Final = ("name", "number", "foot", "muscle", "electrode_area_cm2", "never_with", "limits")  # of a channel
@@ -82,7 +82,7 @@ def parse_axis(asked: str) -> Axis:
         CohortError: it is neither, or there is no such setting.
     """
     name, equals, values = asked.partition("=")
-    name = name.strip()
+    name = ".".join(FORMER_NAMES.get(part, part) for part in name.strip().split("."))
     if not equals or not values.strip():
         raise CohortError(f"--set {asked}: write NAME=VALUE,VALUE,… or NAME=LOW:HIGH:COUNT.")
     _check_name(name)

@@ -2,79 +2,67 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from fes.estimation.clearance.clearance import FootPaths
+from fes.estimation.numerics.records import record_type
 from fes.estimation.strides.integration import stride_shapes
 from fes.estimation.strides.results import TRAJECTORY_POINTS, Rows, StrideSettings, stride_paths, stride_results
 from fes.estimation.strides.segmentation import CHANGES, STRIDES, new_out
 from fes.estimation.tracking.tracker import Outcome
 from fes.signals import FloatArray, StrideResult
 from statemachine.machine import GaitPhaseMachine, changes_of
-from statemachine.phases import Phase, PhaseChange, Transition
-from statemachine.table import TABLE
+from statemachine.phases import PhaseChange
 
-CHANGE = np.dtype([("t_ns", np.int64), ("transition", np.int64), ("source", np.int64)], align=True)
-_DESTINATIONS = np.full((len(Phase), len(Transition)), -1)
-for _row in TABLE:
-    _DESTINATIONS[_row.source.value, _row.transition.value] = _row.destination.value
+CHANGE = record_type([("t_ns", np.int64), ("transition", np.int64), ("source", np.int64)])
 USUAL_STRIDES = 25  # in a history of twenty seconds
 
 
 class TrackedBlock:
-    """Phase changes and strides in order, the strides' ways beside them.
+    """Phase changes and strides in order, the strides' trajectories beside them.
 
-    ``room`` and ``out`` are what the compiled core fills from ``samples`` samples, after a history of ``capacity``
-    (twenty seconds); where it stops for want of room, :meth:`keep` makes more.
+    ``transitions`` and ``out`` are what the compiled core fills from ``samples`` samples, after a history of
+    ``capacity`` (twenty seconds); where it stops for want of room, :meth:`store` makes more.
     """
 
     def __init__(self, foot: str, settings: StrideSettings, samples: int, capacity: int) -> None:
         strides = USUAL_STRIDES * samples // capacity + 2
-        self.room: Rows = np.empty(6 * strides, CHANGE)
+        self.transitions: Rows = np.empty(6 * strides, CHANGE)
         self.longer: FloatArray | None = None  # than by itself (K,) is each stride, where more is known of its length
         self.out = new_out(strides, samples + 2 * capacity, TRAJECTORY_POINTS, shaped=False)
         self._foot, self._settings = foot, settings
-        self._taken, self._led, self._capacity = 0, 0, capacity
+        self._stored, self._applied, self._capacity = 0, 0, capacity
 
-    def append(self, outcome: Outcome) -> None:
-        """A restart, which the compiled core knows nothing of."""
-        assert isinstance(outcome, PhaseChange)
-        self.room[self._taken] = outcome.t_ns, outcome.transition, outcome.source
-        self._taken += 1
-        self._led = self._taken
-        self.out.filled[CHANGES] = self._taken
-        if self._taken == len(self.room):
-            self.room = _twice(self.room)
+    def add_restart(self, changes: Iterable[PhaseChange]) -> None:
+        """Add the changes of a restart, which the compiled core knows nothing of."""
+        for change in changes:
+            self.transitions[self._stored] = change.t_ns, change.transition, change.source
+            self.out.filled[CHANGES] = self._applied = self._stored + 1
+            self.store()
 
-    def lead(self, machine: GaitPhaseMachine) -> None:
-        """Lead the phase machine after what the core has found since; errors as of ``GaitPhaseMachine.follow``."""
-        found = self.room[self._led : self._taken]
-        self._led = self._taken
-        if not len(found):
-            return
-        source = found["source"]
-        destination = _DESTINATIONS[source, found["transition"]]
-        if (destination >= 0).all() and source[0] == machine.phase and (source[1:] == destination[:-1]).all():
-            found = found[-1:]  # the table allows each of them, so that the last is all that is left to do
-            machine.resume(Phase(int(source[-1])))
-        machine.follow(found.tolist())
+    def apply_transitions(self, machine: GaitPhaseMachine) -> None:
+        """Have the machine follow what the core has found since; errors as of ``GaitPhaseMachine.follow``."""
+        machine.follow(self.transitions[self._applied : self._stored].tolist())
+        self._applied = self._stored
 
-    def keep(self) -> None:
+    def store(self) -> None:
         """Take over what the core has found, and make room for more."""
-        strides, rows, self._taken = self.out.filled.tolist()
+        strides, rows, self._stored = self.out.filled.tolist()
         out = self.out
-        if self._taken >= len(self.room):
-            self.room = _twice(self.room)
+        if self._stored >= len(self.transitions):
+            self.transitions = _twice(self.transitions)
         if strides == len(out.strides):
             self.out = out._replace(strides=_twice(out.strides))
         if rows > len(out.t_ns) - self._capacity:
-            ways = {name: _twice(getattr(out, name)) for name in ("t_ns", "position", "quaternion")}
-            self.out = self.out._replace(**ways)
+            longer = {name: _twice(getattr(out, name)) for name in ("t_ns", "position", "quaternion")}
+            self.out = self.out._replace(**longer)
 
     @property
     def changes(self) -> list[PhaseChange]:
         """The phase changes, made anew at every call."""
-        return changes_of(self._foot, self.room[: self._taken].tolist())
+        return changes_of(self._foot, self.transitions[: self._stored].tolist())
 
     @property
     def rows(self) -> Rows:
@@ -95,7 +83,7 @@ class TrackedBlock:
         return shapes
 
     def paths(self) -> FootPaths:
-        """The ways of the valid strides."""
+        """The trajectories of the valid strides."""
         return stride_paths(self.rows, self.out, self._settings)
 
     def strides(self) -> list[StrideResult]:
@@ -105,12 +93,12 @@ class TrackedBlock:
     def outcomes(self) -> list[Outcome]:
         """Strides and phase changes in the order in which they came."""
         outcomes: list[Outcome] = []
-        changes, told = self.changes, 0
+        changes, done = self.changes, 0
         for stride, before in zip(self.strides(), self.rows["changes"].tolist(), strict=True):
-            outcomes += changes[told:before]
+            outcomes += changes[done:before]
             outcomes.append(stride)
-            told = before
-        return outcomes + changes[told:]
+            done = before
+        return outcomes + changes[done:]
 
 
 def _twice(array: Rows) -> Rows:

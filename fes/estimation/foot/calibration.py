@@ -20,7 +20,7 @@ from fes.estimation.numerics.ranks import median, percentile
 from fes.estimation.numerics.rotation import cross, without
 from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
-from statemachine.guards import Thresholds
+from statemachine.guards import FORMER_NAMES, Thresholds
 
 QUIET_WINDOW_S = 0.1
 QUIET_PERCENT = 15
@@ -97,8 +97,10 @@ class FootCalibration:
 
     @staticmethod
     def from_dict(data: dict[str, Any]) -> FootCalibration:
-        """Back from the session log."""
-        values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+        """Back from the session log or a calibration file, of former versions too."""
+        values: dict[str, Any] = {
+            FORMER_NAMES.get(key, key): tuple(v) if isinstance(v, list) else v for key, v in data.items()
+        }
         return FootCalibration(**values)
 
 

@@ -15,9 +15,10 @@ covariance updated in Joseph's form, which stays right for any gain: the heading
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from fes.estimation.numerics.jit import jit, jit_ieee
+from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import half_turn, quaternion_step, to_sensor
 from fes.signals import G_MPS2
 
@@ -36,7 +37,7 @@ class OrientationSettings(NamedTuple):
 
 
 @jit
-def start_covariance(covariance: Any, settings: OrientationSettings) -> None:
+def start_covariance(covariance: Mat, settings: OrientationSettings) -> None:
     """Fill the 6 × 6 covariance for a start at rest."""
     for i in range(6):
         for j in range(6):
@@ -47,7 +48,7 @@ def start_covariance(covariance: Any, settings: OrientationSettings) -> None:
 
 
 @jit_ieee
-def propagate(covariance: Any, wx: float, wy: float, wz: float, dt_s: float, settings: OrientationSettings) -> None:
+def propagate(covariance: Mat, wx: float, wy: float, wz: float, dt_s: float, settings: OrientationSettings) -> None:
     """Carry the covariance over one sample: ``P ← Φ P Φᵀ + Q``, ``Φ = [[exp(-S(w)dt), dt/2], [0, exp(-dt/T)]]``.
 
     ``covariance`` (6, 6) changes in place, and stays symmetrical to the bit; ``w`` in rad/s.
@@ -94,10 +95,10 @@ def propagate(covariance: Any, wx: float, wy: float, wz: float, dt_s: float, set
 
 @jit_ieee
 def correct_by_gravity(
-    quaternion: Any,
-    bias: Any,
-    covariance: Any,
-    scratch: Any,
+    quaternion: Vec,
+    bias: Vec,
+    covariance: Mat,
+    scratch: Mat,
     fx: float,
     fy: float,
     fz: float,

@@ -1,287 +1,243 @@
-"""One foot from samples to phase changes and strides: the compiled core, the phase machine and the stride solver."""
+"""One foot from samples to phase changes and strides: the compiled core, the phase machine and the stride solver.
+
+There is one compiled step for a live sample and one compiled block for a recording; both go through the same functions.
+Python is called where the phase machine or a stride's result is wanted.
+"""
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from fes.estimation.foot import features as kernel
+from fes.estimation.foot import features
 from fes.estimation.foot.block_results import CHANGE, TrackedBlock
 from fes.estimation.foot.calibration import FootCalibration
-from fes.estimation.foot.features import FootParameters
 from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.numerics.jit import jit_ieee
-from fes.estimation.numerics.records import core_type, fill
-from fes.estimation.strides import segmentation as stride_course
+from fes.estimation.numerics.records import Mat, Vec, fill
+from fes.estimation.strides import segmentation
 from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker
 from fes.estimation.strides.segmentation import CHANGES, ROWS, STRIDE_STATE, STRIDES, Out, new_out
 from fes.estimation.tracking.history import (
-    BOOK,
     FULL,
-    HISTORY_S,
     KEPT,
-    LARGEST_VALUE,
-    RESTART_GAP_S,
     SILENCE,
-    History,
-    SampleCounts,
+    HistoryArrays,
+    Samples,
+    as_samples,
     forget_half,
-    take_in,
-    take_one,
+    store_sample,
+    store_samples,
 )
 from fes.estimation.tracking.tracker import (
-    ONE,
-    PACK_ONE,
     TRANSITIONS,
-    UNPACK_ONE,
     Outcome,
     Tracker,
-    of_one_kind,
+    live_type,
+    pack_sample,
+    unpack_seen,
     until_due,
 )
 from fes.signals import FloatArray, IntArray, Vector3
-from statemachine.guards import Features, Thresholds
-from statemachine.phases import Phase, Transition
+from statemachine.guards import Features
+from statemachine.phases import PhaseChange, Transition
 from statemachine.table import TABLE
 
-__all__ = ["HISTORY_S", "LARGEST_VALUE", "RESTART_GAP_S", "FootTracker", "Outcome", "SampleCounts"]
-
-CORE = core_type(kernel.STATE, parameters=FootParameters, thresholds=Thresholds, settings=OrientationSettings)
-# all that a live step needs, beside the history: handed over as four arrays it would take twice as long as its work
-LIVE = np.dtype([("one", ONE), ("core", CORE), ("course", STRIDE_STATE), ("book", BOOK)], align=True)
+LIVE = live_type(features.CORE, strides=STRIDE_STATE, biases=np.dtype((np.float64, (2, 3))))
 # what may have happened at a sample, beside the transitions 1 … 6
 NOTHING, DUE, AFTER_SILENCE, NO_ROOM = 0, 7, 8, 9
-NOTHING_TAKEN = -1
+NOTHING_STORED = -1
 _NONE_FILLED = np.zeros(3, np.int64).data
 _T1 = Transition.T1.value
 _DESTINATIONS = (0, *(row.destination.value for row in TABLE))  # by the transition's number
 
 
 @jit_ieee
-def _advance(
-    core: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any, begin: int, end: int, due_ns: int
-) -> tuple[int, int]:
-    c = core[0]
-    end = until_due(t_ns, begin, end, due_ns)
-    return kernel.advance(
-        c.state, c.parameters, c.thresholds, c.settings, t_ns, acc, gyr, begin, end, quaternions
-    )  # fmt: skip
-
-
-@jit_ieee
-def _features(core: Any) -> Features:
-    return kernel.features(core[0].state)
-
-
-@jit_ieee
-def _enter(core: Any, phase: int, acc: Any, row: int) -> None:
-    p = core[0].parameters
-    fx, fy, fz = acc[row, 0] - p.acc_bias_x_mps2, acc[row, 1] - p.acc_bias_y_mps2, acc[row, 2] - p.acc_bias_z_mps2
-    kernel.enter(core[0].state, phase, fx, fy, fz)
-
-
-@jit_ieee
-def _change(core: Any, course: Any, number: int, acc: Any, row: int) -> None:
+def _go_through(live: Vec, strides: Vec, number: int, acc: Mat, row: int) -> None:
     """Go through a transition at this row, the newest; T1 after its strides."""
-    _enter(core, _DESTINATIONS[number], acc, row)
-    stride_course.on_phase(course, core[0].state.phase, core[0].state.t_ns)
+    core = live[0].core
+    features.enter(core, _DESTINATIONS[number], acc, row)
+    segmentation.on_phase(strides, core.state.phase, core.state.t_ns)
 
 
 @jit_ieee
-def _step(live: Any, t_ns: Any, acc: Any, gyr: Any, quaternions: Any) -> int:
-    """Take one sample in and advance over it; the number of what happened, which is then to be gone through."""
-    x, book = live[0].one, live[0].book
-    became = take_one(
-        book, t_ns, acc, gyr, x.t_ns, x.acc[0], x.acc[1], x.acc[2], x.gyr[0], x.gyr[1], x.gyr[2]
-    )  # fmt: skip
+def _step(live: Vec, t_ns: Vec, acc: Mat, gyr: Mat, quaternions: Mat) -> int:
+    """Store one sample and advance over it; the number of what happened, which is then to be gone through."""
+    sample, counters, core = live[0].sample, live[0].counters, live[0].core
+    became = store_sample(counters, t_ns, acc, gyr, sample)
     if became == SILENCE:
         return AFTER_SILENCE
     if became == FULL:
         return NO_ROOM
     if became != KEPT:
         return NOTHING
-    c, row = live[0].core, book.filled - 1
-    _, number = kernel.advance(
-        c.state, c.parameters, c.thresholds, c.settings, t_ns, acc, gyr, row, row + 1, quaternions
-    )  # fmt: skip
-    x.row = row
+    row = counters.filled - 1
+    _, number = features.advance(core, t_ns, acc, gyr, row, row + 1, quaternions)
+    sample.row = row
     if number == NOTHING:
-        return DUE if x.t_ns >= live[0].course.state.due_ns else NOTHING
-    seen, f = x.seen, kernel.features(c.state)
-    seen.a_rest, seen.g_rest = f.a_rest, f.g_rest
-    seen.toe_down_radps, seen.toe_down_change_radps2 = f.toe_down_radps, f.toe_down_change_radps2
-    seen.toe_down_peak_radps, seen.toe_up_peak_radps = f.toe_down_peak_radps, f.toe_up_peak_radps
-    seen.vertical_jerk_mps3, seen.in_phase_s, seen.resting_s = f.vertical_jerk_mps3, f.in_phase_s, f.resting_s
+        return DUE if sample.t_ns >= live[0].strides.state.due_ns else NOTHING
+    seen, found = sample.seen, features.features(core.state)
+    seen.a_rest, seen.g_rest = found.a_rest, found.g_rest
+    seen.toe_down_radps, seen.toe_down_change_radps2 = found.toe_down_radps, found.toe_down_change_radps2
+    seen.toe_down_peak_radps, seen.toe_up_peak_radps = found.toe_down_peak_radps, found.toe_up_peak_radps
+    seen.vertical_jerk_mps3, seen.in_phase_s, seen.resting_s = (
+        found.vertical_jerk_mps3, found.in_phase_s, found.resting_s
+    )  # fmt: skip
     return number
 
 
 @jit_ieee
-def _walk(
-    taken: int, at: int, number: int,
-    core: Any, course: Any, book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, quaternions: Any, biases: Any,
-    t_ns: Any, acc: Any, gyr: Any,
-    changes: Any, strides: Any, shapes: Any, way_ns: Any, way: Any, turns: Any, filled: Any,
+def _block(
+    live: Vec, strides: Vec, history: HistoryArrays, samples: Samples, changes: Vec, out: Out,
+    begin: int, at: int, number: int,
 ) -> tuple[int, int, int]:  # fmt: skip
-    """Take the samples from ``taken`` on into the history, and go through it with all phase changes and strides.
+    """Store the samples from ``begin`` on, and go through the history with all phase changes and strides.
 
-    ``at`` rows of the history are gone through already, and ``number`` is what happened at the last of them and is
-    first seen to: a transition, ``DUE``, or ``NOTHING``. ``biases`` (2, 3) is working memory. After the phase changes
-    come the arguments of :class:`Out`: one by one they are taken over in half the time.
+    ``live`` (1,) of ``LIVE``, ``strides`` (1,) its part of that name; ``changes`` (C,) of ``CHANGE`` and ``out`` receive
+    what happens. ``at`` rows of the history are gone through already, and ``number`` is what happened at the last of
+    them and is first seen to: a transition, ``DUE``, or ``NOTHING``.
 
     Returns the first sample not yet seen to, how many rows are gone through, and why: ``KEPT`` where there is no more,
     ``SILENCE`` before a sample that comes after one, ``FULL`` where there is no more room for what happens.
     """
-    out = Out(strides, shapes, way_ns, way, turns, filled)
-    c, s, p, room = core[0], core[0].state, core[0].parameters, way_ns.shape[0] - kept_t_ns.shape[0]
-    biases[0, 0], biases[0, 1], biases[0, 2] = p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2
-    end, became = book[0].filled, NOTHING_TAKEN
+    t_ns, acc, gyr, quaternions = history
+    core, counters = live[0].core, live[0].counters
+    state, parameters, biases, filled = core.state, core.parameters, live[0].biases, out.filled
+    room = out.t_ns.shape[0] - t_ns.shape[0]
+    biases[0, 0], biases[0, 1] = parameters.acc_bias_x_mps2, parameters.acc_bias_y_mps2
+    biases[0, 2] = parameters.acc_bias_z_mps2
+    end, became = counters.filled, NOTHING_STORED
     while True:
         if number in (_T1, DUE):
-            biases[1, 0] = p.gyr_bias_x_radps + s.bias_radps[0]
-            biases[1, 1] = p.gyr_bias_y_radps + s.bias_radps[1]
-            biases[1, 2] = p.gyr_bias_z_radps + s.bias_radps[2]
-            if course[0].state.due_ns != stride_course.NEVER_NS:
-                first, last = stride_course.close(course, at, kept_t_ns, kept_gyr, biases, out)
+            biases[1, 0] = parameters.gyr_bias_x_radps + state.bias_radps[0]
+            biases[1, 1] = parameters.gyr_bias_y_radps + state.bias_radps[1]
+            biases[1, 2] = parameters.gyr_bias_z_radps + state.bias_radps[2]
+            if strides[0].state.due_ns != segmentation.NEVER_NS:
+                first, last = segmentation.close(strides, at, t_ns, gyr, biases, out)
                 if first < last:
-                    q = quaternions[first]
-                    stride_course.solve_rows(course, first, last, at, kept_t_ns, kept_acc, kept_gyr, q, biases, out)
+                    segmentation.solve_rows(strides, first, last, at, t_ns, acc, gyr, quaternions[first], biases, out)
             if number == _T1:
-                stride_course.begin(course, at, kept_t_ns, kept_gyr, biases)
+                segmentation.begin(strides, at, t_ns, gyr, biases)
         if number != NOTHING and number != DUE:
             change = changes[filled[CHANGES]]
-            change.t_ns, change.transition, change.source = kept_t_ns[at - 1], number, s.phase
-            _change(core, course, number, kept_acc, at - 1)
+            change.t_ns, change.transition, change.source = t_ns[at - 1], number, state.phase
+            _go_through(live, strides, number, acc, at - 1)
             filled[CHANGES] += 1
         number = NOTHING
-        if filled[CHANGES] >= len(changes) or filled[STRIDES] >= len(strides) or filled[ROWS] > room:
-            return taken, at, FULL
+        if filled[CHANGES] >= len(changes) or filled[STRIDES] >= len(out.strides) or filled[ROWS] > room:
+            return begin, at, FULL
         if at == end:
             if became in (KEPT, SILENCE):
-                return taken, at, became
+                return begin, at, became
             if became == FULL:
-                forget_half(book, kept_t_ns, kept_acc, kept_gyr, quaternions)
-                at = book[0].filled
-            taken, became = take_in(book, kept_t_ns, kept_acc, kept_gyr, t_ns, acc, gyr, taken)
-            end = book[0].filled
+                forget_half(counters, history)
+                at = counters.filled
+            begin, became = store_samples(counters, history, samples, begin)
+            end = counters.filled
         if at < end:
-            due_ns = course[0].state.due_ns
-            at, number = kernel.advance(
-                s, p, c.thresholds, c.settings, kept_t_ns, kept_acc, kept_gyr,
-                at, until_due(kept_t_ns, at, end, due_ns), quaternions,
-            )  # fmt: skip
-            if number == NOTHING and kept_t_ns[at - 1] >= due_ns:
+            due_ns = strides[0].state.due_ns
+            at, number = features.advance(core, t_ns, acc, gyr, at, until_due(t_ns, at, end, due_ns), quaternions)
+            if number == NOTHING and t_ns[at - 1] >= due_ns:
                 number = DUE
 
 
 class FootTracker(Tracker):
-    """Phases and strides of one foot; deterministic, no clock, no I/O. The trace is the orientation."""
+    """Phases and strides of one foot; deterministic, no clock, no I/O. The history's trace is the orientation."""
 
     def __init__(self, calibration: FootCalibration, strides: StrideMaker, *, swing_at_reversal: bool = False) -> None:
-        super().__init__(
-            calibration.sensor,
-            calibration.rate_hz,
-            calibration.acc_bias_mps2,
-            calibration.thresholds(swing_at_reversal=swing_at_reversal),
-            strides,
-        )
-        self._settings = OrientationSettings()
+        live, thresholds = np.zeros(1, LIVE), calibration.thresholds(swing_at_reversal=swing_at_reversal)
+        super().__init__(calibration.sensor, calibration.rate_hz, thresholds, live)
+        parameters, settings = calibration.parameters(), OrientationSettings()
+        fill(self._core, parameters=parameters, thresholds=thresholds, settings=settings)
+        self._acc_bias = np.array(calibration.acc_bias_mps2)
         self._gyr_bias = np.array(calibration.gyr_bias_radps)
-        h, live = self._history, np.zeros(1, LIVE)
-        self._all, h.book, self._one = live["core"], live["book"], live["one"]
-        self._one_bytes = live.view(np.uint8).data
-        fill(self._all, parameters=calibration.parameters(), thresholds=self._thresholds, settings=self._settings)
-        strides.keep_in(live["course"])
-        self._state = self._all["state"][0]
+        strides.keep_in(live["strides"])
         self._maker = strides
-        self._asks = type(strides) is not StrideMaker  # one that wants to be asked at every stride
-        self._rows = self._all, strides.core, h.book, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace, np.empty((2, 3))
-        self._live = live, h.t_ns, h.acc_mps2, h.gyr_radps, h.trace
-        self._out = new_out(1, len(h.t_ns), TRAJECTORY_POINTS)
-        self._filled = self._out.filled.data  # the same memory, read and written in a third of the time
-        no_more = np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3))
-        self._end = *self._rows, *no_more, np.empty(1, CHANGE), *self._out
-
-    @property
-    def newest_t_ns(self) -> int:
-        """Time stamp of the newest sample used; 0 before the first."""
-        return int(self._state["t_ns"])
+        self._live = live
+        self._for_step = live, *self._history.arrays
+        self._one_change = np.empty(1, CHANGE)
+        self._one_stride = new_out(1, len(self._history.arrays.t_ns), TRAJECTORY_POINTS)
+        self._filled = self._one_stride.filled.data  # the same memory, read and written in a third of the time
+        self._no_more = as_samples(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 3)))
 
     @property
     def gyr_bias_radps(self) -> FloatArray:
         """The gyroscope's bias as estimated now (3,): calibrated plus what the filter has found since."""
         return np.asarray(self._gyr_bias + self._state["bias_radps"])
 
+    def history(self) -> HistoryArrays:
+        """A copy of the last twenty seconds at most, free of bias as known now; the trace is the orientation."""
+        n = self._history.filled
+        t_ns, acc, gyr, quaternions = (array[:n] for array in self._history.arrays)
+        return HistoryArrays(t_ns.copy(), acc - self._acc_bias, gyr - self.gyr_bias_radps, quaternions.copy())
+
     def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[Outcome]:
         """Take one sample in; see :meth:`Tracker.step`."""
-        if self._asks:
-            return super().step(t_ns, acc_mps2, gyr_radps)
-        PACK_ONE(self._one_bytes, 0, t_ns, *acc_mps2, *gyr_radps)
-        number = _step(*self._live)
-        return [] if number == NOTHING else self._happened(number)
+        pack_sample(self._bytes, 0, t_ns, *acc_mps2, *gyr_radps)
+        number = _step(*self._for_step)
+        return [] if number == NOTHING else self._outcomes_of(number)
 
-    def _happened(self, number: int) -> list[Outcome]:
+    def _outcomes_of(self, number: int) -> list[Outcome]:
         """What the newest sample led to."""
         outcomes: list[Outcome] = []
         while number >= AFTER_SILENCE:
             if number == NO_ROOM:
                 self._history.forget_half()
             else:
-                self._restart(int(self._one["t_ns"][0]), self._one["acc"][0], outcomes)
-            number = _step(*self._live)
+                outcomes += self._begin(int(self._sample["t_ns"][0]), self._sample["acc"][0])
+            number = _step(*self._for_step)
         if number == NOTHING:
             return outcomes
-        happened = UNPACK_ONE(self._one_bytes)
-        row, change = happened[1], None
+        t_ns, row, *seen = unpack_seen(self._bytes)
+        change = None
         if number != DUE:
-            seen = Features._make(happened[2:])
-            change = self.machine.fire(TRANSITIONS[number], happened[0], seen, self._thresholds)
+            change = self.machine.fire(TRANSITIONS[number], t_ns, Features._make(seen), self._thresholds)
         if number in (_T1, DUE):
             self._filled[:] = _NONE_FILLED
-            _walk(0, row + 1, number, *self._end)
+            self._track(self._no_more, self._one_change, self._one_stride, 0, row + 1, number)
             if self._filled[STRIDES]:
-                outcomes.append(self._maker.stride_in(self._out))
+                outcomes.append(self._maker.stride_in(self._one_stride))
         else:
-            _change(self._all, self._maker.core, number, self._history.acc_mps2, row)
+            _go_through(self._live, self._maker.core, number, self._history.arrays.acc, row)
         if change is not None:
             outcomes.append(change)
         return outcomes
 
     def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Outcome]:
         """Take samples in; see :meth:`Tracker.advance`."""
-        if self._asks:
-            return super().advance(t_ns, acc_mps2, gyr_radps)
-        walked = self.walk(t_ns, acc_mps2, gyr_radps)
+        tracked = self.track(t_ns, acc_mps2, gyr_radps)
         watch = self._maker.settings.watch
         if watch is not None:
-            for path in walked.paths().each():
+            for path in tracked.paths().each():
                 watch(path)
-        return walked.outcomes()
+        return tracked.outcomes()
 
-    def walk(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> TrackedBlock:
+    def track(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> TrackedBlock:
         """Take samples in, as :meth:`advance`, and give back what happened as arrays."""
-        walked = TrackedBlock(self.foot, self._maker.settings, len(t_ns), len(self._history.t_ns))
-        samples = of_one_kind(t_ns, acc_mps2, gyr_radps)
-        taken, at, became = 0, self._history.filled, NOTHING_TAKEN
+        tracked = TrackedBlock(self.foot, self._maker.settings, len(t_ns), len(self._history.arrays.t_ns))
+        samples = as_samples(t_ns, acc_mps2, gyr_radps)
+        begin, at, became = 0, self._history.filled, NOTHING_STORED
         while became != KEPT:
-            taken, at, became = _walk(taken, at, NOTHING, *self._rows, *samples, walked.room, *walked.out)
-            walked.keep()
+            begin, at, became = self._track(samples, tracked.transitions, tracked.out, begin, at, NOTHING)
+            tracked.store()
             if became == SILENCE:
-                walked.lead(self.machine)
-                self._restart(int(samples[0][taken]), samples[1][taken], walked)
+                tracked.apply_transitions(self.machine)
+                tracked.add_restart(self._begin(int(samples.t_ns[begin]), samples.acc[begin]))
                 at = 0
-        walked.lead(self.machine)
-        return walked
+        tracked.apply_transitions(self.machine)
+        return tracked
 
-    def _start(self, t_ns: int, force: FloatArray) -> None:
-        fx, fy, fz = force
-        kernel.start(self._state, t_ns, fx, fy, fz, self._settings)
+    def _track(
+        self, samples: Samples, changes: Vec, out: Out, begin: int, at: int, number: int
+    ) -> tuple[int, int, int]:
+        begin, at, became = _block(
+            self._live, self._maker.core, self._history.arrays, samples, changes, out, begin, at, number
+        )  # fmt: skip
+        return int(begin), int(at), int(became)
 
-    def _core(self, history: History, begin: int, end: int, due_ns: int) -> tuple[int, int]:
-        return _advance(self._all, history.t_ns, history.acc_mps2, history.gyr_radps, history.trace, begin, end, due_ns)
-
-    def _features(self) -> Features:
-        return _features(self._all)
-
-    def _enter(self, phase: Phase, history: History, row: int) -> None:
-        _enter(self._all, phase.value, history.acc_mps2, row)
+    def _begin(self, t_ns: int, acc: FloatArray) -> list[PhaseChange]:
+        """Begin anew in stance at this sample; what was under way is dropped."""
+        changes = self._restart(t_ns)
+        segmentation.restart(self._maker.core, t_ns)
+        fx, fy, fz = (acc - self._acc_bias).tolist()
+        features.start(self._core[0], t_ns, fx, fy, fz)
+        return changes

@@ -12,12 +12,13 @@ Live it advances one sample, in analysis a whole block; all that evolves is in o
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from fes.estimation.foot.features import LAGS, LONG_AGO_NS, first_transition
 from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.records import Mat, Record, Vec, core_type, record_type
 from fes.signals import G_MPS2
 from statemachine.guards import Features, Thresholds
 
@@ -26,7 +27,7 @@ FOLLOW_S = 4.0  # … and this slowly all the time, so that a wrong start heals
 SMOOTHING_S = 0.01  # of the rate of lean: less than the guards' look-backs
 WOBBLE_S = 0.02  # of the ankle's force: soft tissue rings at some 10–20 Hz
 
-STATE = np.dtype(
+STATE = record_type(
     [
         ("samples", np.int64),
         ("t_ns", np.int64),
@@ -45,8 +46,7 @@ STATE = np.dtype(
         ("g_rest", np.bool_),
         ("lean_change", np.float64),
         ("jolt", np.float64),
-    ],
-    align=True,
+    ]
 )
 
 
@@ -66,157 +66,155 @@ class ShankParameters(NamedTuple):
     gyr_bias_y_radps: float
     gyr_bias_z_radps: float
     sample_s: float  # nominal
-    jump_lag: int  # 10 ms
+    jerk_lag: int  # 10 ms
     change_lag: int  # 20 ms
 
 
+CORE = core_type(STATE, parameters=ShankParameters, thresholds=Thresholds)
+
+
 @jit
-def start(s: Any, t_ns: int, fx: float, fy: float, fz: float) -> None:
+def start(core: Record, t_ns: int, fx: float, fy: float, fz: float) -> None:
     """Begin in stance at the first sample, whose bias-free specific force (m/s²) is taken for gravity's direction."""
+    state = core.state
     size = max(math.sqrt(fx * fx + fy * fy + fz * fz), 1e-3)
-    s.gravity[0], s.gravity[1], s.gravity[2] = G_MPS2 * fx / size, G_MPS2 * fy / size, G_MPS2 * fz / size
-    s.samples = 0
-    s.t_ns = t_ns
-    s.phase = 0
-    s.phase_since_ns = t_ns
-    s.a_moving_ns = t_ns - LONG_AGO_NS
-    s.g_moving_ns = t_ns - LONG_AGO_NS
-    s.a_rest = True
-    s.g_rest = True
-    s.lean_peak = 0.0
-    s.swing_peak = 0.0
-    s.lean_change = 0.0
-    s.jolt = 0.0
+    state.gravity[0], state.gravity[1], state.gravity[2] = G_MPS2 * fx / size, G_MPS2 * fy / size, G_MPS2 * fz / size
+    state.samples = 0
+    state.t_ns = t_ns
+    state.phase = 0
+    state.phase_since_ns = t_ns
+    state.a_moving_ns = t_ns - LONG_AGO_NS
+    state.g_moving_ns = t_ns - LONG_AGO_NS
+    state.a_rest = True
+    state.g_rest = True
+    state.lean_peak = 0.0
+    state.swing_peak = 0.0
+    state.lean_change = 0.0
+    state.jolt = 0.0
     for j in range(3):
-        s.excess[j] = 0.0
+        state.excess[j] = 0.0
 
 
 @jit
-def features(s: Any) -> Features:
+def features(state: Record) -> Features:
     """What the guards saw at the newest sample, in the foot's terms."""
     return Features(
-        s.a_rest,
-        s.g_rest,
-        s.lean[s.samples % LAGS],
-        s.lean_change,
-        s.lean_peak,
-        s.swing_peak,
-        s.jolt,
-        1e-9 * (s.t_ns - s.phase_since_ns),
-        1e-9 * (s.t_ns - max(s.a_moving_ns, s.g_moving_ns)),
+        state.a_rest,
+        state.g_rest,
+        state.lean[state.samples % LAGS],
+        state.lean_change,
+        state.lean_peak,
+        state.swing_peak,
+        state.jolt,
+        1e-9 * (state.t_ns - state.phase_since_ns),
+        1e-9 * (state.t_ns - max(state.a_moving_ns, state.g_moving_ns)),
     )
 
 
 @jit
-def enter(s: Any, phase: int) -> None:
-    """The machine has changed phase at the newest sample."""
-    s.phase = phase
-    s.phase_since_ns = s.t_ns
+def enter(core: Record, phase: int) -> None:
+    """The machine has changed phase at the newest sample; ``core`` of ``CORE``."""
+    state = core.state
+    state.phase = phase
+    state.phase_since_ns = state.t_ns
     if phase == 1:
-        s.lean_peak = max(s.lean[s.samples % LAGS], 0.0)
+        state.lean_peak = max(state.lean[state.samples % LAGS], 0.0)
     elif phase == 2:
-        s.swing_peak = 0.0
+        state.swing_peak = 0.0
 
 
 @jit
-def advance(
-    s: Any,
-    p: ShankParameters,
-    thresholds: Thresholds,
-    t_ns: Any,
-    acc: Any,
-    gyr: Any,
-    begin: int,
-    end: int,
-    trace: Any,
-) -> tuple[int, int]:
+def advance(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, begin: int, end: int, trace: Mat) -> tuple[int, int]:
     """Advance over the samples ``begin`` … ``end - 1``; stop behind the first at which a guard fires.
 
-    ``t_ns`` (N,) int64 strictly increasing; ``acc`` (N, 3) m/s²; ``gyr`` (N, 3) rad/s; ``trace`` (N, 4) receives rate
-    of lean (rad/s), the ankle's force beyond gravity (m/s²), the jolt (m/s³) and 1 where both rest. Returns how far it
-    came and the transition's number (0: the block's end). The phase is the caller's to change.
+    ``core`` of ``CORE``; ``t_ns`` (N,) int64 strictly increasing; ``acc`` (N, 3) m/s²; ``gyr`` (N, 3) rad/s; ``trace``
+    (N, 4) receives rate of lean (rad/s), the ankle's force beyond gravity (m/s²), the jolt (m/s³) and 1 where both
+    rest. Returns how far it came and the transition's number (0: the block's end). The phase is the caller's to change.
     """
+    state, parameters = core.state, core.parameters
     for i in range(begin, end):
-        dt_s = 1e-9 * (t_ns[i] - s.t_ns)
-        s.t_ns = t_ns[i]
-        s.samples += 1
-        now = s.samples % LAGS
-        force, rate = s.force[now], s.rate[now]
-        force[0], force[1] = acc[i, 0] - p.acc_bias_x_mps2, acc[i, 1] - p.acc_bias_y_mps2
-        force[2] = acc[i, 2] - p.acc_bias_z_mps2
-        rate[0], rate[1] = gyr[i, 0] - p.gyr_bias_x_radps, gyr[i, 1] - p.gyr_bias_y_radps
-        rate[2] = gyr[i, 2] - p.gyr_bias_z_radps
-        excess = _ankle(s, p, dt_s)
-        _turning(s, p, dt_s)
-        _rest(s, thresholds, excess)
-        trace[i, 0], trace[i, 1], trace[i, 2] = s.lean[now], excess, s.jolt
-        trace[i, 3] = 1.0 if s.a_rest and s.g_rest else 0.0
-        transition = first_transition(s.phase, features(s), thresholds)
+        dt_s = 1e-9 * (t_ns[i] - state.t_ns)
+        state.t_ns = t_ns[i]
+        state.samples += 1
+        now = state.samples % LAGS
+        force, rate = state.force[now], state.rate[now]
+        force[0], force[1] = acc[i, 0] - parameters.acc_bias_x_mps2, acc[i, 1] - parameters.acc_bias_y_mps2
+        force[2] = acc[i, 2] - parameters.acc_bias_z_mps2
+        rate[0], rate[1] = gyr[i, 0] - parameters.gyr_bias_x_radps, gyr[i, 1] - parameters.gyr_bias_y_radps
+        rate[2] = gyr[i, 2] - parameters.gyr_bias_z_radps
+        excess = _ankle(state, parameters, dt_s)
+        _turning(state, parameters, dt_s)
+        _rest(state, core.thresholds, excess)
+        trace[i, 0], trace[i, 1], trace[i, 2] = state.lean[now], excess, state.jolt
+        trace[i, 3] = 1.0 if state.a_rest and state.g_rest else 0.0
+        transition = first_transition(state.phase, features(state), core.thresholds)
         if transition != 0:
             return i + 1, transition
     return end, 0
 
 
 @jit
-def _ankle(s: Any, p: ShankParameters, dt_s: float) -> float:
-    """The ankle's force beyond gravity (m/s²), as of ``jump_lag`` samples ago, so that both sides of it are known."""
-    lag = min((s.samples - 1) // 2, p.jump_lag, (LAGS - 1) // 2)
-    now, middle, then = s.samples % LAGS, (s.samples - lag) % LAGS, (s.samples - 2 * lag) % LAGS
-    w, f = s.rate[middle], s.force[middle]
-    per_second = 1.0 / (2 * lag * p.sample_s) if lag > 0 else 0.0
-    ax = (s.rate[now, 0] - s.rate[then, 0]) * per_second
-    ay = (s.rate[now, 1] - s.rate[then, 1]) * per_second
-    az = (s.rate[now, 2] - s.rate[then, 2]) * per_second
-    rx, ry, rz = p.arm_x_m, p.arm_y_m, p.arm_z_m
+def _ankle(state: Record, parameters: Record, dt_s: float) -> float:
+    """The ankle's force beyond gravity (m/s²), as of ``jerk_lag`` samples ago, so that both sides of it are known."""
+    lag = min((state.samples - 1) // 2, parameters.jerk_lag, (LAGS - 1) // 2)
+    now, middle, then = state.samples % LAGS, (state.samples - lag) % LAGS, (state.samples - 2 * lag) % LAGS
+    w, f = state.rate[middle], state.force[middle]
+    per_second = 1.0 / (2 * lag * parameters.sample_s) if lag > 0 else 0.0
+    ax = (state.rate[now, 0] - state.rate[then, 0]) * per_second
+    ay = (state.rate[now, 1] - state.rate[then, 1]) * per_second
+    az = (state.rate[now, 2] - state.rate[then, 2]) * per_second
+    rx, ry, rz = parameters.arm_x_m, parameters.arm_y_m, parameters.arm_z_m
     vx, vy, vz = w[1] * rz - w[2] * ry, w[2] * rx - w[0] * rz, w[0] * ry - w[1] * rx
     fx = f[0] - (ay * rz - az * ry) - (w[1] * vz - w[2] * vy)
     fy = f[1] - (az * rx - ax * rz) - (w[2] * vx - w[0] * vz)
     fz = f[2] - (ax * ry - ay * rx) - (w[0] * vy - w[1] * vx)
     # gravity stays put while the sensor turns; the ankle's force, which is gravity on average, keeps it there
-    g = s.gravity
+    g = state.gravity
     gx = g[0] - dt_s * (w[1] * g[2] - w[2] * g[1])
     gy = g[1] - dt_s * (w[2] * g[0] - w[0] * g[2])
     gz = g[2] - dt_s * (w[0] * g[1] - w[1] * g[0])
-    resting = s.phase == 0 and s.a_rest and s.g_rest
+    resting = state.phase == 0 and state.a_rest and state.g_rest
     follow = min(dt_s / (REST_FOLLOW_S if resting else FOLLOW_S), 1.0)
     gx, gy, gz = gx + follow * (fx - gx), gy + follow * (fy - gy), gz + follow * (fz - gz)
     size = max(math.sqrt(gx * gx + gy * gy + gz * gz), 1e-3)
     g[0], g[1], g[2] = G_MPS2 * gx / size, G_MPS2 * gy / size, G_MPS2 * gz / size
     smooth = dt_s / (dt_s + WOBBLE_S)
-    e = s.excess
-    e[0] += smooth * (fx - g[0] - e[0])
-    e[1] += smooth * (fy - g[1] - e[1])
-    e[2] += smooth * (fz - g[2] - e[2])
-    return math.sqrt(e[0] * e[0] + e[1] * e[1] + e[2] * e[2])
+    excess = state.excess
+    excess[0] += smooth * (fx - g[0] - excess[0])
+    excess[1] += smooth * (fy - g[1] - excess[1])
+    excess[2] += smooth * (fz - g[2] - excess[2])
+    return math.sqrt(excess[0] * excess[0] + excess[1] * excess[1] + excess[2] * excess[2])
 
 
 @jit
-def _turning(s: Any, p: ShankParameters, dt_s: float) -> None:
+def _turning(state: Record, parameters: Record, dt_s: float) -> None:
     """Rate of lean, its peaks and its derivative, and the jolt: how far the force has jumped in 10 ms, per second."""
-    now, before = s.samples % LAGS, (s.samples - 1) % LAGS
-    w, f = s.rate[now], s.force[now]
-    lean = p.left_x * w[0] + p.left_y * w[1] + p.left_z * w[2]
-    if s.samples > 1:
-        lean = s.lean[before] + dt_s / (dt_s + SMOOTHING_S) * (lean - s.lean[before])
-    s.lean[now] = lean
-    s.lean_peak = max(s.lean_peak, lean)
-    s.swing_peak = max(s.swing_peak, -lean)
-    back = min(s.samples - 1, p.change_lag)
-    s.lean_change = (lean - s.lean[(s.samples - back) % LAGS]) / (back * p.sample_s) if back > 0 else 0.0
-    back = min(s.samples - 1, p.jump_lag)
-    was = s.force[(s.samples - back) % LAGS]
+    now, before = state.samples % LAGS, (state.samples - 1) % LAGS
+    w, f = state.rate[now], state.force[now]
+    lean = parameters.left_x * w[0] + parameters.left_y * w[1] + parameters.left_z * w[2]
+    if state.samples > 1:
+        lean = state.lean[before] + dt_s / (dt_s + SMOOTHING_S) * (lean - state.lean[before])
+    state.lean[now] = lean
+    state.lean_peak = max(state.lean_peak, lean)
+    state.swing_peak = max(state.swing_peak, -lean)
+    back = min(state.samples - 1, parameters.change_lag)
+    state.lean_change = (
+        (lean - state.lean[(state.samples - back) % LAGS]) / (back * parameters.sample_s) if back > 0 else 0.0
+    )
+    back = min(state.samples - 1, parameters.jerk_lag)
+    was = state.force[(state.samples - back) % LAGS]
     dx, dy, dz = f[0] - was[0], f[1] - was[1], f[2] - was[2]
-    s.jolt = math.sqrt(dx * dx + dy * dy + dz * dz) / (back * p.sample_s) if back > 0 else 0.0
+    state.jolt = math.sqrt(dx * dx + dy * dy + dz * dz) / (back * parameters.sample_s) if back > 0 else 0.0
 
 
 @jit
-def _rest(s: Any, thresholds: Thresholds, excess: float) -> None:
+def _rest(state: Record, thresholds: Record, excess: float) -> None:
     """Rest as the foot's kernel tells it: leaving takes more than staying, and rest must last."""
-    if excess >= thresholds.rest_acc_mps2 * (thresholds.leave_acc if s.a_rest else 1.0):
-        s.a_moving_ns = s.t_ns
-    limit = thresholds.rest_gyr_radps * (thresholds.leave_gyr if s.g_rest else 1.0)
-    if abs(s.lean[s.samples % LAGS]) >= limit:
-        s.g_moving_ns = s.t_ns
+    if excess >= thresholds.rest_acc_mps2 * (thresholds.leave_acc if state.a_rest else 1.0):
+        state.a_moving_ns = state.t_ns
+    limit = thresholds.rest_gyr_radps * (thresholds.leave_gyr if state.g_rest else 1.0)
+    if abs(state.lean[state.samples % LAGS]) >= limit:
+        state.g_moving_ns = state.t_ns
     hold_ns = 1e9 * thresholds.rest_hold_s
-    s.g_rest = s.t_ns - s.g_moving_ns >= hold_ns
-    s.a_rest = s.t_ns - s.a_moving_ns >= hold_ns
+    state.g_rest = state.t_ns - state.g_moving_ns >= hold_ns
+    state.a_rest = state.t_ns - state.a_moving_ns >= hold_ns

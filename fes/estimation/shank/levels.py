@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fes.estimation.shank import features as shank_kernel
+from fes.estimation.numerics.records import new_core
+from fes.estimation.shank import features
 from fes.estimation.shank.features import ShankParameters
 from fes.estimation.shank.motion import StrideSpan
 from fes.signals import FloatArray, IntArray
@@ -70,13 +71,13 @@ def trace_of(parameters: ShankParameters, t_ns: IntArray, acc_mps2: FloatArray, 
 
     ``t_ns`` (N,) strictly increasing, ``acc_mps2`` and ``gyr_radps`` (N, 3) as measured. Returns (N, 4).
     """
-    state = np.zeros(1, shank_kernel.STATE)[0]
+    core = new_core(features.CORE, parameters=parameters, thresholds=NEVER)[0]
     trace = np.zeros((len(t_ns), 4))
     bias = np.array([parameters.acc_bias_x_mps2, parameters.acc_bias_y_mps2, parameters.acc_bias_z_mps2])
     head = slice(0, max(round(1.0 / parameters.sample_s), 1))
-    shank_kernel.start(state, int(t_ns[0]), *(acc_mps2[head].mean(axis=0) - bias))
-    shank_kernel.enter(state, 2)
-    shank_kernel.advance(state, parameters, NEVER, t_ns, acc_mps2, gyr_radps, 0, len(t_ns), trace)
+    features.start(core, int(t_ns[0]), *(acc_mps2[head].mean(axis=0) - bias).tolist())
+    features.enter(core, 2)
+    features.advance(core, t_ns, acc_mps2, gyr_radps, 0, len(t_ns), trace)
     return trace
 
 

@@ -9,22 +9,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from fes.estimation.numerics.jit import jit
-from fes.estimation.numerics.records import core_type, new_core
-from fes.estimation.shank import features as shank_kernel
+from fes.estimation.numerics.records import Vec, fill
+from fes.estimation.shank import features
 from fes.estimation.shank.calibration import ShankCalibration
-from fes.estimation.shank.features import ShankParameters
 from fes.estimation.shank.motion import FINE_WINDOW_PER_STRIDE, FINE_WINDOW_S, StrideSpan
 from fes.estimation.shank.strides import ShankIntegrationSettings, solve_shank_stride
-from fes.estimation.tracking.history import History
-from fes.estimation.tracking.tracker import Tracker, until_due
-from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
-from statemachine.guards import Features, Thresholds
-from statemachine.phases import Phase, PhaseChange
+from fes.estimation.tracking.history import FULL, KEPT, SILENCE, HistoryArrays, Samples, as_samples
+from fes.estimation.tracking.tracker import NEVER_NS, TRANSITIONS, Outcome, Tracker, live_type, pack_sample, until_due
+from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult, Vector3
+from statemachine.phases import Phase, PhaseChange, Transition
 
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
 MARGIN_NS = NS_PER_S  # before a stride: more than half of any fine window
@@ -153,26 +150,13 @@ class ShankStrideMaker:
         return int(begin + np.argmin(energy[window:] - energy[:-window]))
 
 
-CORE = core_type(shank_kernel.STATE, parameters=ShankParameters, thresholds=Thresholds)
-
-
 @jit
-def _advance(
-    core: Any, t_ns: Any, acc: Any, gyr: Any, trace: Any, begin: int, end: int, due_ns: int
-) -> tuple[int, int]:
-    c = core[0]
-    end = until_due(t_ns, begin, end, due_ns)
-    return shank_kernel.advance(c.state, c.parameters, c.thresholds, t_ns, acc, gyr, begin, end, trace)
-
-
-@jit
-def _features(core: Any) -> Features:
-    return shank_kernel.features(core[0].state)
-
-
-@jit
-def _enter(core: Any, phase: int) -> None:
-    shank_kernel.enter(core[0].state, phase)
+def _advance(live: Vec, history: HistoryArrays, begin: int, due_ns: int) -> tuple[int, int]:
+    """Advance over the history's rows from ``begin`` on, at most to the first at ``due_ns``; where it stopped, and
+    which transition fired there (0: none)."""
+    t_ns, acc, gyr, trace = history
+    end = until_due(t_ns, begin, live[0].counters.filled, due_ns)
+    return features.advance(live[0].core, t_ns, acc, gyr, begin, end, trace)
 
 
 class ShankTracker(Tracker):
@@ -181,39 +165,74 @@ class ShankTracker(Tracker):
     def __init__(
         self, calibration: ShankCalibration, strides: ShankStrideMaker, *, swing_at_reversal: bool = False
     ) -> None:
-        super().__init__(
-            calibration.sensor,
-            calibration.rate_hz,
-            calibration.acc_bias_mps2,
-            calibration.levels.thresholds(swing_at_reversal=swing_at_reversal),
-            strides,
-        )
-        self._gyr_bias = np.array(calibration.gyr_bias_radps)
-        self._all = new_core(CORE, parameters=calibration.parameters(), thresholds=self._thresholds)
-        self._state = self._all["state"][0]
-
-    @property
-    def newest_t_ns(self) -> int:
-        """Time stamp of the newest sample used; 0 before the first."""
-        return int(self._state["t_ns"])
+        self._live = np.zeros(1, live_type(features.CORE))
+        thresholds = calibration.levels.thresholds(swing_at_reversal=swing_at_reversal)
+        super().__init__(calibration.sensor, calibration.rate_hz, thresholds, self._live)
+        fill(self._core, parameters=calibration.parameters(), thresholds=thresholds)
+        self._acc_bias, self._gyr_bias = np.array(calibration.acc_bias_mps2), np.array(calibration.gyr_bias_radps)
+        self._strides = strides
 
     @property
     def gyr_bias_radps(self) -> FloatArray:
         """The gyroscope's bias (3,), as calibrated."""
         return self._gyr_bias
 
-    def _start(self, t_ns: int, force: FloatArray) -> None:
-        fx, fy, fz = force
-        shank_kernel.start(self._state, t_ns, fx, fy, fz)
+    def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[Outcome]:
+        """Take one sample in; see :meth:`Tracker.step`."""
+        pack_sample(self._bytes, 0, t_ns, *acc_mps2, *gyr_radps)
+        return self._track(Samples(self._sample["t_ns"], self._sample["acc"], self._sample["gyr"]))
 
-    def _core(self, history: History, begin: int, end: int, due_ns: int) -> tuple[int, int]:
-        return _advance(self._all, history.t_ns, history.acc_mps2, history.gyr_radps, history.trace, begin, end, due_ns)
+    def advance(self, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> list[Outcome]:
+        """Take samples in; see :meth:`Tracker.advance`."""
+        return self._track(as_samples(t_ns, acc_mps2, gyr_radps))
 
-    def _features(self) -> Features:
-        return _features(self._all)
+    def _track(self, samples: Samples) -> list[Outcome]:
+        outcomes: list[Outcome] = []
+        begin, became, at = 0, FULL, self._history.filled
+        while became != KEPT:
+            begin, became = self._history.store(samples, begin)
+            while at < self._history.filled:
+                at = self._follow(at, outcomes)
+            if became == SILENCE:
+                outcomes += self._begin(int(samples.t_ns[begin]), samples.acc[begin])
+                at = 0
+            elif became == FULL:
+                self._history.forget_half()
+                at = self._history.filled
+        return outcomes
 
-    def _enter(self, phase: Phase, history: History, row: int) -> None:
-        _enter(self._all, phase.value)
+    def _follow(self, at: int, outcomes: list[Outcome]) -> int:
+        """Advance to the next thing that Python must handle; how many rows are gone through then."""
+        strides, arrays = self._strides, self._history.arrays
+        due_ns = strides.due_ns
+        at, number = _advance(self._live, arrays, at, NEVER_NS if due_ns is None else due_ns)
+        now_ns, result = int(arrays.t_ns[at - 1]), None
+        if number:
+            transition, seen = TRANSITIONS[number], features.features(self._core[0].state)
+            change = self.machine.fire(transition, now_ns, seen, self._thresholds)
+            features.enter(self._core[0], change.destination.value)
+            if transition is Transition.T1:
+                result = strides.leave_stance(*self._newest(at))
+            strides.on_phase(change)
+            outcomes += [change] if result is None else [result, change]
+            due_ns = strides.due_ns
+        if due_ns is not None and now_ns >= due_ns:
+            result = strides.close(*self._newest(at))
+            outcomes += [] if result is None else [result]
+        return int(at)
+
+    def _newest(self, at: int) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+        """The history that the stride maker asks for, of the rows gone through, freed of bias."""
+        t_ns, acc, gyr, trace = self._history.arrays
+        rows = slice(int(np.searchsorted(t_ns[:at], self._strides.since_ns)), at)
+        return t_ns[rows], acc[rows] - self._acc_bias, gyr[rows] - self._gyr_bias, trace[rows]
+
+    def _begin(self, t_ns: int, acc: FloatArray) -> list[PhaseChange]:
+        """Begin anew in stance at this sample; what was under way is dropped."""
+        changes = self._restart(t_ns)
+        self._strides.restart(t_ns)
+        features.start(self._core[0], t_ns, *(acc - self._acc_bias).tolist())
+        return changes
 
 
 def shank_tracker(

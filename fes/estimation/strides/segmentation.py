@@ -96,7 +96,7 @@ class Out(NamedTuple):
 def new_out(strides: int, rows: int, points: int, *, shaped: bool = True) -> Out:
     """Room for so many strides of so many rows in all; to be emptied by setting ``filled`` to 0."""
     return Out(
-        np.zeros(strides, STRIDE),
+        np.zeros(strides, np.dtype((np.record, STRIDE))),  # its fields as attributes without the compiler too
         np.empty((strides if shaped else 0, points, 4)),
         np.empty(rows, np.int64),
         np.empty((rows, 3)),

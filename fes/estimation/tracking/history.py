@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit_ieee
+from fes.estimation.numerics.records import Mat, Record, Vec, record_type
 from fes.signals import FloatArray, IntArray
 
 RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
@@ -16,7 +17,7 @@ HISTORY_S = 20.0
 LARGEST_VALUE = 1e4  # m/s² and rad/s: beyond any sensor, and one such value would spoil the orientation for good
 LONG_AGO_NS = -(2**63)
 
-BOOK = np.dtype(
+COUNTERS = record_type(
     [
         ("running", np.bool_),
         ("newest_ns", np.int64),
@@ -24,9 +25,25 @@ BOOK = np.dtype(
         ("used", np.int64),
         ("doubled_or_backward", np.int64),
         ("not_finite", np.int64),
-    ],
-    align=True,
+    ]
 )
+
+
+class HistoryArrays(NamedTuple):
+    """Samples as measured, oldest first, and beside each what the core left there."""
+
+    t_ns: Vec  # (N,)
+    acc: Mat  # (N, 3) m/s²
+    gyr: Mat  # (N, 3) rad/s
+    trace: Mat  # (N, 4)
+
+
+class Samples(NamedTuple):
+    """Samples as measured, strictly increasing or not."""
+
+    t_ns: Vec  # (N,)
+    acc: Mat  # (N, 3) m/s²
+    gyr: Mat  # (N, 3) rad/s
 
 
 @dataclass(slots=True)
@@ -47,7 +64,7 @@ KEPT, NOT_FINITE, NOT_NEWER, SILENCE, FULL = range(5)  # what became of a sample
 
 
 @inlined
-def judged(
+def sample_outcome(
     running: bool, newest_ns: int, filled: int, room: int, t_ns: int,
     ax: float, ay: float, az: float, gx: float, gy: float, gz: float,
 ) -> int:  # fmt: skip
@@ -55,135 +72,140 @@ def judged(
 
     An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
     """
-    became = KEPT
+    outcome = KEPT
     usable = (abs(ax) < LARGEST_VALUE) & (abs(ay) < LARGEST_VALUE) & (abs(az) < LARGEST_VALUE)
     usable &= (abs(gx) < LARGEST_VALUE) & (abs(gy) < LARGEST_VALUE) & (abs(gz) < LARGEST_VALUE)
     if not usable:  # a comparison with what is not a number is False
-        became = NOT_FINITE
+        outcome = NOT_FINITE
     elif running and t_ns <= newest_ns:
-        became = NOT_NEWER
+        outcome = NOT_NEWER
     elif not running or not 0 < t_ns - newest_ns <= RESTART_GAP_NS:  # stamps so far apart that this overflows
-        became = SILENCE
+        outcome = SILENCE
     elif filled == room:
-        became = FULL
-    return became
+        outcome = FULL
+    return outcome
 
 
 @jit_ieee
-def take_one(
-    b: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: int, ax: float, ay: float, az: float,
-    gx: float, gy: float, gz: float,
-) -> int:  # fmt: skip
-    """Copy one sample into the history of the book ``b``, or say why not: ``SILENCE`` and ``FULL`` wait for Python."""
-    n = b.filled
-    became = judged(b.running, b.newest_ns, n, kept_t_ns.shape[0], t_ns, ax, ay, az, gx, gy, gz)
-    if became == KEPT:
-        b.newest_ns = t_ns
-        b.filled = n + 1
-        b.used += 1
-        kept_t_ns[n] = t_ns
-        kept_acc[n, 0], kept_acc[n, 1], kept_acc[n, 2] = ax, ay, az
-        kept_gyr[n, 0], kept_gyr[n, 1], kept_gyr[n, 2] = gx, gy, gz
-    elif became == NOT_FINITE:
-        b.not_finite += 1
-    elif became == NOT_NEWER:
-        b.doubled_or_backward += 1
-    return became
+def store_sample(counters: Record, t_ns: Vec, acc: Mat, gyr: Mat, sample: Record) -> int:
+    """Copy one sample into the history (N,), (N, 3), or say why not: ``SILENCE`` and ``FULL`` are the caller's."""
+    n, now_ns = counters.filled, sample.t_ns
+    ax, ay, az, gx, gy, gz = (
+        sample.acc[0], sample.acc[1], sample.acc[2], sample.gyr[0], sample.gyr[1], sample.gyr[2]
+    )  # fmt: skip
+    outcome = sample_outcome(
+        counters.running, counters.newest_ns, n, t_ns.shape[0], now_ns, ax, ay, az, gx, gy, gz
+    )  # fmt: skip
+    if outcome == KEPT:
+        counters.newest_ns = now_ns
+        counters.filled = n + 1
+        counters.used += 1
+        t_ns[n] = now_ns
+        acc[n, 0], acc[n, 1], acc[n, 2] = ax, ay, az
+        gyr[n, 0], gyr[n, 1], gyr[n, 2] = gx, gy, gz
+    elif outcome == NOT_FINITE:
+        counters.not_finite += 1
+    elif outcome == NOT_NEWER:
+        counters.doubled_or_backward += 1
+    return outcome
 
 
 @jit_ieee
-def take_in(
-    book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, t_ns: Any, acc: Any, gyr: Any, begin: int
-) -> tuple[int, int]:
-    """Copy the samples from ``begin`` on, as :func:`take_one` would; see :meth:`History.take_in`.
+def store_samples(counters: Record, history: HistoryArrays, samples: Samples, begin: int) -> tuple[int, int]:
+    """Copy the samples from ``begin`` on, as :func:`store_sample` would; see :meth:`History.store`.
 
     Returns the first sample not yet seen to, and why: ``SILENCE`` and ``FULL`` are the caller's to see to, ``KEPT``
-    says that there is no more. What evolves is kept out of the book meanwhile, or it would be written at every sample.
+    says that there is no more. What evolves is kept out of the record meanwhile, or it would be written at every
+    sample.
     """
-    b, n, i, became = book[0], t_ns.shape[0], begin, KEPT
-    filled, newest_ns, running, room = b.filled, b.newest_ns, b.running, kept_t_ns.shape[0]
+    kept_t_ns, kept_acc, kept_gyr, _ = history
+    t_ns, acc, gyr = samples
+    n, i, outcome = t_ns.shape[0], begin, KEPT
+    filled, newest_ns, running, room = counters.filled, counters.newest_ns, counters.running, kept_t_ns.shape[0]
     before = filled
     while i < n:
         now_ns, ax, ay, az, gx, gy, gz = t_ns[i], acc[i, 0], acc[i, 1], acc[i, 2], gyr[i, 0], gyr[i, 1], gyr[i, 2]
-        became = judged(running, newest_ns, filled, room, now_ns, ax, ay, az, gx, gy, gz)
-        if became == KEPT:
+        outcome = sample_outcome(running, newest_ns, filled, room, now_ns, ax, ay, az, gx, gy, gz)
+        if outcome == KEPT:
             newest_ns = now_ns
             kept_t_ns[filled] = now_ns
             kept_acc[filled, 0], kept_acc[filled, 1], kept_acc[filled, 2] = ax, ay, az
             kept_gyr[filled, 0], kept_gyr[filled, 1], kept_gyr[filled, 2] = gx, gy, gz
             filled += 1
-        elif became == NOT_FINITE:
-            b.not_finite += 1
-        elif became == NOT_NEWER:
-            b.doubled_or_backward += 1
+        elif outcome == NOT_FINITE:
+            counters.not_finite += 1
+        elif outcome == NOT_NEWER:
+            counters.doubled_or_backward += 1
         else:
             break
         i += 1
-    b.filled, b.newest_ns = filled, newest_ns
-    b.used += filled - before
-    return i, became if i < n else KEPT
+    counters.filled, counters.newest_ns = filled, newest_ns
+    counters.used += filled - before
+    return i, outcome if i < n else KEPT
 
 
 @jit_ieee
-def forget_half(book: Any, kept_t_ns: Any, kept_acc: Any, kept_gyr: Any, trace: Any) -> None:
+def forget_half(counters: Record, history: HistoryArrays) -> None:
     """As :meth:`History.forget_half`."""
-    n = kept_t_ns.shape[0]
+    t_ns, acc, gyr, trace = history
+    n = t_ns.shape[0]
     half = n // 2
     for i in range(half, n):
         k = i - half
-        kept_t_ns[k] = kept_t_ns[i]
+        t_ns[k] = t_ns[i]
         for j in range(3):
-            kept_acc[k, j] = kept_acc[i, j]
-            kept_gyr[k, j] = kept_gyr[i, j]
+            acc[k, j] = acc[i, j]
+            gyr[k, j] = gyr[i, j]
         for j in range(4):
             trace[k, j] = trace[i, j]
-    book[0].filled = n - half
+    counters.filled = n - half
 
 
 class History:
-    """Samples as measured, oldest first, and beside each what the core left there.
+    """The arrays of one sensor's history; ``counters`` (1,) of ``COUNTERS`` say how many of their rows are filled."""
 
-    ``t_ns`` (N,), ``acc_mps2`` (N, 3), ``gyr_radps`` (N, 3), ``trace`` (N, 4); how many of the rows are filled is what
-    :meth:`take_in` and :meth:`forget_half` last said. ``book`` (1,) of ``BOOK`` is for :func:`take_one`.
-    """
-
-    def __init__(self, rate_hz: float) -> None:
-        capacity = max(int(HISTORY_S * rate_hz), 64)
-        self.t_ns: IntArray = np.zeros(capacity, np.int64)
-        self.acc_mps2: FloatArray = np.zeros((capacity, 3))
-        self.gyr_radps: FloatArray = np.zeros((capacity, 3))
-        self.trace: FloatArray = np.zeros((capacity, 4))
-        self.book = np.zeros(1, BOOK)
+    def __init__(self, rate_hz: float, counters: Vec | None = None) -> None:
+        n = max(int(HISTORY_S * rate_hz), 64)
+        self.arrays = HistoryArrays(np.zeros(n, np.int64), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 4)))
+        self.counters = np.zeros(1, COUNTERS) if counters is None else counters
 
     @property
     def filled(self) -> int:
         """How many rows are filled."""
-        return int(self.book["filled"][0])
+        return int(self.counters["filled"][0])
 
     def counts(self, restarts: int) -> SampleCounts:
         """What became of the samples so far."""
-        _, _, _, used, doubled_or_backward, not_finite = self.book[0].tolist()
+        _, _, _, used, doubled_or_backward, not_finite = self.counters[0].tolist()
         return SampleCounts(used, doubled_or_backward, not_finite, restarts)
 
-    def take_in(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, begin: int) -> tuple[int, int, bool]:
+    def store(self, samples: Samples, begin: int) -> tuple[int, int]:
         """Copy the samples from ``begin`` on, up to a silence or until there is no room.
 
         Samples not newer than the one before, and samples that are not finite or beyond ``LARGEST_VALUE``, are counted
-        and passed over. Returns the first sample not yet seen to, how many rows are filled, and whether that sample
-        comes after a silence (as the first of all does): then :meth:`restart` first. Where it does not and there is
-        still one, :meth:`forget_half`.
+        and passed over. Returns the first sample not yet seen to, and why: ``KEPT`` where there is no more; ``SILENCE``
+        where that sample comes after one, as the first of all does: then :meth:`restart` first; ``FULL``:
+        :meth:`forget_half` first.
         """
-        taken, became = take_in(self.book, self.t_ns, self.acc_mps2, self.gyr_radps, t_ns, acc, gyr, begin)
-        return taken, self.filled, became == SILENCE
+        stored, outcome = store_samples(self.counters[0], self.arrays, samples, begin)
+        return int(stored), int(outcome)
 
     def restart(self, t_ns: int) -> bool:
         """Forget everything; the next sample is that of ``t_ns``. Returns whether there was anything before."""
-        was_running = bool(self.book["running"][0])
-        self.book["running"], self.book["filled"] = True, 0
-        self.book["newest_ns"] = max(t_ns - 1, LONG_AGO_NS)
+        was_running = bool(self.counters["running"][0])
+        self.counters["running"], self.counters["filled"] = True, 0
+        self.counters["newest_ns"] = max(t_ns - 1, LONG_AGO_NS)
         return was_running
 
-    def forget_half(self) -> int:
-        """Make room: the older half goes. Returns how many rows remain."""
-        forget_half(self.book, self.t_ns, self.acc_mps2, self.gyr_radps, self.trace)
-        return self.filled
+    def forget_half(self) -> None:
+        """Make room: the older half goes."""
+        forget_half(self.counters[0], self.arrays)
+
+
+def as_samples(t_ns: IntArray, acc: FloatArray, gyr: FloatArray) -> Samples:
+    """Samples as one kind of array: for any other the core would be compiled once more."""
+    return Samples(
+        np.require(t_ns, np.int64, ("C", "W")),
+        np.require(acc, np.float64, ("C", "W")),
+        np.require(gyr, np.float64, ("C", "W")),
+    )

@@ -15,7 +15,7 @@ import numpy as np
 
 from fes.estimation.numerics.filters import largest_in_blocks, rows_of_at_least
 from fes.estimation.numerics.ranks import median
-from fes.estimation.tracking.tracker import LARGEST_VALUE
+from fes.estimation.tracking.history import LARGEST_VALUE
 from fes.estimation.zupt.decimation import Intervals, gather_intervals
 from fes.estimation.zupt.detectors import Detector
 from fes.estimation.zupt.filter import filter_intervals, new_tape
