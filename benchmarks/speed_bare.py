@@ -16,6 +16,7 @@ from fes.estimation.foot import features as kernel
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.records import Mat, Record, Vec, new_core
 from fes.estimation.sensor_choice import Calibration
 from fes.estimation.zupt.decimation import MOVING_NS, RESTING_NS, gather, gather_intervals, interval_ends
 from fes.estimation.zupt.filter import filter_intervals, new_tape
@@ -29,14 +30,14 @@ AFTER = np.array([0, 1, 2, 3, 0, 0, 0])  # the phase that each transition leads 
 
 
 @jit
-def _follow(s: Any, p: Any, thresholds: Any, settings: Any, t_ns: Any, acc: Any, gyr: Any, out: Any, after: Any) -> int:
+def _follow(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, out: Mat, after: Vec) -> int:
     """The live core over all samples, its phases changed at once."""
     at = changes = 0
     while at < t_ns.shape[0]:
-        at, number = kernel.advance(s, p, thresholds, settings, t_ns, acc, gyr, at, t_ns.shape[0], out)
+        at, number = kernel.advance(core, t_ns, acc, gyr, at, t_ns.shape[0], out)
         if number > 0:
             changes += 1
-            kernel.enter(s, after[number], acc[at - 1, 0], acc[at - 1, 1], acc[at - 1, 2])
+            kernel.enter(core, after[number], acc, at - 1)
     return changes
 
 
@@ -54,14 +55,15 @@ def bare_seconds(recording: Recording, calibrations: Mapping[str, Calibration], 
 
 
 def _once(calibration: FootCalibration, t_ns: Any, acc: Any, gyr: Any, rest: Any) -> float:
-    state, settings, noise = np.zeros(1, kernel.STATE)[0], OrientationSettings(), ZuptSettings()
+    parts = {"parameters": calibration.parameters(), "thresholds": calibration.thresholds()}
+    core, noise = new_core(kernel.CORE, **parts, settings=OrientationSettings())[0], ZuptSettings()
     trace, none, lever, bias = np.zeros((len(t_ns), 4)), np.zeros(len(t_ns)), np.zeros(3), np.zeros(3)
     intervals = gather_intervals(t_ns, acc, gyr, none, none, rest, (0.0, 0.0, 0.0))
     tape = new_tape(len(intervals.ends), int(np.count_nonzero(rest[intervals.ends])))
     ends = np.empty(len(t_ns), np.int64)
-    kernel.start(state, int(t_ns[0]), *acc[0].tolist(), settings)
+    kernel.start(core, int(t_ns[0]), *acc[0].tolist())
     begin = time.process_time()
-    _follow(state, calibration.parameters(), calibration.thresholds(), settings, t_ns, acc, gyr, trace, AFTER)
+    _follow(core, t_ns, acc, gyr, trace, AFTER)
     interval_ends(t_ns, rest, MOVING_NS, RESTING_NS, ends)
     gather(t_ns, acc, gyr, none, none, 0.0, 0.0, 0.0, noise, intervals)
     for level in (False, True):

@@ -45,7 +45,8 @@ from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.boundaries import quietest_near
 from fes.estimation.strides.results import StrideMaker, StrideSettings, solve_stride
 from fes.recording import Track
-from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+from fes.signals import NS_PER_S, StrideResult
+from statemachine.phases import Transition
 
 Method = Literal["constrained", "maximum_likelihood"]
 FUSED = "fused, off-line"  # maximum_likelihood, then with the whole recording
@@ -74,46 +75,25 @@ def strides_of(track: Track, calibration: FootCalibration, method: str) -> list[
     return afterwards(track, strides, method)
 
 
-class BorderMaker(StrideMaker):
-    """Solves strides between given borders instead of its own; their results are in ``solved``."""
-
-    def __init__(self, foot: str, settings: StrideSettings, borders_s: FloatArray) -> None:
-        super().__init__(foot, settings)
-        self.solved: list[StrideResult] = []
-        self._borders_ns = np.round(borders_s * NS_PER_S).astype(np.int64)
-        self._all_of = settings
-
-    def leave_stance(
-        self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray
-    ) -> StrideResult | None:
-        """See StrideMaker; solves what lies in the history."""
-        self._solve(t_ns, acc, gyr, quaternion)
-        return super().leave_stance(t_ns, acc, gyr, quaternion)
-
-    def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
-        """See StrideMaker; solves what lies in the history."""
-        self._solve(t_ns, acc, gyr, quaternion)
-        return super().close(t_ns, acc, gyr, quaternion)
-
-    def _solve(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> None:
-        for start_ns, end_ns in self._borders_ns[len(self.solved) :]:
-            if end_ns + 200_000_000 >= t_ns[-1]:
-                return
-            first, last = (quietest_near(t_ns, gyr, int(at_ns)) for at_ns in (start_ns, end_ns))
-            number = len(self.solved) + 1
-            self.solved.append(
-                solve_stride(self.foot, number, {}, first, last, t_ns, acc, gyr, quaternion[first], self._all_of)
-            )
-
-
 def border_strides(walk: PathWalk, method: str) -> list[StrideResult]:
-    """The strides between the reference's own borders."""
-    calibration = calibrate_track(walk.track)
-    borders_s = walk.borders_s if walk.borders_s is not None else np.zeros((0, 2))
-    maker = BorderMaker(walk.track.sensor, settings_of(calibration, method), borders_s)
-    track = walk.track
-    FootTracker(calibration, maker).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    return afterwards(track, [stride for stride in maker.solved if stride.valid], method)
+    """The strides between the reference's own borders instead of the tracker's."""
+    track, calibration = walk.track, calibrate_track(walk.track)
+    settings = settings_of(calibration, method)
+    tracker = FootTracker(calibration, StrideMaker(track.sensor, settings))
+    borders_ns = np.round((walk.borders_s if walk.borders_s is not None else np.zeros((0, 2))) * NS_PER_S)
+    solved: list[StrideResult] = []
+    for sample in zip(track.t_sensor_ns.tolist(), track.acc_mps2.tolist(), track.gyr_radps.tolist(), strict=True):
+        outcomes = tracker.step(*sample)
+        if not any(isinstance(outcome, StrideResult) or outcome.transition is Transition.T1 for outcome in outcomes):
+            continue
+        t_ns, acc, gyr, quaternion = tracker.history()
+        for start_ns, end_ns in borders_ns.astype(np.int64)[len(solved) :]:
+            if end_ns + 200_000_000 >= t_ns[-1]:
+                break
+            first, last = (quietest_near(t_ns, gyr, int(at_ns)) for at_ns in (start_ns, end_ns))
+            number, start = len(solved) + 1, quaternion[first]
+            solved.append(solve_stride(track.sensor, number, {}, first, last, t_ns, acc, gyr, start, settings))
+    return afterwards(track, [stride for stride in solved if stride.valid], method)
 
 
 def border_errors(method: str) -> dict[str, list[float]]:

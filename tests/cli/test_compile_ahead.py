@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -16,79 +15,105 @@ from fes.cli.compile_ import AHEAD_PARTS as PARTS
 from fes.cli.compile_ import compile_part, compiled_ahead
 
 SEVERAL = {0, 1, 2, 3}
+UNTIL_STOPPED = [sys.executable, "-c", "import sys; sys.stdin.readline()"]
 
 
-def part_is(monkeypatch: pytest.MonkeyPatch, over: Path, processors: set[int] = SEVERAL) -> list[str]:
-    """Something that takes until a file is there stands in for compiling; gives what is compiled in this process."""
-    here = os.getpid()
-    done: list[str] = []
+class Kept:
+    """Stands in for the kept code: notes when others' is fetched."""
 
-    def stand_in(part: str) -> None:
-        if os.getpid() == here:
-            done.append(part)
-            return
-        while not over.exists():
-            time.sleep(0.005)
+    def __init__(self, empty: bool) -> None:
+        self.empty, self.fetched = empty, 0
 
-    monkeypatch.setattr(compile_ahead, "compile_part", stand_in)
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors)
-    return done
+    def is_empty(self) -> bool:
+        return self.empty
+
+    def fetch(self) -> None:
+        self.fetched += 1
+
+
+class StandIns:
+    """Processes that wait until they are told stand in for those that compile; ``here`` is compiled in this one."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, empty: bool = True, processors: set[int] = SEVERAL) -> None:
+        self.kept, self.here = Kept(empty), list[str]()
+        self.helpers: list[subprocess.Popen[bytes]] = []
+        monkeypatch.setattr(compile_ahead, "KEPT", self.kept)
+        monkeypatch.setattr(compile_ahead, "_compiling", self.start)
+        monkeypatch.setattr(compile_ahead, "compile_part", self.here.append)
+        monkeypatch.setattr(os, "sched_getaffinity", lambda _: processors)
+
+    def start(self, part: str) -> subprocess.Popen[bytes]:
+        assert part in PARTS
+        self.helpers.append(subprocess.Popen(UNTIL_STOPPED, stdin=subprocess.PIPE))
+        return self.helpers[-1]
+
+    def go_on(self) -> None:
+        for helper in self.helpers:
+            assert helper.poll() is None
+            assert helper.stdin is not None
+            helper.stdin.close()
+
+    @property
+    def over(self) -> bool:
+        return all(helper.returncode is not None for helper in self.helpers)
 
 
 def test_what_is_compiled_is_not_compiled_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    part_is(monkeypatch, tmp_path / "never")
-    (tmp_path / "estimation_1").mkdir()
-    (tmp_path / "estimation_1" / "kernel.nbi").touch()
-    with compiled_ahead(tmp_path):
-        assert not multiprocessing.active_children()
+    made = StandIns(monkeypatch, empty=False)
+    with compiled_ahead():
+        pass
+    assert not made.helpers
+    assert not made.here
     assert capfd.readouterr().err == ""
 
 
 def test_an_empty_cache_is_filled_and_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    done = part_is(monkeypatch, tmp_path / "over")
-    with compiled_ahead(tmp_path / "not there yet"):
-        assert len(multiprocessing.active_children()) == len(PARTS)
-        (tmp_path / "over").touch()
-    assert not multiprocessing.active_children()
-    assert not done
+    made = StandIns(monkeypatch)
+    with compiled_ahead():
+        assert len(made.helpers) == len(PARTS)
+        assert not made.kept.fetched
+        made.go_on()
+    assert made.over
+    assert made.kept.fetched == 1
+    assert not made.here
     assert "First run: compiling" in capfd.readouterr().err
 
 
-def test_each_processor_gets_one_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done = part_is(monkeypatch, tmp_path / "over", {0, 1})
-    with compiled_ahead(tmp_path):
-        assert len(multiprocessing.active_children()) == 1
-        (tmp_path / "over").touch()
-    assert tuple(done) == PARTS[1:]
+def test_each_processor_gets_one_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = StandIns(monkeypatch, processors={0, 1})
+    with compiled_ahead():
+        assert len(made.helpers) == 1
+        made.go_on()
+    assert tuple(made.here) == PARTS[1:]
 
 
-def test_an_error_leaves_no_process_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    part_is(monkeypatch, tmp_path / "never")
+def test_an_error_leaves_no_process_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = StandIns(monkeypatch)
 
     def interrupted() -> None:
-        with compiled_ahead(tmp_path):
-            assert len(multiprocessing.active_children()) == len(PARTS)
+        with compiled_ahead():
+            assert len(made.helpers) == len(PARTS)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    assert not multiprocessing.active_children()
+    assert made.over
 
 
-def test_without_processes_it_goes_on_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    done = part_is(monkeypatch, tmp_path / "never")
+def test_without_processes_it_goes_on_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = StandIns(monkeypatch)
 
-    def refuse() -> int:
+    def refuse(part: str) -> Any:
         raise OSError("no more processes")
 
-    monkeypatch.setattr(os, "fork", refuse)
-    with compiled_ahead(tmp_path):
-        assert not done
-    assert tuple(done) == PARTS
+    monkeypatch.setattr(compile_ahead, "_compiling", refuse)
+    with compiled_ahead():
+        assert not made.here
+    assert tuple(made.here) == PARTS
 
 
 def run(*command: str, cache: Path) -> subprocess.CompletedProcess[str]:
@@ -107,14 +132,15 @@ def test_after_compiling_ahead_nothing_is_left_to_compile(tmp_path: Path) -> Non
     assert missing.stdout.startswith("Not compiled: ")
     done = run(*FES, "compile", cache=cache)
     assert done.returncode == 0, done.stderr
-    there = sorted(cache.glob("fes-gait/*/*/*"))
+    there = sorted(cache.glob("fes-gait/*/kept/*/*"))
+    assert there
     checked = run(*FES, "compile", "--check", cache=cache)
     assert checked.returncode == 0, checked.stdout
     trial = Path(__file__).resolve().parents[2] / "sim_inputs" / "both_feet_200hz.parquet"
     analysed = run(*FES, "analyse", str(trial), "--out", str(tmp_path / "out"), cache=cache)
     assert analysed.returncode == 0, analysed.stderr
     assert "compiling" not in analysed.stderr
-    assert sorted(cache.glob("fes-gait/*/*/*")) == there
+    assert sorted(cache.glob("fes-gait/*/kept/*/*")) == there
 
 
 SOLVED = """
@@ -142,7 +168,7 @@ def test_a_full_disk_is_said_once_and_stops_nothing(tmp_path: Path) -> None:
     done = run("-c", FULL + SOLVED, cache=tmp_path / "cache")
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("Compiled code cannot be kept") == 1
-    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.stat().st_size]
 
 
 def test_no_such_part() -> None:

@@ -274,7 +274,7 @@ def test_the_compiled_cores_parameters() -> None:
     assert (p.toe_down_x, p.toe_down_y, p.toe_down_z) == found.toe_down
     assert (p.acc_bias_x_mps2, p.acc_bias_y_mps2, p.acc_bias_z_mps2) == found.acc_bias_mps2
     assert (p.gyr_bias_x_radps, p.gyr_bias_y_radps, p.gyr_bias_z_radps) == found.gyr_bias_radps
-    assert (p.sample_s, p.jump_lag, p.change_lag) == (0.002, 5, 10)
+    assert (p.sample_s, p.jerk_lag, p.change_lag) == (0.002, 5, 10)
 
 
 @pytest.mark.parametrize(("name", "foot"), WALKS[:4:3])

@@ -5,14 +5,14 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import json
 import os
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
+import numpy as np
 import pytest
-from fes.estimation.compiler_cache import Cache
 
 from fes.estimation.numerics import jit as compiled
 
@@ -62,70 +62,118 @@ def _file_of(module: str) -> str:
 
 
 SOLVED = """
+import sys
 import numpy as np
+from fes.estimation.numerics.jit import KEPT, compiled_here
 from fes.estimation.numerics.linear import solve
-system = np.array([[2.0, 0.0, 4.0], [0.0, 4.0, 4.0]])
-assert solve(system, 2) and system[:, 2].tolist() == [2.0, 1.0]
-print(sum(solve.stats.cache_hits.values()), "found")
+
+def solved(kind):
+    system = np.array([[2.0, 0.0, 4.0], [0.0, 4.0, 4.0]], kind)
+    assert solve(system, 2) and system[:, 2].tolist() == [2.0, 1.0]
+
+def stop():
+    print("ready", flush=True)
+    sys.stdin.readline()
+
 """
+TWICE = SOLVED + "solved(float); print(*compiled_here())"
+DOUBLE, SINGLE = "solved(np.float64)\n", "solved(np.float32)\n"
 
 
-def solved(cache: Path) -> subprocess.CompletedProcess[str]:
-    where = {**os.environ, "XDG_CACHE_HOME": str(cache)}
-    return subprocess.run([sys.executable, "-c", SOLVED], env=where, capture_output=True, text=True, check=False)
+def run(code: str, cache: Path, **more: str) -> str:
+    where = {**os.environ, "XDG_CACHE_HOME": str(cache), **more}
+    done = subprocess.run([sys.executable, "-c", code], env=where, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
 
 
-@pytest.mark.parametrize("kind", ["nbi", "nbc"])
-@pytest.mark.parametrize("left", [0.0, 0.5])
-def test_what_a_power_cut_leaves_is_compiled_anew(tmp_path: Path, kind: str, left: float) -> None:
-    assert solved(tmp_path).returncode == 0
-    assert solved(tmp_path).stdout == "1 found\n"
-    damaged = list(tmp_path.rglob(f"*.{kind}"))
+def kept(cache: Path, suffix: str = "") -> list[Path]:
+    return [path for path in sorted(cache.rglob(f"kept/*/*{suffix}")) if path.is_file()]
+
+
+SOLVE = "fes.estimation.numerics.linear.solve"
+
+
+def test_compiled_once_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
+    assert run(TWICE, tmp_path) == SOLVE
+    assert run(TWICE, tmp_path) == ""
+    assert not list(tmp_path.rglob("process-*"))
+    (listed,) = tmp_path.rglob("kept.json")
+    root = listed.parent / "kept"
+    assert json.loads(listed.read_text()) == {
+        str(path.relative_to(root)): path.stat().st_size for path in kept(tmp_path)
+    }
+
+
+@pytest.mark.parametrize("suffix", [".nbi", ".nbc"])
+@pytest.mark.parametrize("left", [0.0, 0.5, None])
+def test_what_a_power_cut_leaves_is_compiled_anew(tmp_path: Path, suffix: str, left: float | None) -> None:
+    """Files cut short, or gone."""
+    run(TWICE, tmp_path)
+    damaged = kept(tmp_path, suffix)
     assert damaged
     for path in damaged:
-        os.truncate(path, int(left * path.stat().st_size))
-    done = solved(tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "0 found\n"
-    assert solved(tmp_path).stdout == "1 found\n"
+        if left is None:
+            path.unlink()
+        else:
+            os.truncate(path, int(left * path.stat().st_size))
+    assert run(TWICE, tmp_path) == SOLVE
+    assert run(TWICE, tmp_path) == ""
 
 
-def test_machine_code_with_a_hole_is_not_run(tmp_path: Path) -> None:
-    """A block of the file that never reached the disk reads as zeros."""
-    assert solved(tmp_path).returncode == 0
-    (path,) = tmp_path.rglob("*.nbc")
-    data = bytearray(path.read_bytes())
-    middle = len(data) // 2
-    data[middle - 1024 : middle + 1024] = bytes(2048)
-    path.write_bytes(data)
-    done = solved(tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == "0 found\n"
+def test_what_no_list_names_is_not_run(tmp_path: Path) -> None:
+    """A power cut before the list was written: the files may have holes, at their full length."""
+    run(TWICE, tmp_path)
+    (listed,) = tmp_path.rglob("kept.json")
+    listed.unlink()
+    for path in kept(tmp_path):
+        path.write_bytes(bytes(path.stat().st_size))
+    assert run(TWICE, tmp_path) == SOLVE
+    assert run(TWICE, tmp_path) == ""
+    listed.write_text("{")  # cut short
+    assert run(TWICE, tmp_path) == SOLVE
 
 
-def test_two_processes_that_compile_at_once_do_not_mix_up_their_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One function for different types of arguments, or for the processors of two machines, in one folder."""
-    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+def test_two_processes_that_compile_at_once_do_not_mix_up_their_code(tmp_path: Path) -> None:
+    """One function for different types of arguments: each begins before the other has kept anything."""
+    where = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-c", SOLVED + "stop()\n" + kind + "stop()"],
+            env=where,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for kind in (DOUBLE, SINGLE)
+    ]
+    for _ in range(2):
+        for process in both:
+            assert process.stdout is not None
+            assert process.stdin is not None
+            assert process.stdout.readline() == "ready\n"
+        for process in both:
+            assert process.stdin is not None
+            process.stdin.write("\n")
+            process.stdin.flush()
+    assert [process.wait() for process in both] == [0, 0]
+    asked = SOLVED + DOUBLE + SINGLE + "print(sum(solve.stats.cache_hits.values()))"
+    assert run(asked, tmp_path) == "1"  # the first one's is there, the other's is compiled again
+    assert run(asked, tmp_path) == "2"
 
-    def function(x: Any) -> Any:
-        return x
 
-    made: Any = Cache
-    one, other, later = (made(function)._cache_file for _ in range(3))
-    one._cache_path = other._cache_path = later._cache_path = str(tmp_path)
-    write = one._save_data
+def test_what_another_process_has_kept_meanwhile_is_taken_over(tmp_path: Path) -> None:
+    code = "import subprocess, sys\nsubprocess.run([sys.executable, '-c', sys.argv[1]], check=True)\n"
+    where = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
+    command = [sys.executable, "-c", SOLVED + code + "KEPT.fetch()\n" + DOUBLE + "assert not compiled_here()", TWICE]
+    subprocess.run(command, env=where, check=True, capture_output=True)
 
-    def write_last(name: str, data: Any) -> None:
-        other.save("types of the other", "code of the other")
-        write(name, data)
 
-    monkeypatch.setattr(other, "_load_index", dict)  # it looked before the one had written anything
-    monkeypatch.setattr(one, "_save_data", write_last)
-    one.save("types of the one", "code of the one")
-    assert later.load("types of the other") == "code of the other"
-    assert later.load("types of the one") in (None, "code of the one")
+def test_a_process_that_was_killed_leaves_nothing_for_long(tmp_path: Path) -> None:
+    run(SOLVED + DOUBLE + "import os\nos._exit(0)", tmp_path)
+    assert list(tmp_path.rglob("process-*"))
+    assert run(TWICE, tmp_path) == SOLVE
+    assert not list(tmp_path.rglob("process-*"))
 
 
 BLOCKED = """
@@ -174,35 +222,26 @@ def test_a_user_without_a_home_compiles(tmp_path: Path) -> None:
     code = "import pathlib\n@classmethod\ndef home(cls): raise RuntimeError\npathlib.Path.home = home\n"
     where = {**os.environ, "TMPDIR": str(tmp_path)}
     where.pop("XDG_CACHE_HOME", None)
-    command = [sys.executable, "-c", code + SOLVED]
-    done = subprocess.run(command, env=where, capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", code + TWICE], env=where, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert list(tmp_path.rglob("*.nbi"))
+    assert kept(tmp_path, ".nbi")
 
 
-TURNED = """
-import sys
-import numba
-numba.__version__ = sys.argv[1] or numba.__version__
-import numpy as np
-from fes.estimation.numerics.rotation import foot_axes
-rng, axes = np.random.default_rng(3), np.empty((50, 3, 3))
-q = rng.normal(size=(50, 4))
-foot_axes(q, rng.normal(size=3), rng.normal(size=3), axes)
-print("fes.estimation.compiler" in sys.modules, axes.tobytes().hex())
-"""
+PLAIN = Path(__file__).with_name("plain_python.py")
 
 
-def test_a_numba_that_nobody_has_tried_compiles_by_itself_to_the_same_numbers(tmp_path: Path) -> None:
-    """What is replaced within numba may be another thing there, and nothing would tell."""
+def test_the_tracker_without_the_compiler_finds_the_same() -> None:
+    """Plain Python is the readable reference of all that the live core compiles."""
 
-    def turned(version: str) -> tuple[str, str]:
-        where = {**os.environ, "XDG_CACHE_HOME": str(tmp_path)}
-        command = [sys.executable, "-c", TURNED, version]
-        done = subprocess.run(command, env=where, capture_output=True, text=True, check=True)
-        ours, numbers = done.stdout.split()
-        return ours, numbers
+    def found(**more: str) -> tuple[np.ndarray, np.ndarray]:
+        where = {**os.environ, **more}
+        done = subprocess.run([sys.executable, str(PLAIN)], env=where, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        changes, strides = json.loads(done.stdout)
+        return np.array(changes), np.array(strides, float)
 
-    (ours, numbers), (by_itself, same) = turned(""), turned("0.68.99")
-    assert (ours, by_itself) == ("True", "False")
-    assert same == numbers
+    (changes, strides), (plain_changes, plain_strides) = found(), found(NUMBA_DISABLE_JIT="1")
+    assert len(changes) > 20
+    assert np.isfinite(strides).all(axis=1).sum() >= 4
+    assert np.array_equal(changes, plain_changes)
+    assert plain_strides == pytest.approx(strides, rel=1e-12, abs=1e-12, nan_ok=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -21,8 +20,11 @@ from fes.estimation.foot import features as kernel
 from fes.estimation.foot import tracker as one_foot
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.orientation import OrientationSettings
-from fes.estimation.foot.tracker import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, FootTracker, Outcome
+from fes.estimation.foot.tracker import FootTracker
+from fes.estimation.numerics.records import new_core
 from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.estimation.tracking.history import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S
+from fes.estimation.tracking.tracker import Outcome
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
 from fes.simulation.sensor import FINE_HZ, PERFECT
@@ -178,25 +180,20 @@ def test_who_watches_sees_the_same_path_live() -> None:
         assert one.position_m.tobytes() == other.position_m.tobytes()
 
 
-class AskedMaker(StrideMaker):
-    """Wants to be asked at every stride; notes how much history it was shown."""
-
-    def __init__(self, foot: str, settings: StrideSettings) -> None:
-        super().__init__(foot, settings)
-        self.shown: list[int] = []
-
-    def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
-        self.shown.append(len(t_ns))
-        return super().close(t_ns, acc, gyr, quaternion)
-
-
-@pytest.mark.parametrize("give", [fed, stepped])
-def test_a_maker_that_wants_to_be_asked_gives_the_same(give: Callable[[FootTracker, Samples], list[Outcome]]) -> None:
+def test_the_history_is_free_of_bias_with_the_orientation_beside_it() -> None:
     samples, calibration = walk("left_foot")
-    maker = AskedMaker(calibration.sensor, StrideSettings(calibration.forward(), np.array(calibration.up)))
-    assert facts(give(FootTracker(calibration, maker), samples)) == whole("left_foot")[0]
-    assert len(maker.shown) == 46
-    assert max(maker.shown) > 1900  # all of the history
+    samples = samples[: samples.at_s(30.0)]
+    tracker = tracker_of(calibration)
+    fed(tracker, samples)
+    t_ns, acc, gyr, quaternions = tracker.history()
+    assert 1000 <= len(t_ns) <= 2000
+    newest = samples[len(samples) - len(t_ns) : len(samples)]
+    assert np.array_equal(t_ns, newest.t_ns)
+    assert np.array_equal(acc, newest.acc - np.array(calibration.acc_bias_mps2))
+    assert np.array_equal(gyr, newest.gyr - tracker.gyr_bias_radps)
+    assert np.linalg.norm(quaternions, axis=1) == pytest.approx(1.0)
+    t_ns[:] = 0
+    assert tracker.history().t_ns[0] != 0  # it was a copy
 
 
 @pytest.mark.parametrize("foot", FEET)
@@ -204,7 +201,7 @@ def test_forgetting_changes_nothing(foot: str, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("fes.estimation.tracking.history.HISTORY_S", 200.0)
     samples, calibration = walk(foot)
     tracker = tracker_of(calibration)
-    assert len(tracker._history.t_ns) == 20_000
+    assert len(tracker._history.arrays.t_ns) == 20_000
     assert facts(fed(tracker, samples)) == whole(foot)[0]
 
 
@@ -217,7 +214,7 @@ def test_arrays_of_any_kind_give_the_same() -> None:
     for column in (frozen.t_ns, frozen.acc, frozen.gyr):
         column.flags.writeable = False
     spread = Samples(np.repeat(samples.t_ns, 2)[::2], np.asfortranarray(samples.acc), np.repeat(samples.gyr, 2, 0)[::2])
-    compiled: Any = one_foot._walk
+    compiled: Any = one_foot._block
     kinds = len(compiled.signatures)
     for other in (frozen, spread):
         assert facts(fed(tracker_of(calibration), other)) == expected
@@ -395,7 +392,7 @@ def test_a_machine_that_does_not_agree_stops_everything() -> None:
     samples, calibration = walk("left_foot")
     tracker = tracker_of(calibration)
     fed(tracker, samples[:300])
-    kernel.enter(tracker._state, int(Phase.PRE_SWING), 0.0, 0.0, G_MPS2)
+    kernel.enter(tracker._core[0], int(Phase.PRE_SWING), samples.acc, 299)
     tracker._state["toe_down_peak"] = 9.0
     with pytest.raises(GuardDisagreement, match="from STANCE of left_foot"):
         fed(tracker, samples[300:])
@@ -484,11 +481,13 @@ class Core:
             walk("left_foot")[1], up=(0.0, 0.0, 1.0), toe_down=(0.0, 1.0, 0.0), acc_bias_mps2=(0.0, 0.0, 0.0),
             gyr_bias_radps=(0.0, 0.0, 0.0), rest_gyr_radps=0.5, rest_hold_s=0.03,
         )  # fmt: skip
-        self.state = np.zeros(1, kernel.STATE)[0]
-        self.settings = OrientationSettings()
-        kernel.start(self.state, 0, 0.0, 0.0, G_MPS2, self.settings)
+        parameters, thresholds = self.calibration.parameters(), self.calibration.thresholds()
+        parts = {"parameters": parameters, "thresholds": thresholds, "settings": OrientationSettings()}
+        self.core = new_core(kernel.CORE, **parts)[0]
+        self.state = self.core.state
+        kernel.start(self.core, 0, 0.0, 0.0, G_MPS2)
         self.feed(0.2)
-        kernel.enter(self.state, int(phase), 0.0, 0.0, G_MPS2)
+        kernel.enter(self.core, int(phase), np.array([[0.0, 0.0, G_MPS2]]), 0)
 
     def feed(
         self, seconds: float, rate: tuple[float, float, float] = (0.0, 0.0, 0.0), extra: FloatArray | None = None
@@ -500,10 +499,7 @@ class Core:
             w, x, y, z = self.state["quaternion"]
             up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
             force = G_MPS2 * up + (np.zeros(3) if extra is None else extra)
-            kernel.advance(
-                self.state, self.calibration.parameters(), self.calibration.thresholds(), self.settings,
-                t_ns, force[None].copy(), np.array([rate]), 0, 1, np.empty((1, 4)),
-            )  # fmt: skip
+            kernel.advance(self.core, t_ns, force[None].copy(), np.array([rate]), 0, 1, np.empty((1, 4)))
             seen.append((bool(self.state["a_rest"]), bool(self.state["g_rest"])))
         return seen
 

@@ -10,8 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fes.estimation.foot.features import STATE, FootParameters
-from fes.estimation.numerics.records import core_type, new_core
-from fes.estimation.tracking.history import LARGEST_VALUE, RESTART_GAP_NS, History, SampleCounts
+from fes.estimation.numerics.records import core_type, new_core, record_type, struct_of
+from fes.estimation.tracking.history import (
+    FULL,
+    LARGEST_VALUE,
+    RESTART_GAP_NS,
+    SILENCE,
+    History,
+    SampleCounts,
+    Samples,
+)
 from fes.signals import FloatArray, IntArray
 from statemachine.guards import Thresholds
 
@@ -28,17 +36,17 @@ def fed(history: History, t_ns: IntArray, values: FloatArray, cuts: list[int]) -
         acc = np.repeat(values[begin:end, None], 3, axis=1)
         taken = 0
         while taken < end - begin:
-            taken, filled, silence = history.take_in(t_ns[begin:end], acc, -acc, taken)
-            for row in range(at, filled):
-                seen.append((int(history.t_ns[row]), float(history.acc_mps2[row, 1]), anew))
-                assert history.gyr_radps[row, 2] == -seen[-1][1]
+            taken, outcome = history.store(Samples(t_ns[begin:end], acc, -acc), taken)
+            for row in range(at, history.filled):
+                seen.append((int(history.arrays.t_ns[row]), float(history.arrays.acc[row, 1]), anew))
+                assert history.arrays.gyr[row, 2] == -seen[-1][1]
                 anew = False
-            at = filled
-            if silence:
+            if outcome == SILENCE:
                 history.restart(int(t_ns[begin + taken]))
-                at, anew = 0, True
-            elif taken < end - begin:
-                at = history.forget_half()
+                anew = True
+            elif outcome == FULL:
+                history.forget_half()
+            at = history.filled
     return seen
 
 
@@ -80,9 +88,11 @@ def test_what_is_forgotten_is_the_older_half() -> None:
     history = History(rate_hz=1.0)
     t_ns = STEP_NS * np.arange(64)
     fed(history, t_ns, np.arange(64.0), [])
-    history.trace[:, 0] = np.arange(64.0)
-    assert history.forget_half() == 32
-    for column in (history.t_ns / STEP_NS, history.acc_mps2[:, 0], -history.gyr_radps[:, 0], history.trace[:, 0]):
+    kept = history.arrays
+    kept.trace[:, 0] = np.arange(64.0)
+    history.forget_half()
+    assert history.filled == 32
+    for column in (kept.t_ns / STEP_NS, kept.acc[:, 0], -kept.gyr[:, 0], kept.trace[:, 0]):
         assert np.array_equal(column[:32], np.arange(32.0, 64.0))
 
 
@@ -93,12 +103,26 @@ def test_stamps_too_far_apart_to_subtract_are_a_silence(first_ns: int, then_ns: 
 
 
 def test_a_core_holds_its_parts_under_their_own_names() -> None:
-    parameters = FootParameters(*map(float, range(10)), jump_lag=2, change_lag=4)
+    parameters = FootParameters(*map(float, range(10)), jerk_lag=2, change_lag=4)
     thresholds = Thresholds(swing_at_reversal=True, rest_gyr_radps=0.1)
     kind = core_type(STATE, parameters=FootParameters, thresholds=Thresholds)
     core = new_core(kind, parameters=parameters, thresholds=thresholds)
     assert FootParameters(*core["parameters"][0].tolist()) == parameters
     assert Thresholds(*core["thresholds"][0].tolist()) == thresholds
     assert core["thresholds"].dtype["swing_at_reversal"] == np.bool_
-    assert core["parameters"].dtype["jump_lag"] == np.int64
+    assert core["parameters"].dtype["jerk_lag"] == np.int64
     assert not core["state"]["samples"][0]
+
+
+def test_a_struct_reads_and_writes_what_numpy_would() -> None:
+    inner = record_type([("flag", np.bool_), ("x", np.float64)])
+    kind = record_type(
+        [("n", np.int64), ("flag", np.bool_), ("m", np.float64, (2, 2)), ("inner", inner), ("k", np.int64)]
+    )
+    row = np.zeros(1, kind)
+    struct_of(kind, "n", "flag").pack_into(row.view(np.uint8).data, 0, 7, True)
+    row["m"], row["inner"]["x"], row["k"] = [[1.0, 2.0], [3.0, 4.0]], 5.0, -1
+    data = row.view(np.uint8).data
+    assert struct_of(kind).unpack_from(data) == (7, True, 1.0, 2.0, 3.0, 4.0, False, 5.0, -1)
+    assert struct_of(kind, "n", "inner", "k").unpack_from(data) == (7, False, 5.0, -1)
+    assert row[0].inner.x == 5.0  # an attribute without the compiler as well

@@ -10,7 +10,6 @@ FOLDER = Path(__file__).resolve().parents[2] / "sim_inputs"
 SCRIPT = """
 import sys
 from pathlib import Path
-from numba.core.registry import CPUDispatcher
 from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import load_session
 from fes.control.controller import Controller
@@ -22,7 +21,7 @@ def compiled():
     found = {}
     for name, module in list(sys.modules.items()):
         for part, value in list(vars(module).items()) if name.startswith("fes.") else ():
-            if isinstance(value, CPUDispatcher):
+            if hasattr(value, "py_func") and hasattr(value, "signatures"):
                 found[name, part] = len(value.signatures)
     return found
 

@@ -239,7 +239,7 @@ def test_the_table_is_the_six_rows_in_order() -> None:
 def test_no_way_round_the_guards() -> None:
     machine = GaitPhaseMachine(FOOT)
     assert set(machine._machine.events) == {f"T{number}" for number in range(1, 7)}
-    assert not [name for name in dir(machine._model) if name.startswith("to_")]
+    assert not [name for name in dir(machine) if name.startswith("to_")]
 
 
 def test_a_guard_that_fails_is_no_refusal_in_silence() -> None:

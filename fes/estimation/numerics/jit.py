@@ -81,11 +81,12 @@ class KeptCode:
         """
         with self._locked():
             listed, added = self._listed(), []
+            intact = self._intact(listed)
             for index in self.own.rglob("*.nbi"):
                 name = str(index.relative_to(self.own))
                 kept = self._kept / name
                 own_before, kept_before = self._seen.get(name, (None, None))
-                if _stamp(index) == own_before or _stamp(kept) != kept_before:
+                if _stamp(index) == own_before or (_stamp(kept) if name in intact else None) != kept_before:
                     continue  # nothing new, or another process was first
                 kept.parent.mkdir(parents=True, exist_ok=True)
                 code = index.parent.glob(f"{index.stem}.*.nbc")
@@ -128,19 +129,26 @@ class KeptCode:
             return {}
         return listed
 
-    def _link(self) -> None:
+    def _intact(self, listed: dict[str, int]) -> dict[str, list[str]]:
+        """The files of each function of which all are as long as listed, by the name of its index."""
         functions: dict[str, list[str]] = {}
-        listed = self._listed()
         for name in listed:
             functions.setdefault(_NUMBERED.sub(".nbi", name), []).append(name)
-        for index, names in functions.items():
-            here, there = self.own / index, self._kept / index
-            if here.exists() or any(_size(self._kept / name) != listed[name] for name in names):
+        return {
+            index: names
+            for index, names in functions.items()
+            if all(_size(self._kept / name) == listed[name] for name in names)
+        }
+
+    def _link(self) -> None:
+        for index, names in self._intact(self._listed()).items():
+            here = self.own / index
+            if here.exists():
                 continue
             here.parent.mkdir(exist_ok=True)
             for name in names:
                 _copy(self._kept / name, self.own / name)
-            self._seen[index] = _stamp(here), _stamp(there)
+            self._seen[index] = _stamp(here), _stamp(self._kept / index)
 
 
 def _stamp(file: Path) -> object:
