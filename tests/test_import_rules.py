@@ -239,7 +239,7 @@ def test_everything_imported_is_declared() -> None:
 def loaded_after(code: str, *watched: str) -> set[str]:
     """Which of these are loaded in a fresh process after running the code."""
     script = f"{code}\nimport sys\nprint(*sorted(set({watched!r}) & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=True)
     return set(done.stdout.splitlines()[-1].split()) if done.stdout.strip() else set()
 
 

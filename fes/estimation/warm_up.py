@@ -9,7 +9,7 @@ import numpy as np
 from fes.config import FootGeometry
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.numerics.jit import signatures
+from fes.estimation.numerics.jit import keep_compiled, signatures
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.lever_arm import ArmEstimate
 from fes.estimation.shank.motion import StrideSpan
@@ -29,6 +29,7 @@ def warm_up() -> None:
         RuntimeError: a second run has compiled something once more, so that the loop would too: no session may begin.
     """
     _run_once()
+    keep_compiled()
     before = signatures()
     _run_once()
     if signatures() != before:

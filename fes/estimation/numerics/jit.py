@@ -109,10 +109,7 @@ class KeptCode:
         """Keep what was compiled, and remove this process's own folder."""
         if os.getpid() != self._pid:
             return
-        try:
-            self.keep()
-        except OSError as error:
-            _warn_unkept(error)
+        keep_compiled()
         shutil.rmtree(self.own, ignore_errors=True)
         self._alive.close()
 
@@ -253,6 +250,15 @@ KEPT: Final = None if _PLAIN else _kept_code()
 if KEPT is not None:
     setattr(numba.config, "CACHE_DIR", str(KEPT.own))  # noqa: B010 - numba fills its config at run time
     atexit.register(KEPT.close)
+
+
+def keep_compiled() -> None:
+    """Keep what has been compiled so far, whatever becomes of this process; else that is done at its end."""
+    try:
+        if KEPT is not None:
+            KEPT.keep()
+    except OSError as error:
+        _warn_unkept(error)
 
 
 def compiled_here() -> list[str]:
