@@ -200,7 +200,7 @@ def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]
         calibration, track = calibrations[sensor], recording.tracks[sensor]
         if isinstance(calibration, FootCalibration):
             tracker = _foot_tracker(_along_gravity(calibration), recording.geometry.get(sensor), level=False)
-            found[sensor] = tracker.walk(track.t_sensor_ns, track.acc_mps2, track.gyr_radps).strides()
+            found[sensor] = tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps).strides()
     return found
 
 
