@@ -42,7 +42,7 @@ from statemachine.guards import Features
 from statemachine.phases import PhaseChange, Transition
 from statemachine.table import TABLE
 
-LIVE = live_type(features.CORE, strides=STRIDE_STATE, biases=np.dtype((np.float64, (2, 3))))
+LIVE = live_type(features.CORE, stride=STRIDE_STATE, biases=np.dtype((np.float64, (2, 3))))
 # what may have happened at a sample, beside the transitions 1 … 6
 NOTHING, DUE, AFTER_SILENCE, NO_ROOM = 0, 7, 8, 9
 NOTHING_STORED = -1
@@ -74,7 +74,7 @@ def _step(live: Vec, t_ns: Vec, acc: Mat, gyr: Mat, quaternions: Mat) -> int:
     _, number = features.advance(core, t_ns, acc, gyr, row, row + 1, quaternions)
     sample.row = row
     if number == NOTHING:
-        return DUE if sample.t_ns >= live[0].strides.state.due_ns else NOTHING
+        return DUE if sample.t_ns >= live[0].stride.state.due_ns else NOTHING
     seen, found = sample.seen, features.features(core.state)
     seen.a_rest, seen.g_rest = found.a_rest, found.g_rest
     seen.toe_down_radps, seen.toe_down_change_radps2 = found.toe_down_radps, found.toe_down_change_radps2
@@ -92,7 +92,7 @@ def _block(
 ) -> tuple[int, int, int]:  # fmt: skip
     """Store the samples from ``begin`` on, and go through the history with all phase changes and strides.
 
-    ``live`` (1,) of ``LIVE``, ``strides`` (1,) its part of that name; ``changes`` (C,) of ``CHANGE`` and ``out`` receive
+    ``live`` (1,) of ``LIVE``, ``strides`` (1,) its part ``stride``; ``changes`` (C,) of ``CHANGE`` and ``out`` receive
     what happens. ``at`` rows of the history are gone through already, and ``number`` is what happened at the last of
     them and is first seen to: a transition, ``DUE``, or ``NOTHING``.
 
@@ -150,7 +150,7 @@ class FootTracker(Tracker):
         fill(self._core, parameters=parameters, thresholds=thresholds, settings=settings)
         self._acc_bias = np.array(calibration.acc_bias_mps2)
         self._gyr_bias = np.array(calibration.gyr_bias_radps)
-        strides.keep_in(live["strides"])
+        strides.keep_in(live["stride"])
         self._maker = strides
         self._live = live
         self._for_step = live, *self._history.arrays
