@@ -136,16 +136,7 @@ class Analysis:
 
     def phase_rows(self) -> list[dict[str, Any]]:
         """One flat row per phase change; T2 is foot off (FO), T3 initial contact (IC)."""
-        return [
-            {
-                "foot": change.foot,
-                "t_s": 1e-9 * change.t_ns,
-                "transition": change.transition.name,
-                "from": change.source.name.lower(),
-                "to": change.destination.name.lower(),
-            }
-            for change in self.phases
-        ]
+        return [phase_row(change) for change in self.phases]
 
     def event_rows(self) -> list[dict[str, Any]]:
         """One flat row per swing, from foot off (FO) to initial contact (IC); found off-line, not causally."""
@@ -233,3 +224,14 @@ class Analysis:
             ],
             complete=True,
         )
+
+
+def phase_row(change: PhaseChange) -> dict[str, Any]:
+    """A phase change with the columns of :data:`PHASE_COLUMNS`."""
+    return {
+        "foot": change.foot,
+        "t_s": 1e-9 * change.t_ns,
+        "transition": change.transition.name,
+        "from": change.source.name.lower(),
+        "to": change.destination.name.lower(),
+    }

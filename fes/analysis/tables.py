@@ -11,12 +11,26 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from fes.analysis.parameters.definitions import DEFINITIONS
 from fes.estimation.strides.schema import Column
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 ROWS_SHOWN = 20
+_UNITS = {
+    "_ns": "ns",
+    "_s": "s",
+    "_m": "m",
+    "_rad": "rad",
+    "_mps": "m/s",
+    "_nm": "N·m",
+    "_ma": "mA",
+    "_us": "µs",
+    "_ms": "ms",
+    "_hz": "Hz",
+    "_uc": "µC",
+}
 _NOTHING: dict[type, Any] = {float: math.nan, int: 0, bool: False, str: ""}
 _DTYPES: dict[type, Any] = {float: np.float64, int: np.int64, bool: np.bool_, str: object}
 
@@ -126,6 +140,29 @@ class Table:
         )
         more = f"<p>{len(self)} rows, the first {ROWS_SHOWN} are shown</p>" if len(self) > ROWS_SHOWN else ""
         return f"<table><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>{more}"
+
+
+def join_tables(tables: Sequence[Table]) -> Table:
+    """Tables of the same columns, one below the other."""
+    first = tables[0]
+    return Table(first.columns, {name: np.concatenate([table[name] for table in tables]) for name in first.names})
+
+
+def table_of(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Rows of the same names as a table: times in ns become seconds, units are told by the names, and what a gait
+    parameter is by its definition."""
+    columns = []
+    for name, value in (rows[0] if rows else {}).items():
+        known = DEFINITIONS.get(name)
+        unit = known.unit if known else next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
+        text, source = (known.text, known.source) if known else (name.replace("_", " "), "")
+        kind = bool if isinstance(value, bool) else int if isinstance(value, int) else str
+        columns.append(Column(name, float if value is None or isinstance(value, float) else kind, unit, text, source))
+    shown = [column.in_table() for column in columns]
+    factors = [1.0 if one is other else 1e-9 for one, other in zip(columns, shown, strict=True)]
+    names = [(one.name, other.name, factor) for one, other, factor in zip(columns, shown, factors, strict=True)]
+    seconds = ({new: row[old] if factor == 1.0 else factor * row[old] for old, new, factor in names} for row in rows)
+    return Table.from_rows(shown, seconds)
 
 
 def describe(column: Column) -> str:

@@ -1,5 +1,12 @@
-"""Recordings of walks: CSV, Parquet or a CAN log, each with a sidecar that says what is in it."""
+"""Recordings of walks: CSV, Parquet or a CAN log, each with a sidecar that says what is in it; or arrays.
 
+``fes.recording(acc=…, gyr=…, rate_hz=…)`` is :func:`recording_from_arrays`: this package can be called.
+"""
+
+import sys
+from types import ModuleType
+
+from fes.recording.arrays import recording_from_arrays
 from fes.recording.read import read_recording
 from fes.recording.template import sidecar_template
 from fes.recording.tracks import Recording, RecordingError, SidecarMissingError, Track, TrackQuality
@@ -12,6 +19,14 @@ __all__ = [
     "Track",
     "TrackQuality",
     "read_recording",
+    "recording_from_arrays",
     "sidecar_template",
     "write_recording",
 ]
+
+
+class _Callable(ModuleType):
+    __call__ = staticmethod(recording_from_arrays)
+
+
+sys.modules[__name__].__class__ = _Callable  # one name, for the room and for what ``import fes`` offers

@@ -33,6 +33,7 @@ from fes.analysis.parameters.summary import (
     walk_of_sums,
 )
 from fes.analysis.results import Analysis
+from fes.analysis.tables import Table, table_of
 from fes.estimation.clearance.clearance import FootArms, arms_of
 from fes.signals import FOOT_SENSORS, FloatArray, StrideResult
 
@@ -105,6 +106,16 @@ class GaitParameters:
     paretic: str | None
     no_step_lengths: str
     common_scales: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def table(self) -> Table:
+        """A row a valid stride, by time."""
+        return table_of(self.rows())
+
+    @property
+    def summary(self) -> Table:
+        """Means of each foot, the sides compared, the walk's own: a row a number."""
+        return table_of(self.summary_rows())
 
     def rows(self) -> list[dict[str, Any]]:
         """One flat row per stride, by time."""

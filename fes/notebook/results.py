@@ -1,0 +1,149 @@
+"""What the functions of ``import fes`` give back: tables, objects, and a report to write."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fes.analysis.parameters.gait import ChunkedGait, GaitParameters, gait_parameters
+from fes.analysis.parameters.strides import StrideParameters
+from fes.analysis.results import PHASE_COLUMNS, Analysis, phase_row
+from fes.analysis.tables import Table, join_tables, table_of
+from fes.estimation.strides import schema
+from fes.recording import Recording
+from fes.session_log import SessionRecord
+
+if TYPE_CHECKING:
+    from fes.evaluation.reference.evaluation import Evaluation
+    from fes.simulation.truth import Truth
+
+File = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """What an analysis found. Iteration gives it for each part: one of up to half an hour, else of 15 minutes at most.
+
+    Attributes:
+        strides: a row a stride.
+        events: a row a swing: foot off and initial contact, found with the whole recording.
+        phases: a row a change of phase, as the machine of a live session would have made it.
+        path: a row a tenth of a second and foot: its place over the ground.
+        parameters: gait parameters; ``.table`` has a row a valid stride, ``.summary`` means, sides and the walk's own.
+    """
+
+    strides: Table
+    events: Table
+    phases: Table
+    path: Table
+    parameters: GaitParameters
+    _analyses: Callable[[], Iterator[Analysis]]
+
+    def __iter__(self) -> Iterator[Result]:
+        for analysis in self._analyses():
+            yield gather([analysis])
+
+    def report(self, path: File) -> list[Path]:
+        """Write the report as HTML, of several parts one each (``walk-01.html`` …); the paths that were written.
+
+        Raises:
+            ReportError: it cannot be written.
+        """
+        from fes.report.page import write_report
+
+        written, created = [], datetime.now(UTC).isoformat(timespec="seconds")
+        for number, analysis in enumerate(self._analyses(), 1):
+            whole = analysis.chunk is None or analysis.chunk.whole
+            written.append(Path(path) if whole else Path(path).with_stem(f"{Path(path).stem}-{number:02d}"))
+            gait = gait_parameters(analysis)
+            write_report(analysis.walk_record(created), written[-1], paths=analysis.paths, gait=gait)
+        return written
+
+    def analysis(self) -> Analysis:
+        """The analysis itself, with samples and trajectories; ValueError where there are several parts."""
+        first, *more = self._analyses()
+        if more:
+            raise ValueError("the recording is too long for this at once: take its parts, `for part in result`")
+        return first
+
+    def __repr__(self) -> str:
+        return f"Result: {len(self.strides)} strides, {int(self.strides['valid'].sum())} of them valid"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Log:
+    """A session log: its strides, phases and the gate's commands as tables, and all that it holds as ``record``."""
+
+    record: SessionRecord
+    source: str
+    strides: Table
+    phases: Table
+    commands: Table
+
+    def report(self, path: File) -> Path:
+        """Write the session's report as HTML; ReportError where it cannot be written."""
+        from fes.report.page import write_report
+
+        write_report(self.record, Path(path))
+        return Path(path)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Simulated:
+    """A virtual patient's walk: what its sensors recorded, the truth, its strides (with drag, stumble and charge), and
+    the session's log where it was stimulated."""
+
+    recording: Recording
+    truth: Truth
+    strides: Table
+    log: Log | None
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Agreement:
+    """Estimate minus reference, SI: ``table`` by quantity and foot (bias, 95 % limits of agreement, ICC(2,1)), its
+    ``pairs``; ``evaluation`` has all of it as objects, its notes and warnings too."""
+
+    table: Table
+    pairs: Table
+    evaluation: Evaluation
+
+    def report(self, path: File) -> Path:
+        """Write the page of the agreement as HTML; ReportError where it cannot be written."""
+        from fes.report.agreement import write_page
+
+        write_page(self.evaluation, Path(path))
+        return Path(path)
+
+
+def gather(analyses: list[Analysis] | Callable[[], Iterator[Analysis]]) -> Result:
+    """Gather the tables part by part; of a long recording only they are kept.
+
+    Args:
+        analyses: of each part; of a long recording what begins the analysis anew.
+    """
+    anew: Callable[[], Iterator[Analysis]] = analyses if callable(analyses) else lambda: iter(analyses)
+    tables, sums = [], None
+    strides: dict[str, list[StrideParameters]] = {}
+    for analysis in anew():
+        gait = gait_parameters(analysis)
+        sums = sums or ChunkedGait(analysis.recording.belt_speed_mps)
+        sums.add(gait, analysis.strides)
+        for foot, rows in gait.strides.items():
+            strides[foot] = [*strides.get(foot, []), *rows]
+        tables.append(analysis.tables())
+    assert sums is not None, "a recording has a part at least"
+    gait = gait if len(tables) == 1 else replace(sums.parameters(), strides=strides)
+    joined = {name: join_tables([each[name] for each in tables]) for name in tables[0]}
+    return Result(**joined, parameters=gait, _analyses=anew)
+
+
+def log_of(record: SessionRecord, source: str) -> Log:
+    """A session log's tables; ``source`` names it in an agreement."""
+    strides = Table.from_rows(schema.TABLE, [schema.table_row(stride) for stride in record.strides])
+    phases = Table.from_rows(PHASE_COLUMNS, [phase_row(change) for change in record.phases])
+    return Log(record, source, strides, phases, table_of([asdict(command) for command in record.commands]))
