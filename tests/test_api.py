@@ -129,7 +129,7 @@ def test_a_long_recording_is_one_result(walk, monkeypatch, tmp_path):
     from fes.recording import chunks
 
     def short(path):
-        return chunks.in_chunks(chunks.follow_recording(path, 30.0), around_s=5.0)
+        return chunks.cut_into_chunks(chunks.follow_recording(path, 30.0), around_s=5.0)
 
     path = fes.bundled_file("both_feet_100hz.parquet")
     whole = fes.analyse(path)

@@ -16,7 +16,12 @@ from fes.config import validate_session
 from fes.recording.sidecar import Sidecar
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", ROOT / "sim_inputs" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    ROOT / "sim_inputs" / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+]
 TREES = ("fes", "drivers", "statemachine")
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
