@@ -17,7 +17,14 @@ from fes import config
 from fes.analysis.pipeline import analyse_chunks, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.analysis.tables import table_of
-from fes.calibration.recording import Found, calibrate_all, calibrate_drivers, drivers_from, labelled, save
+from fes.calibration.recording import (
+    SensorCalibrations,
+    calibrate_all,
+    calibrate_phase_sensors,
+    labelled,
+    save,
+    stored_calibrations,
+)
 from fes.config import FootGeometry, Session
 from fes.notebook.results import Agreement, File, Log, Result, Simulated, gather, log_of
 from fes.recording import Recording, read_recording
@@ -56,7 +63,7 @@ def read(path: File) -> Recording:
     return read_recording(Path(path))
 
 
-def calibrate(recording: Recording | File, path: File | None = None, *, level: bool = True) -> Found:
+def calibrate(recording: Recording | File, path: File | None = None, *, level: bool = True) -> SensorCalibrations:
     """Find how each sensor sits and how this person moves: from a still second, then at least five strides ahead.
 
     Args:
@@ -76,7 +83,7 @@ def calibrate(recording: Recording | File, path: File | None = None, *, level: b
 
 def analyse(
     recording: Recording | File,
-    calibration: Found | File | None = None,
+    calibration: SensorCalibrations | File | None = None,
     level: bool = True,
     geometry: Mapping[str, FootGeometry] | None = None,
 ) -> Result:
@@ -117,7 +124,7 @@ def load_session(path: File) -> Session:
 def replay(
     recording: Recording | File,
     session: Session | File | None = None,
-    calibration: Found | File | None = None,
+    calibration: SensorCalibrations | File | None = None,
     log: File | None = None,
 ) -> Log:
     """Put a recording through the loop of a live session, sample by sample, into a simulated stimulator.
@@ -139,9 +146,9 @@ def replay(
 
     walk, stored = _recording(recording), _stored(calibration)
     if stored is None:
-        found = _checked(calibrate_drivers(walk))
+        found = _checked(calibrate_phase_sensors(walk))
     else:
-        walk, found = drivers_from(stored, walk)
+        walk, found = stored_calibrations(stored, walk)
     with TemporaryDirectory() as folder:
         path = Path(log or Path(folder, "session.feslog"))
         replay_in_one_process(walk, _session(session), found.calibrations, path)
@@ -237,11 +244,11 @@ def _session(session: Session | File | None) -> Session | None:
     return session if session is None or isinstance(session, Session) else load_session(session)
 
 
-def _stored(calibration: Found | File | None) -> Found | Path | None:
-    return calibration if calibration is None or isinstance(calibration, Found) else Path(calibration)
+def _stored(calibration: SensorCalibrations | File | None) -> SensorCalibrations | Path | None:
+    return calibration if calibration is None or isinstance(calibration, SensorCalibrations) else Path(calibration)
 
 
-def _checked(found: Found) -> Found:
+def _checked(found: SensorCalibrations) -> SensorCalibrations:
     """Warn of the sensors that are not used."""
     for reason in found.missing.values():
         warnings.warn(f"not calibrated, so not used: {reason}", stacklevel=3)
