@@ -18,8 +18,8 @@ from fes.calibration.recording import stored_calibrations
 from fes.cli.analyse_long import analyse_long
 from fes.cli.common.exits import FAILED, fail, fresh_folder
 from fes.cli.common.options import RenamedOptions
-from fes.cli.common.proposal import told
-from fes.cli.common.show import doubts
+from fes.cli.common.proposal import error_text
+from fes.cli.common.show import poorly_measured
 from fes.cli.common.table_file import write_table
 from fes.cli.compile_ import compiled_ahead
 from fes.estimation.foot.calibration import CalibrationError
@@ -137,7 +137,7 @@ def command(
         except (RecordingError, CalibrationError) as error:
             if len(recordings) == 1:
                 fail(error)
-            click.secho(f"Error: {told(error)}", fg="red", err=True)
+            click.secho(f"Error: {error_text(error)}", fg="red", err=True)
             failures += 1
             continue
         for reason in found.missing.values():
@@ -254,7 +254,7 @@ def _show(
         screen.print(table)
     for line in (*_clearance_lines(result), *_path_lines(result), *parameter_lines(parameters, walk)):
         screen.print(line, markup=False)
-    for line in doubts(_counted(result)):
+    for line in poorly_measured(_counted(result)):
         screen.print(line, markup=False, style="yellow")
     click.echo(f"Tables  {folder}/")
     if report:

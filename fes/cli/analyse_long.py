@@ -18,7 +18,7 @@ from fes.analysis.pipeline import analyse_chunks
 from fes.analysis.results import Analysis
 from fes.calibration.recording import SensorCalibrations, labelled
 from fes.cli.common.exits import fresh_folder
-from fes.cli.common.show import doubts
+from fes.cli.common.show import poorly_measured
 from fes.cli.common.table_file import TableFile, write_table
 from fes.recording.chunks import ALWAYS_NS, NEVER_NS, Chunk, recording_chunks
 
@@ -153,7 +153,7 @@ def _show(told: list[_Told], every: GaitParameters, folder: Path, *, report: boo
         for foot in feet
         for found in [[each.strides[foot] for each in told if foot in each.strides]]
     }
-    for line in doubts(counted):
+    for line in poorly_measured(counted):
         screen.print(line, markup=False, style="yellow")
     click.echo(f"Tables  {folder}/")
     if report:

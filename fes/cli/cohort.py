@@ -81,7 +81,7 @@ def command(
             number = min(workers or processors(), len(todo))
             with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "analysing") as bar:
                 ended = StoppedEarly
-                analyse_all(client, todo, store, settings, bar.tell, time_limit)
+                analyse_all(client, todo, store, settings, bar.advance, time_limit)
         if replaced := drop_replaced(store, sources, settings):
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
         rows = _rows(store, by_identity)
@@ -138,7 +138,7 @@ class ProgressBar:
         self._task = self._progress.add_task(doing, total=total)
         self._doing, self._failed = doing, 0
 
-    def tell(self, outcome: Outcome) -> None:
+    def advance(self, outcome: Outcome) -> None:
         """One more is finished."""
         self._failed += outcome.status != "done"
         said = f"{self._doing}, {self._failed} failed" if self._failed else self._doing

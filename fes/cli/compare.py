@@ -87,7 +87,7 @@ def command(
         click.echo(json.dumps({"a": str(a), "b": str(b), **to_json(result)}, indent=2, ensure_ascii=False))
     else:
         console = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
-        console.print(_said(a, b, result, every))
+        console.print(_difference_text(a, b, result, every))
     if not result.identical:
         raise SystemExit(FAILED)
 
@@ -118,8 +118,8 @@ def _report(
     except ReportError as error:
         fail(error)
     if as_json:
-        told = {**comparison.to_json(), "report": str(report)}
-        click.echo(json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False))
+        printed = {**comparison.to_json(), "report": str(report)}
+        click.echo(json.dumps(printed, indent=2, ensure_ascii=False, allow_nan=False))
         return
     for finding in (*comparison.confounders, *comparison.changes):
         click.secho(
@@ -169,7 +169,7 @@ def _name(stride: StrideResult) -> str:
     return f"{stride.foot} {stride.number}"
 
 
-def _said(a: Path, b: Path, result: Comparison, every: bool) -> RenderableType:
+def _difference_text(a: Path, b: Path, result: Comparison, every: bool) -> RenderableType:
     from rich.console import Group
     from rich.text import Text
 
@@ -195,8 +195,8 @@ def _said(a: Path, b: Path, result: Comparison, every: bool) -> RenderableType:
             lines.append(Text(f"Only in {where}: {len(strides)} strides ({names})", style="yellow"))
     lines.append(Text(f"{len(result.pairs)} strides in both, {len(result.pairs) - len(different)} of them the same."))
     for what, difference in (("phases", result.phases), ("commands", result.commands), ("bytes", result.frames)):
-        said = f"first difference: {difference}" if difference else "the same"
-        lines.append(Text(f"{what.capitalize():<9} {said}", style="yellow" if difference else ""))
+        text = f"first difference: {difference}" if difference else "the same"
+        lines.append(Text(f"{what.capitalize():<9} {text}", style="yellow" if difference else ""))
     lines.append(Text("Identical." if result.identical else "Different.", style="green" if result.identical else "red"))
     return Group(*lines)
 

@@ -81,7 +81,7 @@ def demo_closed_loop(options: Options) -> Path:
 
             def on_stride(stride: VirtualStride) -> None:
                 if stride.t_flat_ns > SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
-                    view.said(SLIPS_S, f"an electrode has slipped: {SLIPS_TO:.0%} of the charge reaches the nerve")
+                    view.text(SLIPS_S, f"an electrode has slipped: {SLIPS_TO:.0%} of the charge reaches the nerve")
                 strides.append(stride)
                 view.stride(stride)
 
@@ -100,7 +100,7 @@ def demo_closed_loop(options: Options) -> Path:
     result = {**result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
     _report(log, folder / "report.html")
     (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    _say(result, as_json=options.as_json)
+    _show(result, as_json=options.as_json)
     return folder
 
 
@@ -162,7 +162,7 @@ def _in_one_process(
 
     def on_note(note: Note) -> None:
         if note.source == "tuning" and " skipped: " not in note.text:
-            view.said(note.t_ns / NS_PER_S, note.text.partition(": ")[2])
+            view.text(note.t_ns / NS_PER_S, note.text.partition(": ")[2])
 
     def after(event: Event) -> None:
         interrupt.check()
@@ -191,7 +191,7 @@ def _between_processes(
     from fes.hil.closed_loop.processes import run_between_processes
 
     view.state("starting patient, stimulator and controller, each a process of its own")
-    told: dict[str, str] = {}
+    shown: dict[str, str] = {}
 
     def on_status(status: Status) -> None:
         now_s = max(bench.patient.now_s, 0.0) if bench.patient.start_ns < status.t_ns else 0.0
@@ -200,9 +200,9 @@ def _between_processes(
             f"{status.state}, intensity {status.intensity:.0%}" + (f", next burst {channel.now}" if channel else "")
         )
         for text in (channel.last_change, channel.hint) if channel else ():
-            if text and told.get(text[:24]) != text:
-                told[text[:24]] = text
-                view.said(now_s, text)
+            if text and shown.get(text[:24]) != text:
+                shown[text[:24]] = text
+                view.text(now_s, text)
 
     try:
         with ExitStack() as stack:
@@ -246,14 +246,14 @@ def _story(result: dict[str, Any]) -> str:
     first, last = result["first_8_strides"], result["last_10_strides"]
     bad, still = first["dragged"], last["dragged"]
     cleared, recovered = result["strides_until_clear"], result["strides_until_clear_again"]
-    said = f"At first the toe dragged ({bad} of 8 strides, {first['stumbled']} stumbles). "
-    said += f"Stimulation tuned itself; from stride {cleared} on it cleared. " if cleared else "It was not cleared. "
+    story = f"At first the toe dragged ({bad} of 8 strides, {first['stumbled']} stumbles). "
+    story += f"Stimulation tuned itself; from stride {cleared} on it cleared. " if cleared else "It was not cleared. "
     if recovered is not None:
-        said += f"After the electrode slipped it took {recovered} strides to clear again. "
-    return said + ("No stride of the last ten dragged." if not still else f"{still} of the last ten dragged.")
+        story += f"After the electrode slipped it took {recovered} strides to clear again. "
+    return story + ("No stride of the last ten dragged." if not still else f"{still} of the last ten dragged.")
 
 
-def _say(result: dict[str, Any], *, as_json: bool) -> None:
+def _show(result: dict[str, Any], *, as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(result, indent=2))
         return

@@ -83,7 +83,7 @@ def command(
         raise Problem(f"{recording}: no reference lies beside it. Name one: --reference FILE, or --belt-speed M/S")
     if oriented := _oriented(recording, files):
         folder = None if no_report else _written(oriented, out, recording)
-        _told(oriented, folder, as_json=as_json)
+        _show(oriented, folder, as_json=as_json)
         return
     estimate, own_belt = _estimated(recording, calibration, level=not uneven)
     default = f"{foot}_foot" if foot else (estimate.feet[0] if len(estimate.feet) == 1 else None)
@@ -103,7 +103,7 @@ def command(
     except ReferenceError as error:
         fail(error)
     folder = None if no_report else _written(result, out, recording)
-    _told(result, folder, as_json=as_json)
+    _show(result, folder, as_json=as_json)
 
 
 def _oriented(recording: Path, files: Sequence[Path]) -> Evaluation | None:
@@ -173,12 +173,12 @@ def _written(result: Evaluation, out: Path, recording: Path) -> Path:
     return folder
 
 
-def _told(result: Evaluation, folder: Path | None, *, as_json: bool) -> None:
+def _show(result: Evaluation, folder: Path | None, *, as_json: bool) -> None:
     from fes.report.agreement import agreement_json, agreement_text
 
     if as_json:
-        told = {**agreement_json(result), "files": {"folder": str(folder) if folder else None}}
-        click.echo(json.dumps(told, indent=2, ensure_ascii=False, allow_nan=False))
+        printed = {**agreement_json(result), "files": {"folder": str(folder) if folder else None}}
+        click.echo(json.dumps(printed, indent=2, ensure_ascii=False, allow_nan=False))
         return
     from rich.console import Console
 

@@ -81,11 +81,13 @@ def command(
     for number in SIGNALS:  # a shell's background job ignores SIGINT else
         signal.signal(number, _interrupt)
     try:
-        told = _Told(len(scenarios), repeat)
+        progress = _Progress(len(scenarios), repeat)
         if hardware is not None and calibration is not None:
-            campaign = hardware_campaign(hardware, calibration, scenarios, repeat, folder, told)
+            campaign = hardware_campaign(hardware, calibration, scenarios, repeat, folder, progress)
         else:
-            campaign = simulated_campaign(transport, scenarios, repeat, folder, told, channel, closed_loop=closed_loop)
+            campaign = simulated_campaign(
+                transport, scenarios, repeat, folder, progress, channel, closed_loop=closed_loop
+            )
     except (Unavailable, ConfigError, StimulatorLost) as error:
         fail(error)
     except CampaignBroken as error:
@@ -121,7 +123,7 @@ def _for_hardware(
     return [scenario for scenario in scenarios if scenario in possible]
 
 
-class _Told:
+class _Progress:
     """How far it has come, on stderr."""
 
     def __init__(self, rows: int, repeat: int) -> None:

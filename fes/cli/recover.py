@@ -42,7 +42,7 @@ def command(log: Path, out: Path | None, header_from: Path | None, dry_run: bool
         result = {**found.to_dict(), "log": str(log), "recovered": str(target) if written else None}
         click.echo(json.dumps(result, indent=2, ensure_ascii=False))
     else:
-        _tell(found, target if written else None)
+        _show(found, target if written else None)
     if found.lost_bytes:
         raise SystemExit(FAILED)
 
@@ -54,7 +54,7 @@ def _header(path: Path) -> dict[str, Any]:
     return header
 
 
-def _tell(found: Survey, target: Path | None) -> None:
+def _show(found: Survey, target: Path | None) -> None:
     if found.whole:
         click.echo(f"{found.path}: is whole ({found.size} bytes); nothing to recover.")
         return

@@ -22,7 +22,7 @@ from fes.cli.common.exits import Problem, StoppedEarly, fail, fresh_folder
 from fes.cli.common.loop_view import stride_line
 from fes.cli.common.options import Number
 from fes.cli.common.progress import Interrupt, ReplayProgress
-from fes.cli.common.show import tell_latched
+from fes.cli.common.show import show_latched
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.live.inputs import Terminal, standard_keys
@@ -64,7 +64,7 @@ def simulate_live(settings: PatientSettings, options: LiveOptions) -> None:
             bench = start_patient_bench(settings, folder, stack, stimulator=options.stimulator, waits=True)
         except (ImuLost, StimulatorLost, CalibrationError) as error:
             fail(error)
-        _tell(bench, keys)
+        _show_how_to_meet(bench, keys)
         if keys is not None:
             stack.enter_context(Terminal(keys))
         try:
@@ -83,7 +83,7 @@ def simulate_live(settings: PatientSettings, options: LiveOptions) -> None:
         )
 
 
-def _tell(bench: PatientBench, keys: int | None) -> None:
+def _show_how_to_meet(bench: PatientBench, keys: int | None) -> None:
     click.echo(
         f"The patient stands. In another terminal:\n\n    fes run {bench.session} --calibration {bench.calibration}\n"
     )
@@ -293,7 +293,7 @@ def simulate(settings: Any, options: Options) -> None:
         write_strides(folder / f"{options.name}.virtual.csv", walker.strides)
     except (RecordingError, ValueError, OSError) as error:
         fail(error, StoppedEarly)
-    _say(walker, settings, folder, options)
+    _show(walker, settings, folder, options)
 
 
 def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -> None:
@@ -327,7 +327,7 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
     except (ConfigError, CalibrationError) as error:
         fail(error)
     finally:
-        tell_latched(Notice(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
+        show_latched(Notice(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
 
 
 def _make_way(folder: Path, options: Options) -> None:
@@ -341,7 +341,7 @@ def _make_way(folder: Path, options: Options) -> None:
     (folder / f"{options.name}{LOG_SUFFIX}").unlink(missing_ok=True)
 
 
-def _say(walker: Any, settings: Any, folder: Path, options: Options) -> None:
+def _show(walker: Any, settings: Any, folder: Path, options: Options) -> None:
     mine = [stride for stride in walker.strides if stride.foot == settings.affected_foot and stride.walking]
     clearance = sorted(100.0 * stride.toe_clearance_m for stride in mine)
     result = {

@@ -118,7 +118,7 @@ def command(
             number = min(workers or processors(), len(todo))
             with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "trying") as bar:
                 ended = StoppedEarly
-                run_tasks(client, todo, store.url, bar.tell, time_limit)
+                run_tasks(client, todo, store.url, bar.advance, time_limit)
         rows = store.table(RESULTS, tasks).to_pylist()
         measures = measures_in(rows)
         found = combinations(rows, measures)
@@ -136,7 +136,7 @@ def command(
         click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED) from None
     click.echo(f"Table      {store.place(TABLE)}")
-    _tell(found, measures)
+    _show(found, measures)
     failed = sum(one.failed for one in found)
     if failed:
         for one in [one for one in found if one.failed][:LISTED]:
@@ -156,7 +156,7 @@ def _write(store: Store, found: Sequence[Combination], measures: Sequence[Measur
     store.write_bytes(TABLE, sink.getvalue().to_pybytes())
 
 
-def _tell(found: Sequence[Combination], measures: Sequence[Measure]) -> None:
+def _show(found: Sequence[Combination], measures: Sequence[Measure]) -> None:
     """The best, and the session as it is, on the terminal."""
     import sys
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from fes.signals import StimCommand, StimStatus
 
@@ -46,6 +46,12 @@ class Delivered:
     def ok(self) -> bool:
         """Every command was answered, and every answer says what was commanded."""
         return self.missing == 0 and self.different == 0 and self.matched == self.commands
+
+    def to_dict(self) -> dict[str, Any]:
+        """For the session log: counts, and by channel pulses and charge (µC)."""
+        counts = {name: getattr(self, name) for name in ("commands", "matched", "missing", "different", "unasked")}
+        charge_uc = {str(channel): round(charge, 3) for channel, charge in self.charge_uc.items()}
+        return counts | {"pulses": {str(channel): n for channel, n in self.pulses.items()}, "charge_uc": charge_uc}
 
 
 def compare_delivered(sent: Sequence[tuple[StimCommand, int]], statuses: Iterable[StimStatus]) -> Delivered:

@@ -13,11 +13,11 @@ from replays import MS, SETTINGS, bursts, cut, edit, keep, replay, trial, write_
 from drivers.stimulator.can_port import ByteSink
 from fes.calibration.foot_track import calibrate
 from fes.cli.common.exits import Problem
-from fes.cli.replay.log import Collected
 from fes.config import load_session
 from fes.control.controller import Controller
 from fes.control.runner import Runner
 from fes.control.sources import armed_after, with_ticks
+from fes.evaluation.log_replay import ReplayOutput
 from fes.gate import SafetyGate
 from fes.recording import Recording, RecordingError, Track, read_recording, write_recording
 from fes.recording.samples import samples_of
@@ -30,11 +30,11 @@ def walking() -> Recording:
     return cut(trial("negard_patient2"), 0.0, 22.0)
 
 
-def looped(walking: Recording, spoiled: Recording) -> Collected:
+def looped(walking: Recording, spoiled: Recording) -> ReplayOutput:
     """What the loop makes of samples that went bad after calibration."""
     settings = load_session(SETTINGS)
     gate = SafetyGate(settings.channels, max_data_age_ms=40, validity_ms=60)
-    out = Collected()
+    out = ReplayOutput()
     runner = Runner(Controller(settings, calibrate(walking)[0]), gate, ByteSink(1), out, lambda: 0)
     runner.run(armed_after(with_ticks(samples_of(spoiled, {"right_foot"})), 0.5, 1.0), lambda event: None)
     return out

@@ -1,7 +1,4 @@
-"""Exit codes, and errors that end a command with a message instead of a traceback.
-
-Where results go: a new folder each time.
-"""
+"""Exit codes, errors that end a command with a message instead of a traceback, a new folder for results."""
 
 from __future__ import annotations
 
@@ -50,10 +47,10 @@ class Broken(Problem):
 
 
 def fail(error: Exception, kind: type[Problem] = Problem) -> NoReturn:
-    """End the command with an exception's own words; a sidecar that is missing is proposed beside its recording."""
-    from fes.cli.common.proposal import told
+    """End the command with an exception's own text; a sidecar that is missing is proposed beside its recording."""
+    from fes.cli.common.proposal import error_text
 
-    raise kind(told(error)) from error
+    raise kind(error_text(error)) from error
 
 
 LOG_SUFFIX = ".feslog"

@@ -35,7 +35,7 @@ def stride_line(stride: VirtualStride) -> str:
 
 
 class LoopView:
-    """Use as a context manager; :meth:`stride`, :meth:`said` and :meth:`state` tell it what happens.
+    """Use as a context manager; :meth:`stride`, :meth:`text` and :meth:`state` show what happens.
 
     Args:
         title: above the picture.
@@ -59,8 +59,8 @@ class LoopView:
             click.echo(stride_line(stride))
         self._draw()
 
-    def said(self, t_s: float, text: str) -> None:
-        """Something was said of the tuning, or happened to the patient."""
+    def text(self, t_s: float, text: str) -> None:
+        """A text about the tuning or the patient."""
         self._texts = [*self._texts, f"{t_s:6.1f} s  {text}"][-TEXTS_SHOWN:]
         if self._prints:
             click.echo(f"{t_s:6.1f} s  → {text}")

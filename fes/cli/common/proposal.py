@@ -1,12 +1,12 @@
-"""A recording without a sidecar: the proposal for one is put beside it, and what is open in it is told."""
+"""A recording without a sidecar: the proposal for one is put beside it, and what is open in it is shown."""
 
 from __future__ import annotations
 
 from fes.recording.tracks import SidecarMissingError
 
 
-def told(error: Exception) -> str:
-    """Return what to tell of an error; of a missing sidecar, after writing the proposal where it is due.
+def error_text(error: Exception) -> str:
+    """What to show of an error; of a missing sidecar, after writing the proposal where it is due.
 
     A file that is there and not empty is never touched. Where nothing can be written the proposal is shown instead.
     """

@@ -1,9 +1,4 @@
-"""Show a session log: table and summary, or JSON, and the report.
-
-Saying at a replay's end that the gate had latched: the exit code does not, for a gate that stops did its work.
-
-Feet of whose strides few could be measured, in words.
-"""
+"""Show a session log: table and summary, or JSON, and the report; whether the gate latched."""
 
 from __future__ import annotations
 
@@ -20,7 +15,6 @@ from fes.cli.common.exits import StoppedEarly
 if TYPE_CHECKING:
     from fes.report.quality import Notice
 
-
 GATE: Final = "gate"
 LATCHED: Final = "off until armed again: "  # as fes.control.runner notes it
 ARMED_AGAIN: Final = "armed again"
@@ -28,12 +22,12 @@ ARMED_AGAIN: Final = "armed again"
 
 def latched(notices: Iterable[Notice]) -> str:
     """How often and when the gate latched, and whether it stayed so; "" when it never did. Times are the session's."""
-    told = [each for each in notices if each.source == GATE]
-    latches = [each for each in told if each.severity == "fault" and each.text.startswith(LATCHED)]
+    of_gate = [each for each in notices if each.source == GATE]
+    latches = [each for each in of_gate if each.severity == "fault" and each.text.startswith(LATCHED)]
     if not latches:
         return ""
     first, last = latches[0], latches[-1]
-    rearmed = next((each.time_s for each in told if each.text == ARMED_AGAIN and each.time_s >= last.time_s), None)
+    rearmed = next((each.time_s for each in of_gate if each.text == ARMED_AGAIN and each.time_s >= last.time_s), None)
     times = "once" if len(latches) == 1 else f"{len(latches)} times, first"
     what = f"The gate latched {times} at {first.time_s:.3f} s: {first.text.removeprefix(LATCHED)}."
     if rearmed is None:
@@ -41,16 +35,16 @@ def latched(notices: Iterable[Notice]) -> str:
     return f"{what} It was last armed again at {rearmed:.3f} s."
 
 
-def tell_latched(notices: Iterable[Notice]) -> None:
-    """On stderr, in red, where there is something to tell."""
-    if said := latched(notices):
-        click.secho(said, fg="red", bold=True, err=True)
+def show_latched(notices: Iterable[Notice]) -> None:
+    """On stderr: the exit code says nothing of it, for a gate that stops did its work."""
+    if text := latched(notices):
+        click.secho(text, fg="red", bold=True, err=True)
 
 
 DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
 
 
-def doubts(strides: Mapping[str, tuple[int, int]]) -> list[str]:
+def poorly_measured(strides: Mapping[str, tuple[int, int]]) -> list[str]:
     """What the sidecar says of these sensors may be wrong; by sensor how many strides there are, and how many valid."""
     return [
         f"! {sensor}: only {valid} of {count} strides could be measured. Does this sensor sit on "

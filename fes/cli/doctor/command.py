@@ -10,7 +10,7 @@ import click
 
 from fes.cli.common.exits import FAILED
 from fes.cli.common.options import Number, cannot_be_seen
-from fes.cli.doctor.host import Finding, Verdict, as_json, failure, ok, tell, warning
+from fes.cli.doctor.host import Finding, Verdict, as_json, failure, ok, show, warning
 from fes.config import ConfigError, Session, load_session
 
 
@@ -33,7 +33,7 @@ def command(session: Path | None, out: Path | None, stop_file: Path | None, hour
     for finding in examined(session, out, stop_file, hours):
         findings.append(finding)
         if not json_wanted:
-            tell(finding)
+            show(finding)
     if json_wanted:
         click.echo(as_json(findings))
     failures = sum(finding.verdict is Verdict.FAILURE for finding in findings)

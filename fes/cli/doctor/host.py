@@ -1,7 +1,4 @@
-"""Is this computer fit for a session? Its clock, disk, permissions, compiled code.
-
-What a check before a session found, and how it is told.
-"""
+"""Is this computer fit for a session? Its clock, disk, permissions, compiled code; how a check's finding is shown."""
 
 from __future__ import annotations
 
@@ -66,7 +63,7 @@ def failure(name: str, said: str, remedy: str) -> Finding:
     return Finding(name, Verdict.FAILURE, said, remedy)
 
 
-def tell(finding: Finding) -> None:
+def show(finding: Finding) -> None:
     """One line, the remedy under it."""
     word = click.style(f"{finding.verdict:<8}", fg=COLOURS[finding.verdict])
     click.echo(f"{word} {finding.name}: {finding.said}")

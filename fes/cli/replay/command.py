@@ -17,10 +17,9 @@ from fes.calibration.recording import calibrate_phase_sensors, stored_calibratio
 from fes.cli.common.exits import FAILED, INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
 from fes.cli.common.options import MonotonicClock, Number, RenamedOptions
 from fes.cli.common.progress import Interrupt, ReplayProgress
-from fes.cli.common.show import show, tell_latched
+from fes.cli.common.show import show, show_latched
 from fes.cli.replay.stimulators import (
     Opened,
-    as_summary,
     last_answers,
     no_stimulator,
     on_the_bus,
@@ -28,7 +27,7 @@ from fes.cli.replay.stimulators import (
     warn_of_real_device,
     wire_truth,
 )
-from fes.cli.replay.timing import PARAMETERS, TimingOptions, check_timing, expected_of, tell, timing_options
+from fes.cli.replay.timing import PARAMETERS, show_timing, timing_options
 from fes.cli.run.dashboard import FORMER_OPTIONS, dashboard_options
 from fes.config import ConfigError, Session, load_session
 from fes.control.controller import Controller
@@ -38,6 +37,7 @@ from fes.control.sources import armed_after, paced, with_ticks
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.estimation.warm_up import warm_up
+from fes.evaluation.timing_check import TimingError, TimingOptions, check_timing, expected_of
 from fes.gate import gate_of
 from fes.recording import Recording, RecordingError, read_recording
 from fes.recording.samples import samples_of
@@ -180,13 +180,13 @@ def replay_recording(path: Path, options: Options) -> Path:
             found = calibrate_phase_sensors(recording)
         calibrations, missing = found.calibrations, found.missing
         session = session_for(recording, wanted)
-    except (RecordingError, ConfigError, CalibrationError) as error:
+        expected = expected_of(options.timing, path, calibrations) if options.timing else None
+    except (RecordingError, ConfigError, CalibrationError, TimingError, SessionLogError) as error:
         fail(error)
     kept = {channel.number for channel in session.channels}
     left_out = [channel.name for channel in (wanted.channels if wanted else ()) if channel.number not in kept]
     show_what_is_left_out(session, settings, left_out, calibrations, missing)
     speed = options.speed or (1.0 if options.dashboard else None)
-    expected = expected_of(options.timing, path, calibrations) if options.timing else None
     sha256 = digest(path)
     numbers = identity(sha256, session)
     folder = fresh_folder(options.out, path.stem)
@@ -219,19 +219,22 @@ def replay_recording(path: Path, options: Options) -> Path:
         raise SystemExit(INTERRUPTED)
     timing = None
     if options.timing and expected:
-        timing = check_timing(read_session(log_path), options.timing, expected)
+        try:
+            timing = check_timing(read_session(log_path), options.timing, expected)
+        except TimingError as error:
+            fail(error)
     more = {"timing": timing.to_json()} if timing else None
     notices = show(
         log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None, more=more
     )
-    tell_latched(notices)
+    show_latched(notices)
     if ended == "different":
         click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
         raise SystemExit(FAILED)
     if ended != "complete":
         raise StoppedEarly(ended)
     if timing:
-        tell(timing, as_json=options.as_json)
+        show_timing(timing, as_json=options.as_json)
     return log_path
 
 
@@ -293,7 +296,7 @@ def _go(
             log.flush()
             so_far = read_session(log_path)
             truth = wire_truth(so_far.frames, so_far.statuses)
-            summary["wire"] = as_summary(truth)
+            summary["wire"] = truth.to_dict()
             ended = "complete" if truth.ok else "different"
     except KeyboardInterrupt:
         ended = "interrupted"

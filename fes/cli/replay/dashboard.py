@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,7 @@ import click
 
 from fes.cli.common.exits import INTERRUPTED, fail
 from fes.cli.common.progress import Interrupt
-from fes.cli.replay.log import Collected, LoggedSink
+from fes.cli.replay.log import LoggedSink
 from fes.cli.run.dashboard import open_dashboard
 from fes.config import ConfigError, Session
 from fes.control.controller import CURRENT_STEP_MA, Controller
@@ -21,10 +21,11 @@ from fes.control.runner import Log, Runner
 from fes.control.sources import paced
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.estimation.warm_up import warm_up
+from fes.evaluation.log_replay import ReplayOutput
 from fes.gate import SafetyGate, gate_of
 from fes.live.dashboard.replay import ReplayLog, StoppableClock
 from fes.session_log import Note, SessionLogError, iter_events, read_session
-from fes.signals import Event, StimOpened
+from fes.signals import Event
 
 
 class ReplayDashboard:
@@ -89,7 +90,7 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
     gate = gate_of(session, up, shank_phase_sensors(calibrations), step_ma)
     controller = Controller(session, calibrations, current_step_ma=step_ma)
     warm_up()
-    shown = ReplayDashboard(folder, session, calibrations, record.header, Collected(), controller, gate, port)
+    shown = ReplayDashboard(folder, session, calibrations, record.header, ReplayOutput(), controller, gate, port)
     sink = LoggedSink(session_id, [])
     runner = Runner(controller, gate, sink, shown.log, time.perf_counter_ns)
     ended = "interrupted"
@@ -100,18 +101,10 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
                 shown.publish(event.t_ns)
                 interrupt.check()
 
-            runner.run(_opening(paced(iter_events(path), shown.clock, speed), sink), after)
+            runner.run(sink.replay_events(paced(iter_events(path), shown.clock, speed)), after)
         ended = "complete"
     except KeyboardInterrupt:
         click.secho("Interrupted: the log was not played to its end, and not checked.", fg="yellow", err=True)
         raise SystemExit(INTERRUPTED) from None
     finally:
         shown.close(ended)
-
-
-def _opening(events: Iterable[Event], sink: LoggedSink) -> Iterable[Event]:
-    """The stimulator was opened again where the log says so."""
-    for event in events:
-        if isinstance(event, StimOpened):
-            sink.opened(event.session_id)
-        yield event

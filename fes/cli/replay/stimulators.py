@@ -1,6 +1,6 @@
 """Which stimulator a replay talks to: none, a simulated one in its own process, or what is on the session's bus.
 
-A serial stimulator's port repeated from a session log: the same port, told what the line brought when it did.
+A serial stimulator's port repeated from a session log: the same port, given what the line brought when it did.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import click
 
@@ -74,8 +74,8 @@ class SerialSink:
         self._line = LoggedLine()
         self._port = self._open(0)
 
-    def told(self, inputs: Iterable[Event | Received | WireFrame], session_id: int) -> Iterator[Event]:
-        """The log's events, while the port is told what lies between them.
+    def replay_events(self, inputs: Iterable[Event | Received | WireFrame], session_id: int) -> Iterator[Event]:
+        """The log's events, while the port gets what lies between them.
 
         The session looked at the line after every event that was no answer of the stimulator's own; what it then found
         is in the log before the answers that it made of it.
@@ -212,19 +212,6 @@ def last_answers(stimulator: OpenStimulator, t_ns: int) -> list[StimStatus | Sti
 def wire_truth(frames: list[WireFrame], statuses: list[StimStatus]) -> Delivered:
     """Hold the command frames that went out against what the stimulator said it delivered."""
     return compare_delivered(logged_commands([f for f in frames if f.identifier in CONTROLLER_IDS]), statuses)
-
-
-def as_summary(truth: Delivered) -> dict[str, Any]:
-    """For the session log."""
-    return {
-        "commands": truth.commands,
-        "matched": truth.matched,
-        "missing": truth.missing,
-        "different": truth.different,
-        "unasked": truth.unasked,
-        "pulses": {str(channel): count for channel, count in truth.pulses.items()},
-        "charge_uc": {str(channel): round(charge, 3) for channel, charge in truth.charge_uc.items()},
-    }
 
 
 def warn_of_real_device(session: Session) -> None:

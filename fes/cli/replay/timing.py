@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import functools
 import sys
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from fes.cli.common.exits import FAILED, LOG_SUFFIX, Problem, fail
+from fes.cli.common.exits import FAILED, Problem
 from fes.cli.common.options import Number
-from fes.evaluation.trigger_timing import (
-    LOG_TOLERANCE_MS,
-    TRUTH_TOLERANCE_MS,
-    Bounds,
-    Mark,
-    TimingCheck,
-    check_latency,
-    judge_timing,
-    marks_of_commands,
-    marks_of_phases,
-    marks_of_truth,
-    timing_rows,
-)
-from fes.session_log import SessionLogError, SessionRecord, read_session
-from fes.signals import StimCommand
-from fes.simulation.truth import load_truth
-from statemachine.phases import PhaseChange
+from fes.evaluation.timing_check import TimingOptions
+from fes.evaluation.trigger_timing import Bounds, TimingCheck
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -59,24 +43,6 @@ PARAMETERS: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class TimingOptions:
-    """What to hold the timing against; ``against`` None: the recording's own truth, of a log what it recorded."""
-
-    against: Path | None = None
-    tolerance_ms: float | None = None
-    bounds: Bounds = field(default_factory=Bounds)
-
-
-@dataclass(frozen=True, slots=True)
-class Expected:
-    """What should have happened: ``source`` in words, the marks, and whether they are a physical truth."""
-
-    source: str
-    marks: list[Mark]
-    physical: bool
-
-
 def timing_options(function: Callable[..., None]) -> Callable[..., None]:
     """Give a command the options of the timing check; it gets them as ``timing``, None where it is not asked for."""
 
@@ -101,97 +67,7 @@ def _packed(chosen: dict[str, Any]) -> TimingOptions | None:
     return TimingOptions(chosen["against"], chosen["tolerance_ms"], bounds)
 
 
-def expected_from(path: Path, feet: set[str]) -> Expected:
-    """What a session log did, or what the truth beside a recording says of these feet.
-
-    Raises:
-        Problem: neither is there.
-    """
-    if path.suffix == LOG_SUFFIX:
-        try:
-            record = read_session(path)
-        except SessionLogError as error:
-            fail(error)
-        return Expected(str(path), [*marks_of_phases(record.phases), *marks_of_commands(record.commands)], False)
-    try:
-        return Expected(f"the truth of {path.name}", marks_of_truth(load_truth(path), feet), True)
-    except FileNotFoundError as error:
-        raise Problem(
-            f"{path} has no truth beside it to check the timing against ({Path(str(error).split(': ')[0]).name} is not "
-            f"there). Name an earlier session log: --against LOG"
-        ) from error
-    except (ValueError, KeyError, OSError) as error:
-        raise Problem(f"{path}: its truth cannot be read: {error}") from error
-
-
-def expected_of(options: TimingOptions, default: Path | Expected, sensors: Iterable[str]) -> Expected:
-    """What is expected of these sensors: what ``options`` name, else ``default``.
-
-    Raises:
-        Problem: there is nothing to compare with.
-    """
-    source = options.against or default
-    return expected_from(source, {_foot(sensor) for sensor in sensors}) if isinstance(source, Path) else source
-
-
-def check_timing(
-    record: SessionRecord,
-    options: TimingOptions,
-    expected: Expected,
-    phases: Sequence[PhaseChange] | None = None,
-    commands: Iterable[StimCommand] | None = None,
-) -> TimingCheck:
-    """Compare a session with what is expected; its latencies count.
-
-    ``phases`` and ``commands``: what fired and what went out, if not the record's.
-
-    Raises:
-        Problem: the two tell of different times.
-    """
-    fired = marks_of_phases(record.phases if phases is None else phases)
-    found = [Mark(mark.t_ns, _foot(mark.who) if expected.physical else mark.who, mark.what) for mark in fired]
-    if not expected.physical:
-        found += marks_of_commands(record.commands if commands is None else commands)
-    _refuse_other_times(expected, found)
-    tolerances = {} if options.tolerance_ms or not expected.physical else dict(TRUTH_TOLERANCE_MS)
-    rows = timing_rows(expected.marks, found, tolerances, options.tolerance_ms or LOG_TOLERANCE_MS)
-    latency = check_latency(record.latency_ns, options.bounds.latency_budget_ms)
-    return judge_timing(expected.source, rows, latency, options.bounds)
-
-
-def check_replayed(
-    path: Path, options: TimingOptions, phases: list[PhaseChange], commands: list[StimCommand]
-) -> TimingCheck:
-    """Compare what a log's replay gave with the log itself, or with what ``options`` name.
-
-    Raises:
-        SessionLogError: the log cannot be read.
-        Problem: there is nothing to compare with.
-    """
-    record = read_session(path)
-    recorded = [*marks_of_phases(record.phases), *marks_of_commands(record.commands)]
-    own = Expected(f"what {path.name} recorded", recorded, False)
-    expected = expected_of(options, own, record.header.get("calibration", {}))
-    return check_timing(record, options, expected, phases, commands)
-
-
-def _foot(sensor: str) -> str:
-    """The foot that a sensor tells of."""
-    return sensor.replace("_shank", "_foot")
-
-
-def _refuse_other_times(expected: Expected, found: list[Mark]) -> None:
-    if not (expected.marks and found):
-        return
-    should, did = ((1e-9 * min(marks).t_ns, 1e-9 * max(marks).t_ns) for marks in (expected.marks, found))
-    if did[0] > should[1] or did[1] < should[0]:
-        raise Problem(
-            f"{expected.source} tells of another time than this session ({should[0]:.1f}–{should[1]:.1f} s and "
-            f"{did[0]:.1f}–{did[1]:.1f} s). Compare logs of the same recording; of two sessions, use `fes compare`."
-        )
-
-
-def tell(check: TimingCheck, *, as_json: bool) -> None:
+def show_timing(check: TimingCheck, *, as_json: bool) -> None:
     """Print the outcome and end with exit code 1 if a bound is broken."""
     from rich.console import Console
 
