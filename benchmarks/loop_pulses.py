@@ -19,10 +19,10 @@ from random import Random
 from unittest.mock import patch
 
 from drivers.simulated.stimulator.in_process import InProcessStimulator
-from fes.cli.demo import CURRENT_MA, patient
 from fes.config import validate_session
 from fes.estimation.sensor_choice import Calibration
 from fes.hil.closed_loop import one_process
+from fes.hil.closed_loop.demo import CURRENT_MA, patient
 from fes.hil.closed_loop.processes import armed_protocol
 from fes.hil.closed_loop.session import patient_calibration, session_text
 from fes.session_log import read_session

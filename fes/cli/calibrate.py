@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from fes.calibration.recording import SensorCalibrations, calibrate_all, load, save
+from fes.calibration.recording import SensorCalibrations, calibrate_all, save
 from fes.cli.common.exits import Problem, fail
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.sensor_choice import Calibration, phase_sensors
@@ -50,12 +50,12 @@ def command(recording: Path, out: Path | None, stairs: bool, as_json: bool) -> N
 
 
 def _show(found: SensorCalibrations) -> None:
-    """The table, then each sensor in words."""
+    """The table, then each sensor by itself."""
     from rich.console import Console
     from rich.table import Table
 
-    drivers = {sensor: foot for foot, sensor in phase_sensors(found.calibrations).items()}
-    table = Table("sensor", "drives", "strides", "still second", "forward is sure", "rest below", "arm")
+    foot_of = {sensor: foot for foot, sensor in phase_sensors(found.calibrations).items()}
+    table = Table("sensor", "phases of", "strides", "still second", "forward is sure", "rest below", "arm")
     for sensor, calibration in found.calibrations.items():
         if isinstance(calibration, ShankCalibration):
             rest_radps, arm = calibration.levels.rest_lean_radps, f"{100 * calibration.arm.length_m:.0f} cm"
@@ -64,7 +64,7 @@ def _show(found: SensorCalibrations) -> None:
             rest_radps, arm = calibration.rest_gyr_radps, "–"
         table.add_row(
             sensor,
-            drivers.get(sensor, "recorded only"),
+            foot_of.get(sensor, "recorded only"),
             str(calibration.strides),
             "yes" if calibration.standing else "no",
             f"{calibration.axis_confidence:.0%}",
@@ -89,7 +89,8 @@ def as_dict(found: SensorCalibrations, target: Path) -> dict[str, Any]:
     verdict = found.verdict
     return {
         "sensors": {sensor: calibration.to_dict() for sensor, calibration in found.calibrations.items()},
-        "drives": phase_sensors(found.calibrations),
+        "phase_sensors": phase_sensors(found.calibrations),
+        "drives": phase_sensors(found.calibrations),  # its former name
         "missing": found.missing,
         "sides": found.sides,
         "side_score": verdict.score if verdict else None,
@@ -100,7 +101,7 @@ def as_dict(found: SensorCalibrations, target: Path) -> dict[str, Any]:
 
 
 def describe(calibration: Calibration) -> str:
-    """A calibration in words."""
+    """A calibration for people."""
     shank = isinstance(calibration, ShankCalibration)
     unseen = "from the drift between strides" if shank else "taken as 0"
     still = f"nobody stood still: the gyroscope's bias is {unseen}"
@@ -152,13 +153,3 @@ def save_calibrations(found: SensorCalibrations, path: Path) -> None:
         save(found, path)
     except OSError as error:
         raise Problem(f"{path}: cannot be written: {error.strerror}. Choose another place with --out.") from error
-
-
-def load_calibrations(path: Path) -> dict[str, FootCalibration]:
-    """The feet of a calibration file.
-
-    Raises:
-        CalibrationError: missing, not JSON, or not a calibration of this format.
-    """
-    found = load(path).calibrations
-    return {sensor: c for sensor, c in found.items() if isinstance(c, FootCalibration)}

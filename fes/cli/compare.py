@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -84,7 +83,7 @@ def command(
     except SessionLogError as error:
         fail(error)
     if as_json:
-        click.echo(json.dumps({"a": str(a), "b": str(b), **to_json(result)}, indent=2, ensure_ascii=False))
+        click.echo(json.dumps({"a": str(a), "b": str(b), **result.to_json()}, indent=2, ensure_ascii=False))
     else:
         console = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
         console.print(_difference_text(a, b, result, every))
@@ -127,42 +126,6 @@ def _report(
             fg="yellow" if finding.level in ("alert", "warning") else None,
         )
     click.echo(f"Report {report}")
-
-
-def to_json(result: Comparison) -> dict[str, Any]:
-    """Plain values, None for what is not known."""
-    from fes.evaluation.log_comparison import QUANTITIES
-
-    spreads = {name: result.spread(name) for name in QUANTITIES}
-    return {
-        "identical": result.identical,
-        "settings": [{"name": name, "a": _known(a), "b": _known(b)} for name, a, b in result.settings],
-        "shift_s": result.shift_s,
-        "matched_by": result.matched_by,
-        "counts": {name: {"a": a, "b": b} for name, (a, b) in result.counts.items()},
-        "first_difference": {"commands": result.commands, "frames": result.frames, "phases": result.phases},
-        "only_in_a": [_name(stride) for stride in result.only_a],
-        "only_in_b": [_name(stride) for stride in result.only_b],
-        "differences": {
-            name: {"n": s.n, "mean": _known(s.mean), "sd": _known(s.sd), "greatest": _known(s.greatest)}
-            for name, s in spreads.items()
-        },
-        "strides": [
-            {
-                "foot": each.foot,
-                "number_a": each.number_a,
-                "number_b": each.number_b,
-                "start_s": each.start_s,
-                "same": each.same,
-                **{name: _known(value) for name, value in each.differences.items()},
-            }
-            for each in result.pairs
-        ],
-    }
-
-
-def _known(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _name(stride: StrideResult) -> str:

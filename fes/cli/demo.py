@@ -1,39 +1,40 @@
-"""``fes demo``: the main job with nothing to set up: a bundled trial, or a virtual patient in closed loop.
-
-``fes demo --closed-loop``: a drop-foot patient walks, stumbles, the controller tunes itself, the foot clears.
-"""
+"""``fes demo``: the main job with nothing to set up: a bundled trial, or a virtual patient in closed loop."""
 
 from __future__ import annotations
 
-import csv
 import json
 import tomllib
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from statistics import median
 from typing import Any, Final
 
 import click
 
 from fes.cli.common.exits import INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
-from fes.cli.common.loop_view import LoopView, outcome
+from fes.cli.common.loop_view import LoopView
 from fes.cli.common.options import Number
 from fes.cli.common.progress import Interrupt
-from fes.hil.closed_loop.processes import WALK_S, Happening, Protocol, armed_protocol
+from fes.hil.closed_loop.demo import (
+    CURRENT_MA,
+    SECONDS,
+    SLIPS_S,
+    SLIPS_TO,
+    demo_protocol,
+    patient,
+    result_of,
+    write_strides,
+)
+from fes.hil.closed_loop.processes import Protocol
 from fes.live.status import Status
 from fes.session_log import Note, SessionLogError
-from fes.signals import FOOT_SENSORS, NS_PER_S, Event
+from fes.signals import NS_PER_S, Event
 from fes.simulation.bundled import bundled_file
-from fes.simulation.forward import PatientSettings, VirtualStride, settings_for
+from fes.simulation.forward import PatientSettings, VirtualStride
 
-SECONDS: Final = 80.0
-SLIPS_S: Final = 48.0
-SLIPS_TO: Final = 0.7
 GO_ON: Final = 3  # times, where a busy computer makes the session switch off
-CURRENT_MA: Final = 12.0  # far too little for this patient
 LONGEST_FOLDER: Final = 85  # its socket's name has 107 bytes at most
 TITLE: Final = (
     "A simulated drop-foot patient on a treadmill, 0.8 m/s: the affected foot, stride by stride.\n"
@@ -50,17 +51,6 @@ class Options:
     stimulator: str = "can"
     seconds: float = SECONDS
     as_json: bool = False
-
-
-def patient() -> PatientSettings:
-    """Who walks: a severe drop foot, feet sensors, and little habit of lifting the leg instead."""
-    return settings_for("severe", seed=1, compensation=0.3, stand_s=WALK_S, sensors=FOOT_SENSORS)
-
-
-def demo_protocol(seconds: float = SECONDS) -> Protocol:
-    """Walk, and let an electrode slip half-way."""
-    slip = (Happening(SLIPS_S, "electrode", SLIPS_TO),) if seconds > SLIPS_S else ()
-    return armed_protocol(seconds, slip)
 
 
 def demo_closed_loop(options: Options) -> Path:
@@ -110,39 +100,6 @@ def _keep(folder: Path, strides: Sequence[VirtualStride]) -> None:
     for log in sorted(folder.rglob(f"session{LOG_SUFFIX}")):
         with suppress(SessionLogError):  # too short for a header: there is nothing to report
             _report(log, folder / "report.html")
-
-
-def result_of(strides: Sequence[VirtualStride]) -> dict[str, Any]:
-    """What came of it: the same between processes and in one."""
-    walked = [stride for stride in strides if stride.walking]
-    slip_ns = round(SLIPS_S * NS_PER_S)
-    parts = {
-        "first_8_strides": walked[:8],
-        "before_the_slip": [stride for stride in walked if stride.t_flat_ns < slip_ns][-10:],
-        "last_10_strides": walked[-10:],
-    }
-    return {
-        "strides": len(walked),
-        "charge_mc": round(1e-3 * sum(stride.charge_uc for stride in walked), 2),
-        "strides_until_clear": _until_clear([stride for stride in walked if stride.t_flat_ns < slip_ns]),
-        "strides_until_clear_again": _until_clear([stride for stride in walked if stride.t_flat_ns >= slip_ns]),
-        **{name: _part(part) for name, part in parts.items()},
-    }
-
-
-def _until_clear(strides: Sequence[VirtualStride]) -> int | None:
-    """Which stride, counted from 1, is the first of three in a row that clear the ground; None for none."""
-    clear = [outcome(stride) == "clears" for stride in strides]
-    return next((n + 1 for n in range(len(clear) - 2) if all(clear[n : n + 3])), None)
-
-
-def _part(strides: Sequence[VirtualStride]) -> dict[str, Any]:
-    return {
-        "dragged": sum(stride.dragged for stride in strides),
-        "stumbled": sum(stride.stumbled for stride in strides),
-        "median_toe_clearance_mm": round(1e3 * median(s.toe_clearance_m for s in strides), 1) if strides else None,
-        "charge_uc_a_step": round(median(s.charge_uc for s in strides), 1) if strides else None,
-    }
 
 
 def _in_one_process(
@@ -217,18 +174,6 @@ def _between_processes(
     except CampaignBroken as error:
         fail(error, StoppedEarly)
     return ran.log, {"patient_process": ran.punctuality, "interruptions": list(ran.interruptions)}
-
-
-def write_strides(path: Path, strides: Sequence[VirtualStride]) -> None:
-    """The patient's own account of its strides, as CSV.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, [item.name for item in fields(VirtualStride)], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(asdict(stride) for stride in strides)
 
 
 def _report(log: Path, path: Path) -> None:

@@ -1,7 +1,4 @@
-"""``fes simulate``: a virtual patient on a treadmill, recorded with its truth; stimulated in closed loop if asked.
-
-``fes simulate --live``: a virtual patient and a simulated stimulator that ``fes run`` in another terminal meets.
-"""
+"""``fes simulate``: a virtual patient on a treadmill, recorded with its truth, or met live by ``fes run``."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ import click
 
 from drivers.imu.port import ImuLost
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.common.exits import Problem, StoppedEarly, fail, fresh_folder
+from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
 from fes.cli.common.loop_view import stride_line
 from fes.cli.common.options import Number
 from fes.cli.common.progress import Interrupt, ReplayProgress
@@ -106,7 +103,7 @@ class _Live:
         while not self._over and (seconds is None or time.monotonic() - begin_s < seconds):
             if not walks and time.monotonic() - begin_s > WALKS_AFTER_S:
                 walks = True
-                self._do("walk")
+                self._intervene("walk")
             if self._keys is None:
                 time.sleep(LOOK_S)
             elif select.select([self._keys], [], [], LOOK_S)[0]:
@@ -125,24 +122,21 @@ class _Live:
             if key == "q":
                 self._over = True
             elif key in "ws":
-                self._do("walk" if key == "w" else "stand")
+                self._intervene("walk" if key == "w" else "stand")
             elif key in "+=-":
                 step = -SPEED_STEP_MPS if key == "-" else SPEED_STEP_MPS
                 self._speed_mps = round(min(max(self._speed_mps + step, 0.1), 2.0), 3)
-                self._do("speed", self._speed_mps)
+                self._intervene("speed", self._speed_mps)
             elif key == "e":
                 self._slipped = not self._slipped
-                self._do("electrode", 0.6 * self._whole if self._slipped else self._whole)
+                self._intervene("electrode", 0.6 * self._whole if self._slipped else self._whole)
             elif key == "t":
-                self._do("fitness", 0.6)
+                self._intervene("fitness", 0.6)
 
-    def _do(self, deed: str, value: float = 0.0) -> None:
-        self._bench.patient.intervene(deed, value)
+    def _intervene(self, what: str, value: float = 0.0) -> None:
+        self._bench.patient.intervene(what, value)
         shown: dict[str, Any] = {"speed": f" {value:g} m/s", "electrode": f" {value:.0%}", "fitness": f" {value:.0%}"}
-        click.echo(f"          {deed}{shown.get(deed, '')}")
-
-
-LOG_SUFFIX = ".feslog"
+        click.echo(f"          {what}{shown.get(what, '')}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,10 +156,10 @@ class Options:
 @click.argument("patient", required=False, type=click.Path(path_type=Path))
 @click.option("--severity", type=click.Choice(list(SEVERITIES)), help="Drop foot from none to severe.  [moderate]")
 @click.option("--pattern", type=click.Choice(list(PATTERNS)), help="One of the five hemiparetic walks of Wang et al.")
-@click.option("--speed", type=Number(0.1, 2.0), help="Belt speed (m/s).")
+@click.option("--speed", "speed_mps", type=Number(0.1, 2.0), help="Belt speed (m/s).")
 @click.option("--side", type=click.Choice(["left", "right"]), help="The affected side.  [right]")
 @click.option("--seed", type=click.IntRange(min=0), help="Fixes every random number.  [1]")
-@click.option("--rate", type=Number(20, 1000), help="Samples a second; 2000 must be a multiple of it.  [100]")
+@click.option("--rate", "rate_hz", type=Number(20, 1000), help="Samples a second, a divisor of 2000.  [100]")
 @click.option("--seconds", type=Number(5, 7200), default=60.0, show_default=True, help="How long.")
 @click.option(
     "--stimulate",
@@ -191,19 +185,13 @@ def command(
     patient: Path | None,
     severity: str | None,
     pattern: str | None,
-    speed: float | None,
+    speed_mps: float | None,
     side: str | None,
     seed: int | None,
-    rate: float | None,
-    seconds: float,
-    stimulate: str,
+    rate_hz: float | None,
     live: bool,
     stimulator: str,
-    session: Path | None,
-    out: Path,
-    name: str,
-    overwrite: bool,
-    as_json: bool,
+    **chosen: Any,
 ) -> None:
     """Let a virtual patient walk and record foot and shank sensors of both legs, with the truth.
 
@@ -214,14 +202,9 @@ def command(
     With --live nothing is recorded here: patient and stimulator run as processes until q or --seconds, and a session
     file for them is written to OUT/NAME-001.
     """
-    _refuse_idle(live=live, stimulated=stimulate != "none")
-    given = {
-        "pattern": pattern,
-        "speed_mps": speed,
-        "side": side,
-        "seed": seed,
-        "rate_hz": rate,
-    }
+    options = Options(**chosen)
+    _refuse_idle(live=live, stimulated=options.stimulate != "none")
+    given = {"pattern": pattern, "speed_mps": speed_mps, "side": side, "seed": seed, "rate_hz": rate_hz}
     others = {key: value for key, value in given.items() if value is not None}
     try:
         if patient is not None:
@@ -231,11 +214,11 @@ def command(
     except ValueError as error:
         fail(error)
     if live:
-        asked = click.get_current_context().get_parameter_source("seconds")
-        ends_s = seconds if asked is click.core.ParameterSource.COMMANDLINE else None
-        simulate_live(settings, LiveOptions(out, name, ends_s, stimulator))
+        source = click.get_current_context().get_parameter_source("seconds")
+        ends_s = options.seconds if source is click.core.ParameterSource.COMMANDLINE else None
+        simulate_live(settings, LiveOptions(options.out, options.name, ends_s, stimulator))
         return
-    simulate(settings, Options(seconds, out, name, stimulate, session, overwrite, as_json))
+    simulate(settings, options)
 
 
 def _refuse_idle(*, live: bool, stimulated: bool) -> None:
@@ -259,7 +242,7 @@ def simulate(settings: Any, options: Options) -> None:
     Raises:
         Problem: files in the way, an unusable session, a foot that cannot be calibrated.
     """
-    from fes.cli.demo import write_strides
+    from fes.hil.closed_loop.demo import write_strides
     from fes.recording import RecordingError, write_recording
     from fes.simulation.forward.patient import VirtualPatient
     from fes.simulation.forward.truth import recording_of, truth_of

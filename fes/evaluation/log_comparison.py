@@ -84,6 +84,43 @@ class Comparison:
         sd = float(values.std(ddof=1)) if values.size > 1 else _NAN
         return Spread(int(values.size), float(values.mean()), sd, float(np.abs(values).max()))
 
+    def to_json(self) -> dict[str, Any]:
+        """Plain values, None for what is not known."""
+        spreads = {name: self.spread(name) for name in QUANTITIES}
+        return {
+            "identical": self.identical,
+            "settings": [{"name": name, "a": _finite(a), "b": _finite(b)} for name, a, b in self.settings],
+            "shift_s": self.shift_s,
+            "matched_by": self.matched_by,
+            "counts": {name: {"a": a, "b": b} for name, (a, b) in self.counts.items()},
+            "first_difference": {"commands": self.commands, "frames": self.frames, "phases": self.phases},
+            "only_in_a": [_label(stride) for stride in self.only_a],
+            "only_in_b": [_label(stride) for stride in self.only_b],
+            "differences": {
+                name: {"n": s.n, "mean": _finite(s.mean), "sd": _finite(s.sd), "greatest": _finite(s.greatest)}
+                for name, s in spreads.items()
+            },
+            "strides": [
+                {
+                    "foot": each.foot,
+                    "number_a": each.number_a,
+                    "number_b": each.number_b,
+                    "start_s": each.start_s,
+                    "same": each.same,
+                    **{name: _finite(value) for name, value in each.differences.items()},
+                }
+                for each in self.pairs
+            ],
+        }
+
+
+def _finite(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _label(stride: StrideResult) -> str:
+    return f"{stride.foot} {stride.number}"
+
 
 def compare_logs(a: SessionRecord, b: SessionRecord) -> Comparison:
     """Compare two sessions."""

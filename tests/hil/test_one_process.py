@@ -16,8 +16,8 @@ from rich.console import Console
 from fes.cli import demo as demo_loop
 from fes.cli.common.loop_view import LoopView
 from fes.cli.demo import command as demo
-from fes.cli.demo import patient, result_of
 from fes.config import Bus, StimulatorDevice, load_session, validate_session
+from fes.hil.closed_loop.demo import patient, result_of
 from fes.hil.closed_loop.one_process import NotifyingLog, run_in_one_process
 from fes.hil.closed_loop.processes import WALK_S, Happening, armed_protocol
 from fes.hil.closed_loop.session import patient_calibration, session_text
@@ -138,11 +138,11 @@ def test_the_picture_shows_the_last_strides_and_reasons(capsys: pytest.CaptureFi
             view.stride(replace(stride, dragged=False, stumbled=False, toe_clearance_m=0.02))
         view.stride(replace(strides[-1], number=99, stumbled=True, toe_clearance_m=-0.004))
         for number in range(9):
-            view.said(float(number), f"reason {number}")
+            view.text(float(number), f"reason {number}")
         shown = drawn(view)
         low = drawn(view, 80, 24)
         for number in range(4):
-            view.said(float(number), f"{number}: " + "a reason that needs several lines of a narrow terminal " * 4)
+            view.text(float(number), f"{number}: " + "a reason that needs several lines of a narrow terminal " * 4)
         crowded = drawn(view, 80, 24)
     assert "running, intensity 100%" in shown
     assert "━" * 20 in shown
@@ -164,7 +164,7 @@ def test_the_picture_shows_the_last_strides_and_reasons(capsys: pytest.CaptureFi
     assert capsys.readouterr().out.count("armed") == 1
     with LoopView("A walk", quiet=True) as silent:
         silent.stride(strides[0])
-        silent.said(1.0, "x")
+        silent.text(1.0, "x")
         silent.state("y")
     assert capsys.readouterr().out == ""
 

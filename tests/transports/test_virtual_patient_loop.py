@@ -34,13 +34,13 @@ from drivers.simulated.record import RecordEntry, read_record
 from drivers.simulated.stimulator.spawn import free_bus, why_silent
 from drivers.stimulator.open import Port, open_stimulator
 from fes.calibration.recording import load
-from fes.cli.demo import CURRENT_MA, patient
 from fes.cli.replay.log import repeat
 from fes.config import load_session, validate_session
 from fes.hil.baseline import Baseline
 from fes.hil.campaign import run_campaign
 from fes.hil.campaign_bench import LOST_TIME, CampaignBench
 from fes.hil.closed_loop.bench import PatientBench, spawn_patient, start_patient_bench
+from fes.hil.closed_loop.demo import CURRENT_MA, patient
 from fes.hil.closed_loop.one_process import run_in_one_process
 from fes.hil.closed_loop.processes import ClosedLoopRun, SwitchedOff, armed_protocol, run_between_processes
 from fes.hil.closed_loop.session import patient_calibration, session_text

@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 
 import click
 
+from fes.hil.closed_loop.demo import outcome
 from fes.signals import NS_PER_S
 from fes.simulation.forward import VirtualStride
 
@@ -16,14 +17,6 @@ FEWEST_STRIDES: Final = 5  # in a low terminal; rather fewer texts
 TEXTS_SHOWN: Final = 4
 BAR_MM: Final = 30.0
 BAR: Final = 30
-LOW_MM, HIGH_MM = 10.0, 40.0  # of true toe clearance: what the demo's tuning aims at
-
-
-def outcome(stride: VirtualStride) -> str:
-    """What became of a stride, in a word."""
-    if stride.stumbled:
-        return "stumbled"
-    return "dragged" if stride.dragged else "low" if 1e3 * stride.toe_clearance_m < LOW_MM else "clears"
 
 
 def stride_line(stride: VirtualStride) -> str:
