@@ -16,9 +16,8 @@ from fes.analysis.pipeline import analyse, calibrations_of, calibrations_of_chun
 from fes.analysis.results import Analysis
 from fes.calibration.recording import stored_calibrations
 from fes.cli.analyse_long import analyse_long
-from fes.cli.common.exits import FAILED, fail, fresh_folder
+from fes.cli.common.exits import FAILED, error_text, fail, fresh_folder
 from fes.cli.common.options import RenamedOptions
-from fes.cli.common.proposal import error_text
 from fes.cli.common.show import poorly_measured
 from fes.cli.common.table_file import write_table
 from fes.cli.compile_ import compiled_ahead

@@ -36,18 +36,8 @@ KEYS: Final = "w walk · s stand · + − belt speed · e electrode slips (and b
 WALKS_AFTER_S: Final = 30.0  # where nobody can press a key
 
 
-@dataclass(frozen=True, slots=True)
-class LiveOptions:
-    """Where to write, for how long (None: until told), which simulated stimulator."""
-
-    out: Path
-    name: str
-    seconds: float | None = None
-    stimulator: str = "can"
-
-
-def simulate_live(settings: PatientSettings, options: LiveOptions) -> None:
-    """Start both, write the session, tell how to meet them, then pass on what happens until the end.
+def simulate_live(settings: PatientSettings, options: Options, seconds: float | None, stimulator: str) -> None:
+    """Start patient and stimulator, write the session, then pass on what happens for ``seconds``, or until told.
 
     Raises:
         Problem: a device does not start, or the patient cannot be calibrated.
@@ -58,14 +48,14 @@ def simulate_live(settings: PatientSettings, options: LiveOptions) -> None:
     with ExitStack() as stack:
         interrupt = stack.enter_context(Interrupt())
         try:
-            bench = start_patient_bench(settings, folder, stack, stimulator=options.stimulator, waits=True)
+            bench = start_patient_bench(settings, folder, stack, stimulator=stimulator, waits=True)
         except (ImuLost, StimulatorLost, CalibrationError) as error:
             fail(error)
         _show_how_to_meet(bench, keys)
         if keys is not None:
             stack.enter_context(Terminal(keys))
         try:
-            _Live(bench, settings, keys).run(options.seconds, interrupt)
+            _Live(bench, settings, keys).run(seconds, interrupt)
         except KeyboardInterrupt:
             click.echo("Ending.", err=True)
         except ImuLost as error:
@@ -216,7 +206,7 @@ def command(
     if live:
         source = click.get_current_context().get_parameter_source("seconds")
         ends_s = options.seconds if source is click.core.ParameterSource.COMMANDLINE else None
-        simulate_live(settings, LiveOptions(options.out, options.name, ends_s, stimulator))
+        simulate_live(settings, options, ends_s, stimulator)
         return
     simulate(settings, options)
 
