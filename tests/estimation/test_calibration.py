@@ -283,6 +283,13 @@ def test_there_and_back_through_the_log(name: str, foot: str) -> None:
     assert FootCalibration.from_dict(json.loads(json.dumps(found.to_dict()))) == found
 
 
+def test_a_calibration_of_before_the_renaming_is_read() -> None:
+    found = calibrated(*WALKS[0])
+    old = {key.replace("contact_jerk", "contact_jump"): value for key, value in found.to_dict().items()}
+    assert "contact_jump_mps3" in old
+    assert FootCalibration.from_dict(old) == found
+
+
 def test_a_minute_is_enough() -> None:
     t_ns = np.arange(0, 90_000_000_000, 10_000_000) + 123_000_000_000
     assert stretch_for_calibration(t_ns) == 6001

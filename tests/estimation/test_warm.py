@@ -6,6 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
+from fes.estimation import warm_up
+
 FOLDER = Path(__file__).resolve().parents[2] / "sim_inputs"
 SCRIPT = """
 import sys
@@ -40,6 +44,13 @@ for trial in sys.argv[2:]:
     more = {key for key, count in compiled().items() if count > before.get(key, 0)}
     assert not more, (trial, more)
 """
+
+
+def test_no_session_begins_where_code_does_not_stay_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = iter((200, 201))
+    monkeypatch.setattr(warm_up, "signatures", lambda: next(counts))
+    with pytest.raises(RuntimeError, match="no session may begin"):
+        warm_up.warm_up()
 
 
 def test_nothing_is_compiled_in_the_loop() -> None:

@@ -103,7 +103,10 @@ def run_session(path: Path, options: Options) -> Path:
         if keys is not None:
             stack.enter_context(Terminal(keys))
         interrupt = stack.enter_context(Interrupt())
-        warm_up()
+        try:
+            warm_up()
+        except RuntimeError as error:
+            fail(error)
         if calibrations is None:
             calibrations = calibrate(session, streams, options.strides, folder, keys, interrupt)
         worn = {device.sensor for device in session.sensors}
