@@ -28,6 +28,22 @@ if TYPE_CHECKING:
 _SOONEST_S: Final = 1e-3  # no time left is no timer
 _due_s: dict[int, float] = {}  # by thread: a worker may have several
 _lock = threading.Lock()
+AHEAD: Final = 2  # batches of a worker process: the one it works on, and the next
+BATCH_S: Final = 2.0  # of work in a batch, about: handing one over takes this process 3 ms and the worker's as much …
+BATCHES: Final = 2  # … but of what is left no more than this part of a worker's share, so that all end together …
+SHORTEST_S: Final = 0.05  # … though not less than this …
+LARGEST_BATCH: Final = 128  # … and never more tasks than this
+CONNECT_S: Final = 10.0
+DEATHS: Final = 3  # of its process, after which a task is given up
+NO_DEATHS: Final = 0  # with a time limit, for each of them may last as long; tried once more it is all the same
+QUIET: Final = {  # what Dask does besides the work every 10 ms to 2 s took 4 % of two processors from the work
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",
+    "distributed.worker.memory.monitor-interval": "500ms",
+    "distributed.admin.system-monitor.interval": "5s",
+    "distributed.scheduler.active-memory-manager.start": False,  # looks for results that two workers have
+}
+OnOutcome = Callable[[Outcome], None]
 
 
 @contextmanager
@@ -54,25 +70,6 @@ def _set_due(due_s: float | None) -> None:
             _due_s[threading.get_ident()] = due_s
         left_s = [max(each - time.monotonic(), _SOONEST_S) for each in _due_s.values()]
         signal.setitimer(signal.ITIMER_REAL, min(left_s, default=0.0))
-
-
-AHEAD: Final = 2  # batches of a worker process: the one it works on, and the next
-BATCH_S: Final = 2.0  # of work in a batch, about: handing one over takes this process 3 ms and the worker's as much …
-BATCHES: Final = 2  # … but of what is left no more than this part of a worker's share, so that all end together …
-SHORTEST_S: Final = 0.05  # … though not less than this …
-LARGEST_BATCH: Final = 128  # … and never more tasks than this
-CONNECT_S: Final = 10.0
-DEATHS: Final = 3  # of its process, after which a task is given up
-NO_DEATHS: Final = 0  # with a time limit, for each of them may last as long; tried once more it is all the same
-QUIET: Final = {  # what Dask does besides the work every 10 ms to 2 s took 4 % of two processors from the work
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.tick.interval": "500ms",
-    "distributed.worker.memory.monitor-interval": "500ms",
-    "distributed.admin.system-monitor.interval": "5s",
-    "distributed.scheduler.active-memory-manager.start": False,  # looks for results that two workers have
-}
-
-OnOutcome = Callable[[Outcome], None]
 
 
 @dataclass(frozen=True, slots=True)

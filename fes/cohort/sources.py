@@ -29,6 +29,7 @@ SIDECAR: Final = ".toml"
 LARGEST_SIDECAR: Final = 1_000_000  # bytes: a larger one is no sidecar, and is known by its size and time only
 _DEEP: Final = 8  # folders that a file may lie above its sidecar, at most
 PACKAGES: Final = ("fes", "drivers", "statemachine")
+SUFFIXES: Final = TABLE_SUFFIXES + CAN_SUFFIXES
 
 
 @cache
@@ -121,9 +122,6 @@ def fetch(filesystem: Any, path: str, folder: Path, endings: tuple[str, ...]) ->
             target.parent.mkdir(parents=True, exist_ok=True)
             filesystem.get_file(file, str(target))
     return here
-
-
-SUFFIXES: Final = TABLE_SUFFIXES + CAN_SUFFIXES
 
 
 class CohortError(RuntimeError):

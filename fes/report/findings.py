@@ -17,6 +17,14 @@ from fes.report.text import count_of, number, readable
 Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
 SILENCE_MS = 100.0
+FIRST = 6  # sentences on the first page; the rest stand further down
+_ORDER: Final[tuple[Level, ...]] = ("alert", "warning", "good", "info")
+_VERDICTS: Final[dict[Level, str]] = {
+    "alert": "Look before using the numbers",
+    "warning": "Usable, with points to look at",
+    "good": "No fault found in data and stimulation",
+    "info": "No fault found in data and stimulation",
+}
 
 
 @dataclass(frozen=True)
@@ -178,16 +186,6 @@ def _sensor(sensor: SensorQuality) -> Iterator[Finding]:
     told = ", ".join(flaw for flaw in flaws if flaw)
     if told:
         yield Finding("warning", f"Sensor {readable(sensor.sensor)}: {told} ({sensor.samples} samples).")
-
-
-FIRST = 6  # sentences on the first page; the rest stand further down
-_ORDER: Final[tuple[Level, ...]] = ("alert", "warning", "good", "info")
-_VERDICTS: Final[dict[Level, str]] = {
-    "alert": "Look before using the numbers",
-    "warning": "Usable, with points to look at",
-    "good": "No fault found in data and stimulation",
-    "info": "No fault found in data and stimulation",
-}
 
 
 @dataclass(frozen=True, slots=True)

@@ -36,6 +36,13 @@ from statemachine.phases import Phase
 
 NAN = float("nan")
 NO_STEP_LENGTHS = "the sensors of a session do not tell how far apart the feet are; fes analyse looks for it"
+POINTS = 101
+_ENTRIES: Final = {
+    Phase.PRE_SWING: "t_pre_swing_ns",
+    Phase.SWING: "t_swing_ns",
+    Phase.LOADING_RESPONSE: "t_loading_response_ns",
+    Phase.STANCE: "t_stance_ns",
+}
 
 
 def gait_of_strides(strides: Sequence[StrideResult], belt_speed_mps: float = NAN) -> GaitParameters:
@@ -143,15 +150,6 @@ def _variations(strides: Sequence[StrideResult]) -> Mapping[int, float]:
 def _unit(values: FloatArray) -> FloatArray:
     low, high = float(values.min()), float(values.max())
     return np.asarray((values - low) / max(high - low, 1e-9))
-
-
-POINTS = 101
-_ENTRIES: Final = {
-    Phase.PRE_SWING: "t_pre_swing_ns",
-    Phase.SWING: "t_swing_ns",
-    Phase.LOADING_RESPONSE: "t_loading_response_ns",
-    Phase.STANCE: "t_stance_ns",
-}
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,25 @@ CLOCKS_AGREE_NS = NS_PER_S
 FAR_NS = 3600 * NS_PER_S
 GAP_FACTOR = 1.8  # an interval this many times the usual one has at least one sample missing
 NAN = float("nan")
+AT_LIMIT: Final = 0.999  # of a range that is known
+IN_A_ROW: Final = 4  # equal greatest values that tell a limit where it is not
+LEAST_GAP_S: Final = 0.025  # as long as a foot's impact; a sample or two that are lost elsewhere change nothing
+LEAST_LIMIT: Final = {"acc": 15.0, "gyr": 4.0}  # m/s², rad/s: a sensor that hardly moved has no limit to reach
+CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE = "accelerometer", "gyroscope", "lost", "unsure"
+SHORT: Final = {CLIPPED_ACC: "clip a", CLIPPED_GYR: "clip g", LOST: "gap", UNSURE: "unsure"}
+NAMES: Final = {
+    CLIPPED_ACC: "accelerometer at its limit",
+    CLIPPED_GYR: "gyroscope at its limit",
+    LOST: "lost samples",
+    UNSURE: "a phase not seen",
+}
+MEANING: Final = {
+    CLIPPED_ACC: "the accelerometer was at its limit: lengths, heights and paths may be off",
+    CLIPPED_GYR: "the gyroscope was at its limit: angles, lengths, heights and paths may be off",
+    LOST: "samples are missing for more than 25 ms: all numbers of the stride may be off",
+    UNSURE: "a phase was not seen: times of swing and stance may be off",
+}
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -160,29 +179,6 @@ def _heartbeat_faults(alive: Sequence[StimAlive]) -> Iterable[Note]:
         if beat.boot_id != boot:
             yield Note(beat.t_ns, "fault", "stimulator", f"restarted (boot {boot} → {beat.boot_id})")
         fault, boot = beat.fault, beat.boot_id
-
-
-AT_LIMIT: Final = 0.999  # of a range that is known
-IN_A_ROW: Final = 4  # equal greatest values that tell a limit where it is not
-LEAST_GAP_S: Final = 0.025  # as long as a foot's impact; a sample or two that are lost elsewhere change nothing
-LEAST_LIMIT: Final = {"acc": 15.0, "gyr": 4.0}  # m/s², rad/s: a sensor that hardly moved has no limit to reach
-
-CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE = "accelerometer", "gyroscope", "lost", "unsure"
-SHORT: Final = {CLIPPED_ACC: "clip a", CLIPPED_GYR: "clip g", LOST: "gap", UNSURE: "unsure"}
-NAMES: Final = {
-    CLIPPED_ACC: "accelerometer at its limit",
-    CLIPPED_GYR: "gyroscope at its limit",
-    LOST: "lost samples",
-    UNSURE: "a phase not seen",
-}
-MEANING: Final = {
-    CLIPPED_ACC: "the accelerometer was at its limit: lengths, heights and paths may be off",
-    CLIPPED_GYR: "the gyroscope was at its limit: angles, lengths, heights and paths may be off",
-    LOST: "samples are missing for more than 25 ms: all numbers of the stride may be off",
-    UNSURE: "a phase was not seen: times of swing and stance may be off",
-}
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,22 @@ from fes.stimulation.dose import DoseLedger, ElectrodeDose
 from fes.walk_record import Note, WalkRecord
 from statemachine.phases import Phase, PhaseChange
 
+BoolArray = npt.NDArray[np.bool_]
+DEVICE_TAIL_NS = 100_000_000  # longest validity (60 ms) plus two command periods for the answer to come back
+SOURCE: Final = "tuning"
+_CHANNEL: Final = re.compile(r"channel (\d+): ")
+_KINDS: Final = (  # the first that fits; any other text is a change
+    ("skip", " skipped: "),
+    ("suggestion", "suggested: "),
+    ("roll_back", "rolled back"),
+    ("roll_back", "back to the session's settings"),
+    ("roll_back", "still going back"),
+    ("frozen", "tuning is frozen"),
+    ("frozen", "tuning goes on"),
+    ("hint", "response per charge"),
+    ("hint", "is not reached at the upper bound"),
+)
+
 
 @dataclass(frozen=True)
 class PhaseTimeline:
@@ -76,9 +92,6 @@ def phases_between(start: PhaseName, stop: PhaseName) -> tuple[Phase, ...]:
     at = PHASE_ORDER.index(start)
     count = (PHASE_ORDER.index(stop) - at) % len(PHASE_ORDER) + 1
     return tuple(Phase((at + step) % len(PHASE_ORDER)) for step in range(count))
-
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -186,9 +199,6 @@ def status_columns(statuses: Sequence[StimStatus], channel: int) -> StatusColumn
     )
 
 
-DEVICE_TAIL_NS = 100_000_000  # longest validity (60 ms) plus two command periods for the answer to come back
-
-
 @dataclass(frozen=True)
 class Burst:
     """One stretch of stimulation on one channel.
@@ -272,21 +282,6 @@ def answers_without_command(commands: CommandColumns, statuses: StatusColumns) -
     stray = at < 0
     stray[~stray] = answered_on[~stray] > on_until[at[~stray]] + DEVICE_TAIL_NS
     return int(stray.sum())
-
-
-SOURCE: Final = "tuning"
-_CHANNEL: Final = re.compile(r"channel (\d+): ")
-_KINDS: Final = (  # the first that fits; any other text is a change
-    ("skip", " skipped: "),
-    ("suggestion", "suggested: "),
-    ("roll_back", "rolled back"),
-    ("roll_back", "back to the session's settings"),
-    ("roll_back", "still going back"),
-    ("frozen", "tuning is frozen"),
-    ("frozen", "tuning goes on"),
-    ("hint", "response per charge"),
-    ("hint", "is not reached at the upper bound"),
-)
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,9 @@ from fes.walk_record import WalkRecord
 
 NAN = float("nan")
 STEADY_SHARE = 0.3
+FORMAT = 1
+LONGEST_NS = 31 * 24 * 3600 * NS_PER_S
+FURTHEST_NS = 2**62  # 146 years: differences stay within 64 bits
 
 
 @dataclass(frozen=True)
@@ -160,11 +163,6 @@ def channel_summary(
         onset_after_pre_swing_ms=spread(item.onset_after_pre_swing_ms for item in own),
         burst_duration_s=spread(burst.duration_s for burst in bursts),
     )
-
-
-FORMAT = 1
-LONGEST_NS = 31 * 24 * 3600 * NS_PER_S
-FURTHEST_NS = 2**62  # 146 years: differences stay within 64 bits
 
 
 @dataclass(frozen=True)

@@ -33,33 +33,6 @@ SCHEMAS: Final[Mapping[str, pa.Schema]] = {
         ]
     )
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Combination:
-    """One combination over all its cases.
-
-    Attributes:
-        settings: by name; empty for the session as it is.
-        figures: by measure's name, None where unknown.
-        done, failed: cases.
-        reasons: why cases failed, each once.
-        efficient: no other one is at least as good in every measure that has a good end and better in one.
-    """
-
-    settings: dict[str, Any]
-    figures: dict[str, float | None]
-    done: int
-    failed: int
-    reasons: tuple[str, ...]
-    efficient: bool = False
-
-    @property
-    def text(self) -> str:
-        """The settings in a line."""
-        return ", ".join(f"{name} = {value}" for name, value in self.settings.items()) or "as it is"
-
-
 AGAINST_TRUTH: Final = (
     Measure("wrong", "wrong transitions", "%", -1, 2, 100.0),
     Measure("error_ms", "error, median", "ms", -1),
@@ -94,6 +67,31 @@ ON_PATIENTS: Final = (
     Measure("latched", "stopped by the gate", digits=0),
 )
 _SUMS: Final = frozenset(_COUNTS) - {"reached_after"}
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """One combination over all its cases.
+
+    Attributes:
+        settings: by name; empty for the session as it is.
+        figures: by measure's name, None where unknown.
+        done, failed: cases.
+        reasons: why cases failed, each once.
+        efficient: no other one is at least as good in every measure that has a good end and better in one.
+    """
+
+    settings: dict[str, Any]
+    figures: dict[str, float | None]
+    done: int
+    failed: int
+    reasons: tuple[str, ...]
+    efficient: bool = False
+
+    @property
+    def text(self) -> str:
+        """The settings in a line."""
+        return ", ".join(f"{name} = {value}" for name, value in self.settings.items()) or "as it is"
 
 
 def sweep_store(url: str) -> Store:

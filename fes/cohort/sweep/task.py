@@ -52,6 +52,10 @@ BAND_M: Final = (0.010, 0.040)  # of true toe clearance: clear of the ground, an
 SETTLED: Final = 10  # strides that tuning may take
 Scores = dict[str, float | int | None]
 Burst = tuple[int, int]  # from when on to when off, ns
+TRUTH_FILES: Final = (".truth.parquet", ".strides.csv", ".activities.csv")
+CREATED: Final = "2000-01-01T00:00:00+00:00"  # the same run, the same bytes
+ARM_AFTER_S: Final = 0.5
+STAND_S: Final = 10.0  # of a patient, who is armed for meanwhile
 
 
 def stride_scores(strides: Sequence[StrideResult]) -> Scores:
@@ -162,12 +166,6 @@ def _length_errors(truth: Truth, foot: str, strides: Sequence[StrideResult]) -> 
 def _median(values: Iterable[float]) -> float | None:
     known = np.array([value for value in values if np.isfinite(value)], np.float64)
     return float(np.median(known)) if known.size else None
-
-
-TRUTH_FILES: Final = (".truth.parquet", ".strides.csv", ".activities.csv")
-CREATED: Final = "2000-01-01T00:00:00+00:00"  # the same run, the same bytes
-ARM_AFTER_S: Final = 0.5
-STAND_S: Final = 10.0  # of a patient, who is armed for meanwhile
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,10 @@ from fes.signals import NS_PER_S, FloatArray
 AXES: Final = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}
 MOST_LEFT_SHARE: Final = 0.25  # of the belt's speed: more left to the standing foot means a wrong direction or speed
 STANDING_PERCENT: Final = 30.0
+MOST_S: Final = 10.0
+NEAR_S: Final = 0.15
+# A smaller lag may come from what is compared: detectors, a marker beside the sensor, what a stride begins with.
+IN_STEP_S: Final = {"speed": 0.03, "events": 0.03, "strides": 0.4}
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +108,6 @@ def _belt_run_m(belt: FloatArray, t_s: FloatArray) -> FloatArray:
     return np.asarray(at - at[0])
 
 
-MOST_S: Final = 10.0
-NEAR_S: Final = 0.15
-# A smaller lag may come from what is compared: detectors, a marker beside the sensor, what a stride begins with.
-IN_STEP_S: Final = {"speed": 0.03, "events": 0.03, "strides": 0.4}
-
-
 @dataclass(frozen=True, slots=True)
 class Synchrony:
     """How the reference's clock was brought to the recording's: ``t_recording = t_reference + applied_s``.
@@ -180,7 +178,7 @@ def _lag(reference: Reference, estimate: Estimate, most_s: float) -> tuple[str, 
         return "events", _refined(found, [true[k] for k in both], [ours[k] for k in both])
     starts = {foot: np.array([s.t_start_s for s in reference.strides if s.foot == foot]) for foot in estimate.feet}
     starts = {foot: _near(times, estimate, most_s) for foot, times in starts.items()}
-    mine = {foot: np.array([1e-9 * s.t_start_ns for s in estimate.of(foot)]) for foot in estimate.feet}
+    mine = {foot: np.array([1e-9 * s.t_start_ns for s in estimate.strides_of(foot)]) for foot in estimate.feet}
     feet = [foot for foot in estimate.feet if len(starts[foot]) > 2 and len(mine[foot]) > 2]
     if not feet:
         raise ValueError("the reference holds no events, marker's path or strides near the recording's time")
@@ -226,7 +224,7 @@ def speed_of(estimate: Estimate, foot: str) -> tuple[FloatArray, FloatArray]:
     """
     times: list[FloatArray] = []
     speeds: list[FloatArray] = []
-    for stride in estimate.of(foot):
+    for stride in estimate.strides_of(foot):
         begin, end = stride.t_start_ns / NS_PER_S, stride.t_end_ns / NS_PER_S
         if times and begin <= times[-1][-1]:
             begin = float(times[-1][-1]) + 1e-3

@@ -18,6 +18,13 @@ if TYPE_CHECKING:
     from fes.analysis.results import Analysis
     from fes.session_log import SessionRecord
 
+TOLERANCE_S: Final = 0.15
+EDGE_S: Final = 1.0  # at a recording's ends a stride or event of the reference may be cut off: not missed
+_INSTANT: Final = {"IC": "initial_contact_s", "FO": "foot_off_s"}
+_OF_STRIDES: Final = (
+    *("stride_length_m", "clearance_m", "toe_clearance_m", "heel_clearance_m", "height_gained_m", "speed_mps"),
+)
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -42,7 +49,7 @@ class Estimate:
         """The feet of which anything is known."""
         return tuple(sorted({foot_of(stride.foot) for stride in self.strides} | set(self.events)))
 
-    def of(self, foot: str) -> list[StrideResult]:
+    def strides_of(self, foot: str) -> list[StrideResult]:
         """One foot's strides by time, valid or not."""
         return [stride for stride in self.strides if foot_of(stride.foot) == foot]
 
@@ -104,14 +111,6 @@ def _of_phases(phases: Iterable[PhaseChange], sensor: str) -> dict[str, FloatArr
         what: np.array([1e-9 * change.t_ns for change in mine if change.transition in transitions])
         for what, transitions in which.items()
     }
-
-
-TOLERANCE_S: Final = 0.15
-EDGE_S: Final = 1.0  # at a recording's ends a stride or event of the reference may be cut off: not missed
-_INSTANT: Final = {"IC": "initial_contact_s", "FO": "foot_off_s"}
-_OF_STRIDES: Final = (
-    *("stride_length_m", "clearance_m", "toe_clearance_m", "heel_clearance_m", "height_gained_m", "speed_mps"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +209,7 @@ def _strides(reference: Reference, estimate: Estimate, foot: str) -> Comparison:
     mine = [s for s in reference.strides if s.foot == foot and s.values]
     if not mine:
         return Comparison((), ())
-    ours = estimate.of(foot)
+    ours = estimate.strides_of(foot)
     swings = np.array([swing_s(stride) for stride in ours])
     pairs: list[Pair] = []
     matched, missed, left_out = set[int](), 0, 0

@@ -228,7 +228,7 @@ def _belt_speed(reference: Reference, estimate: Estimate, settings: Settings) ->
     """Each valid stride's speed against the belt's during it: right on average, not stride by stride."""
     pairs = []
     for foot in estimate.feet:
-        for stride in estimate.of(foot):
+        for stride in estimate.strides_of(foot):
             begin, end, at = 1e-9 * stride.t_start_ns, 1e-9 * stride.t_end_ns, swing_s(stride)
             speed = settings.belt_mps or 0.0
             if len(reference.belt):

@@ -34,7 +34,7 @@ def compare_path(path: MarkerPath, estimate: Estimate) -> Comparison:
 
     ``path`` is on the recording's clock, in the frame of the ground (or belt).
     """
-    ours = estimate.of(path.foot)
+    ours = estimate.strides_of(path.foot)
     if not ours or len(path.t_s) < 3:
         return Comparison((), ())
     speed = horizontal_speed(path)

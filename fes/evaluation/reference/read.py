@@ -20,6 +20,8 @@ USUAL_LABELS: Final = {
 }
 METRES: Final = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 _TO_Z_UP: Final = {"z": (0, 1, 2), "y": (2, 0, 1), "x": (1, 2, 0)}  # a turn, so that left stays left
+_TABLES = ("events", "strides", "path", "reference", "belt", "mat", "switch", "orientation", "end")
+_ENDINGS = (*(f".{kind}.csv" for kind in _TABLES), ".c3d")
 
 
 def read_c3d(path: Path, *, markers: Mapping[str, tuple[str, str]] | None = None, up: str = "z") -> Reference:
@@ -116,10 +118,6 @@ def _events(data: Any) -> list[ReferenceEvent]:
         if foot is not None and what is not None:
             events.append(ReferenceEvent(float(t), foot, what))
     return events
-
-
-_TABLES = ("events", "strides", "path", "reference", "belt", "mat", "switch", "orientation", "end")
-_ENDINGS = (*(f".{kind}.csv" for kind in _TABLES), ".c3d")
 
 
 def read_references(

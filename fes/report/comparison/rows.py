@@ -29,6 +29,20 @@ HOSOI: Final = (
     "0.05 m/s below 0.4 m/s, 0.11 m/s up to 0.8 m/s, 0.21 m/s above"
 )
 _SHARES: Final = ("swing_share", "stance_share", "double_support_share")
+KEY: Final = (
+    *("speed_mps", "stride_length_common_m", "stride_time_s", "step_length_m", "toe_clearance_m", "angle_contact_rad"),
+    *("circumduction_m", "swing_share", "double_support_share"),
+)
+SYMMETRIC: Final = ("step_length_m", "step_time_s", "swing_s", "stance_s", "toe_clearance_m", "lift_m")
+# spatiotemporal parameters and joint kinematics change with speed: Fukuchi et al. 2019, Systematic Reviews 8:153;
+# so does minimum toe clearance: De Asha & Buckley 2015 (PMC4361493)
+WITH_SPEED: Final = (
+    *("stride_length_common_m", "speed_mps", "stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share"),
+    *("step_time_s", "double_support_s", "double_support_share", "step_length_m", "lift_m", "toe_clearance_m"),
+    *("heel_clearance_m", "heel_rotation_rad", "angle_contact_rad", "angle_off_rad"),
+    *("phase_pre_swing", "phase_swing", "phase_loading_response", "phase_stance"),
+)
+Pick: TypeAlias = Callable[[Side, Definition], FloatArray | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,22 +69,6 @@ def detectable_change(key: str, first_speed_mps: float, *, belt: bool) -> Detect
         least = 0.05 if first_speed_mps < 0.4 else 0.11 if first_speed_mps <= 0.8 else 0.21
         return DetectableChange(least, HOSOI)
     return None
-
-
-KEY: Final = (
-    *("speed_mps", "stride_length_common_m", "stride_time_s", "step_length_m", "toe_clearance_m", "angle_contact_rad"),
-    *("circumduction_m", "swing_share", "double_support_share"),
-)
-SYMMETRIC: Final = ("step_length_m", "step_time_s", "swing_s", "stance_s", "toe_clearance_m", "lift_m")
-# spatiotemporal parameters and joint kinematics change with speed: Fukuchi et al. 2019, Systematic Reviews 8:153;
-# so does minimum toe clearance: De Asha & Buckley 2015 (PMC4361493)
-WITH_SPEED: Final = (
-    *("stride_length_common_m", "speed_mps", "stride_time_s", "swing_s", "stance_s", "swing_share", "stance_share"),
-    *("step_time_s", "double_support_s", "double_support_share", "step_length_m", "lift_m", "toe_clearance_m"),
-    *("heel_clearance_m", "heel_rotation_rad", "angle_contact_rad", "angle_off_rad"),
-    *("phase_pre_swing", "phase_swing", "phase_loading_response", "phase_stance"),
-)
-Pick: TypeAlias = Callable[[Side, Definition], FloatArray | None]
 
 
 @dataclass(frozen=True)

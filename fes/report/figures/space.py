@@ -27,6 +27,12 @@ from statemachine.phases import Phase
 GROUND_WIDTH = 560
 HEIGHTS = (200, 520)  # of the view from above, whose two scales are the same
 LEAST_HEIGHT_M = 0.05  # a path that rises or falls less gets no side view
+WIDTH, HEIGHT, MARGIN = 640, 340, 22
+AZIMUTH_DEG, ELEVATION_DEG = -62.0, 24.0
+MOST_LARGER = 6.0  # height and width, compared to length
+FEET_GAP = 0.3  # of the length: how far apart the feet are drawn
+FLOOR, POST = "#c3cad1", "#6b747d"
+_MARKED: Final = (Phase.SWING, Phase.LOADING_RESPONSE)
 
 
 def ground_figures(data: ReportData, paths: Mapping[str, GroundPath]) -> list[Figure]:
@@ -102,13 +108,6 @@ def same_scale(x: tuple[float, float], y: tuple[float, float]) -> tuple[tuple[fl
     metre = min(across / wide, drawn / tall)
     x_air, y_air = 0.5 * (across / metre - wide), 0.5 * (drawn / metre - tall)
     return (x[0] - x_air, x[1] + x_air), (y[0] - y_air, y[1] + y_air), round(drawn) + TOP + BOTTOM
-
-
-WIDTH, HEIGHT, MARGIN = 640, 340, 22
-AZIMUTH_DEG, ELEVATION_DEG = -62.0, 24.0
-MOST_LARGER = 6.0  # height and width, compared to length
-FEET_GAP = 0.3  # of the length: how far apart the feet are drawn
-FLOOR, POST = "#c3cad1", "#6b747d"
 
 
 @dataclass(frozen=True)
@@ -231,9 +230,6 @@ def projected(points: FloatArray, azimuth_rad: float, elevation_rad: float) -> F
     across = points[:, 0] * math.cos(azimuth_rad) - points[:, 1] * math.sin(azimuth_rad)
     away = points[:, 0] * math.sin(azimuth_rad) + points[:, 1] * math.cos(azimuth_rad)
     return np.column_stack((across, points[:, 2] * math.cos(elevation_rad) + away * math.sin(elevation_rad)))
-
-
-_MARKED: Final = (Phase.SWING, Phase.LOADING_RESPONSE)
 
 
 def space_figure(curves: Mapping[str, FootCurves]) -> SpaceFigure | None:

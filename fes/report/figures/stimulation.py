@@ -18,6 +18,8 @@ from fes.signals import NS_PER_S, FloatArray, IntArray
 CHANNEL_COLORS = ("#009E73", "#CC79A7", "#0072B2", "#E69F00", "#000000", "#D55E00", "#56B4E9", "#8C7A00")
 ENVELOPE_STEP_S = 0.01
 LATENCY_BINS = 60
+BAND_COLOR = "#009E73"
+CHANGE_COLOR = "#D55E00"
 
 
 def channel_color(number: int) -> str:
@@ -129,10 +131,6 @@ def latency_figure(data: ReportData) -> Figure | None:
         f"{latency.count} decisions: median {latency.p50_ms:.2f} ms, 99 % within {latency.p99_ms:.2f} ms, "
         f"slowest {latency.max_ms:.2f} ms.{more}",
     )
-
-
-BAND_COLOR = "#009E73"
-CHANGE_COLOR = "#D55E00"
 
 
 def tuning_figures(data: ReportData) -> list[Figure]:

@@ -29,6 +29,33 @@ OTHER_COLOR = "#444444"
 RING_COLOR = "#1b1f24"
 Flags = Mapping[tuple[str, int], Sequence[Flag]]
 NO_FLAGS: Final[Flags] = {}
+STRIP_SHARE = 0.065  # of the plot's height: a foot's phases
+DASHES: Final = {"right_foot": "9 4"}  # so that the feet differ in grey, too
+_CURVES: Final[tuple[tuple[str, str, Callable[[FootCurves], FloatArray], str], ...]] = (
+    (
+        "Height over the stride",
+        "height (cm)",
+        lambda one: 100.0 * one.path_m[:, :, 2],
+        "Height of the sensor above the stance before.",
+    ),
+    (
+        "Pitch over the stride",
+        "pitch (°), toe up +",
+        lambda one: np.degrees(one.pitch_rad),
+        "Rotation of the foot about the axis across it; 0° is the stance before.",
+    ),
+    (
+        "Forward speed over the stride",
+        "forward speed (m/s)",
+        lambda one: one.speed_mps,
+        "Speed of the sensor along the stride, over the ground (on a treadmill: over the belt).",
+    ),
+)
+BUTTERFLY_FAINT_STRIDES = 40  # of a foot, evenly picked
+NO_FORCE = (
+    "Not the clinics' butterfly of the centre of pressure: no force is measured. Each wing is the path of one foot's "
+    "sensor, both from the same point; how far apart the feet are is not known."
+)
 
 
 def foot_color(foot: str) -> str:
@@ -134,30 +161,6 @@ def _phase_bars(foot: str, rows: Sequence[StrideRow], care: Mapping[int, Sequenc
     )
 
 
-STRIP_SHARE = 0.065  # of the plot's height: a foot's phases
-DASHES: Final = {"right_foot": "9 4"}  # so that the feet differ in grey, too
-_CURVES: Final[tuple[tuple[str, str, Callable[[FootCurves], FloatArray], str], ...]] = (
-    (
-        "Height over the stride",
-        "height (cm)",
-        lambda one: 100.0 * one.path_m[:, :, 2],
-        "Height of the sensor above the stance before.",
-    ),
-    (
-        "Pitch over the stride",
-        "pitch (°), toe up +",
-        lambda one: np.degrees(one.pitch_rad),
-        "Rotation of the foot about the axis across it; 0° is the stance before.",
-    ),
-    (
-        "Forward speed over the stride",
-        "forward speed (m/s)",
-        lambda one: one.speed_mps,
-        "Speed of the sensor along the stride, over the ground (on a treadmill: over the belt).",
-    ),
-)
-
-
 def dash_of(foot: str) -> str:
     """How a foot's mean is drawn: the right one's is dashed."""
     return DASHES.get(foot, "")
@@ -217,13 +220,6 @@ def _strips(plot: Plot, curves: Mapping[str, FootCurves], floor: float, height: 
             low, high = np.full(2, base + 0.08 * height), np.full(2, base + 0.92 * height)
             plot.band(span, low, high, PHASE_COLORS[phase.name.lower()], 1.0)
         plot.text(1.0, base + 0.25 * height, readable(foot).removesuffix(" foot"), "#1b1f24")
-
-
-BUTTERFLY_FAINT_STRIDES = 40  # of a foot, evenly picked
-NO_FORCE = (
-    "Not the clinics' butterfly of the centre of pressure: no force is measured. Each wing is the path of one foot's "
-    "sensor, both from the same point; how far apart the feet are is not known."
-)
 
 
 def butterfly_figures(curves: Mapping[str, FootCurves], care: str = "") -> list[Figure]:
