@@ -7,7 +7,7 @@ import select
 import time
 
 from drivers.imu.open import open_imus
-from drivers.simulated.imu.spawn import spawn_imu
+from drivers.simulated.spawn import spawn_imu
 from fes.config.devices import ImuDevice
 
 

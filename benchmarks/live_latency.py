@@ -22,8 +22,7 @@ from typing import Literal
 
 import numpy as np
 
-from drivers.simulated.imu.spawn import ImuKind, spawn_imu
-from drivers.simulated.stimulator.spawn import NodeHandle, free_bus, spawn_node
+from drivers.simulated.spawn import ImuKind, NodeHandle, free_bus, spawn_imu, spawn_node
 from fes.calibration.recording import calibrate_phase_sensors, save
 from fes.hil.baseline import Baseline
 from fes.hil.controller import ControllerProcess, ScriptedOperator, uninterrupted

@@ -24,7 +24,7 @@ from fes.estimation.sensor_choice import Calibration
 from fes.hil.closed_loop import one_process
 from fes.hil.closed_loop.demo import CURRENT_MA, patient
 from fes.hil.closed_loop.processes import armed_protocol
-from fes.hil.closed_loop.session import patient_calibration, session_text
+from fes.hil.settings import patient_calibration, patient_session_text
 from fes.session_log import read_session
 from fes.simulation.forward import DeliveredPulse, VirtualStride
 
@@ -86,7 +86,7 @@ def walked(folder: Path, calibrations: Mapping[str, Calibration], disturbance: D
     """One run."""
     DisturbedStimulator.disturbance = disturbance
     settings = patient()
-    text = session_text(settings, current_ma=CURRENT_MA)
+    text = patient_session_text(settings, current_ma=CURRENT_MA)
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     log = folder / f"{'as it is' if disturbance is None else disturbance.seed}.feslog"
     lived = one_process.run_in_one_process(settings, session, calibrations, armed_protocol(SECONDS), log, "")

@@ -22,8 +22,7 @@ from page_browser import Page, chromium  # noqa: E402
 from replays import cut, trial  # noqa: E402
 from small_png import smaller  # noqa: E402
 
-from drivers.simulated.imu.spawn import spawn_imu  # noqa: E402
-from drivers.simulated.stimulator.spawn import spawn_node  # noqa: E402
+from drivers.simulated.spawn import spawn_imu, spawn_node  # noqa: E402
 from fes.calibration.recording import calibrate_phase_sensors, save  # noqa: E402
 from fes.recording import Recording, write_recording  # noqa: E402
 from fes.signals import FOOT_SENSORS, NS_PER_S  # noqa: E402

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from replays import Replays
 
-from drivers.simulated.stimulator import spawn as can_node_spawn
+from drivers.simulated import spawn as can_node_spawn
 from fes.config import Bus
 
 # "interface:channel": the bus that CAN tests use instead of multicast, see tests/drivers/test_socketcan_guest.py

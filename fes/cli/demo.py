@@ -108,9 +108,9 @@ def _in_one_process(
     from fes.config import validate_session
     from fes.estimation.warm_up import warm_up
     from fes.hil.closed_loop.one_process import run_in_one_process
-    from fes.hil.closed_loop.session import patient_calibration, session_text
+    from fes.hil.settings import patient_calibration, patient_session_text
 
-    text = session_text(settings, current_ma=CURRENT_MA)
+    text = patient_session_text(settings, current_ma=CURRENT_MA)
     (folder / "session.toml").write_text(text, encoding="utf-8")
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     view.state("on injected time, in one process")

@@ -16,8 +16,7 @@ from fes.config import ConfigError
 from fes.hil.campaign import hardware_campaign, save_campaign, simulated_campaign
 from fes.hil.campaign_bench import CampaignBroken
 from fes.hil.controller import SIGNALS
-from fes.hil.devices import TRANSPORTS, Unavailable
-from fes.hil.hardware import host_side_scenarios
+from fes.hil.devices import TRANSPORTS, Unavailable, host_side_scenarios
 from fes.hil.results import Attempt, Campaign, Verdict, failure_reason, measured_times
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Scenario
 

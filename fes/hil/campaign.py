@@ -19,8 +19,7 @@ from fes.hil.attempts import (
 )
 from fes.hil.baseline import Baseline
 from fes.hil.campaign_bench import CampaignBench, CampaignBroken
-from fes.hil.devices import start_devices
-from fes.hil.hardware import BusWitness, Hardware, hardware_session
+from fes.hil.devices import BusWitness, Hardware, hardware_session, start_devices
 from fes.hil.results import Attempt, Campaign, Row
 from fes.hil.scenarios import Needs, Scenario
 

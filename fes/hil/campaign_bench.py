@@ -11,8 +11,7 @@ from typing import Final
 from drivers.simulated.record import RecordEntry
 from fes.hil.baseline import Gap
 from fes.hil.controller import Child, ControllerProcess, ScriptedOperator, uninterrupted
-from fes.hil.devices import Devices
-from fes.hil.hardware import Hardware
+from fes.hil.devices import Devices, Hardware
 from fes.hil.judge import MS, Output, Outputs, output_at
 from fes.hil.scenarios import Needs, Scenario
 from fes.live.status import Status

@@ -18,7 +18,7 @@ from contextlib import suppress
 from typing import Final
 
 from drivers.simulated.bus_guests import FRAMES_PER_S, Rogue, asks_for_current, flipped, random_frames
-from drivers.simulated.stimulator.spawn import NodeHandle
+from drivers.simulated.spawn import NodeHandle
 from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, Frame
 from fes.hil.campaign_bench import CampaignBench, CampaignBroken
 from fes.hil.devices import SERIAL

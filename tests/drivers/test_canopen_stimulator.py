@@ -15,7 +15,7 @@ import can
 import pytest
 
 from drivers.simulated.record import read_record
-from drivers.simulated.stimulator.spawn import free_bus, why_silent
+from drivers.simulated.spawn import free_bus, why_silent
 from drivers.stimulator.bus import LOOPBACK, bus_off_frame, open_bus
 from drivers.stimulator.canopen_codec import CanOpenSettings, Sdo, encode_download
 from drivers.stimulator.canopen_port import CanOpenStimulator

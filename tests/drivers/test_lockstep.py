@@ -10,9 +10,9 @@ import can
 import pytest
 
 from drivers.simulated.record import RecordEntry, read_record
+from drivers.simulated.spawn import free_bus, spawn_node, why_silent
 from drivers.simulated.stimulator import lockstep
 from drivers.simulated.stimulator.lockstep import FALL_BACK_NS, BusClock, LockstepStimulator, RealClock, encode_sim_time
-from drivers.simulated.stimulator.spawn import free_bus, spawn_node, why_silent
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import NODE_IDS, logged_commands
 from drivers.stimulator.port import StimulatorLost

@@ -11,7 +11,7 @@ import can
 import pytest
 import serial
 
-from drivers.simulated.stimulator.spawn import free_bus, why_silent
+from drivers.simulated.spawn import free_bus, why_silent
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import LineSettings, open_line

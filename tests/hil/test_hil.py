@@ -39,8 +39,7 @@ from fes.hil.attempts import refusal_attempt
 from fes.hil.baseline import Baseline, Lateness
 from fes.hil.campaign_bench import CampaignBench
 from fes.hil.controller import Child, ScriptedOperator
-from fes.hil.devices import TRANSPORTS, set_link
-from fes.hil.hardware import BusWitness, Hardware
+from fes.hil.devices import TRANSPORTS, BusWitness, Hardware, set_link
 from fes.hil.injections import INJECTIONS
 from fes.hil.judge import (
     MS,

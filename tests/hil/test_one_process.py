@@ -20,7 +20,7 @@ from fes.config import Bus, StimulatorDevice, load_session, validate_session
 from fes.hil.closed_loop.demo import patient, result_of
 from fes.hil.closed_loop.one_process import NotifyingLog, run_in_one_process
 from fes.hil.closed_loop.processes import WALK_S, Happening, armed_protocol
-from fes.hil.closed_loop.session import patient_calibration, session_text
+from fes.hil.settings import patient_calibration, patient_session_text
 from fes.session_log import SessionLogError, read_session
 from fes.simulation.forward import VirtualPatient, VirtualStride
 
@@ -29,7 +29,7 @@ def run(
     folder: Path, name: str, seconds: float, *further: Happening, tuning: str = "act"
 ) -> tuple[VirtualPatient, Path]:
     settings = patient()
-    text = session_text(settings, current_ma=12.0, tuning=tuning)
+    text = patient_session_text(settings, current_ma=12.0, tuning=tuning)
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     log = folder / name
     return run_in_one_process(
@@ -195,7 +195,7 @@ def test_the_session_it_writes_is_one(tmp_path: Path, tuning: str) -> None:
     settings = patient()
     ports = {"left_foot": "/dev/pts/1", "right_foot": "/dev/pts/2"}
     path = tmp_path / "session.toml"
-    path.write_text(session_text(settings, tuning=tuning, ports=ports, stimulator=stimulator, bus=bus), "utf-8")
+    path.write_text(patient_session_text(settings, tuning=tuning, ports=ports, stimulator=stimulator, bus=bus), "utf-8")
     session = load_session(path)
     assert {device.sensor: device.port for device in session.sensors} == ports
     assert session.stimulator == stimulator

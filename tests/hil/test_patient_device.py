@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from drivers.imu import xbus_codec as xbus
-from drivers.simulated.pulses import Pulse, PulseInlet, PulseOutlet
-from drivers.simulated.record import RecordEntry
+from drivers.simulated.record import Pulse, PulseInlet, PulseOutlet, RecordEntry
 from drivers.simulated.stimulator.firmware import StimulatorNode
-from fes.hil.closed_loop.patient_device import HELD, PatientDevice
+from fes.hil.closed_loop.patient_process import HELD, PatientDevice
 from fes.signals import NS_PER_S
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, settings_for
 from fes.simulation.forward.closed_loop import INTERVENTIONS, intervene
@@ -173,10 +172,10 @@ def test_every_pulse_of_a_stage_is_told_by_its_own_time_even_when_the_node_was_l
     node = StimulatorNode(1, 0)
     node.channels[2].drive(0, (20.0, 250.0, 40.0), 60)
     node.advance(55 * MS)  # three pulses at once
-    outlet.send_made(node.channels)
+    outlet.send_made(channel.made for channel in node.channels)
     assert inlet.receive() == [Pulse(t_ms * MS, 2, 20.0, 250.0) for t_ms in (0, 25, 50)]
     node.advance(500 * MS)  # the lease has ended
-    outlet.send_made(node.channels)
+    outlet.send_made(channel.made for channel in node.channels)
     outlet.send_record([RecordEntry(5, "pulse", 1, 18.0, 300.0), RecordEntry(6, "off", 1)])
     assert inlet.receive() == [Pulse(5, 1, 18.0, 300.0)]
     inlet.close()

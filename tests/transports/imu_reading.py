@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 from drivers.imu.port import ImuLost, ImuPort, RawSample
 from drivers.simulated.imu.device import ImuSignal
-from drivers.simulated.imu.spawn import ImuHandle
+from drivers.simulated.spawn import ImuHandle
 from fes.config.devices import ImuDevice
 from fes.signals import NS_PER_S
 

@@ -22,9 +22,8 @@ import numpy as np
 from replays import MS, SETTINGS, cut, edit, keep, trial
 from shank_walks import ShankWalk, shank_walk
 
-from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
 from drivers.simulated.record import RecordEntry, read_record
-from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
+from drivers.simulated.spawn import DeviceHandle, DeviceKind, ImuHandle, NodeHandle, spawn_device, spawn_imu, spawn_node
 from drivers.stimulator.bus import open_bus
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, calibrate_shank_track, save
 from fes.config import Bus

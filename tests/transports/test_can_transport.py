@@ -22,7 +22,7 @@ import can
 import pytest
 
 from drivers.simulated.record import RecordEntry, read_record
-from drivers.simulated.stimulator.spawn import NodeFailed, NodeHandle, free_bus, spawn_node, why_silent
+from drivers.simulated.spawn import NodeFailed, NodeHandle, free_bus, spawn_node, why_silent
 from drivers.stimulator.bus import LOOPBACK, MULTICAST, open_bus
 from drivers.stimulator.can_codec import logged_commands
 from drivers.stimulator.can_port import ByteSink, CanStimulator
@@ -294,7 +294,7 @@ def test_the_node_ends_when_told_with_its_outputs_off(tmp_path: Path, ending: st
 
 def test_no_node_is_left_when_the_process_that_started_it_is_killed(tmp_path: Path) -> None:
     script = (
-        "from drivers.simulated.stimulator.spawn import spawn_node\nimport time\n"
+        "from drivers.simulated.spawn import spawn_node\nimport time\n"
         "node = spawn_node()\nprint(node.process.pid, flush=True)\ntime.sleep(60)\n"
     )
     parent = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)

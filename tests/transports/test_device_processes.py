@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from drivers.imu.port import ImuLost
-from drivers.simulated.imu.spawn import spawn_imu
 from drivers.simulated.process_handle import ProcessHandle
-from drivers.simulated.stimulator.spawn import NodeFailed, free_bus, spawn_device, spawn_link, spawn_node, why_silent
+from drivers.simulated.spawn import NodeFailed, free_bus, spawn_device, spawn_imu, spawn_link, spawn_node, why_silent
 from drivers.stimulator.bus import LOOPBACK
 from fes.config import Bus
 from fes.hil.closed_loop.bench import spawn_patient

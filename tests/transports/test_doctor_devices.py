@@ -11,8 +11,7 @@ from click.testing import CliRunner
 from live_runs import bus_text, sensor_text
 from replays import SETTINGS
 
-from drivers.simulated.imu.spawn import spawn_imu
-from drivers.simulated.stimulator.spawn import free_bus, spawn_device, spawn_node, why_silent
+from drivers.simulated.spawn import free_bus, spawn_device, spawn_imu, spawn_node, why_silent
 from fes.cli.common.exits import FAILED, OK
 from fes.cli.doctor import devices as doctor_devices
 from fes.cli.doctor.host import Verdict

@@ -14,8 +14,7 @@ import pytest
 from campaigns import HELD_UP_MS, faults_but_lost_time
 from replays import FES
 
-from drivers.simulated.imu.spawn import spawn_imu
-from drivers.simulated.stimulator.spawn import free_bus, spawn_node, why_silent
+from drivers.simulated.spawn import free_bus, spawn_imu, spawn_node, why_silent
 from fes.cli.common.exits import FAILED, INTERRUPTED, OK, UNUSABLE
 from fes.config import StimulatorDevice
 from fes.hil.judge import MS, PERIOD_NS

@@ -18,8 +18,7 @@ from drivers.imu.line import READS_AT_MOST, ByteLine
 from drivers.imu.open import open_imus
 from drivers.imu.port import ImuLost
 from drivers.simulated.imu.device import walking_signal
-from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
-from drivers.simulated.stimulator.spawn import free_bus, why_silent
+from drivers.simulated.spawn import ImuHandle, free_bus, spawn_imu, why_silent
 from drivers.stimulator.bus import open_bus
 from fes.control.clock_sync import SensorClock
 from fes.signals import G_MPS2, NS_PER_S

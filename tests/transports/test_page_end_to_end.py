@@ -17,7 +17,7 @@ from live_runs import LiveRun, live_run, prepare, standing_first
 from page_browser import CHROMIUM, Page, chromium
 from replays import MS, cut, trial
 
-from drivers.simulated.stimulator.spawn import free_bus, why_silent
+from drivers.simulated.spawn import free_bus, why_silent
 from fes.cli.common.exits import OK
 from fes.cli.replay.log import repeat
 from fes.hil.campaign_bench import LOST_TIME

@@ -36,15 +36,7 @@ from live_runs import (
 from processes import gone_after_s
 from replays import MS
 
-from drivers.simulated.stimulator.spawn import (
-    DeviceHandle,
-    DeviceKind,
-    NodeHandle,
-    free_bus,
-    spawn_device,
-    spawn_node,
-    why_silent,
-)
+from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, free_bus, spawn_device, spawn_node, why_silent
 from fes.cli.common.exits import BROKEN, OK, STOPPED
 from fes.cli.replay.log import repeat
 from fes.session_log import read_session

@@ -12,7 +12,7 @@ from live_runs import FOOT, LiveRun, faults_named, live_run, prepare
 from processes import gone_after_s
 from replays import MS
 
-from drivers.simulated.stimulator.spawn import free_bus, why_silent
+from drivers.simulated.spawn import free_bus, why_silent
 from fes.cli.common.exits import INTERRUPTED, OK, STOPPED
 from fes.cli.replay.log import repeat
 from fes.session_log import read_session

@@ -20,7 +20,7 @@ from typing import Literal
 import pytest
 from replays import SETTINGS
 
-from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeFailed, spawn_device
+from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeFailed, spawn_device
 from drivers.stimulator.open import Port, open_stimulator
 from drivers.stimulator.port import StimulatorLost
 from fes.config import Channel, ConfigError, Session, StimulatorDevice, load_session

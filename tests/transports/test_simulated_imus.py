@@ -12,7 +12,7 @@ from imu_reading import Taken, collect_samples, settings
 
 from drivers.imu.open import open_imus
 from drivers.imu.port import ImuPort, RawSample
-from drivers.simulated.imu.spawn import ImuHandle, spawn_imu
+from drivers.simulated.spawn import ImuHandle, spawn_imu
 from fes.recording import Recording, Track, write_recording
 from fes.signals import G_MPS2, NS_PER_S
 

@@ -12,7 +12,7 @@ import can
 import pytest
 from full_queue import full_queue
 
-from drivers.simulated.stimulator.spawn import free_bus, spawn_node
+from drivers.simulated.spawn import free_bus, spawn_node
 from drivers.stimulator.bus import BusError, open_bus
 from drivers.stimulator.can_codec import ALIVE_ID, NODE_IDS
 from drivers.stimulator.can_port import CanStimulator

@@ -31,7 +31,7 @@ from campaigns import HELD_UP_MS, faults_but_lost_time
 
 from drivers.imu.port import ImuLost
 from drivers.simulated.record import RecordEntry, read_record
-from drivers.simulated.stimulator.spawn import free_bus, why_silent
+from drivers.simulated.spawn import free_bus, why_silent
 from drivers.stimulator.open import Port, open_stimulator
 from fes.calibration.recording import load
 from fes.cli.replay.log import repeat
@@ -43,10 +43,10 @@ from fes.hil.closed_loop.bench import PatientBench, spawn_patient, start_patient
 from fes.hil.closed_loop.demo import CURRENT_MA, patient
 from fes.hil.closed_loop.one_process import run_in_one_process
 from fes.hil.closed_loop.processes import ClosedLoopRun, SwitchedOff, armed_protocol, run_between_processes
-from fes.hil.closed_loop.session import patient_calibration, session_text
 from fes.hil.devices import start_devices
 from fes.hil.judge import MS
 from fes.hil.scenarios import SCENARIOS
+from fes.hil.settings import patient_calibration, patient_session_text
 from fes.session_log import SessionRecord, read_session
 from fes.signals import NS_PER_S, StimCommand
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, VirtualStride
@@ -59,7 +59,7 @@ CHANGE = re.compile(r"current ([\d.]+) → ([\d.]+) mA")
 
 def in_one_process(folder: Path) -> tuple[SessionRecord, list[VirtualStride]]:
     settings = patient()
-    text = session_text(settings, current_ma=CURRENT_MA)
+    text = patient_session_text(settings, current_ma=CURRENT_MA)
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     log = folder / "one.feslog"
     lived = run_in_one_process(

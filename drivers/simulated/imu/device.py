@@ -1,6 +1,6 @@
 """A simulated inertial sensor with its own clock: time in, messages out; no I/O.
 
-Faults, besides the line's own (:mod:`drivers.simulated.line_faults`): ``reboot`` (now: silent for 0.3 s, then clock and
+Faults, besides the line's own (:mod:`drivers.simulated.lines`): ``reboot`` (now: silent for 0.3 s, then clock and
 counter from 0), ``unit`` (values times this; 0 ends it), ``stuck`` (1: repeats itself), ``clip`` (values held
 within ± this share of full scale; 0 ends it), ``full`` (1: every value at the end of its range), ``nan`` / ``inf`` /
 ``doubled`` (so many of the next samples), ``axes`` (1: sits turned, x measures what y did, y what z did; 0 ends it),

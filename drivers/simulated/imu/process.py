@@ -31,8 +31,7 @@ from drivers.simulated.imu.wire import (
     Ximu3Wire,
     XsensCanWire,
 )
-from drivers.simulated.line_faults import DeviceLoop
-from drivers.simulated.lines import DeviceEnd, PtyEnd, SendingEnd, TcpEnd, UdpEnd
+from drivers.simulated.lines import DeviceEnd, DeviceLoop, PtyEnd, SendingEnd, TcpEnd, UdpEnd
 from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
 from drivers.stimulator.bus import open_bus
 from fes.config import Bus

@@ -4,7 +4,7 @@ A real stimulator's lease does not depend on the controller's computer; so this 
 clock and loop, and asks for real-time scheduling where it may. It prints one JSON line when it is ready and ends
 on SIGTERM, SIGINT, or (``--until-stdin-closes``) when the process that started it is gone. Faults while it runs are
 JSON lines ``{"fault": NAME, "value": NUMBER}`` on stdin, each confirmed: the node's own, and those of its line
-(:mod:`drivers.simulated.line_faults`) for what it sends.
+(:mod:`drivers.simulated.lines`) for what it sends.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Final
 import can
 
 from drivers.simulated.imu.wire import CAN_RECORD
-from drivers.simulated.line_faults import LINE_FAULTS, LineFaults
+from drivers.simulated.lines import LINE_FAULTS, LineFaults
 from drivers.simulated.process_end import (
     STDIN,
     CommandReader,
@@ -30,8 +30,7 @@ from drivers.simulated.process_end import (
     publish_ready,
     stop_signals,
 )
-from drivers.simulated.pulses import PulseOutlet
-from drivers.simulated.record import RecordWriter
+from drivers.simulated.record import PulseOutlet, RecordWriter
 from drivers.simulated.stimulator.firmware import StimulatorNode, parse_faults
 from drivers.simulated.stimulator.lockstep import SIM_TIME_ID, BusClock, RealClock
 from drivers.stimulator.bus import MULTICAST, BusError, open_bus
@@ -104,7 +103,7 @@ class NodeLoop:
         return True
 
     def _put_out(self, frames: list[Frame]) -> None:
-        self._pulses.send_made(self._node.channels)
+        self._pulses.send_made(channel.made for channel in self._node.channels)
         now_ns = self._clock.now_ns()
         self._faults.send(now_ns, [CAN_RECORD.pack(identifier, len(data), data) for identifier, data in frames])
         for identifier, length, data in CAN_RECORD.iter_unpack(self._faults.due(now_ns)):

@@ -11,7 +11,7 @@ from itertools import count
 
 import can
 
-from drivers.simulated.line_faults import LineFaults
+from drivers.simulated.lines import LineFaults
 from drivers.simulated.stimulator.firmware import NodeFaults, StimulatorNode
 from drivers.simulated.stimulator.serial_device import SimulatedDevice
 from drivers.stimulator.can_codec import Frame

@@ -16,11 +16,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from drivers.simulated.line_faults import DeviceLoop
-from drivers.simulated.lines import DeviceEnd, PtyEnd, TcpEnd
+from drivers.simulated.lines import DeviceEnd, DeviceLoop, PtyEnd, TcpEnd
 from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
-from drivers.simulated.pulses import PulseOutlet
-from drivers.simulated.record import RecordEntry, RecordWriter
+from drivers.simulated.record import PulseOutlet, RecordEntry, RecordWriter
 from drivers.simulated.stimulator.firmware import NEVER, parse_fault_values
 from drivers.stimulator.sciencemode.framing import FrameDecoder, Packet
 from fes.signals import NS_PER_S

@@ -14,8 +14,8 @@ from typing import Protocol
 
 import click
 
+from drivers.simulated.spawn import spawn_node
 from drivers.simulated.stimulator.lockstep import LockstepStimulator
-from drivers.simulated.stimulator.spawn import spawn_node
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS, NODE_IDS, logged_commands
 from drivers.stimulator.can_port import ByteSink, CanStimulator

@@ -357,7 +357,7 @@ def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
 @lru_cache(maxsize=4)
 def _calibrated(patient: Patient, foot: str, channel: int) -> tuple[PatientSettings, dict[str, Calibration], Any]:
     """A patient's settings, calibrations from a walk without stimulation, and where toe and heel are."""
-    from fes.hil.closed_loop.session import patient_calibration
+    from fes.hil.settings import patient_calibration
     from fes.simulation.forward import VirtualPatient
 
     settings = patient.settings(foot, channel)

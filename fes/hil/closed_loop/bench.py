@@ -16,13 +16,24 @@ from pathlib import Path
 from typing import Any, Final
 
 from drivers.imu.port import ImuLost
+from drivers.simulated.imu.device import LASTING
+from drivers.simulated.lines import LINE_FAULTS
 from drivers.simulated.process_handle import ProcessHandle
-from drivers.simulated.stimulator.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
+from drivers.simulated.spawn import DeviceHandle, DeviceKind, NodeHandle, spawn_device, spawn_node
 from fes.calibration.recording import save
 from fes.config import StimulatorDevice
-from fes.hil.closed_loop.session import CURRENT_MA, patient_calibration, session_text
-from fes.simulation.forward import PatientSettings, VirtualStride
+from fes.hil.settings import FOOT, PATIENT_CURRENT_MA, RATE_HZ, patient_calibration, patient_session_text
+from fes.simulation.forward import PatientSettings, VirtualStride, settings_for
 from fes.simulation.forward.settings import to_plain
+
+STIMULATORS: Final[dict[str, DeviceKind | None]] = {
+    "can": None,
+    "p24_low_level": "sciencemode4",
+    "rehastim2": "sciencemode2",
+}
+SESSION_NAME: Final = "session.toml"
+CALIBRATION_NAME: Final = "patient.calibration.json"
+CYCLE_S: Final = (5.0, 3.5)  # walks and stands in turns; a stand is longer than a burst may last
 
 
 class PatientHandle(ProcessHandle):
@@ -143,15 +154,6 @@ def spawn_patient(
     return PatientHandle(arguments, timeout_s)
 
 
-STIMULATORS: Final[dict[str, DeviceKind | None]] = {
-    "can": None,
-    "p24_low_level": "sciencemode4",
-    "rehastim2": "sciencemode2",
-}
-SESSION_NAME: Final = "session.toml"
-CALIBRATION_NAME: Final = "patient.calibration.json"
-
-
 @dataclass(slots=True)
 class PatientBench:
     """What runs; ``session`` and ``calibration`` are the files that ``fes run`` needs."""
@@ -170,7 +172,7 @@ def start_patient_bench(
     stack: ExitStack,
     *,
     stimulator: str = "can",
-    current_ma: float = CURRENT_MA,
+    current_ma: float = PATIENT_CURRENT_MA,
     tuning: str = "act",
     waits: bool = False,
     held: bool = False,
@@ -209,6 +211,52 @@ def start_patient_bench(
         where, bus = StimulatorDevice.model_validate({"device": stimulator, "port": device.port}), None
     stack.callback(device.stop)
     session = folder / SESSION_NAME
-    text = session_text(settings, current_ma=current_ma, tuning=tuning, ports=patient.ports, stimulator=where, bus=bus)
+    text = patient_session_text(
+        settings, current_ma=current_ma, tuning=tuning, ports=patient.ports, stimulator=where, bus=bus
+    )
     session.write_text(text, encoding="utf-8")
     return PatientBench(settings, folder, session, calibration, patient, device)
+
+
+class PatientSensor:
+    """One end of the foot sensor's line; the patient's process goes on when it is stopped."""
+
+    def __init__(self, patient: PatientHandle, port: str = "") -> None:
+        self._patient = patient
+        self._port = port
+
+    @property
+    def port(self) -> str:
+        """What the host opens; a spare one is plugged in when it is first asked for."""
+        if not self._port:
+            self._port = self._patient.replug(FOOT)
+        return self._port
+
+    def inject(self, name: str, value: float = 1.0) -> int:
+        """As a simulated sensor's; ``stand`` keeps the patient standing, 0 lets it walk on."""
+        return self._patient.hold(bool(value)) if name == "stand" else self._patient.inject(name, value, FOOT)
+
+    def clear(self) -> None:
+        """End the faults that last."""
+        for name in (*LASTING, *sorted(LINE_FAULTS)):
+            self._patient.inject(name, 0.0, FOOT)
+
+    def stop(self) -> int:
+        """Nothing: whoever started the patient ends it."""
+        return 0
+
+
+def campaign_patient(folder: Path, pulses: Path) -> tuple[PatientHandle, Path]:
+    """A patient who walks and stands in turns, and the calibration of its sensor.
+
+    Args:
+        folder: for the calibration.
+        pulses: the socket that the stimulator sends its pulses to.
+
+    Raises:
+        ImuLost: it does not start.
+    """
+    settings: PatientSettings = settings_for("moderate", seed=11, sensors=(FOOT,), rate_hz=RATE_HZ, speed_mps=1.0)
+    calibration = folder / "patient.calibration.json"
+    save(patient_calibration(settings), calibration)
+    return spawn_patient(pulses, settings, cycle_s=CYCLE_S), calibration
