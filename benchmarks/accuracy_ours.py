@@ -38,7 +38,7 @@ from stroke_treadmill import evaluate as evaluate_feet
 from zero_velocity import evaluate_detector, evaluate_loop, path_of
 from zero_velocity_sets import BorderedWalk, gaitmap, pyshoe, ruler, xio
 
-from fes.analysis.ground_path import GroundPath, ground_path, together
+from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
 from fes.calibration.foot_track import calibrate_track
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.zupt.detectors import Detector
@@ -261,7 +261,7 @@ def path_rows(folder: Path) -> list[Row]:
     if len(walks) != 2:
         return []
     alone = [ground_path(walk.track, calibrate_track(walk.track)) for walk in walks]
-    named = {"fes path, each foot alone": alone, "fes path, both feet together": list(together(*alone))}
+    named = {"fes path, each foot alone": alone, "fes path, both feet together": list(without_relative_drift(*alone))}
     rows = []
     for method, paths in named.items():
         rms_m = [_fitted_rms_m(walk, path) for walk, path in zip(walks, paths, strict=True)]

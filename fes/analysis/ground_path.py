@@ -1,7 +1,7 @@
 """Where a foot went over the ground: its path through a whole recording, for analysis after the fact.
 
 The path is that of the smoothed ZUPT-aided filter (``fes.estimation.zupt.foot_trajectory``). Nothing measures heading
-but the gyroscope, so it drifts; two feet that go the same way tell what part of that they do not share. On a treadmill
+but the gyroscope, so it drifts; two feet that walk together tell what part of that they do not share. On a treadmill
 the path is that over the belt.
 """
 
@@ -112,7 +112,8 @@ def ground_path(
     room = np.empty(len(trajectory.t_ns)), np.empty(len(stances))
     over_ground(*trajectory, calibration.forward(), stance_ns, kept, *room, position, heading)
     if not (np.isfinite(position).all() and np.isfinite(heading).all()):
-        raise ValueError("the path comes out as no number; check the units")  # else the other foot's would, by together
+        # the other foot's path would come out so too, for they share their drift
+        raise ValueError("the path comes out as no number; check the units")
     x, y, _ = np.diff(trajectory.positions_at(stance_ns), axis=0).T
     return GroundPath(calibration.sensor, kept, position, heading, float(np.hypot(x, y).sum()), stance_ns)
 
@@ -142,19 +143,20 @@ def continued(before: GroundPath, path: GroundPath, at_ns: int) -> GroundPath:
     return replace(turned, position_m=position + (before.at(t_ns) - turned.at(t_ns))[0, :3])
 
 
-def together(left: GroundPath, right: GroundPath) -> tuple[GroundPath, GroundPath]:
+def without_relative_drift(left: GroundPath, right: GroundPath) -> tuple[GroundPath, GroundPath]:
     """Both feet's paths without the part of their heading's drift in which they differ.
 
-    Two feet of one walker go the same way, so their headings at stance differ by a constant (toes point outward) but
-    for what a turn does for a moment. A drift per stride in that difference (the median slope over pairs of stances,
-    Theil 1950, Sen 1968) is an error; nothing says whose, so each foot takes half. On a healthy walk before cameras,
-    the errors were such mirror images: +0.56 and −0.48 °/s. Without enough strides both are returned as they are.
+    Two feet of one walker go in one direction, so their headings at stance differ by a constant (toes point outward)
+    but for what a turn does for a moment. A drift per stride in that difference (the median slope over pairs of
+    stances, Theil 1950, Sen 1968) is an error; nothing says whose, so each foot takes half. On a healthy walk before
+    cameras, the errors were such mirror images: +0.56 and −0.48 °/s. Without enough strides both are returned as they
+    are.
     """
-    drift = _drift_apart(left, right)
+    drift = _relative_drift(left, right)
     return _turned(left, left.stance_ns, -0.5 * drift), _turned(right, left.stance_ns, 0.5 * drift)
 
 
-def _drift_apart(left: GroundPath, right: GroundPath) -> float:
+def _relative_drift(left: GroundPath, right: GroundPath) -> float:
     """By how much the left heading runs away from the right one per stride (rad), positive to the left."""
     common = left.stance_ns[(left.stance_ns >= right.stance_ns[0]) & (left.stance_ns <= right.stance_ns[-1])]
     if len(common) < LEAST_STANCES:
@@ -162,13 +164,13 @@ def _drift_apart(left: GroundPath, right: GroundPath) -> float:
     right_heading = _unwrapped(right.heading_at(right.stance_ns))
     since, known = ((t - common[0]).astype(np.float64) for t in (common, right.stance_ns))
     of_right = np.interp(since, known, right_heading)
-    apart = _unwrapped(_unwrapped(left.heading_at(common)) - of_right)
+    difference = _unwrapped(_unwrapped(left.heading_at(common)) - of_right)
     count = min(len(common), MOST_STANCES)
     picked = np.linspace(0, len(common) - 1, count).round()
-    apart = apart[picked.astype(int)]
+    difference = difference[picked.astype(int)]
     least = count // 4
     each = np.empty((count - least) * (count - least + 1) // 2)
-    slopes(apart, picked, least, each)
+    slopes(difference, picked, least, each)
     return median(each)
 
 

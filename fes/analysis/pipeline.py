@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fes.analysis.ground_path import GroundPath, continued, ground_path, together
+from fes.analysis.ground_path import GroundPath, continued, ground_path, without_relative_drift
 from fes.analysis.methods import CausalEvents, Methods
 from fes.analysis.results import Analysis
 from fes.analysis.stride_fusion import fuse
@@ -120,7 +120,7 @@ class _AnalysisRun:
                 self._analyse_foot(result, chunk, calibration)
         if set(FOOT_SENSORS) <= set(result.paths):
             left, right = (result.paths[foot] for foot in FOOT_SENSORS)
-            result.paths.update(zip(FOOT_SENSORS, together(left, right), strict=True))
+            result.paths.update(zip(FOOT_SENSORS, without_relative_drift(left, right), strict=True))
         for foot, path in result.paths.items():
             if foot in self._paths:
                 result.paths[foot] = continued(self._paths[foot], path, chunk.begin_ns)

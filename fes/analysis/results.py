@@ -34,7 +34,7 @@ from fes.walk_record import Note, SampleArrays, WalkRecord
 from statemachine.phases import PhaseChange
 
 _PLACE = ("x_m", "y_m", "z_m", "heading_rad")
-_FOOT = Column("foot", str, "", "the sensor that told of it")
+_FOOT = Column("foot", str, "", "the sensor that it is from")
 PHASE_COLUMNS = (
     _FOOT,
     Column("t_s", float, "s", "the sample at which the transition fired", schema.NEGARD),
@@ -64,7 +64,7 @@ class Analysis:
     events and paths are those around it too, and the paths go on where the chunk before ended (they are counted from
     ``path_begins_ns``, where each foot's began).
 
-    Phases and strides carry the name of the sensor that told them: the foot's, or where there is none the shank's, for
+    Phases and strides carry the name of their sensor: the foot's, or where there is none the shank's, for
     which there are no ``events`` and no path. ``paths`` are the feet's paths over the ground; ``no_path`` says of the
     other sensors why there is none. ``points`` says of each foot where its toe and heel were taken to be. ``level``:
     the ground was taken to be level. ``blocks`` is what the feet's trackers found, as arrays, and ``outcomes`` what the

@@ -80,7 +80,7 @@ def fused(
     acc_range_mps2: float | None = None,
     gyr_range_radps: float | None = None,
 ) -> list[StrideResult]:
-    """The same strides of one foot, with length, speed and the way ahead from both solutions.
+    """The same strides of one foot, with length, speed and the trajectory ahead from both solutions.
 
     Everything else is the stride's own, as are strides that are not valid, and those whose two lengths are farther
     apart than a tenth and 5 cm. Arguments as for :func:`path_lengths`.
@@ -97,7 +97,7 @@ def fuse(rows: Rows, foot: FootSamples) -> FloatArray:
     """As :func:`fused`, in place, of strides (K,) as the compiled core leaves them; see
     ``fes.estimation.strides.results``.
 
-    Returns by how much each is longer than by itself (K,), for its way ahead.
+    Returns by how much each is longer than by itself (K,), for its trajectory ahead.
     """
     own_m = np.where(rows["outcome"] == SOLVED, rows["stride_length_m"], math.nan)
     lengths = _means(own_m, lengths_along(foot, rows["t_start_ns"], rows["t_end_ns"]))

@@ -99,13 +99,13 @@ def _signs(
     zero = np.zeros(3)
     if not integrate(t, acc[part], quaternions, zero, zero, True, velocity, position, gamma):
         return None
-    way = position[-1, :2]
-    length = float(np.hypot(way[0], way[1]))
+    direction = position[-1, :2]
+    length = float(np.hypot(direction[0], direction[1]))
     if length < MIN_LENGTH_M or not 0 < off < contact < len(t):
         return None
-    leftward = np.array([-way[1], way[0]]) / length
+    leftward = np.array([-direction[1], direction[0]]) / length
     toe = rotate_each(quaternions[:1], forward[None])[0]
-    toe_out = float(np.arctan2(way[0] * toe[1] - way[1] * toe[0], way @ toe[:2]))
+    toe_out = float(np.arctan2(direction[0] * toe[1] - direction[1] * toe[0], direction @ toe[:2]))
     step_s = 1e-9 * np.diff(t[off : contact + 1])
     roll = float((gyr[part][off:contact] @ forward) @ step_s)
     across = position[:, :2] @ leftward

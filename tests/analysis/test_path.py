@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 from test_zupt import STRIDE_M, walk
 
-from fes.analysis.ground_path import GroundPath, ground_path, together
+from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.calibration.foot_track import calibrate_track
 from fes.cli.main import main
@@ -163,20 +163,20 @@ def test_two_feet_correct_the_drift_that_they_do_not_share() -> None:
     alone = [ground_path(track, calibrate_track(track)) for track in feet]
     bent = [abs(path.heading_rad[-1] - path.heading_rad[0]) for path in alone]
     assert min(bent) > 0.15
-    left, right = together(*alone)
+    left, right = without_relative_drift(*alone)
     common = [path.heading_rad[-1] - path.heading_rad[0] for path in (left, right)]
     assert common[0] == pytest.approx(common[1], abs=0.02)  # what is left they share: half of their sum
     assert abs(common[0]) < 0.5 * min(bent)
     for path in (left, right):
         assert path.closure_m == pytest.approx(4 * LEG_STRIDES * STRIDE_M, rel=0.01)
     few = [replace(path, stance_ns=path.stance_ns[:5]) for path in alone]
-    assert np.allclose(together(*few)[0].position_m, alone[0].position_m, atol=1e-9)
+    assert np.allclose(without_relative_drift(*few)[0].position_m, alone[0].position_m, atol=1e-9)
 
 
 def test_a_true_turn_is_no_drift(square: Track, calibration: FootCalibration) -> None:
     left = replace(ground_path(square, calibration), foot="left_foot")
     right = ground_path(square, calibration)
-    for path in together(left, right):
+    for path in without_relative_drift(left, right):
         assert np.abs(path.position_m - right.position_m).max() < 1e-9
 
 

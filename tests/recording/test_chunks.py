@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 
-from fes.analysis.parameters.gait import together
+from fes.analysis.parameters.gait import pooled
 from fes.analysis.parameters.summary import statistic
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of
 from fes.calibration.recording import calibrate_all, save
@@ -251,7 +251,7 @@ VALUES = st.lists(st.floats(-1e3, 1e3), max_size=20)
 @settings(deadline=None)
 @given(VALUES, VALUES)
 def test_statistics_put_together_are_those_of_all(one, other):
-    found, expected = together(statistic(one), statistic(other)), statistic([*one, *other])
+    found, expected = pooled(statistic(one), statistic(other)), statistic([*one, *other])
     assert found.n == expected.n
     assert found.mean == pytest.approx(expected.mean, rel=1e-9, abs=1e-9, nan_ok=True)
     assert found.sd == pytest.approx(expected.sd, rel=1e-6, abs=1e-6, nan_ok=True)

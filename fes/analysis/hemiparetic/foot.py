@@ -156,8 +156,8 @@ class FootTrack:
         if len(self.windows) < 2:
             return float("nan")
         first, last = int(self.centres[0]), int(self.centres[-1])
-        way = float(np.linalg.norm(self.position_m[last] - self.position_m[first]))
-        return way * NS_PER_S / float(self.t_ns[last] - self.t_ns[first])
+        distance_m = float(np.linalg.norm(self.position_m[last] - self.position_m[first]))
+        return distance_m * NS_PER_S / float(self.t_ns[last] - self.t_ns[first])
 
     def _seconds(self, windows: IntArray) -> FloatArray:
         period_s = float(np.median(np.diff(self.t_ns))) / NS_PER_S
@@ -178,27 +178,27 @@ def tracked(foot: Foot, windows: IntArray) -> FootTrack:
         begin, end = before[1] - 1, after[0]
         span = slice(begin, end + 1)
         steps = np.diff(t[span])[:, None]
-        gained = np.cumsum(0.5 * (foot.acc_mps2[span][1:] + foot.acc_mps2[span][:-1]) * steps, axis=0)
+        velocity_change = np.cumsum(0.5 * (foot.acc_mps2[span][1:] + foot.acc_mps2[span][:-1]) * steps, axis=0)
         share = (t[span][1:] - t[begin]) / (t[end] - t[begin])
-        velocity[begin + 1 : end + 1] = gained - share[:, None] * gained[-1]
+        velocity[begin + 1 : end + 1] = velocity_change - share[:, None] * velocity_change[-1]
     position = np.zeros_like(velocity)
     position[1:] = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None], axis=0)
     axes = np.stack([foot.forward, foot.left, np.cross(foot.forward, foot.left)], axis=2)
     return FootTrack(foot.name, foot.t_ns, position, axes, windows)
 
 
-def visualization_frame(up: FloatArray, way: FloatArray) -> FloatArray:
+def visualization_frame(up: FloatArray, direction: FloatArray) -> FloatArray:
     """Rotation (3, 3) from the initialization into the visualization frame: rows are x across, y along, z up.
 
     Args:
         up: (3,) against gravity, as the accelerometer shows it at rest.
-        way: (3,) from the walk's first to its last zero-velocity window.
+        direction: (3,) from the walk's first to its last zero-velocity window.
 
     Raises:
         ValueError: the walk goes nowhere, or straight up.
     """
     z = up / np.linalg.norm(up)
-    across = np.cross(-way, z)
+    across = np.cross(-direction, z)
     size = float(np.linalg.norm(across))
     if not size >= LEAST_DISTANCE_M:
         raise ValueError(f"the walk leads only {size:.2f} m away: there is no direction of walking")

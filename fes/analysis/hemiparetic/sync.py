@@ -1,4 +1,4 @@
-"""Two feet recorded apart: by how much the clock of one runs ahead, from what both sensors feel.
+"""Two feet with separate clocks: by how much the clock of one runs ahead, from what both sensors feel.
 
 Wang et al. (2013), section 2, had their subjects hop, for a signature in both sensors; the times of reception gave
 the rest. Three things that a walk itself shows are used here, each alone is of little use, and none is in the paper:

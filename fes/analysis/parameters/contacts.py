@@ -1,4 +1,4 @@
-"""Foot off (FO) and initial contact (IC) of slow walks, set right by the way that the foot really went.
+"""Foot off (FO) and initial contact (IC) of slow walks, set right by the path that the foot really took.
 
 The off-line events (:mod:`fes.estimation.events.offline`) look at the mediolateral rate: FO is about the peak of
 push-off, IC where the foot stops turning toe-up. In slow and in paretic gait these come apart from the ground's
@@ -55,7 +55,7 @@ def swing_of(path: FootPath, events: GaitEvents, arms: FootArms | None) -> Swing
     """The swing within a stride; None where the events show none, or more than one.
 
     Args:
-        path: the stride's way at its own samples.
+        path: the stride's trajectory at its own samples.
         events: of the same foot's whole recording.
         arms: where toe and heel are; without them IC stays where the events put it.
     """

@@ -1,10 +1,8 @@
 """All gait parameters of an analysed recording: of strides, of sides, of the walk; as rows and as plain values.
 
-The mean stride of each foot and its spread: Figure 5 of Wang et al. (2013), from the project's own strides.
-
-Strides are stretched to the same length in time, each in its own frame: x along it, y to the left, z up.
-
-The gait parameters of a recording that was analysed in pieces: means and spreads of all, kept as sums.
+Also the mean stride of each foot and its spread (Figure 5 of Wang et al. 2013, from the project's own strides,
+stretched to the same length in time, each in its own frame: x along it, y to the left, z up), and the parameters of a
+recording that was analysed in chunks: means and spreads of all, kept as sums.
 """
 
 from __future__ import annotations
@@ -128,16 +126,15 @@ class GaitParameters:
         ``value`` is the mean for a foot, the symmetry ratio for both; units stand in ``unit``.
         """
         rows: list[dict[str, Any]] = []
-        blank = {"sd": math.nan, "cv": math.nan, "n": 0, "symmetry_index_percent": math.nan}
         for foot, found in self.feet.items():
             for key, value in found.items():
-                of = {"value": value.mean, "sd": value.sd, "cv": value.cv, "n": value.n}
-                rows.append({**_head(foot, key, DEFINITIONS[key].unit), **blank, **of})
+                shown = {"value": value.mean, "sd": value.sd, "cv": value.cv, "n": value.n}
+                rows.append(_summary_row(foot, key, DEFINITIONS[key].unit) | shown)
         for key, both in self.sides.items():
-            ends = {"value": both.ratio, "symmetry_index_percent": both.index_percent}
-            rows.append({**_head(f"{both.first}/{both.second}", key, "1"), **blank, **ends})
+            shown = {"value": both.ratio, "symmetry_index_percent": both.index_percent}
+            rows.append(_summary_row(f"{both.first}/{both.second}", key, "1") | shown)
         for key, number in asdict(self.walk).items():
-            rows.append({**_head("walk", key, DEFINITIONS[key].unit), **blank, "value": number})
+            rows.append(_summary_row("walk", key, DEFINITIONS[key].unit) | {"value": number})
         return rows
 
     def to_json(self) -> dict[str, Any]:
@@ -210,8 +207,10 @@ def _lengths(
     return step_lengths(strides, swings, span, scales)
 
 
-def _head(of: str, key: str, unit: str) -> dict[str, Any]:
-    return {"of": of, "parameter": key, "unit": unit}
+def _summary_row(of: str, key: str, unit: str) -> dict[str, Any]:
+    """A row of the summary whose numbers are not known yet."""
+    blank = dict.fromkeys(("value", "sd", "cv"), math.nan)
+    return {"of": of, "parameter": key, "unit": unit, **blank, "n": 0, "symmetry_index_percent": math.nan}
 
 
 def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -219,9 +218,9 @@ def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 class ChunkedGait:
-    """Adds up the parameters of piece after piece; what it keeps does not grow with them.
+    """Adds up the parameters of chunk after chunk; what it keeps does not grow with them.
 
-    Which strides are steady is asked within each piece.
+    Which strides are steady is asked within each chunk.
     """
 
     def __init__(self, belt_mps: float | None) -> None:
@@ -233,12 +232,10 @@ class ChunkedGait:
         self._step_lengths = False
 
     def add(self, parameters: GaitParameters, strides: Sequence[StrideResult]) -> None:
-        """One more piece: its parameters, and all of its strides."""
+        """One more chunk: its parameters, and all of its strides."""
         for foot, found in parameters.feet.items():
             known = self._feet.get(foot)
-            self._feet[foot] = (
-                found if known is None else {k: _cv(k, together(known[k], found[k])) for k in STRIDE_KEYS}
-            )
+            self._feet[foot] = found if known is None else {k: _cv(k, pooled(known[k], found[k])) for k in STRIDE_KEYS}
         for foot, rows in parameters.strides.items():
             self._travelled[foot] = self._travelled.get(foot, Travelled()) + travelled(rows)
         for one in mean_strides(strides, parameters.strides):
@@ -248,24 +245,25 @@ class ChunkedGait:
         self._no_step_lengths = parameters.no_step_lengths
 
     def parameters(self) -> GaitParameters:
-        """Of all pieces; the strides themselves are not kept."""
+        """Of all chunks; the strides themselves are not kept."""
         none: dict[str, list[StrideParameters]] = {foot: [] for foot in self._feet}
         walk = walk_of_sums(self._travelled.values(), self._belt_mps)
         why = "" if self._step_lengths else self._no_step_lengths
         return GaitParameters(none, self._feet, symmetry(self._feet), walk, None, why)
 
     def mean_strides(self) -> list[MeanStride]:
-        """The mean stride of each foot over all pieces."""
+        """The mean stride of each foot over all chunks."""
         return list(self._means.values())
 
 
-def together(one: Statistic, other: Statistic) -> Statistic:
+def pooled(one: Statistic, other: Statistic) -> Statistic:
     """Of two sets of values as if they were one (Chan, Golub and LeVeque 1983)."""
     if not one.n or not other.n:
         return one if one.n else other
-    n, apart = one.n + other.n, other.mean - one.mean
-    squares = sum((each.n - 1) * each.sd**2 for each in (one, other) if each.n > 1) + apart**2 * one.n * other.n / n
-    mean, sd = one.mean + apart * other.n / n, math.sqrt(squares / (n - 1))
+    n, difference = one.n + other.n, other.mean - one.mean
+    squares = sum((each.n - 1) * each.sd**2 for each in (one, other) if each.n > 1)
+    squares += difference**2 * one.n * other.n / n
+    mean, sd = one.mean + difference * other.n / n, math.sqrt(squares / (n - 1))
     return Statistic(mean, sd, sd / abs(mean) if mean else NAN, n)
 
 
@@ -274,6 +272,6 @@ def _cv(key: str, value: Statistic) -> Statistic:
 
 
 def _mean_together(one: MeanStride, other: MeanStride) -> MeanStride:
-    n, apart = one.n + other.n, other.mean - one.mean
-    squares = (one.n - 1) * one.sd**2 + (other.n - 1) * other.sd**2 + apart**2 * one.n * other.n / n
-    return MeanStride(one.foot, one.mean + apart * other.n / n, np.sqrt(squares / (n - 1)), n)
+    n, difference = one.n + other.n, other.mean - one.mean
+    squares = (one.n - 1) * one.sd**2 + (other.n - 1) * other.sd**2 + difference**2 * one.n * other.n / n
+    return MeanStride(one.foot, one.mean + difference * other.n / n, np.sqrt(squares / (n - 1)), n)

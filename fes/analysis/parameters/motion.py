@@ -7,7 +7,7 @@ axis, and that is what is taken here.
 How much neighbouring strides differ: position and orientation variation after dynamic time warping.
 
 Source: Wang et al. (2013), section 4.2: two neighbouring strides of the same side are stretched onto each other by
-dynamic time warping of their way along the walk, normalised to 0 … 1 (Sakoe & Chiba 1978 for the warping), and PV and
+dynamic time warping of their path along the walk, normalised to 0 … 1 (Sakoe & Chiba 1978 for the warping), and PV and
 OV are the root mean square distances of position and orientation along the common, stretched time. Orientation is a
 rotation vector here, so that the result depends on no order of angles.
 """
@@ -44,11 +44,11 @@ class Motion:
 
     def own_frame_m(self) -> FloatArray:
         """Positions (N, 3): x along the stride, y to the left, z up; where it goes nowhere x is the toe's direction."""
-        way = self.position_m[-1, :2] - self.position_m[0, :2]
-        length = float(np.hypot(*way))
+        direction = self.position_m[-1, :2] - self.position_m[0, :2]
+        length = float(np.hypot(*direction))
         if length < 0.05:
-            way, length = self.axes[0, :2, 0], float(np.hypot(*self.axes[0, :2, 0]))
-        x, y = way / max(length, 1e-9)
+            direction, length = self.axes[0, :2, 0], float(np.hypot(*self.axes[0, :2, 0]))
+        x, y = direction / max(length, 1e-9)
         turned = np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, 1.0]])
         return np.asarray((self.position_m - self.position_m[0]) @ turned.T)
 
@@ -92,10 +92,10 @@ POINTS = 101
 
 def variation(one: Motion, other: Motion) -> tuple[float, float]:
     """PV (m) and OV (rad) of two neighbouring strides of one side."""
-    ways = [_resampled(stride.t_ns, stride.own_frame_m()) for stride in (one, other)]
+    positions = [_resampled(stride.t_ns, stride.own_frame_m()) for stride in (one, other)]
     turns = [_resampled(stride.t_ns, stride.orientation_rad()) for stride in (one, other)]
-    i, j = warped(_unit(ways[0][:, 0]), _unit(ways[1][:, 0]))
-    position, orientation = (float(np.sqrt(np.mean(np.sum((b[j] - a[i]) ** 2, axis=1)))) for a, b in (ways, turns))
+    i, j = warped(_unit(positions[0][:, 0]), _unit(positions[1][:, 0]))
+    position, orientation = (float(np.sqrt(np.mean(np.sum((b[j] - a[i]) ** 2, axis=1)))) for a, b in (positions, turns))
     return position, orientation
 
 
@@ -118,8 +118,8 @@ def warped(one: FloatArray, other: FloatArray) -> tuple[IntArray, IntArray]:
         one: (N,) a waveform.
         other: (M,) another.
     """
-    way = _warp(np.ascontiguousarray(one, np.float64), np.ascontiguousarray(other, np.float64))
-    return way[:, 0], way[:, 1]
+    pairs = _warp(np.ascontiguousarray(one, np.float64), np.ascontiguousarray(other, np.float64))
+    return pairs[:, 0], pairs[:, 1]
 
 
 @jit
@@ -137,10 +137,10 @@ def _warp(one: FloatArray, other: FloatArray) -> IntArray:
                 cost[i, j] = here + cost[i - 1, j]
             else:
                 cost[i, j] = here + min(cost[i - 1, j - 1], cost[i - 1, j], cost[i, j - 1])
-    way = np.empty((n + m, 2), np.int64)
+    pairs = np.empty((n + m, 2), np.int64)
     i, j, k = n - 1, m - 1, n + m - 1
     while True:
-        way[k, 0], way[k, 1] = i, j
+        pairs[k, 0], pairs[k, 1] = i, j
         if i == 0 and j == 0:
             break
         k -= 1
@@ -154,4 +154,4 @@ def _warp(one: FloatArray, other: FloatArray) -> IntArray:
             i -= 1
         else:
             j -= 1
-    return way[k:]
+    return pairs[k:]

@@ -7,7 +7,7 @@ its stride time, stance and double support are those between the contact before 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -50,17 +50,10 @@ class StrideParameters:
 
     def row(self) -> dict[str, Any]:
         """One flat row, units in the names."""
-        return {
-            "foot": self.foot,
-            "number": self.number,
-            "t_start_s": self.t_start_s,
-            "t_foot_off_s": self.t_foot_off_s,
-            "t_contact_s": self.t_contact_s,
-            "t_end_s": self.t_end_s,
-            "steady": self.steady,
-            "stride_length_m": self.stride_length_m,
-            **self.values,
-        }
+        return {name: getattr(self, name) for name in _ROW} | dict(self.values)
+
+
+_ROW = tuple(field.name for field in fields(StrideParameters) if field.name != "values")
 
 
 def stride_parameters(

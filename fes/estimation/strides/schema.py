@@ -57,7 +57,7 @@ def _inner(name: str, kind: type, unit: str, text: str) -> Column:
 
 
 COLUMNS: Final = (
-    Column("foot", str, "", "the sensor that told of it: a foot's, or a shank's where the foot has none"),
+    Column("foot", str, "", "the sensor that it is from: a foot's, or a shank's where the foot has none"),
     Column("number", int, "", "counts the strides of a sensor from 1", core=True),
     Column("valid", bool, "", "whether the numbers may be used; they are empty if not"),
     Column("reason", str, "", "why it is not valid, or not as good as others"),
