@@ -274,7 +274,7 @@ def _fitted_rms_m(walk: PathWalk, path: GroundPath) -> float:
     """Horizontal distance of path and marker, root mean square, after the best shift and turn."""
     t_ns = path.t_ns[0] + np.round(np.arange(len(walk.position_m)) * 1e9 / walk.rate_hz).astype(np.int64)
     known = np.isfinite(walk.position_m).all(axis=1) & (t_ns <= path.t_ns[-1])
-    true, found = walk.position_m[known, :2], path.at(t_ns[known])[:, :2]
+    true, found = walk.position_m[known, :2], path.places_at(t_ns[known])[:, :2]
     true, found = ((xy - xy.mean(axis=0)) @ np.array([1.0, 1.0j]) for xy in (true, found))
     turn = np.vdot(found, true)
     return float(np.sqrt(np.mean(np.abs(found * turn / abs(turn) - true) ** 2)))

@@ -86,7 +86,7 @@ def shank_strides(
         calibration: of this sensor.
         settings: how to integrate, by default what the calibration says.
     """
-    settings = settings or ShankIntegrationSettings.of(calibration)
+    settings = settings or ShankIntegrationSettings.for_calibration(calibration)
     acc = acc_mps2 - np.array(calibration.acc_bias_mps2)
     gyr = gyr_radps - np.array(calibration.gyr_bias_radps)
     spans = stride_spans(gyr, swing_peaks(gyr @ settings.left, calibration.rate_hz), calibration.rate_hz)

@@ -71,7 +71,7 @@ def own_border_errors(one: Asked, borders_s: FloatArray, length_m: FloatArray) -
     assert one.path is not None
     errors = []
     borders_ns = np.round(1e9 * borders_s).astype(np.int64)
-    turns = np.diff([one.path.at(ends)[:, 3] for ends in borders_ns.T], axis=0)[0]
+    turns = np.diff([one.path.places_at(ends)[:, 3] for ends in borders_ns.T], axis=0)[0]
     for (begin_ns, end_ns), turn, length in zip(borders_ns.tolist(), turns, length_m, strict=True):
         truth = one.walk.true_length_m(between(one.walk.track, begin_ns, end_ns))
         if np.isfinite(truth) and (getattr(one.walk, "at_sensor", False) or abs(turn) <= STRAIGHT_RAD):

@@ -58,7 +58,7 @@ class GroundPath:
         """How much higher the end is than the start; 0 but for small errors if the ground was said to be level."""
         return float(self.position_m[-1, 2])
 
-    def at(self, t_ns: IntArray) -> FloatArray:
+    def places_at(self, t_ns: IntArray) -> FloatArray:
         """Rows (M, 4) of x, y, z (m) and heading (rad) at M instants; beyond the ends the path stands still."""
         begin = self.t_ns[0]
         asked, known = (np.asarray(t - begin, dtype=np.float64) for t in (np.asarray(t_ns, np.int64), self.t_ns))
@@ -80,7 +80,7 @@ class GroundPath:
         names = ("x_m", "y_m", "z_m", "heading_rad")
         return [
             {"foot": self.foot, "t_s": 1e-9 * t, **dict(zip(names, row, strict=True))}
-            for t, row in zip(instants.tolist(), self.at(instants).tolist(), strict=True)
+            for t, row in zip(instants.tolist(), self.places_at(instants).tolist(), strict=True)
         ]
 
 
@@ -137,10 +137,10 @@ def continued(before: GroundPath, path: GroundPath, at_ns: int) -> GroundPath:
     They are joined in the stance next to that time, where a foot has a heading for certain.
     """
     t_ns = path.stance_ns[[int(np.argmin(np.abs(path.stance_ns - at_ns)))]]
-    turn = float(before.at(t_ns)[0, 3] - path.at(t_ns)[0, 3])
+    turn = float(before.places_at(t_ns)[0, 3] - path.places_at(t_ns)[0, 3])
     position = path.position_m @ _about_z(turn).T
     turned = replace(path, position_m=position, heading_rad=path.heading_rad + turn)
-    return replace(turned, position_m=position + (before.at(t_ns) - turned.at(t_ns))[0, :3])
+    return replace(turned, position_m=position + (before.places_at(t_ns) - turned.places_at(t_ns))[0, :3])
 
 
 def without_relative_drift(left: GroundPath, right: GroundPath) -> tuple[GroundPath, GroundPath]:

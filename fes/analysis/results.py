@@ -127,7 +127,7 @@ class Analysis:
         places = {}
         for foot, path in self.paths.items():
             ends_ns = np.array([stride.t_end_ns for stride in self.strides if stride.foot == foot], np.int64)
-            places[foot] = iter(path.at(ends_ns).tolist())
+            places[foot] = iter(path.places_at(ends_ns).tolist())
         unknown = repeat((math.nan,) * len(_PLACE))
         return [
             schema.table_row(stride) | dict(zip(_PLACE, next(places.get(stride.foot, unknown)), strict=True))
@@ -177,7 +177,7 @@ class Analysis:
         begin, end = max(self.chunk.begin_ns + 1, int(path.t_ns[0])), min(self.chunk.end_ns, int(path.t_ns[-1]))
         inner = path.t_ns[(path.t_ns > begin) & (path.t_ns < end)]
         t_ns = np.concatenate(([begin], inner, [end]))
-        rows = path.at(t_ns)
+        rows = path.places_at(t_ns)
         return replace(path, t_ns=t_ns, position_m=rows[:, :3], heading_rad=rows[:, 3])
 
     def path_summary(self) -> dict[str, dict[str, float]]:

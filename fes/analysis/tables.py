@@ -64,11 +64,11 @@ class Table:
         """Of flat rows; what a row does not have, or has as None, is NaN, 0, False or ""."""
         listed = list(rows)
 
-        def of(row: Mapping[str, Any], column: Column) -> Any:
+        def cell(row: Mapping[str, Any], column: Column) -> Any:
             value = row.get(column.name)
             return _NOTHING[column.kind] if value is None else value
 
-        return cls(columns, {column.name: [of(row, column) for row in listed] for column in columns})
+        return cls(columns, {column.name: [cell(row, column) for row in listed] for column in columns})
 
     @property
     def names(self) -> tuple[str, ...]:

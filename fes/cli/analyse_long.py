@@ -1,4 +1,4 @@
-"""``fes analyse`` of a recording of more than half an hour: the same tables, piece by piece, and a report of each."""
+"""``fes analyse`` of a recording of more than half an hour: the same tables, chunk by chunk, and a report of each."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ def analyse_long(
     as_json: bool,
     report: bool,
 ) -> None:
-    """Analyse piece by piece and write the tables as they come; what is kept does not grow with the recording."""
+    """Analyse chunk by chunk and write the tables as they come; what is kept does not grow with the recording."""
     from fes.analysis.parameters.gait import ChunkedGait, gait_parameters
 
     folder = fresh_folder(out, path.stem)
-    named = (replace(piece, recording=labelled(piece.recording, found.sides)) for piece in recording_chunks(path))
-    told: list[_Told] = []
+    named = (replace(chunk, recording=labelled(chunk.recording, found.sides)) for chunk in recording_chunks(path))
+    chunks: list[_ChunkSummary] = []
     gait: ChunkedGait | None = None
     tables = (*TABLES, "events_causal") if methods.causal_events else TABLES
     with ExitStack() as stack:
@@ -63,9 +63,9 @@ def analyse_long(
             if methods.causal_events:
                 files["events_causal"].add(result.causal_event_rows())
             files["parameters"].add(parameters.rows())
-            told.append(_Told.of(result, len(told) + 1))
-            _report(result, parameters, folder, told[-1], as_json=as_json, report=report)
-            del result, parameters  # or it would stay while the next piece is worked on
+            chunks.append(_ChunkSummary.summarise(result, len(chunks) + 1))
+            _report(result, parameters, folder, chunks[-1], as_json=as_json, report=report)
+            del result, parameters  # or it would stay while the next chunk is worked on
     assert gait is not None
     every = gait.parameters()
     write_table(every.summary_rows(), folder / f"parameters_summary.{kind}")
@@ -74,48 +74,48 @@ def analyse_long(
         last = {"parameters": every.to_json(), "files": {"folder": str(folder)}}
         click.echo("],\n" + json.dumps(last, indent=2, ensure_ascii=False)[2:])
         return
-    _show(told, every, folder, report=report)
+    _show(chunks, every, folder, report=report)
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What stays of a piece for the table on the screen."""
+class _ChunkSummary:
+    """What stays of a chunk for the table on the screen."""
 
     number: int
     begin_s: float
     end_s: float
-    strides: dict[str, tuple[int, int, float]] = field(default_factory=dict)  # all, valid, m on the way
+    strides: dict[str, tuple[int, int, float]] = field(default_factory=dict)  # all, valid, distance in m
     no_path: tuple[str, ...] = ()
     points: tuple[str, ...] = ()  # where toe and heel are, in words
 
     @staticmethod
-    def of(result: Analysis, number: int) -> _Told:
-        """Of one piece."""
-        piece = result.chunk or Chunk(result.recording)
+    def summarise(result: Analysis, number: int) -> _ChunkSummary:
+        """What is said of one chunk."""
+        chunk = result.chunk or Chunk(result.recording)
         tracks = result.recording.tracks.values()
         first = min(int(track.t_sensor_ns[0]) for track in tracks)
         last = max(int(track.t_sensor_ns[-1]) for track in tracks)
-        begin = first if piece.begin_ns == ALWAYS_NS else piece.begin_ns
-        end = last if piece.end_ns == NEVER_NS else piece.end_ns
+        begin = first if chunk.begin_ns == ALWAYS_NS else chunk.begin_ns
+        end = last if chunk.end_ns == NEVER_NS else chunk.end_ns
         feet = {}
         for foot in dict.fromkeys(stride.foot for stride in result.strides):
             own = [stride for stride in result.strides if stride.foot == foot]
             valid = [stride.stride_length_m for stride in own if stride.valid]
             feet[foot] = len(own), len(valid), math.fsum(valid)
-        return _Told(number, 1e-9 * begin, 1e-9 * end, feet, tuple(result.no_path.values()), _points(result))
+        return _ChunkSummary(number, 1e-9 * begin, 1e-9 * end, feet, tuple(result.no_path.values()), _points(result))
 
 
 def _report(
-    result: Analysis, parameters: GaitParameters, folder: Path, told: _Told, *, as_json: bool, report: bool
+    result: Analysis, parameters: GaitParameters, folder: Path, summary: _ChunkSummary, *, as_json: bool, report: bool
 ) -> None:
-    """One piece's report, and its numbers where JSON is asked for."""
+    """One chunk's report, and its numbers where JSON is asked for."""
     if not (report or as_json):
         return
     record = result.walk_record(datetime.now(UTC).isoformat(timespec="seconds"))
     if report:
         from fes.report.page import write_report
 
-        write_report(record, folder / f"report-{told.number:02d}.html", paths=result.paths, gait=parameters)
+        write_report(record, folder / f"report-{summary.number:02d}.html", paths=result.paths, gait=parameters)
     if as_json:
         from fes.report.summary import summarise
 
@@ -124,11 +124,11 @@ def _report(
             "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
             "parameters": parameters.to_json(),
         }
-        click.echo('{"pieces": [' if told.number == 1 else ",")
+        click.echo('{"pieces": [' if summary.number == 1 else ",")
         click.echo(json.dumps(one, indent=2, ensure_ascii=False), nl=False)
 
 
-def _show(told: list[_Told], every: GaitParameters, folder: Path, *, report: bool) -> None:
+def _show(chunks: list[_ChunkSummary], every: GaitParameters, folder: Path, *, report: bool) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -136,28 +136,28 @@ def _show(told: list[_Told], every: GaitParameters, folder: Path, *, report: boo
     from fes.report.tables import parameter_lines, parameter_table
 
     screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
-    feet = list(dict.fromkeys(foot for each in told for foot in each.strides))
-    columns = [text for foot in feet for text in (f"{foot}, strides", "measured", "way, m")]
-    table = Table("piece", "from s", "to s", *columns, title="Pieces")
-    for each in told:
+    feet = list(dict.fromkeys(foot for each in chunks for foot in each.strides))
+    columns = [text for foot in feet for text in (f"{foot}, strides", "measured", "distance, m")]
+    table = Table("chunk", "from s", "to s", *columns, title="Chunks")
+    for each in chunks:
         cells = [each.strides.get(foot, (0, 0, 0.0)) for foot in feet]
-        shown = [text for count, valid, way_m in cells for text in (str(count), str(valid), f"{way_m:.1f}")]
+        shown = [text for count, valid, distance_m in cells for text in (str(count), str(valid), f"{distance_m:.1f}")]
         table.add_row(str(each.number), f"{each.begin_s:.0f}", f"{each.end_s:.0f}", *shown)
     screen.print(table)
     if (parameters := parameter_table(every)).row_count:
         screen.print(parameters)
-    for line in (*told[-1].points, *parameter_lines(every, None), *_no_paths(told)):
+    for line in (*chunks[-1].points, *parameter_lines(every, None), *_no_paths(chunks)):
         screen.print(line, markup=False)
     counted = {
         foot: (sum(of[0] for of in found), sum(of[1] for of in found))
         for foot in feet
-        for found in [[each.strides[foot] for each in told if foot in each.strides]]
+        for found in [[each.strides[foot] for each in chunks if foot in each.strides]]
     }
     for line in poorly_measured(counted):
         screen.print(line, markup=False, style="yellow")
     click.echo(f"Tables  {folder}/")
     if report:
-        click.echo(f"Reports {folder / 'report-01.html'} and on, one a piece  (open them in a browser)")
+        click.echo(f"Reports {folder / 'report-01.html'} and on, one a chunk  (open them in a browser)")
 
 
 def _points(result: Analysis) -> tuple[str, ...]:
@@ -166,6 +166,6 @@ def _points(result: Analysis) -> tuple[str, ...]:
     )
 
 
-def _no_paths(told: list[_Told]) -> Iterator[str]:
-    for each in told:
-        yield from (f"No path in piece {each.number}: {reason}" for reason in each.no_path)
+def _no_paths(chunks: list[_ChunkSummary]) -> Iterator[str]:
+    for each in chunks:
+        yield from (f"No path in chunk {each.number}: {reason}" for reason in each.no_path)

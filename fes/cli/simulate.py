@@ -249,7 +249,7 @@ def simulate(settings: Any, options: Options) -> None:
         with Interrupt() as interrupt, ReplayProgress(options.name, 0, end_ns, options.as_json) as progress:
 
             def after(event: Event) -> None:
-                progress.at(event.t_ns)
+                progress.reached(event.t_ns)
                 interrupt.check()
 
             _walk(walker, samples, options, after)

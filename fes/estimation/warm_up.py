@@ -45,7 +45,9 @@ def _run_once() -> None:
         shank.step(*sample)
     History(100.0).forget_half()  # what happens when its room is full, after many seconds
     span = StrideSpan(20, 60, 140, 5, quiet=True)
-    solve_shank_stride(calibration.sensor, 1, span, t_ns, acc, gyr, ShankIntegrationSettings.of(calibration))
+    solve_shank_stride(
+        calibration.sensor, 1, span, t_ns, acc, gyr, ShankIntegrationSettings.for_calibration(calibration)
+    )
 
 
 def made_up_steps() -> tuple[IntArray, FloatArray, FloatArray]:

@@ -72,7 +72,7 @@ class Scenario:
     unit: str = ""
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def expected_words(self) -> tuple[str, ...]:
         """The reason that the session states must hold one of these; empty: any."""
         return tuple(filter(None, self.reasons.split("|")))
 

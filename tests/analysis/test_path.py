@@ -92,7 +92,7 @@ def test_a_square_ends_where_it_began(side: float) -> None:
     assert path.closure_m < 0.15
     assert path.heading_rad[-1] == pytest.approx(side * 2.0 * math.pi, abs=0.03)
     leg_ns = int(track.t_ns[-1] / 4)
-    corners = path.at(np.array([leg_ns, 2 * leg_ns, 3 * leg_ns]))[:, :2]
+    corners = path.places_at(np.array([leg_ns, 2 * leg_ns, 3 * leg_ns]))[:, :2]
     assert corners == pytest.approx(np.array([[leg_m, 0.0], [leg_m, side * leg_m], [0.0, side * leg_m]]), abs=0.15)
 
 

@@ -24,7 +24,7 @@ def calibrated(walk: ShankWalk, *, prior: ArmPrior = SHANK) -> ShankCalibration:
 
 
 def strides(walk: ShankWalk, calibration: ShankCalibration, arm: FloatArray | None) -> list[StrideResult]:
-    settings = replace(ShankIntegrationSettings.of(calibration, equal_height=walk.rise_m == 0.0), arm=arm)
+    settings = replace(ShankIntegrationSettings.for_calibration(calibration, equal_height=walk.rise_m == 0.0), arm=arm)
     return shank_strides(walk.t_ns, walk.acc, walk.gyr, calibration, settings)
 
 
@@ -165,11 +165,19 @@ def test_stairs_report_the_height_gained(rise_m: float) -> None:
     assert np.mean([s.height_gained_m for s in results]) == pytest.approx(rise_m, abs=0.01)
     assert mean_length(results) == pytest.approx(0.6, abs=0.01)
     learnt = shank_strides(
-        walk.t_ns, walk.acc, walk.gyr, calibration, ShankIntegrationSettings.of(calibration, equal_height=False)
+        walk.t_ns,
+        walk.acc,
+        walk.gyr,
+        calibration,
+        ShankIntegrationSettings.for_calibration(calibration, equal_height=False),
     )
     assert np.mean([s.height_gained_m for s in learnt]) == pytest.approx(rise_m, abs=0.03)
     level = shank_strides(
-        walk.t_ns, walk.acc, walk.gyr, calibration, ShankIntegrationSettings.of(calibration, equal_height=True)
+        walk.t_ns,
+        walk.acc,
+        walk.gyr,
+        calibration,
+        ShankIntegrationSettings.for_calibration(calibration, equal_height=True),
     )
     assert max(abs(s.height_gained_m) for s in level) < 1e-9
 
@@ -190,7 +198,7 @@ def test_a_pause_between_strides_costs_no_stride_and_makes_none() -> None:
     acc, gyr = np.concatenate((walk.acc, walk.acc)), np.concatenate((walk.gyr, walk.gyr))
     calibration = calibrated(walk)
     results = shank_strides(
-        t_ns, acc, gyr, calibration, replace(ShankIntegrationSettings.of(calibration), arm=true_arm(walk))
+        t_ns, acc, gyr, calibration, replace(ShankIntegrationSettings.for_calibration(calibration), arm=true_arm(walk))
     )
     assert len(results) == 10
     # from standing to standing the sensor has gone as far as the ankle

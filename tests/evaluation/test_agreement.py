@@ -86,7 +86,7 @@ def test_the_lag_of_event_trains_is_found(lag_s):
     grids = [np.arange(times.min() - 1, times.max() + 1, 0.01) for times in (true, ours)]
     found = find_lag(grids[0], event_trains([true], grids[0]), grids[1], event_trains([ours], grids[1]), 10.0)
     assert found.lag_s == pytest.approx(lag_s, abs=0.005)
-    assert not found.doubt
+    assert not found.caveat
     assert found.residual < 0.3
 
 
@@ -94,7 +94,7 @@ def test_an_even_walk_gives_a_lag_that_is_not_believed():
     even = np.arange(40) * 1.1
     grid = np.arange(-1.0, 46.0, 0.01)
     found = find_lag(grid, event_trains([even], grid), grid, event_trains([even + 0.3], grid), 3.0)
-    assert "another lag fits nearly as well" in found.doubt
+    assert "another lag fits nearly as well" in found.caveat
 
 
 def test_a_drifting_clock_is_noticed():
@@ -102,7 +102,7 @@ def test_a_drifting_clock_is_noticed():
     ours = true * (1.0 + 2e-3)
     grids = [np.arange(0.0, times.max() + 1, 0.01) for times in (true, ours)]
     found = find_lag(grids[0], event_trains([true], grids[0], 0.1), grids[1], event_trains([ours], grids[1], 0.1), 2.0)
-    assert "drifts" in found.doubt
+    assert "drifts" in found.caveat
     assert found.halves_s == pytest.approx(1e-3 * true[-1], rel=0.25)
 
 

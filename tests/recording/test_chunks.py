@@ -171,7 +171,7 @@ def test_a_long_recording_s_tables_are_those_of_a_short_one(kind, tmp_path, monk
     assert len(strides) == len(walk[2].strides)
     assert {(row["foot"], int(row["number"])) for row in strides} == {(s.foot, s.number) for s in walk[2].strides}
     assert len(read_table(folder / f"path.{kind}")) == len(walk[2].path_rows())
-    assert "Pieces" in done.output
+    assert "Chunks" in done.output
 
 
 def test_a_long_recording_as_json(tmp_path, monkeypatch):

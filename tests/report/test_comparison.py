@@ -24,8 +24,8 @@ from fes.report.comparison.session import (
     ComparedSession,
     ComparisonProblem,
     of_record,
-    one_way_of_timing,
     read_compared,
+    with_the_same_timing,
 )
 from fes.session_log import SessionRecord
 from fes.signals import StrideResult
@@ -125,10 +125,10 @@ def test_events_that_were_not_found_off_line_in_one_session_are_used_in_none(bot
     first, second = both.sessions
     good = replace(first, sides={"left": replace(first.sides["left"], values=known, by_phases=known)})
     bad = replace(second, sides={"left": replace(second.sides["left"], values=lost, by_phases=known)})
-    kept, why = one_way_of_timing([good, good])
+    kept, why = with_the_same_timing([good, good])
     assert not why
     assert kept == [good, good]
-    changed, why = one_way_of_timing([good, bad])
+    changed, why = with_the_same_timing([good, bad])
     assert "after, left: foot off and contact were found off-line in only 0 of 30" in why
     assert changed[1].sides["left"].values is known
 

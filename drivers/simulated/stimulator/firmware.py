@@ -45,7 +45,7 @@ MAX_VALIDITY_MS: Final = 60
 MAX_COUNTER_STEP: Final = 3
 MAX_WRONG_COUNTERS: Final = 5
 ALIVE_PERIOD_NS: Final = 100_000_000
-ON_THEIR_WAY: Final = 64  # numbers that a session may have sent beyond the last one that was heard
+SENT_UNHEARD: Final = 64  # numbers that a session may have sent beyond the last one that was heard
 
 
 @dataclass(frozen=True, slots=True)
@@ -380,7 +380,7 @@ class StimulatorNode:
     def _retire(self) -> None:
         """No later session may carry what this one's last commands may, should they turn up after all."""
         if self.session_id != NO_SESSION:
-            self._used_ids.add(carried(self.session_id, self._number + ON_THEIR_WAY)[0])
+            self._used_ids.add(carried(self.session_id, self._number + SENT_UNHEARD)[0])
 
     def _refuse(self, t_ns: int, number: int, why: str) -> None:
         self.rejected = min(self.rejected + 1, 255)

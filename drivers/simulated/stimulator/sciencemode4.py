@@ -22,7 +22,7 @@ from drivers.stimulator.sciencemode.sciencemode4_codec import Code, Point, Resul
 
 QUEUE_DEPTH: Final = 10
 WATCHDOG_NS: Final = 2000 * NS_PER_MS
-ELECTRODE_TELLS_MA: Final = 15.0
+ELECTRODE_MEASURED_FROM_MA: Final = 15.0
 BETWEEN_PULSES_NS: Final = NS_PER_MS
 NONE, LOW, MID, MID_RUNNING = range(4)
 _ERROR_NIBBLE: Final = {Result.ELECTRODE: 1, Result.PULSE_TIMEOUT: 2, Result.LOW_CURRENT: 3}
@@ -136,7 +136,7 @@ class ScienceMode4Device(SimulatedDevice):
     def _deliver(self, t_ns: int, channel: int, points: tuple[Point, ...]) -> Result:
         peak_ma = max((abs(p.steps) for p in points), default=0) * codec.CURRENT_STEP_MA
         if channel == self.electrode:  # nothing flows
-            return Result.ELECTRODE if peak_ma >= ELECTRODE_TELLS_MA else Result.OK
+            return Result.ELECTRODE if peak_ma >= ELECTRODE_MEASURED_FROM_MA else Result.OK
         balance = codec.net_charge(points)
         self.pulse(t_ns, channel, peak_ma, float(points[0].width_us), f"unbalanced {balance}" if balance else "")
         return Result.OK

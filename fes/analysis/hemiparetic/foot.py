@@ -139,7 +139,7 @@ class FootTrack:
         places = self.position_m[self.centres]
         return np.asarray(np.linalg.norm(np.diff(places, axis=0), axis=1))
 
-    def heights_gained_m(self) -> FloatArray:
+    def height_changes_m(self) -> FloatArray:
         """(K − 1,) how much higher each stride ends."""
         return np.asarray(np.diff(self.position_m[self.centres, 2]))
 

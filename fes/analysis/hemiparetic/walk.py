@@ -55,9 +55,9 @@ def terrain(height_gained_m: float, length_m: float) -> Terrain:
     return Terrain.UP if height_gained_m > 0.0 else Terrain.DOWN
 
 
-def terrains(heights_gained_m: Sequence[float], lengths_m: Sequence[float]) -> list[Terrain]:
+def terrains(height_changes_m: Sequence[float], lengths_m: Sequence[float]) -> list[Terrain]:
     """Of the strides of one foot, in order."""
-    return [terrain(height, length) for height, length in zip(heights_gained_m, lengths_m, strict=True)]
+    return [terrain(height, length) for height, length in zip(height_changes_m, lengths_m, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class HemipareticWalk:
         for foot, track in self.windows.tracks.items():
             lengths, swings = track.stride_lengths_m(), track.swing_s()
             stances = np.append(track.stance_s(), math.nan)
-            gains, times = track.heights_gained_m(), track.t_ns[track.centres] / NS_PER_S
+            gains, times = track.height_changes_m(), track.t_ns[track.centres] / NS_PER_S
             for k in range(len(lengths)):
                 rows.append(
                     {

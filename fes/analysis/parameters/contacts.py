@@ -10,7 +10,7 @@ it falls. The path of the stride shows both, and moves the event only where it c
   its acceleration upward (it is pulled up), nothing holds the toe any more, and the end is FO. Forward the leg drives
   the foot while its toe still holds. A brisk push-off is never that quiet, and keeps its event.
 - IC: the heel falls faster and faster until the ground stops it: contact is its fastest descent after the off-line IC.
-  A shoe gives way for a few hundredths of a second, so up to ``GIVES_WAY_S`` apart the off-line event (which agrees
+  A shoe gives way for a few hundredths of a second, so up to ``SHOE_YIELDS_S`` apart the off-line event (which agrees
   with optical markers) stays, beyond twice that the descent is believed, and in between the two are mixed.
 
 No paper. The constants were chosen on virtual walks (benchmarks/parameters.py measures them on others, too). Against
@@ -36,7 +36,7 @@ SLOW_RADPS = 3.0  # the acceleration tells only of a foot that rolls more slowly
 QUIET_S = 0.08  # the foot has to have rolled quietly for this long
 EARLIER_S = 0.1  # and to stop no earlier than this before the off-line FO
 SMOOTH_S = 0.02  # mean of both: skin and shoe ring
-GIVES_WAY_S = 0.02
+SHOE_YIELDS_S = 0.02
 DESCENT_S = (-0.02, 0.1)  # around the off-line IC, where the fastest descent is sought
 LEAST_DESCENT_MPS = 0.05
 
@@ -120,9 +120,9 @@ def _contact(path: FootPath, arms: FootArms, contact_ns: int) -> int:
         return contact_ns
     at = first + int(np.argmin(fall[first:last]))
     late_s = _lowest_between(t, fall, at)
-    if fall[at] > -LEAST_DESCENT_MPS or late_s <= GIVES_WAY_S:
+    if fall[at] > -LEAST_DESCENT_MPS or late_s <= SHOE_YIELDS_S:
         return contact_ns
-    return contact_ns + round(late_s * min(late_s / GIVES_WAY_S - 1.0, 1.0) * NS_PER_S)
+    return contact_ns + round(late_s * min(late_s / SHOE_YIELDS_S - 1.0, 1.0) * NS_PER_S)
 
 
 def descent(path: FootPath, arms: FootArms) -> FloatArray:

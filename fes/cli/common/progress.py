@@ -61,7 +61,7 @@ class ReplayProgress:
         )
         self._task = self._bar.add_task(what, total=max(1e-9 * (end_ns - begin_ns), 1e-3))
 
-    def at(self, t_ns: int) -> None:
+    def reached(self, t_ns: int) -> None:
         """The replay has reached ``t_ns``."""
         if t_ns - self._shown_ns >= STEP_NS:
             self._shown_ns = t_ns

@@ -62,7 +62,7 @@ def refuse_settings_of_a_recording(*allowed: str) -> None:
             )
 
 
-def settings_beside(path: Path) -> Path | None:
+def companion_settings(path: Path) -> Path | None:
     """The session settings in the recording's folder, if there are any."""
     settings = path.parent / "session.toml"
     return settings if settings.is_file() else None
@@ -172,7 +172,7 @@ def replay_recording(path: Path, options: Options) -> Path:
     try:
         recording = read_recording(path)
         refuse_long_silence(recording)
-        settings = options.session or settings_beside(path)
+        settings = options.session or companion_settings(path)
         wanted = load_session(settings) if settings else None
         if options.calibration:
             recording, found = stored_calibrations(options.calibration, recording)
@@ -284,7 +284,7 @@ def _go(
 
             def after(event: Event) -> None:
                 log.flush_due(time.monotonic_ns())
-                progress.at(event.t_ns)
+                progress.reached(event.t_ns)
                 if shown:
                     shown.publish(event.t_ns)
                 interrupt.check()

@@ -171,7 +171,7 @@ def _start(state: State) -> None:
 
 
 @jit
-def carry(p: Vec, quaternion: Mat, dt_s: float, bias_share: float, speed_share: float) -> None:
+def propagate_rows(p: Vec, quaternion: Mat, dt_s: float, bias_share: float, speed_share: float) -> None:
     """``P ← Φ P`` in place, on the transposed view ``P Φᵀ``; ``quaternion`` (4,) is that at the interval's end."""
     w, x, y, z = quaternion[0], quaternion[1], quaternion[2], quaternion[3]
     ax, ay, az = to_world(w, x, y, z, dt_s, 0.0, 0.0)
@@ -271,8 +271,8 @@ def one_sample(
     bias_share = math.exp(-dt_s / settings.bias_time_s)
     for j in range(3):
         bias[j] *= bias_share
-    carry(p, q, dt_s, bias_share, speed_share)
-    carry(p.T, q, dt_s, bias_share, speed_share)
+    propagate_rows(p, q, dt_s, bias_share, speed_share)
+    propagate_rows(p.T, q, dt_s, bias_share, speed_share)
 
     rate2, push2 = wx * wx + wy * wy + wz * wz, ax * ax + ay * ay + az * az
     angle = settings.rate_noise_radps_rthz**2 + settings.rate_scale_noise**2 * rate2

@@ -62,7 +62,7 @@ class ShankIntegrationSettings:
     equal_height: bool = True
 
     @staticmethod
-    def of(calibration: ShankCalibration, *, equal_height: bool | None = None) -> ShankIntegrationSettings:
+    def for_calibration(calibration: ShankCalibration, *, equal_height: bool | None = None) -> ShankIntegrationSettings:
         """The settings that a calibration leads to; ``equal_height`` overrules what it says of the ground."""
         up, left, arm = (np.array(v) for v in (calibration.up, calibration.left, calibration.arm.arm_m))
         return ShankIntegrationSettings(up, left, arm, calibration.level if equal_height is None else equal_height)

@@ -41,10 +41,10 @@ class ShankStrideSettings:
     most_lean_change_rad: float = MOST_LEAN_CHANGE_RAD
 
     @staticmethod
-    def of(calibration: ShankCalibration, *, equal_height: bool | None = None) -> ShankStrideSettings:
+    def for_calibration(calibration: ShankCalibration, *, equal_height: bool | None = None) -> ShankStrideSettings:
         """The settings that a calibration leads to; ``equal_height`` overrules what it says of the ground."""
         return ShankStrideSettings(
-            ShankIntegrationSettings.of(calibration, equal_height=equal_height),
+            ShankIntegrationSettings.for_calibration(calibration, equal_height=equal_height),
             QUIET_LEANS * calibration.levels.rest_lean_radps,
             calibration.rate_hz,
         )
@@ -239,5 +239,7 @@ def shank_tracker(
     calibration: ShankCalibration, *, equal_height: bool | None = None, swing_at_reversal: bool = False
 ) -> ShankTracker:
     """A tracker with the settings that a calibration leads to."""
-    maker = ShankStrideMaker(calibration.sensor, ShankStrideSettings.of(calibration, equal_height=equal_height))
+    maker = ShankStrideMaker(
+        calibration.sensor, ShankStrideSettings.for_calibration(calibration, equal_height=equal_height)
+    )
     return ShankTracker(calibration, maker, swing_at_reversal=swing_at_reversal)

@@ -35,7 +35,7 @@ class Lag:
         residual: what is left of the reference when the scaled recording is taken off, as a share of its RMS.
         next_best: the greatest correlation at any other peak.
         halves_s: lag of the later half minus lag of the earlier one; a drift of one clock shows here.
-        doubt: why the lag should not be believed; "" where it may.
+        caveat: why the lag should not be believed; "" where it may.
     """
 
     lag_s: float
@@ -43,7 +43,7 @@ class Lag:
     residual: float
     next_best: float
     halves_s: float
-    doubt: str = ""
+    caveat: str = ""
 
 
 def event_trains(times_s: Sequence[FloatArray], grid_s: FloatArray, width_s: float = WIDTH_S) -> FloatArray:
@@ -86,14 +86,14 @@ def find_lag(
     others = likeness[away & np.isfinite(likeness)]
     next_best = float(others.max()) if len(others) else NAN
     halves_s = _halves(a, b, int(steps[best]))
-    doubt = ""
+    caveat = ""
     if peak < LEAST_LIKENESS:
-        doubt = f"the two signals are not much alike at any lag (correlation {peak:.2f})"
+        caveat = f"the two signals are not much alike at any lag (correlation {peak:.2f})"
     elif np.isfinite(next_best) and peak - next_best < LEAST_LEAD:
-        doubt = f"another lag fits nearly as well (correlation {peak:.3f} against {next_best:.3f})"
+        caveat = f"another lag fits nearly as well (correlation {peak:.3f} against {next_best:.3f})"
     elif np.isfinite(halves_s) and abs(halves_s) > HALVES_S:
-        doubt = f"the later half asks for {1e3 * halves_s:+.0f} ms more than the earlier one: a clock drifts"
-    return Lag(lag_s, peak, float(np.sqrt(max(1.0 - peak * peak, 0.0))), next_best, halves_s, doubt)
+        caveat = f"the later half asks for {1e3 * halves_s:+.0f} ms more than the earlier one: a clock drifts"
+    return Lag(lag_s, peak, float(np.sqrt(max(1.0 - peak * peak, 0.0))), next_best, halves_s, caveat)
 
 
 def _on_grid(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, float]:

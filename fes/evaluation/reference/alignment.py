@@ -143,17 +143,17 @@ def synchronise(
     if given_s is not None:
         off = abs(found.lag_s - given_s)
         warning = f"the lag given is {given_s:+.3f} s, the signals ask for {found.lag_s:+.3f} s"
-        return Synchrony(given_s, by, found, (warning,) if off > IN_STEP_S[by] and not found.doubt else ())
+        return Synchrony(given_s, by, found, (warning,) if off > IN_STEP_S[by] and not found.caveat else ())
     if fit:
-        if found.doubt:
+        if found.caveat:
             raise ReferenceError(
-                f"the lag of {found.lag_s:+.3f} s, found by {by}, cannot be believed: {found.doubt}. "
+                f"the lag of {found.lag_s:+.3f} s, found by {by}, cannot be believed: {found.caveat}. "
                 f"Give it: --lag SECONDS, or search less far: --max-lag SECONDS"
             )
         return Synchrony(found.lag_s, by, found)
     warnings: tuple[str, ...] = ()
-    if found.doubt:
-        warnings = (f"the clocks could not be checked: {found.doubt}",)
+    if found.caveat:
+        warnings = (f"the clocks could not be checked: {found.caveat}",)
     elif abs(found.lag_s) > IN_STEP_S[by]:
         where = f"{found.lag_s:+.3f} s off the recording's clock"
         warnings = (f"the reference seems to be {where}; --sync fit would take it off",)

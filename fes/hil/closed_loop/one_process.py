@@ -182,13 +182,13 @@ def walk_stimulated(
     header = log_header(walk, "", session, calibrations, numbers.session_id, _now()) | {"kind": "simulated"}
     stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
 
-    def walked() -> Iterator[Event]:
+    def patient_walk() -> Iterator[Event]:
         yield from patient_events(patient, stimulator, seconds, on_sample)
         # switched off at the end as by hand: the silence after it is no sensor that was lost
         yield OperatorAct(patient.now_ns, OperatorAction.DISARM)
 
     log = NotifyingLog(log_path, header, on_note)
-    _armed(walked(), session, calibrations, stimulator, log, after)
+    _armed(patient_walk(), session, calibrations, stimulator, log, after)
 
 
 def replay_in_one_process(

@@ -15,7 +15,7 @@ from fes.evaluation.agreement import Interval
 from fes.report.comparison.figures import COLORS, DASHES, curve_figures, phase_figure, sketch
 from fes.report.comparison.rows import KEY, ParameterRow, SymmetryRow, parameter_rows, phase_rows, symmetry_rows
 from fes.report.comparison.sentences import changes, confounders, describe_stimulation, speed_differs, value_text
-from fes.report.comparison.session import ComparedSession, one_way_of_timing
+from fes.report.comparison.session import ComparedSession, with_the_same_timing
 from fes.report.figures.strides import PHASE_COLORS, foot_color
 from fes.report.findings import Finding
 from fes.report.glossary import GLOSSARY
@@ -66,7 +66,7 @@ class SessionComparison:
 
 def compare_sessions(sessions: Sequence[ComparedSession], *, paretic: str | None = None) -> SessionComparison:
     """Hold the later sessions against the first; ``paretic`` is "left", "right" or None where nobody said."""
-    sessions, why = one_way_of_timing(sessions)
+    sessions, why = with_the_same_timing(sessions)
     rows, phases = parameter_rows(sessions), phase_rows(sessions)
     timing = [Finding("info", why)] if why else []
     return SessionComparison(

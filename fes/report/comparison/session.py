@@ -227,7 +227,7 @@ def _steady(found: Sequence[StrideParameters]) -> dict[str, FloatArray]:
     return {key: np.array([one.values[key] for one in steady]) for key in keys}
 
 
-def one_way_of_timing(sessions: Sequence[ComparedSession]) -> tuple[list[ComparedSession], str]:
+def with_the_same_timing(sessions: Sequence[ComparedSession]) -> tuple[list[ComparedSession], str]:
     """The sessions with times found in one way: off-line, or by the phases where that fails in any of them; and why.
 
     A muscle that is stimulated moves the foot in ways that the off-line events do not know.

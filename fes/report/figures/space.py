@@ -91,7 +91,7 @@ def _heights(data: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
 def _stride_ends(data: ReportData, foot: str, path: GroundPath) -> tuple[FloatArray, list[str]]:
     """Where the valid strides of a foot end (M, 2), and a hover text for each."""
     strides = [stride for stride in data.record.strides if stride.foot == foot and stride.valid]
-    places = path.at(np.array([stride.t_end_ns for stride in strides], dtype=np.int64))[:, :2]
+    places = path.places_at(np.array([stride.t_end_ns for stride in strides], dtype=np.int64))[:, :2]
     titles = [
         f"{readable(foot)}, stride {stride.number}, {(stride.t_end_ns - data.origin_ns) / NS_PER_S:.1f} s: "
         f"{stride.stride_length_m:.2f} m"
