@@ -33,14 +33,13 @@ from orientation_methods import METHODS as FILTERS
 from peers.cases import OUR_ENDS, Asked
 from peers.judge import f1_row, orientation_row, own_border_errors, strides_hit
 from real_sets import PathWalk, Walk, gaitmap_walk
-from stride_length import FUSED, METHODS, BorderMaker, afterwards, belt_ratios, settings_of, strides_of
+from stride_length import FUSED, METHODS, belt_ratios, strides_between, strides_of
 from stroke_treadmill import evaluate as evaluate_feet
 from zero_velocity import evaluate_detector, evaluate_loop, path_of
 from zero_velocity_sets import BorderedWalk, gaitmap, pyshoe, ruler, xio
 
 from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
 from fes.calibration.foot_track import calibrate_track
-from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.zupt.detectors import Detector
 from fes.signals import StrideResult
 
@@ -100,10 +99,7 @@ def given_rows(asked: list[Asked]) -> list[Row]:
 
 
 def _between_borders(one: Asked, walk: Walk, method: str) -> list[StrideResult]:
-    calibration, track = calibrate_track(walk.track), walk.track
-    maker = BorderMaker(track.sensor, settings_of(calibration, method), one.case.borders / one.case.rate_hz)
-    FootTracker(calibration, maker).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    return afterwards(track, maker.solved, method)
+    return strides_between(walk.track, one.case.borders / one.case.rate_hz, method)
 
 
 def _true_lift_m(walk: Walk, stride: StrideResult) -> float:

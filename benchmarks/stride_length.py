@@ -45,7 +45,7 @@ from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.boundaries import quietest_near
 from fes.estimation.strides.results import StrideMaker, StrideSettings, solve_stride
 from fes.recording import Track
-from fes.signals import NS_PER_S, StrideResult
+from fes.signals import NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import Transition
 
 Method = Literal["constrained", "maximum_likelihood"]
@@ -77,10 +77,16 @@ def strides_of(track: Track, calibration: FootCalibration, method: str) -> list[
 
 def border_strides(walk: PathWalk, method: str) -> list[StrideResult]:
     """The strides between the reference's own borders instead of the tracker's."""
-    track, calibration = walk.track, calibrate_track(walk.track)
+    borders_s = walk.borders_s if walk.borders_s is not None else np.zeros((0, 2))
+    return strides_between(walk.track, borders_s, method)
+
+
+def strides_between(track: Track, borders_s: FloatArray, method: str) -> list[StrideResult]:
+    """The valid strides between given borders (K, 2), s, each moved to the quietest instant near it."""
+    calibration = calibrate_track(track)
     settings = settings_of(calibration, method)
     tracker = FootTracker(calibration, StrideMaker(track.sensor, settings))
-    borders_ns = np.round((walk.borders_s if walk.borders_s is not None else np.zeros((0, 2))) * NS_PER_S)
+    borders_ns = np.round(borders_s * NS_PER_S)
     solved: list[StrideResult] = []
     for sample in zip(track.t_sensor_ns.tolist(), track.acc_mps2.tolist(), track.gyr_radps.tolist(), strict=True):
         outcomes = tracker.step(*sample)
