@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from fes.estimation.numerics.rotation import quaternion_step, to_sensor, to_world
 from fes.estimation.orientation.body import OrientationPath, OrientationTracker, smooth_orientation, track_orientation
-from fes.estimation.orientation.filter import STATES, BodySettings, carry, measure, new_state
+from fes.estimation.orientation.filter import STATES, BodySettings, measure, new_state, propagate_rows
 from fes.signals import G_MPS2, FloatArray
 
 RATE_HZ = 100.0
@@ -74,8 +74,8 @@ def test_carrying_and_measuring_are_the_matrices(seed: int) -> None:
     phi = np.diag([1.0] * 3 + [0.999] * 3 + [0.99] * 2)
     phi[:3, 3:6] = -attitude.as_matrix() * DT_S
     phi[6, 1], phi[7, 0] = G_MPS2 * DT_S, -G_MPS2 * DT_S
-    carry(state.covariance, state.quaternion, DT_S, 0.999, 0.99)
-    carry(state.covariance.T, state.quaternion, DT_S, 0.999, 0.99)
+    propagate_rows(state.covariance, state.quaternion, DT_S, 0.999, 0.99)
+    propagate_rows(state.covariance.T, state.quaternion, DT_S, 0.999, 0.99)
     expected = phi @ before @ phi.T
     np.testing.assert_allclose(state.covariance, expected, rtol=1e-10, atol=1e-14)
 
