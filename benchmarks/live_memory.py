@@ -85,7 +85,7 @@ class TwoFeet:
         if key := self._script.get(self._number % int(60 * RATE_HZ)):
             os.write(self._keys, key)
         t_device_ns = self._clock.now_ns - BEGIN_NS
-        samples = zip(self.sensors, (signal.at(self._number) for signal in self._signals), strict=True)
+        samples = zip(self.sensors, (signal.sample(self._number) for signal in self._signals), strict=True)
         return [Raw(sensor, t_ns, t_device_ns, *sample) for sensor, sample in samples]
 
     def reopen(self) -> None:
