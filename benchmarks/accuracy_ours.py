@@ -39,7 +39,7 @@ from zero_velocity import evaluate_detector, evaluate_loop, path_of
 from zero_velocity_sets import BorderedWalk, gaitmap, pyshoe, ruler, xio
 
 from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.zupt.detectors import Detector
 from fes.signals import StrideResult
 

@@ -16,7 +16,7 @@ import numpy as np
 from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides.results import StrideMaker

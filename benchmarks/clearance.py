@@ -31,12 +31,14 @@ from rich.table import Table
 from scipy.signal import butter, filtfilt
 from stroke_treadmill import data_folder
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import (
+    HEEL,
+    TOE,
     FootArms,
     FootPath,
     arms_of,
-    clearance,
+    clearances,
     contact_heights,
     contact_levels,
     mid_swing,
@@ -82,7 +84,7 @@ class MarkedStride:
 
     def truth(self) -> tuple[float, float]:
         """Minimum toe clearance and greatest heel height of the markers (m)."""
-        begin, end = (self.path.index(t_ns or 0) for t_ns in (self.path.foot_off_ns, self.path.contact_ns))
+        begin, end = np.searchsorted(self.path.t_ns[:-1], (self.path.foot_off_ns or 0, self.path.contact_ns or 0))
         toe, heel = self.toe_m[:, 2] - self.toe_m[0, 2], self.heel_m[:, 2] - self.heel_m[0, 2]
         swing = slice(begin, end + 1)
         lowest, _ = mid_swing(self.path.t_ns[swing], toe[swing], self.toe_m[swing, :2])
@@ -177,8 +179,8 @@ def marker_rows(folder: Path) -> Iterator[Row]:
                 levels = contact_levels(contact_heights([s.path for s in strides], arms)) if anchored else None
                 for stride in strides:
                     if stride.straight:
-                        found = clearance(stride.path, arms, levels)
-                        errors.append(np.subtract((found.toe_m, found.heel_m), stride.truth()))
+                        found = clearances([stride.path], arms, levels)[0, [TOE, HEEL]]
+                        errors.append(np.subtract(found, stride.truth()))
             yield _row("gaitmap_walk, markers", name, anchored, errors)
 
 
@@ -201,8 +203,8 @@ def _trial_errors(trial: str, *, estimated: bool, anchored: bool) -> list[FloatA
         for true in (each for each in truth.strides_of(foot) if each.steady and each.walking):
             path = next((p for p in paths if p.t_ns[0] < NS_PER_S * true.t_swing_s < p.t_ns[-1]), None)
             if path is not None:
-                found = clearance(path, arms, levels)
-                errors.append(np.array([found.toe_m - true.toe_clearance_m, found.heel_m - true.heel_clearance_m]))
+                found = clearances([path], arms, levels)[0, [TOE, HEEL]]
+                errors.append(np.subtract(found, (true.toe_clearance_m, true.heel_clearance_m)))
     return errors
 
 

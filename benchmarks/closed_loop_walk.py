@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.config import Session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import FootCalibration
@@ -16,7 +16,7 @@ from fes.gate.gate import gate_of
 from fes.recording import Track
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, StimCommand, StimStatus, StrideResult, Tick
 from fes.simulation.forward import DeliveredPulse, PatientSettings, VirtualPatient, VirtualStride
-from fes.stimulation.tuning.reports import TuningReport
+from fes.stimulation.tuning.tuner import TuningReport
 
 STEP_NS = 10_000_000
 CALIBRATION_S = 30.0

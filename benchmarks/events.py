@@ -10,8 +10,8 @@ missed.
 
 An event where the reference has none counts as extra, unless the heel marker confirms it: in a turn the reference
 joins two steps of one foot to one stride (left, 16.9–18.5 s), while the marker rests for 0.6 s between them.
-The recordings are not part of the project (see docs/data.md); without them only the bundled trials are measured, and
-the exit code is 3.
+The recordings are not part of the project (see docs/accuracy.md); without them only the bundled trials are measured,
+and the exit code is 3.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from event_cases import Case, bundled_cases, data_folder, gaitmap_cases, stroke_
 from rich.console import Console
 from rich.table import Table
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.events.causal import OnlineEvent, OnlineEvents, Rule
 from fes.estimation.events.offline import GaitEvents, find_events, foot_strike_angles
 from fes.estimation.foot.calibration import FootCalibration

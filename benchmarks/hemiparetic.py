@@ -42,7 +42,7 @@ from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import data_folder, load_run, runs_of
 
-from fes.analysis.hemiparetic.side import SIGNS
+from fes.analysis.hemiparetic.walk import SIGNS
 from fes.recording import Recording
 
 COUNT_BAR = 0.01

@@ -21,7 +21,7 @@ from fes.analysis.results import Analysis
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import Recording, read_recording
-from fes.recording.samples import increasing
+from fes.recording.tracks import increasing
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
 
 METHODS = ("printed", "fitted", "own", "parameters")

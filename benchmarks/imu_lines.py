@@ -8,7 +8,7 @@ import time
 
 from drivers.imu.open import open_imus
 from drivers.simulated.spawn import spawn_imu
-from fes.config.devices import ImuDevice
+from fes.config.session import ImuDevice
 
 
 def main() -> None:

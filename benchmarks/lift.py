@@ -14,7 +14,7 @@ from real_sets import PathWalk, pyshoe_vicon
 from scipy.signal import medfilt
 from stroke_treadmill import data_folder
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.signals import FloatArray, StrideResult
 
 

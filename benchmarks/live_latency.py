@@ -99,7 +99,6 @@ def drive(operator: ScriptedOperator, controller: ControllerProcess, seconds: fl
     """Arm whenever it is not, raise, until the time is over or the session ends."""
     end_s, faults = time.monotonic() + seconds, 0
     while time.monotonic() < end_s and controller.alive:
-        operator.subscribe()
         time.sleep(0.2)
         status = operator.receive_status()
         if status is None:
@@ -161,10 +160,8 @@ def main() -> int:
         with uninterrupted():
             controller = ControllerProcess(path, calibration, folder / "run")
             stack.callback(controller.end)
-        operator = ScriptedOperator(controller.control, folder / "operator")
-        stack.callback(operator.close)
+        operator = controller.operator
         for _ in range(300):
-            operator.subscribe()
             time.sleep(0.2)
             if (status := operator.receive_status()) is not None and status.state != "off":
                 break

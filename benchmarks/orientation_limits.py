@@ -20,7 +20,7 @@ from rich.console import Console
 from stroke_treadmill import data_folder
 
 from fes.estimation.orientation.body import OrientationPath, smooth_orientation, track_orientation
-from fes.estimation.zupt.thresholds import calibrate_zero_velocity, detect_zero_velocity
+from fes.estimation.zupt.thresholds import find_zero_velocity
 
 RANGE_DPS = 1000.0
 FILTERS: dict[str, Callable[..., OrientationPath]] = {"causal": track_orientation, "off-line": smooth_orientation}
@@ -60,8 +60,7 @@ def main() -> int:
     for name, follow in FILTERS.items():
         errors = {}
         for foot in feet:
-            rest = calibrate_zero_velocity(foot.acc_mps2, foot.gyr_radps, foot.rate_hz)
-            still = detect_zero_velocity(rest, foot.acc_mps2, foot.gyr_radps, foot.rate_hz, causal=name == "causal")
+            _, still, _ = find_zero_velocity(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, causal=name == "causal")
             path = follow(foot.acc_mps2, foot.gyr_radps, foot.rate_hz, zero_velocity=still)
             errors[foot.name] = foot.score(upward(path.quaternion))
         each = ", ".join(f"{foot} {error:.2f}°" for foot, error in errors.items())

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from real_sets import _two_header_lines as two_header_lines
 from real_sets import stroke_feet
 
-from fes.datasets.hdf5 import OldHdf5
-from fes.estimation.zupt.thresholds import calibrate_zero_velocity, detect_zero_velocity
+from fes.datasets.broad import OldHdf5
+from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.signals import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
@@ -115,7 +115,7 @@ def stroke_stance(folder: Path) -> list[Trial]:
     trials = []
     for run, track, _ in stroke_feet(folder):
         acc, gyr = track.acc_mps2, track.gyr_radps
-        rest = detect_zero_velocity(calibrate_zero_velocity(acc, gyr, 100.0), acc, gyr, 100.0)
+        _, rest, _ = find_zero_velocity(acc, gyr, 100.0)
         edges = np.flatnonzero(np.diff(np.concatenate(([0], rest.astype(int), [0]))))
         energy = np.convolve(np.sum(gyr**2, axis=1), np.full(WINDOW_SAMPLES, 1.0 / WINDOW_SAMPLES), "valid")
         windows = []

@@ -24,11 +24,11 @@ from stroke_treadmill import LAST_S, data_folder
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
-from fes.datasets import read_data_set
+from fes.datasets import read_file
 from fes.evaluation.reference.compare import from_analysis
 from fes.evaluation.reference.evaluation import BOTH, AgreementRow, Settings, evaluate
 from fes.evaluation.reference.read import read_references
-from fes.evaluation.reference.types import Reference, ReferenceEvent
+from fes.evaluation.reference.table import Reference, ReferenceEvent
 from fes.recording import Recording, read_recording
 from fes.simulation.truth import Truth, load_truth
 
@@ -126,7 +126,7 @@ def means_and_spreads(who: str, begins: Sequence[Sequence[float | None]]) -> Cel
 
 
 def kumar(folder: Path) -> list[str]:
-    imported = next(read_data_set("gaitmap", [folder / "gaitmap_walk" / "imu_sample.csv"]))
+    imported = read_file("gaitmap", folder / "gaitmap_walk" / "imu_sample.csv")
     rows = list(imported.references[".events.csv"][1])
     events = tuple(sorted(ReferenceEvent(float(t), str(foot), str(what)) for foot, what, t in rows))
     result = evaluate(from_analysis(analysed(imported.recording)), Reference(("gaitmap",), events))
@@ -169,7 +169,7 @@ def wang(folder: Path) -> tuple[list[str], dict[str, float]]:
     errors: dict[str, float] = {}
     parameters: Cells = []
     for path in runs(folder):
-        imported = next(read_data_set("stroke_treadmill", [path]))
+        imported = read_file("stroke_treadmill", path)
         analysis = analysed(imported.recording)
         since = 1e9 * (max(t.duration_s for t in imported.recording.tracks.values()) - LAST_S)
         for foot in ("left_foot", "right_foot"):

@@ -32,16 +32,16 @@ from event_cases import data_folder, gaitmap_cases
 from rich.table import Table
 from scipy.spatial.transform import Rotation
 
+from fes.analysis.parameters.contacts import Motion, variation
 from fes.analysis.parameters.gait import gait_parameters
-from fes.analysis.parameters.motion import Motion, variation
 from fes.analysis.parameters.strides import StrideParameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
-from fes.estimation.clearance.clearance import FootArms, FootPath, arms_of, clearance
+from fes.estimation.clearance.clearance import TOE, FootArms, FootPath, arms_of, clearances
 from fes.recording import Recording, read_recording
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
 from fes.simulation.forward import VirtualPatient, settings_for
-from fes.simulation.forward.truth import recording_of, truth_of
+from fes.simulation.forward.closed_loop import recording_of, truth_of
 from fes.simulation.truth import FootTruth, Truth, TruthStride, load_truth
 
 TRIALS = Path(__file__).resolve().parents[1] / "sim_inputs"
@@ -170,7 +170,7 @@ def _mtc(motion: Motion, true: TruthStride, arms: FootArms) -> float:
         0, motion.t_ns, motion.position_m, motion.axes, round(1e9 * true.t_swing_s),
         round(1e9 * true.t_loading_response_s),
     )  # fmt: skip
-    return clearance(path, arms).toe_m
+    return float(clearances([path], arms, None)[0, TOE])
 
 
 def _differences(
@@ -191,7 +191,7 @@ def _differences(
         "stride_length_percent": 100.0 * (v["stride_length_common_m"] / true.stride_length_m - 1.0),
         "swing_ms": 1e3 * (v["swing_s"] - (true.t_loading_response_s - true.t_swing_s)),
         "stance_ms": 1e3 * (v["stance_s"] - stance),
-        "clearance_cm": 100.0 * (v["lift_m"] - motion.lift_m()),
+        "clearance_cm": 100.0 * (v["lift_m"] - float((motion.position_m[:, 2] - motion.position_m[0, 2]).max())),
         "mlr_deg": math.degrees(v["heel_rotation_rad"] - motion.heel_rotation_rad()),
         "toe_cm": 100.0 * (v["toe_clearance_m"] - _mtc(motion, true, arms)),
         "toe_model_cm": 100.0 * (v["toe_clearance_m"] - true.toe_clearance_m),

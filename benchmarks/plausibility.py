@@ -33,7 +33,7 @@ from scipy.signal import lfilter
 from stroke_treadmill import data_folder, load_run, track_of
 from tuning_cohort import patient
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.gate.freshness import MAX_SAME_MS
 from fes.gate.plausibility import (
     FOOT,

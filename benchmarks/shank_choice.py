@@ -2,7 +2,7 @@
 
     python benchmarks/shank_choice.py [--data FOLDER]
 
-Eleven settings around the default of ``fes.estimation.shank.levels``. The others choose by the number of their strides
+Eleven settings around the default of ``fes.estimation.shank.motion``. The others choose by the number of their strides
 in order, as ``shank_phases.py`` counts them; about four minutes.
 """
 
@@ -17,7 +17,7 @@ from rich.table import Table
 from shank_phases import evaluate
 from stroke_treadmill import data_folder
 
-from fes.estimation.shank import levels as shank_levels
+from fes.estimation.shank import motion as shank_levels
 
 SETTINGS: tuple[dict[str, float], ...] = (
     {},

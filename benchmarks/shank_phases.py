@@ -23,10 +23,10 @@ from rich.console import Console
 from rich.table import Table
 from stroke_treadmill import IN_ORDER, LAST_S, data_folder, load_run, mid_swings, runs_of, track_foot, track_of
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.calibration.side_detection import MIN_AGREEING, MIN_SCORE, side_signs, tell_sides
 from fes.estimation.foot.calibration import CalibrationError, stretch_for_calibration
-from fes.estimation.shank.tracker import shank_tracker
+from fes.estimation.shank.tracker import ShankTracker
 from fes.recording import Track
 from fes.signals import FloatArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
@@ -73,7 +73,7 @@ def between(changes: list[PhaseChange], begin: int, end: int) -> list[PhaseChang
 def evaluate_side(run: str, foot: Track, shank: Track, belt_mps: float) -> SideResult:
     """One side of one run."""
     calibration = calibrate(shank.sensor, shank.rate_hz, shank.acc_mps2, shank.gyr_radps)
-    outcomes = shank_tracker(calibration).advance(shank.t_sensor_ns, shank.acc_mps2, shank.gyr_radps)
+    outcomes = ShankTracker(calibration).advance(shank.t_sensor_ns, shank.acc_mps2, shank.gyr_radps)
     changes = [outcome for outcome in outcomes if isinstance(outcome, PhaseChange)]
     feet = [o for o in track_foot(foot, calibrate_track(foot)) if isinstance(o, PhaseChange)]
     peaks_ns = foot.t_ns[mid_swings(foot.gyr_radps[:, 1], foot.rate_hz)]

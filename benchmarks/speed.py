@@ -41,9 +41,9 @@ from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides.results import StrideMaker
 from fes.estimation.zupt.foot_trajectory import foot_samples
-from fes.memory import keep_freed_memory
 from fes.recording import Recording, Track, read_recording, write_recording
-from fes.recording.samples import newer_samples
+from fes.recording.chunks import keep_freed_memory
+from fes.recording.tracks import newer_samples
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES_PER_S = 1_500_000.0

@@ -18,13 +18,12 @@ from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.numerics.jit import jit
 from fes.estimation.numerics.records import Mat, Record, Vec, new_core
 from fes.estimation.sensor_choice import Calibration
-from fes.estimation.zupt.decimation import MOVING_NS, RESTING_NS, gather, gather_intervals, interval_ends
+from fes.estimation.zupt.decimation import MOVING_NS, RESTING_NS, ZuptSettings, gather, gather_intervals, interval_ends
 from fes.estimation.zupt.filter import filter_intervals, new_tape
-from fes.estimation.zupt.settings import ZuptSettings
 from fes.estimation.zupt.smoother import smooth_intervals
-from fes.estimation.zupt.thresholds import calibrate_zero_velocity, detect_zero_velocity
+from fes.estimation.zupt.thresholds import find_zero_velocity
 from fes.recording import Recording
-from fes.recording.samples import increasing
+from fes.recording.tracks import increasing
 
 AFTER = np.array([0, 1, 2, 3, 0, 0, 0])  # the phase that each transition leads to
 
@@ -49,7 +48,7 @@ def bare_seconds(recording: Recording, calibrations: Mapping[str, Calibration], 
         track = recording.tracks[sensor]
         newer = increasing(track)
         data = track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
-        rest = detect_zero_velocity(calibrate_zero_velocity(*data[1:], track.rate_hz), *data[1:], track.rate_hz)
+        _, rest, _ = find_zero_velocity(*data[1:], track.rate_hz)
         total += min(_once(calibration, *data, rest) for _ in range(repeats + 1))
     return total
 

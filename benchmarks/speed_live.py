@@ -27,12 +27,12 @@ from fes.analysis.pipeline import calibrations_of
 from fes.config import load_session
 from fes.control.controller import Controller
 from fes.control.replay import session_for
-from fes.control.sources import armed_after, with_ticks
+from fes.control.runner import armed_after, with_ticks
 from fes.estimation.sensor_choice import shank_phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.gate import SafetyGate, gate_of
 from fes.recording import Recording
-from fes.recording.samples import samples_of
+from fes.recording.tracks import samples_of
 from fes.signals import Event, FloatArray, ImuSample, StrideResult
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -15,7 +15,8 @@ from speed_row import Row
 from fes.analysis.ground_path import ground_path
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.estimation.foot.calibration import FootCalibration
-from fes.estimation.orientation.body import OrientationTracker, track_orientation
+from fes.estimation.orientation.body import run, track_orientation
+from fes.estimation.orientation.filter import NO_RANGE, BodySettings, new_state
 from fes.recording import Recording
 
 GROUP = "beside others, on the same recording"
@@ -87,9 +88,9 @@ def our_costs(recording: Recording) -> dict[str, float]:
             ground_path(recording.tracks[sensor], calibration)
 
     def stepped() -> None:
-        tracker = OrientationTracker(tracks[0].rate_hz)
+        state, still, ranges = new_state(BodySettings()), np.zeros(1, bool), np.full(2, NO_RANGE)
         for acc, gyr in pairs:
-            tracker.advance(acc, gyr)
+            run(state, acc, gyr, still, 1.0 / tracks[0].rate_hz, ranges, BodySettings())
 
     pairs = list(
         zip(tracks[0].acc_mps2[:STEPPED_SAMPLES, None], tracks[0].gyr_radps[:STEPPED_SAMPLES, None], strict=True)

@@ -25,21 +25,20 @@ from speed import repeated
 from speed_row import Row, print_rows
 
 from drivers.simulated.stimulator.in_process import InProcessStimulator
-from fes.calibration.foot_track import calibrate
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import load_session
 from fes.control.controller import Controller
 from fes.control.replay import identity, log_header, session_for
-from fes.control.runner import Runner
-from fes.control.sources import armed_after, with_ticks
+from fes.control.runner import Runner, armed_after, with_ticks
 from fes.estimation.sensor_choice import shank_phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.gate import gate_of
 from fes.recording import Recording
-from fes.recording.samples import samples_of
+from fes.recording.tracks import samples_of
 from fes.session_log import SessionWriter
 from fes.signals import FOOT_SENSORS, NS_PER_S, Event
 from fes.simulation.forward import VirtualPatient, settings_for
-from fes.simulation.forward.truth import recording_of
+from fes.simulation.forward.closed_loop import recording_of
 
 ROOT = Path(__file__).resolve().parents[1]
 RATE_HZ = 500.0
@@ -77,7 +76,7 @@ def walk(hours: float) -> Recording:
 
 def record(recording: Recording, log_path: Path) -> float:
     """Run the session and leave its log; the loop's processor time in s."""
-    calibrations = dict(calibrate(recording)[0])
+    calibrations = calibrate_phase_sensors(recording).calibrations
     session = session_for(recording, load_session(ROOT / "sim_inputs" / "session.toml"))
     numbers = identity(recording.name, session)
     header = log_header(recording, "", session, calibrations, numbers.session_id, "2000-01-01T00:00:00+00:00")

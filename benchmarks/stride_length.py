@@ -29,21 +29,23 @@ from __future__ import annotations
 
 import sys
 from collections import defaultdict
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 from command_line import console_of, parser_of, save
+from given_borders import quietest_near, solve_stride
 from lift import arm_fitted, clearance_errors
 from real_sets import PathWalk, all_walks, gaitmap_walk, stroke_feet
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder
 
-from fes.analysis.stride_fusion import fused
-from fes.calibration.foot_track import calibrate_track
+from fes.analysis.stride_fusion import lengths_along, mean_lengths
+from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.strides.boundaries import quietest_near
-from fes.estimation.strides.results import StrideMaker, StrideSettings, solve_stride
+from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.estimation.zupt.foot_trajectory import foot_samples
 from fes.recording import Track
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import Transition
@@ -64,7 +66,25 @@ def afterwards(track: Track, strides: list[StrideResult], method: str) -> list[S
     """What a method makes of the strides of one foot once the recording is over."""
     if method != FUSED:
         return strides
-    return fused(strides, track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    try:
+        foot = foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+    except ValueError:  # too short to tell rest from movement, or no rest
+        return strides
+    begin, end, own_m = (
+        np.array([getattr(s, n) for s in strides]) for n in ("t_start_ns", "t_end_ns", "stride_length_m")
+    )
+    lengths = mean_lengths(own_m, lengths_along(foot, begin, end)).tolist()
+    return [_with_length(stride, m) if np.isfinite(m) else stride for stride, m in zip(strides, lengths, strict=True)]
+
+
+def _with_length(stride: StrideResult, length_m: float) -> StrideResult:
+    own_m = stride.stride_length_m
+    return replace(
+        stride,
+        stride_length_m=length_m,
+        speed_mps=stride.speed_mps * length_m / own_m,
+        trajectory_m=stride.trajectory_m * np.array([length_m / own_m, 1.0, 1.0]),
+    )
 
 
 def strides_of(track: Track, calibration: FootCalibration, method: str) -> list[StrideResult]:

@@ -21,7 +21,7 @@ from command_line import console_of, parser_of, save, verdict
 from rich.table import Table
 from scipy.signal import butter, filtfilt, find_peaks
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker, Outcome
 from fes.estimation.strides.results import StrideMaker, StrideSettings

@@ -25,11 +25,11 @@ from rich.table import Table
 from scipy.signal import welch
 from stroke_treadmill import data_folder, load_run, mid_swings, track_foot
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.recording import Track
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 from fes.simulation.forward import VirtualPatient, settings_for
-from fes.simulation.forward.truth import recording_of
+from fes.simulation.forward.closed_loop import recording_of
 from statemachine.phases import Transition
 
 ORDER = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)

@@ -27,10 +27,9 @@ from stroke_treadmill import data_folder, load_run, track_foot, track_of
 from tuning_cohort import patient
 from zero_velocity_sets import xio
 
-from fes.calibration.foot_track import calibrate_track
-from fes.calibration.recording import calibrate_shank_track
+from fes.calibration.recording import calibrate_shank_track, calibrate_track
 from fes.estimation.foot.calibration import CalibrationError
-from fes.estimation.shank.tracker import shank_tracker
+from fes.estimation.shank.tracker import ShankTracker
 from fes.gate.plausibility import Plausibility
 from fes.recording import Track, read_recording
 from fes.signals import G_MPS2, NS_PER_S, SHANK_SENSORS, FloatArray, ImuSample, IntArray, Vector3
@@ -95,7 +94,7 @@ def swings(track: Track) -> tuple[Vector3, IntArray, IntArray]:
     """Upright, indices of pre-swing and swing, and those at which a pre-swing begins, by the session's own tracker."""
     if track.sensor in SHANK_SENSORS:
         shank = calibrate_shank_track(track)
-        up, outcomes = shank.up, shank_tracker(shank).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+        up, outcomes = shank.up, ShankTracker(shank).advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
     else:
         foot = calibrate_track(track)
         up, outcomes = foot.up, track_foot(track, foot)

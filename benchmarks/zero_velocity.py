@@ -22,8 +22,7 @@ from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, 
 from zupt_reference import ZuptPath, zupt_path
 
 from fes.estimation.zupt.detectors import Detector, rate_energy
-from fes.estimation.zupt.stances import stance_instants
-from fes.estimation.zupt.thresholds import calibrate_zero_velocity, detect_zero_velocity
+from fes.estimation.zupt.thresholds import find_zero_velocity, stance_instants
 from fes.recording import Track
 from fes.signals import FloatArray
 
@@ -95,10 +94,9 @@ def evaluate_detector(
     rows = []
     for walk in walks:
         track, known = walk.track, np.isfinite(walk.speed_mps)
-        calibration = calibrate_zero_velocity(
-            track.acc_mps2, track.gyr_radps, track.rate_hz, detector=detector, use_standing=use_standing
+        _, said, _ = find_zero_velocity(
+            track.acc_mps2, track.gyr_radps, track.rate_hz, detector, use_standing=use_standing, causal=causal
         )
-        said = detect_zero_velocity(calibration, track.acc_mps2, track.gyr_radps, track.rate_hz, causal=causal)
         rows.append(scores(walk.speed_mps[known] < limit_mps, said[known]))
     f1, precision, recall = np.mean(rows, axis=0).tolist()
     source = "standing second" if use_standing else "quiet stretches"

@@ -22,12 +22,17 @@ from fes.estimation.numerics.jit import jit, jit_fused
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import from_gravity, quaternion_step, to_world
 from fes.estimation.zupt.covariance import BIASES, DIAGONAL, STATES, WIDTH, update
-from fes.estimation.zupt.detectors import rate_energy
+from fes.estimation.zupt.decimation import ZuptSettings, start_variances
 from fes.estimation.zupt.filter import MEASURED, drift_velocity, rotate_in_world
 from fes.estimation.zupt.foot_trajectory import CLIPPED_SD, LEAST_RANGE, LEVER_M, clipped_sd
-from fes.estimation.zupt.settings import ZuptSettings, start_variances
-from fes.estimation.zupt.stances import START_S, BoolArray, first_stance, with_missed_stances
-from fes.estimation.zupt.thresholds import ZeroVelocityThresholds, calibrate_zero_velocity, detect_zero_velocity
+from fes.estimation.zupt.thresholds import (
+    START_S,
+    BoolArray,
+    ZeroVelocityThresholds,
+    find_zero_velocity,
+    first_stance,
+    with_missed_stances,
+)
 from fes.signals import G_MPS2, FloatArray, IntArray, Vector3
 
 
@@ -149,11 +154,10 @@ def zupt_path(
     if not (np.isfinite(acc).all() and np.isfinite(gyr).all()):
         raise ValueError("specific force and rate must be finite: fill or cut out what is missing")
     rate_hz = 1e9 / float(np.median(np.diff(t)))
-    if calibration is None:
-        calibration = calibrate_zero_velocity(acc, gyr, rate_hz)
-    if rest is None:
-        detected = detect_zero_velocity(calibration, acc, gyr, rate_hz)
-        rest = with_missed_stances(detected, gyr, rate_hz, rate_energy(gyr, rate_hz))
+    if calibration is None or rest is None:
+        found, detected, energy = find_zero_velocity(acc, gyr, rate_hz)
+        calibration = calibration or found
+        rest = with_missed_stances(detected, gyr, rate_hz, energy) if rest is None else rest
     rest = np.ascontiguousarray(rest, dtype=np.bool_)
     if rest.shape != t.shape:
         raise ValueError(f"rest has the shape {rest.shape} instead of {t.shape}")

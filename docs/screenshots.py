@@ -27,7 +27,7 @@ from fes.calibration.recording import calibrate_phase_sensors, save  # noqa: E40
 from fes.recording import Recording, write_recording  # noqa: E402
 from fes.signals import FOOT_SENSORS, NS_PER_S  # noqa: E402
 from fes.simulation.forward import VirtualPatient, settings_for  # noqa: E402
-from fes.simulation.forward.truth import recording_of  # noqa: E402
+from fes.simulation.forward.closed_loop import recording_of  # noqa: E402
 
 TRIAL = "both_feet_200hz"
 RATE_HZ = 200.0

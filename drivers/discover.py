@@ -1,7 +1,5 @@
 """What is plugged in: serial ports, CAN interfaces, Lab Streaming Layer streams. Looks only; opens no device."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import logging
@@ -87,8 +85,8 @@ def can_channels(net: Path = Path("/sys/class/net")) -> list[CanChannel]:
     before = quiet.level
     quiet.setLevel(logging.CRITICAL)  # a library that is not installed is no news
     try:
-        for adapter in can.detect_available_configs(list(_ADAPTERS)):
-            found.append(CanChannel(str(adapter["interface"]), str(adapter["channel"])))
+        adapters = can.detect_available_configs(list(_ADAPTERS))
+        found += [CanChannel(str(adapter["interface"]), str(adapter["channel"])) for adapter in adapters]
     finally:
         quiet.setLevel(before)
     return found
@@ -100,8 +98,5 @@ def lsl_streams(wait_s: float = 1.0) -> list[LslStream] | None:
         lsl: Any = importlib.import_module("pylsl")
     except (ImportError, RuntimeError):  # RuntimeError: no liblsl
         return None
-    streams = [
-        LslStream(info.name(), info.type(), info.channel_count(), info.nominal_srate())
-        for info in lsl.resolve_streams(wait_s)
-    ]
-    return sorted(streams, key=lambda stream: stream.name)
+    infos = sorted(lsl.resolve_streams(wait_s), key=lambda info: str(info.name()))
+    return [LslStream(info.name(), info.type(), info.channel_count(), info.nominal_srate()) for info in infos]

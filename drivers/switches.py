@@ -1,10 +1,9 @@
 """Switches: one bit of a CAN frame, or an input of a serial line (CTS, DSR). A foot switch, a stop button."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import can
@@ -12,7 +11,7 @@ import serial
 
 from drivers.stimulator.bus import BusError, open_bus
 from fes.config import Bus
-from fes.config.devices import Switch
+from fes.config.session import Switch
 
 FRAMES_AT_ONCE: Final = 64
 SILENT_NS: Final = 500_000_000  # a switch on CAN says over and over what it is; silent for so long, it is lost
@@ -22,53 +21,44 @@ class SwitchFailed(RuntimeError):
     """The switch's line cannot be opened; the message names it and what to check."""
 
 
+@dataclass(eq=False)
 class CanSwitch:
     """A bit of a data frame with an 11-bit identifier, counted from the first byte's least significant bit.
 
     A switch that tells only its changes cannot be told from one that was unplugged. So it has to repeat its frame, best
-    every 100 ms; after 500 ms without one nobody knows whether it is pressed.
-
-    Args:
-        clock_ns: when a frame was read.
+    every 100 ms; after 500 ms without one nobody knows whether it is pressed. ``clock_ns`` says when a frame was read.
     """
 
-    def __init__(
-        self,
-        bus: can.BusABC,
-        identifier: int,
-        bit: int,
-        *,
-        high: bool,
-        clock_ns: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
-        self._bus = bus
-        self._identifier = identifier
-        self._byte, self._mask = bit // 8, 1 << bit % 8
-        self._high = high
-        self._clock_ns = clock_ns
+    bus: can.BusABC
+    identifier: int
+    bit: int
+    high: bool
+    clock_ns: Callable[[], int] = time.monotonic_ns
+
+    def __post_init__(self) -> None:
         self._heard_ns = 0
         self._pressed: bool | None = None
 
     def fileno(self) -> int | None:
         """Readable with frames; None where the adapter has no descriptor."""
         try:
-            return self._bus.fileno()
+            return self.bus.fileno()
         except NotImplementedError:
             return None
 
     def read(self) -> bool | None:
         """Whether it was pressed in the newest frame; None when there was none within 500 ms, or the bus is lost."""
-        now_ns = self._clock_ns()
+        now_ns = self.clock_ns()
         try:
             for _ in range(FRAMES_AT_ONCE):
-                message = self._bus.recv(timeout=0.0)
+                message = self.bus.recv(timeout=0.0)
                 if message is None:
                     break
                 if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
                     continue  # another's, even where the number is the same
-                if message.arbitration_id == self._identifier and len(message.data) > self._byte:
+                if message.arbitration_id == self.identifier and len(message.data) > self.bit // 8:
                     self._heard_ns = now_ns
-                    self._pressed = bool(message.data[self._byte] & self._mask) == self._high
+                    self._pressed = bool(message.data[self.bit // 8] >> self.bit % 8 & 1) == self.high
         except (can.CanError, OSError):
             self._pressed = None
         if now_ns - self._heard_ns > SILENT_NS:
@@ -77,16 +67,16 @@ class CanSwitch:
 
     def close(self) -> None:
         """Release the bus."""
-        self._bus.shutdown()
+        self.bus.shutdown()
 
 
+@dataclass(eq=False)
 class SerialSwitch:
     """An input of a serial line; asked each time, for it cannot be waited on."""
 
-    def __init__(self, line: serial.SerialBase, which: str, *, high: bool) -> None:
-        self._line = line
-        self._which = which
-        self._high = high
+    line: serial.SerialBase
+    which: str
+    high: bool
 
     def fileno(self) -> int | None:
         """Nothing to wait on."""
@@ -95,22 +85,18 @@ class SerialSwitch:
     def read(self) -> bool | None:
         """Whether it is pressed; None when the line is lost."""
         try:
-            level = self._line.cts if self._which == "serial_cts" else self._line.dsr
+            level = self.line.cts if self.which == "serial_cts" else self.line.dsr
         except (OSError, serial.SerialException):
             return None
-        return bool(level) == self._high
+        return bool(level) == self.high
 
     def close(self) -> None:
         """Release the line."""
-        self._line.close()
+        self.line.close()
 
 
 def open_switch(settings: Switch, bus: Bus) -> CanSwitch | SerialSwitch:
-    """The switch of these settings.
-
-    Raises:
-        SwitchFailed: its line or bus cannot be opened.
-    """
+    """The switch of these settings. SwitchFailed: its line or bus cannot be opened."""
     high = settings.pressed == "high"
     if settings.source == "can_bit":
         try:

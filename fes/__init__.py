@@ -18,8 +18,6 @@ For Python and notebooks, each with an example in ``docs/api.md``:
 All of them are loaded when they are first asked for; their types are in ``__init__.pyi``.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import Any
 

@@ -4,8 +4,6 @@ The gate's last word. A session states its own, tighter limits (``fes.config.Cha
 the session is refused.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 

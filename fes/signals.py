@@ -4,8 +4,7 @@ Times are integer nanoseconds of one monotonic clock (the host's when live, the 
 Vectors are in the sensor's own frame unless the name says otherwise.
 """
 
-from __future__ import annotations
-
+import math
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import NamedTuple, TypeAlias
@@ -23,9 +22,6 @@ SENSORS = FOOT_SENSORS + SHANK_SENSORS
 
 G_MPS2 = 9.80665
 NS_PER_S = 1_000_000_000
-
-
-# --- events: all that can happen to the controller -------------------------------------------------------
 
 
 class ImuSample(NamedTuple):
@@ -63,6 +59,20 @@ class OperatorAction(StrEnum):
     RESUME_TUNING = "resume_tuning"
     ACCEPT_SUGGESTION = "accept_suggestion"
     ROLL_BACK = "roll_back"
+
+
+@dataclass(frozen=True, slots=True)
+class RawSample:
+    """One sample as the device gave it, in SI units.
+
+    ``t_host_ns``: when it was read. ``t_device_ns``: the device's own clock, unwrapped; it may jump.
+    """
+
+    sensor: str
+    t_host_ns: int
+    t_device_ns: int
+    acc_mps2: Vector3
+    gyr_radps: Vector3
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,9 +149,6 @@ class SystemFault:
 Event: TypeAlias = ImuSample | Tick | OperatorAct | StimStatus | StimAlive | StimOpened | FootSwitchEvent | SystemFault
 
 
-# --- stimulation -----------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class StimRequest:
     """What the plan asks for one channel; off is its own request, not 0 mA."""
@@ -180,9 +187,6 @@ class WireFrame:
     data: bytes
 
 
-# --- strides ---------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class StrideResult:
     """One stride of one foot, from quietest instant to quietest instant of the stances around its swing.
@@ -200,17 +204,17 @@ class StrideResult:
     number: int
     t_start_ns: int
     t_end_ns: int
-    stride_length_m: float
-    clearance_m: float
-    height_gained_m: float
-    turn_rad: float
-    speed_mps: float
-    t_pre_swing_ns: int | None
-    t_swing_ns: int | None
-    t_loading_response_ns: int | None
-    t_stance_ns: int | None
-    toe_clearance_m: float = float("nan")
-    heel_clearance_m: float = float("nan")
+    stride_length_m: float = math.nan
+    clearance_m: float = math.nan
+    height_gained_m: float = math.nan
+    turn_rad: float = math.nan
+    speed_mps: float = math.nan
+    t_pre_swing_ns: int | None = None
+    t_swing_ns: int | None = None
+    t_loading_response_ns: int | None = None
+    t_stance_ns: int | None = None
+    toe_clearance_m: float = math.nan
+    heel_clearance_m: float = math.nan
     valid: bool = True
     reason: str = ""
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)

@@ -1,7 +1,6 @@
 """A walk as tables and the report take it: what an analysis found in a recording, or a session left behind."""
 
-from __future__ import annotations
-
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,6 +34,15 @@ class SampleArrays:
     t_sensor_ns: IntArray
     acc_mps2: FloatArray
     gyr_radps: FloatArray
+
+
+def finite_or_none(value: Any) -> Any:
+    """The value, also a nested one, with None for numbers that are not known (NaN, infinite), which JSON has not."""
+    if isinstance(value, dict):
+        return {key: finite_or_none(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite_or_none(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def no_times() -> IntArray:

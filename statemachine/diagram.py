@@ -5,8 +5,6 @@ from the fields of :class:`~statemachine.guards.Thresholds` with the comments be
 say something else than what runs; a test holds ``docs/phases.md`` to it.
 """
 
-from __future__ import annotations
-
 import argparse
 import inspect
 import re

@@ -6,8 +6,6 @@ thresholds are physical rates, so that one setting holds from 100 Hz to 1 kHz, a
 swing in which their feature means what the paper takes it to mean.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": "vertical_jerk_mps3"}  # in old files

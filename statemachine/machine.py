@@ -1,7 +1,5 @@
 """The table in ``transitions``: the one holder of a foot's gait phase."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The four gait phases of Negård et al. (2005), Figure 5, and the six transitions' names."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import IntEnum
 

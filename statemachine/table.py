@@ -1,7 +1,5 @@
 """The transition table: which phase may follow which, and when. Machine, compiled core, diagram and tests read it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

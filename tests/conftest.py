@@ -35,7 +35,12 @@ if "MUTANT_UNDER_TEST" in os.environ:  # a busy machine must not look like a tes
 
 # their verdict depends on when the machine schedules a process: deadlines between processes, a killed one's end
 LIVE = ("transports/", "live/test_live_orphans.py", "live/test_live_log.py", "live/test_page_server.py")
-LIVE += ("live/test_page_browser.py", "hil/test_hil_killed.py", "drivers/test_canopen_stimulator.py")
+LIVE += (
+    "live/test_live_source.py",
+    "live/test_page_browser.py",
+    "hil/test_hil_killed.py",
+    "drivers/test_canopen_stimulator.py",
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fes.config import Channel, ChannelLimits, Tuning
 from fes.signals import NS_PER_S, StrideResult
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 
 BAND = {"low": 0.012, "high": 0.035}
 BOUNDS = {

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from event_cases import Case as EventCase
 from event_cases import gaitmap_cases
+from given_borders import quietest_near
 from orientation_sets import Trial, broad, gaitmap_pitch
 from real_sets import PathWalk, Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
 from stride_length import strides_of
@@ -16,9 +17,8 @@ from stroke_treadmill import LAST_S
 from zero_velocity_sets import BoolArray, BorderedWalk, gaitmap, pyshoe, ruler, stroke, xio
 
 from fes.analysis.ground_path import GroundPath, ground_path
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.calibration import FootCalibration
-from fes.estimation.strides.boundaries import quietest_near
 from fes.recording import Track
 from fes.signals import FloatArray, IntArray, StrideResult
 from peers.exchange import Case

@@ -10,8 +10,6 @@ Options of ``dbc_can``: ``dbc`` (file), ``acc_x`` … ``acc_z``, ``gyr_x`` … `
 ``time`` or ``counter`` is needed. Both kinds: ``id_offset`` is added to every identifier of the DBC.
 """
 
-from __future__ import annotations
-
 import math
 from importlib import resources
 from pathlib import Path
@@ -19,20 +17,10 @@ from typing import Final
 
 from cantools.database.can import Database, Message, Signal
 
-from drivers.imu.port import (
-    AXES,
-    LineCounts,
-    LossCounter,
-    Ranges,
-    RawSample,
-    SensorDevice,
-    StampClock,
-    Unwrapper,
-    flag_option,
-    text_option,
-    whole_option,
-)
-from fes.signals import G_MPS2, NS_PER_S
+from drivers.imu import port
+from drivers.imu.port import AXES, flag_option, text_option
+from fes.config import ImuDevice
+from fes.signals import G_MPS2, NS_PER_S, RawSample
 
 ACC_UNITS: Final = {"m/s2": 1.0, "m/s^2": 1.0, "g": G_MPS2}
 GYR_UNITS: Final = {"rad/s": 1.0, "deg/s": math.radians(1.0)}
@@ -46,22 +34,15 @@ XSENS: Final = {
 
 
 class DbcSensor:
-    """One sensor's part of a bus.
+    """One sensor's part of a bus. ValueError: the options or the DBC do not fit; the message names what would."""
 
-    Raises:
-        ValueError: the options or the DBC do not fit; the message names what would.
-    """
-
-    def __init__(self, device: SensorDevice) -> None:
+    def __init__(self, device: ImuDevice) -> None:
         self.sensor = device.sensor
-        self.counts = LineCounts()
-        self._ranges = Ranges(device)
+        self.counts = port.LineCounts()
+        self._ranges = port.Ranges(device)
         database, names = self._layout(device)
-        offset = whole_option(device, "id_offset", 0, -LAST_ID)
-        self._signals: dict[str, tuple[Message, Signal]] = {
-            what: _find(database, name, device.sensor, what) for what, name in names.items()
-        }
-        _check(device, self._signals, names)
+        offset = port.whole_option(device, "id_offset", 0, -LAST_ID)
+        self._signals = {what: _found(database, device.sensor, what, name) for what, name in names.items()}
         self._messages = {message.frame_id + offset: message for message, _ in self._signals.values()}
         if not all(0 <= number <= LAST_ID for number in self._messages):
             raise ValueError(f"{device.sensor}: options.id_offset = {offset} leaves the identifiers 0 to 0x7ff")
@@ -70,19 +51,19 @@ class DbcSensor:
         self._first = first.frame_id + offset
         self._factors = [_unit(device, "acc_unit", "m/s2", ACC_UNITS)] * 3
         self._factors += [_unit(device, "gyr_unit", "rad/s", GYR_UNITS)] * 3
-        self._time_factor = _unit(device, "time_unit", "s", TIME_UNITS)
+        time_factor = _unit(device, "time_unit", "s", TIME_UNITS)
         self._period_ns = NS_PER_S / device.rate_hz
         counter_bits = int(self._signals["counter"][1].length) if "counter" in names else 0
-        self._counters = Unwrapper(max(counter_bits, 1))
-        self._losses = LossCounter(self.counts, device.rate_hz, counter_bits)
-        self._stamps: StampClock | None = None
+        self._counters = port.Unwrapper(max(counter_bits, 1))
+        self._losses = port.LossCounter(self.counts, device.rate_hz, counter_bits)
+        self._stamps: port.StampClock | None = None
         if "time" in names:
             signal = self._signals["time"][1]
-            self._stamps = StampClock(int(signal.length), float(signal.scale) * self._time_factor)
+            self._stamps = port.StampClock(int(signal.length), float(signal.scale) * time_factor)
         self._group: dict[int, dict[str, float]] = {}
 
     @staticmethod
-    def _layout(device: SensorDevice) -> tuple[Database, dict[str, str]]:
+    def _layout(device: ImuDevice) -> tuple[Database, dict[str, str]]:
         database = Database(strict=True)
         if device.device == "xsens_can":
             text = resources.files(__package__).joinpath("xsens_mti.dbc").read_text(encoding="ascii")
@@ -93,12 +74,10 @@ class DbcSensor:
         try:
             database.add_dbc_file(str(path))
         except Exception as error:  # cantools raises OSError, its own parse errors, UnicodeDecodeError …
-            raise ValueError(
-                f"{device.sensor}: options.dbc = {str(path)!r} cannot be read as a DBC: {error}"
-            ) from error
+            where = f"{device.sensor}: options.dbc = {str(path)!r}"
+            raise ValueError(f"{where} cannot be read as a DBC: {error}") from error
         names = {what: text_option(device, what, "") for what in (*AXES, "time", "counter")}
-        missing = [what for what in AXES if not names[what]]
-        if missing:
+        if missing := [what for what in AXES if not names[what]]:
             raise ValueError(f"{device.sensor}: options need {', '.join(missing)} as MESSAGE.SIGNAL of {path.name}")
         if not names["time"] and not names["counter"]:
             raise ValueError(f"{device.sensor}: options need time or counter as MESSAGE.SIGNAL of {path.name}")
@@ -136,40 +115,35 @@ class DbcSensor:
             return round((value(what) - float(signal.offset)) / float(signal.scale)) % (1 << int(signal.length))
 
         counter = count("counter") if "counter" in self._signals else None
-        if self._stamps is not None:
-            stamp_ns = self._stamps.time_ns(count("time"))
-        else:
-            stamp_ns = round(self._counters.unwrap(counter or 0) * self._period_ns)
+        beat_ns = round(self._counters.unwrap(counter or 0) * self._period_ns)
+        stamp_ns = beat_ns if self._stamps is None else self._stamps.time_ns(count("time"))
         self._losses.note(stamp_ns, counter)
         v = [value(axis) * factor for axis, factor in zip(AXES, self._factors, strict=True)]
         sample = RawSample(self.sensor, t_ns, stamp_ns, (v[0], v[1], v[2]), (v[3], v[4], v[5]))
         return self._ranges.judged(sample, self.counts)
 
 
-def _find(database: Database, name: str, sensor: str, what: str) -> tuple[Message, Signal]:
+def _found(database: Database, sensor: str, what: str, name: str) -> tuple[Message, Signal]:
+    where = f"{sensor}: options.{what} = {name!r}"
     message_name, _, signal_name = name.partition(".")
     try:
-        message = database.get_message_by_name(message_name)
-        return message, message.get_signal_by_name(signal_name)
+        message: Message = database.get_message_by_name(message_name)
+        signal: Signal = message.get_signal_by_name(signal_name)
     except KeyError:
         known = ", ".join(f"{m.name}.{s.name}" for m in database.messages for s in m.signals)
-        raise ValueError(f"{sensor}: options.{what} = {name!r} is not in the DBC; it has: {known}") from None
+        raise ValueError(f"{where} is not in the DBC; it has: {known}") from None
+    if message.is_extended_frame:
+        raise ValueError(f"{where} is in a message of 29 bit identifier; sensors here have 11 bits")
+    if message.length > LONGEST:
+        raise ValueError(f"{where} is in a message of {message.length} bytes; classical CAN carries {LONGEST}")
+    if message.is_multiplexed() and signal.multiplexer_ids:
+        raise ValueError(f"{where} is not in each of its messages (multiplexed); a sample needs all of its values")
+    if what in ("time", "counter") and (signal.is_float or signal.scale <= 0):
+        raise ValueError(f"{where} must be an integer that counts up: a float loses its steps as it grows")
+    return message, signal
 
 
-def _check(device: SensorDevice, signals: dict[str, tuple[Message, Signal]], names: dict[str, str]) -> None:
-    for what, (message, signal) in signals.items():
-        where = f"{device.sensor}: options.{what} = {names[what]!r}"
-        if message.is_extended_frame:
-            raise ValueError(f"{where} is in a message of 29 bit identifier; sensors here have 11 bits")
-        if message.length > LONGEST:
-            raise ValueError(f"{where} is in a message of {message.length} bytes; classical CAN carries {LONGEST}")
-        if message.is_multiplexed() and signal.multiplexer_ids:
-            raise ValueError(f"{where} is not in each of its messages (multiplexed); a sample needs all of its values")
-        if what in ("time", "counter") and (signal.is_float or signal.scale <= 0):
-            raise ValueError(f"{where} must be an integer that counts up: a float loses its steps as it grows")
-
-
-def _unit(device: SensorDevice, name: str, default: str, units: dict[str, float]) -> float:
+def _unit(device: ImuDevice, name: str, default: str, units: dict[str, float]) -> float:
     unit = text_option(device, name, default)
     if unit not in units:
         raise ValueError(f"{device.sensor}: options.{name} = {unit!r} is not one of {', '.join(units)}")

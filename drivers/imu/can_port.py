@@ -1,21 +1,20 @@
 """Inertial sensors on one CAN bus behind python-can."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 
 import can
 
 from drivers.imu.can_codec import DbcSensor
-from drivers.imu.port import ImuLost, LineCounts, RawSample, SensorDevice
+from drivers.imu.port import ImuLost, ImuPort, LineCounts
 from drivers.stimulator.bus import BusError, bus_name, is_bus_off, open_bus
-from fes.config import Bus
+from fes.config import Bus, ImuDevice
+from fes.signals import RawSample
 
 READ_AT_MOST: Final = 1024  # frames: a flooded bus must not hold the control loop
 
 
-class CanImus:
+class CanImus(ImuPort):
     """:class:`~drivers.imu.port.ImuPort` for all sensors of one bus.
 
     Raises:
@@ -23,19 +22,17 @@ class CanImus:
         ImuLost: the bus cannot be opened.
     """
 
-    def __init__(self, devices: Sequence[SensorDevice], bus: Bus) -> None:
+    def __init__(self, devices: Sequence[ImuDevice], bus: Bus) -> None:
         self._settings = bus
         self._parts = [DbcSensor(device) for device in devices]
-        self.sensors = tuple(part.sensor for part in self._parts)
+        self.sensors: tuple[str, ...] = tuple(part.sensor for part in self._parts)
         self.counts: dict[str, LineCounts] = {part.sensor: part.counts for part in self._parts}
         self._of: dict[int, DbcSensor] = {}
         for part in self._parts:
             for identifier in part.identifiers:
                 if identifier in self._of:
-                    raise ValueError(
-                        f"{part.sensor} and {self._of[identifier].sensor} both use the identifier 0x{identifier:x}; "
-                        "give one of the sensors other identifiers and set options.id_offset"
-                    )
+                    both = f"{part.sensor} and {self._of[identifier].sensor} both use the identifier 0x{identifier:x}"
+                    raise ValueError(f"{both}; give one of the sensors other identifiers and set options.id_offset")
                 self._of[identifier] = part
         self._open()
 
@@ -72,11 +69,6 @@ class CanImus:
             if sample is not None:
                 samples.append(sample)
         return samples
-
-    def reopen(self) -> None:
-        """Open the bus again."""
-        self.close()
-        self._open()
 
     def close(self) -> None:
         """Shut the bus down; may be called twice."""

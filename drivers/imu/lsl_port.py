@@ -5,30 +5,19 @@
 time correction is measured at every exchange and would make the intervals jitter; it is read once, for information.
 """
 
-from __future__ import annotations
-
 import importlib
 import math
 from typing import Any, Final
 
 from drivers.imu.can_codec import ACC_UNITS, GYR_UNITS
-from drivers.imu.port import (
-    AXES,
-    ImuLost,
-    LineCounts,
-    LossCounter,
-    Ranges,
-    RawSample,
-    SensorDevice,
-    seconds_option,
-    text_option,
-)
-from fes.signals import NS_PER_S
+from drivers.imu.port import AXES, ImuLost, OneSensorPort, seconds_option, text_option
+from fes.config import ImuDevice
+from fes.signals import NS_PER_S, RawSample
 
 PULL_AT_MOST: Final = 4096
 
 
-class LslImu:
+class LslImu(OneSensorPort):
     """:class:`~drivers.imu.port.ImuPort` for one stream; the library has no descriptor to wait on.
 
     Raises:
@@ -36,27 +25,22 @@ class LslImu:
         ValueError: the stream has not the channels asked for, or a unit is unknown.
     """
 
-    def __init__(self, device: SensorDevice) -> None:
+    def __init__(self, device: ImuDevice) -> None:
         try:
             self._lsl: Any = importlib.import_module("pylsl")
             self._errors: Any = importlib.import_module("pylsl.util")
         except (ImportError, RuntimeError) as error:  # RuntimeError: no liblsl
             raise ImuLost(f"{device.sensor}: needs the package pylsl: pip install 'fes-gait[lsl]' ({error})") from error
-        self._device = device
-        self.sensors: tuple[str, ...] = (device.sensor,)
-        self.counts = {device.sensor: LineCounts()}
         self.time_correction_s = math.nan
-        self._ranges = Ranges(device)
-        self._open()
+        super().__init__(device)
 
     def _open(self) -> None:
         device = self._device
         timeout_s = seconds_option(device, "timeout_s", 5.0)
         found = self._lsl.resolve_byprop("name", device.port, timeout=timeout_s)
         if not found:
-            raise ImuLost(
-                f"{device.sensor}: no LSL stream named {device.port!r} within {timeout_s:g} s. Is it running?"
-            )
+            where = f"{device.sensor}: no LSL stream named {device.port!r}"
+            raise ImuLost(f"{where} within {timeout_s:g} s. Is it running?")
         inlet = self._lsl.StreamInlet(found[0], max_buflen=10, recover=False)
         try:
             info = inlet.info(timeout=timeout_s)
@@ -65,7 +49,7 @@ class LslImu:
             self.time_correction_s = float(inlet.time_correction(timeout=timeout_s))
         except (self._errors.LostError, self._errors.TimeoutError) as error:
             raise ImuLost(f"{device.sensor}: LSL stream {device.port!r} went away: {error}") from error
-        self._losses = LossCounter(self.counts[device.sensor], device.rate_hz)
+        self._expect_samples()
         self._inlet: Any = inlet
 
     def fileno(self) -> None:
@@ -79,29 +63,20 @@ class LslImu:
         except self._errors.LostError as error:
             raise ImuLost(f"{self._device.sensor}: LSL stream {self._device.port!r} ended") from error
         samples: list[RawSample] = []
-        counts = self.counts[self._device.sensor]
         for row, stamp in zip(rows or [], stamps or [], strict=True):
             if not math.isfinite(stamp):
-                counts.bad_frames += 1
+                self._counts.bad_frames += 1
                 continue
             v = [float(row[column]) * factor for column, factor in zip(self._columns, self._factors, strict=True)]
-            stamp_ns = round(stamp * NS_PER_S)
-            self._losses.note(stamp_ns)
-            sample = RawSample(self._device.sensor, t_ns, stamp_ns, (v[0], v[1], v[2]), (v[3], v[4], v[5]))
-            samples.append(self._ranges.judged(sample, counts))
+            samples.append(self._sample(t_ns, round(stamp * NS_PER_S), (v[0], v[1], v[2]), (v[3], v[4], v[5])))
         return samples
-
-    def reopen(self) -> None:
-        """Look for the stream again."""
-        self.close()
-        self._open()
 
     def close(self) -> None:
         """Leave the stream."""
         self._inlet.close_stream()
 
 
-def _columns(device: SensorDevice, info: Any) -> tuple[list[int], list[float]]:
+def _columns(device: ImuDevice, info: Any) -> tuple[list[int], list[float]]:
     """Column and factor to SI of the six axes, by label and unit of the stream's description."""
     labels: list[str] = []
     units: list[str] = []
@@ -120,9 +95,8 @@ def _columns(device: SensorDevice, info: Any) -> tuple[list[int], list[float]]:
         kind, table = ("acc_unit", ACC_UNITS) if axis.startswith("acc") else ("gyr_unit", GYR_UNITS)
         unit = text_option(device, kind, units[found[0]])
         if unit not in table:
-            raise ValueError(
-                f"{device.sensor}: {wanted} is in {unit!r}; set options.{kind} to one of {', '.join(table)}"
-            )
+            where = f"{device.sensor}: {wanted} is in {unit!r}"
+            raise ValueError(f"{where}; set options.{kind} to one of {', '.join(table)}")
         columns.append(found[0])
         factors.append(table[unit])
     return columns, factors

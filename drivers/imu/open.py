@@ -1,12 +1,11 @@
 """Open whichever sensors the settings name; those on one CAN bus share a port."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Sequence
+from functools import partial
 
-from drivers.imu.port import AXES, ImuLost, ImuPort, SensorDevice, flag_option
-from fes.config import Bus
+from drivers.imu.port import AXES, ImuLost, ImuPort, flag_option
+from fes.config import Bus, ImuDevice
 
 ON_CAN = ("xsens_can", "dbc_can")
 OPTIONS = {
@@ -18,12 +17,8 @@ OPTIONS = {
 }  # that each kind of device has
 
 
-def open_imus(sensors: Sequence[SensorDevice], bus: Bus | None = None) -> list[ImuPort]:
-    """One port per line, in the order of the settings.
-
-    Args:
-        sensors: the settings of all sensors.
-        bus: the session's CAN bus, which the port ``bus`` names; ``interface:channel`` names another one.
+def open_imus(sensors: Sequence[ImuDevice], bus: Bus | None = None) -> list[ImuPort]:
+    """One port per line, in the order of the settings; ``bus`` is the session's CAN bus, which the port ``bus`` names.
 
     Raises:
         ImuLost: one cannot be opened; those already open are closed again.
@@ -41,64 +36,49 @@ def open_imus(sensors: Sequence[SensorDevice], bus: Bus | None = None) -> list[I
     return ports
 
 
-def _plan(sensors: Sequence[SensorDevice], bus: Bus) -> list[Callable[[], ImuPort]]:
+def _plan(sensors: Sequence[ImuDevice], bus: Bus) -> list[Callable[[], ImuPort]]:
     plan: list[Callable[[], ImuPort]] = []
-    buses: dict[str, list[SensorDevice]] = {}
+    buses: dict[str, list[ImuDevice]] = {}
     own = f"{bus.interface}:{bus.channel}"
     for device in sensors:
-        _has_its_options(device)
+        known = OPTIONS.get(device.device, ())
+        if unknown := sorted(device.options.keys() - set(known)):  # misspelt, it would leave the default without a word
+            raise ValueError(
+                f"{device.sensor}: device {device.device!r} has no option {', '.join(unknown)}; it has "
+                f"{', '.join(known)}"
+            )
         if device.device not in ON_CAN:
-            plan.append(_serial(device))
+            plan.append(partial(_open_alone, device))
             continue
         # the session's bus by its other name is the same one, unless a port number tells them apart
         port = "bus" if device.port == own and "port" not in bus.options else device.port
         if port in buses:
             buses[port].append(device)
-        else:
-            buses[port] = [device]
-            plan.append(_can(buses[port], bus if port == "bus" else _other_bus(device)))
+            continue
+        buses[port] = [device]
+        interface, colon, channel = port.partition(":")
+        if port != "bus" and not colon:
+            raise ValueError(f"{device.sensor}: port = {device.port!r} must be 'bus' or INTERFACE:CHANNEL")
+        settings = bus if port == "bus" else Bus(interface=interface, channel=channel)
+        plan.append(partial(_open_on_can, buses[port], settings))
     return plan
 
 
-def _has_its_options(device: SensorDevice) -> None:
-    """A misspelt option would leave the sensor at its default, such as a unit, without a word."""
-    known = OPTIONS.get(device.device, ())
-    if unknown := sorted(device.options.keys() - set(known)):
-        raise ValueError(
-            f"{device.sensor}: device {device.device!r} has no option {', '.join(unknown)}; it has {', '.join(known)}"
-        )
+def _open_on_can(group: list[ImuDevice], settings: Bus) -> ImuPort:
+    from drivers.imu.can_port import CanImus
+
+    return CanImus(group, settings)
 
 
-def _other_bus(device: SensorDevice) -> Bus:
-    interface, colon, channel = device.port.partition(":")
-    if not colon:
-        raise ValueError(f"{device.sensor}: port = {device.port!r} must be 'bus' or INTERFACE:CHANNEL")
-    return Bus(interface=interface, channel=channel)
+def _open_alone(device: ImuDevice) -> ImuPort:
+    if device.device == "xbus":
+        from drivers.imu.xbus_port import XbusImu
 
+        return XbusImu(device)
+    if device.device == "ximu3":
+        from drivers.imu.ximu3_port import Ximu3Imu, Ximu3LibraryImu
 
-def _can(group: list[SensorDevice], settings: Bus) -> Callable[[], ImuPort]:
-    def open_one() -> ImuPort:
-        from drivers.imu.can_port import CanImus
+        return Ximu3LibraryImu(device) if flag_option(device, "library", False) else Ximu3Imu(device)
+    from drivers.imu.lsl_port import LslImu
 
-        return CanImus(group, settings)
-
-    return open_one
-
-
-def _serial(device: SensorDevice) -> Callable[[], ImuPort]:
-    def open_one() -> ImuPort:
-        if device.device == "xbus":
-            from drivers.imu.xbus_port import XbusImu
-
-            return XbusImu(device)
-        if device.device == "ximu3":
-            from drivers.imu.ximu3_port import Ximu3Imu, Ximu3LibraryImu
-
-            return Ximu3LibraryImu(device) if flag_option(device, "library", False) else Ximu3Imu(device)
-        if device.device == "lsl":
-            from drivers.imu.lsl_port import LslImu
-
-            return LslImu(device)
-        raise ValueError(f"{device.sensor}: device = {device.device!r} is not known")
-
-    return open_one
+    return LslImu(device)

@@ -1,12 +1,12 @@
 """What the loop asks of every inertial sensor, and what the ports share: ranges, options, counters and stamps."""
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
-from typing import Final, Protocol
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import Final
 
-from fes.signals import G_MPS2, NS_PER_S, Vector3
+from fes.config import ImuDevice
+from fes.signals import G_MPS2, NS_PER_S, RawSample, Vector3
 
 AXES: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")  # as options name them
 BEYOND_RANGE: Final = 1.05  # a sensor's own calibration may stretch its full scale a little, not more
@@ -15,20 +15,6 @@ _NAN: Final = (math.nan, math.nan, math.nan)
 
 class ImuLost(RuntimeError):
     """The sensor's line broke or cannot be opened: unplugged, closed, refused; the message says what to check."""
-
-
-@dataclass(frozen=True, slots=True)
-class RawSample:
-    """One sample as the device gave it, in SI units.
-
-    ``t_host_ns``: when it was read. ``t_device_ns``: the device's own clock, unwrapped; it may jump.
-    """
-
-    sensor: str
-    t_host_ns: int
-    t_device_ns: int
-    acc_mps2: Vector3
-    gyr_radps: Vector3
 
 
 @dataclass(slots=True)
@@ -51,47 +37,17 @@ class LineCounts:
     bytes_skipped: int = 0
 
 
-class SensorDevice(Protocol):
-    """The settings of one sensor, as :class:`fes.config.devices.ImuDevice` has them."""
-
-    @property
-    def sensor(self) -> str:
-        """Where it is worn."""
-
-    @property
-    def device(self) -> str:
-        """What it is."""
-
-    @property
-    def port(self) -> str:
-        """How it is reached."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second."""
-
-    @property
-    def acc_range_g(self) -> float:
-        """Full scale (±) of the accelerometer."""
-
-    @property
-    def gyr_range_dps(self) -> float:
-        """Full scale (±) of the gyroscope."""
-
-    @property
-    def options(self) -> dict[str, str | int | float | bool]:
-        """Whatever else this kind of device needs."""
-
-
-class ImuPort(Protocol):
+class ImuPort(ABC):
     """One line with one sensor or several. Only opening waits; nothing here reads a clock."""
 
     sensors: tuple[str, ...]
     counts: dict[str, LineCounts]
 
+    @abstractmethod
     def fileno(self) -> int | None:
         """Readable when something waits; None: read at every tick."""
 
+    @abstractmethod
     def read(self, t_ns: int) -> list[RawSample]:
         """Everything that has arrived, stamped ``t_ns``; never waits.
 
@@ -100,71 +56,78 @@ class ImuPort(Protocol):
         """
 
     def reopen(self) -> None:
-        """Let go of the line and open it again.
+        """Let go of the line and open it again; ImuLost: it is still gone."""
+        self.close()
+        self._open()
 
-        Raises:
-            ImuLost: it is still gone.
-        """
-
+    @abstractmethod
     def close(self) -> None:
         """Release the line; may be called twice."""
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Open the line, with all that is counted from its beginning anew."""
 
 
 class Ranges:
     """What a sensor can physically deliver."""
 
-    def __init__(self, device: SensorDevice) -> None:
+    def __init__(self, device: ImuDevice) -> None:
         self._acc_mps2 = device.acc_range_g * G_MPS2 * BEYOND_RANGE
         self._gyr_radps = math.radians(device.gyr_range_dps) * BEYOND_RANGE
 
     def judged(self, sample: RawSample, counts: LineCounts) -> RawSample:
         """The sample, counted; all NaN when a value cannot come from this sensor, so that the gate refuses it."""
         counts.samples += 1
-        # a comparison with NaN is False
-        sound = all(abs(a) <= self._acc_mps2 for a in sample.acc_mps2) and all(
-            abs(w) <= self._gyr_radps for w in sample.gyr_radps
-        )
-        if sound:
+        within = ((sample.acc_mps2, self._acc_mps2), (sample.gyr_radps, self._gyr_radps))
+        if all(abs(value) <= most for values, most in within for value in values):  # a comparison with NaN is False
             return sample
         counts.bad_values += 1
-        return RawSample(sample.sensor, sample.t_host_ns, sample.t_device_ns, _NAN, _NAN)
+        return replace(sample, acc_mps2=_NAN, gyr_radps=_NAN)
 
 
-def text_option(device: SensorDevice, name: str, default: str) -> str:
+class OneSensorPort(ImuPort):
+    """Base of an :class:`ImuPort` for one sensor: opened when it is made, counted and judged by its settings."""
+
+    def __init__(self, device: ImuDevice) -> None:
+        self._device = device
+        self._counts = LineCounts()
+        self._ranges = Ranges(device)
+        self.sensors: tuple[str, ...] = (device.sensor,)
+        self.counts: dict[str, LineCounts] = {device.sensor: self._counts}
+        self._open()
+
+    def _expect_samples(self, counter_bits: int = 0) -> None:
+        self._losses = LossCounter(self._counts, self._device.rate_hz, counter_bits)
+
+    def _sample(self, t_ns: int, stamp_ns: int, acc: Vector3, gyr: Vector3, counter: int | None = None) -> RawSample:
+        self._losses.note(stamp_ns, counter)
+        return self._ranges.judged(RawSample(self._device.sensor, t_ns, stamp_ns, acc, gyr), self._counts)
+
+
+def text_option(device: ImuDevice, name: str, default: str) -> str:
     """A setting of ``options`` that is text."""
     return str(device.options.get(name, default))
 
 
-def seconds_option(device: SensorDevice, name: str, default: float) -> float:
-    """A setting of ``options`` that is a time in s.
-
-    Raises:
-        ValueError: it is no number above 0.
-    """
+def seconds_option(device: ImuDevice, name: str, default: float) -> float:
+    """A setting of ``options`` that is a time in s. ValueError: it is no number above 0."""
     value = device.options.get(name, default)
     if isinstance(value, (str, bool)) or not math.isfinite(value) or value <= 0:
         raise ValueError(f"{device.sensor}: options.{name} = {value!r} must be a number of seconds above 0")
     return value
 
 
-def whole_option(device: SensorDevice, name: str, default: int, least: int) -> int:
-    """A setting of ``options`` that counts something.
-
-    Raises:
-        ValueError: it is no whole number, or less than ``least``.
-    """
+def whole_option(device: ImuDevice, name: str, default: int, least: int) -> int:
+    """A setting of ``options`` that counts something. ValueError: it is no whole number, or less than ``least``."""
     value = device.options.get(name, default)
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise ValueError(f"{device.sensor}: options.{name} = {value!r} must be a whole number of at least {least}")
     return value
 
 
-def flag_option(device: SensorDevice, name: str, default: bool) -> bool:
-    """A setting of ``options`` that is true or false; the text ``"false"`` is neither.
-
-    Raises:
-        ValueError: it is something else.
-    """
+def flag_option(device: ImuDevice, name: str, default: bool) -> bool:
+    """A setting of ``options`` that is true or false. ValueError: anything else, the text ``"false"`` too."""
     value = device.options.get(name, default)
     if not isinstance(value, bool):
         raise ValueError(f"{device.sensor}: options.{name} = {value!r} must be true or false")
@@ -180,11 +143,9 @@ class Unwrapper:
 
     def unwrap(self, raw: int) -> int:
         """The counter's value without wraps; starts at ``raw``. Small steps back stay steps back."""
-        if self._value is None:
-            self._value = raw
-        else:
-            step = (raw - self._value) % self._modulus
-            self._value += step - self._modulus if step >= self._modulus // 2 else step
+        before = raw if self._value is None else self._value
+        step = (raw - before) % self._modulus
+        self._value = before + (step - self._modulus if step >= self._modulus // 2 else step)
         return self._value
 
 
@@ -228,11 +189,9 @@ class LossCounter:
         last, self._counter = self._counter, counter
         if last_ns is None:
             return
-        if stamp_ns < last_ns:
-            self._counts.backward += 1
-            return
-        if stamp_ns == last_ns:
-            self._counts.doubled += 1
+        self._counts.backward += stamp_ns < last_ns
+        self._counts.doubled += stamp_ns == last_ns
+        if stamp_ns <= last_ns:
             return
         if counter is not None and last is not None and self._modulus:
             step = (counter - last) % self._modulus

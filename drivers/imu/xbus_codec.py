@@ -6,20 +6,19 @@ significant byte first. MTData2 (36) is a row of blocks ``XDI(2) length(1) value
 digit tells the number format (low two bits: 0 float32, 1 Fp12.20, 2 Fp16.32 with the fraction first, 3 float64).
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
+from drivers.imu.port import LineCounts
 from fes.signals import Vector3
 
 PREAMBLE: Final = 0xFA
 BUS_ID: Final = 0xFF
 EXTENDED: Final = 0xFF
 MAX_LENGTH: Final = 2048
-_SIZES: Final = (4, 4, 6, 8)
+_FORMATS: Final = ("f", "i", "Ih", "d")
 
 
 class Mid(IntEnum):
@@ -44,7 +43,6 @@ class Xdi(IntEnum):
 
     COUNTER = 0x1020
     TIME_FINE = 0x1060
-    QUATERNION = 0x2010
     ACCELERATION = 0x4020
     RATE_OF_TURN = 0x8020
     STATUS_WORD = 0xE020
@@ -74,13 +72,12 @@ class XbusRejected(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """What one MTData2 holds; None for what it does not. Specific force in m/s², rate in rad/s, quaternion wxyz."""
+    """What one MTData2 holds; None for what it does not. Specific force in m/s², rate in rad/s."""
 
     counter: int | None = None
     time_fine: int | None = None
     acc_mps2: Vector3 | None = None
     gyr_radps: Vector3 | None = None
-    quaternion: tuple[float, float, float, float] | None = None
     status: int | None = None
 
     @property
@@ -90,11 +87,7 @@ class Measurement:
 
 
 def encode(mid: int, data: bytes = b"") -> bytes:
-    """One message.
-
-    Raises:
-        ValueError: more data than a message holds.
-    """
+    """One message. ValueError: more data than a message holds."""
     if len(data) > MAX_LENGTH:
         raise ValueError(f"{len(data)} bytes do not fit an Xbus message ({MAX_LENGTH})")
     length = bytes((len(data),)) if len(data) < EXTENDED else struct.pack(">BH", EXTENDED, len(data))
@@ -105,23 +98,22 @@ def encode(mid: int, data: bytes = b"") -> bytes:
 class XbusDecoder:
     """Bytes in, messages out, however they are cut. After noise it looks again from the byte after the false start.
 
-    ``bad_frames`` counts wrong checksums and impossible lengths, ``bytes_skipped`` what belonged to no message.
+    ``counts``: of wrong checksums and impossible lengths (``bad_frames``), of bytes that belonged to no message.
     """
 
-    def __init__(self) -> None:
-        self.bad_frames = 0
-        self.bytes_skipped = 0
+    def __init__(self, counts: LineCounts | None = None) -> None:
+        self.counts = counts or LineCounts()
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[XbusMessage]:
         """The messages complete by now."""
-        buffer = self._buffer
+        buffer, counts = self._buffer, self.counts
         buffer += data
         messages: list[XbusMessage] = []
         at = 0
         while True:
             start = buffer.find(PREAMBLE, at)
-            self.bytes_skipped += (len(buffer) if start < 0 else start) - at
+            counts.bytes_skipped += (len(buffer) if start < 0 else start) - at
             at = len(buffer) if start < 0 else start
             if start < 0 or len(buffer) - at < 4:
                 break
@@ -130,17 +122,13 @@ class XbusDecoder:
                 if len(buffer) - at < 6:
                     break
                 head, length = 6, buffer[at + 4] << 8 | buffer[at + 5]
-            if buffer[at + 1] != BUS_ID or length > MAX_LENGTH:
-                self.bad_frames += buffer[at + 1] == BUS_ID
-                self.bytes_skipped += 1
-                at += 1
-                continue
+            possible = buffer[at + 1] == BUS_ID and length <= MAX_LENGTH
             end = at + head + length + 1
-            if end > len(buffer):
+            if possible and end > len(buffer):
                 break
-            if sum(buffer[at + 1 : end]) % 256:
-                self.bad_frames += 1
-                self.bytes_skipped += 1
+            if not possible or sum(buffer[at + 1 : end]) % 256:
+                counts.bad_frames += buffer[at + 1] == BUS_ID
+                counts.bytes_skipped += 1
                 at += 1
                 continue
             messages.append(XbusMessage(buffer[at + 2], bytes(buffer[at + head : end - 1])))
@@ -150,11 +138,7 @@ class XbusDecoder:
 
 
 def decode_measurement(data: bytes) -> Measurement:
-    """The blocks of an MTData2; unknown ones are passed over.
-
-    Raises:
-        XbusRejected: a block is cut off or has the wrong length.
-    """
+    """The blocks of an MTData2, unknown ones passed over. XbusRejected: one is cut off or has the wrong length."""
     found: dict[int, bytes] = {}
     formats: dict[int, int] = {}
     at = 0
@@ -179,47 +163,34 @@ def decode_measurement(data: bytes) -> Measurement:
         return None if raw is None else decode_reals(xdi.name, raw, formats[xdi], count)
 
     acc, gyr = reals(Xdi.ACCELERATION, 3), reals(Xdi.RATE_OF_TURN, 3)
-    q = reals(Xdi.QUATERNION, 4)
     return Measurement(
         counter=whole(Xdi.COUNTER, 2),
         time_fine=whole(Xdi.TIME_FINE, 4),
         acc_mps2=None if acc is None else (acc[0], acc[1], acc[2]),
         gyr_radps=None if gyr is None else (gyr[0], gyr[1], gyr[2]),
-        quaternion=None if q is None else (q[0], q[1], q[2], q[3]),
         status=whole(Xdi.STATUS_WORD, 4),
     )
 
 
 def decode_reals(name: str, raw: bytes, number_format: int, count: int) -> list[float]:
-    """``count`` numbers in one of the four formats.
-
-    Raises:
-        XbusRejected: another number of bytes.
-    """
-    size = _SIZES[number_format]
-    if len(raw) != size * count:
-        raise XbusRejected(f"MTData2: {name} has {len(raw)} bytes instead of {size * count}")
-    if number_format == 0:
-        return list(struct.unpack(f">{count}f", raw))
-    if number_format == 1:
-        return [value / 2**20 for value in struct.unpack(f">{count}i", raw)]
-    if number_format == 3:
-        return list(struct.unpack(f">{count}d", raw))
-    parts = struct.unpack(">" + "Ih" * count, raw)
-    return [parts[2 * k + 1] + parts[2 * k] / 2**32 for k in range(count)]
+    """``count`` numbers in one of the four formats. XbusRejected: another number of bytes."""
+    layout = struct.Struct(">" + _FORMATS[number_format] * count)
+    if len(raw) != layout.size:
+        raise XbusRejected(f"MTData2: {name} has {len(raw)} bytes instead of {layout.size}")
+    parts = layout.unpack(raw)
+    if number_format == 2:
+        return [parts[2 * k + 1] + parts[2 * k] / 2**32 for k in range(count)]
+    return [value / 2**20 for value in parts] if number_format == 1 else list(parts)
 
 
 def encode_reals(values: tuple[float, ...], number_format: int) -> bytes:
     """The other way round: for a simulated device, and for tests."""
-    if number_format == 0:
-        return struct.pack(f">{len(values)}f", *values)
+    parts: list[float] = list(values)
     if number_format == 1:
-        return struct.pack(f">{len(values)}i", *(round(value * 2**20) for value in values))
-    if number_format == 3:
-        return struct.pack(f">{len(values)}d", *values)
-    return b"".join(
-        struct.pack(">Ih", round(value * 2**32) & 0xFFFFFFFF, round(value * 2**32) >> 32) for value in values
-    )
+        parts = [round(value * 2**20) for value in values]
+    elif number_format == 2:
+        parts = [part for value in values for part in (round(value * 2**32) & 0xFFFFFFFF, round(value * 2**32) >> 32)]
+    return struct.pack(">" + _FORMATS[number_format] * len(values), *parts)
 
 
 def block(xdi: int, raw: bytes) -> bytes:
@@ -235,11 +206,7 @@ def output_configuration(rate_hz: int) -> bytes:
 
 
 def configured_rates(data: bytes) -> dict[int, int]:
-    """What the device's answer (C1) says: data identifier without format → rate in Hz.
-
-    Raises:
-        XbusRejected: not whole pairs.
-    """
+    """The device's answer (C1): data identifier without format → rate in Hz. XbusRejected: not whole pairs."""
     if len(data) % 4:
         raise XbusRejected(f"SetOutputConfiguration's answer has {len(data)} bytes, no multiple of 4")
     return {xdi & 0xFFF0: rate for xdi, rate in struct.iter_unpack(">HH", data)}

@@ -6,17 +6,17 @@ significant byte first; ended by ``0A``. Within a message ``0A`` is sent as ``DB
 is no checksum: a garbled message of the right length reads as other values, so they are checked against the range.
 """
 
-from __future__ import annotations
-
 import struct
 from dataclasses import dataclass
 from typing import Final
 
+from drivers.imu.port import LineCounts
 from fes.signals import Vector3
 
 INERTIAL: Final = 0x80 | ord("I")
 END: Final = 0x0A
 ESCAPE: Final = 0xDB
+_ESCAPED: Final = {b"\xdc": bytes((END,)), b"\xdd": bytes((ESCAPE,))}
 _BODY: Final = struct.Struct("<Q6f")
 _LONGEST: Final = 1024  # bytes without a terminator are noise
 
@@ -40,9 +40,8 @@ def encode(message: Inertial) -> bytes:
 class Ximu3Decoder:
     """Bytes in, inertial messages out, however they are cut; other messages are passed over."""
 
-    def __init__(self) -> None:
-        self.bad_frames = 0
-        self.bytes_skipped = 0
+    def __init__(self, counts: LineCounts | None = None) -> None:
+        self.counts = counts or LineCounts()
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[Inertial]:
@@ -50,7 +49,7 @@ class Ximu3Decoder:
         self._buffer += data
         *lines, rest = self._buffer.split(bytes((END,)))
         if len(rest) > _LONGEST:
-            self.bytes_skipped += len(rest)
+            self.counts.bytes_skipped += len(rest)
             rest = bytearray()
         self._buffer = bytearray(rest)
         return [message for line in lines if (message := self._decode(bytes(line))) is not None]
@@ -58,11 +57,11 @@ class Ximu3Decoder:
     def _decode(self, line: bytes) -> Inertial | None:
         if not line or line[0] != INERTIAL:
             if line and not line[0] & 0x80 and line[:1] != b"{":
-                self.bytes_skipped += len(line) + 1
+                self.counts.bytes_skipped += len(line) + 1
             return None
         body = unescaped(line[1:])
         if body is None or len(body) != _BODY.size:
-            self.bad_frames += 1
+            self.counts.bad_frames += 1
             return None
         t_us, gx, gy, gz, ax, ay, az = _BODY.unpack(body)
         return Inertial(t_us, (gx, gy, gz), (ax, ay, az))
@@ -70,16 +69,7 @@ class Ximu3Decoder:
 
 def unescaped(data: bytes) -> bytes | None:
     """Without escapes; None when one is not valid."""
-    out = bytearray()
-    at = 0
-    while at < len(data):
-        if data[at] == ESCAPE:
-            known = {0xDC: END, 0xDD: ESCAPE}.get(data[at + 1]) if at + 1 < len(data) else None
-            if known is None:
-                return None
-            out.append(known)
-            at += 2
-        else:
-            out.append(data[at])
-            at += 1
-    return bytes(out)
+    plain, *escaped = data.split(bytes((ESCAPE,)))
+    if any(part[:1] not in _ESCAPED for part in escaped):
+        return None
+    return plain + b"".join(_ESCAPED[part[:1]] + part[1:] for part in escaped)

@@ -5,8 +5,6 @@ Both carry 500 Hz without loss. Ours is the default: the library (1.9.1, measure
 its reading thread being in a callback. The library serves serial and TCP here; UDP is ours.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import math
@@ -16,81 +14,58 @@ from collections import deque
 from typing import Any
 from urllib.parse import urlsplit
 
-from drivers.imu.line import ByteLine
-from drivers.imu.port import ImuLost, LineCounts, LossCounter, Ranges, RawSample, SensorDevice, whole_option
+from drivers.imu.line import ByteLine, LineSensorPort
+from drivers.imu.port import ImuLost, OneSensorPort, whole_option
 from drivers.imu.ximu3_codec import Inertial, Ximu3Decoder
-from fes.signals import G_MPS2, Vector3
+from fes.config import ImuDevice
+from fes.signals import G_MPS2, RawSample
 
 
-class Ximu3Imu:
+class _Ximu3Port(OneSensorPort):
+    def _converted(self, t_ns: int, message: Inertial) -> RawSample:
+        """°/s and g → SI, counted."""
+        stamp_ns = message.t_us * 1000 if message.t_us < 2**53 else 0  # a garbled stamp; 2^53 µs are 285 years
+        gx, gy, gz = message.gyr_dps
+        ax, ay, az = message.acc_g
+        gyr = (math.radians(gx), math.radians(gy), math.radians(gz))
+        return self._sample(t_ns, stamp_ns, (ax * G_MPS2, ay * G_MPS2, az * G_MPS2), gyr)
+
+
+class Ximu3Imu(LineSensorPort, _Ximu3Port):
     """:class:`~drivers.imu.port.ImuPort` for one x-IMU3, by our own decoder."""
 
-    def __init__(self, device: SensorDevice) -> None:
-        self._device = device
-        self.sensors: tuple[str, ...] = (device.sensor,)
-        self.counts = {device.sensor: LineCounts()}
-        self._ranges = Ranges(device)
-        self._open()
-
     def _open(self) -> None:
+        self._decoder = Ximu3Decoder(self._counts)
+        self._expect_samples()
         baudrate = whole_option(self._device, "baudrate", 115200, 1)
-        self._decoder = Ximu3Decoder()
-        self._seen_bad, self._seen_skipped = 0, 0
-        self._losses = LossCounter(self.counts[self._device.sensor], self._device.rate_hz)
         self._line = ByteLine(self._device.sensor, self._device.port, baudrate)
-
-    def fileno(self) -> int:
-        """The line's descriptor."""
-        return self._line.fileno()
 
     def read(self, t_ns: int) -> list[RawSample]:
         """All inertial messages that have arrived."""
-        messages = self._decoder.feed(self._line.read())
-        counts = self.counts[self._device.sensor]
-        counts.bad_frames += self._decoder.bad_frames - self._seen_bad
-        counts.bytes_skipped += self._decoder.bytes_skipped - self._seen_skipped
-        self._seen_bad, self._seen_skipped = self._decoder.bad_frames, self._decoder.bytes_skipped
-        return [self._sample(t_ns, message) for message in messages]
-
-    def _sample(self, t_ns: int, message: Inertial) -> RawSample:
-        return to_sample(self._device.sensor, t_ns, message, self._losses, self._ranges, self.counts)
-
-    def reopen(self) -> None:
-        """Open the line again."""
-        self.close()
-        self._open()
-
-    def close(self) -> None:
-        """Release the line."""
-        self._line.close()
+        return [self._converted(t_ns, message) for message in self._decoder.feed(self._line.read())]
 
 
-class Ximu3LibraryImu:
+class Ximu3LibraryImu(_Ximu3Port):
     """The same by x-io's library: its thread fills a queue and an eventfd tells ``select``.
 
     ``silent_s``: as the library does not report a lost line, one that says nothing for so long is lost.
     """
 
-    def __init__(self, device: SensorDevice, silent_s: float = 1.0) -> None:
+    def __init__(self, device: ImuDevice, silent_s: float = 1.0) -> None:
         try:
             self._library: Any = importlib.import_module("ximu3")
         except ImportError as error:
-            raise ImuLost(
-                f"{device.sensor}: options.library needs the package ximu3: pip install 'fes-gait[ximu3]'"
-            ) from error
-        self._device = device
+            why = "options.library needs the package ximu3: pip install 'fes-gait[ximu3]'"
+            raise ImuLost(f"{device.sensor}: {why}") from error
         self._silent_ns = int(silent_s * 1e9)
-        self.sensors: tuple[str, ...] = (device.sensor,)
-        self.counts = {device.sensor: LineCounts()}
-        self._ranges = Ranges(device)
-        self._open()
+        super().__init__(device)
 
     def _open(self) -> None:
         device = self._device
         baudrate = whole_option(device, "baudrate", 115200, 1)
         self._queue: deque[Inertial] = deque(maxlen=100_000)
         self._errors: deque[int] = deque(maxlen=100_000)
-        self._losses = LossCounter(self.counts[device.sensor], device.rate_hz)
+        self._expect_samples()
         self._heard_ns = -1
         self._event = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._open_event = True
@@ -126,45 +101,25 @@ class Ximu3LibraryImu:
         """All that the library's thread has queued."""
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self._event)
-        counts = self.counts[self._device.sensor]
         samples: list[RawSample] = []
         while self._errors:
             self._errors.popleft()
-            counts.bad_frames += 1
+            self._counts.bad_frames += 1
         while self._queue:
-            message = self._queue.popleft()
-            samples.append(to_sample(self._device.sensor, t_ns, message, self._losses, self._ranges, self.counts))
+            samples.append(self._converted(t_ns, self._queue.popleft()))
         if samples or self._heard_ns < 0:
             self._heard_ns = t_ns
         elif t_ns - self._heard_ns > self._silent_ns:
             raise ImuLost(f"{self._device.sensor} on {self._device.port}: silent. Check cable and power.")
         return samples
 
-    def reopen(self) -> None:
-        """Let the library open a new connection."""
-        self.close()
-        time.sleep(0)  # lets the library's thread see it
-        self._open()
-
     def close(self) -> None:
         """End the library's thread."""
         if self._open_event:
             self._connection.close()
             self._close_event()
+            time.sleep(0)  # lets the library's thread see it
 
     def _close_event(self) -> None:
         self._open_event = False
         os.close(self._event)
-
-
-def to_sample(
-    sensor: str, t_ns: int, message: Inertial, losses: LossCounter, ranges: Ranges, counts: dict[str, LineCounts]
-) -> RawSample:
-    """°/s and g → SI, counted."""
-    stamp_ns = message.t_us * 1000 if message.t_us < 2**53 else 0  # a garbled stamp; 2^53 µs are 285 years
-    losses.note(stamp_ns)
-    gx, gy, gz = message.gyr_dps
-    ax, ay, az = message.acc_g
-    acc: Vector3 = (ax * G_MPS2, ay * G_MPS2, az * G_MPS2)
-    gyr: Vector3 = (math.radians(gx), math.radians(gy), math.radians(gz))
-    return ranges.judged(RawSample(sensor, t_ns, stamp_ns, acc, gyr), counts[sensor])

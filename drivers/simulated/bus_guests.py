@@ -1,12 +1,11 @@
 """Others on the CAN bus: a stop button, and a rogue that sees every frame and sends what no controller would."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager
 from random import Random
-from typing import Final, Self
+from typing import Final
 
 import can
 
@@ -19,7 +18,7 @@ FRAMES_PER_S: Final = 3000  # as many of 8 bytes as a bus of 500 kbit/s carries,
 BURST: Final = 15
 
 
-class StopButton:
+class StopButton(AbstractContextManager["StopButton"]):
     """A stop button: bit 0 of a frame of one byte, every 20 ms and at once when it is pressed; a context manager."""
 
     def __init__(self, settings: Bus, identifier: int) -> None:
@@ -29,11 +28,7 @@ class StopButton:
         self._task = self._bus.send_periodic(self._frame(), PERIOD_S)
 
     def press(self, pressed: bool = True) -> None:
-        """Press it, or let it go.
-
-        Raises:
-            can.CanError: the bus does not take it.
-        """
+        """Press it, or let it go. can.CanError: the bus does not take it."""
         self._pressed = pressed
         self._task.stop()
         self._bus.send(self._frame(), timeout=0)
@@ -43,9 +38,6 @@ class StopButton:
         """Fall silent."""
         self._task.stop()
         self._bus.shutdown()
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
@@ -82,14 +74,11 @@ def asks_for_current(frame: Frame) -> bool:
     return isinstance(message, Command) and message.on
 
 
-class Rogue:
+class Rogue(AbstractContextManager["Rogue"]):
     """An open bus; a context manager."""
 
     def __init__(self, settings: Bus) -> None:
         self._bus = open_bus(settings, frozenset(range(0x800)))
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._bus.shutdown()

@@ -11,27 +11,20 @@ The simulated adapter is of the Lawicel type: text lines ended by CR. ``S6`` bit
 ``tIIILDD…`` a frame with an 11-bit identifier (``T`` with 29 bits); it answers CR, or BEL to what it does not know.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import select
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import can
 
+from drivers.simulated import process_end
 from drivers.simulated.lines import PtyEnd
-from drivers.simulated.process_end import (
-    STDIN,
-    CommandReader,
-    become_real_time,
-    fault_commands,
-    publish_ready,
-    stop_signals,
-)
+from drivers.simulated.process_end import STDIN, CommandReader
 from drivers.stimulator.bus import BusError, bus_off_frame, open_bus
 from drivers.stimulator.can_codec import CONTROLLER_IDS
 from fes.config import Bus
@@ -62,19 +55,11 @@ class BusFront:
             self._bus.send(message, timeout=0)
 
     def plug(self, plugged: bool) -> None:
-        """Not possible.
-
-        Raises:
-            ValueError: always.
-        """
+        """Not possible: ValueError."""
         raise ValueError("a bus has no cable to pull; use cut")
 
     def clog(self, clogged: bool) -> None:
-        """Not possible.
-
-        Raises:
-            ValueError: always.
-        """
+        """Not possible: ValueError."""
         raise ValueError("a bus has no adapter whose buffer could be full")
 
     def bus_off(self, off: bool) -> None:
@@ -165,8 +150,7 @@ class SlcanDecoder:
 
 
 def _decode_frame(line: bytes) -> can.Message | None:
-    digits = {b"t": 3, b"T": 8}.get(line[:1])
-    if digits is None:
+    if not (digits := {b"t": 3, b"T": 8}.get(line[:1])):
         return None
     try:
         identifier = int(line[1 : 1 + digits], 16)
@@ -188,36 +172,34 @@ def waiting_frames(bus: can.BusABC) -> list[can.Message]:
     return frames
 
 
+@dataclass(eq=False)
 class LinkLoop:
     """Both sides and the faults: one wait per turn."""
 
-    def __init__(self, front: BusFront | SlcanFront, back: can.BusABC, wake: int) -> None:
-        self._front = front
-        self._back = back
-        self._wake = wake
+    front: BusFront | SlcanFront
+    back: can.BusABC
+    wake: int
+
+    def __post_init__(self) -> None:
         self._cut = False
         self._reorder = 0
         self._held: can.Message | None = None
-        self._commands = CommandReader(fault_commands(self._inject))
+        self._commands = CommandReader(process_end.fault_commands(self._inject))
 
-    def run(self) -> None:
-        """Until a signal or the end of stdin."""
-        while self._turn():
-            pass
-
-    def _turn(self) -> bool:
-        front, back = self._front.descriptors(), self._back.fileno()
-        ready, _, _ = select.select([self._wake, STDIN, back, *front], [], [], 1.0)
-        if self._wake in ready or (STDIN in ready and not self._commands.read()):
+    def turn(self) -> bool:
+        """Wait, and pass on what has come; False after a signal or the end of stdin."""
+        back = self.back.fileno()
+        ready, _, _ = select.select([self.wake, STDIN, back, *self.front.descriptors()], [], [], 1.0)
+        if self.wake in ready or (STDIN in ready and not self._commands.read()):
             return False
-        if any(descriptor in ready for descriptor in self._front.descriptors()):
-            for message in self._front.read():
+        if any(descriptor in ready for descriptor in self.front.descriptors()):
+            for message in self.front.read():
                 if message.arbitration_id in CONTROLLER_IDS and not self._cut:
                     self._pass_on(message)
         if back in ready:
-            for message in waiting_frames(self._back):
+            for message in waiting_frames(self.back):
                 if message.arbitration_id not in CONTROLLER_IDS and not self._cut:
-                    self._front.write(message)
+                    self.front.write(message)
         return True
 
     def _pass_on(self, message: can.Message) -> None:
@@ -228,7 +210,7 @@ class LinkLoop:
             return
         for each in filter(None, (message, self._held)):
             with contextlib.suppress(can.CanError, OSError):
-                self._back.send(each, timeout=0)
+                self.back.send(each, timeout=0)
         self._held = None
 
     def _inject(self, name: str, value: float) -> None:
@@ -236,11 +218,11 @@ class LinkLoop:
             self._cut = bool(value)
         elif name == "bus_off":
             self._cut = bool(value)
-            self._front.bus_off(self._cut)
+            self.front.bus_off(self._cut)
         elif name == "unplug":
-            self._front.plug(not value)
+            self.front.plug(not value)
         elif name == "clog":
-            self._front.clog(bool(value))
+            self.front.clog(bool(value))
         elif name == "reorder":
             self._reorder = int(value)
         else:
@@ -256,7 +238,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if (options.front is None) == (options.slcan is None):
         parser.error("give either --front or --slcan")
-    stop = stop_signals()
+    stop = process_end.stop_signals()
     front: BusFront | SlcanFront
     try:
         back = open_bus(Bus.model_validate_json(options.back), frozenset(range(0x800)))
@@ -264,9 +246,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BusError, OSError, ValueError) as error:
         print(f"can_link: {error}", file=sys.stderr)
         return 2
-    publish_ready(port=front.port, real_time=become_real_time())
+    process_end.publish_ready(port=front.port, real_time=process_end.become_real_time())
     try:
-        LinkLoop(front, back, stop.fileno()).run()
+        loop = LinkLoop(front, back, stop.fileno())
+        while loop.turn():
+            pass
     finally:
         back.shutdown()
         if options.slcan:

@@ -5,17 +5,18 @@ many of the next messages have a bit flipped, are lost, or change places with th
 comes so many seconds late. ``mute``: 1, none comes at all; 0, all again.
 """
 
-from __future__ import annotations
-
 import contextlib
 import heapq
+import itertools
 import os
 import select
 import socket
 import time
 import tty
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Final, Protocol
+from dataclasses import dataclass
+from typing import Final
 
 from drivers.simulated.process_end import STDIN, CommandReader, fault_commands
 from drivers.simulated.stimulator.firmware import NEVER
@@ -25,37 +26,29 @@ LINE_FAULTS: Final = frozenset(("garble", "drop", "reorder", "delay", "mute"))
 LONGEST_WAIT_S: Final = 1.0
 
 
-class DeviceEnd(Protocol):
-    """Bytes in and out; whoever is at the other end may come and go."""
+class DeviceEnd(ABC):
+    """Bytes in and out; whoever is at the other end may come and go. This base only sends."""
 
     port: str  # what the host opens
 
     def descriptors(self) -> list[int]:
         """To wait for."""
+        return []
 
     def read(self) -> bytes:
         """What has arrived."""
+        return b""
 
+    @abstractmethod
     def write(self, data: bytes) -> None:
         """Out, or lost when nobody takes it."""
 
+    @abstractmethod
     def unplug(self) -> None:
         """The cable is pulled, for good."""
 
 
-class SendingEnd:
-    """Base of an end that only sends."""
-
-    def descriptors(self) -> list[int]:
-        """Nothing is listened to."""
-        return []
-
-    def read(self) -> bytes:
-        """Nothing."""
-        return b""
-
-
-class PtyEnd:
+class PtyEnd(DeviceEnd):
     """A pseudo-terminal; the host opens its other end like a serial port."""
 
     def __init__(self) -> None:
@@ -105,7 +98,7 @@ class PtyEnd:
             os.close(self._own)
 
 
-class TcpEnd:
+class TcpEnd(DeviceEnd):
     """A TCP port on this machine, for one host at a time; ``socket://127.0.0.1:PORT`` opens it."""
 
     def __init__(self) -> None:
@@ -117,9 +110,7 @@ class TcpEnd:
 
     def descriptors(self) -> list[int]:
         """Listener and host."""
-        if not self._plugged:
-            return []
-        return [self._listener.fileno()] + ([] if self._host is None else [self._host.fileno()])
+        return [each.fileno() for each in (self._listener, self._host) if self._plugged and each is not None]
 
     def read(self) -> bytes:
         """Lets a newcomer in; at most 4096 bytes."""
@@ -161,7 +152,7 @@ class TcpEnd:
             self._host = None
 
 
-class UdpEnd(SendingEnd):
+class UdpEnd(DeviceEnd):
     """Datagrams to a port on this machine, which the host opens as ``udp://127.0.0.1:PORT``; it says nothing back.
 
     As on a real network nobody notices that the other end is gone: unplugged, there is silence.
@@ -187,37 +178,42 @@ class UdpEnd(SendingEnd):
         self._socket.close()
 
 
+class FaultValues(dict[str, float]):
+    """Faults by name, 0: none."""
+
+    def use_up(self, name: str) -> bool:
+        """Whether a fault that counts messages or samples meets this one."""
+        meets = self[name] >= 1
+        self[name] -= meets
+        return meets
+
+
 class LineFaults:
     """Messages in, the bytes that come out at the other end; no I/O, no clock."""
 
     def __init__(self) -> None:
-        self._values = dict.fromkeys(LINE_FAULTS, 0.0)
+        self._values = FaultValues(dict.fromkeys(LINE_FAULTS, 0.0))
         self._waiting: list[tuple[int, int, bytes]] = []
         self._held = b""
-        self._order = 0
+        self._order = itertools.count()
 
     def set(self, name: str, value: float) -> None:
-        """Bring a fault about, or with 0 end it.
-
-        Raises:
-            ValueError: no such fault, or a value below 0.
-        """
+        """Bring a fault about, or with 0 end it. ValueError: no such fault, or a value below 0."""
         if name not in LINE_FAULTS or not value >= 0:
-            raise ValueError(
-                f"fault {name!r} = {value!r} is not known; one of {', '.join(sorted(LINE_FAULTS))}, 0 or more"
-            )
+            known = ", ".join(sorted(LINE_FAULTS))
+            raise ValueError(f"fault {name!r} = {value!r} is not known; one of {known}, 0 or more")
         self._values[name] = value
 
     def send(self, t_ns: int, messages: list[bytes]) -> None:
         """The device sends these."""
         for message in messages:
-            if self._values["mute"] or self._use_up("drop"):
+            if self._values["mute"] or self._values.use_up("drop"):
                 continue
-            if self._use_up("garble"):
+            if self._values.use_up("garble"):
                 flipped = bytearray(message)
                 flipped[len(flipped) // 2] ^= 0x10
                 message = bytes(flipped)
-            if not self._held and self._use_up("reorder"):
+            if not self._held and self._values.use_up("reorder"):
                 self._held = message
                 continue
             self._push(t_ns, message)
@@ -237,32 +233,30 @@ class LineFaults:
         return self._waiting[0][0] if self._waiting else NEVER
 
     def _push(self, t_ns: int, message: bytes) -> None:
-        self._order += 1
-        heapq.heappush(self._waiting, (t_ns + int(self._values["delay"] * NS_PER_S), self._order, message))
-
-    def _use_up(self, name: str) -> bool:
-        if self._values[name] < 1:
-            return False
-        self._values[name] -= 1
-        return True
+        heapq.heappush(self._waiting, (t_ns + int(self._values["delay"] * NS_PER_S), next(self._order), message))
 
 
-class Device(Protocol):
+class Device(ABC):
     """What such a device does: time and bytes in, messages out; no I/O, no clock."""
 
+    @abstractmethod
     def receive(self, t_ns: int, data: bytes) -> list[bytes]:
         """Act on bytes from the host."""
 
+    @abstractmethod
     def advance(self, t_ns: int) -> list[bytes]:
         """Do all that is due by ``t_ns``."""
 
+    @abstractmethod
     def next_deadline_ns(self) -> int:
         """When :meth:`advance` must be called again at the latest."""
 
+    @abstractmethod
     def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
         """Bring about one of its own faults; ValueError for one it does not know."""
 
 
+@dataclass(eq=False)
 class DeviceLoop:
     """Device, its end of the line, and the line's faults: one wait per turn, until a deadline, a byte or a command.
 
@@ -270,20 +264,13 @@ class DeviceLoop:
     called whenever the device has acted.
     """
 
-    def __init__(
-        self,
-        device: Device,
-        end: DeviceEnd,
-        wake: int,
-        *,
-        stdin: bool = True,
-        afterwards: Callable[[], None] = lambda: None,
-    ) -> None:
-        self._device = device
-        self._end = end
-        self._wake = wake
-        self._stdin = [STDIN] if stdin else []
-        self._afterwards = afterwards
+    device: Device
+    end: DeviceEnd
+    wake: int
+    stdin: bool = True
+    afterwards: Callable[[], None] = lambda: None
+
+    def __post_init__(self) -> None:
         self._faults = LineFaults()
         self._commands = CommandReader(fault_commands(self.inject))
 
@@ -293,35 +280,31 @@ class DeviceLoop:
             pass
 
     def inject(self, name: str, value: float) -> None:
-        """Bring a fault about: the line's or the device's own.
-
-        Raises:
-            ValueError: no such fault.
-        """
+        """Bring a fault about: the line's or the device's own. ValueError: no such fault."""
         now_ns = time.monotonic_ns()
         if name == "unplug":
-            self._end.unplug()
+            self.end.unplug()
         elif name in LINE_FAULTS:
             self._faults.set(name, value)
         else:
-            self._put_out(now_ns, self._device.set_fault(now_ns, name, value))
+            self._put_out(now_ns, self.device.set_fault(now_ns, name, value))
 
     def _turn(self) -> bool:
         now_ns = time.monotonic_ns()
-        self._put_out(now_ns, self._device.advance(now_ns))
-        deadline_ns = min(self._device.next_deadline_ns(), self._faults.next_deadline_ns())
+        self._put_out(now_ns, self.device.advance(now_ns))
+        deadline_ns = min(self.device.next_deadline_ns(), self._faults.next_deadline_ns())
         wait_s = min(max(0.0, (deadline_ns - time.monotonic_ns()) / NS_PER_S), LONGEST_WAIT_S)
-        line = self._end.descriptors()
-        ready, _, _ = select.select([self._wake, *self._stdin, *line], [], [], wait_s)
-        if self._wake in ready or (STDIN in ready and not self._commands.read()):
+        stdin = [STDIN] if self.stdin else []
+        ready, _, _ = select.select([self.wake, *stdin, *self.end.descriptors()], [], [], wait_s)
+        if self.wake in ready or (STDIN in ready and not self._commands.read()):
             return False
         # a command may have closed what select found
-        if any(descriptor in ready for descriptor in self._end.descriptors()) and (data := self._end.read()):
+        if any(descriptor in ready for descriptor in self.end.descriptors()) and (data := self.end.read()):
             now_ns = time.monotonic_ns()
-            self._put_out(now_ns, self._device.receive(now_ns, data))
+            self._put_out(now_ns, self.device.receive(now_ns, data))
         return True
 
     def _put_out(self, now_ns: int, messages: list[bytes]) -> None:
         self._faults.send(now_ns, messages)
-        self._end.write(self._faults.due(now_ns))
-        self._afterwards()
+        self.end.write(self._faults.due(now_ns))
+        self.afterwards()

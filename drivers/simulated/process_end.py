@@ -5,8 +5,6 @@ a line with the time at which it had taken effect, or answered with what is wron
 end the process. The other end of the conversation is :mod:`drivers.simulated.process_handle`.
 """
 
-from __future__ import annotations
-
 import gc
 import json
 import os
@@ -14,6 +12,7 @@ import signal
 import socket
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 STDIN: Final = 0
@@ -54,15 +53,13 @@ def fault_commands(inject: Callable[[str, float], None]) -> Callable[[dict[str, 
     return execute
 
 
+@dataclass(eq=False)
 class CommandReader:
     """Commands as they come on stdin; ``execute`` carries one out and returns the answer, without the time."""
 
-    def __init__(
-        self, execute: Callable[[dict[str, Any]], dict[str, Any]], now_ns: Callable[[], int] = time.monotonic_ns
-    ) -> None:
-        self._execute = execute
-        self._now_ns = now_ns
-        self._incomplete = b""
+    execute: Callable[[dict[str, Any]], dict[str, Any]]
+    now_ns: Callable[[], int] = time.monotonic_ns
+    _incomplete: bytes = b""
 
     def read(self) -> bool:
         """Execute what has come, when stdin is readable; False at its end."""
@@ -70,7 +67,7 @@ class CommandReader:
         *lines, self._incomplete = (self._incomplete + data).split(b"\n")
         for line in lines:
             try:
-                answer = {**self._execute(json.loads(line)), "t_ns": self._now_ns()}
+                answer = {**self.execute(json.loads(line)), "t_ns": self.now_ns()}
             except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
                 answer = {"error": f"{line.decode(errors='replace')!r}: {error}"}
             print(json.dumps(answer), flush=True)

@@ -1,10 +1,7 @@
 """A simulated device's process, seen from whoever started it: started, given faults, asked for its record, ended.
 
-The other end of the conversation is :mod:`drivers.simulated.process_end`. The handles of the single kinds of device add
-what their ready line holds beyond this, and what the device sends unasked.
+The other end of the conversation is :mod:`drivers.simulated.process_end`.
 """
-
-from __future__ import annotations
 
 import contextlib
 import json
@@ -29,13 +26,8 @@ class ProcessHandle:
     """A running device: ``port`` is what the host opens, ``record`` the file that it writes (None: none).
 
     Use as a context manager, or call :meth:`stop`. Should this process die first, the device sees its stdin close and
-    ends by itself.
-
-    Args:
-        what: the device, as messages name it.
-        module: run by ``python -m``.
-        arguments: the module's.
-        lost: what is raised when the device is not there.
+    ends by itself. ``what`` is the device, as messages name it; ``python -m module`` runs it. ``ready`` holds the facts
+    of its ready line, to which each kind of device adds its own.
 
     Raises:
         lost: it ended, or was not ready within ``timeout_s``; the message holds the command and what it printed.
@@ -54,8 +46,6 @@ class ProcessHandle:
         self._what = what
         self._lost = lost
         self.record = record
-        self.port = ""
-        self.real_time = False
         command = [sys.executable, "-m", module, *arguments, *([] if record is None else ["--record", str(record)])]
         self._unread = b""
         self._overdue = 0
@@ -65,17 +55,14 @@ class ProcessHandle:
         )
         line = self._read_line(timeout_s)
         try:
-            self._on_ready(json.loads(line or ""))
-        except (ValueError, KeyError, TypeError) as error:
+            self.ready: dict[str, Any] = json.loads(line or "")
+            self.port, self.real_time = str(self.ready.get("port", "")), bool(self.ready["real_time"])
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             if line is None:
                 self.process.kill()
             why = self._error_output(f"nothing within {timeout_s:g} s" if line is None else line.strip())
             self.stop()
             raise lost(f"{what} did not start ({' '.join(command)}); it said: {why}") from error
-
-    def _on_ready(self, ready: Mapping[str, Any]) -> None:
-        """What the ready line holds; each kind of device adds its own."""
-        self.port, self.real_time = str(ready.get("port", "")), bool(ready["real_time"])
 
     def _on_message(self, message: Mapping[str, Any]) -> bool:
         """Take in a line that the device may send unasked; whether it was one. A device that does so overrides this."""
@@ -90,16 +77,18 @@ class ProcessHandle:
         return int(self.request({"fault": fault, "value": value})["t_ns"])
 
     def request(self, command: Mapping[str, Any]) -> dict[str, Any]:
-        """Send any command that this device takes; its answer.
-
-        Raises:
-            lost: as :meth:`inject` does.
-        """
+        """Send any command that this device takes; its answer. lost: as :meth:`inject` does."""
         try:
             if self.process.stdin is not None:
                 self.process.stdin.write(json.dumps(dict(command)).encode() + b"\n")
                 self.process.stdin.flush()
-            answer = self._answer()
+            end_s = time.monotonic() + ANSWER_WAIT_S
+            answer: dict[str, Any] = {}
+            while not answer:
+                if (line := self._read_line(max(0.0, end_s - time.monotonic()))) is None:
+                    self._overdue += 1  # its answer, should it still come, is none to the next command
+                    raise self._lost(f"{self._what} has not answered within {ANSWER_WAIT_S:g} s")
+                answer = self._answer_in(line)
         except (OSError, ValueError) as error:
             raise self._lost(f"{self._what} is gone; it said: {self._error_output()}") from error
         if "error" in answer:
@@ -145,23 +134,13 @@ class ProcessHandle:
             with contextlib.suppress(ValueError, TypeError):  # nobody waits for a line that says nothing
                 self._answer_in(line)
 
-    def _answer(self) -> dict[str, Any]:
-        end_s = time.monotonic() + ANSWER_WAIT_S
-        while (line := self._read_line(max(0.0, end_s - time.monotonic()))) is not None:
-            if answer := self._answer_in(line):
-                return answer
-        self._overdue += 1  # its answer, should it still come, is none to the next command
-        raise self._lost(f"{self._what} has not answered within {ANSWER_WAIT_S:g} s")
-
     def _answer_in(self, line: str) -> dict[str, Any]:
         """The answer to the newest command; empty for what was sent unasked and for an answer that is overdue."""
         message: dict[str, Any] = json.loads(line)
-        if self._on_message(message):
-            return {}
-        if self._overdue:
-            self._overdue -= 1
-            return {}
-        return message
+        unasked = self._on_message(message)
+        overdue = not unasked and self._overdue > 0
+        self._overdue -= overdue
+        return {} if unasked or overdue else message
 
     def _read_line(self, timeout_s: float) -> str | None:
         """The next line it prints; without its end when it prints no more, None when there is none in time."""

@@ -5,8 +5,6 @@ machine; a virtual patient listens and feels nothing else. Nobody listening, or 
 stimulator.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import socket
@@ -90,18 +88,13 @@ class RecordReader:
             try:
                 entries.append(RecordEntry(**json.loads(line)))
             except (ValueError, TypeError) as error:
-                raise ValueError(
-                    f"{self._path}:{self._lines}: is no entry of a stimulator's record: {error}"
-                ) from error
+                where = f"{self._path}:{self._lines}"
+                raise ValueError(f"{where}: is no entry of a stimulator's record: {error}") from error
         return entries
 
 
 def read_record(path: Path) -> list[RecordEntry]:
-    """All complete lines of a record; a last line without its end (the node was killed) is left out.
-
-    Raises:
-        ValueError: a line is no record entry; names file and line.
-    """
+    """All complete lines, as :meth:`RecordReader.new_entries` has them; a last one without its end is left out."""
     return RecordReader(path).new_entries()
 
 
@@ -118,12 +111,9 @@ class PulseOutlet:
     """The stimulator's end; ``None`` for the path sends nothing. ``lost`` counts the pulses that nobody took."""
 
     def __init__(self, path: Path | None) -> None:
-        self._path = None if path is None else str(path)
-        self._socket: socket.socket | None = None
+        self._path = path
+        self._socket = None if path is None else socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.lost = 0
-        if path is not None:
-            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-            self._socket.setblocking(False)
 
     def send_made(self, channels: Iterable[deque[tuple[int, float, float]]]) -> None:
         """Send what each output stage has made since the last call: time, mA, µs."""
@@ -140,10 +130,9 @@ class PulseOutlet:
 
     def send(self, pulse: Pulse) -> None:
         """Send one; never waits."""
-        if self._socket is None or self._path is None:
-            return
         try:
-            self._socket.sendto(_PULSE.pack(*pulse), self._path)
+            if self._socket is not None:
+                self._socket.sendto(_PULSE.pack(*pulse), socket.MSG_DONTWAIT, str(self._path))
         except OSError:
             self.lost += 1
 
@@ -154,11 +143,7 @@ class PulseOutlet:
 
 
 class PulseInlet:
-    """The patient's end, bound to ``path``.
-
-    Raises:
-        OSError: the path is too long (107 bytes), or cannot be made.
-    """
+    """The patient's end, bound to ``path``. OSError: the path is too long (107 bytes), or cannot be made."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -179,13 +164,12 @@ class PulseInlet:
     def receive(self) -> list[Pulse]:
         """What has come; datagrams of another size are passed over."""
         pulses: list[Pulse] = []
-        while True:
-            try:
+        with suppress(OSError):  # the end of the loop
+            while True:
                 datagram = self._socket.recv(4096)
-            except OSError:
-                return pulses
-            if len(datagram) == _PULSE.size:
-                pulses.append(Pulse(*_PULSE.unpack(datagram)))
+                if len(datagram) == _PULSE.size:
+                    pulses.append(Pulse(*_PULSE.unpack(datagram)))
+        return pulses
 
     def close(self) -> None:
         """Close and remove it."""

@@ -1,12 +1,10 @@
 """Start a simulated device's process (stimulator, sensor, or the line to one), and be sure to end it."""
 
-from __future__ import annotations
-
 import json
 import socket
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import can
 
@@ -30,23 +28,16 @@ class NodeFailed(StimulatorLost):
 class NodeHandle(ProcessHandle):
     """A running node, or a line to one: ``bus`` reaches it. ``boot_id`` is -1 for a line."""
 
-    def __init__(
-        self,
-        what: str,
-        module: str,
-        arguments: Sequence[str],
-        bus: Bus,
-        *,
-        timeout_s: float,
-        record: Path | None = None,
-    ) -> None:
+    def __init__(self, what: str, module: str, arguments: Sequence[str], bus: Bus, record: Path | None = None) -> None:
+        super().__init__(what, module, arguments, lost=NodeFailed, timeout_s=20.0, record=record)
         self.bus = bus
-        self.boot_id = -1
-        super().__init__(what, module, arguments, lost=NodeFailed, timeout_s=timeout_s, record=record)
+        self.boot_id = int(self.ready.get("boot_id", -1))
 
-    def _on_ready(self, ready: Mapping[str, Any]) -> None:
-        super()._on_ready(ready)
-        self.boot_id = int(ready.get("boot_id", -1))
+
+def _options(**values: object) -> list[str]:
+    """As a command line has them; None: left out."""
+    given = ((name.replace("_", "-"), value) for name, value in values.items() if value is not None)
+    return [part for name, value in given for part in (f"--{name}", str(value))]
 
 
 def spawn_node(
@@ -57,7 +48,6 @@ def spawn_node(
     bus: Bus | None = None,
     clock: str = "real",
     pulses: Path | None = None,
-    timeout_s: float = 20.0,
 ) -> NodeHandle:
     """Start ``python -m drivers.simulated.stimulator.can_node`` and wait until it is ready.
 
@@ -66,16 +56,13 @@ def spawn_node(
     :func:`drivers.simulated.stimulator.firmware.parse_faults`.
 
     Raises:
-        NodeFailed: it ended, or was not ready within ``timeout_s``.
+        NodeFailed: it ended, or was not ready in time.
     """
-    settings = bus or free_bus()
-    arguments = ["--until-stdin-closes", "--clock", clock, "--faults", faults]
-    arguments += ["--interface", settings.interface, "--channel", settings.channel]
-    arguments += ["--port", str(settings.options["port"])] if "port" in settings.options else []
-    arguments += ["--boot-id", str(boot_id)] if boot_id is not None else []
-    arguments += ["--pulses", str(pulses)] if pulses is not None else []
+    bus = bus or free_bus()
+    arguments = ["--until-stdin-closes", *_options(clock=clock, faults=faults, boot_id=boot_id, pulses=pulses)]
+    arguments += _options(interface=bus.interface, channel=bus.channel, port=bus.options.get("port"))
     module = "drivers.simulated.stimulator.can_node"
-    return NodeHandle("the simulated stimulator", module, arguments, settings, timeout_s=timeout_s, record=record)
+    return NodeHandle("the simulated stimulator", module, arguments, bus, record)
 
 
 def free_bus(interface: str = "") -> Bus:
@@ -103,23 +90,16 @@ def why_silent(settings: Bus) -> str:
     return "" if heard is not None else "frames are sent but do not come back on this machine"
 
 
-def spawn_link(
-    back: Bus, *, front: Bus | None = None, slcan: Path | None = None, timeout_s: float = 20.0
-) -> NodeHandle:
+def spawn_link(back: Bus, *, front: Bus | None = None, slcan: Path | None = None) -> NodeHandle:
     """Start ``python -m drivers.simulated.can_link`` and wait until it is ready; it can ``cut`` or ``unplug``.
 
-    Args:
-        back: the node's bus.
-        front: the controller's bus, or
-        slcan: where the simulated adapter's serial line is to be found.
+    ``back`` is the node's bus, ``front`` the controller's; or ``slcan`` is where the simulated adapter's line will be.
 
     Raises:
-        NodeFailed: it ended, or was not ready within ``timeout_s``.
+        NodeFailed: it ended, or was not ready in time.
     """
-    arguments = ["--back", back.model_dump_json()]
-    arguments += ["--front", front.model_dump_json()] if front is not None else ["--slcan", str(slcan)]
-    module = "drivers.simulated.can_link"
-    return NodeHandle("the simulated CAN line", module, arguments, front or back, timeout_s=timeout_s)
+    arguments = _options(back=back.model_dump_json(), front=front and front.model_dump_json(), slcan=slcan)
+    return NodeHandle("the simulated CAN line", "drivers.simulated.can_link", arguments, front or back)
 
 
 class DeviceHandle(ProcessHandle):
@@ -140,25 +120,18 @@ def spawn_device(
     Raises:
         NodeFailed: it ended, or was not ready within ``timeout_s``.
     """
-    arguments = ["--until-stdin-closes", "--line", line, "--faults", faults]
-    arguments += ["--pulses", str(pulses)] if pulses is not None else []
-    module = f"drivers.simulated.stimulator.{kind}"
-    return DeviceHandle(
-        "the simulated stimulator", module, arguments, lost=NodeFailed, timeout_s=timeout_s, record=record
-    )
+    what, module = "the simulated stimulator", f"drivers.simulated.stimulator.{kind}"
+    arguments = ["--until-stdin-closes", *_options(line=line, faults=faults, pulses=pulses)]
+    return DeviceHandle(what, module, arguments, lost=NodeFailed, timeout_s=timeout_s, record=record)
 
 
 class ImuHandle(ProcessHandle):
     """A running sensor: ``port`` is what the host opens, ``t0_ns`` when its clock stood at its offset."""
 
-    def __init__(self, arguments: Sequence[str], timeout_s: float) -> None:
-        self.t0_ns = 0
+    def __init__(self, arguments: Sequence[str]) -> None:
         module = "drivers.simulated.imu.process"
-        super().__init__("the simulated sensor", module, arguments, lost=ImuLost, timeout_s=timeout_s)
-
-    def _on_ready(self, ready: Mapping[str, Any]) -> None:
-        super()._on_ready(ready)
-        self.t0_ns = int(ready["t0_ns"])
+        super().__init__("the simulated sensor", module, arguments, lost=ImuLost, timeout_s=30.0)
+        self.t0_ns = int(self.ready["t0_ns"])
 
     def clear(self) -> None:
         """End the faults that last."""
@@ -179,30 +152,16 @@ def spawn_imu(
     id_offset: int = 0,
     options: Mapping[str, str | int | float | bool] | None = None,
     name: str = "imu",
-    timeout_s: float = 30.0,
 ) -> ImuHandle:
     """Start ``python -m drivers.simulated.imu.process`` and wait until it is ready.
 
-    Args:
-        device: what it is, as in the session's settings.
-        sensor: whose movement.
-        recording: played instead of a simulated walk.
-        rate_hz: samples a second, by its own clock.
-        offset_s: of its clock at the start.
-        drift_ppm: of its clock.
-        line: of ``xbus`` and ``ximu3``.
-        bus: of ``xsens_can`` and ``dbc_can``.
-        id_offset: of ``xsens_can``.
-        options: of ``dbc_can``, as in the session's settings.
-        name: of the LSL stream.
-        timeout_s: to be ready in.
+    It feels what ``sensor`` feels in ``recording``, or in a simulated walk, ``rate_hz`` times a second by a clock
+    that begins at ``offset_s`` and drifts by ``drift_ppm``. ``line`` is for ``xbus`` and ``ximu3``, ``bus`` for
+    ``xsens_can`` (with ``id_offset``) and ``dbc_can`` (with ``options`` as in a session's settings), ``name`` for LSL.
 
     Raises:
-        ImuLost: it ended, or was not ready within ``timeout_s``.
+        ImuLost: it ended, or was not ready in time.
     """
-    arguments = ["--device", device, "--sensor", sensor, "--rate", str(rate_hz), "--offset", str(offset_s)]
-    arguments += ["--drift", str(drift_ppm), "--line", line, "--id-offset", str(id_offset), "--name", name]
-    arguments += ["--recording", str(recording)] if recording is not None else []
-    arguments += ["--bus", bus.model_dump_json()] if bus is not None else []
-    arguments += ["--options", json.dumps(dict(options))] if options is not None else []
-    return ImuHandle(arguments, timeout_s)
+    arguments = _options(device=device, sensor=sensor, rate=rate_hz, offset=offset_s, drift=drift_ppm, line=line)
+    arguments += _options(id_offset=id_offset, name=name, recording=recording, bus=bus and bus.model_dump_json())
+    return ImuHandle(arguments + _options(options=None if options is None else json.dumps(dict(options))))

@@ -4,8 +4,6 @@ Besides python-can's interfaces there is ``loopback``, for a machine without any
 serial adapters (slcan) so that it never waits.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os
@@ -91,7 +89,7 @@ class PromptSlcanBus(slcanBus):
 
     def _read(self, timeout: float | None) -> str | None:
         """The next line; None when none is complete within ``timeout``."""
-        while (line := self._line()) is None:
+        while not (ends := [at for at in map(self._buffer.find, _ENDS) if at >= 0]):
             try:
                 if not select.select([self._descriptor], [], [], timeout)[0]:
                     return None
@@ -103,12 +101,6 @@ class PromptSlcanBus(slcanBus):
             if not data:
                 raise can.CanOperationError("the adapter is gone")
             self._buffer += data
-        return line
-
-    def _line(self) -> str | None:
-        ends = [at for at in (self._buffer.find(end) for end in _ENDS) if at >= 0]
-        if not ends:
-            return None
         line = self._buffer[: min(ends) + 1]
         del self._buffer[: min(ends) + 1]
         return line.decode("latin-1")
@@ -172,8 +164,7 @@ class LoopbackBus(can.BusABC):
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         try:
-            ready, _, _ = select.select([self._socket], [], [], timeout)
-            if not ready:
+            if not select.select([self._socket], [], [], timeout)[0]:
                 return None, False
             datagram = self._socket.recv(64)
         except OSError as error:
@@ -181,11 +172,8 @@ class LoopbackBus(can.BusABC):
         if len(datagram) != _FRAME.size or datagram[4] > 8:
             raise can.CanOperationError(f"a datagram of {len(datagram)} bytes is no CAN frame")
         identifier, length, data = _FRAME.unpack(datagram)
-        return can.Message(
-            arbitration_id=identifier & ~_EXTENDED,
-            is_extended_id=bool(identifier & _EXTENDED),
-            data=data[:length],
-        ), False
+        extended = bool(identifier & _EXTENDED)
+        return can.Message(arbitration_id=identifier & ~_EXTENDED, is_extended_id=extended, data=data[:length]), False
 
     def fileno(self) -> int:
         """The socket, for ``select``."""
@@ -226,25 +214,17 @@ def open_bus(settings: Bus, identifiers: frozenset[int] = NODE_IDS) -> can.BusAB
         # read and leave the rest waiting: there the port itself drains and drops them
         options["can_filters"] = [{"can_id": number, "can_mask": 0x7FF, "extended": False} for number in identifiers]
     try:
-        bus = _opened(settings, options)
+        if own := {LOOPBACK: LoopbackBus, SLCAN: PromptSlcanBus}.get(settings.interface):
+            bus: can.BusABC = own(settings.channel, **options)
+        else:
+            bus = can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
     except Exception as error:  # vendors' modules raise anything: OSError, NameError, ImportError, CanError …
-        cause = error.__cause__ or error
+        fault = f"cannot be opened: {error.__cause__ or error} ({type(error).__name__})"
         hint = _HINTS.get(settings.interface, "See python-can's page on this interface for its channel and options.")
-        fault = f"{cause} ({type(error).__name__})"
-        raise BusError(
-            f"CAN bus {settings.interface} {settings.channel!r} cannot be opened: {fault}. {hint}"
-        ) from error
+        raise BusError(f"CAN bus {settings.interface} {settings.channel!r} {fault}. {hint}") from error
     with contextlib.suppress(NotImplementedError, OSError, ValueError):  # a vendor's library may have no descriptor
         make_room(bus.fileno())
     return bus
-
-
-def _opened(settings: Bus, options: dict[str, Any]) -> can.BusABC:
-    if settings.interface == LOOPBACK:
-        return LoopbackBus(settings.channel, **options)
-    if settings.interface == SLCAN:
-        return PromptSlcanBus(settings.channel, **options)
-    return can.Bus(interface=settings.interface, channel=settings.channel, ignore_config=True, **options)
 
 
 def read_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:
@@ -263,11 +243,7 @@ def read_frame(bus: can.BusABC, timeout_s: float) -> can.Message | None:
 
 
 def write_frame(bus: can.BusABC, identifier: int, data: bytes) -> None:
-    """Put a frame of 11 bit identifier out, at once or never.
-
-    Raises:
-        StimulatorLost: the bus did not take it.
-    """
+    """Put a frame of 11 bit identifier out, at once or never. StimulatorLost: the bus did not take it."""
     try:
         bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False), timeout=0)
     except (can.CanError, OSError) as error:

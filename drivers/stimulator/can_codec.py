@@ -5,18 +5,17 @@ encoders return ``(identifier, 8 bytes)``. A value that a field cannot hold rais
 Physical values that fall between two steps are rounded down, never up.
 """
 
-from __future__ import annotations
-
 import math
-from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from dataclasses import dataclass, fields
+from enum import IntFlag
 from importlib import resources
-from typing import Final, TypeAlias, cast
+from typing import Any, Final, TypeAlias, cast
 
-from cantools.database.can import Database, Signal
+from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 
 from drivers.stimulator import e2e
+from drivers.stimulator.port import WordedEnum
 from fes.signals import StimCommand, WireFrame
 
 PROTOCOL_VERSION: Final = 2
@@ -24,31 +23,18 @@ NO_SESSION: Final = 0
 ECHOED_COUNTS: Final = 16  # answers name a command by the low 4 bits of its count
 
 
-class Result(IntEnum):
+class Result(WordedEnum):
     """What the node did with a command, or why it reports unasked (LEASE_EXPIRED, ON_TIME, OUTPUT_FAULT)."""
 
-    OK = 0
-    LEASE_EXPIRED = 1
-    BAD_SESSION = 2
-    BAD_COUNTER = 3
-    OVER_LIMIT = 4
-    BAD_VALIDITY = 5
-    ON_TIME = 6
-    FAULTED = 7
-    OUTPUT_FAULT = 8
-
-
-RESULT_TEXT: Final[dict[Result, str]] = {
-    Result.OK: "",
-    Result.LEASE_EXPIRED: "lease expired: no newer command came in time, the channel is off",
-    Result.BAD_SESSION: "command refused: its session is not open at the stimulator",
-    Result.BAD_COUNTER: "command refused: repeated, old, or more than two commands lost",
-    Result.OVER_LIMIT: "command refused: over the stimulator's own limits, the channel is off",
-    Result.BAD_VALIDITY: "command refused: its validity is 0 or longer than the stimulator allows, the channel is off",
-    Result.ON_TIME: "on for too long: the stimulator keeps the channel off until it gets an off command",
-    Result.FAULTED: "command refused: the stimulator has a fault and needs a new session",
-    Result.OUTPUT_FAULT: "output stage fault: electrode or lead, the channel is off",
-}
+    OK = 0, ""
+    LEASE_EXPIRED = 1, "lease expired: no newer command came in time, the channel is off"
+    BAD_SESSION = 2, "command refused: its session is not open at the stimulator"
+    BAD_COUNTER = 3, "command refused: repeated, old, or more than two commands lost"
+    OVER_LIMIT = 4, "command refused: over the stimulator's own limits, the channel is off"
+    BAD_VALIDITY = 5, "command refused: its validity is 0 or longer than the stimulator allows, the channel is off"
+    ON_TIME = 6, "on for too long: the stimulator keeps the channel off until it gets an off command"
+    FAULTED = 7, "command refused: the stimulator has a fault and needs a new session"
+    OUTPUT_FAULT = 8, "output stage fault: electrode or lead, the channel is off"
 
 
 class Fault(IntFlag):
@@ -72,8 +58,7 @@ FAULT_TEXT: Final[dict[Fault, str]] = {
 def fault_text(faults: int) -> str:
     """The flags in words, "" for none; unknown bits are named by number."""
     words = [text for flag, text in FAULT_TEXT.items() if faults & flag]
-    unknown = faults & ~sum(FAULT_TEXT)
-    if unknown:
+    if unknown := faults & ~sum(FAULT_TEXT):
         words.append(f"unknown fault flags 0x{unknown:02x}")
     return "; ".join(words)
 
@@ -154,46 +139,44 @@ class FrameRejected(ValueError):
     """Bytes that are no frame of this protocol; the message says why."""
 
 
-def _load() -> Database:
-    database = Database(strict=True)
-    database.add_dbc_string(resources.files(__package__).joinpath("fes_stimulator.dbc").read_text(encoding="ascii"))
-    return database
-
-
-DATABASE: Final = _load()
-_COMMAND: Final = DATABASE.get_message_by_name("STIM_COMMAND")
-_OPEN: Final = DATABASE.get_message_by_name("SESSION_OPEN")
-_CHARGE: Final = DATABASE.get_message_by_name("STIM_CHARGE")
-_STATUS: Final = DATABASE.get_message_by_name("STIM_STATUS")
-_ALIVE: Final = DATABASE.get_message_by_name("NODE_ALIVE")
-
-COMMAND_ID: Final = _COMMAND.frame_id
-OPEN_ID: Final = _OPEN.frame_id
-CHARGE_ID: Final = _CHARGE.frame_id
-STATUS_ID: Final = _STATUS.frame_id
-ALIVE_ID: Final = _ALIVE.frame_id
+DATABASE: Final = Database(strict=True)
+DATABASE.add_dbc_string(resources.files(__package__).joinpath("fes_stimulator.dbc").read_text(encoding="ascii"))
+_OF_TYPE: Final[dict[type[Message], DbcMessage]] = {
+    Command: DATABASE.get_message_by_name("STIM_COMMAND"),
+    SessionOpen: DATABASE.get_message_by_name("SESSION_OPEN"),
+    Charge: DATABASE.get_message_by_name("STIM_CHARGE"),
+    Status: DATABASE.get_message_by_name("STIM_STATUS"),
+    Alive: DATABASE.get_message_by_name("NODE_ALIVE"),
+}
+COMMAND_ID, OPEN_ID, CHARGE_ID, STATUS_ID, ALIVE_ID = (message.frame_id for message in _OF_TYPE.values())
 CONTROLLER_IDS: Final = frozenset((COMMAND_ID, OPEN_ID))
 NODE_IDS: Final = frozenset((CHARGE_ID, STATUS_ID, ALIVE_ID))
-
-
-def _step_and_most(signal: Signal) -> tuple[float, float]:
-    return float(signal.scale), float(signal.scale) * (2**signal.length - 1)
-
-
-CURRENT_STEP_MA, MAX_CURRENT_MA = _step_and_most(_COMMAND.get_signal_by_name("Current"))
-PULSE_WIDTH_STEP_US, MAX_PULSE_WIDTH_US = _step_and_most(_COMMAND.get_signal_by_name("PulseWidth"))
-FREQUENCY_STEP_HZ, MAX_FREQUENCY_HZ = _step_and_most(_COMMAND.get_signal_by_name("Frequency"))
+_TYPES: Final = {message.frame_id: kind for kind, message in _OF_TYPE.items()}
+_SIGNALS: Final = {
+    "counter": "Counter", "session_id": "Session", "channel": "Channel", "on": "On", "current_ma": "Current",
+    "pulse_width_us": "PulseWidth", "frequency_hz": "Frequency", "validity_ms": "Validity", "result": "Result",
+    "version": "Version", "boot_id": "Boot", "pulses_total": "PulsesTotal", "charge_total_steps": "ChargeTotal",
+    "rejected": "Rejected", "faults": "Faults",
+}  # fmt: skip
+_FIELDS: Final = {kind: [(field.name, _SIGNALS[field.name]) for field in fields(kind)] for kind in _OF_TYPE}
+_MOST: Final[dict[str, int]] = {s.name: 2**s.length - 1 for m in DATABASE.messages for s in m.signals}
+_COMMAND: Final = _OF_TYPE[Command]
+CURRENT_STEP_MA, PULSE_WIDTH_STEP_US, FREQUENCY_STEP_HZ = (
+    float(_COMMAND.get_signal_by_name(name).scale) for name in ("Current", "PulseWidth", "Frequency")
+)
+MAX_CURRENT_MA: Final = CURRENT_STEP_MA * _MOST["Current"]
+MAX_PULSE_WIDTH_US: Final = PULSE_WIDTH_STEP_US * _MOST["PulseWidth"]
+MAX_FREQUENCY_HZ: Final = FREQUENCY_STEP_HZ * _MOST["Frequency"]
 CHARGE_STEP_UC: Final = CURRENT_STEP_MA * PULSE_WIDTH_STEP_US * 1e-3
 CHARGE_TOTAL_STEPS: Final = 2**24
 PULSES_TOTAL: Final = 2**8
 VALIDITY_STEP_MS: Final = int(_COMMAND.get_signal_by_name("Validity").scale)
 COUNTER_LOW: Final = _COMMAND.get_signal_by_name("Counter").length
-_MOST: Final[dict[str, int]] = {s.name: 2**s.length - 1 for m in DATABASE.messages for s in m.signals}
-_NAMES: Final = {  # of the fields whose values have another name here
-    "Session": "session_id",
-    "Boot": "boot_id",
-    "PulsesTotal": "pulses_total",
-    "ChargeTotal": "charge_total_steps",
+_STEPS: Final[dict[str, float]] = {
+    "Current": CURRENT_STEP_MA,
+    "PulseWidth": PULSE_WIDTH_STEP_US,
+    "Frequency": FREQUENCY_STEP_HZ,
+    "Validity": VALIDITY_STEP_MS,
 }
 
 
@@ -210,16 +193,8 @@ def encode_command(command: StimCommand, number: int, session_id: int) -> Frame:
     carried_id, count = e2e.carried(
         _whole("session_id", session_id, _MOST["Session"], least=1), _whole("number", number, e2e.NUMBERS - 1)
     )
-    return _pack(
-        _COMMAND,
-        Counter=count & 2**COUNTER_LOW - 1,
-        CounterHigh=count >> COUNTER_LOW,
-        Channel=command.channel,
-        On=int(command.on),
-        Session=carried_id,
-        Validity=_steps("validity_ms", command.validity_ms, VALIDITY_STEP_MS, _MOST["Validity"]),
-        **(_level_steps(command) if command.on else {"Current": 0, "PulseWidth": 0, "Frequency": 0}),
-    )
+    levels = (command.current_ma, command.pulse_width_us, command.frequency_hz) if command.on else (0.0, 0.0, 0.0)
+    return encode(Command(count, carried_id, command.channel, command.on, *levels, command.validity_ms))
 
 
 def encode_open(boot_id: int, session_id: int, version: int = PROTOCOL_VERSION) -> Frame:
@@ -229,45 +204,25 @@ def encode_open(boot_id: int, session_id: int, version: int = PROTOCOL_VERSION) 
         ValueError: a number is out of its field's range; session 0 means "none" and cannot be opened.
     """
     _whole("session_id", session_id, _MOST["Session"], least=1)
-    return _pack(_OPEN, Version=version, Boot=boot_id, Session=session_id)
+    return encode(SessionOpen(version, boot_id, session_id))
 
 
-def encode_charge(charge: Charge) -> Frame:
-    """STIM_CHARGE; the caller has reduced the totals to their moduli."""
-    return _pack(
-        _CHARGE,
-        Counter=charge.counter,
-        Channel=charge.channel,
-        Session=charge.session_id,
-        PulsesTotal=charge.pulses_total,
-        ChargeTotal=charge.charge_total_steps,
-    )
+def encode(message: Message) -> Frame:
+    """The protected frame of any message; ``Reserved`` is 0. The caller has reduced a charge's totals to their moduli.
 
-
-def encode_status(status: Status) -> Frame:
-    """STIM_STATUS."""
-    return _pack(
-        _STATUS,
-        Counter=status.counter,
-        Channel=status.channel,
-        On=int(status.on),
-        Session=status.session_id,
-        Result=int(status.result),
-        **_level_steps(status),
-    )
-
-
-def encode_alive(alive: Alive) -> Frame:
-    """NODE_ALIVE."""
-    return _pack(
-        _ALIVE,
-        Counter=alive.counter,
-        Version=alive.version,
-        Boot=alive.boot_id,
-        Session=alive.session_id,
-        Rejected=alive.rejected,
-        Faults=alive.faults,
-    )
+    Raises:
+        ValueError: a value is negative, not finite or beyond what its field holds.
+    """
+    raw = {"Crc": 0, "Reserved": 0}
+    for name, signal in _FIELDS[type(message)]:
+        value = getattr(message, name)
+        if isinstance(message, Command) and name == "counter":
+            raw["CounterHigh"] = _whole(name, value >> COUNTER_LOW, _MOST["CounterHigh"])
+            value &= 2**COUNTER_LOW - 1
+        step = _STEPS.get(signal)
+        raw[signal] = _whole(name, value, _MOST[signal]) if step is None else _steps(name, value, step, _MOST[signal])
+    layout = _OF_TYPE[type(message)]
+    return layout.frame_id, e2e.protect(layout.frame_id, layout.encode(raw, scaling=False, strict=False))
 
 
 def decode(identifier: int, data: bytes) -> Message:
@@ -276,36 +231,21 @@ def decode(identifier: int, data: bytes) -> Message:
     Raises:
         FrameRejected: unknown identifier, wrong length, wrong CRC, reserved bits set, or a result unknown here.
     """
-    if identifier == COMMAND_ID:
-        return _command(_unpack(_COMMAND, data))
-    if identifier == STATUS_ID:
-        raw = _unpack(_STATUS, data)
+    kind = _TYPES.get(identifier)
+    if kind is None:
+        raise FrameRejected(f"identifier 0x{identifier:x} is none of this protocol's")
+    raw = _unpack(_OF_TYPE[kind], data)
+    values: dict[str, Any] = {name: raw[signal] * _STEPS.get(signal, 1) for name, signal in _FIELDS[kind]}
+    if "on" in values:
+        values["on"] = bool(values["on"])
+    if kind is Command:
+        values["counter"] |= raw["CounterHigh"] << COUNTER_LOW
+    if kind is Status:
         try:
-            result = Result(raw["Result"])
+            values["result"] = Result(raw["Result"])
         except ValueError as error:
             raise FrameRejected(f"STIM_STATUS: unknown result {raw['Result']}") from error
-        return Status(raw["Counter"], raw["Session"], raw["Channel"], bool(raw["On"]), *_levels(raw), result)
-    if identifier == CHARGE_ID:
-        raw = _unpack(_CHARGE, data)
-        return Charge(raw["Counter"], raw["Session"], raw["Channel"], raw["PulsesTotal"], raw["ChargeTotal"])
-    if identifier == ALIVE_ID:
-        raw = _unpack(_ALIVE, data)
-        return Alive(raw["Counter"], raw["Version"], raw["Boot"], raw["Session"], raw["Rejected"], raw["Faults"])
-    if identifier == OPEN_ID:
-        raw = _unpack(_OPEN, data)
-        return SessionOpen(raw["Version"], raw["Boot"], raw["Session"])
-    raise FrameRejected(f"identifier 0x{identifier:x} is none of this protocol's")
-
-
-def decode_command(identifier: int, data: bytes) -> Command:
-    """STIM_COMMAND only.
-
-    Raises:
-        FrameRejected: as for :func:`decode`, or it is another of the protocol's frames.
-    """
-    if identifier != COMMAND_ID:
-        raise FrameRejected(f"identifier 0x{identifier:x} is not STIM_COMMAND (0x{COMMAND_ID:x})")
-    return _command(_unpack(_COMMAND, data))
+    return kind(**values)
 
 
 def logged_commands(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
@@ -324,29 +264,6 @@ def logged_commands(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
     return commands
 
 
-def _command(raw: dict[str, int]) -> Command:
-    count = raw["CounterHigh"] << COUNTER_LOW | raw["Counter"]
-    validity_ms = raw["Validity"] * VALIDITY_STEP_MS
-    return Command(count, raw["Session"], raw["Channel"], bool(raw["On"]), *_levels(raw), validity_ms)
-
-
-def _levels(raw: dict[str, int]) -> tuple[float, float, float]:
-    return (
-        raw["Current"] * CURRENT_STEP_MA,
-        raw["PulseWidth"] * PULSE_WIDTH_STEP_US,
-        raw["Frequency"] * FREQUENCY_STEP_HZ,
-    )
-
-
-def _level_steps(levels: StimCommand | Status) -> dict[str, int]:
-    """Current, width and frequency in steps."""
-    return {
-        "Current": _steps("current_ma", levels.current_ma, CURRENT_STEP_MA, _MOST["Current"]),
-        "PulseWidth": _steps("pulse_width_us", levels.pulse_width_us, PULSE_WIDTH_STEP_US, _MOST["PulseWidth"]),
-        "Frequency": _steps("frequency_hz", levels.frequency_hz, FREQUENCY_STEP_HZ, _MOST["Frequency"]),
-    }
-
-
 def _whole(name: str, value: int, most: int, least: int = 0) -> int:
     if not least <= value <= most:
         raise ValueError(f"{name} = {value} does not fit its field ({least} to {most})")
@@ -357,15 +274,6 @@ def _steps(name: str, value: float, step: float, most: int) -> int:
     if not math.isfinite(value) or not 0.0 <= value < (most + 1) * step:
         raise ValueError(f"{name} = {value} does not fit its field (0 to {most * step:g})")
     return math.floor(value / step)
-
-
-def _pack(message: DbcMessage, **raw: int) -> Frame:
-    """The protected frame of these field values; ``Reserved`` is 0."""
-    for name, value in raw.items():
-        _whole(_NAMES.get(name, name.lower()), value, _MOST[name])
-    raw |= {"Crc": 0, "Reserved": 0}
-    identifier = message.frame_id
-    return identifier, e2e.protect(identifier, message.encode(raw, scaling=False, strict=False))
 
 
 def _unpack(message: DbcMessage, data: bytes) -> dict[str, int]:

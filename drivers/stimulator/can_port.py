@@ -3,8 +3,6 @@
 It keeps account of which commands are answered, whether each answer says what was asked, and which are overdue.
 """
 
-from __future__ import annotations
-
 import contextlib
 import time
 from collections import deque
@@ -16,19 +14,7 @@ import can
 
 from drivers.stimulator import can_codec
 from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
-from drivers.stimulator.can_codec import (
-    ECHOED_COUNTS,
-    PROTOCOL_VERSION,
-    RESULT_TEXT,
-    Alive,
-    Charge,
-    Fault,
-    Frame,
-    Message,
-    Result,
-    Status,
-    fault_text,
-)
+from drivers.stimulator.can_codec import Alive, Charge, Fault, Frame, Message, Result, Status, fault_text
 from drivers.stimulator.e2e import NUMBERS, carried
 from drivers.stimulator.port import SessionUsed, StimulatorLost
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
@@ -37,7 +23,7 @@ REMEMBERED: Final = 128  # commands: more than are sent until one is overdue, 36
 ANSWER_WITHIN_MS: Final = 45  # two command periods and some: the next command, 20 ms later, is the one retry
 HEARTBEAT_WITHIN_MS: Final = 350  # NODE_ALIVE comes every 100 ms
 POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
-COUNTERS: Final = ECHOED_COUNTS
+COUNTERS: Final = can_codec.ECHOED_COUNTS
 OPEN_AGAIN_AFTER_ALIVES: Final = 3  # without our session in them: SESSION_OPEN was lost, or refused
 _SESSION_GONE: Final = "the stimulator has not our session open (it restarted, or another controller took it)"
 _HALF_STEPS: Final = (("current_ma", 0.25, "mA"), ("pulse_width_us", 0.5, "µs"), ("frequency_hz", 0.5, "Hz"))
@@ -46,9 +32,7 @@ _HALF_STEPS: Final = (("current_ma", 0.25, "mA"), ("pulse_width_us", 0.5, "µs")
 class CommandAnswers:
     """Commands sent and not yet answered. An answer settles its channel's older ones: what they asked for is past.
 
-    Args:
-        in_real_time: whether ``t_ns`` is the time on the wall, so that lateness means something. Otherwise nothing
-            is ever overdue.
+    ``in_real_time``: whether ``t_ns`` is the time on the wall; lateness means nothing otherwise, nothing is overdue.
     """
 
     def __init__(self, *, in_real_time: bool) -> None:
@@ -90,22 +74,19 @@ class CommandAnswers:
 
         One lost answer is none yet: the next command, 20 to 30 ms later, is the retry, and its answer settles both.
         """
-        if not self._in_real_time or not self._waiting:
-            return None
-        _, command, written_ns = self._waiting[0]
-        if t_ns - written_ns <= ANSWER_WITHIN_MS * 1_000_000:
-            return None
-        self._waiting.clear()
-        return command
+        if self._in_real_time and self._waiting and t_ns - self._waiting[0][2] > ANSWER_WITHIN_MS * 1_000_000:
+            command = self._waiting[0][1]
+            self._waiting.clear()
+            return command
+        return None
 
     def silent(self, t_ns: int) -> bool:
         """Whether the heartbeat has stopped; reported once for every 350 ms of silence."""
         if not self._in_real_time or self._heartbeat_ns is None:
             return False
-        if t_ns - self._heartbeat_ns <= HEARTBEAT_WITHIN_MS * 1_000_000:
-            return False
-        self._heartbeat_ns = t_ns
-        return True
+        silent = t_ns - self._heartbeat_ns > HEARTBEAT_WITHIN_MS * 1_000_000
+        self._heartbeat_ns = t_ns if silent else self._heartbeat_ns
+        return silent
 
 
 def _difference(command: StimCommand, status: Status) -> str:
@@ -123,12 +104,12 @@ def _difference(command: StimCommand, status: Status) -> str:
     return ", ".join(wrong)
 
 
+@dataclass(slots=True)
 class CommandEncoder:
     """Gives a session's commands their numbers; the same commands give the same bytes, bus or no bus."""
 
-    def __init__(self, session_id: int) -> None:
-        self.session_id = session_id
-        self.number = 0
+    session_id: int
+    number: int = 0
 
     @property
     def counter(self) -> int:
@@ -158,7 +139,7 @@ class Handshake:
 
 
 class CanStimulator:
-    """:class:`~drivers.stimulator.port.StimulatorPort` on an open bus, which it then owns.
+    """Port (:mod:`drivers.stimulator.port`) on an open bus, which it then owns.
 
     Call :meth:`open` once before the first command. ``foreign`` counts frames that were not for us: other
     identifiers, other sessions, wrong CRCs, repeated heartbeats (not controllers' frames: multicast returns our own).
@@ -181,8 +162,7 @@ class CanStimulator:
         self._bus = bus
         self._encoder = CommandEncoder(session_id)
         self._answers = CommandAnswers(in_real_time=in_real_time)
-        self._in_real_time = in_real_time
-        self._clock_ns = clock_ns
+        self._in_real_time, self._clock_ns = in_real_time, clock_ns
         self._session_gone = False
         self._boot_id = 0
         self._totals: dict[int, tuple[int, int]] = {}
@@ -216,10 +196,9 @@ class CanStimulator:
             if not isinstance(message, Alive):
                 continue
             last = message
-            if message.version != PROTOCOL_VERSION:
+            if message.version != can_codec.PROTOCOL_VERSION:
                 break
-            alive = self._alive(message, t_ns, expect_session=False)
-            heard.append(alive)
+            heard.append(self._alive(message, t_ns, expect_session=False))
             if message.boot_id == asked_boot_id and message.session_id == self.session_id:
                 self._alive_counter = message.counter
                 return Handshake(message.boot_id, tuple(frames), tuple(heard))
@@ -228,9 +207,8 @@ class CanStimulator:
             alives_since += 1
             if message.boot_id != asked_boot_id or alives_since >= OPEN_AGAIN_AFTER_ALIVES:
                 asked_boot_id, alives_since = message.boot_id, 0
-                identifier, data = can_codec.encode_open(asked_boot_id, self.session_id)
-                write_frame(self._bus, identifier, data)
-                frames.append(WireFrame(t_ns, identifier, data))
+                frames.append(WireFrame(t_ns, *can_codec.encode_open(asked_boot_id, self.session_id)))
+                write_frame(self._bus, frames[-1].identifier, frames[-1].data)
         raise StimulatorLost(self._why_not_open(last, timeout_s))
 
     def send(self, command: StimCommand) -> WireFrame:
@@ -244,10 +222,10 @@ class CanStimulator:
         if self._encoder.number == NUMBERS:
             raise StimulatorLost(f"{self._bus.channel_info}: the session has no numbers left for commands")
         counter = self._encoder.counter
-        identifier, data = self._encoder.encode(command)
-        write_frame(self._bus, identifier, data)
+        frame = WireFrame(command.t_ns, *self._encoder.encode(command))
+        write_frame(self._bus, frame.identifier, frame.data)
         self._answers.sent(counter, command, self._clock_ns() if self._clock_ns else None)
-        return WireFrame(command.t_ns, identifier, data)
+        return frame
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """All that has arrived from the node, at most 128 frames, stamped ``t_ns``.
@@ -273,7 +251,12 @@ class CanStimulator:
                 self._totals[message.channel] = (message.pulses_total, message.charge_total_steps)
             elif isinstance(message, Status):
                 events.append(self._status(message, t_ns))
-        return events + self._overdue(t_ns)
+        if command := self._answers.overdue(t_ns):
+            fault = f"no answer within {ANSWER_WITHIN_MS} ms"
+            events.append(StimStatus(t_ns, command.channel, self._encoder.counter, False, 0.0, 0.0, 0.0, fault=fault))
+        if self._answers.silent(t_ns):
+            events.append(StimAlive(t_ns, self._boot_id, 0, f"no heartbeat for {HEARTBEAT_WITHIN_MS} ms"))
+        return events
 
     def close(self) -> None:
         """Shut the bus down; sends nothing."""
@@ -292,18 +275,8 @@ class CanStimulator:
         levels = (status.current_ma, status.pulse_width_us, status.frequency_hz)
         new_pulses = (pulses - seen_pulses) % can_codec.PULSES_TOTAL
         charge_uc = ((steps - seen_steps) % can_codec.CHARGE_TOTAL_STEPS) * can_codec.CHARGE_STEP_UC
-        fault = RESULT_TEXT[status.result] or different
+        fault = status.result.words or different
         return StimStatus(t_ns, status.channel, status.counter, status.on, *levels, new_pulses, charge_uc, fault)
-
-    def _overdue(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """What should have come by now, as faults."""
-        faults: list[StimStatus | StimAlive] = []
-        if command := self._answers.overdue(t_ns):
-            fault = f"no answer within {ANSWER_WITHIN_MS} ms"
-            faults.append(StimStatus(t_ns, command.channel, self._encoder.counter, False, 0.0, 0.0, 0.0, fault=fault))
-        if self._answers.silent(t_ns):
-            faults.append(StimAlive(t_ns, self._boot_id, 0, f"no heartbeat for {HEARTBEAT_WITHIN_MS} ms"))
-        return faults
 
     def _alive(self, alive: Alive, t_ns: int, *, expect_session: bool) -> StimAlive:
         fault = fault_text(alive.faults)
@@ -335,10 +308,10 @@ class CanStimulator:
                 f"no stimulator was heard on {where} within {timeout_s:g} s ({self.foreign} other frames were). Is it "
                 f"powered and connected, is the channel right, is the bit rate the same on both sides? {LINE_HINT}"
             )
-        if last.version != PROTOCOL_VERSION:
+        if last.version != can_codec.PROTOCOL_VERSION:
             return (
-                f"the stimulator on {where} speaks protocol version {last.version}, this program {PROTOCOL_VERSION}: "
-                f"update the older one"
+                f"the stimulator on {where} speaks protocol version {last.version}, this program "
+                f"{can_codec.PROTOCOL_VERSION}: update the older one"
             )
         why = fault_text(last.faults) or "it named no reason; does another controller use it?"
         return (
@@ -358,17 +331,11 @@ class ByteSink:
 
     def open(self, t_ns: int, boot_id: int) -> WireFrame:
         """The SESSION_OPEN that a node with this boot id would have got."""
-        identifier, data = can_codec.encode_open(boot_id, self.session_id)
-        return WireFrame(t_ns, identifier, data)
+        return WireFrame(t_ns, *can_codec.encode_open(boot_id, self.session_id))
 
     def send(self, command: StimCommand) -> WireFrame:
-        """The command's frame.
-
-        Raises:
-            ValueError: a value does not fit its field.
-        """
-        identifier, data = self._encoder.encode(command)
-        return WireFrame(command.t_ns, identifier, data)
+        """The command's frame. ValueError: a value does not fit its field."""
+        return WireFrame(command.t_ns, *self._encoder.encode(command))
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """Nothing ever arrives."""

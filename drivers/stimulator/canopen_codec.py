@@ -52,12 +52,9 @@ class CanOpenSettings:
     heartbeat_ms: int = 500
 
     def __post_init__(self) -> None:
-        for name, least, most in (
-            ("node_id", 1, 127),
-            ("current_index", 0x2000, 0x9FFF),
-            ("width_index", 0x2000, 0x9FFF),
-            ("heartbeat_ms", 10, 10_000),
-        ):
+        entries = (0x2000, 0x9FFF)
+        whole = {"node_id": (1, 127), "current_index": entries, "width_index": entries, "heartbeat_ms": (10, 10_000)}
+        for name, (least, most) in whole.items():
             value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= most:
                 raise ValueError(f"{name} = {value!r} must be a whole number from {least} to {most}")
@@ -72,11 +69,7 @@ class CanOpenSettings:
 
     @classmethod
     def from_options(cls, options: Mapping[str, Any]) -> CanOpenSettings:
-        """From a session's options.
-
-        Raises:
-            ValueError: one is missing, unknown or out of range; the message names it.
-        """
+        """From a session's options. ValueError: one is missing, unknown or out of range; the message names it."""
         try:
             return cls(**options)
         except TypeError as error:
@@ -113,10 +106,6 @@ class CanOpenSettings:
     def sdo(self, what: int, channel: int, value: int) -> Sdo:
         """The entry for a channel's current (0) or width (1)."""
         return Sdo((self.current_index, self.width_index)[what], channel + 1, value, self.value_bytes)
-
-    def what(self, sdo: Sdo) -> int:
-        """The inverse: 0 for a current, 1 for a width."""
-        return int(sdo.index == self.width_index)
 
     def answers(self, sdo: Sdo, message: can.Message) -> bool:
         """Whether this is the node's answer to that download, good or bad."""

@@ -9,8 +9,6 @@ what was commanded; values travel one at a time, a step behind. A rise lags by a
 until the lower value is confirmed. Channels that are on together pulse together, at the lowest of their frequencies.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Sequence
@@ -19,17 +17,10 @@ from typing import ClassVar, Final
 
 import can
 
+from drivers.stimulator import canopen_codec as codec
 from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
 from drivers.stimulator.can_port import COUNTERS, POLL_AT_MOST, Handshake
-from drivers.stimulator.canopen_codec import (
-    BOOT_UP,
-    OPERATIONAL,
-    SYNC_ID,
-    CanOpenSettings,
-    Sdo,
-    encode_download,
-    encode_start,
-)
+from drivers.stimulator.canopen_codec import BOOT_UP, OPERATIONAL, CanOpenSettings, Sdo
 from drivers.stimulator.port import ANSWER_WITHIN_NS, PulseTrain, StimulatorLost
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 
@@ -46,23 +37,16 @@ class _ChannelState:
     counter: int = 0
     frequency_hz: float = 0.0
 
-    def holds_no_more_than_wanted(self) -> bool:
-        if self.confirmed[CURRENT] == 0:
-            return True
-        return self.confirmed[CURRENT] <= self.wanted[CURRENT] and self.confirmed[WIDTH] <= self.wanted[WIDTH]
-
 
 class CanOpenStimulator:
-    """:class:`~drivers.stimulator.port.StimulatorPort` on an open bus, which it then owns.
+    """Port (:mod:`drivers.stimulator.port`) on an open bus, which it then owns.
 
     A node that restarted, or was stopped or silent for a while, is reported by a :class:`StimAlive` and is lost from
     then on: nobody knows what its entries hold now, and only :meth:`open` begins with what is known.
 
     In the log, identifier 0x80 is a SYNC with, as its data, the SDO that went out after it, if any; another identifier
-    is an SDO alone; 0 is a command that put nothing on the bus. The device counts no pulses.
-
-    Args:
-        channels: those of the session, in the order in which each control step commands them.
+    is an SDO alone; 0 is a command that put nothing on the bus. The device counts no pulses. ``channels`` are those of
+    the session, in the order in which each control step commands them.
     """
 
     one_pulse_per_command: ClassVar[bool] = True
@@ -79,7 +63,7 @@ class CanOpenStimulator:
         self._last = channels[-1]
         self._train = PulseTrain()
         self._counter = 0
-        self._pending: tuple[Sdo, int, int] | None = None  # what, channel, since when
+        self._pending: tuple[Sdo, int, int, int] | None = None  # for which channel, current or width, since when
         self._boot_id = 1
         self._beat_ns: int | None = None
         self._away = False
@@ -109,7 +93,7 @@ class CanOpenStimulator:
                 continue
             if message.arbitration_id == self._settings.heartbeat_id and message.data:
                 state = message.data[0] & 0x7F
-                frame = encode_start(node) if state != OPERATIONAL else None
+                frame = codec.encode_start(node) if state != OPERATIONAL else None
                 if state == BOOT_UP:
                     todo, asked = zeros, None
             elif asked is not None and self._settings.answers(asked, message):
@@ -123,7 +107,7 @@ class CanOpenStimulator:
                 continue
             if state == OPERATIONAL:  # also asks again at every heartbeat, should the first have been lost
                 asked = todo[0]
-                frame = encode_download(node, asked)
+                frame = codec.encode_download(node, asked)
             if frame is not None:
                 write_frame(self._bus, *frame)
                 frames.append(WireFrame(t_ns, *frame))
@@ -146,12 +130,12 @@ class CanOpenStimulator:
         self._counter = (self._counter + 1) % COUNTERS
         sync = command.channel == self._last and self._sync_is_due(command.t_ns)
         if sync:
-            write_frame(self._bus, SYNC_ID, b"")
+            write_frame(self._bus, codec.SYNC_ID, b"")
         frame = self._next_download(command.t_ns)
         if frame is not None:
             write_frame(self._bus, *frame)
-        identifier = SYNC_ID if sync else frame[0] if frame is not None else 0
-        return WireFrame(command.t_ns, identifier, frame[1] if frame is not None else b"")
+        identifier, data = frame or (0, b"")
+        return WireFrame(command.t_ns, codec.SYNC_ID if sync else identifier, data)
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
         """All that has arrived, at most 128 frames, and what should have, stamped ``t_ns``.
@@ -171,11 +155,11 @@ class CanOpenStimulator:
                 events += self._answer(t_ns, message)
             else:
                 self.foreign += 1
-        if self._pending is not None and t_ns - self._pending[2] > ANSWER_WITHIN_NS:
-            sdo, channel, _ = self._pending
+        if self._pending is not None and t_ns - self._pending[3] > ANSWER_WITHIN_NS:
+            sdo, channel, what, _ = self._pending
             self._pending = None
             held = self._channels[channel].confirmed  # it may have arrived all the same: reckon with the larger
-            held[self._settings.what(sdo)] = max(held[self._settings.what(sdo)], sdo.value)
+            held[what] = max(held[what], sdo.value)
             events.append(self._status(t_ns, channel, "no answer within 100 ms"))
         if self._beat_ns is None:
             self._beat_ns = t_ns
@@ -211,12 +195,13 @@ class CanOpenStimulator:
         state.counter = self._counter
 
     def _sync_is_due(self, t_ns: int) -> bool:
-        on = [state for state in self._channels.values() if state.confirmed[CURRENT] and state.wanted[CURRENT]]
+        holding = [state for state in self._channels.values() if state.confirmed[CURRENT]]
+        on = [state for state in holding if state.wanted[CURRENT]]
         if not on:
             self._train.off()
             return False
-        states = self._channels.values()
-        if self._pending is not None or not all(state.holds_no_more_than_wanted() for state in states):
+        too_much = (s.confirmed[CURRENT] > s.wanted[CURRENT] or s.confirmed[WIDTH] > s.wanted[WIDTH] for s in holding)
+        if self._pending is not None or any(too_much):
             return False
         return self._train.due(t_ns, min(state.frequency_hz for state in on))
 
@@ -229,18 +214,18 @@ class CanOpenStimulator:
         too_little = [(c, CURRENT) for c, n in self._channels.items() if n.confirmed[CURRENT] < n.wanted[CURRENT]]
         for channel, what in [*too_much, *widths, *too_little]:
             sdo = self._settings.sdo(what, channel, self._channels[channel].wanted[what])
-            self._pending = (sdo, channel, t_ns)
-            return encode_download(self._settings.node_id, sdo)
+            self._pending = (sdo, channel, what, t_ns)
+            return codec.encode_download(self._settings.node_id, sdo)
         return None
 
     def _answer(self, t_ns: int, message: can.Message) -> list[StimStatus | StimAlive]:
         if self._pending is None or not self._settings.answers(self._pending[0], message):
             return [StimAlive(t_ns, self._boot_id, 0, "an SDO answer to no command of ours: late, repeated or foreign")]
-        sdo, channel, _ = self._pending
+        sdo, channel, what, _ = self._pending
         self._pending = None
         if why := self._settings.refusal(message):
             return [self._status(t_ns, channel, f"the stimulator {why}")]
-        self._channels[channel].confirmed[self._settings.what(sdo)] = sdo.value
+        self._channels[channel].confirmed[what] = sdo.value
         return [self._status(t_ns, channel, "")]
 
     def _heartbeat(self, t_ns: int, state: int) -> StimAlive:
@@ -263,8 +248,5 @@ class CanOpenStimulator:
         state = self._channels[channel]
         current, width = state.confirmed if not fault else (0, 0)
         on = bool(current) and bool(state.wanted[CURRENT])
-        current_ma = current * self.current_step_ma if on else 0.0
-        width_us = width * self.pulse_width_step_us if on else 0.0
-        return StimStatus(
-            t_ns, channel, state.counter, on, current_ma, width_us, state.frequency_hz if on else 0.0, fault=fault
-        )
+        levels = (current * self.current_step_ma, width * self.pulse_width_step_us, state.frequency_hz)
+        return StimStatus(t_ns, channel, state.counter, on, *(levels if on else (0.0, 0.0, 0.0)), fault=fault)

@@ -17,36 +17,32 @@ Source: AUTOSAR, Specification of SW-C End-to-End Communication Protection Libra
 Routines, ``Crc_CalculateCRC8H2F``.
 """
 
-from __future__ import annotations
-
+from functools import reduce
 from typing import Final
 
 FRAME_LENGTH: Final = 8
 COUNTS: Final = 128  # values of a command's count; then the session identifier goes up by one
 SESSIONS: Final = 65_535  # values of the session identifier: 1 to 65,535
 NUMBERS: Final = COUNTS * SESSIONS  # commands of a session, at most
-_POLYNOMIAL: Final = 0x2F
 
 
-def _table() -> bytes:
+def crc8_table(polynomial: int) -> bytes:
+    """The 256 steps of a CRC of 8 bits that is not reflected."""
     rows = bytearray()
     for start in range(256):
         crc = start
         for _ in range(8):
-            crc = ((crc << 1) ^ _POLYNOMIAL if crc & 0x80 else crc << 1) & 0xFF
+            crc = ((crc << 1) ^ polynomial if crc & 0x80 else crc << 1) & 0xFF
         rows.append(crc)
     return bytes(rows)
 
 
-_TABLE: Final = _table()
+_TABLE: Final = crc8_table(0x2F)
 
 
 def crc8h2f(data: bytes) -> int:
     """CRC-8H2F of any bytes, 0–255."""
-    crc = 0xFF
-    for byte in data:
-        crc = _TABLE[crc ^ byte]
-    return crc ^ 0xFF
+    return reduce(lambda crc, byte: _TABLE[crc ^ byte], data, 0xFF) ^ 0xFF
 
 
 def frame_crc(identifier: int, data: bytes) -> int:
@@ -65,12 +61,7 @@ def is_intact(identifier: int, data: bytes) -> bool:
 
 
 def carried(session_id: int, number: int) -> tuple[int, int]:
-    """The session identifier and the count that the command of this number carries; a session's first is number 0.
-
-    Args:
-        session_id: as it was opened, 1–65535.
-        number: at least 0.
-    """
+    """The session identifier (as opened: 1–65535) and the count that a command carries; the first is number 0."""
     spans, count = divmod(number, COUNTS)
     return (session_id - 1 + spans) % SESSIONS + 1, count
 

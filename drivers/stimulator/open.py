@@ -1,11 +1,10 @@
 """The stimulator that a session names, opened: the one place that knows all of them."""
 
-from __future__ import annotations
-
 import secrets
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 from drivers.stimulator.bus import open_bus
@@ -18,6 +17,13 @@ from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
 from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, Line, LineSettings, open_line
 from fes.config import ConfigError, Session, StimulatorDevice
 
+_P24_OPTIONS: Final = frozenset(("model", "baudrate"))
+_OPTIONS: Final[dict[str, frozenset[str]]] = {
+    "can": frozenset(),
+    "p24_low_level": _P24_OPTIONS,
+    "p24_mid_level": _P24_OPTIONS | {"accept_watchdog_s"},
+    "rehastim2": frozenset(),
+}
 CHANNELS_OF: Final = {"p24": 8, "rehamove3": 4}
 Port = CanStimulator | CanOpenStimulator | LowLevelStimulator | MidLevelStimulator | RehaStim2
 Opener = Callable[[str, LineSettings], Line]
@@ -36,8 +42,7 @@ class OpenedSession(NamedTuple):
 def open_session(settings: StimulatorDevice, session: Session, t_ns: int) -> OpenedSession:
     """A stimulator ready for commands, under an identifier drawn by chance; under another where it has had that one.
 
-    Args:
-        t_ns: the time with which the handshake is stamped.
+    ``t_ns``: the time with which the handshake is stamped.
 
     Raises:
         ConfigError: as for :func:`open_stimulator`.
@@ -50,18 +55,13 @@ def open_session(settings: StimulatorDevice, session: Session, t_ns: int) -> Ope
 
 
 def _open_once(settings: StimulatorDevice, session: Session, t_ns: int) -> OpenedSession:
-    session_id = new_session_id()
+    session_id = secrets.randbelow(65535) + 1  # most likely not seen by the stimulator since it was switched on
     port = open_stimulator(settings, session, session_id)
     try:
         return OpenedSession(port, session_id, port.open(t_ns))
     except BaseException:
         port.close()
         raise
-
-
-def new_session_id() -> int:
-    """A number that the stimulator has most likely not seen since it was switched on (1–65535)."""
-    return secrets.randbelow(65535) + 1
 
 
 def open_stimulator(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener = open_line) -> Port:
@@ -75,7 +75,39 @@ def open_stimulator(settings: StimulatorDevice, session: Session, session_id: in
         ConfigError: an option that this device does not have, or a session that it cannot serve.
         StimulatorLost: the line or bus cannot be opened.
     """
-    return _MAKERS[settings.device](settings, session, session_id, opener)
+    device = settings.device
+    if device == "canopen":
+        return _open_canopen(settings, session, session_id)
+    if unknown := sorted(settings.options.keys() - _OPTIONS[device]):
+        allowed = ", ".join(sorted(_OPTIONS[device])) or "none"
+        raise ConfigError(f"stimulator.options of device {device!r}: {', '.join(unknown)}; it has {allowed}")
+    if device == "can":
+        return CanStimulator(open_bus(session.bus), session_id, in_real_time=True, clock_ns=time.monotonic_ns)
+    if device == "rehastim2":
+        _rate_suffices(settings, session)
+        numbers = _channel_numbers(settings, session)
+        return RehaStim2(opener(settings.port, SCIENCEMODE2), session_id, numbers)
+    model = settings.options.get("model", "p24")
+    if not isinstance(model, str) or model not in CHANNELS_OF:
+        raise ConfigError(f"stimulator.options.model = {model!r}; one of: {', '.join(CHANNELS_OF)}")
+    most = CHANNELS_OF[model]
+    for channel in session.channels:
+        if channel.number >= most:
+            raise ConfigError(f"channel {channel.name!r}: number {channel.number}; a {model} has 0 to {most - 1}")
+    baudrate = settings.options.get("baudrate", SCIENCEMODE4.baudrate)
+    if isinstance(baudrate, bool) or not isinstance(baudrate, int) or baudrate <= 0:
+        raise ConfigError(f"stimulator.options.baudrate = {baudrate!r} must be a whole number above 0")
+    line_settings = replace(SCIENCEMODE4, baudrate=baudrate)
+    if device == "p24_low_level":
+        _rate_suffices(settings, session)
+        return LowLevelStimulator(opener(settings.port, line_settings), session_id, most)
+    accepted_s = settings.options.get("accept_watchdog_s", 0.0)
+    if isinstance(accepted_s, (str, bool)):
+        raise ConfigError(f"stimulator.options.accept_watchdog_s = {accepted_s!r} must be a number of seconds")
+    if why := not_accepted(float(accepted_s)):
+        raise ConfigError(why)
+    line = opener(settings.port, line_settings)
+    return MidLevelStimulator(line, session_id, most, accept_watchdog_s=accepted_s)
 
 
 def open_lead_detected_from_ma(settings: StimulatorDevice) -> float | None:
@@ -85,38 +117,7 @@ def open_lead_detected_from_ma(settings: StimulatorDevice) -> float | None:
     return None if settings.device in ("can", "canopen") else 0.0
 
 
-def _can(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
-    _only(settings, frozenset())
-    return CanStimulator(open_bus(session.bus), session_id, in_real_time=True, clock_ns=time.monotonic_ns)
-
-
-def _low_level(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
-    _only(settings, frozenset(("model", "baudrate")))
-    channels = _channels(settings, session)
-    _rate_suffices(settings, session)
-    return LowLevelStimulator(opener(settings.port, _line_settings(settings)), session_id, channels)
-
-
-def _mid_level(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
-    _only(settings, frozenset(("model", "baudrate", "accept_watchdog_s")))
-    channels = _channels(settings, session)
-    accepted_s = settings.options.get("accept_watchdog_s", 0.0)
-    if isinstance(accepted_s, (str, bool)):
-        raise ConfigError(f"stimulator.options.accept_watchdog_s = {accepted_s!r} must be a number of seconds")
-    if why := not_accepted(float(accepted_s)):
-        raise ConfigError(why)
-    line = opener(settings.port, _line_settings(settings))
-    return MidLevelStimulator(line, session_id, channels, accept_watchdog_s=accepted_s)
-
-
-def _rehastim2(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
-    _only(settings, frozenset())
-    _rate_suffices(settings, session)
-    numbers = _channel_numbers(settings, session)
-    return RehaStim2(opener(settings.port, SCIENCEMODE2), session_id, numbers)
-
-
-def _canopen(settings: StimulatorDevice, session: Session, session_id: int, opener: Opener) -> Port:
+def _open_canopen(settings: StimulatorDevice, session: Session, session_id: int) -> Port:
     try:
         node = CanOpenSettings.from_options(settings.options)
     except ValueError as error:
@@ -135,44 +136,10 @@ def _canopen(settings: StimulatorDevice, session: Session, session_id: int, open
     return CanOpenStimulator(bus, session_id, numbers, node)
 
 
-_MAKERS: Final[dict[str, Callable[[StimulatorDevice, Session, int, Opener], Port]]] = {
-    "can": _can,
-    "p24_low_level": _low_level,
-    "p24_mid_level": _mid_level,
-    "rehastim2": _rehastim2,
-    "canopen": _canopen,
-}
-
-
-def _only(settings: StimulatorDevice, known: frozenset[str]) -> None:
-    unknown = sorted(settings.options.keys() - known)
-    if unknown:
-        allowed = ", ".join(sorted(known)) or "none"
-        raise ConfigError(f"stimulator.options of device {settings.device!r}: {', '.join(unknown)}; it has {allowed}")
-
-
-def _channels(settings: StimulatorDevice, session: Session) -> int:
-    model = settings.options.get("model", "p24")
-    if not isinstance(model, str) or model not in CHANNELS_OF:
-        raise ConfigError(f"stimulator.options.model = {model!r}; one of: {', '.join(CHANNELS_OF)}")
-    most = CHANNELS_OF[model]
-    for channel in session.channels:
-        if channel.number >= most:
-            raise ConfigError(f"channel {channel.name!r}: number {channel.number}; a {model} has 0 to {most - 1}")
-    return most
-
-
 def _channel_numbers(settings: StimulatorDevice, session: Session) -> list[int]:
     if not session.channels:
         raise ConfigError(f"device {settings.device!r} needs the session's channels; there are none")
     return [channel.number for channel in session.channels]
-
-
-def _line_settings(settings: StimulatorDevice) -> LineSettings:
-    baudrate = settings.options.get("baudrate", SCIENCEMODE4.baudrate)
-    if isinstance(baudrate, bool) or not isinstance(baudrate, int) or baudrate <= 0:
-        raise ConfigError(f"stimulator.options.baudrate = {baudrate!r} must be a whole number above 0")
-    return LineSettings(baudrate, SCIENCEMODE4.parity, SCIENCEMODE4.stop_bits, SCIENCEMODE4.rtscts)
 
 
 def _rate_suffices(settings: StimulatorDevice, session: Session) -> None:

@@ -1,20 +1,34 @@
-"""What the runner asks of every stimulator, and what its ports share: owed answers, and one pulse for each command.
+"""What the runner asks of every stimulator's port, and what ports share: owed answers, one pulse for each command.
 
-No I/O, no clock.
+A port has ``send(command)``, which encodes and writes at once and returns what went out, stamped with the command's
+time (StimulatorLost: the line did not take it; ValueError: this line cannot express it); ``poll(t_ns)``, which returns
+whatever has arrived since the last call, stamped ``t_ns`` (StimulatorLost: the line broke); and ``close()``, which may
+be called twice and sends nothing. None waits, none reads a clock, none repeats a command by itself.
 """
-
-from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from typing import Final, Protocol
+from enum import IntEnum
+from typing import Final, Self
 
-from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
+from fes.signals import NS_PER_S
 
 ANSWER_WITHIN_NS: Final = 100_000_000  # ScienceMode2: answers within 100 ms, on average under 20
 MAX_PER_CHANNEL: Final = 2  # unanswered pulses of one channel; a third would wait in the device's queue
 MAX_IN_ALL: Final = 8  # the device's queue holds ten
 FORGOTTEN_AFTER_NS: Final = 1_000_000_000  # what was not answered for so long is in no queue any more
+
+
+class WordedEnum(IntEnum):
+    """Numbers that a device sends, each with what it says ("" when nothing is wrong)."""
+
+    words: str
+
+    def __new__(cls, value: int, words: str = "") -> Self:
+        """A member of this number and these words."""
+        member = int.__new__(cls, value)
+        member._value_, member.words = value, words
+        return member
 
 
 class StimulatorLost(RuntimeError):
@@ -26,28 +40,6 @@ class StimulatorLost(RuntimeError):
 
 class SessionUsed(StimulatorLost):
     """The device opens no session under this identifier, for it has carried commands before; another one it may."""
-
-
-class StimulatorPort(Protocol):
-    """One stimulator. No method waits, none reads a clock, none repeats a command by itself."""
-
-    def send(self, command: StimCommand) -> WireFrame:
-        """Encode and write at once; returns what went out, stamped with the command's time.
-
-        Raises:
-            StimulatorLost: the line did not take the frame.
-            ValueError: the command cannot be expressed on this line.
-        """
-
-    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """Whatever has arrived since the last call, stamped ``t_ns``.
-
-        Raises:
-            StimulatorLost: the line broke.
-        """
-
-    def close(self) -> None:
-        """Release the line; may be called twice. Sends nothing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +115,7 @@ class Answers:
         return late
 
 
+@dataclass(slots=True)
 class PulseTrain:
     """One channel's turn. It is given every command of the channel, by the command's own time.
 
@@ -131,17 +124,16 @@ class PulseTrain:
     next pulse is then due by the old grid. Commands that come less often than the frequency give a pulse each.
     """
 
-    def __init__(self, least_ns: int = 0) -> None:
-        self._least_ns = least_ns
-        self._next_ns: int | None = None
-        self._last_ns: int | None = None
+    least_ns: int = 0
+    _next_ns: int | None = None
+    _last_ns: int | None = None
 
     def due(self, t_ns: int, frequency_hz: float) -> bool:
         """Whether this on command is a pulse; remembers it if so. Not above 0 Hz: never."""
         if not frequency_hz > 0:
             return False
         period_ns = int(NS_PER_S / frequency_hz)
-        if self._last_ns is not None and t_ns - self._last_ns < max(period_ns // 2, self._least_ns):
+        if self._last_ns is not None and t_ns - self._last_ns < max(period_ns // 2, self.least_ns):
             return False
         if self._next_ns is None:
             self._next_ns = t_ns

@@ -5,10 +5,9 @@ spins until the kernel's buffer takes the bytes, and a control loop must not. FT
 16 ms unless their latency timer is set to 1 ms; :func:`latency_hint` says so.
 """
 
-from __future__ import annotations
-
 import os
 import select
+import socket
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
@@ -17,8 +16,12 @@ import serial
 
 from drivers.stimulator.port import StimulatorLost
 
-READ_AT_MOST: Final = 4096
 LATENCY_TIMER_MS: Final = 1
+_HINT: Final = "Check cable and power; then start a new session."
+_OPEN_HINT: Final = (
+    "Is the device plugged in and switched on, is no other program using it, and may this user open it (Linux: group "
+    "dialout)?"
+)
 
 
 class Line(Protocol):
@@ -59,69 +62,72 @@ SCIENCEMODE2: Final = LineSettings(460_800, parity="E")
 
 
 class SerialLine:
-    """:class:`Line` over a descriptor that pyserial opened, or over any other that is given to it."""
+    """:class:`Line` over a descriptor that pyserial opened, or over any other that is given to it.
 
-    def __init__(self, name: str, descriptor: int, owner: serial.SerialBase | None = None) -> None:
-        self._name = name
+    ``owner`` closes the descriptor, where there is one. ``lost`` is raised when the line is gone; its message ends with
+    ``hint``. ``read_at_most`` bytes are read at once.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        descriptor: int,
+        owner: serial.SerialBase | socket.socket | None = None,
+        lost: type[RuntimeError] = StimulatorLost,
+        hint: str = _HINT,
+        read_at_most: int = 4096,
+    ) -> None:
+        self.name = name
         self._owner = owner
         self._descriptor = descriptor
+        self._lost, self._hint, self._read_at_most = lost, hint, read_at_most
         self._closed = False
         os.set_blocking(descriptor, False)
-
-    @property
-    def name(self) -> str:
-        """The port as the settings name it."""
-        return self._name
 
     def write(self, data: bytes) -> None:
         """Hand all of it to the system now.
 
         Raises:
-            StimulatorLost: the line is gone, or took less than all: what it did take is a torn frame that the device
-                drops.
+            StimulatorLost: the line is gone, or took less than all: the device drops the torn frame.
         """
         try:
             written = os.write(self._descriptor, data)
         except BlockingIOError:
             written = 0
         except (OSError, ValueError) as error:
-            raise StimulatorLost(f"{self._name}: did not take a command: {error}. {_HINT}") from error
+            raise self._lost(f"{self.name}: did not take a command: {error}. {self._hint}") from error
         if written != len(data):
-            raise StimulatorLost(
-                f"{self._name}: took {written} of {len(data)} bytes, the rest would have to wait. Does the device "
-                f"read, and is the flow control right? {_HINT}"
+            raise self._lost(
+                f"{self.name}: took {written} of {len(data)} bytes, the rest would have to wait. Does the device "
+                f"read, and is the flow control right? {self._hint}"
             )
 
     def read(self) -> bytes:
-        """What has arrived, at most 4096 bytes.
-
-        Raises:
-            StimulatorLost: the line is gone.
-        """
+        """What has arrived, at most 4096 bytes (``read_at_most``). StimulatorLost: the line is gone."""
         data = self._read_once()
         # a terminal without bytes may read as empty; one that select calls readable, and that is then still empty, has
         # lost its other end (without the second look, bytes that come just between the two would be taken for that)
         if data == b"" and select.select([self._descriptor], [], [], 0)[0]:
             data = self._read_once()
             if data == b"":
-                raise StimulatorLost(f"{self._name}: the other end is gone. {_HINT}")
+                raise self._lost(f"{self.name}: the other end is gone. {self._hint}")
         return data or b""
 
     def _read_once(self) -> bytes | None:
         """Bytes; none when it reads as empty, None when the system says that there are none yet."""
         try:
-            return os.read(self._descriptor, READ_AT_MOST)
+            return os.read(self._descriptor, self._read_at_most)
         except BlockingIOError:
             return None
         except (OSError, ValueError) as error:
-            raise StimulatorLost(f"{self._name}: cannot be read: {error}. {_HINT}") from error
+            raise self._lost(f"{self.name}: cannot be read: {error}. {self._hint}") from error
 
     def wait(self, timeout_s: float) -> None:
         """Until readable, at most ``timeout_s``."""
         try:
             select.select([self._descriptor], [], [], max(timeout_s, 0.0))
         except (OSError, ValueError) as error:
-            raise StimulatorLost(f"{self._name}: cannot be waited for: {error}. {_HINT}") from error
+            raise self._lost(f"{self.name}: cannot be waited for: {error}. {self._hint}") from error
 
     def fileno(self) -> int:
         """The descriptor."""
@@ -129,13 +135,9 @@ class SerialLine:
 
     def close(self) -> None:
         """Close it; sends nothing."""
-        if self._closed:
-            return
-        self._closed = True
-        if self._owner is not None:
-            self._owner.close()
-        else:
-            os.close(self._descriptor)
+        if not self._closed:
+            self._closed = True
+            os.close(self._descriptor) if self._owner is None else self._owner.close()
 
 
 def open_line(port: str, settings: LineSettings) -> SerialLine:
@@ -145,25 +147,14 @@ def open_line(port: str, settings: LineSettings) -> SerialLine:
         StimulatorLost: no such port, no permission, in use, or no descriptor behind it; the message says what to do.
     """
     options: dict[str, object] = {} if "://" in port else {"exclusive": True, "rtscts": settings.rtscts}
-    parity = "N" if _is_pseudo_terminal(port) else settings.parity
+    # a pseudo-terminal has no parity, and the system refuses settings of which none can be had
+    pseudo_terminal = "://" not in port and Path(port).resolve().parent == Path("/dev/pts")
+    options |= {"parity": "N" if pseudo_terminal else settings.parity, "stopbits": settings.stop_bits}
     try:
-        owner = serial.serial_for_url(
-            port,
-            baudrate=settings.baudrate,
-            parity=parity,
-            stopbits=settings.stop_bits,
-            timeout=0,
-            write_timeout=0,
-            **options,
-        )
+        owner = serial.serial_for_url(port, baudrate=settings.baudrate, timeout=0, write_timeout=0, **options)
         return SerialLine(port, owner.fileno(), owner)
     except Exception as error:  # SerialException, OSError, ValueError, termios.error: each call has its own
         raise StimulatorLost(f"stimulator.port = {port!r} cannot be opened: {error}. {_OPEN_HINT}") from error
-
-
-def _is_pseudo_terminal(port: str) -> bool:
-    """It has no parity, and the system refuses settings of which none can be had."""
-    return "://" not in port and Path(port).resolve().parent == Path("/dev/pts")
 
 
 def latency_hint(port: str, devices: Path = Path("/sys/bus/usb-serial/devices")) -> str:
@@ -176,10 +167,3 @@ def latency_hint(port: str, devices: Path = Path("/sys/bus/usb-serial/devices"))
     if latency_ms <= LATENCY_TIMER_MS:
         return ""
     return f"{port}: the adapter holds answers back for {latency_ms} ms; as root: echo {LATENCY_TIMER_MS} > {timer}"
-
-
-_HINT: Final = "Check cable and power; then start a new session."
-_OPEN_HINT: Final = (
-    "Is the device plugged in and switched on, is no other program using it, and may this user open it (Linux: group "
-    "dialout)?"
-)

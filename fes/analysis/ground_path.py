@@ -5,8 +5,6 @@ but the gyroscope, so it drifts; two feet that walk together tell what part of t
 the path is that over the belt.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,8 +13,8 @@ import numpy as np
 
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.numerics.ranks import median
+from fes.estimation.zupt.decimation import ZuptSettings
 from fes.estimation.zupt.foot_trajectory import FootSamples, foot_samples
-from fes.estimation.zupt.settings import ZuptSettings
 from fes.estimation.zupt.trajectory import bend_ahead, over_ground, slopes
 from fes.recording import Track
 from fes.signals import FloatArray, IntArray
@@ -31,22 +29,15 @@ MOST_STANCES = 400  # of a long walk, evenly picked
 class GroundPath:
     """The path of one foot's sensor; K samples of at most 50 Hz.
 
-    Attributes:
-        foot: its name.
-        t_ns: (K,) time stamps.
-        position_m: (K, 3): x ahead, towards where the foot first is 2 m away from its start, y left, z up; from its
-            start.
-        heading_rad: (K,) where the toe points, from x towards y; it turns by less than half a turn between stances.
-        distance_m: horizontal distances from stance to stance, summed.
-        stance_ns: (M,) the quietest instant of every stance.
+    ``position_m`` counts from its start: x ahead, towards where the foot first is 2 m away from there, y left, z up.
     """
 
     foot: str
-    t_ns: IntArray
-    position_m: FloatArray
-    heading_rad: FloatArray
-    distance_m: float
-    stance_ns: IntArray
+    t_ns: IntArray  # (K,)
+    position_m: FloatArray  # (K, 3)
+    heading_rad: FloatArray  # (K,) of the toe, from x towards y; turns by less than half a turn between stances
+    distance_m: float  # horizontal distances from stance to stance, summed
+    stance_ns: IntArray  # (M,) the quietest instant of every stance
 
     @property
     def closure_m(self) -> float:
@@ -65,12 +56,6 @@ class GroundPath:
         columns = (*self.position_m.T, self.heading_rad)
         return np.column_stack([np.interp(asked, known, column) for column in columns])
 
-    def heading_at(self, t_ns: IntArray) -> FloatArray:
-        """The last column of :meth:`at` (M,)."""
-        begin = self.t_ns[0]
-        asked, known = ((t - begin).astype(np.float64) for t in (t_ns, self.t_ns))
-        return np.asarray(np.interp(asked, known, self.heading_rad))
-
     def rows(self, rate_hz: float = 10.0, origin_ns: int | None = None) -> list[dict[str, Any]]:
         """One flat row per instant, units in the names; instants count from the path's beginning, or the origin."""
         origin = int(self.t_ns[0]) if origin_ns is None else origin_ns
@@ -87,13 +72,9 @@ class GroundPath:
 def ground_path(
     track: Track, calibration: FootCalibration, *, level: bool = True, foot: FootSamples | None = None
 ) -> GroundPath:
-    """Follow one foot through a whole recording.
+    """Follow one foot through a whole recording; its calibration says where the toe points.
 
-    Args:
-        track: its samples.
-        calibration: of the same sensor, for where the toe points.
-        level: the foot rests at one height; not on stairs and slopes.
-        foot: the same samples where already prepared.
+    ``level``: the foot rests at one height; not on stairs and slopes. ``foot``: the same samples, already prepared.
 
     Raises:
         ValueError: the recording is too short, the foot never rests, or nothing comes of it.
@@ -126,11 +107,6 @@ def _unwrapped(angle: FloatArray) -> FloatArray:
     return angle
 
 
-def _about_z(angle_rad: float) -> FloatArray:
-    c, s = float(np.cos(angle_rad)), float(np.sin(angle_rad))
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
 def continued(before: GroundPath, path: GroundPath, at_ns: int) -> GroundPath:
     """The path turned and shifted so that it goes on where the one before is at a time that both know.
 
@@ -138,7 +114,8 @@ def continued(before: GroundPath, path: GroundPath, at_ns: int) -> GroundPath:
     """
     t_ns = path.stance_ns[[int(np.argmin(np.abs(path.stance_ns - at_ns)))]]
     turn = float(before.places_at(t_ns)[0, 3] - path.places_at(t_ns)[0, 3])
-    position = path.position_m @ _about_z(turn).T
+    c, s = float(np.cos(turn)), float(np.sin(turn))
+    position = path.position_m @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
     turned = replace(path, position_m=position, heading_rad=path.heading_rad + turn)
     return replace(turned, position_m=position + (before.places_at(t_ns) - turned.places_at(t_ns))[0, :3])
 
@@ -153,7 +130,14 @@ def without_relative_drift(left: GroundPath, right: GroundPath) -> tuple[GroundP
     are.
     """
     drift = _relative_drift(left, right)
-    return _turned(left, left.stance_ns, -0.5 * drift), _turned(right, left.stance_ns, 0.5 * drift)
+
+    def turned(path: GroundPath, per_stride_rad: float) -> GroundPath:
+        """Bent by an angle that grows from stance to stance, and turned to where it is 2 m away."""
+        place, heading = np.empty(path.position_m.shape), np.empty(len(path.t_ns))
+        bend_ahead(path.t_ns, left.stance_ns, per_stride_rad, path.position_m, path.heading_rad, place, heading)
+        return replace(path, position_m=place, heading_rad=heading)
+
+    return turned(left, -0.5 * drift), turned(right, 0.5 * drift)
 
 
 def _relative_drift(left: GroundPath, right: GroundPath) -> float:
@@ -161,10 +145,10 @@ def _relative_drift(left: GroundPath, right: GroundPath) -> float:
     common = left.stance_ns[(left.stance_ns >= right.stance_ns[0]) & (left.stance_ns <= right.stance_ns[-1])]
     if len(common) < LEAST_STANCES:
         return 0.0
-    right_heading = _unwrapped(right.heading_at(right.stance_ns))
+    right_heading = _unwrapped(right.places_at(right.stance_ns)[:, 3])
     since, known = ((t - common[0]).astype(np.float64) for t in (common, right.stance_ns))
     of_right = np.interp(since, known, right_heading)
-    difference = _unwrapped(_unwrapped(left.heading_at(common)) - of_right)
+    difference = _unwrapped(_unwrapped(left.places_at(common)[:, 3]) - of_right)
     count = min(len(common), MOST_STANCES)
     picked = np.linspace(0, len(common) - 1, count).round()
     difference = difference[picked.astype(int)]
@@ -172,10 +156,3 @@ def _relative_drift(left: GroundPath, right: GroundPath) -> float:
     each = np.empty((count - least) * (count - least + 1) // 2)
     slopes(difference, picked, least, each)
     return median(each)
-
-
-def _turned(path: GroundPath, stance_ns: IntArray, per_stride_rad: float) -> GroundPath:
-    """The path bent by an angle that grows from stance to stance, and turned to where it is 2 m away."""
-    place, heading = np.empty(path.position_m.shape), np.empty(len(path.t_ns))
-    bend_ahead(path.t_ns, stance_ns, per_stride_rad, path.position_m, path.heading_rad, place, heading)
-    return replace(path, position_m=place, heading_rad=heading)

@@ -4,8 +4,6 @@ Which zero-velocity detector, how a stride is integrated, whether the ZUPT-aided
 the events as they would be known on-line (Kumar et al. 2015), beside those found off-line.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -35,18 +33,16 @@ CAUSAL_EVENT_COLUMNS = (
 class Methods:
     """What an analysis does it with.
 
-    Attributes:
-        detector: of zero velocity, for the path and for the stride lengths fused with it (Skog et al. 2010).
-        stride_method: "maximum_likelihood"; or "constrained", Negård et al.'s (2005) integration of each stride by
-            itself, whose lengths are not fused with the path's.
-        per_sample: the ZUPT-aided filter goes from sample to sample, not over intervals of some hundredths of a second.
-        causal_events: also the events as they would be known on-line.
+    ``stride_method`` "constrained" is Negård et al.'s (2005) integration of each stride by itself, whose lengths are
+    not fused with the path's.
     """
 
-    detector: Detector = Detector.SHOE
+    detector: Detector = (
+        Detector.SHOE
+    )  # of zero velocity, for the path and the lengths fused with it (Skog et al. 2010)
     stride_method: Literal["maximum_likelihood", "constrained"] = "maximum_likelihood"
-    per_sample: bool = False
-    causal_events: bool = False
+    per_sample: bool = False  # the ZUPT-aided filter does not go over intervals of some hundredths of a second
+    causal_events: bool = False  # also the events as they would be known on-line
 
 
 @dataclass(slots=True)
@@ -73,7 +69,10 @@ def causal_event_rows(
     rows = []
     for rule, decision in decisions:
         if decision.event in offline:
-            nearest_ns = _nearest(offline[decision.event], decision.t_feature_ns)
+            known_ns, nearest_ns = offline[decision.event], None
+            if len(known_ns):
+                at_ns = int(known_ns[np.argmin(np.abs(known_ns - decision.t_feature_ns))])
+                nearest_ns = at_ns if abs(at_ns - decision.t_feature_ns) <= FARTHEST_NS else None
             delay_ns = None if nearest_ns is None else decision.t_ns - nearest_ns
             times = (decision.t_ns, decision.t_feature_ns, nearest_ns, delay_ns)
             seconds = (None if t_ns is None else t_ns / NS_PER_S for t_ns in times)
@@ -81,11 +80,3 @@ def causal_event_rows(
             values = (foot, rule.name.lower(), decision.event.name, *seconds)
             rows.append(dict(zip(names, values, strict=True)))
     return sorted(rows, key=lambda row: (row["t_known_s"], row["rule"]))
-
-
-def _nearest(t_ns: IntArray, to_ns: int) -> int | None:
-    """The nearest of the instants (N,), None if all are farther than ``FARTHEST_NS``."""
-    if not len(t_ns):
-        return None
-    nearest_ns = int(t_ns[np.argmin(np.abs(t_ns - to_ns))])
-    return nearest_ns if abs(nearest_ns - to_ns) <= FARTHEST_NS else None

@@ -1,7 +1,5 @@
 """Off-line analysis: the same core as live, advanced in one block; no stimulation, no clock, no devices."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -27,15 +25,14 @@ from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import Calibration, phase_sensors, stride_settings
 from fes.estimation.shank.calibration import ShankCalibration
-from fes.estimation.shank.tracker import shank_tracker
+from fes.estimation.shank.tracker import ShankTracker
 from fes.estimation.strides.integration import SOLVED
 from fes.estimation.strides.results import StrideMaker
 from fes.estimation.tracking.tracker import Tracker
 from fes.estimation.zupt.foot_trajectory import foot_samples
 from fes.recording import Recording, Track
 from fes.recording.chunks import Chunk
-from fes.recording.samples import newer_samples
-from fes.recording.tracks import UNLABELLED_FEET
+from fes.recording.tracks import UNLABELLED_FEET, newer_samples
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray, StrideResult
 
 
@@ -80,7 +77,7 @@ def analyse_chunks(
     like, how large steps usually are, and how the paths drift apart is found for each chunk from its own samples, where
     toe and heel are from the first chunk that shows it.
     """
-    run = _AnalysisRun(calibrations, geometry or {}, methods or Methods(), level=level)
+    run = _AnalysisRun(calibrations, geometry or {}, methods or Methods(), level)
     for chunk in chunks:
         result = run.analyse_chunk(chunk)
         del chunk  # it stays as long as whoever takes the result keeps that
@@ -96,11 +93,10 @@ class _AnalysisRun:
         calibrations: Mapping[str, Calibration],
         geometry: Mapping[str, FootGeometry],
         methods: Methods,
-        *,
         level: bool,
     ) -> None:
-        self._calibrations, self._geometry, self._level = dict(calibrations), geometry, level
-        self._methods = methods
+        self._calibrations, self._geometry = dict(calibrations), geometry
+        self._methods, self._level = methods, level
         self._causal: dict[str, CausalEvents] = {}
         self._trackers: dict[str, Tracker] = {}
         self._points: dict[str, ToeAndHeel] = {}
@@ -133,7 +129,7 @@ class _AnalysisRun:
         """Phases and strides of a shank; it never rests, so it has no path."""
         sensor = calibration.sensor
         if sensor not in self._trackers:
-            self._trackers[sensor] = shank_tracker(calibration, equal_height=None if self._level else False)
+            self._trackers[sensor] = ShankTracker(calibration, equal_height=None if self._level else False)
         tracker = self._trackers[sensor]
         result.outcomes[sensor] = tracker.advance(*_own_samples(chunk, chunk.recording.tracks[sensor]))
         result.counts[sensor] = tracker.counts
@@ -142,12 +138,11 @@ class _AnalysisRun:
     def _analyse_foot(self, result: Analysis, chunk: Chunk, calibration: FootCalibration) -> None:
         """One foot, step by step: phases and strides, their lengths fused with the path's, clearance, events."""
         sensor, track, level = calibration.sensor, chunk.recording.tracks[calibration.sensor], self._level
-        methods = self._methods
-        geometry = self._geometry.get(sensor, chunk.recording.geometry.get(sensor))
-        tracker = self._trackers.get(sensor) or _foot_tracker(calibration, geometry, level=level, methods=methods)
+        methods, geometry = self._methods, self._geometry.get(sensor, chunk.recording.geometry.get(sensor))
+        if sensor not in self._trackers:
+            self._trackers[sensor] = _foot_tracker(calibration, geometry, level, methods)
+        tracker = self._trackers[sensor]
         assert isinstance(tracker, FootTracker)
-        self._trackers[sensor] = tracker
-
         block = tracker.track(*_own_samples(chunk, track))
         strides, trajectories = block.rows, block.paths()
         try:
@@ -182,11 +177,9 @@ def _own_samples(chunk: Chunk, track: Track) -> tuple[IntArray, FloatArray, Floa
 
 
 def _foot_tracker(
-    calibration: FootCalibration, geometry: FootGeometry | None, *, level: bool, methods: Methods | None = None
+    calibration: FootCalibration, geometry: FootGeometry | None, level: bool, methods: Methods
 ) -> FootTracker:
-    settings = replace(stride_settings(calibration, geometry), equal_height=level)
-    if methods is not None:
-        settings = replace(settings, method=methods.stride_method)
+    settings = replace(stride_settings(calibration, geometry), equal_height=level, method=methods.stride_method)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
 
 
@@ -199,7 +192,8 @@ def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]
     for sensor in phase_sensors(calibrations).values():
         calibration, track = calibrations[sensor], recording.tracks[sensor]
         if isinstance(calibration, FootCalibration):
-            tracker = _foot_tracker(_along_gravity(calibration), recording.geometry.get(sensor), level=False)
+            geometry = recording.geometry.get(sensor)
+            tracker = _foot_tracker(_along_gravity(calibration), geometry, False, Methods())
             found[sensor] = tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps).strides()
     return found
 
@@ -233,10 +227,8 @@ def calibrations_of_chunks(
 ) -> SensorCalibrations:
     """Calibrations for a recording in chunks, of each sensor from the first chunk that shows it.
 
-    Args:
-        chunks: all are taken, so that what is wrong with a later part of a file is raised here.
-        stored: calibrations to use instead, which must fit.
-        level: as of :func:`calibrations_of`.
+    All chunks are taken, so that what is wrong with a later part of a file is raised here. ``stored`` are calibrations
+    to use instead, which must fit; ``level`` as of :func:`calibrations_of`.
 
     Raises:
         RecordingError: a chunk of the file cannot be used.
@@ -255,18 +247,17 @@ def calibrations_of_chunks(
                 raise
             failed = failed or error
             continue
-        found = new[1] if found is None else _both(found, new[1])
+        if found is None:
+            found = new[1]
+        else:
+            calibrations = {**new[1].calibrations, **found.calibrations}
+            missing = {sensor: why for sensor, why in found.missing.items() if sensor not in calibrations}
+            found = replace(found, calibrations=calibrations, missing=missing)
     if found is None:
         raise failed or CalibrationError("The recording holds no samples.")
     if stored is None:
         return found
     return replace(found, sides=(stored if isinstance(stored, SensorCalibrations) else load(stored)).sides)
-
-
-def _both(first: SensorCalibrations, later: SensorCalibrations) -> SensorCalibrations:
-    calibrations = {**later.calibrations, **first.calibrations}
-    missing = {sensor: why for sensor, why in first.missing.items() if sensor not in calibrations}
-    return replace(first, calibrations=calibrations, missing=missing)
 
 
 def _along_gravity(calibration: FootCalibration) -> FootCalibration:

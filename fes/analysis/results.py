@@ -1,8 +1,7 @@
 """What an analysis found: phase changes, strides, events, paths and where toe and heel are, also as tables."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
@@ -24,11 +23,10 @@ from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
 from fes.estimation.strides import schema
 from fes.estimation.strides.schema import Column
-from fes.estimation.tracking.history import SampleCounts
-from fes.estimation.tracking.tracker import Outcome
+from fes.estimation.tracking.tracker import Outcome, SampleCounts
 from fes.recording import Recording
 from fes.recording.chunks import Chunk
-from fes.recording.samples import newer_samples
+from fes.recording.tracks import newer_samples
 from fes.signals import StrideResult
 from fes.walk_record import Note, SampleArrays, WalkRecord
 from statemachine.phases import PhaseChange
@@ -62,14 +60,10 @@ class Analysis:
 
     Of a long recording it is one ``chunk``: phase changes, strides, rows and counts are that chunk's own; the samples,
     events and paths are those around it too, and the paths go on where the chunk before ended (they are counted from
-    ``path_begins_ns``, where each foot's began).
-
-    Phases and strides carry the name of their sensor: the foot's, or where there is none the shank's, for
-    which there are no ``events`` and no path. ``paths`` are the feet's paths over the ground; ``no_path`` says of the
-    other sensors why there is none. ``points`` says of each foot where its toe and heel were taken to be. ``level``:
-    the ground was taken to be level. ``blocks`` is what the feet's trackers found, as arrays, and ``outcomes`` what the
-    shanks' found; phase changes, strides and the strides' trajectories are made from them when they are first asked
-    for.
+    ``path_begins_ns``, where each foot's began). Phases and strides carry the name of their sensor: the foot's, or
+    where there is none the shank's, for which there are no ``events`` and no path; ``no_path`` says why. ``points`` are
+    toe and heel. ``blocks`` is what the feet's trackers found, as arrays, and ``outcomes`` what the shanks' found;
+    phase changes, strides and the strides' trajectories are made from them when they are first asked for.
     """
 
     recording: Recording
@@ -107,17 +101,15 @@ class Analysis:
 
     def tables(self) -> dict[str, Table]:
         """Strides, phase changes, events and paths, each as a table with units; times and places in SI."""
-        return {
-            "strides": Table.from_rows(schema.TABLE, self.stride_rows()),
-            "phases": Table.from_rows(PHASE_COLUMNS, self.phase_rows()),
-            "events": Table.from_rows(EVENT_COLUMNS, self.event_rows()),
-            "path": Table.from_rows(PATH_COLUMNS, self.path_rows()),
-            **(
-                {"events_causal": Table.from_rows(CAUSAL_EVENT_COLUMNS, self.causal_event_rows())}
-                if self.causal_events
-                else {}
-            ),
+        found: dict[str, tuple[Sequence[Column], list[dict[str, Any]]]] = {
+            "strides": (schema.TABLE, self.stride_rows()),
+            "phases": (PHASE_COLUMNS, self.phase_rows()),
+            "events": (EVENT_COLUMNS, self.event_rows()),
+            "path": (PATH_COLUMNS, self.path_rows()),
         }
+        if self.causal_events:
+            found["events_causal"] = CAUSAL_EVENT_COLUMNS, self.causal_event_rows()
+        return {name: Table.from_rows(*table) for name, table in found.items()}
 
     def stride_rows(self) -> list[dict[str, Any]]:
         """One flat row per stride with the columns of ``fes.estimation.strides.schema.TABLE``.
@@ -155,11 +147,8 @@ class Analysis:
 
     def causal_event_rows(self) -> list[dict[str, Any]]:
         """One flat row per IC and FO as they would be known on-line; none unless the analysis was asked for them."""
-        rows = [
-            row
-            for foot, decisions in self.causal_events.items()
-            for row in causal_event_rows(foot, decisions, self.events[foot])
-        ]
+        found = self.causal_events.items()
+        rows = [row for foot, decisions in found for row in causal_event_rows(foot, decisions, self.events[foot])]
         return sorted(rows, key=lambda row: row["t_known_s"])
 
     def path_rows(self) -> list[dict[str, Any]]:
@@ -182,14 +171,9 @@ class Analysis:
 
     def path_summary(self) -> dict[str, dict[str, float]]:
         """Of every foot: how far it went, how far from its start it ended, and how much higher."""
-        return {
-            foot: {
-                "way_m": path.distance_m,
-                "end_from_start_m": path.closure_m,
-                "height_gained_m": path.height_gained_m,
-            }
-            for foot, path in self.paths.items()
-        }
+        names = ("way_m", "end_from_start_m", "height_gained_m")
+        numbers = {foot: (path.distance_m, path.closure_m, path.height_gained_m) for foot, path in self.paths.items()}
+        return {foot: dict(zip(names, row, strict=True)) for foot, row in numbers.items()}
 
     def walk_record(self, created: str = "") -> WalkRecord:
         """The walk as the report takes it; ``created`` is when, as an ISO time."""
@@ -209,29 +193,20 @@ class Analysis:
             "toe_and_heel": {foot: points.to_json() for foot, points in self.points.items()},
             "calibration": {sensor: calibration.to_dict() for sensor, calibration in self.calibrations.items()},
         }
-        return WalkRecord(
-            header,
-            samples={
-                sensor: SampleArrays(track.t_ns, track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-                for sensor, track in worn.items()
-                if sensor in self.calibrations
-            },
-            phases=self.phases,
-            strides=self.strides,
-            notes=[
-                Note(int(worn[foot].t_ns[0]), "info" if points.measured else "warning", foot, points.describe())
-                for foot, points in self.points.items()
-            ],
-            complete=True,
-        )
+        samples = {
+            sensor: SampleArrays(track.t_ns, track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+            for sensor, track in worn.items()
+            if sensor in self.calibrations
+        }
+        notes = [
+            Note(int(worn[foot].t_ns[0]), "info" if points.measured else "warning", foot, points.describe())
+            for foot, points in self.points.items()
+        ]
+        return WalkRecord(header, samples=samples, phases=self.phases, strides=self.strides, notes=notes, complete=True)
 
 
 def phase_row(change: PhaseChange) -> dict[str, Any]:
     """A phase change with the columns of :data:`PHASE_COLUMNS`."""
-    return {
-        "foot": change.foot,
-        "t_s": 1e-9 * change.t_ns,
-        "transition": change.transition.name,
-        "from": change.source.name.lower(),
-        "to": change.destination.name.lower(),
-    }
+    phases = change.source.name.lower(), change.destination.name.lower()
+    names = (column.name for column in PHASE_COLUMNS)
+    return dict(zip(names, (change.foot, 1e-9 * change.t_ns, change.transition.name, *phases), strict=True))

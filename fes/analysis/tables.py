@@ -18,19 +18,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ROWS_SHOWN = 20
-_UNITS = {
-    "_ns": "ns",
-    "_s": "s",
-    "_m": "m",
-    "_rad": "rad",
-    "_mps": "m/s",
-    "_nm": "N·m",
-    "_ma": "mA",
-    "_us": "µs",
-    "_ms": "ms",
-    "_hz": "Hz",
-    "_uc": "µC",
-}
+_UNITS = {f"_{unit}": unit for unit in ("ns", "s", "m", "rad", "ms")}
+_UNITS |= {"_mps": "m/s", "_nm": "N·m", "_ma": "mA", "_us": "µs", "_hz": "Hz", "_uc": "µC"}
 _NOTHING: dict[type, Any] = {float: math.nan, int: 0, bool: False, str: ""}
 _DTYPES: dict[type, Any] = {float: np.float64, int: np.int64, bool: np.bool_, str: object}
 
@@ -39,11 +28,7 @@ class Table:
     """Rows under named columns.
 
     ``len`` counts the rows, iteration and a whole number give a row as a mapping, a name gives a column as an array
-    (N,), a slice gives a smaller table. A number that is not known is NaN.
-
-    Args:
-        columns: what the columns are, in order.
-        values: (N,) of each, by name.
+    (N,), a slice gives a smaller table. A number that is not known is NaN. ``values`` are (N,) by the columns' names.
 
     Raises:
         ValueError: a column is missing, or not as long as the others.
@@ -158,11 +143,9 @@ def table_of(rows: Sequence[Mapping[str, Any]]) -> Table:
         text, source = (known.text, known.source) if known else (name.replace("_", " "), "")
         kind = bool if isinstance(value, bool) else int if isinstance(value, int) else str
         columns.append(Column(name, float if value is None or isinstance(value, float) else kind, unit, text, source))
-    shown = [column.in_table() for column in columns]
-    factors = [1.0 if one is other else 1e-9 for one, other in zip(columns, shown, strict=True)]
-    names = [(one.name, other.name, factor) for one, other, factor in zip(columns, shown, factors, strict=True)]
-    seconds = ({new: row[old] if factor == 1.0 else factor * row[old] for old, new, factor in names} for row in rows)
-    return Table.from_rows(shown, seconds)
+    shown = [(column, column.in_table()) for column in columns]
+    seconds = ({new.name: row[old.name] if old is new else 1e-9 * row[old.name] for old, new in shown} for row in rows)
+    return Table.from_rows([new for _, new in shown], seconds)
 
 
 def describe(column: Column) -> str:

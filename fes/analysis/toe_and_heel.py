@@ -1,12 +1,12 @@
 """Where toe and heel are on a foot, how that is known, and their clearance in a whole recording."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
 from fes.config import FootGeometry
 from fes.estimation.clearance.clearance import (
+    HEEL,
+    TOE,
     AnyPaths,
     arms_of,
     clearances,
@@ -47,14 +47,8 @@ class ToeAndHeel:
             "geometry": self.geometry.model_dump(),
         }
         if self.estimate is not None:
-            known |= {
-                "toe_forward_sd_m": self.estimate.toe_forward_sd_m,
-                "heel_forward_sd_m": self.estimate.heel_forward_sd_m,
-                "height_sd_m": self.estimate.height_sd_m,
-                "strides": self.estimate.strides,
-                "observed": self.estimate.observed,
-                "reason": self.estimate.reason,
-            }
+            names = ("toe_forward_sd_m", "heel_forward_sd_m", "height_sd_m", "strides", "observed", "reason")
+            known |= {name: getattr(self.estimate, name) for name in names}
         return known
 
     def describe(self) -> str:
@@ -91,4 +85,4 @@ def point_heights(paths: AnyPaths, given: FootGeometry | None, *, level: bool) -
     arms = arms_of(geometry)
     heights = contact_heights(paths, arms) if level else None
     levels = None if heights is None else contact_levels(heights)
-    return clearances(paths, arms, levels, heights)[:, 0:4:3], ToeAndHeel(geometry, estimate, levels is not None)
+    return clearances(paths, arms, levels, heights)[:, [TOE, HEEL]], ToeAndHeel(geometry, estimate, levels is not None)

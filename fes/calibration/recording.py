@@ -4,26 +4,48 @@ A calibration says how a sensor sits. From a sensor that has been moved, or runs
 silence; so it is checked before it is used.
 """
 
-from __future__ import annotations
-
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from fes.calibration.foot_track import calibrate_track
 from fes.calibration.side_detection import SideVerdict, side_signs, tell_sides
-from fes.estimation.foot.calibration import CalibrationError, FootCalibration, stretch_for_calibration
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration, calibrate_foot, stretch_for_calibration
 from fes.estimation.sensor_choice import Calibration, calibration_from_dict, phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
 from fes.recording import Recording, Track
-from fes.recording.samples import newer_samples
-from fes.recording.tracks import UNLABELLED_FEET
+from fes.recording.tracks import UNLABELLED_FEET, newer_samples
 from fes.signals import FOOT_SENSORS, SENSORS, SHANK_SENSORS
+
+Found = TypeVar("Found", FootCalibration, ShankCalibration)
+
+
+def _from_first_minute(track: Track, calibrate: Callable[..., Found]) -> Found:
+    """A calibration from a track's first minute, or from all of it where that minute shows too little."""
+    t_ns, acc, gyr = newer_samples(track)
+    n = stretch_for_calibration(t_ns)
+    try:
+        return calibrate(track.sensor, track.rate_hz, t_ns[:n], acc[:n], gyr[:n])
+    except CalibrationError:
+        if n == len(t_ns):
+            raise
+        return calibrate(track.sensor, track.rate_hz, t_ns, acc, gyr)
+
+
+def calibrate_track(track: Track) -> FootCalibration:
+    """Calibrate one foot from its first minute, or from all of the track where that minute shows too little."""
+    return _from_first_minute(track, calibrate_foot)
+
+
+def calibrate_shank_track(track: Track, *, level: bool = True) -> ShankCalibration:
+    """Calibrate one shank likewise; ``level`` False: over stairs or slopes."""
+    return _from_first_minute(track, partial(calibrate_shank, level=level))
+
 
 FORMAT = 1
 RATE_TOLERANCE = 0.03  # crystals keep within 0.1 %, rates named by their nominal value within 2 %
@@ -60,11 +82,9 @@ def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, level: bo
     missing: dict[str, str] = {}
     for sensor in sensors:
         track = recording.tracks[sensor]
+        shank = sensor in SHANK_SENSORS
         try:
-            if sensor in SHANK_SENSORS:
-                found[sensor] = calibrate_shank_track(track, level=level)
-            else:
-                found[sensor] = calibrate_track(track)
+            found[sensor] = calibrate_shank_track(track, level=level) if shank else calibrate_track(track)
         except CalibrationError as error:
             missing[sensor] = str(error)
     if not found:
@@ -96,31 +116,19 @@ def calibrate_all(recording: Recording, *, level: bool = True) -> SensorCalibrat
     if not open_:
         return replace(found, verdict=verdict, swapped=verdict is not None and verdict.sure and verdict.left == 1)
     if verdict is None or not verdict.sure:
-        raise CalibrationError(f"{recording.path or recording.name}: {_unsure(verdict)} {_please_label(open_)}")
+        why = "which foot is which takes two feet with five straight strides each."
+        if verdict is not None:
+            score = f"{verdict.agreeing} of 4 signs agree, with a score of {verdict.score:.2f} (3 and 0.30 are needed)"
+            why = f"which foot is which is not clear: {score}."
+        raise CalibrationError(f"{recording.path or recording.name}: {why} {_please_label(open_)}")
     sides = dict(zip(feet, FOOT_SENSORS if verdict.left == 0 else reversed(FOOT_SENSORS), strict=True))
     sides = {name: side for name, side in sides.items() if name in UNLABELLED_FEET}
     named = {sides.get(name, name): replace(c, sensor=sides.get(name, name)) for name, c in found.calibrations.items()}
     return SensorCalibrations(named, found.missing, sides, verdict)
 
 
-def calibrate_shank_track(track: Track, *, level: bool = True) -> ShankCalibration:
-    """Calibrate one shank from its first minute, or from all of the track where that minute shows too little."""
-    t_ns, acc, gyr = newer_samples(track)
-    n = stretch_for_calibration(t_ns)
-    try:
-        return calibrate_shank(track.sensor, track.rate_hz, t_ns[:n], acc[:n], gyr[:n], level=level)
-    except CalibrationError:
-        if n == len(t_ns):
-            raise
-        return calibrate_shank(track.sensor, track.rate_hz, t_ns, acc, gyr, level=level)
-
-
 def refuse_unlabelled(recording: Recording) -> None:
-    """Refuse a recording whose feet are not labelled.
-
-    Raises:
-        CalibrationError: says how to label them.
-    """
+    """Refuse a recording whose feet are not labelled. Raises CalibrationError: says how to label them."""
     open_ = [name for name in recording.tracks if name in UNLABELLED_FEET]
     if open_:
         raise CalibrationError(f"{recording.path or recording.name}: {_please_label(open_)}")
@@ -150,27 +158,26 @@ def save(found: SensorCalibrations, path: Path) -> None:
 
 
 def load(path: Path) -> SensorCalibrations:
-    """Read what :func:`save` wrote.
-
-    Raises:
-        CalibrationError: missing, not JSON, or not a calibration of this format.
-    """
+    """Read what :func:`save` wrote. Raises CalibrationError: missing, not JSON, or not a calibration of this format."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-        if data["format"] != FORMAT:
-            raise CalibrationError(
-                f"{path}: is of format {data['format']}, this version reads {FORMAT}. Calibrate anew."
-            )
+        if (form := data["format"]) != FORMAT:
+            raise CalibrationError(f"{path}: is of format {form}, this version reads {FORMAT}. Calibrate anew.")
         values = {**data["feet"], **data.get("shanks", {})}
         sides = {str(name): str(side) for name, side in data.get("sides", {}).items()}
         found = {sensor: calibration_from_dict({**each, "sensor": sensor}) for sensor, each in values.items()}
-        _refuse_nonsense(found, sides)
+        # a file written by hand may say anything; what the core would choke on is refused here
+        if not found:
+            raise ValueError("it holds no sensor")
+        for name, side in sides.items():
+            if name not in UNLABELLED_FEET or side not in FOOT_SENSORS:
+                raise ValueError(f"{name!r} cannot be {side!r}")
         return SensorCalibrations(found, sides=sides)
+    except CalibrationError:
+        raise
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}. Make one with fes calibrate.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        if isinstance(error, CalibrationError):
-            raise
         raise CalibrationError(f"{path}: is no calibration ({error}). Make one with fes calibrate.") from error
 
 
@@ -189,10 +196,8 @@ def stored_calibrations(given: Path | SensorCalibrations, recording: Recording) 
     found = {sensor: stored.calibrations[sensor] for sensor in worn if sensor in stored.calibrations}
     missing = {s: f"{s}: {path} holds no calibration of it." for s in worn if s not in stored.calibrations}
     if not found:
-        raise CalibrationError(
-            f"{path}: calibrates none of the sensors in {recording.path or recording.name}: "
-            + ", ".join(recording.tracks)
-        )
+        sensors = f"{recording.path or recording.name}: {', '.join(recording.tracks)}"
+        raise CalibrationError(f"{path}: calibrates none of the sensors in {sensors}")
     for sensor, calibration in found.items():
         refuse_misfit(calibration, recording.tracks[sensor], path)
     return recording, SensorCalibrations(found, missing)
@@ -206,10 +211,8 @@ def refuse_misfit(calibration: Calibration, track: Track, path: Path | str) -> N
     """
     again = "Calibrate again with the sensors as they are worn now: fes calibrate."
     if abs(track.rate_hz / calibration.rate_hz - 1.0) > RATE_TOLERANCE:
-        raise CalibrationError(
-            f"{path}: {track.sensor} was calibrated at {calibration.rate_hz:g} Hz and runs at {track.rate_hz:g} Hz. "
-            + again
-        )
+        rates = f"was calibrated at {calibration.rate_hz:g} Hz and runs at {track.rate_hz:g} Hz"
+        raise CalibrationError(f"{path}: {track.sensor} {rates}. {again}")
     energy = np.einsum("ij,ij->i", track.gyr_radps, track.gyr_radps)
     force = np.median(track.acc_mps2[energy <= np.percentile(energy, QUIET_PERCENT)], axis=0)
     force = force - np.array(calibration.acc_bias_mps2)
@@ -233,24 +236,6 @@ def _sides(recording: Recording, calibrations: Mapping[str, Calibration], feet: 
     return None if one is None or other is None else tell_sides(one, other)
 
 
-def _unsure(verdict: SideVerdict | None) -> str:
-    if verdict is None:
-        return "which foot is which takes two feet with five straight strides each."
-    return (
-        f"which foot is which is not clear: {verdict.agreeing} of 4 signs agree, with a score of {verdict.score:.2f} "
-        "(3 and 0.30 are needed)."
-    )
-
-
 def _please_label(names: list[str]) -> str:
     which = ", ".join(f"[sensors.{name}]" for name in names)
     return f"Say in the sidecar which foot is which: rename {which} to [sensors.left_foot] or [sensors.right_foot]."
-
-
-def _refuse_nonsense(calibrations: Mapping[str, Calibration], sides: Mapping[str, str]) -> None:
-    """A file written by hand may say anything; what the core would choke on is refused here."""
-    if not calibrations:
-        raise ValueError("it holds no sensor")
-    for name, side in sides.items():
-        if name not in UNLABELLED_FEET or side not in FOOT_SENSORS:
-            raise ValueError(f"{name!r} cannot be {side!r}")

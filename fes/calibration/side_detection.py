@@ -10,24 +10,20 @@ Measured on 15 recordings of 5 people: see ``benchmarks/shank_phases.py``. That 
 agree clearly, no side is told: a wrong side stimulates the wrong leg.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.shank.motion import levelled, rotate_each
-from fes.estimation.strides.constrained import integrate
+from fes.estimation.shank.motion import rotate_each, travelled
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.signals import FloatArray, IntArray, StrideResult
 
 MIN_STRIDES = 5
 MIN_LENGTH_M = 0.3
 MOST_TURN_RAD = 0.35
-SIGNS = ("roll", "toe_out", "outward_start", "bow")
-USUAL_DIFFERENCE = np.array([0.3, 0.2, 0.12, 0.05])  # rad, rad, m/s, m between left and right; a full vote each
+USUAL_DIFFERENCE = np.array([0.3, 0.2, 0.12, 0.05])  # roll and toe-out (rad), outward start (m/s), bow (m)
 MIN_SCORE = 0.3
 MIN_AGREEING = 3
 
@@ -73,14 +69,12 @@ def side_signs(
     """
     forward, up = calibration.forward(), np.array(calibration.up)
     tracker = FootTracker(calibration, StrideMaker(calibration.sensor, StrideSettings(forward=forward, up=up)))
-    strides = [s for s in tracker.advance(t_ns, acc_mps2, gyr_radps) if isinstance(s, StrideResult) and _straight(s)]
+    outcomes = tracker.advance(t_ns, acc_mps2, gyr_radps)
+    valid = [s for s in outcomes if isinstance(s, StrideResult) and s.valid]
+    strides = [s for s in valid if s.stride_length_m >= MIN_LENGTH_M and abs(s.turn_rad) <= MOST_TURN_RAD]
     acc, gyr = acc_mps2 - np.array(calibration.acc_bias_mps2), gyr_radps - tracker.gyr_bias_radps
     found = [signs for s in strides if (signs := _signs(t_ns, acc, gyr, s, forward)) is not None]
     return np.median(np.array(found), axis=0) if len(found) >= MIN_STRIDES else None
-
-
-def _straight(stride: StrideResult) -> bool:
-    return stride.valid and stride.stride_length_m >= MIN_LENGTH_M and abs(stride.turn_rad) <= MOST_TURN_RAD
 
 
 def _signs(
@@ -92,21 +86,18 @@ def _signs(
         return None
     first, last = (int(k) for k in np.searchsorted(t_ns, (stride.t_start_ns, stride.t_end_ns)))
     off, contact = (int(k) - first for k in np.searchsorted(t_ns, (stride.t_swing_ns, contact_ns)))
-    part = slice(first, last + 1)
-    t = np.ascontiguousarray(t_ns[part])
-    quaternions = levelled(t_ns, acc, gyr, (first, last), 0)
-    velocity, position, gamma = np.empty((len(t), 3)), np.empty((len(t), 3)), np.empty((2, 3))
-    zero = np.zeros(3)
-    if not integrate(t, acc[part], quaternions, zero, zero, True, velocity, position, gamma):
+    found = travelled(t_ns, acc, gyr, (first, last))
+    if found is None:
         return None
+    quaternions, velocity, position = found
     direction = position[-1, :2]
     length = float(np.hypot(direction[0], direction[1]))
-    if length < MIN_LENGTH_M or not 0 < off < contact < len(t):
+    if length < MIN_LENGTH_M or not 0 < off < contact < len(position):
         return None
     leftward = np.array([-direction[1], direction[0]]) / length
     toe = rotate_each(quaternions[:1], forward[None])[0]
     toe_out = float(np.arctan2(direction[0] * toe[1] - direction[1] * toe[0], direction @ toe[:2]))
-    step_s = 1e-9 * np.diff(t[off : contact + 1])
-    roll = float((gyr[part][off:contact] @ forward) @ step_s)
+    step_s = 1e-9 * np.diff(t_ns[first + off : first + contact + 1])
+    roll = float((gyr[first + off : first + contact] @ forward) @ step_s)
     across = position[:, :2] @ leftward
     return np.array([-roll, toe_out, float(velocity[off, :2] @ leftward), float(across.max() + across.min())])

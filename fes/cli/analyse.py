@@ -1,99 +1,95 @@
-"""``fes analyse``: strides and phases of recordings, as files and as a report."""
+"""``fes analyse``: strides and phases of recordings, as files and as a report; a long recording chunk by chunk."""
 
 from __future__ import annotations
 
 import json
+import math
 import sys
-from datetime import UTC, datetime
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import mean, stdev
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
 from fes.analysis.methods import Methods
-from fes.analysis.pipeline import analyse, calibrations_of, calibrations_of_chunks
+from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
-from fes.calibration.recording import stored_calibrations
-from fes.cli.analyse_long import analyse_long
+from fes.calibration.recording import SensorCalibrations, labelled, stored_calibrations
 from fes.cli.common.exits import FAILED, error_text, fail, fresh_folder
-from fes.cli.common.options import RenamedOptions
-from fes.cli.common.show import poorly_measured
-from fes.cli.common.table_file import write_table
+from fes.cli.common.options import PATH, SIDE, RenamedOptions, choice, out_option, utc_now
+from fes.cli.common.show import TableFile, print_json, screen, write_table
 from fes.cli.compile_ import compiled_ahead
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.zupt.detectors import Detector
-from fes.memory import keep_freed_memory
 from fes.recording import RecordingError, read_recording
-from fes.recording.chunks import Chunk, recording_chunks
+from fes.recording.chunks import ALWAYS_NS, NEVER_NS, Chunk, keep_freed_memory, recording_chunks
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from fes.analysis.hemiparetic.walk import HemipareticWalk
-    from fes.analysis.parameters.gait import GaitParameters
+    from fes.analysis.parameters.gait import ChunkedGait, GaitParameters
     from fes.estimation.sensor_choice import Calibration
     from fes.recording import Recording
 
 FORMATS = ("csv", "parquet", "json")
 DETECTORS = ("shoe", "mv", "mag", "are", "gyr")
+STRIDE_METHODS = ("maximum_likelihood", "constrained")
+FILTERS = ("smoothed", "per-sample")
+TABLES: Final[Mapping[str, Callable[[Analysis], list[dict[str, Any]]]]] = {
+    "strides": Analysis.stride_rows,
+    "phases": Analysis.phase_rows,
+    "events": Analysis.event_rows,
+    "path": Analysis.path_rows,
+    "events_causal": Analysis.causal_event_rows,
+}
+DOUBTFUL_SHARE, FEWEST_STRIDES = 0.7, 5
+Strides = dict[str, tuple[int, int, float]]  # by foot: all, valid, distance in m
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What is wanted of every recording."""
+
+    out: Path
+    kind: str
+    as_json: bool
+    uneven: bool
+    hemiparetic: bool
+    paretic_side: str | None
+    sync_clocks: bool
+    detector: str
+    stride_method: Literal["maximum_likelihood", "constrained"]
+    path_filter: str
+    causal_events: bool
+    report: bool
+
+    def tables(self) -> list[str]:
+        """Of :data:`TABLES` those that are wanted."""
+        return [name for name in TABLES if name != "events_causal" or self.causal_events]
 
 
 @click.command(name="analyse", cls=RenamedOptions, former={"--afflicted": "--paretic-side", "--apart": "--sync-clocks"})
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--calibration", type=click.Path(path_type=Path), help="From fes calibrate. Default: from the recording.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results go below."
-)
-@click.option("--format", "kind", type=click.Choice(FORMATS), default="csv", show_default=True, help="Of the tables.")
+@click.argument("recordings", nargs=-1, required=True, type=PATH)
+@click.option("--calibration", type=PATH, help="From fes calibrate. Default: from the recording.")
+@out_option()
+@choice("--format", "kind", of=FORMATS, help="Of the tables.")
 @click.option("--json", "as_json", is_flag=True, help="Print the strides as JSON instead of the table.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
 @click.option("--hemiparetic", is_flag=True, help="Tell the paretic side; Wang et al.'s windows beside our strides.")
-@click.option(
-    "--paretic-side",
-    type=click.Choice(["left", "right"]),
-    help="The paretic side, where it is known; implies --hemiparetic.",
-)
+@click.option("--paretic-side", type=SIDE, help="The paretic side, where it is known; implies --hemiparetic.")
 @click.option("--sync-clocks", is_flag=True, help="Each foot had its own clock: set the right one's by the walk.")
-@click.option(
-    "--detector",
-    type=click.Choice(DETECTORS),
-    default="shoe",
-    show_default=True,
-    help="Of zero velocity, for the path (Skog et al.).",
-)
-@click.option(
-    "--stride-method",
-    type=click.Choice(["maximum_likelihood", "constrained"]),
-    default="maximum_likelihood",
-    show_default=True,
-    help="How a stride is integrated; constrained: Negård et al.'s alone.",
-)
-@click.option(
-    "--path",
-    "path_filter",
-    type=click.Choice(["smoothed", "per-sample"]),
-    default="smoothed",
-    show_default=True,
-    help="Filter and smooth the path over intervals, or from sample to sample.",
+@choice("--detector", of=DETECTORS, help="Of zero velocity, for the path (Skog et al.).")
+@choice("--stride-method", of=STRIDE_METHODS, help="How a stride is integrated; constrained: Negård et al.'s alone.")
+@choice(
+    "--path", "path_filter", of=FILTERS, help="Filter and smooth the path over intervals, or from sample to sample."
 )
 @click.option("--causal-events", is_flag=True, help="Also events as known on-line (Kumar et al.): events_causal.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 def command(
-    recordings: tuple[Path, ...],
-    calibration: Path | None,
-    out: Path,
-    kind: str,
-    as_json: bool,
-    uneven: bool,
-    hemiparetic: bool,
-    paretic_side: str | None,
-    sync_clocks: bool,
-    detector: str,
-    stride_method: Literal["maximum_likelihood", "constrained"],
-    path_filter: str,
-    causal_events: bool,
-    no_report: bool,
+    recordings: tuple[Path, ...], calibration: Path | None, hemiparetic: bool, no_report: bool, **chosen: Any
 ) -> None:
     """Find phases and strides in RECORDINGS; write tables of strides, phase changes, events (initial contact, foot
     off), the path over the ground and gait parameters, and a report of each.
@@ -115,23 +111,26 @@ def command(
 
     One recording that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
-    failures = 0
+    hemiparetic = hemiparetic or chosen["paretic_side"] is not None
+    asked = Options(hemiparetic=hemiparetic, report=not no_report, **chosen)
+    level, failures = not asked.uneven, 0
     keep_freed_memory()
-    methods = Methods(Detector[detector.upper()], stride_method, path_filter == "per-sample", causal_events)
+    detector, per_sample = Detector[asked.detector.upper()], asked.path_filter == "per-sample"
+    methods = Methods(detector, asked.stride_method, per_sample, asked.causal_events)
     for path in recordings:
         try:
             with compiled_ahead():
                 # --sync-clocks and --hemiparetic look at the walk as a whole
-                together = sync_clocks or hemiparetic or paretic_side is not None
+                together = asked.sync_clocks or hemiparetic
                 first = Chunk(read_recording(path)) if together else next(recording_chunks(path))
                 recording = first.recording
                 if not first.whole:
-                    found = calibrations_of_chunks(recording_chunks(path), calibration, level=not uneven)
+                    found = calibrations_of_chunks(recording_chunks(path), calibration, level=level)
                 elif calibration:
                     recording, found = stored_calibrations(calibration, recording)
                 else:
-                    recording, found = calibrations_of(recording, level=not uneven)
-            if sync_clocks:
+                    recording, found = calibrations_of(recording, level=level)
+            if asked.sync_clocks:
                 recording = _one_clock(recording, found.calibrations)
         except (RecordingError, CalibrationError) as error:
             if len(recordings) == 1:
@@ -144,22 +143,14 @@ def command(
         if sys.stderr.isatty():
             click.echo(f"Analysing {path.name} … (the first time on a computer takes a minute longer)", err=True)
         if not first.whole:
-            del first, recording  # a piece that need not stay
-            analyse_long(
-                path, found, out, kind, level=not uneven, methods=methods, as_json=as_json, report=not no_report
-            )
+            del first, recording  # a chunk that need not stay
+            analyse_long(path, found, asked, methods)
             continue
-        result = analyse(recording, found.calibrations, level=not uneven, methods=methods)
-        folder = fresh_folder(out, path.stem)
-        write_table(result.stride_rows(), folder / f"strides.{kind}")
-        write_table(result.phase_rows(), folder / f"phases.{kind}")
-        write_table(result.event_rows(), folder / f"events.{kind}")
-        write_table(result.path_rows(), folder / f"path.{kind}")
-        if causal_events:
-            write_table(result.causal_event_rows(), folder / f"events_causal.{kind}")
-        hemiparetic = hemiparetic or paretic_side is not None
-        gait = _gait(result, folder, kind, hemiparetic=hemiparetic, paretic_side=paretic_side)
-        _show(result, gait, folder, as_json=as_json, report=not no_report)
+        result = analyse(recording, found.calibrations, level=level, methods=methods)
+        folder = fresh_folder(asked.out, path.stem)
+        for name in asked.tables():
+            write_table(TABLES[name](result), folder / f"{name}.{asked.kind}")
+        _show(result, _gait(result, folder, asked), folder, asked)
     if failures:
         click.secho(f"{failures} of {len(recordings)} recordings could not be used.", fg="red", err=True)
         raise SystemExit(FAILED)
@@ -187,85 +178,92 @@ def _one_clock(recording: Recording, calibrations: Mapping[str, Calibration]) ->
     return together
 
 
-def _gait(
-    result: Analysis, folder: Path, kind: str, *, hemiparetic: bool, paretic_side: str | None
-) -> tuple[GaitParameters, HemipareticWalk | None]:
+def _gait(result: Analysis, folder: Path, asked: Options) -> tuple[GaitParameters, HemipareticWalk | None]:
     """Work out the gait parameters, as a hemiparetic walk's if asked, and write their tables."""
     from fes.analysis.parameters.gait import gait_parameters, mean_strides
 
     walk = None
-    if hemiparetic:
+    if asked.hemiparetic:
         from fes.analysis.hemiparetic.walk import hemiparetic_walk
 
         try:
-            walk = hemiparetic_walk(result, paretic=paretic_side)
+            walk = hemiparetic_walk(result, paretic=asked.paretic_side)
         except ValueError as error:
             click.secho(f"Not looked at as a hemiparetic walk: {error}", fg="yellow", err=True)
     parameters = gait_parameters(result) if walk is None else walk.parameters
-    write_table(parameters.rows() if walk is None else walk.rows(), folder / f"parameters.{kind}")
-    write_table(parameters.summary_rows(), folder / f"parameters_summary.{kind}")
-    mean = [row for one in mean_strides(result.strides, parameters.strides) for row in one.rows()]
-    write_table(mean, folder / f"mean_stride.{kind}")
+    tables = {
+        "parameters": parameters.rows() if walk is None else walk.rows(),
+        "parameters_summary": parameters.summary_rows(),
+        "mean_stride": [row for one in mean_strides(result.strides, parameters.strides) for row in one.rows()],
+    }
     if walk is not None:
-        write_table(walk.window_rows(), folder / f"windows.{kind}")
-        write_table(walk.track_rows(), folder / f"visualization.{kind}")
+        tables |= {"windows": walk.window_rows(), "visualization": walk.track_rows()}
+    for name, rows in tables.items():
+        write_table(rows, folder / f"{name}.{asked.kind}")
     return parameters, walk
 
 
-def _show(
-    result: Analysis,
-    gait: tuple[GaitParameters, HemipareticWalk | None],
-    folder: Path,
-    *,
-    as_json: bool,
-    report: bool,
-) -> None:
-    from fes.report.summary import summarise
+def _show(result: Analysis, gait: tuple[GaitParameters, HemipareticWalk | None], folder: Path, asked: Options) -> None:
+    from fes.report.summary import summarise_session
     from fes.report.tables import stride_table, summary_block
 
-    record = result.walk_record(datetime.now(UTC).isoformat(timespec="seconds"))
-    if report:
+    parameters, walk = gait
+    record = result.walk_record(utc_now())
+    data, page = summarise_session(record), folder / "report.html"
+    summary = data.summary
+    if asked.report:
         from fes.report.page import write_report
 
-        write_report(record, folder / "report.html", paths=result.paths, gait=gait[0], hemiparetic=gait[1])
-    summary = summarise(record)
-    parameters, walk = gait
-    if as_json:
-        told = {
-            **summary.to_json(),
-            "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
-            "paths": result.path_summary(),
-            "parameters": parameters.to_json(),
-            **({} if walk is None else {"hemiparetic": walk.to_json()}),
-            "files": {"folder": str(folder)},
-        }
-        click.echo(json.dumps(told, indent=2, ensure_ascii=False))
+        write_report(record, page, data=data, paths=result.paths, gait=parameters, hemiparetic=walk)
+    if asked.as_json:
+        print_json(
+            {
+                **summary.to_json(),
+                "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
+                "paths": result.path_summary(),
+                "parameters": parameters.to_json(),
+                **({} if walk is None else {"hemiparetic": walk.to_json()}),
+                "files": {"folder": str(folder)},
+            }
+        )
         return
-    from rich.console import Console
+    lines = [*_clearance_lines(result), *_path_lines(result)]
+    _print_parameters(
+        [stride_table(summary), summary_block(summary)], parameters, walk, lines, _strides_by_foot(result)
+    )
+    click.echo(f"Tables  {folder}/")
+    if asked.report:
+        click.echo(f"Report  {page}  (open it in a browser)")
 
-    from fes.cli.common.show import PIPED_COLUMNS
+
+def _print_parameters(
+    tables: Iterable[Any], gait: GaitParameters, walk: HemipareticWalk | None, lines: Iterable[str], strides: Strides
+) -> None:
+    """These tables and the parameters', the lines, and whatever strides make doubtful."""
     from fes.report.tables import parameter_lines, parameter_table
 
-    screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
-    screen.print(stride_table(summary))
-    screen.print(summary_block(summary))
-    if (table := parameter_table(parameters)).row_count:
-        screen.print(table)
-    for line in (*_clearance_lines(result), *_path_lines(result), *parameter_lines(parameters, walk)):
-        screen.print(line, markup=False)
-    for line in poorly_measured(_counted(result)):
-        screen.print(line, markup=False, style="yellow")
-    click.echo(f"Tables  {folder}/")
-    if report:
-        click.echo(f"Report  {folder / 'report.html'}  (open it in a browser)")
+    console = screen()
+    for table in (*tables, *([found] if (found := parameter_table(gait)).row_count else [])):
+        console.print(table)
+    for line in (*lines, *parameter_lines(gait, walk)):
+        console.print(line, markup=False)
+    for sensor, (count, valid, _) in strides.items():
+        if count >= FEWEST_STRIDES and valid < DOUBTFUL_SHARE * count:
+            console.print(
+                f"! {sensor}: only {valid} of {count} strides could be measured. Does this sensor sit on "
+                f"the {sensor.replace('_', ' ')}, not on another part of the leg, and are units and rate in the "
+                f"sidecar right?",
+                markup=False,
+                style="yellow",
+            )
 
 
-def _counted(result: Analysis) -> dict[str, tuple[int, int]]:
-    """By sensor: strides, and how many of them are valid."""
-    found: dict[str, tuple[int, int]] = {}
-    for stride in result.strides:
-        count, valid = found.get(stride.foot, (0, 0))
-        found[stride.foot] = count + 1, valid + stride.valid
+def _strides_by_foot(result: Analysis) -> Strides:
+    found: Strides = {}
+    for foot in dict.fromkeys(stride.foot for stride in result.strides):
+        own = [stride for stride in result.strides if stride.foot == foot]
+        valid = [stride.stride_length_m for stride in own if stride.valid]
+        found[foot] = len(own), len(valid), math.fsum(valid)
     return found
 
 
@@ -274,10 +272,8 @@ def _clearance_lines(result: Analysis) -> list[str]:
     lines = []
     for foot, known in result.points.items():
         valid = [stride for stride in result.strides if stride.valid and stride.foot == foot]
-        heights = {
-            "toe": [100.0 * s.toe_clearance_m for s in valid if s.toe_clearance_m == s.toe_clearance_m],
-            "heel": [100.0 * s.heel_clearance_m for s in valid if s.heel_clearance_m == s.heel_clearance_m],
-        }
+        measured = {"toe": [s.toe_clearance_m for s in valid], "heel": [s.heel_clearance_m for s in valid]}
+        heights = {name: [100.0 * m for m in values if m == m] for name, values in measured.items()}
         said = (f"{name} {mean(cm):.1f} ± {stdev(cm):.1f} cm" for name, cm in heights.items() if len(cm) > 1)
         lines.append(f"Clearance, {foot.removesuffix('_foot')}: {'; '.join([*said, known.describe()])}")
     return lines
@@ -287,10 +283,107 @@ def _path_lines(result: Analysis) -> list[str]:
     """How far each foot went, and where it ended, in words."""
     lines = []
     for foot, path in result.paths.items():
-        side = foot.removesuffix("_foot")
-        line = f"Path, {side}: {path.distance_m:.2f} m, ends {path.closure_m:.2f} m from its start"
-        gained = [s.height_gained_m for s in result.strides if s.valid and s.foot == foot]
+        line = (
+            f"Path, {foot.removesuffix('_foot')}: {path.distance_m:.2f} m, ends {path.closure_m:.2f} m from its start"
+        )
         if not result.level:
+            gained = [s.height_gained_m for s in result.strides if s.valid and s.foot == foot]
             line += f", {path.height_gained_m:+.2f} m in height ({sum(gained):+.2f} m in {len(gained)} valid strides)"
         lines.append(line)
     return lines + [f"No path: {reason}" for reason in result.no_path.values()]
+
+
+@dataclass(frozen=True)
+class _ChunkSummary:
+    """What stays of a chunk for the table on the screen; ``points``: where toe and heel are, in words."""
+
+    begin_s: float
+    end_s: float
+    strides: Strides
+    no_path: tuple[str, ...]
+    points: tuple[str, ...]
+
+
+def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods: Methods) -> None:
+    """Analyse chunk by chunk and write the tables as they come; what is kept does not grow with the recording."""
+    from fes.analysis.parameters.gait import ChunkedGait, gait_parameters
+
+    folder, kind = fresh_folder(asked.out, path.stem), asked.kind
+    named = (replace(chunk, recording=labelled(chunk.recording, found.sides)) for chunk in recording_chunks(path))
+    chunks: list[_ChunkSummary] = []
+    gait: ChunkedGait | None = None
+    with ExitStack() as stack:
+        names = [*asked.tables(), "parameters"]
+        files = {name: stack.enter_context(TableFile(folder / f"{name}.{kind}")) for name in names}
+        for result in analyse_chunks(named, found.calibrations, level=not asked.uneven, methods=methods):
+            parameters = gait_parameters(result)
+            gait = gait or ChunkedGait(result.recording.belt_speed_mps)
+            gait.add(parameters, result.strides)
+            for name in asked.tables():
+                files[name].add(TABLES[name](result))
+            files["parameters"].add(parameters.rows())
+            chunks.append(_summarised(result))
+            if asked.report or asked.as_json:
+                _report_chunk(result, parameters, folder, len(chunks), asked)
+            del result, parameters  # or it would stay while the next chunk is worked on
+    assert gait is not None
+    every = gait.parameters()
+    write_table(every.summary_rows(), folder / f"parameters_summary.{kind}")
+    write_table([row for one in gait.mean_strides() for row in one.rows()], folder / f"mean_stride.{kind}")
+    if asked.as_json:
+        last = {"parameters": every.to_json(), "files": {"folder": str(folder)}}
+        click.echo("],\n" + json.dumps(last, indent=2, ensure_ascii=False)[2:])
+        return
+    _show_chunks(chunks, every)
+    click.echo(f"Tables  {folder}/")
+    if asked.report:
+        click.echo(f"Reports {folder / 'report-01.html'} and on, one a chunk  (open them in a browser)")
+
+
+def _summarised(result: Analysis) -> _ChunkSummary:
+    chunk = result.chunk or Chunk(result.recording)
+    tracks = result.recording.tracks.values()
+    begin, end = chunk.begin_ns, chunk.end_ns
+    begin = min(int(track.t_sensor_ns[0]) for track in tracks) if begin == ALWAYS_NS else begin
+    end = max(int(track.t_sensor_ns[-1]) for track in tracks) if end == NEVER_NS else end
+    points = (f"Clearance, {foot.removesuffix('_foot')}: {known.describe()}" for foot, known in result.points.items())
+    strides, no_path = _strides_by_foot(result), tuple(result.no_path.values())
+    return _ChunkSummary(1e-9 * begin, 1e-9 * end, strides, no_path, tuple(points))
+
+
+def _report_chunk(result: Analysis, parameters: GaitParameters, folder: Path, number: int, asked: Options) -> None:
+    """One chunk's report, and its numbers where JSON is asked for."""
+    record = result.walk_record(utc_now())
+    if asked.report:
+        from fes.report.page import write_report
+
+        write_report(record, folder / f"report-{number:02d}.html", paths=result.paths, gait=parameters)
+    if asked.as_json:
+        from fes.report.summary import summarise
+
+        one = {
+            **summarise(record).to_json(),
+            "toe_and_heel": {foot: known.to_json() for foot, known in result.points.items()},
+            "parameters": parameters.to_json(),
+        }
+        click.echo('{"pieces": [' if number == 1 else ",")
+        click.echo(json.dumps(one, indent=2, ensure_ascii=False), nl=False)
+
+
+def _show_chunks(chunks: list[_ChunkSummary], every: GaitParameters) -> None:
+    from rich.table import Table
+
+    feet = list(dict.fromkeys(foot for each in chunks for foot in each.strides))
+    columns = [text for foot in feet for text in (f"{foot}, strides", "measured", "distance, m")]
+    table = Table("chunk", "from s", "to s", *columns, title="Chunks")
+    for number, each in enumerate(chunks, start=1):
+        cells = [each.strides.get(foot, (0, 0, 0.0)) for foot in feet]
+        shown = [text for count, valid, distance_m in cells for text in (str(count), str(valid), f"{distance_m:.1f}")]
+        table.add_row(str(number), f"{each.begin_s:.0f}", f"{each.end_s:.0f}", *shown)
+    no_path = [f"No path in chunk {k}: {reason}" for k, each in enumerate(chunks, start=1) for reason in each.no_path]
+    strides: Strides = {}
+    for each in chunks:
+        for foot, (count, valid, distance_m) in each.strides.items():
+            before = strides.get(foot, (0, 0, 0.0))
+            strides[foot] = before[0] + count, before[1] + valid, before[2] + distance_m
+    _print_parameters([table], every, None, [*chunks[-1].points, *no_path], strides)

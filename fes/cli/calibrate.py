@@ -1,24 +1,22 @@
 """``fes calibrate``: how the sensors sit and how this person moves, from a short recording."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
-from typing import Any
 
 import click
 
 from fes.calibration.recording import SensorCalibrations, calibrate_all, save
-from fes.cli.common.exits import Problem, fail
-from fes.estimation.foot.calibration import CalibrationError, FootCalibration
+from fes.cli.common.exits import failing, writing
+from fes.cli.common.options import PATH
+from fes.cli.common.show import print_json
+from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.recording import RecordingError, read_recording
 
 
 @click.command(name="calibrate")
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="Where to write. Default: RECORDING.calibration.json.")
+@click.argument("recording", type=PATH)
+@click.option("--out", type=PATH, help="Where to write. Default: RECORDING.calibration.json.")
 @click.option("--stairs", is_flag=True, help="Over stairs or slopes: shank strides may end higher or lower.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was found as JSON instead of the table.")
 def command(recording: Path, out: Path | None, stairs: bool, as_json: bool) -> None:
@@ -27,23 +25,31 @@ def command(recording: Path, out: Path | None, stairs: bool, as_json: bool) -> N
     Feet that the sidecar calls foot_a and foot_b are told apart by how they move; where that is not clear, nothing is
     written and a label is asked for. Use the result with --calibration of fes replay and fes analyse.
     """
-    try:
+    with failing(RecordingError, CalibrationError):
         found = calibrate_all(read_recording(recording), level=not stairs)
-    except (RecordingError, CalibrationError) as error:
-        fail(error)
     for reason in found.missing.values():
         click.secho(f"Not calibrated: {reason}", fg="yellow", err=True)
     if found.swapped and found.verdict is not None:
-        click.secho(
-            f"The two feet move as if they were swapped ({found.verdict.agreeing} of 4 signs, score "
-            f"{found.verdict.score:.2f}). Check which sensor is on which foot before stimulating.",
-            fg="red",
-            err=True,
-        )
+        signs = f"{found.verdict.agreeing} of 4 signs, score {found.verdict.score:.2f}"
+        remedy = "Check which sensor is on which foot before stimulating."
+        click.secho(f"The two feet move as if they were swapped ({signs}). {remedy}", fg="red", err=True)
     target = out or recording.with_suffix(".calibration.json")
     save_calibrations(found, target)
     if as_json:
-        click.echo(json.dumps(as_dict(found, target), indent=2, ensure_ascii=False))
+        verdict = found.verdict
+        print_json(
+            {
+                "sensors": {sensor: calibration.to_dict() for sensor, calibration in found.calibrations.items()},
+                "phase_sensors": phase_sensors(found.calibrations),
+                "drives": phase_sensors(found.calibrations),  # its former name
+                "missing": found.missing,
+                "sides": found.sides,
+                "side_score": verdict.score if verdict else None,
+                "side_signs_agreeing": verdict.agreeing if verdict else None,
+                "swapped": found.swapped,
+                "file": str(target),
+            }
+        )
         return
     _show(found)
     click.echo(f"Calibration  {target}")
@@ -73,83 +79,47 @@ def _show(found: SensorCalibrations) -> None:
         )
     Console(width=110).print(table)
     for name, side in found.sides.items():
-        click.echo(f"{name} is the {side}: {_evidence(found)}")
+        evidence = "as given"
+        if found.verdict is not None:
+            evidence = f"{found.verdict.agreeing} of 4 signs agree, score {found.verdict.score:.2f} (sure from 0.30)"
+        click.echo(f"{name} is the {side}: {evidence}")
     for calibration in found.calibrations.values():
         click.echo(describe(calibration))
 
 
-def _evidence(found: SensorCalibrations) -> str:
-    if found.verdict is None:
-        return "as given"
-    return f"{found.verdict.agreeing} of 4 signs agree, score {found.verdict.score:.2f} (sure from 0.30)"
-
-
-def as_dict(found: SensorCalibrations, target: Path) -> dict[str, Any]:
-    """What was found, for programs."""
-    verdict = found.verdict
-    return {
-        "sensors": {sensor: calibration.to_dict() for sensor, calibration in found.calibrations.items()},
-        "phase_sensors": phase_sensors(found.calibrations),
-        "drives": phase_sensors(found.calibrations),  # its former name
-        "missing": found.missing,
-        "sides": found.sides,
-        "side_score": verdict.score if verdict else None,
-        "side_signs_agreeing": verdict.agreeing if verdict else None,
-        "swapped": found.swapped,
-        "file": str(target),
-    }
-
-
 def describe(calibration: Calibration) -> str:
     """A calibration for people."""
-    shank = isinstance(calibration, ShankCalibration)
-    unseen = "from the drift between strides" if shank else "taken as 0"
-    still = f"nobody stood still: the gyroscope's bias is {unseen}"
-    if calibration.standing:
-        still = "a still second was found"
     rate = ", ".join(f"{1000 * b:+.1f}" for b in calibration.gyr_bias_radps)
     force = ", ".join(f"{b:+.3f}" for b in calibration.acc_bias_mps2)
     up = ", ".join(f"{v:+.2f}" for v in calibration.up)
     if isinstance(calibration, ShankCalibration):
-        turning, axis, more = "left", calibration.left, _shank_lines(calibration)
+        turning, axis, unseen = "left", calibration.left, "from the drift between strides"
+        arm, levels = calibration.arm, calibration.levels
+        how = f"learnt from {arm.windows} stances" if arm.learnt else f"taken from the prior: {arm.reason}"
+        more = [
+            f"  flat below {levels.rest_lean_radps:.2f} rad/s and {levels.rest_acc_mps2:.1f} m/s² at the ankle; "
+            f"push-off from {levels.min_lean_peak_radps:.1f} rad/s; contact from {levels.contact_jolt_mps3:.0f} m/s³",
+            f"  arm {100 * arm.length_m:.1f} cm, {how}; condition {arm.condition:.1f}",
+        ]
     else:
-        turning, axis, more = "toe-down about", calibration.toe_down, _foot_lines(calibration)
+        turning, axis, unseen = "toe-down about", calibration.toe_down, "taken as 0"
+        more = [
+            f"  at rest below {calibration.rest_gyr_radps:.2f} rad/s for {1000 * calibration.rest_hold_s:.0f} ms; "
+            f"push-off from {calibration.min_toe_down_peak_radps:.1f} rad/s; "
+            f"contact from {calibration.contact_jerk_mps3:.0f} m/s³"
+        ]
+    standing = calibration.standing
+    still = "a still second was found" if standing else f"nobody stood still: the gyroscope's bias is {unseen}"
     across = ", ".join(f"{v:+.2f}" for v in axis)
-    return "\n".join(
-        (
-            f"{calibration.sensor}: from {calibration.strides} strides; {still}",
-            f"  up ({up}), {turning} ({across}) in the sensor's axes, sign {calibration.axis_confidence:.0%} sure",
-            f"  bias: gyroscope ({rate}) mrad/s, accelerometer ({force}) m/s²",
-            *more,
-        )
-    )
-
-
-def _foot_lines(calibration: FootCalibration) -> list[str]:
-    return [
-        f"  at rest below {calibration.rest_gyr_radps:.2f} rad/s for {1000 * calibration.rest_hold_s:.0f} ms; "
-        f"push-off from {calibration.min_toe_down_peak_radps:.1f} rad/s; "
-        f"contact from {calibration.contact_jerk_mps3:.0f} m/s³"
+    lines = [
+        f"{calibration.sensor}: from {calibration.strides} strides; {still}",
+        f"  up ({up}), {turning} ({across}) in the sensor's axes, sign {calibration.axis_confidence:.0%} sure",
+        f"  bias: gyroscope ({rate}) mrad/s, accelerometer ({force}) m/s²",
     ]
-
-
-def _shank_lines(calibration: ShankCalibration) -> list[str]:
-    arm, levels = calibration.arm, calibration.levels
-    how = f"learnt from {arm.windows} stances" if arm.learnt else f"taken from the prior: {arm.reason}"
-    return [
-        f"  flat below {levels.rest_lean_radps:.2f} rad/s and {levels.rest_acc_mps2:.1f} m/s² at the ankle; "
-        f"push-off from {levels.min_lean_peak_radps:.1f} rad/s; contact from {levels.contact_jolt_mps3:.0f} m/s³",
-        f"  arm {100 * arm.length_m:.1f} cm, {how}; condition {arm.condition:.1f}",
-    ]
+    return "\n".join([*lines, *more])
 
 
 def save_calibrations(found: SensorCalibrations, path: Path) -> None:
-    """Write calibrations as JSON.
-
-    Raises:
-        Problem: the file cannot be written.
-    """
-    try:
+    """Write calibrations as JSON. Raises Problem: the file cannot be written."""
+    with writing(path, ". Choose another place with --out."):
         save(found, path)
-    except OSError as error:
-        raise Problem(f"{path}: cannot be written: {error.strerror}. Choose another place with --out.") from error

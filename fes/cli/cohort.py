@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
+from fes.cli.common.exits import FAILED, Problem, StoppedEarly, interrupted
 from fes.cli.common.options import Number
 
 if TYPE_CHECKING:
     from fes.cohort.store import Store
     from fes.cohort.task import Outcome
 
+Task = TypeVar("Task")
 PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 
 
@@ -54,8 +57,8 @@ def command(
     the scheduler gone), 130 interrupted.
     """
     from fes.cohort.engine import analyse_all, cluster, processors
-    from fes.cohort.sources import CohortError, find_sources, program
-    from fes.cohort.store import Store
+    from fes.cohort.sources import find_sources, program
+    from fes.cohort.store import RECORDINGS, Store
     from fes.cohort.task import Settings, drop_replaced
 
     try:
@@ -63,40 +66,25 @@ def command(
     except re.error as error:
         raise Problem(f"--subject-from {subject_from}: is no regular expression: {error}.") from error
     store, settings = Store(results_at(out)), Settings(not uneven, subject_from)
-    ended: type[Problem] = Problem  # how, should it not come to its end: nothing has been done yet
-    try:
+    with resumable(store.url) as run:
         sources = find_sources([absolute(pattern) for pattern in recordings])
         by_identity = {source.identity(settings.text()): source for source in sources}
         about = {"command": "fes cohort", "recordings": list(recordings), "settings": settings.text()}
         store.prepare(about | {"program": program()})
-        finished = store.finished() & by_identity.keys()
-        if retry_failed:
-            again = {r["recording"] for r in _rows(store, finished) if r["status"] != "done"}
-            store.forget(again)
-            finished -= again
-        todo = [source for identity, source in by_identity.items() if identity not in finished]
-        if finished:
-            click.echo(f"{len(finished)} of {len(sources)} are finished already.", err=True)
+        todo = unfinished(store, by_identity, RECORDINGS, "recording", retry_failed)
         if todo:
             number = min(workers or processors(), len(todo))
-            with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "analysing") as bar:
-                ended = StoppedEarly
-                analyse_all(client, todo, store, settings, bar.advance, time_limit)
+            with cluster(number, scheduler, time_limit) as client, progress_bar(len(todo), "analysing") as advance:
+                run.begun = True
+                analyse_all(client, todo, store, settings, advance, time_limit)
         if replaced := drop_replaced(store, sources, settings):
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
-        rows = _rows(store, by_identity)
+        rows: list[dict[str, Any]] = store.table(RECORDINGS, by_identity).to_pylist()
         if not no_report:
             from fes.cohort.page import write_pages
 
             page = write_pages(store, by_identity, rows)
             click.echo(f"Report     {page}")
-    except CohortError as error:
-        raise ended(str(error)) from error
-    except OSError as error:
-        raise ended(f"{store.url}: the results cannot be kept there: {error}") from error
-    except KeyboardInterrupt:
-        click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
-        raise SystemExit(INTERRUPTED) from None
     click.echo(f"Data set   {store.place('')}")
     failed = [row for row in rows if row["status"] != "done"]
     strides = sum(row["valid_strides"] or 0 for row in rows)
@@ -122,38 +110,55 @@ def results_at(out: str) -> str:
     return absolute(out)
 
 
-class ProgressBar:
-    """How far it has come, on stderr; lines of failures above it."""
+@dataclass
+class Run:
+    """Whether the work has begun: what ends it then has stopped it early."""
 
-    def __init__(self, total: int, doing: str) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-        console = Console(stderr=True)
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-        shown = sys.stderr.isatty()
-        self._progress = Progress(
-            *columns, console=console, disable=not shown, transient=True, refresh_per_second=PER_SECOND
-        )
-        self._task = self._progress.add_task(doing, total=total)
-        self._doing, self._failed = doing, 0
-
-    def advance(self, outcome: Outcome) -> None:
-        """One more is finished."""
-        self._failed += outcome.status != "done"
-        said = f"{self._doing}, {self._failed} failed" if self._failed else self._doing
-        self._progress.update(self._task, advance=1, description=said)
-
-    def __enter__(self) -> Self:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
+    begun: bool = False
 
 
-def _rows(store: Store, identities: Iterable[str]) -> list[dict[str, Any]]:
-    from fes.cohort.store import RECORDINGS
+@contextmanager
+def resumable(place: str) -> Iterator[Run]:
+    """End the command with what keeps many tasks from being done, their results in ``place``, and on Ctrl-C."""
+    from fes.cohort.sources import CohortError
+    from fes.config import ConfigError
 
-    rows: list[dict[str, Any]] = store.table(RECORDINGS, identities).to_pylist()
-    return rows
+    run = Run()
+    try:
+        yield run
+    except (CohortError, ConfigError, OSError) as error:
+        what = f"{place}: the results cannot be kept there: {error}" if isinstance(error, OSError) else str(error)
+        raise (StoppedEarly if run.begun else Problem)(what) from error
+    except KeyboardInterrupt:
+        interrupted(". Run the same command again to go on from here.")
+
+
+def unfinished(store: Store, tasks: Mapping[str, Task], table: str, key: str, retry_failed: bool) -> list[Task]:
+    """The tasks, by the names of their results, of which the store holds none; those that failed only to be retried."""
+    finished = store.finished() & tasks.keys()
+    if retry_failed:
+        again = {row[key] for row in store.table(table, finished).to_pylist() if row["status"] != "done"}
+        store.forget(again)
+        finished -= again
+    if finished:
+        click.echo(f"{len(finished)} of {len(tasks)} are finished already.", err=True)
+    return [task for name, task in tasks.items() if name not in finished]
+
+
+@contextmanager
+def progress_bar(total: int, doing: str) -> Iterator[Callable[[Outcome], None]]:
+    """How far it has come, on stderr; what it gives is called with each outcome."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console, hidden, failed = Console(stderr=True), not sys.stderr.isatty(), 0
+    with Progress(*columns, console=console, disable=hidden, transient=True, refresh_per_second=PER_SECOND) as bar:
+        task = bar.add_task(doing, total=total)
+
+        def advance(outcome: Outcome) -> None:
+            nonlocal failed
+            failed += outcome.status != "done"
+            bar.update(task, advance=1, description=f"{doing}, {failed} failed" if failed else doing)
+
+        yield advance

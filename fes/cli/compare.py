@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from fes.cli.common.exits import FAILED, Problem, fail
-from fes.cli.common.options import RenamedOptions
+from fes.cli.common.exits import FAILED, Problem, failing
+from fes.cli.common.options import PATH, SIDE, RenamedOptions
+from fes.cli.common.show import narrow_table, print_json, screen
 from fes.session_log import SessionLogError, read_session
 
 if TYPE_CHECKING:
@@ -19,33 +18,22 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
     from fes.evaluation.log_comparison import Comparison
-    from fes.signals import StrideResult
 
 ROWS: Final = 30
 BY_NUMBER: Final = (
     "No shift of the clocks brings the strides together: matched by number, times count from each stride's start."
 )
 SETTINGS_SHOWN: Final = 20
-PIPED_COLUMNS: Final = 110
-_TITLES: Final = {
-    "length_cm": "length\ncm",
-    "clearance_cm": "clear.\ncm",
-    "T1_ms": "T1\nms",
-    "T2_ms": "T2\nms",
-    "T3_ms": "T3\nms",
-    "stance_ms": "stance\nms",
-    "on_ms": "on\nms",
-    "off_ms": "off\nms",
-}
+_TITLES: Final = ("length\ncm", "clear.\ncm", "T1\nms", "T2\nms", "T3\nms", "stance\nms", "on\nms", "off\nms")
 
 
 @click.command(name="compare", cls=RenamedOptions, former={"--afflicted": "--paretic-side"})
-@click.argument("sessions", nargs=-1, required=True, metavar="A B…", type=click.Path(path_type=Path))
-@click.option("--report", type=click.Path(path_type=Path), metavar="FILE", help="Write how the walks differ, as HTML.")
+@click.argument("sessions", nargs=-1, required=True, metavar="A B…", type=PATH)
+@click.option("--report", type=PATH, metavar="FILE", help="Write how the walks differ, as HTML.")
 @click.option(
     "--label", "labels", multiple=True, metavar="WORDS", help="With --report: a session's name; once for each."
 )
-@click.option("--paretic-side", type=click.Choice(["left", "right"]), help="With --report: symmetry from that side.")
+@click.option("--paretic-side", type=SIDE, help="With --report: symmetry from that side.")
 @click.option("--all", "every", is_flag=True, help=f"Show all strides, not only the first {ROWS} that differ.")
 @click.option("--json", "as_json", is_flag=True, help="Print the differences as JSON.")
 def command(
@@ -73,20 +61,15 @@ def command(
         raise Problem("--label and --paretic-side belong to --report FILE")
     if len(sessions) != 2:
         raise Problem(f"name two session logs, not {len(sessions)}; for more say --report FILE")
-    from rich.console import Console
-
     from fes.evaluation.log_comparison import compare_logs
 
     a, b = sessions
-    try:
+    with failing(SessionLogError):
         result = compare_logs(read_session(a), read_session(b))
-    except SessionLogError as error:
-        fail(error)
     if as_json:
-        click.echo(json.dumps({"a": str(a), "b": str(b), **result.to_json()}, indent=2, ensure_ascii=False))
+        print_json({"a": str(a), "b": str(b), **result.to_json()})
     else:
-        console = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
-        console.print(_difference_text(a, b, result, every))
+        screen().print(_difference_text(a, b, result, every))
     if not result.identical:
         raise SystemExit(FAILED)
 
@@ -94,9 +77,9 @@ def command(
 def _report(
     paths: Sequence[Path], report: Path, labels: Sequence[str], paretic_side: str | None, as_json: bool
 ) -> None:
-    from fes.report.comparison.page import MOST, compare_sessions, write_comparison
+    from fes.report.comparison.page import MOST, compare_sessions, render_comparison
     from fes.report.comparison.session import ComparisonProblem, read_compared
-    from fes.report.html import ReportError
+    from fes.report.html import ReportError, write_page_file
 
     if not 2 <= len(paths) <= MOST:
         raise Problem(f"name two to {MOST} sessions, not {len(paths)}")
@@ -107,29 +90,17 @@ def _report(
     if report.resolve() in {path.resolve() for path in paths}:
         raise Problem(f"{report}: is one of the sessions; choose another --report")
     names = labels or [f"{chr(65 + k)} {path.stem if path.is_file() else path.name}" for k, path in enumerate(paths)]
-    try:
-        comparison = compare_sessions(
-            [read_compared(path, name) for path, name in zip(paths, names, strict=True)], paretic=paretic_side
-        )
-        write_comparison(comparison, report)
-    except ComparisonProblem as error:
-        fail(error)
-    except ReportError as error:
-        fail(error)
+    with failing(ComparisonProblem, ReportError):
+        compared = [read_compared(path, name) for path, name in zip(paths, names, strict=True)]
+        comparison = compare_sessions(compared, paretic=paretic_side)
+        write_page_file(render_comparison(comparison), report, "Choose another --report.")
     if as_json:
-        printed = {**comparison.to_json(), "report": str(report)}
-        click.echo(json.dumps(printed, indent=2, ensure_ascii=False, allow_nan=False))
+        print_json({**comparison.to_json(), "report": str(report)}, allow_nan=False)
         return
     for finding in (*comparison.confounders, *comparison.changes):
-        click.secho(
-            f"{'!' if finding.level in ('alert', 'warning') else '·'} {finding.text}",
-            fg="yellow" if finding.level in ("alert", "warning") else None,
-        )
+        serious = finding.level in ("alert", "warning")
+        click.secho(f"{'!' if serious else '·'} {finding.text}", fg="yellow" if serious else None)
     click.echo(f"Report {report}")
-
-
-def _name(stride: StrideResult) -> str:
-    return f"{stride.foot} {stride.number}"
 
 
 def _difference_text(a: Path, b: Path, result: Comparison, every: bool) -> RenderableType:
@@ -154,7 +125,7 @@ def _difference_text(a: Path, b: Path, result: Comparison, every: bool) -> Rende
         lines.append(_table(result, every))
     for where, strides in (("A", result.only_a), ("B", result.only_b)):
         if strides:
-            names = ", ".join(map(_name, strides[:8])) + (" …" if len(strides) > 8 else "")
+            names = ", ".join(f"{s.foot} {s.number}" for s in strides[:8]) + (" …" if len(strides) > 8 else "")
             lines.append(Text(f"Only in {where}: {len(strides)} strides ({names})", style="yellow"))
     lines.append(Text(f"{len(result.pairs)} strides in both, {len(result.pairs) - len(different)} of them the same."))
     for what, difference in (("phases", result.phases), ("commands", result.commands), ("bytes", result.frames)):
@@ -171,38 +142,23 @@ def _short(value: Any) -> str:
 
 def _table(result: Comparison, every: bool) -> RenderableType:
     """A row per stride that differs (or all), the spread below; at most 80 columns wide."""
-    from rich import box
-    from rich.table import Table
-
     from fes.evaluation.log_comparison import QUANTITIES
     from fes.report.text import number
 
     different = [each for each in result.pairs if every or not each.same]
     rows = different if every else different[:ROWS]
     left = f"; the first {ROWS} of {len(different)}" if len(rows) < len(different) else ""
-    table = Table(
-        title=f"{'All strides' if every else 'Strides that differ'}, B − A{left}",
-        caption="T1 to stance: entries into the phases; on, off: stimulation, greatest of the foot's channels.",
-        caption_justify="left",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=0,
-        pad_edge=False,
-        show_edge=False,
+    table = narrow_table(
+        f"{'All strides' if every else 'Strides that differ'}, B − A{left}",
+        "T1 to stance: entries into the phases; on, off: stimulation, greatest of the foot's channels.",
+        ["\nfoot"],
+        ["\nA", "\nB", "start\ns", "A's len.\nm", *_TITLES],
     )
-    table.add_column("\nfoot", no_wrap=True)
-    for title in ("\nA", "\nB", "start\ns", "A's len.\nm", *_TITLES.values()):
-        table.add_column(title, justify="right", no_wrap=True)
     for each in rows:
         values = [number(each.differences[name], 2 if name.endswith("_cm") else 0) for name in QUANTITIES]
-        table.add_row(
-            {"left_foot": "L", "right_foot": "R"}.get(each.foot, each.foot),
-            str(each.number_a),
-            str(each.number_b),
-            number(each.start_s, 1),
-            number(each.length_m[0], 2),
-            *values,
-        )
+        foot = {"left_foot": "L", "right_foot": "R"}.get(each.foot, each.foot)
+        begun, length = number(each.start_s, 1), number(each.length_m[0], 2)
+        table.add_row(foot, str(each.number_a), str(each.number_b), begun, length, *values)
     table.add_section()
     for label, part in (("mean", "mean"), ("SD", "sd"), ("greatest", "greatest")):
         values = [number(getattr(result.spread(n), part), 2 if n.endswith("_cm") else 1) for n in QUANTITIES]

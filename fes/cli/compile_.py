@@ -4,27 +4,18 @@ Compiling takes far longer than analysing, and one process compiles on one proce
 in processes of their own, which keep what they have made (:mod:`fes.estimation.numerics.jit`) for all.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import click
 
-from fes.analysis.parameters.gait import gait_parameters, mean_strides
-from fes.analysis.pipeline import analyse, calibrations_of
 from fes.cli.common.exits import FAILED
 from fes.estimation.numerics.jit import KEPT, compiled_here
-from fes.recording import read_recording, write_recording
-from fes.recording.read import TABLE_SUFFIXES
-from fes.report.summary import summarise
-from fes.simulation.forward.closed_loop import calibration_walk
-from fes.simulation.forward.settings import PatientSettings
 
 AHEAD_PARTS = ("strides", "path", "events")
 NOT_KEPT = "Compiled code cannot be kept on this computer; see the warning above."
@@ -72,58 +63,48 @@ def _compiling(part: str) -> subprocess.Popen[bytes]:
 
 
 def compile_part(part: str) -> None:
-    """Run one part of what is compiled on made-up steps.
+    """Run one part of what is compiled, on made-up steps; "analysis" on a virtual patient, written and read too.
 
     Raises:
         KeyError: there is no such part.
     """
-    PARTS[part]()
-
-
-def _strides() -> None:
-    from fes.estimation.warm_up import made_up_foot, made_up_steps
-
-    made_up_foot().track(*made_up_steps()).strides()
-
-
-def _path() -> None:
     from fes.analysis.stride_fusion import lengths_along
-    from fes.estimation.warm_up import made_up_steps
+    from fes.estimation.events.offline import find_events
+    from fes.estimation.warm_up import made_up_calibration, made_up_foot, made_up_steps, warm_up
     from fes.estimation.zupt.foot_trajectory import foot_samples
 
-    t_ns, acc, gyr = made_up_steps()
-    lengths_along(foot_samples(t_ns, acc, gyr), t_ns[[50]], t_ns[[250]])
+    match part:
+        case "strides":
+            made_up_foot().track(*made_up_steps()).strides()
+        case "path":
+            t_ns, acc, gyr = made_up_steps()
+            lengths_along(foot_samples(t_ns, acc, gyr), t_ns[[50]], t_ns[[250]])
+        case "events":
+            find_events(*made_up_steps(), made_up_calibration())
+        case "session":
+            warm_up()
+            made_up_foot().track(*made_up_steps()).strides()
+        case "analysis":
+            from fes.analysis.parameters.gait import gait_parameters, mean_strides
+            from fes.analysis.pipeline import analyse, calibrations_of
+            from fes.recording import read_recording, write_recording
+            from fes.recording.read import TABLE_SUFFIXES
+            from fes.report.summary import summarise
+            from fes.simulation.forward.closed_loop import calibration_walk
+            from fes.simulation.forward.settings import PatientSettings
+
+            walk, found = calibrations_of(calibration_walk(PatientSettings()))
+            with tempfile.TemporaryDirectory() as folder:
+                for suffix in TABLE_SUFFIXES:
+                    write_recording(walk, Path(folder, "walk").with_suffix(suffix), overwrite=True)
+                    read_recording(Path(folder, "walk").with_suffix(suffix))
+            result = analyse(walk, found.calibrations)
+            mean_strides(result.strides, gait_parameters(result).strides)
+            summarise(result.walk_record())
+        case _:
+            raise KeyError(part)
 
 
-def _events() -> None:
-    from fes.estimation.events.offline import find_events
-    from fes.estimation.warm_up import made_up_calibration, made_up_steps
-
-    find_events(*made_up_steps(), made_up_calibration())
-
-
-def _session() -> None:
-    from fes.estimation.warm_up import warm_up
-
-    warm_up()
-    _strides()
-
-
-def _analysis() -> None:
-    """An analysis of a virtual patient, whose recording is written and read too."""
-    walk, found = calibrations_of(calibration_walk(PatientSettings()))
-    with tempfile.TemporaryDirectory() as folder:
-        for suffix in TABLE_SUFFIXES:
-            write_recording(walk, Path(folder, "walk").with_suffix(suffix), overwrite=True)
-            read_recording(Path(folder, "walk").with_suffix(suffix))
-    result = analyse(walk, found.calibrations)
-    mean_strides(result.strides, gait_parameters(result).strides)
-    summarise(result.walk_record())
-
-
-PARTS: dict[str, Callable[[], None]] = {
-    "strides": _strides, "path": _path, "events": _events, "session": _session, "analysis": _analysis,
-}  # fmt: skip
 ALL_PARTS: tuple[str, ...] = ("session", "path", "events", "analysis")  # the strides are in the session
 
 
@@ -139,7 +120,13 @@ def command(check: bool) -> None:
         click.secho(NOT_KEPT, fg="red", err=True)
         raise SystemExit(FAILED)
     if check:
-        if missing := _missing():
+        missing = "everything" if KEPT.is_empty() else ""
+        for part in () if missing else ALL_PARTS:
+            compile_part(part)
+            if made := compiled_here():
+                missing = f"{made[0]}, perhaps more"
+                break
+        if missing:
             click.echo(f"Not compiled: {missing}. Run: fes compile")
             raise SystemExit(FAILED)
         click.echo(f"All is compiled, in {KEPT.root}")
@@ -155,14 +142,3 @@ def command(check: bool) -> None:
     KEPT.fetch()
     for part in ALL_PARTS:  # what the processes have left out
         compile_part(part)
-
-
-def _missing() -> str:
-    """What has to be compiled; "" if all is there."""
-    if KEPT is None or KEPT.is_empty():
-        return "everything"
-    for part in ALL_PARTS:
-        compile_part(part)
-        if missing := compiled_here():
-            return f"{missing[0]}, perhaps more"
-    return ""

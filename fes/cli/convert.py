@@ -1,13 +1,12 @@
 """``fes convert``: a session log for other programs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
 import click
 
-from fes.cli.common.exits import fail
+from fes.cli.common.exits import failing
+from fes.cli.common.options import PATH
 from fes.session_log import SessionLogError
 
 FORMATS = ("csv", "parquet", "mcap", "c3d")
@@ -15,9 +14,9 @@ ONE_FILE = ("mcap", "c3d")
 
 
 @click.command(name="convert")
-@click.argument("log", type=click.Path(path_type=Path))
+@click.argument("log", type=PATH)
 @click.option("--to", "form", type=click.Choice(FORMATS), help="Format. Default: what --out ends with, else csv.")
-@click.option("--out", type=click.Path(path_type=Path), help="New folder, or MCAP or C3D file. Default: beside LOG.")
+@click.option("--out", type=PATH, help="New folder, or MCAP or C3D file. Default: beside LOG.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
 def command(log: Path, form: str | None, out: Path | None, as_json: bool) -> None:
     """Convert the session log LOG to CSV, Parquet, MCAP or C3D.
@@ -30,15 +29,13 @@ def command(log: Path, form: str | None, out: Path | None, as_json: bool) -> Non
     Exit code: 0 converted, 2 unusable input.
     """
     from fes.session_log.export.c3d_file import to_c3d
-    from fes.session_log.export.files import to_csv, to_parquet
     from fes.session_log.export.mcap_file import to_mcap
+    from fes.session_log.export.tables import to_csv, to_parquet
 
     chosen = form or (out.suffix[1:] if out is not None and out.suffix[1:] in FORMATS else "csv")
     target = out or log.with_name(f"{log.stem}.{chosen}" if chosen in ONE_FILE else f"{log.stem}-{chosen}")
-    try:
+    with failing(SessionLogError):
         exported = {"csv": to_csv, "parquet": to_parquet, "mcap": to_mcap, "c3d": to_c3d}[chosen](log, target)
-    except SessionLogError as error:
-        fail(error)
     if exported.damages or not exported.ended:
         lost = sum(damage.size for damage in exported.damages)
         what = f"{len(exported.damages)} damaged places, {lost} bytes" if lost else "its end"

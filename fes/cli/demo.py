@@ -1,36 +1,22 @@
 """``fes demo``: the main job with nothing to set up: a bundled trial, or a virtual patient in closed loop."""
 
-from __future__ import annotations
-
 import json
 import tomllib
-from collections.abc import Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
-from fes.cli.common.exits import INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
+from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted, writing
 from fes.cli.common.loop_view import LoopView
-from fes.cli.common.options import Number
+from fes.cli.common.options import STIMULATORS, Number, choice, out_option, utc_now
 from fes.cli.common.progress import Interrupt
-from fes.hil.closed_loop.demo import (
-    CURRENT_MA,
-    SECONDS,
-    SLIPS_S,
-    SLIPS_TO,
-    demo_protocol,
-    patient,
-    result_of,
-    write_strides,
-)
+from fes.hil.closed_loop import demo
 from fes.hil.closed_loop.processes import Protocol
 from fes.live.status import Status
 from fes.session_log import Note, SessionLogError
-from fes.signals import NS_PER_S, Event
+from fes.signals import NS_PER_S
 from fes.simulation.bundled import bundled_file
 from fes.simulation.forward import PatientSettings, VirtualStride
 
@@ -42,64 +28,50 @@ TITLE: Final = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Options:
-    """How to run it: with an injected clock, or in real time between processes with this stimulator."""
-
-    out: Path
-    fast: bool = False
-    stimulator: str = "can"
-    seconds: float = SECONDS
-    as_json: bool = False
-
-
-def demo_closed_loop(options: Options) -> Path:
-    """Run it, show it, write log and report; the folder with the results.
+def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -> None:
+    """Run it, show it, write log and report: by an injected clock, or in real time between processes.
 
     Raises:
         Problem: the folder cannot be used, or a device does not start.
         StoppedEarly: the session switched off before the end.
         SystemExit: interrupted.
     """
-    folder = fresh_folder(options.out, "closed_loop").resolve()
-    if not options.fast and len(str(folder).encode()) > LONGEST_FOLDER:
+    folder = fresh_folder(out, "closed_loop").resolve()
+    if not fast and len(str(folder).encode()) > LONGEST_FOLDER:
         raise Problem(f"{folder}: the name is too long for a control socket. Choose a shorter one with --out.")
-    settings, plan = patient(), demo_protocol(options.seconds)
+    settings, plan = demo.patient(), demo.demo_protocol(demo.SECONDS)
     strides: list[VirtualStride] = []
     try:
-        with Interrupt() as interrupt, LoopView(TITLE, quiet=options.as_json) as view:
+        with (
+            failing(SessionLogError, kind=StoppedEarly),
+            Interrupt() as interrupt,
+            LoopView(TITLE, quiet=as_json) as view,
+        ):
 
             def on_stride(stride: VirtualStride) -> None:
-                if stride.t_flat_ns > SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
-                    view.text(SLIPS_S, f"an electrode has slipped: {SLIPS_TO:.0%} of the charge reaches the nerve")
+                if stride.t_flat_ns > demo.SLIPS_S * NS_PER_S > (strides[-1].t_flat_ns if strides else 0):
+                    view.text(
+                        demo.SLIPS_S, f"an electrode has slipped: {demo.SLIPS_TO:.0%} of the charge reaches the nerve"
+                    )
                 strides.append(stride)
                 view.stride(stride)
 
-            if options.fast:
+            if fast:
                 log = _in_one_process(settings, plan, folder, view, on_stride, interrupt)
                 more: dict[str, Any] = {}
             else:
-                log, more = _between_processes(settings, plan, folder, view, on_stride, interrupt, options.stimulator)
+                log, more = _between_processes(settings, plan, folder, view, on_stride, interrupt, stimulator)
     except KeyboardInterrupt:
-        click.secho(f"Interrupted; everything is ended. What there is: {folder}", fg="yellow", err=True)
-        _keep(folder, strides)
-        raise SystemExit(INTERRUPTED) from None
-    except SessionLogError as error:
-        fail(error, StoppedEarly)
-    write_strides(folder / "patient.strides.csv", strides)
-    result = {**result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
+        demo.write_strides(folder / "patient.strides.csv", strides)
+        for begun in sorted(folder.rglob(f"session{LOG_SUFFIX}")):
+            with suppress(SessionLogError):  # too short for a header: there is nothing to report
+                _report(begun, folder / "report.html")
+        interrupted(f"; everything is ended. What there is: {folder}")
+    demo.write_strides(folder / "patient.strides.csv", strides)
+    result = {**demo.result_of(strides), **more, "session_log": str(log), "report": str(folder / "report.html")}
     _report(log, folder / "report.html")
     (folder / "result.json").write_text(json.dumps(result, indent=2) + "\n", encoding="utf-8")
-    _show(result, as_json=options.as_json)
-    return folder
-
-
-def _keep(folder: Path, strides: Sequence[VirtualStride]) -> None:
-    """What an interrupted run leaves besides its log: the patient's strides, and the report so far."""
-    write_strides(folder / "patient.strides.csv", strides)
-    for log in sorted(folder.rglob(f"session{LOG_SUFFIX}")):
-        with suppress(SessionLogError):  # too short for a header: there is nothing to report
-            _report(log, folder / "report.html")
+    _show(result, as_json=as_json)
 
 
 def _in_one_process(
@@ -110,7 +82,7 @@ def _in_one_process(
     from fes.hil.closed_loop.one_process import run_in_one_process
     from fes.hil.settings import patient_calibration, patient_session_text
 
-    text = patient_session_text(settings, current_ma=CURRENT_MA)
+    text = patient_session_text(settings, current_ma=demo.CURRENT_MA)
     (folder / "session.toml").write_text(text, encoding="utf-8")
     session = validate_session(tomllib.loads(text), folder / "session.toml", text)
     view.state("on injected time, in one process")
@@ -121,14 +93,9 @@ def _in_one_process(
         if note.source == "tuning" and " skipped: " not in note.text:
             view.text(note.t_ns / NS_PER_S, note.text.partition(": ")[2])
 
-    def after(event: Event) -> None:
-        interrupt.check()
-
     log = folder / f"session{LOG_SUFFIX}"
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    run_in_one_process(
-        settings, session, calibrations, plan, log, created, on_stride=on_stride, on_note=on_note, after=after
-    )
+    told = {"on_stride": on_stride, "on_note": on_note, "after": lambda event: interrupt.check()}
+    run_in_one_process(settings, session, calibrations, plan, log, utc_now(), **told)
     return log
 
 
@@ -153,26 +120,20 @@ def _between_processes(
     def on_status(status: Status) -> None:
         now_s = max(bench.patient.now_s, 0.0) if bench.patient.start_ns < status.t_ns else 0.0
         channel = status.tuning.get(str(settings.channel))
-        view.state(
-            f"{status.state}, intensity {status.intensity:.0%}" + (f", next burst {channel.now}" if channel else "")
-        )
+        burst = f", next burst {channel.now}" if channel else ""
+        view.state(f"{status.state}, intensity {status.intensity:.0%}{burst}")
         for text in (channel.last_change, channel.hint) if channel else ():
             if text and shown.get(text[:24]) != text:
                 shown[text[:24]] = text
                 view.text(now_s, text)
 
-    try:
-        with ExitStack() as stack:
-            bench = start_patient_bench(
-                settings, folder, stack, stimulator=stimulator, current_ma=CURRENT_MA, held=True
-            )
-            ran = run_between_processes(
-                bench, plan, on_stride=on_stride, on_status=on_status, on_tick=interrupt.check, most_rearms=GO_ON
-            )
-    except (ImuLost, StimulatorLost) as error:
-        fail(error)
-    except CampaignBroken as error:
-        fail(error, StoppedEarly)
+    with failing(ImuLost, StimulatorLost), failing(CampaignBroken, kind=StoppedEarly), ExitStack() as stack:
+        bench = start_patient_bench(
+            settings, folder, stack, stimulator=stimulator, current_ma=demo.CURRENT_MA, held=True
+        )
+        ran = run_between_processes(
+            bench, plan, on_stride=on_stride, on_status=on_status, on_tick=interrupt.check, most_rearms=GO_ON
+        )
     return ran.log, {"patient_process": ran.punctuality, "interruptions": list(ran.interruptions)}
 
 
@@ -180,10 +141,8 @@ def _report(log: Path, path: Path) -> None:
     from fes.report.page import write_report
     from fes.session_log import read_session
 
-    try:
+    with writing(path, f". The log is whole: {log}", StoppedEarly):
         write_report(read_session(log), path)
-    except OSError as error:
-        raise StoppedEarly(f"{path}: cannot be written: {error.strerror or error}. The log is whole: {log}") from error
 
 
 def _story(result: dict[str, Any]) -> str:
@@ -228,9 +187,7 @@ TRIAL = "negard_patient2.parquet"
 
 
 @click.command(name="demo")
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results go below."
-)
+@out_option()
 @click.option("--speed", type=Number(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
 @click.option(
     "--closed-loop", is_flag=True, help="A virtual patient instead: it stumbles, the controller tunes itself."
@@ -238,13 +195,7 @@ TRIAL = "negard_patient2.parquet"
 @click.option(
     "--fast", is_flag=True, help="With --closed-loop: in seconds, by an injected clock, with the same result."
 )
-@click.option(
-    "--stimulator",
-    type=click.Choice(["can", "p24_low_level", "rehastim2"]),
-    default="can",
-    show_default=True,
-    help="With --closed-loop, in real time: which simulated stimulator.",
-)
+@choice("--stimulator", of=STIMULATORS, help="With --closed-loop, in real time: which simulated stimulator.")
 @click.option("--json", "as_json", is_flag=True, help="With --closed-loop: print the result as JSON.")
 def command(out: Path, speed: float | None, closed_loop: bool, fast: bool, stimulator: str, as_json: bool) -> None:
     """Replay a drop-foot patient's treadmill trial into a simulated stimulator, and write the report.
@@ -256,8 +207,7 @@ def command(out: Path, speed: float | None, closed_loop: bool, fast: bool, stimu
     if closed_loop:
         if speed is not None:
             raise Problem("--speed has no meaning with --closed-loop: it runs in real time, or with --fast.")
-
-        demo_closed_loop(Options(out, fast, stimulator, as_json=as_json))
+        demo_closed_loop(out, fast=fast, stimulator=stimulator, as_json=as_json)
         return
     if fast or as_json:
         raise Problem(

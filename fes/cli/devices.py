@@ -1,17 +1,14 @@
 """``fes devices``: what is connected, and what of a session's devices is among it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
 from drivers.discover import CanChannel, LslStream, SerialPort, can_channels, lsl_streams, serial_ports
-from fes.cli.common.exits import FAILED, fail
-from fes.cli.common.options import not_there
+from fes.cli.common.exits import FAILED, failing
+from fes.cli.common.options import PATH, not_there
 from fes.config import Bus, ConfigError, Session, load_session
 
 ON_CAN = ("xsens_can", "dbc_can", "can", "canopen")
@@ -37,7 +34,7 @@ class Wanted:
 
 
 @click.command(name="devices")
-@click.argument("session", type=click.Path(path_type=Path), required=False)
+@click.argument("session", type=PATH, required=False)
 @click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
 def command(session: Path | None, as_json: bool) -> None:
     """List serial ports, CAN interfaces and LSL streams; with SESSION (TOML) also which of its devices are there.
@@ -46,17 +43,16 @@ def command(session: Path | None, as_json: bool) -> None:
 
     Exit code: 0, 1 a device of SESSION is not there, 2 unusable settings.
     """
-    try:
+    with failing(ConfigError):
         settings = load_session(session) if session else None
-    except ConfigError as error:
-        fail(error)
     connected = Connected(serial_ports(), can_channels(), lsl_streams())
     wanted = wanted_by(settings, connected) if settings else []
     if as_json:
-        click.echo(json.dumps(_as_data(connected, wanted), indent=2))
+        found = asdict(connected)
+        data = {"serial_ports": found["ports"], "can": found["buses"], "lsl": found["streams"]}
+        click.echo(json.dumps(data | {"session": [asdict(each) for each in wanted]}, indent=2))
     else:
-        _show(connected)
-        _show_wanted(wanted)
+        _show(connected, wanted)
     if any(each.found is False for each in wanted):
         raise SystemExit(FAILED)
 
@@ -65,28 +61,22 @@ def wanted_by(session: Session, connected: Connected) -> list[Wanted]:
     """Each device that the session names, and whether it is among what is connected."""
     wanted = []
     for sensor in session.sensors:
+        name, port = str(sensor.sensor), sensor.port
         if sensor.device == "lsl":
-            wanted.append(_stream(str(sensor.sensor), sensor.port, connected))
+            wanted.append(_stream(name, port, connected))
         elif sensor.device in ON_CAN:
-            wanted.append(_bus(str(sensor.sensor), _bus_of(sensor.port, session), connected))
+            interface, _, channel = port.partition(":")
+            bus = session.bus if port == "bus" else Bus(interface=interface, channel=channel)
+            wanted.append(_bus(name, bus, connected))
         else:
-            wanted.append(_line(str(sensor.sensor), sensor.port, connected))
-    if session.stimulator.device in ON_CAN:
-        wanted.append(_bus("stimulator", session.bus, connected))
-    else:
-        wanted.append(_line("stimulator", session.stimulator.port, connected))
+            wanted.append(_line(name, port, connected))
+    on_bus, port = session.stimulator.device in ON_CAN, session.stimulator.port
+    wanted.append(_bus("stimulator", session.bus, connected) if on_bus else _line("stimulator", port, connected))
     switches = [(f"{switch.foot}'s switch", switch) for switch in session.foot_switches]
     for name, switch in [*switches, *([("stop button", session.live.stop_button)] if session.live.stop_button else [])]:
-        if switch.source == "can_bit":
-            wanted.append(_bus(name, session.bus, connected))
-        else:
-            wanted.append(_line(name, switch.port, connected))
+        on_bus = switch.source == "can_bit"
+        wanted.append(_bus(name, session.bus, connected) if on_bus else _line(name, switch.port, connected))
     return wanted
-
-
-def _bus_of(port: str, session: Session) -> Bus:
-    interface, _, channel = port.partition(":")
-    return session.bus if port == "bus" else Bus(interface=interface, channel=channel)
 
 
 def _line(name: str, port: str, connected: Connected) -> Wanted:
@@ -119,16 +109,7 @@ def _stream(name: str, stream: str, connected: Connected) -> Wanted:
     return Wanted(name, stream, there, "is there" if there else "no stream of this name answers")
 
 
-def _as_data(connected: Connected, wanted: list[Wanted]) -> dict[str, Any]:
-    return {
-        "serial_ports": [asdict(port) for port in connected.ports],
-        "can": [asdict(bus) for bus in connected.buses],
-        "lsl": None if connected.streams is None else [asdict(stream) for stream in connected.streams],
-        "session": [asdict(each) for each in wanted],
-    }
-
-
-def _show(connected: Connected) -> None:
+def _show(connected: Connected, wanted: list[Wanted]) -> None:
     click.secho("Serial ports", bold=True)
     for port in connected.ports:
         click.echo(f"  {port.port:<16}{port.usb or '–':<11}{port.maker or '–':<9}{port.description}")
@@ -141,8 +122,6 @@ def _show(connected: Connected) -> None:
     if connected.streams is None:
         click.echo("  not looked for: pip install 'fes-gait[lsl]'")
 
-
-def _show_wanted(wanted: list[Wanted]) -> None:
     if wanted:
         click.secho("The session's devices", bold=True)
     for each in wanted:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
-from fes.cli.common.options import Number
+from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, writing
+from fes.cli.common.options import PATH, SIDE, Number, choice, out_option
+from fes.cli.common.show import print_json, screen, write_table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -20,28 +20,27 @@ if TYPE_CHECKING:
     from fes.evaluation.reference.evaluation import Evaluation
 
 PIPED_COLUMNS = 132
-_PATH = click.Path(path_type=Path)
 _POSITIVE = Number(min=0, min_open=True)
 
 
 @click.command(name="evaluate")
-@click.argument("recording", type=_PATH)
-@click.option("--reference", "references", multiple=True, type=_PATH, help="CSV or C3D, may be given again.")
-@click.option("--calibration", type=_PATH, help="From fes calibrate. Default: from the recording.")
-@click.option("--foot", type=click.Choice(["left", "right"]), help="Whose a reference is that does not say.")
+@click.argument("recording", type=PATH)
+@click.option("--reference", "references", multiple=True, type=PATH, help="CSV or C3D, may be given again.")
+@click.option("--calibration", type=PATH, help="From fes calibrate. Default: from the recording.")
+@click.option("--foot", type=SIDE, help="Whose a reference is that does not say.")
 @click.option("--marker", "markers", multiple=True, metavar="LABEL=FOOT.POINT", help="C3D: as LHEE=left_foot.heel.")
 @click.option("--up", type=click.Choice(["x", "y", "z"]), default="z", show_default=True, help="C3D: vertical axis.")
-@click.option(
-    "--frame", type=click.Choice(["auto", "lab", "ground"]), default="auto", show_default=True, help="Of paths."
-)
+@choice("--frame", of=("auto", "lab", "ground"), help="Of paths.")
 @click.option("--belt-speed", type=_POSITIVE, help="Of the treadmill, m/s. Default: the recording's own.")
 @click.option("--belt-axis", type=click.Choice(["+x", "-x", "+y", "-y"]), help="Walking direction in the lab.")
-@click.option("--sync", type=click.Choice(["check", "fit"]), default="check", show_default=True, help="Of the clocks.")
-@click.option("--lag", type=Number(), help="Seconds to add to the reference's times.")
-@click.option("--max-lag", type=_POSITIVE, default=10.0, show_default=True, help="Seconds to search, either way.")
+@choice("--sync", of=("check", "fit"), help="Of the clocks.")
+@click.option("--lag", "lag_s", type=Number(), help="Seconds to add to the reference's times.")
+@click.option(
+    "--max-lag", "most_lag_s", type=_POSITIVE, default=10.0, show_default=True, help="Seconds to search, either way."
+)
 @click.option("--tolerance-ms", type=_POSITIVE, default=150.0, show_default=True, help="Between events of a pair.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
-@click.option("--out", type=_PATH, default=Path("out"), show_default=True, help="Results go below.")
+@out_option()
 @click.option("--json", "as_json", is_flag=True, help="Print everything as JSON instead of the table.")
 @click.option("--no-report", is_flag=True, help="Write no files.")
 def command(
@@ -51,17 +50,14 @@ def command(
     foot: str | None,
     markers: tuple[str, ...],
     up: str,
-    frame: str,
     belt_speed: float | None,
-    belt_axis: str | None,
     sync: str,
-    lag: float | None,
-    max_lag: float,
     tolerance_ms: float,
     uneven: bool,
     out: Path,
     as_json: bool,
     no_report: bool,
+    **chosen: Any,
 ) -> None:
     """Analyse RECORDING (or take a session log as it was) and hold it against references.
 
@@ -72,52 +68,37 @@ def command(
 
     Writes a page, all numbers as JSON, and the pairs as a table.
     """
-    from fes.evaluation.reference import ReferenceError
     from fes.evaluation.reference.evaluation import Settings, evaluate
     from fes.evaluation.reference.read import companion_references, read_references
+    from fes.evaluation.reference.table import ReferenceError
 
-    if lag is not None and sync == "fit":
+    if chosen["lag_s"] is not None and sync == "fit":
         raise Problem("--lag gives the lag, --sync fit finds it; choose one")
     files = list(references) or companion_references(recording)
     if not files and belt_speed is None:
         raise Problem(f"{recording}: no reference lies beside it. Name one: --reference FILE, or --belt-speed M/S")
-    if oriented := _oriented(recording, files):
-        folder = None if no_report else _written(oriented, out, recording)
-        _show(oriented, folder, as_json=as_json)
-        return
-    estimate, own_belt = _estimated(recording, calibration, level=not uneven)
-    default = f"{foot}_foot" if foot else (estimate.feet[0] if len(estimate.feet) == 1 else None)
-    try:
-        reference = read_references(files, foot=default, markers=_markers(markers), up=up)
-        settings = Settings(
-            frame=frame,
-            belt_mps=belt_speed or own_belt,
-            belt_axis=belt_axis,
-            compare_belt=belt_speed is not None,
-            fit_lag=sync == "fit",
-            lag_s=lag,
-            most_lag_s=max_lag,
-            tolerance_s=1e-3 * tolerance_ms,
-        )
-        result = evaluate(estimate, reference, settings)
-    except ReferenceError as error:
-        fail(error)
-    folder = None if no_report else _written(result, out, recording)
-    _show(result, folder, as_json=as_json)
+    result = _oriented(recording, files)
+    if result is None:
+        estimate, own_belt = _estimated(recording, calibration, level=not uneven)
+        default = f"{foot}_foot" if foot else (estimate.feet[0] if len(estimate.feet) == 1 else None)
+        with failing(ReferenceError):
+            reference = read_references(files, foot=default, markers=_markers(markers), up=up)
+            chosen |= {"fit_lag": sync == "fit", "tolerance_s": 1e-3 * tolerance_ms}
+            settings = Settings(belt_mps=belt_speed or own_belt, compare_belt=belt_speed is not None, **chosen)
+            result = evaluate(estimate, reference, settings)
+    _show(result, None if no_report else _written(result, out, recording), as_json=as_json)
 
 
 def _oriented(recording: Path, files: Sequence[Path]) -> Evaluation | None:
     """The evaluation of orientations, which need no walk; None where the references are others."""
-    from fes.evaluation.reference import ReferenceError
     from fes.evaluation.reference.orientation import evaluate_orientation, only_orientations, read_orientation
+    from fes.evaluation.reference.table import ReferenceError
     from fes.recording import RecordingError, read_recording
 
-    try:
-        if not only_orientations(files):
-            return None
-        return evaluate_orientation(read_recording(recording), [read_orientation(path) for path in files])
-    except (ReferenceError, RecordingError) as error:
-        fail(error)
+    with failing(ReferenceError, RecordingError):
+        if only_orientations(files):
+            return evaluate_orientation(read_recording(recording), [read_orientation(path) for path in files])
+    return None
 
 
 def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tuple[Estimate, float | None]:
@@ -127,10 +108,8 @@ def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tup
     if recording.suffix == LOG_SUFFIX:
         from fes.session_log import SessionLogError, read_session
 
-        try:
+        with failing(SessionLogError):
             record = read_session(recording)
-        except SessionLogError as error:
-            fail(error)
         belt = record.header.get("recording", {}).get("belt_speed_mps")
         return from_session(record, str(recording)), float(belt) if belt else None
     from fes.analysis.pipeline import analyse, calibrations_of
@@ -138,11 +117,9 @@ def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tup
     from fes.estimation.foot.calibration import CalibrationError
     from fes.recording import RecordingError, read_recording
 
-    try:
+    with failing(RecordingError, CalibrationError):
         read = read_recording(recording)
         read, found = stored_calibrations(calibration, read) if calibration else calibrations_of(read, level=level)
-    except (RecordingError, CalibrationError) as error:
-        fail(error)
     for reason in found.missing.values():
         click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
     return from_analysis(analyse(read, found.calibrations, level=level)), read.belt_speed_mps
@@ -159,17 +136,15 @@ def _markers(given: tuple[str, ...]) -> dict[str, tuple[str, str]] | None:
 
 
 def _written(result: Evaluation, out: Path, recording: Path) -> Path:
-    from fes.cli.common.table_file import write_table
-    from fes.report.agreement import agreement_json, pair_rows, write_page
+    from fes.report.agreement import agreement_json, pair_rows, render_page
+    from fes.report.html import write_page_file
 
     folder = fresh_folder(out, f"{recording.stem}-evaluation")
-    try:
-        write_page(result, folder / "agreement.html")
+    with writing(folder, kind=StoppedEarly):
+        write_page_file(render_page(result), folder / "agreement.html", "Choose another --out.")
         text = json.dumps(agreement_json(result), indent=1, ensure_ascii=False, allow_nan=False)
         (folder / "agreement.json").write_text(text, encoding="utf-8")
         write_table(pair_rows(result), folder / "pairs.csv")
-    except OSError as error:
-        raise StoppedEarly(f"{folder}: cannot be written: {error.strerror or error}") from error
     return folder
 
 
@@ -177,12 +152,10 @@ def _show(result: Evaluation, folder: Path | None, *, as_json: bool) -> None:
     from fes.report.agreement import agreement_json, agreement_text
 
     if as_json:
-        printed = {**agreement_json(result), "files": {"folder": str(folder) if folder else None}}
-        click.echo(json.dumps(printed, indent=2, ensure_ascii=False, allow_nan=False))
+        files = {"folder": str(folder) if folder else None}
+        print_json({**agreement_json(result), "files": files}, allow_nan=False)
         return
-    from rich.console import Console
-
-    screen = Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS)
-    screen.print(agreement_text(result))
+    console = screen(PIPED_COLUMNS)
+    console.print(agreement_text(result))
     if folder is not None:
-        screen.print(f"Page, JSON and pairs  {folder}", markup=False)
+        console.print(f"Page, JSON and pairs  {folder}", markup=False)

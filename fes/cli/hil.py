@@ -1,19 +1,17 @@
 """``fes hil``: a fault campaign."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from pathlib import Path
-from types import FrameType
 from typing import Final
 
 import click
 
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly, fail, fresh_folder
+from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, fresh_folder, interrupted
+from fes.cli.common.options import PATH, choice, out_option
 from fes.config import ConfigError
-from fes.hil.campaign import hardware_campaign, save_campaign, simulated_campaign
+from fes.hil.attempts import hardware_campaign, save_campaign, simulated_campaign
 from fes.hil.campaign_bench import CampaignBroken
 from fes.hil.controller import SIGNALS
 from fes.hil.devices import TRANSPORTS, Unavailable, host_side_scenarios
@@ -21,24 +19,19 @@ from fes.hil.results import Attempt, Campaign, Verdict, failure_reason, measured
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Scenario
 
 COLOURS: Final = {Verdict.MET: "green", Verdict.JITTER: "yellow", Verdict.FAILED: "red", Verdict.SKIPPED: "blue"}
+REPEAT: Final = "Each fault so many times, each of its values once."
 
 
 @click.command(name="hil")
-@click.option("--transport", type=click.Choice(TRANSPORTS), default=TRANSPORTS[0], show_default=True)
+@choice("--transport", of=TRANSPORTS)
 @click.option("--channel", default="vcan0", show_default=True, help="The interface, for --transport socketcan.")
 @click.option("--only", multiple=True, metavar="NAME", help="This fault only; may be given several times.")
-@click.option(
-    "--repeat",
-    type=click.IntRange(1, 1000),
-    default=1,
-    show_default=True,
-    help="Each fault so many times, each of its values once.",
-)
+@click.option("--repeat", type=click.IntRange(1, 1000), default=1, show_default=True, help=REPEAT)
 @click.option("--closed-loop", is_flag=True, help="With a virtual patient, who feels what the stimulator delivers.")
 @click.option("--list", "listing", is_flag=True, help="List the faults and end.")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results below.")
-@click.option("--hardware", type=click.Path(path_type=Path), help="Real devices, as in this session file.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="Of the real sensors, from `fes calibrate`.")
+@out_option("Results below.")
+@click.option("--hardware", type=PATH, help="Real devices, as in this session file.")
+@click.option("--calibration", type=PATH, help="Of the real sensors, from `fes calibrate`.")
 @click.option("--i-have-a-dummy-load", "dummy_load", is_flag=True, help="Nobody is connected to the stimulator.")
 def command(
     transport: str,
@@ -75,25 +68,29 @@ def command(
         raise Problem(f"--only {', '.join(unknown)}: no such fault. `fes hil --list` names them all.")
     scenarios = [scenario for scenario in SCENARIOS if not only or scenario.name in only]
     if hardware is not None:
-        scenarios = _for_hardware(scenarios, only, calibration, dummy_load)
+        if not dummy_load:
+            raise Problem(
+                "--hardware stimulates and provokes faults while it does. Connect a dummy load and nobody, then "
+                "confirm with --i-have-a-dummy-load."
+            )
+        if calibration is None:
+            raise Problem("--hardware needs --calibration FILE, from `fes calibrate`.")
+        possible = host_side_scenarios()
+        if only and (refused := [scenario.name for scenario in scenarios if scenario not in possible]):
+            raise Problem(f"--only {', '.join(refused)}: needs simulated devices.")
+        scenarios = [scenario for scenario in scenarios if scenario in possible]
     folder = fresh_folder(out, f"hil-{'hardware' if hardware else transport}").resolve()
     for number in SIGNALS:  # a shell's background job ignores SIGINT else
-        signal.signal(number, _interrupt)
+        signal.signal(number, signal.default_int_handler)
+    todo = scenarios, repeat, folder, _Progress(len(scenarios), repeat)
     try:
-        progress = _Progress(len(scenarios), repeat)
-        if hardware is not None and calibration is not None:
-            campaign = hardware_campaign(hardware, calibration, scenarios, repeat, folder, progress)
-        else:
-            campaign = simulated_campaign(
-                transport, scenarios, repeat, folder, progress, channel, closed_loop=closed_loop
-            )
-    except (Unavailable, ConfigError, StimulatorLost) as error:
-        fail(error)
-    except CampaignBroken as error:
-        fail(error, StoppedEarly)
+        with failing(Unavailable, ConfigError, StimulatorLost), failing(CampaignBroken, kind=StoppedEarly):
+            if hardware is not None and calibration is not None:
+                campaign = hardware_campaign(hardware, calibration, *todo)
+            else:
+                campaign = simulated_campaign(transport, *todo, channel, closed_loop)
     except KeyboardInterrupt:
-        click.secho(f"Interrupted; everything is ended. Records so far: {folder}", fg="yellow", err=True)
-        raise SystemExit(INTERRUPTED) from None
+        interrupted(f"; everything is ended. Records so far: {folder}")
     as_json, as_text = save_campaign(campaign, folder)
     _print(campaign)
     click.echo(f"Table {as_text}\nData  {as_json}")
@@ -101,41 +98,18 @@ def command(
         raise SystemExit(FAILED)
 
 
-def _for_hardware(
-    scenarios: list[Scenario], only: tuple[str, ...], calibration: Path | None, dummy_load: bool
-) -> list[Scenario]:
-    """The rows that can be run on real devices.
-
-    Raises:
-        Problem: no dummy load confirmed, no calibration, or a row that needs simulated devices.
-    """
-    if not dummy_load:
-        raise Problem(
-            "--hardware stimulates and provokes faults while it does. Connect a dummy load and nobody, then confirm "
-            "with --i-have-a-dummy-load."
-        )
-    if calibration is None:
-        raise Problem("--hardware needs --calibration FILE, from `fes calibrate`.")
-    possible = host_side_scenarios()
-    if only and (refused := [scenario.name for scenario in scenarios if scenario not in possible]):
-        raise Problem(f"--only {', '.join(refused)}: needs simulated devices.")
-    return [scenario for scenario in scenarios if scenario in possible]
-
-
 class _Progress:
     """How far it has come, on stderr."""
 
     def __init__(self, rows: int, repeat: int) -> None:
-        self._rows = rows
-        self._repeat = repeat
+        self._rows, self._repeat = rows, repeat
         self._names: list[str] = []
 
     def __call__(self, scenario: Scenario, n: int, found: Attempt | None) -> None:
         if scenario.name not in self._names:
             self._names.append(scenario.name)
-        place = f"[{len(self._names)}/{self._rows}] {scenario.name}" + (
-            f" {n + 1}" if scenario.attempts(self._repeat) > 1 else ""
-        )
+        again = f" {n + 1}" if scenario.attempts(self._repeat) > 1 else ""
+        place = f"[{len(self._names)}/{self._rows}] {scenario.name}{again}"
         if found is None:
             if sys.stderr.isatty():
                 click.echo(f"\r\x1b[K{place} …", nl=False, err=True)
@@ -155,20 +129,10 @@ def _print(campaign: Campaign) -> None:
         verdict = row.verdict(campaign.baseline.p999_ms)
         deadline = "–" if row.scenario.deadline_ms is None else f"{row.scenario.deadline_ms:g} ms"
         times = row.times_ms()
-        said = f"{verdict}: {failure_reason(row)}" if failure_reason(row) else str(verdict)
-        table.add_row(
-            row.scenario.fault,
-            row.scenario.response,
-            deadline,
-            measured_times(row),
-            f"{row.within()}/{len(times)}" if times else "–",
-            f"[{COLOURS[verdict]}]{said}",
-        )
+        within = f"{row.within()}/{len(times)}" if times else "–"
+        said = f"[{COLOURS[verdict]}]" + (f"{verdict}: {reason}" if (reason := failure_reason(row)) else str(verdict))
+        table.add_row(row.scenario.fault, row.scenario.response, deadline, measured_times(row), within, said)
     Console().print(table)
     for notice in campaign.notices:
         click.secho(notice, fg="yellow")
     click.echo(f"{campaign.baseline}; {campaign.seconds:.0f} s in all.")
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt

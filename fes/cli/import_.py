@@ -1,34 +1,25 @@
 """``fes import``: public data sets, as downloaded, into recordings and references."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
 from typing import Any
 
 import click
 
-from fes.cli.common.exits import FAILED, Problem, fail
+from fes.cli.common.exits import FAILED, Problem, fail, failing
+from fes.cli.common.options import PATH, SIDE, choice
+from fes.cli.common.show import print_json
 
 
 @click.command(name="import")
 @click.argument("name", metavar="NAME")
-@click.argument("files", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for what is made.")
-@click.option("--format", "form", type=click.Choice(["parquet", "csv"]), default="parquet", show_default=True)
-@click.option(
-    "--foot", type=click.Choice(["left", "right"]), help="Whose, where the data set does not say. Default: right."
-)
+@click.argument("files", nargs=-1, type=PATH)
+@click.option("--out", type=PATH, help="Folder for what is made.")
+@choice("--format", "form", of=("parquet", "csv"))
+@click.option("--foot", type=SIDE, help="Whose, where the data set does not say. Default: right.")
 @click.option("--overwrite", is_flag=True, help="Replace what is there.")
 @click.option("--json", "as_json", is_flag=True, help="Print what was made as JSON.")
 def command(
-    name: str,
-    files: tuple[Path, ...],
-    out: Path | None,
-    form: str,
-    foot: str | None,
-    overwrite: bool,
-    as_json: bool,
+    name: str, files: tuple[Path, ...], out: Path | None, form: str, foot: str | None, overwrite: bool, as_json: bool
 ) -> None:
     """Turn FILES (or a folder) of the data set NAME into recordings with sidecars, and references beside them.
 
@@ -47,16 +38,13 @@ def command(
     if name not in DATA_SETS:
         raise Problem(f"{name}: is no data set known here; {', '.join(DATA_SETS)} are")
     if not files or out is None:
-        raise Problem(
-            "name the files of the data set (or their folder) and where to write: fes import NAME FILES --out DIR"
-        )
+        what = "name the files of the data set (or their folder) and where to write"
+        raise Problem(f"{what}: fes import NAME FILES --out DIR")
     about = DATA_SETS[name]
     made: list[dict[str, Any]] = []
     failures = 0
-    try:
+    with failing(ImportProblem):
         todo = files_of(name, files)
-    except ImportProblem as error:
-        fail(error)
     for file in todo:
         try:
             imported = read_file(name, file, foot=foot)
@@ -74,7 +62,7 @@ def command(
             for note in imported.notes:
                 click.echo(f"  note: {note}")
     if as_json:
-        click.echo(json.dumps({**about.provenance(), "made": made}, indent=2, ensure_ascii=False))
+        print_json({**about.provenance(), "made": made})
     else:
         click.echo(f"From {about.source}; licence: {about.licence}")
     if failures:

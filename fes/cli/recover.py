@@ -1,25 +1,21 @@
 """``fes recover``: a torn or damaged session log → a new one with all that is whole, and what was lost."""
 
-from __future__ import annotations
-
-import json
 from pathlib import Path
-from typing import Any
 
 import click
 
-from fes.cli.common.exits import FAILED, Problem, fail
+from fes.cli.common.exits import FAILED, Problem, failing
+from fes.cli.common.options import PATH
+from fes.cli.common.show import print_json
 from fes.session_log import SessionLogError
 from fes.session_log.framing import RecordType
 from fes.session_log.repair import NAMES, Survey, recover, survey
 
 
 @click.command(name="recover")
-@click.argument("log", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="The new log. Default: NAME.recovered.feslog beside LOG.")
-@click.option(
-    "--header-from", type=click.Path(path_type=Path), help="Log with the same settings, if LOG's are damaged."
-)
+@click.argument("log", type=PATH)
+@click.option("--out", type=PATH, help="The new log. Default: NAME.recovered.feslog beside LOG.")
+@click.option("--header-from", type=PATH, help="Log with the same settings, if LOG's are damaged.")
 @click.option("--dry-run", is_flag=True, help="Only say what is lost.")
 @click.option("--json", "as_json", is_flag=True, help="Print the findings as JSON.")
 def command(log: Path, out: Path | None, header_from: Path | None, dry_run: bool, as_json: bool) -> None:
@@ -31,27 +27,21 @@ def command(log: Path, out: Path | None, header_from: Path | None, dry_run: bool
     Exit code: 0 nothing was lost, 1 something was, 2 nothing can be recovered.
     """
     target = out or log.with_name(f"{log.stem}.recovered{log.suffix or '.feslog'}")
-    try:
+    with failing(SessionLogError):
         found = survey(log)
         written = not (found.whole or dry_run)
         if written:
-            recover(found, target, _header(header_from) if header_from and found.header is None else None)
-    except SessionLogError as error:
-        fail(error)
+            other = header_from if found.header is None else None
+            header = survey(other).header if other else None
+            if other and header is None:
+                raise Problem(f"{other}: its own header is damaged too. Name a whole log.")
+            recover(found, target, header)
     if as_json:
-        result = {**found.to_dict(), "log": str(log), "recovered": str(target) if written else None}
-        click.echo(json.dumps(result, indent=2, ensure_ascii=False))
+        print_json({**found.to_dict(), "log": str(log), "recovered": str(target) if written else None})
     else:
         _show(found, target if written else None)
     if found.lost_bytes:
         raise SystemExit(FAILED)
-
-
-def _header(path: Path) -> dict[str, Any]:
-    header = survey(path).header
-    if header is None:
-        raise Problem(f"{path}: its own header is damaged too. Name a whole log.")
-    return header
 
 
 def _show(found: Survey, target: Path | None) -> None:
@@ -63,16 +53,15 @@ def _show(found: Survey, target: Path | None) -> None:
     kept = ", ".join(f"{count} {kind.name.lower()}" for kind, count in sorted(found.kept.items()))
     click.echo(f"Kept {found.size - found.lost_bytes} of {found.size} bytes: {kept or 'nothing'}.")
     if found.lost_bytes:
-        kinds = ", ".join(_counted(kind, count) for kind, count in sorted(found.lost_kinds.items()))
+        kinds = ", ".join(
+            f"{count} place{'s' * (count != 1)} of unknown kind"
+            if kind == "unknown"
+            else f"{count} {NAMES[RecordType[kind.upper()]][count != 1]}"
+            for kind, count in sorted(found.lost_kinds.items())
+        )
         span = f", {1e-6 * found.lost_ns:.0f} ms inside the session" if found.lost_ns else ""
         click.secho(f"Lost {found.lost_bytes} bytes: {kinds}{span}.", fg="red")
     else:
         click.echo("Nothing that had been stored was lost.")
     if target is not None:
         click.echo(f"Recovered log  {target}")
-
-
-def _counted(kind: str, count: int) -> str:
-    if kind == "unknown":
-        return f"{count} place{'s' * (count != 1)} of unknown kind"
-    return f"{count} {NAMES[RecordType[kind.upper()]][count != 1]}"

@@ -15,10 +15,10 @@ import click
 
 from drivers.imu.port import ImuLost
 from drivers.stimulator.port import StimulatorLost
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
+from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder
 from fes.cli.common.loop_view import stride_line
-from fes.cli.common.options import Number
-from fes.cli.common.progress import Interrupt, ReplayProgress
+from fes.cli.common.options import PATH, SIDE, STIMULATORS, Number, choice, given_options, out_option
+from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show_latched
 from fes.estimation.foot.calibration import CalibrationError
 from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
@@ -30,6 +30,7 @@ from fes.simulation.forward import PatientSettings
 from fes.simulation.forward.gait_patterns import PATTERNS
 from fes.simulation.forward.settings import SEVERITIES, load_patient, settings_for
 
+CONTROL: Final = ("none", "phase")
 LOOK_S: Final = 0.05
 SPEED_STEP_MPS: Final = 0.1
 KEYS: Final = "w walk · s stand · + − belt speed · e electrode slips (and back) · t tired muscle · q end"
@@ -47,22 +48,20 @@ def simulate_live(settings: PatientSettings, options: Options, seconds: float | 
     keys = standard_keys()
     with ExitStack() as stack:
         interrupt = stack.enter_context(Interrupt())
-        try:
+        with failing(ImuLost, StimulatorLost, CalibrationError):
             bench = start_patient_bench(settings, folder, stack, stimulator=stimulator, waits=True)
-        except (ImuLost, StimulatorLost, CalibrationError) as error:
-            fail(error)
-        _show_how_to_meet(bench, keys)
+        meet = f"fes run {bench.session} --calibration {bench.calibration}"
+        click.echo(f"The patient stands. In another terminal:\n\n    {meet}\n")
+        click.echo("There: a arms (while the patient stands), + raises the intensity.")
+        click.echo(f"Here:  {KEYS}" if keys is not None else f"It walks by itself after {WALKS_AFTER_S:.0f} s.")
         if keys is not None:
             stack.enter_context(Terminal(keys))
         try:
-            _Live(bench, settings, keys).run(seconds, interrupt)
+            with failing(ImuLost, kind=StoppedEarly):
+                _Live(bench, settings, keys).run(seconds, interrupt)
         except KeyboardInterrupt:
             click.echo("Ending.", err=True)
-        except ImuLost as error:
-            fail(error, StoppedEarly)
-        patient = bench.patient
-    summary = patient.summary
-    if summary:
+    if summary := bench.patient.summary:
         click.echo(
             f"{summary['pulses']} pulses, {1e-3 * summary['charge_uc']:.2f} mC; the patient's process was "
             f"{summary['latest_ms']:.1f} ms late at most, over 5 ms {summary['late_5ms']} times in "
@@ -70,22 +69,11 @@ def simulate_live(settings: PatientSettings, options: Options, seconds: float | 
         )
 
 
-def _show_how_to_meet(bench: PatientBench, keys: int | None) -> None:
-    click.echo(
-        f"The patient stands. In another terminal:\n\n    fes run {bench.session} --calibration {bench.calibration}\n"
-    )
-    click.echo("There: a arms (while the patient stands), + raises the intensity.")
-    click.echo(f"Here:  {KEYS}" if keys is not None else f"It walks by itself after {WALKS_AFTER_S:.0f} s.")
-
-
 class _Live:
     def __init__(self, bench: PatientBench, settings: PatientSettings, keys: int | None) -> None:
-        self._bench = bench
-        self._speed_mps = settings.speed_mps
-        self._whole = settings.electrode_quality
-        self._slipped = False
-        self._keys = keys
-        self._over = False
+        self._bench, self._keys = bench, keys
+        self._speed_mps, self._whole = settings.speed_mps, settings.electrode_quality
+        self._slipped = self._over = False
 
     def run(self, seconds: float | None, interrupt: Interrupt) -> None:
         """Until the time is over, or somebody ends it."""
@@ -143,46 +131,23 @@ class Options:
 
 
 @click.command(name="simulate")
-@click.argument("patient", required=False, type=click.Path(path_type=Path))
+@click.argument("patient", required=False, type=PATH)
 @click.option("--severity", type=click.Choice(list(SEVERITIES)), help="Drop foot from none to severe.  [moderate]")
 @click.option("--pattern", type=click.Choice(list(PATTERNS)), help="One of the five hemiparetic walks of Wang et al.")
 @click.option("--speed", "speed_mps", type=Number(0.1, 2.0), help="Belt speed (m/s).")
-@click.option("--side", type=click.Choice(["left", "right"]), help="The affected side.  [right]")
+@click.option("--side", type=SIDE, help="The affected side.  [right]")
 @click.option("--seed", type=click.IntRange(min=0), help="Fixes every random number.  [1]")
 @click.option("--rate", "rate_hz", type=Number(20, 1000), help="Samples a second, a divisor of 2000.  [100]")
 @click.option("--seconds", type=Number(5, 7200), default=60.0, show_default=True, help="How long.")
-@click.option(
-    "--stimulate",
-    type=click.Choice(["none", "phase"]),
-    default="none",
-    show_default=True,
-    help="phase: by the controller, in closed loop with a simulated stimulator.",
-)
+@choice("--stimulate", of=CONTROL, help="phase: by the controller, in closed loop with a simulated stimulator.")
 @click.option("--live", is_flag=True, help="In real time, as devices that `fes run` meets in another terminal.")
-@click.option(
-    "--stimulator",
-    type=click.Choice(["can", "p24_low_level", "rehastim2"]),
-    default="can",
-    show_default=True,
-    help="With --live: which simulated stimulator.",
-)
-@click.option("--session", type=click.Path(path_type=Path), help="Settings of the stimulation (TOML).")
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Folder.")
+@choice("--stimulator", of=STIMULATORS, help="With --live: which simulated stimulator.")
+@click.option("--session", type=PATH, help="Settings of the stimulation (TOML).")
+@out_option("Folder.")
 @click.option("--name", default="simulated", show_default=True, help="Name of the files.")
 @click.option("--overwrite", is_flag=True, help="Replace files of that name.")
 @click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
-def command(
-    patient: Path | None,
-    severity: str | None,
-    pattern: str | None,
-    speed_mps: float | None,
-    side: str | None,
-    seed: int | None,
-    rate_hz: float | None,
-    live: bool,
-    stimulator: str,
-    **chosen: Any,
-) -> None:
+def command(patient: Path | None, severity: str | None, live: bool, stimulator: str, **chosen: Any) -> None:
     """Let a virtual patient walk and record foot and shank sensors of both legs, with the truth.
 
     PATIENT is a settings file (TOML, table [patient]); options win over it. Writes NAME.parquet with its sidecar, the
@@ -192,38 +157,26 @@ def command(
     With --live nothing is recorded here: patient and stimulator run as processes until q or --seconds, and a session
     file for them is written to OUT/NAME-001.
     """
+    given = {name: chosen.pop(name) for name in ("pattern", "speed_mps", "side", "seed", "rate_hz")}
+    others = {name: value for name, value in given.items() if value is not None}
     options = Options(**chosen)
-    _refuse_idle(live=live, stimulated=options.stimulate != "none")
-    given = {"pattern": pattern, "speed_mps": speed_mps, "side": side, "seed": seed, "rate_hz": rate_hz}
-    others = {key: value for key, value in given.items() if value is not None}
-    try:
+    on_line = given_options()
+    if live and (idle := sorted(on_line & {"stimulate", "session", "overwrite", "as_json"})):
+        named = "json" if idle[0] == "as_json" else idle[0]
+        raise Problem(f"--{named} has no meaning with --live: the session file is written, and `fes run` stimulates.")
+    if not live and "stimulator" in on_line:
+        raise Problem("--stimulator goes with --live.")
+    if "session" in on_line and options.stimulate == "none":
+        raise Problem("--session goes with --stimulate phase.")
+    with failing(ValueError):
         if patient is not None:
             settings = load_patient(patient, **({"severity": severity} if severity else {}), **others)
         else:
             settings = settings_for(severity or "moderate", **others)
-    except ValueError as error:
-        fail(error)
     if live:
-        source = click.get_current_context().get_parameter_source("seconds")
-        ends_s = options.seconds if source is click.core.ParameterSource.COMMANDLINE else None
-        simulate_live(settings, options, ends_s, stimulator)
+        simulate_live(settings, options, options.seconds if "seconds" in on_line else None, stimulator)
         return
     simulate(settings, options)
-
-
-def _refuse_idle(*, live: bool, stimulated: bool) -> None:
-    """Options that would change nothing are refused rather than passed over."""
-    context = click.get_current_context()
-    given = {
-        name for name in context.params if context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
-    }
-    if live and (idle := sorted(given & {"stimulate", "session", "overwrite", "as_json"})):
-        named = "json" if idle[0] == "as_json" else idle[0]
-        raise Problem(f"--{named} has no meaning with --live: the session file is written, and `fes run` stimulates.")
-    if not live and "stimulator" in given:
-        raise Problem("--stimulator goes with --live.")
-    if "session" in given and not stimulated:
-        raise Problem("--session goes with --stimulate phase.")
 
 
 def simulate(settings: Any, options: Options) -> None:
@@ -234,38 +187,44 @@ def simulate(settings: Any, options: Options) -> None:
     """
     from fes.hil.closed_loop.demo import write_strides
     from fes.recording import RecordingError, write_recording
+    from fes.simulation.forward.closed_loop import recording_of, truth_of
     from fes.simulation.forward.patient import VirtualPatient
-    from fes.simulation.forward.truth import recording_of, truth_of
     from fes.simulation.truth import write_truth
 
     if Path(options.name).name != options.name or "." in options.name or not options.name:
         raise Problem(f"--name {options.name!r}: a plain name without folder and dot, e.g. patient_7.")
     folder = options.out
-    _make_way(folder, options)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise Problem(f"{folder}: cannot be made: {error.strerror}. Choose another with --out.") from error
+    there = sorted(path for path in folder.iterdir() if path.name.startswith(f"{options.name}."))
+    if there and not options.overwrite:
+        raise Problem(f"{there[0]}: is there already. Choose another --name, or --overwrite.")
+    (folder / f"{options.name}{LOG_SUFFIX}").unlink(missing_ok=True)
     walker = VirtualPatient(settings)
     samples: list[ImuSample] = []
     end_ns = round(options.seconds * NS_PER_S)
     try:
-        with Interrupt() as interrupt, ReplayProgress(options.name, 0, end_ns, options.as_json) as progress:
+        with (
+            failing(SessionLogError, kind=StoppedEarly),
+            Interrupt() as interrupt,
+            replay_progress(options.name, 0, end_ns, options.as_json) as reached,
+        ):
 
             def after(event: Event) -> None:
-                progress.reached(event.t_ns)
+                reached(event.t_ns)
                 interrupt.check()
 
             _walk(walker, samples, options, after)
     except KeyboardInterrupt:
         click.secho("Interrupted; what was walked so far is written.", fg="yellow", err=True)
-    except SessionLogError as error:
-        fail(error, StoppedEarly)
-    try:
+    with failing(RecordingError, ValueError, OSError, kind=StoppedEarly):
         what = f"Virtual patient, {settings.speed_mps:g} m/s, stimulation: {options.stimulate}"
-        write_recording(
-            recording_of(walker, samples, options.name, what), folder / f"{options.name}.parquet", overwrite=True
-        )
+        recording = recording_of(walker, samples, options.name, what)
+        write_recording(recording, folder / f"{options.name}.parquet", overwrite=True)
         write_truth(truth_of(walker, options.name), folder)
         write_strides(folder / f"{options.name}.virtual.csv", walker.strides)
-    except (RecordingError, ValueError, OSError) as error:
-        fail(error, StoppedEarly)
     _show(walker, settings, folder, options)
 
 
@@ -282,36 +241,17 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
     from fes.report.quality import Notice
 
     notes: list[Note] = []
+    log, name = options.out / f"{options.name}{LOG_SUFFIX}", options.name
+    told: dict[str, Any] = {"on_sample": samples.append, "on_note": notes.append, "after": after}
     try:
-        session = load_session(options.session or bundled_file("session.toml"))
-        if options.session is None:
-            session = session.model_copy(update={"name": f"Virtual patient, {options.name}"})
-        warm_up()
-        walk_stimulated(
-            walker,
-            session,
-            options.seconds,
-            options.out / f"{options.name}{LOG_SUFFIX}",
-            name=options.name,
-            on_sample=samples.append,
-            on_note=notes.append,
-            after=after,
-        )
-    except (ConfigError, CalibrationError) as error:
-        fail(error)
+        with failing(ConfigError, CalibrationError):
+            session = load_session(options.session or bundled_file("session.toml"))
+            if options.session is None:
+                session = session.model_copy(update={"name": f"Virtual patient, {name}"})
+            warm_up()
+            walk_stimulated(walker, session, options.seconds, log, name=name, **told)
     finally:
         show_latched(Notice(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
-
-
-def _make_way(folder: Path, options: Options) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise Problem(f"{folder}: cannot be made: {error.strerror}. Choose another with --out.") from error
-    there = sorted(path for path in folder.iterdir() if path.name.startswith(f"{options.name}."))
-    if there and not options.overwrite:
-        raise Problem(f"{there[0]}: is there already. Choose another --name, or --overwrite.")
-    (folder / f"{options.name}{LOG_SUFFIX}").unlink(missing_ok=True)
 
 
 def _show(walker: Any, settings: Any, folder: Path, options: Options) -> None:

@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from fes.cli.cohort import ProgressBar, absolute, results_at
-from fes.cli.common.exits import FAILED, INTERRUPTED, Problem, StoppedEarly
-from fes.cli.common.options import Number
+from fes.cli.cohort import absolute, progress_bar, results_at, resumable, unfinished
+from fes.cli.common.exits import FAILED, Problem
+from fes.cli.common.options import PATH, Number
+from fes.cli.common.show import screen
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from fes.cohort.store import Measure, Store
+    from fes.cohort.store import Measure
     from fes.cohort.sweep.table import Combination
     from fes.cohort.sweep.task import Case
 
@@ -32,7 +33,7 @@ def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None
 
 
 @click.command(name="sweep")
-@click.argument("session", type=click.Path(path_type=Path))
+@click.argument("session", type=PATH)
 @click.argument("recordings", nargs=-1)
 @click.option("--set", "asked", multiple=True, metavar="NAME=VALUES", help="A setting and its values; repeat it.")
 @click.option("--sample", type=click.IntRange(1), help="Try so many combinations by chance instead of all.")
@@ -78,20 +79,21 @@ def command(
     Exit code: 0 all tried, 1 some trials failed, 2 unusable arguments, settings or storage, 3 stopped early (no room
     for the results, the scheduler gone), 130 interrupted.
     """
+    import pyarrow as pa
+    from pyarrow import parquet
+
     from fes.cohort.engine import cluster, processors, run_tasks
-    from fes.cohort.sources import CohortError, find_sources
+    from fes.cohort.sources import find_sources
     from fes.cohort.sweep.grid import combinations_of, parse_axis
-    from fes.cohort.sweep.table import RESULTS, combinations, measures_in, sweep_store
+    from fes.cohort.sweep.table import RESULTS, combination_table, combinations, measures_in, sweep_store
     from fes.cohort.sweep.task import TRUTH_FILES, Bench, Patient, sweep_tasks
-    from fes.cohort.task import DONE
-    from fes.config import ConfigError, load_session
+    from fes.config import load_session
 
     if bool(recordings) == bool(patients):
         raise Problem("Give RECORDINGS to try on, or --patients N; one of the two.")
     if not asked:
         raise Problem("Nothing to sweep. Give --set NAME=VALUE,VALUE; `fes sweep --names` lists the names.")
-    ended: type[Problem] = Problem  # how, should it not come to its end: nothing has been done yet
-    try:
+    with resumable(out) as run:
         axes = [parse_axis(each) for each in asked]
         tried = combinations_of(axes, sample, seed)
         bench = Bench(load_session(session), str(session), seconds if patients else 0.0)
@@ -105,65 +107,35 @@ def command(
         store = sweep_store(results_at(out))
         store.prepare({"command": "fes sweep", "session": str(session), "set": list(asked), "seed": seed})
         tasks = sweep_tasks(cases, tried, bench, store)
-        finished = store.finished() & tasks.keys()
-        if retry_failed:
-            rows = store.table(RESULTS, finished).to_pylist()
-            again = {row["result"] for row in rows if row["status"] != DONE}
-            store.forget(again)
-            finished -= again
-        todo = [task for key, task in tasks.items() if key not in finished]
-        if finished:
-            click.echo(f"{len(finished)} of {len(tasks)} are finished already.", err=True)
+        todo = unfinished(store, tasks, RESULTS, "result", retry_failed)
         if todo:
             number = min(workers or processors(), len(todo))
-            with cluster(number, scheduler, time_limit) as client, ProgressBar(len(todo), "trying") as bar:
-                ended = StoppedEarly
-                run_tasks(client, todo, store.url, bar.advance, time_limit)
+            with cluster(number, scheduler, time_limit) as client, progress_bar(len(todo), "trying") as advance:
+                run.begun = True
+                run_tasks(client, todo, store.url, advance, time_limit)
         rows = store.table(RESULTS, tasks).to_pylist()
         measures = measures_in(rows)
         found = combinations(rows, measures)
-        _write(store, found, measures)
+        sink = pa.BufferOutputStream()
+        parquet.write_table(combination_table(found, measures), sink)
+        store.write(TABLE, sink.getvalue().to_pybytes())
         if not no_report:
             from fes.cohort.sweep.page import sweep_page
 
-            store.write_text(PAGE, sweep_page(axes, found, measures, [case.url for case in cases], bench.session.name))
+            store.write(PAGE, sweep_page(axes, found, measures, [case.url for case in cases], bench.session.name))
             click.echo(f"Report     {store.place(PAGE)}")
-    except (CohortError, ConfigError) as error:
-        raise ended(str(error)) from error
-    except OSError as error:
-        raise ended(f"{out}: the results cannot be kept there: {error}") from error
-    except KeyboardInterrupt:
-        click.secho("Interrupted. Run the same command again to go on from here.", fg="yellow", err=True)
-        raise SystemExit(INTERRUPTED) from None
     click.echo(f"Table      {store.place(TABLE)}")
     _show(found, measures)
-    failed = sum(one.failed for one in found)
-    if failed:
+    if failed := sum(one.failed for one in found):
         for one in [one for one in found if one.failed][:LISTED]:
             click.secho(f"Failed: {one.text}: {'; '.join(one.reasons)}", fg="red", err=True)
         click.secho(f"{failed} of {len(rows)} trials failed.", fg="red", err=True)
         raise SystemExit(FAILED)
 
 
-def _write(store: Store, found: Sequence[Combination], measures: Sequence[Measure]) -> None:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    from fes.cohort.sweep.table import combination_table
-
-    sink = pa.BufferOutputStream()
-    parquet.write_table(combination_table(found, measures), sink)
-    store.write_bytes(TABLE, sink.getvalue().to_pybytes())
-
-
 def _show(found: Sequence[Combination], measures: Sequence[Measure]) -> None:
     """The best, and the session as it is, on the terminal."""
-    import sys
-
-    from rich.console import Console
     from rich.table import Table
-
-    from fes.cli.common.show import PIPED_COLUMNS
 
     judged = [measure for measure in measures if measure.best] or list(measures[:3])
     table = Table(title=f"Best of {len(found)} combinations", title_justify="left")
@@ -174,4 +146,4 @@ def _show(found: Sequence[Combination], measures: Sequence[Measure]) -> None:
     for one in listed:
         table.add_row(one.text.replace(", ", "\n"), *(measure.text(one.figures[measure.name]) for measure in judged))
     if listed:
-        Console(width=None if sys.stdout.isatty() else PIPED_COLUMNS).print(table)
+        screen().print(table)

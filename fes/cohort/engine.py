@@ -74,13 +74,10 @@ def _set_due(due_s: float | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One piece of work that keeps its own results.
+    """One piece of work that keeps its own results; no two have the same ``key``.
 
-    Attributes:
-        key: names it; no two tasks have the same.
-        work: called with ``arguments`` in a worker process.
-        arguments: must survive pickling, as ``work`` must.
-        lost: called here with the reason when the task cannot be worked on; it gives the outcome.
+    ``work`` is called with ``arguments`` in a worker process; both must survive pickling. ``lost`` is called here with
+    the reason when the task cannot be worked on; it gives the outcome.
     """
 
     key: str
@@ -93,8 +90,7 @@ class Task:
 def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> Iterator[Client]:
     """A client of the cluster at ``scheduler``, or of one with ``workers`` single-threaded processes on this machine.
 
-    Args:
-        limit_s: which tasks will have.
+    ``limit_s``: which tasks will have.
 
     Raises:
         CohortError: it does not answer, has no worker, or its workers have another version of this program.
@@ -111,10 +107,8 @@ def cluster(workers: int, scheduler: str = "", limit_s: float | None = None) -> 
         try:
             client = Client(scheduler, timeout=CONNECT_S)
         except Exception as error:  # whatever else listens there, or what Dask lacks for this kind of address
-            raise CohortError(
-                f"{scheduler}: no Dask scheduler answers: {reason_of(error)}. Start one with `dask scheduler`, or "
-                f"leave --scheduler away to use this machine."
-            ) from error
+            remedy = "Start one with `dask scheduler`, or leave --scheduler away to use this machine."
+            raise CohortError(f"{scheduler}: no Dask scheduler answers: {reason_of(error)}. {remedy}") from error
         with client:
             _check_workers(client, scheduler)
             yield client
@@ -161,11 +155,11 @@ def analyse_all(
         CohortError: as :func:`run_tasks`.
     """
 
-    def task(source: Source) -> Task:
-        lost = partial(keep_failure, source, store, settings)
-        return Task(source.identity(settings.text()), analyse_one, (source, store, settings), lost)
-
-    return run_tasks(client, [task(source) for source in sources], store.url, on_outcome, limit_s)
+    tasks = []
+    for source in sources:
+        own = source, store, settings
+        tasks.append(Task(source.identity(settings.text()), analyse_one, own, partial(keep_failure, *own)))
+    return run_tasks(client, tasks, store.url, on_outcome, limit_s)
 
 
 def run_tasks(
@@ -211,9 +205,8 @@ def run_tasks(
         again = f"{len(outcomes)} are kept; run the same command again: it goes on from there."
         try:
             found, seconds = future.result()
-            finished = [
-                task.lost(each) if isinstance(each, str) else each for task, each in zip(batch, found, strict=True)
-            ]
+            pairs = zip(batch, found, strict=True)
+            finished = [task.lost(each) if isinstance(each, str) else each for task, each in pairs]
             pace_s = max(seconds / len(batch), 1e-6)
         except KilledWorker:
             if alone:

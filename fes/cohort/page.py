@@ -1,7 +1,5 @@
 """Pages of a cohort: distributions, outliers, what could not be used, and one page a subject."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections import defaultdict
@@ -10,12 +8,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from fes import __version__
 from fes.cohort.store import RECORDINGS, STRIDES, Measure, Store
 from fes.cohort.task import DONE
 from fes.report.figures.strides import FOOT_COLORS, foot_color
 from fes.report.figures.svg import Figure, Plot, padded
-from fes.report.html import style, templates, trusted
+from fes.report.html import rendered, trusted
 from fes.signals import FloatArray
 
 PAGE: Final = "index.html"
@@ -52,13 +49,13 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
     subjects = sorted({row["subject"] for row in rows})
     by_subject = {name: [row for row in rows if row["subject"] == name] for name in subjects}
     done = [row for row in rows if row["status"] == DONE]
-    page = templates("fes.cohort").get_template("cohort.html.j2")
 
     def write(name: str, own: Sequence[dict[str, Any]], mask: Any, figures: list[Figure], **more: Any) -> None:
         values = {"above": "", "recordings": [], "subjects": [], "outliers": [], **more}
-        values |= {"style": style(), "page_of": _file, "version": __version__, "measures": MEASURES, "flags": _flags}
-        values |= {"colors": FOOT_COLORS, "figures": trusted(figures), "strides": int(strides["valid"][mask].sum())}
-        store.write_text(name, page.render(failed=[row for row in own if row["status"] != DONE], **values))
+        values |= {"page_of": _file, "measures": MEASURES, "flags": _flags, "colors": FOOT_COLORS}
+        values |= {"figures": trusted(figures), "strides": int(strides["valid"][mask].sum())}
+        values["failed"] = [row for row in own if row["status"] != DONE]
+        store.write(name, rendered("cohort.html.j2", "fes.cohort", **values))
 
     for name, own in by_subject.items():
         mask = strides["subject"] == name
@@ -66,17 +63,11 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
         figures = [*_histograms(of_subject), *_strides_over_time(of_subject, own)]
         title = f"Subject {name or 'without a name'}"
         write(f"subjects/{_file(name)}", own, mask, figures, title=title, above=f"../{PAGE}", recordings=own)
-    totals = {"recordings": len(rows), "used": len(done), "subjects": len(subjects)}
-    write(
-        PAGE,
-        rows,
-        slice(None),
-        [*_histograms(strides), *_spreads(done)],
-        title="Cohort",
-        subjects=[_subject_row(name, own) for name, own in by_subject.items()],
-        outliers=_outliers(done),
-        totals=totals | {"hours": sum(row["duration_s"] or 0.0 for row in done) / 3600.0},
-    )
+    totals: dict[str, float] = {"recordings": len(rows), "used": len(done), "subjects": len(subjects)}
+    totals["hours"] = sum(row["duration_s"] or 0.0 for row in done) / 3600.0
+    listed = {"subjects": [_subject_row(name, own) for name, own in by_subject.items()], "outliers": _outliers(done)}
+    figures = [*_histograms(strides), *_spreads(done)]
+    write(PAGE, rows, slice(None), figures, title="Cohort", totals=totals, **listed)
     return store.place(PAGE)
 
 
@@ -112,14 +103,9 @@ def _histograms(strides: dict[str, Any]) -> list[Figure]:
             plot.bars(middle + shift, 0 * count, count, 0.9 * width / len(counts), foot_color(foot), foot)
         cut = int((usable & ((values < low) | (values > high))).sum())
         median = float(np.median(values[usable]))
-        figures.append(
-            Figure(
-                f"{measure.title}, all valid strides",
-                plot.render(),
-                f"{int(usable.sum())} strides, median {median:.{measure.digits}f} {measure.unit}; "
-                f"the outermost {cut} are not drawn.",
-            )
-        )
+        middle_one = f"median {median:.{measure.digits}f} {measure.unit}"
+        caption = f"{int(usable.sum())} strides, {middle_one}; the outermost {cut} are not drawn."
+        figures.append(plot.figure(f"{measure.title}, all valid strides", caption))
     return figures
 
 
@@ -132,20 +118,13 @@ def _spreads(rows: Sequence[dict[str, Any]]) -> list[Figure]:
             continue
         values = measure.factor * np.array([row[measure.name] for row in known])
         x = np.arange(1.0, len(known) + 1.0)
-        plot = Plot(
-            f"{measure.title} by recording",
-            "recording, ordered",
-            measure.axis,
-            padded([x]),
-            padded([values]),
-        )
-        titles = [
-            f"{row['name']} ({row['subject']}): {measure.text(row[measure.name])} {measure.unit}" for row in known
-        ]
+        plot = Plot(f"{measure.title} by recording", "recording, ordered", measure.axis, padded([x]), padded([values]))
+        shown = [f"{measure.text(row[measure.name])} {measure.unit}" for row in known]
+        titles = [f"{row['name']} ({row['subject']}): {text}" for row, text in zip(known, shown, strict=True)]
         plot.points(x, values, "#333333", titles)
         plot.level(float(np.median(values)), "#777777")
         caption = "One point a recording: its median over valid strides. Dashed: the cohort's median."
-        figures.append(Figure(f"{measure.title}, recording by recording", plot.render(), caption))
+        figures.append(plot.figure(f"{measure.title}, recording by recording", caption))
     return figures
 
 
@@ -169,27 +148,19 @@ def _strides_over_time(strides: dict[str, Any], rows: Sequence[dict[str, Any]]) 
     for t_s, length_m, feet in parts:
         for foot in sorted(set(feet)):
             own = feet == foot
-            titles = [f"{v:.2f} m" for v in length_m[own]]
-            plot.points(t_s[own], length_m[own], foot_color(foot), titles)
+            plot.points(t_s[own], length_m[own], foot_color(foot), [f"{v:.2f} m" for v in length_m[own]])
     for at, name in bounds:
         plot.upright(at, "#777777", name if len(bounds) <= 6 else "")
-    return [Figure("Stride length, stride by stride", plot.render(), "Recordings one after the other.")]
+    return [plot.figure("Stride length, stride by stride", "Recordings one after the other.")]
 
 
 def _subject_row(name: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     done = [row for row in rows if row["status"] == DONE]
-    medians = {}
-    for measure in MEASURES:
-        known = [row[measure.name] for row in done if row[measure.name] is not None]
-        medians[measure.name] = float(np.median(known)) if known else None
-    return {
-        "name": name,
-        "page": f"subjects/{_file(name)}",
-        "recordings": len(rows),
-        "failed": len(rows) - len(done),
-        "valid_strides": sum(row["valid_strides"] or 0 for row in done),
-        **medians,
-    }
+    known = {m.name: [row[m.name] for row in done if row[m.name] is not None] for m in MEASURES}
+    medians = {measure: float(np.median(values)) if values else None for measure, values in known.items()}
+    counts = {"recordings": len(rows), "failed": len(rows) - len(done)}
+    counts["valid_strides"] = sum(row["valid_strides"] or 0 for row in done)
+    return {"name": name, "page": f"subjects/{_file(name)}", **counts, **medians}
 
 
 def _outliers(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -214,17 +185,14 @@ def _outliers(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _flags(row: dict[str, Any]) -> str:
     """What is to be known before this recording's numbers are used."""
-    notes = []
-    samples = row["samples"] or 1
-    if (row["missing"] or 0) > MISSING_SHARE * samples:
-        notes.append(f"{100 * row['missing'] / samples:.1f} % of the samples missing")
-    if row["clipped"]:
-        notes.append(f"{row['clipped']} samples clipped")
-    if row["reason"]:
-        notes.append(row["reason"])
-    if row["status"] == DONE and not row["valid_strides"]:
-        notes.append("no valid stride")
-    return "; ".join(notes)
+    missing = (row["missing"] or 0) / (row["samples"] or 1)
+    notes = [
+        f"{100 * missing:.1f} % of the samples missing" if missing > MISSING_SHARE else "",
+        f"{row['clipped']} samples clipped" if row["clipped"] else "",
+        row["reason"] or "",
+        "no valid stride" if row["status"] == DONE and not row["valid_strides"] else "",
+    ]
+    return "; ".join(filter(None, notes))
 
 
 def _file(subject: str) -> str:

@@ -4,8 +4,6 @@ A recording is a data file, its sidecar, and what that names: sensors' own files
 it they name its results, so that no old result passes for new.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import posixpath
@@ -130,13 +128,11 @@ class CohortError(RuntimeError):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One recording's data file, as found.
+    """One recording's data file, as found, with its protocol; what a worker opens.
 
-    Attributes:
-        url: with its protocol; what a worker opens.
-        mark: size and time or tag of the data file, as the storage tells; what is in its sidecar; and size and time of
-            all that the sidecar names. Another file, another mark.
-        program: that was asked to work on it; a worker takes the asker's word.
+    ``mark``: size and time or tag of the data file, as the storage tells; what is in its sidecar; and size and time of
+    all that the sidecar names. Another file, another mark. ``program``: that was asked to work on it; a worker takes
+    the asker's word.
     """
 
     url: str
@@ -188,10 +184,8 @@ def find_sources(patterns: Sequence[str], companions: Sequence[str] = ()) -> lis
 def _below(filesystem: Any, path: str, pattern: str, endings: tuple[str, ...]) -> Iterator[Source]:
     named = not any(mark in path for mark in "*?[") or filesystem.exists(path)  # a folder may be called "a[1]"
     outright = named and filesystem.isfile(path)
-    if outright:
-        infos = {path: filesystem.info(path)}
-    else:
-        infos = filesystem.find(path, detail=True) if named else filesystem.glob(path, detail=True)
+    below = filesystem.find if named else filesystem.glob
+    infos = {path: filesystem.info(path)} if outright else below(path, detail=True)
     names = [
         name
         for name, info in infos.items()
@@ -206,7 +200,10 @@ def _below(filesystem: Any, path: str, pattern: str, endings: tuple[str, ...]) -
         sidecar = sidecar_of(name)
         if sidecar in infos or outright:
             others = mark_of_companions(filesystem, name, sidecars.get(sidecar), infos, endings)
-            yield Source(_url(filesystem, name, pattern), mark_of_file(infos[name]) + others)
+            head, chained, rest = pattern.partition("::")  # a chained address (zip://…::archive) keeps its archive
+            inner = f"{head.split('://', 1)[0]}://{name.lstrip('/')}::{rest}"
+            url = inner if chained else str(filesystem.unstrip_protocol(name))
+            yield Source(url, mark_of_file(infos[name]) + others)
 
 
 def _texts(filesystem: Any, infos: dict[str, Any]) -> dict[str, bytes]:
@@ -216,14 +213,6 @@ def _texts(filesystem: Any, infos: dict[str, Any]) -> dict[str, bytes]:
     paths = [path for path in plain if (infos[path].get("size") or 0) <= LARGEST_SIDECAR]
     texts = filesystem.cat_ranges(paths, None, None, on_error="return") if paths else []
     return {path: text for path, text in zip(paths, texts, strict=True) if isinstance(text, bytes)}
-
-
-def _url(filesystem: Any, path: str, pattern: str) -> str:
-    """The address of one file; a chained one (``zip://…::archive``) keeps its archive."""
-    if "::" in pattern:
-        head, _, rest = pattern.partition("::")
-        return f"{head.split('://', 1)[0]}://{path.lstrip('/')}::{rest}"
-    return str(filesystem.unstrip_protocol(path))
 
 
 @contextmanager

@@ -3,8 +3,6 @@
 A recording's row in ``recordings/`` is written last, in one step: it being there says that all of the recording is.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -145,9 +143,7 @@ class Store:
 
     def forget(self, identities: Iterable[str]) -> None:
         """Take these recordings' rows away, so that they are done again."""
-        filesystem, root = self._open()
-        for identity in identities:
-            filesystem.rm_file(f"{root}/{self.last}/{identity}.parquet")
+        self._remove(identities, [self.last])
 
     def remove(self, identities: Iterable[str]) -> None:
         """Take all rows of these away; those of the last table last, so that a crash on the way leaves them known.
@@ -155,9 +151,12 @@ class Store:
         Raises:
             OSError: the storage does not let it.
         """
+        self._remove(identities, sorted(self.schemas, key=lambda name: name == self.last))
+
+    def _remove(self, identities: Iterable[str], tables: Sequence[str]) -> None:
         filesystem, root = self._open()
         for identity in identities:
-            for table in sorted(self.schemas, key=lambda name: name == self.last):
+            for table in tables:
                 with suppress(FileNotFoundError):
                     filesystem.rm_file(f"{root}/{table}/{identity}.parquet")
 
@@ -171,11 +170,8 @@ class Store:
         if not paths:
             empty = self.schemas[name].empty_table()
             return empty if columns is None else empty.select(list(columns))
-        how: dict[str, Any] = {
-            "schema": self.schemas[name],
-            "filesystem": filesystem,
-            "page_checksum_verification": True,
-        }
+        how: dict[str, Any] = {"schema": self.schemas[name], "filesystem": filesystem}
+        how["page_checksum_verification"] = True
         try:
             return parquet.read_table(paths, columns=None if columns is None else list(columns), **how)
         except FileNotFoundError:
@@ -185,23 +181,19 @@ class Store:
                 try:
                     parquet.read_table(path, **how)
                 except (pa.ArrowException, OSError):
-                    row = self.place(f"{self.last}/{path.rsplit('/', 1)[-1]}")
+                    file = path.rsplit("/", 1)[-1]
                     raise CohortError(
-                        f"{self.place(name)}/{path.rsplit('/', 1)[-1]}: is damaged: {error}. Delete {row} and run the "
-                        f"same command again: what it belongs to is done again."
+                        f"{self.place(name)}/{file}: is damaged: {error}. Delete {self.place(self.last)}/{file} and "
+                        f"run the same command again: what it belongs to is done again."
                     ) from error
             raise
 
-    def write_text(self, name: str, text: str) -> None:
-        """Write a page beside the tables."""
-        self.write_bytes(name, text.encode())
-
-    def write_bytes(self, name: str, data: bytes) -> None:
-        """Write a file beside the tables."""
+    def write(self, name: str, data: str | bytes) -> None:
+        """Write a page or a file beside the tables."""
         filesystem, root = self._open()
         filesystem.makedirs(f"{root}/{name}".rsplit("/", 1)[0], exist_ok=True)
         with filesystem.open(f"{root}/{name}", "wb") as file:
-            file.write(data)
+            file.write(data.encode() if isinstance(data, str) else data)
 
     def place(self, name: str) -> str:
         """Where a page or table is, for people."""

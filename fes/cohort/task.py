@@ -1,16 +1,14 @@
 """One recording of a cohort, in whichever process: fetched, analysed, kept. Whatever is wrong with it becomes a row."""
 
-from __future__ import annotations
-
-import math
 import statistics
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from fes import __version__
 from fes.cohort.sources import CohortError, Source, local_copy
 from fes.cohort.store import EVENTS, RECORDINGS, STRIDES, Store
+from fes.walk_record import finite_or_none
 
 DONE: Final = "done"
 FAILED: Final = "failed"
@@ -20,11 +18,9 @@ _MEANS: Final = ("stride_length_m", "speed_mps", "clearance_m")
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What holds for every recording.
+    """What holds for every recording; ``level``: the ground is level.
 
-    Attributes:
-        level: the ground is level.
-        subject_from: a pattern that finds the subject in the address, where the sidecar names none.
+    ``subject_from``: a pattern that finds the subject in the address, where the sidecar names none.
     """
 
     level: bool = True
@@ -52,26 +48,19 @@ def analyse_one(source: Source, store: Store, settings: Settings) -> Outcome:
         OSError: the results cannot be kept; the recording counts as not done.
     """
     identity = source.identity(settings.text())
-    base = {"recording": identity, "source": source.url, "fes_version": __version__}
     try:
         tables = _tables(source, identity, settings)
     except Exception as error:  # one bad recording, however bad, must not stop the others
-        reason = reason_of(error)
-        row = {**base, "status": FAILED, "reason": reason, "subject": _subject(source, "", settings)}
-        store.put(identity, {RECORDINGS: [row]})
-        return Outcome(identity, source.url, FAILED, reason)
-    tables[RECORDINGS] = [{**base, "status": DONE, **row} for row in tables[RECORDINGS]]
+        return keep_failure(source, store, settings, reason_of(error))
     store.put(identity, tables)
     return Outcome(identity, source.url, DONE)
 
 
 def keep_failure(source: Source, store: Store, settings: Settings, reason: str) -> Outcome:
-    """Note of a recording that could not even be tried to its end, as when its process died again and again."""
-    identity = source.identity(settings.text())
-    subject = _subject(source, "", settings)
-    row = {"recording": identity, "source": source.url, "fes_version": __version__, "status": FAILED}
-    store.put(identity, {RECORDINGS: [{**row, "reason": reason[:LONGEST_REASON], "subject": subject}]})
-    return Outcome(identity, source.url, FAILED, reason)
+    """Note a recording that cannot be analysed, or whose process died again and again."""
+    row = _row(source, settings, FAILED, "", reason)
+    store.put(row["recording"], {RECORDINGS: [row]})
+    return Outcome(row["recording"], source.url, FAILED, reason)
 
 
 def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -> int:
@@ -93,47 +82,38 @@ def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -
 
 def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list[dict[str, Any]]]:
     from fes.analysis.pipeline import analyse, calibrations_of  # the numeric libraries load where the work is done
-    from fes.memory import keep_freed_memory
     from fes.recording import read_recording
+    from fes.recording.chunks import keep_freed_memory
 
     keep_freed_memory()
     with local_copy(source) as path:
         recording, found = calibrations_of(read_recording(path), level=settings.level)
         result = analyse(recording, found.calibrations, level=settings.level)
-    subject = _subject(source, recording.subject, settings)
-    of = {"recording": identity, "subject": subject}
-    strides = [{**of, **_known(row)} for row in result.stride_rows()]
+    row = _row(source, settings, DONE, recording.subject, "; ".join(found.missing.values()))
+    of = {"recording": identity, "subject": row["subject"]}
+    strides = [{**of, **finite_or_none(row)} for row in result.stride_rows()]
     valid = [row for row in strides if row["valid"]]
     qualities = [track.quality for track in recording.tracks.values()]
-    row: dict[str, Any] = {
+    counts = ("samples", "missing", "clipped", "irregular")
+    row |= {name: sum(getattr(quality, name) for quality in qualities) for name in counts}
+    row |= {
         "name": recording.name,
-        "subject": subject,
-        "reason": "; ".join(found.missing.values())[:LONGEST_REASON],
-        "samples": sum(quality.samples for quality in qualities),
-        "missing": sum(quality.missing for quality in qualities),
-        "clipped": sum(quality.clipped for quality in qualities),
-        "irregular": sum(quality.irregular for quality in qualities),
         "strides": len(strides),
         "valid_strides": len(valid),
         "duration_s": max(track.duration_s for track in recording.tracks.values()),
         "belt_speed_mps": recording.belt_speed_mps,
-        "stride_time_s": _median([r["t_end_s"] - r["t_start_s"] for r in valid]),
     }
-    row |= {name: _median([r[name] for r in valid if r[name] is not None]) for name in _MEANS}
-    return {STRIDES: strides, EVENTS: [{**of, **_known(r)} for r in result.event_rows()], RECORDINGS: [row]}
+    values = {name: [r[name] for r in valid if r[name] is not None] for name in _MEANS}
+    values["stride_time_s"] = [r["t_end_s"] - r["t_start_s"] for r in valid]
+    row |= {name: statistics.median(own) if own else None for name, own in values.items()}
+    return {STRIDES: strides, EVENTS: [{**of, **finite_or_none(r)} for r in result.event_rows()], RECORDINGS: [row]}
 
 
-def _subject(source: Source, stated: str, settings: Settings) -> str:
-    """The sidecar's, else what the pattern finds, else the folder's name."""
-    return stated or source.subject(settings.subject_from) or source.path.parent.name
-
-
-def _known(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()}
-
-
-def _median(values: list[float]) -> float | None:
-    return statistics.median(values) if values else None
+def _row(source: Source, settings: Settings, status: str, subject: str, reason: str) -> dict[str, Any]:
+    """What is known of any recording; ``subject``: the sidecar's, else by the pattern, else the folder's name."""
+    subject = subject or source.subject(settings.subject_from) or source.path.parent.name
+    known = {"recording": source.identity(settings.text()), "source": source.url, "fes_version": __version__}
+    return {**known, "status": status, "reason": reason[:LONGEST_REASON], "subject": subject}
 
 
 def reason_of(error: Exception) -> str:

@@ -1,7 +1,5 @@
 """What all settings have in common; pydantic's errors as lines of file, line, key, value and what is allowed."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 from collections.abc import Callable, Mapping
@@ -16,7 +14,6 @@ Foot = Literal["left_foot", "right_foot"]
 SensorName = Literal["left_foot", "right_foot", "left_shank", "right_shank"]
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 
 class ConfigError(ValueError):

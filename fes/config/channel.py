@@ -1,7 +1,5 @@
 """Channels and their limits: what may be stimulated, with what, when."""
 
-from __future__ import annotations
-
 from typing import Any, Self
 
 from pydantic import Field, SerializerFunctionWrapHandler, model_serializer, model_validator

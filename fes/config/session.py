@@ -1,15 +1,88 @@
-"""``session.toml`` → validated settings; an error names file, line, key, value and what is allowed."""
+"""``session.toml`` → validated settings; an error names file, line, key, value and what is allowed.
 
-from __future__ import annotations
+What is connected: the bus, the sensors, the stimulator, a foot switch.
+"""
 
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from fes.config.base import ConfigError, Foot, Settings, explain, read_toml
+from fes.config.base import ConfigError, Foot, SensorName, Settings, explain, read_toml
 from fes.config.channel import Channel, Stimulation
-from fes.config.devices import Bus, FootSwitch, ImuDevice, Live, StimulatorDevice, Switch
+
+Options = dict[str, str | int | float | bool]
+
+
+class Bus(Settings):
+    """Any bus that python-can knows; the defaults are virtual CAN over loopback multicast."""
+
+    interface: str = "udp_multicast"
+    channel: str = "239.74.163.2"
+    options: Options = Field(default_factory=dict)
+
+
+class ImuDevice(Settings):
+    """One inertial sensor: where it is worn, what it is, how it is reached, what it can measure.
+
+    ``port``: a serial device, a python-serial URL (``socket://host:port``), an LSL stream's name, or ``bus`` for the
+    session's CAN bus. The ranges tell a clipped sample from a true one.
+    """
+
+    sensor: SensorName
+    device: Literal["xbus", "xsens_can", "dbc_can", "ximu3", "lsl"]
+    port: str = Field(default="bus", min_length=1)
+    rate_hz: float = Field(gt=20, le=4000)
+    acc_range_g: float = Field(gt=0, le=400)
+    gyr_range_dps: float = Field(gt=0, le=10000)
+    options: Options = Field(default_factory=dict)
+
+
+class StimulatorDevice(Settings):
+    """The stimulator; ``can`` is on the session's bus, the others have a serial ``port``."""
+
+    device: Literal["can", "p24_low_level", "p24_mid_level", "rehastim2", "canopen"] = "can"
+    port: str = ""
+    options: Options = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _serial_devices_have_a_port(self) -> Self:
+        if self.device not in ("can", "canopen") and not self.port:
+            raise ValueError(f"device {self.device!r} needs port, the serial line that it is on")
+        return self
+
+
+class Switch(Settings):
+    """A switch: one bit of a CAN frame, or a serial line's input."""
+
+    source: Literal["can_bit", "serial_cts", "serial_dsr"]
+    port: str = Field(default="bus", min_length=1)
+    identifier: int = Field(default=0, ge=0, le=0x7FF)
+    bit: int = Field(default=0, ge=0, le=63)
+    pressed: Literal["high", "low"] = "high"
+
+
+class FootSwitch(Switch):
+    """A switch under the foot.
+
+    ``use``: ``compare`` only records how it differs from the sensor's phases, ``fallback`` lets it time the
+    stimulation when the sensor's side has no usable phases.
+    """
+
+    foot: Foot
+    use: Literal["compare", "fallback"] = "compare"
+
+
+class Live(Settings):
+    """What a live session needs beside its devices: emergency stops, and the folder that its results go below.
+
+    Paths are seen from where ``fes`` is started. An empty ``stop_file`` is ``stop`` in the session's own folder.
+    """
+
+    stop_button: Switch | None = None
+    stop_file: str = ""
+    folder: str = Field(default="out", min_length=1)
+
 
 LSL_LABELS: Final = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")  # options that name a stream's channels
 
@@ -54,7 +127,7 @@ class Session(Settings):
     live: Live = Field(default=Live(), exclude=True)  # of this machine; it changes no decision and is in no log
 
     @model_validator(mode="after")
-    def _channels_are_distinct(self) -> Self:
+    def _channels_and_sensors_are_distinct(self) -> Self:
         numbers = [channel.number for channel in self.channels]
         if len(set(numbers)) != len(numbers):
             raise ValueError(f"channels must have different numbers, got {numbers}")
@@ -62,10 +135,6 @@ class Session(Settings):
             unknown = set(channel.never_with) - set(numbers)
             if unknown:
                 raise ValueError(f"channel {channel.name!r}: never_with names no channel: {sorted(unknown)}")
-        return self
-
-    @model_validator(mode="after")
-    def _sensors_are_distinct(self) -> Self:
         worn = [device.sensor for device in self.sensors]
         if len(set(worn)) != len(worn):
             raise ValueError(f"sensors must be worn in different places, got {worn}")

@@ -1,7 +1,5 @@
 """Settings of the tuning of one channel: what the foot is to reach, and within which bounds the channel may follow."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
@@ -82,11 +80,9 @@ class Tuning(Settings):
         if self.mode == "off":
             return self
         if self.bounds is None:
-            raise ValueError(
-                f'mode = "{self.mode}" needs bounds (current_ma, pulse_width_us, start_delay_s, extension_s)'
-            )
+            needed = "bounds (current_ma, pulse_width_us, start_delay_s, extension_s)"
+            raise ValueError(f'mode = "{self.mode}" needs {needed}')
         if self.toe_clearance_m is None and self.sensor_clearance_m is None and self.pitch_at_contact_deg is None:
-            raise ValueError(
-                f'mode = "{self.mode}" needs a target: toe_clearance_m, sensor_clearance_m or pitch_at_contact_deg'
-            )
+            needed = "a target: toe_clearance_m, sensor_clearance_m or pitch_at_contact_deg"
+            raise ValueError(f'mode = "{self.mode}" needs {needed}')
         return self

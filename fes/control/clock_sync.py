@@ -6,8 +6,6 @@ lower convex hull under the middle of the window (Moon, Skelly & Towsley 1999, "
 from network delay measurements"). Causal, no clock of its own, the same numbers live and in replay.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from typing import Final
 
@@ -87,8 +85,7 @@ class SensorClock:
             self._follow(time_s, step_ns, excess_ns)
         mapped_ns = t_device_ns + self.offset_ns
         if step_ns >= 0:
-            mapped_ns = max(mapped_ns, self._mapped_ns)  # rounding
-            self._mapped_ns = mapped_ns
+            mapped_ns = self._mapped_ns = max(mapped_ns, self._mapped_ns)  # rounding
         return mapped_ns
 
     def _begin(self, t_host_ns: int, t_device_ns: int) -> int:

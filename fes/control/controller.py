@@ -3,8 +3,6 @@
 Everything it knows came as an event, so the same events give the same decisions, live and in replay.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from operator import attrgetter
@@ -24,10 +22,9 @@ from fes.signals import (
     Tick,
 )
 from fes.stimulation.plan import StimulationPlan
-from fes.stimulation.switch_fallback import SwitchFallback
-from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.session import TUNING_ACTS, Tuners
-from fes.stimulation.walking import WalkingJudge
+from fes.stimulation.tuning.tuner import TuningReport
+from fes.stimulation.walking import SwitchFallback, WalkingJudge
 from statemachine.phases import Phase, PhaseChange
 
 CURRENT_STEP_MA = 0.5  # of most stimulators
@@ -50,11 +47,8 @@ _IS_ON = attrgetter("on")
 class Controller:
     """From events to requests: tracker per foot, walking judge per foot, one plan, a tuner per channel that has one.
 
-    Args:
-        session: the settings.
-        calibrations: by sensor name. A shank drives its side's foot where that has no sensor of its own; samples of
-            sensors that drive nothing change nothing.
-        current_step_ma: the stimulator's; requests are rounded down to it.
+    Calibrations are by sensor name. A shank drives its side's foot where that has no sensor of its own; samples of
+    sensors that drive nothing change nothing. Requests are rounded down to the stimulator's ``current_step_ma``.
     """
 
     def __init__(
@@ -102,8 +96,9 @@ class Controller:
             self._on_act(event)
         elif isinstance(event, StimStatus):
             self.tuning.on_status(event)
-        if self._fallbacks:
-            self._fall_back(event)
+        for fallback in self._fallbacks.values():  # what foot switches show, where the sensors show no steps
+            for change in fallback.changes_at(event):
+                self._plan.on_phase(change, permitted=True)
         # in a silence the gate must see how old the data have become, sooner than at the next command
         requests = self._due(event.t_ns, self._on and isinstance(event, Tick))
         if self._reports:
@@ -128,12 +123,6 @@ class Controller:
                 # stimulation keeps to the host's clock, whatever the sensor's does
                 change = PhaseChange(sample.t_ns, foot, outcome.transition, outcome.source, outcome.destination)
                 self._plan.on_phase(change, permitted=permitted)
-
-    def _fall_back(self, event: Event) -> None:
-        """What the foot switches show, where the sensors show no steps."""
-        for fallback in self._fallbacks.values():
-            for change in fallback.changes_at(event):
-                self._plan.on_phase(change, permitted=True)
 
     def _tune(self, reports: tuple[TuningReport, ...]) -> None:
         """What the tuning reports; its parameters count from each channel's next burst."""

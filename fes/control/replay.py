@@ -1,7 +1,5 @@
 """Preparing a replay: what to calibrate, which settings, which numbers identify it. No devices, no clock."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -77,17 +75,30 @@ def log_header(
     created: str,
 ) -> dict[str, Any]:
     """What a session log must hold so that it can be replayed alone."""
+    about = {
+        "name": recording.name,
+        "sha256": recording_sha256,
+        "rates_hz": {sensor: track.rate_hz for sensor, track in recording.tracks.items()},
+        "belt_speed_mps": recording.belt_speed_mps,
+    }
+    return header_of("replay", about, session, calibrations, session_id, created)
+
+
+def header_of(
+    kind: str,
+    about: Mapping[str, Any],
+    session: Session,
+    calibrations: Mapping[str, Calibration],
+    session_id: int,
+    created: str,
+) -> dict[str, Any]:
+    """A session log's header; ``about``: the recording's name, rates and belt."""
     return {
         "format": LOG_FORMAT,
         "fes_version": __version__,
-        "kind": "replay",
+        "kind": kind,
         "created": created,
-        "recording": {
-            "name": recording.name,
-            "sha256": recording_sha256,
-            "rates_hz": {sensor: track.rate_hz for sensor, track in recording.tracks.items()},
-            "belt_speed_mps": recording.belt_speed_mps,
-        },
+        "recording": about,
         "session": session.model_dump(mode="json"),
         "calibration": {sensor: calibration.to_dict() for sensor, calibration in calibrations.items()},
         "stim_session_id": session_id,

@@ -1,12 +1,13 @@
 """What every import makes: a recording, its references as tables, and words about where it comes from."""
 
-from __future__ import annotations
-
 import csv
+import struct
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -89,11 +90,7 @@ def stamped_track(sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatAr
 
 
 def checked(path: Path, acc: FloatArray, gyr: FloatArray) -> None:
-    """See that there are samples, all of them finite, of three axes.
-
-    Raises:
-        ImportProblem: there are not.
-    """
+    """See that there are samples, all of them finite, of three axes. Raises ImportProblem: there are not."""
     for kind, values in (("accelerometer", acc), ("gyroscope", gyr)):
         if values.ndim != 2 or values.shape[1] != 3 or len(values) < 3 or values.shape != acc.shape:
             raise ImportProblem(f"{path}: its {kind} is {values.shape}, must be (samples, 3)")
@@ -108,9 +105,6 @@ def mat_file(path: Path, *needed: str) -> dict[str, Any]:
     Raises:
         ImportProblem: it cannot be read or lacks one of ``needed``.
     """
-    import struct
-    import zlib
-
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
@@ -129,8 +123,6 @@ def npz_file(path: Path, *needed: str) -> dict[str, FloatArray]:
     Raises:
         ImportProblem: it cannot be read or lacks one of ``needed``.
     """
-    from zipfile import BadZipFile
-
     try:
         with np.load(path, allow_pickle=False) as archive:
             found = {name: archive[name] for name in archive.files}
@@ -171,11 +163,7 @@ def two_header_csv(path: Path) -> dict[tuple[str, str], FloatArray]:
 
 
 def plain_csv(path: Path) -> tuple[list[str], FloatArray]:
-    """Names and numbers (N, K) of a CSV with one line of names.
-
-    Raises:
-        ImportProblem: it is no such table.
-    """
+    """Names and numbers (N, K) of a CSV with one line of names. Raises ImportProblem: it is no such table."""
     (cells,), values = _csv_numbers(path, 1)
     names = [name.strip() for name in cells]
     if values.shape[1:] != (len(names),) or not len(values):

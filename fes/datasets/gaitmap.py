@@ -4,8 +4,7 @@ Gyroscope in deg/s; the markers (mm, 100 Hz) begin with the first IMU sample; ev
 clips at 16 g at heel strike.
 """
 
-from __future__ import annotations
-
+import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -22,11 +21,7 @@ POINTS: Final = {"heel": "FCC", "toe": "TOE"}
 
 
 def read(path: Path, foot: str | None = None) -> Imported:
-    """Read one IMU table and what lies beside it.
-
-    Raises:
-        ImportProblem: it is no such table.
-    """
+    """Read one IMU table and what lies beside it. Raises ImportProblem: it is no such table."""
     columns = two_header_csv(path)
     tracks = {}
     for side in ("left", "right"):
@@ -49,9 +44,8 @@ def read(path: Path, foot: str | None = None) -> Imported:
         if events.is_file():
             references[".events.csv"] = _events(events)
     notes = ["the accelerometer clips at 16 g at heel strike", "the sensors are tilted by about 15 degrees about x"]
-    notes += (
-        ["stairs, without truth: use --stairs"] if stairs else ["the reference joins two steps in a turn to one stride"]
-    )
+    turns = "the reference joins two steps in a turn to one stride"
+    notes.append("stairs, without truth: use --stairs" if stairs else turns)
     recording = Recording(f"gaitmap_{path.stem}", None, tracks, description="lateral shoe sensors, over ground")
     return Imported(recording, references, tuple(notes))
 
@@ -72,16 +66,13 @@ def _markers(path: Path) -> tuple[list[str], list[list[float]]]:
 
 
 def _events(path: Path) -> tuple[list[str], list[tuple[str, str, float]]]:
-    import csv
-
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     found = []
     for line, row in enumerate(rows, 2):
         try:
-            found += [
-                (f"{row['foot']}_foot", what, float(row[key]) / RATE_HZ) for key, what in (("ic", "IC"), ("tc", "FO"))
-            ]
+            for key, what in (("ic", "IC"), ("tc", "FO")):
+                found.append((f"{row['foot']}_foot", what, float(row[key]) / RATE_HZ))
         except (KeyError, ValueError, TypeError) as error:
             raise ImportProblem(f"{path}:{line}: lacks foot, ic or tc, or they are no numbers ({error})") from error
     return ["foot", "event", "t_s"], sorted(found, key=lambda event: event[2])

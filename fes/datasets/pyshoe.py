@@ -4,8 +4,6 @@ Files are named by trial, or ``processed_data.mat`` in a folder of that name. Si
 would be faster than 8 m/s they are left empty.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Final
@@ -21,11 +19,7 @@ GYR_RANGE_RADPS: Final = 9.7
 
 
 def read(path: Path, foot: str | None = None) -> Imported:
-    """Read one walk.
-
-    Raises:
-        ImportProblem: it is no such file.
-    """
+    """Read one walk. Raises ImportProblem: it is no such file."""
     data = mat_file(path, "imu", "gt")
     imu, place = np.asarray(data["imu"], np.float64), np.asarray(data["gt"], np.float64)
     if imu.ndim != 2 or imu.shape[1] != 6 or place.shape != (len(imu), 3):
@@ -36,8 +30,7 @@ def read(path: Path, foot: str | None = None) -> Imported:
     jumps = np.flatnonzero(speed > FASTEST_MPS)
     place = place.copy()
     place[np.union1d(jumps, jumps + 1)] = np.nan
-    side = sensor.removesuffix("_foot")
-    names = ["t_s", *(f"{side}_sensor_{axis}_m" for axis in "xyz")]
+    names = ["t_s", *(f"{foot or 'right'}_sensor_{axis}_m" for axis in "xyz")]
     rows = np.column_stack([np.arange(len(place)) / RATE_HZ, place]).tolist()
     notes = (
         "z of the sensor points down",

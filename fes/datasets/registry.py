@@ -1,9 +1,7 @@
 """The data sets by name: what each is, under which licence, and the module that reads it."""
 
-from __future__ import annotations
-
 import importlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -104,9 +102,3 @@ def read_file(name: str, path: Path, *, foot: str | None = None) -> Imported:
     """
     read: Callable[[Path, str | None], Imported] = importlib.import_module(f"fes.datasets.{name}").read
     return read(path, foot)
-
-
-def read_data_set(name: str, paths: Sequence[Path], *, foot: str | None = None) -> Iterator[Imported]:
-    """All of :func:`files_of` one by one; stops at the first that is none of the set's."""
-    for path in files_of(name, paths):
-        yield read_file(name, path, foot=foot)

@@ -3,8 +3,6 @@
 200 Hz, z axis down, which foot is not documented. The table gives the sample at which the foot stood on each print.
 """
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -18,11 +16,7 @@ RATE_HZ: Final = 200.0
 
 
 def read(path: Path, foot: str | None = None) -> Imported:
-    """Read one walk.
-
-    Raises:
-        ImportProblem: it is no such file.
-    """
+    """Read one walk. Raises ImportProblem: it is no such file."""
     imu = np.asarray(mat_file(path, "imu_data")["imu_data"], np.float64)
     if imu.ndim != 2 or imu.shape[1] != 6:
         raise ImportProblem(f"{path}: imu_data is {imu.shape}, must be (N, 6)")

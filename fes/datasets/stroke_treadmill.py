@@ -11,23 +11,25 @@ the packed archives.
 Packed, a run is one NumPy archive, ``MRpp_TRIAL.npz``: arrays ``acc_``/``gyr_`` + left/right + foot/shank (m/s²,
 rad/s), ``fs``, ``belt_speed`` (m/s, NaN where self-paced) and ``fsa_mean_deg``. Only the mean is true of the belt: its
 speed is quoted to 0.1 m/s, and holds over the last 120 s.
-"""
 
-from __future__ import annotations
+A text is as Xsens' MT Manager exports it: remark lines, a line of column names, tabs, a row a packet. Packets are
+numbered by a 16-bit counter that all sensors of a station share; a lost packet is a number that is missing, or a row
+without values. Accelerations are in m/s², rates in rad/s.
+"""
 
 import json
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from fes.datasets.common import Imported, ImportProblem, checked, even_track, npz_file, stamped_track
-from fes.datasets.xsens_text import WRAP, XsensText, read_xsens_text
 from fes.recording import Recording, Track
-from fes.signals import SENSORS
+from fes.signals import SENSORS, FloatArray, IntArray
 
 RATE_HZ: Final = 100.0
 PLACES: Final = (
@@ -38,6 +40,59 @@ BELT_MPS: Final = {1: 0.4, 2: 1.6, 3: 0.4, 4: 1.2, 5: 0.9, 6: 1.2, 7: 1.0, 8: 1.
 WITH_FEEDBACK: Final = ("FBIC", "FBPO", "2FB")
 _RUN: Final = re.compile(r"\s*1019_MR(\d+)_(\w+?)\.c3d\S*\s*=\s*(exported\d+)\s*(.*)")
 _TRIAL: Final = re.compile(r"(1Reg|2Reg|FBIC|FBPO|2FB)(?:0\d)?$")
+
+
+WRAP: Final = 65536
+COLUMNS: Final = ("PacketCounter", *(f"{kind}_{axis}" for kind in ("Acc", "Gyr") for axis in "XYZ"))
+
+
+@dataclass(frozen=True, eq=False)
+class XsensText:
+    """One sensor: ``rate_hz`` None where the file does not say, ``counter`` (N,) goes on where the 16 bits wrap.
+
+    ``acc_mps2`` and ``gyr_radps`` are (N, 3).
+    """
+
+    rate_hz: float | None
+    counter: IntArray
+    acc_mps2: FloatArray
+    gyr_radps: FloatArray
+
+
+def read_xsens_text(path: Path) -> XsensText:
+    """Read one sensor's file. Raises ImportProblem: it is no such file; the message names the line."""
+    try:
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ImportProblem(f"{path}: cannot be read: {error}") from error
+    first = next((k for k, line in enumerate(lines) if line.strip() and not line.startswith("//")), len(lines))
+    names = lines[first].split("\t") if first < len(lines) else []
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        what = "is no text export of MT Manager with calibrated data: it lacks the columns"
+        raise ImportProblem(f"{path}: {what} {', '.join(missing)}")
+    at = [names.index(name) for name in COLUMNS]
+    counts, rows = [], []
+    for number, line in enumerate(lines[first + 1 :], first + 2):
+        cells = line.split("\t")
+        if not line.strip() or (len(cells) == len(names) and not any(cells[k].strip() for k in at[1:])):
+            continue  # a lost packet
+        try:
+            values = [float(cells[k]) for k in at]
+            counts.append(int(values[0]))
+        except (ValueError, IndexError, OverflowError):
+            raise ImportProblem(f"{path}:{number}: holds no packet of {len(names)} columns; is the file cut?") from None
+        rows.append(values[1:])
+    table = np.array(rows, np.float64).reshape(-1, 6)
+    counter = np.array(counts, np.int64)
+    wrapped = np.concatenate([[0], np.cumsum(np.diff(counter) < -WRAP // 2)]) if len(counter) else counter
+    counter = counter + WRAP * wrapped
+    back = np.flatnonzero(np.diff(counter) <= 0)
+    if len(back):
+        raise ImportProblem(f"{path}: its PacketCounter does not increase after packet {int(counter[back[0]]) % WRAP}")
+    remarks = "\n".join(lines[:first])
+    rate = re.search(r"(?:Update|Output|Sample)\s*[Rr]ate:?\s*([0-9.]+)\s*Hz", remarks)
+    return XsensText(float(rate[1]) if rate else None, counter, table[:, :3], table[:, 3:])
 
 
 def read_tracks(folder: Path) -> tuple[dict[str, Track], list[str]]:
@@ -87,15 +142,14 @@ def run_of(folder: Path) -> tuple[str, str, float | None]:
 def _places(folder: Path) -> tuple[dict[str, str], str]:
     """End of a sensor's number (upper case) → sensor name; and how that is known."""
     near = [*sorted(folder.glob("sensorspec.json*")), *sorted(folder.parent.glob("exported*/sensorspec.json*"))]
+    sensor_of = {sensor.replace("_", ""): sensor for sensor in SENSORS}
     for spec in near:
         try:
             spec_places = json.loads(spec.read_text(encoding="utf-8-sig"))
             found = {
-                str(number).upper().removesuffix(".TXT"): f"{place[:-4]}_foot"
-                if place.endswith("foot")
-                else f"{place[:-5]}_shank"
+                str(number).upper().removesuffix(".TXT"): sensor_of[place]
                 for place, number in spec_places.items()
-                if place in ("leftfoot", "rightfoot", "leftshank", "rightshank")
+                if place in sensor_of
             }
         except (OSError, ValueError, AttributeError) as error:
             raise ImportProblem(f"{spec}: is no table of sensors: {error}") from error
@@ -112,22 +166,15 @@ NOTES: Final = (
 
 
 def read(path: Path, foot: str | None = None) -> Imported:
-    """Read one run: an archive, a folder of texts, or one of its texts.
-
-    Raises:
-        ImportProblem: it is none of these.
-    """
+    """Read one run: an archive, a folder of texts, or one of its texts. Raises ImportProblem: it is none of these."""
     if path.suffix.lower() == ".npz":
         return _packed(path)
     folder = (path if path.is_dir() else path.parent).resolve()
     tracks, notes = read_tracks(folder)
     name, subject, belt_mps = run_of(folder)
     references, note = _belt(belt_mps, tracks)
-    return Imported(
-        Recording(f"stroke_treadmill_{name}", None, tracks, belt_speed_mps=belt_mps, subject=subject),
-        references,
-        (*NOTES, note, *notes),
-    )
+    recording = Recording(f"stroke_treadmill_{name}", None, tracks, belt_mps, subject)
+    return Imported(recording, references, (*NOTES, note, *notes))
 
 
 def _packed(path: Path) -> Imported:
@@ -150,17 +197,10 @@ def _packed(path: Path) -> Imported:
     extra: dict[str, Any] = {}
     if "fsa_mean_deg" in data and math.isfinite(float(data["fsa_mean_deg"])):
         extra["foot_strike_mean_deg"] = float(data["fsa_mean_deg"])
-        notes.append(
-            "foot_strike_mean_deg: Vicon's mean of the first 50 contacts of each side, both pooled, toe-up positive"
-        )
-    recording = Recording(
-        f"stroke_treadmill_{path.stem}",
-        None,
-        tracks,
-        belt_speed_mps=belt_mps if references else None,
-        subject=path.stem.split("_")[0],
-        extra=extra,
-    )
+        what = "Vicon's mean of the first 50 contacts of each side, both pooled, toe-up positive"
+        notes.append(f"foot_strike_mean_deg: {what}")
+    belt, subject = belt_mps if references else None, path.stem.split("_")[0]
+    recording = Recording(f"stroke_treadmill_{path.stem}", None, tracks, belt, subject, extra=extra)
     return Imported(recording, references, tuple(notes))
 
 

@@ -4,8 +4,6 @@ Stamps are irregular and partly doubled, with the same sample in both rows: doub
 The walk ends where it starts; there is no other truth.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Final
@@ -21,11 +19,7 @@ _UNITS: Final = (("time", "s", 1), ("gyroscope", "deg/s", 3), ("accelerometer", 
 
 
 def read(path: Path, foot: str | None = None) -> Imported:
-    """Read one walk.
-
-    Raises:
-        ImportProblem: it is no such table.
-    """
+    """Read one walk. Raises ImportProblem: it is no such table."""
     names, values = plain_csv(path)
     wanted = [(kind, unit) for kind, unit, axes in _UNITS for _ in range(axes)]
     for name, (kind, unit) in zip(names + [""] * 7, wanted, strict=False):

@@ -3,8 +3,6 @@
 With both, the foot drives, and the shank is only recorded.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeAlias
 
@@ -14,7 +12,7 @@ from fes.config import FootGeometry, Session
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.shank.calibration import ShankCalibration
-from fes.estimation.shank.tracker import shank_tracker
+from fes.estimation.shank.tracker import ShankTracker
 from fes.estimation.strides.results import SENSOR_HEIGHT_M, StrideMaker, StrideSettings
 from fes.estimation.tracking.tracker import Tracker
 from fes.signals import FOOT_SENSORS, SHANK_SENSORS
@@ -44,7 +42,7 @@ def tracker_of(session: Session, calibration: Calibration) -> Tracker:
     """The tracker for a sensor, with this session's settings."""
     at_reversal = session.phases.swing_begins == "reversal"
     if isinstance(calibration, ShankCalibration):
-        return shank_tracker(calibration, swing_at_reversal=at_reversal)
+        return ShankTracker(calibration, swing_at_reversal=at_reversal)
     geometry = next((own for foot, own in session.geometry.items() if foot == calibration.sensor), None)
     maker = StrideMaker(calibration.sensor, stride_settings(calibration, geometry))
     return FootTracker(calibration, maker, swing_at_reversal=at_reversal)
@@ -56,10 +54,7 @@ def stride_settings(calibration: FootCalibration, geometry: FootGeometry | None 
     if geometry is not None:
         height_m = max(-0.5 * (geometry.toe_up_m + geometry.heel_up_m), 0.0)
     return StrideSettings(
-        forward=calibration.forward(),
-        up=np.array(calibration.up),
-        sensor_height_m=height_m,
-        geometry=geometry,
+        forward=calibration.forward(), up=np.array(calibration.up), sensor_height_m=height_m, geometry=geometry
     )
 
 

@@ -1,7 +1,5 @@
 """Compile everything before the first sample that matters: a compiler in the loop would cost seconds of stimulation."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -14,12 +12,13 @@ from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.lever_arm import ArmEstimate
 from fes.estimation.shank.motion import StrideSpan
 from fes.estimation.shank.strides import ShankIntegrationSettings, solve_shank_stride
-from fes.estimation.shank.tracker import shank_tracker
+from fes.estimation.shank.tracker import ShankTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
-from fes.estimation.tracking.history import History
+from fes.estimation.tracking.tracker import History
 from fes.signals import G_MPS2, FloatArray, IntArray
 
 GEOMETRY = FootGeometry(toe_forward_m=0.12, toe_up_m=-0.06, heel_forward_m=-0.1, heel_up_m=-0.06)
+UP, LEFT, NO_BIAS = (0.0, 0.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.0, 0.0)
 
 
 def warm_up() -> None:
@@ -39,7 +38,7 @@ def warm_up() -> None:
 def _run_once() -> None:
     t_ns, acc, gyr = made_up_steps()
     foot, calibration = made_up_foot(), _made_up_shank()
-    shank = shank_tracker(calibration)
+    shank = ShankTracker(calibration)
     for sample in zip(t_ns.tolist(), acc.tolist(), gyr.tolist(), strict=True):
         foot.step(*sample)
         shank.step(*sample)
@@ -55,7 +54,7 @@ def made_up_steps() -> tuple[IntArray, FloatArray, FloatArray]:
     n = 400
     at = np.arange(n)
     phase = (at % 200) / 200.0
-    toe_down = np.where(phase < 0.5, 0.0, np.where(phase < 0.65, 4.0 * np.sin((phase - 0.5) / 0.15 * np.pi), 0.0))
+    toe_down = np.where((phase >= 0.5) & (phase < 0.65), 4.0 * np.sin((phase - 0.5) / 0.15 * np.pi), 0.0)
     toe_down = np.where((phase >= 0.65) & (phase < 0.85), -3.0 * np.sin((phase - 0.65) / 0.2 * np.pi), toe_down)
     gyr = np.column_stack((np.zeros(n), toe_down, np.zeros(n)))
     acc = np.column_stack((3.0 * toe_down, np.zeros(n), np.full(n, G_MPS2) + np.where((at % 200) == 172, 60.0, 0.0)))
@@ -65,20 +64,9 @@ def made_up_steps() -> tuple[IntArray, FloatArray, FloatArray]:
 def made_up_calibration() -> FootCalibration:
     """The calibration of such a foot."""
     return FootCalibration(
-        sensor="left_foot",
-        rate_hz=100.0,
-        up=(0.0, 0.0, 1.0),
-        toe_down=(0.0, 1.0, 0.0),
-        acc_bias_mps2=(0.0, 0.0, 0.0),
-        gyr_bias_radps=(0.0, 0.0, 0.0),
-        rest_gyr_radps=0.5,
-        min_toe_down_peak_radps=1.0,
-        rest_hold_s=0.03,
-        contact_jerk_mps3=600.0,
-        axis_confidence=1.0,
-        strides=0,
-        standing=True,
-    )
+        "left_foot", 100.0, UP, LEFT, NO_BIAS, NO_BIAS, rest_gyr_radps=0.5, min_toe_down_peak_radps=1.0,
+        rest_hold_s=0.03, contact_jerk_mps3=600.0, axis_confidence=1.0, strides=0, standing=True,
+    )  # fmt: skip
 
 
 def made_up_foot() -> FootTracker:
@@ -89,15 +77,7 @@ def made_up_foot() -> FootTracker:
 
 
 def _made_up_shank() -> ShankCalibration:
+    arm = ArmEstimate((0.0, 0.0, 0.3), 0.3, False, "made up", math.inf, math.nan, math.inf, 0, 0)
     return ShankCalibration(
-        sensor="left_shank",
-        rate_hz=100.0,
-        up=(0.0, 0.0, 1.0),
-        left=(0.0, 1.0, 0.0),
-        acc_bias_mps2=(0.0, 0.0, 0.0),
-        gyr_bias_radps=(0.0, 0.0, 0.0),
-        arm=ArmEstimate((0.0, 0.0, 0.3), 0.3, False, "made up", math.inf, math.nan, math.inf, 0, 0),
-        axis_confidence=1.0,
-        strides=0,
-        standing=True,
+        "left_shank", 100.0, UP, LEFT, NO_BIAS, NO_BIAS, arm, axis_confidence=1.0, strides=0, standing=True
     )

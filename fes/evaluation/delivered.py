@@ -1,7 +1,5 @@
 """Wire truth: what was commanded, held against what the stimulator says it delivered. Plain values, no I/O."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -55,19 +53,12 @@ class Delivered:
 
 
 def compare_delivered(sent: Sequence[tuple[StimCommand, int]], statuses: Iterable[StimStatus]) -> Delivered:
-    """Pair commands, as they read on the wire, with the stimulator's answers.
+    """Pair commands of all channels, as they read on the wire, with the stimulator's answers, both by time.
 
     Per channel, an answer belongs to the newest not yet answered command with its counter that was sent no later
     than the answer came; commands passed over by that stay unanswered. That is unique as long as fewer commands are
     on their way than the counter has values (16).
-
-    Args:
-        sent: commands of all channels with their counters (0–15), in the order sent; times never decrease.
-        statuses: answers of all channels in the order they came, on the same clock.
     """
-    commands: dict[int, list[tuple[StimCommand, int]]] = defaultdict(list)
-    for command, counter in sent:
-        commands[command.channel].append((command, counter))
     answers: dict[int, list[StimStatus]] = defaultdict(list)
     for status in statuses:
         answers[status.channel].append(status)
@@ -75,7 +66,7 @@ def compare_delivered(sent: Sequence[tuple[StimCommand, int]], statuses: Iterabl
     matched = unasked = 0
     differences: list[Difference] = []
     for channel, received in answers.items():
-        asked = commands.get(channel, [])
+        asked = [(command, counter) for command, counter in sent if command.channel == channel]
         for position, status in _pairs(asked, received):
             if position is None:
                 unasked += 1
@@ -117,7 +108,7 @@ def _difference(command: StimCommand, status: StimStatus) -> str:
     if status.fault:
         return status.fault
     if status.on != command.on:
-        return f"commanded {_on_off(command.on)}, delivered {_on_off(status.on)}"
+        return "commanded {}, delivered {}".format(*("on" if on else "off" for on in (command.on, status.on)))
     if not command.on:
         return ""
     pairs = (
@@ -130,7 +121,3 @@ def _difference(command: StimCommand, status: StimStatus) -> str:
         for name, wanted, got, unit in pairs
         if abs(wanted - got) > _TOLERANCE
     )
-
-
-def _on_off(on: bool) -> str:
-    return "on" if on else "off"

@@ -1,17 +1,16 @@
 """Two session logs side by side: settings, strides matched by time, stimulation, bytes. Pure; B − A throughout."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
 
 import numpy as np
 
 from fes.evaluation.trigger_timing import Mark, marks_of_commands, pair_times
 from fes.session_log import SessionRecord
-from fes.signals import IntArray, StimCommand, StrideResult
+from fes.signals import IntArray, StrideResult
+from fes.walk_record import finite_or_none
 
 ALWAYS_DIFFERENT: Final = ("created", "created_t_ns")  # of two runs; no difference between what they did
 SAME_STRIDE_NS: Final = 400_000_000  # two strides of a foot cannot end as close as this
@@ -86,36 +85,25 @@ class Comparison:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, None for what is not known."""
-        spreads = {name: self.spread(name) for name in QUANTITIES}
-        return {
-            "identical": self.identical,
-            "settings": [{"name": name, "a": _finite(a), "b": _finite(b)} for name, a, b in self.settings],
-            "shift_s": self.shift_s,
-            "matched_by": self.matched_by,
-            "counts": {name: {"a": a, "b": b} for name, (a, b) in self.counts.items()},
-            "first_difference": {"commands": self.commands, "frames": self.frames, "phases": self.phases},
-            "only_in_a": [_label(stride) for stride in self.only_a],
-            "only_in_b": [_label(stride) for stride in self.only_b],
-            "differences": {
-                name: {"n": s.n, "mean": _finite(s.mean), "sd": _finite(s.sd), "greatest": _finite(s.greatest)}
-                for name, s in spreads.items()
-            },
-            "strides": [
-                {
-                    "foot": each.foot,
-                    "number_a": each.number_a,
-                    "number_b": each.number_b,
-                    "start_s": each.start_s,
-                    "same": each.same,
-                    **{name: _finite(value) for name, value in each.differences.items()},
-                }
-                for each in self.pairs
-            ],
-        }
-
-
-def _finite(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+        plain: dict[str, Any] = finite_or_none(
+            {
+                "identical": self.identical,
+                "settings": [{"name": name, "a": a, "b": b} for name, a, b in self.settings],
+                "shift_s": self.shift_s,
+                "matched_by": self.matched_by,
+                "counts": {name: {"a": a, "b": b} for name, (a, b) in self.counts.items()},
+                "first_difference": {"commands": self.commands, "frames": self.frames, "phases": self.phases},
+                "only_in_a": [_label(stride) for stride in self.only_a],
+                "only_in_b": [_label(stride) for stride in self.only_b],
+                "differences": {name: asdict(self.spread(name)) for name in QUANTITIES},
+                "strides": [
+                    {name: getattr(each, name) for name in ("foot", "number_a", "number_b", "start_s", "same")}
+                    | each.differences
+                    for each in self.pairs
+                ],
+            }
+        )
+        return plain
 
 
 def _label(stride: StrideResult) -> str:
@@ -136,38 +124,27 @@ def compare_logs(a: SessionRecord, b: SessionRecord) -> Comparison:
         pairs.append(_pair(x, y, own_shift_ns, begin_ns, switched))
     in_a, in_b = {id(x) for x, _ in matches}, {id(y) for _, y in matches}
     counted = ("strides", "phases", "commands", "frames", "statuses", "notes")
-    clock = shift_ns, begin_ns
+    sequences: dict[str, tuple[Sequence[Any], Sequence[Any]]] = {
+        "command": (a.commands, b.commands),
+        "frame": (a.frames, b.frames),
+        "phase change": (a.phases, b.phases),
+    }
+    first = {kind: _first_difference(kind, logs, shift_ns, begin_ns) for kind, logs in sequences.items()}
     # every frame carries the session's identifier, so all of them differ where it does
     other_identifier = bool(a.frames) and a.header.get("stim_session_id") != b.header.get("stim_session_id")
+    one, other = _flat(a.header), _flat(b.header)
+    names = [name for name in {**one, **other} if name not in ALWAYS_DIFFERENT]
+    settings = [(name, one.get(name), other.get(name)) for name in names if not _equal(one.get(name), other.get(name))]
     return Comparison(
-        settings=list(_settings(_flat(a.header), _flat(b.header))),
+        settings=settings,
         shift_s=1e-9 * shift_ns,
         matched_by=matched_by,
         pairs=sorted(pairs, key=lambda each: each.start_s),
         only_a=[stride for stride in a.strides if id(stride) not in in_a],
         only_b=[stride for stride in b.strides if id(stride) not in in_b],
-        commands=_first_difference(
-            "command",
-            (a.commands, b.commands),
-            lambda c: (c.channel, c.on, c.current_ma, c.pulse_width_us, c.frequency_hz),
-            _describe_command,
-            *clock,
-        ),
-        frames=_first_difference(
-            "frame",
-            (a.frames, b.frames),
-            lambda frame: (frame.identifier, frame.data),
-            lambda frame: f"{frame.identifier:x}#{frame.data.hex()}",
-            *clock,
-        )
-        + (" (the sessions' identifiers differ)" if other_identifier else ""),
-        phases=_first_difference(
-            "phase change",
-            (a.phases, b.phases),
-            lambda change: (change.foot, change.transition),
-            lambda change: f"{change.foot} {change.transition.name}",
-            *clock,
-        ),
+        commands=first["command"],
+        frames=first["frame"] + (" (the sessions' identifiers differ)" if other_identifier else ""),
+        phases=first["phase change"],
         counts={name: (len(getattr(a, name)), len(getattr(b, name))) for name in counted},
     )
 
@@ -247,15 +224,9 @@ def _pair(
         marks = [mark for mark in in_a.keys() | in_b.keys() if mark[1] == what]
         own = [_ms(in_a.get(mark), in_b.get(mark), shift_ns) for mark in marks]
         differences[f"{what}_ms"] = max((value for value in own if math.isfinite(value)), key=abs, default=_NAN)
-    return StridePair(
-        a.foot,
-        a.number,
-        b.number,
-        1e-9 * (a.t_start_ns - begin_ns),
-        (a.stride_length_m, b.stride_length_m),
-        differences,
-        {mark: t_ns + shift_ns for mark, t_ns in in_a.items()} == in_b and _same_stride(a, b, shift_ns),
-    )
+    same = {mark: t_ns + shift_ns for mark, t_ns in in_a.items()} == in_b and _same_stride(a, b, shift_ns)
+    start_s, lengths_m = 1e-9 * (a.t_start_ns - begin_ns), (a.stride_length_m, b.stride_length_m)
+    return StridePair(a.foot, a.number, b.number, start_s, lengths_m, differences, same)
 
 
 def _ms(a_ns: int | None, b_ns: int | None, shift_ns: int) -> float:
@@ -269,9 +240,15 @@ def _same_stride(a: StrideResult, b: StrideResult, shift_ns: int) -> bool:
         one, other = getattr(a, item.name), getattr(b, item.name)
         if item.name.endswith("_ns") and one is not None:
             one += shift_ns
-        if one != other and not (isinstance(one, float) and math.isnan(one) and math.isnan(other)):
+        if not _equal(one, other):
             return False
     return True
+
+
+def _equal(one: Any, other: Any) -> bool:
+    """Whether they are the same; not known (NaN) and not known are."""
+    nan = isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
+    return bool(nan or one == other)
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:
@@ -285,23 +262,20 @@ def _flat(value: Any, name: str = "") -> dict[str, Any]:
     return {k: v for key, item in items for k, v in _flat(item, f"{name}.{key}" if name else str(key)).items()}
 
 
-def _settings(a: dict[str, Any], b: dict[str, Any]) -> Iterator[tuple[str, Any, Any]]:
-    for name in [*a, *(name for name in b if name not in a)]:
-        one, other = a.get(name), b.get(name)
-        nan = isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
-        if name not in ALWAYS_DIFFERENT and one != other and not nan:
-            yield name, one, other
+# what is compared of each, and how it reads
+_FACTS: Final[dict[str, tuple[Callable[[Any], tuple[Any, ...]], Callable[[Any], str]]]] = {
+    "command": (
+        lambda each: (each.channel, each.on, each.current_ma, each.pulse_width_us, each.frequency_hz),
+        lambda each: f"channel {each.channel} {f'{each.current_ma:.1f} mA' if each.on else 'off'}",
+    ),
+    "frame": (lambda each: (each.identifier, each.data), lambda each: f"{each.identifier:x}#{each.data.hex()}"),
+    "phase change": (lambda each: (each.foot, each.transition), lambda each: f"{each.foot} {each.transition.name}"),
+}
 
 
-def _first_difference(
-    kind: str,
-    logs: tuple[Sequence[Any], Sequence[Any]],
-    facts: Callable[[Any], tuple[Any, ...]],
-    describe: Callable[[Any], str],
-    shift_ns: int,
-    begin_ns: int,
-) -> str:
-    """Where two sequences of something with a time, seen by its ``facts``, first differ; "" where they do not."""
+def _first_difference(kind: str, logs: tuple[Sequence[Any], Sequence[Any]], shift_ns: int, begin_ns: int) -> str:
+    """Where two sequences of something with a time, first differ; "" where they do not."""
+    facts, describe = _FACTS[kind]
     for number, (one, other) in enumerate(zip(*logs, strict=False), start=1):
         if facts(one) != facts(other) or one.t_ns + shift_ns != other.t_ns:
             return (
@@ -310,7 +284,3 @@ def _first_difference(
             )
     a, b = map(len, logs)
     return "" if a == b else f"A has {a} {kind}s, B {b}; as far as both go they are the same"
-
-
-def _describe_command(command: StimCommand) -> str:
-    return f"channel {command.channel} {f'{command.current_ma:.1f} mA' if command.on else 'off'}"

@@ -1,11 +1,9 @@
 """A session log replayed: what came out this time, and where it first differs from what is recorded."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Final
+from typing import Any, Final
 
 from fes.session_log import Note, SessionRecord
 from fes.signals import Event, StimCommand, StrideResult, WireFrame
@@ -50,74 +48,48 @@ class ReplayOutput:
 def first_difference(record: SessionRecord, frames: Sequence[WireFrame] | None, now: ReplayOutput, end_ns: int) -> str:
     """Where a replay first differs from the log, for people; "" where it is the same as far as the log goes.
 
-    Args:
-        record: the log.
-        frames: the commands' frames in it; None where bytes cannot be compared.
-        now: what came out this time.
-        end_ns: time of the replay's last event.
+    ``frames`` are the log's commands' frames, None where bytes cannot be compared; ``now`` is what came out this time,
+    ``end_ns`` the time of the replay's last event.
     """
     whole = record.complete and record.summary.get("ended") in ENDED_WHOLE
-    return (
-        (_frame_difference(record, frames, now.frames, end_ns, whole) if frames is not None else "")
-        or _command_difference(record.commands, now.commands, whole)
-        or _phase_difference(record.phases, now.phases, whole)
-        or _stride_difference(record.strides, now.strides, whole)
-    )
+    fields_compared = [field.name for field in fields(StrideResult) if field.compare]
 
-
-def _frame_difference(
-    record: SessionRecord, recorded: Sequence[WireFrame], now: list[WireFrame], end_ns: int, whole: bool
-) -> str:
-    for number, (was, is_now) in enumerate(zip(recorded, now, strict=False)):
-        if was == is_now:
-            continue
-        rest = record.commands[number:]
-        if not whole and all(not command.on and command.t_ns == end_ns for command in rest):
+    def frame(k: int, was: WireFrame, now: WireFrame) -> str | None:
+        if not whole and all(not command.on and command.t_ns == end_ns for command in record.commands[k:]):
             return ""  # the session stopped here and switched off
-        return (
-            f"command {number + 1}: recorded {was.data.hex()} at {was.t_ns} ns, now {is_now.data.hex()} at "
-            f"{is_now.t_ns} ns"
-        )
-    if whole and len(recorded) != len(now):
-        return f"{len(recorded)} commands are recorded, now there are {len(now)}"
-    return ""
+        return f"command {k + 1}: recorded {was.data.hex()} at {was.t_ns} ns, now {now.data.hex()} at {now.t_ns} ns"
 
-
-def _command_difference(recorded: list[StimCommand], now: list[StimCommand], whole: bool) -> str:
-    for number, (was, is_now) in enumerate(zip(recorded, now, strict=False), start=1):
-        if was == is_now:
-            continue
-        if not whole and all(not command.on and command.t_ns >= now[-1].t_ns for command in recorded[number - 1 :]):
+    def command(k: int, was: StimCommand, is_now: StimCommand) -> str | None:
+        last_ns = now.commands[-1].t_ns
+        if not whole and all(not command.on and command.t_ns >= last_ns for command in record.commands[k:]):
             return ""  # the session stopped here and switched off
-        return f"command {number}: recorded {was}, now {is_now}"
-    if whole and len(recorded) != len(now):
-        return f"{len(recorded)} commands are recorded, now there are {len(now)}"
-    return ""
+        return f"command {k + 1}: recorded {was}, now {is_now}"
 
+    def phase(k: int, *changes: PhaseChange) -> str | None:
+        was, is_now = (f"{each.foot} into {each.destination.name} at {each.t_ns} ns" for each in changes)
+        return f"phase change {k + 1}: recorded {was}, now {is_now}"
 
-def _phase_difference(recorded: list[PhaseChange], now: list[PhaseChange], whole: bool) -> str:
-    for number, (was, is_now) in enumerate(zip(recorded, now, strict=False), start=1):
-        if was != is_now:
-            return f"phase change {number}: recorded {_describe(was)}, now {_describe(is_now)}"
-    if whole and len(recorded) != len(now):
-        return f"{len(recorded)} phase changes are recorded, now there are {len(now)}"
-    return ""
-
-
-def _describe(change: PhaseChange) -> str:
-    return f"{change.foot} into {change.destination.name} at {change.t_ns} ns"
-
-
-def _stride_difference(recorded: list[StrideResult], now: list[StrideResult], whole: bool) -> str:
-    names = [field.name for field in fields(StrideResult) if field.compare]
-    for was, is_now in zip(recorded, now, strict=False):
-        for name in names:
+    def stride(k: int, was: StrideResult, is_now: StrideResult) -> str | None:
+        for name in fields_compared:
             one, other = getattr(was, name), getattr(is_now, name)
             if not _same(one, other):
                 return f"stride {was.number} of the {was.foot}: {name} is recorded as {one}, now {other}"
-    if whole and len(recorded) != len(now):
-        return f"{len(recorded)} strides are recorded, now there are {len(now)}"
-    return ""
+        return None
+
+    def first(what: str, recorded: Sequence[Any], now: Sequence[Any], differ: Callable[..., str | None]) -> str:
+        for k, (was, is_now) in enumerate(zip(recorded, now, strict=False)):
+            if was != is_now and (text := differ(k, was, is_now)) is not None:
+                return text
+        if whole and len(recorded) != len(now):
+            return f"{len(recorded)} {what} are recorded, now there are {len(now)}"
+        return ""
+
+    return (
+        (first("commands", frames, now.frames, frame) if frames is not None else "")
+        or first("commands", record.commands, now.commands, command)
+        or first("phase changes", record.phases, now.phases, phase)
+        or first("strides", record.strides, now.strides, stride)
+    )
 
 
 def _same(one: object, other: object) -> bool:

@@ -2,19 +2,20 @@
 
 A *mark* is one moment of one kind of one foot or channel. Expected and found marks of the same kind are paired one to
 one, nearest first, at most ``WINDOW_MS`` or 1.5 times the tolerance apart. An expected mark without a partner is
-missed, a found one without is extra.
+missed, a found one without is extra. The latency of the decisions is held against a budget.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from fes.session_log import SessionRecord, read_session
 from fes.signals import NS_PER_S, FloatArray, IntArray, StimCommand
-from fes.simulation.truth import Truth
+from fes.simulation.truth import Truth, load_truth
+from fes.walk_record import finite_or_none
 from statemachine.phases import Phase, PhaseChange, Transition
 
 WINDOW_MS: Final = 300.0
@@ -94,9 +95,8 @@ class TimingCheck:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, None for what is not known."""
-        rows = [_without_nan(asdict(row)) for row in self.rows]
-        latency = _without_nan(asdict(self.latency))
-        return {"against": self.against, "rows": rows, "latency": latency, "broken": list(self.broken)}
+        plain: dict[str, Any] = finite_or_none(asdict(self))
+        return plain
 
 
 def marks_of_phases(phases: Iterable[PhaseChange]) -> list[Mark]:
@@ -140,14 +140,6 @@ def pair_times(expected_ns: IntArray, found_ns: IntArray, window_ns: float) -> l
     return sorted(pairs)
 
 
-def timing_rows(
-    expected: Sequence[Mark], found: Sequence[Mark], tolerance_ms: Mapping[str, float], other_ms: float
-) -> tuple[TimingRow, ...]:
-    """A row for each kind of mark that is expected or found, by name; ``other_ms`` for kinds without a tolerance."""
-    kinds = sorted({(mark.who, mark.what) for mark in (*expected, *found)})
-    return tuple(_row(who, what, expected, found, tolerance_ms.get(what, other_ms)) for who, what in kinds)
-
-
 def mark_errors(
     who: str, what: str, expected: Sequence[Mark], found: Sequence[Mark], tolerance_ms: float
 ) -> tuple[int, int, FloatArray]:
@@ -161,23 +153,19 @@ def mark_errors(
     return len(should), len(did), error_ms
 
 
-def _row(who: str, what: str, expected: Sequence[Mark], found: Sequence[Mark], tolerance_ms: float) -> TimingRow:
-    should, did, error_ms = mark_errors(who, what, expected, found, tolerance_ms)
-    p5, median, p95 = np.percentile(error_ms, [5, 50, 95]).tolist() if error_ms.size else (float("nan"),) * 3
-    return TimingRow(
-        who=who,
-        what=what,
-        expected=should,
-        found=did,
-        missed=should - error_ms.size,
-        extra=did - error_ms.size,
-        early=int((error_ms < -tolerance_ms).sum()),
-        late=int((error_ms > tolerance_ms).sum()),
-        median_ms=median,
-        p5_ms=p5,
-        p95_ms=p95,
-        tolerance_ms=tolerance_ms,
-    )
+def timing_rows(
+    expected: Sequence[Mark], found: Sequence[Mark], tolerance_ms: Mapping[str, float], other_ms: float
+) -> tuple[TimingRow, ...]:
+    """A row for each kind of mark that is expected or found, by name; ``other_ms`` for kinds without a tolerance."""
+    rows = []
+    for who, what in sorted({(mark.who, mark.what) for mark in (*expected, *found)}):
+        most_ms = tolerance_ms.get(what, other_ms)
+        should, did, error_ms = mark_errors(who, what, expected, found, most_ms)
+        p5, median, p95 = np.percentile(error_ms, [5, 50, 95]).tolist() if error_ms.size else (float("nan"),) * 3
+        unpaired = should - error_ms.size, did - error_ms.size
+        off = int((error_ms < -most_ms).sum()), int((error_ms > most_ms).sum())
+        rows.append(TimingRow(who, what, should, did, *unpaired, *off, median, p5, p95, most_ms))
+    return tuple(rows)
 
 
 def check_latency(latency_ns: IntArray, budget_ms: float | None) -> LatencyCheck:
@@ -206,10 +194,6 @@ def judge_timing(against: str, rows: Sequence[TimingRow], latency: LatencyCheck,
     return TimingCheck(against, tuple(rows), latency, tuple(broken))
 
 
-def _without_nan(values: dict[str, Any]) -> dict[str, Any]:
-    return {k: None if isinstance(value, float) and not np.isfinite(value) else value for k, value in values.items()}
-
-
 def marks_of_truth(truth: Truth, feet: set[str]) -> list[Mark]:
     """The transitions that these feet really made; a soft contact, which no sensor sees, ends by T6."""
     marks = []
@@ -226,3 +210,105 @@ def marks_of_truth(truth: Truth, feet: set[str]) -> list[Mark]:
         if foot in feet:
             marks += heel_lifts(true.t_ns, true.phase, foot)
     return sorted(marks)
+
+
+class TimingError(ValueError):
+    """There is nothing to compare with; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimingOptions:
+    """What to hold the timing against; ``against`` None: the recording's own truth, of a log what it recorded."""
+
+    against: Path | None = None
+    tolerance_ms: float | None = None
+    bounds: Bounds = field(default_factory=Bounds)
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What should have happened: ``source`` for people, the marks, and whether they are a physical truth."""
+
+    source: str
+    marks: list[Mark]
+    physical: bool
+
+
+def expected_of(options: TimingOptions, default: Path | Expected, sensors: Iterable[str]) -> Expected:
+    """What is expected of these sensors: what ``options`` name, else ``default``; of a path what that session log did,
+    or what the truth beside that recording says.
+
+    Raises:
+        SessionLogError: the log cannot be read.
+        TimingError: there is nothing to compare with.
+    """
+    path = options.against or default
+    if isinstance(path, Expected):
+        return path
+    if path.suffix == ".feslog":
+        return Expected(str(path), _marks_recorded(read_session(path)), False)
+    try:
+        marks = marks_of_truth(load_truth(path), {_foot(sensor) for sensor in sensors})
+    except FileNotFoundError as error:
+        raise TimingError(
+            f"{path} has no truth beside it to check the timing against ({Path(str(error).split(': ')[0]).name} is not "
+            f"there). Name an earlier session log: --against LOG"
+        ) from error
+    except (ValueError, KeyError, OSError) as error:
+        raise TimingError(f"{path}: its truth cannot be read: {error}") from error
+    return Expected(f"the truth of {path.name}", marks, True)
+
+
+def check_timing(
+    record: SessionRecord,
+    options: TimingOptions,
+    expected: Expected,
+    phases: Sequence[PhaseChange] | None = None,
+    commands: Iterable[StimCommand] | None = None,
+) -> TimingCheck:
+    """Compare a session with what is expected; its latencies count.
+
+    ``phases`` and ``commands``: what fired and what went out, if not the record's.
+
+    Raises:
+        TimingError: the two tell of different times.
+    """
+    fired = marks_of_phases(record.phases if phases is None else phases)
+    found = [Mark(mark.t_ns, _foot(mark.who) if expected.physical else mark.who, mark.what) for mark in fired]
+    if not expected.physical:
+        found += marks_of_commands(record.commands if commands is None else commands)
+    if expected.marks and found:
+        should, did = ((1e-9 * min(marks).t_ns, 1e-9 * max(marks).t_ns) for marks in (expected.marks, found))
+        if did[0] > should[1] or did[1] < should[0]:
+            raise TimingError(
+                f"{expected.source} tells of another time than this session ({should[0]:.1f}–{should[1]:.1f} s and "
+                f"{did[0]:.1f}–{did[1]:.1f} s). Compare logs of the same recording; of two sessions, use `fes compare`."
+            )
+    tolerances = {} if options.tolerance_ms or not expected.physical else TRUTH_TOLERANCE_MS
+    rows = timing_rows(expected.marks, found, tolerances, options.tolerance_ms or LOG_TOLERANCE_MS)
+    latency = check_latency(record.latency_ns, options.bounds.latency_budget_ms)
+    return judge_timing(expected.source, rows, latency, options.bounds)
+
+
+def check_replayed(
+    path: Path, options: TimingOptions, phases: list[PhaseChange], commands: list[StimCommand]
+) -> TimingCheck:
+    """Compare what a log's replay gave with the log itself, or with what ``options`` name.
+
+    Raises:
+        SessionLogError: the log cannot be read.
+        TimingError: there is nothing to compare with.
+    """
+    record = read_session(path)
+    own = Expected(f"what {path.name} recorded", _marks_recorded(record), False)
+    expected = expected_of(options, own, record.header.get("calibration", {}))
+    return check_timing(record, options, expected, phases, commands)
+
+
+def _marks_recorded(record: SessionRecord) -> list[Mark]:
+    return [*marks_of_phases(record.phases), *marks_of_commands(record.commands)]
+
+
+def _foot(sensor: str) -> str:
+    """The foot that a sensor tells of."""
+    return sensor.replace("_shank", "_foot")

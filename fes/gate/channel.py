@@ -1,7 +1,5 @@
 """One channel as the gate knows it: its charge of a minute, its last command, and what time allows next."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Final
 

@@ -1,7 +1,5 @@
 """What one request may ask for electrically, whatever came before it: a table of caps."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, TypeAlias

@@ -3,8 +3,6 @@
 Judged on the host's clock and on the sensor's own.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from dataclasses import dataclass, field

@@ -10,8 +10,6 @@ on. A burst refused in this way, or one whose command ran out before the next ca
 late where its rise allows, and where that does not, it is refused in silence until the plan has asked for off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ Every bound was held against real recordings (docs/safety.md): gait never comes 
 shows how soon a wrong unit or exchanged axes are found, and on how many real recordings they are found wrongly.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping

@@ -1,18 +1,26 @@
-"""One fault, once: walk, inject in mid-burst, observe the stimulator's end, ask the session, mend; and the judgement.
+"""A campaign: every fault of the table, one after the other, on one transport; and the judgement of each attempt.
 
-In most rows the output must go off and stay off. In some nothing may come of the fault: the session goes on, no foreign
-frame acts, no burst begins. In two nothing is injected: the walk itself asks for more than is allowed.
+An attempt: walk, inject in mid-burst, observe the stimulator's end, ask the session, mend. In most rows the output must
+go off and stay off. In some nothing may come of the fault: the session goes on, no foreign frame acts, no burst begins.
+In two nothing is injected: the walk itself asks for more than is allowed.
 """
 
-from __future__ import annotations
-
+import json
 import math
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Final
 
+from drivers.imu.port import ImuLost
+from drivers.simulated.bus_guests import Rogue
 from drivers.simulated.record import RecordEntry
+from drivers.stimulator.port import StimulatorLost
+from fes.hil.baseline import Baseline
 from fes.hil.campaign_bench import (
     ALLOWED,
     LATCHED,
@@ -22,10 +30,21 @@ from fes.hil.campaign_bench import (
     reason_faults,
     stated_reason,
 )
+from fes.hil.devices import BusWitness, Hardware, hardware_session, start_devices
 from fes.hil.injections import INJECTIONS
-from fes.hil.judge import MS, began_after, length_ms, off_after_ms, output_at, resumed_after, with_late_pulses
-from fes.hil.results import Attempt
-from fes.hil.scenarios import Effect, Scenario
+from fes.hil.results import (
+    MS,
+    Attempt,
+    Campaign,
+    Row,
+    began_after,
+    length_ms,
+    off_after_ms,
+    output_at,
+    resumed_after,
+    with_late_pulses,
+)
+from fes.hil.scenarios import Effect, Needs, Scenario
 from fes.hil.settings import CHANNEL, CURRENT_MA, DOSE_MC, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US
 from fes.session_log import SessionLogError, read_session
 from fes.signals import NS_PER_S
@@ -68,10 +87,12 @@ def _goes_off(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
         bench.in_burst(INTO_BURST_MS[n % len(INTO_BURST_MS)])
         t_ns = inject(bench, n)
         deadline_s = (scenario.deadline_ms or 0.0) * 1e-3
-        left_s = max(0.0, t_ns * 1e-9 + deadline_s - time.monotonic())
-        bench.observe(left_s + scenario.watch_s)
-        faults = _ended(bench, t_ns) if scenario.effect is Effect.ENDED else []
-        named = _alarm(bench) if scenario.effect is Effect.ENDED else stated_reason(bench)
+        bench.observe(max(0.0, t_ns * 1e-9 + deadline_s - time.monotonic()) + scenario.watch_s)
+        if scenario.effect is Effect.ENDED:
+            faults = _ended(bench, t_ns)
+            named = next((line for line in bench.session().printed().splitlines() if "ALARM" in line), "").strip("\a")
+        else:
+            faults, named = [], stated_reason(bench)
         heal(bench)
         if not scenario.restart:
             bench.observe(0.4)
@@ -89,27 +110,20 @@ def _goes_off(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
         if resumed_after(stretches, t_ns):
             faults.append("current again without arming")
         misnamed = reason_faults(named, scenario) if scenario.effect is Effect.LATCHED else []
-        if misnamed and not faults and off_ms <= deadline_s * 1e3:
-            away = bench.was_away(named, t_ns - BEFORE_NS, t_ns + int(deadline_s * NS_PER_S))
-            if away:
-                return Attempt(off_ms, last_ms, named, away=True)
+        machine_only = misnamed and not faults and off_ms <= deadline_s * 1e3
+        if machine_only and bench.was_away(named, t_ns - BEFORE_NS, t_ns + int(deadline_s * NS_PER_S)):
+            return Attempt(off_ms, last_ms, named, away=True)
         faults += misnamed
         if scenario.restart:
             faults += _left_behind(bench, scenario, t_ns)
         elif bench.session().alive:
-            faults += _not_armed_again(bench)
+            try:  # when the fault is over, a person must be able to go on; else the next row begins with a new session
+                bench.arm()
+            except CampaignBroken as error:
+                bench.end_session()
+                faults.append(f"cannot be armed again: {error}")
         return Attempt(off_ms, last_ms, named, tuple(faults))
     raise CampaignBroken(f"no burst lasted until the fault was there, {TRIES} times")
-
-
-def _not_armed_again(bench: CampaignBench) -> list[str]:
-    """When the fault is over, a person must be able to go on; else the next row begins with a new session."""
-    try:
-        bench.arm()
-    except CampaignBroken as error:
-        bench.end_session()
-        return [f"cannot be armed again: {error}"]
-    return []
 
 
 def _left_behind(bench: CampaignBench, scenario: Scenario, t_ns: int) -> list[str]:
@@ -123,10 +137,6 @@ def _left_behind(bench: CampaignBench, scenario: Scenario, t_ns: int) -> list[st
     for child in left:
         child.kill()
     return [f"{ORPHANS_S:g} s later still running: {', '.join(child.module for child in left)}"] if left else []
-
-
-def _alarm(bench: CampaignBench) -> str:
-    return next((line for line in bench.session().printed().splitlines() if "ALARM" in line), "").strip("\a")
 
 
 def _ended(bench: CampaignBench, t_ns: int) -> list[str]:
@@ -187,7 +197,13 @@ def _no_burst_begins(bench: CampaignBench, scenario: Scenario, n: int) -> Attemp
     bench.command("disarm")
     bench.stand(True)
     bench.observe(DISARM_S)
-    bench.observe(ARM_TRIED_S, lambda: _arms_or_says_why_not(bench, scenario))
+
+    def arms_or_says_why_not() -> bool:
+        bench.keep_armed()
+        status = bench.status()
+        return status is not None and (status.state in ALLOWED or not reason_faults(status.message, scenario))
+
+    bench.observe(ARM_TRIED_S, arms_or_says_why_not)
     status = bench.status()
     if status is None or status.state in ALLOWED:
         faults.append("can be armed though it is not mended")
@@ -196,12 +212,6 @@ def _no_burst_begins(bench: CampaignBench, scenario: Scenario, n: int) -> Attemp
     heal(bench)
     bench.arm()
     return Attempt(named=named or refusal, faults=tuple(faults), notice="no burst began, arming refused")
-
-
-def _arms_or_says_why_not(bench: CampaignBench, scenario: Scenario) -> bool:
-    bench.keep_armed()
-    status = bench.status()
-    return status is not None and (status.state in ALLOWED or not reason_faults(status.message, scenario))
 
 
 def _nothing_executed(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
@@ -245,10 +255,8 @@ def refusal_attempt(
 ) -> Attempt:
     """What the stimulator's record since the injection says of ``sent`` foreign frames under its own identifiers.
 
-    Args:
-        named: the session's reason for being off; "": it is not.
-        random: of random frames a share passes the CRC by chance; more than that share must not.
-        own_sessions: that the controller itself has opened.
+    ``named``: the session's reason for being off, if it is. Of ``random`` frames a share passes the CRC by chance; more
+    than that share must not. ``own_sessions``: that the controller itself has opened.
     """
     refused = [entry for entry in entries if entry.event == "refused"]
     odd = [entry for entry in entries if _odd(entry) and entry.detail not in own_sessions]
@@ -271,14 +279,9 @@ def refusal_attempt(
 
 def _odd(entry: RecordEntry) -> bool:
     """Whether the stimulator did what the campaign's session never asks for."""
-    if entry.event == SESSION:
-        return True
-    return entry.event in ("on", "level") and (
-        entry.channel != CHANNEL
-        or entry.pulse_width_us != PULSE_WIDTH_US
-        or entry.frequency_hz != FREQUENCY_HZ
-        or entry.current_ma > CURRENT_MA * INTENSITY + 1e-6
-    )
+    right = entry.channel == CHANNEL and entry.pulse_width_us == PULSE_WIDTH_US and entry.frequency_hz == FREQUENCY_HZ
+    right = right and entry.current_ma <= CURRENT_MA * INTENSITY + 1e-6
+    return entry.event == SESSION or (entry.event in ("on", "level") and not right)
 
 
 def _burst_without_end(bench: CampaignBench, scenario: Scenario, n: int) -> Attempt:
@@ -288,8 +291,7 @@ def _burst_without_end(bench: CampaignBench, scenario: Scenario, n: int) -> Atte
     bench.observe((scenario.deadline_ms or 0.0) * 1e-3 - 1e-3 * STUCK_MS + 0.3)
     named = stated_reason(bench)
     stretches = bench.outputs(burst.on_ns)
-    first = next(output for output in stretches if output.on_ns == burst.on_ns)
-    longest = with_late_pulses(stretches, first)
+    longest = with_late_pulses(stretches, next(output for output in stretches if output.on_ns == burst.on_ns))
     faults = reason_faults(named, scenario)
     if resumed_after(stretches, burst.on_ns):
         faults.append("current again without arming")
@@ -326,3 +328,130 @@ _JUDGES: Final[dict[Effect, Callable[[CampaignBench, Scenario, int], Attempt]]] 
     Effect.BOUNDED: _burst_without_end,
     Effect.DOSED: _charge_without_end,
 }
+
+
+NOT_BASELINE: Final = ("cpu_hogs", "controller_starved")  # these take the processor away on purpose
+BROKEN_IN_A_ROW: Final = 3
+SPOILT_AT_MOST: Final = 4
+
+Progress = Callable[[Scenario, int, Attempt | None], None]
+"""Called before (None) and after every attempt."""
+
+
+def simulated_campaign(
+    transport: str,
+    scenarios: Sequence[Scenario],
+    repeat: int,
+    folder: Path,
+    progress: Progress,
+    channel: str,
+    closed_loop: bool,
+) -> Campaign:
+    """Run these scenarios on simulated devices, each ``repeat`` times; whatever ends it, nothing is left running.
+
+    The folder, for records and logs, must exist. ``channel``: the interface for ``socketcan``. ``closed_loop``: with a
+    virtual patient, who feels what is delivered, in the place of a recorded walk.
+
+    Raises:
+        Unavailable: the transport is not to be had on this machine.
+        CampaignBroken: three attempts in a row could not even be made.
+    """
+    with ExitStack() as stack:
+        devices = start_devices(transport, folder, stack, channel, closed_loop=closed_loop)
+        bench = CampaignBench(devices, devices.capabilities | machine_capabilities(), stack)
+        return run_campaign(bench, transport, scenarios, repeat, progress)
+
+
+def hardware_campaign(
+    path: Path, calibration: Path, scenarios: Sequence[Scenario], repeat: int, folder: Path, progress: Progress
+) -> Campaign:
+    """Run these scenarios, which must be of the host's side, on the devices of a session file.
+
+    Raises:
+        ConfigError: the settings cannot be used, or nobody but the controller can hear the stimulator.
+        BusError: the bus cannot be opened.
+        CampaignBroken: three attempts in a row could not even be made.
+    """
+    session = hardware_session(path)
+    with ExitStack() as stack:
+        witness = BusWitness(stack.enter_context(Rogue(session.bus)))
+        witness.start(stack)
+        hardware = Hardware(folder, path, calibration, session.stimulation.intensity, witness)
+        bench = CampaignBench(hardware, machine_capabilities(), stack, by_hand=True)
+        return run_campaign(bench, f"hardware ({path.name})", scenarios, repeat, progress)
+
+
+def run_campaign(
+    bench: CampaignBench, name: str, scenarios: Sequence[Scenario], repeat: int, progress: Progress
+) -> Campaign:
+    """The rows, one after the other.
+
+    Raises:
+        CampaignBroken: three attempts in a row could not even be made.
+    """
+    started, begin_s = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
+    with ExitStack() as stack:
+        stack.callback(bench.end_session)
+        baseline = Baseline()
+        stack.callback(baseline.end)
+        bench.gaps = baseline.gaps
+        rows: list[Row] = []
+        broken = 0
+        for scenario in scenarios:
+            row = Row(scenario)
+            rows.append(row)
+            if lacking := sorted(scenario.needs - bench.capabilities):
+                row.skipped = f"needs {', '.join(lacking)}"
+                continue
+            if scenario.name in NOT_BASELINE:
+                baseline.leave_out(True)
+            for n in range(scenario.attempts(repeat)):
+                progress(scenario, n, None)
+                try:
+                    for _ in range(SPOILT_AT_MOST):  # made again while the machine itself spoils it
+                        if not (found := make_attempt(bench, scenario, n)).away:
+                            break
+                        row.away.append(found.named)
+                    broken = 0
+                except (CampaignBroken, StimulatorLost, ImuLost, ProcessLookupError) as error:
+                    broken += 1
+                    found = Attempt(faults=(str(error),))
+                    bench.end_session()
+                    if broken >= BROKEN_IN_A_ROW:
+                        raise CampaignBroken(f"{scenario.name}: {error}") from error
+                row.attempts.append(found)
+                progress(scenario, n, found)
+            if scenario.name in NOT_BASELINE:
+                baseline.leave_out(False)
+        bench.end_session()
+        lateness = baseline.end()
+    seconds = time.monotonic() - begin_s
+    return Campaign(name, tuple(rows), lateness, started, seconds, repeat, tuple(bench.unasked), tuple(bench.away))
+
+
+def machine_capabilities() -> frozenset[Needs]:
+    """What this machine lets the campaign do."""
+    found = {Needs.PROC} if Path("/proc/self/task").is_dir() else set()
+    if hasattr(os, "sched_getaffinity") and len(os.sched_getaffinity(0)) > 1 and _grants_fifo():
+        found.add(Needs.FIFO)
+    return frozenset(found)
+
+
+def _grants_fifo() -> bool:
+    """Whether SCHED_FIFO is granted; tried in a process of its own."""
+    pid = os.fork()
+    if not pid:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+            os._exit(0)
+        except (OSError, AttributeError):
+            os._exit(1)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) == 0
+
+
+def save_campaign(campaign: Campaign, folder: Path) -> tuple[Path, Path]:
+    """Write ``hil.json`` and ``hil.md``; both paths."""
+    as_json, as_text = folder / "hil.json", folder / "hil.md"
+    as_json.write_text(json.dumps(campaign.to_dict(), indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    as_text.write_text(campaign.to_markdown(), encoding="utf-8")
+    return as_json, as_text

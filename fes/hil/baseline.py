@@ -6,8 +6,6 @@ processor away); ``gaps N`` is answered with the wake-ups since N (CLOCK_MONOTON
 8 ms; when stdin closes it says what it found, as JSON.
 """
 
-from __future__ import annotations
-
 import gc
 import json
 import os
@@ -18,8 +16,9 @@ import threading
 import time
 from array import array
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -79,9 +78,7 @@ class Baseline:
     def end(self) -> Lateness:
         """Stop it; what it found."""
         try:
-            said, _ = self._process.communicate(timeout=10)
-            found: dict[str, Any] = json.loads(said)
-            return Lateness(**found)
+            return Lateness(**json.loads(self._process.communicate(timeout=10)[0]))
         except (subprocess.TimeoutExpired, ValueError, TypeError):
             self._process.kill()
             self._process.wait()
@@ -103,20 +100,18 @@ class IdleLoop(threading.Thread):
         self.gaps: deque[Gap] = deque(maxlen=GAPS_KEPT)
         self.paused = False
         self.real_time = False
+        self.over = threading.Event()
         self._processor = processor
-        self._over = threading.Event()
 
     def run(self) -> None:
         """Until stopped. On Linux priority and processor are the calling thread's own."""
-        try:
+        with suppress(AttributeError, OSError):
             if self._processor is not None:
                 os.sched_setaffinity(0, {self._processor})
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
             self.real_time = True
-        except (AttributeError, OSError):
-            self.real_time = False
         due_ns = time.monotonic_ns() + PERIOD_NS
-        while not self._over.is_set():
+        while not self.over.is_set():
             time.sleep(max(0.0, (due_ns - time.monotonic_ns()) * 1e-9))
             now_ns = time.monotonic_ns()
             late_ms = (now_ns - due_ns) * 1e-6
@@ -125,11 +120,6 @@ class IdleLoop(threading.Thread):
                 if late_ms > GAP_MS:
                     self.gaps.append((due_ns, round(late_ms, 3)))
             due_ns = now_ns + PERIOD_NS
-
-    def stop(self) -> None:
-        """And wait for it."""
-        self._over.set()
-        self.join()
 
 
 def main() -> int:
@@ -143,14 +133,14 @@ def main() -> int:
         word, _, value = line.strip().partition(" ")
         if word == "gaps":
             since_ns = int(value)
-            print(
-                json.dumps(sorted(gap for loop in loops for gap in list(loop.gaps) if gap[0] >= since_ns)), flush=True
-            )
+            gaps = [gap for loop in loops for gap in list(loop.gaps) if gap[0] >= since_ns]
+            print(json.dumps(sorted(gaps)), flush=True)
         else:
             for loop in loops:
                 loop.paused = word == "pause"
     for loop in loops:
-        loop.stop()
+        loop.over.set()
+        loop.join()
     late_ms = np.concatenate([np.array(loop.late_ms) for loop in loops])
     found = {"count": len(late_ms), "real_time": all(loop.real_time for loop in loops)}
     if len(late_ms):

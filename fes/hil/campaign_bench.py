@@ -1,7 +1,5 @@
 """Everything that a campaign runs: devices, the session under test, the scripted operator; and waiting for things."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -10,9 +8,9 @@ from typing import Final
 
 from drivers.simulated.record import RecordEntry
 from fes.hil.baseline import Gap
-from fes.hil.controller import Child, ControllerProcess, ScriptedOperator, uninterrupted
+from fes.hil.controller import Child, ControllerProcess, uninterrupted
 from fes.hil.devices import Devices, Hardware
-from fes.hil.judge import MS, Output, Outputs, output_at
+from fes.hil.results import MS, Output, Outputs, output_at
 from fes.hil.scenarios import Needs, Scenario
 from fes.live.status import Status
 from fes.signals import NS_PER_S
@@ -29,13 +27,17 @@ BURST_S: Final = 30.0
 TRIGGER_EVERY_S: Final = 1.5  # a burst by hand lasts 1 s and falls
 
 
+def _next_command(status: Status) -> str:
+    return "up" if status.state in ALLOWED else "arm"
+
+
 class CampaignBroken(RuntimeError):
     """The session under test does not come up, or does not stimulate though nothing is wrong."""
 
 
 @dataclass(slots=True)
 class CampaignBench:
-    """Make one, :meth:`prepare` it for each row, :meth:`close` it."""
+    """Make one, :meth:`prepare` it for each row, :meth:`end_session`; the devices belong to whoever started them."""
 
     equipment: Devices | Hardware
     capabilities: frozenset[Needs]
@@ -43,7 +45,6 @@ class CampaignBench:
     by_hand: bool = False  # nobody walks: bursts are triggered by hand
     variant: str = ""
     controller: ControllerProcess | None = None
-    operator: ScriptedOperator | None = None
     runs: int = 0
     unasked: list[str] = field(default_factory=list)  # reasons for which the session went off before any fault
     away: list[str] = field(default_factory=list)  # such reasons where this machine had taken the processor away
@@ -53,9 +54,8 @@ class CampaignBench:
     orphans: list[Child] = field(default_factory=list)  # what a killed session leaves behind
     recorded: list[RecordEntry] | None = None  # the record's entries are kept here, when it is a list
     _outputs: Outputs = field(default_factory=Outputs)
-    _watched_s: float = field(default=0.0)
-    _trigger_s: float = field(default=0.0)
-    _command_s: float = field(default=0.0)
+    _trigger_s: float = 0.0
+    _command_s: float = 0.0
 
     @property
     def devices(self) -> Devices:
@@ -87,10 +87,20 @@ class CampaignBench:
         Raises:
             CampaignBroken: it does not come up.
         """
-        if self.controller is not None and (not self.controller.alive or variant != self.variant):
+        if self.controller is not None:
+            if self.controller.alive and variant == self.variant:
+                return
             self.end_session()
-        if self.controller is None:
-            self._start(variant)
+        self.runs, self.variant = self.runs + 1, variant
+        settings = self.equipment.session_file(self.runs, variant)
+        folder = self.equipment.folder / f"run{self.runs}"
+        seen = variant == "seen"
+        with uninterrupted():
+            self.controller = ControllerProcess(settings, self.equipment.calibration, folder, view=seen, page=seen)
+        self.stand(True)  # so that the patient is at rest when the session is ready
+        if variant == "button":
+            self.devices.stop_button()
+        self.until(lambda status: status.state != "off", None, START_S, "the session does not come up")
 
     def arm(self, *, walks: bool = True) -> None:
         """By hand, as often as it takes until the patient stands still; then up to the campaign's intensity.
@@ -102,7 +112,7 @@ class CampaignBench:
             return
         try:
             self.stand(True)
-            self.until(self._is_ready, self._next_command, ARM_S, "it cannot be armed and raised")
+            self.until(self._is_ready, _next_command, ARM_S, "it cannot be armed and raised")
         finally:
             if walks:
                 self.stand(False)
@@ -114,12 +124,11 @@ class CampaignBench:
             return
         self._command_s = time.monotonic() + COMMAND_EVERY_S
         self.stand(status.state not in ALLOWED)
-        self.command(self._next_command(status))
+        self.command(_next_command(status))
 
     def ready(self) -> bool:
         """Whether the session is armed and raised already."""
-        status = self.status()
-        return status is not None and self._is_ready(status)
+        return (status := self.status()) is not None and self._is_ready(status)
 
     def went_off(self, reason: str) -> None:
         """The session went off with no fault injected: put down why, and whether it was this machine."""
@@ -137,13 +146,6 @@ class CampaignBench:
         if self.controller is not None:
             self.controller.end()
             self.controller = None
-        if self.operator is not None:
-            self.operator.close()
-            self.operator = None
-
-    def close(self) -> None:
-        """End the session; the devices belong to whoever started them."""
-        self.end_session()
 
     def session(self) -> ControllerProcess:
         """The running one."""
@@ -157,17 +159,13 @@ class CampaignBench:
 
     def command(self, ask: str) -> None:
         """As the operator."""
-        if self.operator is not None:
-            self.operator.send_command(ask)
+        if self.controller is not None:
+            self.controller.operator.send_command(ask)
 
     # --- waiting -----------------------------------------------------------------------------------------
 
     def until(
-        self,
-        what: Callable[[Status], bool],
-        command: Callable[[Status], str] | None,
-        timeout_s: float,
-        else_say: str,
+        self, what: Callable[[Status], bool], command: Callable[[Status], str] | None, timeout_s: float, else_say: str
     ) -> Status:
         """Wait for a status, sending meanwhile what the one of the moment asks for.
 
@@ -190,12 +188,7 @@ class CampaignBench:
 
     def status(self) -> Status | None:
         """The newest; None as long as the session says nothing."""
-        if self.operator is None:
-            return None
-        if time.monotonic() - self._watched_s > 1.0:
-            self._watched_s = time.monotonic()
-            self.operator.subscribe()
-        return self.operator.receive_status()
+        return None if self.controller is None else self.controller.operator.receive_status()
 
     def in_burst(self, since_on_ms: float) -> Output:
         """Wait until current has been on for this long, at the stimulator's end; that stretch of current.
@@ -217,8 +210,7 @@ class CampaignBench:
                 self.arm()
                 end_s = time.monotonic() + BURST_S
             time.sleep(LOOK_S)
-        status = self.status()
-        raise CampaignBroken(f"no burst for {BURST_S:g} s; last: {status}")
+        raise CampaignBroken(f"no burst for {BURST_S:g} s; last: {self.status()}")
 
     def outputs(self, since_ns: int = 0) -> list[Output]:
         """What the stimulator has put out since then, as far as it is kept: ten minutes."""
@@ -239,10 +231,6 @@ class CampaignBench:
     def _is_ready(self, status: Status) -> bool:
         return status.state in ALLOWED and status.intensity >= self.equipment.intensity - 1e-6
 
-    @staticmethod
-    def _next_command(status: Status) -> str:
-        return "up" if status.state in ALLOWED else "arm"
-
     def stand(self, stands: bool) -> None:
         """The simulated patient stays standing once they stand, or walks on; nobody else can be made to."""
         if isinstance(self.equipment, Devices):
@@ -253,20 +241,6 @@ class CampaignBench:
             self._trigger_s = time.monotonic() + TRIGGER_EVERY_S
             self.command("trigger")
 
-    def _start(self, variant: str) -> None:
-        self.runs, self.variant = self.runs + 1, variant
-        settings = self.equipment.session_file(self.runs, variant)
-        folder = self.equipment.folder / f"run{self.runs}"
-        seen = variant == "seen"
-        with uninterrupted():
-            self.controller = ControllerProcess(settings, self.equipment.calibration, folder, view=seen, page=seen)
-        self.operator = ScriptedOperator(self.controller.control, folder / "operator")
-        self._watched_s = 0.0
-        self.stand(True)  # so that the patient is at rest when the session is ready
-        if variant == "button":
-            self.devices.stop_button()
-        self.until(lambda status: status.state != "off", None, START_S, "the session does not come up")
-
 
 def stated_reason(bench: CampaignBench) -> str:
     """The session's reason; "" when it gives none."""
@@ -276,8 +250,7 @@ def stated_reason(bench: CampaignBench) -> str:
 
 def is_latched(bench: CampaignBench) -> bool:
     """Whether only a person leads on."""
-    status = bench.status()
-    return status is not None and status.state in LATCHED
+    return (status := bench.status()) is not None and status.state in LATCHED
 
 
 def reason_faults(named: str, scenario: Scenario) -> list[str]:

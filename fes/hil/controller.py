@@ -6,6 +6,7 @@ Ctrl-C waits until a process that is being started, or ended, is in somebody's h
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import socket
@@ -18,11 +19,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Final
+from typing import Any, Final
 from urllib.parse import urlsplit
 
 from fes.live.status import Status
 
+ASK_EVERY_S: Final = 1.0
 SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
 
 
@@ -68,6 +70,7 @@ class ScriptedOperator:
         self.refusals: list[str] = []
         self._to = str(session_socket)
         self._own = own
+        self._asked_s = -math.inf
         own.unlink(missing_ok=True)
         self._link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._link.bind(str(own))
@@ -78,13 +81,12 @@ class ScriptedOperator:
         with suppress(OSError):
             self._link.sendto(json.dumps({"ask": ask, "value": value, "confirm": True}).encode(), self._to)
 
-    def subscribe(self) -> None:
-        """Ask for statuses."""
-        with suppress(OSError):
-            self._link.sendto(b"watch", self._to)
-
     def receive_status(self) -> Status | None:
-        """Take in what has come; the newest status."""
+        """Take in what has come, and every second ask for more; the newest status."""
+        if time.monotonic() - self._asked_s > ASK_EVERY_S:
+            self._asked_s = time.monotonic()
+            with suppress(OSError):
+                self._link.sendto(b"watch", self._to)
         while True:
             try:
                 datagram = self._link.recv(1 << 16)
@@ -149,16 +151,11 @@ def _began(pid: int) -> str:
 
 
 class ControllerProcess:
-    """A running ``fes run``; always :meth:`end` it. Make it, and keep it, ``uninterrupted()``.
+    """A running ``fes run`` and its ``operator``; always :meth:`end` it. Make it, and keep it, ``uninterrupted()``.
 
-    Should this process be killed, the session is interrupted as by SIGTERM, where the system tells it (Linux).
-
-    Args:
-        settings: its session file.
-        calibration: so that walking counts at once.
-        folder: for its results, its socket (``control``) and its stop file (``stop``).
-        view: with the terminal view.
-        page: with the live page.
+    Should this process be killed, the session is interrupted as by SIGTERM, where the system tells it (Linux). The
+    folder holds its results, its socket (``control``) and its stop file (``stop``). ``view``: with the terminal view;
+    ``page``: with the live page.
     """
 
     def __init__(
@@ -176,23 +173,13 @@ class ControllerProcess:
         command += ["--calibration", str(calibration), "--control", str(self.control)]
         command += ["--stop-file", str(self.stop_file), "--keys-from", str(reading), "--duration", str(LONGEST_S)]
         command += ["--view" if view else "--no-view", *(["--dashboard"] if page else [])]
+        self.operator = ScriptedOperator(self.control, folder / "operator")
         self._output = (folder / "said.txt").open("a+", encoding="utf-8")
         try:
-            self.process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=self._output,
-                stderr=self._output,
-                pass_fds=(reading,),
-                start_new_session=True,
-            )
+            said: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": self._output, "stderr": self._output}
+            self.process = subprocess.Popen(command, pass_fds=(reading,), start_new_session=True, **said)
         finally:
             os.close(reading)
-
-    @property
-    def pid(self) -> int:
-        """Of the controller itself."""
-        return self.process.pid
 
     @property
     def alive(self) -> bool:
@@ -220,9 +207,8 @@ class ControllerProcess:
         Raises:
             ProcessLookupError: there is none.
         """
-        for child in self.children():
-            if module in child.module:
-                return child.pid
+        if pid := next((child.pid for child in self.children() if module in child.module), 0):
+            return pid
         raise ProcessLookupError(f"the session has no process {module}")
 
     def log(self) -> Path | None:
@@ -241,12 +227,9 @@ class ControllerProcess:
         except subprocess.TimeoutExpired:
             return None
 
+    @uninterrupted()
     def end(self) -> None:
         """Be sure that it is gone, and everything that it started. Ctrl-C waits for that, up to 4 s."""
-        with uninterrupted():
-            self._end()
-
-    def _end(self) -> None:
         children = self.children()
         if self.alive:
             with suppress(OSError):
@@ -260,6 +243,7 @@ class ControllerProcess:
             time.sleep(0.02)
         for child in children:
             child.kill()
+        self.operator.close()
         with suppress(OSError):
             os.close(self._keys)
             self._output.close()
@@ -267,7 +251,9 @@ class ControllerProcess:
     def children(self) -> list[Child]:
         """Its processes now; none where there is no /proc."""
         try:
-            names = Path(f"/proc/{self.pid}/task/{self.pid}/children").read_text(encoding="ascii").split()
+            names = (
+                Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children").read_text(encoding="ascii").split()
+            )
         except OSError:
             return []
         return [child for name in names if (child := Child.running(int(name))) is not None]

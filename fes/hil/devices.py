@@ -1,20 +1,18 @@
 """What a campaign runs against: simulated devices on one transport, or the real devices of a session file.
 
-With real devices only faults of the host's side are brought about, and the stimulator is watched on its bus. It must be
-on CAN: a second receiver on the same bus hears what it itself says it delivers, independent of the controller. On a
-serial line nobody else can listen; there an oscilloscope at the electrodes must be the judge.
+With real devices only faults of the host's side are brought about, and the stimulator must be on CAN: a second receiver
+on its bus hears what it says it delivers. On a serial line an oscilloscope at the electrodes must be the judge.
 """
 
 from __future__ import annotations
 
 import os
-import tempfile
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from drivers.imu.port import ImuLost
 from drivers.simulated.bus_guests import Rogue, StopButton
@@ -84,7 +82,7 @@ class Devices:
     _stands: bool = False
 
     def __post_init__(self) -> None:
-        self._tail = self._tail_of(self.node)
+        self._tail = RecordReader(self.node.record or Path(os.devnull))
 
     @property
     def sensor_port(self) -> Path:
@@ -121,7 +119,12 @@ class Devices:
         """Another sensor is plugged in where the unplugged one was; it plays the same walk from its beginning."""
         set_link(self.sensor_port, self.spare.port)
         self.imu.stop()
-        self.imu, self.spare = self.spare, self._sensor()
+        self.imu = self.spare
+        if self.patient is not None:
+            self.spare = PatientSensor(self.patient)
+        else:
+            self.spare = spawn_imu("xbus", sensor=FOOT, recording=self.recording, rate_hz=RATE_HZ)
+            self.stack.callback(self.spare.stop)
         self.stand(self._stands)
 
     def stimulator_replugged(self) -> None:
@@ -130,29 +133,19 @@ class Devices:
         self._left += self._tail.new_entries()
         self._replaced += 1
         kind, _ = SERIAL[self.transport]
-        again = spawn_device(kind, record=self.folder / f"stimulator{self._replaced}.jsonl", pulses=self.pulses)
-        self.stack.callback(again.stop)
-        self.node, self._tail = again, self._tail_of(again)
-        set_link(self.folder / "stimulator", again.port)
+        record = self.folder / f"stimulator{self._replaced}.jsonl"
+        self.node = spawn_device(kind, record=record, pulses=self.pulses)
+        self.stack.callback(self.node.stop)
+        self._tail = RecordReader(record)
+        set_link(self.folder / "stimulator", self.node.port)
 
     def stop_button(self) -> StopButton:
         """The button on its bus, made when it is first asked for; let go."""
-        if self.button is None and self.button_bus is not None:
-            self.button = self.stack.enter_context(StopButton(self.button_bus, BUTTON_ID))
         if self.button is None:
-            raise Unavailable(f"{self.transport} has no bus for a stop button")
+            if self.button_bus is None:
+                raise Unavailable(f"{self.transport} has no bus for a stop button")
+            self.button = self.stack.enter_context(StopButton(self.button_bus, BUTTON_ID))
         return self.button
-
-    @staticmethod
-    def _tail_of(node: NodeHandle | DeviceHandle) -> RecordReader:
-        return RecordReader(node.record or Path(os.devnull))
-
-    def _sensor(self) -> Sensor:
-        if self.patient is not None:
-            return PatientSensor(self.patient)
-        sensor = spawn_imu("xbus", sensor=FOOT, recording=self.recording, rate_hz=RATE_HZ)
-        self.stack.callback(sensor.stop)
-        return sensor
 
 
 def set_link(link: Path, target: str) -> None:
@@ -168,9 +161,7 @@ def start_devices(
 ) -> Devices:
     """Start all of a transport's devices; ``stack`` ends them.
 
-    Args:
-        channel: the interface's name for ``socketcan``.
-        closed_loop: the sensor is worn by a virtual patient, who feels what the stimulator delivers.
+    ``closed_loop``: the sensor is worn by a virtual patient, who feels what the stimulator delivers.
 
     Raises:
         Unavailable: the transport is not to be had here, or a device does not start.
@@ -178,54 +169,39 @@ def start_devices(
     try:
         recording, calibration = walker(folder)
         patient, pulses = None, None
-        if closed_loop:  # a socket's name may have 107 bytes, less than many a folder's
-            pulses = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fes-"))) / "pulses"
-            patient, calibration = campaign_patient(folder, pulses)
-            stack.callback(patient.stop)
+        if closed_loop:
+            patient, calibration, pulses = campaign_patient(folder, stack)
         front, back, link, node, stimulator = _stimulator(transport, folder, stack, channel, pulses)
-        imus: list[Sensor] = []
-        if patient is not None:
-            imus += [PatientSensor(patient, patient.ports[FOOT]), PatientSensor(patient)]
-        else:
-            imus += [spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ) for _ in range(2)]
+        imus: list[Sensor] = (
+            [spawn_imu("xbus", sensor=FOOT, recording=recording, rate_hz=RATE_HZ) for _ in range(2)]
+            if patient is None
+            else [PatientSensor(patient, patient.ports[FOOT]), PatientSensor(patient)]
+        )
     except (StimulatorLost, ImuLost) as error:
         raise Unavailable(f"{transport}: {error}") from error
     for each in imus:
         stack.callback(each.stop)
     set_link(folder / "sensor", imus[0].port)
-    capabilities = {Needs.SIMULATED}
-    capabilities |= {Needs.SERIAL, Needs.LINK} if transport in SERIAL else {Needs.CAN}
-    capabilities |= {Needs.LINK} if link is not None else set()
-    capabilities |= {Needs.SLCAN} if transport == "slcan" else set()
     # nobody else can be on a serial adapter's line; a serial stimulator leaves the bus to the button
     button_bus = None if transport == "slcan" else free_bus() if front is None else front
-    capabilities |= {Needs.BUTTON} if button_bus is not None else set()
+    serial = transport in SERIAL
+    capabilities = {
+        Needs.SIMULATED: True,
+        Needs.SERIAL: serial,
+        Needs.CAN: not serial,
+        Needs.LINK: serial or link is not None,
+        Needs.SLCAN: transport == "slcan",
+        Needs.BUTTON: button_bus is not None,
+    }
     return Devices(
-        folder,
-        transport,
-        calibration,
-        recording,
-        stimulator,
-        front,
-        back,
-        link,
-        node,
-        imus[0],
-        imus[1],
-        stack,
-        frozenset(capabilities),
-        button_bus,
-        patient=patient,
-        pulses=pulses,
-    )
-
-
-_Stimulator = tuple[Bus | None, Bus | None, NodeHandle | None, NodeHandle | DeviceHandle, StimulatorDevice]
+        folder, transport, calibration, recording, stimulator, front, back, link, node, imus[0], imus[1], stack,
+        frozenset(need for need, met in capabilities.items() if met), button_bus, patient=patient, pulses=pulses,
+    )  # fmt: skip
 
 
 def _stimulator(
-    transport: str, folder: Path, stack: ExitStack, channel: str, pulses: Path | None = None
-) -> _Stimulator:
+    transport: str, folder: Path, stack: ExitStack, channel: str, pulses: Path | None
+) -> tuple[Bus | None, Bus | None, NodeHandle | None, NodeHandle | DeviceHandle, StimulatorDevice]:
     record = folder / "stimulator.jsonl"
     if transport in SERIAL:
         kind, name = SERIAL[transport]
@@ -234,36 +210,25 @@ def _stimulator(
         set_link(folder / "stimulator", device.port)
         settings = StimulatorDevice.model_validate({"device": name, "port": str(folder / "stimulator")})
         return None, None, None, device, settings
+    link, adapter = None, folder / "adapter"
     if transport == "socketcan":
-        back = Bus(interface="socketcan", channel=channel)
-        _need(back)
-        node = spawn_node(record=record, bus=back, pulses=pulses)
-        stack.callback(node.stop)
-        return back, back, None, node, StimulatorDevice()
-    if transport == "slcan":
-        back = free_bus()
-        _need(back)
-        adapter = folder / "adapter"
-        front = Bus(
-            interface="slcan", channel=str(adapter), options={"bitrate": 500000, "timeout": 0, "sleep_after_open": 0.2}
-        )
-        link = spawn_link(back, slcan=adapter)
+        front = back = Bus(interface="socketcan", channel=channel)
+    elif transport == "slcan":
+        options: dict[str, Any] = {"bitrate": 500000, "timeout": 0, "sleep_after_open": 0.2}
+        back, front = free_bus(), Bus(interface="slcan", channel=str(adapter), options=options)
     else:
         back, front = free_bus(transport), free_bus(transport)
-        _need(back)
-        link = spawn_link(back, front=front)
-    stack.callback(link.stop)
+    if why := why_silent(back):
+        raise Unavailable(
+            f"{back.interface} {back.channel}: {why}. Other transports need no such thing: --transport loopback, slcan "
+            f"or serial"
+        )
+    if front is not back:
+        link = spawn_link(back, slcan=adapter) if transport == "slcan" else spawn_link(back, front=front)
+        stack.callback(link.stop)
     node = spawn_node(record=record, bus=back, pulses=pulses)
     stack.callback(node.stop)
     return front, back, link, node, StimulatorDevice()
-
-
-def _need(bus: Bus) -> None:
-    if why := why_silent(bus):
-        raise Unavailable(
-            f"{bus.interface} {bus.channel}: {why}. Other transports need no such thing: --transport loopback, slcan "
-            f"or serial"
-        )
 
 
 def host_side_scenarios() -> list[Scenario]:
@@ -310,7 +275,8 @@ class Hardware:
         """What the stimulator said on the bus since the last call."""
         return self.witness.new_entries()
 
-    def processes(self) -> list[int]:
+    @staticmethod
+    def processes() -> list[int]:
         """None: devices keep their own time."""
         return []
 
@@ -345,26 +311,21 @@ class BusWitness:
 
     def note(self, t_ns: int, identifier: int, data: bytes) -> None:
         """A frame was heard."""
-        if identifier != STATUS_ID:
-            return
-        try:
-            message = decode(identifier, data)
-        except FrameRejected:
-            return
-        if not isinstance(message, Status):
+        message = None
+        with suppress(FrameRejected):
+            message = decode(identifier, data) if identifier == STATUS_ID else None
+        if not isinstance(message, Status) or not (message.on or message.channel in self._on):
             return
         if message.on:
             event = "level" if message.channel in self._on else "on"
             self._on.add(message.channel)
-        elif message.channel in self._on:
+        else:
             self._on.discard(message.channel)
             event = _ENDED_BY.get(message.result, "off")
-        else:
-            return
         levels = (message.current_ma, message.pulse_width_us, message.frequency_hz)
         self._entries.append(RecordEntry(t_ns, event, message.channel, *levels, t_ns, 0, t_ns))
 
     def _listen(self) -> None:
         while not self._over.is_set():
-            for identifier, data in self.rogue.receive(0.02, first_only=True):
-                self.note(time.monotonic_ns(), identifier, data)
+            for frame in self.rogue.receive(0.02, first_only=True):
+                self.note(time.monotonic_ns(), *frame)

@@ -1,11 +1,8 @@
 """How each fault of the table is brought about, and how it is mended again.
 
-Each injection returns when it began, by CLOCK_MONOTONIC in ns. Those by a rogue on the CAN bus, which sends what no
-controller would, set ``bench.sent`` to how many frames with identifiers that the stimulator listens to it must have
-refused.
+What a rogue on the CAN bus sends, no controller would; ``bench.sent`` is then how many frames with identifiers that the
+stimulator listens to it must have refused.
 """
-
-from __future__ import annotations
 
 import os
 import resource
@@ -42,7 +39,7 @@ MANY: Final = 100_000
 
 Inject = Callable[[CampaignBench, int], int]
 """Brings the fault about for the n-th time; returns when, by CLOCK_MONOTONIC in ns."""
-Heal = Callable[[CampaignBench], None]
+Heal = Callable[[CampaignBench], object]
 
 
 def _rogue(bench: CampaignBench) -> Rogue:
@@ -121,39 +118,34 @@ def random(bench: CampaignBench, n: int) -> int:
 
 
 def _nothing(bench: CampaignBench) -> None:
-    """Nothing to mend."""
+    """Nothing to mend; or the walk itself brings the fault about."""
 
 
-def _sensor(name: str, value: float = 1.0, healed: float | None = None) -> tuple[Inject, Heal]:
-    """A fault of the sensor; mended by this value, or by an end to all faults that last."""
+def _after(seconds: float, heal: Heal) -> Heal:
+    def wait_and_heal(bench: CampaignBench) -> None:
+        bench.observe(seconds)
+        heal(bench)
 
-    def heal(bench: CampaignBench) -> None:
-        if healed is None:
-            bench.devices.imu.clear()
-        else:
-            bench.devices.imu.inject(name, healed)
-
-    return lambda bench, n: bench.devices.imu.inject(name, value), heal
+    return wait_and_heal
 
 
-def _stimulator(name: str, value: float, healed: float) -> tuple[Inject, Heal]:
-    def heal(bench: CampaignBench) -> None:
-        bench.devices.node.inject(name, healed)
-
-    return lambda bench, n: bench.devices.node.inject(name, value), heal
-
-
-# --- the sensor ------------------------------------------------------------------------------------------
-
-
-def _plug_sensor(bench: CampaignBench) -> None:
-    bench.observe(SILENT_S)
-    bench.devices.sensor_replugged()
-
-
-def _unmute_sensor(bench: CampaignBench) -> None:
-    bench.observe(SILENT_S)
+def _clear(bench: CampaignBench) -> None:
+    """End the sensor's faults that last."""
     bench.devices.imu.clear()
+
+
+def _sensor(name: str, value: float = 1.0) -> Inject:
+    return lambda bench, n: bench.devices.imu.inject(name, value)
+
+
+def _stimulator(name: str, value: float, off: float) -> tuple[Inject, Heal]:
+    return lambda bench, n: bench.devices.node.inject(name, value), lambda bench: bench.devices.node.inject(name, off)
+
+
+def _line(name: str) -> tuple[Inject, Heal]:
+    """A fault of the line between controller and stimulator that ends after half a second."""
+    heal = _after(CUT_S, lambda bench: _link(bench).inject(name, 0.0))
+    return lambda bench, n: _link(bench).inject(name, 1.0), heal
 
 
 # --- the controller --------------------------------------------------------------------------------------
@@ -161,23 +153,23 @@ def _unmute_sensor(bench: CampaignBench) -> None:
 
 def _kill(bench: CampaignBench, n: int) -> int:
     bench.orphans = bench.session().children()
-    os.kill(bench.session().pid, signal.SIGKILL)
+    os.kill(bench.session().process.pid, signal.SIGKILL)
     t_ns = time.monotonic_ns()  # what holds this process up on its way to the kill is not the lease's delay
     bench.session().process.wait()
     return t_ns
 
 
 def _stop(bench: CampaignBench, n: int) -> int:
-    os.kill(bench.session().pid, signal.SIGSTOP)
+    os.kill(bench.session().process.pid, signal.SIGSTOP)
     t_ns = time.monotonic_ns()
     bench.observe(bench.value)
-    os.kill(bench.session().pid, signal.SIGCONT)
+    os.kill(bench.session().process.pid, signal.SIGCONT)
     return t_ns
 
 
 def _starve(bench: CampaignBench, n: int) -> int:
     """A process of higher priority takes the controller's processor for a second; the devices have the other one."""
-    pid = bench.session().pid
+    pid = bench.session().process.pid
     before = os.sched_getaffinity(pid)
     mine = max(before)
     code = (
@@ -258,7 +250,12 @@ def _at_once(do: Callable[[CampaignBench], object]) -> Inject:
     return inject
 
 
-# --- the stimulator and its line -------------------------------------------------------------------------
+def _stop_on_page(bench: CampaignBench, n: int) -> int:
+    port = bench.session().page_port()
+    return _at_once(lambda bench: press_stop(port))(bench, n)
+
+
+# --- the stimulator's line -------------------------------------------------------------------------------
 
 
 def _cut(bench: CampaignBench, n: int) -> int:
@@ -268,64 +265,36 @@ def _cut(bench: CampaignBench, n: int) -> int:
 
 
 def _mend(bench: CampaignBench) -> None:
-    bench.observe(CUT_S)
     if bench.devices.transport in SERIAL:
         bench.devices.stimulator_replugged()
     else:
         _link(bench).inject("cut", 0.0)
 
 
-def _line(name: str) -> tuple[Inject, Heal]:
-    """A fault of the line between controller and stimulator that ends after half a second."""
-
-    def heal(bench: CampaignBench) -> None:
-        bench.observe(CUT_S)
-        _link(bench).inject(name, 0.0)
-
-    return lambda bench, n: _link(bench).inject(name, 1.0), heal
-
-
-def _stop_on_page(bench: CampaignBench, n: int) -> int:
-    port = bench.session().page_port()
-    return _at_once(lambda bench: press_stop(port))(bench, n)
-
-
-def _no_stop_file(bench: CampaignBench) -> None:
-    bench.session().stop_file.unlink(missing_ok=True)
-
-
-def _release(bench: CampaignBench) -> None:
-    bench.devices.stop_button().press(False)
-
-
-def _by_itself(bench: CampaignBench) -> None:
-    """Nothing is done: the walk does it."""
-
-
 INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
-    "imu_silent": (_sensor("mute")[0], _unmute_sensor),
-    "imu_unplugged": (_sensor("unplug")[0], _plug_sensor),
-    "imu_frozen": _sensor("stuck"),
-    "imu_nan": _sensor("nan", MANY),
-    "imu_inf": _sensor("inf", MANY),
-    "imu_saturated": _sensor("full"),
-    "imu_remounted": _sensor("axes"),
-    "imu_remounted_in_swing": _sensor("axes"),
-    "imu_unit_deg": _sensor("unit", 57.2958),
-    "imu_unit_g": _sensor("unit", 1 / 9.80665),
-    "stamp_doubled_once": _sensor("doubled", 1),
-    "stamp_order_once": _sensor("reorder", 1),
-    "stamps_doubled": _sensor("doubled", MANY),
-    "stamps_order": _sensor("reorder", MANY),
-    "stamps_jumping": _sensor("jumping", 0.2),
-    "clock_jump": _sensor("jump", 0.5),
-    "clock_drift": _sensor("drift", 100.0, healed=0.0),
-    "stale_data": (lambda bench, n: bench.devices.imu.inject("delay", bench.value), _sensor("delay")[1]),
+    "imu_silent": (_sensor("mute"), _after(SILENT_S, _clear)),
+    "imu_unplugged": (_sensor("unplug"), _after(SILENT_S, lambda bench: bench.devices.sensor_replugged())),
+    "imu_frozen": (_sensor("stuck"), _clear),
+    "imu_nan": (_sensor("nan", MANY), _clear),
+    "imu_inf": (_sensor("inf", MANY), _clear),
+    "imu_saturated": (_sensor("full"), _clear),
+    "imu_remounted": (_sensor("axes"), _clear),
+    "imu_remounted_in_swing": (_sensor("axes"), _clear),
+    "imu_unit_deg": (_sensor("unit", 57.2958), _clear),
+    "imu_unit_g": (_sensor("unit", 1 / 9.80665), _clear),
+    "stamp_doubled_once": (_sensor("doubled", 1), _clear),
+    "stamp_order_once": (_sensor("reorder", 1), _clear),
+    "stamps_doubled": (_sensor("doubled", MANY), _clear),
+    "stamps_order": (_sensor("reorder", MANY), _clear),
+    "stamps_jumping": (_sensor("jumping", 0.2), _clear),
+    "clock_jump": (_sensor("jump", 0.5), _clear),
+    "clock_drift": (_sensor("drift", 100.0), lambda bench: bench.devices.imu.inject("drift", 0.0)),
+    "stale_data": (lambda bench, n: bench.devices.imu.inject("delay", bench.value), _clear),
     "cpu_hogs": (_hogs, lambda bench: bench.observe(HOGS_S - 1.5)),
     "controller_killed": (_kill, _nothing),
     "controller_stopped": (_stop, _nothing),
     "controller_starved": (_starve, _nothing),
-    "link_lost": (_cut, _mend),
+    "link_lost": (_cut, _after(CUT_S, _mend)),
     "adapter_unplugged": _line("unplug"),
     "bus_off": _line("bus_off"),
     "adapter_full": _line("clog"),
@@ -340,16 +309,22 @@ INJECTIONS: Final[dict[str, tuple[Inject, Heal]]] = {
     "commands_old_session": (old_session, _nothing),
     "random_frames": (random, _nothing),
     "stop_key": (_at_once(lambda bench: bench.session().key(b" ")), _nothing),
-    "stop_file": (_at_once(lambda bench: bench.session().stop_file.touch()), _no_stop_file),
+    "stop_file": (
+        _at_once(lambda bench: bench.session().stop_file.touch()),
+        lambda bench: bench.session().stop_file.unlink(missing_ok=True),
+    ),
     "stop_control": (_at_once(lambda bench: bench.command("stop")), _nothing),
     "stop_page": (_stop_on_page, _nothing),
-    "stop_button": (_at_once(lambda bench: bench.devices.stop_button().press()), _release),
+    "stop_button": (
+        _at_once(lambda bench: bench.devices.stop_button().press()),
+        lambda bench: bench.devices.stop_button().press(False),
+    ),
     "view_killed": (_to_child("fes.live.terminal_view", _killed), CampaignBench.end_session),
     "page_killed": (_to_child("fes.live.dashboard", _killed), CampaignBench.end_session),
     "view_frozen": (_to_child("fes.live.terminal_view", _frozen), _nothing),
     "page_frozen": (_to_child("fes.live.dashboard", _frozen), _nothing),
-    "phase_stuck": (_at_once(_by_itself), _nothing),
-    "dose": (_at_once(_by_itself), _nothing),
+    "phase_stuck": (_at_once(_nothing), _nothing),
+    "dose": (_at_once(_nothing), _nothing),
     "disk_full": (_full_disk, _nothing),
     "log_writer_killed": (_to_child("fes.live.log_process", _killed), _nothing),
 }

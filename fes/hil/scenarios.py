@@ -1,7 +1,5 @@
 """The faults of a campaign as a table: one row, one fault; how each is brought about is in ``injections``."""
 
-from __future__ import annotations
-
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from typing import Final
@@ -33,13 +31,10 @@ class Needs(StrEnum):
     PROC = "/proc (Linux)"
 
 
-_SIM = frozenset((Needs.SIMULATED,))
-_CAN = frozenset((Needs.SIMULATED, Needs.CAN))
 _NONE = frozenset[Needs]()
-_LINK = frozenset((Needs.SIMULATED, Needs.LINK))
-_SLCAN = frozenset((Needs.SIMULATED, Needs.SLCAN))
-_FIFO = frozenset((Needs.FIFO,))
-_PROC = frozenset((Needs.PROC,))
+_SIM = frozenset((Needs.SIMULATED,))
+_CAN, _LINK, _SLCAN = _SIM | {Needs.CAN}, _SIM | {Needs.LINK}, _SIM | {Needs.SLCAN}
+_FIFO, _PROC = frozenset((Needs.FIFO,)), frozenset((Needs.PROC,))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,28 +81,34 @@ class Scenario:
 
 
 def _harmless(
-    name: str,
-    fault: str,
-    response: str,
-    needs: frozenset[Needs] = _SIM,
-    variant: str = "",
-    effect: Effect = Effect.NONE,
+    name: str, fault: str, response: str = "no effect", needs: frozenset[Needs] = _SIM, variant: str = ""
 ) -> Scenario:
-    return Scenario(name, fault, None, response=response, effect=effect, needs=needs, variant=variant)
+    return Scenario(name, fault, None, response=response, effect=Effect.NONE, needs=needs, variant=variant)
 
 
-def _refused(name: str, fault: str, needs: frozenset[Needs]) -> Scenario:
+def _refused(name: str, fault: str, needs: frozenset[Needs] = _CAN) -> Scenario:
     effect = Effect.NOT_EXECUTED
     return Scenario(name, fault, None, response="none executed", effect=effect, needs=needs, watch_s=0.3)
+
+
+def _stop(name: str, by: str, needs: frozenset[Needs] = _NONE, variant: str = "") -> Scenario:
+    fault, response = f"emergency stop: {by}", "off, latched"
+    return Scenario(name, fault, 50, "emergency stop", response=response, needs=needs, variant=variant)
+
+
+def _ends(name: str, fault: str) -> Scenario:
+    response = "session ends with an alarm; the log is readable, at most 250 ms lost"
+    return Scenario(name, fault, 1000, response=response, effect=Effect.ENDED, needs=_PROC, restart=True, watch_s=0.5)
 
 
 _LEASE = "the stimulator's lease"
 _STAYS = "the stimulator's lease; notices the gap itself, stays off"
 _BACK = "off; reconnects by itself, is never armed by itself"
 _OPENED = "off by lease; opened again; armed by hand"
-_ALARM = "session ends with an alarm; the log is readable, at most 250 ms lost"
-_STOP = "off, latched"
+_RETRY = "one retry, then off"
+_HELD_UP = "stalled|late|old|lease expired"  # stopped between looking up and hearing the stimulator, that speaks first
 
+# fmt: off
 SCENARIOS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_silent", "sensor silent", 100, "old|lost|no data", response=_BACK),
     Scenario("imu_unplugged", "sensor unplugged, plugged in again", 100, "old|lost|no data", response=_BACK),
@@ -117,151 +118,61 @@ SCENARIOS: Final[tuple[Scenario, ...]] = (
     Scenario("imu_saturated", "sensor at the end of its range", 100, "saturated|frozen|foot can take|unit"),
     Scenario("imu_unit_deg", "wrong unit (°/s for rad/s)", 100, "unit|non-finite|take"),
     Scenario("imu_unit_g", "wrong unit (g for m/s²)", 100, "unit"),
-    Scenario(
-        "imu_remounted",
-        "sensor remounted, axes exchanged: while standing, armed",
-        None,
-        "remounted|calibration",
-        response="no burst begins; arming refused, with the reason",
-        effect=Effect.SILENT,
-        watch_s=3.0,
-    ),
-    Scenario(
-        "imu_remounted_in_swing", "sensor's axes exchanged in mid-swing", 100, "remounted|calibration|unit|frozen"
-    ),
+    Scenario("imu_remounted", "sensor remounted, axes exchanged: while standing, armed", None, "remounted|calibration",
+             response="no burst begins; arming refused, with the reason", effect=Effect.SILENT, watch_s=3.0),
+    Scenario("imu_remounted_in_swing", "sensor's axes exchanged in mid-swing", 100,
+             "remounted|calibration|unit|frozen"),
     _harmless("stamp_doubled_once", "one time stamp doubled", "counted, no effect"),
     _harmless("stamp_order_once", "two samples out of order, once", "counted, no effect"),
     Scenario("stamps_doubled", "more than 5 % of the stamps doubled", 1100, "stamps|clock"),
     Scenario("stamps_order", "more than 5 % of the stamps out of order", 1100, "stamps|clock"),
     Scenario("stamps_jumping", "more than 5 % of the stamps ahead by 0.2 s", 1100, "stamps|clock"),
-    _harmless(
-        "clock_jump",
-        "sensor's clock set ahead by 0.5 s, once",
-        "counted, no effect; or off, and can be armed again",
-        effect=Effect.HARMLESS,
-    ),
-    _harmless("clock_drift", "sensor's clock runs 100 ppm fast", "no effect"),
-    Scenario(
-        "stale_data",
-        "samples delayed by 60, 100, 200, 500 ms",
-        100,
-        "old|stamps|clock|data",
-        values=(0.06, 0.1, 0.2, 0.5),
-        unit="s",
-    ),
+    Scenario("clock_jump", "sensor's clock set ahead by 0.5 s, once", None,
+             response="counted, no effect; or off, and can be armed again", effect=Effect.HARMLESS),
+    _harmless("clock_drift", "sensor's clock runs 100 ppm fast"),
+    Scenario("stale_data", "samples delayed by 60, 100, 200, 500 ms", 100, "old|stamps|clock|data",
+             values=(0.06, 0.1, 0.2, 0.5), unit="s"),
     _harmless("cpu_hogs", "three busy processes", "no effect under SCHED_FIFO", _FIFO),
-    Scenario(
-        "controller_killed",
-        "controller kill -9",
-        65,
-        response=_LEASE + "; its other processes end within 3 s",
-        needs=_NONE,
-        variant="seen",
-        restart=True,
-        watch_s=1.3,
-    ),
-    Scenario(
-        "controller_stopped",
-        "controller SIGSTOP for 0.2, 1, 5 s",
-        65,
-        "stalled|late|old|lease expired",  # stopped between looking up and hearing the stimulator, that speaks first
-        response=_STAYS,
-        needs=_NONE,
-        values=(0.2, 1.0, 5.0),
-        unit="s",
-    ),
-    Scenario(
-        "controller_starved",
-        "controller without processor for 1 s",
-        65,
-        "stalled|late|old|lease expired",
-        response=_STAYS,
-        needs=_FIFO,
-    ),
+    Scenario("controller_killed", "controller kill -9", 65, response=_LEASE + "; its other processes end within 3 s",
+             needs=_NONE, variant="seen", restart=True, watch_s=1.3),
+    Scenario("controller_stopped", "controller SIGSTOP for 0.2, 1, 5 s", 65, _HELD_UP, response=_STAYS, needs=_NONE,
+             values=(0.2, 1.0, 5.0), unit="s"),
+    Scenario("controller_starved", "controller without processor for 1 s", 65, _HELD_UP, response=_STAYS, needs=_FIFO),
     Scenario("link_lost", "line to the stimulator lost and back", 65, response=_OPENED, needs=_LINK),
-    Scenario(
-        "adapter_unplugged",
-        "CAN adapter unplugged, plugged in again",
-        65,
-        "lost|stimulator",
-        response=_OPENED,
-        needs=_SLCAN,
-    ),
-    Scenario(
-        "bus_off",
-        "CAN adapter goes bus-off, and comes back",
-        65,
-        "bus-off|answer|lost",
-        response=_OPENED,
-        needs=_CAN | {Needs.LINK},
-    ),
-    Scenario(
-        "adapter_full",
-        "CAN adapter takes nothing more, its buffer is full",
-        65,
-        "stalled|late|answer|lost|old|lease expired",
-        response="off by lease; latched when it takes commands again",
-        needs=_SLCAN,
-    ),
-    Scenario(
-        "node_reboot", "stimulator restarts", 100, "restart|session|initial|stimulator", response="comes up off; off"
-    ),
-    Scenario("ack_missing", "stimulator's answers missing", 100, "answer|heartbeat", response="one retry, then off"),
-    Scenario("ack_late", "stimulator's answers 150 ms late", 100, "answer|heartbeat", response="one retry, then off"),
+    Scenario("adapter_unplugged", "CAN adapter unplugged, plugged in again", 65, "lost|stimulator", response=_OPENED,
+             needs=_SLCAN),
+    Scenario("bus_off", "CAN adapter goes bus-off, and comes back", 65, "bus-off|answer|lost", response=_OPENED,
+             needs=_CAN | _LINK),
+    Scenario("adapter_full", "CAN adapter takes nothing more, its buffer is full", 65,
+             "stalled|late|answer|lost|old|lease expired",
+             response="off by lease; latched when it takes commands again", needs=_SLCAN),
+    Scenario("node_reboot", "stimulator restarts", 100, "restart|session|initial|stimulator",
+             response="comes up off; off"),
+    Scenario("ack_missing", "stimulator's answers missing", 100, "answer|heartbeat", response=_RETRY),
+    Scenario("ack_late", "stimulator's answers 150 ms late", 100, "answer|heartbeat", response=_RETRY),
     Scenario("delivered_differs", "delivers half of what it is told", 100, "delivered", needs=_CAN),
     Scenario("electrode", "electrode or lead open", 100, "electrode|output|lead"),
-    _refused("commands_flipped", "a valid command with every 1 and 2 bits flipped", _CAN),
-    _refused("commands_repeated", "valid commands repeated, 0 to 40 commands late", _CAN),
-    _refused("commands_reordered", "ten pairs of commands exchanged on the way", _CAN | {Needs.LINK}),
-    _refused("commands_old_session", "valid commands of an earlier session", _CAN),
-    _refused("random_frames", "random frames on the bus, 62,500 each time", _CAN),
-    Scenario("stop_key", "emergency stop: space bar", 50, "emergency stop", needs=_NONE, response=_STOP),
-    Scenario("stop_file", "emergency stop: stop file", 50, "emergency stop", needs=_NONE, response=_STOP),
-    Scenario("stop_control", "emergency stop: control socket", 50, "emergency stop", needs=_NONE, response=_STOP),
-    Scenario("stop_page", "emergency stop: live page", 50, "emergency stop", response=_STOP, variant="seen"),
-    Scenario(
-        "stop_button",
-        "emergency stop: hardware button (a bit on CAN)",
-        50,
-        "emergency stop",
-        needs=_SIM | {Needs.BUTTON},
-        response=_STOP,
-        variant="button",
-    ),
-    _harmless("view_killed", "terminal view kill -9", "no effect", _PROC, "seen"),
-    _harmless("page_killed", "live page kill -9", "no effect", _PROC, "seen"),
-    _harmless("view_frozen", "terminal view SIGSTOP for 2 s", "no effect", _PROC, "seen"),
-    _harmless("page_frozen", "live page SIGSTOP for 2 s", "no effect", _PROC, "seen"),
-    Scenario(
-        "phase_stuck",
-        "phase stuck: stance without end",
-        3020,
-        response="the burst ends at its longest on-time, 3 s",
-        effect=Effect.BOUNDED,
-        variant="stance",
-    ),
-    Scenario(
-        "dose",
-        "more charge a minute than allowed",
-        None,
-        "mC within a minute",
-        response="no more than the limit a minute, off, latched",
-        effect=Effect.DOSED,
-        variant="dose",
-    ),
-    Scenario(
-        "disk_full", "disk full", 1000, response=_ALARM, effect=Effect.ENDED, needs=_PROC, restart=True, watch_s=0.5
-    ),
-    Scenario(
-        "log_writer_killed",
-        "log writer kill -9",
-        1000,
-        response=_ALARM,
-        effect=Effect.ENDED,
-        needs=_PROC,
-        restart=True,
-        watch_s=0.5,
-    ),
+    _refused("commands_flipped", "a valid command with every 1 and 2 bits flipped"),
+    _refused("commands_repeated", "valid commands repeated, 0 to 40 commands late"),
+    _refused("commands_reordered", "ten pairs of commands exchanged on the way", _CAN | _LINK),
+    _refused("commands_old_session", "valid commands of an earlier session"),
+    _refused("random_frames", "random frames on the bus, 62,500 each time"),
+    _stop("stop_key", "space bar"),
+    _stop("stop_file", "stop file"),
+    _stop("stop_control", "control socket"),
+    _stop("stop_page", "live page", _SIM, "seen"),
+    _stop("stop_button", "hardware button (a bit on CAN)", _SIM | {Needs.BUTTON}, "button"),
+    _harmless("view_killed", "terminal view kill -9", needs=_PROC, variant="seen"),
+    _harmless("page_killed", "live page kill -9", needs=_PROC, variant="seen"),
+    _harmless("view_frozen", "terminal view SIGSTOP for 2 s", needs=_PROC, variant="seen"),
+    _harmless("page_frozen", "live page SIGSTOP for 2 s", needs=_PROC, variant="seen"),
+    Scenario("phase_stuck", "phase stuck: stance without end", 3020, effect=Effect.BOUNDED, variant="stance",
+             response="the burst ends at its longest on-time, 3 s"),
+    Scenario("dose", "more charge a minute than allowed", None, "mC within a minute", effect=Effect.DOSED,
+             variant="dose", response="no more than the limit a minute, off, latched"),
+    _ends("disk_full", "disk full"),
+    _ends("log_writer_killed", "log writer kill -9"),
 )
+# fmt: on
 
 BY_NAME: Final = {scenario.name: scenario for scenario in SCENARIOS}

@@ -3,15 +3,14 @@
 In a campaign a simulated patient stands, walks a few strides, stands again, for ever.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, save
-from fes.config import Bus, FootGeometry, StimulatorDevice
+from fes.config import Bus, StimulatorDevice
 from fes.recording import write_recording
+from fes.recording.write import toml_text
 from fes.signals import G_MPS2
 from fes.simulation.forward import PatientSettings, VirtualPatient, recorded_walk, settings_for
 from fes.simulation.forward.closed_loop import calibration_walk
@@ -97,17 +96,17 @@ bit = 0
 pressed = "high"
 """
 
-_CHANNEL: Final = """
+_CHANNEL: Final = f"""
 [[channels]]
 name = "tibialis anterior"
-number = {channel}
-foot = "{foot}"
+number = {CHANNEL}
+foot = "{FOOT}"
 electrode_area_cm2 = 25.0
-current_ma = {current_ma}
-pulse_width_us = {pulse_width_us}
-frequency_hz = {frequency_hz}
-start_phase = "{start}"
-stop_phase = "{stop}"
+current_ma = {CURRENT_MA}
+pulse_width_us = {PULSE_WIDTH_US}
+frequency_hz = {FREQUENCY_HZ}
+start_phase = "{{start}}"
+stop_phase = "{{stop}}"
 rise_s = 0.1
 
 [channels.limits]
@@ -115,7 +114,7 @@ max_current_ma = 80.0
 max_pulse_width_us = 400.0
 max_frequency_hz = 50.0
 max_charge_per_phase_uc = 24.0
-max_charge_per_minute_mc = {dose_mc}
+max_charge_per_minute_mc = {{dose_mc}}
 max_current_density_ma_per_cm2 = 1.0
 max_rise_ma_per_s = 800.0
 max_on_s = 3.0
@@ -123,93 +122,56 @@ min_off_s = 0.05
 """
 
 
-def session_text(
-    variant: str, sensor_port: str, bus: Bus | None, stimulator: StimulatorDevice, rate_hz: float = RATE_HZ
-) -> str:
+def session_text(variant: str, sensor_port: str, bus: Bus | None, stimulator: StimulatorDevice) -> str:
     """A session for one foot.
 
-    Args:
-        variant: "" stimulates in swing; ``stance`` in stance, without end when the foot stands; ``dose`` as "" with
-            little charge a minute; ``button`` as "" with a stop button on the bus; ``seen`` as "".
-        sensor_port: where the sensor is.
-        bus: for a CAN stimulator, or the stop button.
-        stimulator: which.
+    Variants: "" stimulates in swing; ``stance`` in stance, without end when the foot stands; ``dose`` as "" with little
+    charge a minute; ``button`` as "" with a stop button on the bus; ``seen`` as "".
     """
     start, stop = ("stance", "pre_swing") if variant == "stance" else ("swing", "loading_response")
     text = f'name = "fault campaign"\n\n[stimulation]\nintensity = {INTENSITY}\nstrides_before_start = 0\n'
-    text += _CHANNEL.format(
-        channel=CHANNEL,
-        foot=FOOT,
-        current_ma=CURRENT_MA,
-        pulse_width_us=PULSE_WIDTH_US,
-        frequency_hz=FREQUENCY_HZ,
-        start=start,
-        stop=stop,
-        dose_mc=DOSE_MC if variant == "dose" else 50.0,
-    )
-    text += f'\n[[sensors]]\nsensor = "{FOOT}"\ndevice = "xbus"\nport = "{sensor_port}"\nrate_hz = {rate_hz}\n'
-    text += "acc_range_g = 16.0\ngyr_range_dps = 2000.0\n"
-    text += f'\n[stimulator]\ndevice = "{stimulator.device}"\n'
-    text += f'port = "{stimulator.port}"\n' if stimulator.port else ""
-    if bus is not None:
-        text += f'\n[bus]\ninterface = "{bus.interface}"\nchannel = "{bus.channel}"\n'
-        text += table("bus.options", bus.options)
+    text += _CHANNEL.format(start=start, stop=stop, dose_mc=DOSE_MC if variant == "dose" else 50.0)
+    text += _sensor_text(FOOT, sensor_port, RATE_HZ) + _stimulator_text(stimulator, bus)
     return text + (_BUTTON if variant == "button" else "")
 
 
-def table(name: str, options: Mapping[str, str | int | float | bool]) -> str:
-    """A TOML table with a blank line before it; "" for none."""
-    if not options:
-        return ""
-    lines = [f"[{name}]"]
-    for key, value in options.items():
-        shown = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else value
-        lines.append(f"{key} = {shown}")
-    return "\n" + "\n".join(lines) + "\n"
+def _sensor_text(sensor: str, port: str, rate_hz: float, acc_range_g: float = 16.0) -> str:
+    text = f'\n[[sensors]]\nsensor = "{sensor}"\ndevice = "xbus"\nport = "{port}"\nrate_hz = {rate_hz}\n'
+    return text + f"acc_range_g = {acc_range_g:.1f}\ngyr_range_dps = 2000.0\n"
+
+
+def _stimulator_text(stimulator: StimulatorDevice | None, bus: Bus | None) -> str:
+    tables: dict[str, Any] = {}
+    if stimulator is not None:
+        tables["stimulator"] = {"device": stimulator.device, "port": stimulator.port or None}
+    if bus is not None:
+        tables["bus"] = {"interface": bus.interface, "channel": bus.channel, "options": bus.options or None}
+    return "\n" + toml_text(tables) if tables else ""
 
 
 def patient_session_text(
     settings: PatientSettings,
-    *,
     current_ma: float = PATIENT_CURRENT_MA,
     tuning: str = "act",
     ports: Mapping[str, str] | None = None,
     stimulator: StimulatorDevice | None = None,
     bus: Bus | None = None,
 ) -> str:
-    """One channel on the affected foot's dorsiflexors, tuned run to run.
+    """One channel on the affected foot's dorsiflexors, tuned (off, suggest or act) run to run.
 
-    Args:
-        settings: the patient.
-        current_ma: to begin with.
-        tuning: off, suggest or act.
-        ports: of the sensors, by name; None: a session without devices, for a run in one process.
-        stimulator: which, and where.
-        bus: for a CAN stimulator.
+    ``ports``: of the sensors, by name; without them and a stimulator: for a run in one process.
     """
     text = _SESSION.format(
-        side=settings.side,
-        channel=settings.channel,
-        foot=settings.affected_foot,
-        current_ma=float(current_ma),
-        tuning=tuning,
-        speed_mps=settings.speed_mps,
-    )
+        side=settings.side, channel=settings.channel, foot=settings.affected_foot, current_ma=float(current_ma),
+        tuning=tuning, speed_mps=settings.speed_mps,
+    )  # fmt: skip
     for foot, geometry in VirtualPatient(settings).geometry.items():
         if foot in settings.sensors:
-            text += _geometry(foot, geometry)
+            text += "\n" + toml_text({"geometry": {foot: geometry.model_dump()}})
+    acc_g = (settings.imu.acc_range_mps2 or 16.0 * G_MPS2) / G_MPS2
     for sensor, port in (ports or {}).items():
-        text += f'\n[[sensors]]\nsensor = "{sensor}"\ndevice = "xbus"\nport = "{port}"\nrate_hz = {settings.rate_hz}\n'
-        acc_g = (settings.imu.acc_range_mps2 or 16.0 * G_MPS2) / G_MPS2
-        text += f"acc_range_g = {acc_g:.1f}\ngyr_range_dps = 2000.0\n"
-    if stimulator is not None:
-        text += f'\n[stimulator]\ndevice = "{stimulator.device}"\n'
-        text += f'port = "{stimulator.port}"\n' if stimulator.port else ""
-    if bus is not None:
-        text += f'\n[bus]\ninterface = "{bus.interface}"\nchannel = "{bus.channel}"\n' + table(
-            "bus.options", bus.options
-        )
-    return text
+        text += _sensor_text(sensor, port, settings.rate_hz, acc_g)
+    return text + _stimulator_text(stimulator, bus)
 
 
 def patient_calibration(settings: PatientSettings) -> SensorCalibrations:
@@ -219,8 +181,3 @@ def patient_calibration(settings: PatientSettings) -> SensorCalibrations:
         CalibrationError: no foot can be calibrated.
     """
     return calibrate_phase_sensors(calibration_walk(settings))
-
-
-def _geometry(foot: str, geometry: FootGeometry) -> str:
-    lines = [f"{name} = {value}" for name, value in geometry.model_dump().items()]
-    return f"\n[geometry.{foot}]\n" + "\n".join(lines) + "\n"

@@ -1,7 +1,5 @@
 """Calibration as a session's first part: stand still, walk some strides; the samples go on being read meanwhile."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections import deque
@@ -23,11 +21,7 @@ _Row = tuple[int, tuple[float, ...]]
 
 
 class Calibrating:
-    """Collects the samples of every foot's phase sensor; tries every two seconds whether they show enough.
-
-    Args:
-        strides: how many each must have walked.
-    """
+    """Collects the samples of every foot's phase sensor; tries every two seconds whether they show enough strides."""
 
     def __init__(self, session: Session, strides: int) -> None:
         self.found: dict[str, Calibration] = {}

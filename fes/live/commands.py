@@ -5,8 +5,6 @@ allowed. *running*: a foot is judged to walk, so steps start bursts. *paused*: o
 *stopped* (a person's emergency stop) and *fault* are latched: only a person's arming leads out of them.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import dataclass
@@ -118,23 +116,14 @@ class OperatorCommand:
 
 
 KEYS: Final = {
-    " ": CommandKind.STOP,
-    "a": CommandKind.ARM,
-    "d": CommandKind.DISARM,
-    "p": CommandKind.PAUSE,
-    "+": CommandKind.UP,
-    "=": CommandKind.UP,
-    "-": CommandKind.DOWN,
-    "b": CommandKind.TEST,
-    "t": CommandKind.TRIGGER,
-    ">": CommandKind.BELT_UP,
-    "<": CommandKind.BELT_DOWN,
-    "q": CommandKind.QUIT,
-    "f": CommandKind.FREEZE_TUNING,
-    "g": CommandKind.RESUME_TUNING,
-    "y": CommandKind.ACCEPT_SUGGESTION,
-    "r": CommandKind.ROLL_BACK,
-}
+    key: CommandKind(name)
+    for keys, name in (
+        (" ", "stop"), ("a", "arm"), ("d", "disarm"), ("p", "pause"), ("+=", "up"), ("-", "down"), ("b", "test"),
+        ("t", "trigger"), (">", "belt_up"), ("<", "belt_down"), ("q", "quit"), ("f", "freeze_tuning"),
+        ("g", "resume_tuning"), ("y", "accept_suggestion"), ("r", "roll_back"),
+    )
+    for key in keys
+}  # fmt: skip
 ESCAPE: Final = re.compile(rb"[\x1b\x8f\x9b]")  # what an arrow, an F key, the keypad, Alt with a letter begins with
 NEEDS_CONFIRMATION: Final = frozenset(  # all that can lead to more current
     CommandKind(kind) for kind in ("arm", "up", "test", "trigger", "resume_tuning", "accept_suggestion", "roll_back")

@@ -1,7 +1,5 @@
 """What brings an operator's commands, and switches: keys, the control socket, the stop file, the stop button."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -11,7 +9,6 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Protocol, Self
 
 from fes.live.commands import ESCAPE, CommandKind, CommandRefused, OperatorCommand, command_of_message, commands_of_keys
@@ -103,8 +100,6 @@ class StopFile:
         self.path = path
         self._execute = execute
         self._not_ready = ""
-        self._shown, self._name = printable(str(path)), printable(path.name)
-        self._folder = path.parent
 
     def fileno(self) -> int | None:
         """None: a file on any file system is looked for, not waited for."""
@@ -113,23 +108,24 @@ class StopFile:
     def read_events(self, t_ns: int) -> list[Event]:
         """A stop when the file has appeared, or can no longer be looked for."""
         was, self._not_ready = self._not_ready, self._reason()
-        stops = self._not_ready and not was
-        return self._execute(OperatorCommand(CommandKind.STOP, origin=f"file {self._name}"), t_ns) if stops else []
+        if was or not self._not_ready:
+            return []
+        return self._execute(OperatorCommand(CommandKind.STOP, origin=f"file {printable(self.path.name)}"), t_ns)
 
     def not_ready(self) -> str:
         """Why it forbids arming; "" when it does not."""
         return self._not_ready
 
     def _reason(self) -> str:
+        shown = f"the stop file {printable(str(self.path))}"
         try:
             try:
                 self.path.lstat()  # a link that leads nowhere is there too
             except FileNotFoundError:
-                there = self._folder.is_dir()
-                return "" if there else f"the stop file {self._shown} cannot appear: its folder is not there; make it"
+                return "" if self.path.parent.is_dir() else f"{shown} cannot appear: its folder is not there; make it"
         except (OSError, ValueError) as error:
-            return f"the stop file {self._shown} cannot be looked for: {getattr(error, 'strerror', None) or error}"
-        return f"the stop file {self._shown} is there; remove it"
+            return f"{shown} cannot be looked for: {getattr(error, 'strerror', None) or error}"
+        return f"{shown} is there; remove it"
 
 
 class SwitchLine(Protocol):
@@ -159,8 +155,8 @@ class StopSwitch:
         was, self._pressed = self._pressed, self._line.read()
         if self._pressed is False or self._pressed == was:
             return []
-        origin = "button" if self._pressed else "button lost"
-        return self._execute(OperatorCommand(CommandKind.STOP, origin=origin), t_ns)
+        stop = OperatorCommand(CommandKind.STOP, origin="button" if self._pressed else "button lost")
+        return self._execute(stop, t_ns)
 
     def not_ready(self) -> str:
         """Why it forbids arming; "" when it does not."""
@@ -215,16 +211,15 @@ class Terminal:
     def __enter__(self) -> Self:
         if os.isatty(self._descriptor):
             import termios
+            import tty
 
             self._before = termios.tcgetattr(self._descriptor)
-            self._set()
+            tty.setcbreak(self._descriptor, termios.TCSANOW)  # what was typed already, a stop perhaps, must stay
             if threading.current_thread() is threading.main_thread():
                 self._handler_before = signal.signal(signal.SIGCONT, self._continued)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._handler_before is not None:
             signal.signal(signal.SIGCONT, self._handler_before)
         if self._before is not None:
@@ -232,26 +227,19 @@ class Terminal:
 
             termios.tcsetattr(self._descriptor, termios.TCSANOW, self._before)
 
-    def _set(self) -> None:
+    def _continued(self, number: int, frame: object) -> None:
         import termios
         import tty
 
-        tty.setcbreak(self._descriptor, termios.TCSANOW)  # what was typed already, a stop perhaps, must stay
-
-    def _continued(self, number: int, frame: object) -> None:
-        import termios
-
         with suppress(OSError, termios.error):  # the terminal is gone, or is none that a shell takes and gives back
             if os.tcgetpgrp(self._descriptor) == os.getpgrp():
-                self._set()
+                tty.setcbreak(self._descriptor, termios.TCSANOW)
 
 
 class Keyboard:
     """Keys from a terminal, or from whatever the descriptor is.
 
-    Args:
-        gone: called once when they have ended, and the stop key with them; returns the events that come of it.
-
+    ``gone`` is called once when they have ended, and the stop key with them; it returns the events that come of it.
     An escape sequence may come in pieces: for 0.2 s after an escape only a stop counts.
     """
 

@@ -1,7 +1,5 @@
 """The session log as the loop sees it: bytes pushed to the writing process, never waiting for it."""
 
-from __future__ import annotations
-
 import errno
 import os
 import socket
@@ -52,11 +50,7 @@ class PipedLog(RecordBuffer):
         self.warning = ""  # what a person should know; who shows it empties it
         self._closed = False
         self.flush()
-        self._wait_until_written()
-
-    def _wait_until_written(self) -> None:
-        """Before the session begins there is time to wait: the writer is up and has the header on its disk."""
-        self._link.settimeout(START_WAIT_S)
+        self._link.settimeout(START_WAIT_S)  # before the session begins there is time to wait
         try:
             while self._written < self._sent:
                 self._hear()
@@ -74,7 +68,12 @@ class PipedLog(RecordBuffer):
         try:
             self._push()
             self._hear()
-            self._judge(t_monotonic_ns)
+            if self._written >= self._sent and not self._outgoing:
+                self._behind_since_ns = None
+            elif self._behind_since_ns is None:
+                self._behind_since_ns = t_monotonic_ns
+            elif t_monotonic_ns - self._behind_since_ns > LATE_NS:
+                raise OSError(errno.ETIMEDOUT, "the process that writes it does not keep up")
         except OSError as error:
             self._fault = self._why(error)
             raise SessionLogError(self._fault) from error
@@ -145,14 +144,5 @@ class PipedLog(RecordBuffer):
                     f"{self.path}: the disk has not finished for {int(number)} s; the operating system has all that "
                     "was logged, a loss of power would lose what came since"
                 )
-                continue
-            self._written = int(number)
-            self._behind_since_ns = None
-
-    def _judge(self, t_ns: int) -> None:
-        if self._written >= self._sent and not self._outgoing:
-            self._behind_since_ns = None
-        elif self._behind_since_ns is None:
-            self._behind_since_ns = t_ns
-        elif t_ns - self._behind_since_ns > LATE_NS:
-            raise OSError(errno.ETIMEDOUT, "the process that writes it does not keep up")
+            else:
+                self._written, self._behind_since_ns = int(number), None

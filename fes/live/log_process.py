@@ -9,8 +9,6 @@ no answer, for nothing depends on it but what a loss of power leaves: ``slow SEC
 long. A disk that refuses it is one that refuses to be written.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os
@@ -64,30 +62,36 @@ class Syncing:
         """
         if self._thread is not None:
             self._thread.join()
+        self._wait()
         if self._failed is not None:
             raise self._failed
-        _sync(self._file)
 
     def _wait(self) -> None:
         try:
-            _sync(self._file)
+            os.fsync(self._file)
         except OSError as error:
-            self._failed = error
+            if error.errno not in (errno.EINVAL, errno.ENOTSUP):  # what is no disk (a pipe, a terminal) has none
+                self._failed = error
 
 
 def copy(link: socket.socket, file: int) -> int:
     """Move bytes from the socket to the file until it ends; returns an exit status."""
     written, syncing = 0, Syncing(file)
-    while chunk := _next(link):
-        with memoryview(chunk) as view:
-            done = 0
-            try:
-                while done < len(view):
-                    done += os.write(file, view[done:])
-                slow_s = syncing.poll()
-            except OSError as error:
-                _answer(link, f"error {error.errno or 5}\n")
-                return 1
+    while True:
+        try:
+            chunk = memoryview(link.recv(CHUNK))
+        except ConnectionResetError:  # it was killed with our answers unread; all that it sent has been read by now
+            break
+        if not chunk:
+            break
+        done = 0
+        try:
+            while done < len(chunk):
+                done += os.write(file, chunk[done:])
+            slow_s = syncing.poll()
+        except OSError as error:
+            _answer(link, f"error {error.errno or 5}\n")
+            return 1
         written += done
         _answer(link, f"ok {written}\n")
         if slow_s:
@@ -97,23 +101,6 @@ def copy(link: socket.socket, file: int) -> int:
     except OSError:
         return 1
     return 0
-
-
-def _next(link: socket.socket) -> bytes:
-    """What comes next; nothing when the other end is gone, however it went."""
-    try:
-        return link.recv(CHUNK)
-    except ConnectionResetError:  # it was killed with our answers unread; all that it sent has been read by now
-        return b""
-
-
-def _sync(file: int) -> None:
-    """Wait for the disk; what is no disk (a pipe, a terminal) has none."""
-    try:
-        os.fsync(file)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
-            raise
 
 
 def _answer(link: socket.socket, line: str) -> None:

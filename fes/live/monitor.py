@@ -44,8 +44,7 @@ class Timing:
         value_ms = value_ns * 1e-6
         self._ring[self.count % KEPT] = value_ms
         self.count += 1
-        if value_ms > self.most_ms:
-            self.most_ms = value_ms
+        self.most_ms = max(self.most_ms, value_ms)
         for number, edge_ms in enumerate(EDGES_MS):
             if value_ms <= edge_ms:
                 break
@@ -64,9 +63,7 @@ class Timing:
 class ShownLog:
     """A loop's log that passes everything on, to the real one first, and remembers what a status needs.
 
-    Args:
-        phase_sensor_of: by foot, the sensor that its phases come from.
-        dashboard: where it is shown too; None where there is none.
+    ``phase_sensor_of``: by foot, the sensor that its phases come from.
     """
 
     def __init__(self, log: Log, phase_sensor_of: Mapping[str, str], dashboard: DashboardStream | None = None) -> None:
@@ -125,19 +122,14 @@ class ShownLog:
             stride_length_m=round(stride.stride_length_m, 3) if stride else None,
             speed_mps=round(stride.speed_mps, 3) if stride else None,
             rate_hz=rate_hz,
-            age_ms=age_ms,
+            age_ms=round(age_ms, 1),
         )
 
 
 class Monitor(ShownLog):
     """A live session's log; feeds the sensors' monitors and sends the status.
 
-    Args:
-        sensors: their monitors.
-        phase_sensor_of: by foot, the sensor that its phases come from.
-        view: the socket of the terminal view's process; None where there is none.
-        publish: further listeners.
-        notices: what a person should know though nothing is latched; they get every event here.
+    It goes to the terminal view's socket (``view``), the dashboard and ``publish``, where there are such.
     """
 
     def __init__(
@@ -169,7 +161,7 @@ class Monitor(ShownLog):
         """As the log's."""
         super().event(event)
         if self._notices is not None:
-            self._notices.add_event(event)
+            self._notices.electrodes.add_event(event)
         if isinstance(event, ImuSample):
             if (monitor := self.sensors.get(event.sensor)) is not None:
                 monitor.add(event)
@@ -207,6 +199,10 @@ class Monitor(ShownLog):
         if t_ns < self._next_ns:
             return
         self._next_ns = t_ns + FRAME_NS
+        feet = {
+            sensor: self.foot_status(sensor, controller, monitor.rate_hz(t_ns), min(monitor.age_ms(t_ns), 1e6))
+            for sensor, monitor in self.sensors.items()
+        }
         status = Status(
             t_ns=t_ns,
             state=str(operator.state),
@@ -215,7 +211,7 @@ class Monitor(ShownLog):
             intensity=controller.intensity,
             channel=operator.channel,
             on=bool(self.on),
-            feet={sensor: self._foot(sensor, t_ns, controller) for sensor in self.sensors},
+            feet=feet,
             belt_speed_mps=operator.belt_speed_mps,
             latency_p50_ms=self.latencies.percentile_ms(50),
             latency_p99_ms=self.latencies.percentile_ms(99),
@@ -246,8 +242,3 @@ class Monitor(ShownLog):
                 self.note(Note(t_ns, "warning", "dashboard", operator.message))
         if self._publish is not None:
             self._publish(datagram)
-
-    def _foot(self, sensor: str, t_ns: int, controller: Controller) -> FootStatus:
-        monitor = self.sensors[sensor]
-        age_ms = round(min(monitor.age_ms(t_ns), 1e6), 1)
-        return self.foot_status(sensor, controller, monitor.rate_hz(t_ns), age_ms)

@@ -1,7 +1,5 @@
 """What a session's status says beside the signals: notices, the tuning, the charge. No clock, no I/O."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,10 +7,9 @@ from fes.gate import SafetyGate
 from fes.live.sensors import SensorStream
 from fes.live.status import TuningStatus
 from fes.live.stimulator import Electrodes
-from fes.signals import Event
-from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.reports import difference
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.session import Tuners
+from fes.stimulation.tuning.tuner import difference
 
 
 class Notices:
@@ -29,18 +26,14 @@ class Notices:
         self._gate = gate
         self._losses: dict[SensorStream, int] = {}
 
-    def add_event(self, event: Event) -> None:
-        """An event passes by."""
-        self.electrodes.add_event(event)
-
     def now(self) -> list[str]:
         """All that holds now."""
         flags = [
             f"{sensor}: {flag.samples} faulty samples, the newest: {flag.fault}; it drives no channel"
             for sensor, flag in self._gate.flagged.items()
         ]
-        notices = [*flags, *(stream.why_lost for stream in self.streams), self.electrodes.unknown(), *self.lasting]
-        return [notice for notice in notices if notice]
+        lost = (stream.why_lost for stream in self.streams)
+        return list(filter(None, (*flags, *lost, self.electrodes.unknown(), *self.lasting)))
 
     def new_losses(self) -> list[str]:
         """Lines lost since the last call whose loss is no fault; the others' are events."""

@@ -4,9 +4,8 @@ The state informs people and locks commands. What stimulates is decided by contr
 everything that a command changes goes through an event, is logged, and comes out the same in a replay.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Final
 
 from fes.config import Session
@@ -16,18 +15,12 @@ from fes.live.commands import CONTROL, CURRENT_ALLOWED, Cause, CommandKind, Oper
 from fes.live.sensor_monitor import SensorMonitor
 from fes.session_log import Note
 from fes.signals import NS_PER_S, Event, OperatorAct, OperatorAction, Tick
-from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.reports import difference
-from fes.stimulation.tuning.tuner import Tuner
+from fes.stimulation.envelope import BurstParameters
+from fes.stimulation.tuning.tuner import difference
 
 AGAIN_NS: Final = 5 * NS_PER_S
-ACTIONS: Final = {
-    CommandKind.FREEZE_TUNING: OperatorAction.FREEZE_TUNING,
-    CommandKind.RESUME_TUNING: OperatorAction.RESUME_TUNING,
-    CommandKind.ACCEPT_SUGGESTION: OperatorAction.ACCEPT_SUGGESTION,
-    CommandKind.ROLL_BACK: OperatorAction.ROLL_BACK,
-}
-_KEY_OF: Final = {CommandKind.ACCEPT_SUGGESTION: "y", CommandKind.ROLL_BACK: "r"}
+TUNING: Final = ("freeze_tuning", "resume_tuning", "accept_suggestion", "roll_back")
+ACTIONS: Final = {CommandKind(name): OperatorAction(name) for name in TUNING}
 
 
 class Refusal(ValueError):
@@ -49,12 +42,7 @@ class TuningCommands:
         self.message = ""
 
     def execute(self, command: OperatorCommand, channel: int, t_ns: int) -> list[OperatorAct]:
-        """The events that the command makes; none where a key must be pressed again.
-
-        Args:
-            command: one of :data:`ACTIONS`.
-            channel: the selected one; for a suggestion and a roll-back.
-            t_ns: now.
+        """The events that the command, one of :data:`ACTIONS`, makes; none where a key must be pressed again.
 
         Raises:
             Refusal: nothing tunes itself, nothing is suggested, or it is so already.
@@ -62,33 +50,32 @@ class TuningCommands:
         tuners = self._tuning.tuners
         if not tuners:
             raise Refusal('no channel of this session tunes itself (tuning.mode is "off")')
+        frozen = [bool(tuner.frozen) for tuner in tuners.values()]
         if command.kind is CommandKind.FREEZE_TUNING:
-            if all(tuner.frozen for tuner in tuners.values()):
+            if all(frozen):
                 raise Refusal("tuning is frozen already")
             return self._act(command, t_ns, 0, "tuning frozen; the settings stay as they are")
         if command.kind is CommandKind.RESUME_TUNING:
-            if not any(tuner.frozen for tuner in tuners.values()):
+            if not any(frozen):
                 raise Refusal("tuning is not frozen")
             return self._act(command, t_ns, 0, "tuning goes on")
         tuner = tuners.get(channel)
         if tuner is None:
             raise Refusal(f"channel {channel} does not tune itself")
-        return self._change(command, channel, t_ns, tuner)
-
-    def _change(self, command: OperatorCommand, channel: int, t_ns: int, tuner: Tuner) -> list[OperatorAct]:
-        after = tuner.pending if command.kind is CommandKind.ACCEPT_SUGGESTION else tuner.start
-        if command.kind is CommandKind.ACCEPT_SUGGESTION and tuner.frozen:
+        accepts = command.kind is CommandKind.ACCEPT_SUGGESTION
+        if accepts and tuner.frozen:
             raise Refusal(f"tuning is frozen ({tuner.frozen}); nothing is accepted")
+        after = tuner.pending if accepts else tuner.start
         if after is None:
             raise Refusal(f"nothing is suggested for channel {channel}")
-        changes = difference(tuner.parameters, after) or "nothing changes"
-        what = "accept" if command.kind is CommandKind.ACCEPT_SUGGESTION else "roll back and freeze"
+        what = f"channel {channel}, {'accept' if accepts else 'roll back and freeze'}: "
+        what += difference(tuner.parameters, after) or "nothing changes"
         now = command.kind, channel, after
         if command.origin == "key" and (self._offered != now or t_ns - self._offered_ns > AGAIN_NS):
             self._offered, self._offered_ns = now, t_ns
-            self.message = f"channel {channel}, {what}: {changes}? {_KEY_OF[command.kind]} again"
+            self.message = f"{what}? {'y' if accepts else 'r'} again"
             return []
-        return self._act(command, t_ns, channel, f"channel {channel}, {what}: {changes}, from the next burst on")
+        return self._act(command, t_ns, channel, f"{what}, from the next burst on")
 
     def _act(self, command: OperatorCommand, t_ns: int, channel: int, message: str) -> list[OperatorAct]:
         self._offered = None
@@ -107,51 +94,38 @@ WARM_NS: Final = 2 * NS_PER_S  # the orientation filter's own settling
 ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 ms
 
 
+@dataclass(eq=False)
 class Operator:
     """The session's state and the way from a command to events.
 
-    Args:
-        monitors: by sensor.
-        phase_sensor_of: by foot, the sensor that tells its phases.
-        note: writes a note into the log.
-        answered_ns: when the stimulator last said anything; None: never yet.
-        checks: further reasons against arming, each "" when there is none (log, stop file, free disk …).
-        unknown: what the stimulator cannot tell yet; said when armed.
+    ``monitors`` by sensor; ``phase_sensor_of``: by foot, the sensor that tells its phases; ``answered_ns``: when the
+    stimulator last said anything; ``checks``: further reasons against arming, each "" when there is none (log, stop
+    file, free disk …); ``unknown``: what the stimulator cannot tell yet, said when armed.
     """
 
-    def __init__(
-        self,
-        session: Session,
-        controller: Controller,
-        gate: SafetyGate,
-        monitors: Mapping[str, SensorMonitor],
-        phase_sensor_of: Mapping[str, str],
-        note: Callable[[Note], None],
-        answered_ns: Callable[[], int | None],
-        checks: Callable[[], list[str]] = list,
-        unknown: Callable[[], str] = str,
-    ) -> None:
+    session: Session
+    controller: Controller
+    gate: SafetyGate
+    monitors: Mapping[str, SensorMonitor]
+    phase_sensor_of: Mapping[str, str]
+    note: Callable[[Note], None]
+    answered_ns: Callable[[], int | None]
+    checks: Callable[[], list[str]] = list
+    unknown: Callable[[], str] = str
+
+    def __post_init__(self) -> None:
         self.machine = SessionMachine()
         self.message = "warming up"
-        self.belt_speed_mps = session.treadmill.belt_speed_mps if session.treadmill else None
-        self.channel = session.channels[0].number if session.channels else 0
+        self.belt_speed_mps = self.session.treadmill.belt_speed_mps if self.session.treadmill else None
+        self.channel = self.session.channels[0].number if self.session.channels else 0
         self.quitting = False
-        self._session = session
-        self._controller = controller
-        self._gate = gate
-        self._monitors = monitors
-        self._phase_sensor_of = phase_sensor_of
-        self._note = note
-        self._answered_ns = answered_ns
-        self._checks = checks
-        self._unknown = unknown
-        self._feet = sorted({str(channel.foot) for channel in session.channels} & phase_sensor_of.keys())
+        self.stops = 0
+        self._feet = sorted({str(channel.foot) for channel in self.session.channels} & self.phase_sensor_of.keys())
         self._began_ns: int | None = None
         self._raised_ns = -RAISE_PAUSE_NS
-        self.stops = 0
         self._stopped_ns = -STOP_STANDS_NS
         self._intensity = 0.0
-        self._tuning = TuningCommands(controller)
+        self._tuning = TuningCommands(self.controller)
         self._zero_moved = ""  # why the measured heights cannot be trusted, found by the arming under way
 
     @property
@@ -171,14 +145,9 @@ class Operator:
             CommandKind.TEST: self._test,
             CommandKind.TRIGGER: self._trigger,
             CommandKind.CHANNEL: self._select,
-            CommandKind.BELT: self._belt,
-            CommandKind.BELT_UP: self._belt,
-            CommandKind.BELT_DOWN: self._belt,
+            **dict.fromkeys((CommandKind.BELT, CommandKind.BELT_UP, CommandKind.BELT_DOWN), self._belt),
             CommandKind.QUIT: self._quit,
-            CommandKind.FREEZE_TUNING: self._tune,
-            CommandKind.RESUME_TUNING: self._tune,
-            CommandKind.ACCEPT_SUGGESTION: self._tune,
-            CommandKind.ROLL_BACK: self._tune,
+            **dict.fromkeys(ACTIONS, self._tune),
         }
         return handlers[command.kind](command, t_ns)
 
@@ -191,13 +160,11 @@ class Operator:
             return
         if isinstance(event, OperatorAct) and event.action is OperatorAction.ARM:
             self._armed(t_ns)
-        if self._gate.latched:
-            stopped = self._gate.latched == "emergency stop"
-            self._move(t_ns, Cause.STOP if stopped else Cause.FAULT, self._gate.latched)
-        elif isinstance(event, Tick) or self.state is State.OFF:
-            pass
-        elif self.state in CURRENT_ALLOWED:
-            walks = any(self._controller.walking(foot) for foot in self._feet)
+        if self.gate.latched:
+            stopped = self.gate.latched == "emergency stop"
+            self._move(t_ns, Cause.STOP if stopped else Cause.FAULT, self.gate.latched)
+        elif self.state in CURRENT_ALLOWED and not isinstance(event, Tick):
+            walks = any(self.controller.walking(foot) for foot in self._feet)
             self._move(t_ns, Cause.WALK if walks else Cause.STAND)
         if self.state is State.OFF and t_ns - self._began_ns >= WARM_NS:
             self._move(t_ns, Cause.READY, "ready; a arms")
@@ -206,20 +173,20 @@ class Operator:
         """All that speaks against arming now."""
         warm = self._began_ns is not None and t_ns - self._began_ns >= WARM_NS
         reasons = [] if warm else ["still warming up"]
-        for sensor, monitor in self._monitors.items():
+        for sensor, monitor in self.monitors.items():
             fault = monitor.not_alive(t_ns)
-            if not fault and at_rest and sensor in self._phase_sensor_of.values():
+            if not fault and at_rest and sensor in self.phase_sensor_of.values():
                 fault = monitor.not_at_rest(t_ns) or monitor.not_upright(t_ns)
             reasons.append(fault)
         reasons += [
             f"{channel.name}: the {channel.foot} is not calibrated"
-            for channel in self._session.channels
-            if channel.foot not in self._phase_sensor_of
+            for channel in self.session.channels
+            if channel.foot not in self.phase_sensor_of
         ]
-        answered_ns = self._answered_ns()
+        answered_ns = self.answered_ns()
         if answered_ns is None or t_ns - answered_ns > ANSWER_NS:
             reasons.append("the stimulator does not answer")
-        return [reason for reason in (*reasons, *self._checks()) if reason]
+        return [reason for reason in (*reasons, *self.checks()) if reason]
 
     def keys_gone(self, t_ns: int, others: list[str]) -> list[Event]:
         """The stop key is not there any more; ``others``: what else stops. A stop, where nothing does."""
@@ -256,10 +223,10 @@ class Operator:
 
     def _without_heights(self, t_ns: int) -> list[Event]:
         """Where the measured foot cannot be trusted to the centimetre, nothing is tuned by it; a person may resume."""
-        tuners = self._controller.tuning.tuners
-        feet = {str(channel.foot) for channel in self._session.channels if channel.number in tuners}
-        sensors = [self._phase_sensor_of[foot] for foot in sorted(feet & self._phase_sensor_of.keys())]
-        why = "; ".join(filter(None, (self._monitors[sensor].zero_moved(t_ns) for sensor in sensors)))
+        tuners = self.controller.tuning.tuners
+        feet = {str(channel.foot) for channel in self.session.channels if channel.number in tuners}
+        sensors = [self.phase_sensor_of[foot] for foot in sorted(feet & self.phase_sensor_of.keys())]
+        why = "; ".join(filter(None, (self.monitors[sensor].zero_moved(t_ns) for sensor in sensors)))
         if not why:
             return []
         self._zero_moved = f"{why}; tuning is frozen"
@@ -267,17 +234,15 @@ class Operator:
         return [] if frozen else [OperatorAct(t_ns, OperatorAction.FREEZE_TUNING, why=why)]
 
     def _armed(self, t_ns: int) -> None:
-        if self._gate.armed:
-            unknown = self._unknown()
-            self._move(
-                t_ns, Cause.ARM, "; ".join(filter(None, ("armed; + raises the intensity", self._zero_moved, unknown)))
-            )
-            if unknown:
-                self._note(Note(t_ns, "info", "session", unknown))
-            if self._zero_moved:
-                self._note(Note(t_ns, "warning", "session", self._zero_moved))
-        else:
-            self._refuse(t_ns, f"cannot arm: {self._gate.arming_refused}")
+        if not self.gate.armed:
+            self._refuse(t_ns, f"cannot arm: {self.gate.arming_refused}")
+            return
+        unknown = self.unknown()
+        message = "; ".join(filter(None, ("armed; + raises the intensity", self._zero_moved, unknown)))
+        self._move(t_ns, Cause.ARM, message)
+        for severity, text in (("info", unknown), ("warning", self._zero_moved)):
+            if text:
+                self.note(Note(t_ns, severity, "session", text))
 
     def _disarm(self, command: OperatorCommand, t_ns: int) -> list[Event]:
         self._move(t_ns, Cause.DISARM, "disarmed")
@@ -299,7 +264,7 @@ class Operator:
         if t_ns - self._raised_ns < RAISE_PAUSE_NS:
             return []
         self._raised_ns = t_ns
-        return self._set_intensity(t_ns, min(self._intensity + INTENSITY_STEP, self._session.stimulation.intensity))
+        return self._set_intensity(t_ns, min(self._intensity + INTENSITY_STEP, self.session.stimulation.intensity))
 
     def _down(self, command: OperatorCommand, t_ns: int) -> list[Event]:
         return self._set_intensity(t_ns, max(self._intensity - INTENSITY_STEP, 0.0))
@@ -310,8 +275,8 @@ class Operator:
         return [OperatorAct(t_ns, OperatorAction.SET_INTENSITY, self._intensity)]
 
     def _test(self, command: OperatorCommand, t_ns: int) -> list[Event]:
-        foot = next((str(c.foot) for c in self._session.channels if c.number == self.channel), "")
-        monitor = self._monitors.get(self._phase_sensor_of.get(foot, ""))
+        foot = next((str(c.foot) for c in self.session.channels if c.number == self.channel), "")
+        monitor = self.monitors.get(self.phase_sensor_of.get(foot, ""))
         if self.state is not State.ARMED:
             return self._refuse(t_ns, f"no test burst: the session is {self.state}, it must be armed and standing")
         moves = monitor.not_at_rest(t_ns, TEST_REST_NS) if monitor else f"no sensor tells of the {foot}"
@@ -329,7 +294,7 @@ class Operator:
         return [OperatorAct(t_ns, action, float(self.channel))]
 
     def _select(self, command: OperatorCommand, t_ns: int) -> list[Event]:
-        if command.value not in [channel.number for channel in self._session.channels]:
+        if command.value not in [channel.number for channel in self.session.channels]:
             return self._refuse(t_ns, f"there is no channel {command.value:g}")
         self.channel = int(command.value)
         self.message = f"channel {self.channel} for test and trigger"
@@ -365,4 +330,4 @@ class Operator:
 
     def _report(self, t_ns: int, severity: str, text: str, message: str = "") -> None:
         self.message = message or text
-        self._note(Note(t_ns, severity, "session", text))
+        self.note(Note(t_ns, severity, "session", text))

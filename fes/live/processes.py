@@ -1,7 +1,5 @@
 """Helper processes: started and ended by the session; each ends with the one that started it, however that went."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import signal
@@ -10,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
 from typing import Final, Self
 
 LOOK_EVERY_S: Final = 0.25
@@ -83,7 +80,5 @@ class ViewProcess:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         end_helper(self.process, self.link, b"", 2.0)

@@ -1,7 +1,5 @@
 """The last second of each sensor: is it alive, at its rate, at rest, upright? Asked before arming. No clock, no I/O."""
 
-from __future__ import annotations
-
 from typing import Final
 
 import numpy as np
@@ -21,12 +19,7 @@ TILT_TOLERANCE_RAD: Final = np.deg2rad(25.0)  # a foot on a slope or with raised
 
 
 class SensorMonitor:
-    """A ring of one sensor's newest samples.
-
-    Args:
-        device: its settings.
-        calibration: how it sits, where it is calibrated; only then can its direction be judged.
-    """
+    """A ring of one sensor's newest samples; only with a calibration can its direction be judged."""
 
     def __init__(self, device: ImuDevice, calibration: Calibration | None) -> None:
         self.device = device

@@ -1,14 +1,62 @@
-"""A line to sensors as the loop sees it: samples in the host's time, losses as events, opened again when it is lost."""
+"""A line to sensors as the loop sees it: samples in the host's time, losses as events, opened again when it is lost.
 
-from __future__ import annotations
+What the live loop asks of devices; the commands hand them in, so that the loop knows no driver.
+"""
 
 import threading
-from collections.abc import Callable, Iterator
-from typing import Final, Generic, TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from typing import Final, Generic, Protocol, TypeVar
 
 from fes.control.clock_sync import SensorClock
-from fes.live.ports import Imu
-from fes.signals import Event, ImuSample, SystemFault
+from fes.signals import Event, ImuSample, RawSample, StimAlive, StimCommand, StimStatus, SystemFault, WireFrame
+
+
+class Imu(Protocol):
+    """One line to one or more sensors; see ``drivers.imu``."""
+
+    @property
+    def sensors(self) -> Sequence[str]:
+        """Which sensors it brings."""
+
+    def fileno(self) -> int | None:
+        """A descriptor that becomes readable with new samples; None where there is none."""
+
+    def read(self, t_ns: int) -> Sequence[RawSample]:
+        """All that has come; never waits."""
+
+    def reopen(self) -> None:
+        """Let go of the line and open it again; may wait, so it is called in a thread of its own."""
+
+    def close(self) -> None:
+        """Release the line."""
+
+
+class StimulatorLine(Protocol):
+    """An open stimulator; see ``drivers.stimulator.port``."""
+
+    @property
+    def heard(self) -> bytes:
+        """What the last ``poll`` read, where the bytes that go out depend on that: it belongs in the log."""
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """Write at once."""
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """What has arrived."""
+
+    def close(self) -> None:
+        """Release the line."""
+
+
+class Input(Protocol):
+    """Anything else that can make something happen: keys, control messages, a stop file, a switch."""
+
+    def fileno(self) -> int | None:
+        """A descriptor to wait on; None: it is asked every turn."""
+
+    def read_events(self, t_ns: int) -> list[Event]:
+        """What it makes happen now; never waits, never raises."""
+
 
 Port = TypeVar("Port")
 
@@ -55,25 +103,16 @@ STUCK_NS: Final = 1_000_000_000  # a line, or a needed sensor on it, that was al
 class SensorStream:
     """One line: its port while it is open, attempts at opening it again while it is not.
 
-    Args:
-        port: open.
-        clock: makes a fresh clock; a device that was away may have restarted its own.
-        lost: the exception that says that the line is gone.
-        needed: sensors whose loss must stop the stimulation.
+    ``clock`` makes a fresh clock: a device that was away may have restarted its own. ``lost`` is the exception that
+    says that the line is gone; the loss of ``needed`` sensors must stop the stimulation.
     """
 
     def __init__(
-        self,
-        port: Imu,
-        clock: Callable[[], SensorClock],
-        lost: type[Exception],
-        needed: frozenset[str],
+        self, port: Imu, clock: Callable[[], SensorClock], lost: type[Exception], needed: frozenset[str]
     ) -> None:
         self.sensors = tuple(port.sensors)
         self.port: Imu | None = port
-        self._held = port
-        self._clock = clock
-        self._lost = lost
+        self._held, self._clock, self._lost = port, clock, lost
         self.needed = needed & set(self.sensors)
         self._clocks = {sensor: clock() for sensor in self.sensors}
         self._newest_ns: int | None = None
@@ -132,13 +171,12 @@ class SensorStream:
         if self.port is not None:
             if self._newest_ns is not None and t_ns - self._newest_ns >= STUCK_NS:
                 yield from self._lose(t_ns, "nothing has come for a second")
-            else:  # in stance nobody asks the gate for anything: it would not notice before the next burst
-                for sensor in self.needed:
-                    if t_ns - self._newest_of.get(sensor, t_ns) >= STUCK_NS:
-                        yield from self._lose(t_ns, f"nothing has come from {sensor} for a second")
-                        return
-            return
-        if self._attempts is not None and (port := self._attempts.poll(t_ns)) is not None:
+                return
+            for sensor in self.needed:  # in stance nobody asks the gate for anything: it would not notice in time
+                if t_ns - self._newest_of.get(sensor, t_ns) >= STUCK_NS:
+                    yield from self._lose(t_ns, f"nothing has come from {sensor} for a second")
+                    return
+        elif self._attempts is not None and (port := self._attempts.poll(t_ns)) is not None:
             self.port, self._attempts, self._newest_ns, self.why_lost = port, None, None, ""
             self._newest_of.clear()
             self._clocks = {sensor: self._clock() for sensor in self.sensors}
@@ -151,11 +189,11 @@ class SensorStream:
     def _lose(self, t_ns: int, why: str) -> Iterator[Event]:
         self.port = None
         self.losses += 1
-        self._attempts = Reopening(self._again, t_ns)
+        self._attempts = Reopening(self._reopened, t_ns)
         self.why_lost = f"{', '.join(self.sensors)}: sensor lost: {why}"[:200]
         if self.needed:
             yield SystemFault(t_ns, f"{', '.join(sorted(self.needed))}: sensor lost: {why}"[:200])
 
-    def _again(self) -> Imu:
+    def _reopened(self) -> Imu:
         self._held.reopen()
         return self._held

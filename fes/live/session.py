@@ -1,16 +1,13 @@
 """One live session: controller, gate, operator, monitor and log around the one loop."""
 
-from __future__ import annotations
-
 import gc
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from fes import __version__
 from fes.config import Session
 from fes.control.controller import CURRENT_STEP_MA, Controller
-from fes.control.replay import LOG_FORMAT
+from fes.control.replay import header_of
 from fes.control.runner import Runner
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.gate import gate_of
@@ -20,11 +17,10 @@ from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.notices import Notices
 from fes.live.operator import NO_STOP, Operator
-from fes.live.ports import Input
 from fes.live.processes import ViewProcess
 from fes.live.realtime import Grant
 from fes.live.sensor_monitor import SensorMonitor
-from fes.live.sensors import SensorStream
+from fes.live.sensors import Input, SensorStream
 from fes.live.source import LiveSource, stall_text
 from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.session_log import Note, Received
@@ -40,20 +36,13 @@ def live_header(
     current_step_ma: float = CURRENT_STEP_MA,
 ) -> dict[str, Any]:
     """A live log's header, all that its replay needs beside events; ``t_ns``: the monotonic clock at ``created``."""
-    return {
-        "format": LOG_FORMAT,
-        "fes_version": __version__,
-        "kind": "live",
-        "created": created,
+    about = {
+        "name": session.name,
+        "rates_hz": {device.sensor: device.rate_hz for device in session.sensors},
+        "belt_speed_mps": session.treadmill.belt_speed_mps if session.treadmill else None,
+    }
+    return header_of("live", about, session, calibrations, stim_session_id, created) | {
         "created_t_ns": t_ns,
-        "recording": {
-            "name": session.name,
-            "rates_hz": {device.sensor: device.rate_hz for device in session.sensors},
-            "belt_speed_mps": session.treadmill.belt_speed_mps if session.treadmill else None,
-        },
-        "session": session.model_dump(mode="json"),
-        "calibration": {sensor: calibration.to_dict() for sensor, calibration in calibrations.items()},
-        "stim_session_id": stim_session_id,
         "current_step_ma": current_step_ma,
         "heard": True,  # what a serial stimulator answered is in the log as it came, so that its bytes can be repeated
     }
@@ -65,11 +54,8 @@ COMPLETE = "complete"
 class LiveSession:
     """Made from open devices and an open log; :meth:`run` is the session.
 
-    Args:
-        clock_ns: the monotonic clock that everything is stamped by.
-        duration_s: ends the session by itself after this long; None: the operator does.
-        current_step_ma: the stimulator's step of current.
-        open_lead_detected_from_ma: see :class:`fes.live.stimulator.Electrodes`.
+    Everything is stamped by ``clock_ns``, the monotonic clock. After ``duration_s`` the session ends by itself; None:
+    the operator ends it. For ``open_lead_detected_from_ma`` see :class:`fes.live.stimulator.Electrodes`.
     """
 
     def __init__(
@@ -100,16 +86,9 @@ class LiveSession:
         self.notices = Notices(self.gate, electrodes)
         self.monitor = Monitor(log, monitors, phase_sensor_of, view.link if view else None, self._publish, self.notices)
         self.operator = Operator(
-            session,
-            self.controller,
-            self.gate,
-            monitors,
-            phase_sensor_of,
-            self.monitor.note,
-            lambda: self.monitor.answered_ns,
-            self._reasons_not_ready,
-            electrodes.unknown,
-        )
+            session, self.controller, self.gate, monitors, phase_sensor_of, self.monitor.note,
+            lambda: self.monitor.answered_ns, self._reasons_not_ready, electrodes.unknown,
+        )  # fmt: skip
         self.stimulator = stimulator
         self.runner = Runner(self.controller, self.gate, stimulator, self.monitor, clock_ns, from_reading=True)
         self._log = log
@@ -156,11 +135,8 @@ class LiveSession:
     ) -> None:
         """Until the operator quits or the time is over. Everything is off afterwards, whatever ended it.
 
-        Args:
-            handshake: what opening the stimulator put on the wire.
-            first_answers: what it answered.
-            grants: what the operating system gave.
-            check: called after every event; may raise to end the session (KeyboardInterrupt).
+        ``handshake``: what opening the stimulator put on the wire; ``first_answers``: what it answered; ``grants``:
+        what the operating system gave. ``check`` is called after every event and may raise KeyboardInterrupt.
 
         Raises:
             SessionLogError: the log cannot be written any more.
@@ -175,15 +151,9 @@ class LiveSession:
         for grant in grants:
             self.monitor.note(Note(begin_ns, "warning" if grant.refused else "info", "realtime", str(grant)))
         self._source = LiveSource(
-            streams,
-            self._inputs,
-            self.stimulator,
-            self._clock_ns,
-            self._over,
-            lambda: self.operator.state in CURRENT_ALLOWED,
-        )
-        self._source.on_lateness = self.monitor.lateness.add
-        self._source.on_stall = self._stalled
+            streams, self._inputs, self.stimulator, self._clock_ns, self._over,
+            lambda: self.operator.state in CURRENT_ALLOWED, self.monitor.lateness.add, self._stalled,
+        )  # fmt: skip
         try:
             self.runner.run(self._source, lambda event: self._after(event, check))
         finally:
@@ -224,21 +194,16 @@ class LiveSession:
         self.monitor.publish(now_ns, self.operator, self.controller, self.gate, self.stimulator.state)
         if self.operator.state is not self._state:
             self._state = self.operator.state
-            if self._state not in CURRENT_ALLOWED:
-                self._collect()
+            if self._state not in CURRENT_ALLOWED:  # collection never starts by itself; here no decision waits
+                begin_ns = self._clock_ns()
+                gc.collect()
+                if self._source is not None:
+                    self._source.exclude_from_stalls(self._clock_ns() - begin_ns)
         check()
 
-    def _collect(self) -> None:
-        """Garbage collection never starts by itself; here nothing waits for a decision."""
-        begin_ns = self._clock_ns()
-        gc.collect()
-        if self._source is not None:
-            self._source.exclude_from_stalls(self._clock_ns() - begin_ns)
-
     def _stalled(self, t_ns: int, away_ns: int) -> None:
-        self.monitor.note(
-            Note(t_ns, "warning", "session", f"{stall_text(away_ns)}; it was off before that was noticed")
-        )
+        text = f"{stall_text(away_ns)}; it was off before that was noticed"
+        self.monitor.note(Note(t_ns, "warning", "session", text))
 
     def _over(self) -> bool:
         return self.operator.quitting or (self._end_ns is not None and self._clock_ns() >= self._end_ns)

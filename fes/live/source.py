@@ -5,19 +5,17 @@ has queued up while the loop was away is still given on, so that nothing is lost
 the gate sees by the sensors' own clocks how old it is.
 """
 
-from __future__ import annotations
-
 import selectors
 from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from statistics import median
 from typing import Any, Final
 
-from fes.control.sources import TICK_NS
-from fes.live.ports import Input
-from fes.live.sensors import SensorStream
+from fes.control.runner import TICK_NS
+from fes.live.sensors import Input, SensorStream
 from fes.live.stimulator import LiveStimulator
 from fes.signals import Event, FootSwitchEvent, ImuSample, SystemFault, Tick
 from statemachine.phases import Phase, PhaseChange
@@ -34,9 +32,8 @@ class SwitchComparison:
 
     def add_switch(self, event: FootSwitchEvent) -> None:
         """The switch closed or opened."""
-        if event.pressed is None:
-            return
-        self._switch[event.foot, "contact" if event.pressed else "release"].append(event.t_ns)
+        if event.pressed is not None:
+            self._switch[event.foot, "contact" if event.pressed else "release"].append(event.t_ns)
 
     def add_phase(self, change: PhaseChange) -> None:
         """The sensor's foot came into a phase."""
@@ -74,41 +71,32 @@ PROMPT_NS: Final = 500_000
 POLLED_NS: Final = 1_000_000  # between two looks at a device that has nothing to wait on
 
 
+@dataclass(eq=False)
 class LiveSource:
-    """Iterate it once; it ends when ``ended`` says so.
+    """Iterate it once; it ends when ``ended``, asked every turn, says so.
 
-    Args:
-        clock_ns: the monotonic clock.
-        ended: called every turn.
-        current_allowed: whether a stall now is a fault; otherwise it is only counted.
-
-    ``on_stall`` gets (when, how long) of a stall that began while current was allowed and is found when it no
-    longer is: what came of it, an answer of the stimulator's perhaps, was dealt with first and has switched off.
+    A stall is a fault while ``current_allowed``; otherwise it is only counted. ``on_lateness`` gets how late each wait
+    without an event ended (ns). ``on_stall`` gets (when, how long) of a stall that began while current was allowed and
+    is found when it no longer is: what came of it, an answer of the stimulator's perhaps, was dealt with first and has
+    switched off.
     """
 
-    def __init__(
-        self,
-        streams: Sequence[SensorStream],
-        inputs: Sequence[Input],
-        stimulator: LiveStimulator | None,
-        clock_ns: Callable[[], int],
-        ended: Callable[[], bool],
-        current_allowed: Callable[[], bool],
-    ) -> None:
-        self._streams = streams
-        self._inputs = inputs
-        self._stimulator = stimulator
-        self._clock_ns = clock_ns
-        self._ended = ended
-        self._current_allowed = current_allowed
+    streams: Sequence[SensorStream]
+    inputs: Sequence[Input]
+    stimulator: LiveStimulator | None
+    clock_ns: Callable[[], int]
+    ended: Callable[[], bool]
+    current_allowed: Callable[[], bool]
+    on_lateness: Callable[[int], None] = lambda late_ns: None
+    on_stall: Callable[[int, int], None] = lambda t_ns, away_ns: None
+    stalls: int = 0
+    longest_stall_ns: int = 0
+
+    def __post_init__(self) -> None:
         self._selector = selectors.DefaultSelector()
         self._registered: dict[SensorStream | Input, int] = {}
-        self._checked_ns = self._stamp_ns = clock_ns()  # the last look at everything; the newest event's time
+        self._checked_ns = self._stamp_ns = self.clock_ns()  # the last look at everything; the newest event's time
         self._was_allowed = False  # at that look
-        self.stalls = 0
-        self.longest_stall_ns = 0
-        self.on_lateness: Callable[[int], None] = _ignore
-        self.on_stall: Callable[[int, int], None] = _ignore
 
     def exclude_from_stalls(self, time_ns: int) -> None:
         """The loop has just done something on purpose that took so long; it counts in no stall."""
@@ -121,22 +109,22 @@ class LiveSource:
             self._selector.close()
 
     def _turns(self) -> Iterator[Event]:
-        for stream in self._streams:  # what queued up before anybody listened belongs to no session
-            yield from stream.discard(self._clock_ns())
-        self._checked_ns = self._stamp_ns = heard_ns = self._clock_ns()
-        while not self._ended():
+        for stream in self.streams:  # what queued up before anybody listened belongs to no session
+            yield from stream.discard(self.clock_ns())
+        self._checked_ns = self._stamp_ns = heard_ns = self.clock_ns()
+        while not self.ended():
             self._register()
             self._wait(heard_ns + TICK_NS)
             yield from self._check_until_prompt()
-            for stream in self._streams:
-                for event in self._restamped(stream.read(self._checked_ns, self._clock_ns)):
+            for stream in self.streams:
+                for event in self._restamped(stream.read(self._checked_ns, self.clock_ns)):
                     heard_ns = self._stamp_ns
                     yield event
-            if self._clock_ns() - heard_ns >= TICK_NS:
+            if self.clock_ns() - heard_ns >= TICK_NS:
                 yield from self._check_inputs()
                 heard_ns = self._checked_ns
                 yield Tick(heard_ns)
-            for stream in self._streams:
+            for stream in self.streams:
                 yield from stream.supervise(self._stamp_ns)
 
     def _restamped(self, events: Iterator[Event]) -> Iterator[Event]:
@@ -149,22 +137,22 @@ class LiveSource:
                 if event.t_ns != self._stamp_ns:
                     event = ImuSample(self._stamp_ns, event.sensor, event.t_sensor_ns, event.acc_mps2, event.gyr_radps)
             yield event
-            if number % CHECK_AFTER == 0 and self._clock_ns() - self._checked_ns > CHECK_NS:
+            if number % CHECK_AFTER == 0 and self.clock_ns() - self._checked_ns > CHECK_NS:
                 yield from self._check_inputs()
 
     def _check_until_prompt(self) -> Iterator[Event]:
         """What was found may take long to deal with; samples that came meanwhile must not be dated before it."""
         for _ in range(CHECKS):
             yield from self._check_inputs()
-            if self._clock_ns() - self._checked_ns <= PROMPT_NS:
+            if self.clock_ns() - self._checked_ns <= PROMPT_NS:
                 return
 
     def _check_inputs(self) -> Iterator[Event]:
         """What the clock, the stop inputs and the stimulator's line have to say; a stop waits for nobody."""
-        now_ns = self._clock_ns()
+        now_ns = self.clock_ns()
         away_ns, self._checked_ns = now_ns - self._checked_ns, now_ns
         self._stamp_ns = now_ns
-        was_allowed, self._was_allowed = self._was_allowed, self._current_allowed()
+        was_allowed, self._was_allowed = self._was_allowed, self.current_allowed()
         if away_ns > STALL_NS:
             self.stalls += 1
             self.longest_stall_ns = max(self.longest_stall_ns, away_ns)
@@ -172,22 +160,21 @@ class LiveSource:
                 yield SystemFault(now_ns, stall_text(away_ns))
             elif was_allowed:
                 self.on_stall(now_ns, away_ns)
-        for each in self._inputs:
+        for each in self.inputs:
             yield from each.read_events(now_ns)
-        if self._stimulator is not None:
-            yield from self._stimulator.events(now_ns)
+        if self.stimulator is not None:
+            yield from self.stimulator.events(now_ns)
 
     def _wait(self, deadline_ns: int) -> None:
-        if any(stream.must_be_polled for stream in self._streams):
-            deadline_ns = min(deadline_ns, self._clock_ns() + POLLED_NS)
-        left_ns = deadline_ns - self._clock_ns()
-        ready = self._selector.select(max(left_ns, 0) * 1e-9)
-        if not ready and left_ns > 0:
-            self.on_lateness(self._clock_ns() - deadline_ns)
+        if any(stream.must_be_polled for stream in self.streams):
+            deadline_ns = min(deadline_ns, self.clock_ns() + POLLED_NS)
+        left_ns = deadline_ns - self.clock_ns()
+        if not self._selector.select(max(left_ns, 0) * 1e-9) and left_ns > 0:
+            self.on_lateness(self.clock_ns() - deadline_ns)
 
     def _register(self) -> None:
         """Wait on what is open now and has something to wait on."""
-        everything: list[SensorStream | Input] = [*self._streams, *self._inputs]
+        everything: list[SensorStream | Input] = [*self.streams, *self.inputs]
         for each in everything:
             descriptor, known = each.fileno(), self._registered.get(each)
             if descriptor == known:
@@ -204,7 +191,3 @@ class LiveSource:
 def stall_text(away_ns: int) -> str:
     """A stall for people."""
     return f"controller stalled for {away_ns / 1e6:.0f} ms"
-
-
-def _ignore(*what: int) -> None:
-    """Nobody asked for it."""

@@ -3,20 +3,12 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from fes.walk_record import finite_or_none
+
 VERSION = 1
-
-
-def finite(value: Any) -> Any:
-    """The same with None for every number that is none: a stride that was not measured is NaN, which JSON has not."""
-    if isinstance(value, dict):
-        return {name: finite(each) for name, each in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +71,7 @@ class Status:
 
     def plain(self) -> dict[str, Any]:
         """As data for JSON: null for what is no number."""
-        found: dict[str, Any] = finite(asdict(self))
+        found: dict[str, Any] = finite_or_none(asdict(self))
         return found | {"remarks": found["notices"]}  # as the notices were called once
 
     def encode(self) -> bytes:

@@ -1,13 +1,10 @@
 """The stimulator as the live loop sees it: lost and found again as events, and nothing that has grown old goes out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Final, NamedTuple
 
 from fes import limits
-from fes.live.ports import StimulatorLine
-from fes.live.sensors import Reopening
+from fes.live.sensors import Reopening, StimulatorLine
 from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, SystemFault, WireFrame
 
 
@@ -54,15 +51,10 @@ class Opened(NamedTuple):
 
 
 class LiveStimulator:
-    """Wraps a line; what it meets becomes events for the loop, see :meth:`events`.
+    """Wraps an open line; what it meets becomes events for the loop, stamped by ``clock_ns``, see :meth:`events`.
 
-    Args:
-        line: open.
-        reopen: opens it again.
-        lost: the exception that says that the line is gone.
-        clock_ns: the clock that events are stamped by.
-
-    ``on_heard`` and ``on_frame`` get what belongs in the log beside commands and events.
+    ``reopen`` opens it again; ``lost`` is the exception that says that it is gone. ``on_heard`` and ``on_frame`` get
+    what belongs in the log beside commands and events.
     """
 
     def __init__(
@@ -75,8 +67,8 @@ class LiveStimulator:
         self._attempts: Reopening[Opened] | None = None
         self._events: list[Event] = []
         self.unsent = 0
-        self.on_heard: Callable[[int, bytes], None] = _ignore
-        self.on_frame: Callable[[WireFrame], None] = _ignore
+        self.on_heard: Callable[[int, bytes], None] = lambda t_ns, data: None
+        self.on_frame: Callable[[WireFrame], None] = lambda frame: None
 
     @property
     def state(self) -> str:
@@ -136,8 +128,7 @@ class LiveStimulator:
     def renew(self, t_ns: int) -> None:
         """Open the device again, under a new session identifier, though it was not lost."""
         if self._line is not None:
-            self.close()
-            self._attempts = Reopening(self._reopen, t_ns)
+            self._open_again(t_ns)
 
     def close(self) -> None:
         """Release the line."""
@@ -145,11 +136,10 @@ class LiveStimulator:
             self._line.close()
             self._line = None
 
-    def _lose(self, t_ns: int, error: Exception) -> None:
+    def _open_again(self, t_ns: int) -> None:
         self.close()
         self._attempts = Reopening(self._reopen, t_ns)
+
+    def _lose(self, t_ns: int, error: Exception) -> None:
+        self._open_again(t_ns)
         self._events.append(SystemFault(t_ns, f"stimulator lost: {error}"[:200]))
-
-
-def _ignore(*what: object) -> None:
-    """There is no log."""

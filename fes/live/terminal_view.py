@@ -3,8 +3,6 @@
 It shows; it decides nothing.
 """
 
-from __future__ import annotations
-
 import signal
 import socket
 import sys
@@ -43,15 +41,18 @@ def picture(status: Status) -> Group:
         ("● CURRENT ON" if status.on else "○ off", "bold red" if status.on else "dim"),
     )
     table = Table("foot", "phase", "walking", "strides", "length (m)", "speed (m/s)", "belt (m/s)", "rate", "age (ms)")
+    belt_mps = status.belt_speed_mps
     for name, foot in status.feet.items():
+        speed_mps = foot.speed_mps  # red where it differs from the belt's by more than a tenth
+        far = speed_mps is not None and belt_mps is not None and abs(speed_mps - belt_mps) > 0.1 * max(belt_mps, 0.1)
         table.add_row(
             name.replace("_", " "),
             foot.phase.replace("_", " "),
             "yes" if foot.walking else "no",
             str(foot.strides),
             _number(foot.stride_length_m, 2),
-            _against(foot.speed_mps, status.belt_speed_mps),
-            _number(status.belt_speed_mps, 2),
+            Text(_number(speed_mps, 2), "red" if far else ""),
+            _number(belt_mps, 2),
             f"{foot.rate_hz:.0f} Hz",
             f"{foot.age_ms:.0f}",
         )
@@ -89,12 +90,6 @@ def _tuning(number: str, one: TuningStatus) -> Text | None:
 
 def _number(value: float | None, digits: int) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
-
-
-def _against(speed_mps: float | None, belt_mps: float | None) -> Text:
-    """The foot's speed, red where it differs from the belt's by more than a tenth: can the estimate be trusted?"""
-    far = speed_mps is not None and belt_mps is not None and abs(speed_mps - belt_mps) > 0.1 * max(belt_mps, 0.1)
-    return Text(_number(speed_mps, 2), "red" if far else "")
 
 
 def main() -> int:

@@ -35,21 +35,6 @@ from fes.signals import ImuSample
 if TYPE_CHECKING:
     from fes.simulation.forward import PatientSettings
 
-__all__ = [
-    "Agreement",
-    "Log",
-    "Result",
-    "Simulated",
-    "analyse",
-    "calibrate",
-    "evaluate",
-    "load_session",
-    "read",
-    "read_log",
-    "replay",
-    "simulate",
-]
-
 
 def read(path: File) -> Recording:
     """Read a recording: CSV, Parquet or a CAN log, with its sidecar (``.toml``) beside it.
@@ -184,9 +169,8 @@ def simulate(
     """
     from fes.hil.closed_loop.one_process import walk_stimulated
     from fes.simulation.forward import VirtualPatient
-    from fes.simulation.forward.closed_loop import patient_events
+    from fes.simulation.forward.closed_loop import patient_events, recording_of, truth_of
     from fes.simulation.forward.settings import load_patient, settings_for
-    from fes.simulation.forward.truth import recording_of, truth_of
 
     if isinstance(patient, str):
         patient = load_patient(Path(patient)) if patient.endswith(".toml") else settings_for(patient)

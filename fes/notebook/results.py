@@ -114,9 +114,10 @@ class Agreement:
 
     def report(self, path: File) -> Path:
         """Write the page of the agreement as HTML; ReportError where it cannot be written."""
-        from fes.report.agreement import write_page
+        from fes.report.agreement import render_page
+        from fes.report.html import write_page_file
 
-        write_page(self.evaluation, Path(path))
+        write_page_file(render_page(self.evaluation), Path(path), "Choose another path.")
         return Path(path)
 
 

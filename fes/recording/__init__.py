@@ -13,16 +13,9 @@ from fes.recording.tracks import Recording, RecordingError, SidecarMissingError,
 from fes.recording.write import write_recording
 
 __all__ = [
-    "Recording",
-    "RecordingError",
-    "SidecarMissingError",
-    "Track",
-    "TrackQuality",
-    "read_recording",
-    "recording_from_arrays",
-    "sidecar_template",
-    "write_recording",
-]
+    "Recording", "RecordingError", "SidecarMissingError", "Track", "TrackQuality", "read_recording",
+    "recording_from_arrays", "sidecar_template", "write_recording",
+]  # fmt: skip
 
 
 class _Callable(ModuleType):

@@ -1,17 +1,14 @@
 """Arrays → a recording, with the checks that a file would have to pass."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
 
 from fes.config import FootGeometry
-from fes.recording.plausible import check_units
 from fes.recording.raw import MIN_DURATION_S, PLAUSIBLE_RATES_HZ, stamps_from_rate
 from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, Track, TrackQuality
-from fes.recording.units import ACC_UNITS, GYR_UNITS, acc_factor, canonical, gyr_factor
+from fes.recording.units import ACC_UNITS, GYR_UNITS, acc_factor, canonical, check_units, gyr_factor
 from fes.signals import SENSORS, FloatArray
 
 Arrays = npt.ArrayLike | Mapping[str, npt.ArrayLike]
@@ -57,8 +54,7 @@ def recording_from_arrays(
     for unit, known, argument in zip(units, (ACC_UNITS, GYR_UNITS), ("acc_unit", "gyr_unit"), strict=True):
         if unit not in known:
             raise RecordingError(f"{name}: {argument} = {unit!r}: must be one of {', '.join(known)}")
-    unknown = [each for each in forces if each not in SENSORS + UNLABELLED_FEET]
-    if unknown:
+    if unknown := [each for each in forces if each not in SENSORS + UNLABELLED_FEET]:
         raise RecordingError(f"{name}: no sensor is called {unknown[0]!r}; one of {', '.join(SENSORS)}")
     ordered = [each for each in SENSORS + UNLABELLED_FEET if each in forces]
     tracks = {each: _track(name, each, forces[each], rates[each], rate_hz, units) for each in ordered}
@@ -78,7 +74,7 @@ def _track(
     if len(force) < MIN_DURATION_S * rate_hz:
         raise RecordingError(f"{where}: lasts {len(force) / rate_hz:.3f} s; at least {MIN_DURATION_S:g} s are needed")
     factors = acc_factor(units[0]), gyr_factor(units[1])
-    check_units(where, force, rate, rate_hz, *units, factors)
+    check_units(where, force, rate, rate_hz, *units)
     t_ns = stamps_from_rate(len(force), rate_hz)
     quality = TrackQuality(samples=len(force))
     return Track(sensor, rate_hz, t_ns, t_ns, force * factors[0], rate * factors[1], quality=quality)

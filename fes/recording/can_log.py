@@ -4,8 +4,6 @@ A sensor's columns are ``Message.Signal``. Its acceleration and rate may come in
 is stamped when its last message came.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,15 +26,11 @@ class _Collector:
     def __init__(self, columns: tuple[str, ...]) -> None:
         self.parts = [tuple(name.split(".", 1)) for name in columns]
         self.messages = sorted({message for message, _ in self.parts})
-        self._t_ns: dict[str, list[int]] = {message: [] for message in self.messages}
-        self._frames: dict[str, list[int]] = {message: [] for message in self.messages}
-        self._signals: dict[str, list[dict[str, Any]]] = {message: [] for message in self.messages}
+        self._came: dict[str, list[tuple[int, int, dict[str, Any]]]] = {message: [] for message in self.messages}
 
     def add(self, message: str, signals: dict[str, Any], t_ns: int, frame: int) -> None:
         """Take one decoded message, the ``frame``-th of the log."""
-        self._t_ns[message].append(t_ns)
-        self._frames[message].append(frame)
-        self._signals[message].append(signals)
+        self._came[message].append((t_ns, frame, signals))
 
     def samples(self) -> tuple[IntArray, IntArray, FloatArray]:
         """Return (t_ns, frame, values) of the complete samples: (N,), (N,), (N, 6).
@@ -44,10 +38,21 @@ class _Collector:
         The message that usually comes last closes a sample; with it go the latest of the others, if they came after
         the closing message before. A sample that lacks one is lost whole, halves of two are never mixed.
         """
-        frames = {message: np.array(self._frames[message], np.int64) for message in self.messages}
-        if not all(array.size for array in frames.values()):
+        if not all(self._came.values()):
             return np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 6))
-        last = min(self.messages, key=lambda message: self._wait(message, frames))
+        t_ns = {message: np.array([each[0] for each in came], np.int64) for message, came in self._came.items()}
+        frames = {message: np.array([each[1] for each in came], np.int64) for message, came in self._came.items()}
+
+        def wait_ns(closing: str) -> float:
+            """How long, usually, the other messages would have waited if this one closed the samples."""
+            total = 0.0
+            for message in self.messages:
+                index = np.searchsorted(frames[message], frames[closing], side="right") - 1
+                waited = t_ns[closing] - t_ns[message][np.maximum(index, 0)]
+                total += float(np.median(waited[index >= 0])) if (index >= 0).any() else float("inf")
+            return total
+
+        last = min(self.messages, key=wait_ns)
         closing = frames[last]
         before = np.concatenate([[-1], closing[:-1]])
         complete = np.ones(closing.size, bool)
@@ -59,18 +64,8 @@ class _Collector:
         values = np.empty((rows.size, len(self.parts)))
         for column, (message, signal) in enumerate(self.parts):
             chosen = index[message][rows].tolist()
-            values[:, column] = [float(self._signals[message][number][signal]) for number in chosen]
-        return np.array(self._t_ns[last], np.int64)[rows], closing[rows], values
-
-    def _wait(self, last: str, frames: dict[str, IntArray]) -> float:
-        """How long, usually, the other messages would have waited if ``last`` closed the samples (ns)."""
-        t_last = np.array(self._t_ns[last], np.int64)
-        total = 0.0
-        for message in self.messages:
-            index = np.searchsorted(frames[message], frames[last], side="right") - 1
-            waited = t_last - np.array(self._t_ns[message], np.int64)[np.maximum(index, 0)]
-            total += float(np.median(waited[index >= 0])) if (index >= 0).any() else float("inf")
-        return total
+            values[:, column] = [float(self._came[message][number][2][signal]) for number in chosen]
+        return t_ns[last][rows], closing[rows], values
 
 
 def read_can_log(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, RawTrack]:
@@ -83,14 +78,18 @@ def read_can_log(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, 
         raise RecordingError(f'{sidecar_path}: {path.name} is a CAN log: say [can] and dbc = "NAME.dbc" in the sidecar')
     dbc_path = sidecar_path.parent / sidecar.can.dbc
     database = _load_dbc(dbc_path)
+    known = sorted(f"{message.name}.{signal.name}" for message in database.messages for signal in message.signals)
     collectors = {}
     for sensor, columns in sidecar.sensors.items():
         if columns.time_column or columns.arrival_column or sidecar.time_column:
-            raise RecordingError(
-                f"{sidecar_path}: a CAN log has its own times; leave time_column and arrival_column out"
-            )
+            what = "a CAN log has its own times; leave time_column and arrival_column out"
+            raise RecordingError(f"{sidecar_path}: {what}")
         for name in (*columns.acc, *columns.gyr):
-            _check_name(name, database, dbc_path, sidecar_path, sensor)
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+                guess = f"Did you mean {' or '.join(map(repr, near))}?" if near else f"It has {', '.join(known[:20])}."
+                what = f"{dbc_path.name} has no {name!r}; names are Message.Signal. {guess}"
+                raise RecordingError(f"{sidecar_path}: {sensor}: {what}")
         collectors[sensor] = _Collector((*columns.acc, *columns.gyr))
     wanted: dict[tuple[int, bool], tuple[Any, list[_Collector]]] = {}
     for collector in collectors.values():
@@ -121,20 +120,10 @@ def _load_dbc(path: Path) -> Any:
     try:
         return cantools.database.load_file(path)
     except OSError as error:
-        raise RecordingError(
-            f"{path}: cannot be read: {error.strerror or error}. dbc is sought beside the sidecar."
-        ) from error
+        why = error.strerror or error
+        raise RecordingError(f"{path}: cannot be read: {why}. dbc is sought beside the sidecar.") from error
     except (cantools.Error, ValueError) as error:
         raise RecordingError(f"{path}: is no DBC that can be read: {error}") from error
-
-
-def _check_name(name: str, database: Any, dbc_path: Path, sidecar_path: Path, sensor: str) -> None:
-    known = {f"{message.name}.{signal.name}" for message in database.messages for signal in message.signals}
-    if name in known:
-        return
-    near = difflib.get_close_matches(name, sorted(known), n=3, cutoff=0.4)
-    guess = f" Did you mean {' or '.join(map(repr, near))}?" if near else f" It has {', '.join(sorted(known)[:20])}."
-    raise RecordingError(f"{sidecar_path}: {sensor}: {dbc_path.name} has no {name!r}; names are Message.Signal.{guess}")
 
 
 def _frames(path: Path) -> Iterator[Any]:

@@ -5,15 +5,14 @@ header (``sep=,``, the device, the rate), units under it, and write commas where
 numbers in the same columns, line after line, to the end.
 """
 
-from __future__ import annotations
-
 import codecs
 import csv
 import re
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from pathlib import Path
 
 from fes.recording.tracks import RecordingError
@@ -57,7 +56,8 @@ def lines(path: Path, dialect: Dialect) -> Iterator[tuple[int, list[str]]]:
             reader = csv.reader(file, delimiter=dialect.delimiter)
             stacked = [next(reader, []) for _ in range(dialect.header_lines)]
             if any(stacked):
-                yield dialect.skip_lines + 1, _joined(stacked)
+                names = zip_longest(*([cell.strip() for cell in cells] for cells in stacked), fillvalue="")
+                yield dialect.skip_lines + 1, ["_".join(filter(None, parts)) for parts in names]
             for cells in reader:
                 number = reader.line_num + dialect.skip_lines
                 if cells and number >= dialect.first_data_line:
@@ -83,11 +83,9 @@ def guess_encoding(path: Path) -> str:
     """
     start = _start(path, _ENCODING_BYTES)
     for encoding in ("utf-8", "cp1252"):
-        try:
+        with suppress(UnicodeDecodeError):
             codecs.getincrementaldecoder(encoding)().decode(start)  # a letter cut in two at the end is no fault
-        except UnicodeDecodeError:
-            continue
-        return encoding
+            return encoding
     return "latin-1"
 
 
@@ -97,11 +95,6 @@ def _start(path: Path, size: int) -> bytes:
             return file.read(size)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from error
-
-
-def _joined(stacked: list[list[str]]) -> list[str]:
-    names = zip_longest(*([cell.strip() for cell in cells] for cells in stacked), fillvalue="")
-    return ["_".join(part for part in parts if part) for parts in names]
 
 
 def header(path: Path, dialect: Dialect) -> list[str]:
@@ -128,16 +121,14 @@ def other_delimiter(path: Path, dialect: Dialect, wanted: list[str]) -> str:
     for delimiter in _DELIMITERS:
         names = header(path, replace(dialect, delimiter=delimiter))
         found[delimiter] = len(set(names) & set(wanted))
-    best = max(found, key=lambda delimiter: found[delimiter])
+    best = max(found, key=found.__getitem__)
     return best if found[best] > found[dialect.delimiter] else ""
 
 
 def line_of_row(path: Path, dialect: Dialect, row: int) -> int:
     """Return the line number of a data row (counted from 0)."""
-    for index, (number, _) in enumerate(lines(path, dialect)):
-        if index == row + 1:
-            return number
-    return dialect.first_data_line + row
+    found = next(islice(lines(path, dialect), row + 1, None), None)
+    return found[0] if found else dialect.first_data_line + row
 
 
 def find_fault(path: Path, dialect: Dialect, wanted: list[str]) -> str:
@@ -155,31 +146,25 @@ def find_fault(path: Path, dialect: Dialect, wanted: list[str]) -> str:
             places = [(names.index(name), name) for name in wanted if name in names]
             continue
         if len(cells) != len(names):
-            fault = _wrong_count(path, number, len(cells), len(names), dialect)
+            fault = f"{path}: line {number} has {len(cells)} cells, the header has {len(names)}."
+            if dialect.delimiter == "," and len(cells) > len(names):
+                remedy = 'fields need another delimiter: save the file with ";" between them.'
+                fault += f" If numbers have a decimal comma, {remedy}"
             continue
         for place, name in places:
             cell = cells[place].replace(dialect.decimal, ".")
             if cells[place] and not NUMBER.fullmatch(cell):
-                return _no_number(path, number, name, cells[place], number == dialect.first_data_line)
+                remedy = "Correct it, or leave all of the sensor's cells of that line empty if the sample is lost."
+                if _DECIMAL_COMMA.fullmatch(cells[place]):
+                    remedy = 'It has a decimal comma: say decimal = "," in the sidecar.'
+                elif number == dialect.first_data_line:
+                    remedy = (
+                        "If that line holds units or a second header, say skip_lines_after_header = 1 in the sidecar."
+                    )
+                return f"{path}: line {number}, column {name!r}: {cells[place][:40]!r} is no number. {remedy}"
     if fault:
         return f"{fault} It is the last line: the file was cut short. Delete that line, or copy the file again."
     return ""
-
-
-def _wrong_count(path: Path, number: int, cells: int, names: int, dialect: Dialect) -> str:
-    hint = ""
-    if dialect.delimiter == "," and cells > names:
-        hint = ' If numbers have a decimal comma, fields need another delimiter: save the file with ";" between them.'
-    return f"{path}: line {number} has {cells} cells, the header has {names}.{hint}"
-
-
-def _no_number(path: Path, number: int, name: str, cell: str, first: bool) -> str:
-    message = f"{path}: line {number}, column {name!r}: {cell[:40]!r} is no number."
-    if _DECIMAL_COMMA.fullmatch(cell):
-        return f'{message} It has a decimal comma: say decimal = "," in the sidecar.'
-    if first:
-        return f"{message} If that line holds units or a second header, say skip_lines_after_header = 1 in the sidecar."
-    return f"{message} Correct it, or leave all of the sensor's cells of that line empty if the sample is lost."
 
 
 _STYLES = ((",", "."), (";", ","), (";", "."), ("\t", "."), ("\t", ","), ("|", "."), ("|", ","))
@@ -195,14 +180,10 @@ _UNIT_CELL = re.compile(
 
 @dataclass(frozen=True)
 class Layout:
-    """What the text of a file tells of itself.
+    """What the text of a file tells of itself; ``filled``: the columns that hold numbers.
 
-    Attributes:
-        dialect: for reading it.
-        names: of its columns.
-        units: of its columns where a line under the header gives them; "" elsewhere.
-        above: (line number from 1, text) of what stands over the header.
-        filled: names of the columns that hold numbers.
+    ``units`` of columns are those that a line under the header gives, "" elsewhere; ``above`` is what stands over the
+    header, as (line number from 1, text).
     """
 
     dialect: Dialect
@@ -214,49 +195,34 @@ class Layout:
 
 def settings_of(dialect: Dialect) -> dict[str, object]:
     """The sidecar's settings for a layout: those that are not the default."""
-    return {
-        setting.name: getattr(dialect, setting.name)
-        for setting in fields(Dialect)
-        if getattr(dialect, setting.name) != setting.default
-    }
+    return {each.name: value for each in fields(Dialect) if (value := getattr(dialect, each.name)) != each.default}
 
 
 def csv_layout(path: Path) -> Layout:
-    """Return how a CSV is laid out.
-
-    Raises:
-        RecordingError: it is empty, binary, UTF-16, or has rows and no header.
-    """
+    """Return how a CSV is laid out. Raises RecordingError: it is empty, binary, UTF-16, or has rows and no header."""
     encoding = guess_encoding(path)
     header(path, Dialect(encoding=encoding))  # says what keeps it from being text at all
-    lines = _first_lines(path, encoding)
-    best, delimiter, decimal = max(
-        ((_tail_score(lines, *style), *style) for style in _STYLES), key=lambda scored: scored[0]
-    )
+    start = _start(path, _SAMPLE_BYTES)
+    lines = start.decode("utf-8-sig" if encoding == "utf-8" else encoding, errors="replace").splitlines()
+    if len(start) == _SAMPLE_BYTES and len(lines) > 1:
+        lines.pop()  # cut in the middle
+    lines = lines[:_SAMPLE_LINES]
+    scored = ((_tail_score(lines, *style), *style) for style in _STYLES)
+    best, delimiter, decimal = max(scored, key=lambda style: style[0])
     cells = [_cells(line, delimiter) for line in lines]
     first = _first_row(cells, decimal) if best else min(1, len(lines))
     if first == 0:
-        raise RecordingError(
-            f"{path}: has no header: its first line holds numbers. Write a line of column names on top of it, such as "
-            f"{delimiter.join(('time_ms', 'acc_x', 'acc_y', 'acc_z', 'gyr_x', 'gyr_y', 'gyr_z'))}"
-        )
-    start, count, units_row = _header(cells, first)
-    dialect = Dialect(delimiter, decimal, encoding, start, count, first - start - count)
+        example = delimiter.join(("time_ms", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z"))
+        what = "has no header: its first line holds numbers. Write a line of column names on top of it, such as"
+        raise RecordingError(f"{path}: {what} {example}")
+    begin, count, units_row = _header(cells, first)
+    dialect = Dialect(delimiter, decimal, encoding, begin, count, first - begin - count)
     names = header(path, dialect)
     units = {name: unit.strip() for name, unit in zip(names, cells[units_row], strict=False)} if units_row else {}
     rows = cells[first:][-_TAIL:]
     filled = {name for index, name in enumerate(names) if any(_number(row, index, decimal) for row in rows)}
-    above = [(number, text.strip()) for number, text in enumerate(lines[:start], start=1) if text.strip()]
+    above = [(number, text.strip()) for number, text in enumerate(lines[:begin], start=1) if text.strip()]
     return Layout(dialect, names, units, above, filled if best else set(names))
-
-
-def _first_lines(path: Path, encoding: str) -> list[str]:
-    start = _start(path, _SAMPLE_BYTES)
-    text = start.decode("utf-8-sig" if encoding == "utf-8" else encoding, errors="replace")
-    lines = text.splitlines()
-    if len(start) == _SAMPLE_BYTES and len(lines) > 1:
-        lines.pop()  # cut in the middle
-    return lines[:_SAMPLE_LINES]
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

@@ -1,7 +1,5 @@
 """What reading a recording does with every number, in one pass each: columns into rows, how far vectors spread."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -3,8 +3,6 @@
 Also what else a file shows: rate and side in its header or name, units in its numbers.
 """
 
-from __future__ import annotations
-
 import difflib
 import re
 from dataclasses import dataclass, field
@@ -13,8 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from fes.recording.plausible import MOVING_MPS2, quiet_level
-from fes.recording.units import ACC_UNITS, GYR_UNITS
+from fes.recording.units import ACC_UNITS, GYR_UNITS, MOVING_MPS2, quiet_level
 from fes.signals import G_MPS2, SENSORS, FloatArray
 
 _KINDS: Final = {
@@ -55,19 +52,15 @@ _UNITS: Final = {
 
 @dataclass
 class Group:
-    """Columns whose names differ by kind and axis only: one sensor.
+    """Columns whose names differ by kind and axis only: one sensor; ``columns``: kind → axis → column.
 
-    Attributes:
-        columns: kind → axis → column.
-        called: what the names call the sensor.
-        sensor: one of :data:`fes.signals.SENSORS`, or "" where nothing tells.
-        why: what named the sensor, if not the columns' own names; "" otherwise.
+    ``called`` is what the names call the sensor, ``sensor`` one of :data:`fes.signals.SENSORS`, or "" where nothing
+    tells.
     """
 
     columns: dict[str, dict[str, str]] = field(default_factory=lambda: {"acc": {}, "gyr": {}})
     called: str = ""
     sensor: str = ""
-    why: str = ""
 
     def names(self, kind: str) -> list[str]:
         """Column names x, y, z; a placeholder where none was recognised."""
@@ -171,10 +164,8 @@ _SIDES = {
 class Numbers:
     """What one sensor's values look like, in the units of the file.
 
-    Attributes:
-        gravity: the accelerometer's median in the quietest windows.
-        moved: 99th percentile of how far the accelerometer is from that.
-        peak: the gyroscope's 99th percentile.
+    ``gravity`` is the accelerometer's median in the quietest windows, ``moved`` the 99th percentile of how far it is
+    from that, ``peak`` the gyroscope's 99th percentile.
     """
 
     gravity: float
@@ -185,7 +176,7 @@ class Numbers:
 def characterise(data: FloatArray) -> Numbers:
     """Sum up (N, 6) raw values, accelerometer first."""
     acc, gyr = np.ascontiguousarray(data[:, :3]), np.ascontiguousarray(data[:, 3:])
-    gravity = quiet_level(acc, gyr, 100.0).acc
+    gravity, _ = quiet_level(acc, gyr, 100.0)
     moved = float(np.percentile(np.abs(np.linalg.norm(acc, axis=1) - gravity), 99.0))
     return Numbers(gravity, moved, float(np.percentile(np.linalg.norm(gyr, axis=1), 99.0)))
 
@@ -237,9 +228,7 @@ def other_side(path: Path) -> Path | None:
         opposite = _SIDES.get((word or "").lower())
         if opposite is None:
             continue
-        wanted = "".join(
-            [*(part or "" for part in words[:index]), opposite, *(part or "" for part in words[index + 1 :])]
-        )
+        wanted = "".join(filter(None, [*words[:index], opposite, *words[index + 1 :]]))
         beside = {
             other.stem.lower(): other
             for other in sorted(path.parent.glob(f"*{path.suffix}"))

@@ -1,7 +1,5 @@
 """One sensor's rows as the file has them: finite, lost samples set aside, time stamps judged; units not yet applied."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,7 +11,7 @@ from fes.estimation.numerics.ranks import median
 from fes.recording.csv_layout import Dialect
 from fes.recording.sidecar import Sensor, Sidecar
 from fes.recording.table import Table, greatest_size
-from fes.recording.tracks import RecordingError
+from fes.recording.tracks import RecordingError, TrackQuality
 from fes.recording.units import TIME_UNITS_NS
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
@@ -24,17 +22,6 @@ RATE_TOLERANCE = 0.02
 PLAUSIBLE_RATES_HZ = (10.0, 20_000.0)
 
 
-@dataclass(frozen=True)
-class Timing:
-    """What the stamps say: the rate, and counts as in :class:`fes.recording.TrackQuality`."""
-
-    rate_hz: float
-    missing: int
-    doubled: int
-    backward: int
-    irregular: int
-
-
 def stamps_from_rate(rows: int, rate_hz: float, first: int = 0) -> IntArray:
     """Return (rows,) times in ns of samples at an even rate, the ``first`` after the recording's beginning."""
     stamps: IntArray = np.rint(np.arange(first, first + rows) * (NS_PER_S / rate_hz)).astype(np.int64)
@@ -43,8 +30,8 @@ def stamps_from_rate(rows: int, rate_hz: float, first: int = 0) -> IntArray:
 
 def judge_stamps(
     stamps_ns: IntArray, stated_hz: float | None, where: str, place: Callable[[int], str], unit: str
-) -> Timing:
-    """Return what (N,) stamps say; ``place`` tells where a stamp stands in the file.
+) -> tuple[float, TrackQuality]:
+    """Return the rate (Hz) and the counts that (N,) stamps say; ``place`` tells where a stamp stands in the file.
 
     Missing samples are counted on the sorted stamps, so that two swapped samples are backward, not missing.
 
@@ -64,11 +51,18 @@ def judge_stamps(
         _refuse_wild_clock(steps, backward, where, place)
     usual_ns = median(forward) if shortest < longest else float(shortest)  # stamps made from a rate are often even
     _refuse_impossible_rate(NS_PER_S / usual_ns, where, unit)
-    if stated_hz is not None:
-        _refuse_other_rate(stamps_ns, usual_ns, stated_hz, where)
+    if stated_hz is not None:  # it must fit the usual interval or, where stamps bunch, the mean one
+        usual_hz = NS_PER_S / usual_ns
+        if abs(usual_hz / stated_hz - 1.0) > RATE_TOLERANCE:
+            mean_hz = (stamps_ns.size - 1) * NS_PER_S / float(stamps_ns.max() - stamps_ns.min())
+            if abs(mean_hz / stated_hz - 1.0) > RATE_TOLERANCE:
+                raise RecordingError(
+                    f"{where}: rate_hz = {stated_hz:g}, but its time column runs at {usual_hz:.4g} Hz (usual interval; "
+                    f"{mean_hz:.4g} Hz on average). Correct rate_hz, time_unit, or leave rate_hz out."
+                )
         usual_ns = NS_PER_S / stated_hz
     if 0.5 * usual_ns <= shortest and longest <= 1.5 * usual_ns:  # the usual case: nothing to count
-        return Timing(stated_hz or NS_PER_S / usual_ns, 0, 0, 0, 0)
+        return stated_hz or NS_PER_S / usual_ns, TrackQuality(stamps_ns.size)
     gaps = steps
     if backward.size:
         ordered = np.sort(stamps_ns)
@@ -76,7 +70,8 @@ def judge_stamps(
     missing = int(np.sum(np.rint(gaps[gaps > 1.5 * usual_ns] / usual_ns) - 1))
     irregular = int(np.count_nonzero(np.abs(steps - usual_ns) > 0.5 * usual_ns))
     doubled = int(np.count_nonzero(steps == 0))
-    return Timing(stated_hz or NS_PER_S / usual_ns, missing, doubled, int(backward.size), irregular)
+    quality = TrackQuality(stamps_ns.size, missing, doubled, int(backward.size), irregular)
+    return stated_hz or NS_PER_S / usual_ns, quality
 
 
 def _refuse_wild_clock(steps: IntArray, backward: IntArray, where: str, place: Callable[[int], str]) -> None:
@@ -105,20 +100,6 @@ def _refuse_impossible_rate(rate_hz: float, where: str, unit: str) -> None:
     raise RecordingError(
         f'{where}: with time_unit = "{unit}" it would come at {rate_hz:.4g} Hz, outside {lowest:g} to '
         f"{highest:g} Hz{hint}"
-    )
-
-
-def _refuse_other_rate(stamps_ns: IntArray, usual_ns: float, stated_hz: float, where: str) -> None:
-    """A stated rate must fit the usual interval or, where stamps bunch, the mean one."""
-    found = [NS_PER_S / usual_ns]
-    if abs(found[0] / stated_hz - 1.0) <= RATE_TOLERANCE:
-        return
-    found.append((stamps_ns.size - 1) * NS_PER_S / float(stamps_ns.max() - stamps_ns.min()))
-    if abs(found[1] / stated_hz - 1.0) <= RATE_TOLERANCE:
-        return
-    raise RecordingError(
-        f"{where}: rate_hz = {stated_hz:g}, but its time column runs at {found[0]:.4g} Hz (usual interval; "
-        f"{found[1]:.4g} Hz on average). Correct rate_hz, time_unit, or leave rate_hz out."
     )
 
 
@@ -213,11 +194,12 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
     else:
         stamps = table.times_ns(time_name, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])
         empty = table.empty(time_name)
-        untimed = _rows_of(empty, but=dropped)
-        if untimed.size:
+        unused = empty if empty is None or dropped is None else empty & ~dropped
+        untimed = [] if unused is None else np.flatnonzero(unused).tolist()
+        if untimed:
             raise RecordingError(
-                f"{where}: {table.place(int(untimed[0]))} has values and no time in {time_name!r} "
-                f"({untimed.size} such rows); fill it in, or state rate_hz instead of time_column"
+                f"{where}: {table.place(untimed[0])} has values and no time in {time_name!r} "
+                f"({len(untimed)} such rows); fill it in, or state rate_hz instead of time_column"
             )
     arrival = None
     if columns.arrival_column:
@@ -233,13 +215,6 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
         stamps = stamps[kept]
         arrival = None if arrival is None else arrival[kept]
     return RawTrack(stamps, arrival, acc, gyr, stamped, place, greatest)
-
-
-def _rows_of(mask: npt.NDArray[np.bool_] | None, *, but: npt.NDArray[np.bool_] | None) -> IntArray:
-    """The rows that one mask marks and the other does not; None marks none."""
-    if mask is None:
-        return np.zeros(0, np.int64)
-    return np.flatnonzero(mask if but is None else mask & ~but)
 
 
 def _dropped_rows(table: Table, names: tuple[str, ...], where: str) -> npt.NDArray[np.bool_] | None:

@@ -1,7 +1,5 @@
 """A recording's files → tracks in SI units, every check passed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -10,17 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from fes.estimation.numerics.ranks import median
-from fes.recording.plausible import check_units
-from fes.recording.raw import MIN_DURATION_S, RATE_TOLERANCE, RawTrack, Timing, judge_stamps, read_parts, read_table
+from fes.recording.raw import MIN_DURATION_S, RATE_TOLERANCE, RawTrack, judge_stamps, read_parts, read_table
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
 from fes.recording.table import Table
 from fes.recording.template import sidecar_template
 from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, SidecarMissingError, Track, TrackQuality
-from fes.signals import NS_PER_S, SENSORS, FloatArray
+from fes.recording.units import check_units
+from fes.signals import NS_PER_S, SENSORS
 
 TABLE_SUFFIXES = (".csv", ".parquet")
 CAN_SUFFIXES = (".asc", ".blf", ".log")
 FIRST_ROWS = 32_768  # these tell the rate
+Judged = dict[tuple[int, float | None], tuple[float, TrackQuality]]  # by which stamps and stated rate
 CLIPPED_FROM = 0.999  # share of full scale: the last count may be one short of it
 
 
@@ -45,9 +44,8 @@ def read_recording(path: Path) -> Recording:
 def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterator[Recording]:
     """As :func:`read_recording`, in parts of equal length that follow each other, of ``part_s`` at most.
 
-    A recording of no more than ``whole_s`` is one part.
-
-    Only Parquet whose sensors share one time column, or have none, comes in parts. ``quality`` is each part's own.
+    A recording of no more than ``whole_s`` is one part; so is all but Parquet whose sensors share one time column, or
+    have none. ``quality`` is each part's own.
 
     Raises:
         RecordingError: as there.
@@ -60,7 +58,9 @@ def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterato
     before: dict[str, Track] = {}
     for raw in read_parts(path, sidecar_path, sidecar, rows):
         recording = _recording(path, sidecar, _tracks(path, sidecar, raw, before))
-        before |= {name: _newest(track) for name, track in recording.tracks.items()}
+        for name, track in recording.tracks.items():
+            newest = int(np.argmax(track.t_sensor_ns))
+            before[name] = replace(track.part(slice(newest, newest + 1)), t_ns=track.t_ns[-1:].copy())
         raw.clear()  # the file's columns need not stay while the part is worked on
         if recording.tracks:
             yield recording
@@ -115,17 +115,20 @@ def _tracks(
     """Tracks of what was read; ``before``: where each ended in the part before."""
     before = before or {}
     ordered = [sensor for sensor in SENSORS + UNLABELLED_FEET if sensor in raw]
-    judged: dict[tuple[int, float | None], Timing] = {}
+    judged: Judged = {}
     tracks = {sensor: _track(path, sidecar, sensor, raw[sensor], judged, before.get(sensor)) for sensor in ordered}
-    if tracks:
-        _check_overlap(path, tracks)
+    if tracks:  # sensors with own clocks must share an origin, or one foot would walk after the other
+        last_start = max(tracks.values(), key=lambda track: int(track.t_ns[0]))
+        first_end = min(tracks.values(), key=lambda track: int(track.t_ns[-1]))
+        gap_s = float(last_start.t_ns[0] - first_end.t_ns[-1]) * 1e-9
+        if gap_s > 0:
+            raise RecordingError(
+                f"{path}: {first_end.sensor} ends {gap_s:.3f} s before {last_start.sensor} starts: their clocks have "
+                f"different origins. Subtract each sensor's start, or synchronise the sensors; or say rate_hz instead "
+                f"of time_column, which lets all begin at once, and set one foot's clock by the walk "
+                f"(fes analyse --sync-clocks)."
+            )
     return tracks
-
-
-def _newest(track: Track) -> Track:
-    """The newest sample alone."""
-    at = int(np.argmax(track.t_sensor_ns))
-    return replace(track.part(slice(at, at + 1)), t_ns=track.t_ns[-1:].copy())
 
 
 def _recording(path: Path, sidecar: Sidecar, tracks: dict[str, Track]) -> Recording:
@@ -133,27 +136,12 @@ def _recording(path: Path, sidecar: Sidecar, tracks: dict[str, Track]) -> Record
     mounting = {sensor: columns.mounting for sensor, columns in sidecar.sensors.items() if columns.mounting}
     if mounting:
         extra["mounting"] = {sensor: value.model_dump(exclude_defaults=True) for sensor, value in mounting.items()}
-    return Recording(
-        sidecar.name or path.stem,
-        path,
-        tracks,
-        sidecar.belt_speed_mps,
-        sidecar.subject,
-        sidecar.description,
-        dict(sidecar.geometry.items()),
-        extra,
-    )
+    about = sidecar.belt_speed_mps, sidecar.subject, sidecar.description
+    return Recording(sidecar.name or path.stem, path, tracks, *about, dict(sidecar.geometry.items()), extra)
 
 
-def _track(
-    path: Path,
-    sidecar: Sidecar,
-    sensor: str,
-    raw: RawTrack,
-    judged: dict[tuple[int, float | None], Timing],
-    before: Track | None = None,
-) -> Track:
-    """``judged``: what was found of the sensors before, by which stamps and stated rate; feet often share them."""
+def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, judged: Judged, before: Track | None) -> Track:
+    """``judged``: what was found of the sensors before; feet often share stamps and rate."""
     name: Sensor = next(key for key in sidecar.sensors if key == sensor)
     columns = sidecar.sensors[name]
     where = f"{path.with_name(columns.file) if columns.file else path}: {sensor}"
@@ -162,59 +150,29 @@ def _track(
         stamps_ns = np.append(before.t_sensor_ns, stamps_ns)
         place = lambda index: raw.place(max(index - 1, 0))  # noqa: E731
     same = id(stamps_ns), sidecar.rate_of(name)
-    timing = judged.get(same) if before is None else None
-    if timing is None:
-        timing = judge_stamps(stamps_ns, same[1], where, place, sidecar.time_unit_of(name))
-        if before is None:
-            judged[same] = timing
-    newest_ns = np.maximum.accumulate(raw.t_sensor_ns) if timing.backward else raw.t_sensor_ns
-    oldest_ns = raw.t_sensor_ns.min() if timing.backward else raw.t_sensor_ns[0]
+    if before is not None:  # stamps of its own, which live no longer than this
+        rate_hz, found = judge_stamps(stamps_ns, same[1], where, place, sidecar.time_unit_of(name))
+    else:
+        if same not in judged:
+            judged[same] = judge_stamps(stamps_ns, same[1], where, place, sidecar.time_unit_of(name))
+        rate_hz, found = judged[same]
+    newest_ns = np.maximum.accumulate(raw.t_sensor_ns) if found.backward else raw.t_sensor_ns
+    oldest_ns = raw.t_sensor_ns.min() if found.backward else raw.t_sensor_ns[0]
     span_s = float(newest_ns[-1] - oldest_ns) * 1e-9
-    if span_s + 1.0 / timing.rate_hz < MIN_DURATION_S:
+    if span_s + 1.0 / rate_hz < MIN_DURATION_S:
         raise RecordingError(f"{where}: lasts {span_s:.3f} s; a recording needs at least {MIN_DURATION_S:g} s")
     factors = sidecar.factors_of(name)
-    check_units(where, raw.acc, raw.gyr, timing.rate_hz, sidecar.acc_unit_of(name), sidecar.gyr_unit_of(name), factors)
+    check_units(where, raw.acc, raw.gyr, rate_hz, sidecar.acc_unit_of(name), sidecar.gyr_unit_of(name))
     acc, gyr = (values if by == 1.0 else values * by for values, by in zip((raw.acc, raw.gyr), factors, strict=True))
-    quality = TrackQuality(
-        samples=len(acc),
-        missing=timing.missing + raw.stamps_ns.size - raw.t_sensor_ns.size,
-        doubled=timing.doubled,
-        backward=timing.backward,
-        irregular=timing.irregular,
-        clipped=_clipped(raw, acc, gyr, factors, (columns.acc_range, columns.gyr_range)),
-    )
-    arrival = newest_ns if raw.t_arrival_ns is None else np.maximum.accumulate(raw.t_arrival_ns)
-    rate_hz = timing.rate_hz
-    if before is not None:
-        arrival, rate_hz = np.maximum(arrival, before.t_ns), before.rate_hz
-    return Track(sensor, rate_hz, arrival, raw.t_sensor_ns, acc, gyr, columns.acc_range, columns.gyr_range, quality)
-
-
-def _clipped(
-    raw: RawTrack,
-    acc: FloatArray,
-    gyr: FloatArray,
-    factors: tuple[float, float],
-    ranges: tuple[float | None, float | None],
-) -> int:
-    """How many samples (N, 3) have an axis at its range, once ``factors`` have made them SI units."""
     clipped = np.zeros(len(acc), bool)
+    ranges = columns.acc_range, columns.gyr_range
     for values, size, factor, full_scale in zip((acc, gyr), raw.greatest, factors, ranges, strict=True):
         bound = math.inf if full_scale is None else CLIPPED_FROM * full_scale
         if size * factor >= bound:
             clipped |= (np.abs(values) >= bound).any(axis=1)
-    return int(np.count_nonzero(clipped))
-
-
-def _check_overlap(path: Path, tracks: dict[str, Track]) -> None:
-    """Sensors with own clocks must share an origin, or one foot would walk after the other."""
-    last_start = max(tracks.values(), key=lambda track: int(track.t_ns[0]))
-    first_end = min(tracks.values(), key=lambda track: int(track.t_ns[-1]))
-    gap_s = float(last_start.t_ns[0] - first_end.t_ns[-1]) * 1e-9
-    if gap_s > 0:
-        raise RecordingError(
-            f"{path}: {first_end.sensor} ends {gap_s:.3f} s before {last_start.sensor} starts: their clocks have "
-            f"different origins. Subtract each sensor's start, or synchronise the sensors; or say rate_hz instead of "
-            f"time_column, which lets all begin at once, and set one foot's clock by the walk "
-            f"(fes analyse --sync-clocks)."
-        )
+    missing = found.missing + raw.stamps_ns.size - raw.t_sensor_ns.size
+    quality = replace(found, samples=len(acc), missing=missing, clipped=int(np.count_nonzero(clipped)))
+    arrival = newest_ns if raw.t_arrival_ns is None else np.maximum.accumulate(raw.t_arrival_ns)
+    if before is not None:
+        arrival, rate_hz = np.maximum(arrival, before.t_ns), before.rate_hz
+    return Track(sensor, rate_hz, arrival, raw.t_sensor_ns, acc, gyr, columns.acc_range, columns.gyr_range, quality)

@@ -1,7 +1,5 @@
 """The sidecar: ``walk.toml`` beside ``walk.csv`` says which columns are which sensor's, in which units."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -66,10 +64,9 @@ class SensorColumns(Settings):
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"column {twice[0]!r} is named twice; acc and gyr are six different columns")
-        if self.acc_range_mps2 and self.acc_range_g:
-            raise ValueError("acc_range_mps2 and acc_range_g are both given; keep one")
-        if self.gyr_range_radps and self.gyr_range_degps:
-            raise ValueError("gyr_range_radps and gyr_range_degps are both given; keep one")
+        for one, other in (("acc_range_mps2", "acc_range_g"), ("gyr_range_radps", "gyr_range_degps")):
+            if getattr(self, one) and getattr(self, other):
+                raise ValueError(f"{one} and {other} are both given; keep one")
         return self
 
     @property
@@ -128,9 +125,8 @@ class Sidecar(Settings):
                 if getattr(columns, key) is None and getattr(self, key) is None:
                     raise ValueError(f"{key} is missing for {sensor}; say {key} = {allowed} at the top")
             if self.can is None and not self.time_of(sensor) and not self.rate_of(sensor):
-                raise ValueError(
-                    f"{sensor} has neither a time column nor a rate; say time_column = … or rate_hz = … at the top"
-                )
+                remedy = "say time_column = … or rate_hz = … at the top"
+                raise ValueError(f"{sensor} has neither a time column nor a rate; {remedy}")
         return self
 
     def time_of(self, sensor: Sensor) -> str | None:
@@ -147,13 +143,11 @@ class Sidecar(Settings):
 
     def acc_unit_of(self, sensor: Sensor) -> str | float:
         """The accelerometer's unit: a name, or m/s² per count."""
-        unit = self.sensors[sensor].acc_unit
-        return (unit if unit is not None else self.acc_unit) or "m/s^2"
+        return self.sensors[sensor].acc_unit or self.acc_unit or "m/s^2"
 
     def gyr_unit_of(self, sensor: Sensor) -> str | float:
         """The gyroscope's unit: a name, or rad/s per count."""
-        unit = self.sensors[sensor].gyr_unit
-        return (unit if unit is not None else self.gyr_unit) or "rad/s"
+        return self.sensors[sensor].gyr_unit or self.gyr_unit or "rad/s"
 
     def factors_of(self, sensor: Sensor) -> tuple[float, float]:
         """(m/s² per accelerometer unit, rad/s per gyroscope unit)."""

@@ -7,6 +7,7 @@ import difflib
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -49,13 +50,16 @@ class Table:
             RecordingError: as the constructor.
         """
         import pyarrow as pa
+        from pyarrow import parquet
 
         part = cls.__new__(cls)
         part.path, part.is_csv, part._dialect = path, False, dialect
         part._check_names(cls.parquet_names(path), wanted)
-        first, taken, batches = 0, 0, list[Any]()
-        with _damage_explained(path):
-            for batch in _batches(path, min(rows, _BATCH_ROWS), wanted):
+        first, taken, batches, size = 0, 0, list[Any](), min(rows, _BATCH_ROWS)
+        with _damage_explained(path), parquet.ParquetFile(path, page_checksum_verification=True) as file:
+            # one row group after the other: of all at once the reader keeps more
+            groups = (file.iter_batches(size, [group], wanted) for group in range(file.num_row_groups))
+            for batch in chain.from_iterable(groups):
                 while batch.num_rows:
                     head = batch.slice(0, rows - taken)
                     batches.append(head)
@@ -93,7 +97,8 @@ class Table:
 
         column = self._table.column(name)
         try:
-            return np.asarray(column.cast(pa.float64(), safe=False).to_numpy(), dtype=np.float64)
+            column = column if column.type == pa.float64() else column.cast(pa.float64(), safe=False)
+            return np.asarray(column.to_numpy(), dtype=np.float64)
         except (pa.ArrowInvalid, pa.ArrowNotImplementedError) as error:
             fault = csv_text.find_fault(self.path, self._dialect, [name]) if self.is_csv else ""
             raise RecordingError(fault or f"{self.path}: column {name!r} holds {column.type}, not numbers") from error
@@ -134,24 +139,22 @@ class Table:
 
     def _times_ns(self, name: str, unit_ns: int) -> IntArray:
         import pyarrow as pa
-        import pyarrow.compute as pc
 
         column = self._table.column(name)
         kind = column.type
         if pa.types.is_timestamp(kind):
             column = column.cast(pa.timestamp("ns", kind.tz), safe=False).cast(pa.int64())
-            return np.asarray(pc.fill_null(column, 0).to_numpy(), dtype=np.int64)
-        if pa.types.is_integer(kind):
-            column = column.cast(pa.int64(), safe=False)
-            column = pc.fill_null(column, 0) if column.null_count else column
+            return np.asarray(column.fill_null(0).to_numpy(), dtype=np.int64)
+        if pa.types.is_integer(kind):  # what need not be cast spares loading Arrow's arithmetic
+            column = column if kind == pa.int64() else column.cast(pa.int64(), safe=False)
+            column = column.fill_null(0) if column.null_count else column
             counts = np.asarray(column.to_numpy(), dtype=np.int64)
             if counts.size and max(abs(int(counts.min())), abs(int(counts.max()))) * unit_ns >= 2**63:
                 self._check_span(name, counts.astype(np.float64) * unit_ns)
             return counts * unit_ns
         with np.errstate(over="ignore"):  # what overflows is refused below
             stamps = self.numbers(name) * unit_ns
-        empty = self.empty(name)
-        if empty is not None:
+        if (empty := self.empty(name)) is not None:
             stamps[empty] = 0.0
         self._check_span(name, stamps)
         return np.rint(stamps).astype(np.int64)
@@ -175,11 +178,7 @@ class Table:
         try:
             return csv.read_csv(
                 self.path,
-                csv.ReadOptions(
-                    column_names=names,
-                    skip_rows=dialect.first_data_line - 1,
-                    encoding=dialect.encoding,
-                ),
+                csv.ReadOptions(column_names=names, skip_rows=dialect.first_data_line - 1, encoding=dialect.encoding),
                 csv.ParseOptions(delimiter=dialect.delimiter),
                 csv.ConvertOptions(
                     column_types=types, include_columns=wanted, null_values=[""], decimal_point=dialect.decimal
@@ -187,9 +186,8 @@ class Table:
             )
         except (pa.ArrowException, OSError, UnicodeDecodeError, KeyError) as error:
             fault = csv_text.find_fault(self.path, dialect, wanted)
-            raise RecordingError(
-                fault or f"{self.path}: cannot be read as CSV: {' '.join(str(error).split())}"
-            ) from error
+            why = " ".join(str(error).split())
+            raise RecordingError(fault or f"{self.path}: cannot be read as CSV: {why}") from error
 
     def _read_parquet(self, wanted: list[str]) -> Any:
         from pyarrow import parquet
@@ -232,15 +230,13 @@ class Table:
             raise RecordingError(f"{self.path}: has {names.count(twice[0])} columns {twice[0]!r}: rename them{also}")
         if not missing:
             return
-        if self.is_csv:
-            delimiter = csv_text.other_delimiter(self.path, self._dialect, wanted)
-            if delimiter:
-                also = ' (and decimal = "," if its numbers have decimal commas)' if delimiter == ";" else ""
-                shown = delimiter.replace("\t", "\\t")
-                raise RecordingError(
-                    f'{self.path}: its fields are separated by "{shown}", not by "{self._dialect.delimiter}"; '
-                    f'say delimiter = "{shown}" in the sidecar{also}'
-                )
+        if self.is_csv and (delimiter := csv_text.other_delimiter(self.path, self._dialect, wanted)):
+            also = ' (and decimal = "," if its numbers have decimal commas)' if delimiter == ";" else ""
+            shown = delimiter.replace("\t", "\\t")
+            raise RecordingError(
+                f'{self.path}: its fields are separated by "{shown}", not by "{self._dialect.delimiter}"; '
+                f'say delimiter = "{shown}" in the sidecar{also}'
+            )
         near = difflib.get_close_matches(missing[0], names, n=3, cutoff=0.5)
         guess = f" Did you mean {' or '.join(repr(name) for name in near)}?" if near else ""
         more = f" ({len(missing) - 1} more are missing too)" if len(missing) > 1 else ""
@@ -285,12 +281,3 @@ def _damage_explained(path: Path) -> Iterator[None]:
         raise
     except (pa.ArrowException, OSError, ValueError) as error:  # ValueError: a name that is no text
         raise RecordingError(f"{path}: is damaged: {' '.join(str(error).split())}. Copy or record it again.") from error
-
-
-def _batches(path: Path, rows: int, wanted: list[str]) -> Iterator[Any]:
-    """A Parquet file's record batches, one row group after the other: of all at once the reader keeps more."""
-    from pyarrow import parquet
-
-    with parquet.ParquetFile(path, page_checksum_verification=True) as file:
-        for group in range(file.num_row_groups):
-            yield from file.iter_batches(batch_size=rows, row_groups=[group], columns=wanted)

@@ -3,9 +3,6 @@
 What nothing tells is not guessed: it stands as “?”, and reading refuses it until someone has answered.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,14 +21,6 @@ _PROBE_ROWS = 100_000
 _WHICH = f"? which sensor: {', '.join(SENSORS)}"
 
 
-@dataclass
-class _Probe:
-    """What could be read of the first sensor's numbers and of the times."""
-
-    numbers: hints.Numbers | None = None
-    steps: dict[str, float] = field(default_factory=dict)  # time column → its usual step, in its own unit
-
-
 def sidecar_template(path: Path) -> str:
     """Return the text of a sidecar for a recording that has none; what is to be answered is marked with “?”.
 
@@ -48,11 +37,12 @@ def sidecar_template(path: Path) -> str:
     groups = group_columns(layout.names)
     why = _place(path, layout, groups)
     times = [name for name in time_columns(layout.names) if name in layout.filled]
-    probe = _probe(path, layout, groups, times)
+    steps = {name: _usual_step(path, layout, name) for name in times}
+    numbers = _characterised(path, layout, groups[0])
     lines = [f"# {path.name} has these columns:", *(f"#   {name}" for name in layout.names if name), ""]
     lines += [f"{key} = {toml_value(value)}" for key, value in settings_of(layout.dialect).items()]
-    lines += _time_lines(layout, times, probe)
-    lines += [_acc_line(layout, groups, probe), _gyr_line(layout, groups, probe)]
+    lines += _time_lines(layout, steps)
+    lines += [_acc_line(layout, groups[0], numbers), _gyr_line(layout, groups[0], numbers)]
     for number, group in enumerate(groups, start=1):
         key = group.sensor or (f'"? {number}"' if len(groups) > 1 else '"?"')
         lines += ["", f"[sensors.{key}]{why.get(number, '') if group.sensor else f'  # {_WHICH}'}"]
@@ -60,11 +50,8 @@ def sidecar_template(path: Path) -> str:
     if not all(group.whole for group in groups):
         lines.append("# ? put the columns' names, x, y, z, where a name starts with “?”")
     lines += _other_foot(path, layout, groups)
-    lines += [
-        "",
-        "# if known, at the top: belt_speed_mps, subject, description; for each sensor: acc_range_g, gyr_range_degps",
-    ]
-    return "\n".join(lines) + "\n"
+    known = "at the top: belt_speed_mps, subject, description; for each sensor: acc_range_g, gyr_range_degps"
+    return "\n".join([*lines, "", f"# if known, {known}", ""])
 
 
 def _place(path: Path, layout: Layout, groups: list[Group]) -> dict[int, str]:
@@ -81,33 +68,34 @@ def _place(path: Path, layout: Layout, groups: list[Group]) -> dict[int, str]:
     return why
 
 
-def _probe(path: Path, layout: Layout, groups: list[Group], times: list[str]) -> _Probe:
-    probe = _Probe()
-    values = [*groups[0].names("acc"), *groups[0].names("gyr")] if groups[0].whole else []
-    for name in times:
-        try:
-            steps = np.diff(
-                Table(path, [name], [name], layout.dialect).times_ns(name, 1_000).astype(np.float64) / 1_000
-            )
-            probe.steps[name] = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
-        except (RecordingError, ValueError, IndexError):
-            continue  # stays to be answered; reading with the finished sidecar tells what is wrong
+def _characterised(path: Path, layout: Layout, group: Group) -> hints.Numbers | None:
+    """What the first sensor's numbers look like; None where they cannot be read, which stays to be answered."""
+    if not group.whole:
+        return None
+    values = [*group.names("acc"), *group.names("gyr")]
     try:
-        if values:
-            table = Table(path, values, [], layout.dialect)
-            data = np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values])
-            data = data[np.isfinite(data).all(axis=1)]
-            probe.numbers = hints.characterise(data) if len(data) else None
+        table = Table(path, values, [], layout.dialect)
+        data = np.column_stack([table.numbers(name)[:_PROBE_ROWS] for name in values])
+        data = data[np.isfinite(data).all(axis=1)]
+        return hints.characterise(data) if len(data) else None
     except (RecordingError, ValueError, IndexError):
-        return probe
-    return probe
+        return None
 
 
-def _time_lines(layout: Layout, times: list[str], probe: _Probe) -> list[str]:
+def _usual_step(path: Path, layout: Layout, name: str) -> float:
+    """A time column's usual step, in its own unit; 0 where it has none or cannot be read."""
+    try:
+        stamps = Table(path, [name], [name], layout.dialect).times_ns(name, 1_000).astype(np.float64) / 1_000
+    except (RecordingError, ValueError, IndexError):
+        return 0.0
+    steps = np.diff(stamps)
+    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+
+
+def _time_lines(layout: Layout, steps: dict[str, float]) -> list[str]:
     stated = hints.stated_rate(layout.above)
     by_rate = [f"rate_hz = {stated[0]:g}  # by {stated[1]}"] if stated else []
-    for name in times:
-        step = probe.steps.get(name, 0.0)
+    for name, step in steps.items():
         unit = stated_unit("time", name, layout.units.get(name, ""))
         if unit and not _fits(step, unit):
             unit = ""
@@ -118,29 +106,25 @@ def _time_lines(layout: Layout, times: list[str], probe: _Probe) -> list[str]:
         rate = NS_PER_S / (step * TIME_UNITS_NS[fitting[0]])
         agree = stated is not None and abs(rate / stated[0] - 1.0) <= RATE_TOLERANCE
         source = "the file says so" if unit else f"steps of {step:g}"
-        lines = [
-            f"time_column = {toml_value(name)}",
-            f"time_unit = {toml_value(fitting[0])}  # {source}: {rate:.5g} Hz",
-        ]
+        unit_line = f"time_unit = {toml_value(fitting[0])}  # {source}: {rate:.5g} Hz"
+        lines = [f"time_column = {toml_value(name)}", unit_line]
         if stated and not agree:
             lines.append(f"# rate_hz = {stated[0]:g} stands in {stated[1]}, and the times say {rate:.5g}")
         return lines + (by_rate if agree else [])
-    if by_rate:
-        return by_rate
-    wanted = "? samples per second, as the sensor was set"
-    return [f"rate_hz = 0  # {wanted}; or time_column = … and time_unit = … instead"]
+    wanted = "? samples per second, as the sensor was set; or time_column = … and time_unit = … instead"
+    return by_rate or [f"rate_hz = 0  # {wanted}"]
 
 
 def _fits(step: float, unit: str) -> bool:
     return step > 0 and hints.RATES_HZ[0] <= NS_PER_S / (step * TIME_UNITS_NS[unit]) <= hints.RATES_HZ[1]
 
 
-def _acc_line(layout: Layout, groups: list[Group], probe: _Probe) -> str:
-    stated = {stated_unit("acc", name, layout.units.get(name, "")) for name in groups[0].names("acc")}
+def _acc_line(layout: Layout, group: Group, numbers: hints.Numbers | None) -> str:
+    stated = {stated_unit("acc", name, layout.units.get(name, "")) for name in group.names("acc")}
     named = stated.pop() if len(stated) == 1 else ""
-    if probe.numbers is None:
+    if numbers is None:
         return f'acc_unit = "{named}"' if named else 'acc_unit = "?"  # ? "m/s^2", "g" or "mg"'
-    gravity, found = probe.numbers.gravity, hints.acc_unit_of(probe.numbers)
+    gravity, found = numbers.gravity, hints.acc_unit_of(numbers)
     rest = f"at rest it reads {gravity:.4g}"
     if named and found and named != found:
         return f'acc_unit = "?"  # ? its name says {named}, but {rest}, as {found} would'
@@ -151,19 +135,19 @@ def _acc_line(layout: Layout, groups: list[Group], probe: _Probe) -> str:
     return f'acc_unit = "?"  # ? {f"its name says {named}, but " if named else ""}{rest}, and gravity is due there'
 
 
-def _gyr_line(layout: Layout, groups: list[Group], probe: _Probe) -> str:
-    stated = {stated_unit("gyr", name, layout.units.get(name, "")) for name in groups[0].names("gyr")}
+def _gyr_line(layout: Layout, group: Group, numbers: hints.Numbers | None) -> str:
+    stated = {stated_unit("gyr", name, layout.units.get(name, "")) for name in group.names("gyr")}
     named = stated.pop() if len(stated) == 1 else ""
-    if probe.numbers is None:
+    if numbers is None:
         return f'gyr_unit = "{named}"' if named else 'gyr_unit = "?"  # ? "rad/s" or "deg/s"'
-    found = hints.gyr_unit_of(probe.numbers, hints.acc_unit_of(probe.numbers))
-    peaks = f"peaks of {probe.numbers.peak:.4g}"
+    found = hints.gyr_unit_of(numbers, hints.acc_unit_of(numbers))
+    peaks = f"peaks of {numbers.peak:.4g}"
     if named and found and named != found:
         return f'gyr_unit = "?"  # ? its name says {named}, but {peaks} (99th percentile) look like {found}'
     if named:
         return f'gyr_unit = "{named}"  # the file says so; {peaks} (99th percentile)'
     if found:
-        degrees = np.degrees(probe.numbers.peak * GYR_UNITS[found])
+        degrees = np.degrees(numbers.peak * GYR_UNITS[found])
         return f'gyr_unit = "{found}"  # {peaks} (99th percentile): {degrees:.0f} deg/s, as legs walk'
     return f'gyr_unit = "?"  # ? "rad/s" or "deg/s": {peaks} (99th percentile) do not tell'
 
@@ -189,17 +173,15 @@ def _other_foot(path: Path, layout: Layout, groups: list[Group]) -> list[str]:
 
 
 def _can_template() -> str:
-    sensor = [f"{kind} = {toml_value([f'? Message.{kind}_{axis}' for axis in 'xyz'])}" for kind in ("acc", "gyr")]
-    return "\n".join(
-        [
-            'acc_unit = "m/s^2"  # ? "m/s^2" or "g", after the DBC\'s scaling',
-            'gyr_unit = "rad/s"  # ? "rad/s" or "deg/s", after the DBC\'s scaling',
-            "",
-            "[can]",
-            'dbc = "sensors.dbc"  # ? beside this file',
-            "",
-            f'[sensors."?"]  # {_WHICH}',
-            *sensor,
-            "",
-        ]
-    )
+    acc, gyr = (toml_value([f"? Message.{kind}_{axis}" for axis in "xyz"]) for kind in ("acc", "gyr"))
+    return f"""\
+acc_unit = "m/s^2"  # ? "m/s^2" or "g", after the DBC's scaling
+gyr_unit = "rad/s"  # ? "rad/s" or "deg/s", after the DBC's scaling
+
+[can]
+dbc = "sensors.dbc"  # ? beside this file
+
+[sensors."?"]  # {_WHICH}
+acc = {acc}
+gyr = {gyr}
+"""

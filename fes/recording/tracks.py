@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from fes.config import FootGeometry
-from fes.signals import SENSORS, FloatArray, ImuSample, IntArray
+from fes.signals import SENSORS, Event, FloatArray, ImuSample, IntArray
 
 UNLABELLED_FEET = ("foot_a", "foot_b")  # fes calibrate finds which is left
+PER_SAMPLE = ("t_ns", "t_sensor_ns", "acc_mps2", "gyr_radps")  # of a track
 
 
 class RecordingError(ValueError):
@@ -20,18 +22,11 @@ class RecordingError(ValueError):
 
 
 class SidecarMissingError(RecordingError):
-    """A recording has no sidecar yet.
-
-    Attributes:
-        sidecar: where it is due.
-        proposal: text to begin it with.
-    """
+    """A recording has no ``sidecar`` yet; the ``proposal`` is text to begin it with, and follows the message."""
 
     def __init__(self, message: str, sidecar: Path, proposal: str) -> None:
-        """``message``: what to do; the proposal follows it."""
         super().__init__(f"{message}\n\n{proposal}")
-        self.sidecar = sidecar
-        self.proposal = proposal
+        self.sidecar, self.proposal = sidecar, proposal
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +82,11 @@ class Track:
     quality: TrackQuality = field(default_factory=TrackQuality)
 
     def __post_init__(self) -> None:
-        shapes = {
-            "t_ns": (self.t_ns, np.int64, (self.t_ns.size,)),
-            "t_sensor_ns": (self.t_sensor_ns, np.int64, (self.t_ns.size,)),
-            "acc_mps2": (self.acc_mps2, np.float64, (self.t_ns.size, 3)),
-            "gyr_radps": (self.gyr_radps, np.float64, (self.t_ns.size, 3)),
-        }
+        times, vectors = (np.int64, (self.t_ns.size,)), (np.float64, (self.t_ns.size, 3))
         if self.sensor not in SENSORS + UNLABELLED_FEET:
             raise RecordingError(f"track {self.sensor!r}: a sensor is one of {', '.join(SENSORS)}")
-        for name, (array, dtype, shape) in shapes.items():
+        for name, (dtype, shape) in zip(PER_SAMPLE, (times, times, vectors, vectors), strict=True):
+            array = getattr(self, name)
             if array.dtype != dtype or array.shape != shape:
                 raise RecordingError(
                     f"track {self.sensor}: {name} is {array.dtype} {array.shape}, must be {np.dtype(dtype)} {shape}"
@@ -105,13 +96,7 @@ class Track:
 
     def part(self, rows: slice) -> Track:
         """The same with these samples alone, as copies: the whole need not be kept for them."""
-        return replace(
-            self,
-            t_ns=self.t_ns[rows].copy(),
-            t_sensor_ns=self.t_sensor_ns[rows].copy(),
-            acc_mps2=self.acc_mps2[rows].copy(),
-            gyr_radps=self.gyr_radps[rows].copy(),
-        )
+        return replace(self, **{name: getattr(self, name)[rows].copy() for name in PER_SAMPLE})
 
     @property
     def duration_s(self) -> float:
@@ -156,7 +141,7 @@ class Recording:
 
 
 def _block(ordered: list[Track], which: IntArray, row: IntArray) -> Iterator[ImuSample]:
-    """Yield the samples (track number, row) of one block."""
+    """The samples of these tracks (by number) and rows."""
     size = which.size
     t_ns, t_sensor_ns = np.empty(size, np.int64), np.empty(size, np.int64)
     values = np.empty((size, 6))
@@ -170,3 +155,22 @@ def _block(ordered: list[Track], which: IntArray, row: IntArray) -> Iterator[Imu
         t_ns.tolist(), names, t_sensor_ns.tolist(), values.tolist(), strict=True
     ):
         yield ImuSample(t, sensor, stamp, (ax, ay, az), (gx, gy, gz))
+
+
+def increasing(track: Track) -> npt.NDArray[np.bool_]:
+    """Which samples (N,) are newer than all before them: what is left without doubled and backward stamps."""
+    before = np.maximum.accumulate(track.t_sensor_ns)[:-1]
+    return np.concatenate(([True], track.t_sensor_ns[1:] > before))
+
+
+def newer_samples(track: Track) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Stamps (N,), specific force and rate (N, 3) of the samples that are newer than all before them."""
+    if (track.t_sensor_ns[1:] > track.t_sensor_ns[:-1]).all():  # the usual case; nothing to copy
+        return track.t_sensor_ns, track.acc_mps2, track.gyr_radps
+    newer = increasing(track)
+    return track.t_sensor_ns[newer], track.acc_mps2[newer], track.gyr_radps[newer]
+
+
+def samples_of(recording: Recording, sensors: set[str]) -> Iterator[Event]:
+    """The recording's samples of these sensors, in order of arrival."""
+    return (sample for sample in recording.samples() if sample.sensor in sensors)

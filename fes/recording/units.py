@@ -1,43 +1,34 @@
-"""Units a sidecar may name, and their size in SI."""
+"""Units a sidecar may name, and their size in SI; whether they are what it says: gravity and turning rates tell.
 
-from __future__ import annotations
+Wrong units would not crash: they would give wrong phases, and stimulation at the wrong moment. So they are refused.
+"""
 
 import math
+from dataclasses import dataclass
 from typing import Annotated, Final, Literal
 
+import numpy as np
 from pydantic import BeforeValidator
 
-from fes.signals import G_MPS2
+from fes.estimation.numerics.ranks import median, percentile
+from fes.recording.tracks import RecordingError
+from fes.signals import G_MPS2, FloatArray, IntArray
 
 ACC_UNITS: Final = {"m/s^2": 1.0, "g": G_MPS2, "mg": G_MPS2 * 1e-3}
 GYR_UNITS: Final = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "mdeg/s": math.pi / 180e3}
 TIME_UNITS_NS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
-_SPELLINGS: Final = {
-    "m/s2": "m/s^2",
-    "m/s²": "m/s^2",
-    "m/s/s": "m/s^2",
-    "m/s**2": "m/s^2",
-    "m s^-2": "m/s^2",
-    "mps2": "m/s^2",
-    "deg/sec": "deg/s",
-    "degree/s": "deg/s",
-    "degrees/s": "deg/s",
-    "°/s": "deg/s",
-    "dps": "deg/s",
-    "mdps": "mdeg/s",
-    "rad/sec": "rad/s",
-    "rps": "rad/s",
-    "µs": "us",
-    "μs": "us",
-    "sec": "s",
-    "seconds": "s",
-    "msec": "ms",
-    "milliseconds": "ms",
-    "usec": "us",
-    "microseconds": "us",
-    "nanoseconds": "ns",
+_SPELT: Final = {
+    "m/s^2": ("m/s2", "m/s²", "m/s/s", "m/s**2", "m s^-2", "mps2"),
+    "deg/s": ("deg/sec", "degree/s", "degrees/s", "°/s", "dps"),
+    "mdeg/s": ("mdps",),
+    "rad/s": ("rad/sec", "rps"),
+    "s": ("sec", "seconds"),
+    "ms": ("msec", "milliseconds"),
+    "us": ("µs", "μs", "usec", "microseconds"),
+    "ns": ("nanoseconds",),
 }
+_SPELLINGS: Final = {spelling: unit for unit, spellings in _SPELT.items() for spelling in spellings}
 
 
 def canonical(unit: object) -> object:
@@ -58,16 +49,8 @@ def _unit(value: object, allowed: dict[str, float], si: str) -> str | float:
     raise ValueError(f"must be {names}, or, for raw counts, the size of one count in {si}")
 
 
-def _acc_unit(value: object) -> str | float:
-    return _unit(value, ACC_UNITS, "m/s²")
-
-
-def _gyr_unit(value: object) -> str | float:
-    return _unit(value, GYR_UNITS, "rad/s")
-
-
-AccUnit = Annotated[str | float, BeforeValidator(_acc_unit)]
-GyrUnit = Annotated[str | float, BeforeValidator(_gyr_unit)]
+AccUnit = Annotated[str | float, BeforeValidator(lambda value: _unit(value, ACC_UNITS, "m/s²"))]
+GyrUnit = Annotated[str | float, BeforeValidator(lambda value: _unit(value, GYR_UNITS, "rad/s"))]
 TimeUnit = Annotated[Literal["s", "ms", "us", "ns"], BeforeValidator(canonical)]
 
 
@@ -79,3 +62,139 @@ def acc_factor(unit: str | float) -> float:
 def gyr_factor(unit: str | float) -> float:
     """rad/s per unit; a number is its own factor (raw counts)."""
     return GYR_UNITS[unit] if isinstance(unit, str) else unit
+
+
+WINDOW_S = 0.15  # the foot is flat for about 0.3 s of every stride: a window fits in whatever its phase
+QUIET_SHARE = 0.05
+GRAVITY_BAND = (0.75, 1.33)  # quiet shanks and lively feet still read within it, g and m/s² are a factor 9.8 apart
+MAX_RATE_RADPS = 60.0  # 3400 deg/s: no leg turns so fast, no usual sensor measures it
+MOVING_MPS2 = 3.0  # walking feet leave 1 g by more than 10 m/s², idle ones by less than 1
+MIN_MOVING_RADPS = 0.35  # 20 deg/s: a foot that walks peaks at 200 to 600
+SAMPLED_S = 10.0  # of a long recording so long stretches are looked at …
+STRETCHES = 24  # … so many of them, evenly apart: units do not change in between
+
+
+@dataclass(frozen=True)
+class _Spreads:
+    """Squared lengths (M,) of what was looked at of a sensor, and its spread (K,) in windows of ``window`` samples."""
+
+    squares: FloatArray
+    spread: FloatArray
+    window: int
+
+    def relative(self) -> FloatArray:
+        """The spread (K,) as a share of the usual one, so that no unit is needed."""
+        return self.spread / (median(self.spread) or 1.0)
+
+    def size_in(self, windows: IntArray) -> float:
+        """The usual length in some of the windows."""
+        within = self.squares[: len(self.spread) * self.window].reshape(-1, self.window)
+        return median(np.sqrt(within[windows]).ravel())
+
+
+def quiet_level(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> tuple[float, float]:
+    """Return medians over the quietest windows of (N, 3) raw vectors: of their lengths, in the units of the file.
+
+    Quietness is the spread of the acceleration in a window and its turning rate, each relative to its median over
+    the file, so that no unit is needed to rank by it.
+    """
+    return _quiet(*_window_spreads(acc, gyr, rate_hz, len(acc)))
+
+
+def _window_spreads(acc: FloatArray, gyr: FloatArray, rate_hz: float, size: int) -> tuple[_Spreads, _Spreads]:
+    """Look at evenly spread stretches of ``size`` rows, or at all (N, 3) of them where they are no more."""
+    from fes.recording.kernels import spreads  # here, for who only writes recordings needs no compiler
+
+    size = min(size, len(acc))
+    begins = np.linspace(0, len(acc) - size, STRETCHES).astype(np.int64)
+    if len(acc) <= STRETCHES * size:
+        begins, size = begins[:1], len(acc)
+    window = min(max(4, round(WINDOW_S * rate_hz)), len(begins) * size)
+
+    def spreads_of(vectors: FloatArray) -> _Spreads:
+        squares = np.empty(len(begins) * size)
+        spread = np.empty(len(squares) // window)
+        spreads(np.ascontiguousarray(vectors), begins, size, window, squares, spread)
+        return _Spreads(squares, spread, window)
+
+    return spreads_of(acc), spreads_of(gyr)
+
+
+def _quiet(acc: _Spreads, gyr: _Spreads) -> tuple[float, float]:
+    restless = acc.relative() + gyr.relative()
+    last = max(1, math.ceil(QUIET_SHARE * len(restless))) - 1
+    chosen = np.flatnonzero(restless <= np.partition(restless, last)[last])
+    return acc.size_in(chosen), gyr.size_in(chosen)
+
+
+def check_units(
+    where: str, acc: FloatArray, gyr: FloatArray, rate_hz: float, acc_unit: str | float, gyr_unit: str | float
+) -> None:
+    """Check (N, 3) vectors in the file's units against what the sidecar says of them.
+
+    Of more than four minutes, stretches from beginning to end that make four minutes together are looked at.
+
+    Raises:
+        RecordingError: gravity or the turning rates do not fit; the message says which unit would.
+    """
+    of_acc, of_gyr = _window_spreads(acc, gyr, rate_hz, round(SAMPLED_S * rate_hz))
+    factors = acc_factor(acc_unit), gyr_factor(gyr_unit)
+    _check_gravity(where, _quiet(of_acc, of_gyr), acc_unit, factors[0])
+    _check_turning(where, of_acc.squares, of_gyr.squares, gyr_unit, factors)
+
+
+def _check_gravity(where: str, quiet: tuple[float, float], unit: str | float, factor: float) -> None:
+    acc, gyr = quiet
+    low, high = (G_MPS2 * bound for bound in GRAVITY_BAND)
+    if low <= acc * factor <= high:
+        return
+    reading = f"{where}: at rest the accelerometer reads {acc:.4g}"
+    for other, size in ACC_UNITS.items():
+        if low <= acc * size <= high:
+            raise RecordingError(
+                f"{reading}, which looks like {other} (gravity is {G_MPS2 / size:.4g} {other}), but acc_unit = "
+                f'{_shown(unit)}: set acc_unit = "{other}"'
+            )
+    for other, size in ACC_UNITS.items():
+        if acc < 0.2 * gyr and low <= gyr * size <= high:
+            raise RecordingError(
+                f"{reading} and the gyroscope {gyr:.4g}, which looks like gravity in {other}: the columns of acc "
+                f"and gyr are swapped; exchange the two lists"
+            )
+    if acc * factor < 0.25 * G_MPS2:
+        raise RecordingError(
+            f"{reading} {_shown(unit)}: gravity is missing. Either acc names the wrong columns, or the sensor was told "
+            f"to subtract gravity (“linear” or “free” acceleration): export the raw acceleration"
+        )
+    raise RecordingError(
+        f"{reading} {_shown(unit)} where gravity ({G_MPS2 / factor:.4g}) is due. Check the columns of acc and "
+        f"acc_unit; if these are raw counts, say acc_unit = {G_MPS2 / acc:.4g} (m/s² per count)"
+    )
+
+
+def _check_turning(
+    where: str, acc_squares: FloatArray, squares: FloatArray, unit: str | float, factors: tuple[float, float]
+) -> None:
+    factor = factors[1]
+    # a percentile lies between two of the values, which are not sought out where a glance tells enough
+    fast = np.count_nonzero(squares >= (MIN_MOVING_RADPS / factor) ** 2) > 0.01 * (len(squares) - 1) + 1
+    if fast and squares.max() <= (MAX_RATE_RADPS / factor) ** 2:
+        return
+    peak = percentile(np.sqrt(squares), 99.0)
+    fitting = next((other for other, size in GYR_UNITS.items() if 1.0 <= peak * size <= 40.0), "")  # of a walking leg
+    fix = f'this looks like {fitting}: set gyr_unit = "{fitting}"' if fitting else "check gyr and gyr_unit"
+    if peak * factor > MAX_RATE_RADPS:
+        raise RecordingError(
+            f"{where}: the gyroscope's peaks of {peak:.4g} (99th percentile) with gyr_unit = {_shown(unit)} would be "
+            f"{math.degrees(peak * factor):.0f} deg/s, more than any leg turns; {fix}"
+        )
+    moved = percentile(np.abs(factors[0] * np.sqrt(acc_squares) - G_MPS2), 99.0)
+    if moved > MOVING_MPS2 and peak * factor < MIN_MOVING_RADPS:
+        raise RecordingError(
+            f"{where}: the accelerometer shows movement ({moved:.1f} m/s² beside gravity), but the gyroscope's peaks "
+            f"of {peak:.4g} with gyr_unit = {_shown(unit)} would be only {math.degrees(peak * factor):.2g} deg/s; {fix}"
+        )
+
+
+def _shown(unit: str | float) -> str:
+    return f'"{unit}"' if isinstance(unit, str) else f"{unit:g}"

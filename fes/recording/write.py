@@ -1,7 +1,5 @@
 """A recording → Parquet or CSV with its sidecar; what is written here, :func:`fes.recording.read_recording` reads."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -12,10 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, Track
-from fes.signals import SENSORS, IntArray
+from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError
+from fes.signals import SENSORS
 
-_AXES = "xyz"
 _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
@@ -34,22 +31,22 @@ def write_recording(recording: Recording, path: Path, *, overwrite: bool = False
         RecordingError: no track, an unknown suffix, a file in the way, or the disk refuses.
     """
     path = Path(path)
-    sidecar = path.with_suffix(".toml")
-    if path.suffix.lower() not in (".parquet", ".csv"):
+    sidecar, suffix = path.with_suffix(".toml"), path.suffix.lower()
+    if suffix not in (".parquet", ".csv"):
         raise RecordingError(f"{path}: recordings are written as .parquet or .csv, not {path.suffix!r}")
     if not any(track.t_ns.size for track in recording.tracks.values()):
         raise RecordingError(f"{path}: the recording has no samples, so there is nothing to write")
     for target in (path, sidecar):
         if target.exists() and not overwrite:
             raise RecordingError(f"{target}: is there already; choose another name or pass overwrite=True")
-    columns, settings = _lay_out(recording, single=path.suffix.lower() == ".parquet")
+    columns, settings = _lay_out(recording, single=suffix == ".parquet")
     try:
         text = toml_text(settings)
     except TypeError as error:
         raise RecordingError(f"{sidecar}: cannot be written: {error}") from error
     temporary = [target.with_name(f".{target.name}.{os.getpid()}.part") for target in (path, sidecar)]
     try:
-        _write_table(columns, temporary[0], path.suffix.lower())
+        _write_table(columns, temporary[0], suffix)
         temporary[1].write_text(text, encoding="utf-8")
         temporary[0].replace(path)
         temporary[1].replace(sidecar)
@@ -61,9 +58,8 @@ def write_recording(recording: Recording, path: Path, *, overwrite: bool = False
 
 
 def _lay_out(recording: Recording, *, single: bool) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return (column name → numpy array with its mask, sidecar settings)."""
+    """Return (column name → values, which may be fewer than there are rows; sidecar settings)."""
     tracks = [recording.tracks[sensor] for sensor in SENSORS + UNLABELLED_FEET if sensor in recording.tracks]
-    rows = max(track.t_ns.size for track in tracks)
     shared = all(np.array_equal(track.t_sensor_ns, tracks[0].t_sensor_ns) for track in tracks)
     number = np.float32 if single else np.float64
     columns: dict[str, Any] = {}
@@ -79,7 +75,7 @@ def _lay_out(recording: Recording, *, single: bool) -> tuple[dict[str, Any], dic
     }
     mounting = recording.extra.get("mounting", {})
     if shared:
-        columns["t_ns"] = (tracks[0].t_sensor_ns, rows)
+        columns["t_ns"] = tracks[0].t_sensor_ns
         settings["time_column"] = "t_ns"
     for track in tracks:
         sensor = track.sensor
@@ -90,14 +86,14 @@ def _lay_out(recording: Recording, *, single: bool) -> tuple[dict[str, Any], dic
         }
         if not shared:
             entry["time_column"] = f"{sensor}_t_ns"
-            columns[entry["time_column"]] = (track.t_sensor_ns, rows)
-        if not np.array_equal(track.t_ns, _arrival(track)):
+            columns[entry["time_column"]] = track.t_sensor_ns
+        if not np.array_equal(track.t_ns, np.maximum.accumulate(track.t_sensor_ns)):  # what a reader assumes
             entry["arrival_column"] = f"{sensor}_arrival_ns"
-            columns[entry["arrival_column"]] = (track.t_ns, rows)
+            columns[entry["arrival_column"]] = track.t_ns
         for kind, values in (("acc", track.acc_mps2), ("gyr", track.gyr_radps)):
-            entry[kind] = [f"{sensor}_{kind}_{axis}" for axis in _AXES]
+            entry[kind] = [f"{sensor}_{kind}_{axis}" for axis in "xyz"]
             for axis, name in enumerate(entry[kind]):
-                columns[name] = (np.ascontiguousarray(values[:, axis], dtype=number), rows)
+                columns[name] = np.ascontiguousarray(values[:, axis], dtype=number)
         if sensor in mounting:
             entry["mounting"] = dict(mounting[sensor])
         settings["sensors"][sensor] = entry
@@ -106,20 +102,15 @@ def _lay_out(recording: Recording, *, single: bool) -> tuple[dict[str, Any], dic
     return columns, settings
 
 
-def _arrival(track: Track) -> IntArray:
-    """The arrival a reader would assume without an arrival column."""
-    return np.maximum.accumulate(track.t_sensor_ns)
-
-
 def _write_table(columns: dict[str, Any], path: Path, suffix: str) -> None:
     """Write the columns, the short ones filled up with empty cells."""
     import pyarrow as pa
 
-    arrays = {}
-    for name, (values, rows) in columns.items():
-        array = pa.array(values)
-        empty = rows - values.size
-        arrays[name] = pa.concat_arrays([array, pa.nulls(empty, array.type)]) if empty else array
+    rows = max(values.size for values in columns.values())
+    arrays = {name: pa.array(values) for name, values in columns.items()}
+    for name, array in arrays.items():
+        if empty := rows - len(array):
+            arrays[name] = pa.concat_arrays([array, pa.nulls(empty, array.type)])
     table = pa.table(arrays)
     if suffix == ".csv":
         from pyarrow import csv

@@ -1,7 +1,5 @@
 """What a session amounts to: short plain sentences with a weight, and the first page that is made of them."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,7 +8,6 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
-from fes.report.stimulation import DoseRow
 from fes.report.summary import ChannelSummary, SessionSummary
 from fes.report.text import count_of, number, readable
 
@@ -18,8 +15,7 @@ Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
 SILENCE_MS = 100.0
 FIRST = 6  # sentences on the first page; the rest stand further down
-_ORDER: Final[tuple[Level, ...]] = ("alert", "warning", "good", "info")
-_VERDICTS: Final[dict[Level, str]] = {
+_VERDICTS: Final[dict[Level, str]] = {  # what matters most first
     "alert": "Look before using the numbers",
     "warning": "Usable, with points to look at",
     "good": "No fault found in data and stimulation",
@@ -37,70 +33,54 @@ class Finding:
 
 def findings(summary: SessionSummary) -> tuple[Finding, ...]:
     """All sentences, in the order in which they matter."""
-    return (
-        *_whole(summary),
-        *_faults(summary),
-        *_stimulation(summary),
-        *_wire(summary),
-        *_strides(summary),
-        *_speed(summary),
-        *_refusals(summary),
-        *_latency(summary),
-        *(finding for sensor in summary.sensors for finding in _sensor(sensor)),
-    )
+    return tuple(_findings(summary))
 
 
-def _whole(summary: SessionSummary) -> Iterator[Finding]:
+def _findings(summary: SessionSummary) -> Iterator[Finding]:
     if not summary.complete:
         lost = f" Lost: {summary.lost}." if summary.lost else ""
         yield Finding("alert", f"The session log has no proper end; the numbers cover only what was kept.{lost}")
-
-
-def _faults(summary: SessionSummary) -> Iterator[Finding]:
     if summary.faults:
-        first = summary.faults[0]
-        yield Finding(
-            "alert",
-            f"{count_of(len(summary.faults), 'fault')} noted, the first at {first.time_s:.1f} s "
-            f"({first.source}): {first.text}",
-        )
-
-
-def _wire(summary: SessionSummary) -> Iterator[Finding]:
-    """What the run itself counted when it held the commands against the stimulator's answers."""
-    counts = next(
-        (value for value in summary.run_summary.values() if isinstance(value, dict) and _is_wire(value)), None
-    )
-    if counts is None:
-        return
-    commands, missing, different = (int(counts[key]) for key in ("commands", "missing", "different"))
-    if missing or different:
-        yield Finding(
-            "alert", f"Of {commands} commands the stimulator left {missing} unanswered and did {different} differently."
-        )
-    else:
-        yield Finding("good", f"The stimulator answered all {commands} commands and did what each one said.")
-
-
-def _is_wire(value: dict[str, Any]) -> bool:
-    return all(isinstance(value.get(key), int) for key in ("commands", "missing", "different"))
-
-
-def _stimulation(summary: SessionSummary) -> Iterator[Finding]:
+        first, count = summary.faults[0], count_of(len(summary.faults), "fault")
+        where = f"the first at {first.time_s:.1f} s ({first.source}): {first.text}"
+        yield Finding("alert", f"{count} noted, {where}")
     if not summary.channels:
         yield Finding("info", "No stimulation channel was set up.")
     for channel in summary.channels:
         yield from _channel(channel, summary.command_period_s)
+    yield from _wire(summary)
+    yield from _strides(summary)
+    yield from _speed(summary)
+    if summary.refusals:
+        most, total = summary.refusals[0], sum(refusal.count for refusal in summary.refusals)
+        often = f"most often: {most.reason} ({most.count})"
+        yield Finding("warning", f"The safety gate turned {count_of(total, 'command')} off; {often}.")
+    latency = summary.latency
+    if latency.count:
+        p50, p99, most_ms = (f"{ms:.2f} ms" for ms in (latency.p50_ms, latency.p99_ms, latency.max_ms))
+        yield Finding("info", f"From sample to decision: {p50} in the median, 99 % within {p99}, at most {most_ms}.")
+    for sensor in summary.sensors:
+        yield from _sensor(sensor)
+
+
+def _wire(summary: SessionSummary) -> Iterator[Finding]:
+    """What the run itself counted when it held the commands against the stimulator's answers."""
+    keys = ("commands", "missing", "different")
+    told = [[each.get(key) for key in keys] for each in summary.run_summary.values() if isinstance(each, dict)]
+    for commands, missing, different in [each for each in told if all(isinstance(count, int) for count in each)][:1]:
+        if missing or different:
+            lacks = f"left {missing} unanswered and did {different} differently"
+            yield Finding("alert", f"Of {commands} commands the stimulator {lacks}.")
+        else:
+            yield Finding("good", f"The stimulator answered all {commands} commands and did what each one said.")
 
 
 def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
     name = channel.name
     if channel.on_without_command:
-        yield Finding(
-            "alert",
-            f"{name}: the stimulator answered {count_of(channel.on_without_command, 'time')} that it was on "
-            f"although no command asked for it.",
-        )
+        often = count_of(channel.on_without_command, "time")
+        text = f"{name}: the stimulator answered {often} that it was on although no command asked for it."
+        yield Finding("alert", text)
     if not channel.bursts:
         yield Finding("info", f"{name}: never stimulated.")
         return
@@ -112,17 +92,12 @@ def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
     if channel.longest_outside_s == 0:
         yield Finding("good", f"{name}: stimulated {times}, never outside {window} of its foot.")
     elif channel.longest_outside_s <= period_s:
-        yield Finding(
-            "info",
-            f"{name}: stimulated {times}; {channel.bursts_outside} reached outside {window} for at most "
-            f"{channel.longest_outside_s * 1e3:.0f} ms, no longer than one command lasts.",
-        )
+        most = f"for at most {channel.longest_outside_s * 1e3:.0f} ms, no longer than one command lasts"
+        yield Finding("info", f"{name}: stimulated {times}; {channel.bursts_outside} reached outside {window} {most}.")
     else:
-        yield Finding(
-            "alert",
-            f"{name}: {channel.bursts_outside} of {count_of(channel.bursts, 'burst')} outside {window}, "
-            f"{channel.outside_s:.2f} s in all, the longest {channel.longest_outside_s * 1e3:.0f} ms.",
-        )
+        some = f"{channel.bursts_outside} of {count_of(channel.bursts, 'burst')} outside {window}"
+        how = f"{channel.outside_s:.2f} s in all, the longest {channel.longest_outside_s * 1e3:.0f} ms"
+        yield Finding("alert", f"{name}: {some}, {how}.")
 
 
 def _strides(summary: SessionSummary) -> Iterator[Finding]:
@@ -165,16 +140,6 @@ def _refusals(summary: SessionSummary) -> Iterator[Finding]:
         )
 
 
-def _latency(summary: SessionSummary) -> Iterator[Finding]:
-    latency = summary.latency
-    if latency.count:
-        yield Finding(
-            "info",
-            f"From sample to decision: {latency.p50_ms:.2f} ms in the median, 99 % within {latency.p99_ms:.2f} ms, "
-            f"at most {latency.max_ms:.2f} ms.",
-        )
-
-
 def _sensor(sensor: SensorQuality) -> Iterator[Finding]:
     flaws = [
         count_of(sensor.missing, "missing sample") if sensor.missing else "",
@@ -188,37 +153,24 @@ def _sensor(sensor: SensorQuality) -> Iterator[Finding]:
         yield Finding("warning", f"Sensor {readable(sensor.sensor)}: {told} ({sensor.samples} samples).")
 
 
-@dataclass(frozen=True, slots=True)
-class FrontPage:
-    """What stands there: the worst level with its words, the first sentences and the others, cards, and the doses."""
-
-    level: Level
-    verdict: str
-    first: tuple[Finding, ...]
-    others: tuple[Finding, ...]
-    cards: tuple[dict[str, str], ...]
-    doses: tuple[tuple[ChannelSummary, DoseRow | None], ...]
-
-
 def front_page(
     summary: SessionSummary,
     flags: Mapping[tuple[str, int], Sequence[Flag]],
     sensors: Mapping[str, SensorFlags],
     more: Sequence[Finding] = (),
-) -> FrontPage:
-    """Put it together; sentences of alerts and warnings come first, in the order in which they were found."""
+) -> dict[str, Any]:
+    """The worst level with its words, the first sentences and the others, cards, and the doses.
+
+    Sentences of alerts and warnings come first, in the order in which they were found.
+    """
     every = (*findings(summary), *more, *flag_findings(flags, sensors))
-    ordered = sorted(every, key=lambda finding: _ORDER.index(finding.level))
+    levels = list(_VERDICTS)
+    ordered = sorted(every, key=lambda finding: levels.index(finding.level))
     level: Level = ordered[0].level if ordered else "info"
     dose = {row.channel: row for row in summary.dose}
-    return FrontPage(
-        level=level,
-        verdict=_VERDICTS[level],
-        first=tuple(ordered[:FIRST]),
-        others=tuple(ordered[FIRST:]),
-        cards=tuple(_cards(summary)),
-        doses=tuple((channel, dose.get(channel.channel)) for channel in summary.channels),
-    )
+    found = {"level": level, "verdict": _VERDICTS[level], "first": ordered[:FIRST], "others": ordered[FIRST:]}
+    doses = [(channel, dose.get(channel.channel)) for channel in summary.channels]
+    return {**found, "cards": _cards(summary), "doses": doses}
 
 
 def flag_findings(flags: Mapping[tuple[str, int], Sequence[Flag]], sensors: Mapping[str, SensorFlags]) -> list[Finding]:
@@ -229,14 +181,10 @@ def flag_findings(flags: Mapping[tuple[str, int], Sequence[Flag]], sensors: Mapp
             samples = int(sensor.at_limit[axis].sum())
             strides = sum(any(flag.kind == kind for flag in own) for (foot, _), own in flags.items() if foot == name)
             if samples:
+                limit = f"{kind} at its limit of {sensor.limits[axis]:.0f} {unit}"
+                where = f"in {count_of(samples, 'sample')}, in {count_of(strides, 'stride')}"
                 how = "" if sensor.known else ", found in the samples, for the range is not known"
-                found.append(
-                    Finding(
-                        "warning",
-                        f"Sensor {readable(name)}: {kind} at its limit of {sensor.limits[axis]:.0f} {unit} in "
-                        f"{count_of(samples, 'sample')}, in {count_of(strides, 'stride')}{how}.",
-                    )
-                )
+                found.append(Finding("warning", f"Sensor {readable(name)}: {limit} {where}{how}."))
     return found
 
 
@@ -244,26 +192,21 @@ def _cards(s: SessionSummary) -> list[dict[str, str]]:
     """The key figures of the session: a word from the glossary, a name, a value with its unit, a small line below."""
     total = len(s.strides)
     four, valid = sum(row.four_phases for row in s.strides), sum(row.valid for row in s.strides)
-    belt = "no belt known"
-    if s.belt_speed_mps > 0:
-        belt = f"belt {s.belt_speed_mps:.2f}, ratio {number(s.speed_over_belt, 3)}"
+    ratio = f"belt {s.belt_speed_mps:.2f}, ratio {number(s.speed_over_belt, 3)}"
+    belt = ratio if s.belt_speed_mps > 0 else "no belt known"
     cards = [
-        _card("stride", "Strides", f"{total}", f"{valid} valid"),
-        _card("four phases", "All four phases", f"{100 * four / total:.0f} %" if total else "–", f"{four} of {total}"),
-        _card("walking speed", "Walking speed", f"{number(s.walking_speed_mps, 2)} m/s", belt),
+        ("stride", "Strides", f"{total}", f"{valid} valid"),
+        ("four phases", "All four phases", f"{100 * four / total:.0f} %" if total else "–", f"{four} of {total}"),
+        ("walking speed", "Walking speed", f"{number(s.walking_speed_mps, 2)} m/s", belt),
     ]
     feet = [foot for foot in s.feet.values() if foot.valid]
     if feet:
         cadence = sum(foot.cadence_steps_per_min for foot in feet) / len(feet)
-        cards.append(_card("cadence", "Cadence", f"{number(cadence, 0)} /min", "steps"))
+        cards.append(("cadence", "Cadence", f"{number(cadence, 0)} /min", "steps"))
     if s.channels:
         bursts, on_s = sum(channel.bursts for channel in s.channels), sum(channel.on_time_s for channel in s.channels)
         charge_mc = sum(channel.charge_uc for channel in s.channels) / 1e3
-        cards.append(_card("burst", "Stimulation", count_of(bursts, "burst"), f"{on_s:.1f} s on, {charge_mc:.2f} mC"))
+        cards.append(("burst", "Stimulation", count_of(bursts, "burst"), f"{on_s:.1f} s on, {charge_mc:.2f} mC"))
     if s.latency.count:
-        cards.append(_card("latency", "Latency p99", f"{s.latency.p99_ms:.2f} ms", f"median {s.latency.p50_ms:.2f} ms"))
-    return cards
-
-
-def _card(term: str, name: str, value: str, below: str) -> dict[str, str]:
-    return {"term": term, "name": name, "value": value, "below": below}
+        cards.append(("latency", "Latency p99", f"{s.latency.p99_ms:.2f} ms", f"median {s.latency.p50_ms:.2f} ms"))
+    return [dict(zip(("term", "name", "value", "below"), card, strict=True)) for card in cards]

@@ -5,8 +5,6 @@ comfortable walking over ground. They depend on age, sex and height, which a ses
 the belt sets the speed: they are there to see how far away a number is, and judge nothing.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 from typing import Final
@@ -109,8 +107,7 @@ def terms() -> dict[str, Term]:
         symbol = f" ({known.symbol})" if known.symbol else ""
         unit = f" Unit: {known.shown}." if known.shown else ""
         source = f" [{known.source}]" if known.source else ""
-        text = f"{capitalised(known.text)}.{unit}{source}"
-        found[slug(key)] = Term(f"{known.name}{symbol}", text)
+        found[slug(key)] = Term(f"{known.name}{symbol}", f"{capitalised(known.text)}.{unit}{source}")
     found[slug("temporal_symmetry")] = Term(
         "temporal symmetry",
         "Swing over stance time of the paretic side over that of the other; left over right where no side was named. "

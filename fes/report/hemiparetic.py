@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fes.analysis.hemiparetic.side import MIN_AGREEING, MIN_SCORE
+from fes.analysis.hemiparetic.walk import MIN_AGREEING, MIN_SCORE
 from fes.report.figures.space import SpaceFigure, SpaceFoot
 from fes.report.findings import Finding
 from fes.report.gait import POINTS, spread_of
@@ -29,44 +30,23 @@ LEAST_STRIDES = 2
 MOST_MISCOUNTED = 0.1  # of the strides
 
 
-@dataclass(frozen=True, slots=True)
-class Vote:
-    """One sign: what it looks at, which side it takes for paretic, and how strongly, as text."""
-
-    sign: str
-    side: str
-    size: str
-
-
-@dataclass(frozen=True, slots=True)
-class WindowRow:
-    """One foot's strides between the windows of Wang et al., mean and SD as text."""
-
-    foot: str
-    role: str
-    threshold: str
-    strides: int
-    length: str
-    swing: str
-    stance: str
-
-
 @dataclass(frozen=True)
 class HemipareticSection:
     """Everything of the section as text, ``space`` None where there are no windows.
 
-    ``sure``: the walk itself tells the side. ``terrain``: by foot, "46 level, 2 up". ``miscounts``: where the
-    windows find another number of strides.
+    ``sure``: the walk itself tells the side. ``votes``: of each sign what it looks at, which side it takes for paretic,
+    and how strongly. ``terrain``: by foot, "46 level, 2 up". ``windows``: each foot's strides between the windows of
+    Wang et al., mean and SD. ``miscounts``: where the windows find another number of strides.
     """
 
     heading: str
     sign: str
     sure: bool
     sentence: str
-    votes: tuple[Vote, ...]
+    votes: tuple[dict[str, str], ...]
     terrain: dict[str, str]
     terrain_of: dict[tuple[str, int], str]
-    windows: tuple[WindowRow, ...]
+    windows: tuple[dict[str, str | int], ...]
     no_windows: str
     miscounts: str
     space: SpaceFigure | None
@@ -87,15 +67,14 @@ def hemiparetic_section(walk: HemipareticWalk) -> HemipareticSection:
     if side.side is not None:
         why = f"by the signs of the walk (score {side.score:.2f})" if sure else "as given; the signs alone do not tell"
         heading = f"Paretic side: {side.side}, {why}"
+    kinds = {readable(foot): Counter(map(str, found.values())) for foot, found in walk.terrain.items()}
     return HemipareticSection(
         heading=heading,
         sign={"left": "L", "right": "R"}.get(side.side or "", "?"),
         sure=sure,
         sentence=capitalised(side.describe()),
         votes=tuple(_vote(sign, vote) for sign, vote in side.votes.items()),
-        terrain={
-            readable(foot): _counted([str(kind) for kind in found.values()]) for foot, found in walk.terrain.items()
-        },
+        terrain={f: ", ".join(f"{n} {kind}" for kind, n in own.items()) or "no strides" for f, own in kinds.items()},
         terrain_of={(foot, n): str(kind) for foot, found in walk.terrain.items() for n, kind in found.items()},
         windows=() if walk.windows is None else tuple(_window_row(walk.windows, track) for track in _tracks(walk)),
         no_windows=walk.no_windows,
@@ -109,26 +88,22 @@ def _tracks(walk: HemipareticWalk) -> list[FootTrack]:
     return [tracks[foot] for foot in sorted(tracks)]
 
 
-def _counted(kinds: list[str]) -> str:
-    return ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)) or "no strides"
+def _vote(sign: str, vote: float) -> dict[str, str]:
+    side = "left" if vote > 0 else "right" if vote < 0 else "neither"
+    known = {"side": "not measured", "size": "–"} if math.isnan(vote) else {"side": side, "size": f"{abs(vote):.2f}"}
+    return {"sign": SIGNS.get(sign, sign), **known}
 
 
-def _vote(sign: str, vote: float) -> Vote:
-    if math.isnan(vote):
-        return Vote(SIGNS.get(sign, sign), "not measured", "–")
-    return Vote(SIGNS.get(sign, sign), "left" if vote > 0 else "right" if vote < 0 else "neither", f"{abs(vote):.2f}")
-
-
-def _window_row(windows: Windows, track: FootTrack) -> WindowRow:
-    return WindowRow(
-        foot=track.name,
-        role="taken for healthy" if track.name == windows.healthy else "its windows mapped",
-        threshold=f"{windows.thresholds_m2ps4[track.name]:.3f}",
-        strides=max(len(track.windows) - 1, 0),
-        length=mean_sd(spread(track.stride_lengths_m()), 2),
-        swing=mean_sd(spread(track.swing_s()), 2),
-        stance=mean_sd(spread(track.stance_s()), 2),
-    )
+def _window_row(windows: Windows, track: FootTrack) -> dict[str, str | int]:
+    return {
+        "foot": track.name,
+        "role": "taken for healthy" if track.name == windows.healthy else "its windows mapped",
+        "threshold": f"{windows.thresholds_m2ps4[track.name]:.3f}",
+        "strides": max(len(track.windows) - 1, 0),
+        "length": mean_sd(spread(track.stride_lengths_m()), 2),
+        "swing": mean_sd(spread(track.swing_s()), 2),
+        "stance": mean_sd(spread(track.stance_s()), 2),
+    }
 
 
 def _miscounts(walk: HemipareticWalk) -> str:

@@ -1,7 +1,5 @@
 """The way to an HTML page: templates, style sheets and scripts, escaping, and the file written whole or not at all."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterable
@@ -15,6 +13,7 @@ from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUn
 from jinja2.bccache import Bucket
 from markupsafe import Markup
 
+from fes import __version__
 from fes.report.figures.svg import Figure
 from fes.report.text import local_time, mean_sd, number, plain, readable, slug
 
@@ -59,20 +58,21 @@ def templates(package: str = "fes.report") -> Environment:
         lstrip_blocks=True,
         bytecode_cache=TemplateCache(),
     )
-    environment.filters |= {"num": number, "mean_sd": mean_sd, "readable": readable, "local_time": local_time}
-    environment.filters |= {"slug": slug}
+    filters = {"num": number, "mean_sd": mean_sd, "readable": readable, "local_time": local_time, "slug": slug}
+    environment.filters |= filters
     return environment
+
+
+def rendered(name: str, package: str = "fes.report", **values: Any) -> str:
+    """A page as text, with what all of them have in common: the style sheet and the version."""
+    common = {"style": Markup(asset("report.css")), "version": __version__}
+    return templates(package).get_template(name).render(**common | values)
 
 
 @cache
 def asset(name: str) -> str:
     """A style sheet or script of the report."""
     return files("fes.report").joinpath("static", name).read_text(encoding="utf-8")
-
-
-def style() -> Markup:
-    """The style sheet that all pages have in common."""
-    return Markup(asset("report.css"))
 
 
 def trusted(figures: Iterable[Figure]) -> list[dict[str, Any]]:
@@ -92,12 +92,7 @@ def css_text(text: str) -> str:
 
 
 def write_page_file(text: str, path: Path, remedy: str) -> None:
-    """Write a page, replacing an older one.
-
-    Args:
-        text: the page.
-        path: where to; folders are made.
-        remedy: what the person can do if it cannot be written, as a sentence.
+    """Write a page, replacing an older one; folders are made. ``remedy``: what to do if it cannot be, as a sentence.
 
     Raises:
         ReportError: it cannot be written.

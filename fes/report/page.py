@@ -11,23 +11,16 @@ from markupsafe import Markup
 
 from fes.analysis.ground_path import GroundPath
 from fes.analysis.parameters.gait import GaitParameters
+from fes.report.figures import strides
 from fes.report.figures.space import ground_figures, space_figure
 from fes.report.figures.stimulation import channel_color, latency_figure, stimulation_figures, tuning_figures
-from fes.report.figures.strides import (
-    PHASE_COLORS,
-    butterfly_figures,
-    curve_figures,
-    foot_color,
-    phase_figures,
-    stride_figures,
-)
 from fes.report.figures.timeseries import chart_data
 from fes.report.findings import front_page
 from fes.report.gait import foot_curves, gait_of_strides
 from fes.report.glossary import parameter_slugs, terms
-from fes.report.html import asset, css_text, embed, templates, trusted, write_page_file
-from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, scales_in_words, sides_compared, walk_rows
-from fes.report.quality import Flag, all_flags, describe_flags, stride_flags
+from fes.report.html import asset, css_text, embed, rendered, trusted, write_page_file
+from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, scales_in_words, walk_rows
+from fes.report.quality import all_flags, describe_flags, stride_flags
 from fes.report.summary import ReportData, summarise_session
 from fes.report.tables import path_mark
 from fes.report.text import local_time, plain, readable
@@ -46,39 +39,42 @@ def write_report(
     record: WalkRecord,
     path: Path,
     *,
+    data: ReportData | None = None,
     paths: Mapping[str, GroundPath] | None = None,
     gait: GaitParameters | None = None,
     hemiparetic: HemipareticWalk | None = None,
 ) -> None:
     """Write the report of a session as one self-contained HTML file, replacing an older one.
 
-    ``paths``: where each foot went over the ground, if that was worked out. ``gait``: its parameters from the samples;
-    else they are worked out from the strides. ``hemiparetic``: what was found of the walk as a hemiparetic one. The
-    same record always gives the same bytes.
+    ``data``: its numbers, if already worked out. ``paths``: where each foot went over the ground, if that was worked
+    out. ``gait``: its parameters from the samples; else they are worked out from the strides. ``hemiparetic``: what was
+    found of the walk as a hemiparetic one. The same record always gives the same bytes.
 
     Raises:
         ReportError: the file cannot be written.
     """
-    text = render_report(record, paths=paths, gait=gait, hemiparetic=hemiparetic)
+    text = render_report(record, data=data, paths=paths, gait=gait, hemiparetic=hemiparetic)
     write_page_file(text, path, "Choose a place that can be written to.")
 
 
 def render_report(
     record: WalkRecord,
     *,
+    data: ReportData | None = None,
     paths: Mapping[str, GroundPath] | None = None,
     gait: GaitParameters | None = None,
     hemiparetic: HemipareticWalk | None = None,
 ) -> str:
     """The report of a session as HTML text; arguments as of :func:`write_report`."""
-    data = summarise_session(record)
+    data = data or summarise_session(record)
     summary = data.summary
     measured = gait if gait is not None else gait_of_strides(record.strides, summary.belt_speed_mps)
     sensors = all_flags(record, data.settings)
     flags = stride_flags(record, summary.strides, sensors)
     curves = foot_curves(record.strides, measured, list(data.timelines))
-    care = _care(flags, {foot: one.numbers for foot, one in curves.items()})
-    over_stride = curve_figures(curves, care)
+    described = describe_flags(flags.get((foot, number), ()) for foot, one in curves.items() for number in one.numbers)
+    care = f" With care: {described}." if described else ""
+    over_stride, butterflies = strides.curve_figures(curves, care), strides.butterfly_figures(curves, care)
     space = space_figure(curves)
     section = None
     if hemiparetic is not None:
@@ -86,67 +82,51 @@ def render_report(
 
         section = hemiparetic_section(hemiparetic)
     spaces = [figure for figure in (space, section.space if section else None) if figure is not None]
-    return (
-        templates()
-        .get_template("report.html.j2")
-        .render(
-            s=summary,
-            title=f"{summary.name} – gait and stimulation",
-            front=front_page(summary, flags, sensors, [section.finding] if section else []),
-            front_figures=trusted(over_stride[:2]),
-            gait=measured,
-            from_samples=gait is not None,
-            compared=sides_compared(measured),
-            common_scales=scales_in_words(measured),
-            key_rows=parameter_rows(measured, flags, KEY_NUMBERS),
-            walk_rows=walk_rows(measured),
-            front_walk=[row for row in walk_rows(measured) if row.norm],
-            parameter_rows=parameter_rows(measured, flags),
-            hemiparetic=section,
-            flags=flags,
-            flags_described=describe_flags(flags.values()),
-            sensors=sensors,
-            terms=terms(),
-            parameter_slugs=parameter_slugs(),
-            stride_figures=trusted(
-                [*over_stride, *butterfly_figures(curves, care), *([space.figure] if space else [])]
-            ),
-            window_figures=trusted([section.space.figure] if section and section.space else []),
-            ground_figures=trusted(ground_figures(data, paths or {})),
-            each_figures=trusted(stride_figures(data, flags)),
-            phase_figures=trusted(phase_figures(data, flags)),
-            stimulation_figures=trusted(stimulation_figures(data)),
-            tuning_figures=trusted(tuning_figures(data)),
-            latency_figure=trusted([figure for figure in [latency_figure(data)] if figure]),
-            phase_colors=PHASE_COLORS,
-            foot_color=foot_color,
-            channel_color=channel_color,
-            path_mark=path_mark,
-            long_table=len(summary.strides) > LONG_TABLE_ROWS,
-            run_summary=json.dumps(summary.run_summary, indent=2, ensure_ascii=False),
-            header_parts=_header_parts(record.header),
-            data=Markup(embed(chart_data(data, sensors) | {"spaces": [figure.to_data() for figure in spaces]})),
-            style=Markup("".join(asset(name) for name in STYLES) + _running_head(data)),
-            script=Markup("".join(asset(name) for name in SCRIPTS)),
-            uplot=Markup(f"/*\n{asset('uPlot.LICENSE')}*/\n{asset('uPlot.iife.min.js')}"),
-        )
+    walk = walk_rows(measured)
+    named = " – ".join(part[:60] for part in (summary.name, summary.subject, local_time(summary.created)) if part)
+    running_head = f"@page {{ @top-left {{ content: {css_text(named)}; }} }}\n"
+    parts = {key: value for key, value in record.header.items() if isinstance(value, (dict, list)) and value}
+    return rendered(
+        "report.html.j2",
+        s=summary,
+        title=f"{summary.name} – gait and stimulation",
+        front=front_page(summary, flags, sensors, [section.finding] if section else []),
+        front_figures=trusted(over_stride[:2]),
+        gait=measured,
+        from_samples=gait is not None,
+        compared=next((f"{both.first} over {both.second}" for both in measured.sides.values()), ""),
+        common_scales=scales_in_words(measured),
+        key_rows=parameter_rows(measured, flags, KEY_NUMBERS),
+        walk_rows=walk,
+        front_walk=[row for row in walk if row.norm],
+        parameter_rows=parameter_rows(measured, flags),
+        hemiparetic=section,
+        flags=flags,
+        flags_described=describe_flags(flags.values()),
+        sensors=sensors,
+        terms=terms(),
+        parameter_slugs=parameter_slugs(),
+        stride_figures=trusted([*over_stride, *butterflies, *([space.figure] if space else [])]),
+        window_figures=trusted([section.space.figure] if section and section.space else []),
+        ground_figures=trusted(ground_figures(data, paths or {})),
+        each_figures=trusted(strides.stride_figures(data, flags)),
+        phase_figures=trusted(strides.phase_figures(data, flags)),
+        stimulation_figures=trusted(stimulation_figures(data)),
+        tuning_figures=trusted(tuning_figures(data)),
+        latency_figure=trusted([figure for figure in [latency_figure(data)] if figure]),
+        phase_colors=strides.PHASE_COLORS,
+        foot_color=strides.foot_color,
+        channel_color=channel_color,
+        path_mark=path_mark,
+        long_table=len(summary.strides) > LONG_TABLE_ROWS,
+        run_summary=_indented(summary.run_summary),
+        header_parts=[(readable(str(key)), _indented(plain(value))) for key, value in parts.items()],
+        data=Markup(embed(chart_data(data, sensors) | {"spaces": [figure.to_data() for figure in spaces]})),
+        style=Markup("".join(map(asset, STYLES)) + running_head),
+        script=Markup("".join(map(asset, SCRIPTS))),
+        uplot=Markup(f"/*\n{asset('uPlot.LICENSE')}*/\n{asset('uPlot.iife.min.js')}"),
     )
 
 
-def _running_head(data: ReportData) -> str:
-    """What stands at the top of every printed page but the first."""
-    s = data.summary
-    text = " – ".join(part[:60] for part in (s.name, s.subject, local_time(s.created)) if part)
-    return f"@page {{ @top-left {{ content: {css_text(text)}; }} }}\n"
-
-
-def _care(flags: Mapping[tuple[str, int], tuple[Flag, ...]], numbers: Mapping[str, tuple[int, ...]]) -> str:
-    """What is to be said of the drawn strides' flags."""
-    described = describe_flags(flags.get((foot, number), ()) for foot, own in numbers.items() for number in own)
-    return f" With care: {described}." if described else ""
-
-
-def _header_parts(header: dict[str, Any]) -> list[tuple[str, str]]:
-    """The parts of a log's header as indented text, one per key that holds more than a word."""
-    parts = [(key, value) for key, value in header.items() if isinstance(value, (dict, list)) and value]
-    return [(readable(str(key)), json.dumps(plain(value), indent=2, ensure_ascii=False)) for key, value in parts]
+def _indented(value: Any) -> str:
+    return json.dumps(value, indent=2, ensure_ascii=False)

@@ -1,15 +1,12 @@
 """Rows of the report's gait parameters: numbers as people read them, and which strides in them want care."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
-from fes.analysis.parameters.gait import GaitParameters
-from fes.analysis.parameters.summary import Statistic
+from fes.analysis.parameters.gait import GaitParameters, Statistic
 from fes.report.glossary import NORMS, SPEED_CLASSES_SOURCE, speed_class
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE, Flag, describe_flags
 from fes.report.text import DIGITS, number, readable
@@ -101,12 +98,8 @@ def walk_rows(gait: GaitParameters) -> list[WalkRow]:
         shown = f"{number(walk.walking_speed_mps, 2)} m/s"
         rows.append(WalkRow("walking_speed_mps", "walking speed", shown, norm.text, norm.hover()))
         rows.append(WalkRow("speed_class", "speed class after stroke", kind, "Perry et al. 1995", SPEED_CLASSES_SOURCE))
-    for key, value, digits in (
-        ("cadence_per_min", walk.cadence_per_min, 1),
-        ("walk_ratio_m_min", walk.walk_ratio_m_min, 1),
-        ("belt_ratio", walk.belt_ratio, 3),
-    ):
-        known = DEFINITIONS[key]
+    for key, digits in (("cadence_per_min", 1), ("walk_ratio_m_min", 1), ("belt_ratio", 3)):
+        known, value = DEFINITIONS[key], getattr(walk, key)
         if math.isfinite(value):
             rows.append(WalkRow(key, known.name, f"{number(known.factor * value, digits)} {known.shown}".strip()))
     ratio = temporal_symmetry(gait)
@@ -129,12 +122,6 @@ def temporal_symmetry(gait: GaitParameters) -> float:
     return parts[0] / parts[1] if parts[1] > 0 else math.nan
 
 
-def sides_compared(gait: GaitParameters) -> str:
-    """Which side is compared to which, in words."""
-    both = next(iter(gait.sides.values()), None)
-    return "" if both is None else f"{both.first} over {both.second}"
-
-
 def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, int], Sequence[Flag]]) -> SideCell:
     value: Statistic = gait.feet[foot][key]
     known, kinds = DEFINITIONS[key], flags_touching(key)
@@ -145,14 +132,6 @@ def _cell(gait: GaitParameters, foot: str, key: str, flags: Mapping[tuple[str, i
         if stride.steady and math.isfinite(stride.values[key])
     ]
     flagged = sum(bool(each) for each in own)
-    return SideCell(
-        foot,
-        number(known.factor * value.mean, digits),
-        number(known.factor * value.sd, digits),
-        number(100.0 * value.cv, 1),
-        value.n,
-        flagged,
-        f"{flagged} of these {value.n} strides of the {readable(foot)} may be off: {describe_flags(own)}"
-        if flagged
-        else "",
-    )
+    why = f"{flagged} of these {value.n} strides of the {readable(foot)} may be off: {describe_flags(own)}"
+    mean, sd = (number(known.factor * each, digits) for each in (value.mean, value.sd))
+    return SideCell(foot, mean, sd, number(100.0 * value.cv, 1), value.n, flagged, why if flagged else "")

@@ -4,8 +4,6 @@ A sensor's limit is its range, where the recording or the session file names it.
 never repeats the greatest value of a whole recording four times in a row, a sensor at its limit does.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +16,8 @@ import numpy.typing as npt
 from fes.config import Session
 from fes.report.strides import StrideRow
 from fes.report.text import without_numbers
-from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, StimAlive, StimCommand
-from fes.walk_record import Note, SampleArrays, WalkRecord
+from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, StimCommand
+from fes.walk_record import SampleArrays, WalkRecord
 
 CLOCKS_AGREE_NS = NS_PER_S
 FAR_NS = 3600 * NS_PER_S
@@ -31,12 +29,8 @@ LEAST_GAP_S: Final = 0.025  # as long as a foot's impact; a sample or two that a
 LEAST_LIMIT: Final = {"acc": 15.0, "gyr": 4.0}  # m/s², rad/s: a sensor that hardly moved has no limit to reach
 CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE = "accelerometer", "gyroscope", "lost", "unsure"
 SHORT: Final = {CLIPPED_ACC: "clip a", CLIPPED_GYR: "clip g", LOST: "gap", UNSURE: "unsure"}
-NAMES: Final = {
-    CLIPPED_ACC: "accelerometer at its limit",
-    CLIPPED_GYR: "gyroscope at its limit",
-    LOST: "lost samples",
-    UNSURE: "a phase not seen",
-}
+_AT_LIMIT_OF: Final = {kind: f"{kind} at its limit" for kind in (CLIPPED_ACC, CLIPPED_GYR)}
+NAMES: Final = _AT_LIMIT_OF | {LOST: "lost samples", UNSURE: "a phase not seen"}
 MEANING: Final = {
     CLIPPED_ACC: "the accelerometer was at its limit: lengths, heights and paths may be off",
     CLIPPED_GYR: "the gyroscope was at its limit: angles, lengths, heights and paths may be off",
@@ -111,21 +105,11 @@ def sensor_quality(sensor: str, samples: SampleArrays) -> SensorQuality:
     gaps = forward[forward > GAP_FACTOR * usual_ns] if forward.size else forward
     finite = np.isfinite(samples.acc_mps2).all(axis=1) & np.isfinite(samples.gyr_radps).all(axis=1)
     silence_ns = np.diff(samples.t_ns)
-    return SensorQuality(
-        sensor=sensor,
-        samples=int(samples.t_ns.size),
-        rate_hz=NS_PER_S / usual_ns,
-        missing=int((np.rint(gaps / usual_ns) - 1).sum()) if gaps.size else 0,
-        doubled=int((step_ns == 0).sum()),
-        backward=int((step_ns < 0).sum()),
-        not_a_number=int((~finite).sum()),
-        longest_silence_ms=float(silence_ns.max()) / 1e6 if silence_ns.size else NAN,
-    )
-
-
-def all_sensors(samples: Mapping[str, SampleArrays]) -> tuple[SensorQuality, ...]:
-    """The quality of every sensor that sent anything."""
-    return tuple(sensor_quality(name, arrays) for name, arrays in samples.items() if arrays.t_ns.size)
+    longest_ms = float(silence_ns.max()) / 1e6 if silence_ns.size else NAN
+    missing = int((np.rint(gaps / usual_ns) - 1).sum()) if gaps.size else 0
+    doubled, backward, unreal = (int(each.sum()) for each in (step_ns == 0, step_ns < 0, ~finite))
+    counts = missing, doubled, backward, unreal
+    return SensorQuality(sensor, samples.t_ns.size, NS_PER_S / usual_ns, *counts, longest_ms)
 
 
 def group_refusals(commands: Sequence[StimCommand], origin_ns: int) -> tuple[Refusal, ...]:
@@ -133,16 +117,11 @@ def group_refusals(commands: Sequence[StimCommand], origin_ns: int) -> tuple[Ref
     groups: dict[str, list[StimCommand]] = {}
     for command in commands:
         groups.setdefault(without_numbers(command.refused), []).append(command)
-    found = [
-        Refusal(
-            reason=group[0].refused,
-            count=len(group),
-            channels=tuple(sorted({command.channel for command in group})),
-            first_s=(min(command.t_ns for command in group) - origin_ns) / NS_PER_S,
-            last_s=(max(command.t_ns for command in group) - origin_ns) / NS_PER_S,
-        )
-        for group in groups.values()
-    ]
+    found = []
+    for group in groups.values():
+        times_s = [(command.t_ns - origin_ns) / NS_PER_S for command in group]
+        channels = tuple(sorted({command.channel for command in group}))
+        found.append(Refusal(group[0].refused, len(group), channels, min(times_s), max(times_s)))
     return tuple(sorted(found, key=lambda refusal: -refusal.count))
 
 
@@ -156,28 +135,24 @@ def latency_of(latency_ns: IntArray) -> Latency:
 
 def session_notices(record: WalkRecord, origin_ns: int) -> tuple[Notice, ...]:
     """All notes, and what the stimulator itself reported as a fault, in order of time."""
-    found = [Notice((note.t_ns - origin_ns) / NS_PER_S, note.severity, note.source, note.text) for note in record.notes]
-    found += [
-        Notice((note.t_ns - origin_ns) / NS_PER_S, note.severity, note.source, note.text)
-        for note in (*_status_faults(record), *_heartbeat_faults(record.alive))
-    ]
+    notes = [(note.t_ns, note.severity, note.source, note.text) for note in record.notes]
+    notes += [(t_ns, "fault", "stimulator", text) for t_ns, text in _stimulator_faults(record)]
+    found = [Notice((t_ns - origin_ns) / NS_PER_S, *told) for t_ns, *told in notes]
     return tuple(sorted(found, key=lambda notice: notice.time_s))
 
 
-def _status_faults(record: WalkRecord) -> Iterable[Note]:
+def _stimulator_faults(record: WalkRecord) -> Iterable[tuple[int, str]]:
+    """In its answers, each kind once, and in its heartbeats."""
     groups = Counter((status.channel, status.fault) for status in record.statuses if status.fault)
     for (channel, fault), count in groups.items():
         first = next(s for s in record.statuses if s.channel == channel and s.fault == fault)
-        yield Note(first.t_ns, "fault", "stimulator", f"channel {channel}: {fault} ({count} answers)")
-
-
-def _heartbeat_faults(alive: Sequence[StimAlive]) -> Iterable[Note]:
-    fault, boot = "", alive[0].boot_id if alive else 0
-    for beat in alive:
+        yield first.t_ns, f"channel {channel}: {fault} ({count} answers)"
+    fault, boot = "", record.alive[0].boot_id if record.alive else 0
+    for beat in record.alive:
         if beat.fault and beat.fault != fault:
-            yield Note(beat.t_ns, "fault", "stimulator", beat.fault)
+            yield beat.t_ns, beat.fault
         if beat.boot_id != boot:
-            yield Note(beat.t_ns, "fault", "stimulator", f"restarted (boot {boot} → {beat.boot_id})")
+            yield beat.t_ns, f"restarted (boot {boot} → {beat.boot_id})"
         fault, boot = beat.fault, beat.boot_id
 
 
@@ -196,21 +171,16 @@ class Flag:
     @property
     def text(self) -> str:
         """For people."""
-        samples = f" ({self.count} samples)" if self.count else ""
-        return f"{MEANING[self.kind]}{samples}"
+        return MEANING[self.kind] + (f" ({self.count} samples)" if self.count else "")
 
 
 @dataclass(frozen=True)
 class SensorFlags:
-    """One sensor's samples that want care, by time.
+    """One sensor's samples that want care, by time: ``t_ns`` (N,) in order, usually ``period_ns`` apart.
 
-    Attributes:
-        t_ns: (N,) in order.
-        at_limit: by "acc" and "gyr", (N,) which samples have an axis at the limit.
-        lost: (N,) how many samples are missing just before this one, if they leave a gap that matters.
-        limits: by "acc" and "gyr": the limit (m/s², rad/s), NaN where none was reached and none is known.
-        known: the limits were given, not found in the samples.
-        period_ns: the usual time from sample to sample.
+    ``at_limit`` by "acc" and "gyr" (N,): which have an axis at the limit. ``lost`` (N,): how many samples are missing
+    just before this one, if they leave a gap that matters. ``limits`` by "acc" and "gyr": m/s², rad/s, NaN where none
+    was reached and none is known; ``known``: they were given, not found in the samples.
     """
 
     t_ns: IntArray
@@ -229,27 +199,17 @@ class SensorFlags:
     def spans(self, origin_ns: int, join_s: float = 0.05) -> list[dict[str, Any]]:
         """Stretches with anything wrong, those less than ``join_s`` apart as one: kind, start and end in s."""
         found = []
-        for kind, wrong in (
-            ("clipped", self.at_limit["acc"] | self.at_limit["gyr"]),
-            ("lost", self.lost > 0),
-        ):
+        for kind, wrong in (("clipped", self.at_limit["acc"] | self.at_limit["gyr"]), ("lost", self.lost > 0)):
             at = np.flatnonzero(wrong)
             if not at.size:
                 continue
             begin = end = self.t_ns[at]
             if kind == "lost":  # it began so many samples ago
                 begin = end - (self.lost[at] * self.period_ns).astype(np.int64)
-            new = np.append(True, begin[1:] - end[:-1] > join_s * NS_PER_S)
-            first = np.flatnonzero(new)
+            first = np.flatnonzero(np.append(True, begin[1:] - end[:-1] > join_s * NS_PER_S))
             last = np.append(first[1:] - 1, at.size - 1)
-            found += [
-                {"kind": kind, "start_s": round(a, 4), "end_s": round(b, 4)}
-                for a, b in zip(
-                    ((begin[first] - origin_ns) / NS_PER_S).tolist(),
-                    ((end[last] - origin_ns) / NS_PER_S).tolist(),
-                    strict=True,
-                )
-            ]
+            spans_s = (np.column_stack((begin[first], end[last])) - origin_ns) / NS_PER_S
+            found += [{"kind": kind, "start_s": round(a, 4), "end_s": round(b, 4)} for a, b in spans_s.tolist()]
         return found
 
 
@@ -260,14 +220,11 @@ def sensor_flags(samples: SampleArrays, ranges: Mapping[str, float] | None = Non
     if (t_ns[1:] < t_ns[:-1]).any():
         order = np.argsort(t_ns, kind="stable")
         t_ns, values = t_ns[order], {name: vectors[order] for name, vectors in values.items()}
-    limits: dict[str, float] = {}
-    at_limit: dict[str, BoolArray] = {}
+    limits = {n: (ranges or {}).get(n) or _limit_reached(vectors, LEAST_LIMIT[n]) for n, vectors in values.items()}
+    at_limit: dict[str, BoolArray] = {name: np.zeros(t_ns.size, np.bool_) for name in values}
     for name, vectors in values.items():
-        limit = (ranges or {}).get(name) or _limit_reached(vectors, LEAST_LIMIT[name])
-        limits[name] = limit
-        at_limit[name] = np.zeros(t_ns.size, np.bool_)
         for axis in vectors.T:  # one by one: hours of samples are not to be there twice
-            at_limit[name] |= np.abs(axis) >= AT_LIMIT * limit
+            at_limit[name] |= np.abs(axis) >= AT_LIMIT * limits[name]
     lost = np.zeros(t_ns.size, dtype=np.int64)
     whole = np.flatnonzero(np.isfinite(values["acc"]).all(axis=1) & np.isfinite(values["gyr"]).all(axis=1))
     step_ns = np.diff(t_ns[whole])
@@ -293,9 +250,8 @@ def _limit_reached(values: FloatArray, least: float) -> float:
 def all_flags(record: WalkRecord, settings: Session | None) -> dict[str, SensorFlags]:
     """Of every sensor that sent anything, by name."""
     ranges = _ranges(record.header, settings)
-    return {
-        name: sensor_flags(samples, ranges.get(name)) for name, samples in record.samples.items() if samples.t_ns.size
-    }
+    sent = {name: samples for name, samples in record.samples.items() if samples.t_ns.size}
+    return {name: sensor_flags(samples, ranges.get(name)) for name, samples in sent.items()}
 
 
 def stride_flags(
@@ -305,13 +261,10 @@ def stride_flags(
     spans = {(stride.foot, stride.number): (stride.t_start_ns, stride.t_end_ns) for stride in record.strides}
     found = {}
     for row in rows:
-        flags = []
         sensor, span = sensors.get(row.foot), spans.get((row.foot, row.number))
-        if sensor is not None and span is not None:
-            counts = ((kind, sensor.count(kind, *span)) for kind in (CLIPPED_ACC, CLIPPED_GYR, LOST))
-            flags = [Flag(kind, count) for kind, count in counts if count]
-        if row.valid and not row.four_phases:
-            flags.append(Flag(UNSURE, 0))
+        kinds = (CLIPPED_ACC, CLIPPED_GYR, LOST) if sensor is not None and span is not None else ()
+        flags = [Flag(kind, count) for kind in kinds if sensor and span and (count := sensor.count(kind, *span))]
+        flags += [Flag(UNSURE, 0)] if row.valid and not row.four_phases else []
         if flags:
             found[row.foot, row.number] = tuple(flags)
     return found

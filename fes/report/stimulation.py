@@ -4,8 +4,6 @@ channel, the charge, and what the tuning did.
 A burst is a stretch in which a channel was commanded on without a break.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +16,7 @@ from pydantic import ValidationError
 
 from fes.config import PHASE_ORDER, Session
 from fes.config import Phase as PhaseName
-from fes.signals import NS_PER_S, FloatArray, IntArray, StimCommand, StimStatus
+from fes.signals import NS_PER_S, FloatArray, IntArray, StimCommand, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
 from fes.walk_record import Note, WalkRecord
 from statemachine.phases import Phase, PhaseChange
@@ -27,17 +25,13 @@ BoolArray = npt.NDArray[np.bool_]
 DEVICE_TAIL_NS = 100_000_000  # longest validity (60 ms) plus two command periods for the answer to come back
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
-_KINDS: Final = (  # the first that fits; any other text is a change
-    ("skip", " skipped: "),
-    ("suggestion", "suggested: "),
-    ("roll_back", "rolled back"),
-    ("roll_back", "back to the session's settings"),
-    ("roll_back", "still going back"),
-    ("frozen", "tuning is frozen"),
-    ("frozen", "tuning goes on"),
-    ("hint", "response per charge"),
-    ("hint", "is not reached at the upper bound"),
-)
+_KINDS: Final = {  # the first of which a phrase fits; any other text is a change
+    "skip": (" skipped: ",),
+    "suggestion": ("suggested: ",),
+    "roll_back": ("rolled back", "back to the session's settings", "still going back"),
+    "frozen": ("tuning is frozen", "tuning goes on"),
+    "hint": ("response per charge", "is not reached at the upper bound"),
+}
 
 
 @dataclass(frozen=True)
@@ -77,14 +71,9 @@ def build_timeline(changes: Iterable[PhaseChange], foot: str, start_ns: int, end
     first = own[0].source if own else Phase.STANCE
     starts = np.concatenate([np.array([min([start_ns, *change_ns[:1].tolist()])], dtype=np.int64), change_ns])
     last = max(end_ns, int(starts[-1]))
-    return PhaseTimeline(
-        foot=foot,
-        start_ns=starts,
-        end_ns=np.append(starts[1:], last),
-        phase=np.array([int(first), *(int(change.destination) for change in own)], dtype=np.int64),
-        change_ns=change_ns,
-        transition=np.array([int(change.transition) for change in own], dtype=np.int64),
-    )
+    phase = np.array([int(first), *(int(change.destination) for change in own)], dtype=np.int64)
+    transition = np.array([int(change.transition) for change in own], dtype=np.int64)
+    return PhaseTimeline(foot, starts, np.append(starts[1:], last), phase, change_ns, transition)
 
 
 def phases_between(start: PhaseName, stop: PhaseName) -> tuple[Phase, ...]:
@@ -118,11 +107,6 @@ class CommandColumns:
     pulse_width_us: FloatArray
     frequency_hz: FloatArray
 
-    @property
-    def held_s(self) -> FloatArray:
-        """How long each command was in force (N,), seconds."""
-        return np.asarray((self.until_ns - self.t_ns) / NS_PER_S, dtype=np.float64)
-
     def current_at(self, t_ns: IntArray) -> FloatArray:
         """Commanded current (N,) in mA in force at each time; 0 where off or lapsed."""
         if self.t_ns.size == 0:
@@ -152,51 +136,35 @@ def session_settings(header: dict[str, Any]) -> Session | None:
 
 def channel_infos(settings: Session | None, commands: Sequence[StimCommand]) -> tuple[ChannelInfo, ...]:
     """All channels that the settings name or a command mentions, by number."""
-    known = {
-        channel.number: ChannelInfo(
-            number=channel.number,
-            name=channel.name,
-            foot=channel.foot,
-            muscle=channel.muscle,
-            start_phase=channel.start_phase,
-            stop_phase=channel.stop_phase,
-            phases=phases_between(channel.start_phase, channel.stop_phase),
-        )
-        for channel in (settings.channels if settings else ())
-    }
+    known = {}
+    for c in settings.channels if settings else ():
+        phases = phases_between(c.start_phase, c.stop_phase)
+        known[c.number] = ChannelInfo(c.number, c.name, c.foot, c.muscle, c.start_phase, c.stop_phase, phases)
     for number in {command.channel for command in commands} - set(known):
         known[number] = ChannelInfo(number, f"channel {number}", "", "", "", "", ())
     return tuple(known[number] for number in sorted(known))
 
 
+def _column(rows: Sequence[StimCommand | StimStatus], name: str, kind: type) -> Any:
+    return np.array([getattr(row, name) for row in rows], dtype=kind)
+
+
 def command_columns(commands: Sequence[StimCommand], channel: int) -> CommandColumns:
     """Pick one channel's commands; a command holds until the next one or until its validity has run out."""
     own = sorted((command for command in commands if command.channel == channel), key=lambda command: command.t_ns)
-    t_ns = np.array([command.t_ns for command in own], dtype=np.int64)
-    until_ns = t_ns + np.array([command.validity_ms for command in own], dtype=np.int64) * 1_000_000
+    t_ns = _column(own, "t_ns", np.int64)
+    until_ns = t_ns + _column(own, "validity_ms", np.int64) * 1_000_000
     until_ns[:-1] = np.minimum(until_ns[:-1], t_ns[1:])
-    return CommandColumns(
-        t_ns=t_ns,
-        until_ns=until_ns,
-        on=np.array([command.on for command in own], dtype=np.bool_),
-        current_ma=np.array([command.current_ma for command in own], dtype=np.float64),
-        pulse_width_us=np.array([command.pulse_width_us for command in own], dtype=np.float64),
-        frequency_hz=np.array([command.frequency_hz for command in own], dtype=np.float64),
-    )
+    sizes = (_column(own, name, np.float64) for name in ("current_ma", "pulse_width_us", "frequency_hz"))
+    return CommandColumns(t_ns, until_ns, _column(own, "on", np.bool_), *sizes)
 
 
 def status_columns(statuses: Sequence[StimStatus], channel: int) -> StatusColumns:
     """Pick one channel's answers; charge is counted from pulses where the device counts only those."""
     own = sorted((status for status in statuses if status.channel == channel), key=lambda status: status.t_ns)
-    return StatusColumns(
-        t_ns=np.array([status.t_ns for status in own], dtype=np.int64),
-        on=np.array([status.on for status in own], dtype=np.bool_),
-        pulses=np.array([status.pulses for status in own], dtype=np.int64),
-        charge_uc=np.array(
-            [status.charge_uc or status.pulses * status.current_ma * status.pulse_width_us * 1e-3 for status in own],
-            dtype=np.float64,
-        ),
-    )
+    charge_uc = [s.charge_uc or s.pulses * s.current_ma * s.pulse_width_us * 1e-3 for s in own]
+    counts = _column(own, "t_ns", np.int64), _column(own, "on", np.bool_), _column(own, "pulses", np.int64)
+    return StatusColumns(*counts, np.array(charge_uc, dtype=np.float64))
 
 
 @dataclass(frozen=True)
@@ -239,7 +207,7 @@ def find_bursts(
 
     peak_ma = np.zeros(first.size)
     np.maximum.at(peak_ma, number, commands.current_ma[on])
-    pulse_share = (commands.frequency_hz * commands.held_s)[on]
+    pulse_share = (commands.frequency_hz * ((commands.until_ns - commands.t_ns) / NS_PER_S))[on]
     charge_share = pulse_share * (commands.current_ma * commands.pulse_width_us)[on] * 1e-3
     pulses = np.bincount(number, pulse_share, first.size)
     charge_uc = np.bincount(number, charge_share, first.size)
@@ -256,18 +224,10 @@ def find_bursts(
     if timeline is not None and info.phases:
         outside_s = (end_ns - start_ns) / NS_PER_S - timeline.time_in(info.phases, start_ns, end_ns)
         outside_s = np.maximum(outside_s, 0.0).round(9)
+    columns = (values.tolist() for values in (start_ns, end_ns, peak_ma, pulses, charge_uc, outside_s))
     return tuple(
-        Burst(
-            channel=info.number,
-            t_start_ns=int(start_ns[i]),
-            t_end_ns=int(end_ns[i]),
-            peak_current_ma=float(peak_ma[i]),
-            pulses=float(pulses[i]),
-            charge_uc=float(charge_uc[i]),
-            counted=counted,
-            outside_s=float(outside_s[i]),
-        )
-        for i in range(first.size)
+        Burst(info.number, start, end, peak, count, charge, counted, outside)
+        for start, end, peak, count, charge, outside in zip(*columns, strict=True)
     )
 
 
@@ -276,8 +236,7 @@ def answers_without_command(commands: CommandColumns, statuses: StatusColumns) -
     answered_on = statuses.t_ns[statuses.on]
     if answered_on.size == 0:
         return 0
-    on_until = commands.until_ns[commands.on]
-    on_from = commands.t_ns[commands.on]
+    on_from, on_until = commands.t_ns[commands.on], commands.until_ns[commands.on]
     at = np.searchsorted(on_from, answered_on, side="right") - 1
     stray = at < 0
     stray[~stray] = answered_on[~stray] > on_until[at[~stray]] + DEVICE_TAIL_NS
@@ -319,7 +278,7 @@ def tuning_rows(notes: Sequence[Note], origin_ns: int) -> tuple[TuningRow, ...]:
         if note.source == SOURCE:
             named = _CHANNEL.match(note.text)
             text = note.text[named.end() :] if named else note.text
-            kind = next((kind for kind, phrase in _KINDS if phrase in text), "change")
+            kind = next((kind for kind, phrases in _KINDS.items() if any(each in text for each in phrases)), "change")
             rows.append(TuningRow((note.t_ns - origin_ns) / NS_PER_S, int(named[1]) if named else -1, kind, text))
     return tuple(rows)
 
@@ -333,45 +292,31 @@ def dose_rows(record: WalkRecord, settings: Session | None, origin_ns: int) -> t
         feet.setdefault(str(channel.foot), []).append(channel.number)
     ledger = DoseLedger(names)
     strides = sorted((stride for stride in record.strides if stride.foot in feet), key=lambda stride: stride.t_end_ns)
+
+    def close(stride: StrideResult) -> None:
+        for number in feet[stride.foot]:
+            ledger.electrodes[number].close_step(stride.t_start_ns - origin_ns, stride.t_end_ns - origin_ns)
+
     closed = 0
-    for status in sorted(record.statuses, key=lambda status: status.t_ns):
-        while closed < len(strides) and strides[closed].t_end_ns < status.t_ns:
-            _close(ledger, feet, strides[closed].foot, strides[closed].t_start_ns, strides[closed].t_end_ns, origin_ns)
+    for s in sorted(record.statuses, key=lambda status: status.t_ns):
+        while closed < len(strides) and strides[closed].t_end_ns < s.t_ns:
+            close(strides[closed])
             closed += 1
-        ledger.book(_since(status, origin_ns))
+        # by the session's own time; field by field, for there are hundreds of thousands
+        sizes = s.current_ma, s.pulse_width_us, s.frequency_hz, s.pulses, s.charge_uc
+        ledger.book(StimStatus(s.t_ns - origin_ns, s.channel, s.counter, s.on, *sizes, s.fault))
     for stride in strides[closed:]:
-        _close(ledger, feet, stride.foot, stride.t_start_ns, stride.t_end_ns, origin_ns)
+        close(stride)
     return tuple(_row(dose, names) for _, dose in sorted(ledger.electrodes.items()) if dose.session_uc > 0.0)
 
 
-def _since(s: StimStatus, origin_ns: int) -> StimStatus:
-    """The answer by the session's own time; field by field, for there are hundreds of thousands."""
-    return StimStatus(
-        s.t_ns - origin_ns, s.channel, s.counter, s.on, s.current_ma, s.pulse_width_us, s.frequency_hz, s.pulses,
-        s.charge_uc, s.fault,
-    )  # fmt: skip
-
-
-def _close(
-    ledger: DoseLedger, feet: Mapping[str, list[int]], foot: str, start_ns: int, end_ns: int, origin_ns: int
-) -> None:
-    for number in feet[foot]:
-        ledger.electrodes[number].close_step(start_ns - origin_ns, end_ns - origin_ns)
-
-
 def _row(dose: ElectrodeDose, names: Mapping[int, str]) -> DoseRow:
-    minutes = dose.by_minute_uc
-    return DoseRow(
-        channel=dose.channel,
-        name=names.get(dose.channel, f"channel {dose.channel}"),
-        pulses=dose.pulses,
-        steps=len(dose.steps_uc),
-        median_step_uc=median(dose.steps_uc) if dose.steps_uc else 0.0,
-        greatest_step_uc=max(dose.steps_uc, default=0.0),
-        by_minute_mc=tuple(1e-3 * minutes.get(minute, 0.0) for minute in range(max(minutes, default=-1) + 1)),
-        session_mc=1e-3 * dose.session_uc,
-        estimated=dose.estimated,
-    )
+    minutes, steps = dose.by_minute_uc, dose.steps_uc
+    name = names.get(dose.channel, f"channel {dose.channel}")
+    usual, most = median(steps) if steps else 0.0, max(steps, default=0.0)
+    by_minute_mc = tuple(1e-3 * minutes.get(minute, 0.0) for minute in range(max(minutes, default=-1) + 1))
+    known = by_minute_mc, 1e-3 * dose.session_uc, dose.estimated
+    return DoseRow(dose.channel, name, dose.pulses, len(steps), usual, most, *known)
 
 
 def tuning_lines(tuning: Sequence[TuningRow], dose: Sequence[DoseRow]) -> list[str]:
@@ -381,11 +326,9 @@ def tuning_lines(tuning: Sequence[TuningRow], dose: Sequence[DoseRow]) -> list[s
         own = [each for each in tuning if each.channel == row.channel]
         if not own:
             continue
-        counted = " (estimated)" if row.estimated else ""
-        lines.append(
-            f"{row.name}: {row.median_step_uc:.0f} µC a step (median; most {row.greatest_step_uc:.0f}), "
-            f"{max(row.by_minute_mc, default=0.0):.2f} mC in the fullest minute, {row.session_mc:.2f} in all{counted}"
-        )
+        steps = f"{row.median_step_uc:.0f} µC a step (median; most {row.greatest_step_uc:.0f})"
+        times = f"{max(row.by_minute_mc, default=0.0):.2f} mC in the fullest minute, {row.session_mc:.2f} in all"
+        lines.append(f"{row.name}: {steps}, {times}{' (estimated)' if row.estimated else ''}")
         changes = [each for each in own if each.kind in ("change", "roll_back")]
         skipped = sum(each.kind == "skip" for each in own)
         last = f"; last at {changes[-1].time_s:.0f} s: {changes[-1].text}" if changes else ""

@@ -1,18 +1,17 @@
 """One row per stride: lengths, phases passed and the stimulation that went with it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from fes.estimation.strides.boundaries import stride_time_ns
 from fes.report.stimulation import Burst, ChannelInfo, PhaseTimeline
 from fes.report.text import without_numbers
-from fes.signals import NS_PER_S, IntArray, StimCommand, StrideResult
+from fes.signals import NS_PER_S, StimCommand, StrideResult
 from statemachine.phases import Transition
 
 STANDING_S = 3.0  # a stance longer than this is standing, not walking, and stays out of the averages
@@ -81,39 +80,25 @@ def stride_rows(
     rows = []
     for foot in dict.fromkeys(stride.foot for stride in strides):
         own = sorted((stride for stride in strides if stride.foot == foot), key=lambda stride: stride.t_start_ns)
-        near = [
-            (info, bursts.get(info.number, ()), _starts(bursts.get(info.number, ())))
-            for info in channels
-            if info.foot == foot
-        ]
+        near = [(info, bursts.get(info.number, ())) for info in channels if info.foot == foot]
+        starts = [np.array([burst.t_start_ns for burst in every], dtype=np.int64) for _, every in near]
         own_refused = [command for command in in_time if foot_of.get(command.channel) == foot]
         refused_ns = np.array([command.t_ns for command in own_refused], dtype=np.int64)
         before_ns: int | None = None
         for stride in own:
             low, high = np.searchsorted(refused_ns, [stride.t_start_ns, stride.t_end_ns])
             reasons = {without_numbers(command.refused): command.refused for command in own_refused[low:high][::-1]}
-            stimulation = tuple(
-                item
-                for info, all_bursts, start_ns in near
-                if (item := _stimulation_in(stride, info, all_bursts, start_ns)) is not None
-            )
+            spans = [np.searchsorted(start_ns, [stride.t_start_ns, stride.t_end_ns]) for start_ns in starts]
+            inside = [(info, every[span[0] : span[1]]) for (info, every), span in zip(near, spans, strict=True)]
+            stimulation = tuple(_stimulation_in(stride, info, own_bursts) for info, own_bursts in inside if own_bursts)
             time_ns = stride_time_ns(stride.t_start_ns, stride.t_end_ns, before_ns)
             before_ns = stride.t_end_ns
-            rows.append(_row(stride, time_ns, timelines.get(foot), stimulation, tuple(reasons.values()), origin_ns))
+            told: dict[str, Any] = {"stimulation": stimulation, "refused": tuple(reasons.values())}
+            rows.append(_row(stride, timelines.get(foot), time_ns, origin_ns, told))
     return tuple(sorted(rows, key=lambda row: (row.start_s, row.foot)))
 
 
-def _starts(bursts: Sequence[Burst]) -> IntArray:
-    return np.array([burst.t_start_ns for burst in bursts], dtype=np.int64)
-
-
-def _stimulation_in(
-    stride: StrideResult, info: ChannelInfo, bursts: Sequence[Burst], start_ns: IntArray
-) -> StrideStimulation | None:
-    low, high = np.searchsorted(start_ns, [stride.t_start_ns, stride.t_end_ns])
-    own = bursts[low:high]
-    if not own:
-        return None
+def _stimulation_in(stride: StrideResult, info: ChannelInfo, own: Sequence[Burst]) -> StrideStimulation:
     entered = stride.t_pre_swing_ns
     return StrideStimulation(
         channel=info.number,
@@ -128,41 +113,27 @@ def _stimulation_in(
 
 
 def _row(
-    stride: StrideResult,
-    time_ns: int,
-    timeline: PhaseTimeline | None,
-    stimulation: tuple[StrideStimulation, ...],
-    refused: tuple[str, ...],
-    origin_ns: int,
+    stride: StrideResult, timeline: PhaseTimeline | None, time_ns: int, origin_ns: int, told: Mapping[str, Any]
 ) -> StrideRow:
     pre_swing, swing = stride.t_pre_swing_ns, stride.t_swing_ns
     loading, stance = stride.t_loading_response_ns, stride.t_stance_ns
     passed = _transitions(stride, timeline)
-    put_back = sum(name == "T5" for name in passed)
     entries = [t for t in (pre_swing, swing, loading, stance) if t is not None]
+    heights = ("clearance", "toe_clearance", "heel_clearance", "height_gained")
     return StrideRow(
-        foot=stride.foot,
-        number=stride.number,
+        **{n: getattr(stride, n) for n in ("foot", "number", "stride_length_m", "speed_mps", "valid", "reason")},
+        **{f"{name}_cm": getattr(stride, f"{name}_m") * 100 for name in heights},
         start_s=(stride.t_start_ns - origin_ns) / NS_PER_S,
         duration_s=time_ns / NS_PER_S,
-        stride_length_m=stride.stride_length_m,
-        speed_mps=stride.speed_mps,
-        clearance_cm=stride.clearance_m * 100,
-        toe_clearance_cm=stride.toe_clearance_m * 100,
-        heel_clearance_cm=stride.heel_clearance_m * 100,
-        height_gained_cm=stride.height_gained_m * 100,
         turn_deg=math.degrees(stride.turn_rad),
         pre_swing_s=_seconds(pre_swing, swing),
         swing_s=_seconds(swing, stance if loading is None else loading),
         loading_response_s=_seconds(loading, stance),
-        stance_s=_stance_s(stance, timeline),
+        stance_s=_seconds(stance, _next_change_ns(stance, timeline)),
         four_phases=len(entries) == 4 and all(a < b for a, b in pairwise(entries)),
         path=" ".join(passed),
-        heel_lifts_put_back=put_back,
-        valid=stride.valid,
-        reason=stride.reason,
-        stimulation=stimulation,
-        refused=refused,
+        heel_lifts_put_back=passed.count("T5"),
+        **told,
     )
 
 
@@ -170,12 +141,11 @@ def _seconds(start_ns: int | None, end_ns: int | None) -> float:
     return NAN if start_ns is None or end_ns is None else (end_ns - start_ns) / NS_PER_S
 
 
-def _stance_s(stance_ns: int | None, timeline: PhaseTimeline | None) -> float:
-    """From the entry into stance to this foot's next change of phase."""
-    if stance_ns is None or timeline is None:
-        return NAN
-    at = int(np.searchsorted(timeline.change_ns, stance_ns, side="right"))
-    return NAN if at >= timeline.change_ns.size else (int(timeline.change_ns[at]) - stance_ns) / NS_PER_S
+def _next_change_ns(t_ns: int | None, timeline: PhaseTimeline | None) -> int | None:
+    if t_ns is None or timeline is None:
+        return None
+    later = timeline.change_ns[np.searchsorted(timeline.change_ns, t_ns, side="right") :]
+    return int(later[0]) if later.size else None
 
 
 def _transitions(stride: StrideResult, timeline: PhaseTimeline | None) -> list[str]:
@@ -188,8 +158,5 @@ def _transitions(stride: StrideResult, timeline: PhaseTimeline | None) -> list[s
     low = int(np.searchsorted(timeline.change_ns, stride.t_start_ns, side="right"))
     high = int(np.searchsorted(timeline.change_ns, until, side="right"))
     numbers = timeline.transition[low:high].tolist()
-    for at in range(len(numbers) - 2, -1, -1):
-        if numbers[at] in ENDS_A_STRIDE:
-            numbers = numbers[at + 1 :]
-            break
-    return [Transition(number).name for number in numbers]
+    begin = max((at + 1 for at, number in enumerate(numbers[:-1]) if number in ENDS_A_STRIDE), default=0)
+    return [Transition(number).name for number in numbers[begin:]]

@@ -3,8 +3,6 @@
 Means and spreads over the strides of a foot and the bursts of a channel.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,36 +10,9 @@ from typing import Any
 import numpy as np
 
 from fes.config import Session
-from fes.report.quality import (
-    Latency,
-    Notice,
-    Refusal,
-    SensorQuality,
-    all_sensors,
-    group_refusals,
-    latency_of,
-    session_notices,
-)
-from fes.report.stimulation import (
-    Burst,
-    ChannelInfo,
-    CommandColumns,
-    DoseRow,
-    PhaseTimeline,
-    TuningRow,
-    answers_without_command,
-    build_timeline,
-    channel_infos,
-    command_columns,
-    dose_rows,
-    find_bursts,
-    session_settings,
-    status_columns,
-    tuning_rows,
-)
+from fes.report import quality, stimulation
 from fes.report.strides import StrideRow, stride_rows
 from fes.report.text import Spread, plain, spread
-from fes.session_log import SessionLogError
 from fes.signals import FOOT_SENSORS, NS_PER_S
 from fes.walk_record import WalkRecord
 
@@ -116,28 +87,24 @@ def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
     """Sum up the strides of one foot."""
     valid = [row for row in rows if row.valid]
     stride_time = spread(row.duration_s for row in valid)
+    names = ("stride_length_m", "clearance_cm", "toe_clearance_cm", "pre_swing_s", "swing_s", "loading_response_s")
     return FootSummary(
+        **{name: spread(getattr(row, name) for row in valid) for name in names},
         foot=foot,
         strides=len(rows),
         valid=len(valid),
         four_phases=sum(row.four_phases for row in rows),
         without_loading_response=sum(row.path.endswith("T6") for row in rows),
         heel_lifts_put_back=sum(row.heel_lifts_put_back for row in rows),
-        stride_length_m=spread(row.stride_length_m for row in valid),
-        clearance_cm=spread(row.clearance_cm for row in valid),
-        toe_clearance_cm=spread(row.toe_clearance_cm for row in valid),
         stride_time_s=stride_time,
         walking_speed_mps=steady_speed_mps(valid),
         cadence_steps_per_min=120.0 / stride_time.mean if stride_time.n else NAN,
-        pre_swing_s=spread(row.pre_swing_s for row in valid),
-        swing_s=spread(row.swing_s for row in valid),
-        loading_response_s=spread(row.loading_response_s for row in valid),
         stance_s=spread(row.stance_s for row in valid if not row.stance_is_standing),
     )
 
 
 def channel_summary(
-    info: ChannelInfo, bursts: Sequence[Burst], rows: Sequence[StrideRow], stray: int
+    info: stimulation.ChannelInfo, bursts: Sequence[stimulation.Burst], rows: Sequence[StrideRow], stray: int
 ) -> ChannelSummary:
     """Sum up one channel; ``stray`` counts answers that say on without a command."""
     own = [item for row in rows for item in row.stimulation if item.channel == info.number]
@@ -145,11 +112,7 @@ def channel_summary(
     known = info.foot != ""
     return ChannelSummary(
         channel=info.number,
-        name=info.name,
-        foot=info.foot,
-        muscle=info.muscle,
-        start_phase=info.start_phase,
-        stop_phase=info.stop_phase,
+        **{name: getattr(info, name) for name in ("name", "foot", "muscle", "start_phase", "stop_phase")},
         bursts=len(bursts),
         on_time_s=sum(burst.duration_s for burst in bursts),
         peak_current_ma=max((burst.peak_current_ma for burst in bursts), default=0.0),
@@ -184,17 +147,17 @@ class SessionSummary:
     command_period_s: float
     feet: dict[str, FootSummary]
     channels: tuple[ChannelSummary, ...]
-    refusals: tuple[Refusal, ...]
-    latency: Latency
-    notices: tuple[Notice, ...]
-    sensors: tuple[SensorQuality, ...]
+    refusals: tuple[quality.Refusal, ...]
+    latency: quality.Latency
+    notices: tuple[quality.Notice, ...]
+    sensors: tuple[quality.SensorQuality, ...]
     run_summary: dict[str, Any]
     strides: tuple[StrideRow, ...]
-    dose: tuple[DoseRow, ...] = ()
-    tuning: tuple[TuningRow, ...] = ()
+    dose: tuple[stimulation.DoseRow, ...] = ()
+    tuning: tuple[stimulation.TuningRow, ...] = ()
 
     @property
-    def faults(self) -> tuple[Notice, ...]:
+    def faults(self) -> tuple[quality.Notice, ...]:
         """The notices of faults."""
         return tuple(notice for notice in self.notices if notice.severity == "fault")
 
@@ -215,10 +178,10 @@ class ReportData:
     summary: SessionSummary
     origin_ns: int
     end_ns: int
-    timelines: dict[str, PhaseTimeline]
-    channels: tuple[ChannelInfo, ...]
-    commands: dict[int, CommandColumns] = field(repr=False)
-    bursts: dict[int, tuple[Burst, ...]] = field(repr=False)
+    timelines: dict[str, stimulation.PhaseTimeline]
+    channels: tuple[stimulation.ChannelInfo, ...]
+    commands: dict[int, stimulation.CommandColumns] = field(repr=False)
+    bursts: dict[int, tuple[stimulation.Burst, ...]] = field(repr=False)
 
 
 def summarise(record: WalkRecord) -> SessionSummary:
@@ -232,29 +195,35 @@ def summarise_session(record: WalkRecord) -> ReportData:
     Raises:
         SessionLogError: its times run over more than a month, or are too large to be subtracted.
     """
-    settings = session_settings(record.header)
+    settings = stimulation.session_settings(record.header)
     origin_ns, end_ns = _span(record)
     if not 0 <= end_ns - origin_ns <= LONGEST_NS or max(abs(origin_ns), abs(end_ns)) > FURTHEST_NS:
+        from fes.session_log import SessionLogError  # here, for an analysis has nothing to do with logs
+
         raise SessionLogError(
             f"its times run from {origin_ns / NS_PER_S:g} s to {end_ns / NS_PER_S:g} s; no session is so long, or so "
             "far from its clock's beginning. Nothing can be drawn of it; `fes convert` gives what it holds."
         )
-    timelines = {foot: build_timeline(record.phases, foot, origin_ns, end_ns) for foot in _feet(record, settings)}
-    infos = channel_infos(settings, record.commands)
-    commands = {info.number: command_columns(record.commands, info.number) for info in infos}
-    statuses = {info.number: status_columns(record.statuses, info.number) for info in infos}
+    feet_known = _feet(record, settings)
+    timelines = {foot: stimulation.build_timeline(record.phases, foot, origin_ns, end_ns) for foot in feet_known}
+    infos = stimulation.channel_infos(settings, record.commands)
+    commands = {info.number: stimulation.command_columns(record.commands, info.number) for info in infos}
+    statuses = {info.number: stimulation.status_columns(record.statuses, info.number) for info in infos}
     bursts = {
-        info.number: find_bursts(info, commands[info.number], statuses[info.number], timelines.get(info.foot))
-        for info in infos
+        n: stimulation.find_bursts(info, commands[n], statuses[n], timelines.get(info.foot))
+        for n, info in ((info.number, info) for info in infos)
     }
+    stray = {number: stimulation.answers_without_command(commands[number], statuses[number]) for number in commands}
     refused = [command for command in record.commands if command.refused]
     rows = stride_rows(record.strides, timelines, infos, bursts, refused, origin_ns)
     feet = {foot: foot_summary(foot, [row for row in rows if row.foot == foot]) for foot in timelines}
     speeds = [foot.walking_speed_mps for foot in feet.values() if np.isfinite(foot.walking_speed_mps)]
     speed = float(np.mean(speeds)) if speeds else NAN
-    belt = _belt_speed(record.header, settings)
-    header, recording = record.header, _section(record.header, "recording")
-    session = _section(header, "session")
+    header = record.header
+    recording, session = ({} if not isinstance(header.get(k), dict) else header[k] for k in ("recording", "session"))
+    belt = settings.treadmill.belt_speed_mps if settings and settings.treadmill else NAN
+    if isinstance(stated := recording.get("belt_speed_mps"), (int, float)) and stated > 0:
+        belt = float(stated)
     summary = SessionSummary(
         name=str(session.get("name", "") or recording.get("name", "") or "session"),
         subject=str(session.get("subject", "") or recording.get("subject", "")),
@@ -270,23 +239,15 @@ def summarise_session(record: WalkRecord) -> ReportData:
         speed_over_belt=speed / belt,
         command_period_s=1.0 / (settings.stimulation.command_rate_hz if settings else 50.0),
         feet=feet,
-        channels=tuple(
-            channel_summary(
-                info,
-                bursts[info.number],
-                rows,
-                answers_without_command(commands[info.number], statuses[info.number]),
-            )
-            for info in infos
-        ),
-        refusals=group_refusals(refused, origin_ns),
-        latency=latency_of(record.latency_ns),
-        notices=session_notices(record, origin_ns),
-        sensors=all_sensors(record.samples),
+        channels=tuple(channel_summary(info, bursts[info.number], rows, stray[info.number]) for info in infos),
+        refusals=quality.group_refusals(refused, origin_ns),
+        latency=quality.latency_of(record.latency_ns),
+        notices=quality.session_notices(record, origin_ns),
+        sensors=tuple(quality.sensor_quality(name, own) for name, own in record.samples.items() if own.t_ns.size),
         run_summary=plain(record.summary),
         strides=rows,
-        dose=dose_rows(record, settings, origin_ns),
-        tuning=tuning_rows(record.notes, origin_ns),
+        dose=stimulation.dose_rows(record, settings, origin_ns),
+        tuning=stimulation.tuning_rows(record.notes, origin_ns),
     )
     return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)
 
@@ -308,15 +269,3 @@ def _feet(record: WalkRecord, settings: Session | None) -> list[str]:
     seen |= {name for name, arrays in record.samples.items() if name in FOOT_SENSORS and arrays.t_ns.size}
     seen |= {channel.foot for channel in settings.channels} if settings else set()
     return [foot for foot in FOOT_SENSORS if foot in seen] + sorted(seen - set(FOOT_SENSORS))
-
-
-def _section(header: dict[str, Any], key: str) -> dict[str, Any]:
-    value = header.get(key)
-    return value if isinstance(value, dict) else {}
-
-
-def _belt_speed(header: dict[str, Any], settings: Session | None) -> float:
-    belt = _section(header, "recording").get("belt_speed_mps")
-    if isinstance(belt, (int, float)) and belt > 0:
-        return float(belt)
-    return settings.treadmill.belt_speed_mps if settings and settings.treadmill else NAN

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -12,10 +11,10 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from fes.report.findings import Finding, findings
+from fes.report.findings import findings
 from fes.report.stimulation import tuning_lines
 from fes.report.strides import StrideRow
-from fes.report.summary import SessionSummary
+from fes.report.summary import FootSummary, SessionSummary
 from fes.report.text import capitalised, count_of, mean_sd, number, readable
 
 if TYPE_CHECKING:
@@ -29,9 +28,21 @@ MARKS = {"good": ("✓", "green"), "info": ("·", ""), "warning": ("!", "yellow"
 def path_mark(row: StrideRow) -> str:
     """How the stride went through its phases: ``4``, ``T6`` or ``part``, and ``+T5`` for heels put back before it."""
     how = "4" if row.four_phases else ("T6" if row.path.endswith("T6") else "part")
-    if not row.heel_lifts_put_back:
-        return how
-    return f"{how}+{row.heel_lifts_put_back if row.heel_lifts_put_back > 1 else ''}T5"
+    times = row.heel_lifts_put_back
+    return how + (f"+{times if times > 1 else ''}T5" if times else "")
+
+
+def small_table(title: str, caption: str, padding: tuple[int, int, int, int] = (0, 0, 0, 0)) -> Table:
+    """An empty table as the terminal shows them, with a legend below."""
+    left: dict[str, Any] = {"title_justify": "left", "caption_justify": "left"}
+    edges: dict[str, Any] = {"box": box.SIMPLE_HEAD, "pad_edge": False, "show_edge": False}
+    return Table(title=title, caption=caption, padding=padding, **left, **edges)
+
+
+def add_columns(table: Table, *titles: str, right: bool = False) -> None:
+    """Columns that do not wrap."""
+    for title in titles:
+        table.add_column(title, justify="right" if right else "left", no_wrap=True)
 
 
 def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
@@ -45,25 +56,15 @@ def stride_table(summary: SessionSummary, limit: int | None = None) -> Table:
         *(f"note {index}: {text}" for index, text in enumerate(notes, 1)),
     ]
     shown, total = len(rows), len(summary.strides)
-    table = Table(
-        title="Strides" if shown == total else f"The last {shown} of {total} strides",
-        caption=escape("\n".join(legend)),
-        caption_justify="left",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=0,
-        pad_edge=False,
-        show_edge=False,
-    )
-    for title in ("\nfoot", "\nno."):
-        table.add_column(title, no_wrap=True)
-    for title in ("start\ns", "len.\nm", "clr.\ncm", "pre\nms", "swing\nms", "load\nms", "stance\nms"):
-        table.add_column(title, justify="right", no_wrap=True)
-    table.add_column("\npath", no_wrap=True)
-    for title in ("\nch", "onset\nms", "on\nms", "peak\nmA", "dose\nµC"):
-        table.add_column(title, justify="right", no_wrap=True)
+    title = "Strides" if shown == total else f"The last {shown} of {total} strides"
+    table = small_table(title, escape("\n".join(legend)))
+    add_columns(table, "\nfoot", "\nno.")
+    measures = ("start\ns", "len.\nm", "clr.\ncm", "pre\nms", "swing\nms", "load\nms", "stance\nms")
+    add_columns(table, *measures, right=True)
+    add_columns(table, "\npath")
+    add_columns(table, "\nch", "onset\nms", "on\nms", "peak\nmA", "dose\nµC", right=True)
     if notes:
-        table.add_column("\nnote", no_wrap=True)
+        add_columns(table, "\nnote")
     for row in rows:
         _add(table, row, " ".join(str(notes.index(text) + 1) for text in _notes(row)))
     return table
@@ -84,15 +85,12 @@ def _add(table: Table, row: StrideRow, note: str) -> None:
         *(number(s * 1e3, 0) for s in (row.pre_swing_s, row.swing_s, row.loading_response_s, row.stance_s)),
         path_mark(row),
     ]
-    stimulation: Sequence[list[str]] = [
+    stimulation = [
         [
-            str(item.channel),
-            number(item.onset_after_pre_swing_ms, 0),
-            number(item.duration_s * 1e3, 0),
-            number(item.peak_current_ma, 1),
-            number(item.charge_uc, 0),
+            *(str(i.channel), number(i.onset_after_pre_swing_ms, 0), number(i.duration_s * 1e3, 0)),
+            *(number(i.peak_current_ma, 1), number(i.charge_uc, 0)),
         ]
-        for item in row.stimulation
+        for i in row.stimulation
     ] or [["–"] * 5]
     for at, cells in enumerate(stimulation):
         first = at == 0
@@ -103,49 +101,32 @@ def _add(table: Table, row: StrideRow, note: str) -> None:
 
 def summary_block(summary: SessionSummary) -> RenderableType:
     """The session in about a dozen lines."""
-    lines = [_title(summary)]
-    lines += [_foot_line(summary, foot) for foot in summary.feet]
+    about = ", ".join(filter(None, (summary.subject, summary.recording, summary.created)))
+    lines = [Text(f"{summary.name} ({about})  {summary.duration_s:.1f} s", style="bold")]
+    lines += [_foot_line(foot) for foot in summary.feet.values()]
     for channel in summary.channels:
         if channel.bursts:
             counted = "" if channel.charge_counted_by_device else " (estimated)"
-            lines.append(
-                Text(
-                    f"  {channel.name}: {channel.bursts} bursts, {channel.on_time_s:.1f} s on, "
-                    f"peak {channel.peak_current_ma:.1f} mA, {channel.charge_uc / 1e3:.2f} mC{counted}, "
-                    f"onset {mean_sd(channel.onset_after_pre_swing_ms, 0, 'ms')}"
-                )
-            )
+            dose = f"peak {channel.peak_current_ma:.1f} mA, {channel.charge_uc / 1e3:.2f} mC{counted}"
+            onset = f"onset {mean_sd(channel.onset_after_pre_swing_ms, 0, 'ms')}"
+            times = f"{channel.bursts} bursts, {channel.on_time_s:.1f} s on"
+            lines.append(Text(f"  {channel.name}: {times}, {dose}, {onset}"))
     lines += [Text(f"  {line}") for line in tuning_lines(summary.tuning, summary.dose)]
-    lines += [_finding_line(finding) for finding in findings(summary)]
+    for finding in findings(summary):
+        mark, style = MARKS[finding.level]
+        lines.append(Text(f"{mark} {finding.text}", style=style))
     return Group(*lines)
 
 
-def _title(summary: SessionSummary) -> Text:
-    about = ", ".join(filter(None, (summary.subject, summary.recording, summary.created)))
-    return Text(f"{summary.name} ({about})  {summary.duration_s:.1f} s", style="bold")
-
-
-def _foot_line(summary: SessionSummary, name: str) -> Text:
-    foot = summary.feet[name]
-    text = f"  {readable(name)}: {foot.valid} of {count_of(foot.strides, 'stride')} valid"
+def _foot_line(foot: FootSummary) -> Text:
+    text = f"  {readable(foot.foot)}: {foot.valid} of {count_of(foot.strides, 'stride')} valid"
     if foot.valid:
-        phases = (
-            ("pre-swing", foot.pre_swing_s),
-            ("swing", foot.swing_s),
-            ("loading", foot.loading_response_s),
-            ("stance", foot.stance_s),
-        )
-        times = ", ".join(f"{label} {number(s.mean, 2)} s ±{number(s.sd_percent, 0)}%" for label, s in phases)
-        text += (
-            f", length {mean_sd(foot.stride_length_m, 2, 'm')}, sensor lifted {mean_sd(foot.clearance_cm, 1, 'cm')}"
-            f"\n    {times}"
-        )
+        phases = {"pre-swing": foot.pre_swing_s, "swing": foot.swing_s}
+        phases |= {"loading": foot.loading_response_s, "stance": foot.stance_s}
+        times = [f"{label} {number(s.mean, 2)} s ±{number(s.sd_percent, 0)}%" for label, s in phases.items()]
+        length, lift = mean_sd(foot.stride_length_m, 2, "m"), mean_sd(foot.clearance_cm, 1, "cm")
+        text += f", length {length}, sensor lifted {lift}\n    {', '.join(times)}"
     return Text(text)
-
-
-def _finding_line(finding: Finding) -> Text:
-    mark, style = MARKS[finding.level]
-    return Text(f"{mark} {finding.text}", style=style)
 
 
 def parameter_table(parameters: GaitParameters) -> Table:
@@ -174,11 +155,9 @@ def parameter_lines(parameters: GaitParameters, hemiparetic: HemipareticWalk | N
     walk = parameters.walk
     if not any(value.n for foot in parameters.feet.values() for value in foot.values()):
         return [f"No gait parameters: {parameters.no_step_lengths or 'no steady stride'}"]
-    lines = [
-        f"Walk: {number(walk.walking_speed_mps, 2)} m/s, {number(walk.cadence_per_min, 1)} steps/min, "
-        f"walk ratio {number(1000.0 * walk.walk_ratio_m_min, 1)} mm/(steps/min)"
-        + (f", speed over belt {walk.belt_ratio:.3f}" if math.isfinite(walk.belt_ratio) else "")
-    ]
+    pace = f"{number(walk.walking_speed_mps, 2)} m/s, {number(walk.cadence_per_min, 1)} steps/min"
+    belt = f", speed over belt {walk.belt_ratio:.3f}" if math.isfinite(walk.belt_ratio) else ""
+    lines = [f"Walk: {pace}, walk ratio {number(1000.0 * walk.walk_ratio_m_min, 1)} mm/(steps/min){belt}"]
     if parameters.no_step_lengths:
         lines.append(f"No step lengths: {parameters.no_step_lengths}")
     if hemiparetic is None:
@@ -193,8 +172,7 @@ def parameter_lines(parameters: GaitParameters, hemiparetic: HemipareticWalk | N
     if hemiparetic.windows is None:
         lines.append(f"No windows after Wang et al.: {hemiparetic.no_windows}")
     else:
-        counts = ", ".join(
-            f"{len(t.windows) - 1} {f.removesuffix('_foot')}" for f, t in hemiparetic.windows.tracks.items()
-        )
+        tracks = hemiparetic.windows.tracks
+        counts = ", ".join(f"{len(t.windows) - 1} {foot.removesuffix('_foot')}" for foot, t in tracks.items())
         lines.append(f"Strides between windows after Wang et al.: {counts}")
     return lines

@@ -1,7 +1,5 @@
 """Values as people and as JSON read them: numbers, names, counts and times."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,11 +29,8 @@ class Spread:
 def spread(values: Iterable[float]) -> Spread:
     """Mean and standard deviation of the finite values."""
     kept = np.array([value for value in values if np.isfinite(value)])
-    return Spread(
-        mean=float(kept.mean()) if kept.size else math.nan,
-        sd=float(kept.std(ddof=1)) if kept.size > 1 else math.nan,
-        n=int(kept.size),
-    )
+    sd = float(kept.std(ddof=1)) if kept.size > 1 else math.nan
+    return Spread(float(kept.mean()) if kept.size else math.nan, sd, kept.size)
 
 
 def number(value: float | None, digits: int, sign: str = "") -> str:

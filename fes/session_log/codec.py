@@ -8,8 +8,6 @@ narrowest layout its first sample fits and ends at the first sample that does no
 second: a replay logs minutes between two deliveries, and a tear costs the record it goes through.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import struct
@@ -20,8 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fes.session_log.framing import RecordType
-from fes.session_log.record import Received
+from fes.session_log.framing import Received, RecordType
 from fes.signals import (
     NS_PER_S,
     SENSORS,
@@ -310,14 +307,12 @@ def decode(kind: int, payload: memoryview) -> Rare:
         case RecordType.TICK:
             return Tick(*_TICK.unpack(payload))
         case RecordType.COMMAND:
-            (on, t_ns, channel, validity_ms, current_ma, width_us, hz), text = _unpack(_COMMAND, payload)
-            return StimCommand(t_ns, channel, on, current_ma, width_us, hz, validity_ms, text)
+            return _command(*_unpack(_COMMAND, payload))
         case RecordType.FRAME:
             t_ns, identifier = _FRAME.unpack_from(payload)
             return WireFrame(t_ns, identifier, bytes(payload[_FRAME.size :]))
         case RecordType.STATUS:
-            (on, t_ns, channel, counter, pulses, current_ma, width_us, hz, charge_uc), text = _unpack(_STATUS, payload)
-            return StimStatus(t_ns, channel, counter, on, current_ma, width_us, hz, pulses, charge_uc, text)
+            return _status(*_unpack(_STATUS, payload))
         case RecordType.ALIVE:
             t_ns, boot_id, rejected = _ALIVE.unpack_from(payload)
             return StimAlive(t_ns, boot_id, rejected, str(payload[_ALIVE.size :], "utf-8"))
@@ -353,27 +348,25 @@ def decode_many(kind: int, payloads: Sequence[memoryview]) -> list[Any]:
     Raises:
         struct.error, ValueError, KeyError, IndexError, TypeError: as :func:`decode`.
     """
-    if kind == RecordType.COMMAND:
-        return [_usual_command(each) or decode(kind, each) for each in payloads]
-    if kind == RecordType.STATUS:
-        return [_usual_status(each) or decode(kind, each) for each in payloads]
-    return [decode(kind, each) for each in payloads]
+    if kind not in (RecordType.COMMAND, RecordType.STATUS):
+        return [decode(kind, each) for each in payloads]
+    # the narrowest form, without a refusal or fault
+    form, made = (_COMMAND[0], _command) if kind == RecordType.COMMAND else (_STATUS[0], _status)
+    usual = ((each, len(each) == form.size and each[0] <= 1) for each in payloads)
+    return [made(*form.unpack(each)) if narrow else decode(kind, each) for each, narrow in usual]
 
 
-def _usual_command(payload: memoryview) -> StimCommand | None:
-    """A command in the narrowest form that was not refused; None for any other."""
-    if len(payload) != _COMMAND[0].size or payload[0] > 1:
-        return None
-    on, t_ns, channel, validity_ms, current_ma, pulse_width_us, frequency_hz = _COMMAND[0].unpack(payload)
-    return StimCommand(t_ns, channel, on == 1, current_ma, pulse_width_us, frequency_hz, validity_ms)
+def _command(
+    on: int, t_ns: int, channel: int, validity_ms: int, current_ma: float, width_us: float, hz: float, refused: str = ""
+) -> StimCommand:
+    return StimCommand(t_ns, channel, on == 1, current_ma, width_us, hz, validity_ms, refused)
 
 
-def _usual_status(payload: memoryview) -> StimStatus | None:
-    """An answer in the narrowest form without a fault; None for any other."""
-    if len(payload) != _STATUS[0].size or payload[0] > 1:
-        return None
-    on, t_ns, channel, counter, pulses, current_ma, width_us, frequency_hz, charge_uc = _STATUS[0].unpack(payload)
-    return StimStatus(t_ns, channel, counter, on == 1, current_ma, width_us, frequency_hz, pulses, charge_uc)
+def _status(
+    on: int, t_ns: int, channel: int, counter: int, pulses: int, current_ma: float, width_us: float, hz: float,
+    charge_uc: float, fault: str = "",
+) -> StimStatus:  # fmt: skip
+    return StimStatus(t_ns, channel, counter, on == 1, current_ma, width_us, hz, pulses, charge_uc, fault)
 
 
 def _pack(forms: tuple[struct.Struct, ...], on: bool, *fields: float) -> bytes:
@@ -388,11 +381,11 @@ def _pack(forms: tuple[struct.Struct, ...], on: bool, *fields: float) -> bytes:
     return forms[-1].pack(on | len(forms) - 1 << 1, *fields)
 
 
-def _unpack(forms: tuple[struct.Struct, ...], payload: memoryview) -> tuple[tuple[Any, ...], str]:
-    """Return (on and the fields, the text behind them)."""
+def _unpack(forms: tuple[struct.Struct, ...], payload: memoryview) -> tuple[Any, ...]:
+    """Return on (0 or 1), the fields and the text behind them."""
     form = forms[payload[0] >> 1]
     flags, *fields = form.unpack_from(payload)
-    return (bool(flags & 1), *fields), str(payload[form.size :], "utf-8")
+    return (flags & 1, *fields, str(payload[form.size :], "utf-8"))
 
 
 def encode_json(values: dict[str, Any]) -> bytes:

@@ -2,18 +2,55 @@
 
 ``length`` counts type and payload; the checksum covers both and starts from ``length``, so that a wrong length
 shows as well. Zeros, as a file system may leave after a power cut, are no record: a length of 0 is not allowed.
-"""
 
-from __future__ import annotations
+What a session leaves behind, as plain values.
+"""
 
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from enum import IntEnum
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from fes.session_log.record import SessionLogError
+from fes.signals import FootSwitchEvent, OperatorAct, StimOpened, SystemFault, WireFrame
+from fes.walk_record import WalkRecord
+
+
+class SessionLogError(ValueError):
+    """A session log cannot be written or read; the message names the file and says what to do."""
+
+
+def not_made(path: Path, error: OSError, instead: str) -> SessionLogError:
+    """Why a new file or folder cannot be made; ``instead``: what to do where it is there already."""
+    if isinstance(error, FileExistsError):
+        return SessionLogError(f"{path}: is there already and is not overwritten; {instead}")
+    return SessionLogError(f"{path}: cannot be made: {error.strerror or error}")
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """Bytes that a serial stimulator's line brought, as they came; ``t_ns`` is the event that they were looked for at.
+
+    What such a port sends next depends on them (what is still unanswered, what must be asked), so a replay needs them.
+    """
+
+    t_ns: int
+    data: bytes
+
+
+@dataclass(eq=False)
+class SessionRecord(WalkRecord):
+    """All that a session left behind: the walk, and what came in and went out. Lists are in the order of writing."""
+
+    acts: list[OperatorAct] = field(default_factory=list)
+    frames: list[WireFrame] = field(default_factory=list)
+    reopened: list[StimOpened] = field(default_factory=list)
+    switches: list[FootSwitchEvent] = field(default_factory=list)
+    faults: list[SystemFault] = field(default_factory=list)
+    received: list[Received] = field(default_factory=list)
+
 
 MAGIC: Final = b"\x89FESLOG\x01"  # the last byte is the format's version
 MAX_RECORD_BYTES: Final = 1 << 26
@@ -63,20 +100,13 @@ def unreadable(path: Path, error: OSError) -> SessionLogError:
 
 def wrong_start(path: Path, start: bytes) -> SessionLogError:
     """Why a file whose first bytes are not :data:`MAGIC` is no log that can be read."""
+    why = f"is not a session log (it starts with {start!r}). A session log is what `fes run` or `fes replay` leaves."
     if start[:-1] == MAGIC[:-1] and len(start) == len(MAGIC):
-        return SessionLogError(
-            f"{path}: is a session log of format {start[-1]}, this fes reads format {MAGIC[-1]}; "
-            f"use the fes that wrote it"
-        )
-    if MAGIC.startswith(start):
-        return SessionLogError(
-            f"{path}: holds only {len(start)} bytes; the session stopped before anything was stored, so there is "
-            f"nothing to recover"
-        )
-    return SessionLogError(
-        f"{path}: is not a session log (it starts with {start!r}). "
-        f"A session log is what `fes run` or `fes replay` leaves."
-    )
+        why = f"is a session log of format {start[-1]}, this fes reads format {MAGIC[-1]}; use the fes that wrote it"
+    elif MAGIC.startswith(start):
+        stopped = "the session stopped before anything was stored, so there is nothing to recover"
+        why = f"holds only {len(start)} bytes; {stopped}"
+    return SessionLogError(f"{path}: {why}")
 
 
 class LogScan:

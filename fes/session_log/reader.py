@@ -1,11 +1,8 @@
 """Reading a session log, whole or torn: everything before the first bad record, and what was lost behind it."""
 
-from __future__ import annotations
-
 import gc
 import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +18,7 @@ from fes.session_log.codec import (
     latency_arrays,
     samples_of,
 )
-from fes.session_log.framing import LogScan, RecordType
-from fes.session_log.record import Received, SessionLogError, SessionRecord
+from fes.session_log.framing import LogScan, Received, RecordType, SessionLogError, SessionRecord
 from fes.signals import Event, WireFrame
 
 TOGETHER = 10_000  # records that are decoded in one go
@@ -45,32 +41,24 @@ def read_session(path: Path, leave_out: frozenset[RecordType] = frozenset()) -> 
     record = SessionRecord(_header(records, scan))
     gathered = _Gathered(record, leave_out)
     ended = False
+    collected = gc.isenabled()
+    gc.disable()  # it would go through all values again and again while they grow, for nothing
     try:
-        with _nothing_collected():
-            for kind, payload in records:
-                ended = kind == RecordType.SUMMARY
-                if ended:
-                    record.summary = decode_json(payload)
-                else:
-                    gathered.add(kind, payload)
-            gathered.end()
+        for kind, payload in records:
+            ended = kind == RecordType.SUMMARY
+            if ended:
+                record.summary = decode_json(payload)
+            else:
+                gathered.add(kind, payload)
+        gathered.end()
     except _BAD_PAYLOAD as error:
         raise _malformed(scan, error) from error
+    finally:
+        if collected:
+            gc.enable()
     record.lost = scan.lost
     record.complete = ended and not scan.lost
     return record
-
-
-@contextmanager
-def _nothing_collected() -> Iterator[None]:
-    """Without the garbage collector, which goes through all values again and again while they grow, for nothing."""
-    was_on = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_on:
-            gc.enable()
 
 
 class _Gathered:
@@ -117,23 +105,18 @@ class _Gathered:
     def _decode_waiting(self) -> None:
         self._count = 0
         for kind, waiting in self._waiting.items():
-            self._decode(kind, waiting)
+            if kind == RecordType.SAMPLES:
+                self._samples.add(waiting)
+            elif kind == RecordType.LATENCY:
+                for column, more in zip((self._latency_t_ns, self._latency_ns), latency_arrays(waiting), strict=True):
+                    column.add(more)
+            elif kind == RecordType.TICK:
+                if odd := [len(payload) for payload in waiting if len(payload) != 8]:
+                    raise ValueError(f"a tick of {odd[0]} bytes")
+                self._ticks_ns.add(np.frombuffer(b"".join(waiting), "<i8"))
+            else:
+                self._singles[kind] += decode_many(kind, waiting)
             waiting.clear()
-
-    def _decode(self, kind: int, waiting: list[memoryview]) -> None:
-        if kind == RecordType.SAMPLES:
-            self._samples.add(waiting)
-        elif kind == RecordType.LATENCY:
-            t_ns, latency_ns = latency_arrays(waiting)
-            self._latency_t_ns.add(t_ns)
-            self._latency_ns.add(latency_ns)
-        elif kind == RecordType.TICK:
-            odd = next((len(payload) for payload in waiting if len(payload) != 8), None)
-            if odd is not None:
-                raise ValueError(f"a tick of {odd} bytes")
-            self._ticks_ns.add(np.frombuffer(b"".join(waiting), "<i8"))
-        else:
-            self._singles[kind] += decode_many(kind, waiting)
 
 
 def iter_events(path: Path) -> Iterator[Event]:

@@ -5,16 +5,14 @@ it is one where length, type and checksum fit and whose content can be decoded. 
 in 4 · 10⁹ places.
 """
 
-from __future__ import annotations
-
 import os
 import struct
 import zlib
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final, get_type_hints
 
 import numpy as np
 
@@ -26,11 +24,11 @@ from fes.session_log.framing import (
     MAGIC,
     MAX_RECORD_BYTES,
     RecordType,
+    SessionLogError,
     framed,
     unreadable,
     wrong_start,
 )
-from fes.session_log.record import SessionLogError
 from fes.session_log.writer import create
 from fes.signals import StrideResult
 from fes.walk_record import Note
@@ -40,12 +38,12 @@ ZEROS: Final = "zeros, as a file system leaves them after a power cut"
 
 _CHECKED_PER_BYTE: Final = 64  # bytes summed for each byte searched, so that no file makes the search quadratic
 _BAD_CONTENT = (struct.error, ValueError, KeyError, IndexError, TypeError, RecursionError)
-_TYPES: Final[dict[str, tuple[type, ...]]] = {
-    "int": (int,),
-    "int | None": (int, type(None)),
-    "float": (float, int),
-    "str": (str,),
-    "bool": (bool,),
+_TYPES: Final[dict[Any, tuple[type, ...]]] = {
+    int: (int,),
+    int | None: (int, type(None)),
+    float: (float, int),
+    str: (str,),
+    bool: (bool,),
 }
 _KNOWN = np.isin(np.arange(256), [int(kind) for kind in RecordType])
 NAMES: Final = {
@@ -116,7 +114,14 @@ def stretches(path: Path) -> Iterator[Whole | Damage]:
     try:
         with Path(path).open("rb", buffering=BLOCK_BYTES) as file:
             size = file.seek(0, 2)
-            yield from _magic(Path(path), file, size)
+            file.seek(0)
+            start = file.read(len(MAGIC))
+            if start != MAGIC:  # damage, if a header follows all the same
+                other = len(start) < len(MAGIC) or start[:-1] == MAGIC[:-1]
+                first = None if other else _record(file, len(MAGIC), size)
+                if not isinstance(first, Whole) or first.kind != RecordType.HEADER:
+                    raise wrong_start(Path(path), start)
+                yield Damage(0, len(MAGIC), "the format's mark is damaged")
             at = len(MAGIC)
             while at < size:
                 record = _record(file, at, size)
@@ -125,20 +130,6 @@ def stretches(path: Path) -> Iterator[Whole | Damage]:
                 at += stretch.size
     except OSError as error:
         raise unreadable(path, error) from error
-
-
-def _magic(path: Path, file: BinaryIO, size: int) -> Iterator[Damage]:
-    """Nothing if the file begins as it should, the damage if a header follows all the same."""
-    file.seek(0)
-    start = file.read(len(MAGIC))
-    if start == MAGIC:
-        return
-    if len(start) < len(MAGIC) or start[:-1] == MAGIC[:-1]:
-        raise wrong_start(path, start)
-    first = _record(file, len(MAGIC), size)
-    if isinstance(first, _Refused) or first.kind != RecordType.HEADER:
-        raise wrong_start(path, start)
-    yield Damage(0, len(MAGIC), "the format's mark is damaged")
 
 
 def _record(file: BinaryIO, at: int, size: int) -> Whole | _Refused:
@@ -181,20 +172,20 @@ def _content(at: int, size: int, kind: RecordType, payload: memoryview) -> Whole
 
 def _check_types(value: StrideResult | Note) -> None:
     """Refuse JSON whose values are of another type than the fields: what reads them counts on it."""
-    for item in fields(value):
-        kinds = _TYPES.get(str(item.type))
-        held = getattr(value, item.name)
+    for name, of in get_type_hints(type(value)).items():
+        kinds = _TYPES.get(of)
+        held = getattr(value, name)
         if kinds and (not isinstance(held, kinds) or (isinstance(held, bool) and bool not in kinds)):
-            raise ValueError(f"{item.name} is {held!r}")
+            raise ValueError(f"{name} is {held!r}")
         if isinstance(held, int) and abs(held) >= 1 << 63:
-            raise ValueError(f"{item.name} is beyond 64 bits")
+            raise ValueError(f"{name} is beyond 64 bits")
 
 
 def _damage(file: BinaryIO, at: int, size: int, refused: _Refused) -> Damage:
     if refused.checked:  # its length is right as well
         return Damage(at, refused.end - at, refused.why, refused.kind)
     end = _next_record(file, at + 1, size)
-    if _all_zero(file, at, end):
+    if all(block.count(0) == len(block) for block in _blocks(file, at, end)):
         return Damage(at, end - at, ZEROS)
     # the head is believed where the next record begins where it says, or where it was the last one
     believed = refused.end == end or (refused.end > size and end == size)
@@ -224,31 +215,27 @@ def _next_record(file: BinaryIO, start: int, size: int) -> int:
     return size
 
 
-def _all_zero(file: BinaryIO, begin: int, end: int) -> bool:
+def _blocks(file: BinaryIO, begin: int, end: int) -> Iterator[bytes]:
+    """The file from ``begin`` to ``end``; OSError where it ends before."""
     file.seek(begin)
-    left = end - begin
-    while left:
-        block = file.read(min(left, BLOCK_BYTES))
-        if not block or block.count(0) != len(block):
-            return False
-        left -= len(block)
-    return True
+    while begin < end:
+        block = file.read(min(end - begin, BLOCK_BYTES))
+        if not block:
+            raise OSError(None, f"the damaged log became shorter while it was read (byte {begin})")
+        yield block
+        begin += len(block)
 
 
 @dataclass(frozen=True, slots=True)
-class Gap:
+class Gap(Damage):
     """A place where something is missing.
 
-    ``kind`` is what it was, where that can be told. ``before_ns`` and ``after_ns`` are the times of the nearest records
-    of that kind on its two sides (of the samples where the kind is not known); None: there is none.
+    ``before_ns`` and ``after_ns`` are the times of the nearest records of its kind on its two sides (of the samples
+    where the kind is not known); None: there is none.
     """
 
-    at: int
-    size: int
-    why: str
-    kind: RecordType | None
-    before_ns: int | None
-    after_ns: int | None
+    before_ns: int | None = None
+    after_ns: int | None = None
 
     @property
     def harmless(self) -> bool:
@@ -258,7 +245,7 @@ class Gap:
     def describe(self, begin_ns: int) -> str:
         """One sentence; times are s since ``begin_ns``."""
         what = f"{self.size} byte{'s' * (self.size != 1)} from byte {self.at} on: {self.why}"
-        if self.kind is not None and self.kind in NAMES:
+        if self.kind is not None:
             what += f", by its head a {NAMES[self.kind][0]}"
         if self.harmless:
             return what
@@ -335,14 +322,9 @@ class Survey:
             "end_missing": not self.ended,
             "kept_records": {kind.name.lower(): count for kind, count in sorted(self.kept.items())},
             "gaps": [
-                {
-                    "byte": gap.at,
-                    "bytes": gap.size,
-                    "why": gap.why,
-                    "kind": None if gap.kind is None else gap.kind.name.lower(),
-                    "after_t_ns": gap.before_ns,
-                    "before_t_ns": gap.after_ns,
-                }
+                {"byte": gap.at, "bytes": gap.size, "why": gap.why}
+                | {"kind": None if gap.kind is None else gap.kind.name.lower()}
+                | {"after_t_ns": gap.before_ns, "before_t_ns": gap.after_ns}
                 for gap in self.gaps
             ],
         }
@@ -362,7 +344,7 @@ def survey(path: Path) -> Survey:
         if isinstance(stretch, Damage):
             stream = RecordType.SAMPLES if stretch.kind is None else stretch.kind
             waiting.setdefault(stream, []).append(len(log.gaps))
-            log.gaps.append(Gap(stretch.at, stretch.size, stretch.why, stretch.kind, last_ns.get(stream), None))
+            log.gaps.append(Gap(stretch.at, stretch.size, stretch.why, stretch.kind, last_ns.get(stream)))
             continue
         log.kept[stretch.kind] += stretch.count
         log.ended = stretch.kind == RecordType.SUMMARY
@@ -400,7 +382,15 @@ def recover(damaged: Survey, target: Path, header: dict[str, Any] | None = None)
             out.write(MAGIC)
             if damaged.header is None and header is not None:
                 out.write(framed(RecordType.HEADER, encode_json({**header, "header_from_another_log": True})))
-            _copy(damaged, source, out)
+            at = len(MAGIC)
+            for gap in damaged.gaps:
+                out.writelines(_blocks(source, at, gap.at))
+                at = max(gap.at + gap.size, at)
+                if not gap.harmless:
+                    text = f"lost here: {gap.describe(damaged.begin_ns or 0)}"
+                    t_ns = next((t for t in (gap.before_ns, gap.after_ns, damaged.begin_ns) if t is not None), 0)
+                    out.write(framed(*encode(Note(t_ns, "warning", "recover", text))))
+            out.writelines(_blocks(source, at, damaged.size))
             out.write(framed(RecordType.SUMMARY, encode_json(summary_of(damaged))))
             out.flush()
             os.fsync(out.fileno())
@@ -416,26 +406,3 @@ def summary_of(damaged: Survey) -> dict[str, Any]:
     """The recovered log's summary: the session's own if it is whole, and what was lost."""
     ended = {"ended": f"recovered, {damaged.lost_bytes} bytes lost"} if damaged.lost_bytes or not damaged.ended else {}
     return {**damaged.summary, **ended, "recovered": {"from": damaged.path.name, **damaged.to_dict()}}
-
-
-def _copy(damaged: Survey, source: BinaryIO, out: BinaryIO) -> None:
-    at = len(MAGIC)
-    for gap in damaged.gaps:
-        _copy_range(source, out, at, gap.at)
-        at = max(gap.at + gap.size, at)
-        if not gap.harmless:
-            text = f"lost here: {gap.describe(damaged.begin_ns or 0)}"
-            t_ns = next((t for t in (gap.before_ns, gap.after_ns, damaged.begin_ns) if t is not None), 0)
-            out.write(framed(*encode(Note(t_ns, "warning", "recover", text))))
-    _copy_range(source, out, at, damaged.size)
-
-
-def _copy_range(source: BinaryIO, out: BinaryIO, begin: int, end: int) -> None:
-    source.seek(begin)
-    left = end - begin
-    while left > 0:
-        block = source.read(min(left, BLOCK_BYTES))
-        if not block:
-            raise OSError(None, f"the damaged log became shorter while it was read (byte {source.tell()})")
-        out.write(block)
-        left -= len(block)

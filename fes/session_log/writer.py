@@ -4,8 +4,6 @@ Records gather in memory, encoded, until they are delivered: to a file, or to a 
 for a disk's cache, and nothing that was delivered is lost.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import struct
@@ -14,8 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from fes.session_log.codec import LatencyRun, Rare, SampleRun, encode, encode_json
-from fes.session_log.framing import MAGIC, RecordType, framed
-from fes.session_log.record import Received, SessionLogError, not_made
+from fes.session_log.framing import MAGIC, Received, RecordType, SessionLogError, framed, not_made
 from fes.signals import NS_PER_S, Event, ImuSample, StimCommand, StrideResult, WireFrame
 from fes.walk_record import Note
 from statemachine.phases import PhaseChange
@@ -102,9 +99,8 @@ class RecordBuffer(ABC):
                 self._close_latencies()
                 self._latencies.add(t_ns, latency_ns)
         except _UNLOGGABLE as error:
-            raise SessionLogError(
-                f"{self.path}: latency {latency_ns!r} at {t_ns!r} cannot be logged: {error}"
-            ) from error
+            told = f"latency {latency_ns!r} at {t_ns!r}"
+            raise SessionLogError(f"{self.path}: {told} cannot be logged: {error}") from error
 
     def flush_due(self, t_monotonic_ns: int) -> bool:
         """Hand what has gathered to the operating system if 50 ms have passed since that was last done here.

@@ -1,7 +1,5 @@
 """Where the bundled recordings are: ``sim_inputs`` in a checkout, or the few of them that the wheel carries."""
 
-from __future__ import annotations
-
 from importlib.resources import as_file, files
 from pathlib import Path
 

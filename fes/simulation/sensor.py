@@ -4,8 +4,6 @@ Order of effects: true signals on a fine grid → bandwidth → sampling (at jit
 error, bias and its random walk, white noise → range → quantisation → lost and doubled samples. Each can be off.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -9,21 +9,18 @@ Phases by physical criteria, not by what a sensor shows:
   heel less than 5 mm up, for good until the heel rises.
 """
 
-from __future__ import annotations
-
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
 from fes.signals import FloatArray, IntArray
 
-pass
-
+Row = TypeVar("Row")
 HEEL_UP_M = 0.005
 TILT_RAD = math.radians(2.0)
 
@@ -71,6 +68,16 @@ class FootTruth:
     phase: IntArray
 
 
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """From ``start_s`` to ``end_s`` the person does ``activity``; ``walking`` says whether that is walking."""
+
+    start_s: float
+    end_s: float
+    activity: str
+    walking: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
     """The truth of one recording; ``reference`` (N, 4) is t (s) and the marker in the lab frame (m), if recorded."""
@@ -86,18 +93,8 @@ class Truth:
         return [stride for stride in self.strides if stride.foot == foot]
 
 
-_FROM_TEXT: dict[str, Callable[[str], Any]] = {
-    "str": str,
-    "int": int,
-    "float": float,
-    "bool": lambda text: text == "yes",
-}
+_FROM_TEXT: dict[Any, Callable[[str], Any]] = {str: str, int: int, float: float, bool: lambda text: text == "yes"}
 _PARTS = (("sensor_m", "xyz"), ("toe_m", "xyz"), ("heel_m", "xyz"), ("q_world_from_sensor", "wxyz"))
-
-
-def _stem(path: Path) -> Path:
-    """Folder and name of a recording from any of its files."""
-    return path.parent / path.name.split(".", 1)[0]
 
 
 def write_truth(truth: Truth, folder: Path) -> list[Path]:
@@ -117,30 +114,20 @@ def write_truth(truth: Truth, folder: Path) -> list[Path]:
                 columns[f"{name}_{part}_{letter}"] = values[:, axis]
         columns[f"{name}_phase"] = foot.phase.astype(np.int8)
     written = [folder / f"{truth.name}.{kind}" for kind in ("truth.parquet", "strides.csv", "activities.csv")]
-    parquet.write_table(
-        pa.table(columns),
-        written[0],
-        compression="zstd",
-        compression_level=12,
-        use_dictionary=False,
-        use_byte_stream_split=[
-            name for name in columns if name.startswith(tuple(truth.feet)) and not name.endswith("_phase")
-        ],
-    )
-    _write_rows(written[1], [asdict(stride) for stride in truth.strides], [f.name for f in fields(TruthStride)])
-    _write_rows(written[2], [asdict(item) for item in truth.activities], [f.name for f in fields(Activity)])
+    split = [name for name in columns if name.startswith(tuple(truth.feet)) and not name.endswith("_phase")]
+    packed = {"compression": "zstd", "compression_level": 12, "use_dictionary": False, "use_byte_stream_split": split}
+    parquet.write_table(pa.table(columns), written[0], **packed)
+    tables: list[tuple[type, Sequence[Any]]] = [(TruthStride, truth.strides), (Activity, truth.activities)]
+    for path, (kind, items) in zip(written[1:], tables, strict=True):
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.DictWriter(file, [item.name for item in fields(kind)], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows({key: _text(value) for key, value in asdict(item).items()} for item in items)
     if len(truth.reference):
         written.append(folder / f"{truth.name}.reference.csv")
         lines = [f"{t:.2f},{x:.4f},{y:.4f},{z:.4f}" for t, x, y, z in truth.reference]
         written[-1].write_text("\n".join(["t_s,x_m,y_m,z_m", *lines]) + "\n", encoding="utf-8")
     return written
-
-
-def _write_rows(path: Path, rows: list[dict[str, Any]], names: list[str]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, names, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({key: _text(value) for key, value in row.items()} for row in rows)
 
 
 def _text(value: Any) -> Any:
@@ -150,10 +137,7 @@ def _text(value: Any) -> Any:
 
 
 def load_truth(path: Path) -> Truth:
-    """Read the truth beside a recording.
-
-    Args:
-        path: the recording or any of its truth files (``NAME.parquet``, ``NAME.truth.parquet``, …).
+    """Read the truth beside a recording, by the recording or any of its truth files.
 
     Raises:
         FileNotFoundError: a truth file is missing; the message names it and how to make it.
@@ -161,57 +145,39 @@ def load_truth(path: Path) -> Truth:
     """
     from pyarrow import parquet
 
-    stem = _stem(Path(path))
-    files = {kind: stem.with_name(f"{stem.name}.{kind}") for kind in ("truth.parquet", "strides.csv", "activities.csv")}
-    for file in files.values():
+    name = path.name.split(".", 1)[0]  # from any of its files
+    files = [path.with_name(f"{name}.{kind}") for kind in ("truth.parquet", "strides.csv", "activities.csv")]
+    for file in files:
         if not file.is_file():
             raise FileNotFoundError(
                 f"{file}: no such truth file; `python -m sim_inputs.generator.trials DIR` makes the bundled set"
             )
-    table = parquet.read_table(files["truth.parquet"])
+    table = parquet.read_table(files[0])
     t_ns = table.column("t_ns").to_numpy()
     feet = {}
-    for name in [column.removesuffix("_phase") for column in table.column_names if column.endswith("_phase")]:
+    for foot in [column.removesuffix("_phase") for column in table.column_names if column.endswith("_phase")]:
         parts = {
-            part: np.column_stack([table.column(f"{name}_{part}_{letter}").to_numpy().astype(float) for letter in axes])
+            part: np.column_stack([table.column(f"{foot}_{part}_{letter}").to_numpy().astype(float) for letter in axes])
             for part, axes in _PARTS
         }
-        feet[name] = FootTruth(t_ns, phase=table.column(f"{name}_phase").to_numpy().astype(np.int64), **parts)
-    reference_file = stem.with_name(f"{stem.name}.reference.csv")
+        feet[foot] = FootTruth(t_ns, phase=table.column(f"{foot}_phase").to_numpy().astype(np.int64), **parts)
+    reference_file = path.with_name(f"{name}.reference.csv")
     reference = np.loadtxt(reference_file, delimiter=",", skiprows=1) if reference_file.is_file() else np.zeros((0, 4))
-    return Truth(
-        stem.name,
-        feet,
-        [TruthStride(**_row(TruthStride, row, files["strides.csv"])) for row in _read_rows(files["strides.csv"])],
-        [Activity(**_row(Activity, row, files["activities.csv"])) for row in _read_rows(files["activities.csv"])],
-        reference,
-    )
+    return Truth(name, feet, _read_rows(TruthStride, files[1]), _read_rows(Activity, files[2]), reference)
 
 
-def _read_rows(path: Path) -> list[dict[str, str]]:
+def _read_rows(kind: type[Row], path: Path) -> list[Row]:
+    """A CSV's rows by the types of a dataclass."""
+    types, out = get_type_hints(kind), []
     with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def _row(kind: type, row: dict[str, str], path: Path) -> dict[str, Any]:
-    """One CSV row by the types of a dataclass."""
-    out: dict[str, Any] = {}
-    for item in fields(kind):
-        text = row.get(item.name)
-        if text is None:
-            raise ValueError(f"{path}: column {item.name!r} is missing")
-        try:
-            out[item.name] = _FROM_TEXT[str(item.type)](text)
-        except ValueError as error:
-            raise ValueError(f"{path}: {item.name} = {text!r} is not a number") from error
+        for row in csv.DictReader(file):
+            values = {}
+            for name, of in types.items():
+                if row.get(name) is None:
+                    raise ValueError(f"{path}: column {name!r} is missing")
+                try:
+                    values[name] = _FROM_TEXT[of](row[name])
+                except ValueError as error:
+                    raise ValueError(f"{path}: {name} = {row[name]!r} is not a number") from error
+            out.append(kind(**values))
     return out
-
-
-@dataclass(frozen=True, slots=True)
-class Activity:
-    """From ``start_s`` to ``end_s`` the person does ``activity``; ``walking`` says whether that is walking."""
-
-    start_s: float
-    end_s: float
-    activity: str
-    walking: bool

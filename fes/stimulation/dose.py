@@ -4,8 +4,6 @@ It books what the stimulator says it delivered, not what was asked for. Charge i
 pulses: with balanced pulses both electrodes of a pair get the same.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Iterable
@@ -100,10 +98,8 @@ class ElectrodeDose:
     def respond(self, response: float, charge_uc: float, intensity: float = 1.0) -> str:
         """Note what a step's charge achieved; a hint when the response per charge has fallen, else "".
 
-        Args:
-            response: what the foot did (the tuner's measure), m, greater being more; not-a-number is passed over.
-            charge_uc: of the same step; a step without charge says nothing.
-            intensity: the operator's setting, 0–1.
+        ``response`` is what the foot did (the tuner's measure), m, greater being more; NaN is passed over, and so is a
+        step without charge. ``intensity`` is the operator's setting, 0–1.
 
         The reference are the first ``WINDOW`` steps in a row with about the same charge once the walk has settled, anew
         with every intensity set by hand: a foot answers less to more charge, be it ever so fresh. Less response to less

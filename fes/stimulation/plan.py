@@ -20,8 +20,7 @@ from dataclasses import dataclass, field
 
 from fes.config import PHASE_ORDER, Channel
 from fes.signals import StimRequest
-from fes.stimulation.envelope import Envelope, round_down, to_ns
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters, Envelope, round_down, to_ns
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FREQUENCY_STEP_HZ = 1.0

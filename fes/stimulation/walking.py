@@ -1,20 +1,79 @@
-"""Is this foot known to be walking? The question that is asked before a burst may start.
+"""Is this foot known to be walking? Asked before a burst may start. And a foot switch as the trigger's fallback.
 
 Users of drop-foot stimulators complain most of stimulation when they do not walk: weight shifts, turning on the spot,
 sitting down. A heel that rises says nothing yet; strides that have just carried the foot forward do. So a burst may
 start only after ``strides_before_start`` strides in a row that were long enough and straight enough, and only while
 the stance since the last one is not much longer than the stances of walking.
-"""
 
-from __future__ import annotations
+A foot switch times bursts while the sensor's side shows no steps. It opens when the foot is lifted and closes when it
+lands. Once it has gone through two cycles of walking while the sensor showed no swing, its changes stand for the
+phases; the sensor's first swing takes over again, and a switch that falls silent ends what it began. The gate judges as
+ever: without fresh data from the sensor there is no current, whatever the switch says. Pure, causal.
+"""
 
 import math
 from collections import deque
 from collections.abc import Collection
+from typing import Final
 
 from fes.config import Stimulation
-from fes.signals import NS_PER_S, StrideResult
+from fes.signals import NS_PER_S, Event, FootSwitchEvent, StrideResult
 from statemachine.phases import Phase, PhaseChange, Transition
+
+CYCLES: Final = 2  # of the switch, before it is believed
+SHORTEST_CYCLE_NS: Final = NS_PER_S // 2
+LONGEST_CYCLE_NS: Final = 3 * NS_PER_S
+LOADING_NS: Final = 150_000_000  # how long loading response lasts, as the switch cannot tell its end
+
+
+class SwitchFallback:
+    """One foot's switch."""
+
+    def __init__(self, foot: str) -> None:
+        self.foot = foot
+        self._released_ns: int | None = None
+        self._cycles = 0
+        self._landed_ns: int | None = None
+
+    @property
+    def active(self) -> bool:
+        """Whether the switch times the bursts."""
+        return self._cycles >= CYCLES
+
+    def follows_sensor(self, change: PhaseChange) -> bool:
+        """The sensor's side changed phase; whether the plan is to follow it."""
+        if change.destination is Phase.SWING:
+            self._cycles = 0
+        return not self.active or change.transition is Transition.NONE
+
+    def changes_at(self, event: Event) -> list[PhaseChange]:
+        """What the plan is to follow instead at this event; nothing while the sensor's side shows steps."""
+        t_ns = event.t_ns
+        changes: list[PhaseChange] = []
+        if self._landed_ns is not None and t_ns - self._landed_ns >= LOADING_NS:
+            self._landed_ns = None
+            changes.append(self._change(t_ns, Transition.T4, Phase.LOADING_RESPONSE, Phase.STANCE))
+        if self._released_ns is not None and t_ns - self._released_ns > LONGEST_CYCLE_NS:
+            self._released_ns, self._cycles = None, 0  # stands, or the switch is stuck
+        if isinstance(event, FootSwitchEvent) and event.foot == self.foot:
+            if event.pressed is None:  # nobody knows when the foot lands; the sensor may have taken over long ago
+                lost = [self._change(t_ns, Transition.NONE, Phase.STANCE, Phase.STANCE)] if self.active else []
+                self._released_ns, self._landed_ns, self._cycles = None, None, 0
+                return lost
+            if event.pressed:
+                self._landed_ns = t_ns
+                changes.append(self._change(t_ns, Transition.T3, Phase.SWING, Phase.LOADING_RESPONSE))
+            else:
+                if self._released_ns is not None:
+                    self._cycles = self._cycles + 1 if t_ns - self._released_ns >= SHORTEST_CYCLE_NS else 0
+                self._released_ns = t_ns
+                changes.append(self._change(t_ns, Transition.T1, Phase.STANCE, Phase.PRE_SWING))
+                changes.append(self._change(t_ns, Transition.T2, Phase.PRE_SWING, Phase.SWING))
+        return changes if self.active else []
+
+    def _change(self, t_ns: int, transition: Transition, source: Phase, destination: Phase) -> PhaseChange:
+        return PhaseChange(t_ns, self.foot, transition, source, destination)
+
 
 STANCE_FACTOR = 1.8  # a stance this much longer than the usual one is a stop …
 STANCE_GRACE_S = 0.2  # … once it is also this much longer
@@ -36,9 +95,12 @@ class WalkingJudge:
 
     def on_stride(self, stride: StrideResult) -> None:
         """Count a stride for or against walking."""
-        fault = self._not_walking(stride)
-        if fault:
-            self._lapse(fault)
+        if not stride.valid:
+            self._lapse(f"stride {stride.number} {stride.reason}")
+        elif stride.stride_length_m < self._least_m:
+            self._lapse(f"stride of {stride.stride_length_m:.2f} m")
+        elif abs(stride.turn_rad) > self._most_rad:
+            self._lapse(f"turned by {abs(math.degrees(stride.turn_rad)):.0f}°")
         else:
             self._good_strides += 1
 
@@ -69,15 +131,6 @@ class WalkingJudge:
         if self._good_strides:
             self._stances_s.append(stance_s)
         return self.walking
-
-    def _not_walking(self, stride: StrideResult) -> str:
-        if not stride.valid:
-            return f"stride {stride.number} {stride.reason}"
-        if stride.stride_length_m < self._least_m:
-            return f"stride of {stride.stride_length_m:.2f} m"
-        if abs(stride.turn_rad) > self._most_rad:
-            return f"turned by {abs(math.degrees(stride.turn_rad)):.0f}°"
-        return ""
 
     def _lapse(self, reason: str) -> None:
         self._good_strides = 0

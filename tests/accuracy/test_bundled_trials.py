@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.sensor_choice import stride_settings
 from fes.estimation.strides.results import StrideMaker

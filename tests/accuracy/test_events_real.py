@@ -11,7 +11,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA = Path(os.environ.get("FES_DATA") or ROOT.parent / "shared" / "data")

@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fes.calibration.foot_track import calibrate_track
-from fes.calibration.recording import calibrate_shank_track
+from fes.calibration.recording import calibrate_shank_track, calibrate_track
 from fes.estimation.foot.calibration import calibrate_foot
 from fes.gate.freshness import MAX_SAME_MS, Stamps
 from fes.gate.plausibility import Plausible

@@ -70,9 +70,7 @@ def test_pitch_of_a_walking_foot(benchmark: ModuleType, sets: ModuleType) -> Non
 def test_known_stance_helps_a_walking_foot(sets: ModuleType) -> None:
     for trial in sets.gaitmap_pitch(DATA):
         acc, gyr, rate_hz = trial.acc_mps2, trial.gyr_radps, trial.rate_hz
-        rest = sets.detect_zero_velocity(
-            sets.calibrate_zero_velocity(acc, gyr, rate_hz), acc, gyr, rate_hz, causal=True
-        )
+        _, rest, _ = sets.find_zero_velocity(acc, gyr, rate_hz, causal=True)
         known, unknown = (
             trial.score(sets.upward(track_orientation(acc, gyr, rate_hz, zero_velocity=at_rest).quaternion))
             for at_rest in (rest, None)

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fes.calibration.foot_track import calibrate_track
-from fes.calibration.recording import calibrate_all, calibrate_shank_track, refuse_misfit
-from fes.estimation.shank.tracker import shank_tracker
+from fes.calibration.recording import calibrate_all, calibrate_shank_track, calibrate_track, refuse_misfit
+from fes.estimation.shank.tracker import ShankTracker
 from fes.recording import Recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -114,8 +113,8 @@ def test_blocks_and_samples_give_the_same_bits(benchmark: ModuleType) -> None:
     track = benchmark.track_of("left_shank", rate_hz, *shanks["left_shank"])
     calibration = calibrate_shank_track(track)
     n = 3000
-    whole = shank_tracker(calibration).advance(track.t_ns[:n], track.acc_mps2[:n], track.gyr_radps[:n])
-    tracker = shank_tracker(calibration)
+    whole = ShankTracker(calibration).advance(track.t_ns[:n], track.acc_mps2[:n], track.gyr_radps[:n])
+    tracker = ShankTracker(calibration)
     single = []
     for k in range(n):
         single += tracker.advance(track.t_ns[k : k + 1], track.acc_mps2[k : k + 1], track.gyr_radps[k : k + 1])

@@ -17,12 +17,12 @@ from test_zupt import STRIDE_M, walk
 
 from fes.analysis.ground_path import GroundPath, ground_path, without_relative_drift
 from fes.analysis.pipeline import analyse, calibrations_of
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.cli.main import main
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
 from fes.estimation.zupt import foot_trajectory
-from fes.estimation.zupt.settings import ZuptSettings
+from fes.estimation.zupt.decimation import ZuptSettings
 from fes.recording import Recording, Track, read_recording
 from fes.report.figures.space import same_scale
 from fes.signals import G_MPS2, FloatArray

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fes.analysis.pipeline import analyse, calibrations_of
-from fes.analysis.stride_fusion import fused, path_lengths
-from fes.calibration.foot_track import calibrate_track
+from fes.analysis.stride_fusion import fuse, lengths_along
+from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.estimation.strides.integration import SOLVED
+from fes.estimation.strides.results import Rows, StrideMaker, StrideSettings
 from fes.estimation.zupt import foot_trajectory
+from fes.estimation.zupt.foot_trajectory import FootSamples, foot_samples
 from fes.recording import Track, read_recording
-from fes.signals import StrideResult
+from fes.signals import FloatArray
 from fes.simulation.truth import load_truth
 
 TRIAL = Path(__file__).resolve().parents[2] / "sim_inputs" / "both_feet_200hz.parquet"
@@ -29,39 +30,45 @@ def track() -> Track:
 
 
 @pytest.fixture(scope="module")
-def strides(track: Track) -> list[StrideResult]:
+def rows(track: Track) -> Rows:
+    """The foot's strides by themselves."""
     calibration = calibrate_track(track)
     settings = StrideSettings(forward=calibration.forward(), up=np.array(calibration.up))
     tracker = FootTracker(calibration, StrideMaker(FOOT, settings))
-    outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
-    return [each for each in outcomes if isinstance(each, StrideResult)]
+    return tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps).rows
 
 
-def fuse(strides: list[StrideResult], track: Track) -> list[StrideResult]:
-    return fused(strides, track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+def samples_of(track: Track) -> FootSamples:
+    return foot_samples(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
 
 
-def lengths_of(strides: list[StrideResult], track: Track) -> np.ndarray:
-    begin, end = (np.array([getattr(s, name) for s in strides]) for name in ("t_start_ns", "t_end_ns"))
-    return path_lengths(begin, end, track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+def fused(rows: Rows, track: Track) -> tuple[Rows, FloatArray]:
+    both = rows.copy()
+    return both, fuse(both, samples_of(track))
 
 
-def test_the_mean_of_both(track: Track, strides: list[StrideResult]) -> None:
-    both, path = fuse(strides, track), lengths_of(strides, track)
-    pairs = [(old, new, m) for old, new, m in zip(strides, both, path, strict=True) if new is not old]
-    assert len(pairs) > 0.8 * len(strides)
-    for old, new, path_m in pairs:
-        assert new.stride_length_m == pytest.approx(0.5 * (old.stride_length_m + path_m), abs=1e-12)
-        assert new.speed_mps * (new.t_end_ns - new.t_start_ns) == pytest.approx(1e9 * new.stride_length_m)
-        assert new.trajectory_m[-1, 0] == pytest.approx(new.stride_length_m, abs=1e-9)
-        np.testing.assert_array_equal(new.trajectory_m[:, 2], old.trajectory_m[:, 2])
-        assert replace(new, stride_length_m=old.stride_length_m, speed_mps=old.speed_mps) == old
+def lengths_of(rows: Rows, samples: FootSamples) -> FloatArray:
+    return lengths_along(samples, rows["t_start_ns"], rows["t_end_ns"])
 
 
-def test_against_the_truth(track: Track, strides: list[StrideResult]) -> None:
-    both = fuse(strides, track)
+def test_the_mean_of_both(track: Track, rows: Rows) -> None:
+    (both, longer), path_m = fused(rows, track), lengths_of(rows, samples_of(track))
+    own_m, length_m = rows["stride_length_m"], both["stride_length_m"]
+    new = length_m != own_m
+    assert np.count_nonzero(new) > 0.8 * len(rows)
+    np.testing.assert_allclose(length_m[new], 0.5 * (own_m + path_m)[new], atol=1e-12)
+    duration_s = 1e-9 * (rows["t_end_ns"] - rows["t_start_ns"])
+    np.testing.assert_allclose((both["speed_mps"] * duration_s)[new], length_m[new])
+    np.testing.assert_allclose(longer[new], (length_m / own_m)[new])
+    for name in set(rows.dtype.names) - {"stride_length_m", "speed_mps"}:
+        np.testing.assert_array_equal(both[name], rows[name])
+
+
+def test_against_the_truth(track: Track, rows: Rows) -> None:
+    both, _ = fused(rows, track)
     errors = [
-        next(s for s in both if s.t_start_ns < 1e9 * true.t_swing_s < s.t_end_ns).stride_length_m - true.stride_length_m
+        next(s["stride_length_m"] for s in both if s["t_start_ns"] < 1e9 * true.t_swing_s < s["t_end_ns"])
+        - true.stride_length_m
         for true in load_truth(TRIAL).strides_of(FOOT)
         if true.steady and true.walking
     ]
@@ -70,41 +77,44 @@ def test_against_the_truth(track: Track, strides: list[StrideResult]) -> None:
     assert np.std(errors) < 0.017
 
 
-def test_where_they_are_far_apart_the_strides_own_stays(track: Track, strides: list[StrideResult]) -> None:
-    wrong = [replace(s, stride_length_m=1.3 * s.stride_length_m) for s in strides]
-    assert all(new is old for new, old in zip(fuse(wrong, track), wrong, strict=True))
+def test_where_they_are_far_apart_the_strides_own_stays(track: Track, rows: Rows) -> None:
+    wrong = rows.copy()
+    wrong["stride_length_m"] *= 1.3
+    both, longer = fused(wrong, track)
+    np.testing.assert_array_equal(both["stride_length_m"], wrong["stride_length_m"])
+    assert (longer == 1.0).all()
 
 
-def test_what_is_not_valid_stays(track: Track, strides: list[StrideResult]) -> None:
-    gone = replace(strides[5], valid=False, reason="of no use", stride_length_m=math.nan)
-    unsure = replace(strides[6], valid=False, reason="of no use")
-    assert fuse([gone, unsure], track) == [gone, unsure]
+def test_what_is_not_valid_stays(track: Track, rows: Rows) -> None:
+    bad = rows[5:7].copy()
+    bad["outcome"] = SOLVED + 1
+    bad["stride_length_m"][0] = math.nan
+    both, longer = fused(bad, track)
+    np.testing.assert_array_equal(both["stride_length_m"], bad["stride_length_m"])
+    assert (longer == 1.0).all()
 
 
-def test_samples_that_are_of_no_use_do_not_count(track: Track, strides: list[StrideResult]) -> None:
-    clean = lengths_of(strides, track)
+def test_samples_that_are_of_no_use_do_not_count(track: Track, rows: Rows) -> None:
+    clean = lengths_of(rows, samples_of(track))
     at = [100, 5000, 5000, 7000]
     t_ns = np.insert(track.t_sensor_ns, at, track.t_sensor_ns[at])  # doubled stamps
     acc, gyr = (np.insert(v, at, np.nan, axis=0) for v in (track.acc_mps2, track.gyr_radps))
-    begin, end = (np.array([getattr(s, name) for s in strides]) for name in ("t_start_ns", "t_end_ns"))
-    np.testing.assert_allclose(path_lengths(begin, end, t_ns, acc, gyr), clean, atol=1e-9)
+    np.testing.assert_allclose(lengths_of(rows, foot_samples(t_ns, acc, gyr)), clean, atol=1e-9)
 
 
-def test_stretches_do_not_show(track: Track, strides: list[StrideResult], monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = lengths_of(strides, track)
+def test_stretches_do_not_show(track: Track, rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = lengths_of(rows, samples_of(track))
     monkeypatch.setattr(foot_trajectory, "STRETCH_S", 25.0)
     monkeypatch.setattr(foot_trajectory, "SEARCH_S", 4.0)
-    cut = lengths_of(strides, track)
+    cut = lengths_of(rows, samples_of(track))
     assert np.isfinite(whole).sum() > 40
     assert np.nanmedian(np.abs(cut - whole)) < 0.005
     assert np.nanmax(np.abs(cut - whole)) < 0.03
 
 
-def test_nothing_to_go_by(track: Track, strides: list[StrideResult]) -> None:
-    assert fused([], track.t_sensor_ns, track.acc_mps2, track.gyr_radps) == []
-    few = slice(0, 2)
-    assert fused(strides[:1], track.t_sensor_ns[few], track.acc_mps2[few], track.gyr_radps[few]) == strides[:1]
-    outside = path_lengths(np.array([-5]), np.array([10**9]), track.t_sensor_ns, track.acc_mps2, track.gyr_radps)
+def test_nothing_to_go_by(track: Track, rows: Rows) -> None:
+    assert len(fuse(rows[:0].copy(), samples_of(track))) == 0
+    outside = lengths_along(samples_of(track), np.array([-5]), np.array([10**9]))
     assert np.isnan(outside).all()
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import pty
+import shutil
 import tempfile
 import threading
 import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import serial
@@ -22,10 +24,9 @@ from drivers.imu import ximu3_codec
 from drivers.stimulator.serial_line import latency_hint
 from fes.cli.common.exits import FAILED, OK
 from fes.cli.devices import Connected, wanted_by
+from fes.cli.doctor import command as doctor_host
 from fes.cli.doctor import devices as doctor_devices
-from fes.cli.doctor import host as doctor_host
-from fes.cli.doctor.command import settings, stop_file_finding
-from fes.cli.doctor.host import Finding, Verdict
+from fes.cli.doctor.command import Finding, Verdict, settings, stop_file_finding
 from fes.cli.main import main
 from fes.config import ImuDevice, Session, load_session
 from fes.live import realtime
@@ -168,7 +169,7 @@ def test_a_disk_that_is_too_small_is_a_failure(tmp_path: Path, monkeypatch: pyte
     settings = session(tmp_path, sensor("/dev/x", rate_hz=500))
     per_s = doctor_host.log_bytes_per_s(settings, tmp_path)
     assert 10_000 < per_s < 200_000  # some 40 bytes a sample, 500 of them
-    monkeypatch.setattr(doctor_host, "_free_bytes", lambda place: int(3600 * per_s * 0.9))
+    monkeypatch.setattr(shutil, "disk_usage", lambda place: SimpleNamespace(free=int(3600 * per_s * 0.9)))
     found = only(doctor_host.disk(settings, tmp_path, hours=1.0), "disk")
     assert found.verdict is Verdict.FAILURE
     assert "make room" in found.remedy

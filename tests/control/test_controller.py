@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from replays import MS, SETTINGS, trial
 
-from fes.calibration.foot_track import calibrate
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import FootGeometry, Session, load_session
 from fes.control.controller import Controller, Decision
 from fes.estimation.foot.calibration import FootCalibration
@@ -37,7 +37,7 @@ CYCLE = (
 
 @pytest.fixture(scope="module")
 def calibrations() -> dict[str, FootCalibration]:
-    return calibrate(trial("example_csv"))[0]
+    return calibrate_phase_sensors(trial("example_csv")).calibrations
 
 
 class ScriptedFoot:

@@ -27,7 +27,7 @@ from replays import (
     trial,
 )
 
-from fes.calibration.foot_track import calibrate
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.cli.replay.log import repeat
 from fes.config import load_session, validate_session
 from fes.control.replay import identity, refuse_long_silence, session_for
@@ -267,10 +267,10 @@ def test_channels_without_a_sensor_are_left_out_with_their_antagonists() -> None
 
 def test_no_walking_cannot_be_calibrated() -> None:
     with pytest.raises(CalibrationError, match=r"example_csv\.csv: right_foot: .*strides"):
-        calibrate(cut(trial("example_csv"), 0.0, 4.0))
-    shanks = replace(trial("example_csv"), tracks={})
-    with pytest.raises(CalibrationError, match="no foot sensor"):
-        calibrate(shanks)
+        calibrate_phase_sensors(cut(trial("example_csv"), 0.0, 4.0))
+    nothing = replace(trial("example_csv"), tracks={})
+    with pytest.raises(CalibrationError, match="none of the sensors"):
+        calibrate_phase_sensors(nothing)
 
 
 def test_a_silence_of_an_hour_is_refused_with_its_place() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fes.control.sources import CLOSING_S, TICK_NS, armed_after, paced, with_ticks
+from fes.control.runner import CLOSING_S, TICK_NS, armed_after, paced, with_ticks
 from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, Tick
 
 MS = 1_000_000

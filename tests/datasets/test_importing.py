@@ -16,7 +16,7 @@ from scipy.io import savemat
 
 from fes.cli.main import main
 from fes.datasets import ImportProblem
-from fes.datasets.xsens_text import read_xsens_text
+from fes.datasets.stroke_treadmill import read_xsens_text
 from fes.evaluation.reference.read import companion_references, read_references
 from fes.recording import read_recording
 from fes.signals import G_MPS2

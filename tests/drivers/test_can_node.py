@@ -205,7 +205,7 @@ def test_counter_rule(start: int, step: int) -> None:
     if abs(offered // 128 - start // 128) > 1:
         expected = Result.BAD_SESSION
     assert bench.send(command(current_ma=10.0), number=offered) is expected
-    assert bench.node.channels[1].current_ma == (10.0 if expected is Result.OK else 20.0)
+    assert bench.node.channels[1].levels[0] == (10.0 if expected is Result.OK else 20.0)
 
 
 def test_one_count_runs_over_all_channels() -> None:

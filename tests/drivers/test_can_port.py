@@ -93,7 +93,7 @@ def test_handshake_names_another_version(bench: Bench) -> None:
     bench.bus.send(
         can.Message(
             arbitration_id=can_codec.ALIVE_ID,
-            data=can_codec.encode_alive(Alive(0, 9, BOOT, 0, 0, 0))[1],
+            data=can_codec.encode(Alive(0, 9, BOOT, 0, 0, 0))[1],
             is_extended_id=False,
         )
     )
@@ -110,7 +110,7 @@ def test_controller_and_node_of_different_versions_refuse_each_other(bench: Benc
     assert isinstance(alive, Alive)
     assert (alive.version, alive.session_id) == (PROTOCOL_VERSION, 0)
     assert fault_text(alive.faults) == "the controller speaks another protocol version"
-    identifier, data = can_codec.encode_alive(Alive(0, other, BOOT, 0, 0, 0))
+    identifier, data = can_codec.encode(Alive(0, other, BOOT, 0, 0, 0))
     bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
     with pytest.raises(StimulatorLost, match=f"protocol version {other}, this program {PROTOCOL_VERSION}"):
         bench.port.open(0, timeout_s=0.1, clock_ns=lambda: 0)
@@ -231,8 +231,8 @@ def test_foreign_frames_do_not_pile_up_and_do_not_hold_the_loop(bench: Bench) ->
 def test_another_session_s_answers_are_not_ours(bench: Bench) -> None:
     bench.port.open(0, clock_ns=bench.clock)
     for message in (
-        can_codec.encode_charge(Charge(0, SESSION + 1, 1, 200, 99)),
-        can_codec.encode_status(Status(0, SESSION + 1, 1, True, 99.0, 300.0, 40.0, Result.OK)),
+        can_codec.encode(Charge(0, SESSION + 1, 1, 200, 99)),
+        can_codec.encode(Status(0, SESSION + 1, 1, True, 99.0, 300.0, 40.0, Result.OK)),
     ):
         bench.bus.send(can.Message(arbitration_id=message[0], data=message[1], is_extended_id=False))
     assert statuses(bench.port.poll(0)) == []
@@ -296,7 +296,7 @@ def test_an_answer_settles_its_command_and_all_older_ones(bench: Bench) -> None:
     for count in range(1, 4):
         bench.port.send(command())
         assert bench.port.outstanding == count
-    identifier, data = can_codec.encode_status(Status(1, SESSION, 1, True, 20.0, 300.0, 40.0, Result.OK))
+    identifier, data = can_codec.encode(Status(1, SESSION, 1, True, 20.0, 300.0, 40.0, Result.OK))
     bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
     bench.port.poll(0)
     assert bench.port.outstanding == 1
@@ -305,7 +305,7 @@ def test_an_answer_settles_its_command_and_all_older_ones(bench: Bench) -> None:
 def test_a_heartbeat_that_is_only_repeated_is_no_sign_of_life(bench: Bench) -> None:
     bench.port.open(0, clock_ns=bench.clock)
     bench.port.poll(0)
-    identifier, data = can_codec.encode_alive(Alive(9, 1, BOOT, SESSION, 0, 0))
+    identifier, data = can_codec.encode(Alive(9, 1, BOOT, SESSION, 0, 0))
     for _ in range(5):
         bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
     assert bench.port.poll(1) == [StimAlive(1, BOOT, 0, "")]
@@ -335,7 +335,7 @@ def test_a_command_that_was_written_late_has_its_time_all_the_same() -> None:
 def test_a_heartbeat_that_stops_is_a_fault_when_time_is_real() -> None:
     bus, node = (can.Bus(interface="virtual", channel="beat", ignore_config=True) for _ in range(2))
     port = CanStimulator(bus, SESSION, in_real_time=True)
-    identifier, data = can_codec.encode_alive(Alive(1, 1, BOOT, SESSION, 0, 0))
+    identifier, data = can_codec.encode(Alive(1, 1, BOOT, SESSION, 0, 0))
     node.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
     (alive,) = port.poll(0)
     assert alive.fault == ""

@@ -15,7 +15,7 @@ from drivers.stimulator.bus import LOOPBACK, BusError, open_bus
 from drivers.stimulator.canopen_codec import CanOpenSettings
 from drivers.stimulator.open import open_stimulator
 from fes.config import Bus, ConfigError, Session, StimulatorDevice, load_session, validate_session
-from fes.config.devices import ImuDevice, Options
+from fes.config.session import ImuDevice, Options
 
 NO_WHOLE = (1.5, 1.0, True, "1", math.nan, math.inf)
 NODE: Options = {

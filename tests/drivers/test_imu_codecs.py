@@ -12,10 +12,10 @@ import pytest
 from drivers.imu import xbus_codec as xbus
 from drivers.imu import ximu3_codec as ximu3
 from drivers.imu.can_codec import DbcSensor
-from drivers.imu.port import LineCounts, LossCounter, RawSample, StampClock, Unwrapper
+from drivers.imu.port import LineCounts, LossCounter, StampClock, Unwrapper
 from drivers.imu.xbus_codec import Mid, Xdi
-from fes.config.devices import ImuDevice
-from fes.signals import G_MPS2
+from fes.config.session import ImuDevice
+from fes.signals import G_MPS2, RawSample
 
 # counter 42581, time 5719854, then acceleration, rate and status as an MTi-300 sends them; laid out by hand
 GOLDEN_DATA = bytes.fromhex(
@@ -54,7 +54,7 @@ def test_xbus_byte_by_byte_with_noise_around() -> None:
     stream = b"\x01\xfa\x02" + golden() + b"\xfa\xff" + golden() + b"\x00" + golden()
     found = [message for k in range(len(stream)) for message in decoder.feed(stream[k : k + 1])]
     assert [message.data for message in found] == [GOLDEN_DATA] * 3
-    assert decoder.bytes_skipped == 3 + 2 + 1
+    assert decoder.counts.bytes_skipped == 3 + 2 + 1
 
 
 def test_xbus_wrong_checksum_costs_one_message() -> None:
@@ -62,7 +62,7 @@ def test_xbus_wrong_checksum_costs_one_message() -> None:
     broken[12] ^= 0x10
     decoder = xbus.XbusDecoder()
     assert len(decoder.feed(bytes(broken) + golden())) == 1
-    assert decoder.bad_frames >= 1
+    assert decoder.counts.bad_frames >= 1
 
 
 def test_xbus_extended_length() -> None:
@@ -101,7 +101,7 @@ def test_ximu3_escapes_and_noise() -> None:
     decoder = ximu3.Ximu3Decoder()
     stream = b"noise\n" + raw + b'{"ping":null}\r\n' + raw[:-4] + b"\n" + raw
     assert [m for k in range(len(stream)) for m in decoder.feed(stream[k : k + 1])] == [message, message]
-    assert (decoder.bad_frames, decoder.bytes_skipped) == (1, 6)
+    assert (decoder.counts.bad_frames, decoder.counts.bytes_skipped) == (1, 6)
 
 
 def test_stamps_run_over_but_restarts_stay_steps_back() -> None:

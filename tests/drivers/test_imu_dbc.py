@@ -14,11 +14,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.imu.can_codec import DbcSensor
-from drivers.imu.port import RawSample
 from drivers.simulated.imu.device import ImuSignal, SimulatedImu
 from drivers.simulated.imu.wire import CAN_RECORD, DbcWire, Reading, Wire, XsensCanWire
-from fes.config.devices import ImuDevice
-from fes.signals import G_MPS2, Vector3
+from fes.config.session import ImuDevice
+from fes.signals import G_MPS2, RawSample, Vector3
 
 FLOAT_CLOCK = DBC.replace("Clock: 3", "Clock: 5").replace("0|16@1+", "0|32@1-").replace("16|8@1+", "32|8@1+")
 FLOAT_CLOCK += "SIG_VALTYPE_ 400 Stamp : 1;\n"

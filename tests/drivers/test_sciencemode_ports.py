@@ -290,7 +290,7 @@ def test_a_slow_device_s_queue_is_never_filled() -> None:
 
 def test_the_simulated_queue_refuses_the_eleventh() -> None:
     device = ScienceMode4Device(0)
-    device.receive(0, sm4.encode(sm4.low_init(0)))
+    device.receive(0, sm4.encode(Packet(0, sm4.Code.LOW_INIT, b"\0")))
     pulses = b"".join(sm4.encode(sm4.low_pulse(n, 0, sm4.biphasic(20, 300))) for n in range(12))
     answers = sm4.Decoder().feed(b"".join(device.receive(0, pulses)))
     assert [a.data[0] for a in answers] == [0, sm4.Result.BUSY]  # one at once, ten queued, one refused

@@ -17,7 +17,7 @@ from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import LineSettings, open_line
 from drivers.switches import SILENT_NS, CanSwitch, SerialSwitch, SwitchFailed, open_switch
 from fes.config import Bus
-from fes.config.devices import FootSwitch
+from fes.config.session import FootSwitch
 from fes.live.commands import OperatorCommand
 from fes.live.inputs import FootSwitchInput, StopSwitch
 from fes.signals import Event, FootSwitchEvent

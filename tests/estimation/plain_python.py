@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.config import load_session
 from fes.estimation.sensor_choice import tracker_of
 from fes.recording import read_recording

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fes.calibration.foot_track import calibrate, calibrate_track
+from fes.calibration.recording import calibrate_phase_sensors, calibrate_track
 from fes.estimation.foot.calibration import (
     REST_BOUNDS_RADPS,
     CalibrationError,
@@ -27,7 +27,7 @@ from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Recording, Track, read_recording
 from fes.signals import FOOT_SENSORS, G_MPS2, NS_PER_S, FloatArray, IntArray, StrideResult
 from fes.simulation.forward import VirtualPatient, settings_for
-from fes.simulation.forward.truth import recording_of
+from fes.simulation.forward.closed_loop import recording_of
 from fes.simulation.sensor import ImuModel, mounting
 from fes.simulation.truth import load_truth
 from sim_inputs.generator.trials import TRIALS
@@ -392,13 +392,13 @@ def test_doubled_and_backward_stamps_do_not_matter() -> None:
 def test_one_foot_that_cannot_be_calibrated_does_not_stop_the_other() -> None:
     whole = recording("both_feet_100hz")
     still = samples("both_feet_100hz", "left_foot", 0.0, 4.0)
-    found, missing = calibrate(replace(whole, tracks={**whole.tracks, "left_foot": still}))
-    assert list(found) == ["right_foot"]
-    assert list(missing) == ["left_foot"]
-    assert "0 strides found" in missing["left_foot"]
+    found = calibrate_phase_sensors(replace(whole, tracks={**whole.tracks, "left_foot": still}))
+    assert list(found.calibrations) == ["right_foot"]
+    assert list(found.missing) == ["left_foot"]
+    assert "0 strides found" in found.missing["left_foot"]
 
 
 def test_no_foot_at_all() -> None:
     whole = recording("both_feet_100hz")
-    with pytest.raises(CalibrationError, match=r"both_feet_100hz\.parquet: it holds no foot sensor"):
-        calibrate(replace(whole, tracks={}))
+    with pytest.raises(CalibrationError, match=r"both_feet_100hz\.parquet: it holds none of the sensors"):
+        calibrate_phase_sensors(replace(whole, tracks={}))

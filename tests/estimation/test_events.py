@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.events.causal import RETUNE_STRIDES, Decision, OnlineEvent, OnlineEvents, Rule, gyr_threshold
 from fes.estimation.events.offline import GaitEvents, find_events, foot_strike_angles
 from fes.estimation.foot.calibration import FootCalibration

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.clearance.clearance import FootPath
 from fes.estimation.foot import features as kernel
 from fes.estimation.foot import tracker as one_foot
@@ -23,8 +23,7 @@ from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.numerics.records import new_core
 from fes.estimation.strides.results import StrideMaker, StrideSettings
-from fes.estimation.tracking.history import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S
-from fes.estimation.tracking.tracker import Outcome
+from fes.estimation.tracking.tracker import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, Outcome
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
 from fes.simulation.sensor import FINE_HZ, PERFECT
@@ -198,7 +197,7 @@ def test_the_history_is_free_of_bias_with_the_orientation_beside_it() -> None:
 
 @pytest.mark.parametrize("foot", FEET)
 def test_forgetting_changes_nothing(foot: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fes.estimation.tracking.history.HISTORY_S", 200.0)
+    monkeypatch.setattr("fes.estimation.tracking.tracker.HISTORY_S", 200.0)
     samples, calibration = walk(foot)
     tracker = tracker_of(calibration)
     assert len(tracker._history.arrays.t_ns) == 20_000
@@ -295,7 +294,7 @@ def test_samples_that_are_no_use_are_counted_and_change_nothing() -> None:
     assert spoiled.counts.to_dict() == {
         "used": len(samples), "doubled_or_backward": 3, "not_finite": 3, "restarts": 0,
     }  # fmt: skip
-    assert spoiled.newest_t_ns == samples.t_ns[-1]
+    assert spoiled._state["t_ns"] == samples.t_ns[-1]
 
 
 def test_nothing_but_rubbish() -> None:
@@ -306,7 +305,7 @@ def test_nothing_but_rubbish() -> None:
     assert tracker.counts.not_finite == 50
     assert tracker.counts.used == 0
     assert tracker.advance(t_ns[:0], np.zeros((0, 3)), np.zeros((0, 3))) == []
-    assert tracker.newest_t_ns == 0
+    assert tracker._state["t_ns"] == 0
 
 
 def test_a_sensor_that_begins_with_zeros() -> None:

@@ -12,9 +12,8 @@ from zupt_reference import zupt_path
 from fes.analysis.stride_fusion import SETTINGS
 from fes.estimation.zupt import foot_trajectory
 from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, carry_error, interval_noise, predict, spread_noise
-from fes.estimation.zupt.decimation import gather, gather_intervals
+from fes.estimation.zupt.decimation import ZuptSettings, gather, gather_intervals
 from fes.estimation.zupt.foot_trajectory import foot_samples
-from fes.estimation.zupt.settings import ZuptSettings
 from fes.estimation.zupt.smoother import _carry_back
 from fes.signals import G_MPS2, FloatArray
 

@@ -11,15 +11,7 @@ from hypothesis import strategies as st
 
 from fes.estimation.foot.features import STATE, FootParameters
 from fes.estimation.numerics.records import core_type, new_core, record_type, struct_of
-from fes.estimation.tracking.history import (
-    FULL,
-    LARGEST_VALUE,
-    RESTART_GAP_NS,
-    SILENCE,
-    History,
-    SampleCounts,
-    Samples,
-)
+from fes.estimation.tracking.tracker import FULL, LARGEST_VALUE, RESTART_GAP_NS, SILENCE, History, SampleCounts, Samples
 from fes.signals import FloatArray, IntArray
 from statemachine.guards import Thresholds
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fes.estimation.strides.constrained import integrate
+from fes.estimation.strides.integration import integrate
 from fes.estimation.strides.maximum_likelihood import StrideNoise, end_variances, maximum_likelihood
 from fes.signals import G_MPS2, FloatArray, IntArray
 

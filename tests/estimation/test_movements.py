@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fes.estimation.foot.movements import BACK, contact_jumps, follow, moving_mean
-from fes.estimation.numerics.rotation import from_gravity, rotate, up_in_sensor
-from fes.estimation.strides.constrained import integrate, orient
+from fes.estimation.numerics.rotation import from_gravity, to_world, up_in_sensor
+from fes.estimation.strides.integration import integrate, orient
 from fes.signals import G_MPS2, FloatArray, IntArray
 
 RNG = np.random.default_rng(5)
@@ -45,7 +45,7 @@ def test_where_a_movement_leads_is_where_its_integration_ends(span: IntArray) ->
     velocity, position, gamma = np.empty((len(q), 3)), np.empty((len(q), 3)), np.empty((2, 3))
     assert integrate(t_ns[part], acc[part], q, np.zeros(3), np.zeros(3), True, velocity, position, gamma)
     back = q[0] * (1.0, -1.0, -1.0, -1.0)
-    assert moved["way"] == pytest.approx(rotate(back, position[-1]), rel=1e-10)
+    assert moved["way"] == pytest.approx(to_world(*back, *position[-1]), rel=1e-10)
     assert np.linalg.norm(moved["way"]) > 0.01
 
 

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from fes.estimation.numerics.rotation import quaternion_step, to_sensor, to_world
-from fes.estimation.orientation.body import OrientationPath, OrientationTracker, smooth_orientation, track_orientation
-from fes.estimation.orientation.filter import STATES, BodySettings, measure, new_state, propagate_rows
+from fes.estimation.orientation.body import OrientationPath, run, smooth_orientation, track_orientation
+from fes.estimation.orientation.filter import NO_RANGE, STATES, BodySettings, measure, new_state, propagate_rows
 from fes.signals import G_MPS2, FloatArray
 
 RATE_HZ = 100.0
@@ -110,24 +111,36 @@ def hostile_block(seed: int) -> tuple[FloatArray, FloatArray, np.ndarray]:
     return acc, gyr, rng.random(400) < 0.2
 
 
+class Stepped:
+    """The causal filter, block by block."""
+
+    def __init__(
+        self, rate_hz: float, settings: BodySettings = SETTINGS, ranges: tuple[float, float] = (NO_RANGE, NO_RANGE)
+    ) -> None:
+        self.state, self.more = new_state(settings), (1.0 / rate_hz, np.array(ranges), settings)
+
+    def advance(self, acc: ArrayLike, gyr: ArrayLike, rest: ArrayLike | None = None) -> OrientationPath:
+        acc, gyr = np.atleast_2d(np.asarray(acc)), np.atleast_2d(np.asarray(gyr))
+        return run(self.state, acc, gyr, np.zeros(len(acc), bool) if rest is None else np.atleast_1d(rest), *self.more)
+
+
 @given(st.integers(0, 20), st.lists(st.integers(1, 399), max_size=6, unique=True))
 @settings(max_examples=30, deadline=None)
 def test_blocks_are_samples_to_the_bit(seed: int, cuts: list[int]) -> None:
     acc, gyr, rest = hostile_block(seed)
-    ranges = {"acc_range_mps2": 11.0, "gyr_range_radps": 1.5}
-    whole = track_orientation(acc, gyr, RATE_HZ, zero_velocity=rest, **ranges)
+    whole = track_orientation(acc, gyr, RATE_HZ, zero_velocity=rest, acc_range_mps2=11.0, gyr_range_radps=1.5)
     assert np.isfinite(whole.quaternion).all()
-    tracker = OrientationTracker(RATE_HZ, **ranges)
+    tracker = Stepped(RATE_HZ, ranges=(11.0, 1.5))
     edges = [0, *sorted(cuts), 400]
     parts = [tracker.advance(acc[a:b], gyr[a:b], rest[a:b]) for a, b in pairwise(edges)]
     assert np.concatenate([part.quaternion for part in parts]).tobytes() == whole.quaternion.tobytes()
     assert np.concatenate([part.tilt_sd_rad for part in parts]).tobytes() == whole.tilt_sd_rad.tobytes()
-    single = OrientationTracker(RATE_HZ, **ranges)
+    single = Stepped(RATE_HZ, ranges=(11.0, 1.5))
     for k in range(400):
         single.advance(acc[k], gyr[k], rest[k])
-    assert single.quaternion.tobytes() == whole.quaternion[-1].tobytes()
-    assert single.covariance.tobytes() == tracker.covariance.tobytes()
-    assert tracker.gyr_bias_radps.tobytes() == whole.gyr_bias_radps.tobytes()
+    assert single.state.quaternion.tobytes() == whole.quaternion[-1].tobytes()
+    assert single.state.covariance.tobytes() == tracker.state.covariance.tobytes()
+    assert tracker.state.bias.tobytes() == whole.gyr_bias_radps.tobytes()
 
 
 # --- heading and mounting --------------------------------------------------------------------------------
@@ -154,13 +167,13 @@ def test_heading_follows_the_gyroscope_alone(seed: int, tilt_error: float) -> No
     force = np.array([0.0, 0.0, G_MPS2]) + np.zeros((n, 3))
     force[50:, 0] += tilt_error * np.sin(np.arange(n - 50) / 9.0)
     settings_ = SETTINGS._replace(start_bias_radps=1e-9, bias_walk_radps2_rthz=0.0)
-    tracker = OrientationTracker(RATE_HZ, settings=settings_)
+    tracker = Stepped(RATE_HZ, settings_)
     last = 0.0
     for k in range(n):
         tracker.advance(force[k], rate[k])
-        assert tracker.covariance[2, 2] >= last
-        last = tracker.covariance[2, 2]
-    w, x, y, z = tracker.quaternion
+        assert tracker.state.covariance[2, 2] >= last
+        last = tracker.state.covariance[2, 2]
+    w, x, y, z = tracker.state.quaternion
     heading = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     expected = float(rate[1:, 2].sum() * DT_S)
     # a body that tilts while it turns has no exact heading: second order in the tilt
@@ -240,19 +253,19 @@ def test_lost_samples_are_bridged_and_doubted() -> None:
 def test_the_bias_is_a_markov_process() -> None:
     """Without measurements it decays as exp(-t/T), and its variance goes to walk² T / 2 whatever it was."""
     settings_ = SETTINGS._replace(bias_time_s=20.0, bias_walk_radps2_rthz=1e-3, start_bias_radps=0.05)
-    tracker = OrientationTracker(10.0, settings=settings_)
+    tracker = Stepped(10.0, settings_)
     still = [0.0, 0.0, G_MPS2]
     for _ in range(100):
         tracker.advance(still, [0.01, -0.02, 0.005])
-    learnt = tracker.gyr_bias_radps
+    learnt = tracker.state.bias.copy()
     assert abs(learnt[0] - 0.01) < 0.002
     lost = [math.nan] * 3
     for _ in range(200):
         tracker.advance(lost, lost)
-    np.testing.assert_allclose(tracker.gyr_bias_radps, learnt * math.exp(-1.0), rtol=1e-6)
+    np.testing.assert_allclose(tracker.state.bias, learnt * math.exp(-1.0), rtol=1e-6)
     for _ in range(2000):
         tracker.advance(lost, lost)
-    np.testing.assert_allclose(np.diag(tracker.covariance)[3:6], 1e-6 * 20.0 / 2.0, rtol=0.01)
+    np.testing.assert_allclose(np.diag(tracker.state.covariance)[3:6], 1e-6 * 20.0 / 2.0, rtol=0.01)
 
 
 def test_the_bias_is_found_in_movement_and_at_once_in_stillness() -> None:
@@ -329,7 +342,7 @@ def test_ten_hours() -> None:
     """900 000 samples: the covariance stays one and bounded, the errors are what it says, the heading only loses."""
     rng = np.random.default_rng(9)
     rate_hz, n = 25.0, 22_500
-    tracker = OrientationTracker(rate_hz)
+    tracker = Stepped(rate_hz)
     q, bias = np.array([1.0, 0.0, 0.0, 0.0]), np.array([0.004, -0.005, 0.003])
     acc, gyr, up = (np.empty((n, 3)) for _ in range(3))
     nees, greatest, headings = [], [], []
@@ -337,7 +350,7 @@ def test_ten_hours() -> None:
         noise = 0.002 * rng.normal(size=(n, 9))
         _carried(n, part * n, rate_hz, q, bias, noise, acc, gyr, up)
         path = tracker.advance(acc, gyr)
-        covariance = tracker.covariance
+        covariance = tracker.state.covariance
         assert np.array_equal(covariance, covariance.T)
         assert np.linalg.eigvalsh(covariance)[0] > 0.0
         assert abs(np.linalg.norm(path.quaternion[-1]) - 1.0) < 1e-12
@@ -363,9 +376,9 @@ def test_what_cannot_be_is_refused() -> None:
     good = np.tile([0.0, 0.0, G_MPS2], (4, 1))
     for rate_hz in (0.0, -1.0, math.nan, math.inf):
         with pytest.raises(ValueError, match="rate_hz"):
-            OrientationTracker(rate_hz)
+            track_orientation(good, good, rate_hz)
     with pytest.raises(ValueError, match="acc_range_mps2"):
-        OrientationTracker(100.0, acc_range_mps2=0.0)
+        track_orientation(good, good, 100.0, acc_range_mps2=0.0)
     with pytest.raises(ValueError, match="gyr_range_radps"):
         smooth_orientation(good, good, 100.0, gyr_range_radps=math.nan)
     with pytest.raises(ValueError, match="shape"):

@@ -16,8 +16,8 @@ from fes.config import load_session
 from fes.control.controller import Controller
 from fes.estimation.sensor_choice import phase_sensors, shank_phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
-from fes.estimation.shank.levels import fit_levels, trace_of
-from fes.estimation.shank.tracker import shank_tracker
+from fes.estimation.shank.motion import fit_levels, trace_of
+from fes.estimation.shank.tracker import ShankTracker
 from fes.estimation.tracking.tracker import Outcome
 from fes.signals import FloatArray, ImuSample, IntArray, OperatorAct, OperatorAction, StimRequest, StrideResult
 from statemachine.phases import Phase, PhaseChange, Transition
@@ -60,7 +60,7 @@ def facts(outcomes: list[Outcome]) -> list[tuple[object, ...]]:
 
 
 def advanced(made: ShankWalk, cuts: list[int] | None = None) -> list[Outcome]:
-    tracker = shank_tracker(calibration(made.rate_hz))
+    tracker = ShankTracker(calibration(made.rate_hz))
     edges = [0, *(cuts if cuts is not None else []), len(made.t_ns)]
     outcomes: list[Outcome] = []
     for a, b in pairwise(edges):
@@ -103,7 +103,7 @@ def test_strides_are_wu_et_als_and_causal() -> None:
 def test_stairs_free_the_height() -> None:
     made = walk(100.0, 0.16, 0.7)
     found = calibration(100.0, False)
-    outcomes = shank_tracker(found).advance(made.t_ns, made.acc, made.gyr)
+    outcomes = ShankTracker(found).advance(made.t_ns, made.acc, made.gyr)
     valid = [o for o in outcomes if isinstance(o, StrideResult) and o.valid]
     assert len(valid) >= 7
     assert np.median([s.height_gained_m for s in valid]) == pytest.approx(0.16, abs=0.04)
@@ -122,7 +122,7 @@ def test_single_samples_give_the_same_bits() -> None:
 
 def test_a_silence_restarts_in_stance() -> None:
     made = walk()
-    tracker = shank_tracker(calibration())
+    tracker = ShankTracker(calibration())
     half = len(made.t_ns) // 2
     tracker.advance(made.t_ns[:half], made.acc[:half], made.gyr[:half])
     late = made.t_ns[half:] + 1_000_000_000
@@ -137,7 +137,7 @@ def test_nonsense_changes_nothing() -> None:
     made = walk()
     acc = made.acc.copy()
     acc[500] = np.nan
-    tracker = shank_tracker(calibration())
+    tracker = ShankTracker(calibration())
     outcomes = tracker.advance(made.t_ns, acc, made.gyr)
     assert tracker.counts.not_finite == 1
     assert sum(isinstance(o, StrideResult) and o.valid for o in outcomes) >= 7

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from fes.estimation.zupt.stances import mark_missed_stances, quietest_instants
+from fes.estimation.zupt.thresholds import mark_missed_stances, quietest_instants
 
 REST = st.integers(40, 200).flatmap(lambda n: arrays.arrays(np.bool_, n))
 

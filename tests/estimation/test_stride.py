@@ -8,14 +8,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from given_borders import NO_BIASES, quietest_near, solve_stride
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from fes.config import FootGeometry
-from fes.estimation.strides.boundaries import quietest_near
-from fes.estimation.strides.constrained import double_integral, effects, integrate, orient
-from fes.estimation.strides.results import StrideMaker, StrideSettings, solve_stride
+from fes.estimation.strides import segmentation
+from fes.estimation.strides.integration import double_integral, effects, integrate, orient
+from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker, StrideSettings
 from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -359,6 +360,33 @@ def test_no_force_at_all_is_no_stride() -> None:
 # --- where strides begin and end -------------------------------------------------------------------------
 
 
+class Follower(StrideMaker):
+    """Takes phases one at a time, as the compiled core does."""
+
+    @property
+    def due_ns(self) -> int | None:
+        due_ns = self.core["state"]["due_ns"].item()
+        return None if due_ns == segmentation.NEVER_NS else due_ns
+
+    def restart(self, t_ns: int) -> None:
+        segmentation.restart(self.core, t_ns)
+
+    def on_phase(self, change: PhaseChange) -> None:
+        segmentation.on_phase(self.core, change.destination.value, change.t_ns)
+
+    def leave_stance(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, start: FloatArray) -> StrideResult | None:
+        result = self.close(t_ns, acc, gyr, start) if self.due_ns is not None else None
+        segmentation.begin(self.core, len(t_ns), t_ns, gyr, NO_BIASES)
+        return result
+
+    def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, start: FloatArray) -> StrideResult | None:
+        n, out = len(t_ns), segmentation.new_out(1, len(t_ns), TRAJECTORY_POINTS)
+        first, last = segmentation.close(self.core, n, t_ns, gyr, NO_BIASES, out)
+        if first < last:
+            segmentation.solve_rows(self.core, first, last, n, t_ns, acc, gyr, start[first], NO_BIASES, out)
+        return self.stride_in(out) if out.filled[segmentation.STRIDES] else None
+
+
 class Walk:
     """A foot's history, second by second, and a stride maker that follows it; stance is loud but for one quiet spot."""
 
@@ -375,7 +403,7 @@ class Walk:
         self.gyr = np.column_stack((np.zeros(n), loud * np.where(np.arange(n) % 2, 1.0, -1.0), np.zeros(n)))
         self.acc = np.tile(GRAVITY, (n, 1))
         self.quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-        self.maker = StrideMaker(FOOT, SETTINGS)
+        self.maker = Follower(FOOT, SETTINGS)
         self.maker.restart(0)
 
     def history(self, until_s: float) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ from fes.analysis.pipeline import analyse, calibrations_of
 from fes.estimation.strides.boundaries import stride_time_ns
 from fes.signals import FOOT_SENSORS, NS_PER_S
 from fes.simulation.forward import VirtualPatient, settings_for
-from fes.simulation.forward.truth import recording_of
+from fes.simulation.forward.closed_loop import recording_of
 
 
 @pytest.mark.parametrize(

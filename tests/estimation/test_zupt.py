@@ -10,11 +10,16 @@ import pytest
 from zupt_reference import Tape, ZuptPath, add_noise, carry_one, forward, new_tape, predict, smooth, zupt_path
 
 from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, update
+from fes.estimation.zupt.decimation import ZuptSettings
 from fes.estimation.zupt.detectors import Detector, rate_energy
 from fes.estimation.zupt.foot_trajectory import clipped_sd
-from fes.estimation.zupt.settings import ZuptSettings
-from fes.estimation.zupt.stances import BoolArray, stance_instants, stride_time_s, with_missed_stances
-from fes.estimation.zupt.thresholds import ZeroVelocityThresholds
+from fes.estimation.zupt.thresholds import (
+    BoolArray,
+    ZeroVelocityThresholds,
+    stance_instants,
+    stride_time_s,
+    with_missed_stances,
+)
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray
 from fes.simulation.truth import load_truth
@@ -23,7 +28,7 @@ SIMULATED = Path(__file__).resolve().parents[2] / "sim_inputs"
 UP = np.array([0.0, 0.0, G_MPS2])
 STRIDE_M, STEP_S, REST_S = 1.2, 0.6, 0.5
 FIRM = ZuptSettings(drift_speed_mps=0.0)
-STANDING = ZeroVelocityThresholds(Detector.SHOE, 2.0, G_MPS2, (0.0, 0.0, 0.0), 0.05, True)
+STANDING = ZeroVelocityThresholds(Detector.SHOE, 2.0, G_MPS2, (0.0, 0.0, 0.0), True)
 NO_LEVER = (0.0, 0.0, 0.0)
 
 

@@ -10,7 +10,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.stats import ttest_ind
 
-from fes.evaluation.agreement.unpaired import combined, difference, mean_of, symmetry_index
+from fes.evaluation.agreement import combined, difference, mean_of, symmetry_index
 
 FEW = st.lists(st.floats(-100.0, 100.0), min_size=6, max_size=40)
 

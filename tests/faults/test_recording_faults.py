@@ -11,16 +11,15 @@ import pytest
 from replays import MS, SETTINGS, bursts, cut, edit, keep, replay, trial, write_cut
 
 from drivers.stimulator.can_port import ByteSink
-from fes.calibration.foot_track import calibrate
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.cli.common.exits import Problem
 from fes.config import load_session
 from fes.control.controller import Controller
-from fes.control.runner import Runner
-from fes.control.sources import armed_after, with_ticks
+from fes.control.runner import Runner, armed_after, with_ticks
 from fes.evaluation.log_replay import ReplayOutput
 from fes.gate import SafetyGate
 from fes.recording import Recording, RecordingError, Track, read_recording, write_recording
-from fes.recording.samples import samples_of
+from fes.recording.tracks import samples_of
 from fes.session_log import SessionRecord
 from fes.signals import NS_PER_S
 
@@ -35,7 +34,9 @@ def looped(walking: Recording, spoiled: Recording) -> ReplayOutput:
     settings = load_session(SETTINGS)
     gate = SafetyGate(settings.channels, max_data_age_ms=40, validity_ms=60)
     out = ReplayOutput()
-    runner = Runner(Controller(settings, calibrate(walking)[0]), gate, ByteSink(1), out, lambda: 0)
+    runner = Runner(
+        Controller(settings, calibrate_phase_sensors(walking).calibrations), gate, ByteSink(1), out, lambda: 0
+    )
     runner.run(armed_after(with_ticks(samples_of(spoiled, {"right_foot"})), 0.5, 1.0), lambda event: None)
     return out
 

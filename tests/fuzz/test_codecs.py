@@ -71,9 +71,9 @@ CAN_FRAMES = [
     can_codec.encode_command(ON, 3, 0x1234),
     can_codec.encode_command(StimCommand(0, 7, False, 0, 0, 0, 60), 15, 9),
     can_codec.encode_open(77, 0x1234),
-    can_codec.encode_status(Status(3, 0x1234, 1, True, 20.0, 300.0, 40.0, Result.OK)),
-    can_codec.encode_charge(Charge(3, 0x1234, 1, 9, 4000)),
-    can_codec.encode_alive(Alive(3, 1, 77, 0x1234, 0, 0)),
+    can_codec.encode(Status(3, 0x1234, 1, True, 20.0, 300.0, 40.0, Result.OK)),
+    can_codec.encode(Charge(3, 0x1234, 1, 9, 4000)),
+    can_codec.encode(Alive(3, 1, 77, 0x1234, 0, 0)),
 ]
 
 
@@ -88,14 +88,9 @@ def again(message: Command | Status | Charge | Alive | SessionOpen) -> tuple[int
             levels = (message.current_ma, message.pulse_width_us, message.frequency_hz)
             command = StimCommand(0, message.channel, message.on, *levels, message.validity_ms)
             return can_codec.encode_command(command, message.counter, message.session_id)
-        case Status():
-            return can_codec.encode_status(message)
-        case Charge():
-            return can_codec.encode_charge(message)
-        case Alive():
-            return can_codec.encode_alive(message)
         case SessionOpen():
             return can_codec.encode_open(message.boot_id, message.session_id, message.version)
+    return can_codec.encode(message)
 
 
 def can_frame(data: bytes) -> int:
@@ -149,7 +144,7 @@ def xsens_frame(data: bytes) -> int:
 
 SM4_STREAM = [
     sm4.encode(sm4.low_pulse(3, 1, sm4.biphasic(20.0, 300.0))),
-    sm4.encode(Packet(4, sm4.Code.LOW_PULSE + 1, b"\0\1\2")) + sm4.encode(sm4.low_init(5)),
+    sm4.encode(Packet(4, sm4.Code.LOW_PULSE + 1, b"\0\1\2")) + sm4.encode(Packet(5, sm4.Code.LOW_INIT, b"\0")),
     sm4.encode(sm4.mid_update(9, {2: sm4.Train(sm4.biphasic(10.0, 200.0), 50, 3)})),
 ]
 SM2_STREAM = [sm2.encode(Packet(7, 30, bytes(range(20)))) + sm2.encode(Packet(8, 31, b"\xf0\x0f\x81")), b"\xf0" * 9]

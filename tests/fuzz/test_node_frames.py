@@ -246,7 +246,7 @@ class Wire:
 
 
 def said(frame: Frame) -> tuple[int, int]:
-    message = can_codec.decode_command(*frame)
+    message = can_codec.decode(*frame)
     return message.session_id, message.counter
 
 

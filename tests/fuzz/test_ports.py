@@ -75,15 +75,13 @@ def nonsense(chance: random.Random) -> Frame:
         case 0:
             levels = (chance.randrange(512) * 0.5 % 255, float(chance.randrange(512)), float(chance.randrange(128)))
             on = chance.random() < 0.5
-            return can_codec.encode_status(
-                Status(counter, session_id, channel, on, *levels, chance.choice(list(Result)))
-            )
+            return can_codec.encode(Status(counter, session_id, channel, on, *levels, chance.choice(list(Result))))
         case 1:
             total = chance.randrange(can_codec.CHARGE_TOTAL_STEPS)
-            return can_codec.encode_charge(Charge(counter, session_id, channel, chance.randrange(256), total))
+            return can_codec.encode(Charge(counter, session_id, channel, chance.randrange(256), total))
         case _:
             boot_id, flags = chance.choice((77, chance.randrange(65_536))), chance.choice((0, chance.randrange(256)))
-            return can_codec.encode_alive(Alive(counter, 1, boot_id, session_id, chance.randrange(256), flags))
+            return can_codec.encode(Alive(counter, 1, boot_id, session_id, chance.randrange(256), flags))
 
 
 @pytest.mark.requirement("SR-15")

@@ -41,18 +41,21 @@ from fes.hil.campaign_bench import CampaignBench
 from fes.hil.controller import Child, ScriptedOperator
 from fes.hil.devices import TRANSPORTS, BusWitness, Hardware, set_link
 from fes.hil.injections import INJECTIONS
-from fes.hil.judge import (
+from fes.hil.results import (
     MS,
+    Attempt,
+    Campaign,
+    Output,
     Outputs,
+    Row,
+    Verdict,
     began_after,
     length_ms,
     off_after_ms,
     output_at,
-    record_outputs,
     resumed_after,
     with_late_pulses,
 )
-from fes.hil.results import Attempt, Campaign, Row, Verdict
 from fes.hil.scenarios import BY_NAME, SCENARIOS, Effect
 from fes.hil.settings import BUTTON_ID, CURRENT_MA, FREQUENCY_HZ, INTENSITY, PULSE_WIDTH_US, session_text
 from fes.live.status import Status
@@ -68,6 +71,13 @@ def can_entry(t_ms: float, event: str, current_ma: float = 0.0, pulses: int = 0,
 
 def pulse_entry(t_ms: float) -> RecordEntry:
     return RecordEntry(int(t_ms * MS), "pulse", 0, 20.0, 300.0, 0.0, int(t_ms * MS), 1, int(t_ms * MS))
+
+
+def record_outputs(entries: list[RecordEntry], now_ns: int) -> list[Output]:
+    """All stretches of current of a whole record, oldest first."""
+    found = Outputs()
+    found.add(entries)
+    return found.stretches(now_ns)
 
 
 BURST = [

@@ -40,7 +40,7 @@ starting.start()
 starting.join()
 while begun[0].alive and "runs" not in begun[0].printed():
     time.sleep(0.01)
-print(begun[0].pid, flush=True)
+print(begun[0].process.pid, flush=True)
 time.sleep(60)
 """
 

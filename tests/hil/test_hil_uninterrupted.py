@@ -139,7 +139,7 @@ def test_a_rig_interrupted_while_it_starts_a_session_ends_it(
 ) -> None:
     with ExitStack() as stack:
         bench = CampaignBench(cast(Any, OnlyFiles(tmp_path)), frozenset(), stack)
-        stack.callback(bench.close)
+        stack.callback(bench.end_session)
         with pytest.raises(KeyboardInterrupt):
             bench.start("")
     (process,) = interrupted_starts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from fes.hil.closed_loop.patient_process import HELD, PatientDevice
 from fes.signals import NS_PER_S
 from fes.simulation.forward import DeliveredPulse, VirtualPatient, settings_for
 from fes.simulation.forward.closed_loop import INTERVENTIONS, intervene
-from fes.simulation.forward.settings import MuscleSettings, from_plain, to_plain
+from fes.simulation.forward.settings import MuscleSettings, from_plain
 
 MS = 1_000_000
 START_NS = 7_000_000_123
@@ -102,11 +103,11 @@ def test_one_who_walks_in_turns_can_be_held_standing() -> None:
     device = PatientDevice(SETTINGS, 0, cycle_s=(5.0, 2.0))
     device.advance(4 * NS_PER_S, [])
     assert len(device.patient.walks) == 1
-    device.hold(True)
+    device.held = True
     device.advance(30 * NS_PER_S, [])
     assert not device.patient.walking
     assert len(device.patient.walks) == 1
-    device.hold(False)
+    device.held = False
     device.advance(30 * NS_PER_S + 20 * MS, [])
     assert len(device.patient.walks) == 2
 
@@ -159,7 +160,7 @@ def test_it_can_live_for_long_and_remembers_a_minute() -> None:
 def test_a_patient_is_the_same_behind_a_line_of_text() -> None:
     other = settings_for("mild", muscle=MuscleSettings(fatigue_s=float("inf")), sensors=("right_shank",), seed=2**40)
     for settings in (SETTINGS, other):
-        assert from_plain(json.loads(json.dumps(to_plain(settings)))) == settings
+        assert from_plain(json.loads(json.dumps(asdict(settings)))) == settings
     with pytest.raises((ValueError, TypeError)):
         from_plain({"wheels": 4})
 

@@ -16,8 +16,7 @@ from fes.calibration.recording import calibrate_phase_sensors
 from fes.cli.simulate import command
 from fes.config import load_session
 from fes.control.controller import Controller
-from fes.control.runner import Runner
-from fes.control.sources import armed_after, with_ticks
+from fes.control.runner import Runner, armed_after, with_ticks
 from fes.estimation.sensor_choice import shank_phase_sensors
 from fes.gate import gate_of
 from fes.recording import read_recording

@@ -29,9 +29,7 @@ from fes.live.commands import (
     command_of_message,
     commands_of_keys,
 )
-from fes.live.commands import (
-    CommandKind as Kind,
-)
+from fes.live.commands import CommandKind as Kind
 from fes.live.dashboard.access import Access
 from fes.live.dashboard.message_handler import MessageHandler
 from fes.live.dashboard.stream import DashboardCommands, DashboardStream

@@ -16,7 +16,8 @@ from drivers.stimulator.open import open_lead_detected_from_ma
 from fes.cli.common.exits import UNUSABLE
 from fes.cli.replay.log import repeat
 from fes.cli.run.devices import serial_ports_of
-from fes.config import ConfigError, Live, Session, StimulatorDevice, load_session
+from fes.config import ConfigError, Session, StimulatorDevice, load_session
+from fes.config.session import Live
 from fes.control.controller import Controller
 from fes.live.log_pipe import PipedLog
 from fes.live.session import LiveSession, live_header

@@ -14,8 +14,7 @@ from fes.control.clock_sync import SensorClock
 from fes.live.commands import CommandKind as Kind
 from fes.live.commands import OperatorCommand
 from fes.live.inputs import Keyboard, StopFile
-from fes.live.ports import Input
-from fes.live.sensors import SensorStream
+from fes.live.sensors import Input, SensorStream
 from fes.live.source import LiveSource
 from fes.live.stimulator import UNSENT, LiveStimulator, Opened
 from fes.signals import (

@@ -6,11 +6,11 @@ import pytest
 from replays import MS, SETTINGS
 from test_live_operator import CALIBRATION, FOOT, settings
 
-from fes.config.devices import FootSwitch
+from fes.config.session import FootSwitch
 from fes.control.controller import Controller
 from fes.gate import gate_of
 from fes.signals import FootSwitchEvent, ImuSample, OperatorAct, OperatorAction, StimCommand
-from fes.stimulation.switch_fallback import SwitchFallback
+from fes.stimulation.walking import SwitchFallback
 from statemachine.phases import Phase, PhaseChange, Transition
 
 STRIDE_MS, SWING_MS = 1200, 450

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from test_tuning_controller import MS, STRIDE_MS, Walk, full, tuned_session
 
-from fes.calibration.foot_track import calibrate
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import Session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import FootCalibration
@@ -31,7 +31,7 @@ AT_NS = (5 * STRIDE_MS + 700) * MS
 def calibrations() -> dict[str, FootCalibration]:
     from replays import trial
 
-    return calibrate(trial("example_csv"))[0]
+    return calibrate_phase_sensors(trial("example_csv")).calibrations
 
 
 def dragging(mode: str, calibrations: dict[str, FootCalibration], strides: int = 6) -> Walk:

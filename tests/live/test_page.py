@@ -19,10 +19,20 @@ from hypothesis import strategies as st
 from fes.live.commands import CommandKind as Kind
 from fes.live.commands import OperatorCommand, State
 from fes.live.dashboard.access import Access, Confirmations, Role, Situation
-from fes.live.dashboard.frames import DETAIL, LARGEST, NAMES, STATUS, detail, hello, read_detail, read_hello
+from fes.live.dashboard.frames import (
+    DETAIL,
+    LARGEST,
+    NAMES,
+    STATUS,
+    STRIDES,
+    StateBuffer,
+    detail,
+    hello,
+    read_detail,
+    read_hello,
+)
 from fes.live.dashboard.message_handler import COMMANDS_A_SECOND, MessageHandler, Outcome
 from fes.live.dashboard.replay import ReplayLog
-from fes.live.dashboard.state_buffer import STRIDES, StateBuffer
 from fes.live.dashboard.stream import AT_ONCE, LEVELS_KEPT, STRIDES_KEPT, DashboardCommands, DashboardStream
 from fes.live.dashboard.stream import RESUME_MESSAGE as RESUME
 from fes.live.status import FootStatus, Status
@@ -244,7 +254,8 @@ def test_what_the_log_sees_arrives_with_its_numbers(pair: tuple[DashboardStream,
     assert [list(each) for each in told["phases"]] == [[8, "right_foot", "pre_swing"]]
     assert [list(each) for each in told["notes"]] == [[9, "fault", "why"]]
     (one,) = told["strides"]
-    assert (one["length_m"], one["clearance_m"], one["toe_clearance_m"], one["valid"]) == (1.234567, 0.0765, None, True)
+    assert (one["stride_length_m"], one["clearance_m"]) == (1.234567, 0.0765)
+    assert (one["toe_clearance_m"], one["valid"]) == (None, True)
     assert one["path_m"][-2:] == pytest.approx((1.25, 0.02), abs=1e-3)
     stream.send(SHOWN.encode())
     page.recv(LARGEST)
@@ -412,7 +423,7 @@ def test_what_is_no_number_is_none_in_a_frame() -> None:
     frame = buffer.since(0, 0)
     json.dumps(frame, allow_nan=False)
     assert frame["status"]["feet"]["left_foot"]["stride_length_m"] is None
-    assert frame["strides"][0]["length_m"] is None
+    assert frame["strides"][0]["stride_length_m"] is None
 
 
 @given(st.binary(max_size=200))

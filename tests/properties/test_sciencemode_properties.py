@@ -72,7 +72,7 @@ def test_the_vendors_package_reads_our_packets(packet: Packet) -> None:
 
 def test_small_messages_are_the_vendors() -> None:
     for theirs, ours in (
-        (oracle.PacketLowLevelInit(), sm4.low_init(3)),
+        (oracle.PacketLowLevelInit(), Packet(3, sm4.Code.LOW_INIT, b"\0")),
         (oracle.PacketMidLevelStop(), Packet(3, sm4.Code.MID_STOP)),
         (oracle.PacketMidLevelGetCurrentData(), sm4.mid_current_data(3)),
         (oracle.PacketGeneralGetStimStatus(), Packet(3, sm4.Code.STIM_STATUS)),

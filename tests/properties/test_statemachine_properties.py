@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.foot import features as kernel
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings

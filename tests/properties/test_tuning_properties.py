@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tuning_plant import BOUNDS, channel, stride, tuning
 
 from fes.signals import StrideResult
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.tuner import Tuner
 
 EPSILON = 1e-6

@@ -19,17 +19,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import parquet
 
-from fes.analysis.parameters.gait import pooled
-from fes.analysis.parameters.summary import statistic
+from fes.analysis.parameters.gait import pooled, statistic
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of
 from fes.calibration.recording import calibrate_all, save
 from fes.cli import analyse as cli_analyse
-from fes.cli import analyse_long
-from fes.cli.common.table_file import TableFile, write_table
+from fes.cli.common.show import TableFile, write_table
 from fes.cli.main import main
-from fes.memory import keep_freed_memory
 from fes.recording import Recording, RecordingError, read, read_recording, write_recording
-from fes.recording.chunks import Chunk, cut_into_chunks, recording_chunks
+from fes.recording.chunks import Chunk, cut_into_chunks, keep_freed_memory, recording_chunks
 from fes.recording.read import follow_recording
 
 TRIAL = Path(__file__).resolve().parents[2] / "sim_inputs" / "both_feet_100hz.parquet"
@@ -158,8 +155,7 @@ def test_a_fault_late_in_the_file_is_told_with_its_row(tmp_path, monkeypatch):
 @pytest.mark.parametrize("kind", ["csv", "parquet", "json"])
 def test_a_long_recording_s_tables_are_those_of_a_short_one(kind, tmp_path, monkeypatch, walk):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
-    for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
+    monkeypatch.setattr(cli_analyse, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
     report = [] if kind == "csv" else ["--no-report"]
     done = CliRunner().invoke(main, ["analyse", str(TRIAL), "--out", str(tmp_path), "--format", kind, *report])
     assert done.exit_code == 0, done.output
@@ -176,8 +172,7 @@ def test_a_long_recording_s_tables_are_those_of_a_short_one(kind, tmp_path, monk
 
 def test_a_long_recording_as_json(tmp_path, monkeypatch):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
-    for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
+    monkeypatch.setattr(cli_analyse, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
     done = CliRunner().invoke(main, ["analyse", str(TRIAL), "--out", str(tmp_path), "--json", "--no-report"])
     told = json.loads(done.stdout)
     assert len(told["pieces"]) == 2
@@ -187,8 +182,7 @@ def test_a_long_recording_as_json(tmp_path, monkeypatch):
 @pytest.mark.parametrize("stored", [False, True])
 def test_feet_that_are_not_labelled_are_named_in_every_piece(stored, tmp_path, monkeypatch, walk):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
-    for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
+    monkeypatch.setattr(cli_analyse, "recording_chunks", partial(recording_chunks, chunk_s=35.0, whole_s=60.0))
     path = tmp_path / "walk.parquet"
     feet = {"foot_a": "right_foot", "foot_b": "left_foot"}
     tracks = {name: replace(walk[0].tracks[foot], sensor=name) for name, foot in feet.items()}
@@ -205,8 +199,7 @@ def test_feet_that_are_not_labelled_are_named_in_every_piece(stored, tmp_path, m
 
 def test_a_sensor_that_falls_silent_does_not_end_the_analysis(tmp_path, monkeypatch, walk):
     monkeypatch.setattr(read, "FIRST_ROWS", 1000)
-    for module in (cli_analyse, analyse_long):
-        monkeypatch.setattr(module, "recording_chunks", partial(recording_chunks, chunk_s=25.0, whole_s=60.0))
+    monkeypatch.setattr(cli_analyse, "recording_chunks", partial(recording_chunks, chunk_s=25.0, whole_s=60.0))
     path = tmp_path / "walk.parquet"
     write_recording(walk[0], path)
     table = parquet.read_table(path)

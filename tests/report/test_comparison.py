@@ -14,7 +14,7 @@ import report_records as make
 from click.testing import CliRunner, Result
 
 from fes.cli import main
-from fes.evaluation.agreement.unpaired import difference, mean_of
+from fes.evaluation.agreement import difference, mean_of
 from fes.report.comparison.figures import height_curve, pitch_curve, sketch
 from fes.report.comparison.page import SessionComparison, compare_sessions, render_comparison
 from fes.report.comparison.rows import detectable_change

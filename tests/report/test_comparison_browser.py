@@ -6,7 +6,7 @@ import pytest
 import report_records as make
 from page_browser import CHROMIUM, Page, chromium
 
-from fes.report.comparison.page import compare_sessions, write_comparison
+from fes.report.comparison.page import compare_sessions, render_comparison
 from fes.report.comparison.session import of_record
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
@@ -22,7 +22,7 @@ def page(tmp_path_factory):
         of_record(make.walk(30, seed=seed), label, folder / f"{label}.feslog")
         for label, seed in (("before", 1), ("after", 9))
     ]
-    write_comparison(compare_sessions(sessions), folder / "page.html")
+    (folder / "page.html").write_text(render_comparison(compare_sessions(sessions)), encoding="utf-8")
     with chromium(folder / "profile") as browser:
         browser.size(1280, 900)
         browser.go((folder / "page.html").as_uri())

@@ -10,14 +10,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 from virtual_walks import walk
 
-from fes.calibration.foot_track import calibrate_track
+from fes.calibration.recording import calibrate_track
 from fes.estimation.foot.calibration import PUSH_OFF_SHARE
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Track, read_recording, write_recording
 from fes.signals import NS_PER_S, StrideResult
 from fes.simulation.forward import PatientSettings, VirtualPatient, VirtualStride, settings_for
-from fes.simulation.forward.truth import recording_of, truth_of
+from fes.simulation.forward.closed_loop import recording_of, truth_of
 from fes.simulation.sensor import PERFECT
 from fes.simulation.truth import load_truth, write_truth
 from statemachine.phases import Phase, PhaseChange, Transition

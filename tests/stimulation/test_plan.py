@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from fes.config import Channel
 from fes.gate import SafetyGate
 from fes.signals import ImuSample, OperatorAct, OperatorAction, StimCommand, StimRequest
-from fes.stimulation.envelope import Envelope, round_down
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters, Envelope, round_down
 from fes.stimulation.plan import StimulationPlan
 from statemachine.phases import Phase, PhaseChange, Transition
 

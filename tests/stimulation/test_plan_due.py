@@ -11,7 +11,7 @@ from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from test_plan import LOADING, MS, NEXT, PRE_SWING, STANCE, SWING, TRANSITIONS, make_channel
 
-from fes.stimulation.parameters import BINS, BurstParameters
+from fes.stimulation.envelope import BINS, BurstParameters
 from fes.stimulation.plan import StimulationPlan
 from statemachine.phases import Phase, PhaseChange, Transition
 

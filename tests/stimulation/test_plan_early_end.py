@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, Walk, make_channel
 
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.plan import EXPECTED_FROM
 from statemachine.phases import PhaseChange, Transition
 

@@ -8,8 +8,7 @@ import pytest
 from test_plan import LOADING, MS, PRE_SWING, STANCE, SWING, make_channel
 
 from fes.config import Channel
-from fes.stimulation.envelope import Envelope, round_down
-from fes.stimulation.parameters import BIN_S, BurstParameters
+from fes.stimulation.envelope import BIN_S, BurstParameters, Envelope, round_down
 from fes.stimulation.plan import StimulationPlan
 from statemachine.phases import Phase, PhaseChange, Transition
 

@@ -12,13 +12,12 @@ from tuning_plant import BAND, BOUNDS, channel, charge_of, stride, tuning
 from fes.config import Band, Tuning
 from fes.config import Session as Settings
 from fes.signals import OperatorAct, OperatorAction
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import LIKE_NONE, NO_ANSWER, AnswerMonitor
-from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.session import Tuners
 from fes.stimulation.tuning.targets import PITCH as TOE_UP
 from fes.stimulation.tuning.targets import Measure, Reading
-from fes.stimulation.tuning.tuner import Tuner
+from fes.stimulation.tuning.tuner import Tuner, TuningReport
 
 SECOND = 1_000_000_000
 PITCH = {"low": 4.0, "high": 25.0}

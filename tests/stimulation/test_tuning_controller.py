@@ -11,7 +11,7 @@ from replays import MS, SETTINGS, replay, same_outputs, trial, write_cut
 from test_tuning_config import TUNED
 from tuning_plant import stride
 
-from fes.calibration.foot_track import calibrate
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import Session, load_session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import FootCalibration
@@ -31,7 +31,7 @@ CYCLE = (
 
 @pytest.fixture(scope="module")
 def calibrations() -> dict[str, FootCalibration]:
-    return calibrate(trial("example_csv"))[0]
+    return calibrate_phase_sensors(trial("example_csv")).calibrations
 
 
 class WalkingFoot:

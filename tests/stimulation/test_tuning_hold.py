@@ -9,12 +9,11 @@ import pytest
 from tuning_plant import BOUNDS, channel, charge_of, stride, tuning
 
 from fes.config import Band
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import Demand
 from fes.stimulation.tuning.intensity import WEAKEST_HOLD, Intensity, Zones
-from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.targets import PITCH, Measure
-from fes.stimulation.tuning.tuner import Tuner
+from fes.stimulation.tuning.tuner import Tuner, TuningReport
 
 PITCH_BAND = {"low": 4.0, "high": 25.0}
 OWN_US = 300.0

@@ -7,7 +7,7 @@ from tuning_plant import Plant, channel, charge_of, stride, tuning
 
 from fes.config import Session, Stimulation
 from fes.signals import NS_PER_S, OperatorAct, OperatorAction
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.session import Tuners
 
 OWN_UC = 9.0  # the channel's own 30 mA for 300 µs

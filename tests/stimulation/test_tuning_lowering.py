@@ -10,7 +10,7 @@ import pytest
 from tuning_plant import BOUNDS, channel, charge_of, stride, tuning
 
 from fes.signals import StrideResult
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.timing import FASTER, SOONEST_S, Lowering, SpeedTiming, lowering_radps
 from fes.stimulation.tuning.tuner import Tuner
 

@@ -13,13 +13,12 @@ from tuning_plant import BAND, BOUNDS, Plant, channel, charge_of, stride, tuning
 
 from fes.config import Band, Tuning
 from fes.signals import StrideResult
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import NOISE, SAFE_SDS, SLOPE_BOUNDS, Demand, Response, room
 from fes.stimulation.tuning.guardrails import share_used
-from fes.stimulation.tuning.reports import TuningReport
 from fes.stimulation.tuning.targets import Measure
 from fes.stimulation.tuning.timing import WEAK, SpeedTiming
-from fes.stimulation.tuning.tuner import MOST_ROLL_BACKS, Tuner
+from fes.stimulation.tuning.tuner import MOST_ROLL_BACKS, Tuner, TuningReport
 
 SECOND = 1_000_000_000
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fes.calibration.foot_track import calibrate
+from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import Stimulation
 from fes.control.controller import Controller
 from fes.control.replay import session_for
@@ -199,7 +199,7 @@ def test_two_feet_are_judged_apart() -> None:
 def judged_recording(name: str) -> dict[str, list[tuple[float, bool]]]:
     """Per foot: each T1's time (s) and whether a burst was permitted."""
     recording = read_recording(FOLDER / f"{name}.parquet")
-    calibrations, _ = calibrate(recording)
+    calibrations = calibrate_phase_sensors(recording).calibrations
     controller = Controller(session_for(recording, None), calibrations)
     answers: dict[str, list[tuple[float, bool]]] = {}
     for foot, tracker in controller.trackers.items():
@@ -239,7 +239,7 @@ def test_who_walks_is_permitted_from_the_third_stride_on(name: str) -> None:
 def test_strides_are_closed_before_the_heel_rise_that_closes_them_is_judged() -> None:
     """The maker hands over the stride at T1, so that it counts for the burst which this T1 may start."""
     recording = read_recording(FOLDER / "negard_patient1.parquet")
-    calibrations, _ = calibrate(recording)
+    calibrations = calibrate_phase_sensors(recording).calibrations
     tracker = Controller(session_for(recording, None), calibrations).trackers[FOOT]
     track = recording.tracks[FOOT]
     outcomes = tracker.advance(track.t_sensor_ns, track.acc_mps2, track.gyr_radps)

@@ -12,11 +12,11 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from drivers.imu.port import ImuLost, ImuPort, RawSample
+from drivers.imu.port import ImuLost, ImuPort
 from drivers.simulated.imu.device import ImuSignal
 from drivers.simulated.spawn import ImuHandle
-from fes.config.devices import ImuDevice
-from fes.signals import NS_PER_S
+from fes.config.session import ImuDevice
+from fes.signals import NS_PER_S, RawSample
 
 
 def settings(kind: str, port: str, sensor: str = "right_foot", rate_hz: float = 100.0, **options: object) -> ImuDevice:

@@ -17,7 +17,7 @@ from replays import FES
 from drivers.simulated.spawn import free_bus, spawn_imu, spawn_node, why_silent
 from fes.cli.common.exits import FAILED, INTERRUPTED, OK, UNUSABLE
 from fes.config import StimulatorDevice
-from fes.hil.judge import MS, PERIOD_NS
+from fes.hil.results import MS, PERIOD_NS
 from fes.hil.settings import FOOT, RATE_HZ, session_text, walker
 
 SHORT = ("imu_silent", "controller_killed")

@@ -188,7 +188,7 @@ def test_what_it_shows_is_what_the_log_holds_also_after_reloading_and_in_a_secon
         for each in (*shown, *again):
             stride = logged[each["foot"], each["number"]]
             assert each["valid"] == stride.valid
-            assert each["length_m"] == stride.stride_length_m
+            assert each["stride_length_m"] == stride.stride_length_m
             assert each["clearance_m"] == stride.clearance_m
             assert each["speed_mps"] == stride.speed_mps
             if row := rows.get(each["number"]):

@@ -83,7 +83,7 @@ def test_a_recording_is_played_at_its_speed_and_a_stop_ends_it(tmp_path: Path) -
     record = read_session(log)
     logged = {stride.number: stride for stride in record.strides}
     for each in shown:
-        assert each["length_m"] == logged[each["number"]].stride_length_m
+        assert each["stride_length_m"] == logged[each["number"]].stride_length_m
         assert each["clearance_m"] == logged[each["number"]].clearance_m
     assert {"armed", "running"} & set(states)
     # not as fast as it goes: by then that would be over; the page may be open long after it has begun, though
@@ -110,7 +110,7 @@ def test_a_session_log_is_played_too_and_then_checked(tmp_path: Path) -> None:
         assert "same byte for byte" in said
     logged = {(each.foot, each.number): each.stride_length_m for each in read_session(log).strides}
     assert len(shown) == len(logged)
-    assert all(each["length_m"] == logged[each["foot"], each["number"]] for each in shown if each["valid"])
+    assert all(each["stride_length_m"] == logged[each["foot"], each["number"]] for each in shown if each["valid"])
 
 
 def test_a_taken_port_is_said(tmp_path: Path) -> None:

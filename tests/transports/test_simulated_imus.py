@@ -11,10 +11,10 @@ import pytest
 from imu_reading import Taken, collect_samples, settings
 
 from drivers.imu.open import open_imus
-from drivers.imu.port import ImuPort, RawSample
+from drivers.imu.port import ImuPort
 from drivers.simulated.spawn import ImuHandle, spawn_imu
 from fes.recording import Recording, Track, write_recording
-from fes.signals import G_MPS2, NS_PER_S
+from fes.signals import G_MPS2, NS_PER_S, RawSample
 
 RATE_HZ = 200.0
 PERIOD_NS = 5_000_000

@@ -36,15 +36,15 @@ from drivers.stimulator.open import Port, open_stimulator
 from fes.calibration.recording import load
 from fes.cli.replay.log import repeat
 from fes.config import load_session, validate_session
+from fes.hil.attempts import run_campaign
 from fes.hil.baseline import Baseline
-from fes.hil.campaign import run_campaign
 from fes.hil.campaign_bench import LOST_TIME, CampaignBench
 from fes.hil.closed_loop.bench import PatientBench, spawn_patient, start_patient_bench
 from fes.hil.closed_loop.demo import CURRENT_MA, patient
 from fes.hil.closed_loop.one_process import run_in_one_process
 from fes.hil.closed_loop.processes import ClosedLoopRun, SwitchedOff, armed_protocol, run_between_processes
 from fes.hil.devices import start_devices
-from fes.hil.judge import MS
+from fes.hil.results import MS
 from fes.hil.scenarios import SCENARIOS
 from fes.hil.settings import patient_calibration, patient_session_text
 from fes.session_log import SessionRecord, read_session

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from drivers.simulated.imu.wire import Reading, Wire
+from drivers.simulated.lines import Device, FaultValues
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, Vector3
 
 if TYPE_CHECKING:
@@ -58,11 +59,7 @@ class ImuSignal:
 
 
 def recorded_signal(path: Path, sensor: str, rate_hz: float) -> ImuSignal:
-    """A track of a recording, at ``rate_hz`` by linear interpolation.
-
-    Raises:
-        ValueError: no such track, or the recording cannot be used.
-    """
+    """A track of a recording, at ``rate_hz``. ValueError: no such track, or the recording cannot be used."""
     from fes.recording import read_recording
 
     tracks = read_recording(path).tracks
@@ -90,7 +87,7 @@ def walking_signal(sensor: str, rate_hz: float, seed: int = 7) -> ImuSignal:
     return even_signal(track, rate_hz)
 
 
-class SimulatedImu:
+class SimulatedImu(Device):
     """Call :meth:`advance` at every deadline and :meth:`receive` for bytes from the host; both return messages."""
 
     def __init__(
@@ -108,7 +105,7 @@ class SimulatedImu:
         self._signal = signal
         self._acc_range = acc_range_g * G_MPS2
         self._gyr_range = math.radians(gyr_range_dps)
-        self._values = dict.fromkeys(FAULTS, 0.0)
+        self._values = FaultValues(dict.fromkeys(FAULTS, 0.0))
         self._last: tuple[Vector3, Vector3] = signal.sample(0)
         self._played = 0
         self._start(t_ns, int(offset_s * NS_PER_S), drift_ppm)
@@ -123,15 +120,18 @@ class SimulatedImu:
         own_ns = self._beat * NS_PER_S / self._signal.rate_hz
         return self._t0_ns + round(own_ns / (1.0 + self._drift))
 
+    def _own_ns(self) -> int:
+        return self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
+
     def advance(self, t_ns: int) -> list[bytes]:
         """All samples due by ``t_ns``."""
         out: list[bytes] = []
         while self.next_deadline_ns() <= t_ns:
-            own_ns = self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
+            own_ns = self._own_ns()
             if self._values["jumping"] and self._counter % JUMPING_EVERY == 0:
                 own_ns += int(self._values["jumping"] * NS_PER_S)
             messages = self._wire.encode(self._reading(own_ns))
-            out += messages + (messages if self._use_up("doubled") else [])
+            out += messages + (messages if self._values.use_up("doubled") else [])
             self._counter += 1
             self._beat += 1
             played = (self._played + 1) % self._signal.size
@@ -143,11 +143,7 @@ class SimulatedImu:
         return self._wire.answer(data)
 
     def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
-        """Bring a fault about, or with 0 end it.
-
-        Raises:
-            ValueError: no such fault, or none that this kind of sensor can have.
-        """
+        """Bring a fault about, or with 0 end it. ValueError: no such fault, or none that this sensor can have."""
         if name in NOT_FINITE and value and not self._wire.carries_nan:
             raise ValueError(
                 f"fault {name!r} does not exist here: this sensor sends whole numbers, which have none. What it can do "
@@ -159,11 +155,9 @@ class SimulatedImu:
             self._start(t_ns + BOOT_NS, 0, self._drift * 1e6)
             return self._wire.boot()
         if name in ("jump", "drift"):
-            due_ns = self.next_deadline_ns()
-            own_ns = self._device0_ns + round(self._beat * NS_PER_S / self._signal.rate_hz)
+            own_ns = self._own_ns() + (int(value * NS_PER_S) if name == "jump" else 0)
             counter = self._counter
-            drift_ppm = value if name == "drift" else self._drift * 1e6
-            self._start(due_ns, own_ns + (int(value * NS_PER_S) if name == "jump" else 0), drift_ppm)
+            self._start(self.next_deadline_ns(), own_ns, value if name == "drift" else self._drift * 1e6)
             self._counter = counter
             return []
         if name == "stand" and not value:
@@ -180,8 +174,7 @@ class SimulatedImu:
         if not self._values["stuck"]:
             self._last = self._signal.sample(self._played)
         acc, gyr = self._last
-        factor = self._values["unit"] or 1.0
-        share = self._values["clip"] or 1.0
+        factor, share = self._values["unit"] or 1.0, self._values["clip"] or 1.0
         held_acc = _held(acc, factor, share * self._acc_range)
         held_gyr = _held(gyr, factor, share * self._gyr_range)
         clipped = self._values["clip"] > 0 and (held_acc != acc or held_gyr != gyr)
@@ -190,23 +183,12 @@ class SimulatedImu:
         if self._values["full"]:
             held_acc, held_gyr = _held(acc, 1e9, self._acc_range), _held(gyr, 1e9, self._gyr_range)
         if self._values["axes"]:
-            held_acc, held_gyr = _turned(held_acc), _turned(held_gyr)
-        if self._use_up("nan"):
+            held_acc, held_gyr = (*held_acc[1:], held_acc[0]), (*held_gyr[1:], held_gyr[0])
+        if self._values.use_up("nan"):
             held_acc = _NAN
-        if self._use_up("inf"):
+        if self._values.use_up("inf"):
             held_acc = held_gyr = _INF
         return Reading(self._counter, own_ns, held_acc, held_gyr, clipped)
-
-    def _use_up(self, name: str) -> bool:
-        if self._values[name] < 1:
-            return False
-        self._values[name] -= 1
-        return True
-
-
-def _turned(values: Vector3) -> Vector3:
-    x, y, z = values
-    return y, z, x
 
 
 def _held(values: Vector3, factor: float, most: float) -> Vector3:

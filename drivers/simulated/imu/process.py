@@ -4,8 +4,6 @@ It owns its end of a pseudo-terminal, a TCP or UDP port, a CAN bus or an LSL out
 reached, and takes faults on stdin (:mod:`drivers.simulated.process_end`). It keeps its beat by absolute deadlines.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import importlib
@@ -19,25 +17,15 @@ from typing import Any
 
 import can
 
+from drivers.simulated.imu import wire as wires
 from drivers.simulated.imu.device import SimulatedImu, recorded_signal, walking_signal
-from drivers.simulated.imu.wire import (
-    AXES,
-    CAN_RECORD,
-    LSL_RECORD,
-    DbcWire,
-    LslWire,
-    Wire,
-    XbusWire,
-    Ximu3Wire,
-    XsensCanWire,
-)
-from drivers.simulated.lines import DeviceEnd, DeviceLoop, PtyEnd, SendingEnd, TcpEnd, UdpEnd
+from drivers.simulated.lines import DeviceEnd, DeviceLoop, PtyEnd, TcpEnd, UdpEnd
 from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
 from drivers.stimulator.bus import open_bus
 from fes.config import Bus
 
 
-class CanEnd(SendingEnd):
+class CanEnd(DeviceEnd):
     """Records of ``CAN_RECORD`` as frames on a bus."""
 
     def __init__(self, settings: Bus) -> None:
@@ -46,7 +34,7 @@ class CanEnd(SendingEnd):
 
     def write(self, data: bytes) -> None:
         """Frames that the bus does not take are lost."""
-        for number, length, payload in CAN_RECORD.iter_unpack(data):
+        for number, length, payload in wires.CAN_RECORD.iter_unpack(data):
             message = can.Message(arbitration_id=number & 0x7FF, is_extended_id=False, data=payload[: min(length, 8)])
             with contextlib.suppress(can.CanError, OSError):
                 if self._bus is not None:
@@ -59,14 +47,14 @@ class CanEnd(SendingEnd):
             self._bus = None
 
 
-class LslEnd(SendingEnd):
+class LslEnd(DeviceEnd):
     """Records of ``LSL_RECORD`` as samples of an outlet."""
 
     def __init__(self, name: str, rate_hz: float) -> None:
         lsl = importlib.import_module("pylsl")
-        info = lsl.StreamInfo(name, "IMU", len(AXES), rate_hz, "double64", f"{name}-{os.getpid()}")
+        info = lsl.StreamInfo(name, "IMU", len(wires.AXES), rate_hz, "double64", f"{name}-{os.getpid()}")
         channels = info.desc().append_child("channels")
-        for label in AXES:
+        for label in wires.AXES:
             channel = channels.append_child("channel")
             channel.append_child_value("label", label)
             channel.append_child_value("unit", "m/s2" if label.startswith("acc") else "rad/s")
@@ -75,7 +63,7 @@ class LslEnd(SendingEnd):
 
     def write(self, data: bytes) -> None:
         """Push them with the device's stamps."""
-        for stamp_s, *values in LSL_RECORD.iter_unpack(data):
+        for stamp_s, *values in wires.LSL_RECORD.iter_unpack(data):
             if self._outlet is not None:
                 self._outlet.push_sample(values, stamp_s)
 
@@ -102,10 +90,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     stop = stop_signals()
     try:
         wire, end = _line(options)
-        if options.recording is not None:
-            feels = recorded_signal(options.recording, options.sensor, options.rate)
-        else:
-            feels = walking_signal(options.sensor, options.rate)
+        played, sensor, rate_hz = options.recording, options.sensor, options.rate
+        feels = recorded_signal(played, sensor, rate_hz) if played else walking_signal(sensor, rate_hz)
     except (ValueError, RuntimeError, ImportError, OSError) as error:
         print(f"imu_process: {error}", file=sys.stderr)
         return 2
@@ -120,16 +106,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _line(options: argparse.Namespace) -> tuple[Wire, DeviceEnd]:
-    if options.device in ("xsens_can", "dbc_can"):
-        xsens = options.device == "xsens_can"
-        wire: Wire = XsensCanWire(options.id_offset) if xsens else DbcWire(json.loads(options.options))
-        return wire, CanEnd(Bus.model_validate_json(options.bus or "{}"))
+def _line(options: argparse.Namespace) -> tuple[wires.Wire, DeviceEnd]:
     if options.device == "lsl":
-        return LslWire(), LslEnd(options.name, options.rate)
-    wire = XbusWire(options.rate) if options.device == "xbus" else Ximu3Wire()
-    ends: dict[str, type[PtyEnd | TcpEnd | UdpEnd]] = {"pty": PtyEnd, "tcp": TcpEnd, "udp": UdpEnd}
-    return wire, ends[options.line]()
+        return wires.LslWire(), LslEnd(options.name, options.rate)
+    if options.device in ("xbus", "ximu3"):
+        ends: dict[str, type[PtyEnd | TcpEnd | UdpEnd]] = {"pty": PtyEnd, "tcp": TcpEnd, "udp": UdpEnd}
+        return wires.XbusWire(options.rate) if options.device == "xbus" else wires.Ximu3Wire(), ends[options.line]()
+    xsens = options.device == "xsens_can"
+    wire = wires.XsensCanWire(options.id_offset) if xsens else wires.DbcWire(json.loads(options.options))
+    return wire, CanEnd(Bus.model_validate_json(options.bus or "{}"))
 
 
 if __name__ == "__main__":

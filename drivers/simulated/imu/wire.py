@@ -3,8 +3,6 @@
 What is on CAN shares no code with the driver's decoder, so that the two check each other.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from abc import ABC, abstractmethod
@@ -89,12 +87,9 @@ class XbusWire(Wire):
         return [answer for message in self._decoder.feed(data) for answer in self._answers(message)]
 
     def _answers(self, message: xbus.XbusMessage) -> list[bytes]:
-        if message.mid == Mid.GO_TO_CONFIG:
-            self._measuring = False
-            return [xbus.encode(Mid.GO_TO_CONFIG_ACK)]
-        if message.mid == Mid.GO_TO_MEASUREMENT:
-            self._measuring = True
-            return [xbus.encode(Mid.GO_TO_MEASUREMENT_ACK)]
+        if message.mid in (Mid.GO_TO_CONFIG, Mid.GO_TO_MEASUREMENT):
+            self._measuring = message.mid == Mid.GO_TO_MEASUREMENT
+            return [xbus.encode(Mid.GO_TO_MEASUREMENT_ACK if self._measuring else Mid.GO_TO_CONFIG_ACK)]
         if message.mid == Mid.WAKE_UP_ACK:
             return []
         if self._measuring:
@@ -125,6 +120,7 @@ class Ximu3Wire(Wire):
         return [ximu3_codec.encode(message)]
 
 
+@dataclass(frozen=True)
 class XsensCanWire(Wire):
     """An MTi-600 on CAN: SampleTime, GroupCounter, RateOfTurn, Acceleration, as records of ``CAN_RECORD``.
 
@@ -133,8 +129,7 @@ class XsensCanWire(Wire):
 
     carries_nan = False
 
-    def __init__(self, id_offset: int = 0) -> None:
-        self._offset = id_offset
+    id_offset: int = 0
 
     def encode(self, reading: Reading) -> list[bytes]:
         """Four frames."""
@@ -146,7 +141,7 @@ class XsensCanWire(Wire):
             (0x32, _steps(reading.gyr_radps, 512)),
             (0x34, _steps(reading.acc_mps2, 256)),
         ]
-        return [CAN_RECORD.pack(number + self._offset, len(data), data) for number, data in frames]
+        return [CAN_RECORD.pack(number + self.id_offset, len(data), data) for number, data in frames]
 
 
 class LslWire(Wire):
@@ -179,27 +174,25 @@ class DbcWire(Wire):
             database.add_dbc_file(str(Path(path)))
         except Exception as error:  # cantools raises OSError, its own parse errors, UnicodeDecodeError …
             raise ValueError(f"options.dbc = {path!r} cannot be read as a DBC: {error}") from error
-        wanted = [*(name for name in ("time", "counter") if options.get(name)), *AXES]
-        self._signals: dict[str, Signal] = {}
-        self._messages: dict[str, Message] = {}
-        for what in wanted:
+        self._signals: dict[str, tuple[Message, Signal]] = {}
+        for what in (*(name for name in ("time", "counter") if options.get(name)), *AXES):
             message_name, _, signal_name = str(options.get(what, "")).partition(".")
             try:
                 message = database.get_message_by_name(message_name)
-                self._signals[what] = message.get_signal_by_name(signal_name)
+                self._signals[what] = message, message.get_signal_by_name(signal_name)
             except KeyError:
                 raise ValueError(f"options.{what} = {options.get(what)!r} is not in {options.get('dbc')}") from None
-            self._messages.setdefault(message_name, message)
-        if wanted == list(AXES):
+        if list(self._signals) == list(AXES):
             raise ValueError("options need time or counter as MESSAGE.SIGNAL")
-        self._where = {what: str(options[what]).partition(".")[0] for what in wanted}
+        self._messages = {message.name: message for message, _ in self._signals.values()}
         offset = options.get("id_offset", 0)
         if isinstance(offset, bool) or not isinstance(offset, int):
             raise ValueError(f"options.id_offset = {offset!r} must be a whole number")
         self._offset = offset
-        self.carries_nan = all(self._signals[axis].is_float for axis in AXES)
-        acc, gyr = (options.get("acc_unit", "m/s2"), options.get("gyr_unit", "rad/s"))
-        self._units = dict(zip(AXES, [_unit(acc, PER_UNIT)] * 3 + [_unit(gyr, PER_UNIT)] * 3, strict=True))
+        self.carries_nan = all(self._signals[axis][1].is_float for axis in AXES)
+        acc = _unit(options.get("acc_unit", "m/s2"), PER_UNIT)
+        gyr = _unit(options.get("gyr_unit", "rad/s"), PER_UNIT)
+        self._units = dict(zip(AXES, [acc] * 3 + [gyr] * 3, strict=True))
         self._ns_per_time = _unit(options.get("time_unit", "s"), NS_PER_UNIT)
         if not all(0 <= message.frame_id + self._offset <= LAST_ID for message in self._messages.values()):
             raise ValueError(f"options.id_offset = {self._offset} leaves the identifiers 0 to 0x{LAST_ID:x}")
@@ -219,14 +212,14 @@ class DbcWire(Wire):
         frames: dict[str, dict[str, int | float]] = {
             name: {signal.name: 0 for signal in message.signals} for name, message in self._messages.items()
         }
-        for what, signal in self._signals.items():
+        for what, (message, signal) in self._signals.items():
             if what in values:
                 number = _raw(signal, values[what] / self._units[what])
             elif what == "time":
                 number = round(reading.t_device_ns / (float(signal.scale) * self._ns_per_time)) % (1 << signal.length)
             else:
                 number = reading.counter % (1 << signal.length)
-            frames[self._where[what]][signal.name] = number
+            frames[message.name][signal.name] = number
         records = []
         for name, message in self._messages.items():
             data = message.encode(frames[name], scaling=False, strict=False)

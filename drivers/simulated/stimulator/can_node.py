@@ -7,29 +7,22 @@ JSON lines ``{"fault": NAME, "value": NUMBER}`` on stdin, each confirmed: the no
 (:mod:`drivers.simulated.lines`) for what it sends.
 """
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 import secrets
 import select
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import can
 
+from drivers.simulated import process_end
 from drivers.simulated.imu.wire import CAN_RECORD
 from drivers.simulated.lines import LINE_FAULTS, LineFaults
-from drivers.simulated.process_end import (
-    STDIN,
-    CommandReader,
-    become_real_time,
-    fault_commands,
-    publish_ready,
-    stop_signals,
-)
+from drivers.simulated.process_end import STDIN, CommandReader
 from drivers.simulated.record import PulseOutlet, RecordWriter
 from drivers.simulated.stimulator.firmware import StimulatorNode, parse_faults
 from drivers.simulated.stimulator.lockstep import SIM_TIME_ID, BusClock, RealClock
@@ -45,27 +38,21 @@ class BusBroken(RuntimeError):
     """The node's bus cannot be read any more."""
 
 
+@dataclass(eq=False)
 class NodeLoop:
     """Node, bus, record and the descriptors that end it: one wait per turn, until the next deadline or frame."""
 
-    def __init__(
-        self,
-        node: StimulatorNode,
-        bus: can.BusABC,
-        record: RecordWriter,
-        stop: Sequence[int],
-        clock: RealClock,
-        pulses: PulseOutlet | None = None,
-    ) -> None:
-        self._pulses = pulses or PulseOutlet(None)
-        self._clock = clock
-        self._node = node
-        self._bus = bus
-        self._record = record
-        self._stop = tuple(stop)
+    node: StimulatorNode
+    bus: can.BusABC
+    record: RecordWriter
+    stop: Sequence[int]
+    clock: RealClock
+    pulses: PulseOutlet = field(default_factory=lambda: PulseOutlet(None))
+
+    def __post_init__(self) -> None:
         self._read_errors = 0
         self._faults = LineFaults()
-        self._commands = CommandReader(fault_commands(self._inject), clock.now_ns)
+        self._commands = CommandReader(process_end.fault_commands(self._inject), self.clock.now_ns)
 
     def run(self) -> None:
         """Until a stop descriptor speaks. The outputs are off afterwards.
@@ -77,49 +64,49 @@ class NodeLoop:
             while self._turn():
                 pass
         finally:
-            self._node.power_off(self._clock.now_ns())
-            self._record.write(self._node.take_record())
+            self.node.power_off(self.clock.now_ns())
+            self.record.write(self.node.take_record())
 
     def _turn(self) -> bool:
-        self._put_out(self._node.advance(self._clock.now_ns()))
-        wait_s = self._clock.wait_s(min(self._node.next_deadline_ns(), self._faults.next_deadline_ns()))
-        ready, _, _ = select.select([self._bus.fileno(), *self._stop], [], [], wait_s)
-        for descriptor in self._stop:  # a signal ends the node, so does the end of stdin, but not what is sent there
+        self._put_out(self.node.advance(self.clock.now_ns()))
+        wait_s = self.clock.wait_s(min(self.node.next_deadline_ns(), self._faults.next_deadline_ns()))
+        ready, _, _ = select.select([self.bus.fileno(), *self.stop], [], [], wait_s)
+        for descriptor in self.stop:  # a signal ends the node, so does the end of stdin, but not what is sent there
             if descriptor in ready and (descriptor != STDIN or not self._commands.read()):
                 return False
-        if self._bus.fileno() in ready:
+        if self.bus.fileno() in ready:
             for _ in range(FRAMES_AT_ONCE):
                 message = self._read()
                 if message is None:
                     break
                 if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
                     continue
+                data = bytes(message.data)
                 if message.arbitration_id == SIM_TIME_ID:
-                    self._clock.set_time(bytes(message.data))
-                    self._put_out(self._node.advance(self._clock.now_ns()))
-                    continue
-                now_ns = self._clock.now_ns()
-                self._put_out(self._node.receive(now_ns, message.arbitration_id, bytes(message.data)))
+                    self.clock.set_time(data)
+                    self._put_out(self.node.advance(self.clock.now_ns()))
+                else:
+                    self._put_out(self.node.receive(self.clock.now_ns(), message.arbitration_id, data))
         return True
 
     def _put_out(self, frames: list[Frame]) -> None:
-        self._pulses.send_made(channel.made for channel in self._node.channels)
-        now_ns = self._clock.now_ns()
+        self.pulses.send_made(channel.made for channel in self.node.channels)
+        now_ns = self.clock.now_ns()
         self._faults.send(now_ns, [CAN_RECORD.pack(identifier, len(data), data) for identifier, data in frames])
         for identifier, length, data in CAN_RECORD.iter_unpack(self._faults.due(now_ns)):
             # a node whose answers do not get out still keeps its leases; the controller sees the silence
             with contextlib.suppress(can.CanError, OSError):
                 message = can.Message(arbitration_id=identifier, data=data[:length], is_extended_id=False)
-                self._bus.send(message, timeout=0)
-        self._record.write(self._node.take_record())
+                self.bus.send(message, timeout=0)
+        self.record.write(self.node.take_record())
 
     def _read(self) -> can.Message | None:
         try:
-            message = self._bus.recv(timeout=0.0)
+            message = self.bus.recv(timeout=0.0)
         except (can.CanError, OSError) as error:  # a datagram that is no CAN frame, or a bus that is gone
             self._read_errors += 1
             if self._read_errors >= READ_ERRORS_IN_A_ROW:
-                raise BusBroken(f"{self._bus.channel_info}: cannot be read: {error}") from error
+                raise BusBroken(f"{self.bus.channel_info}: cannot be read: {error}") from error
             return None
         self._read_errors = 0
         return message
@@ -128,7 +115,7 @@ class NodeLoop:
         if name in LINE_FAULTS:
             self._faults.set(name, value)
         else:
-            self._node.set_fault(self._clock.now_ns(), name, value)
+            self.node.set_fault(self.clock.now_ns(), name, value)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -155,12 +142,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         faults = parse_faults(options.faults)
     except ValueError as error:
         parser.error(f"--faults: {error}")
-    settings = Bus(
-        interface=options.interface,
-        channel=options.channel,
-        options={} if options.port is None else {"port": options.port},
-    )
-    signalled = stop_signals()
+    port: dict[str, str | int | float | bool] = {} if options.port is None else {"port": options.port}
+    settings = Bus(interface=options.interface, channel=options.channel, options=port)
+    signalled = process_end.stop_signals()
     stop = [signalled.fileno()] + ([STDIN] if options.until_stdin_closes else [])
     try:
         record = RecordWriter(options.record)
@@ -168,10 +152,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (BusError, OSError) as error:
         print(f"can_node: {error}", file=sys.stderr)
         return 2
-    real_time = become_real_time()
+    real_time = process_end.become_real_time()
     clock = BusClock() if options.clock == "bus" else RealClock()
     node = StimulatorNode(boot_id, clock.now_ns(), faults)
-    publish_ready(boot_id=boot_id, real_time=real_time)
+    process_end.publish_ready(boot_id=boot_id, real_time=real_time)
     try:
         NodeLoop(node, bus, record, stop, clock, PulseOutlet(options.pulses)).run()
     except BusBroken as error:

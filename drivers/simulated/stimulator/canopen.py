@@ -4,11 +4,7 @@
 Needs the extra ``canopen``. As a process of its own: ``python -m drivers.simulated.stimulator.canopen``.
 """
 
-from __future__ import annotations
-
 import argparse
-import json
-import os
 import sys
 import threading
 import time
@@ -20,6 +16,7 @@ import can
 import canopen
 from canopen.objectdictionary import UNSIGNED8, ObjectDictionary, ODArray, ODVariable
 
+from drivers.simulated.process_end import publish_ready
 from drivers.simulated.record import RecordEntry, RecordWriter
 from drivers.stimulator.bus import LOOPBACK, BusError, open_bus
 from drivers.stimulator.canopen_codec import SYNC_ID
@@ -42,8 +39,7 @@ def object_dictionary() -> ObjectDictionary:
         for subindex in range(CHANNELS + 1):
             variable = ODVariable(f"{name} {subindex}", index, subindex)
             variable.data_type = UNSIGNED8
-            variable.default = CHANNELS if subindex == 0 else 0
-            variable.access_type = "ro" if subindex == 0 else "rw"
+            variable.default, variable.access_type = (0, "rw") if subindex else (CHANNELS, "ro")
             array.add_member(variable)
         dictionary.add_object(array)
     heartbeat = ODVariable("producer heartbeat time", 0x1017, 0)
@@ -127,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"canopen_device: {error}", file=sys.stderr)
         return 2
     device = CanOpenDevice(bus, options.node_id, options.record)
-    print(json.dumps({"ready": True, "pid": os.getpid()}), flush=True)
+    publish_ready()
     sys.stdin.read()
     device.close()
     return 0

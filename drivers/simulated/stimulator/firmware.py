@@ -8,29 +8,13 @@ for its own boot id and under an identifier that no executed command has carried
 would carry into one: no number acts twice, so a capture played back later does nothing.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, replace
 from typing import Final
 
 from drivers.simulated.record import RecordEntry
 from drivers.stimulator import can_codec
-from drivers.stimulator.can_codec import (
-    CURRENT_STEP_MA,
-    ECHOED_COUNTS,
-    NO_SESSION,
-    PROTOCOL_VERSION,
-    PULSE_WIDTH_STEP_US,
-    Alive,
-    Charge,
-    Command,
-    Fault,
-    Frame,
-    Result,
-    SessionOpen,
-    Status,
-)
+from drivers.stimulator.can_codec import NO_SESSION, Alive, Charge, Command, Fault, Frame, Result, SessionOpen, Status
 from drivers.stimulator.e2e import COUNTS, carried, command_number
 from fes.signals import NS_PER_S
 
@@ -46,6 +30,7 @@ MAX_COUNTER_STEP: Final = 3
 MAX_WRONG_COUNTERS: Final = 5
 ALIVE_PERIOD_NS: Final = 100_000_000
 SENT_UNHEARD: Final = 64  # numbers that a session may have sent beyond the last one that was heard
+_NOTHING: Final = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +55,9 @@ def parse_faults(text: str) -> NodeFaults:
     Raises:
         ValueError: an unknown name or a value that is no number as this fault needs it.
     """
-    values = dict(parse_fault_values(text))
+    values, names = dict(parse_fault_values(text)), ", ".join(NodeFaults.__dataclass_fields__)
     for name, value in values.items():
         if name not in NodeFaults.__dataclass_fields__:
-            names = ", ".join(NodeFaults.__dataclass_fields__)
             raise ValueError(f"fault '{name}={value:g}' is not known; write NAME=NUMBER with one of: {names}")
         if name in ("electrode", "weak", "drop") and not value.is_integer():
             raise ValueError(f"fault {name!r}: {value!r} is no whole number")
@@ -99,7 +83,7 @@ def parse_fault_values(text: str) -> list[tuple[str, float]]:
 class OutputChannel:
     """One output stage: silent until :meth:`drive`, and again when the lease or the on-time ends.
 
-    Times are the node's own clock.
+    Times are the node's own clock. ``levels``: current in mA, pulse width in µs, frequency in Hz, as delivered now.
     ``pulses`` and ``charge_steps`` (0.5 nC, one phase) run since the last :meth:`reset`. ``blocked`` after the
     on-time limit: only an off command releases it.
     """
@@ -112,9 +96,7 @@ class OutputChannel:
         """Off, and all counts at zero."""
         self.on = False
         self.blocked = False
-        self.current_ma = 0.0
-        self.pulse_width_us = 0.0
-        self.frequency_hz = 0.0
+        self.levels = _NOTHING
         self.counter = 0
         self.accepted_ns = 0
         self.lease_end_ns = NEVER
@@ -124,28 +106,20 @@ class OutputChannel:
         self.pulses = 0
         self.charge_steps = 0
 
-    @property
-    def levels(self) -> tuple[float, float, float]:
-        """Current in mA, pulse width in µs, frequency in Hz: what it delivers now."""
-        return self.current_ma, self.pulse_width_us, self.frequency_hz
-
     def drive(self, t_ns: int, levels: tuple[float, float, float], validity_ms: int) -> None:
         """Deliver these levels until ``validity_ms`` from now, unless told again before."""
         if not self.on:
             self.on = True
             self.on_end_ns = t_ns + MAX_ON_NS
-        self.current_ma, self.pulse_width_us, self.frequency_hz = levels
+        self.levels = levels
         self.accepted_ns = t_ns
         self.lease_end_ns = t_ns + validity_ms * NS_PER_MS
-        if self.frequency_hz > 0:
-            self.next_pulse_ns = max(t_ns, self.last_pulse_ns + self._period_ns())
-        else:
-            self.next_pulse_ns = NEVER
+        self.next_pulse_ns = max(t_ns, self.last_pulse_ns + self._period_ns()) if levels[2] > 0 else NEVER
 
     def silence(self) -> None:
         """Off now; the counts stay."""
         self.on = False
-        self.current_ma = self.pulse_width_us = self.frequency_hz = 0.0
+        self.levels = _NOTHING
         self.lease_end_ns = self.on_end_ns = self.next_pulse_ns = NEVER
 
     def next_deadline_ns(self) -> int:
@@ -156,7 +130,13 @@ class OutputChannel:
         """Make the pulses due by now; why it fell silent by itself, None when it did not."""
         end_ns = min(self.lease_end_ns, self.on_end_ns)
         while self.next_pulse_ns <= t_ns and self.next_pulse_ns < end_ns:
-            self._pulse()
+            self.pulses += 1
+            current_ma, width_us, _ = self.levels
+            steps = round(current_ma / can_codec.CURRENT_STEP_MA) * round(width_us / can_codec.PULSE_WIDTH_STEP_US)
+            self.charge_steps += steps
+            self.last_pulse_ns = self.next_pulse_ns
+            self.made.append((self.last_pulse_ns, current_ma, width_us))
+            self.next_pulse_ns += self._period_ns()
         if end_ns > t_ns:
             return None
         reason = Result.LEASE_EXPIRED if self.lease_end_ns <= self.on_end_ns else Result.ON_TIME
@@ -164,15 +144,8 @@ class OutputChannel:
         self.silence()
         return reason
 
-    def _pulse(self) -> None:
-        self.pulses += 1
-        self.charge_steps += round(self.current_ma / CURRENT_STEP_MA) * round(self.pulse_width_us / PULSE_WIDTH_STEP_US)
-        self.last_pulse_ns = self.next_pulse_ns
-        self.made.append((self.last_pulse_ns, self.current_ma, self.pulse_width_us))
-        self.next_pulse_ns += self._period_ns()
-
     def _period_ns(self) -> int:
-        return int(NS_PER_S / self.frequency_hz)
+        return int(NS_PER_S / self.levels[2])
 
 
 class StimulatorNode:
@@ -208,8 +181,7 @@ class StimulatorNode:
 
     def next_deadline_ns(self) -> int:
         """When :meth:`advance` must be called again at the latest."""
-        own = min(self._next_alive_ns, self._reboot_ns)
-        return min(own, *(channel.next_deadline_ns() for channel in self.channels))
+        return min(self._next_alive_ns, self._reboot_ns, *(channel.next_deadline_ns() for channel in self.channels))
 
     def power_off(self, t_ns: int) -> None:
         """Silence every channel; nothing is sent."""
@@ -224,12 +196,10 @@ class StimulatorNode:
         """
         if name == "reboot":
             self._reboot_ns = t_ns + int(value * NS_PER_S)
-        elif name == "electrode":
-            self.faults = replace(self.faults, electrode=int(value))
-            if value < 0:
+        elif name in ("electrode", "weak"):
+            self.faults = replace(self.faults, **{name: int(value)})
+            if name == "electrode" and value < 0:
                 self.flags &= ~Fault.OUTPUT
-        elif name == "weak":
-            self.faults = replace(self.faults, weak=int(value))
         else:
             raise ValueError(f"fault {name!r} is not known; one of electrode, weak, reboot")
 
@@ -270,7 +240,7 @@ class StimulatorNode:
         return frames
 
     def _open(self, t_ns: int, request: SessionOpen) -> list[Frame]:
-        if request.version != PROTOCOL_VERSION:
+        if request.version != can_codec.PROTOCOL_VERSION:
             self.flags |= Fault.VERSION
             self._refuse(t_ns, -1, f"session: protocol version {request.version}")
         elif request.boot_id != self.boot_id:
@@ -297,14 +267,13 @@ class StimulatorNode:
         channel = self.channels[command.channel]
         number = command_number(self.session_id, command.session_id, command.counter)
         result = self._judge(command, number, channel)
-        counter = command.counter % ECHOED_COUNTS
+        counter = command.counter % can_codec.ECHOED_COUNTS
         session_id = command.session_id if result is Result.BAD_SESSION else self.session_id or command.session_id
         frames: list[Frame] = []
         if result in (Result.BAD_SESSION, Result.BAD_COUNTER, Result.FAULTED):
-            if result is Result.BAD_COUNTER:
-                self._wrong_counters += 1
-                if self._wrong_counters >= MAX_WRONG_COUNTERS:
-                    frames = self._close(t_ns, Fault.COUNTER)
+            self._wrong_counters += result is Result.BAD_COUNTER
+            if result is Result.BAD_COUNTER and self._wrong_counters >= MAX_WRONG_COUNTERS:
+                frames = self._close(t_ns, Fault.COUNTER)
         elif command.session_id != self._carried_id and command.session_id in self._used_ids:
             result = Result.FAULTED
             frames = self._close(t_ns, Fault.SESSION_USED)
@@ -387,40 +356,35 @@ class StimulatorNode:
         self._note(t_ns, "refused", number, why)
 
     def _note(self, t_ns: int, event: str, number: int = -1, detail: str = "") -> None:
-        if number < 0:
-            self._record.append(RecordEntry(t_ns, event, detail=detail))
-            return
-        channel = self.channels[number]
-        counts = (channel.accepted_ns, channel.pulses, max(channel.last_pulse_ns, 0))
-        self._record.append(RecordEntry(t_ns, event, number, *channel.levels, *counts, detail))
+        entry = RecordEntry(t_ns, event, detail=detail)
+        if number >= 0:
+            channel = self.channels[number]
+            counts = (channel.accepted_ns, channel.pulses, max(channel.last_pulse_ns, 0))
+            entry = RecordEntry(t_ns, event, number, *channel.levels, *counts, detail)
+        self._record.append(entry)
 
     def _status(self, number: int, counter: int, session_id: int, result: Result) -> list[Frame]:
         channel = self.channels[number]
         pulses = channel.pulses % can_codec.PULSES_TOTAL
         charge_steps = channel.charge_steps % can_codec.CHARGE_TOTAL_STEPS
         return [
-            can_codec.encode_charge(Charge(counter, session_id, number, pulses, charge_steps)),
-            can_codec.encode_status(Status(counter, session_id, number, channel.on, *channel.levels, result)),
+            can_codec.encode(Charge(counter, session_id, number, pulses, charge_steps)),
+            can_codec.encode(Status(counter, session_id, number, channel.on, *channel.levels, result)),
         ]
 
     def _alive(self) -> Frame:
-        counter = self._alive_counter
+        counter, version = self._alive_counter, can_codec.PROTOCOL_VERSION
         self._alive_counter = (counter + 1) % 16
-        return can_codec.encode_alive(
-            Alive(counter, PROTOCOL_VERSION, self.boot_id, self.session_id, self.rejected, int(self.flags))
-        )
+        alive = Alive(counter, version, self.boot_id, self.session_id, self.rejected, int(self.flags))
+        return can_codec.encode(alive)
 
     def _frames_out(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
         """What of ``frames`` reaches the bus: all of it, unless a fault was asked for."""
         if t_ns >= self._mute_ns:
             return []
-        if not self.faults.drop:
-            return frames
         kept: list[Frame] = []
         for frame in frames:
-            if frame[0] == can_codec.STATUS_ID:
-                self._statuses += 1
-                if self._statuses % self.faults.drop == 0:
-                    continue
-            kept.append(frame)
+            self._statuses += frame[0] == can_codec.STATUS_ID
+            if not self.faults.drop or frame[0] != can_codec.STATUS_ID or self._statuses % self.faults.drop:
+                kept.append(frame)
         return kept

@@ -4,9 +4,8 @@ The controller's side is the real port with its codec, counters and answers; the
 Between them bytes and frames pass at once.
 """
 
-from __future__ import annotations
-
 from collections import deque
+from dataclasses import dataclass, field
 from itertools import count
 
 import can
@@ -21,19 +20,18 @@ from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 from fes.simulation.forward.settings import DeliveredPulse
 
 
+@dataclass(eq=False)
 class DeviceLine:
     """A serial device as a :class:`~drivers.stimulator.serial_line.Line`.
 
     Writing reaches the device at once, at :attr:`t_ns`; waiting lets its time pass.
     """
 
-    name = "simulated device"
-
-    def __init__(self, device: SimulatedDevice, t_ns: int = 0) -> None:
-        self.device = device
-        self.faults = LineFaults()
-        self.t_ns = t_ns
-        self.unplugged = False
+    device: SimulatedDevice
+    t_ns: int = 0
+    faults: LineFaults = field(default_factory=LineFaults)
+    unplugged: bool = False
+    name: str = "simulated device"
 
     def advance(self, t_ns: int) -> None:
         """Let time pass for the device."""
@@ -128,12 +126,12 @@ class InProcessStimulator(CanStimulator):
         return self.open(t_ns, timeout_s=1e-6, clock_ns=lambda: next(ticks))
 
     def send(self, command: StimCommand) -> WireFrame:
-        """See :class:`~drivers.stimulator.port.StimulatorPort`."""
+        """As :meth:`CanStimulator.send`, at the command's time."""
         self.bus.advance(command.t_ns)
         return super().send(command)
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """See :class:`~drivers.stimulator.port.StimulatorPort`."""
+        """As :meth:`CanStimulator.poll`, at ``t_ns``."""
         self.bus.advance(t_ns)
         return super().poll(t_ns)
 

@@ -6,8 +6,6 @@ leases and heartbeats fall due up to that time exactly as it would have in real 
 frame, and is never driven in this way.
 """
 
-from __future__ import annotations
-
 import select
 import struct
 import time
@@ -58,8 +56,7 @@ class BusClock(RealClock):
         """Time as the node should see it, in ns; it never runs backward."""
         real_ns = time.monotonic_ns()
         if self._offset_ns is not None and real_ns - self._read_ns > FALL_BACK_NS:
-            self._offset_ns = None
-            self._read_ns = real_ns
+            self._offset_ns, self._read_ns = None, real_ns
         if self._offset_ns is None:
             self._now_ns += real_ns - self._read_ns
             self._read_ns = real_ns
@@ -84,10 +81,6 @@ class BusClock(RealClock):
 class LockstepStimulator(CanStimulator):
     """:class:`CanStimulator` to a node started with ``--clock bus``; :meth:`poll` waits for the answers."""
 
-    def __init__(self, bus: can.BusABC, session_id: int) -> None:
-        super().__init__(bus, session_id)
-        self._bus_of_time = bus
-
     def send(self, command: StimCommand) -> WireFrame:
         """Send the time, then the command."""
         self.set_time(command.t_ns)
@@ -97,7 +90,7 @@ class LockstepStimulator(CanStimulator):
         """Advance the node to ``t_ns``."""
         message = can.Message(arbitration_id=SIM_TIME_ID, data=encode_sim_time(t_ns), is_extended_id=False)
         try:
-            self._bus_of_time.send(message, timeout=0)
+            self._bus.send(message, timeout=0)
         except (can.CanError, OSError) as error:
             raise StimulatorLost(f"the virtual bus did not take the time: {error}") from error
 
@@ -112,6 +105,6 @@ class LockstepStimulator(CanStimulator):
         while self.outstanding:
             if time.monotonic_ns() > give_up_ns:
                 raise StimulatorLost("the simulated stimulator does not answer; has its process ended?")
-            select.select([self._bus_of_time.fileno()], [], [], 0.01)
+            select.select([self._bus.fileno()], [], [], 0.01)
             replies += super().poll(t_ns)
         return replies

@@ -6,8 +6,6 @@ everything and reset its modes. A main interval of 0 gives one pulse for each st
 As a process of its own: ``python -m drivers.simulated.stimulator.sciencemode2``.
 """
 
-from __future__ import annotations
-
 import struct
 import sys
 from typing import Final
@@ -86,6 +84,7 @@ class ScienceMode2Device(SimulatedDevice):
                 self.note(t_ns, "session")
             return []
         self._watchdog_ns = t_ns + WATCHDOG_NS
+        result = 0
         match packet.command:
             case Code.WATCHDOG | Code.INIT_ACK:
                 return []
@@ -93,17 +92,20 @@ class ScienceMode2Device(SimulatedDevice):
                 mode = 2 if self._pulses else 1 if self.channels else 0
                 return [codec.encode(Packet(packet.number, Code.GET_MODE + 1, bytes((0, mode))))]
             case Code.LIST_INIT:
-                return [_message(packet.number, Code.LIST_INIT + 1, self._list_init(packet.data))]
+                result = self._list_init(packet.data)
             case Code.LIST_START:
                 return self._list_start(t_ns, packet)
             case Code.LIST_STOP:
-                self.channels, self._pulses, self._due = (), (), []
-                self._repeater.stop()
-                return [_message(packet.number, Code.LIST_STOP + 1, 0)]
+                self._stop_list()
             case Code.SINGLE_PULSE:
-                return [_message(packet.number, Code.SINGLE_PULSE + 1, self._single(t_ns, packet.data))]
+                result = self._single(t_ns, packet.data)
             case _:
-                return [_message(packet.number, packet.command + 1, TRANSFER)]
+                result = TRANSFER
+        return [_message(packet.number, packet.command + 1, result)]
+
+    def _stop_list(self) -> None:
+        self.channels, self._pulses, self._due = (), (), []
+        self._repeater.stop()
 
     def _list_init(self, data: bytes) -> int:
         if len(data) != _LIST_INIT.size:
@@ -151,12 +153,10 @@ class ScienceMode2Device(SimulatedDevice):
     def _deliver(self, t_ns: int, pulses: tuple[tuple[int, int], ...]) -> list[bytes]:
         out: list[bytes] = []
         for channel, (width_us, current_ma) in zip(self.channels, pulses, strict=True):
-            if not current_ma:
-                continue
-            if channel == self.electrode:
+            if current_ma and channel == self.electrode:
                 out.append(_message(0, Code.STIMULATION_ERROR, ELECTRODE))
-                continue
-            self.pulse(t_ns, channel, float(current_ma), float(max(width_us, codec.MIN_WIDTH_US)))
+            elif current_ma:
+                self.pulse(t_ns, channel, float(current_ma), float(max(width_us, codec.MIN_WIDTH_US)))
         return out
 
     def _emergency(self, t_ns: int, pressed: bool) -> list[bytes]:
@@ -164,8 +164,7 @@ class ScienceMode2Device(SimulatedDevice):
         if not pressed:
             return []
         self.note(t_ns, "emergency")
-        self._due, self._pulses, self.channels = [], (), ()
-        self._repeater.stop()
+        self._stop_list()
         return [_message(0, Code.STIMULATION_ERROR, EMERGENCY)] if self.connected else []
 
 

@@ -7,8 +7,6 @@ like the real one, delivers an unbalanced pulse without a word. An open lead is 
 As a process of its own: ``python -m drivers.simulated.stimulator.sciencemode4``.
 """
 
-from __future__ import annotations
-
 import struct
 import sys
 from collections import deque
@@ -38,11 +36,17 @@ class ScienceMode4Device(SimulatedDevice):
         """Queued pulses, repeated pulses, the watchdog."""
         out: list[bytes] = []
         while self._queue and self._queue_free_ns <= t_ns:
-            out += self._execute(self._queue_free_ns, *self._queue.popleft())
+            at_ns, (number, channel, points) = self._queue_free_ns, self._queue.popleft()
+            self._queue_free_ns += sum(p.width_us for p in points) * 1000 + max(BETWEEN_PULSES_NS, self.slow_ns)
+            connector, within = divmod(channel, codec.CHANNELS_PER_CONNECTOR)
+            data = bytes((self._deliver(at_ns, channel, points), connector << 4 | within, 0))
+            out.append(codec.encode(Packet(number, Code.LOW_PULSE + 1, data)))
         end_ns = min(self._watchdog_ns, t_ns + 1)
         for channel, train in enumerate(self._trains):
             for at_ns in train.due(end_ns - 1):
-                self._repeat(at_ns, channel)
+                if result := self._deliver(at_ns, channel, self._patterns[channel]):
+                    self._errors[channel] = result
+                    train.stop()
         if self._watchdog_ns <= t_ns:
             self.note(self._watchdog_ns, "watchdog", detail="2 s without update or question")
             self._stop_mid()
@@ -66,34 +70,29 @@ class ScienceMode4Device(SimulatedDevice):
         self._queue_free_ns: int = t_ns
         self._trains: tuple[Repeater, ...] = tuple(Repeater() for _ in range(CHANNELS))
         self._patterns: list[tuple[Point, ...]] = [()] * CHANNELS
-        self._errors = [Result.OK] * CHANNELS
+        self._errors: list[Result] = [Result.OK] * CHANNELS
         self._watchdog_ns: int = NEVER
 
     def _act(self, t_ns: int, packet: Packet) -> list[bytes]:
         match packet.command:
-            case Code.LOW_INIT:
+            case Code.LOW_INIT | Code.MID_INIT:
                 self._stop_mid()
                 self._queue.clear()
-                self.level = LOW
+                self.level = LOW if packet.command == Code.LOW_INIT else MID
+                if self.level == MID:
+                    self._errors = [Result.OK] * CHANNELS
+                return self._answer(packet)
+            case Code.LOW_STOP | Code.MID_STOP:
+                if packet.command == Code.LOW_STOP:
+                    self._queue.clear()
+                else:
+                    self._stop_mid()
+                self.level = NONE
                 return self._answer(packet)
             case Code.LOW_PULSE:
                 return self._low_pulse(t_ns, packet)
-            case Code.LOW_STOP:
-                self._queue.clear()
-                self.level = NONE
-                return self._answer(packet)
-            case Code.MID_INIT:
-                self._stop_mid()
-                self._queue.clear()
-                self.level = MID
-                self._errors = [Result.OK] * CHANNELS
-                return self._answer(packet)
             case Code.MID_UPDATE:
                 return self._mid_update(t_ns, packet)
-            case Code.MID_STOP:
-                self._stop_mid()
-                self.level = NONE
-                return self._answer(packet)
             case Code.MID_CURRENT_DATA:
                 return self._current_data(t_ns, packet)
             case Code.STIM_STATUS:
@@ -103,8 +102,6 @@ class ScienceMode4Device(SimulatedDevice):
 
     def _answer(self, packet: Packet, result: int = Result.OK, extra: bytes = b"") -> list[bytes]:
         return [codec.encode(Packet(packet.number, packet.command + 1, bytes((result,)) + extra))]
-
-    # --- low level ---------------------------------------------------------------------------------------
 
     def _low_pulse(self, t_ns: int, packet: Packet) -> list[bytes]:
         head = packet.data[0] if packet.data else 0
@@ -119,19 +116,13 @@ class ScienceMode4Device(SimulatedDevice):
             result = Result.PARAMETER
         elif len(self._queue) >= QUEUE_DEPTH:
             result = Result.BUSY
+        if result:
+            self.note(t_ns, "refused", channel, result.name.lower())
         if result or not head & 0x80:
-            if result:
-                self.note(t_ns, "refused", channel, result.name.lower())
             return self._answer(packet, result, named)
         self._queue.append((packet.number, channel, points))
         self._queue_free_ns = max(self._queue_free_ns, t_ns + self.slow_ns)
         return self.advance(t_ns)
-
-    def _execute(self, t_ns: int, number: int, channel: int, points: tuple[Point, ...]) -> list[bytes]:
-        self._queue_free_ns = t_ns + sum(p.width_us for p in points) * 1000 + max(BETWEEN_PULSES_NS, self.slow_ns)
-        connector, within = divmod(channel, codec.CHANNELS_PER_CONNECTOR)
-        result = self._deliver(t_ns, channel, points)
-        return [codec.encode(Packet(number, Code.LOW_PULSE + 1, bytes((result, connector << 4 | within, 0))))]
 
     def _deliver(self, t_ns: int, channel: int, points: tuple[Point, ...]) -> Result:
         peak_ma = max((abs(p.steps) for p in points), default=0) * codec.CURRENT_STEP_MA
@@ -140,8 +131,6 @@ class ScienceMode4Device(SimulatedDevice):
         balance = codec.net_charge(points)
         self.pulse(t_ns, channel, peak_ma, float(points[0].width_us), f"unbalanced {balance}" if balance else "")
         return Result.OK
-
-    # --- mid level ---------------------------------------------------------------------------------------
 
     def _mid_update(self, t_ns: int, packet: Packet) -> list[bytes]:
         if self.level not in (MID, MID_RUNNING):
@@ -162,12 +151,6 @@ class ScienceMode4Device(SimulatedDevice):
         self.level = MID_RUNNING if trains else MID
         self._watchdog_ns = t_ns + WATCHDOG_NS if trains else NEVER
         return self._answer(packet) + self.advance(t_ns)
-
-    def _repeat(self, t_ns: int, channel: int) -> None:
-        result = self._deliver(t_ns, channel, self._patterns[channel])
-        if result:
-            self._errors[channel] = result
-            self._trains[channel].stop()
 
     def _current_data(self, t_ns: int, packet: Packet) -> list[bytes]:
         if self.level not in (MID, MID_RUNNING):

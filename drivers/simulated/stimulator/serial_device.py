@@ -6,17 +6,16 @@ SIGTERM, SIGINT, or when stdin closes (``--until-stdin-closes``). What it delive
 CLOCK_MONOTONIC.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from drivers.simulated.lines import DeviceEnd, DeviceLoop, PtyEnd, TcpEnd
+from drivers.simulated.lines import Device, DeviceEnd, DeviceLoop, PtyEnd, TcpEnd
 from drivers.simulated.process_end import become_real_time, publish_ready, stop_signals
 from drivers.simulated.record import PulseOutlet, RecordEntry, RecordWriter
 from drivers.simulated.stimulator.firmware import NEVER, parse_fault_values
@@ -26,7 +25,7 @@ from fes.signals import NS_PER_S
 CHANNELS: Final = 8
 
 
-class SimulatedDevice(ABC):
+class SimulatedDevice(Device):
     """Call :meth:`receive` for bytes and :meth:`advance` at every deadline; both return the messages to send.
 
     Faults that are the device's own, set by :meth:`set_fault`: ``electrode`` (this channel's lead is open), ``slow``
@@ -50,14 +49,6 @@ class SimulatedDevice(ABC):
         return out
 
     @abstractmethod
-    def advance(self, t_ns: int) -> list[bytes]:
-        """Do all that is due by ``t_ns``."""
-
-    @abstractmethod
-    def next_deadline_ns(self) -> int:
-        """When :meth:`advance` must be called again at the latest."""
-
-    @abstractmethod
     def power_off(self, t_ns: int) -> None:
         """Silence every channel."""
 
@@ -74,11 +65,7 @@ class SimulatedDevice(ABC):
         return []
 
     def set_fault(self, t_ns: int, name: str, value: float) -> list[bytes]:
-        """Bring about one of the device's own faults.
-
-        Raises:
-            ValueError: no such fault.
-        """
+        """Bring about one of the device's own faults. ValueError: no such fault."""
         if name == "electrode":
             self.electrode = int(value)
         elif name == "slow":
@@ -113,12 +100,12 @@ class SimulatedDevice(ABC):
         self._record.append(RecordEntry(t_ns, "pulse", channel, current_ma, width_us, 0.0, t_ns, count, t_ns, detail))
 
 
+@dataclass(slots=True)
 class Repeater:
     """A pulse train that the device keeps up by itself: one channel's next pulse, every ``period_ns``."""
 
-    def __init__(self) -> None:
-        self.next_ns = NEVER
-        self.period_ns = 0
+    next_ns: int = NEVER
+    period_ns: int = 0
 
     def start(self, t_ns: int, period_ns: int) -> None:
         """From now on; a train already running keeps its beat."""

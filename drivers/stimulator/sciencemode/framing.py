@@ -5,8 +5,6 @@ A frame is ``F0``, header fields of which every byte is stuffed, a body in which
 its ``81``, so frames are found by position and length, not by looking for the next ``0F``.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Final
@@ -33,18 +31,12 @@ class Packet:
 
 def stuff(data: bytes) -> bytes:
     """The bytes as a body carries them."""
-    out = bytearray()
-    for byte in data:
-        if byte in _SPECIAL:
-            out += bytes((STUFF, byte ^ KEY))
-        else:
-            out.append(byte)
-    return bytes(out)
+    return b"".join(bytes((STUFF, byte ^ KEY)) if byte in _SPECIAL else bytes((byte,)) for byte in data)
 
 
-def stuff_always(data: bytes) -> bytes:
-    """The bytes as a header carries them: each of them stuffed."""
-    return b"".join(bytes((STUFF, byte ^ KEY)) for byte in data)
+def frame(header: bytes, body: bytes) -> bytes:
+    """All of a frame; the header is still to be stuffed, the body is stuffed."""
+    return bytes((START,)) + b"".join(bytes((STUFF, byte ^ KEY)) for byte in header) + body + bytes((STOP,))
 
 
 def unstuff(body: bytes) -> bytes:
@@ -79,9 +71,10 @@ class FrameDecoder(ABC):
     """
 
     HEADER_FIELDS: int  # stuffed header bytes after F0
+    MAX_LENGTH: int  # of a frame, unless another is given
 
-    def __init__(self, max_length: int) -> None:
-        self.max_length = max_length
+    def __init__(self, max_length: int | None = None) -> None:
+        self.max_length = max_length or self.MAX_LENGTH
         self.rejected = 0
         self.noise = 0
         self._buffer = bytearray()
@@ -102,19 +95,11 @@ class FrameDecoder(ABC):
 
     @abstractmethod
     def _length(self, header: bytes) -> int:
-        """Length of the whole frame by its unstuffed header.
-
-        Raises:
-            FrameRejected: it cannot be that.
-        """
+        """Length of the whole frame by its unstuffed header. FrameRejected: it cannot be that."""
 
     @abstractmethod
     def _packet(self, header: bytes, body: bytes) -> Packet:
-        """The packet, once the frame is complete; ``body`` is still stuffed.
-
-        Raises:
-            FrameRejected: the CRC or the content is wrong.
-        """
+        """The packet of a complete frame; ``body`` is still stuffed. FrameRejected: wrong CRC or content."""
 
     def _next(self) -> Packet | None:
         while True:
@@ -125,20 +110,13 @@ class FrameDecoder(ABC):
             if not self._buffer:
                 return None
             try:
-                frame = self._whole_frame()
-                if frame is None:
-                    return None
-                header, body, length = frame
-                packet = self._packet(header, body)
+                return self._first_packet()
             except FrameRejected:
                 self.rejected += 1
                 del self._buffer[0]
-                continue
-            del self._buffer[:length]
-            return packet
 
-    def _whole_frame(self) -> tuple[bytes, bytes, int] | None:
-        """Header, body and length of the frame at the buffer's beginning; None when more bytes are needed."""
+    def _first_packet(self) -> Packet | None:
+        """The packet at the buffer's beginning, taken out of it; None when more bytes are needed."""
         end = 1 + 2 * self.HEADER_FIELDS
         head = self._buffer[1:end]
         if any(byte != STUFF for byte in head[::2]):
@@ -156,16 +134,14 @@ class FrameDecoder(ABC):
             return None
         if self._buffer[length - 1] != STOP:
             raise FrameRejected("no stop byte where the frame must end")
-        return header, body, length
+        packet = self._packet(header, body)
+        del self._buffer[:length]
+        return packet
 
-
-def crc_table(polynomial: int, bits: int) -> tuple[int, ...]:
-    """The 256 steps of a CRC that is not reflected."""
-    top, mask = 1 << (bits - 1), (1 << bits) - 1
-    rows = []
-    for start in range(256):
-        crc = start << (bits - 8)
-        for _ in range(8):
-            crc = ((crc << 1) ^ polynomial if crc & top else crc << 1) & mask
-        rows.append(crc)
-    return tuple(rows)
+    @staticmethod
+    def _content(body: bytes) -> bytes:
+        """The body without stuffing. FrameRejected: it is wrongly stuffed, or too short for number and command."""
+        content = unstuff(body)
+        if len(content) < 2:
+            raise FrameRejected("no number and command")
+        return content

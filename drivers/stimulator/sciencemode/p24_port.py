@@ -10,10 +10,7 @@ the muscle stimulated through it. So a session must accept this in its settings 
 has no such tail. What the host can do, it does: questions go out only as part of a command, and *off* goes out at once.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
 from typing import ClassVar, Final
 
 from drivers.stimulator.port import Awaited, Pulse, PulseTrain
@@ -28,25 +25,27 @@ ASK_EVERY_NS: Final = 250_000_000
 LEVEL_NAMES: Final = ("not initialised", "low level", "mid level", "mid level, running")
 LOW_LEVEL: Final = 1
 WATCHDOG_S: Final = 2.0
-STOP_ON_ALL_ERRORS: Final = b"\x01"
 _CHANNEL_ERRORS: Final = (Result.OK, Result.ELECTRODE, Result.PULSE_TIMEOUT, Result.LOW_CURRENT)
 
 
 class _P24(ScienceModePort):
-    """What both levels share; ``channels`` is 8 for the P24, 4 for the RehaMove3."""
+    """What both levels share; ``channels`` is 8 for the P24, 4 for the RehaMove3.
+
+    The port owns ``line``; ``session_id`` is for the log only, the device has no sessions.
+    """
 
     current_step_ma: ClassVar[float] = codec.CURRENT_STEP_MA
     numbers: ClassVar[int] = codec.NUMBERS
     identifiers: ClassVar[int] = 0x4000_0000
+    initialisation: ClassVar[tuple[Code, bytes]]
 
     def __init__(self, line: Line, session_id: int, channels: int) -> None:
         super().__init__(line, codec.Decoder(), codec.encode, session_id)
         self._channels = channels
         self._asked_ns: int | None = None
 
-    def _initialise(self, opening: Opening, make: Callable[[int], Packet]) -> str:
-        """What is wrong with the answer to an initialisation; "" for nothing."""
-        answer = self._request(opening, make)
+    def _greet(self, opening: Opening) -> str:
+        answer = self._request(opening, *self.initialisation)
         if answer is None:
             return (
                 "no stimulator answered. Is it switched on, is this the right port, is it a P24 or RehaMove3? Answers "
@@ -63,10 +62,9 @@ class _P24(ScienceModePort):
 
     def _question_due(self, t_ns: int) -> bool:
         """Whether the device is to be asked for its state with this command; remembers it if so."""
-        if self._asked_ns is not None and t_ns - self._asked_ns < ASK_EVERY_NS:
-            return False
-        self._asked_ns = t_ns
-        return True
+        due = self._asked_ns is None or t_ns - self._asked_ns >= ASK_EVERY_NS
+        self._asked_ns = t_ns if due else self._asked_ns
+        return due
 
     def _unasked(self, t_ns: int, packet: Packet) -> bool:
         if packet.command not in (Code.GENERAL_ERROR, Code.UNKNOWN_COMMAND):
@@ -93,23 +91,15 @@ def _level(command: StimCommand, counter: int, points: codec.Points, frequency_h
 
 
 class LowLevelStimulator(_P24):
-    """:class:`~drivers.stimulator.port.StimulatorPort` for ScienceMode4 low level.
-
-    Args:
-        line: to the device; the port owns it.
-        session_id: for the log only, the device has no sessions.
-        channels: 8 for the P24, 4 for the RehaMove3.
-    """
+    """Port (:mod:`drivers.stimulator.port`) for ScienceMode4 low level."""
 
     one_pulse_per_command: ClassVar[bool] = True
+    initialisation: ClassVar[tuple[Code, bytes]] = (Code.LOW_INIT, b"\0")  # no measuring, the standard high voltage
     greetings: ClassVar[frozenset[int]] = frozenset((_P24.identifiers + Code.LOW_INIT,))
 
     def __init__(self, line: Line, session_id: int, channels: int = codec.CHANNELS) -> None:
         super().__init__(line, session_id, channels)
         self._trains = tuple(PulseTrain() for _ in range(channels))
-
-    def _greet(self, opening: Opening) -> str:
-        return self._initialise(opening, codec.low_init)
 
     def _packets_for(self, command: StimCommand, counter: int) -> list[Packet]:
         packets: list[Packet] = []
@@ -145,16 +135,13 @@ class LowLevelStimulator(_P24):
                 self._alive(t_ns, fault)
             return
         for pulse in awaited.pulses:
-            if not fault and len(packet.data) > 1 and _named_channel(packet.data[1]) != pulse.channel:
-                fault = f"the answer names channel {_named_channel(packet.data[1])}"
+            if not fault and len(packet.data) > 1:
+                connector, within = divmod(packet.data[1], 16)
+                named = within + codec.CHANNELS_PER_CONNECTOR * connector
+                fault = f"the answer names channel {named}" if named != pulse.channel else ""
             self._confirm(t_ns, pulse, fault, pulses=1)
         if result == Result.NOT_INITIALISED:
             self._restarted(t_ns, codec.result_text(result))
-
-
-def _named_channel(byte: int) -> int:
-    """Channel in the low half, connector in the high half."""
-    return (byte & 0x0F) + codec.CHANNELS_PER_CONNECTOR * (byte >> 4)
 
 
 def not_accepted(accept_watchdog_s: float) -> str:
@@ -168,7 +155,7 @@ def not_accepted(accept_watchdog_s: float) -> str:
 
 
 class MidLevelStimulator(_P24):
-    """:class:`~drivers.stimulator.port.StimulatorPort` for ScienceMode4 mid level.
+    """Port (:mod:`drivers.stimulator.port`) for ScienceMode4 mid level.
 
     The device counts no pulses, so its :class:`StimStatus` carry none. Ramps are the plan's; the device's are not used.
 
@@ -177,6 +164,7 @@ class MidLevelStimulator(_P24):
     """
 
     one_pulse_per_command: ClassVar[bool] = False
+    initialisation: ClassVar[tuple[Code, bytes]] = (Code.MID_INIT, b"\x01")  # stop on all errors
     greetings: ClassVar[frozenset[int]] = frozenset((_P24.identifiers + Code.MID_INIT,))
 
     def __init__(
@@ -189,11 +177,10 @@ class MidLevelStimulator(_P24):
         self._levels: dict[int, Pulse] = {}
         self._must_stop = False
 
-    def _greet(self, opening: Opening) -> str:
-        return self._initialise(opening, lambda number: Packet(number, Code.MID_INIT, STOP_ON_ALL_ERRORS))
-
     def _packets_for(self, command: StimCommand, counter: int) -> list[Packet]:
-        train = self._wanted(command)
+        train: Train | None = None
+        if command.on and (points := self._points(command)):
+            train = Train(points, codec.period_steps(command.frequency_hz))
         packets: list[Packet] = []
         if self._must_stop:
             self._must_stop = False
@@ -204,12 +191,6 @@ class MidLevelStimulator(_P24):
             active = tuple(self._levels[channel] for channel in sorted(self._trains))
             packets.append(self._expect(codec.mid_current_data(self._next_number()), command.t_ns, active))
         return packets
-
-    def _wanted(self, command: StimCommand) -> Train | None:
-        if not command.on:
-            return None
-        points = self._points(command)
-        return Train(points, codec.period_steps(command.frequency_hz)) if points else None
 
     def _update(self, command: StimCommand, counter: int, train: Train | None) -> list[Packet]:
         channel = command.channel

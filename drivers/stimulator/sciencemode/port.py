@@ -1,7 +1,5 @@
 """What the ScienceMode ports have in common: a line, a decoder, numbered messages, and answers that are owed."""
 
-from __future__ import annotations
-
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
@@ -31,7 +29,7 @@ class Opening:
 
 
 class ScienceModePort(ABC):
-    """Base of the :class:`~drivers.stimulator.port.StimulatorPort` s on a ScienceMode line, which it then owns.
+    """Base of the ports (:mod:`drivers.stimulator.port`) on a ScienceMode line, which it then owns.
 
     Every command takes one count (modulo 16), whether it put bytes on the wire or not; a :class:`StimStatus` carries
     the count of the command that it answers. A :class:`WireFrame` holds all bytes that a command put on the wire,
@@ -128,7 +126,12 @@ class ScienceModePort(ABC):
         data = self._line.read()
         self.heard, self._carried = self._carried + data, b""
         for packet in self._decoder.feed(data):
-            self._received(t_ns, packet)
+            if not self._unasked(t_ns, packet):
+                found, fault = self._answers.settle(packet.number, packet.command)
+                if found is None:
+                    self._alive(t_ns, fault)
+                else:
+                    self._answered(t_ns, packet, found, fault)
         for awaited in self._answers.overdue(t_ns):
             if not awaited.pulses:
                 self._alive(t_ns, NO_ANSWER)
@@ -180,10 +183,6 @@ class ScienceModePort(ABC):
         self._answers.expect(Awaited(packet.number, packet.command + 1, t_ns, pulses))
         return packet
 
-    def _quiet_for(self, t_ns: int, quiet_ns: int) -> bool:
-        """Whether nothing was sent for so long."""
-        return self._sent_ns is None or t_ns - self._sent_ns >= quiet_ns
-
     def _withheld(self, command: StimCommand, counter: int, why: str) -> None:
         self._refusals.append((Pulse(command.channel, counter, False), why))
 
@@ -191,10 +190,9 @@ class ScienceModePort(ABC):
         """Report what an answer says of one channel; at a fault nothing counts as delivered."""
         if fault:
             pulse, pulses = Pulse(pulse.channel, pulse.counter, False), 0
-        levels = (pulse.current_ma, pulse.pulse_width_us, pulse.frequency_hz)
         charge_uc = pulses * pulse.current_ma * pulse.pulse_width_us * 1e-3
-        status = StimStatus(t_ns, pulse.channel, pulse.counter, pulse.on, *levels, pulses, charge_uc, fault)
-        self._events.append(status)
+        levels = (pulse.current_ma, pulse.pulse_width_us, pulse.frequency_hz)
+        self._events.append(StimStatus(t_ns, pulse.channel, pulse.counter, pulse.on, *levels, pulses, charge_uc, fault))
 
     def _alive(self, t_ns: int, fault: str = "") -> None:
         self._events.append(StimAlive(t_ns, self._boot_id, self._rejected, fault))
@@ -211,25 +209,16 @@ class ScienceModePort(ABC):
         self._boot_id += 1
         self._alive(t_ns, fault)
 
-    def _received(self, t_ns: int, packet: Packet) -> None:
-        if self._unasked(t_ns, packet):
-            return
-        awaited, fault = self._answers.settle(packet.number, packet.command)
-        if awaited is None:
-            self._alive(t_ns, fault)
-        else:
-            self._answered(t_ns, packet, awaited, fault)
-
     def _write(self, opening: Opening, packet: Packet) -> None:
         """Handshake only: put a message on the wire, and note it for the log."""
         data = self._encode(packet)
         self._line.write(data)
         opening.frames.append(WireFrame(opening.t_ns, self.identifiers + packet.command, data))
 
-    def _request(self, opening: Opening, make: Callable[[int], Packet]) -> Packet | None:
+    def _request(self, opening: Opening, command: int, data: bytes) -> Packet | None:
         """Handshake only: send a message, again every 250 ms under a new number, until its answer comes."""
         while opening.clock_ns() < opening.deadline_ns:
-            packet = make(self._next_number())
+            packet = Packet(self._next_number(), command, data)
             self._write(opening, packet)
             for answer in self._packets_until(opening, opening.clock_ns() + ASK_AGAIN_NS):
                 if (answer.number, answer.command) == (packet.number, packet.command + 1):

@@ -6,8 +6,6 @@ channel's command of that step, and holds what is due of those with the very sam
 not come delivers nothing.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import ClassVar, Final
@@ -24,15 +22,10 @@ KEEP_ALIVE_NS: Final = 250_000_000
 
 
 class RehaStim2(ScienceModePort):
-    """:class:`~drivers.stimulator.port.StimulatorPort` for ScienceMode2.
+    """Port (:mod:`drivers.stimulator.port`) for ScienceMode2, which owns ``line``; ``session_id`` is for the log only.
 
-    Args:
-        line: to the device; the port owns it.
-        session_id: for the log only.
-        channels: those of the session, in the order in which each control step commands them.
-
-    Raises:
-        ValueError: no or unknown channels.
+    ``channels`` are those of the session, in the order in which each control step commands them; ValueError: none, or
+    unknown ones.
     """
 
     one_pulse_per_command: ClassVar[bool] = True
@@ -72,8 +65,12 @@ class RehaStim2(ScienceModePort):
     def _packets_for(self, command: StimCommand, counter: int) -> list[Packet]:
         self._note_due(command, counter)
         if command.channel == self._last and self._due:
-            return [self._list(command.t_ns)]
-        if self._quiet_for(command.t_ns, KEEP_ALIVE_NS):
+            due = [self._due.get(channel) for channel in self._channels]
+            pulses = [(int(one.pulse_width_us), int(one.current_ma)) if one else codec.NO_PULSE for one in due]
+            confirmed = tuple(self._due.values())
+            self._due.clear()
+            return [self._expect(codec.list_start(self._next_number(), pulses), command.t_ns, confirmed)]
+        if self._sent_ns is None or command.t_ns - self._sent_ns >= KEEP_ALIVE_NS:
             # asked for its mode rather than sent a watchdog message: its answer shows that it lives, too
             return [self._expect(Packet(self._next_number(), Code.GET_MODE), command.t_ns)]
         return []
@@ -98,19 +95,8 @@ class RehaStim2(ScienceModePort):
             if why := self._answers.room(command.channel, command.t_ns):
                 self._withheld(command, counter, why)
             else:
-                width_us, current_ma = pulse
-                self._due[command.channel] = Pulse(
-                    command.channel, counter, True, float(current_ma), float(width_us), command.frequency_hz
-                )
-
-    def _list(self, t_ns: int) -> Packet:
-        pulses = [
-            (int(due.pulse_width_us), int(due.current_ma)) if (due := self._due.get(channel)) else codec.NO_PULSE
-            for channel in self._channels
-        ]
-        confirmed = tuple(self._due.values())
-        self._due.clear()
-        return self._expect(codec.list_start(self._next_number(), pulses), t_ns, confirmed)
+                levels = (float(pulse[1]), float(pulse[0]), command.frequency_hz)
+                self._due[command.channel] = Pulse(command.channel, counter, True, *levels)
 
     def _unasked(self, t_ns: int, packet: Packet) -> bool:
         if packet.command == Code.INIT:

@@ -5,25 +5,15 @@ with the public implementations. The device makes its pulses biphasic and balanc
 widths whole µs; what lies between is rounded down, never up.
 """
 
-from __future__ import annotations
-
 import math
 import struct
 from collections.abc import Sequence
 from enum import IntEnum
+from functools import reduce
 from typing import Final
 
-from drivers.stimulator.sciencemode.framing import (
-    START,
-    STOP,
-    FrameDecoder,
-    FrameRejected,
-    Packet,
-    crc_table,
-    stuff,
-    stuff_always,
-    unstuff,
-)
+from drivers.stimulator.e2e import crc8_table
+from drivers.stimulator.sciencemode.framing import FrameDecoder, FrameRejected, Packet, frame, stuff
 
 MAX_CURRENT_MA: Final = 130
 MIN_WIDTH_US: Final = 20
@@ -37,7 +27,7 @@ SINGLE: Final = 0
 NO_PULSE: Final = (MIN_WIDTH_US, 0)
 _INTER_PULSE: Final = 1  # (2 ms − 1.5 ms) / 0.5 ms; for doublets and triplets only
 _OVERHEAD: Final = 6  # F0, CRC and length stuffed, 0F
-_CRC: Final = crc_table(0x07, 8)
+_CRC: Final = crc8_table(0x07)
 
 
 class Code(IntEnum):
@@ -90,10 +80,8 @@ def pulse(current_ma: float, pulse_width_us: float) -> tuple[int, int]:
     Raises:
         ValueError: not finite, negative, or over the device's limits.
     """
-    for name, value, most in (
-        ("current_ma", current_ma, MAX_CURRENT_MA),
-        ("pulse_width_us", pulse_width_us, MAX_WIDTH_US),
-    ):
+    current, width = ("current_ma", current_ma, MAX_CURRENT_MA), ("pulse_width_us", pulse_width_us, MAX_WIDTH_US)
+    for name, value, most in (current, width):
         if not math.isfinite(value) or not 0 <= value <= most:
             raise ValueError(f"{name} = {value!r}; this stimulator takes 0 to {most}")
     width_us, whole_ma = math.floor(pulse_width_us), math.floor(current_ma)
@@ -103,11 +91,7 @@ def pulse(current_ma: float, pulse_width_us: float) -> tuple[int, int]:
 
 
 def list_init(number: int, channels: Sequence[int], interval: int = ONE_SHOT) -> Packet:
-    """Which channels the list has; ``interval`` in coded units of 0.5 ms above 1 ms, 0 for one-shot.
-
-    Raises:
-        ValueError: no or unknown channels.
-    """
+    """The list's channels; ``interval``: 0.5 ms above 1 ms each, 0: one-shot. ValueError: no or unknown channels."""
     if not channels or not all(0 <= channel < CHANNELS for channel in channels):
         raise ValueError(f"channels {list(channels)}; this stimulator has 0 to {CHANNELS - 1}")
     mask = sum(1 << channel for channel in set(channels))
@@ -130,33 +114,24 @@ def list_start(number: int, pulses: Sequence[tuple[int, int]]) -> Packet:
 
 def crc8(data: bytes) -> int:
     """CRC-8, polynomial 07, initial value 0."""
-    crc = 0
-    for byte in data:
-        crc = _CRC[crc ^ byte]
-    return crc
+    return reduce(lambda crc, byte: _CRC[crc ^ byte], data, 0)
 
 
 def encode(packet: Packet) -> bytes:
-    """The frame.
-
-    Raises:
-        ValueError: number, command or length are out of range.
-    """
+    """The frame. ValueError: number, command or length are out of range."""
     if not (0 <= packet.number < NUMBERS and 0 <= packet.command < 256):
         raise ValueError(f"packet number {packet.number} or command {packet.command} is no byte")
     body = stuff(bytes((packet.number, packet.command)) + packet.data)
     if len(body) + _OVERHEAD > MAX_PACKET:
         raise ValueError(f"a packet with {len(packet.data)} bytes of data is too long")
-    return bytes((START,)) + stuff_always(bytes((crc8(body), len(body)))) + body + bytes((STOP,))
+    return frame(bytes((crc8(body), len(body))), body)
 
 
 class Decoder(FrameDecoder):
     """Finds ScienceMode2 packets."""
 
     HEADER_FIELDS = 2
-
-    def __init__(self, max_length: int = MAX_PACKET) -> None:
-        super().__init__(max_length)
+    MAX_LENGTH = MAX_PACKET
 
     def _length(self, header: bytes) -> int:
         return header[1] + _OVERHEAD
@@ -164,7 +139,5 @@ class Decoder(FrameDecoder):
     def _packet(self, header: bytes, body: bytes) -> Packet:
         if crc8(body) != header[0]:
             raise FrameRejected("wrong CRC")
-        content = unstuff(body)
-        if len(content) < 2:
-            raise FrameRejected("no number and command")
+        content = self._content(body)
         return Packet(content[0], content[1], content[2:])

@@ -9,22 +9,14 @@ from __future__ import annotations
 
 import math
 import struct
+from binascii import crc_hqx
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from drivers.stimulator.sciencemode.framing import (
-    START,
-    STOP,
-    FrameDecoder,
-    FrameRejected,
-    Packet,
-    crc_table,
-    stuff,
-    stuff_always,
-    unstuff,
-)
+from drivers.stimulator.port import WordedEnum
+from drivers.stimulator.sciencemode.framing import FrameDecoder, FrameRejected, Packet, frame, stuff
 
 CURRENT_STEP_MA: Final = 0.5
 MAX_CURRENT_MA: Final = 130.0
@@ -41,7 +33,6 @@ HEADER_BYTES: Final = 10  # F0, two bytes each for length and CRC, all stuffed, 
 MAX_PACKET: Final = 1100  # a mid level update of eight channels with sixteen points, every byte stuffed
 MAX_ACK: Final = 128  # whatever the device answers, as long as measuring is off
 _CURRENT_ZERO: Final = 300
-_CRC: Final = crc_table(0x1021, 16)
 
 
 class Code(IntEnum):
@@ -59,42 +50,26 @@ class Code(IntEnum):
     UNKNOWN_COMMAND = 67  # unasked, from the device
 
 
-class Result(IntEnum):
+class Result(WordedEnum):
     """What the device says of a command."""
 
-    OK = 0
-    TRANSFER = 1
-    PARAMETER = 2
-    PROTOCOL = 3
-    CONTROLLER_TIMEOUT = 4
-    NOT_INITIALISED = 7
-    HIGH_VOLTAGE = 8
-    ELECTRODE = 10
-    UNKNOWN_COMMAND = 11
-    PULSE_TIMEOUT = 16
-    BUSY = 21
-    LOW_CURRENT = 28
-
-
-RESULT_TEXT: Final[dict[int, str]] = {
-    Result.OK: "",
-    Result.TRANSFER: "transfer error on the line to the stimulator",
-    Result.PARAMETER: "a parameter is out of the stimulator's range",
-    Result.PROTOCOL: "the stimulator does not accept this command now",
-    Result.CONTROLLER_TIMEOUT: "the stimulator's own controller timed out",
-    Result.NOT_INITIALISED: "the stimulator is not initialised: it restarted; start a new session",
-    Result.HIGH_VOLTAGE: "the stimulator's high voltage is not there",
-    Result.ELECTRODE: "electrode or lead is open; the stimulator can only tell at 15 mA and above",
-    Result.UNKNOWN_COMMAND: "the stimulator does not know the command",
-    Result.PULSE_TIMEOUT: "the pulse took too long",
-    Result.BUSY: "the stimulator is busy",
-    Result.LOW_CURRENT: "less current flowed than was asked for: electrode or lead",
-}
+    OK = 0, ""
+    TRANSFER = 1, "transfer error on the line to the stimulator"
+    PARAMETER = 2, "a parameter is out of the stimulator's range"
+    PROTOCOL = 3, "the stimulator does not accept this command now"
+    CONTROLLER_TIMEOUT = 4, "the stimulator's own controller timed out"
+    NOT_INITIALISED = 7, "the stimulator is not initialised: it restarted; start a new session"
+    HIGH_VOLTAGE = 8, "the stimulator's high voltage is not there"
+    ELECTRODE = 10, "electrode or lead is open; the stimulator can only tell at 15 mA and above"
+    UNKNOWN_COMMAND = 11, "the stimulator does not know the command"
+    PULSE_TIMEOUT = 16, "the pulse took too long"
+    BUSY = 21, "the stimulator is busy"
+    LOW_CURRENT = 28, "less current flowed than was asked for: electrode or lead"
 
 
 def result_text(result: int) -> str:
     """The result in words, "" for 0; one that the documents do not list is named by number."""
-    return RESULT_TEXT.get(result, f"stimulator error {result}")
+    return next((known.words for known in Result if known == result), f"stimulator error {result}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,11 +80,7 @@ class Point:
     steps: int
 
     def encode(self) -> bytes:
-        """Four bytes: 12 bit µs, 10 bit current, 10 bit reserved.
-
-        Raises:
-            ValueError: out of range.
-        """
+        """Four bytes: 12 bit µs, 10 bit current, 10 bit reserved. ValueError: out of range."""
         if not 0 <= self.width_us <= MAX_POINT_US:
             raise ValueError(f"a point of {self.width_us} µs; 0 to {MAX_POINT_US} µs can be sent")
         if abs(self.steps) * CURRENT_STEP_MA > MAX_CURRENT_MA:
@@ -156,11 +127,6 @@ def _encode_points(points: Points) -> bytes:
     if net_charge(points) != 0:
         raise ValueError(f"the pulse is not charge-balanced: {net_charge(points) * 0.5e-3:g} µC would stay in the skin")
     return b"".join(point.encode() for point in points)
-
-
-def low_init(number: int) -> Packet:
-    """Low level on: no measuring, the standard high voltage."""
-    return Packet(number, Code.LOW_INIT, b"\0")
 
 
 def low_pulse(number: int, channel: int, points: Points) -> Packet:
@@ -225,32 +191,22 @@ def mid_current_data(number: int) -> Packet:
 
 def crc16(data: bytes) -> int:
     """CRC-16/XMODEM."""
-    crc = 0
-    for byte in data:
-        crc = (crc << 8 & 0xFFFF) ^ _CRC[crc >> 8 ^ byte]
-    return crc
+    return crc_hqx(data, 0)
 
 
 def encode(packet: Packet) -> bytes:
-    """The frame.
-
-    Raises:
-        ValueError: number, command or length are out of range.
-    """
+    """The frame. ValueError: number, command or length are out of range."""
     if not (0 <= packet.number < NUMBERS and 0 <= packet.command < 1024):
         raise ValueError(f"packet number {packet.number} (0–63) or command {packet.command} (0–1023) out of range")
     body = stuff((packet.number << 10 | packet.command).to_bytes(2, "big") + packet.data)
-    length = len(body) + HEADER_BYTES
-    return bytes((START,)) + stuff_always(struct.pack(">HH", length, crc16(body))) + body + bytes((STOP,))
+    return frame(struct.pack(">HH", len(body) + HEADER_BYTES, crc16(body)), body)
 
 
 class Decoder(FrameDecoder):
     """Finds ScienceMode4 packets; ``max_length`` is for the host, a device reads up to :data:`MAX_PACKET`."""
 
     HEADER_FIELDS = 4
-
-    def __init__(self, max_length: int = MAX_ACK) -> None:
-        super().__init__(max_length)
+    MAX_LENGTH = MAX_ACK
 
     def _length(self, header: bytes) -> int:
         return int.from_bytes(header[:2], "big")
@@ -258,8 +214,6 @@ class Decoder(FrameDecoder):
     def _packet(self, header: bytes, body: bytes) -> Packet:
         if crc16(body) != int.from_bytes(header[2:], "big"):
             raise FrameRejected("wrong CRC")
-        content = unstuff(body)
-        if len(content) < 2:
-            raise FrameRejected("no number and command")
+        content = self._content(body)
         prefix = int.from_bytes(content[:2], "big")
         return Packet(prefix >> 10, prefix & 0x3FF, content[2:])

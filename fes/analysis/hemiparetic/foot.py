@@ -9,8 +9,6 @@ product of unit vectors that are not perpendicular unless the walk is level; not
 on stairs.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -21,33 +19,19 @@ from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.numerics.rotation import rotate_all
 from fes.estimation.orientation.body import smooth_orientation
 from fes.recording import Track
-from fes.recording.samples import increasing
+from fes.recording.tracks import increasing
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True)
 class Foot:
-    """N evenly spaced samples of one foot.
-
-    Attributes:
-        name: the sensor's.
-        rate_hz: of the samples.
-        t_ns: (N,) their times.
-        acc_mps2: (N, 3) acceleration without gravity in the world, z up.
-        gyr_radps: (N, 3) rate in the sensor frame, without bias.
-        toe_down_radps: (N,) rate about the axis across the foot, toe-down positive.
-        forward: (N, 3) unit vector towards the toe in the world.
-        left: (N, 3) the foot's left in the world.
-    """
+    """N evenly spaced samples of one foot, named after its sensor."""
 
     name: str
     rate_hz: float
-    t_ns: IntArray
-    acc_mps2: FloatArray
-    gyr_radps: FloatArray
-    toe_down_radps: FloatArray
-    forward: FloatArray
-    left: FloatArray
+    t_ns: IntArray  # (N,)
+    acc_mps2: FloatArray  # (N, 3) acceleration without gravity in the world, z up
+    forward: FloatArray  # (N, 3) unit vector towards the toe in the world
 
     def along_mps2(self) -> FloatArray:
         """Acceleration (N,) along where the toe points, level: the paper's y of a walk that goes straight ahead."""
@@ -60,37 +44,23 @@ def foot_of(track: Track, calibration: FootCalibration, t_ns: IntArray) -> Foot:
 
     The paper takes the orientation that its sensor computes; here it is that of
     :func:`fes.estimation.orientation.body.smooth_orientation`, which knows of no zero-velocity window. The
-    accelerometer's bias is taken off, for the threshold of 0.025 m²/s⁴ is as small as a bias of 0.16 m/s².
-
-    Args:
-        track: the foot's samples.
-        calibration: of the same sensor.
-        t_ns: (N,) evenly spaced instants within the track.
+    accelerometer's bias is taken off, for the threshold of 0.025 m²/s⁴ is as small as a bias of 0.16 m/s². ``t_ns``
+    (N,) are evenly spaced instants within the track.
     """
     newer = increasing(track)
     known = (track.t_sensor_ns[newer] - t_ns[0]).astype(np.float64)
     asked = (t_ns - t_ns[0]).astype(np.float64)
+    measured = (track.acc_mps2, calibration.acc_bias_mps2), (track.gyr_radps, calibration.gyr_bias_radps)
     acc, gyr = (
         np.column_stack([np.interp(asked, known, column) for column in values[newer].T]) - np.array(bias)
-        for values, bias in (
-            (track.acc_mps2, calibration.acc_bias_mps2),
-            (track.gyr_radps, calibration.gyr_bias_radps),
-        )
+        for values, bias in measured
     )
     rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
-    path = smooth_orientation(acc, gyr, rate_hz)
-    q = path.quaternion
-    world = np.column_stack([np.einsum("ij,ij->i", acc, rotate_all(_inverse(q), axis)) for axis in np.eye(3)])
+    q = smooth_orientation(acc, gyr, rate_hz).quaternion
+    inverse = np.asarray(q * np.array([1.0, -1.0, -1.0, -1.0]))
+    world = np.column_stack([np.einsum("ij,ij->i", acc, rotate_all(inverse, axis)) for axis in np.eye(3)])
     world[:, 2] -= G_MPS2
-    forward, up = calibration.forward(), np.array(calibration.up)
-    return Foot(
-        calibration.sensor, rate_hz, t_ns, world, gyr, gyr @ np.array(calibration.toe_down),
-        rotate_all(q, forward), rotate_all(q, np.cross(up, forward)),
-    )  # fmt: skip
-
-
-def _inverse(quaternion: FloatArray) -> FloatArray:
-    return np.asarray(quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
+    return Foot(calibration.sensor, rate_hz, t_ns, world, rotate_all(q, calibration.forward()))
 
 
 def common_times(tracks: list[Track]) -> IntArray:
@@ -99,8 +69,7 @@ def common_times(tracks: list[Track]) -> IntArray:
     Raises:
         ValueError: they have less than two seconds in common.
     """
-    begin = max(int(track.t_sensor_ns[0]) for track in tracks)
-    end = min(int(track.t_sensor_ns[-1]) for track in tracks)
+    begin, end = max(int(t.t_sensor_ns[0]) for t in tracks), min(int(t.t_sensor_ns[-1]) for t in tracks)
     step = round(NS_PER_S / min(track.rate_hz for track in tracks))
     if end - begin < 2 * NS_PER_S:
         names = " and ".join(track.sensor for track in tracks)
@@ -113,21 +82,12 @@ LEAST_DISTANCE_M = 0.3
 
 @dataclass(frozen=True, slots=True)
 class FootTrack:
-    """One foot's reconstruction; N samples.
-
-    Attributes:
-        name: the sensor's.
-        t_ns: (N,).
-        position_m: (N, 3).
-        axes: (N, 3, 3): columns are the foot's forward, left and up.
-        windows: (K, 2) zero-velocity windows: first sample, one past the last.
-    """
+    """One foot's reconstruction, named after its sensor; N samples."""
 
     name: str
-    t_ns: IntArray
-    position_m: FloatArray
-    axes: FloatArray
-    windows: IntArray
+    t_ns: IntArray  # (N,)
+    position_m: FloatArray  # (N, 3)
+    windows: IntArray  # (K, 2) zero-velocity windows: first sample, one past the last
 
     @property
     def centres(self) -> IntArray:
@@ -136,8 +96,7 @@ class FootTrack:
 
     def stride_lengths_m(self) -> FloatArray:
         """SL (K − 1,): distances between neighbouring centres, in space."""
-        places = self.position_m[self.centres]
-        return np.asarray(np.linalg.norm(np.diff(places, axis=0), axis=1))
+        return np.asarray(np.linalg.norm(np.diff(self.position_m[self.centres], axis=0), axis=1))
 
     def height_changes_m(self) -> FloatArray:
         """(K − 1,) how much higher each stride ends."""
@@ -150,14 +109,6 @@ class FootTrack:
     def stance_s(self) -> FloatArray:
         """StanceT (K − 2,): the zero-velocity windows without the first and the last."""
         return self._seconds(self.windows[1:-1])
-
-    def walking_speed_mps(self) -> float:
-        """WS: straight distance over time from the first to the last centre; NaN with fewer than two windows."""
-        if len(self.windows) < 2:
-            return float("nan")
-        first, last = int(self.centres[0]), int(self.centres[-1])
-        distance_m = float(np.linalg.norm(self.position_m[last] - self.position_m[first]))
-        return distance_m * NS_PER_S / float(self.t_ns[last] - self.t_ns[first])
 
     def _seconds(self, windows: IntArray) -> FloatArray:
         period_s = float(np.median(np.diff(self.t_ns))) / NS_PER_S
@@ -183,16 +134,14 @@ def tracked(foot: Foot, windows: IntArray) -> FootTrack:
         velocity[begin + 1 : end + 1] = velocity_change - share[:, None] * velocity_change[-1]
     position = np.zeros_like(velocity)
     position[1:] = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(t)[:, None], axis=0)
-    axes = np.stack([foot.forward, foot.left, np.cross(foot.forward, foot.left)], axis=2)
-    return FootTrack(foot.name, foot.t_ns, position, axes, windows)
+    return FootTrack(foot.name, foot.t_ns, position, windows)
 
 
 def visualization_frame(up: FloatArray, direction: FloatArray) -> FloatArray:
     """Rotation (3, 3) from the initialization into the visualization frame: rows are x across, y along, z up.
 
-    Args:
-        up: (3,) against gravity, as the accelerometer shows it at rest.
-        direction: (3,) from the walk's first to its last zero-velocity window.
+    ``up`` (3,) is against gravity, as the accelerometer shows it at rest, ``direction`` (3,) from the walk's first to
+    its last zero-velocity window.
 
     Raises:
         ValueError: the walk goes nowhere, or straight up.
@@ -220,8 +169,4 @@ def in_visualization_frame(track: FootTrack) -> FootTrack:
     far = np.linalg.norm(places[:, :2] - places[0, :2], axis=1)
     at = -1 if far[-1] >= 0.5 * far.max() else int(np.argmax(far))
     turn = visualization_frame(np.array([0.0, 0.0, 1.0]), places[at] - places[0])
-    return replace(
-        track,
-        position_m=(track.position_m - places[0]) @ turn.T,
-        axes=np.einsum("ij,njk->nik", turn, track.axes),
-    )
+    return replace(track, position_m=(track.position_m - places[0]) @ turn.T)

@@ -15,11 +15,7 @@ the rest. Three things that a walk itself shows are used here, each alone is of 
    second.
 
 **Knocks** (stamping, hopping, knocking the sensors together) at standing beat all that: :func:`knocks`.
-
-A recording whose feet were recorded apart, brought onto one clock.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -29,8 +25,8 @@ import numpy as np
 from fes.estimation.events.offline import GaitEvents, find_events
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
-from fes.recording import Recording, Track
-from fes.recording.samples import increasing
+from fes.recording import Recording
+from fes.recording.tracks import increasing
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, IntArray
 
 LEAST_STRIDES = 8
@@ -57,21 +53,13 @@ class Samples:
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """What to add to the second foot's clock (s).
-
-    Attributes:
-        offset_s: the result.
-        method: "knocks", "jolts" (walking, refined by the other foot's landings) or "halves" (walking alone).
-        runner_up: spread of the pairing found over that of the best other one, 0 (certain) … 1 (a guess); 0 for knocks.
-        expected_s: how far off it may be; see benchmarks/hemiparetic.py for what was measured.
-        sure: whether the stride was told clearly.
-    """
+    """What to add to the second foot's clock (s)."""
 
     offset_s: float
-    method: str
-    runner_up: float
-    expected_s: float
-    sure: bool
+    method: str  # "knocks", "jolts" (walking, refined by the other foot's landings) or "halves" (walking alone)
+    runner_up: float  # spread of the pairing found over that of the best other one, 0 (certain) … 1 (a guess)
+    expected_s: float  # how far off it may be; see benchmarks/hemiparetic.py for what was measured
+    sure: bool  # whether the stride was told clearly
 
 
 def offset(one: Samples, other: Samples) -> Offset:
@@ -123,15 +111,12 @@ def _pairing(a_s: FloatArray, b_s: FloatArray) -> tuple[float, float]:
 
 def _halves(one: Samples, other: Samples, coarse_s: float) -> float:
     """Offset with which both double supports last equally long (medians)."""
-    a_ic, a_fo, b_ic, b_fo = (
-        (times - one.t_ns[0]) / NS_PER_S
-        for times in (one.events.ic_ns, one.events.fo_ns, other.events.ic_ns, other.events.fo_ns)
-    )
+    events = one.events.ic_ns, one.events.fo_ns, other.events.ic_ns, other.events.fo_ns
+    a_ic, a_fo, b_ic, b_fo = ((times - one.t_ns[0]) / NS_PER_S for times in events)
     found = coarse_s
     for _ in range(2):
         # A lands, then B leaves; B lands, then A leaves
-        first = _following(a_ic, b_fo + found)
-        second = _following(b_ic + found, a_fo)
+        first, second = _following(a_ic, b_fo + found), _following(b_ic + found, a_fo)
         found += 0.5 * (second - first)
     return found
 
@@ -145,14 +130,14 @@ def _following(times: FloatArray, events: FloatArray) -> float:
 
 def _jolts(one: Samples, other: Samples, offset_s: float) -> float | None:
     """What the other's landings, as each foot feels them, say is still wrong with the offset (s); None: not felt."""
-    delays = []
-    for own, its, sign in ((one, other, 1.0), (other, one, -1.0)):
-        delay = _delay(own, (its.events.ic_ns - own.t_ns[0]) / NS_PER_S + sign * offset_s)
-        if delay is None:
-            return None
-        delays.append(delay)
+    left, right = (
+        _delay(own, (its.events.ic_ns - own.t_ns[0]) / NS_PER_S + sign * offset_s)
+        for own, its, sign in ((one, other, 1.0), (other, one, -1.0))
+    )
+    if left is None or right is None:
+        return None
     # A feels B land too late by as much as B's clock is set too early, and the other way round
-    wrong = 0.5 * (delays[0] - delays[1])
+    wrong = 0.5 * (left - right)
     return wrong if abs(wrong) <= MOST_JOLT_S else None
 
 
@@ -181,8 +166,10 @@ def knocks(one: Samples, other: Samples) -> float | None:
     the last swing of each foot.
     """
     envelopes = [_knock_envelope(samples) for samples in (one, other)]
-    if min(_count(e) for e in envelopes) < LEAST_KNOCKS:
-        return None
+    for envelope in envelopes:
+        above = np.flatnonzero(envelope > KNOCK_MPS2)
+        if not len(above) or np.count_nonzero(np.diff(above) > 0.2 * KNOCK_HZ) + 1 < LEAST_KNOCKS:  # within 0.2 s: one
+            return None
     a, b = (np.where(e > KNOCK_MPS2, e, 0.0) for e in envelopes)
     size = 1 << (len(a) + len(b)).bit_length()
     product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
@@ -192,12 +179,6 @@ def knocks(one: Samples, other: Samples) -> float | None:
         return None
     lag = at - size if at > size // 2 else at
     return lag / KNOCK_HZ - float(other.t_ns[0] - one.t_ns[0]) / NS_PER_S
-
-
-def _count(envelope: FloatArray) -> int:
-    """How many separate knocks an envelope shows; those within 0.2 s are one."""
-    above = np.flatnonzero(envelope > KNOCK_MPS2)
-    return int(np.count_nonzero(np.diff(above) > 0.2 * KNOCK_HZ)) + 1 if len(above) else 0
 
 
 def _knock_envelope(samples: Samples) -> FloatArray:
@@ -240,8 +221,8 @@ def synchronised(recording: Recording, calibrations: Mapping[str, Calibration]) 
     shifts = {name: forward if name.startswith("right") else 0 for name in recording.tracks}
     earliest = min(int(track.t_ns[0]) + shifts[name] for name, track in recording.tracks.items())
     shifts = {name: shift - min(earliest, 0) for name, shift in shifts.items()}
-    return replace(recording, tracks={n: _later(t, shifts[n]) for n, t in recording.tracks.items()}), found
-
-
-def _later(track: Track, by_ns: int) -> Track:
-    return replace(track, t_ns=track.t_ns + by_ns, t_sensor_ns=track.t_sensor_ns + by_ns)
+    later = {
+        name: replace(track, t_ns=track.t_ns + shifts[name], t_sensor_ns=track.t_sensor_ns + shifts[name])
+        for name, track in recording.tracks.items()
+    }
+    return replace(recording, tracks=later), found

@@ -1,22 +1,23 @@
-"""A hemiparetic walk from both feet: the paretic side, Wang et al.'s windows, and today's strides beside them.
+"""A hemiparetic walk from both feet: the paretic side, level ground or stairs, and Wang et al.'s (2013) windows.
 
 The figures to go by are those of :mod:`fes.analysis.parameters`, from the project's own strides:
-``benchmarks/hemiparetic.py`` shows that they count strides and measure speed better than the windows. The windows, and
-the reconstruction that rests on them, are there for comparison with the paper and for its picture of both feet in one
-frame.
+``benchmarks/hemiparetic.py`` shows that they count strides and measure speed better than the windows. These, and the
+reconstruction that rests on them, are there for comparison with the paper and for its picture of both feet.
 
-Level walking, stairs up and stairs down, told apart stride by stride.
+*Level, stairs up, stairs down*, stride by stride: the paper's Figure 4 shows that they differ, and gives no rule. Here
+it is the height gained from stance to stance: half of the lowest usual riser (building codes: 15 cm and more) is beyond
+what a level stride's error amounts to, and who sets both feet on every stair still climbs a whole riser per stride.
 
-Source: Wang et al. (2013), Figure 4: with z against gravity the three are seen to differ in the reconstruction. No
-rule is given there. Here it is the height gained from stance to stance: half of the lowest usual riser (ISO and
-building codes: 15 cm and more) is beyond what a level stride's error amounts to, and a person who sets both feet on
-every stair still climbs a whole riser per stride.
+*The paretic side*: section 3.1 takes the ratio left over right of the largest power spectral density of the
+acceleration along the walk, gravity removed, for the paretic leg swings less vigorously; without a threshold or an
+error rate. So the ratio is one of four signs here, beside three that textbooks agree on (Perry & Burnfield 2010; Olney
+& Richards 1996): the paretic side swings longer, rises less steeply on its toes, and lands flatter. Each sign votes
+with its size; where they do not agree clearly, no side is told. The score is no probability: nobody has counted how
+often it errs on patients.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -24,14 +25,101 @@ from typing import Any
 import numpy as np
 
 from fes.analysis.hemiparetic.foot import Foot, FootTrack, common_times, foot_of, in_visualization_frame, tracked
-from fes.analysis.hemiparetic.side import PareticSide, paretic_side, power
 from fes.analysis.hemiparetic.windows import energy, fitted_threshold, mapped, still_windows
-from fes.analysis.parameters.gait import GaitParameters, gait_parameters
-from fes.analysis.parameters.summary import symmetry
+from fes.analysis.parameters.gait import GaitParameters, Statistic, gait_parameters, symmetry
 from fes.analysis.pipeline import uneven_strides
 from fes.analysis.results import Analysis
 from fes.estimation.foot.calibration import FootCalibration
-from fes.signals import FOOT_SENSORS, NS_PER_S, StrideResult
+from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray
+from fes.walk_record import finite_or_none
+
+SEGMENT_S = 4.0  # of the spectrum
+BLOCKS = 8  # of the recording, to see how steady the ratio is
+SIGNS = ("power", "swing", "push_off", "landing")
+FULL_VOTE = (math.log(2.0), math.log(1.25), math.radians(10.0), math.radians(10.0))
+MIN_SCORE = 0.3
+MIN_AGREEING = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Power:
+    """The paper's sign: ``ratio`` left over right of the largest power density; ``steady``, the share of the
+    recording's eighths in which the same side is weaker."""
+
+    ratio: float
+    steady: float
+
+
+@dataclass(frozen=True, slots=True)
+class PareticSide:
+    """The verdict."""
+
+    side: str | None  # "left", "right", or None: not sure
+    leaning: str  # the side that the votes lean to, however little
+    score: float  # 0–1, size of the mean vote
+    agreeing: int  # how many of the signs lean that way
+    known: int  # how many could be measured
+    votes: dict[str, float]  # by sign −1 … 1, left paretic positive; NaN where not measured
+    power: Power  # the paper's ratio
+
+    def describe(self) -> str:
+        """One sentence for people."""
+        of = f"score {self.score:.2f}, {self.agreeing} of {self.known} signs"
+        steady = f"power left/right {self.power.ratio:.2f}, the same side weaker in {100 * self.power.steady:.0f} %"
+        if self.side is None:
+            return f"which side is paretic is not clear (leaning to the {self.leaning}: {of}; {steady})"
+        if self.side != self.leaning:  # named by somebody
+            of = f"as named; the walk's own signs lean to the {self.leaning}: {of}"
+        return f"paretic side: {self.side} ({of}; {steady})"
+
+
+def power(left: Foot, right: Foot, walk_ns: tuple[int, int] | None = None) -> Power:
+    """The paper's ratio, over the walk (begin and end in ns; None: the whole recording) and over its eighths."""
+    first, last = np.searchsorted(left.t_ns, walk_ns) if walk_ns is not None else (0, len(left.t_ns))
+    along = [foot.along_mps2()[first:last] for foot in (left, right)]
+    ratio = _ratio(along[0], along[1], left.rate_hz)
+    blocks = [np.array_split(values, BLOCKS) for values in along]
+    each = [_ratio(a, b, left.rate_hz) for a, b in zip(*blocks, strict=True)]
+    same = [(value < 1.0) == (ratio < 1.0) for value in each if math.isfinite(value)]
+    return Power(ratio, float(np.mean(same)) if same else 0.0)
+
+
+def _ratio(left: FloatArray, right: FloatArray, rate_hz: float) -> float:
+    """Of the largest power spectral densities by Welch's method."""
+    from scipy.signal import welch
+
+    if len(left) < rate_hz:
+        return math.nan
+    segment = min(int(SEGMENT_S * rate_hz), len(left))
+    peaks = [float(welch(each - each.mean(), rate_hz, nperseg=segment)[1][1:].max()) for each in (left, right)]
+    return peaks[0] / peaks[1] if min(peaks) > 0.0 else math.nan
+
+
+def paretic_side(found: Power, feet: Mapping[str, Mapping[str, Statistic]]) -> PareticSide:
+    """Weigh the signs: the paper's ratio, and each foot's parameters."""
+    left, right = (feet.get(f"{side}_foot", {}) for side in ("left", "right"))
+
+    def mean(of: Mapping[str, Statistic], key: str) -> float:
+        return of[key].mean if key in of else math.nan
+
+    swing = [mean(of, "swing_s") for of in (left, right)]
+    differences = (
+        -math.log(found.ratio) if found.ratio > 0.0 else math.nan,
+        math.log(swing[0] / swing[1]) if min(swing) > 0.0 else math.nan,
+        mean(right, "heel_rotation_rad") - mean(left, "heel_rotation_rad"),
+        mean(right, "angle_contact_rad") - mean(left, "angle_contact_rad"),
+    )
+    votes = {
+        sign: min(max(value / full, -1.0), 1.0) if math.isfinite(value) else math.nan
+        for sign, value, full in zip(SIGNS, differences, FULL_VOTE, strict=True)
+    }
+    known = [vote for vote in votes.values() if math.isfinite(vote)]
+    total = sum(known) / len(known) if known else 0.0
+    leaning = "left" if total >= 0.0 else "right"
+    agreeing = sum(vote * total > 0.0 for vote in known)
+    sure = abs(total) >= MIN_SCORE and agreeing >= MIN_AGREEING
+    return PareticSide(leaning if sure else None, leaning, abs(total), agreeing, len(known), votes, found)
+
 
 RISER_M = 0.15
 LEAST_SLOPE = 0.15  # height over length: a steep ramp is at 0.1, stairs are at 0.5
@@ -55,24 +143,17 @@ def terrain(height_gained_m: float, length_m: float) -> Terrain:
     return Terrain.UP if height_gained_m > 0.0 else Terrain.DOWN
 
 
-def terrains(height_changes_m: Sequence[float], lengths_m: Sequence[float]) -> list[Terrain]:
-    """Of the strides of one foot, in order."""
-    return [terrain(height, length) for height, length in zip(height_changes_m, lengths_m, strict=True)]
-
-
 @dataclass(frozen=True)
 class Windows:
     """The zero-velocity windows of both feet after Wang et al.
 
-    Attributes:
-        healthy: name of the foot that was taken for healthy. thresholds_m2ps4: by foot. shift_s: by how much the
-        mapped windows were shifted. tracks: by foot, reconstructed between its windows, in the visualization frame; a
-        foot without windows is missing.
+    ``tracks`` are by foot, reconstructed between its windows, in the visualization frame; a foot without windows is
+    missing.
     """
 
-    healthy: str
-    thresholds_m2ps4: dict[str, float]
-    shift_s: float
+    healthy: str  # name of the foot that was taken for healthy
+    thresholds_m2ps4: dict[str, float]  # by foot
+    shift_s: float  # by how much the mapped windows were shifted
     tracks: dict[str, FootTrack]
 
 
@@ -106,25 +187,23 @@ class HemipareticWalk:
         """One flat row per stride between the centres of Wang et al.'s windows."""
         if self.windows is None:
             return []
-        rows = []
+        rows: list[dict[str, Any]] = []
         for foot, track in self.windows.tracks.items():
-            lengths, swings = track.stride_lengths_m(), track.swing_s()
-            stances = np.append(track.stance_s(), math.nan)
-            gains, times = track.height_changes_m(), track.t_ns[track.centres] / NS_PER_S
-            for k in range(len(lengths)):
-                rows.append(
-                    {
-                        "foot": foot,
-                        "number": k + 1,
-                        "t_start_s": float(times[k]),
-                        "t_end_s": float(times[k + 1]),
-                        "stride_length_m": float(lengths[k]),
-                        "swing_s": float(swings[k]),
-                        "stance_after_s": float(stances[k]),
-                        "height_gained_m": float(gains[k]),
-                        "healthy": foot == self.windows.healthy,
-                    }
-                )
+            times = track.t_ns[track.centres] / NS_PER_S
+            columns = {
+                "t_start_s": times[:-1],
+                "t_end_s": times[1:],
+                "stride_length_m": track.stride_lengths_m(),
+                "swing_s": track.swing_s(),
+                "stance_after_s": np.append(track.stance_s(), math.nan),
+                "height_gained_m": track.height_changes_m(),
+            }
+            rows += [
+                {"foot": foot, "number": k + 1}
+                | {name: float(values[k]) for name, values in columns.items()}
+                | {"healthy": foot == self.windows.healthy}
+                for k in range(len(times) - 1)
+            ]
         return sorted(rows, key=lambda row: (row["t_start_s"], row["foot"]))
 
     def track_rows(self, rate_hz: float = 25.0) -> list[dict[str, Any]]:
@@ -159,7 +238,7 @@ class HemipareticWalk:
             "leaning": self.side.leaning,
             "score": self.side.score,
             "agreeing": self.side.agreeing,
-            "votes": {sign: None if math.isnan(vote) else vote for sign, vote in self.side.votes.items()},
+            "votes": finite_or_none(self.side.votes),
             "power_ratio_left_over_right": self.side.power.ratio,
             "power_steady": self.side.power.steady,
             "terrain": counts,
@@ -168,11 +247,9 @@ class HemipareticWalk:
 
 
 def hemiparetic_walk(analysis: Analysis, *, paretic: str | None = None) -> HemipareticWalk:
-    """Look at a recording of both feet as at a hemiparetic walk.
+    """Look at a recording of both feet, synchronised (else see ``sync.py``), as at a hemiparetic walk.
 
-    Args:
-        analysis: with both feet's sensors, synchronised (else see :mod:`fes.analysis.hemiparetic.sync`).
-        paretic: "left" or "right" where somebody knows; None: told from the walk, if it can be.
+    ``paretic`` is "left" or "right" where somebody knows; None: told from the walk, if it can be.
 
     Raises:
         ValueError: not both feet were analysed.
@@ -184,7 +261,9 @@ def hemiparetic_walk(analysis: Analysis, *, paretic: str | None = None) -> Hemip
         )
     parameters = gait_parameters(analysis)
     feet = feet_of(analysis)
-    side = paretic_side(power(feet["left_foot"], feet["right_foot"], _walk_ns(analysis)), parameters.feet)
+    events = [analysis.events[foot] for foot in FOOT_SENSORS if len(analysis.events[foot])]
+    walk_ns = (min(int(e.fo_ns[0]) for e in events), max(int(e.ic_ns[-1]) for e in events)) if events else None
+    side = paretic_side(power(feet["left_foot"], feet["right_foot"], walk_ns), parameters.feet)
     if paretic is not None:
         side = replace(side, side=paretic, leaning=paretic)
     parameters = replace(parameters, paretic=side.side, sides=symmetry(parameters.feet, side.side))
@@ -194,7 +273,16 @@ def hemiparetic_walk(analysis: Analysis, *, paretic: str | None = None) -> Hemip
         windows = windows_of(feet, healthy)
     except ValueError as error:
         why = str(error)
-    return HemipareticWalk(side, parameters, windows, why, _terrain(analysis))
+    strides = (
+        uneven_strides(analysis.recording, analysis.calibrations)
+        if analysis.level
+        else {foot: [s for s in analysis.strides if s.foot == foot] for foot in analysis.events}
+    )
+    ground = {
+        foot: {stride.number: terrain(stride.height_gained_m, stride.stride_length_m) for stride in own}
+        for foot, own in strides.items()
+    }
+    return HemipareticWalk(side, parameters, windows, why, ground)
 
 
 def feet_of(analysis: Analysis) -> dict[str, Foot]:
@@ -212,9 +300,7 @@ def feet_of(analysis: Analysis) -> dict[str, Foot]:
 def windows_of(feet: Mapping[str, Foot], healthy: str, threshold_m2ps4: float | None = None) -> Windows:
     """Wang et al.'s windows and reconstruction of both feet.
 
-    Args:
-        feet: by name, on common instants. healthy: name of the healthy one. threshold_m2ps4: of both feet; None: fitted
-        to each, see :func:`fes.analysis.hemiparetic.windows.fitted_threshold`.
+    ``feet`` are by name, on common instants; ``threshold_m2ps4`` is that of both, None: fitted to each.
 
     Raises:
         ValueError: the healthy foot shows fewer than three windows.
@@ -225,40 +311,14 @@ def windows_of(feet: Mapping[str, Foot], healthy: str, threshold_m2ps4: float | 
     own = still_windows(energies[healthy], thresholds[healthy])
     if len(own) < 3:
         raise ValueError(f"{healthy}: {len(own)} zero-velocity windows at {thresholds[healthy]:.3f} m²/s⁴")
-    its = mapped(
-        own, energies[healthy], energies[other], (thresholds[healthy], thresholds[other]), feet[healthy].rate_hz
-    )
+    both = (thresholds[healthy], thresholds[other])
+    its, shift_s = mapped(own, energies[healthy], energies[other], both, feet[healthy].rate_hz)
     tracks = {}
-    for name, found in ((healthy, own), (other, its.windows)):
+    for name, found in ((healthy, own), (other, its)):
         if len(found) >= 2:
             track = tracked(feet[name], found)
             try:
                 tracks[name] = in_visualization_frame(track)
             except ValueError:  # it leads nowhere: there is no frame, but the strides are what they are
                 tracks[name] = track
-    return Windows(healthy, thresholds, its.shift_s, tracks)
-
-
-def _walk_ns(analysis: Analysis) -> tuple[int, int] | None:
-    events = [analysis.events[foot] for foot in FOOT_SENSORS if len(analysis.events[foot])]
-    if not events:
-        return None
-    return min(int(e.fo_ns[0]) for e in events), max(int(e.ic_ns[-1]) for e in events)
-
-
-def _terrain(analysis: Analysis) -> dict[str, dict[int, Terrain]]:
-    strides: Mapping[str, list[StrideResult]]
-    if analysis.level:
-        strides = uneven_strides(analysis.recording, analysis.calibrations)
-    else:
-        strides = {foot: [s for s in analysis.strides if s.foot == foot] for foot in analysis.events}
-    return {
-        foot: dict(
-            zip(
-                [s.number for s in own],
-                terrains([s.height_gained_m for s in own], [s.stride_length_m for s in own]),
-                strict=True,
-            )
-        )
-        for foot, own in strides.items()
-    }
+    return Windows(healthy, thresholds, shift_s, tracks)

@@ -14,8 +14,8 @@ a brisk foot.
 
 The healthy foot's motion windows become the paretic foot's zero-velocity windows, and are adjusted.
 
-Source: Wang et al. (2013), section 3.1. While the healthy foot swings, the paretic one must carry the body: it
-stands. Four adjustments are named there, none with a number; what is silent is settled so:
+While the healthy foot swings, the paretic one must carry the body: it stands. Four adjustments are named there, none
+with a number; what is silent is settled so:
 
 - *appending*: the parts at the recording's start and end in which both feet stand;
 - *shifting*, against errors of synchronisation: all windows by the same time, at most a fifth of the usual stride, to
@@ -24,9 +24,6 @@ stands. Four adjustments are named there, none with a number; what is silent is 
 - *shrinking*: inwards while it is above. Of a window that would vanish, its quietest 0.1 s stays: the foot did stand.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -68,8 +65,7 @@ def merged(windows: IntArray) -> IntArray:
     if len(windows) < 2:
         return windows
     gaps = windows[1:, 0] - windows[:-1, 1]
-    keep = gaps >= MERGE_SHARE * gaps.mean()
-    return np.column_stack((windows[np.append(True, keep), 0], windows[np.append(keep, True), 1])).astype(np.int64)
+    return _kept(windows, gaps >= MERGE_SHARE * gaps.mean())
 
 
 def split(windows: IntArray, energy_m2ps4: FloatArray, threshold_m2ps4: float) -> IntArray:
@@ -83,22 +79,24 @@ def split(windows: IntArray, energy_m2ps4: FloatArray, threshold_m2ps4: float) -
     out: list[IntArray] = []
     for window, length, is_inner in zip(windows, lengths.tolist(), inner.tolist(), strict=True):
         long = is_inner and length > SPLIT_FACTOR * usual
-        out.append(_pieces(window, energy_m2ps4, threshold_m2ps4, least_gap) if long else window[None])
+        out.append(_chunks(window, energy_m2ps4, threshold_m2ps4, least_gap) if long else window[None])
     return np.concatenate(out)
 
 
-def _pieces(window: IntArray, energy_m2ps4: FloatArray, threshold_m2ps4: float, least_gap: float) -> IntArray:
+def _kept(windows: IntArray, apart: BoolArray) -> IntArray:
+    """The windows (K, 2) joined where those of the K − 1 gaps between them are not kept ``apart``."""
+    return np.column_stack((windows[np.append(True, apart), 0], windows[np.append(apart, True), 1])).astype(np.int64)
+
+
+def _chunks(window: IntArray, energy_m2ps4: FloatArray, threshold_m2ps4: float, least_gap: float) -> IntArray:
     begin, end = int(window[0]), int(window[1])
     for halvings in range(1, TIGHTENINGS + 1):
-        tighter = threshold_m2ps4 * 0.5**halvings
-        found = runs(energy_m2ps4[begin:end] < tighter) + begin
-        if len(found) < 2:
-            continue
+        found = runs(energy_m2ps4[begin:end] < threshold_m2ps4 * 0.5**halvings) + begin
         apart = found[1:, 0] - found[:-1, 1] >= least_gap
         if apart.any():
-            parts = np.column_stack((found[np.append(True, apart), 0], found[np.append(apart, True), 1]))
+            parts = _kept(found, apart)
             parts[0, 0], parts[-1, 1] = begin, end
-            return parts.astype(np.int64)
+            return parts
     return window[None]
 
 
@@ -121,43 +119,40 @@ def fitted_threshold(energy_m2ps4: FloatArray) -> float:
 MOST_SHIFT_SHARE = 0.2  # of the time from window to window
 
 
-@dataclass(frozen=True, slots=True)
-class Mapped:
-    """The paretic foot's zero-velocity windows (K, 2), and by how much (s) all were shifted, later positive."""
-
-    windows: IntArray
-    shift_s: float
-
-
 def mapped(
     healthy: IntArray,
     healthy_energy: FloatArray,
     paretic_energy: FloatArray,
     thresholds_m2ps4: tuple[float, float],
     rate_hz: float,
-) -> Mapped:
-    """Windows of the paretic foot from those of the healthy one.
+) -> tuple[IntArray, float]:
+    """The paretic foot's zero-velocity windows (K, 2), and by how much (s) all were shifted, later positive.
 
-    Args:
-        healthy: (K, 2) zero-velocity windows of the healthy foot.
-        healthy_energy: (N,) m²/s⁴, see :func:`fes.analysis.hemiparetic.windows.energy`.
-        paretic_energy: (N,) at the same instants.
-        thresholds_m2ps4: of the healthy and of the paretic foot.
-        rate_hz: sampling rate.
+    ``healthy`` (K, 2) are the other foot's; the energies (N,) in m²/s⁴ are of the same instants, see :func:`energy`;
+    the thresholds are the healthy and the paretic foot's.
     """
     n = len(paretic_energy)
     if len(healthy) < 2:
-        return Mapped(np.zeros((0, 2), np.int64), 0.0)
+        return np.zeros((0, 2), np.int64), 0.0
     windows = between(healthy)
     usual = float(np.median(np.diff(healthy.mean(axis=1))))
     shift = _shift(windows, paretic_energy, round(MOST_SHIFT_SHARE * usual))
-    windows = np.clip(windows + shift, 0, n)
-    threshold = thresholds_m2ps4[1]
+    still = paretic_energy < thresholds_m2ps4[1]
     hold = max(round(ENERGY_WINDOW_S * rate_hz), 1)
-    adjusted = [_fitted(int(a), int(b), paretic_energy, threshold, hold) for a, b in windows if b > a]
-    both = (healthy_energy < thresholds_m2ps4[0]) & (paretic_energy < threshold)
-    adjusted += _ends(runs(both), np.array(adjusted, np.int64).reshape(-1, 2), n, hold)
-    return Mapped(_joined(np.array(sorted(adjusted), dtype=np.int64).reshape(-1, 2)), shift / rate_hz)
+    shifted = np.clip(windows + shift, 0, n)
+    adjusted = [_fitted(int(a), int(b), paretic_energy, still, hold) for a, b in shifted if b > a]
+    if adjusted:  # and standing with both feet before the first and after the last window
+        first, last = min(begin for begin, _ in adjusted), max(end for _, end in adjusted)
+        both = runs((healthy_energy < thresholds_m2ps4[0]) & still)
+        for stands in (both[both[:, 1] <= first][:1], both[both[:, 0] >= last][-1:]):
+            adjusted += [(int(a), int(b)) for a, b in stands if b - a >= hold and (a < hold or b > n - hold)]
+    joined: list[list[int]] = []
+    for begin, end in sorted(adjusted):
+        if joined and begin <= joined[-1][1]:
+            joined[-1][1] = max(joined[-1][1], end)
+        else:
+            joined.append([begin, end])
+    return np.array(joined, dtype=np.int64).reshape(-1, 2), shift / rate_hz
 
 
 def _shift(windows: IntArray, energy_m2ps4: FloatArray, most: int) -> int:
@@ -173,9 +168,8 @@ def _shift(windows: IntArray, energy_m2ps4: FloatArray, most: int) -> int:
     return found
 
 
-def _fitted(begin: int, end: int, energy_m2ps4: FloatArray, threshold: float, hold: int) -> tuple[int, int]:
+def _fitted(begin: int, end: int, energy_m2ps4: FloatArray, still: BoolArray, hold: int) -> tuple[int, int]:
     """One window, expanded and shrunk."""
-    still = energy_m2ps4 < threshold
     first, last = begin, end
     while first < last and not still[first]:
         first += 1
@@ -189,26 +183,3 @@ def _fitted(begin: int, end: int, energy_m2ps4: FloatArray, threshold: float, ho
     while last < len(still) and still[last]:
         last += 1
     return first, last
-
-
-def _ends(both: IntArray, windows: IntArray, n: int, hold: int) -> list[tuple[int, int]]:
-    """Standing with both feet before the first and after the last window."""
-    if len(windows) == 0:
-        return []
-    first, last = int(windows[:, 0].min()), int(windows[:, 1].max())
-    found = []
-    before, after = both[both[:, 1] <= first], both[both[:, 0] >= last]
-    for stands in (before[:1], after[-1:]):
-        found += [(int(a), int(b)) for a, b in stands if b - a >= hold and (a < hold or b > n - hold)]
-    return found
-
-
-def _joined(windows: IntArray) -> IntArray:
-    """Windows that touch or overlap as one."""
-    out: list[list[int]] = []
-    for begin, end in windows.tolist():
-        if out and begin <= out[-1][1]:
-            out[-1][1] = max(out[-1][1], end)
-        else:
-            out.append([begin, end])
-    return np.array(out, dtype=np.int64).reshape(-1, 2)

@@ -3,8 +3,6 @@
 ``docs/parameters.md`` says more; this table is what programs read.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,29 +13,17 @@ WINTER = "Winter 1992"
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """One gait parameter.
-
-    Attributes:
-        key: its name in tables, with the unit.
-        name: for people.
-        symbol: short, as in the literature; "" where there is none.
-        unit: of the values in tables.
-        shown: the unit that people read, and …
-        factor: … what to multiply by for it.
-        text: the definition.
-        source: who defines it so.
-        scope: "stride" (a value per stride and side), "walk" (one for the whole walk) or "sides" (the two compared).
-    """
+    """One gait parameter: its ``key`` in tables, its ``name`` for people, the definition and who gives it so."""
 
     key: str
     name: str
-    symbol: str
-    unit: str
-    shown: str
-    factor: float
+    symbol: str  # as in the literature; "" where there is none
+    unit: str  # of the values in tables
+    shown: str  # the unit that people read, and …
+    factor: float  # … what to multiply by for it
     text: str
     source: str
-    scope: str = "stride"
+    scope: str = "stride"  # a value per stride and side; "walk", one for the whole walk; "sides", the two compared
 
     def hover(self) -> str:
         """Name, symbol, unit, definition and source in one line."""

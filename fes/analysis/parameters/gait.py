@@ -1,14 +1,14 @@
 """All gait parameters of an analysed recording: of strides, of sides, of the walk; as rows and as plain values.
 
-Also the mean stride of each foot and its spread (Figure 5 of Wang et al. 2013, from the project's own strides,
-stretched to the same length in time, each in its own frame: x along it, y to the left, z up), and the parameters of a
-recording that was analysed in chunks: means and spreads of all, kept as sums.
+Means, spreads and symmetry are over the steady strides. Also the mean stride of each foot and its spread (Figure 5 of
+Wang et al. 2013, from the project's own strides, stretched to the same length in time, each in its own frame: x along
+it, y to the left, z up), and the parameters of a recording that was analysed in chunks.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -16,24 +16,107 @@ import numpy as np
 
 from fes.analysis.parameters.contacts import Swing, swing_of
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS
-from fes.analysis.parameters.steps import Step, equalise_sides, step_lengths, steps_by_number
+from fes.analysis.parameters.steps import equalise_sides, step_lengths, steps_by_number
 from fes.analysis.parameters.strides import NAN, StrideParameters, stride_parameters
-from fes.analysis.parameters.summary import (
-    NO_CV,
-    Statistic,
-    Symmetry,
-    Travelled,
-    Walk,
-    statistics_of,
-    symmetry,
-    travelled,
-    walk_of,
-    walk_of_sums,
-)
 from fes.analysis.results import Analysis
 from fes.analysis.tables import Table, table_of
-from fes.estimation.clearance.clearance import FootArms, arms_of
+from fes.estimation.clearance.clearance import FootPath, arms_of
 from fes.signals import FOOT_SENSORS, FloatArray, StrideResult
+from fes.walk_record import finite_or_none
+
+NO_SIDES = ("height_gained_m", "turn_rad")  # small differences from zero: no symmetry to speak of
+NO_CV = (*NO_SIDES, "angle_contact_rad", "angle_off_rad")  # may be about zero, which a spread cannot be a share of
+
+
+@dataclass(frozen=True, slots=True)
+class Statistic:
+    """Mean, standard deviation (n − 1) and coefficient of variation (SD over the size of the mean) of ``n`` values."""
+
+    mean: float
+    sd: float
+    cv: float
+    n: int
+
+
+@dataclass(frozen=True, slots=True)
+class Symmetry:
+    """One parameter, side against side.
+
+    ``ratio``: Patterson et al. (2010), ``first`` over ``second``; NaN where the second is about zero.
+    ``index_percent``: Robinson et al. (1987), difference over the mean of both, in percent.
+    """
+
+    first: str
+    second: str
+    ratio: float
+    index_percent: float
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """The whole walk: speed (m/s), cadence (steps/min), walk ratio (m·min), speed over belt (NaN without a belt)."""
+
+    walking_speed_mps: float
+    cadence_per_min: float
+    walk_ratio_m_min: float
+    belt_ratio: float
+
+
+def statistic(values: Iterable[float]) -> Statistic:
+    """Of the finite values; NaN where there are too few."""
+    kept = np.array([value for value in values if math.isfinite(value)])
+    mean = float(kept.mean()) if kept.size else NAN
+    sd = float(kept.std(ddof=1)) if kept.size > 1 else NAN
+    return Statistic(mean, sd, sd / abs(mean) if mean else NAN, int(kept.size))
+
+
+def statistics_of(strides: Sequence[StrideParameters]) -> dict[str, Statistic]:
+    """Of every parameter over one foot's steady strides; no coefficient of variation for what may be about zero."""
+    steady = [stride for stride in strides if stride.steady]
+    return _without_cv({key: statistic(stride.values[key] for stride in steady) for key in STRIDE_KEYS})
+
+
+def _without_cv(found: dict[str, Statistic]) -> dict[str, Statistic]:
+    return {key: replace(value, cv=NAN) if key in NO_CV else value for key, value in found.items()}
+
+
+def symmetry(feet: Mapping[str, Mapping[str, Statistic]], paretic: str | None = None) -> dict[str, Symmetry]:
+    """Of every parameter, the paretic side over the other; left over right where ``paretic`` is None.
+
+    Empty without two feet. Parameters that may be negative or pass through zero get the index only where both sides
+    have the same sign.
+    """
+    if set(feet) != {"left_foot", "right_foot"}:
+        return {}
+    first = "right" if paretic == "right" else "left"
+    second = "left" if first == "right" else "right"
+    found = {}
+    for key in STRIDE_KEYS:
+        if key in NO_SIDES:
+            continue
+        a, b = feet[f"{first}_foot"][key].mean, feet[f"{second}_foot"][key].mean
+        same = a * b > 0.0
+        found[key] = Symmetry(first, second, a / b if same else NAN, 200.0 * (a - b) / (a + b) if same else NAN)
+    return found
+
+
+def travelled(strides: Sequence[StrideParameters]) -> FloatArray:
+    """How far (m) one foot's steady strides whose time is known led, how long they took (s), and how many they are."""
+    known = [s.values for s in strides if s.steady and math.isfinite(s.values["stride_time_s"])]
+    keys = ("stride_length_common_m", "stride_time_s")
+    return np.array([*(sum(values[key] for values in known) for key in keys), len(known)], np.float64)
+
+
+def walk_of(feet: Iterable[FloatArray], belt_mps: float | None) -> Walk:
+    """Speed, cadence and walk ratio of what the feet have :func:`travelled`, mean of the feet."""
+    went = [(distance_m, time_s, strides) for distance_m, time_s, strides in feet if strides and time_s > 0.0]
+    if not went:
+        return Walk(NAN, NAN, NAN, NAN)
+    speed = float(np.mean([distance_m / time_s for distance_m, time_s, _ in went]))
+    cadence = float(np.mean([120.0 * strides / time_s for _, time_s, strides in went]))
+    length = float(np.mean([distance_m / strides for distance_m, _, strides in went]))
+    return Walk(speed, cadence, 0.5 * length / cadence, speed / belt_mps if belt_mps else NAN)
+
 
 LEAST_STRIDES = 2
 
@@ -51,27 +134,15 @@ class MeanStride:
         """One flat row per point, units in the names."""
         names = ("x_m", "y_m", "z_m", "pitch_rad")
         share = np.linspace(0.0, 100.0, len(self.mean))
-        return [
-            {
-                "foot": self.foot,
-                "stride_percent": float(at),
-                **{name: float(value) for name, value in zip(names, mean, strict=True)},
-                **{f"{name}_sd": float(value) for name, value in zip(names, sd, strict=True)},
-                "strides": self.n,
-            }
-            for at, mean, sd in zip(share, self.mean, self.sd, strict=True)
-        ]
+        columns = ("foot", "stride_percent", *names, *(f"{name}_sd" for name in names), "strides")
+        numbers = np.column_stack((share, self.mean, self.sd)).tolist()
+        return [dict(zip(columns, (self.foot, *row, self.n), strict=True)) for row in numbers]
 
 
 def mean_strides(
     strides: Sequence[StrideResult], parameters: Mapping[str, Sequence[StrideParameters]]
 ) -> list[MeanStride]:
-    """Of every foot with at least two steady strides.
-
-    Args:
-        strides: all strides, of all feet.
-        parameters: by foot, which of them are steady.
-    """
+    """Of every foot with at least two steady strides; ``parameters`` say which of all ``strides`` are."""
     out = []
     for foot, rows in parameters.items():
         steady = {row.number for row in rows if row.steady}
@@ -85,24 +156,15 @@ def mean_strides(
 
 @dataclass(frozen=True)
 class GaitParameters:
-    """Of a whole recording.
+    """Of a whole recording."""
 
-    Attributes:
-        strides: by foot, valid strides by time.
-        feet: by foot, mean, SD and CV of every stride parameter over the steady strides.
-        sides: by parameter, the two sides compared; empty with one foot.
-        walk: speed, cadence, walk ratio.
-        paretic: the side that ``sides`` counts from: "left", "right", or None where nobody named one.
-        no_step_lengths: why there are none, else "".
-        common_scales: by foot, what its stride lengths were scaled by so that both feet go equally far.
-    """
-
-    strides: dict[str, list[StrideParameters]]
-    feet: dict[str, dict[str, Statistic]]
-    sides: dict[str, Symmetry]
+    strides: dict[str, list[StrideParameters]]  # by foot, valid strides by time
+    feet: dict[str, dict[str, Statistic]]  # by foot, of every stride parameter over the steady strides
+    sides: dict[str, Symmetry]  # by parameter, the two sides compared; empty with one foot
     walk: Walk
-    paretic: str | None
-    no_step_lengths: str
+    paretic: str | None  # the side that ``sides`` counts from: "left", "right", or None where nobody named one
+    no_step_lengths: str  # why there are none, else ""
+    # by foot, what its stride lengths were scaled by so that both feet go equally far
     common_scales: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -139,12 +201,11 @@ class GaitParameters:
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, null for what is not known."""
+        feet = {foot: {key: asdict(value) for key, value in found.items()} for foot, found in self.feet.items()}
         return {
-            "walk": _plain(asdict(self.walk)),
-            "feet": {
-                foot: {key: _plain(asdict(value)) for key, value in found.items()} for foot, found in self.feet.items()
-            },
-            "sides": {key: _plain(asdict(both)) for key, both in self.sides.items()},
+            "walk": finite_or_none(asdict(self.walk)),
+            "feet": finite_or_none(feet),
+            "sides": {key: finite_or_none(asdict(both)) for key, both in self.sides.items()},
             "afflicted": self.paretic,
             "stride_length_common_scale": dict(self.common_scales),
             "no_step_lengths": self.no_step_lengths,
@@ -154,67 +215,40 @@ class GaitParameters:
 def gait_parameters(analysis: Analysis, *, paretic: str | None = None) -> GaitParameters:
     """The parameters of all feet with their own sensor.
 
-    Args:
-        analysis: from :func:`fes.analysis.pipeline.analyse`.
-        paretic: "left" or "right", for the comparison of the sides; None where nobody knows.
+    ``paretic`` is "left" or "right", for the comparison of the sides; None where nobody knows.
     """
     feet = [foot for foot in FOOT_SENSORS if foot in analysis.events]
-    swings = {foot: _swings(analysis, foot) for foot in feet}
+    paths = {foot: {path.number: path for path in analysis.stride_paths.get(foot, [])} for foot in feet}
+    swings = {foot: _swings(analysis, foot, paths[foot]) for foot in feet}
     every = {foot: [s for s in analysis.strides if s.foot == foot] for foot in feet}
     scales = equalise_sides(every)
-    numbered = {foot: [s for s in own if s.valid] for foot, own in every.items()}
-    steps = {foot: _steps(foot, swings, numbered[foot]) for foot in feet}
-    lengths, why = _lengths(analysis, every, swings, scales)
-    strides = {
-        foot: stride_parameters(
-            numbered[foot],
-            {path.number: path for path in analysis.stride_paths.get(foot, [])},
-            swings[foot],
-            steps[foot],
-            lengths.get(foot, {}),
-            scales[foot],
-        )
-        for foot in feet
-    }
+    tracks = [analysis.recording.tracks[foot] for foot in feet]
+    lengths, why = dict[str, dict[int, float]](), "no foot sensor"
+    if tracks:
+        span = max(int(track.t_sensor_ns[0]) for track in tracks), min(int(track.t_sensor_ns[-1]) for track in tracks)
+        lengths, why = step_lengths(every, swings, span, scales)
+    strides = {}
+    for foot in feet:
+        valid = [stride for stride in every[foot] if stride.valid]
+        others = [swing for other in feet if other != foot for swing in swings[other].values()]
+        steps = steps_by_number(valid, swings[foot], others)
+        strides[foot] = stride_parameters(valid, paths[foot], swings[foot], steps, lengths.get(foot, {}), scales[foot])
     found = {foot: statistics_of(rows) for foot, rows in strides.items()}
-    walk = walk_of(strides, analysis.recording.belt_speed_mps)
+    walk = walk_of(map(travelled, strides.values()), analysis.recording.belt_speed_mps)
     return GaitParameters(strides, found, symmetry(found, paretic), walk, paretic, why, scales)
 
 
-def _swings(analysis: Analysis, foot: str) -> dict[int, Swing]:
+def _swings(analysis: Analysis, foot: str, paths: Mapping[int, FootPath]) -> dict[int, Swing]:
     known = analysis.points.get(foot)
-    arms: FootArms | None = arms_of(known.geometry) if known is not None and known.geometry is not None else None
-    every = {path.number: swing_of(path, analysis.events[foot], arms) for path in analysis.stride_paths.get(foot, [])}
+    arms = arms_of(known.geometry) if known is not None and known.geometry is not None else None
+    every = {number: swing_of(path, analysis.events[foot], arms) for number, path in paths.items()}
     return {number: swing for number, swing in every.items() if swing is not None}
-
-
-def _steps(foot: str, swings: Mapping[str, Mapping[int, Swing]], strides: Sequence[StrideResult]) -> dict[int, Step]:
-    other = next((name for name in swings if name != foot), None)
-    others = list(swings[other].values()) if other is not None else []
-    return steps_by_number(strides, swings[foot], others)
-
-
-def _lengths(
-    analysis: Analysis,
-    strides: Mapping[str, Sequence[StrideResult]],
-    swings: Mapping[str, Mapping[int, Swing]],
-    scales: Mapping[str, float],
-) -> tuple[dict[str, dict[int, float]], str]:
-    tracks = [analysis.recording.tracks[foot] for foot in strides]
-    if not tracks:
-        return {}, "no foot sensor"
-    span = max(int(track.t_sensor_ns[0]) for track in tracks), min(int(track.t_sensor_ns[-1]) for track in tracks)
-    return step_lengths(strides, swings, span, scales)
 
 
 def _summary_row(of: str, key: str, unit: str) -> dict[str, Any]:
     """A row of the summary whose numbers are not known yet."""
     blank = dict.fromkeys(("value", "sd", "cv"), math.nan)
     return {"of": of, "parameter": key, "unit": unit, **blank, "n": 0, "symmetry_index_percent": math.nan}
-
-
-def _plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: None if isinstance(v, float) and not math.isfinite(v) else v for key, v in values.items()}
 
 
 class ChunkedGait:
@@ -226,7 +260,7 @@ class ChunkedGait:
     def __init__(self, belt_mps: float | None) -> None:
         self._belt_mps = belt_mps
         self._feet: dict[str, dict[str, Statistic]] = {}
-        self._travelled: dict[str, Travelled] = {}
+        self._travelled: dict[str, FloatArray] = {}
         self._means: dict[str, MeanStride] = {}
         self._no_step_lengths = ""
         self._step_lengths = False
@@ -235,9 +269,9 @@ class ChunkedGait:
         """One more chunk: its parameters, and all of its strides."""
         for foot, found in parameters.feet.items():
             known = self._feet.get(foot)
-            self._feet[foot] = found if known is None else {k: _cv(k, pooled(known[k], found[k])) for k in STRIDE_KEYS}
+            self._feet[foot] = _without_cv({k: pooled(known[k], found[k]) for k in STRIDE_KEYS}) if known else found
         for foot, rows in parameters.strides.items():
-            self._travelled[foot] = self._travelled.get(foot, Travelled()) + travelled(rows)
+            self._travelled[foot] = self._travelled.get(foot, np.zeros(3)) + travelled(rows)
         for one in mean_strides(strides, parameters.strides):
             before = self._means.get(one.foot)
             self._means[one.foot] = one if before is None else _mean_together(before, one)
@@ -247,7 +281,7 @@ class ChunkedGait:
     def parameters(self) -> GaitParameters:
         """Of all chunks; the strides themselves are not kept."""
         none: dict[str, list[StrideParameters]] = {foot: [] for foot in self._feet}
-        walk = walk_of_sums(self._travelled.values(), self._belt_mps)
+        walk = walk_of(self._travelled.values(), self._belt_mps)
         why = "" if self._step_lengths else self._no_step_lengths
         return GaitParameters(none, self._feet, symmetry(self._feet), walk, None, why)
 
@@ -265,10 +299,6 @@ def pooled(one: Statistic, other: Statistic) -> Statistic:
     squares += difference**2 * one.n * other.n / n
     mean, sd = one.mean + difference * other.n / n, math.sqrt(squares / (n - 1))
     return Statistic(mean, sd, sd / abs(mean) if mean else NAN, n)
-
-
-def _cv(key: str, value: Statistic) -> Statistic:
-    return replace(value, cv=NAN) if key in NO_CV else value
 
 
 def _mean_together(one: MeanStride, other: MeanStride) -> MeanStride:

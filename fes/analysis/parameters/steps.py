@@ -6,8 +6,6 @@ standing for longer than a stride is taken for it), the feet's strides are added
 end is taken back in proportion to time; else there are no step lengths, for a few per mille of a hundred metres are
 as long as a step. In long walks the error grows with the square root of the strides.
 
-Two feet of one person go equally far: what their stride lengths differ by on the whole is error.
-
 In strides of two and three seconds, as in severe hemiparesis, a stride length is some percent off, mostly by the same
 amount in all strides of a foot (tilt and bias of its own sensor). Feet alternate, so their mean stride lengths are
 the same, and are brought together. A bias or a tilt makes an error that grows with the square of the time for which
@@ -16,12 +14,10 @@ where the feet have different numbers of strides, or where they are too far apar
 both sides' stride lengths agree is seen in Wang et al. (2013), Table 2.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import numpy as np
 
@@ -35,55 +31,38 @@ MOST_APART = 0.1  # of the length
 MOST_EXTRA = 2  # strides of one foot more than of the other
 
 
-@dataclass(frozen=True, slots=True)
-class _Foot:
-    length_m: float
-    moving_s: float
-    strides: int
-    turn_rad: float
-
-
 def equalise_sides(feet: Mapping[str, Sequence[StrideResult]]) -> dict[str, float]:
     """By foot, the factor that scales its stride lengths and speeds so that both feet go equally far.
 
     It is 1 with fewer than two feet, on a curve, and where the feet differ by more than a tenth.
     """
-    same = dict.fromkeys(feet, 1.0)
-    measured = {foot: one for foot, strides in feet.items() if (one := _measure(strides)) is not None}
-    if len(feet) != 2 or len(measured) != 2 or any(abs(one.turn_rad) > LARGEST_TURN_RAD for one in measured.values()):
-        return same
-    weights = {foot: one.moving_s**-4 for foot, one in measured.items()}
-    common_m = sum(weights[foot] * one.length_m for foot, one in measured.items()) / sum(weights.values())
-    one, other = measured.values()
-    if abs(one.length_m - other.length_m) > MOST_APART * common_m or abs(one.strides - other.strides) > MOST_EXTRA:
-        return same
-    return {foot: common_m / one.length_m for foot, one in measured.items()}
+    measured = {foot: one for foot, strides in feet.items() if (one := _length_moving_count(strides)) is not None}
+    if len(feet) == len(measured) == 2:
+        weights = {foot: moving_s**-4 for foot, (_, moving_s, _) in measured.items()}
+        common_m = sum(weights[foot] * one[0] for foot, one in measured.items()) / sum(weights.values())
+        (one_m, _, count), (other_m, _, other_count) = measured.values()
+        if abs(one_m - other_m) <= MOST_APART * common_m and abs(count - other_count) <= MOST_EXTRA:
+            return {foot: common_m / one[0] for foot, one in measured.items()}
+    return dict.fromkeys(feet, 1.0)
 
 
-def _measure(strides: Sequence[StrideResult]) -> _Foot | None:
-    lengths = np.array([stride.stride_length_m for stride in strides if stride.valid])
-    turns = np.array([stride.turn_rad for stride in strides if stride.valid])
+def _length_moving_count(strides: Sequence[StrideResult]) -> tuple[float, float, int] | None:
+    """Of the steady strides: mean length (m) and number, and for how long the foot moves in one (s, median).
+
+    It moves from heel rise to stance, or for the stride's whole time where these are not known. None with too few
+    strides, and on a curve.
+    """
+    valid = [stride for stride in strides if stride.valid]
+    lengths = np.array([stride.stride_length_m for stride in valid])
+    turns = np.array([stride.turn_rad for stride in valid])
     usual = float(np.median(lengths)) if len(lengths) else 0.0
     steady = np.abs(lengths - usual) <= STEADY_SHARE * usual
-    if np.count_nonzero(steady) < LEAST_STRIDES or usual <= 0.0:
+    count = int(np.count_nonzero(steady))
+    if count < LEAST_STRIDES or usual <= 0.0 or abs(float(turns[steady].mean())) > LARGEST_TURN_RAD:
         return None
-    return _Foot(
-        float(lengths[steady].mean()), _moving_s(strides), int(np.count_nonzero(steady)), float(turns[steady].mean())
-    )
-
-
-def _moving_s(strides: Sequence[StrideResult]) -> float:
-    """How long the foot moves in a stride (s, median), from heel rise to stance; else the stride's whole time."""
-    times = [
-        (
-            s.t_end_ns - s.t_start_ns
-            if s.t_pre_swing_ns is None or s.t_stance_ns is None
-            else s.t_stance_ns - s.t_pre_swing_ns
-        )
-        for s in strides
-        if s.valid
-    ]
-    return max(float(np.median(times)) / NS_PER_S, 0.1)
+    known = [(s.t_pre_swing_ns, s.t_stance_ns, s.t_end_ns - s.t_start_ns) for s in valid]
+    times = [whole if begin is None or end is None else end - begin for begin, end, whole in known]
+    return float(lengths[steady].mean()), max(float(np.median(times)) / NS_PER_S, 0.1), count
 
 
 LONGEST_STRIDE_S = 5.0  # from one contact to the next; beyond, the foot stood
@@ -108,12 +87,7 @@ def steps_of(own: Sequence[Swing | None], other: Sequence[Swing | None]) -> list
         np.array(sorted(getattr(s, name) for s in other if s is not None), dtype=np.int64)
         for name in ("contact_ns", "foot_off_ns")
     )
-    found = []
-    before: Swing | None = None
-    for swing in own:
-        found.append(_step(before, swing, contacts, offs))
-        before = swing
-    return found
+    return [_step(before, swing, contacts, offs) for before, swing in pairwise((None, *own))]
 
 
 def steps_by_number(
@@ -146,7 +120,7 @@ def _step(before: Swing | None, swing: Swing | None, contacts: IntArray, offs: I
     nan = float("nan")
     if swing is None:
         return Step(nan, nan, nan, nan)
-    begin, off, end = swing.contact_ns, swing.foot_off_ns, swing.contact_ns
+    off, end = swing.foot_off_ns, swing.contact_ns
     begin = before.contact_ns if before is not None else -1
     stride = (end - begin) / NS_PER_S
     walking = before is not None and 0.0 < stride <= LONGEST_STRIDE_S
@@ -174,36 +148,27 @@ def step_lengths(
 ) -> tuple[dict[str, dict[int, float]], str]:
     """Step lengths (m) by foot and stride number; and why there are none, else "".
 
-    Args:
-        strides: by foot, all its strides by time.
-        swings: by foot and stride number.
-        span_ns: the recording's first and last time.
-        scales: by foot, of its stride lengths, as :func:`equalise_sides` gives them.
+    ``strides`` are all of each foot by time, ``span_ns`` the recording's first and last time, ``scales`` those of
+    :func:`equalise_sides`.
     """
     why = _untied(strides, span_ns)
     if why:
         return {}, why
-    begin = min(own[0].t_start_ns for own in strides.values())
-    end = max(own[-1].t_end_ns for own in strides.values())
-    distances = {
-        foot: np.cumsum([0.0] + [scales[foot] * stride.stride_length_m for stride in own])
-        for foot, own in strides.items()
-    }
-    names = list(strides)
+    begin, end = min(own[0].t_start_ns for own in strides.values()), max(own[-1].t_end_ns for own in strides.values())
+    lengths = {foot: [scales[foot] * stride.stride_length_m for stride in own] for foot, own in strides.items()}
+    distances = {foot: np.cumsum([0.0, *own]) for foot, own in lengths.items()}
     found: dict[str, dict[int, float]] = {}
-    for foot, other in ((names[0], names[1]), (names[1], names[0])):
+    for foot, other in permutations(strides, 2):
         landed = np.array(sorted(swing.contact_ns for swing in swings[other].values()), dtype=np.int64)
         left_over = float(distances[foot][-1] - distances[other][-1])
         found[foot] = {}
         if len(landed) != len(strides[other]):
             return {}, f"{other}: not every stride shows its contact"
         for k, stride in enumerate(strides[foot]):
-            swing = swings[foot].get(stride.number)
-            if swing is None:
-                continue
-            its = int(np.searchsorted(landed, swing.contact_ns))
-            drift = left_over * (swing.contact_ns - begin) / (end - begin)
-            found[foot][stride.number] = float(distances[foot][k + 1] - distances[other][its]) - drift
+            if swing := swings[foot].get(stride.number):
+                its = int(np.searchsorted(landed, swing.contact_ns))
+                drift = left_over * (swing.contact_ns - begin) / (end - begin)
+                found[foot][stride.number] = float(distances[foot][k + 1] - distances[other][its]) - drift
     return found, ""
 
 

@@ -4,21 +4,18 @@ A stride runs from mid-stance to mid-stance and holds one swing. Times of contac
 its stride time, stance and double support are those between the contact before and its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from fes.analysis.parameters.contacts import Swing
+from fes.analysis.parameters.contacts import Motion, Swing, variation
 from fes.analysis.parameters.definitions import STRIDE_KEYS
-from fes.analysis.parameters.motion import Motion, variation
 from fes.analysis.parameters.steps import LONGEST_STANCE_S, MOST_TURN_RAD, Step
 from fes.estimation.clearance.clearance import FootPath
-from fes.signals import NS_PER_S, FloatArray, StrideResult
+from fes.signals import NS_PER_S, StrideResult
 
 NAN = float("nan")
 STEADY_SHARE = 0.3
@@ -64,23 +61,18 @@ def stride_parameters(
     step_lengths_m: Mapping[int, float],
     scale: float = 1.0,
 ) -> list[StrideParameters]:
-    """The parameters of one foot's valid strides, in order.
+    """The parameters of one foot's valid strides, in order of time, as ``strides`` are; the others by stride number.
 
-    Args:
-        strides: of one foot, by time.
-        paths: by stride number.
-        swings: by stride number.
-        steps: by stride number.
-        step_lengths_m: by stride number.
-        scale: of the stride lengths, so that both feet go equally far
-            (:func:`fes.analysis.parameters.steps.equalise_sides`).
+    ``scale`` is of the stride lengths (:func:`fes.analysis.parameters.steps.equalise_sides`).
     """
     valid = [stride for stride in strides if stride.valid]
-    steady = _steady(valid)
+    usual = float(np.median([stride.stride_length_m for stride in valid])) if valid else NAN
     motions = {n: Motion(path.t_ns, path.position_m, path.axes) for n, path in paths.items()}
     changes = _variations(valid, motions)
     rows = []
-    for stride, is_steady in zip(valid, steady, strict=True):
+    for stride in valid:
+        near = abs(stride.stride_length_m - usual) <= STEADY_SHARE * usual
+        is_steady = bool(near and abs(stride.turn_rad) <= MOST_TURN_RAD)
         n, swing, common_m = stride.number, swings.get(stride.number), scale * stride.stride_length_m
         values = dict.fromkeys(STRIDE_KEYS, NAN)
         values |= {
@@ -98,19 +90,8 @@ def stride_parameters(
         if swing is not None:
             values |= times_of(swing, steps.get(n), common_m)
         off, contact = (NAN, NAN) if swing is None else (1e-9 * swing.foot_off_ns, 1e-9 * swing.contact_ns)
-        rows.append(
-            StrideParameters(
-                stride.foot,
-                n,
-                1e-9 * stride.t_start_ns,
-                off,
-                contact,
-                1e-9 * stride.t_end_ns,
-                is_steady,
-                stride.stride_length_m,
-                values,
-            )
-        )
+        times = 1e-9 * stride.t_start_ns, off, contact, 1e-9 * stride.t_end_ns
+        rows.append(StrideParameters(stride.foot, n, *times, is_steady, stride.stride_length_m, values))
     return rows
 
 
@@ -133,26 +114,10 @@ def times_of(swing: Swing, step: Step | None, length_m: float) -> dict[str, floa
     swing_s = (swing.contact_ns - swing.foot_off_ns) / NS_PER_S
     found = {"swing_s": swing_s}
     if step is not None:
-        found |= {
-            "stride_time_s": step.stride_time_s,
-            "speed_mps": length_m / step.stride_time_s,
-            "stance_s": step.stance_s,
-            "step_time_s": step.step_time_s,
-            "double_support_s": step.double_support_s,
-            "swing_share": swing_s / step.stride_time_s,
-            "stance_share": step.stance_s / step.stride_time_s,
-            "double_support_share": step.double_support_s / step.stride_time_s,
-        }
+        shares = {"swing": swing_s, "stance": step.stance_s, "double_support": step.double_support_s}
+        found |= asdict(step) | {"speed_mps": length_m / step.stride_time_s}
+        found |= {f"{name}_share": value / step.stride_time_s for name, value in shares.items()}
     return found
-
-
-def _steady(strides: Sequence[StrideResult]) -> list[bool]:
-    lengths: FloatArray = np.array([stride.stride_length_m for stride in strides])
-    usual = float(np.median(lengths)) if len(lengths) else NAN
-    return [
-        bool(abs(s.stride_length_m - usual) <= STEADY_SHARE * usual and abs(s.turn_rad) <= MOST_TURN_RAD)
-        for s in strides
-    ]
 
 
 def _variations(strides: Sequence[StrideResult], motions: Mapping[int, Motion]) -> dict[int, tuple[float, float]]:

@@ -1,8 +1,8 @@
 """Exit codes, errors that end a command with a message instead of a traceback, a new folder for results."""
 
-from __future__ import annotations
-
 import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, Final, NoReturn
 
@@ -51,6 +51,30 @@ def fail(error: Exception, kind: type[Problem] = Problem) -> NoReturn:
     raise kind(error_text(error)) from error
 
 
+@contextmanager
+def failing(*faults: type[Exception], kind: type[Problem] = Problem) -> Iterator[None]:
+    """End the command with the text of an exception of these kinds."""
+    try:
+        yield
+    except faults as error:
+        fail(error, kind)
+
+
+@contextmanager
+def writing(place: Path, remedy: str = "", kind: type[Problem] = Problem) -> Iterator[None]:
+    """End the command where ``place`` cannot be written; the ``remedy`` follows what the system says."""
+    try:
+        yield
+    except OSError as error:
+        raise kind(f"{place}: cannot be written: {error.strerror or error}{remedy}") from error
+
+
+def interrupted(said: str) -> NoReturn:
+    """End the command after Ctrl-C, with what becomes of what was done."""
+    click.secho(f"Interrupted{said}", fg="yellow", err=True)
+    raise SystemExit(INTERRUPTED) from None
+
+
 def error_text(error: Exception) -> str:
     """What to show of an error; of a missing sidecar, after writing the proposal where it is due.
 
@@ -69,15 +93,15 @@ def error_text(error: Exception) -> str:
         return str(error)
     lines = error.proposal.splitlines()
     opened = [number for number, line in enumerate(lines, start=1) if "?" in line and not line.startswith("#   ")]
+    count, line, them = (
+        ("One answer is", "line", "it") if len(opened) == 1 else (f"{len(opened)} answers are", "lines", "them")
+    )
+    todo = f"No answer is missing. If {error.sidecar} is right, give the same command again."
     if opened:
-        one = len(opened) == 1
         todo = (
-            f"{'One answer is' if one else f'{len(opened)} answers are'} missing: the “?” in "
-            f"{'line' if one else 'lines'} {', '.join(map(str, opened))} of {error.sidecar}. "
-            f"Fill {'it' if one else 'them'} in with a text editor, check the rest, then give the same command again."
+            f"{count} missing: the “?” in {line} {', '.join(map(str, opened))} of {error.sidecar}. "
+            f"Fill {them} in with a text editor, check the rest, then give the same command again."
         )
-    else:
-        todo = f"No answer is missing. If {error.sidecar} is right, give the same command again."
     return f"{error.sidecar} was missing, so a proposal is written there. It says:\n\n{error.proposal}\n{todo}"
 
 
@@ -85,24 +109,17 @@ LOG_SUFFIX = ".feslog"
 
 
 def fresh_folder(out: Path, name: str) -> Path:
-    """A new folder ``out/name-NNN``; what is there already is never touched.
-
-    Raises:
-        Problem: it cannot be made.
-    """
+    """A new folder ``out/name-NNN``; what is there already is never touched. Raises Problem: it cannot be made."""
     try:
         if out.exists() and not out.is_dir():
             raise Problem(f"{out}: is a file; results need a folder. Choose another with --out.")
         out.mkdir(parents=True, exist_ok=True)
         for number in range(1, 100_000):
-            folder = out / f"{name}-{number:03d}"
-            try:
+            with suppress(FileExistsError):
+                folder = out / f"{name}-{number:03d}"
                 folder.mkdir()
-            except FileExistsError:
-                continue
-            return folder
+                return folder
     except OSError as error:
-        raise Problem(
-            f"{out}: no folder for the results can be made: {error.strerror}. Choose another with --out."
-        ) from error
+        what = f"no folder for the results can be made: {error.strerror}"
+        raise Problem(f"{out}: {what}. Choose another with --out.") from error
     raise Problem(f"{out}: too many results of {name!r}; move some away or choose another --out.")

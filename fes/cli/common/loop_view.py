@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from types import TracebackType
 from typing import Any, Final, Self
 
 import click
@@ -76,9 +75,7 @@ class LoopView:
             click.echo(self._title)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._live is not None:
             self._live.stop()
 
@@ -107,11 +104,7 @@ class LoopView:
         for stride in shown:
             height_mm, what = 1e3 * stride.toe_clearance_m, outcome(stride)
             filled = round(min(max(height_mm, 0.0), BAR_MM) / BAR_MM * BAR)
-            table.add_row(
-                str(stride.number),
-                Text("━" * filled + " " * (BAR - filled), colours[what]),
-                f"{height_mm:.0f}",
-                f"{stride.charge_uc:.0f}",
-                Text(what, colours[what]),
-            )
+            bar = Text("━" * filled + " " * (BAR - filled), colours[what])
+            said = Text(what, colours[what])
+            table.add_row(str(stride.number), bar, f"{height_mm:.0f}", f"{stride.charge_uc:.0f}", said)
         return Group(*above, table, *below)

@@ -1,27 +1,40 @@
-"""What options need: numbers that are numbers, former names, a clock, whether a file or device is there."""
-
-from __future__ import annotations
+"""What options need: kinds that recur, numbers that are numbers, former names, whether a file is there."""
 
 import math
-import time
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, TypeVar
 
 import click
 
+PATH: Final = click.Path(path_type=Path)
+SIDE: Final = click.Choice(["left", "right"])
+STIMULATORS: Final = ("can", "p24_low_level", "rehastim2")  # those that are simulated
 
-class MonotonicClock:
-    """Real time."""
+Command = TypeVar("Command", bound=Callable[..., Any])
 
-    def now_ns(self) -> int:
-        """Monotonic time in ns."""
-        return time.monotonic_ns()
 
-    def wait_until_ns(self, t_ns: int) -> None:
-        """Sleep until ``t_ns``; returns at once when that has passed."""
-        left_ns = t_ns - time.monotonic_ns()
-        if left_ns > 0:
-            time.sleep(left_ns * 1e-9)
+def choice(*names: str, of: Sequence[str], help: str | None = None) -> Callable[[Command], Command]:
+    """An option that takes one of a few values, by default the first of them."""
+    return click.option(*names, type=click.Choice(of), default=of[0], show_default=True, help=help)
+
+
+def out_option(help: str = "Results go below.") -> Callable[[Command], Command]:
+    """``--out``: a folder, by default ``out``."""
+    return click.option("--out", type=PATH, default=Path("out"), show_default=True, help=help)
+
+
+def given_options() -> set[str]:
+    """The parameters of the command that stood on its command line."""
+    context = click.get_current_context()
+    on_the_line = click.core.ParameterSource.COMMANDLINE
+    return {name for name in context.params if context.get_parameter_source(name) is on_the_line}
+
+
+def utc_now() -> str:
+    """For a log's header."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def not_there(path: str | Path) -> str:
@@ -45,11 +58,7 @@ class Number(click.FloatRange):
     """:class:`click.FloatRange` that takes no not-a-number and nothing infinite."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """The number.
-
-        Raises:
-            BadParameter: it is none, or out of range.
-        """
+        """The number. Raises BadParameter: it is none, or out of range."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)

@@ -1,10 +1,10 @@
 """Ctrl-C between two events rather than in the middle of one; how far a replay has come, on stderr."""
 
-from __future__ import annotations
-
 import signal
 import sys
-from types import FrameType, TracebackType
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
 from typing import Any, Self
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, *((signal.SIGHUP,) if hasattr(signal, "SIGHUP") else ()))
@@ -31,9 +31,7 @@ class Interrupt:
         self._before = {number: signal.signal(number, self._remember) for number in SIGNALS}
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -41,37 +39,23 @@ class Interrupt:
 STEP_NS = 250_000_000
 
 
-class ReplayProgress:
-    """A bar over the recording's time."""
+@contextmanager
+def replay_progress(what: str, begin_ns: int, end_ns: int, quiet: bool) -> Iterator[Callable[[int], None]]:
+    """A bar over the recording's time; what it gives is called with the time (ns) that has been reached."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    def __init__(self, what: str, begin_ns: int, end_ns: int, quiet: bool) -> None:
-        from rich.console import Console
-        from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    of_total = TextColumn("{task.completed:.0f} of {task.total:.0f} s")
+    columns = (TextColumn("{task.description}"), BarColumn(), of_total, TimeRemainingColumn())
+    hidden = quiet or not sys.stderr.isatty()
+    shown_ns = begin_ns
+    with Progress(*columns, console=Console(stderr=True), disable=hidden, transient=True) as bar:
+        task = bar.add_task(what, total=max(1e-9 * (end_ns - begin_ns), 1e-3))
 
-        self._begin_ns = begin_ns
-        self._shown_ns = begin_ns
-        self._bar = Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TextColumn("{task.completed:.0f} of {task.total:.0f} s"),
-            TimeRemainingColumn(),
-            console=Console(stderr=True),
-            disable=quiet or not sys.stderr.isatty(),
-            transient=True,
-        )
-        self._task = self._bar.add_task(what, total=max(1e-9 * (end_ns - begin_ns), 1e-3))
+        def reached(t_ns: int) -> None:
+            nonlocal shown_ns
+            if t_ns - shown_ns >= STEP_NS:
+                shown_ns = t_ns
+                bar.update(task, completed=1e-9 * (t_ns - begin_ns))
 
-    def reached(self, t_ns: int) -> None:
-        """The replay has reached ``t_ns``."""
-        if t_ns - self._shown_ns >= STEP_NS:
-            self._shown_ns = t_ns
-            self._bar.update(self._task, completed=1e-9 * (t_ns - self._begin_ns))
-
-    def __enter__(self) -> Self:
-        self._bar.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._bar.stop()
+        yield reached

@@ -1,28 +1,217 @@
-"""``fes doctor``: everything that can be checked before a session, and what to do about what is not right."""
+"""``fes doctor``: everything that can be checked before a session, and what to do about what is not right.
 
-from __future__ import annotations
+Is this computer fit for a session? Its clock, disk, permissions, compiled code; how a check's finding is shown.
+"""
 
+import ctypes
+import grp
+import json
 import os
+import shutil
+import statistics
+import tempfile
+import time
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from enum import StrEnum
 from pathlib import Path
+from typing import Final
 
 import click
 
 from fes.cli.common.exits import FAILED
-from fes.cli.common.options import Number, cannot_be_seen
-from fes.cli.doctor.host import Finding, Verdict, as_json, failure, ok, show, warning
+from fes.cli.common.options import PATH, Number, cannot_be_seen, not_there
 from fes.config import ConfigError, Session, load_session
+from fes.estimation.warm_up import warm_up
+from fes.live.realtime import Grant, fixed_priority, locked_memory
+from fes.session_log import SessionLogError
+from fes.session_log.writer import SessionWriter
+from fes.signals import NS_PER_S, ImuSample, StimCommand, WireFrame
+
+
+class Verdict(StrEnum):
+    """Whether a session can be begun with it."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILURE = "failure"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One check: what was looked at, what was found, and for what is not right the ``remedy``."""
+
+    name: str
+    verdict: Verdict
+    said: str
+    remedy: str = ""
+
+
+COLOURS: Final = {Verdict.OK: "green", Verdict.WARNING: "yellow", Verdict.FAILURE: "red"}
+
+
+def ok(name: str, said: str) -> Finding:
+    """All is well."""
+    return Finding(name, Verdict.OK, said)
+
+
+def warning(name: str, said: str, remedy: str) -> Finding:
+    """It works, at a cost that ``said`` names."""
+    return Finding(name, Verdict.WARNING, said, remedy)
+
+
+def failure(name: str, said: str, remedy: str) -> Finding:
+    """A session would not begin, or not hold."""
+    return Finding(name, Verdict.FAILURE, said, remedy)
+
+
+FINEST_NS: Final = 1_000_000  # a clock that is coarser cannot tell one sample of a 1 kHz sensor from the next
+SLEW_PPM: Final = 500.0  # the most that time servers turn a clock by
+SLOW_SYNC_S: Final = 0.25  # what a crash of the whole computer may lose
+SYNCS: Final = 8
+COMPILED_S: Final = 3.0
+ROOM_BYTES: Final = 1 << 20  # of a log beside its samples: header, strides, notes
+PORT_GROUPS: Final = ("dialout", "uucp", "plugdev")
+
+
+def clock(for_s: float = 0.2) -> Finding:
+    """The monotonic clock: how fine, and by how much it is being turned towards a time server now."""
+    name, remedy = "clock", "choose another clock source in the kernel"
+    finest_ns = min(_step_ns() for _ in range(20))
+    raw = getattr(time, "CLOCK_MONOTONIC_RAW", None)
+    if finest_ns > FINEST_NS:
+        return failure(name, f"counts in steps of {finest_ns / 1e6:.1f} ms", remedy)
+    if raw is None:
+        return ok(name, f"counts in steps of {finest_ns} ns")
+    began = time.monotonic_ns(), time.clock_gettime_ns(raw)
+    time.sleep(for_s)
+    ended = time.monotonic_ns(), time.clock_gettime_ns(raw)
+    drift_ppm = 1e6 * ((ended[0] - began[0]) / (ended[1] - began[1]) - 1.0)
+    said = f"counts in steps of {finest_ns} ns, is turned by {drift_ppm:+.0f} ppm"
+    if abs(drift_ppm) > SLEW_PPM:
+        return warning(name, said, "let the time server finish before the session (chronyc waitsync, timedatectl)")
+    return ok(name, said)
+
+
+def _step_ns() -> int:
+    began_ns = now_ns = time.monotonic_ns()
+    while now_ns == began_ns:
+        now_ns = time.monotonic_ns()
+    return now_ns - began_ns
+
+
+def disk(session: Session | None, out: Path, hours: float) -> Iterator[Finding]:
+    """Whether the results' folder takes a session of so many hours, at the rate that a log of it grows."""
+    name, remedy = "disk", "make room, or choose another folder with --out"
+    place = next(each for each in (out, *out.absolute().parents) if not not_there(each))
+    try:
+        with tempfile.TemporaryDirectory(prefix=".fes-doctor-", dir=place) as folder:
+            bytes_per_s = log_bytes_per_s(session, Path(folder))
+            syncs_s = _syncs_s(Path(folder))
+    except (OSError, SessionLogError) as error:
+        why = getattr(error, "strerror", None) or error
+        yield failure(name, f"{place} cannot be written: {why}", remedy)
+        return
+    free = shutil.disk_usage(place).free
+    needed = int(hours * 3600 * bytes_per_s) + ROOM_BYTES
+    growth = f"{hours:g} h of log need {needed / 1e9:.2f} GB ({bytes_per_s / 1e3:.0f} kB/s)"
+    said = f"{place}: {free / 1e9:.2f} GB free, {growth}"
+    yield failure(name, said, remedy) if free < needed else ok(name, said)
+    said = f"an fsync takes {1e3 * statistics.median(syncs_s):.0f} ms, {1e3 * max(syncs_s):.0f} ms at worst"
+    if max(syncs_s) > SLOW_SYNC_S:
+        remedy = "a power cut may lose more than 250 ms of the log (a crash of fes does not); use a local disk"
+        yield warning("disk speed", said, remedy)
+    else:
+        yield ok("disk speed", said)
+
+
+def log_bytes_per_s(session: Session | None, folder: Path) -> float:
+    """How fast the log of this session grows, from a log of ten seconds with values that do not repeat."""
+    rates_hz = {str(device.sensor): device.rate_hz for device in session.sensors} if session else {}
+    rates_hz = rates_hz or {"left_foot": 500.0, "right_foot": 500.0}
+    path = folder / "rate.feslog"
+    log = SessionWriter(path, {})
+    begun = path.stat().st_size
+    seconds = 10
+    for sensor, rate_hz in rates_hz.items():
+        for number in range(int(seconds * rate_hz)):
+            t_ns = int(number * NS_PER_S / rate_hz)
+            value = number % 997 * 0.01
+            log.event(ImuSample(t_ns, sensor, t_ns, (value, -value, 9.81), (value, value, -value)))
+            log.latency(t_ns, 100_000 + number)
+    channels = len(session.channels) if session else 1
+    for number in range(int(seconds * (session.stimulation.command_rate_hz if session else 50.0))):
+        t_ns = number * NS_PER_S // 50
+        for channel in range(channels):
+            log.command(StimCommand(t_ns, channel, True, 20.0, 300.0, 40.0, 60), WireFrame(t_ns, 1, bytes(16)))
+    log.close({})
+    return (path.stat().st_size - begun) / seconds
+
+
+def _syncs_s(folder: Path) -> list[float]:
+    took_s = []
+    with (folder / "sync").open("wb", buffering=0) as file:
+        for _ in range(SYNCS):
+            file.write(os.urandom(1 << 14))
+            began_s = time.perf_counter()
+            os.fsync(file.fileno())
+            took_s.append(time.perf_counter() - began_s)
+    return took_s
+
+
+def permissions() -> Iterator[Finding]:
+    """What the loop will ask the operating system for; given back at once."""
+    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+    grants = [fixed_priority()]
+    with suppress(OSError):
+        os.sched_setscheduler(0, policy, parameters)
+    grants.append(locked_memory())
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL(None).munlockall()
+    for grant in grants:
+        yield of_grant(grant)
+
+
+def of_grant(grant: Grant) -> Finding:
+    """A refusal is no obstacle, but its cost must be known."""
+    if grant.refused:
+        return warning(grant.name, f"{grant.refused}; {grant.cost}", grant.remedy)
+    return ok(grant.name, "granted")
+
+
+def group(ids: set[int] | None = None) -> Finding:
+    """Whether this user may open serial ports in general."""
+    name = "serial ports' group"
+    if os.geteuid() == 0 and ids is None:
+        return ok(name, "runs as root")
+    mine = set(os.getgroups()) if ids is None else ids
+    there = {each.gr_name: each.gr_gid for each in grp.getgrall() if each.gr_name in PORT_GROUPS}
+    member = sorted(group for group, number in there.items() if number in mine)
+    if member:
+        return ok(name, f"member of {', '.join(member)}")
+    wanted = next((group for group in PORT_GROUPS if group in there), PORT_GROUPS[0])
+    remedy = f"sudo usermod -aG {wanted} $USER; log in again"
+    return warning(name, f"not a member of {wanted}; serial ports may be refused", remedy)
+
+
+def compiled() -> Finding:
+    """The compiled code, compiled now if it was not."""
+    began_s = time.perf_counter()
+    warm_up()
+    took_s = time.perf_counter() - began_s
+    if took_s > COMPILED_S:
+        return ok("compiled code", f"was compiled now, in {took_s:.0f} s; the next start is quicker")
+    return ok("compiled code", f"warm in {took_s:.1f} s")
 
 
 @click.command(name="doctor")
-@click.argument("session", type=click.Path(path_type=Path), required=False)
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Where results will go. Default: the session's live.folder."
-)
-@click.option("--stop-file", type=click.Path(path_type=Path), help="As for `fes run`. Default: live.stop_file.")
+@click.argument("session", type=PATH, required=False)
+@click.option("--out", type=PATH, help="Where results will go. Default: the session's live.folder.")
+@click.option("--stop-file", type=PATH, help="As for `fes run`. Default: live.stop_file.")
 @click.option("--hours", type=Number(min=0.01), default=4.0, show_default=True, help="Length of the session.")
-@click.option("--json", "json_wanted", is_flag=True, help="As JSON on stdout.")
-def command(session: Path | None, out: Path | None, stop_file: Path | None, hours: float, json_wanted: bool) -> None:
+@click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
+def command(session: Path | None, out: Path | None, stop_file: Path | None, hours: float, as_json: bool) -> None:
     """Check ports, buses, rates, clocks, disk and permissions; with SESSION (TOML) also all that it names.
 
     Sensors are read for two seconds. The stimulator is asked whether it is there; nothing is stimulated.
@@ -32,11 +221,15 @@ def command(session: Path | None, out: Path | None, stop_file: Path | None, hour
     findings = []
     for finding in examined(session, out, stop_file, hours):
         findings.append(finding)
-        if not json_wanted:
-            show(finding)
-    if json_wanted:
-        click.echo(as_json(findings))
+        if not as_json:
+            word = click.style(f"{finding.verdict:<8}", fg=COLOURS[finding.verdict])
+            click.echo(f"{word} {finding.name}: {finding.said}")
+            if finding.remedy:
+                click.echo(f"{'':<9}→ {finding.remedy}")
     failures = sum(finding.verdict is Verdict.FAILURE for finding in findings)
+    if as_json:
+        listed = [asdict(finding) for finding in findings]
+        click.echo(json.dumps({"ok": not failures, "findings": listed}, indent=2))
     if failures:
         click.secho(f"{failures} of {len(findings)} checks failed; a session would not hold.", fg="red", err=True)
         raise SystemExit(FAILED)
@@ -45,7 +238,6 @@ def command(session: Path | None, out: Path | None, stop_file: Path | None, hour
 def examined(path: Path | None, out: Path | None, stop_file: Path | None, hours: float) -> Iterator[Finding]:
     """One finding after the other, as they come."""
     from fes.cli.doctor.devices import devices  # the drivers, and what follows them, only now
-    from fes.cli.doctor.host import host
 
     session: Session | None = None
     if path is not None:
@@ -57,7 +249,11 @@ def examined(path: Path | None, out: Path | None, stop_file: Path | None, hours:
             yield from settings(path, session, stop_file)
     elif stop_file:
         yield stop_file_finding(stop_file)
-    yield from host(session, out or Path(session.live.folder if session else "out"), hours)
+    yield clock()
+    yield from disk(session, out or Path(session.live.folder if session else "out"), hours)
+    yield from permissions()
+    yield group()
+    yield compiled()
     if session is not None:
         yield from devices(session)
 
@@ -76,11 +272,8 @@ def settings(path: Path, session: Session, stop_file: Path | None = None) -> Ite
     driven = phase_sensors(str(device.sensor) for device in session.sensors)
     for channel in session.channels:
         if session.sensors and channel.foot not in driven:
-            yield failure(
-                "session",
-                f"{channel.name} follows the {channel.foot}, which no sensor is worn on",
-                "add its [[sensors]]",
-            )
+            said = f"{channel.name} follows the {channel.foot}, which no sensor is worn on"
+            yield failure("session", said, "add its [[sensors]]")
     if stop_file or session.live.stop_file:
         yield stop_file_finding(stop_file or Path(session.live.stop_file))
 

@@ -1,12 +1,11 @@
 """Do the session's devices answer, at their rates? Sensors are read for two seconds; no stimulator is commanded."""
 
-from __future__ import annotations
-
 import errno
 import os
 import select
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -20,7 +19,7 @@ from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
 from fes.cli.common.options import cannot_be_seen
-from fes.cli.doctor.host import Finding, failure, ok, warning
+from fes.cli.doctor.command import Finding, failure, ok, warning
 from fes.cli.run.devices import serial_ports_of
 from fes.config import ConfigError, ImuDevice, Session, Switch
 from fes.live.sensor_monitor import ALIVE_NS, RATE_TOLERANCE
@@ -61,9 +60,6 @@ def port_fault(name: str, port: str) -> Finding | None:
     return None
 
 
-# --- sensors ---------------------------------------------------------------------------------------------
-
-
 @dataclass
 class Heard:
     """What came from one sensor while it was measured."""
@@ -78,8 +74,12 @@ def sensors(session: Session, measure_s: float = MEASURE_S) -> Iterator[Finding]
     """Open every sensor, read all at once for two seconds, hold the rates against the settings."""
     heard: dict[str, Heard] = {}
     ports: list[ImuPort] = []
+    lines: dict[tuple[str, str], list[ImuDevice]] = {}
+    for device in session.sensors:  # those that share a bus are opened together, or one would take the other's frames
+        kind = "can" if device.device in ON_CAN else str(device.sensor)
+        lines.setdefault((kind, device.port), []).append(device)
     try:
-        for group in _lines(session):
+        for group in lines.values():
             if group[0].device not in (*ON_CAN, "lsl") and (fault := port_fault(str(group[0].sensor), group[0].port)):
                 yield fault
                 continue
@@ -96,15 +96,6 @@ def sensors(session: Session, measure_s: float = MEASURE_S) -> Iterator[Finding]
     finally:
         for port in ports:
             port.close()
-
-
-def _lines(session: Session) -> list[list[ImuDevice]]:
-    """Sensors that share a bus are opened together, or one would take the other's frames."""
-    lines: dict[tuple[str, str], list[ImuDevice]] = {}
-    for device in session.sensors:
-        key = ("can" if device.device in ON_CAN else str(device.sensor), device.port)
-        lines.setdefault(key, []).append(device)
-    return list(lines.values())
 
 
 def _why(error: Exception) -> tuple[str, str]:
@@ -154,31 +145,21 @@ def judged(sensor: str, heard: Heard, measure_s: float) -> Finding:
     """One sensor's two seconds held against its settings."""
     nominal_hz, n = heard.device.rate_hz, len(heard.host_ns)
     if n < 2:
-        return failure(
-            sensor, f"{heard.device.port}: nothing is heard", "switch it on; is it measuring, and is the port its own?"
-        )
+        remedy = "switch it on; is it measuring, and is the port its own?"
+        return failure(sensor, f"{heard.device.port}: nothing is heard", remedy)
     rate_hz = n / measure_s
     quiet_ns = max(later - earlier for earlier, later in zip(heard.host_ns, heard.host_ns[1:], strict=False))
     own_s, host_s = _elapsed_s(heard)
     said = f"{rate_hz:.1f} Hz, {heard.missing} lost, longest silence {quiet_ns / 1e6:.0f} ms"
     if abs(rate_hz - nominal_hz) > RATE_TOLERANCE * nominal_hz:
-        return failure(
-            sensor,
-            f"{said}; the settings say {nominal_hz:g} Hz",
-            f"set rate_hz = {rate_hz:.0f} if the sensor is meant to run so, or set the sensor to {nominal_hz:g} Hz",
-        )
+        remedy = f"set rate_hz = {rate_hz:.0f} if the sensor is meant to run so, or set the sensor to {nominal_hz:g} Hz"
+        return failure(sensor, f"{said}; the settings say {nominal_hz:g} Hz", remedy)
     if host_s > 0.5 and abs(own_s / host_s - 1.0) > CLOCK_TOLERANCE:
-        return failure(
-            sensor,
-            f"{said}; its clock runs {own_s / host_s:.3f} times as fast as this computer's",
-            "restart the sensor",
-        )
+        said += f"; its clock runs {own_s / host_s:.3f} times as fast as this computer's"
+        return failure(sensor, said, "restart the sensor")
     if heard.missing or quiet_ns > ALIVE_NS:
-        return warning(
-            sensor,
-            f"{said}; stimulation stops at a silence of {ALIVE_NS / 1e6:.0f} ms",
-            "bring it nearer, use another channel or cable, close other programs",
-        )
+        remedy = "bring it nearer, use another channel or cable, close other programs"
+        return warning(sensor, f"{said}; stimulation stops at a silence of {ALIVE_NS / 1e6:.0f} ms", remedy)
     return ok(sensor, said)
 
 
@@ -195,9 +176,6 @@ def _elapsed_s(heard: Heard) -> tuple[float, float]:
     return own_ns / NS_PER_S, host_ns / NS_PER_S
 
 
-# --- stimulator and switches -----------------------------------------------------------------------------
-
-
 def stimulator(session: Session) -> Finding:
     """The bus opens and a heartbeat is heard; a serial device answers to its handshake. Nothing is stimulated."""
     settings = session.stimulator
@@ -206,15 +184,10 @@ def stimulator(session: Session) -> Finding:
     if settings.device != "canopen" and (fault := port_fault("stimulator", settings.port)):
         return fault
     try:
-        port = open_stimulator(settings, session, 1)
+        with closing(open_stimulator(settings, session, 1)) as port:
+            port.open(time.monotonic_ns())
     except (StimulatorLost, ConfigError) as error:
         return failure("stimulator", *_why(error))
-    try:
-        port.open(time.monotonic_ns())
-    except StimulatorLost as error:
-        return failure("stimulator", *_why(error))
-    finally:
-        port.close()
     return ok("stimulator", f"{settings.device} on {settings.port or bus_name(session.bus)} answers")
 
 
@@ -237,25 +210,15 @@ def _heartbeat(session: Session) -> Finding:
                 return failure(name, f"{where}: cannot be read: {error}", "check the adapter")
             frames += message is not None
             if isinstance(heard, Alive):
-                return _alive(where, heard)
-    return failure(
-        name,
-        f"{where}: no heartbeat within {HEARTBEAT_WAIT_S:g} s ({frames} other frames)",
-        "switch the stimulator on; check channel, bit rate, cable and termination (120 ohm at both ends)",
-    )
-
-
-def _alive(where: str, alive: Alive) -> Finding:
-    said = f"{where}: heartbeat of boot {alive.boot_id}"
-    if alive.version != PROTOCOL_VERSION:
-        return failure(
-            "stimulator",
-            f"{said}, protocol version {alive.version} instead of {PROTOCOL_VERSION}",
-            "update the older one",
-        )
-    if alive.faults:
-        return failure("stimulator", f"{said}, faults: {fault_text(alive.faults)}", "check electrodes and leads")
-    return ok("stimulator", said)
+                said = f"{where}: heartbeat of boot {heard.boot_id}"
+                if heard.version != PROTOCOL_VERSION:
+                    said += f", protocol version {heard.version} instead of {PROTOCOL_VERSION}"
+                    return failure(name, said, "update the older one")
+                if heard.faults:
+                    return failure(name, f"{said}, faults: {fault_text(heard.faults)}", "check electrodes and leads")
+                return ok(name, said)
+    remedy = "switch the stimulator on; check channel, bit rate, cable and termination (120 ohm at both ends)"
+    return failure(name, f"{where}: no heartbeat within {HEARTBEAT_WAIT_S:g} s ({frames} other frames)", remedy)
 
 
 def switch_answers(name: str, settings: Switch, session: Session) -> Finding:
@@ -264,12 +227,10 @@ def switch_answers(name: str, settings: Switch, session: Session) -> Finding:
         switch = open_switch(settings, session.bus)
     except SwitchFailed as error:
         return failure(name, *_why(error))
-    try:
+    with closing(switch):
         end_s = time.monotonic() + SWITCH_WAIT_S
         while (pressed := switch.read()) is None and time.monotonic() < end_s:
             time.sleep(0.01)
-    finally:
-        switch.close()
     if pressed is None:
         return failure(name, "nothing is heard of it", "check its cable, identifier and bit")
     if pressed and name == "stop button":

@@ -1,48 +1,37 @@
 """``fes replay``: a recording, or a session log, through the same loop as a live session."""
 
-from __future__ import annotations
-
 import time
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 
 from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import StimulatorLost
-from fes.calibration.recording import calibrate_phase_sensors, stored_calibrations
-from fes.cli.common.exits import FAILED, INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
-from fes.cli.common.options import MonotonicClock, Number, RenamedOptions
-from fes.cli.common.progress import Interrupt, ReplayProgress
+from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, stored_calibrations
+from fes.cli.common.exits import FAILED, LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted
+from fes.cli.common.options import PATH, Number, RenamedOptions, choice, given_options, out_option, utc_now
+from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show, show_latched
-from fes.cli.replay.stimulators import (
-    Opened,
-    last_answers,
-    no_stimulator,
-    on_the_bus,
-    simulated,
-    warn_of_real_device,
-    wire_truth,
-)
+from fes.cli.replay import stimulators
+from fes.cli.replay.log import controller_and_gate, replay_log
 from fes.cli.replay.timing import PARAMETERS, show_timing, timing_options
-from fes.cli.run.dashboard import FORMER_OPTIONS, dashboard_options
+from fes.cli.run.devices import FORMER_OPTIONS, dashboard_options
 from fes.config import ConfigError, Session, load_session
-from fes.control.controller import Controller
 from fes.control.replay import digest, identity, log_header, refuse_long_silence, session_for
-from fes.control.runner import Runner
-from fes.control.sources import armed_after, paced, with_ticks
+from fes.control.runner import Runner, armed_after, paced, with_ticks
 from fes.estimation.foot.calibration import CalibrationError
-from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
+from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
-from fes.evaluation.timing_check import TimingError, TimingOptions, check_timing, expected_of
-from fes.gate import gate_of
+from fes.evaluation.trigger_timing import TimingError, TimingOptions, check_timing, expected_of
 from fes.recording import Recording, RecordingError, read_recording
-from fes.recording.samples import samples_of
+from fes.recording.tracks import samples_of
 from fes.session_log import SessionLogError, SessionWriter, read_session
 from fes.signals import SHANK_SENSORS, Event
+
+TARGETS: Final = ("simulated", "none", "bus")
 
 
 def refuse_settings_of_a_recording(*allowed: str) -> None:
@@ -51,47 +40,46 @@ def refuse_settings_of_a_recording(*allowed: str) -> None:
     Raises:
         Problem: one was given that is not ``allowed``.
     """
-    context = click.get_current_context()
-    meant = {"recording", "as_json", "dashboard", *allowed, *PARAMETERS}
-    for option in context.command.params:
-        given = context.get_parameter_source(option.name or "") is click.core.ParameterSource.COMMANDLINE
-        if given and option.name not in meant:
+    useless = given_options() - {"recording", "as_json", "dashboard", *allowed, *PARAMETERS}
+    for option in click.get_current_context().command.params:
+        if option.name in useless:
             raise Problem(
                 f"{option.opts[0]} has no meaning for a session log, which is replayed with the settings it holds. "
                 f"Replay its recording instead, or leave the option out."
             )
 
 
-def companion_settings(path: Path) -> Path | None:
-    """The session settings in the recording's folder, if there are any."""
-    settings = path.parent / "session.toml"
-    return settings if settings.is_file() else None
-
-
 def show_what_is_left_out(
-    session: Session,
-    settings: Path | None,
-    left_out: list[str],
-    calibrations: dict[str, Calibration],
-    missing: dict[str, str],
+    session: Session, settings: Path | None, left_out: list[str], found: SensorCalibrations
 ) -> None:
-    """What of recording and settings is not used, and why.
-
-    Raises:
-        Problem: a channel's foot has no calibration.
-    """
-    for reason in missing.values():
+    """What of recording and settings is not used, and why. Raises Problem: a channel's foot has no calibration."""
+    for reason in found.missing.values():
         click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
+    feet_known = phase_sensors(found.calibrations)
     if not session.channels:
-        feet = ", ".join(sorted(phase_sensors(calibrations)))
+        feet = ", ".join(sorted(feet_known))
         why = f"{settings} has no channel for a foot in this recording ({feet})" if settings else "no --session given"
         click.secho(f"Nothing is stimulated: {why}. Phases and strides only.", fg="yellow", err=True)
     if left_out and session.channels:
         names = ", ".join(left_out)
         click.secho(f"Left out, for the recording has no sensor on that foot: {names}.", fg="yellow", err=True)
     for channel in session.channels:
-        if channel.foot not in phase_sensors(calibrations):
+        if channel.foot not in feet_known:
             raise Problem(f"Channel {channel.name!r} follows the {channel.foot}, which cannot be calibrated.")
+
+
+class MonotonicClock:
+    """Real time."""
+
+    def now_ns(self) -> int:
+        """Monotonic time in ns."""
+        return time.monotonic_ns()
+
+    def wait_until_ns(self, t_ns: int) -> None:
+        """Sleep until ``t_ns``; returns at once when that has passed."""
+        left_ns = t_ns - time.monotonic_ns()
+        if left_ns > 0:
+            time.sleep(left_ns * 1e-9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,19 +101,13 @@ class Options:
 
 
 @click.command(name="replay", cls=RenamedOptions, former=FORMER_OPTIONS)
-@click.argument("recording", type=click.Path(path_type=Path))
-@click.option("--session", type=click.Path(path_type=Path), help="Settings (TOML). Default: session.toml beside it.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="From fes calibrate. Default: from the recording.")
-@click.option(
-    "--out", type=click.Path(path_type=Path), default=Path("out"), show_default=True, help="Results go below."
-)
+@click.argument("recording", type=PATH)
+@click.option("--session", type=PATH, help="Settings (TOML). Default: session.toml beside it.")
+@click.option("--calibration", type=PATH, help="From fes calibrate. Default: from the recording.")
+@out_option()
 @click.option("--speed", type=Number(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
-@click.option(
-    "--stimulator",
-    type=click.Choice(["simulated", "none", "bus"]),
-    default="simulated",
-    show_default=True,
-    help="bus: what is on the session's bus, at recorded speed. A DEVICE THERE STIMULATES.",
+@choice(
+    "--stimulator", of=TARGETS, help="bus: what is on the session's bus, at recorded speed. A DEVICE THERE STIMULATES."
 )
 @click.option("--arm-after", "arm_after_s", type=Number(0), default=0.5, show_default=True, help="Operator arms (s).")
 @click.option("--rearm-after", "rearm_after_s", type=Number(0), help="Operator arms again this long after a fault (s).")
@@ -152,8 +134,6 @@ def command(recording: Path, no_report: bool, **chosen: Any) -> None:
     if recording.suffix != LOG_SUFFIX:
         replay_recording(recording, options)
         return
-    from fes.cli.replay.log import replay_log
-
     refuse_settings_of_a_recording(*(("speed", "out", "dashboard_port") if options.dashboard else ()))
     if options.dashboard:
         from fes.cli.replay.dashboard import play_log
@@ -169,65 +149,51 @@ def replay_recording(path: Path, options: Options) -> Path:
         Problem: unusable input, a stimulator that is lost, a disk that is full.
         SystemExit: interrupted, or the stimulator did not deliver what was sent.
     """
-    try:
+    with failing(RecordingError, ConfigError, CalibrationError, TimingError, SessionLogError):
         recording = read_recording(path)
         refuse_long_silence(recording)
-        settings = options.session or companion_settings(path)
+        beside = path.parent / "session.toml"
+        settings = options.session or (beside if beside.is_file() else None)
         wanted = load_session(settings) if settings else None
         if options.calibration:
             recording, found = stored_calibrations(options.calibration, recording)
         else:
             found = calibrate_phase_sensors(recording)
-        calibrations, missing = found.calibrations, found.missing
+        calibrations = found.calibrations
         session = session_for(recording, wanted)
         expected = expected_of(options.timing, path, calibrations) if options.timing else None
-    except (RecordingError, ConfigError, CalibrationError, TimingError, SessionLogError) as error:
-        fail(error)
     kept = {channel.number for channel in session.channels}
     left_out = [channel.name for channel in (wanted.channels if wanted else ()) if channel.number not in kept]
-    show_what_is_left_out(session, settings, left_out, calibrations, missing)
+    show_what_is_left_out(session, settings, left_out, found)
     speed = options.speed or (1.0 if options.dashboard else None)
     sha256 = digest(path)
     numbers = identity(sha256, session)
     folder = fresh_folder(options.out, path.stem)
     log_path = folder / f"session{LOG_SUFFIX}"
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    header = log_header(recording, sha256, session, calibrations, numbers.session_id, created)
+    header = log_header(recording, sha256, session, calibrations, numbers.session_id, utc_now())
     begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
-    opening: AbstractContextManager[Opened]
+    opening: AbstractContextManager[stimulators.Opened]
     if options.stimulator == "none" or not session.channels:
-        opening = no_stimulator(numbers.session_id, numbers.boot_id, begin_ns)
+        opening = stimulators.no_stimulator(numbers.session_id, numbers.boot_id, begin_ns)
     elif options.stimulator == "bus":
-        warn_of_real_device(session)
-        opening = on_the_bus(session, numbers.session_id, begin_ns)
+        stimulators.warn_of_real_device(session)
+        opening = stimulators.on_the_bus(session, numbers.session_id, begin_ns)
     else:
-        opening = simulated(
-            numbers.session_id,
-            numbers.boot_id,
-            begin_ns,
-            lockstep=speed is None,
-            record=folder / "stimulator.jsonl",
+        opening = stimulators.simulated(
+            numbers.session_id, numbers.boot_id, begin_ns, lockstep=speed is None, record=folder / "stimulator.jsonl"
         )
     warm_up()
-    try:
-        with opening as opened:
-            ended = _go(recording, session, calibrations, opened, header, log_path, options, speed)
-    except (StimulatorLost, BusError, SessionLogError) as error:
-        fail(error, StoppedEarly)
+    with failing(StimulatorLost, BusError, SessionLogError, kind=StoppedEarly), opening as opened:
+        ended = _go(recording, session, calibrations, opened, header, log_path, options, speed)
     if ended == "interrupted":
-        click.secho(f"Interrupted; stimulation is off. What was recorded is in {log_path}", fg="yellow", err=True)
-        raise SystemExit(INTERRUPTED)
+        interrupted(f"; stimulation is off. What was recorded is in {log_path}")
     timing = None
     if options.timing and expected:
-        try:
+        with failing(TimingError):
             timing = check_timing(read_session(log_path), options.timing, expected)
-        except TimingError as error:
-            fail(error)
     more = {"timing": timing.to_json()} if timing else None
-    notices = show(
-        log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None, more=more
-    )
-    show_latched(notices)
+    page = folder / "report.html" if options.report else None
+    show_latched(show(log_path, as_json=options.as_json, report=page, more=more))
     if ended == "different":
         click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
         raise SystemExit(FAILED)
@@ -242,19 +208,15 @@ def _go(
     recording: Recording,
     session: Session,
     calibrations: dict[str, Calibration],
-    opened: Opened,
+    opened: stimulators.Opened,
     header: dict[str, Any],
     log_path: Path,
     options: Options,
     speed: float | None,
 ) -> str:
     """Run the loop over the recording; returns how it ended: complete, different, interrupted, or why it stopped."""
-    stimulation = session.stimulation
-    gate = gate_of(
-        session, {sensor: each.up for sensor, each in calibrations.items()}, shank_phase_sensors(calibrations)
-    )
     log = SessionWriter(log_path, header)
-    controller = Controller(session, calibrations)
+    controller, gate = controller_and_gate(session, calibrations)
     shown = None
     if options.dashboard:
         from fes.cli.replay.dashboard import ReplayDashboard
@@ -265,7 +227,7 @@ def _go(
     events = armed_after(
         with_ticks(samples_of(recording, set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS)))),
         options.arm_after_s,
-        stimulation.intensity,
+        session.stimulation.intensity,
         options.rearm_after_s,
         lambda: bool(gate.latched),
     )
@@ -280,22 +242,22 @@ def _go(
             log.frame(frame)
         for alive in opened.alive:
             runner.handle(alive)
-        with Interrupt() as interrupt, ReplayProgress(recording.name, begin_ns, end_ns, options.as_json) as progress:
+        with Interrupt() as interrupt, replay_progress(recording.name, begin_ns, end_ns, options.as_json) as reached:
 
             def after(event: Event) -> None:
                 log.flush_due(time.monotonic_ns())
-                progress.reached(event.t_ns)
+                reached(event.t_ns)
                 if shown:
                     shown.publish(event.t_ns)
                 interrupt.check()
 
             runner.run(events, after)
-        for reply in last_answers(opened.stimulator, runner.t_ns):
+        for reply in stimulators.last_answers(opened.stimulator, runner.t_ns):
             runner.handle(reply)
         if opened.answers:
             log.flush()
             so_far = read_session(log_path)
-            truth = wire_truth(so_far.frames, so_far.statuses)
+            truth = stimulators.wire_truth(so_far.frames, so_far.statuses)
             summary["wire"] = truth.to_dict()
             ended = "complete" if truth.ok else "different"
     except KeyboardInterrupt:

@@ -1,28 +1,24 @@
 """``fes replay --dashboard``: a recording, or a session log, played to a browser."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import click
-
-from fes.cli.common.exits import INTERRUPTED, fail
+from fes.cli.common.exits import fail, interrupted
 from fes.cli.common.progress import Interrupt
-from fes.cli.replay.log import LoggedSink
-from fes.cli.run.dashboard import open_dashboard
+from fes.cli.replay.log import controller_and_gate
+from fes.cli.replay.stimulators import LoggedSink
+from fes.cli.run.devices import open_dashboard
 from fes.config import ConfigError, Session
 from fes.control.controller import CURRENT_STEP_MA, Controller
 from fes.control.replay import settings_of
-from fes.control.runner import Log, Runner
-from fes.control.sources import paced
-from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
+from fes.control.runner import Log, Runner, paced
+from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.evaluation.log_replay import ReplayOutput
-from fes.gate import SafetyGate, gate_of
+from fes.gate import SafetyGate
 from fes.live.dashboard.replay import ReplayLog, StoppableClock
 from fes.session_log import Note, SessionLogError, iter_events, read_session
 from fes.signals import Event
@@ -53,8 +49,9 @@ class ReplayDashboard:
         belt_mps = session.treadmill.belt_speed_mps if session.treadmill else recording.get("belt_speed_mps")
         stream = self._process.stream
         self.log = ReplayLog(log, stream, controller, gate, rates_hz, phase_sensors(calibrations), belt_mps)
-        self.clock = StoppableClock(stream, self._stopped)
         self._t_ns = 0
+        said = "warning", "dashboard", "stopped on the dashboard"
+        self.clock = StoppableClock(stream, lambda: self.log.note(Note(self._t_ns, *said)))
 
     def publish(self, t_ns: int) -> None:
         """Show what there is to show at the recording's time ``t_ns``."""
@@ -66,9 +63,6 @@ class ReplayDashboard:
         self.log.publish(self._t_ns, time.monotonic_ns(), last=True)
         self._process.farewell = f"The replay has ended: {ended}."
         self._stack.close()
-
-    def _stopped(self) -> None:
-        self.log.note(Note(self._t_ns, "warning", "dashboard", "stopped on the dashboard"))
 
 
 def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
@@ -86,9 +80,7 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         fail(SessionLogError(f"{path}: its header is not one of this version: {error}"))
     step_ma = float(record.header.get("current_step_ma", CURRENT_STEP_MA))
-    up = {sensor: each.up for sensor, each in calibrations.items()}
-    gate = gate_of(session, up, shank_phase_sensors(calibrations), step_ma)
-    controller = Controller(session, calibrations, current_step_ma=step_ma)
+    controller, gate = controller_and_gate(session, calibrations, step_ma)
     warm_up()
     shown = ReplayDashboard(folder, session, calibrations, record.header, ReplayOutput(), controller, gate, port)
     sink = LoggedSink(session_id, [])
@@ -104,7 +96,6 @@ def play_log(path: Path, folder: Path, speed: float, port: int) -> None:
             runner.run(sink.replay_events(paced(iter_events(path), shown.clock, speed)), after)
         ended = "complete"
     except KeyboardInterrupt:
-        click.secho("Interrupted: the log was not played to its end, and not checked.", fg="yellow", err=True)
-        raise SystemExit(INTERRUPTED) from None
+        interrupted(": the log was not played to its end, and not checked.")
     finally:
         shown.close(ended)

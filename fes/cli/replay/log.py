@@ -1,8 +1,6 @@
 """Replaying a session log: the same events through the same loop must give what was recorded, bytes first."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -10,57 +8,33 @@ from typing import Any, Final
 import click
 
 from drivers.stimulator.can_codec import COMMAND_ID, OPEN_ID, PROTOCOL_VERSION
-from drivers.stimulator.can_port import ByteSink
 from fes import __version__
-from fes.cli.common.exits import FAILED, fail
+from fes.cli.common.exits import FAILED, failing
 from fes.cli.common.show import show, show_latched
-from fes.cli.replay.stimulators import SerialSink, repeats_bytes
+from fes.cli.replay.stimulators import LoggedSink, SerialSink, repeats_bytes
 from fes.cli.replay.timing import show_timing
-from fes.config import ConfigError
+from fes.config import ConfigError, Session
 from fes.control.controller import CURRENT_STEP_MA, Controller
 from fes.control.replay import settings_of
 from fes.control.runner import Runner
-from fes.estimation.sensor_choice import shank_phase_sensors
+from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
 from fes.evaluation.log_replay import ReplayOutput, first_difference
-from fes.evaluation.timing_check import TimingError, TimingOptions, check_replayed
-from fes.gate import gate_of
+from fes.evaluation.trigger_timing import TimingError, TimingOptions, check_replayed
+from fes.gate import SafetyGate, gate_of
 from fes.live.stimulator import UNSENT
 from fes.session_log import SessionLogError, SessionRecord, iter_events, iter_inputs, read_session
-from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, WireFrame
 
 LARGEST_STEP_MA: Final = 10.0
 REPORTED: Final = ("commands", "strides", "difference")
 
 
-class LoggedSink:
-    """Encodes as the session did: not what it could not send, and under a new identifier after it opened again."""
-
-    def __init__(self, session_id: int, sent: list[bool]) -> None:
-        self._sink = ByteSink(session_id)
-        self._sent = sent
-        self._number = 0
-
-    def opened(self, session_id: int) -> None:
-        """The stimulator was opened again."""
-        self._sink = ByteSink(session_id)
-
-    def replay_events(self, events: Iterable[Event]) -> Iterator[Event]:
-        """The events, and where the stimulator was opened again, that."""
-        for event in events:
-            if isinstance(event, StimOpened):
-                self.opened(event.session_id)
-            yield event
-
-    def send(self, command: StimCommand) -> WireFrame:
-        """The frame that the session sent, or left out."""
-        number, self._number = self._number, self._number + 1
-        if number < len(self._sent) and not self._sent[number]:
-            return WireFrame(command.t_ns, UNSENT, b"")
-        return self._sink.send(command)
-
-    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """Its answers are events in the log."""
-        return []
+def controller_and_gate(
+    session: Session, calibrations: Mapping[str, Calibration], current_step_ma: float = CURRENT_STEP_MA
+) -> tuple[Controller, SafetyGate]:
+    """What decides in a replay, and what has the last word."""
+    up = {sensor: each.up for sensor, each in calibrations.items()}
+    gate = gate_of(session, up, shank_phase_sensors(calibrations), current_step_ma)
+    return Controller(session, calibrations, current_step_ma=current_step_ma), gate
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +61,10 @@ def repeat(path: Path) -> Repeated:
     record = read_session(path)
     try:
         session, calibrations, session_id = settings_of(record.header, path)
-        current_step_ma = _step_ma(record.header.get("current_step_ma", CURRENT_STEP_MA))
-        up = {sensor: each.up for sensor, each in calibrations.items()}
-        gate = gate_of(session, up, shank_phase_sensors(calibrations), current_step_ma)
-        controller = Controller(session, calibrations, current_step_ma=current_step_ma)
+        step_ma = record.header.get("current_step_ma", CURRENT_STEP_MA)
+        if isinstance(step_ma, bool) or not isinstance(step_ma, (int, float)) or not 0.0 < step_ma <= LARGEST_STEP_MA:
+            raise ValueError(f"current_step_ma = {step_ma!r} is no step of a current in mA")
+        controller, gate = controller_and_gate(session, calibrations, float(step_ma))
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         if isinstance(error, ConfigError):
             raise
@@ -115,26 +89,15 @@ def repeat(path: Path) -> Repeated:
     runner = Runner(controller, gate, sink, now, lambda: 0)
     for event in events:
         runner.handle(event)
-    if record.complete and not _cut_off(record):
+    # a log that was recovered without its end lacks what the session did last
+    recovered = record.summary.get("recovered")
+    if record.complete and not (isinstance(recovered, dict) and recovered.get("end_missing")):
         runner.all_off()
     difference = (compares_bytes and _other_protocol(record)) or first_difference(
         record, recorded if compares_bytes else None, now, runner.t_ns
     )
-    return Repeated(
-        min(len(record.commands), len(now.commands)), min(len(record.strides), len(now.strides)), difference, now
-    )
-
-
-def _cut_off(record: SessionRecord) -> bool:
-    """Whether the log was recovered from one without its end: what the session did last is not in it."""
-    recovered = record.summary.get("recovered")
-    return isinstance(recovered, dict) and bool(recovered.get("end_missing"))
-
-
-def _step_ma(stated: object) -> float:
-    if isinstance(stated, bool) or not isinstance(stated, (int, float)) or not 0.0 < stated <= LARGEST_STEP_MA:
-        raise ValueError(f"current_step_ma = {stated!r} is no step of a current in mA")
-    return float(stated)
+    commands, strides = min(len(record.commands), len(now.commands)), min(len(record.strides), len(now.strides))
+    return Repeated(commands, strides, difference, now)
 
 
 def _other_protocol(record: SessionRecord) -> str:
@@ -146,15 +109,12 @@ def _other_protocol(record: SessionRecord) -> str:
 
 def replay_log(path: Path, *, as_json: bool, timing: TimingOptions | None = None) -> None:
     """Show a session log and check that it gives the same bytes, phases and strides again, or the same ``timing``."""
-    try:
+    with failing(SessionLogError, ConfigError, TimingError):
         again = repeat(path)
         more: dict[str, Any] = {"replayed": {name: getattr(again, name) for name in REPORTED}}
         checked = check_replayed(path, timing, again.now.phases, again.now.commands) if timing else None
-        notices = show(
-            path, as_json=as_json, report=None, more=more | ({"timing": checked.to_json()} if checked else {})
-        )
-    except (SessionLogError, ConfigError, TimingError) as error:
-        fail(error)
+        more |= {"timing": checked.to_json()} if checked else {}
+        notices = show(path, as_json=as_json, report=None, more=more)
     show_latched(notices)
     if again.difference:
         click.secho(f"Not the same when replayed: {again.difference}", fg="red", err=True)

@@ -1,13 +1,11 @@
 """Which stimulator a replay talks to: none, a simulated one in its own process, or what is on the session's bus.
 
-A serial stimulator's port repeated from a session log: the same port, given what the line brought when it did.
+And what encodes as a session did when its log is repeated: a serial stimulator's port gets what its line brought then.
 """
-
-from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -58,21 +56,52 @@ class LoggedLine:
         """Nothing is held."""
 
 
-class SerialSink:
-    """Encodes as the session's serial port did, from what that heard: its queue, its questions, its numbers.
+class _RepeatingSink:
+    """Encodes as the session did, but not what it could not send; ``sent`` says by command whether it did."""
 
-    ``sent`` says by command whether the session gave it to the port; a line that was lost got none.
+    def __init__(self, sink: ByteSink | ScienceModePort, sent: Sequence[bool] = ()) -> None:
+        self.sent, self._sink, self._number = sent, sink, 0
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """The frame that the session sent, or left out."""
+        number, self._number = self._number, self._number + 1
+        if number < len(self.sent) and not self.sent[number]:
+            return WireFrame(command.t_ns, UNSENT, b"")
+        return self._sink.send(command)
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """Its answers are events in the log."""
+        return []
+
+
+class LoggedSink(_RepeatingSink):
+    """For a CAN stimulator: under a new identifier after it opened again."""
+
+    def __init__(self, session_id: int, sent: Sequence[bool]) -> None:
+        super().__init__(ByteSink(session_id), sent)
+
+    def replay_events(self, events: Iterable[Event]) -> Iterator[Event]:
+        """The events, and where the stimulator was opened again, that."""
+        for event in events:
+            if isinstance(event, StimOpened):
+                self._sink = ByteSink(event.session_id)
+            yield event
+
+
+class SerialSink(_RepeatingSink):
+    """For a serial stimulator, from what its port heard: its queue, its questions, its numbers.
+
+    A line that was lost got no command.
 
     Raises:
         ConfigError: the log's settings are not such a device's.
     """
 
     def __init__(self, session: Session) -> None:
-        self.sent: Sequence[bool] = ()
         self._session = session
-        self._number = 0
         self._line = LoggedLine()
         self._port = self._open(0)
+        super().__init__(self._port)
 
     def replay_events(self, inputs: Iterable[Event | Received | WireFrame], session_id: int) -> Iterator[Event]:
         """The log's events, while the port gets what lies between them.
@@ -104,17 +133,6 @@ class SerialSink:
         """Of all frames those of commands, one each: all but the handshakes'."""
         return [frame for frame in frames if frame.identifier not in self._port.greetings]
 
-    def send(self, command: StimCommand) -> WireFrame:
-        """The frame that the session sent, or left out."""
-        number, self._number = self._number, self._number + 1
-        if number < len(self.sent) and not self.sent[number]:
-            return WireFrame(command.t_ns, UNSENT, b"")
-        return self._port.send(command)
-
-    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
-        """Its answers are events in the log."""
-        return []
-
     def _check(self, t_ns: int | None) -> None:
         if t_ns is not None:
             with suppress(StimulatorLost):  # as it was then, and the log says so
@@ -122,7 +140,7 @@ class SerialSink:
 
     def _resume(self, session_id: int, greeted: list[WireFrame]) -> None:
         self._line = LoggedLine()
-        self._port = self._open(session_id)
+        self._sink = self._port = self._open(session_id)
         self._port.resume(greeted)
         greeted.clear()
 
@@ -174,13 +192,10 @@ def simulated(session_id: int, boot_id: int, t_ns: int, *, lockstep: bool, recor
         StimulatorLost, BusError: it did not start, or cannot be reached.
     """
     with spawn_node(boot_id=boot_id, record=record, clock="bus" if lockstep else "real") as node:
-        bus = open_bus(node.bus, NODE_IDS)
-        stimulator = (LockstepStimulator if lockstep else CanStimulator)(bus, session_id)
-        try:
+        kind = LockstepStimulator if lockstep else CanStimulator
+        with closing(kind(open_bus(node.bus, NODE_IDS), session_id)) as stimulator:
             handshake = stimulator.open(t_ns, timeout_s=10.0)
             yield Opened(stimulator, handshake.frames, handshake.alive)
-        finally:
-            stimulator.close()
 
 
 @contextmanager
@@ -190,12 +205,9 @@ def on_the_bus(session: Session, session_id: int, t_ns: int) -> Iterator[Opened]
     Raises:
         StimulatorLost, BusError: the bus cannot be opened, or nothing answers there.
     """
-    stimulator = CanStimulator(open_bus(session.bus, NODE_IDS), session_id)
-    try:
+    with closing(CanStimulator(open_bus(session.bus, NODE_IDS), session_id)) as stimulator:
         handshake = stimulator.open(t_ns)
         yield Opened(stimulator, handshake.frames, handshake.alive)
-    finally:
-        stimulator.close()
 
 
 def last_answers(stimulator: OpenStimulator, t_ns: int) -> list[StimStatus | StimAlive]:
@@ -216,9 +228,6 @@ def wire_truth(frames: list[WireFrame], statuses: list[StimStatus]) -> Delivered
 
 def warn_of_real_device(session: Session) -> None:
     """Before anything goes to a bus where hardware may listen."""
-    click.secho(
-        f"Sending to {session.bus.interface} {session.bus.channel}: a stimulator there WILL stimulate. Ctrl-C stops.",
-        fg="red",
-        bold=True,
-        err=True,
-    )
+    where = f"{session.bus.interface} {session.bus.channel}"
+    said = f"Sending to {where}: a stimulator there WILL stimulate. Ctrl-C stops."
+    click.secho(said, fg="red", bold=True, err=True)

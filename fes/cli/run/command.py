@@ -1,6 +1,7 @@
-"""``fes run``: a live session."""
+"""``fes run``: a live session.
 
-from __future__ import annotations
+The first part of a live session that was given no calibration: stand still, walk some strides.
+"""
 
 import sys
 import time
@@ -16,24 +17,76 @@ from drivers.stimulator.open import open_lead_detected_from_ma, open_session
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
-from fes.calibration.recording import load
-from fes.cli.common.exits import INTERRUPTED, LOG_SUFFIX, Problem, StoppedEarly, fail, fresh_folder
-from fes.cli.common.options import Number, RenamedOptions
+from fes.calibration.recording import SensorCalibrations, load
+from fes.cli.calibrate import describe, save_calibrations
+from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted
+from fes.cli.common.options import PATH, Number, RenamedOptions, utc_now
 from fes.cli.common.progress import Interrupt
-from fes.cli.run.calibration import calibrate, open_log, utc_now
-from fes.cli.run.dashboard import FORMER_OPTIONS, add_dashboard, dashboard_options, open_dashboard
-from fes.cli.run.devices import open_sensors, serial_ports_of, stop_switch_settings
+from fes.cli.run import devices
 from fes.config import ConfigError, Session, load_session
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
-from fes.live.inputs import FootSwitchInput, StopFile, StopSwitch, Terminal, standard_keys
+from fes.live.calibrating import Calibrating
+from fes.live.commands import CommandKind, OperatorCommand
+from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
+from fes.live.log_pipe import PipedLog
 from fes.live.processes import ViewProcess
 from fes.live.realtime import become_real_time
 from fes.live.sensors import SensorStream
 from fes.live.session import COMPLETE, LiveSession, live_header
+from fes.live.source import LiveSource
 from fes.live.stimulator import LiveStimulator, Opened
 from fes.session_log import SessionLogError
+from fes.signals import Event
+
+Streams = Sequence[SensorStream]
+
+
+def calibrate(
+    session: Session, streams: Streams, strides: int, folder: Path, keys: int | None, interrupt: Interrupt
+) -> dict[str, Calibration]:
+    """Record standing and walking, and calibrate from it; the recording and the result stay in the session's folder."""
+    finding = Calibrating(session, strides)
+    click.echo("Calibration: stand still for two seconds, then walk straight ahead. q gives up.", err=True)
+    with failing(SessionLogError):
+        header = live_header(session, {}, 0, utc_now(), time.monotonic_ns())
+        log = PipedLog(folder / f"calibration{LOG_SUFFIX}", header)
+    given_up: list[CommandKind] = []
+
+    def execute(command: OperatorCommand, t_ns: int) -> list[Event]:
+        if command.kind in (CommandKind.QUIT, CommandKind.STOP):
+            given_up.append(command.kind)
+        return []
+
+    def ended() -> bool:
+        return finding.done or bool(given_up)
+
+    inputs = [Keyboard(keys, execute)] if keys is not None else []
+    shown = ""
+    with failing(SessionLogError, kind=StoppedEarly):
+        try:
+            for event in LiveSource(streams, inputs, None, time.monotonic_ns, ended, lambda: False):
+                log.event(event)
+                log.flush_due(time.monotonic_ns())
+                finding.add_event(event)
+                interrupt.check()
+                if finding.message != shown:
+                    shown = finding.message
+                    click.echo(shown, err=True)
+        except KeyboardInterrupt:
+            given_up.append(CommandKind.QUIT)
+        finally:
+            for keyboard in inputs:
+                keyboard.close()
+        log.close({"ended": COMPLETE if finding.done else "given up"})
+    if not finding.done:
+        raise Problem("Calibration was given up; nothing was stimulated.")
+    for calibration in finding.found.values():
+        click.echo(describe(calibration), err=True)
+    save_calibrations(SensorCalibrations(finding.found), folder / "calibration.json")
+    return finding.found
+
 
 SOCKET_NAME = "control.sock"
 STOP_NAME = "stop"
@@ -56,22 +109,20 @@ class Options:
     dashboard_port: int = 0
 
 
-@click.command(name="run", cls=RenamedOptions, former=FORMER_OPTIONS)
-@click.argument("session", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="Results go below. Default: live.folder, or out.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="From `fes calibrate`. Default: calibrate first.")
+@click.command(name="run", cls=RenamedOptions, former=devices.FORMER_OPTIONS)
+@click.argument("session", type=PATH)
+@click.option("--out", type=PATH, help="Results go below. Default: live.folder, or out.")
+@click.option("--calibration", type=PATH, help="From `fes calibrate`. Default: calibrate first.")
 @click.option("--strides", type=click.IntRange(3, 100), default=6, show_default=True, help="To calibrate on, per foot.")
 @click.option("--duration", "duration_s", type=Number(min=0.1), help="End by itself after this long (s).")
-@click.option(
-    "--stop-file", type=click.Path(path_type=Path), help="Emergency stop if it appears. Default: live.stop_file."
-)
+@click.option("--stop-file", type=PATH, help="Emergency stop if it appears. Default: live.stop_file.")
 @click.option(
     "--stop-input", default="", help="can_bit:ID:BIT, serial_cts:PORT, serial_dsr:PORT. Default: live.stop_button."
 )
-@click.option("--control", type=click.Path(path_type=Path), help="Control socket. Default: OUT/…/control.sock.")
+@click.option("--control", type=PATH, help="Control socket. Default: OUT/…/control.sock.")
 @click.option("--keys-from", type=click.IntRange(min=0), help="Read keys from this descriptor instead of the terminal.")
 @click.option("--view/--no-view", default=None, help="The terminal view. Default: where there is a terminal.")
-@dashboard_options
+@devices.dashboard_options
 def command(session: Path, **options: Any) -> None:
     """Run a live session with the settings in SESSION (TOML).
 
@@ -91,35 +142,29 @@ def run_session(path: Path, options: Options) -> Path:
         Problem: unusable settings, devices that do not answer, a log that cannot be written.
         SystemExit: interrupted.
     """
-    try:
+    with failing(ConfigError, CalibrationError):
         session = usable(load_session(path), path)
         calibrations = load(options.calibration).calibrations if options.calibration else None
-    except (ConfigError, CalibrationError) as error:
-        fail(error)
     folder = fresh_folder(options.out or Path(session.live.folder), path.stem)
     with ExitStack() as stack:
-        streams = open_sensors(session, stack)
+        streams = devices.open_sensors(session, stack)
         keys = options.keys_from if options.keys_from is not None else standard_keys()
         if keys is not None:
             stack.enter_context(Terminal(keys))
         interrupt = stack.enter_context(Interrupt())
-        try:
+        with failing(RuntimeError):
             warm_up()
-        except RuntimeError as error:
-            fail(error)
         if calibrations is None:
             calibrations = calibrate(session, streams, options.strides, folder, keys, interrupt)
         worn = {device.sensor for device in session.sensors}
         calibrations = {sensor: each for sensor, each in calibrations.items() if sensor in worn}
         missing = sorted({str(channel.foot) for channel in session.channels} - phase_sensors(calibrations).keys())
         if missing:
-            raise Problem(
-                f"{options.calibration}: holds no calibration of {', '.join(missing)}, which a channel follows."
-            )
+            which = ", ".join(missing)
+            raise Problem(f"{options.calibration}: holds no calibration of {which}, which a channel follows.")
         log_path, ended = _run(session, calibrations, streams, options, folder, keys, interrupt, stack)
     if ended == "interrupted":
-        click.secho(f"Interrupted; stimulation is off. Session log: {log_path}", fg="yellow", err=True)
-        raise SystemExit(INTERRUPTED)
+        interrupted(f"; stimulation is off. Session log: {log_path}")
     if ended != COMPLETE:
         click.secho(f"\aALARM: the session has ended, stimulation is off. {ended}", fg="red", bold=True, err=True)
         raise StoppedEarly(ended)
@@ -128,26 +173,21 @@ def run_session(path: Path, options: Options) -> Path:
 
 
 def usable(session: Session, path: Path) -> Session:
-    """The session, if it can run live.
-
-    Raises:
-        ConfigError: something that a live session needs is missing.
-    """
+    """The session, if it can run live. Raises ConfigError: something that a live session needs is missing."""
     if not session.sensors:
         raise ConfigError(f"{path}: sensors are missing; a live session needs a [[sensors]] table for each")
     feet = phase_sensors(str(device.sensor) for device in session.sensors)
     for channel in session.channels:
         if channel.foot not in feet:
-            raise ConfigError(
-                f"{path}: channel {channel.name!r} follows the {channel.foot}, which no [[sensors]] table is worn on"
-            )
+            where = f"the {channel.foot}, which no [[sensors]] table is worn on"
+            raise ConfigError(f"{path}: channel {channel.name!r} follows {where}")
     return session
 
 
 def _run(
     session: Session,
     calibrations: dict[str, Calibration],
-    streams: Sequence[SensorStream],
+    streams: Streams,
     options: Options,
     folder: Path,
     keys: int | None,
@@ -156,17 +196,24 @@ def _run(
 ) -> tuple[Path, str]:
     """Open the stimulator, then the one loop; the log's path and how it ended."""
     opened_ns = time.monotonic_ns()
-    try:
+    with failing(StimulatorLost, ConfigError):
         port, session_id, handshake = open_session(session.stimulator, session, opened_ns)
-    except (StimulatorLost, ConfigError) as error:
-        fail(error)
     stack.callback(port.close)
     log_path = folder / f"session{LOG_SUFFIX}"
-    log = open_log(log_path, live_header(session, calibrations, session_id, utc_now(), opened_ns, port.current_step_ma))
-    dashboard = open_dashboard(folder, session, "live", options.dashboard_port, stack) if options.dashboard else None
-    terminal = sys.stdout.isatty()
-    view = stack.enter_context(ViewProcess()) if (terminal if options.view is None else options.view) else None
-    stimulator = LiveStimulator(port, lambda: _open_again(session), StimulatorLost, time.monotonic_ns)
+    with failing(SessionLogError):
+        header = live_header(session, calibrations, session_id, utc_now(), opened_ns, port.current_step_ma)
+        log = PipedLog(log_path, header)
+    dashboard = (
+        devices.open_dashboard(folder, session, "live", options.dashboard_port, stack) if options.dashboard else None
+    )
+    viewed = sys.stdout.isatty() if options.view is None else options.view
+    view = stack.enter_context(ViewProcess()) if viewed else None
+
+    def open_again() -> Opened:
+        port, session_id, handshake = open_session(session.stimulator, session, time.monotonic_ns())
+        return Opened(port, session_id, handshake.frames)
+
+    stimulator = LiveStimulator(port, open_again, StimulatorLost, time.monotonic_ns)
     stack.callback(stimulator.close)
     live = LiveSession(
         session,
@@ -181,9 +228,9 @@ def _run(
     )
     _give_inputs(live, session, options, folder, keys, stack)
     if dashboard is not None:
-        add_dashboard(live, dashboard)
+        devices.add_dashboard(live, dashboard)
     click.secho("A stimulator is connected. Nothing is stimulated until you arm.", fg="red", bold=True, err=True)
-    for port_name in serial_ports_of(session):
+    for port_name in devices.serial_ports_of(session):
         if hint := latency_hint(port_name):
             click.secho(hint, fg="yellow", err=True)
     grants = become_real_time()
@@ -210,11 +257,6 @@ def _run(
     return log_path, ended
 
 
-def _open_again(session: Session) -> Opened:
-    port, session_id, handshake = open_session(session.stimulator, session, time.monotonic_ns())
-    return Opened(port, session_id, handshake.frames)
-
-
 def _give_inputs(
     live: LiveSession, session: Session, options: Options, folder: Path, keys: int | None, stack: ExitStack
 ) -> None:
@@ -228,15 +270,13 @@ def _give_inputs(
         if options.control:
             raise Problem(f"{options.control}: no socket can be made: {error}. Choose a shorter path.") from error
         click.secho(f"No control socket: {error}", fg="yellow", err=True)
-    try:
+    with failing(SwitchFailed, ConfigError):
         for settings in session.foot_switches:
             switch = open_switch(settings, session.bus)
             stack.callback(switch.close)
             live.add_input(FootSwitchInput(settings.foot, switch))
-        wanted = stop_switch_settings(options.stop_input) if options.stop_input else session.live.stop_button
+        wanted = devices.stop_switch_settings(options.stop_input) if options.stop_input else session.live.stop_button
         if wanted is not None:
             button = open_switch(wanted, session.bus)
             stack.callback(button.close)
             live.add_input(StopSwitch(button, live.operator.execute))
-    except (SwitchFailed, ConfigError) as error:
-        fail(error)

@@ -1,17 +1,71 @@
-"""Opening what a live session names: its sensors' lines, its stop button."""
+"""Opening what a live session names: its sensors' lines, its stop button.
+
+``--dashboard``: a session or a replay in a browser.
+"""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
 
 from drivers.imu.open import ON_CAN, open_imus
 from drivers.imu.port import ImuLost
 from drivers.stimulator.bus import BusError
-from fes.cli.common.exits import fail
+from fes.cli.common.exits import Problem, failing
+from fes.cli.common.options import Command
 from fes.config import ConfigError, Session, Switch
 from fes.control.clock_sync import SensorClock
 from fes.estimation.sensor_choice import phase_sensors
 from fes.live.sensors import SensorStream
+
+if TYPE_CHECKING:
+    from fes.live.dashboard.process import DashboardProcess
+    from fes.live.session import LiveSession
+
+
+FORMER_OPTIONS: Final = {"--page": "--dashboard", "--page-port": "--dashboard-port"}
+
+
+def dashboard_options(command: Command) -> Command:
+    """``--dashboard`` and ``--dashboard-port``."""
+    port = click.option(
+        "--dashboard-port", type=click.IntRange(0, 65535), default=0, help="The dashboard's port. Default: a free one."
+    )
+    dashboard = click.option("--dashboard", is_flag=True, help="Serve the dashboard to a browser on this computer.")
+    return dashboard(port(command))
+
+
+def open_dashboard(folder: Path, session: Session, mode: str, port: int, stack: ExitStack) -> DashboardProcess:
+    """Start the dashboard's process and print its address; ``stack`` ends it. ``mode``: live or replay.
+
+    Raises:
+        Problem: the port is taken, or the folder cannot be written.
+    """
+    from fes.live.dashboard.process import LINK_NAME, DashboardProcess, about_session
+
+    try:
+        dashboard = stack.enter_context(DashboardProcess(folder, about_session(session, mode), port))
+    except OSError as error:
+        raise Problem(f"--dashboard-port {port}: cannot be served: {error.strerror}. Choose another port.") from error
+    click.secho(f"Dashboard  {dashboard.url}", bold=True, err=True)
+    click.echo(f"           opens once; {folder / LINK_NAME} has the link for another browser", err=True)
+    return dashboard
+
+
+def add_dashboard(live: LiveSession, dashboard: DashboardProcess) -> None:
+    """Show the session on the dashboard, and execute what is commanded there."""
+    from fes.live.dashboard.stream import DashboardCommands
+    from fes.session_log import Note
+
+    def on_refused(t_ns: int, text: str) -> None:
+        live.monitor.note(Note(t_ns, "warning", "dashboard", text))
+
+    stream = dashboard.stream
+    live.monitor.dashboard = stream
+    live.add_input(DashboardCommands(stream, live.operator.execute, lambda: live.operator.state, on_refused))
 
 
 def open_sensors(session: Session, stack: ExitStack) -> list[SensorStream]:
@@ -20,10 +74,8 @@ def open_sensors(session: Session, stack: ExitStack) -> list[SensorStream]:
     Raises:
         Problem: one cannot be opened.
     """
-    try:
+    with failing(ImuLost, BusError, ConfigError, ValueError):
         ports = open_imus(session.sensors, session.bus)
-    except (ImuLost, BusError, ConfigError, ValueError) as error:
-        fail(error)
     phase_sensor_of = phase_sensors(str(device.sensor) for device in session.sensors)
     # what no channel follows must not stop the therapy of a sound foot; without channels there is none to stop
     needed = frozenset(phase_sensor_of[channel.foot] for channel in session.channels if channel.foot in phase_sensor_of)
@@ -43,13 +95,11 @@ def stop_switch_settings(text: str) -> Switch:
     """
     source, *rest = text.split(":")
     pressed = rest.pop() if rest and rest[-1] in ("high", "low") else "high"
-    where: dict[str, object] = {}
+    where: dict[str, object] = {"port": ":".join(rest)}
     try:
         if source == "can_bit":
             identifier, bit = rest
             where = {"identifier": int(identifier, 0), "bit": int(bit)}
-        else:
-            where = {"port": ":".join(rest)}
         return Switch.model_validate({"source": source, "pressed": pressed, **where})
     except ValueError as error:
         raise ConfigError(

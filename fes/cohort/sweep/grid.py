@@ -5,8 +5,6 @@ Names are those of the session file, with dots: ``phases.swing_begins``, ``stimu
 thresholds are ``thresholds.rest_gyr_radps`` and so on; ``x1.2`` is 1.2 times what it would be for this person.
 """
 
-from __future__ import annotations
-
 import difflib
 import hashlib
 import itertools
@@ -16,7 +14,7 @@ import random
 import re
 import sys
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, get_args
@@ -87,9 +85,9 @@ def parse_axis(asked: str) -> Axis:
         raise CohortError(f"--set {asked}: write NAME=VALUE,VALUE,… or NAME=LOW:HIGH:COUNT.")
     _check_name(name)
     found = tuple(dict.fromkeys(each for part in values.split(",") for each in _values(asked, part.strip())))
-    wrong = [each for each in found if isinstance(each, Factor) and not name.startswith(f"{THRESHOLDS}.")]
-    if wrong:
-        raise CohortError(f"--set {asked}: {wrong[0]} is for {THRESHOLDS}; write the value itself.")
+    factor = next((each for each in found if isinstance(each, Factor)), None)
+    if factor is not None and not name.startswith(f"{THRESHOLDS}."):
+        raise CohortError(f"--set {asked}: {factor} is for {THRESHOLDS}; write the value itself.")
     return Axis(name, found)
 
 
@@ -100,17 +98,15 @@ def combinations_of(axes: Sequence[Axis], sample: int | None = None, seed: int =
         CohortError: a setting is named twice, or there are too many combinations.
     """
     names = [each.name for each in axes]
-    for name in names:
-        if names.count(name) > 1:
-            raise CohortError(f"--set {name}: is there twice; give all its values in one.")
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise CohortError(f"--set {twice[0]}: is there twice; give all its values in one.")
     total = math.prod(len(each.values) for each in axes)
     if (total if sample is None else min(sample, total)) > MOST:
         raise CohortError(f"{sample or total} combinations are more than {MOST}; give fewer values, or --sample N.")
     if sample is not None and total > sys.maxsize:
         raise CohortError(f"{total} combinations are too many to draw from; give fewer values.")
-    if sample is None or sample >= total:
-        chosen: Iterator[tuple[Value | Factor, ...]] = itertools.product(*(each.values for each in axes))
-    else:
+    chosen: Iterable[tuple[Value | Factor, ...]] = itertools.product(*(each.values for each in axes))
+    if sample is not None and sample < total:  # without laying the grid out
         chosen = (_nth(axes, number) for number in sorted(random.Random(seed).sample(range(total), sample)))
     return [Point(), *(Point(tuple(zip(names, values, strict=True))) for values in chosen)]
 
@@ -169,9 +165,9 @@ def change_thresholds(thresholds: Thresholds, changes: dict[str, Value | Factor]
 
 def swept_names() -> list[str]:
     """All settings that can be swept."""
-    of_session = [name for root in SWEPT for name in _leaves(Session.model_fields[root].annotation, root)]
-    of_session = [name for name in of_session if not re.match(rf"channels\.({'|'.join(FIXED)})(\.|$)", name)]
-    return [*(f"{THRESHOLDS}.{name}" for name in Thresholds._fields), *of_session]
+    of_session = (name for root in SWEPT for name in _leaves(Session.model_fields[root].annotation, root))
+    fixed = re.compile(rf"channels\.({'|'.join(FIXED)})(\.|$)")
+    return [f"{THRESHOLDS}.{name}" for name in Thresholds._fields] + [n for n in of_session if not fixed.match(n)]
 
 
 def _check_name(name: str) -> None:
@@ -190,7 +186,7 @@ def _check_name(name: str) -> None:
 
 def _values(asked: str, part: str) -> list[Value | Factor]:
     if found := _RANGE.fullmatch(part):
-        low, high, count = _number(asked, found[1]), _number(asked, found[2]), _number(asked, found[3])
+        low, high, count = (_number(asked, text) for text in found.groups())
         if not 2 <= count <= MOST_VALUES:
             raise CohortError(f"--set {asked}: COUNT of {part} must be 2 to {MOST_VALUES}.")
         return [float(f"{low + (high - low) * k / (count - 1):.12g}") for k in range(int(count))]
@@ -218,7 +214,6 @@ def _number(asked: str, text: str) -> float:
 
 
 def _nth(axes: Sequence[Axis], number: int) -> tuple[Value | Factor, ...]:
-    """Of the grid, without laying all of it out."""
     chosen = []
     for each in reversed(axes):
         number, at = divmod(number, len(each.values))
@@ -228,21 +223,17 @@ def _nth(axes: Sequence[Axis], number: int) -> tuple[Value | Factor, ...]:
 
 def _put(table: dict[str, Any], parts: Sequence[str], value: Any, name: str) -> None:
     for part in parts[:-1]:
-        inner = table.get(part)
-        if not isinstance(inner, dict):
+        if not isinstance(table.get(part), dict):
             raise CohortError(f"{name}: the session's channel {table.get('name', '')!r} has no {part}; add it there.")
-        table = inner
+        table = table[part]
     table[parts[-1]] = value
 
 
 def _leaves(annotation: Any, name: str) -> Iterator[str]:
     """Dotted names of a setting, or of all in a table of them."""
-    table = annotation if isinstance(annotation, type) and issubclass(annotation, Settings) else None
-    if table is None:
-        inner = [each for each in get_args(annotation) if isinstance(each, type) and issubclass(each, Settings)]
-        table = inner[0] if inner else None
-    if table is None:
+    kinds = (annotation, *get_args(annotation))
+    tables = [each for each in kinds if isinstance(each, type) and issubclass(each, Settings)]
+    if not tables:
         yield name
-        return
-    for key, field in table.model_fields.items():
+    for key, field in tables[0].model_fields.items() if tables else ():
         yield from _leaves(field.annotation, f"{name}.{key}")

@@ -1,18 +1,15 @@
 """A sweep's page: the best combinations, their trade-off, what each setting does by itself, what failed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from fes import __version__
 from fes.cohort.store import Measure
 from fes.cohort.sweep.grid import Axis, Factor
 from fes.cohort.sweep.table import Combination
 from fes.report.figures.svg import Figure, Plot, padded
-from fes.report.html import style, templates, trusted
+from fes.report.html import rendered, trusted
 from fes.signals import FloatArray
 
 SHOWN: Final = 50  # combinations in the table, besides the efficient ones and the session as it is
@@ -26,26 +23,20 @@ def sweep_page(
     """The page as HTML text; ``name`` is the session's, ``cases`` what was tried on."""
     listed = [one for at, one in enumerate(found) if one.done and (at < SHOWN or one.efficient or not one.settings)]
     failed = [one for one in found if one.failed]
-    figures = [*_trade_off(found, measures), *_by_setting(axes, found, measures)]
-    return (
-        templates("fes.cohort")
-        .get_template("sweep.html.j2")
-        .render(
-            title=f"Sweep of {name}",
-            style=style(),
-            version=__version__,
-            axes=[(axis.name, ", ".join(str(value) for value in axis.values)) for axis in axes],
-            names=[axis.name for axis in axes],
-            measures=measures,
-            rows=listed,
-            count=len(found),
-            efficient=sum(one.efficient for one in found),
-            failed=failed[:SHOWN],
-            failures=len(failed),
-            cases=cases,
-            figures=trusted(figures),
-            judged=[measure.title for measure in measures if measure.best],
-        )
+    return rendered(
+        *("sweep.html.j2", "fes.cohort"),
+        title=f"Sweep of {name}",
+        axes=[(axis.name, ", ".join(map(str, axis.values))) for axis in axes],
+        names=[axis.name for axis in axes],
+        measures=measures,
+        rows=listed,
+        count=len(found),
+        efficient=sum(one.efficient for one in found),
+        failed=failed[:SHOWN],
+        failures=len(failed),
+        cases=cases,
+        figures=trusted([*_trade_off(found, measures), *_by_setting(axes, found, measures)]),
+        judged=[measure.title for measure in measures if measure.best],
     )
 
 
@@ -60,12 +51,11 @@ def _trade_off(found: Sequence[Combination], measures: Sequence[Measure]) -> lis
     across, up = (np.array([m.factor * (one.figures[m.name] or 0.0) for one in points]) for m in (x, y))
     plot = Plot(f"{y.title} over {x.title}", x.axis, y.axis, padded([across]), padded([up]))
     kinds = np.array([AS_IS if not one.settings else BEST if one.efficient else OTHER for one in points])
-    titles = [one.text for one in points]
     for colour in (OTHER, BEST, AS_IS):
         own = np.flatnonzero(kinds == colour)
-        plot.points(across[own], up[own], colour, [titles[at] for at in own], hollow=colour == OTHER)
+        plot.points(across[own], up[own], colour, [points[at].text for at in own], hollow=colour == OTHER)
     caption = "Green: no other combination is at least as good in everything and better in something. Red: as it is."
-    return [Figure("Trade-off", plot.render(), caption)]
+    return [plot.figure("Trade-off", caption)]
 
 
 def _by_setting(axes: Sequence[Axis], found: Sequence[Combination], measures: Sequence[Measure]) -> list[Figure]:
@@ -95,14 +85,14 @@ def _by_setting(axes: Sequence[Axis], found: Sequence[Combination], measures: Se
             for label, place in zip(labels, at, strict=True):
                 plot.upright(float(place), OTHER, label)
         plot.points(x, y, OTHER, [f"{value:.{judged.digits}f}" for value in y], hollow=True)
-        figures.append(Figure(axis.name, plot.render(), caption))
+        figures.append(plot.figure(axis.name, caption))
     return figures
 
 
 def _places(axis: Axis) -> tuple[FloatArray, str]:
     """Where an axis's values lie, and its name; words lie side by side, under names of their own ("")."""
-    if all(isinstance(value, Factor) for value in axis.values):
-        times = [value.times for value in axis.values if isinstance(value, Factor)]
+    times = [value.times for value in axis.values if isinstance(value, Factor)]
+    if len(times) == len(axis.values):
         return np.array(times), f"{axis.name}, times what calibration gives"
     numbers = [value for value in axis.values if isinstance(value, (int, float)) and not isinstance(value, bool)]
     if len(numbers) == len(axis.values):

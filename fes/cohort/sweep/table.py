@@ -1,7 +1,5 @@
 """The rows of a sweep: one a combination and case, and what all cases together say of each combination."""
 
-from __future__ import annotations
-
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -71,14 +69,10 @@ _SUMS: Final = frozenset(_COUNTS) - {"reached_after"}
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """One combination over all its cases.
+    """One combination over all its cases: how many are ``done`` and ``failed``, and the ``reasons``, each once.
 
-    Attributes:
-        settings: by name; empty for the session as it is.
-        figures: by measure's name, None where unknown.
-        done, failed: cases.
-        reasons: why cases failed, each once.
-        efficient: no other one is at least as good in every measure that has a good end and better in one.
+    ``settings`` by name, empty for the session as it is; ``figures`` by measure's name, None where unknown;
+    ``efficient``: no other one is at least as good in every measure that has a good end and better in one.
     """
 
     settings: dict[str, Any]
@@ -108,7 +102,8 @@ def measures_in(rows: Iterable[Mapping[str, Any]]) -> tuple[Measure, ...]:
     groups = ((AGAINST_TRUTH, "marks"), (BURSTS, "swings_without"), (ON_PATIENTS, "in_band"))
     telling = [measure for group, sign in groups if sign in found for measure in group]
     by_strides = [replace(measure, best=0) for measure in BY_STRIDES] if telling else BY_STRIDES
-    return tuple(measure for measure in (*telling, *by_strides) if _source(measure.name) in found)
+    source = {"wrong": "marks", "four_share": "four_phases"}
+    return tuple(measure for measure in (*telling, *by_strides) if source.get(measure.name, measure.name) in found)
 
 
 def combinations(rows: Sequence[Mapping[str, Any]], measures: Sequence[Measure]) -> list[Combination]:
@@ -119,7 +114,12 @@ def combinations(rows: Sequence[Mapping[str, Any]], measures: Sequence[Measure])
     by: dict[str, list[Mapping[str, Any]]] = defaultdict(list)
     for row in rows:
         by[row["settings"]].append(row)
-    found = [_combination(settings, own, measures) for settings, own in by.items()]
+    found = []
+    for settings, own in by.items():
+        done = [row for row in own if row["status"] == DONE]
+        reasons = dict.fromkeys(row["reason"] for row in own if row["status"] != DONE)
+        figures = {measure.name: _figure(measure.name, done) for measure in measures}
+        found.append(Combination(json.loads(settings), figures, len(done), len(own) - len(done), tuple(reasons)))
     judged = [m for m in measures if m.best]
     ordered = sorted(
         ((_goods(each, judged), each) for each in found),
@@ -137,25 +137,16 @@ def combinations(rows: Sequence[Mapping[str, Any]], measures: Sequence[Measure])
 
 def combination_table(found: Sequence[Combination], measures: Sequence[Measure]) -> pa.Table:
     """For a Parquet file: a row a combination, best first, with a column a setting (text where kinds differ)."""
-    names = list(dict.fromkeys(name for each in found for name in each.settings))
     columns: dict[str, Any] = {}
-    for name in names:
+    for name in dict.fromkeys(name for each in found for name in each.settings):
         values = [each.settings.get(name) for each in found]
         kinds = {type(value) for value in values if value is not None}
         numbers = kinds <= {int, float}
         plain = len(kinds) == 1 or numbers
         columns[name] = [v if v is None else float(v) if numbers else v if plain else str(v) for v in values]
     columns |= {m.name: [each.figures[m.name] for each in found] for m in measures}
-    columns |= {"done": [e.done for e in found], "failed": [e.failed for e in found]}
-    columns["efficient"] = [each.efficient for each in found]
+    columns |= {name: [getattr(each, name) for each in found] for name in ("done", "failed", "efficient")}
     return pa.table(columns)
-
-
-def _combination(settings: str, rows: Sequence[Mapping[str, Any]], measures: Sequence[Measure]) -> Combination:
-    done = [row for row in rows if row["status"] == DONE]
-    reasons = dict.fromkeys(row["reason"] for row in rows if row["status"] != DONE)
-    figures = {measure.name: _figure(measure.name, done) for measure in measures}
-    return Combination(json.loads(settings), figures, len(done), len(rows) - len(done), tuple(reasons))
 
 
 def _figure(name: str, rows: Sequence[Mapping[str, Any]]) -> float | None:
@@ -164,19 +155,12 @@ def _figure(name: str, rows: Sequence[Mapping[str, Any]]) -> float | None:
     if name == "four_share":
         return _share(rows, ("four_phases",), "strides")
     known = [row[name] for row in rows if row.get(name) is not None]
-    if not known:
-        return None
-    return float(sum(known) if name in _SUMS else np.mean(known))
+    return float(sum(known) if name in _SUMS else np.mean(known)) if known else None
 
 
 def _share(rows: Sequence[Mapping[str, Any]], parts: Sequence[str], whole: str) -> float | None:
     of = sum(row[whole] or 0 for row in rows if row.get(whole) is not None)
     return sum(row[part] or 0 for row in rows for part in parts) / of if of else None
-
-
-def _source(name: str) -> str:
-    """The column that a measure is worked out from."""
-    return {"wrong": "marks", "four_share": "four_phases"}.get(name, name)
 
 
 def _goods(one: Combination, judged: Sequence[Measure]) -> list[float]:
@@ -186,4 +170,5 @@ def _goods(one: Combination, judged: Sequence[Measure]) -> list[float]:
 
 
 def _beats(one: Sequence[float], other: Sequence[float]) -> bool:
-    return all(a >= b for a, b in zip(one, other, strict=True)) and any(a > b for a, b in zip(one, other, strict=True))
+    pairs = list(zip(one, other, strict=True))
+    return all(a >= b for a, b in pairs) and any(a > b for a, b in pairs)

@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache, partial
+from itertools import product
 from pathlib import Path
 from random import Random
 from typing import TYPE_CHECKING, Any, Final
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
     from fes.estimation.sensor_choice import Calibration
     from fes.recording import Recording
     from fes.simulation.forward import PatientSettings
-    from fes.simulation.truth import Truth
-
 
 BAND_M: Final = (0.010, 0.040)  # of true toe clearance: clear of the ground, and no higher than it must be
 SETTLED: Final = 10  # strides that tuning may take
@@ -81,10 +80,7 @@ def truth_scores(
     """
     expected, found = marks_of_truth(truth, feet), marks_of_phases(phases)
     rows = timing_rows(expected, found, TRUTH_TOLERANCE_MS, LOG_TOLERANCE_MS)
-    errors = {
-        (row.who, row.what): np.abs(mark_errors(row.who, row.what, expected, found, row.tolerance_ms)[2])
-        for row in rows
-    }
+    errors = {(r.who, r.what): np.abs(mark_errors(r.who, r.what, expected, found, r.tolerance_ms)[2]) for r in rows}
     every = np.concatenate([np.zeros(0), *errors.values()])
     length = np.concatenate([np.zeros(0), *(_length_errors(truth, foot, strides) for foot in sorted(feet))])
     return {
@@ -123,10 +119,8 @@ def burst_scores(bursts: dict[int, list[Burst]], foot_of: dict[int, str], truth:
         return scores
     without, idle = 0, 0
     for channel, foot in foot_of.items():
-        spans = bursts.get(channel, [])
-        own = [
-            (round(s.t_swing_s * NS_PER_S), round(s.t_loading_response_s * NS_PER_S), s) for s in truth.strides_of(foot)
-        ]
+        spans, strides = bursts.get(channel, []), truth.strides_of(foot)
+        own = [(round(s.t_swing_s * NS_PER_S), round(s.t_loading_response_s * NS_PER_S), s) for s in strides]
         idle += sum(not any(off < end and begin < on for off, on, _ in own) for begin, end in spans)
         without += sum(s.walking and not any(off < end and begin < on for begin, end in spans) for off, on, s in own)
     return {**scores, "swings_without": without, "bursts_without": idle}
@@ -170,13 +164,9 @@ def _median(values: Iterable[float]) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Bench:
-    """What all combinations are tried on and with.
+    """What all combinations are tried on and with: the settings that they change, and their file, for messages.
 
-    Attributes:
-        session: the settings that combinations change.
-        path: its file, for messages.
-        seconds: a virtual patient walks for.
-        program: that was asked to try them.
+    ``seconds``: a virtual patient walks for; ``program``: that was asked to try them.
     """
 
     session: Session
@@ -234,16 +224,12 @@ Case = Source | Patient
 
 def sweep_tasks(cases: Iterable[Case], points: Sequence[Point], bench: Bench, store: Store) -> dict[str, Task]:
     """Every combination on every case, by its result's name; those of one case, which a worker reads once, together."""
-
-    def lost(case: Case, point: Point, reason: str) -> Outcome:
-        return keep(case, bench, point, store, FAILED, reason, {})
-
-    tasks = (
-        Task(bench.identity(case, point), try_one, (case, bench, point, store), partial(lost, case, point))
-        for case in cases
-        for point in points
-    )
-    return {task.key: task for task in tasks}
+    tasks = {}
+    for case, point in product(cases, points):
+        lost = partial(keep, case, bench, point, store, FAILED)
+        key = bench.identity(case, point)
+        tasks[key] = Task(key, try_one, (case, bench, point, store), lost)
+    return tasks
 
 
 def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
@@ -255,16 +241,18 @@ def try_one(case: Case, bench: Bench, point: Point, store: Store) -> Outcome:
     try:
         scores = _on_patient(case, bench, point) if isinstance(case, Patient) else _on_recording(case, bench, point)
     except Exception as error:  # one bad combination, however bad, must not stop the others
-        return keep(case, bench, point, store, FAILED, reason_of(error), {})
-    return keep(case, bench, point, store, DONE, "", scores)
+        return keep(case, bench, point, store, FAILED, reason_of(error))
+    return keep(case, bench, point, store, DONE, scores=scores)
 
 
-def keep(case: Case, bench: Bench, point: Point, store: Store, status: str, reason: str, scores: Scores) -> Outcome:
+def keep(
+    case: Case, bench: Bench, point: Point, store: Store, status: str, reason: str = "", scores: Scores | None = None
+) -> Outcome:
     """Keep a row."""
     identity = bench.identity(case, point)
     row = {"result": identity, "combination": point.identity, "settings": point.text(), "on": case.url}
     row |= {"status": status, "reason": reason[:LONGEST_REASON], "fes_version": __version__}
-    store.put(identity, {RESULTS: [{**row, **scores}]})
+    store.put(identity, {RESULTS: [row | (scores or {})]})
     return Outcome(identity, f"{point.text()} on {case.url}", status, reason)
 
 
@@ -319,21 +307,19 @@ def _loaded(source: Source) -> tuple[Recording, dict[str, Calibration], Truth | 
 def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
     from fes.control.controller import Controller
     from fes.control.replay import session_for
-    from fes.control.sources import armed_after, with_ticks
+    from fes.control.runner import armed_after, with_ticks
     from fes.estimation.sensor_choice import phase_sensors, tracker_of
-    from fes.recording.samples import samples_of
-    from fes.signals import Event, StimRequest, StrideResult
-    from statemachine.phases import PhaseChange
+    from fes.recording.tracks import samples_of
 
     recording, calibrations, truth = _loaded(source)
     session = session_for(recording, session_with(bench.session, point, Path(bench.path)))
     calibrations = with_thresholds(calibrations, point)
     drivers = phase_sensors(calibrations)
     scores: Scores = {}
+    outcomes: list[PhaseChange | StrideResult] = []
     if any(name.startswith(("stimulation.", "channels.")) for name, _ in point.values):
         controller, requests = Controller(session, calibrations), list[tuple[int, StimRequest]]()
-        outcomes: list[PhaseChange | StrideResult] = []
-        events: Iterator[Event] = with_ticks(samples_of(recording, set(calibrations)))
+        events = with_ticks(samples_of(recording, set(calibrations)))
         for event in armed_after(events, ARM_AFTER_S, session.stimulation.intensity):
             decision = controller.step(event)
             outcomes.extend(decision.outcomes)
@@ -341,7 +327,6 @@ def _on_recording(source: Source, bench: Bench, point: Point) -> Scores:
         foot_of = {channel.number: str(channel.foot) for channel in session.channels}
         scores |= burst_scores(bursts_of(requests), foot_of, truth)
     else:
-        outcomes = []
         for sensor in drivers.values():
             track = recording.tracks[sensor]
             tracker = tracker_of(session, calibrations[sensor])
@@ -380,16 +365,9 @@ def _on_patient(patient: Patient, bench: Bench, point: Point) -> Scores:
     strides: list[VirtualStride] = []
     notes: list[Note] = []
     with tempfile.TemporaryDirectory(prefix="fes-sweep-") as folder:
-        run_in_one_process(
-            settings,
-            session,
-            with_thresholds(calibrations, point),
-            armed_protocol(STAND_S + bench.seconds),
-            Path(folder) / "session.feslog",
-            CREATED,
-            on_stride=strides.append,
-            on_note=notes.append,
-        )
+        changed, acts = with_thresholds(calibrations, point), armed_protocol(STAND_S + bench.seconds)
+        log, heard, noted = Path(folder) / "session.feslog", strides.append, notes.append
+        run_in_one_process(settings, session, changed, acts, log, CREATED, on_stride=heard, on_note=noted)
     walked = [stride for stride in strides if stride.walking]
     backs = sum(note.source == "tuning" and "rolled back" in note.text for note in notes)
     latched = any(note.severity == "fault" for note in notes)

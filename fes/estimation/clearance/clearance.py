@@ -1,21 +1,18 @@
 """Clearance of sensor, toe and heel: the height of a point of the foot above where it stood, through its lever arm.
 
 A point that sits ``arm`` away from the sensor (forward, left, up with the foot flat) is ``(R(t) - R(0)) arm`` higher
-than the sensor's own path says. That takes the whole orientation, roll too: a sensor on the side of the shoe rises and
-falls by centimetres when the foot tips sideways, though toe and heel do not.
+than the sensor's own path says, roll included: a sensor on the side of the shoe rises when the foot tips sideways.
 
 Definitions. *Minimum toe clearance*: the lowest point between the toe's first peak after foot off and its last before
 contact (Winter 1992, Phys. Ther. 72:45-53; Mariani et al. 2012, IEEE Trans. Biomed. Eng. 59:3162-3168, who name the
-peaks maximal toe clearance 1 and 2). A foot that does not dip, as many paretic ones do not, has no such point; then the
-toe's height at its greatest horizontal speed is given, which is where Winter finds the minimum. *Maximal heel
-clearance*: the heel's greatest height (Mariani et al.). Heights count from the starting stance.
+peaks maximal toe clearance 1 and 2). For a foot that does not dip, as many paretic ones, it is the toe's height at its
+greatest horizontal speed, which is where Winter finds the minimum. *Maximal heel clearance*: the heel's greatest height
+(Mariani et al.). Heights count from the starting stance.
 
 Double integration leaves millimetres to a centimetre of slow height error in each stride. But at foot off the toe is on
 the ground, and at contact the lowest point of the foot is: :class:`ContactLevels` says where a recording sees them then
 on the whole, and each stride is shifted to agree, in proportion to time between contacts and stances.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -184,6 +181,7 @@ CONTACT_SPREAD_M = 0.003  # how much the true contact heights differ between str
 MOST_DRIFT_M = 0.05  # what differs by more was no drift: a stumble, a kerb, another kind of step
 LEVEL_GROUND_M = 0.01  # ground that rises by less per stride, on the whole, is taken for level
 LEAST_STRIDES = 5  # for levels
+TOE, BEFORE, AFTER, HEEL, SENSOR, DIPS = range(6)  # columns of :func:`clearances`
 TRIM = 0.1  # share of the strides left out at either end when levels are averaged
 
 
@@ -206,16 +204,6 @@ class FootPath:
     def tilt(self) -> FloatArray:
         """How much higher the tips of the foot's unit axes are than at the start (N, 3)."""
         return np.asarray(self.axes[:, 2, :] - self.axes[0, 2, :])
-
-    def index(self, t_ns: int) -> int:
-        """The sample at or after a time, within the stride."""
-        return min(int(np.searchsorted(self.t_ns, t_ns)), len(self.t_ns) - 1)
-
-    @property
-    def swing_ns(self) -> tuple[int, int]:
-        """Foot off and contact for compiled code, ``UNSEEN_NS`` for what was not seen."""
-        off, contact = self.foot_off_ns, self.contact_ns
-        return UNSEEN_NS if off is None else off, UNSEEN_NS if contact is None else contact
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,10 +255,11 @@ def join_paths(paths: AnyPaths) -> FootPaths:
         return paths
     counts = np.array([len(path.t_ns) for path in paths], dtype=np.int64)
     ends = np.cumsum(counts)
+    swings = [UNSEEN_NS if at is None else at for path in paths for at in (path.foot_off_ns, path.contact_ns)]
     return FootPaths(
         np.array([path.number for path in paths], dtype=np.int64),
         np.column_stack((ends - counts, ends)),
-        np.array([path.swing_ns for path in paths], dtype=np.int64).reshape(len(paths), 2),
+        np.array(swings, dtype=np.int64).reshape(len(paths), 2),
         np.concatenate([np.zeros(0, np.int64), *(path.t_ns for path in paths)]),
         np.concatenate([np.zeros((0, 3)), *(path.position_m for path in paths)]),
         quaternions_of(np.concatenate([np.zeros((0, 3, 3)), *(path.axes for path in paths)])),
@@ -292,11 +281,6 @@ def arms_of(geometry: FootGeometry) -> FootArms:
         (geometry.toe_forward_m, geometry.toe_left_m, geometry.toe_up_m),
         (geometry.heel_forward_m, geometry.heel_left_m, geometry.heel_up_m),
     )
-
-
-def rise(path: FootPath, arm_m: Vector3) -> FloatArray:
-    """Height (N,) in m of the point at ``arm_m`` above its own start."""
-    return np.asarray(path.position_m[:, 2] + path.tilt @ np.array(arm_m))
 
 
 @dataclass(frozen=True, slots=True)
@@ -341,47 +325,21 @@ def contact_levels(heights: FloatArray) -> ContactLevels | None:
     columns, cut = np.sort(seen.T), int(TRIM * len(seen))
     # a stumble or a turn must not shift the rest, and half the strides is too much to waste
     level = columns[:, cut : len(seen) - cut].mean(axis=1)
-    spread = 1.4826 * _middle(np.sort(np.abs(columns - _middle(columns))))[:, 0]
+    spread = 1.4826 * np.median(np.abs(columns - np.median(columns, axis=1, keepdims=True)), axis=1)
     weight = 1.0 - np.minimum(CONTACT_SPREAD_M / np.maximum(spread, 1e-9), 1.0) ** 2
     off, contact, rises = level.tolist()
     return ContactLevels(off, contact, rises if abs(rises) > LEVEL_GROUND_M else 0.0, *weight.tolist())
 
 
-def _middle(columns: FloatArray) -> FloatArray:
-    """Medians (M, 1) of rising rows (M, N)."""
-    count = columns.shape[1]
-    return 0.5 * (columns[:, (count - 1) // 2, None] + columns[:, count // 2, None])
-
-
-@dataclass(frozen=True, slots=True)
-class Clearance:
-    """Heights above the starting stance (m); the toe's are NaN without foot off or contact.
-
-    ``toe_m`` is the minimum toe clearance; where ``dips`` is False the toe has no minimum between two peaks, and this
-    is its height at its greatest horizontal speed. ``toe_first_peak_m`` and ``toe_last_peak_m`` are the greatest
-    heights before and after it, ``heel_m`` and ``sensor_m`` the greatest of the stride.
-    """
-
-    toe_m: float
-    toe_first_peak_m: float
-    toe_last_peak_m: float
-    heel_m: float
-    sensor_m: float
-    dips: bool
-
-
-def clearance(path: FootPath, arms: FootArms, levels: ContactLevels | None = None) -> Clearance:
-    """The clearances of one stride, shifted to the recording's contact levels if those are given."""
-    toe_m, first_m, last_m, heel_m, sensor_m, dips = clearances([path], arms, levels)[0].tolist()
-    return Clearance(toe_m, first_m, last_m, heel_m, sensor_m, bool(dips))
-
-
 def clearances(
     paths: AnyPaths, arms: FootArms, levels: ContactLevels | None, heights: FloatArray | None = None
 ) -> FloatArray:
-    """What :class:`Clearance` holds of every stride (K, 6), in its order; ``dips`` is 0 or 1.
+    """Heights of every stride above its starting stance (K, 6), m; the toe's are NaN without foot off or contact.
 
-    ``heights`` are their :func:`contact_heights` where already worked out.
+    The columns ``TOE``: the minimum toe clearance, or where the toe has no minimum between two peaks its height at its
+    greatest horizontal speed; ``BEFORE`` and ``AFTER``: its greatest heights before and after that; ``HEEL`` and
+    ``SENSOR``: the greatest of the stride; ``DIPS``: 1 where the toe has a minimum, else 0. They are shifted to the
+    recording's contact ``levels`` if given. ``heights``: the strides' :func:`contact_heights` where already worked out.
     """
     paths, out, drifts = join_paths(paths), np.empty((len(paths), 6)), np.zeros((len(paths), 3))
     if levels is not None:

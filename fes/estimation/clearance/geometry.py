@@ -14,8 +14,6 @@ The points found are on the sole, the heel's 1 cm behind the one that touches th
 Sideways nothing is found (roll is small, and in step with pitch): the sensor is taken to sit over the foot's axis.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -40,11 +38,9 @@ BALL, OVER_HEEL, TOE, HEEL = 0, 1, 2, 4  # the last two: at no height, and per m
 
 
 @jit_fused
-def _pointing(quaternion: Mat, axis: Vec, i: int) -> tuple[float, float, float]:
+def _pointing(q: Mat, axis: Vec, i: int) -> tuple[float, float, float]:
     """An axis of the sensor in the world."""
-    return to_world(
-        quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3], axis[0], axis[1], axis[2]
-    )  # fmt: skip
+    return to_world(q[i, 0], q[i, 1], q[i, 2], q[i, 3], axis[0], axis[1], axis[2])
 
 
 @jit_fused
@@ -225,17 +221,17 @@ def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
     )  # fmt: skip
     ball = _seen("the sensor's height", signs[BALL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
     over_heel = _seen("", signs[OVER_HEEL], MODEL_M[0], PLAUSIBLE_HEIGHT_M)
-    height = ball if ball.missing or over_heel.missing else _mean(ball, over_heel)
-    height_m, height_sd_m = _combine(height, *HEIGHT_M)
+    height = ball
+    if not (ball.missing or over_heel.missing):
+        height = _Seen(0.5 * (ball.value_m + over_heel.value_m), 0.5 * (ball.sd_m + over_heel.sd_m))
+    weight = height.sd_m**-2 + HEIGHT_M[1] ** -2
+    height_m, height_sd_m = (height.value_m * height.sd_m**-2 + HEIGHT_M[0] * HEIGHT_M[1] ** -2) / weight, weight**-0.5
     toe = _seen("the toe", signs[TOE] + height_m * signs[TOE + 1], MODEL_M[1], PLAUSIBLE_TOE_M)
     heels = signs[HEEL] + height_m * signs[HEEL + 1] - HEEL_BEHIND_M
     heel = _seen("the heel", heels, MODEL_M[2], PLAUSIBLE_HEEL_M)
-    if (
-        not (toe.missing or heel.missing)
-        and not PLAUSIBLE_SOLE_M[0] <= toe.value_m - heel.value_m <= PLAUSIBLE_SOLE_M[1]
-    ):
-        text = f"toe and heel came out {100.0 * (toe.value_m - heel.value_m):.0f} cm apart"
-        toe, heel = _Seen(0.0, math.inf, text), _Seen(0.0, math.inf, text)
+    apart_m = toe.value_m - heel.value_m
+    if not (toe.missing or heel.missing or PLAUSIBLE_SOLE_M[0] <= apart_m <= PLAUSIBLE_SOLE_M[1]):
+        toe = heel = _Seen(0.0, math.inf, f"toe and heel came out {100.0 * apart_m:.0f} cm apart")
     # information about (toe, heel): what was seen of each, the prior of the toe, and the prior of their distance
     sole, toe_prior = SOLE_M[1] ** -2, TOE_M[1] ** -2
     of_toe, of_heel = toe.sd_m**-2 + toe_prior + sole, heel.sd_m**-2 + sole
@@ -243,20 +239,12 @@ def estimate_geometry(paths: AnyPaths) -> EstimatedGeometry:
     heel_total = heel.value_m * heel.sd_m**-2 - SOLE_M[0] * sole
     determinant = of_toe * of_heel - sole * sole
     missing = list(dict.fromkeys(part.missing for part in (height, toe, heel) if part.missing))
-    return EstimatedGeometry(
-        geometry=FootGeometry(
-            toe_forward_m=(of_heel * toe_total + sole * heel_total) / determinant,
-            toe_up_m=-height_m,
-            heel_forward_m=(sole * toe_total + of_toe * heel_total) / determinant,
-            heel_up_m=-height_m,
-        ),
-        toe_forward_sd_m=math.sqrt(of_heel / determinant),
-        heel_forward_sd_m=math.sqrt(of_toe / determinant),
-        height_sd_m=height_sd_m,
-        strides=len(paths),
-        observed=not missing,
-        reason="; ".join(missing),
-    )
+    geometry = FootGeometry(
+        toe_forward_m=(of_heel * toe_total + sole * heel_total) / determinant, toe_up_m=-height_m,
+        heel_forward_m=(sole * toe_total + of_toe * heel_total) / determinant, heel_up_m=-height_m,
+    )  # fmt: skip
+    toe_sd_m, heel_sd_m = math.sqrt(of_heel / determinant), math.sqrt(of_toe / determinant)
+    return EstimatedGeometry(geometry, toe_sd_m, heel_sd_m, height_sd_m, len(paths), not missing, "; ".join(missing))
 
 
 def _seen(what: str, each: FloatArray, model_m: float, bounds_m: tuple[float, float]) -> _Seen:
@@ -268,12 +256,3 @@ def _seen(what: str, each: FloatArray, model_m: float, bounds_m: tuple[float, fl
         return _Seen(0.0, math.inf, f"{what} came out at {100.0 * middle:.0f} cm, which no foot has")
     spread = 1.4826 * median(np.abs(values - middle))
     return _Seen(middle, math.hypot(1.25 * spread / math.sqrt(len(values)), model_m))
-
-
-def _mean(one: _Seen, other: _Seen) -> _Seen:
-    return _Seen(0.5 * (one.value_m + other.value_m), 0.5 * (one.sd_m + other.sd_m))
-
-
-def _combine(seen: _Seen, mean_m: float, sd_m: float) -> tuple[float, float]:
-    weight = seen.sd_m**-2 + sd_m**-2
-    return (seen.value_m * seen.sd_m**-2 + mean_m * sd_m**-2) / weight, weight**-0.5

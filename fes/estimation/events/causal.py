@@ -20,8 +20,6 @@ The one exception is a heel lifted and put back: nobody can know at the time tha
 been decided, is not taken back, and the next push-off's FO follows.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import IntEnum

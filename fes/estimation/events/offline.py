@@ -28,8 +28,6 @@ in it; that costs 6° in the fastest patient and 1° in the slowest. Against Vic
 quietest instant gives a correlation of 0.98 and an SD of 2.1°, the middle of stance 0.99 and 1.3°.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """What a foot's tracker found in a block of samples, as arrays until it is asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -4,8 +4,6 @@ Live it advances one sample, in analysis a whole block; all that evolves is in o
 recording anywhere gives the same result to the last bit.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

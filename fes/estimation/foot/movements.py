@@ -1,7 +1,5 @@
 """Movements in a recording, before anything is known of phases: where one begins and ends, and where it leads."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -141,7 +139,7 @@ def _turned(
 def _follow(t_ns: Any, acc: Any, gyr: Any, spans: Any, out: Any) -> None:
     """Fill the rows of ``out`` with the numbers of :data:`MOVED`, in its order.
 
-    The velocity and the way that trapezoids gain (:mod:`fes.estimation.strides.constrained`) are sums of the
+    The velocity and the way that trapezoids gain (:mod:`fes.estimation.strides.integration`) are sums of the
     acceleration with a weight for each sample; what a bias does to them, the same sums of the sensor's axes. Two
     orientations run side by side, for each has to wait for its own last value: for the way, and for what is left over.
     """

@@ -12,8 +12,6 @@ singularity at zero error. Gravity says nothing about heading, so the gain's com
 covariance updated in Joseph's form, which stays right for any gain: the heading's variance never shrinks.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -4,8 +4,6 @@ There is one compiled step for a live sample and one compiled block for a record
 Python is called where the phase machine or a stride's result is wanted.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fes.estimation.foot import features
@@ -17,23 +15,21 @@ from fes.estimation.numerics.records import Mat, Vec, fill
 from fes.estimation.strides import segmentation
 from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker
 from fes.estimation.strides.segmentation import CHANGES, ROWS, STRIDE_STATE, STRIDES, Out, new_out
-from fes.estimation.tracking.history import (
+from fes.estimation.tracking.tracker import (
     FULL,
     KEPT,
     SILENCE,
+    TRANSITIONS,
     HistoryArrays,
+    Outcome,
     Samples,
+    Tracker,
     as_samples,
     forget_half,
-    store_sample,
-    store_samples,
-)
-from fes.estimation.tracking.tracker import (
-    TRANSITIONS,
-    Outcome,
-    Tracker,
     live_type,
     pack_sample,
+    store_sample,
+    store_samples,
     unpack_seen,
     until_due,
 )

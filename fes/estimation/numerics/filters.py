@@ -4,14 +4,12 @@ They give what ``scipy.signal`` and ``scipy.ndimage`` give (a test holds them to
 than the analysis of a short recording.
 """
 
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit, jit_ieee
+from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import FloatArray, IntArray
 
 PADDING = 9  # samples at each end, as scipy has it for one section
@@ -48,7 +46,7 @@ def biquad_step(x: float, section: Section, early: float, late: float) -> tuple[
 
 
 @jit_ieee
-def filter_backwards(one: Section, two: Section, three: Section, x: Any) -> None:
+def filter_backwards(one: Section, two: Section, three: Section, x: Mat) -> None:
     """Run a section over each row of ``x`` (3, N), from its end to its beginning: three at once, for each has to wait
     for its own last value, and hardly longer for the others."""
     last = x.shape[1] - 1
@@ -62,16 +60,14 @@ def filter_backwards(one: Section, two: Section, three: Section, x: Any) -> None
 
 
 @jit_ieee
-def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
+def moving_sums(x: Vec, count: int, ahead: int, share: float, out: Vec) -> None:
     """Fill ``out`` (N,) with ``share`` times the sum of ``x`` (N,) over ``count`` samples, ``ahead`` of them still to
     come; beyond the ends there is nothing. Both may be the same.
 
     What follows the beginning of a block of ``count`` samples is added to what is left of the block before: three
     additions, however many the samples, and nothing is ever taken away.
     """
-    n, block, left = x.shape[0], np.empty(count), np.empty(count + 1)  # left: of the block before, from a sample on
-    for j in range(count + 1):
-        left[j] = 0.0
+    n, block, left = x.shape[0], np.empty(count), np.zeros(count + 1)  # left: of the block before, from a sample on
     for begin in range(0, n + ahead, count):
         total = 0.0
         for j in range(count):
@@ -85,7 +81,7 @@ def moving_sums(x: Any, count: int, ahead: int, share: float, out: Any) -> None:
 
 
 @jit_ieee
-def thinned_sizes(x: Any, step: int, out: Any) -> None:
+def thinned_sizes(x: Mat, step: int, out: Vec) -> None:
     """Fill ``out`` (K,) with the mean length of each ``step`` rows of ``x`` (N, 3), N at least K times ``step``."""
     share = 1.0 / step
     for begin in range(0, out.shape[0], THINNED):
@@ -100,7 +96,7 @@ def thinned_sizes(x: Any, step: int, out: Any) -> None:
 
 
 @jit_ieee
-def _sizes(bits: Any, count: int, out: Any) -> None:
+def _sizes(bits: Vec, count: int, out: Vec) -> None:
     """Fill ``out`` (K,) with the greatest of each ``count`` of ``bits`` (N,), without their signs.
 
     Numbers in IEEE's format without their signs are in the order of their bits, and what is no number comes last; and
@@ -129,7 +125,7 @@ def rows_of_at_least(bound: float, x: FloatArray, largest: FloatArray) -> tuple[
 
 
 @jit_ieee
-def likeness(x: Any, shortest: int, out: Any) -> None:
+def likeness(x: Vec, shortest: int, out: Vec) -> None:
     """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), L lags from ``shortest`` on.
 
     For some hundred lags that is faster than by a Fourier transform: they lie side by side, several in one instruction,
@@ -150,7 +146,7 @@ def likeness(x: Any, shortest: int, out: Any) -> None:
 
 
 @jit_ieee
-def likeness_of_lengths(x: Any, step: int, shortest: int, out: Any) -> float:
+def likeness_of_lengths(x: Mat, step: int, shortest: int, out: Vec) -> float:
     """As :func:`likeness`, of what :func:`thinned_sizes` makes of ``x`` (N, 3), N at least ``step``, less its mean.
 
     Gives that of lag 0.
@@ -184,7 +180,7 @@ def falls_apart(x: FloatArray, n: int, apart: int) -> tuple[IntArray, FloatArray
 
 
 @jit_ieee
-def _falls(x: Any, n: int, at: Any, fall: Any) -> int:
+def _falls(x: Vec, n: int, at: Vec, fall: Vec) -> int:
     """Write all of them; how many there are. In blocks of ``n``, as :func:`moving_sums`."""
     left = np.empty(n + 1)  # the greatest of the block before, from each of its samples on
     left[n] = -math.inf
@@ -210,17 +206,14 @@ def _falls(x: Any, n: int, at: Any, fall: Any) -> int:
 
 
 @jit
-def _thin(tops: Any, rising: Any, apart: int, keep: Any) -> None:
+def _thin(tops: Vec, rising: Vec, apart: int, keep: Vec) -> None:
     """From the highest down, each peak that still stands takes away those that are too close to it."""
     for r in range(rising.shape[0] - 1, -1, -1):
         j = rising[r]
         if not keep[j]:
             continue
-        k = j - 1
-        while k >= 0 and tops[j] - tops[k] < apart:
-            keep[k] = False
-            k -= 1
-        k = j + 1
-        while k < tops.shape[0] and tops[k] - tops[j] < apart:
-            keep[k] = False
-            k += 1
+        for step in (-1, 1):
+            k = j + step
+            while 0 <= k < tops.shape[0] and abs(tops[k] - tops[j]) < apart:
+                keep[k] = False
+                k += step

@@ -10,8 +10,6 @@ its own, made of links to the kept files, and adds what it has compiled to these
 Only numba's documented interface is used.
 """
 
-from __future__ import annotations
-
 import atexit
 import errno
 import fcntl
@@ -19,7 +17,6 @@ import hashlib
 import json
 import logging
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -34,7 +31,7 @@ import fes.signals
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 LEAST_FREE_BYTES = 32_000_000  # all compiled code takes a third of that
-_NUMBERED = re.compile(r"(\.\d+)?\.nb[ic]$")  # what tells numba's files of one function apart
+_NO_FILE = (0, 0, -1)
 
 _functions: list[Any] = []
 _warned: list[Exception] = []
@@ -43,11 +40,12 @@ _warned: list[Exception] = []
 class KeptCode:
     """The compiled code that is kept in a folder, and this process's own copy of it, which numba works on.
 
-    ``kept.json`` lists the kept files with their sizes. It is replaced in one step once they are written through to the
-    disk, and a file that is not in it, or is not as long as it says, is never used: so nothing that a power cut leaves
-    is. Code of a function is taken over and added as a whole; where two processes have added to the same function, the
-    first one's stays, and what the other compiled is compiled again when it is next needed. A forked child has its
-    parent's folder: it must not compile what its siblings compile.
+    ``kept.json`` lists the kept files of every function with their sizes, by the name of numba's index of them. It is
+    replaced in one step once they are written through to the disk, and a function of which a file is not in it, or is
+    not as long as it says, is never used: so nothing that a power cut leaves is. Code of a function is taken over and
+    added as a whole; where two processes have added to the same function, the first one's stays, and what the other
+    compiled is compiled again when it is next needed. A forked child has its parent's folder: it must not compile what
+    its siblings compile.
     """
 
     def __init__(self, root: Path) -> None:
@@ -62,7 +60,7 @@ class KeptCode:
             self.own = Path(tempfile.mkdtemp(prefix="process-", dir=root))
             self._alive = (self.own / "alive").open("w")  # locked for as long as this process lives
             fcntl.flock(self._alive, fcntl.LOCK_EX)
-            self._link()
+        self.fetch()
 
     def is_empty(self) -> bool:
         """Whether nothing has been kept yet."""
@@ -71,7 +69,13 @@ class KeptCode:
     def fetch(self) -> None:
         """Take over what other processes have added since, of functions that this one has not compiled itself."""
         with self._locked():
-            self._link()
+            for index, sizes in self._listed().items():
+                here = self.own / index
+                if not here.exists() and self._is_intact(sizes):
+                    here.parent.mkdir(exist_ok=True)
+                    for name in sizes:
+                        _put(f"{self._kept}/{name}", f"{self.own}/{name}")
+                    self._seen[index] = _stamp(here), _stamp(self._kept / index)
 
     def keep(self) -> None:
         """Add what this process has compiled.
@@ -80,24 +84,24 @@ class KeptCode:
             OSError: it cannot be written.
         """
         with self._locked():
-            listed, added = self._listed(), []
-            intact = self._intact(listed)
-            for index in self.own.rglob("*.nbi"):
-                name = str(index.relative_to(self.own))
-                kept = self._kept / name
-                own_before, kept_before = self._seen.get(name, (None, None))
-                if _stamp(index) == own_before or (_stamp(kept) if name in intact else None) != kept_before:
+            listed, changed = self._listed(), set[Path]()
+            for own in self.own.rglob("*.nbi"):
+                index = str(own.relative_to(self.own))
+                kept = self._kept / index
+                own_before, kept_before = self._seen.get(index, (_NO_FILE, _NO_FILE))
+                kept_now = _stamp(kept) if index in listed and self._is_intact(listed[index]) else _NO_FILE
+                if _stamp(own) == own_before or kept_now != kept_before:
                     continue  # nothing new, or another process was first
                 kept.parent.mkdir(parents=True, exist_ok=True)
-                code = index.parent.glob(f"{index.stem}.*.nbc")
-                for file in (*code, index):  # last the index, which leads to the code
+                listed[index] = {}
+                for file in (*own.parent.glob(f"{own.stem}.*.nbc"), own):  # last the index, which leads to the code
                     _write_through(file)
-                    _copy(file, kept.with_name(file.name))
-                    listed[str(file.relative_to(self.own))] = file.stat().st_size
-                added.append(kept.parent)
-                self._seen[name] = _stamp(index), _stamp(kept)
-            if added:
-                for folder in {*added, self._kept}:
+                    _put(str(file), str(kept.with_name(file.name)))
+                    listed[index][str(file.relative_to(self.own))] = file.stat().st_size
+                changed |= {kept.parent, self._kept}
+                self._seen[index] = _stamp(own), _stamp(kept)
+            if changed:
+                for folder in changed:
                     _write_through(folder)
                 new = self._list.with_suffix(".new")
                 new.write_text(json.dumps(listed), encoding="utf-8")
@@ -119,61 +123,37 @@ class KeptCode:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
 
-    def _listed(self) -> dict[str, int]:
+    def _listed(self) -> dict[str, dict[str, int]]:
         try:
-            listed: dict[str, int] = json.loads(self._list.read_text(encoding="utf-8"))
+            listed: dict[str, dict[str, int]] = json.loads(self._list.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return {}
         return listed
 
-    def _intact(self, listed: dict[str, int]) -> dict[str, list[str]]:
-        """The files of each function of which all are as long as listed, by the name of its index."""
-        functions: dict[str, list[str]] = {}
-        for name in listed:
-            functions.setdefault(_NUMBERED.sub(".nbi", name), []).append(name)
-        return {
-            index: names
-            for index, names in functions.items()
-            if all(_size(self._kept / name) == listed[name] for name in names)
-        }
-
-    def _link(self) -> None:
-        for index, names in self._intact(self._listed()).items():
-            here = self.own / index
-            if here.exists():
-                continue
-            here.parent.mkdir(exist_ok=True)
-            for name in names:
-                _copy(self._kept / name, self.own / name)
-            self._seen[index] = _stamp(here), _stamp(self._kept / index)
+    def _is_intact(self, sizes: dict[str, int]) -> bool:
+        return all(_stamp(self._kept / name)[2] == size for name, size in sizes.items())
 
 
-def _stamp(file: Path) -> object:
-    """What changes when a file is replaced; None without one."""
+def _stamp(file: Path) -> tuple[int, int, int]:
+    """What changes when a file is replaced, last its size; ``_NO_FILE`` without one."""
     try:
         found = file.stat()
-    except FileNotFoundError:
-        return None
+    except OSError:
+        return _NO_FILE
     return found.st_ino, found.st_mtime_ns, found.st_size
 
 
-def _size(file: Path) -> int:
-    try:
-        return file.stat().st_size
-    except OSError:
-        return -1
-
-
-def _copy(file: Path, target: Path) -> None:
+def _put(file: str, target: str) -> None:
     """Put another name for a file that nobody writes into (numba replaces files), or a copy, in the place of a file."""
-    new = target.with_name(f"{target.name}.new")
-    new.unlink(missing_ok=True)
+    if os.path.lexists(target):
+        Path(target).unlink()
     try:
-        new.hardlink_to(file)
+        os.link(file, target)
     except OSError:  # a file system without links
+        new = Path(f"{target}.new")
         shutil.copyfile(file, new)
         _write_through(new)
-    new.replace(target)
+        new.replace(target)
 
 
 def _write_through(path: Path) -> None:
@@ -217,10 +197,7 @@ def _sources() -> list[Path]:
 
 def _kept_code() -> KeptCode | None:
     """The kept code of this version; None where nothing can be kept."""
-    digest = hashlib.sha256()
-    for source in _sources():
-        digest.update(source.read_bytes())
-    name = digest.hexdigest()[:16]
+    name = hashlib.sha256(b"".join(source.read_bytes() for source in _sources())).hexdigest()[:16]
     try:
         return _kept_in(Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "fes-gait" / name)
     except (OSError, RuntimeError):  # a read-only home, or none: compile once per boot instead of once per version
@@ -255,7 +232,7 @@ if KEPT is not None:
 def keep_compiled() -> None:
     """Keep what has been compiled so far, whatever becomes of this process; else that is done at its end."""
     try:
-        if KEPT is not None:
+        if KEPT is not None and compiled_here():
             KEPT.keep()
     except OSError as error:
         _warn_unkept(error)
@@ -263,8 +240,8 @@ def keep_compiled() -> None:
 
 def compiled_here() -> list[str]:
     """The functions that this process has had to compile, as nothing was kept of them."""
-    names = (f"{each.__module__}.{each.__qualname__}" for each in _functions if sum(each.stats.cache_misses.values()))
-    return [] if _PLAIN else sorted(names)
+    missed = [] if _PLAIN else [each for each in _functions if sum(each.stats.cache_misses.values())]
+    return sorted(f"{each.__module__}.{each.__qualname__}" for each in missed)
 
 
 def signatures() -> int:

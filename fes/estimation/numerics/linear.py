@@ -1,22 +1,13 @@
-"""A small linear system, for compiled code that must not call a library whose last bit differs between machines.
-
-Median and percentile of one row of finite numbers: numpy's values, to the bit, in a fraction of its time.
-
-numpy asks for both neighbours of a rank at once, and then leaves its fast selection, which is for one rank, for a slow
-one. Here one is asked for, and the other is the greatest or the least of what lies on its side.
-"""
-
-from __future__ import annotations
-
-from typing import Any
+"""A small linear system, for compiled code that must not call a library whose last bit differs between machines."""
 
 from fes.estimation.numerics.jit import jit_fused
+from fes.estimation.numerics.records import Mat
 
 SINGULAR = 1e-150  # smaller pivots are rounding
 
 
 @jit_fused
-def solve(system: Any, count: int) -> bool:
+def solve(system: Mat, count: int) -> bool:
     """Solve the first ``count`` equations in place by Gauss with pivoting.
 
     ``system`` (M, M + 1): the matrix in the first ``count`` columns, the right side in the last, where the solution

@@ -1,6 +1,8 @@
-"""Medians and percentiles; plain numpy, for who needs no compiler."""
+"""Median and percentile of one row of numbers: numpy's values, to the bit, in a fraction of its time.
 
-from __future__ import annotations
+numpy asks for both neighbours of a rank at once, and then leaves its fast selection, which is for one rank, for a slow
+one. Here one is asked for, and the other is the greatest or the least of what lies on its side.
+"""
 
 import math
 from typing import Any

@@ -4,8 +4,6 @@ Every number of a named tuple that is passed into compiled code is unpacked each
 core takes longer than a sample's arithmetic.
 """
 
-from __future__ import annotations
-
 import math
 from struct import Struct
 from typing import Any, NamedTuple, TypeAlias, get_type_hints

@@ -1,14 +1,12 @@
 """Quaternions, for compiled code and for arrays: w, x, y, z; ``q`` rotates sensor vectors into the world (z up)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit, jit_ieee
+from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import FloatArray
 
 SMALL_TURN2 = 0.25  # rad²: below, the series of half_turn lack less than the last bit
@@ -63,11 +61,7 @@ def to_world(qw: float, qx: float, qy: float, qz: float, vx: float, vy: float, v
     tx = 2.0 * (qy * vz - qz * vy)
     ty = 2.0 * (qz * vx - qx * vz)
     tz = 2.0 * (qx * vy - qy * vx)
-    return (
-        vx + qw * tx + qy * tz - qz * ty,
-        vy + qw * ty + qz * tx - qx * tz,
-        vz + qw * tz + qx * ty - qy * tx,
-    )
+    return (vx + qw * tx + qy * tz - qz * ty, vy + qw * ty + qz * tx - qx * tz, vz + qw * tz + qx * ty - qy * tx)
 
 
 @inlined
@@ -114,13 +108,7 @@ def from_gravity(fx: float, fy: float, fz: float) -> tuple[float, float, float, 
 
 
 @jit
-def _rotate_rows(q: Any, x: float, y: float, z: float, out: Any) -> None:
-    for i in range(q.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = to_world(q[i, 0], q[i, 1], q[i, 2], q[i, 3], x, y, z)
-
-
-@jit
-def foot_axes(q: Any, forward: Any, up: Any, out: Any) -> None:
+def foot_axes(q: Mat, forward: Vec, up: Vec, out: Mat) -> None:
     """Fill the columns of ``out`` (N, 3, 3) with ``forward``, left and ``up`` (3,) of the sensor frame in the world."""
     fx, fy, fz, ux, uy, uz = forward[0], forward[1], forward[2], up[0], up[1], up[2]
     lx, ly, lz = uy * fz - uz * fy, uz * fx - ux * fz, ux * fy - uy * fx
@@ -153,21 +141,21 @@ def cross(a: Sequence[float], b: Sequence[float]) -> FloatArray:
     return np.array((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx))
 
 
-def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
-    """Rotate the vector (3,) from the sensor into the world by the quaternion (4,)."""
-    return np.array(to_world(*q.tolist(), *v.tolist()))
-
-
 def rotate_all(quaternion: FloatArray, v: FloatArray) -> FloatArray:
     """Rotate one sensor vector (3,) by each quaternion (N, 4): (N, 3) in the world."""
-    out = np.empty((len(quaternion), 3))
-    x, y, z = v.tolist()
+    out, (x, y, z) = np.empty((len(quaternion), 3)), v.tolist()
     _rotate_rows(quaternion, x, y, z, out)
     return out
 
 
+@jit
+def _rotate_rows(q: Mat, x: float, y: float, z: float, out: Mat) -> None:
+    for i in range(q.shape[0]):
+        out[i, 0], out[i, 1], out[i, 2] = to_world(q[i, 0], q[i, 1], q[i, 2], q[i, 3], x, y, z)
+
+
 @jit_ieee
-def without(x: Any, bias: Any) -> Any:
+def without(x: Mat, bias: Vec) -> Mat:
     """Samples (N, 3) less a bias (3,)."""
     out = np.empty(x.shape)
     for i in range(x.shape[0]):

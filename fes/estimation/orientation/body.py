@@ -10,8 +10,6 @@ future (Fraser and Potter 1969, two-filter smoothing; the little that they share
 is that of the last forward pass.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -21,9 +19,11 @@ import numpy.typing as npt
 from fes.estimation.numerics.jit import jit
 from fes.estimation.numerics.rotation import from_gravity, to_sensor, to_world
 from fes.estimation.orientation.filter import NO_RANGE, BodySettings, State, advance, new_state
-from fes.signals import FloatArray, Vector3
+from fes.signals import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
+START_TILT_RAD = 0.05  # how well a pass knows where the last one ended, …
+START_BIAS_RADPS = 0.002  # … and the bias
 
 
 @dataclass(frozen=True)
@@ -41,107 +41,81 @@ class OrientationPath:
     gyr_bias_radps: FloatArray
 
 
-class OrientationTracker:
-    """The causal filter; a block gives bit for bit what its samples give one by one."""
-
-    def __init__(
-        self,
-        rate_hz: float,
-        *,
-        acc_range_mps2: float | None = None,
-        gyr_range_radps: float | None = None,
-        settings: BodySettings | None = None,
-    ) -> None:
-        """Start a filter that has seen nothing.
-
-        Args:
-            rate_hz: sampling rate.
-            acc_range_mps2: the accelerometer's full scale; readings there are not believed. None: it never clips.
-            gyr_range_radps: the same of the gyroscope.
-            settings: noise.
-
-        Raises:
-            ValueError: a rate or range that is not a positive number.
-        """
-        self._settings = settings or BodySettings()
-        self._dt_s = sample_time_s(rate_hz)
-        self._ranges = full_scales(acc_range_mps2, gyr_range_radps)
-        self._state = new_state(self._settings)
-
-    @property
-    def quaternion(self) -> FloatArray:
-        """(4,) w, x, y, z after the newest sample."""
-        return self._state.quaternion.copy()
-
-    @property
-    def gyr_bias_radps(self) -> FloatArray:
-        """(3,) rad/s after the newest sample."""
-        return self._state.bias.copy()
-
-    @property
-    def covariance(self) -> FloatArray:
-        """(8, 8): orientation error in the world (rad; the third is heading), bias (rad/s), level velocity (m/s)."""
-        return self._state.covariance.copy()
-
-    def advance(
-        self, acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, zero_velocity: npt.ArrayLike | None = None
-    ) -> OrientationPath:
-        """Take one sample (3,), (3,) or a block (N, 3), (N, 3); values that are not finite are lost samples.
-
-        Args:
-            acc_mps2: specific force.
-            gyr_radps: angular rate.
-            zero_velocity: (N,) where the body is known to stand still, as a foot in stance. None: not known.
-
-        Raises:
-            ValueError: shapes that do not fit.
-        """
-        acc, gyr, still = as_blocks(acc_mps2, gyr_radps, zero_velocity)
-        return run(self._state, acc, gyr, still, self._dt_s, self._ranges, self._settings)
-
-
 def track_orientation(
-    acc_mps2: FloatArray,
-    gyr_radps: FloatArray,
-    rate_hz: float,
-    *,
-    zero_velocity: BoolArray | None = None,
-    acc_range_mps2: float | None = None,
-    gyr_range_radps: float | None = None,
-    settings: BodySettings | None = None,
-) -> OrientationPath:
-    """The causal filter over a whole recording; arguments and errors as :class:`OrientationTracker`."""
-    tracker = OrientationTracker(
-        rate_hz, acc_range_mps2=acc_range_mps2, gyr_range_radps=gyr_range_radps, settings=settings
+    acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, rate_hz: float, *, zero_velocity: npt.ArrayLike | None = None,
+    acc_range_mps2: float | None = None, gyr_range_radps: float | None = None, settings: BodySettings | None = None,
+) -> OrientationPath:  # fmt: skip
+    """The causal filter over a whole recording; values that are not finite are lost samples.
+
+    Args:
+        acc_mps2: specific force (N, 3).
+        gyr_radps: angular rate (N, 3).
+        rate_hz: sampling rate.
+        zero_velocity: (N,) where the body is known to stand still, as a foot in stance. None: not known.
+        acc_range_mps2: the accelerometer's full scale; readings there are not believed. None: it never clips.
+        gyr_range_radps: the same of the gyroscope.
+        settings: noise.
+
+    Raises:
+        ValueError: shapes that do not fit, a rate or range that is not a positive number.
+    """
+    chosen = settings or BodySettings()
+    samples = _checked(acc_mps2, gyr_radps, rate_hz, zero_velocity, acc_range_mps2, gyr_range_radps)
+    return run(new_state(chosen), *samples, chosen)
+
+
+def smooth_orientation(
+    acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, rate_hz: float, *, zero_velocity: npt.ArrayLike | None = None,
+    acc_range_mps2: float | None = None, gyr_range_radps: float | None = None, settings: BodySettings | None = None,
+) -> OrientationPath:  # fmt: skip
+    """Orientation at every sample from all samples; arguments and errors as :func:`track_orientation`.
+
+    Raises:
+        ValueError: also for a recording without samples.
+    """
+    acc, gyr, still, dt_s, ranges = _checked(
+        acc_mps2, gyr_radps, rate_hz, zero_velocity, acc_range_mps2, gyr_range_radps
     )
-    return tracker.advance(acc_mps2, gyr_radps, zero_velocity)
+    if len(acc) == 0:
+        raise ValueError("there is no sample to smooth")
+    first = settings or BodySettings()
+    later = first._replace(start_tilt_rad=START_TILT_RAD, start_bias_radps=START_BIAS_RADPS)
+    # the rate of sample k leads from k - 1 to k; backwards it leads from k to k - 1
+    gyr_back = -np.roll(gyr, -1, axis=0)[::-1]
+
+    def again(path: OrientationPath) -> State:
+        """Where a pass in the other direction sets out: there every rate changes its sign, the bias with it."""
+        return new_state(later, -path.gyr_bias_radps, path.quaternion[-1])
+
+    path = run(new_state(first), acc, gyr, still, dt_s, ranges, first)
+    back = run(again(path), acc[::-1], gyr_back, still[::-1], dt_s, ranges, later)
+    path = run(again(back), acc, gyr, still, dt_s, ranges, later)
+    variance = _average(path.quaternion, back.quaternion[::-1], path.tilt_sd_rad**2, back.tilt_sd_rad[::-1] ** 2)
+    return OrientationPath(path.quaternion, np.sqrt(variance), path.gyr_bias_radps)
 
 
 def run(
-    state: State,
-    acc: FloatArray,
-    gyr: FloatArray,
-    still: BoolArray,
-    dt_s: float,
-    ranges: FloatArray,
+    state: State, acc: FloatArray, gyr: FloatArray, still: BoolArray, dt_s: float, ranges: FloatArray,
     settings: BodySettings,
-) -> OrientationPath:
-    """Carry ``state`` over checked samples, see :func:`as_blocks`; ``ranges`` (2,) of force and rate."""
+) -> OrientationPath:  # fmt: skip
+    """Carry ``state`` over samples (N, 3), (N, 3), (N,); a block gives bit for bit what its samples give one by one.
+
+    ``ranges`` (2,) of force and rate.
+    """
     out, tilt = np.empty((len(acc), 4)), np.empty(len(acc))
     advance(state, acc, gyr, still, dt_s, ranges, settings, out, tilt)
     return OrientationPath(out, np.sqrt(tilt), state.bias.copy())
 
 
-def as_blocks(
-    acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, zero_velocity: npt.ArrayLike | None
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Force (N, 3), rate (N, 3) and zero velocity (N,) for the compiled code.
+def _checked(
+    acc_mps2: npt.ArrayLike, gyr_radps: npt.ArrayLike, rate_hz: float, zero_velocity: npt.ArrayLike | None,
+    acc_range_mps2: float | None, gyr_range_radps: float | None,
+) -> tuple[FloatArray, FloatArray, BoolArray, float, FloatArray]:  # fmt: skip
+    """For :func:`run`: force (N, 3), rate (N, 3), zero velocity (N,), seconds from sample to sample, ranges (2,).
 
-    Raises:
-        ValueError: shapes that do not fit.
+    A range that is not known is never reached.
     """
-    acc = np.ascontiguousarray(np.atleast_2d(np.asarray(acc_mps2, dtype=np.float64)))
-    gyr = np.ascontiguousarray(np.atleast_2d(np.asarray(gyr_radps, dtype=np.float64)))
+    acc, gyr = (np.ascontiguousarray(np.atleast_2d(np.asarray(x, dtype=np.float64))) for x in (acc_mps2, gyr_radps))
     if acc.ndim != 2 or acc.shape[1] != 3 or acc.shape != gyr.shape:
         raise ValueError(f"specific force {acc.shape} and rate {gyr.shape} must both have the shape (N, 3)")
     still = np.zeros(len(acc), dtype=np.bool_)
@@ -150,72 +124,12 @@ def as_blocks(
         if given.shape != still.shape or given.dtype != np.bool_:
             raise ValueError(f"zero_velocity is {given.dtype} {given.shape}: give one bool per sample, {still.shape}")
         still[:] = given
-    return acc, gyr, still
-
-
-def full_scales(acc_range_mps2: float | None, gyr_range_radps: float | None) -> FloatArray:
-    """Both ranges (2,) for the compiled code; what is not known is never reached.
-
-    Raises:
-        ValueError: a range that is not a positive number.
-    """
+    if not (math.isfinite(rate_hz) and rate_hz > 0.0):
+        raise ValueError(f"rate_hz is {rate_hz}: give the sampling rate in Hz, above 0")
     for name, value in (("acc_range_mps2", acc_range_mps2), ("gyr_range_radps", gyr_range_radps)):
         if value is not None and not (math.isfinite(value) and value > 0.0):
             raise ValueError(f"{name} is {value}: give the full scale, above 0, or None where it is not known")
-    return np.array([acc_range_mps2 or NO_RANGE, gyr_range_radps or NO_RANGE])
-
-
-def sample_time_s(rate_hz: float) -> float:
-    """Seconds from sample to sample.
-
-    Raises:
-        ValueError: a rate that is not a positive number.
-    """
-    if not (math.isfinite(rate_hz) and rate_hz > 0.0):
-        raise ValueError(f"rate_hz is {rate_hz}: give the sampling rate in Hz, above 0")
-    return 1.0 / rate_hz
-
-
-START_TILT_RAD = 0.05  # how well a pass knows where the last one ended, …
-START_BIAS_RADPS = 0.002  # … and the bias
-
-
-def smooth_orientation(
-    acc_mps2: FloatArray,
-    gyr_radps: FloatArray,
-    rate_hz: float,
-    *,
-    zero_velocity: BoolArray | None = None,
-    acc_range_mps2: float | None = None,
-    gyr_range_radps: float | None = None,
-    settings: BodySettings | None = None,
-) -> OrientationPath:
-    """Orientation at every sample from all samples; arguments and errors as :class:`OrientationTracker`.
-
-    Raises:
-        ValueError: also for a recording without samples.
-    """
-    acc, gyr, still = as_blocks(acc_mps2, gyr_radps, zero_velocity)
-    if len(acc) == 0:
-        raise ValueError("there is no sample to smooth")
-    dt_s, ranges = sample_time_s(rate_hz), full_scales(acc_range_mps2, gyr_range_radps)
-    first = settings or BodySettings()
-    later = first._replace(start_tilt_rad=START_TILT_RAD, start_bias_radps=START_BIAS_RADPS)
-    # the rate of sample k leads from k - 1 to k; backwards it leads from k to k - 1
-    gyr_back = -np.roll(gyr, -1, axis=0)[::-1]
-
-    path = run(new_state(first), acc, gyr, still, dt_s, ranges, first)
-    state = new_state(later, _reversed(path.gyr_bias_radps), path.quaternion[-1])
-    back = run(state, acc[::-1], gyr_back, still[::-1], dt_s, ranges, later)
-    state = new_state(later, _reversed(back.gyr_bias_radps), back.quaternion[-1])
-    path = run(state, acc, gyr, still, dt_s, ranges, later)
-    variance = _average(path.quaternion, back.quaternion[::-1], path.tilt_sd_rad**2, back.tilt_sd_rad[::-1] ** 2)
-    return OrientationPath(path.quaternion, np.sqrt(variance), path.gyr_bias_radps)
-
-
-def _reversed(bias_radps: FloatArray) -> Vector3:
-    """Backwards in time every rate changes its sign, the bias with it."""
-    return -float(bias_radps[0]), -float(bias_radps[1]), -float(bias_radps[2])
+    return acc, gyr, still, 1.0 / rate_hz, np.array([acc_range_mps2 or NO_RANGE, gyr_range_radps or NO_RANGE])
 
 
 @jit

@@ -18,17 +18,16 @@ Sources: Negård et al. (2005), Eq. (4)-(13), for the indirect filter and the Ma
 and Seel (2023), VQF, for averaging the force in a frame that gyroscopes carry and for learning the bias in stillness.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from fes.estimation.numerics.jit import jit
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import from_gravity, quaternion_step, to_sensor, to_world
-from fes.signals import G_MPS2, FloatArray, Vector3
+from fes.signals import G_MPS2, FloatArray
 
 STATES = 8  # errors: orientation in the world (3, heading last), gyroscope's bias (3), level velocity (2)
 NO_RANGE = 1e30  # no value reaches it
@@ -87,21 +86,15 @@ class State(NamedTuple):
 
 
 def new_state(
-    settings: BodySettings, bias_radps: Vector3 = (0.0, 0.0, 0.0), quaternion: FloatArray | None = None
+    settings: BodySettings, bias_radps: ArrayLike = (0.0, 0.0, 0.0), quaternion: FloatArray | None = None
 ) -> State:
     """A filter that has seen nothing; without a ``quaternion`` (4,) the first sample's force is its upright."""
     sd = [settings.start_tilt_rad] * 3 + [settings.start_bias_radps] * 3 + [settings.start_speed_mps] * 2
-    memory = np.zeros(MEMORY)
+    memory, attitude = np.zeros(MEMORY), np.array([1.0, 0.0, 0.0, 0.0])
     if quaternion is not None:
-        memory[STARTED] = START_GIVEN
-    return State(
-        quaternion=np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion.copy(),
-        bias=np.array(bias_radps, dtype=np.float64),
-        velocity=np.zeros(2),
-        covariance=np.diag(np.square(sd)),
-        memory=memory,
-        work=np.zeros(STATES),
-    )
+        memory[STARTED], attitude = START_GIVEN, quaternion.copy()
+    bias = np.array(bias_radps, dtype=np.float64)
+    return State(attitude, bias, np.zeros(2), np.diag(np.square(sd)), memory, np.zeros(STATES))
 
 
 AT_LIMIT = 0.999  # of the range
@@ -156,18 +149,6 @@ def usable_force(memory: Vec, acc: Mat, range_mps2: float, dt_s: float) -> float
 
 
 HEADING = 2  # its place in the state
-
-
-@jit
-def _start(state: State) -> None:
-    m, q = state.memory, state.quaternion
-    for j in range(3):
-        m[TRUSTED + j] = m[RATE + j]
-        m[MEAN_RATE + j] = m[RATE + j]
-        m[MEAN_FORCE + j] = m[FORCE + j]
-    if m[STARTED] != START_GIVEN:
-        q[0], q[1], q[2], q[3] = from_gravity(m[FORCE], m[FORCE + 1], m[FORCE + 2])
-    m[STARTED] = 1.0
 
 
 @jit
@@ -259,7 +240,12 @@ def one_sample(
         for j in range(3):
             if not (math.isfinite(acc[j]) and math.isfinite(gyr[j])):
                 return  # nothing to start from yet
-        _start(state)
+        for j in range(3):
+            m[TRUSTED + j] = m[MEAN_RATE + j] = m[RATE + j]
+            m[MEAN_FORCE + j] = m[FORCE + j]
+        if m[STARTED] != START_GIVEN:
+            q[0], q[1], q[2], q[3] = from_gravity(m[FORCE], m[FORCE + 1], m[FORCE + 2])
+        m[STARTED] = 1.0
         return
     wx, wy, wz = m[RATE] - bias[0], m[RATE + 1] - bias[1], m[RATE + 2] - bias[2]
     q[0], q[1], q[2], q[3] = quaternion_step(q[0], q[1], q[2], q[3], wx * dt_s, wy * dt_s, wz * dt_s)

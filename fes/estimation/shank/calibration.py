@@ -1,9 +1,8 @@
 """How a shank or ankle sensor sits, from a stretch of walking: the shank's axis, the way forward, biases, lever arm.
 
-As for the foot (``fes.estimation.foot.calibration``) nothing about the mounting is assumed, and standing still is
-welcome but not needed: a shank turns all through stance, and on a treadmill nobody stands. So gravity is the mean
-specific force over whole strides, the gyroscope's bias follows from how that direction drifts from stride to stride,
-and forward is where the swings carry the sensor.
+As for the foot (``fes.estimation.foot.calibration``) nothing about the mounting is assumed, and nobody has to stand
+still: gravity is the mean specific force over whole strides, the gyroscope's bias follows from how that direction
+drifts from stride to stride, and forward is where the swings carry the sensor.
 """
 
 from __future__ import annotations
@@ -17,12 +16,24 @@ import numpy as np
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.foot.features import lags_at
 from fes.estimation.shank.features import ShankParameters
-from fes.estimation.shank.levels import ShankLevels, fit_levels, trace_of
 from fes.estimation.shank.lever_arm import SHANK, ArmEstimate, ArmPrior, learn_arm
-from fes.estimation.shank.motion import StrideSpan, levelled, rotate_each, still_spans, stride_spans, swing_peaks
-from fes.estimation.strides.constrained import integrate
+from fes.estimation.shank.motion import (
+    CONJUGATE,
+    ShankLevels,
+    StrideSpan,
+    fit_levels,
+    levelled,
+    rotate_each,
+    still_spans,
+    stride_spans,
+    swing_peaks,
+    trace_of,
+    travelled,
+    turned_back,
+)
 from fes.signals import G_MPS2, FloatArray, IntArray, Vector3
 
+UP = np.array([0.0, 0.0, 1.0])
 QUIET_PERCENT = 30
 MIN_STRIDES = 3
 MIN_TRAVEL_M = 0.15
@@ -79,10 +90,6 @@ class ShankCalibration:
         """Unit vector to the front in mid-stance, sensor frame (3,): left × up."""
         return np.cross(np.array(self.left), np.array(self.up))
 
-    def with_arm(self, arm: ArmEstimate) -> ShankCalibration:
-        """The same sensor with another arm."""
-        return replace(self, arm=arm)
-
     def to_dict(self) -> dict[str, Any]:
         """For the session log."""
         return asdict(self)
@@ -90,22 +97,14 @@ class ShankCalibration:
     @staticmethod
     def from_dict(data: dict[str, Any]) -> ShankCalibration:
         """Back from the session log."""
-        values, arm = _with_tuples(data), _with_tuples(data["arm"])
-        return ShankCalibration(
-            **{**values, "arm": ArmEstimate(**arm), "levels": ShankLevels(**data.get("levels", {}))}
-        )
+        arm, levels = ArmEstimate(**_with_tuples(data["arm"])), ShankLevels(**data.get("levels", {}))
+        return ShankCalibration(**{**_with_tuples(data), "arm": arm, "levels": levels})
 
 
 def calibrate_shank(
-    sensor: str,
-    rate_hz: float,
-    t_ns: IntArray,
-    acc_mps2: FloatArray,
-    gyr_radps: FloatArray,
-    *,
-    prior: ArmPrior = SHANK,
-    level: bool = True,
-) -> ShankCalibration:
+    sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray, *,
+    prior: ArmPrior = SHANK, level: bool = True,
+) -> ShankCalibration:  # fmt: skip
     """Find a shank sensor's calibration from a stretch with at least a few strides of walking forward.
 
     Args:
@@ -121,7 +120,10 @@ def calibrate_shank(
         raise CalibrationError(
             f"{sensor}: {len(t_ns) / rate_hz:.1f} s is too short to calibrate. Record five strides or more."
         )
-    gyr, standing = _without_standing_bias(acc_mps2, gyr_radps, rate_hz)
+    gyr, rests = gyr_radps, still_spans(acc_mps2, gyr_radps, rate_hz)
+    if rests:
+        first, last = max(rests, key=lambda rest: rest[1] - rest[0])
+        gyr = gyr_radps - np.median(gyr_radps[first : last + 1], axis=0)
     energy = np.einsum("ij,ij->i", gyr, gyr)
     vertical = np.median(acc_mps2[energy <= np.percentile(energy, QUIET_PERCENT)], axis=0)
     if not 0.7 * G_MPS2 < np.linalg.norm(vertical) < 1.3 * G_MPS2:
@@ -130,25 +132,16 @@ def calibrate_shank(
             "9.81. Check acc_unit."
         )
     left, spans, confidence = _direction(sensor, t_ns, acc_mps2, gyr, vertical / np.linalg.norm(vertical), rate_hz)
-    if not standing:
+    if not rests:
         gyr = gyr - _bias_by_drift(t_ns, acc_mps2, gyr, spans)
     up, excess_mps2 = _gravity(t_ns, acc_mps2, gyr, spans)
     left = left - up * (up @ left)
     left /= np.linalg.norm(left)
     acc_bias = up * excess_mps2
     arm = learn_arm(t_ns, acc_mps2 - acc_bias, gyr, spans, up, left, prior, level=level)
+    axes_and_biases = _vector(up), _vector(left), _vector(acc_bias), _vector(gyr_radps[0] - gyr[0])
     found = ShankCalibration(
-        sensor=sensor,
-        rate_hz=rate_hz,
-        up=_vector(up),
-        left=_vector(left),
-        acc_bias_mps2=_vector(acc_bias),
-        gyr_bias_radps=_vector(gyr_radps[0] - gyr[0]),
-        arm=arm,
-        axis_confidence=confidence,
-        strides=len(spans),
-        standing=standing,
-        level=level,
+        sensor, rate_hz, *axes_and_biases, arm, confidence, strides=len(spans), standing=bool(rests), level=level
     )
     trace = trace_of(found.parameters(), t_ns, acc_mps2, gyr_radps)
     return replace(found, levels=fit_levels(trace, spans))
@@ -159,16 +152,8 @@ def _with_tuples(data: dict[str, Any]) -> dict[str, Any]:
 
 
 def _vector(v: FloatArray) -> Vector3:
-    return float(v[0]), float(v[1]), float(v[2])
-
-
-def _without_standing_bias(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> tuple[FloatArray, bool]:
-    """The rates less what a still stretch shows, and whether there was one."""
-    rests = still_spans(acc, gyr, rate_hz)
-    if not rests:
-        return gyr, False
-    first, last = max(rests, key=lambda rest: rest[1] - rest[0])
-    return gyr - np.median(gyr[first : last + 1], axis=0), True
+    x, y, z = v.tolist()
+    return x, y, z
 
 
 def _direction(
@@ -189,7 +174,10 @@ def _direction(
     for left in (axis, -axis):
         spans = stride_spans(gyr, swing_peaks(gyr @ left, rate_hz), rate_hz)
         forward = np.cross(left, vertical)
-        travel = np.array([_travel(t_ns, acc, gyr, span) @ forward for span in spans])
+        travel = np.zeros(len(spans))  # as if at rest at a stride's ends, seen from the sensor at its beginning
+        for k, span in enumerate(spans):
+            if (found := travelled(t_ns, acc, gyr, (span.first, span.last))) is not None:
+                travel[k] = turned_back(found[0][0], found[2][-1]) @ forward
         walked = [span for span, d in zip(spans, travel, strict=True) if abs(d) > MIN_TRAVEL_M]
         if len(walked) < MIN_STRIDES:
             continue
@@ -206,66 +194,40 @@ def _direction(
     )
 
 
-def _travel(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, span: StrideSpan) -> FloatArray:
-    """Displacement over one stride as if at rest at its ends, in the sensor frame of its beginning (3,)."""
-    part = slice(span.first, span.last + 1)
-    t = np.ascontiguousarray(t_ns[part])
-    quaternions = levelled(t_ns, acc, gyr, (span.first, span.last), 0)
-    velocity, position, gamma = np.empty((len(t), 3)), np.empty((len(t), 3)), np.empty((2, 3))
-    zero = np.zeros(3)
-    if not integrate(t, acc[part], quaternions, zero, zero, True, velocity, position, gamma):
-        return zero
-    return np.asarray(rotate_each(quaternions[:1] * np.array([1.0, -1.0, -1.0, -1.0]), position[-1:])[0])
-
-
 def _bias_by_drift(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan]) -> FloatArray:
     """The gyroscope's bias (3,) from neighbouring strides: integrated from one into the next, gravity must stay put.
 
     The part along gravity does not show and comes out near zero.
     """
-    rows = [np.eye(3) / GYR_BIAS_SD_RADPS]
-    values = [np.zeros(3)]
+    rows, values = [np.eye(3) / GYR_BIAS_SD_RADPS], [np.zeros(3)]
     for before, after in pairwise(spans):
         if before.last != after.first:
             continue
-        one = levelled(t_ns, acc, gyr, (before.first, before.last), 0)
-        two = levelled(t_ns, acc, gyr, (after.first, after.last), 0)
+        one, two = (levelled(t_ns, acc, gyr, (span.first, span.last)) for span in (before, after))
         # gravity at the instant that both strides share, as each of them has it, in the sensor frame
-        g_one, g_two = (_up_at(q) for q in (one[-1], two[0]))
+        g_one, g_two = turned_back(one[-1], UP), turned_back(two[0], UP)
         # a bias turns either stride about its own middle: half a stride's worth at the end of one, minus half in two
-        effect = 0.5 * (_turn(t_ns[before.first : before.last + 1], one, -1) + _turn(_span(t_ns, after), two, 0))
-        # turning the sensor by b·t turns gravity as seen from it the other way
-        tilt = np.cross(g_two, g_one)
+        turn = _turn(t_ns[before.first : before.last + 1], one, -1) + _turn(t_ns[after.first : after.last + 1], two, 0)
         level = np.eye(3) - np.outer(g_one, g_one)
-        rows.append(level @ effect / DRIFT_SD_RAD)
-        values.append(-tilt / DRIFT_SD_RAD)
+        rows.append(level @ (0.5 * turn) / DRIFT_SD_RAD)
+        # turning the sensor by b·t turns gravity as seen from it the other way
+        values.append(-np.cross(g_two, g_one) / DRIFT_SD_RAD)
     return np.asarray(np.linalg.lstsq(np.concatenate(rows), np.concatenate(values), rcond=None)[0])
-
-
-def _span(t_ns: IntArray, span: StrideSpan) -> IntArray:
-    return t_ns[span.first : span.last + 1]
-
-
-def _up_at(quaternion: FloatArray) -> FloatArray:
-    """The world's up in the sensor frame (3,)."""
-    conjugate = quaternion * np.array([1.0, -1.0, -1.0, -1.0])
-    return np.asarray(rotate_each(conjugate[None], np.array([[0.0, 0.0, 1.0]]))[0])
 
 
 def _turn(t_ns: IntArray, quaternions: FloatArray, at: int) -> FloatArray:
     """``∫ R dt`` over a stride in the sensor frame of sample ``at``: (3, 3), rotation per rate of bias."""
     dt_s = 1e-9 * np.gradient(t_ns.astype(float))
     columns = [(rotate_each(quaternions, np.tile(e, (len(t_ns), 1))) * dt_s[:, None]).sum(axis=0) for e in np.eye(3)]
-    conjugate = np.tile(quaternions[at] * np.array([1.0, -1.0, -1.0, -1.0]), (3, 1))
-    return rotate_each(conjugate, np.array(columns)).T
+    return rotate_each(np.tile(quaternions[at] * CONJUGATE, (3, 1)), np.array(columns)).T
 
 
 def _gravity(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan]) -> tuple[FloatArray, float]:
     """Up in the sensor frame in mid-stance (3,), and by how much the accelerometer's mean exceeds gravity (m/s²)."""
     ups, forces = [], []
     for span in spans:
-        quaternions = levelled(t_ns, acc, gyr, (span.first, span.last), 0)
-        ups.append(_up_at(quaternions[0]))
+        quaternions = levelled(t_ns, acc, gyr, (span.first, span.last))
+        ups.append(turned_back(quaternions[0], UP))
         force = rotate_each(quaternions, acc[span.first : span.last + 1])
         forces.append(float((force[1:] + force[:-1]).mean(axis=0)[2]) / 2.0)
     up = np.median(np.array(ups), axis=0)

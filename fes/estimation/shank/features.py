@@ -1,15 +1,10 @@
 """The compiled core of a shank sensor: the guards' features from a limb that turns all through stance.
 
-The guards (Negård et al. 2005) ask whether the foot is at rest, how fast it turns toe-down, and whether it jolts. A
-shank answers through two stand-ins. A virtual accelerometer at the ankle, ``f − w' × r − w × (w × r)`` with the lever
-arm ``r`` of Wu et al. (Eq. (5) differentiated), feels nothing but gravity as long as the ankle stands still: that is
-the foot's accelerometer. The rate of lean, forward positive, is slow while the foot is flat, peaks at foot-off, is
-negative in swing and returns to zero at contact: that is the foot's toe-down rate.
-
-Live it advances one sample, in analysis a whole block; all that evolves is in one ``STATE`` record.
+The guards (Negård et al. 2005) ask whether the foot is at rest, how fast it turns toe-down, and whether it jolts. For
+the foot's accelerometer stands a virtual one at the ankle, ``f − w' × r − w × (w × r)`` with the lever arm ``r`` of Wu
+et al. (Eq. (5) differentiated), which feels nothing but gravity as long as the ankle stands still. For its toe-down
+rate stands the rate of lean, forward positive: slow while the foot is flat, greatest at foot-off, negative in swing.
 """
-
-from __future__ import annotations
 
 import math
 from typing import NamedTuple
@@ -73,26 +68,14 @@ class ShankParameters(NamedTuple):
 CORE = core_type(STATE, parameters=ShankParameters, thresholds=Thresholds)
 
 
-@jit
 def start(core: Record, t_ns: int, fx: float, fy: float, fz: float) -> None:
     """Begin in stance at the first sample, whose bias-free specific force (m/s²) is taken for gravity's direction."""
-    state = core.state
-    size = max(math.sqrt(fx * fx + fy * fy + fz * fz), 1e-3)
-    state.gravity[0], state.gravity[1], state.gravity[2] = G_MPS2 * fx / size, G_MPS2 * fy / size, G_MPS2 * fz / size
-    state.samples = 0
-    state.t_ns = t_ns
-    state.phase = 0
-    state.phase_since_ns = t_ns
-    state.a_moving_ns = t_ns - LONG_AGO_NS
-    state.g_moving_ns = t_ns - LONG_AGO_NS
-    state.a_rest = True
-    state.g_rest = True
-    state.lean_peak = 0.0
-    state.swing_peak = 0.0
-    state.lean_change = 0.0
-    state.jolt = 0.0
-    for j in range(3):
-        state.excess[j] = 0.0
+    core["state"] = np.zeros((), STATE)
+    state, size = core.state, max(math.sqrt(fx * fx + fy * fy + fz * fz), 1e-3)
+    state.gravity[:] = G_MPS2 * fx / size, G_MPS2 * fy / size, G_MPS2 * fz / size
+    state.t_ns = state.phase_since_ns = t_ns
+    state.a_moving_ns = state.g_moving_ns = t_ns - LONG_AGO_NS
+    state.a_rest = state.g_rest = True
 
 
 @jit
@@ -198,9 +181,8 @@ def _turning(state: Record, parameters: Record, dt_s: float) -> None:
     state.lean_peak = max(state.lean_peak, lean)
     state.swing_peak = max(state.swing_peak, -lean)
     back = min(state.samples - 1, parameters.change_lag)
-    state.lean_change = (
-        (lean - state.lean[(state.samples - back) % LAGS]) / (back * parameters.sample_s) if back > 0 else 0.0
-    )
+    then = state.lean[(state.samples - back) % LAGS]
+    state.lean_change = (lean - then) / (back * parameters.sample_s) if back > 0 else 0.0
     back = min(state.samples - 1, parameters.jerk_lag)
     was = state.force[(state.samples - back) % LAGS]
     dx, dy, dz = f[0] - was[0], f[1] - was[1], f[2] - was[2]

@@ -3,31 +3,28 @@
 Source: Wu, Wang and Pottie, Eq. (5) ``v = w × r`` in the sensor frame and Eq. (8), ``r`` by least squares from a short
 walk. Departures from the print, and why:
 
-- Their velocity comes from one integration from rest to rest over the whole training walk. A treadmill has no such
-  walk, and over more than some ten seconds the integral drifts. So two kinds of rows are used: within each stance
-  window the *shape* of the velocity (its horizontal offset is free; its vertical one is known on level ground, where
-  the stride ends as high as it began), and, where the walk begins and ends standing, Wu's velocity itself.
-- The shape only shows the arm where the rate changes within the window. Patients whose shank turns evenly show nothing,
-  and a plain fit collapses. So the fit has a prior, a bound and a verdict: the prior is a sensor on the middle of the
-  shank turning about the ankle, 0.30 m along the long axis.
-- What limits the fit is not noise, which more strides would average out, but the model: the ankle is not still and
-  the foot rolls. So the information is the mean over the windows, never their sum.
+- Their velocity comes from one integration from rest to rest over the whole training walk, which a treadmill does not
+  have, and which drifts after some ten seconds. So two kinds of rows are used: within each stance window the *shape* of
+  the velocity (its horizontal offset is free, its vertical one known on level ground, where the stride ends as high as
+  it began), and, where the walk begins and ends standing, Wu's velocity itself.
+- A shank that turns evenly in stance does not show the arm, and a plain fit collapses. So the fit has a prior (a sensor
+  on the middle of the shank turning about the ankle, 0.30 m along the long axis), a bound and a verdict.
+- The model limits the fit, not noise that more strides would average out: the ankle is not still and the foot rolls. So
+  the information is the mean over the windows, never their sum.
 
-What the data show (``stroke_treadmill``, arm implied by the belt): 0.25–0.31 m at 0.8–1.2 m/s, 0.34–0.40 m at 1.6 m/s.
-Between foot-flat and heel-off the arm is steady (ankle rocker, the shank turns about the ankle); before, in the heel
-rocker, and after, in the forefoot rocker, it is 0.1 to 0.3 m longer. The arm learnt is that of the ankle rocker.
+On ``stroke_treadmill`` the belt implies arms of 0.25–0.31 m at 0.8–1.2 m/s and 0.34–0.40 m at 1.6 m/s. The arm learnt
+is that of the ankle rocker, between foot-flat and heel-off; in the heel and forefoot rockers it is 0.1 to 0.3 m longer.
 """
 
-from __future__ import annotations
-
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from fes.estimation.numerics.rotation import from_gravity
-from fes.estimation.shank.motion import StrideSpan, levelled, moving_mean, rotate_each, still_spans
-from fes.estimation.strides.constrained import double_integral, integrate, orient
+from fes.estimation.shank.motion import StrideSpan, from_rest, levelled, moving_mean, rotate_each, still_spans
+from fes.estimation.strides.integration import integrate, orient
 from fes.signals import FloatArray, IntArray, Vector3
 
 SHAPE_HALF_WINDOW_S = 0.25
@@ -36,6 +33,7 @@ SHAPE_SMOOTHING_S = 0.2  # the soft tissue's wobble is shorter
 SHAPE_SD_MPS = 0.02  # of the ankle's own velocity about its mean over a window
 ANCHOR_SD_MPS = 0.025  # of the velocity in the middle of a walk from rest to rest
 LONGEST_ANCHORED_S = 20.0
+LEAST_MPS = 0.3  # that a stride covers at the very least
 MIN_WINDOWS = 4
 ARM_BOUNDS_M = (0.04, 0.5)
 MOST_PRIOR_SD = 3.0
@@ -84,16 +82,9 @@ class ArmEstimate:
 
 
 def learn_arm(
-    t_ns: IntArray,
-    acc: FloatArray,
-    gyr: FloatArray,
-    spans: list[StrideSpan],
-    up: FloatArray,
-    left: FloatArray,
-    prior: ArmPrior = SHANK,
-    *,
-    level: bool = True,
-) -> ArmEstimate:
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: list[StrideSpan], up: FloatArray, left: FloatArray,
+    prior: ArmPrior = SHANK, *, level: bool = True,
+) -> ArmEstimate:  # fmt: skip
     """Learn the arm from the strides of a short walk.
 
     Args:
@@ -119,7 +110,7 @@ def learn_arm(
             information += weight * a.T @ a
             pull += weight * a.T @ velocity
     eigenvalues = np.linalg.eigvalsh(information)
-    condition = float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > 0.0 else float("inf")
+    condition = float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if eigenvalues[0] > 0.0 else math.inf
     length_data, length_sd = _length_alone(information, pull, precision)
     arm = np.linalg.solve(information + precision, pull + precision @ expected)
     windows = len(shapes) + len(anchored)
@@ -135,45 +126,24 @@ def learn_arm(
         reason = f"{np.round(arm, 2).tolist()} m is further from where such a sensor sits than is credible"
     if reason:
         arm = expected
-    x, y, z = (float(v) for v in axes.T @ arm)
-    return ArmEstimate(
-        arm_m=(x, y, z),
-        length_m=float(arm[2]),
-        learnt=not reason,
-        reason=reason,
-        condition=condition,
-        length_data_m=length_data,
-        length_data_sd_m=length_sd,
-        windows=windows,
-        anchored=len(anchored),
-    )
+    x, y, z = (axes.T @ arm).tolist()
+    shown = condition, length_data, length_sd, windows, len(anchored)
+    return ArmEstimate((x, y, z), float(arm[2]), not reason, reason, *shown)
 
 
 def _length_alone(information: FloatArray, pull: FloatArray, precision: FloatArray) -> tuple[float, float]:
     """Length along the shank by the data, and its SD, with the prior on the two other components only."""
-    others = precision.copy()
-    others[2, 2] = 0.0
-    total = information + others
-    if information[2, 2] <= 0.0:
-        return float("nan"), float("inf")
+    total = information + precision * np.array([1.0, 1.0, 0.0])
     cross = np.linalg.solve(total[:2, :2], total[:2, 2])
     known = float(total[2, 2] - total[2, :2] @ cross)
-    if known <= 1e-9 * float(information[2, 2]):
-        return float("nan"), float("inf")
+    if known <= 1e-9 * float(information[2, 2]):  # also where there is nothing at all
+        return math.nan, math.inf
     return float((pull[2] - cross @ pull[:2]) / known), known**-0.5
-
-
-def _cross_matrices(rates: FloatArray) -> FloatArray:
-    """``[w]×`` of each rate (N, 3): (N, 3, 3)."""
-    out = np.zeros((len(rates), 3, 3))
-    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -rates[:, 2], rates[:, 1], -rates[:, 0]
-    return out - out.transpose(0, 2, 1)
 
 
 def _in_world(quaternions: FloatArray, rates: FloatArray) -> FloatArray:
     """``R [w]×`` (N, 3, 3): velocity in the world per metre of arm in the sensor frame."""
-    matrices = _cross_matrices(rates)
-    return np.stack([rotate_each(quaternions, matrices[:, :, k]) for k in range(3)], axis=2)
+    return np.stack([rotate_each(quaternions, np.cross(rates, axis)) for axis in np.eye(3)], axis=2)
 
 
 def _shape_rows(
@@ -187,15 +157,13 @@ def _shape_rows(
     if span.first - reach < 0 or span.last + reach >= len(t_ns) or reach <= margin + 1:
         return []
     begin, end = span.first - reach, span.last + reach + 1
-    t = np.ascontiguousarray(t_ns[begin:end])
     quaternions = levelled(t_ns, acc, gyr, (span.first, span.last), reach)
-    velocity, position = np.empty((len(t), 3)), np.empty((len(t), 3))
-    double_integral(t, acc[begin:end], quaternions, np.zeros(3), np.zeros((2, 3)), velocity, position)
+    velocity, position = from_rest(t_ns[begin:end], acc[begin:end], quaternions)
     stride_s = 1e-9 * float(t_ns[span.last] - t_ns[span.first])
     velocity[:, 2] -= (position[-1 - reach, 2] - position[reach, 2]) / stride_s
     per_metre = _in_world(quaternions, gyr[begin:end])
     rows = []
-    for at in (reach, len(t) - 1 - reach):
+    for at in (reach, len(position) - 1 - reach):
         window = slice(at - reach, at + reach + 1)
         a = moving_mean(per_metre[window], 2 * margin + 1)[margin:-margin]
         v = moving_mean(velocity[window], 2 * margin + 1)[margin:-margin]
@@ -213,9 +181,8 @@ def _anchored_rows(
     if len(spans) < 2:
         return []
     rate_hz = 1e9 * (len(t_ns) - 1) / float(t_ns[-1] - t_ns[0])
-    rests = still_spans(acc, gyr, rate_hz)
     rows: list[tuple[FloatArray, FloatArray]] = []
-    for before, after in pairwise(rests):
+    for before, after in pairwise(still_spans(acc, gyr, rate_hz)):
         begin, end = before[1], after[0]
         inside = [s for s in spans if begin <= s.swing <= end and s.quiet]
         if len(inside) < 2 or (end - begin) > LONGEST_ANCHORED_S * rate_hz:
@@ -230,16 +197,11 @@ def _anchored_rows(
         if not integrate(t, acc[begin : end + 1], quaternions, zero, zero, level, velocity, position, gamma):
             continue
         # standing on a belt that starts and stops is no rest in the belt's frame: the walk then leads nowhere
-        if np.hypot(position[-1, 0], position[-1, 1]) < 0.5 * len(inside) * _least_travel(t_ns, inside):
+        least_m = LEAST_MPS * float(np.median([1e-9 * (t_ns[s.last] - t_ns[s.first]) for s in inside]))
+        if np.hypot(position[-1, 0], position[-1, 1]) < 0.5 * len(inside) * least_m:
             continue
         per_metre = _in_world(quaternions, gyr[begin : end + 1])
         for span in inside[:-1]:
             window = slice(max(span.last - span.half - begin, 0), span.last + span.half + 1 - begin)
-            a, v = per_metre[window].mean(axis=0), velocity[window].mean(axis=0)
-            rows.append((a, v))
+            rows.append((per_metre[window].mean(axis=0), velocity[window].mean(axis=0)))
     return rows
-
-
-def _least_travel(t_ns: IntArray, spans: list[StrideSpan]) -> float:
-    """What a stride covers at the very least (m): 0.3 m/s."""
-    return 0.3 * float(np.median([1e-9 * (t_ns[s.last] - t_ns[s.first]) for s in spans]))

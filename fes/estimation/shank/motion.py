@@ -3,28 +3,36 @@
 Source: Wu, Wang and Pottie, "A Non-ZUPT Gait Reconstruction Method for Ankle Sensors", section II-D. Departures from
 the print, and why:
 
-- Stance there is where the mean of ``|w|²`` over 0.1 s is below 2 rad²/s². At 1.6 m/s one sample in ten or twenty is
-  below that, at 0.8 m/s more than three in ten. Here the swings are found first, each person's own, and the threshold
-  is the larger of the print's and a share of this person's swing; a window not below it makes its stride invalid.
+- Stance there is where the mean of ``|w|²`` over 0.1 s is below 2 rad²/s², which at 1.6 m/s hardly a sample is. Here
+  the swings are found first, each person's own, and the threshold is the larger of the print's and a share of this
+  person's swing; a window not below it makes its stride invalid.
 - Within it the print takes the 0.05 s of least variance of the gyroscope's energy. A strapped sensor wobbles on the
-  soft tissue at 8–12 Hz for 0.2 s after contact, and 0.05 s fit into half a cycle of that. On the shanks of
-  ``stroke_treadmill`` speed over belt spreads by 4.1 % (SD) with 0.05 s, and by 2.6 % with 0.2 s. Whether it is
-  chosen by least variance or least energy made no difference there; energy is what makes the arm matter least.
+  soft tissue at 8–12 Hz for 0.2 s after contact. On the shanks of ``stroke_treadmill`` speed over belt spreads by 4.1 %
+  (SD) with 0.05 s, and by 2.6 % with 0.2 s; and energy instead of its variance makes the arm matter least.
 - Orientation: the shank does not rest, so the accelerometer does not show gravity at any instant. Over a whole stride
   it does: the mean specific force in the world is gravity plus the change of velocity over the time.
-"""
 
-from __future__ import annotations
+How this person's shank moves: the levels that the guards' thresholds are fitted to, from a short walk.
+
+The counterpart of the foot's ``rest_gyr_radps``, ``min_toe_down_peak_radps``, ``rest_hold_s`` and
+``contact_jerk_mps3``. All levels are ratios of what this walk shows, so that they go with the person, the walking speed
+and the place of the sensor; the bounds only keep a strange walk from making a guard useless.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from fes.estimation.numerics.records import new_core
 from fes.estimation.numerics.rotation import from_gravity
-from fes.estimation.strides.constrained import orient
+from fes.estimation.shank import features
+from fes.estimation.shank.features import ShankParameters
+from fes.estimation.strides.integration import double_integral, integrate, orient
 from fes.signals import G_MPS2, FloatArray, IntArray
+from statemachine.guards import Thresholds
 
 STANCE_MEAN_S = 0.1
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
 STANCE_LIMIT_RADPS = 2.0**0.5
 STANCE_LIMIT_PER_SWING = 0.45  # of the swing's peak rate, where that is more
 FINE_WINDOW_S = 0.2
@@ -72,6 +80,11 @@ def rotate_each(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors + quaternions[:, :1] * t + np.cross(axis, t))
 
 
+def turned_back(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
+    """A vector of the world (3,) in the sensor frame, by its quaternion (4,)."""
+    return np.asarray(rotate_each(quaternion[None] * CONJUGATE, vector[None])[0])
+
+
 def swing_peaks(left_radps: FloatArray, rate_hz: float) -> IntArray:
     """Indices of mid-swing: where the shank swings forward fastest, once per swing.
 
@@ -116,29 +129,24 @@ def stride_spans(gyr_radps: FloatArray, swings: IntArray, rate_hz: float) -> lis
         a, b = max(round(begin), half), min(round(end), n - half)
         return None if b - a < 3 else int(a + np.argmin(fine[a:b]))
 
-    def ends_of(k: int) -> tuple[int | None, int | None]:
-        """Where the stride before the stance between swings ``k`` and ``k + 1`` ends, and the one after it begins."""
-        begin, gap = float(swings[k]), float(between[k])
-        if gap <= PAUSE_PER_STRIDE * usual:
-            at = quietest(begin + SEARCH[0] * gap, begin + SEARCH[1] * gap)
-            return at, at
-        return after(begin), before(begin + gap)
-
-    def after(swing: float) -> int | None:
-        return quietest(swing + SEARCH[0] * usual, swing + REACH * usual)
-
     def before(swing: float) -> int | None:
         return quietest(swing - REACH * usual, swing - (1.0 - SEARCH[1]) * usual)
 
-    stances: list[tuple[int | None, int | None]] = [(None, before(float(swings[0])))]
-    stances += [ends_of(k) for k in range(len(between))]
-    stances.append((after(float(swings[-1])), None))
+    begins = [before(float(swings[0]))]  # of the stride around each swing
+    ends: list[int | None] = []
+    for begin, gap in zip(swings[:-1].astype(float).tolist(), between.astype(float).tolist(), strict=True):
+        if gap <= PAUSE_PER_STRIDE * usual:
+            ends.append(quietest(begin + SEARCH[0] * gap, begin + SEARCH[1] * gap))
+            begins.append(ends[-1])
+        else:
+            ends.append(quietest(begin + SEARCH[0] * usual, begin + REACH * usual))
+            begins.append(before(begin + gap))
+    ends.append(quietest(float(swings[-1]) + SEARCH[0] * usual, float(swings[-1]) + REACH * usual))
     spans: list[StrideSpan] = []
-    for k, swing in enumerate(swings):
-        first, last = stances[k][1], stances[k + 1][0]
+    for first, swing, last in zip(begins, swings.tolist(), ends, strict=True):
         if first is not None and last is not None and first < swing < last:
             quiet = bool(coarse[first] < limit and coarse[last] < limit)
-            spans.append(StrideSpan(first, int(swing), last, half, quiet))
+            spans.append(StrideSpan(first, swing, last, half, quiet))
     return spans
 
 
@@ -150,18 +158,13 @@ def still_spans(acc_mps2: FloatArray, gyr_radps: FloatArray, rate_hz: float) -> 
     slow = np.linalg.norm(moving_mean(gyr_radps, window), axis=1) < 3.0 * STILL_RATE_RADPS
     still = slow & (shake.sum(axis=1) < STILL_FORCE_MPS2**2) & (rate.sum(axis=1) < STILL_RATE_RADPS**2)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], still.astype(np.int8), [0]))))
-    pairs = zip(edges[0::2], edges[1::2], strict=True)
-    return [(int(a), int(b) - 1) for a, b in pairs if b - a >= STILL_S * rate_hz]
+    return [(a, b - 1) for a, b in edges.reshape(-1, 2).tolist() if b - a >= STILL_S * rate_hz]
 
 
 def levelled(
-    t_ns: IntArray,
-    acc: FloatArray,
-    gyr: FloatArray,
-    span: tuple[int, int],
-    lead: int,
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, span: tuple[int, int], lead: int = 0,
     change_mps: FloatArray | None = None,
-) -> FloatArray:
+) -> FloatArray:  # fmt: skip
     """Orientation (n, 4) of the samples ``first − lead`` … ``last + lead``, upright over the stride ``span``.
 
     The mean specific force in the world from ``first`` to ``last`` is gravity plus the change of velocity,
@@ -173,7 +176,6 @@ def levelled(
     rates, force = gyr[begin:end], acc[begin:end]
     inner = slice(lead, len(t) - lead)
     step = np.diff(t[inner]).astype(float)[:, None]
-    span_s = 1e-9 * float(t_ns[last] - t_ns[first])
     quaternions = np.empty((len(t), 4))
     start = np.array(from_gravity(*force.mean(axis=0)))
     orient(t, rates, start, 0.0, 0.0, 1.0, 0.0, quaternions)
@@ -181,15 +183,121 @@ def levelled(
     mean = (0.5 * (world[1:] + world[:-1]) * step).sum(axis=0) / step.sum()
     target = np.array([0.0, 0.0, G_MPS2])
     if change_mps is not None:
-        target = target + change_mps / span_s
-    w, x, y, z = from_gravity(*target)
-    turn = _product(np.array([w, -x, -y, -z]), np.array(from_gravity(*mean)))
-    start = _product(turn, start)
-    orient(t, rates, start, 0.0, 0.0, 1.0, 0.0, quaternions)
+        target = target + change_mps / (1e-9 * float(t_ns[last] - t_ns[first]))
+    turn = _product(np.array(from_gravity(*target)) * CONJUGATE, np.array(from_gravity(*mean)))
+    orient(t, rates, _product(turn, start), 0.0, 0.0, 1.0, 0.0, quaternions)
     return quaternions
+
+
+def travelled(
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, span: tuple[int, int]
+) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+    """Orientation (n, 4), velocity and position (n, 3) over one stride as if at rest, and as high, at both its ends.
+
+    None where that cannot be.
+    """
+    part = slice(span[0], span[1] + 1)
+    quaternions, zero = levelled(t_ns, acc, gyr, span), np.zeros(3)
+    velocity, position, gamma = np.empty((len(quaternions), 3)), np.empty((len(quaternions), 3)), np.empty((2, 3))
+    t = np.ascontiguousarray(t_ns[part])
+    if not integrate(t, acc[part], quaternions, zero, zero, True, velocity, position, gamma):
+        return None
+    return quaternions, velocity, position
+
+
+def from_rest(t_ns: IntArray, acc: FloatArray, quaternions: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Velocity and position (n, 3) in the world that the specific force (n, 3) leads to from rest."""
+    velocity, position = np.empty((len(acc), 3)), np.empty((len(acc), 3))
+    zero = np.zeros(3)
+    double_integral(np.ascontiguousarray(t_ns), acc, quaternions, zero, np.zeros((2, 3)), velocity, position)
+    return velocity, position
 
 
 def _product(p: FloatArray, q: FloatArray) -> FloatArray:
     """Hamilton product of two quaternions (4,)."""
     vector = p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:])
     return np.concatenate(([p[0] * q[0] - p[1:] @ q[1:]], vector))
+
+
+FLAT_TO_PEAK = 0.25  # the rest threshold lies this share of the way from mid-stance's rate to foot-off's …
+FLAT_BOUNDS_RADPS = (0.4, 2.5)
+STILL_PER_FLOOR = 1.8  # … and the ankle's at this multiple of what it shows in mid-stance
+STILL_BOUNDS_MPS2 = (1.5, 8.0)
+PUSH_OFF_SHARE = 0.4
+CONTACT_SHARE = 0.3
+CONTACT_BOUNDS_MPS3 = (150.0, 600.0)
+HOLD_S = 0.03
+LEAVE_LEAN = 1.2  # the shank's levels are fitted closer than the foot's: they are left sooner
+LEAVE_ACC = 1.2
+RISING_SHARE = 0.4  # a shank's contact comes before its lean has quite come to a stop
+NEVER = Thresholds(rest_gyr_radps=0.0, rest_acc_mps2=0.0, contact_jerk_mps3=1e12)
+
+
+@dataclass(frozen=True, slots=True)
+class ShankLevels:
+    """Levels of one person's shank; ``rest_*`` as the guards take them, the others as seen in the walk.
+
+    Attributes:
+        rest_lean_radps: the shank leans no faster while the foot is flat.
+        rest_acc_mps2: the ankle's force is no further from gravity while the foot is flat.
+        min_lean_peak_radps: below, no push-off has been seen.
+        contact_jolt_mps3: a jump of the force above this is a contact.
+        rest_hold_s: how long rest must last.
+    """
+
+    rest_lean_radps: float = 1.2
+    rest_acc_mps2: float = 2.0
+    min_lean_peak_radps: float = 1.0
+    contact_jolt_mps3: float = 400.0
+    rest_hold_s: float = HOLD_S
+
+    def thresholds(self, *, swing_at_reversal: bool = False) -> Thresholds:
+        """The guards' thresholds for this shank; all others at their defaults."""
+        return Thresholds(
+            rest_gyr_radps=self.rest_lean_radps,
+            rest_acc_mps2=self.rest_acc_mps2,
+            min_toe_down_peak_radps=self.min_lean_peak_radps,
+            contact_jerk_mps3=self.contact_jolt_mps3,
+            rest_hold_s=self.rest_hold_s,
+            leave_gyr=LEAVE_LEAN,
+            leave_acc=LEAVE_ACC,
+            rising_share=RISING_SHARE,
+            still_rate_radps=self.rest_lean_radps,
+            swing_at_reversal=swing_at_reversal,
+        )
+
+
+def trace_of(parameters: ShankParameters, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> FloatArray:
+    """Rate of lean (rad/s), the ankle's force beyond gravity (m/s²) and jolt (m/s³) at each sample, as for the guards.
+
+    ``t_ns`` (N,) strictly increasing, ``acc_mps2`` and ``gyr_radps`` (N, 3) as measured. Returns (N, 4).
+    """
+    core = new_core(features.CORE, parameters=parameters, thresholds=NEVER)[0]
+    trace = np.zeros((len(t_ns), 4))
+    bias = np.array([parameters.acc_bias_x_mps2, parameters.acc_bias_y_mps2, parameters.acc_bias_z_mps2])
+    head = slice(0, max(round(1.0 / parameters.sample_s), 1))
+    features.start(core, int(t_ns[0]), *(acc_mps2[head].mean(axis=0) - bias).tolist())
+    features.enter(core, 2)
+    features.advance(core, t_ns, acc_mps2, gyr_radps, 0, len(t_ns), trace)
+    return trace
+
+
+def fit_levels(trace: FloatArray, spans: list[StrideSpan]) -> ShankLevels:
+    """Fit the levels to the strides of a walk; without any the defaults."""
+    if not spans:
+        return ShankLevels()
+    lean, excess, jolt = trace[:, 0], trace[:, 1], trace[:, 2]
+    flat, still, peak, contact = [], [], [], []
+    for span in spans:
+        window = slice(max(span.first - span.half, 0), span.first + span.half + 1)
+        flat.append(float(np.abs(lean[window]).mean()))
+        still.append(float(np.median(excess[window])))
+        peak.append(float(lean[span.first : span.swing + 1].max()))
+        contact.append(float(jolt[span.swing : span.last + 1].max()))
+    floor, top = float(np.median(flat)), float(np.median(peak))
+    return ShankLevels(
+        rest_lean_radps=float(np.clip(floor + FLAT_TO_PEAK * (top - floor), *FLAT_BOUNDS_RADPS)),
+        rest_acc_mps2=float(np.clip(STILL_PER_FLOOR * float(np.median(still)), *STILL_BOUNDS_MPS2)),
+        min_lean_peak_radps=PUSH_OFF_SHARE * top,
+        contact_jolt_mps3=float(np.clip(CONTACT_SHARE * float(np.median(contact)), *CONTACT_BOUNDS_MPS3)),
+    )

@@ -5,7 +5,7 @@ about a point near the ankle, ``v = w × r`` in the sensor frame (5); the veloci
 Departures from the print, and why:
 
 - The reset meets the velocity at both ends of a stride, with the smallest artificial accelerometer bias that does so
-  (``fes.estimation.strides.constrained``), instead of a jump at each mid-stance; and equal height on level ground, off
+  (``fes.estimation.strides.integration``), instead of a jump at each mid-stance; and equal height on level ground, off
   on stairs.
 - ``v = w × r`` is met on average over the fine window, not at its middle: the gyroscope wobbles on the soft tissue
   there while the integrated acceleration does not, and the velocity has its minimum there, so that a mean of the one is
@@ -13,16 +13,11 @@ Departures from the print, and why:
 - The arm points from the centre of rotation to the sensor, that is up the shank. See
   ``fes.estimation.shank.lever_arm``.
 
-What the result hangs on (24 sides of ``stroke_treadmill``, speed over belt, mean and SD): as it is 1.002 ± 0.026; the
-prior's arm alone 1.006 ± 0.027, the data's alone 0.990 ± 0.032; tilt by the accelerometer in mid-stance 1.014 ± 0.033;
-fine window of 0.05 s 0.981 ± 0.041, of 0.3 s 1.002 ± 0.026. A centimetre of arm is 0.65 %. A fixed arm
-fitted to three of the patients' belts leaves every side of the fourth within 7 %.
+On 24 sides of ``stroke_treadmill`` speed over belt is 1.002 ± 0.026 (mean and SD). A centimetre of arm is 0.65 %.
 
-Known limits: the one patient at 1.6 m/s comes out 2.5–5.5 % short. The belt implies an arm of 0.34–0.40 m there, which
-the shape of the velocity in stance does not show; probably the ankle itself still moves, as the vertical acceleration
-left over in stance suggests (0.6–1.0 m/s², against 0.03–0.6 m/s² in nearly all others). The centre learnt is the ankle
-rocker's: a toe walker, who turns about the ball of the foot, has an arm that is longer by the height of the ankle. What
-clearance means here is the rise of the sensor, not of the toe.
+Known limits: the one patient at 1.6 m/s comes out 2.5–5.5 % short, probably as the ankle itself still moves in stance.
+The centre learnt is the ankle rocker's: a toe walker, who turns about the ball of the foot, has an arm that is longer
+by the height of the ankle. What clearance means here is the rise of the sensor, not of the toe.
 """
 
 from __future__ import annotations
@@ -33,8 +28,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fes.estimation.shank.calibration import ShankCalibration
-from fes.estimation.shank.motion import StrideSpan, levelled, rotate_each
-from fes.estimation.strides.constrained import double_integral, integrate
+from fes.estimation.shank.motion import StrideSpan, from_rest, levelled, rotate_each
+from fes.estimation.strides.integration import integrate
 from fes.signals import FloatArray, IntArray, StrideResult
 
 TRAJECTORY_POINTS = 101
@@ -69,29 +64,25 @@ class ShankIntegrationSettings:
 
 
 def solve_shank_stride(
-    sensor: str,
-    number: int,
-    span: StrideSpan,
-    t_ns: IntArray,
-    acc: FloatArray,
-    gyr: FloatArray,
+    sensor: str, number: int, span: StrideSpan, t_ns: IntArray, acc: FloatArray, gyr: FloatArray,
     settings: ShankIntegrationSettings,
-) -> StrideResult:
+) -> StrideResult:  # fmt: skip
     """Integrate one stride; ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s free of bias."""
     first, last, lead = span.first, span.last, span.half
+
+    def unusable(reason: str) -> StrideResult:
+        return StrideResult(sensor, number, int(t[0]), int(t[-1]), valid=False, reason=reason)
+
     t = np.ascontiguousarray(t_ns[first : last + 1])
     duration_s = 1e-9 * float(t[-1] - t[0])
     gaps = np.diff(t_ns[first - lead : last + lead + 1])
     gap_s = 1e-9 * float(gaps.max())
-    reason = ""
     if not DURATION_S[0] <= duration_s <= DURATION_S[1]:
-        reason = f"lasts {duration_s:.2f} s"
-    elif gap_s > max(LONGEST_GAP_S, 3.5e-9 * float(np.median(gaps))):
-        reason = f"samples missing for {1e3 * gap_s:.0f} ms"
-    elif not span.quiet:
-        reason = "the shank does not turn slowly at any time of its stance"
-    if reason:
-        return _unusable(sensor, number, t, reason)
+        return unusable(f"lasts {duration_s:.2f} s")
+    if gap_s > max(LONGEST_GAP_S, 3.5e-9 * float(np.median(gaps))):
+        return unusable(f"samples missing for {1e3 * gap_s:.0f} ms")
+    if not span.quiet:
+        return unusable("the shank does not turn slowly at any time of its stance")
     start, end = np.zeros(3), np.zeros(3)
     for _ in range(ROUNDS):  # the change of velocity tilts the mean force, and the tilt turns the velocities
         around = levelled(t_ns, acc, gyr, (first, last), lead, end - start)
@@ -103,44 +94,27 @@ def solve_shank_stride(
     solved = integrate(t, force, quaternion, start, end, settings.equal_height, velocity, position, gamma)
     length = float(np.hypot(position[-1, 0], position[-1, 1]))
     if not solved:
-        return _unusable(sensor, number, t, "the constraints cannot be met")
+        return unusable("the constraints cannot be met")
     if not length <= LONGEST_STRIDE_M:
-        return _unusable(sensor, number, t, f"{length:.2f} m is no stride length")
+        return unusable(f"{length:.2f} m is no stride length")
     forward = rotate_each(quaternion, np.tile(np.cross(settings.left, settings.up), (n, 1)))
     direction = position[-1, :2] / length if length > 0.05 else forward[0, :2] / np.hypot(*forward[0, :2])
-    walking = np.column_stack(
-        (position[:, :2] @ direction, position[:, :2] @ np.array([-direction[1], direction[0]]), position[:, 2])
-    )
+    across = np.array([-direction[1], direction[0]])
+    walking = np.column_stack((position[:, :2] @ direction, position[:, :2] @ across, position[:, 2]))
     pitch = np.arcsin(np.clip(forward[:, 2], -1.0, 1.0))
     heading = np.arctan2(forward[[0, -1], 1], forward[[0, -1], 0])
     turn = (heading[1] - heading[0] + math.pi) % (2.0 * math.pi) - math.pi
     at = np.linspace(t[0], t[-1], TRAJECTORY_POINTS)
     return StrideResult(
-        foot=sensor,
-        number=number,
-        t_start_ns=int(t[0]),
-        t_end_ns=int(t[-1]),
-        stride_length_m=length,
-        clearance_m=float(position[:, 2].max()),
-        height_gained_m=float(position[-1, 2]),
-        turn_rad=float(turn),
-        speed_mps=length / duration_s,
-        t_pre_swing_ns=None,
-        t_swing_ns=None,
-        t_loading_response_ns=None,
-        t_stance_ns=None,
+        sensor, number, int(t[0]), int(t[-1]), length, clearance_m=float(position[:, 2].max()),
+        height_gained_m=float(position[-1, 2]), turn_rad=float(turn), speed_mps=length / duration_s,
         trajectory_m=np.column_stack([np.interp(at, t, walking[:, k]) for k in range(3)]),
         pitch_rad=np.interp(at, t, pitch - pitch[0]),
-    )
+    )  # fmt: skip
 
 
 def _end_velocities(
-    t_ns: IntArray,
-    acc: FloatArray,
-    gyr: FloatArray,
-    span: StrideSpan,
-    quaternions: FloatArray,
-    arm: FloatArray | None,
+    t_ns: IntArray, acc: FloatArray, gyr: FloatArray, span: StrideSpan, quaternions: FloatArray, arm: FloatArray | None
 ) -> tuple[FloatArray, FloatArray]:
     """Velocity in the world (3,) at the first and the last sample: Eq. (5), met on average over each fine window.
 
@@ -148,32 +122,10 @@ def _end_velocities(
     """
     if arm is None:
         return np.zeros(3), np.zeros(3)
-    lead = span.half
-    part = slice(span.first - lead, span.last + lead + 1)
-    n = part.stop - part.start
-    raw, position = np.empty((n, 3)), np.empty((n, 3))
-    t = np.ascontiguousarray(t_ns[part])
-    double_integral(t, acc[part], quaternions, np.zeros(3), np.zeros((2, 3)), raw, position)
+    lead, part = span.half, slice(span.first - span.half, span.last + span.half + 1)
+    raw, _ = from_rest(t_ns[part], acc[part], quaternions)
     turning = rotate_each(quaternions, np.cross(gyr[part], arm))
-    start, end = (raw[at] + (turning - raw)[at - lead : at + lead + 1].mean(axis=0) for at in (lead, n - 1 - lead))
-    return start, end
-
-
-def _unusable(sensor: str, number: int, t_ns: IntArray, reason: str) -> StrideResult:
-    return StrideResult(
-        foot=sensor,
-        number=number,
-        t_start_ns=int(t_ns[0]),
-        t_end_ns=int(t_ns[-1]),
-        stride_length_m=math.nan,
-        clearance_m=math.nan,
-        height_gained_m=math.nan,
-        turn_rad=math.nan,
-        speed_mps=math.nan,
-        t_pre_swing_ns=None,
-        t_swing_ns=None,
-        t_loading_response_ns=None,
-        t_stance_ns=None,
-        valid=False,
-        reason=reason,
+    start, end = (
+        raw[at] + (turning - raw)[at - lead : at + lead + 1].mean(axis=0) for at in (lead, len(raw) - 1 - lead)
     )
+    return start, end

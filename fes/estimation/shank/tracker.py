@@ -8,7 +8,8 @@ A stride is Wu et al.'s, from the quietest instant of one stance to the next, re
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,21 @@ from fes.estimation.shank import features
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.motion import FINE_WINDOW_PER_STRIDE, FINE_WINDOW_S, StrideSpan
 from fes.estimation.shank.strides import ShankIntegrationSettings, solve_shank_stride
-from fes.estimation.tracking.history import FULL, KEPT, SILENCE, HistoryArrays, Samples, as_samples
-from fes.estimation.tracking.tracker import NEVER_NS, TRANSITIONS, Outcome, Tracker, live_type, pack_sample, until_due
+from fes.estimation.tracking.tracker import (
+    FULL,
+    KEPT,
+    NEVER_NS,
+    SILENCE,
+    TRANSITIONS,
+    HistoryArrays,
+    Outcome,
+    Samples,
+    Tracker,
+    as_samples,
+    live_type,
+    pack_sample,
+    until_due,
+)
 from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult, Vector3
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -31,32 +45,16 @@ MOST_LEAN_CHANGE_RAD = math.radians(20)  # a leg that leans otherwise than befor
 PUT_ELSEWHERE = "the shank leans {0:.0f}° otherwise than at its start: a leg moved, not a stride"
 
 
-@dataclass(frozen=True, slots=True)
-class ShankStrideSettings:
-    """How strides of one shank are integrated, and which of them count as walking."""
-
-    ankle: ShankIntegrationSettings
-    quiet_radps: float
-    rate_hz: float
-    most_lean_change_rad: float = MOST_LEAN_CHANGE_RAD
-
-    @staticmethod
-    def for_calibration(calibration: ShankCalibration, *, equal_height: bool | None = None) -> ShankStrideSettings:
-        """The settings that a calibration leads to; ``equal_height`` overrules what it says of the ground."""
-        return ShankStrideSettings(
-            ShankIntegrationSettings.for_calibration(calibration, equal_height=equal_height),
-            QUIET_LEANS * calibration.levels.rest_lean_radps,
-            calibration.rate_hz,
-        )
-
-
 class ShankStrideMaker:
     """Follows the phases of one shank and closes a stride when the stance after its swing is over, or a second old."""
 
-    def __init__(self, sensor: str, settings: ShankStrideSettings) -> None:
-        self.sensor = sensor
+    def __init__(self, calibration: ShankCalibration, *, equal_height: bool | None = None) -> None:
+        """``equal_height`` overrules what the calibration says of the ground."""
+        self.sensor = calibration.sensor
         self.due_ns: int | None = None
-        self._settings = settings
+        self._settings = ShankIntegrationSettings.for_calibration(calibration, equal_height=equal_height)
+        self._quiet_radps = QUIET_LEANS * calibration.levels.rest_lean_radps
+        self._rate_hz = calibration.rate_hz
         self._number = 0
         self._start_ns: int | None = None
         self._stance_ns = 0
@@ -110,32 +108,18 @@ class ShankStrideMaker:
             return None  # the first stride after a start or a silence has no stance before it
         self._stride_s = min(max(1e-9 * float(t_ns[last] - start_ns), 0.5), 3.0)
         lean = np.abs(trace[:, 0])
-        quiet = all(float(lean[k - half : k + half + 1].mean()) <= self._settings.quiet_radps for k in (first, last))
-        swing = int(np.searchsorted(t_ns, times[Phase.SWING]))
-        result = solve_shank_stride(
-            self.sensor, self._number, StrideSpan(first, swing, last, half, quiet), t_ns, acc, gyr, self._settings.ankle
-        )
-        result = replace(
-            result,
-            t_pre_swing_ns=times.get(Phase.PRE_SWING),
-            t_swing_ns=times.get(Phase.SWING),
-            t_loading_response_ns=times.get(Phase.LOADING_RESPONSE),
-            t_stance_ns=times.get(Phase.STANCE),
-        )
-        return self._judged(result)
-
-    def _judged(self, result: StrideResult) -> StrideResult:
-        """A leg that is moved while its owner sits is no stride, whatever way its ankle goes."""
-        if not result.valid:
-            return result
-        change = float(result.pitch_rad[-1])
-        if abs(change) > self._settings.most_lean_change_rad:
-            return replace(result, valid=False, reason=PUT_ELSEWHERE.format(abs(math.degrees(change))))
-        return result
+        quiet = all(float(lean[k - half : k + half + 1].mean()) <= self._quiet_radps for k in (first, last))
+        span = StrideSpan(first, int(np.searchsorted(t_ns, times[Phase.SWING])), last, half, quiet)
+        result = solve_shank_stride(self.sensor, self._number, span, t_ns, acc, gyr, self._settings)
+        changed: dict[str, Any] = {f"t_{phase.name.lower()}_ns": times.get(phase) for phase in Phase}
+        if result.valid and abs(change := float(result.pitch_rad[-1])) > MOST_LEAN_CHANGE_RAD:
+            # moved while its owner sits, whatever way its ankle goes
+            changed |= {"valid": False, "reason": PUT_ELSEWHERE.format(abs(math.degrees(change)))}
+        return replace(result, **changed)
 
     def _half(self) -> int:
         """Half the width of the fine windows, in samples."""
-        return max(round(0.5 * self._settings.rate_hz * min(FINE_WINDOW_S, FINE_WINDOW_PER_STRIDE * self._stride_s)), 1)
+        return max(round(0.5 * self._rate_hz * min(FINE_WINDOW_S, FINE_WINDOW_PER_STRIDE * self._stride_s)), 1)
 
     def _quietest(self, t_ns: IntArray, gyr: FloatArray, earliest_ns: int) -> int:
         """Index of the middle of the fine window with the least gyroscope energy since a time, as far as it is over."""
@@ -163,14 +147,14 @@ class ShankTracker(Tracker):
     """Phases and strides of one shank; deterministic, no clock, no I/O."""
 
     def __init__(
-        self, calibration: ShankCalibration, strides: ShankStrideMaker, *, swing_at_reversal: bool = False
+        self, calibration: ShankCalibration, *, equal_height: bool | None = None, swing_at_reversal: bool = False
     ) -> None:
         self._live = np.zeros(1, live_type(features.CORE))
         thresholds = calibration.levels.thresholds(swing_at_reversal=swing_at_reversal)
         super().__init__(calibration.sensor, calibration.rate_hz, thresholds, self._live)
         fill(self._core, parameters=calibration.parameters(), thresholds=thresholds)
         self._acc_bias, self._gyr_bias = np.array(calibration.acc_bias_mps2), np.array(calibration.gyr_bias_radps)
-        self._strides = strides
+        self._strides = ShankStrideMaker(calibration, equal_height=equal_height)
 
     @property
     def gyr_bias_radps(self) -> FloatArray:
@@ -194,8 +178,10 @@ class ShankTracker(Tracker):
             while at < self._history.filled:
                 at = self._follow(at, outcomes)
             if became == SILENCE:
-                outcomes += self._begin(int(samples.t_ns[begin]), samples.acc[begin])
-                at = 0
+                at, t_ns = 0, int(samples.t_ns[begin])
+                outcomes += self._restart(t_ns)
+                self._strides.restart(t_ns)
+                features.start(self._core[0], t_ns, *(samples.acc[begin] - self._acc_bias).tolist())
             elif became == FULL:
                 self._history.forget_half()
                 at = self._history.filled
@@ -226,20 +212,3 @@ class ShankTracker(Tracker):
         t_ns, acc, gyr, trace = self._history.arrays
         rows = slice(int(np.searchsorted(t_ns[:at], self._strides.since_ns)), at)
         return t_ns[rows], acc[rows] - self._acc_bias, gyr[rows] - self._gyr_bias, trace[rows]
-
-    def _begin(self, t_ns: int, acc: FloatArray) -> list[PhaseChange]:
-        """Begin anew in stance at this sample; what was under way is dropped."""
-        changes = self._restart(t_ns)
-        self._strides.restart(t_ns)
-        features.start(self._core[0], t_ns, *(acc - self._acc_bias).tolist())
-        return changes
-
-
-def shank_tracker(
-    calibration: ShankCalibration, *, equal_height: bool | None = None, swing_at_reversal: bool = False
-) -> ShankTracker:
-    """A tracker with the settings that a calibration leads to."""
-    maker = ShankStrideMaker(
-        calibration.sensor, ShankStrideSettings.for_calibration(calibration, equal_height=equal_height)
-    )
-    return ShankTracker(calibration, maker, swing_at_reversal=swing_at_reversal)

@@ -5,15 +5,12 @@ rate gives the velocity of a foot that turns about its ground contact, and says 
 (``fes.estimation.strides.integration``). Also how long a stride took, of all the time that its foot walked.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 
 from fes.estimation.numerics.jit import jit_ieee
-from fes.signals import FloatArray, IntArray
 
 UNSEEN_NS = -(2**63)  # of what did not happen, for compiled code
 
@@ -43,7 +40,6 @@ def stride_time_ns(start_ns: int, end_ns: int, before_ns: int | None) -> int:
 
 QUIET_WINDOW_S = 0.1
 AROUND_S = 0.03  # on either side of an end, over which it is measured
-NEAR_S = 0.05  # of a stance's instant given from elsewhere, the quietest is sought this far on either side
 # A foot that never turns more slowly than this has no true rest. Of the recordings that the sizes rest on, brisk walks
 # reach it in a few strides; running has nothing else.
 REST_RADPS = 1.0
@@ -104,14 +100,3 @@ def quietest_of(t_ns: Any, gyr: Any, n: int, bx: float, by: float, bz: float, ea
         if i + 1 >= window and energy[i + 1] - energy[i + 1 - window] < best:
             best, at = energy[i + 1] - energy[i + 1 - window], i + 1 - window
     return begin + at + window // 2
-
-
-def quietest(t_ns: IntArray, gyr: FloatArray, earliest_ns: int, latest_ns: int) -> int:
-    """Index of the middle of the tenth of a second with the least gyroscope energy between two times."""
-    return int(quietest_of(t_ns, gyr, len(t_ns), 0.0, 0.0, 0.0, earliest_ns, latest_ns))
-
-
-def quietest_near(t_ns: IntArray, gyr: FloatArray, at_ns: int) -> int:
-    """Index of the quietest instant within ±50 ms of a stance's instant that is known from elsewhere."""
-    reach_ns = int(1e9 * (NEAR_S + 0.5 * QUIET_WINDOW_S))
-    return quietest(t_ns, gyr, at_ns - reach_ns, at_ns + reach_ns)

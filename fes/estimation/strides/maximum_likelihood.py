@@ -22,8 +22,6 @@ specific force that is not long past; no threshold says what an impact is, so so
 their own.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -6,8 +6,6 @@ happened to be detected, and the velocity there is that of a foot turning about 
 ``fes.estimation.strides.segmentation``.
 """
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Mapping
@@ -23,14 +21,13 @@ from fes.estimation.numerics.rotation import cross
 from fes.estimation.strides import integration, segmentation
 from fes.estimation.strides.boundaries import REST_RADPS, UNSEEN_NS
 from fes.estimation.strides.schema import COLUMNS, STRIDE
-from fes.estimation.strides.segmentation import Out, SegmentationSettings, new_out
-from fes.signals import FloatArray, IntArray, StrideResult
-from statemachine.phases import Phase, PhaseChange
+from fes.estimation.strides.segmentation import Out, SegmentationSettings
+from fes.signals import FloatArray, StrideResult
+from statemachine.phases import Phase
 
 SENSOR_HEIGHT_M = 0.065  # of an instep sensor above the ground contact, where the session does not say
 TRAJECTORY_POINTS = 101
 Rows = np.ndarray[Any, np.dtype[Any]]
-NO_BIASES = np.zeros((2, 3))
 _NAMES = STRIDE.names or ()
 _HIDDEN = [column.name for column in COLUMNS if column.core and not column.shown]
 _ENTRIES = [f"t_{phase.name.lower()}_ns" for phase in Phase]
@@ -84,101 +81,20 @@ class StrideMaker:
         self.foot = foot
         self.settings = settings
         self.core = new_core(segmentation.STRIDE_STATE, settings=settings.compiled())
-        self._due_ns = self.core["state"]["due_ns"]  # (1,) of the same memory: asked at every sample
-        self._out: Out | None = None
         segmentation.restart(self.core, 0)
 
     def keep_in(self, core: Rows) -> None:
         """From now on keep all that evolves in this array (1,) of ``segmentation.STRIDE_STATE``."""
         core[:] = self.core
-        self.core, self._due_ns = core, core["state"]["due_ns"]
-
-    @property
-    def due_ns(self) -> int | None:
-        """The stride under way is closed at this time at the latest; None while there is none."""
-        due_ns: int = self._due_ns.item()
-        return None if due_ns == segmentation.NEVER_NS else due_ns
-
-    @property
-    def since_ns(self) -> int:
-        """All of the history is asked for."""
-        return UNSEEN_NS
-
-    def restart(self, t_ns: int) -> None:
-        """Data were lost: forget the stride under way; stance from now on."""
-        segmentation.restart(self.core, t_ns)
-
-    def on_phase(self, change: PhaseChange) -> None:
-        """Note a phase change (after :meth:`leave_stance` for T1)."""
-        segmentation.on_phase(self.core, change.destination.value, change.t_ns)
-
-    def leave_stance(
-        self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray
-    ) -> StrideResult | None:
-        """T1: close the stride that this stance ended, and begin the next at the stance's quietest instant.
-
-        History up to now: ``t_ns`` (N,); ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s, free of bias; ``quaternion``
-        (N, 4).
-        """
-        result = self.close(t_ns, acc, gyr, quaternion) if self.due_ns is not None else None
-        segmentation.begin(self.core, len(t_ns), t_ns, gyr, NO_BIASES)
-        return result
-
-    def close(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, quaternion: FloatArray) -> StrideResult | None:
-        """Solve the stride that ended with this stance; arguments as for :meth:`leave_stance`."""
-        n = len(t_ns)
-        if self._out is None or len(self._out.t_ns) < n:
-            self._out = new_out(1, n, TRAJECTORY_POINTS)
-        self._out.filled[:] = 0
-        first, last = segmentation.close(self.core, n, t_ns, gyr, NO_BIASES, self._out)
-        if first < last:
-            segmentation.solve_rows(self.core, first, last, n, t_ns, acc, gyr, quaternion[first], NO_BIASES, self._out)
-        return self.stride_in(self._out) if self._out.filled[segmentation.STRIDES] else None
+        self.core = core
 
     def stride_in(self, out: Out) -> StrideResult:
         """The only stride in ``out``; its path is shown to who watches."""
-        return _shown(self.foot, out, self.settings)
-
-
-def solve_stride(
-    foot: str,
-    number: int,
-    times: dict[Phase, int],
-    first: int,
-    last: int,
-    t_ns: IntArray,
-    acc: FloatArray,
-    gyr: FloatArray,
-    start_quaternion: FloatArray,
-    settings: StrideSettings,
-    before_ns: int | None = None,
-) -> StrideResult:
-    """Integrate the samples ``first`` … ``last`` of a history into a stride's numbers.
-
-    ``acc`` (N, 3) m/s² and ``gyr`` (N, 3) rad/s free of bias; ``start_quaternion`` (4,) the orientation at ``first``;
-    ``times`` the entries into the phases; ``before_ns`` where the stride before ended, for the speed. Source: Negård
-    et al. (2005), Eq. (14)–(20), see ``fes.estimation.strides.constrained`` (method "constrained"), weighed as in
-    ``fes.estimation.strides.maximum_likelihood`` (method "maximum_likelihood").
-    """
-    out = new_out(1, len(t_ns), TRAJECTORY_POINTS)
-    row = out.strides[0]
-    row["number"], row["t_start_ns"], row["t_end_ns"] = number, t_ns[first], t_ns[last]
-    for name, phase in zip(_ENTRIES, Phase, strict=True):
-        row[name] = times.get(phase, UNSEEN_NS)
-    out.filled[segmentation.STRIDES] = 1
-    own = new_core(segmentation.STRIDE_STATE, settings=settings.compiled())
-    own["state"]["before_ns"] = UNSEEN_NS if before_ns is None else before_ns
-    segmentation.solve_rows(own, first, last, len(t_ns), t_ns, acc, gyr, start_quaternion, NO_BIASES, out)
-    return _shown(foot, out, settings)
-
-
-def _shown(foot: str, out: Out, settings: StrideSettings) -> StrideResult:
-    """The only stride in ``out``; its path is shown to who watches."""
-    shape = out.shapes[0].copy()
-    result = _result(foot, out.strides[:1].tolist()[0], shape[:, :3], shape[:, 3])
-    if settings.watch is not None and result.valid:
-        settings.watch(copy.deepcopy(stride_paths(out.strides, out, settings).each()[0]))
-    return result
+        shape = out.shapes[0].copy()
+        result = _result(self.foot, out.strides[:1].tolist()[0], shape[:, :3], shape[:, 3])
+        if self.settings.watch is not None and result.valid:
+            self.settings.watch(copy.deepcopy(stride_paths(out.strides, out, self.settings).each()[0]))
+        return result
 
 
 def stride_paths(rows: Rows, out: Out, settings: StrideSettings) -> FootPaths:

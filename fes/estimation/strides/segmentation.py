@@ -4,8 +4,6 @@
 (one sample) and analysis (many in one call) go the same way.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

@@ -2,34 +2,213 @@
 
 Live takes one sample at a time (:meth:`Tracker.step`), analysis whole blocks (:meth:`Tracker.advance`); the results do
 not depend on where the blocks are cut.
+
+The last twenty seconds of one sensor: which samples are used, and where strides find them later.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
-from typing import Any, TypeAlias
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from fes.estimation.numerics.jit import jit_ieee
-from fes.estimation.numerics.records import Vec, record_of, record_type, struct_of
-from fes.estimation.tracking.history import COUNTERS, History, SampleCounts
+from fes.estimation.numerics.jit import inlined, jit_ieee
+from fes.estimation.numerics.records import Mat, Record, Vec, record_of, record_type, struct_of
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
 from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine
 from statemachine.phases import Phase, PhaseChange, Transition
 
+RESTART_GAP_S = 0.25  # after a longer silence nothing is known of the phase
+RESTART_GAP_NS = round(1e9 * RESTART_GAP_S)
+HISTORY_S = 20.0
+LARGEST_VALUE = 1e4  # m/s² and rad/s: beyond any sensor, and one such value would spoil the orientation for good
+LONG_AGO_NS = -(2**63)
+
+COUNTED = ("newest_ns", "filled", "used", "doubled_or_backward", "not_finite")
+COUNTERS = record_type([("running", np.bool_), *((name, np.int64) for name in COUNTED)])
+
+
+class HistoryArrays(NamedTuple):
+    """Samples as measured, oldest first, and beside each what the core left there."""
+
+    t_ns: Vec  # (N,)
+    acc: Mat  # (N, 3) m/s²
+    gyr: Mat  # (N, 3) rad/s
+    trace: Mat  # (N, 4)
+
+
+class Samples(NamedTuple):
+    """Samples as measured, strictly increasing or not."""
+
+    t_ns: Vec  # (N,)
+    acc: Mat  # (N, 3) m/s²
+    gyr: Mat  # (N, 3) rad/s
+
+
+@dataclass(slots=True)
+class SampleCounts:
+    """What became of the samples."""
+
+    used: int = 0
+    doubled_or_backward: int = 0
+    not_finite: int = 0
+    restarts: int = 0
+
+    def to_dict(self) -> dict[str, int]:
+        """For the session log."""
+        return asdict(self)
+
+
+KEPT, NOT_FINITE, NOT_NEWER, SILENCE, FULL = range(5)  # what became of a sample
+
+
+@inlined
+def sample_outcome(
+    running: bool, newest_ns: int, filled: int, room: int, t_ns: int,
+    ax: float, ay: float, az: float, gx: float, gy: float, gz: float,
+) -> int:  # fmt: skip
+    """What becomes of a sample where ``filled`` of ``room`` rows are, the last of ``newest_ns``.
+
+    An unusable sample's stamp counts for nothing, or it would matter where the blocks are cut.
+    """
+    outcome = KEPT
+    usable = (abs(ax) < LARGEST_VALUE) & (abs(ay) < LARGEST_VALUE) & (abs(az) < LARGEST_VALUE)
+    usable &= (abs(gx) < LARGEST_VALUE) & (abs(gy) < LARGEST_VALUE) & (abs(gz) < LARGEST_VALUE)
+    if not usable:  # a comparison with what is not a number is False
+        outcome = NOT_FINITE
+    elif running and t_ns <= newest_ns:
+        outcome = NOT_NEWER
+    elif not running or not 0 < t_ns - newest_ns <= RESTART_GAP_NS:  # stamps so far apart that this overflows
+        outcome = SILENCE
+    elif filled == room:
+        outcome = FULL
+    return outcome
+
+
+@jit_ieee
+def store_sample(counters: Record, t_ns: Vec, acc: Mat, gyr: Mat, sample: Record) -> int:
+    """Copy one sample into the history (N,), (N, 3), or say why not: ``SILENCE`` and ``FULL`` are the caller's."""
+    n, now_ns, f, w = counters.filled, sample.t_ns, sample.acc, sample.gyr
+    ax, ay, az, gx, gy, gz = f[0], f[1], f[2], w[0], w[1], w[2]
+    outcome = sample_outcome(counters.running, counters.newest_ns, n, t_ns.shape[0], now_ns, ax, ay, az, gx, gy, gz)
+    if outcome == KEPT:
+        counters.newest_ns = now_ns
+        counters.filled = n + 1
+        counters.used += 1
+        t_ns[n] = now_ns
+        acc[n, 0], acc[n, 1], acc[n, 2] = ax, ay, az
+        gyr[n, 0], gyr[n, 1], gyr[n, 2] = gx, gy, gz
+    elif outcome == NOT_FINITE:
+        counters.not_finite += 1
+    elif outcome == NOT_NEWER:
+        counters.doubled_or_backward += 1
+    return outcome
+
+
+@jit_ieee
+def store_samples(counters: Record, history: HistoryArrays, samples: Samples, begin: int) -> tuple[int, int]:
+    """Copy the samples from ``begin`` on, as :func:`store_sample` would; see :meth:`History.store`.
+
+    Returns the first sample not yet seen to, and why: ``SILENCE`` and ``FULL`` are the caller's to see to, ``KEPT``
+    says that there is no more. What evolves is kept out of the record meanwhile, or it would be written at every
+    sample.
+    """
+    kept_t_ns, kept_acc, kept_gyr, _ = history
+    t_ns, acc, gyr = samples
+    n, i, outcome = t_ns.shape[0], begin, KEPT
+    filled, newest_ns, running, room = counters.filled, counters.newest_ns, counters.running, kept_t_ns.shape[0]
+    before = filled
+    while i < n:
+        now_ns, ax, ay, az, gx, gy, gz = t_ns[i], acc[i, 0], acc[i, 1], acc[i, 2], gyr[i, 0], gyr[i, 1], gyr[i, 2]
+        outcome = sample_outcome(running, newest_ns, filled, room, now_ns, ax, ay, az, gx, gy, gz)
+        if outcome == KEPT:
+            newest_ns = now_ns
+            kept_t_ns[filled] = now_ns
+            kept_acc[filled, 0], kept_acc[filled, 1], kept_acc[filled, 2] = ax, ay, az
+            kept_gyr[filled, 0], kept_gyr[filled, 1], kept_gyr[filled, 2] = gx, gy, gz
+            filled += 1
+        elif outcome == NOT_FINITE:
+            counters.not_finite += 1
+        elif outcome == NOT_NEWER:
+            counters.doubled_or_backward += 1
+        else:
+            break
+        i += 1
+    counters.filled, counters.newest_ns = filled, newest_ns
+    counters.used += filled - before
+    return i, outcome if i < n else KEPT
+
+
+@jit_ieee
+def forget_half(counters: Record, history: HistoryArrays) -> None:
+    """As :meth:`History.forget_half`."""
+    t_ns, acc, gyr, trace = history
+    n = t_ns.shape[0]
+    half = n // 2
+    for i in range(half, n):
+        k = i - half
+        t_ns[k] = t_ns[i]
+        for j in range(3):
+            acc[k, j] = acc[i, j]
+            gyr[k, j] = gyr[i, j]
+        for j in range(4):
+            trace[k, j] = trace[i, j]
+    counters.filled = n - half
+
+
+class History:
+    """The arrays of one sensor's history; ``counters`` (1,) of ``COUNTERS`` say how many of their rows are filled."""
+
+    def __init__(self, rate_hz: float, counters: Vec | None = None) -> None:
+        n = max(int(HISTORY_S * rate_hz), 64)
+        self.arrays = HistoryArrays(np.zeros(n, np.int64), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 4)))
+        self.counters = np.zeros(1, COUNTERS) if counters is None else counters
+
+    @property
+    def filled(self) -> int:
+        """How many rows are filled."""
+        return int(self.counters["filled"][0])
+
+    def counts(self, restarts: int) -> SampleCounts:
+        """What became of the samples so far."""
+        _, _, _, used, doubled_or_backward, not_finite = self.counters[0].tolist()
+        return SampleCounts(used, doubled_or_backward, not_finite, restarts)
+
+    def store(self, samples: Samples, begin: int) -> tuple[int, int]:
+        """Copy the samples from ``begin`` on, up to a silence or until there is no room.
+
+        Samples not newer than the one before, and samples that are not finite or beyond ``LARGEST_VALUE``, are counted
+        and passed over. Returns the first sample not yet seen to, and why: ``KEPT`` where there is no more; ``SILENCE``
+        where that sample comes after one, as the first of all does: then :meth:`restart` first; ``FULL``:
+        :meth:`forget_half` first.
+        """
+        stored, outcome = store_samples(self.counters[0], self.arrays, samples, begin)
+        return int(stored), int(outcome)
+
+    def restart(self, t_ns: int) -> bool:
+        """Forget everything; the next sample is that of ``t_ns``. Returns whether there was anything before."""
+        was_running = bool(self.counters["running"][0])
+        self.counters["running"], self.counters["filled"] = True, 0
+        self.counters["newest_ns"] = max(t_ns - 1, LONG_AGO_NS)
+        return was_running
+
+    def forget_half(self) -> None:
+        """Make room: the older half goes."""
+        forget_half(self.counters[0], self.arrays)
+
+
+def as_samples(t_ns: IntArray, acc: FloatArray, gyr: FloatArray) -> Samples:
+    """Samples as one kind of array: for any other the core would be compiled once more."""
+    kinds = ((t_ns, np.int64), (acc, np.float64), (gyr, np.float64))
+    return Samples(*(np.require(x, kind, ("C", "W")) for x, kind in kinds))
+
+
 NEVER_NS = 2**63 - 1
 TRANSITIONS = tuple(Transition)  # by number
-SAMPLE = record_type(  # where something happens at it also its row in the history, and what the guards saw
-    [
-        ("t_ns", np.int64),
-        ("acc", np.float64, 3),
-        ("gyr", np.float64, 3),
-        ("row", np.int64),
-        ("seen", record_of(Features)),
-    ]
-)
+SAMPLED = [("t_ns", np.int64), ("acc", np.float64, 3), ("gyr", np.float64, 3)]
+# where something happens at a sample also its row in the history, and what the guards saw
+SAMPLE = record_type([*SAMPLED, ("row", np.int64), ("seen", record_of(Features))])
 pack_sample = struct_of(SAMPLE, "t_ns", "acc", "gyr").pack_into
 unpack_seen = struct_of(SAMPLE, "t_ns", "row", "seen").unpack_from
 
@@ -75,11 +254,6 @@ class Tracker(ABC):
     def counts(self) -> SampleCounts:
         """What became of the samples so far."""
         return self._history.counts(self._restarts)
-
-    @property
-    def newest_t_ns(self) -> int:
-        """Time stamp of the newest sample used; 0 before the first."""
-        return int(self._state["t_ns"])
 
     @property
     @abstractmethod

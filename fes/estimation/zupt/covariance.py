@@ -13,14 +13,11 @@ A covariance is kept as 15 rows of 16 in flat storage: a whole number of vector 
 knows, so that most of the work is done for eight elements at a time.
 """
 
-from __future__ import annotations
-
 import math
 
 from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.records import Mat, Vec
-from fes.estimation.zupt.decimation import Intervals
-from fes.estimation.zupt.settings import ZuptSettings
+from fes.estimation.zupt.decimation import Intervals, ZuptSettings
 from fes.signals import G_MPS2
 
 STATES = 15

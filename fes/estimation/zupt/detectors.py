@@ -13,13 +13,10 @@ GYR     ``|w|²`` of one sample, the plain norm threshold                      r
 ======  ====================================================================  ==========================
 
 Departures from Kumar's print, all back to Skog: in (2) 1/W applies to both terms; in (3) the norm is squared; in (5)
-the variance is the gyroscope's. Two more of our own. A constant factor moves the threshold and nothing else, so MV,
-MAG, ARE and GYR stay in their units. And SHOE weighs force against rate by what a standing foot may do
-(:mod:`fes.estimation.zupt.thresholds`) instead of by the sensor's noise, for a foot in stance turns and sways far above
-the noise of any sensor.
+the variance is the gyroscope's. Two more of our own: MV, MAG, ARE and GYR stay in their units, as a constant factor
+only moves the threshold; and SHOE weighs force against rate by what a standing foot may do, which is far above the
+noise of any sensor (:mod:`fes.estimation.zupt.thresholds`).
 """
-
-from __future__ import annotations
 
 import math
 from enum import IntEnum
@@ -144,48 +141,29 @@ def window_samples(window_s: float, rate_hz: float) -> int:
 
 
 def statistic(
-    detector: Detector,
-    acc_mps2: FloatArray,
-    gyr_radps: FloatArray,
-    rate_hz: float,
-    *,
-    window_s: float = WINDOW_S,
-    causal: bool = False,
-    gravity_mps2: float = G_MPS2,
-    gyr_bias_radps: Vector3 = (0.0, 0.0, 0.0),
-) -> FloatArray:
+    detector: Detector, acc_mps2: FloatArray, gyr_radps: FloatArray, rate_hz: float, *, window_s: float = WINDOW_S,
+    causal: bool = False, gravity_mps2: float = G_MPS2, gyr_bias_radps: Vector3 = (0.0, 0.0, 0.0),
+    energy: FloatArray = NOTHING,
+) -> FloatArray:  # fmt: skip
     """The detector's statistic at every sample (N,): (m/s²)² for MV and MAG, (rad/s)² for ARE and GYR, 1 for SHOE.
 
     Args:
         detector: which.
-        acc_mps2: (N, 3) specific force.
-        gyr_radps: (N, 3) angular rate.
+        acc_mps2: (N, 3) specific force, finite.
+        gyr_radps: (N, 3) angular rate, finite.
         rate_hz: nominal sampling rate.
         window_s: length of the window; GYR looks at single samples whatever it is.
         causal: the window ends at the sample; else it is centred on it. It is cut short at the recording's ends.
         gravity_mps2: length of the specific force at zero velocity, for SHOE and MAG.
         gyr_bias_radps: taken off the rate.
+        energy: (N,) gets ARE along with SHOE.
 
     Raises:
-        ValueError: shapes that do not match, values that are not finite, or a window or rate that is not positive.
+        ValueError: shapes that do not match, or a window or rate that is not positive.
     """
-    acc, gyr = checked_samples(acc_mps2, gyr_radps)
-    return detector_values(detector, acc, gyr, rate_hz, window_s, gravity_mps2, gyr_bias_radps, causal=causal)
-
-
-def detector_values(
-    detector: Detector,
-    acc: FloatArray,
-    gyr: FloatArray,
-    rate_hz: float,
-    window_s: float,
-    gravity_mps2: float = G_MPS2,
-    gyr_bias_radps: Vector3 = (0.0, 0.0, 0.0),
-    *,
-    causal: bool = False,
-    energy: FloatArray = NOTHING,
-) -> FloatArray:
-    """As :func:`statistic`, of samples that are known to be finite; ``energy`` (N,) gets ARE along with SHOE."""
+    if acc_mps2.ndim != 2 or acc_mps2.shape[1] != 3 or acc_mps2.shape != gyr_radps.shape:
+        raise ValueError(f"specific force {acc_mps2.shape} and rate {gyr_radps.shape} must both have the shape (N, 3)")
+    acc, gyr = np.ascontiguousarray(acc_mps2), np.ascontiguousarray(gyr_radps)
     count = 1 if detector is Detector.GYR else window_samples(window_s, rate_hz)
     ahead = 0 if causal else (count - 1) // 2
     out = np.empty(len(acc))
@@ -202,20 +180,6 @@ def detector_values(
 def rate_energy(gyr_radps: FloatArray, rate_hz: float) -> FloatArray:
     """Mean of the squared rate (N,) over 0.05 s around every sample, (rad/s)²: the statistic ARE."""
     return statistic(Detector.ARE, gyr_radps, gyr_radps, rate_hz)
-
-
-def checked_samples(acc: FloatArray, gyr: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Both (N, 3), contiguous.
-
-    Raises:
-        ValueError: shapes that do not match, or values that are not finite.
-    """
-    acc, gyr = np.ascontiguousarray(acc, dtype=np.float64), np.ascontiguousarray(gyr, dtype=np.float64)
-    if acc.ndim != 2 or acc.shape[1] != 3 or acc.shape != gyr.shape:
-        raise ValueError(f"specific force {acc.shape} and rate {gyr.shape} must both have the shape (N, 3)")
-    if not (np.isfinite(acc).all() and np.isfinite(gyr).all()):
-        raise ValueError("specific force and rate must be finite: fill or cut out what is missing")
-    return acc, gyr
 
 
 @jit

@@ -8,19 +8,15 @@ the velocity of a foot in stance is a measurement. Departures and additions:
 - the standing foot turns about where it touches the ground: its velocity is ``w × r``, not zero. The arm ``r`` from
   there to the sensor is given. The foot also drifts on in the direction in which it came, by 0.5 cm/s for the first
   second (optical recordings show the instep moving all through mid-stance);
-- zero velocity is not all or nothing: the measurement's noise grows with the rate, and neighbouring samples count
-  together as one over the time for which they err alike, so that neither a looser threshold nor a higher sampling rate
-  makes the filter sure of what it cannot know;
+- the measurement's noise grows with the rate, and samples within the time for which they err alike count as one: so
+  neither a looser threshold nor a higher sampling rate makes the filter sure of what it cannot know;
 - trapezoids instead of rectangles; samples that clip, or jump faster than an accelerometer follows, count as noise;
 - zero velocity at which the foot is sure to travel (beyond 4 standard deviations) is none: in a dragged or slow, even
   swing an inertial sensor reads like one at rest. Should it last, or nothing be measured for long, the filter is lost
   instead; its uncertainty grows by what it was wrong, and it takes the measurement;
-- the covariance goes from interval to interval (:mod:`fes.estimation.zupt.decimation`), a few hundredths of a second at
-  a time or a single sample, and velocity is measured once an interval, for the time from the middle of one to that of
-  the next. ``benchmarks/zupt_reference.py`` is the same filter written out from sample to sample, to check against.
+- the covariance goes from interval to interval (:mod:`fes.estimation.zupt.decimation`), and velocity is measured once
+  an interval. ``benchmarks/zupt_reference.py`` is the same filter from sample to sample, to check against.
 """
-
-from __future__ import annotations
 
 import math
 from typing import NamedTuple
@@ -40,8 +36,7 @@ from fes.estimation.zupt.covariance import (
     update,
     update_velocity,
 )
-from fes.estimation.zupt.decimation import Intervals, matrix
-from fes.estimation.zupt.settings import ZuptSettings, start_variances
+from fes.estimation.zupt.decimation import Intervals, ZuptSettings, matrix, start_variances
 from fes.signals import G_MPS2, FloatArray, IntArray
 
 MEASURED = 4  # velocity (3), height
@@ -65,34 +60,18 @@ class IntervalTape(NamedTuple):
 
 def new_tape(intervals: int, measured: int) -> IntervalTape:
     """An unwritten tape for K intervals, M of which end with a measurement: 0.4 kB each, and 0.5 kB a measurement."""
-    k, m = intervals, measured
-    return IntervalTape(
-        position=np.empty((k, 3)),
-        velocity=np.empty((k, 3)),
-        quaternions=np.empty((k, 4)),
-        push=np.empty((k, 3, 3)),
-        mean=np.empty((k, 3, 3)),
-        added=np.empty((k, ADDED)),
-        slot=np.empty(k, np.int64),
-        residual=np.empty((m, MEASURED)),
-        residual_var=np.empty((m, MEASURED)),
-        gain=np.empty((m, MEASURED, STATES)),
-    )
+    k, m = intervals, (measured, MEASURED)
+    position, velocity, quaternions = np.empty((k, 3)), np.empty((k, 3)), np.empty((k, 4))
+    push, mean, added, slot = np.empty((k, 3, 3)), np.empty((k, 3, 3)), np.empty((k, ADDED)), np.empty(k, np.int64)
+    measurements = np.empty(m), np.empty(m), np.empty((*m, STATES))
+    return IntervalTape(position, velocity, quaternions, push, mean, added, slot, *measurements)
 
 
 @jit_fused
 def filter_intervals(
-    t_ns: Vec,
-    gyr: Mat,
-    zero_velocity: Vec,
-    intervals: Intervals,
-    start_force: Vec,
-    lever: Vec,
-    bias: Vec,
-    level: bool,
-    settings: ZuptSettings,
-    tape: IntervalTape,
-) -> None:
+    t_ns: Vec, gyr: Mat, zero_velocity: Vec, intervals: Intervals, start_force: Vec, lever: Vec, bias: Vec, level: bool,
+    settings: ZuptSettings, tape: IntervalTape,
+) -> None:  # fmt: skip
     """Filter K intervals; every row of the tape then holds the state after the measurement at that interval's end.
 
     ``gyr`` (N, 3) rad/s; ``zero_velocity`` (N,); ``start_force`` (3,) is the specific force that says where up is at
@@ -120,11 +99,8 @@ def filter_intervals(
             dt = 1e-9 * (t_ns[i] - t_ns[ends[k - 1]])
             _integrate(k, dt, intervals, m, r, f, s, v, q, bg, ba)
             interval_noise(k, intervals, m, f, dt, settings, tape.added)
-            if (
-                zero_velocity[i]
-                and 1e-9 * (t_ns[i] - stance_began_ns) > settings.drift_s
-                and measured_ns > stance_began_ns
-            ):
+            lasted = 1e-9 * (t_ns[i] - stance_began_ns) > settings.drift_s
+            if zero_velocity[i] and lasted and measured_ns > stance_began_ns:
                 # whoever stands seems to accelerate by noise alone, which shows no heading
                 for j in range(3):
                     f[k, j, 0] = f[k, j, 1] = 0.0

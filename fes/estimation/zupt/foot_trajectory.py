@@ -4,8 +4,6 @@ A long recording is cut into stretches in long stances, so that memory does not 
 joined there by position and heading.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -15,21 +13,21 @@ import numpy as np
 
 from fes.estimation.numerics.filters import largest_in_blocks, rows_of_at_least
 from fes.estimation.numerics.ranks import median
-from fes.estimation.tracking.history import LARGEST_VALUE
-from fes.estimation.zupt.decimation import Intervals, gather_intervals
+from fes.estimation.tracking.tracker import LARGEST_VALUE
+from fes.estimation.zupt.decimation import Intervals, ZuptSettings, gather_intervals
 from fes.estimation.zupt.detectors import Detector
 from fes.estimation.zupt.filter import filter_intervals, new_tape
-from fes.estimation.zupt.settings import ZuptSettings
 from fes.estimation.zupt.smoother import smooth_intervals
-from fes.estimation.zupt.stances import (
+from fes.estimation.zupt.thresholds import (
     START_S,
     BoolArray,
+    ZeroVelocityThresholds,
+    find_zero_velocity,
     first_stance,
     mean_in_stance,
     stance_instants,
     with_missed_stances,
 )
-from fes.estimation.zupt.thresholds import ZeroVelocityThresholds, find_zero_velocity
 from fes.estimation.zupt.trajectory import positions_at, turn_path
 from fes.signals import FloatArray, IntArray
 
@@ -107,38 +105,29 @@ class FootSamples:
 
     def trajectory(self, settings: ZuptSettings, *, level: bool) -> Trajectory:
         """The foot's trajectory by these settings; ``level``: it always stands at one height."""
-        if not self._stretches:
-            self._cut()
+        if not self._stretches:  # each begins a little before the one before it ends
+            join, n = round(JOIN_S * self.rate_hz), len(self.t_ns)
+            for begin, end in pairwise([0, *_cuts(self.t_ns, self.zero_velocity, self.rate_hz), n]):
+                self._stretches.append(self._stretch(begin, min(end + join + 1, n)))
         t_ns = np.concatenate([stretch.t_ns[stretch.shared :] for stretch in self._stretches])
         whole = Trajectory(t_ns, np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3)), np.empty((len(t_ns), 4)))
         for stretch in self._stretches:
             last = slice(max(stretch.rows.start - 1, 0), stretch.rows.start + stretch.shared)
             before = Trajectory(t_ns[last], *(x[last].copy() for x in whole[1:]))
             own = Trajectory(stretch.t_ns, *(x[stretch.rows] for x in whole[1:]))
-            self._follow(stretch, settings, level, own)
+            span, intervals, bias = stretch.span, stretch.intervals, np.array(self.thresholds.gyr_bias_radps)
+            times, zero_velocity = self.t_ns[span], self.zero_velocity[span]
+            tape = new_tape(len(stretch.t_ns), int(np.count_nonzero(zero_velocity[intervals.ends])))._replace(
+                position=own.position_m, velocity=own.velocity_mps, quaternions=own.q_world_from_sensor
+            )
+            filter_intervals(
+                times, self.gyr_radps[span], zero_velocity, intervals, stretch.start_force, stretch.lever, bias, level,
+                settings, tape,
+            )  # fmt: skip
+            smooth_intervals(times, intervals.ends, bool(zero_velocity[0]), settings, tape)
             if stretch.rows.start:
                 _join(before, own, stretch.shared)
         return whole
-
-    def _follow(self, stretch: _Stretch, settings: ZuptSettings, level: bool, own: Trajectory) -> None:
-        """Fill the stretch's ``own`` rows."""
-        span, intervals = stretch.span, stretch.intervals
-        t_ns, zero_velocity = self.t_ns[span], self.zero_velocity[span]
-        tape = new_tape(len(stretch.t_ns), int(np.count_nonzero(zero_velocity[intervals.ends])))._replace(
-            position=own.position_m, velocity=own.velocity_mps, quaternions=own.q_world_from_sensor
-        )
-        bias = np.array(self.thresholds.gyr_bias_radps)
-        filter_intervals(
-            t_ns, self.gyr_radps[span], zero_velocity, intervals, stretch.start_force, stretch.lever, bias, level,
-            settings, tape,
-        )  # fmt: skip
-        smooth_intervals(t_ns, intervals.ends, bool(zero_velocity[0]), settings, tape)
-
-    def _cut(self) -> None:
-        """Cut into stretches, each beginning a little before the one before it ends."""
-        join = round(JOIN_S * self.rate_hz)
-        for begin, end in pairwise([0, *_cuts(self.t_ns, self.zero_velocity, self.rate_hz), len(self.t_ns)]):
-            self._stretches.append(self._stretch(begin, min(end + join + 1, len(self.t_ns))))
 
     def _stretch(self, begin: int, end: int) -> _Stretch:
         """The samples ``begin`` … ``end - 1``, from the first stance on, gathered."""
@@ -161,15 +150,9 @@ class FootSamples:
 
 
 def foot_samples(
-    t_ns: IntArray,
-    acc_mps2: FloatArray,
-    gyr_radps: FloatArray,
-    acc_range_mps2: float | None = None,
-    gyr_range_radps: float | None = None,
-    *,
-    detector: Detector = Detector.SHOE,
-    per_sample: bool = False,
-) -> FootSamples:
+    t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray, acc_range_mps2: float | None = None,
+    gyr_range_radps: float | None = None, *, detector: Detector = Detector.SHOE, per_sample: bool = False,
+) -> FootSamples:  # fmt: skip
     """Prepare a recording of one foot.
 
     Args:
@@ -191,10 +174,8 @@ def foot_samples(
     if not all((x < LARGEST_VALUE).all() for x in largest):
         usable = (np.abs(acc) < LARGEST_VALUE).all(axis=1) & (np.abs(gyr) < LARGEST_VALUE).all(axis=1)
         t_ns, acc, gyr = t_ns[usable], acc[usable], gyr[usable]
-    if len(t_ns) < 3:
-        raise ValueError(f"{len(t_ns)} samples make no path")
     intervals_ns = t_ns[1:] - t_ns[:-1]
-    if intervals_ns.min() <= 0:
+    if intervals_ns.min(initial=1) <= 0:
         newer = np.append(True, t_ns[1:] > np.maximum.accumulate(t_ns)[:-1])
         t_ns, acc, gyr = t_ns[newer], acc[newer], gyr[newer]
         intervals_ns = t_ns[1:] - t_ns[:-1]
@@ -207,11 +188,9 @@ def foot_samples(
     zero_velocity = with_missed_stances(detected, gyr, rate_hz, energy)
     if not zero_velocity.any():
         raise ValueError("the foot never rests, so nothing holds a path; check the units")
-    noise = (
-        clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0], largest[0]),
-        clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1], largest[1]),
-    )
-    return FootSamples(t_ns, acc, gyr, rate_hz, thresholds, zero_velocity, energy, noise, per_sample)
+    acc_sd = clipped_sd(acc, acc_range_mps2, LEAST_RANGE[0], CLIPPED_SD[0], largest[0])
+    gyr_sd = clipped_sd(gyr, gyr_range_radps, LEAST_RANGE[1], CLIPPED_SD[1], largest[1])
+    return FootSamples(t_ns, acc, gyr, rate_hz, thresholds, zero_velocity, energy, (acc_sd, gyr_sd), per_sample)
 
 
 def clipped_sd(
@@ -246,8 +225,7 @@ def _cuts(t_ns: IntArray, zero_velocity: BoolArray, rate_hz: float) -> list[int]
     )
     begins, ends = edges[0::2], edges[1::2]
     seconds = 1e-9 * (t_ns[begins] - t_ns[0])
-    cuts: list[int] = []
-    last_s = 0.0
+    cuts, last_s = list[int](), 0.0
     while total_s - last_s > STRETCH_S + SEARCH_S:
         near = np.flatnonzero(np.abs(seconds - last_s - STRETCH_S) <= SEARCH_S)
         longest = near[np.argmax((ends - begins)[near])] if len(near) else -1

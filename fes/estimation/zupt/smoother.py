@@ -8,16 +8,14 @@ which matters where a covariance is nearly singular (nothing measures heading, a
 be kept.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from fes.estimation.numerics.jit import jit_fused
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import quaternion_step, to_sensor
 from fes.estimation.zupt.covariance import ADDED, STATES, carry_error, spread_noise
+from fes.estimation.zupt.decimation import ZuptSettings, start_variances
 from fes.estimation.zupt.filter import MEASURED, IntervalTape
-from fes.estimation.zupt.settings import ZuptSettings, start_variances
 
 
 @jit_fused

@@ -3,8 +3,6 @@
 What for, :mod:`fes.estimation.zupt.foot_trajectory` and :mod:`fes.analysis.ground_path` say.
 """
 
-from __future__ import annotations
-
 import math
 
 from fes.estimation.numerics.jit import inlined, jit_fused

@@ -10,16 +10,14 @@ which the standing foot loses ``v t``. It is found from the marker itself, and t
 afterwards tells whether direction and speed were right.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from fes.evaluation.agreement.lag import GRID_S, Lag, event_trains, find_lag
+from fes.evaluation.lag import GRID_S, Lag, event_trains, find_lag
 from fes.evaluation.reference.compare import Estimate
-from fes.evaluation.reference.types import EVENTS, POINTS, MarkerPath, Reference, ReferenceError
+from fes.evaluation.reference.table import EVENTS, POINTS, MarkerPath, Reference, ReferenceError
 from fes.evaluation.trigger_timing import pair_times
 from fes.signals import NS_PER_S, FloatArray
 
@@ -44,10 +42,8 @@ class OnBelt:
 def to_belt(path: MarkerPath, belt: FloatArray, axis: str | None = None) -> OnBelt:
     """Move a path of the lab to the belt's frame.
 
-    Args:
-        path: in the lab's frame.
-        belt: (N, 2) times (s) and speed (m/s); before the first and after the last time the speed stays as it is.
-        axis: "+x", "-x", "+y" or "-y", the direction of walking; None: found from the standing foot.
+    ``belt`` (N, 2) are times (s) and speed (m/s), which stays as it is before the first and after the last; ``axis``
+    "+x", "-x", "+y" or "-y" is the direction of walking, None: found from the standing foot.
 
     Raises:
         ReferenceError: the standing foot does not move with the belt, along any axis or the one given.
@@ -151,58 +147,56 @@ def synchronise(
                 f"Give it: --lag SECONDS, or search less far: --max-lag SECONDS"
             )
         return Synchrony(found.lag_s, by, found)
-    warnings: tuple[str, ...] = ()
-    if found.caveat:
-        warnings = (f"the clocks could not be checked: {found.caveat}",)
-    elif abs(found.lag_s) > IN_STEP_S[by]:
+    warning = f"the clocks could not be checked: {found.caveat}" if found.caveat else ""
+    if not warning and abs(found.lag_s) > IN_STEP_S[by]:
         where = f"{found.lag_s:+.3f} s off the recording's clock"
-        warnings = (f"the reference seems to be {where}; --sync fit would take it off",)
-    return Synchrony(0.0, by, found, warnings)
+        warning = f"the reference seems to be {where}; --sync fit would take it off"
+    return Synchrony(0.0, by, found, (warning,) if warning else ())
 
 
 def _lag(reference: Reference, estimate: Estimate, most_s: float) -> tuple[str, Lag]:
     """By a marker's horizontal speed (a lever arm hardly changes it), else by events, else by where strides begin."""
-    path = _path_of(reference, estimate)
-    if path is not None:
+    usable = [p for p in reference.paths if p.foot in estimate.feet and np.isfinite(p.position_m[:, 2]).sum() > 10]
+    if usable:
+        path = min(usable, key=lambda path: POINTS.index(path.point))
         times, speed = speed_of(estimate, path.foot)
         near = (path.t_s > times[0] - most_s - 1.0) & (path.t_s < times[-1] + most_s + 1.0)
         return "speed", find_lag(path.t_s[near], horizontal_speed(path)[near], times, speed, most_s)
-    keys = [(foot, what) for foot in estimate.feet for what in EVENTS]
-    ours = {k: np.asarray(estimate.events.get(k[0], {}).get(k[1], np.zeros(0))) for k in keys}
-    true = {
-        k: _near(np.array([e.t_s for e in reference.events if (e.foot, e.what) == k]), estimate, most_s) for k in keys
-    }
-    both = [k for k in keys if len(true[k]) > 2 and len(ours[k]) > 2]
-    if both:
-        found = _by_trains([true[k] for k in both], [ours[k] for k in both], most_s)
-        return "events", _refined(found, [true[k] for k in both], [ours[k] for k in both])
-    starts = {foot: np.array([s.t_start_s for s in reference.strides if s.foot == foot]) for foot in estimate.feet}
-    starts = {foot: _near(times, estimate, most_s) for foot, times in starts.items()}
+
+    def both(pairs: list[tuple[list[float], FloatArray]]) -> tuple[list[FloatArray], list[FloatArray]]:
+        """The reference's times that can be within the recording at any lag looked at, and ours, if enough of each."""
+        begin_s, end_s = estimate.begin_s - most_s - 1.0, estimate.end_s + most_s + 1.0
+        near = [(np.array([t for t in true if begin_s < t < end_s]), ours) for true, ours in pairs]
+        enough = [(true, ours) for true, ours in near if len(true) > 2 and len(ours) > 2]
+        return [true for true, _ in enough], [ours for _, ours in enough]
+
+    true, ours = both(
+        [
+            (
+                [e.t_s for e in reference.events if (e.foot, e.what) == (foot, what)],
+                np.asarray(estimate.events.get(foot, {}).get(what, np.zeros(0))),
+            )
+            for foot in estimate.feet
+            for what in EVENTS
+        ]
+    )
+    if true:
+        return "events", _refined(_by_trains(true, ours, most_s), true, ours)
+    starts = {foot: [s.t_start_s for s in reference.strides if s.foot == foot] for foot in estimate.feet}
     mine = {foot: np.array([1e-9 * s.t_start_ns for s in estimate.strides_of(foot)]) for foot in estimate.feet}
-    feet = [foot for foot in estimate.feet if len(starts[foot]) > 2 and len(mine[foot]) > 2]
-    if not feet:
+    true, ours = both([(starts[foot], mine[foot]) for foot in estimate.feet])
+    if not true:
         raise ValueError("the reference holds no events, marker's path or strides near the recording's time")
-    return "strides", _by_trains([starts[f] for f in feet], [mine[f] for f in feet], most_s, width_s=0.1)
-
-
-def _near(times_s: FloatArray, estimate: Estimate, most_s: float) -> FloatArray:
-    """Those that can be within the recording at any lag that is looked at."""
-    return times_s[(times_s > estimate.begin_s - most_s - 1.0) & (times_s < estimate.end_s + most_s + 1.0)]
-
-
-def _path_of(reference: Reference, estimate: Estimate) -> MarkerPath | None:
-    usable = [p for p in reference.paths if p.foot in estimate.feet and np.isfinite(p.position_m[:, 2]).sum() > 10]
-    return min(usable, key=lambda path: POINTS.index(path.point), default=None)
+    return "strides", _by_trains(true, ours, most_s, width_s=0.1)
 
 
 def _by_trains(true: list[FloatArray], ours: list[FloatArray], most_s: float, width_s: float = 0.03) -> Lag:
-    grids = []
+    signals = []
     for parts in (true, ours):
         low, high = min(part.min() for part in parts), max(part.max() for part in parts)
-        grids.append(np.arange(low - 0.5, high + 0.5, GRID_S))
-    return find_lag(
-        grids[0], event_trains(true, grids[0], width_s), grids[1], event_trains(ours, grids[1], width_s), most_s
-    )
+        grid = np.arange(low - 0.5, high + 0.5, GRID_S)
+        signals.append((grid, event_trains(parts, grid, width_s)))
+    return find_lag(*signals[0], *signals[1], most_s)
 
 
 def _refined(found: Lag, true: list[FloatArray], ours: list[FloatArray]) -> Lag:
@@ -212,8 +206,7 @@ def _refined(found: Lag, true: list[FloatArray], ours: list[FloatArray]) -> Lag:
         moved = np.sort(expected) + found.lag_s
         stamps = [np.round(times * NS_PER_S).astype(np.int64) for times in (moved, np.sort(found_s))]
         off += [1e-9 * float(stamps[1][j] - stamps[0][i]) for i, j in pair_times(stamps[0], stamps[1], 1e9 * NEAR_S)]
-    shift = float(np.median(off)) if off else 0.0
-    return replace(found, lag_s=found.lag_s + shift)
+    return replace(found, lag_s=found.lag_s + (float(np.median(off)) if off else 0.0))
 
 
 def speed_of(estimate: Estimate, foot: str) -> tuple[FloatArray, FloatArray]:
@@ -222,22 +215,18 @@ def speed_of(estimate: Estimate, foot: str) -> tuple[FloatArray, FloatArray]:
     Raises:
         ValueError: no valid stride with a way.
     """
-    times: list[FloatArray] = []
-    speeds: list[FloatArray] = []
+    times, speeds = list[FloatArray](), list[FloatArray]()
     for stride in estimate.strides_of(foot):
         begin, end = stride.t_start_ns / NS_PER_S, stride.t_end_ns / NS_PER_S
         if times and begin <= times[-1][-1]:
             begin = float(times[-1][-1]) + 1e-3
         if not stride.valid or len(stride.trajectory_m) < 3 or end <= begin:
             continue
-        at = np.linspace(begin, end, len(stride.trajectory_m))
-        fine = np.arange(begin, end, GRID_S)
-        way = np.column_stack([np.interp(fine, at, stride.trajectory_m[:, axis]) for axis in (0, 1)])
-        if len(fine) < 10:
-            continue
-        step = way[8:] - way[:-8]
-        times.append(fine[4:-4])
-        speeds.append(np.hypot(*step.T) / (8 * GRID_S))
+        at, fine = np.linspace(begin, end, len(stride.trajectory_m)), np.arange(begin, end, GRID_S)
+        if len(fine) >= 10:
+            way = np.column_stack([np.interp(fine, at, stride.trajectory_m[:, axis]) for axis in (0, 1)])
+            times.append(fine[4:-4])
+            speeds.append(np.hypot(*(way[8:] - way[:-8]).T) / (8 * GRID_S))
     if not times:
         raise ValueError(f"no valid stride of the {foot.replace('_', ' ')} was found")
     return np.concatenate(times), np.concatenate(speeds)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fes.evaluation.reference.types import EVENTS, Reference, ReferenceStride
+from fes.evaluation.reference.table import EVENTS, Reference, ReferenceStride
 from fes.evaluation.trigger_timing import pair_times
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 TOLERANCE_S: Final = 0.15
 EDGE_S: Final = 1.0  # at a recording's ends a stride or event of the reference may be cut off: not missed
 _INSTANT: Final = {"IC": "initial_contact_s", "FO": "foot_off_s"}
-_OF_STRIDES: Final = (
-    *("stride_length_m", "clearance_m", "toe_clearance_m", "heel_clearance_m", "height_gained_m", "speed_mps"),
+_OF_STRIDES: Final = frozenset(
+    ("stride_length_m", "clearance_m", "toe_clearance_m", "heel_clearance_m", "height_gained_m", "speed_mps")
 )
 
 
@@ -66,13 +66,10 @@ def from_analysis(analysis: Analysis) -> Estimate:
     rows = analysis.event_rows()
     for foot, found in analysis.events.items():
         events[foot] = {"IC": 1e-9 * found.ic_ns.astype(float), "FO": 1e-9 * found.fo_ns.astype(float)}
-        mine = [row for row in rows if row["foot"] == foot]
-        strike[foot] = (
-            np.array([row["t_initial_contact_s"] for row in mine], dtype=float),
-            np.array([row["foot_strike_angle_rad"] for row in mine], dtype=float),
-        )
-    sensors = {change.foot for change in analysis.phases} - set(analysis.events)
-    for sensor in sensors:
+        mine = [(row["t_initial_contact_s"], row["foot_strike_angle_rad"]) for row in rows if row["foot"] == foot]
+        times, angles = np.array(mine, dtype=float).reshape(-1, 2).T
+        strike[foot] = times, angles
+    for sensor in {change.foot for change in analysis.phases} - set(analysis.events):
         events[foot_of(sensor)] = _of_phases(analysis.phases, sensor)
     tracks = list(analysis.recording.tracks.values())
     return Estimate(
@@ -93,15 +90,8 @@ def from_session(record: SessionRecord, source: str) -> Estimate:
     sensors = sorted({change.foot for change in record.phases})
     times = [1e-9 * int(part.t_ns[k]) for part in record.samples.values() if len(part.t_ns) for k in (0, -1)]
     times = times or [1e-9 * change.t_ns for change in record.phases] or [0.0]
-    return Estimate(
-        source,
-        "as decided in the session",
-        min(times),
-        max(times),
-        tuple(record.strides),
-        {foot_of(sensor): _of_phases(record.phases, sensor) for sensor in sensors},
-        {},
-    )
+    events = {foot_of(sensor): _of_phases(record.phases, sensor) for sensor in sensors}
+    return Estimate(source, "as decided in the session", min(times), max(times), tuple(record.strides), events, {})
 
 
 def _of_phases(phases: Iterable[PhaseChange], sensor: str) -> dict[str, FloatArray]:
@@ -218,12 +208,17 @@ def _strides(reference: Reference, estimate: Estimate, foot: str) -> Comparison:
         if not inside:
             missed += estimate.begin_s + EDGE_S < true.t_start_s and true.t_end_s < estimate.end_s - EDGE_S
             continue
-        chosen = max(inside, key=lambda k: _shared_s(true, ours[k]))
+        # the one that shares most time with it
+        shared = {
+            k: min(true.t_end_s, 1e-9 * ours[k].t_end_ns) - max(true.t_start_s, 1e-9 * ours[k].t_start_ns)
+            for k in inside
+        }
+        chosen = max(inside, key=shared.__getitem__)
         matched.add(chosen)
-        if not (true.usable and ours[chosen].valid):
+        if true.usable and ours[chosen].valid:
+            pairs += _of_stride(true, ours[chosen], foot, estimate)
+        else:
             left_out += 1
-            continue
-        pairs += _of_stride(true, ours[chosen], foot, estimate)
     begin, end = mine[0].t_start_s, max(stride.t_end_s for stride in mine)
     near = [k for k in range(len(ours)) if begin < swings[k] < end]
     extra = sum(k not in matched and ours[k].valid for k in near)
@@ -253,11 +248,6 @@ def swing_s(stride: StrideResult) -> float:
     if begin is None or end is None:
         begin, end = stride.t_start_ns, stride.t_end_ns
     return 0.5 * (begin + end) / NS_PER_S
-
-
-def _shared_s(true: ReferenceStride, ours: StrideResult) -> float:
-    """How much time two strides share."""
-    return min(true.t_end_s, 1e-9 * ours.t_end_ns) - max(true.t_start_s, 1e-9 * ours.t_start_ns)
 
 
 def _nanoseconds(seconds: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

@@ -15,8 +15,6 @@ A mat's stride length is the distance between successive contacts of the same fo
 heel); that of a walk with turns is measured along straight lines as well.
 """
 
-from __future__ import annotations
-
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -25,8 +23,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from fes.evaluation.reference.table import Table, foot_of, read_columns
-from fes.evaluation.reference.types import (
+from fes.evaluation.reference.table import (
     POINTS,
     MarkerPath,
     Reference,
@@ -34,6 +31,9 @@ from fes.evaluation.reference.types import (
     ReferenceError,
     ReferenceEvent,
     ReferenceStride,
+    Table,
+    foot_of,
+    read_columns,
 )
 from fes.signals import FloatArray
 
@@ -49,19 +49,11 @@ _EVENT_NAMES: Final = {
     "IC": ("ic", "initialcontact", "footstrike", "heelstrike", "hs", "contact", "footcontact"),
     "FO": ("fo", "footoff", "toeoff", "to", "terminalcontact", "tc", "off"),
 }
-_VALUES: Final = {
-    "stride_length": "stride_length_m",
-    "clearance": "clearance_m",
-    "toe_clearance": "toe_clearance_m",
-    "heel_clearance": "heel_clearance_m",
-    "height_gained": "height_gained_m",
-    "foot_strike": "foot_strike_rad",
-    "foot_strike_angle": "foot_strike_rad",
-    "stride_time": "stride_time_s",
-    "stance_time": "stance_time_s",
-    "swing_time": "swing_time_s",
-    "speed": "speed_mps",
-    "stride_velocity": "speed_mps",
+_LENGTHS: Final = ("stride_length", "clearance", "toe_clearance", "heel_clearance", "height_gained")
+_VALUES: Final = {name: f"{name}_m" for name in _LENGTHS} | {
+    **{name: f"{name}_s" for name in ("stride_time", "stance_time", "swing_time")},
+    **dict.fromkeys(("foot_strike", "foot_strike_angle"), "foot_strike_rad"),
+    **dict.fromkeys(("speed", "stride_velocity"), "speed_mps"),
 }
 _ENDS: Final = ("end_distance", "end_height")
 _MARKER: Final = re.compile(r"(left|right|l|r)_(?:foot_)?(\w+)_x")
@@ -122,7 +114,7 @@ def _time(table: Table) -> FloatArray:
     t_s = table.numbers(name)
     bad = np.flatnonzero(~np.isfinite(t_s))
     if len(bad):
-        raise ReferenceError(f"{table.path}:{table.first_line + int(bad[0])}: the time is empty")
+        raise ReferenceError(f"{table.line(int(bad[0]))}: the time is empty")
     return t_s
 
 
@@ -130,7 +122,7 @@ def _increasing(table: Table) -> FloatArray:
     t_s = _time(table)
     back = np.flatnonzero(np.diff(t_s) <= 0.0)
     if len(back):
-        raise ReferenceError(f"{table.path}:{table.first_line + int(back[0]) + 1}: the time does not increase")
+        raise ReferenceError(f"{table.line(int(back[0]) + 1)}: the time does not increase")
     if len(t_s) < 3:
         raise ReferenceError(f"{table.path}: holds fewer than three samples")
     return t_s
@@ -145,19 +137,12 @@ def _strides(table: Table, foot: str | None) -> Reference:
             usable &= np.array(table.flags(name))
     wrong = np.flatnonzero(~(np.isfinite(start) & np.isfinite(end) & (start < end)))
     if len(wrong):
-        raise ReferenceError(f"{table.path}:{table.first_line + int(wrong[0])}: t_end must be after t_start")
+        raise ReferenceError(f"{table.line(int(wrong[0]))}: t_end must be after t_start")
     feet = table.feet(foot)
-    strides = [
-        ReferenceStride(
-            feet[k],
-            float(start[k]),
-            float(end[k]),
-            {_VALUES[name]: float(column[k]) for name, column in values.items() if np.isfinite(column[k])},
-            bool(usable[k]),
-        )
-        for k in range(table.rows)
-    ]
-    events = []
+    strides, events = [], []
+    for k in range(table.rows):
+        known = {_VALUES[name]: float(column[k]) for name, column in values.items() if np.isfinite(column[k])}
+        strides.append(ReferenceStride(feet[k], float(start[k]), float(end[k]), known, bool(usable[k])))
     soft = table.columns.get("contact", [""] * table.rows)
     for what, names in (("IC", CONTACT), ("FO", OFF)):
         if column := table.first_of(*names):
@@ -177,9 +162,7 @@ def _events(table: Table, foot: str | None) -> Reference:
     for row, text in enumerate(table.columns["event"]):
         what = event_name(text)
         if what is None:
-            raise ReferenceError(
-                f"{table.path}:{table.first_line + row}: {text!r} is no event known here; IC and FO are"
-            )
+            raise ReferenceError(f"{table.line(row)}: {text!r} is no event known here; IC and FO are")
         events.append(ReferenceEvent(float(t_s[row]), feet[row], what))
     return Reference((str(table.path),), tuple(sorted(events)))
 
@@ -200,12 +183,10 @@ def _mat(table: Table, foot: str | None) -> Reference:
     contact_s = table.numbers(table.first_of(*CONTACT) or "t_contact")
     off_s, length_m = (table.numbers(n) if n else None for n in (table.first_of(*OFF), table.first_of("stride_length")))
     place_m = np.column_stack([table.numbers("x"), table.numbers("y")]) if {"x", "y"} <= set(table.columns) else None
-    if not np.isfinite(contact_s).all():
-        number = int(np.flatnonzero(~np.isfinite(contact_s))[0]) + 1
-        raise ReferenceError(f"{source}: footfall {number} has no time of contact")
-    if off_s is not None and (off_s <= contact_s).any():
-        number = int(np.flatnonzero(off_s <= contact_s)[0]) + 1
-        raise ReferenceError(f"{source}: footfall {number} leaves before it came")
+    early = off_s <= contact_s if off_s is not None else np.zeros(0, np.bool_)
+    for wrong, what in ((~np.isfinite(contact_s), "has no time of contact"), (early, "leaves before it came")):
+        if wrong.any():
+            raise ReferenceError(f"{source}: footfall {int(np.flatnonzero(wrong)[0]) + 1} {what}")
     events, strides = [], []
     whose = np.array(feet)
     for foot in dict.fromkeys(feet):
@@ -230,11 +211,8 @@ def _mat(table: Table, foot: str | None) -> Reference:
 def switch_events(source: str, foot: str, t_s: FloatArray, signals: list[FloatArray]) -> list[ReferenceEvent]:
     """The foot is down while any of its switches is pressed: IC where the first closes, FO where the last opens.
 
-    Args:
-        source: the file, for messages.
-        foot: whose.
-        t_s: (N,) increasing.
-        signals: (N,) each; two levels, or a pressure of which the 2nd and 98th percentile are taken for the levels.
+    Times (N,) increase; each of the signals (N,) has two levels, or is a pressure of which the 2nd and 98th percentile
+    are taken for the levels. ``source`` is the file, for messages.
 
     Raises:
         ReferenceError: none of the switches ever changes.
@@ -248,7 +226,12 @@ def switch_events(source: str, foot: str, t_s: FloatArray, signals: list[FloatAr
             down |= _pressed((values - low) / (high - low))
     if not changed:
         raise ReferenceError(f"{source}: the switches of the {foot.replace('_', ' ')} never change; is one broken?")
-    edges = _without_bounces(t_s, np.flatnonzero(np.diff(down.astype(np.int8))))
+    edges: list[int] = []  # that are not followed by their opposite within BOUNCE_S, nor such opposites
+    for k in np.flatnonzero(np.diff(down.astype(np.int8))).tolist():
+        if edges and t_s[k + 1] - t_s[edges[-1] + 1] < BOUNCE_S:
+            edges.pop()
+        else:
+            edges.append(k)
     return [ReferenceEvent(float(0.5 * (t_s[k] + t_s[k + 1])), foot, "IC" if down[k + 1] else "FO") for k in edges]
 
 
@@ -262,28 +245,15 @@ def _pressed(level: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     return np.asarray(state[last] == 1)
 
 
-def _without_bounces(t_s: FloatArray, edges: np.ndarray[tuple[int], np.dtype[np.int64]]) -> list[int]:
-    """Edges that are not followed by their opposite within ``BOUNCE_S``, nor such opposites."""
-    kept: list[int] = []
-    for k in edges.tolist():
-        if kept and t_s[k + 1] - t_s[kept[-1] + 1] < BOUNCE_S:
-            kept.pop()
-        else:
-            kept.append(k)
-    return kept
-
-
 def _switch(table: Table, foot: str | None) -> Reference:
     t_s = _increasing(table)
     by_foot: dict[str, list[FloatArray]] = {}
     for name in table.columns:
-        whose = _switch_foot(name)
-        if whose is not None:
+        if whose := _switch_foot(name):
             by_foot.setdefault(whose, []).append(table.numbers(name))
-    events = [
-        event for whose, signals in by_foot.items() for event in switch_events(str(table.path), whose, t_s, signals)
-    ]
-    return Reference((str(table.path),), tuple(sorted(events)))
+    source = str(table.path)
+    events = [event for whose, signals in by_foot.items() for event in switch_events(source, whose, t_s, signals)]
+    return Reference((source,), tuple(sorted(events)))
 
 
 def _switch_foot(name: str) -> str | None:

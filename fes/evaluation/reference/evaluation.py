@@ -1,10 +1,8 @@
 """The whole evaluation: what can be held against a reference; clocks, frames, pairs, and their agreement."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -12,7 +10,7 @@ from fes.evaluation.agreement import Differences, Interval, RegressionLine, diff
 from fes.evaluation.reference.alignment import MOST_S, Synchrony, looks_like_lab, synchronise, to_belt
 from fes.evaluation.reference.compare import TOLERANCE_S, Comparison, Count, Estimate, Pair, compare, swing_s
 from fes.evaluation.reference.paths import compare_path
-from fes.evaluation.reference.types import POINTS, MarkerPath, Reference, ReferenceError
+from fes.evaluation.reference.table import POINTS, MarkerPath, Reference, ReferenceError
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +37,7 @@ _TABLE: Final = (
     Quantity("stride_time_s", "Stride time", "ms", 1e3, 1, "initial contact to the next of the same foot"),
     Quantity("stance_time_s", "Stance time", "ms", 1e3, 1, "initial contact to foot off"),
     Quantity("swing_time_s", "Swing time", "ms", 1e3, 1, "foot off to initial contact"),
-    Quantity("stride_length_m", "Stride length", "cm", 100.0, 2, "horizontal way of one foot in one stride"),
+    Quantity("stride_length_m", "Stride length", "cm", 100.0, 2, "horizontal distance of one foot in one stride"),
     Quantity("clearance_m", "Clearance, sensor", "cm", 100.0, 2, "greatest height of the sensor above its start"),
     Quantity("toe_clearance_m", "Clearance, toe", "cm", 100.0, 2, "least height of the toe in mid-swing"),
     Quantity("heel_clearance_m", "Clearance, heel", "cm", 100.0, 2, "greatest height of the heel"),
@@ -47,7 +45,7 @@ _TABLE: Final = (
     Quantity("foot_strike_rad", "Foot-strike angle", "deg", _DEG, 2, "sole at contact, toe-up positive"),
     Quantity("speed_mps", "Walking speed", "m/s", 1.0, 3, "stride length over stride time"),
     Quantity(
-        "end_distance_m", "End from start", "cm", 100.0, 1, "horizontal way from the walk's start to its end", True
+        "end_distance_m", "End from start", "cm", 100.0, 1, "horizontal distance from the walk's start to its end", True
     ),
     Quantity("end_height_m", "End above start", "cm", 100.0, 1, "height of the walk's end above its start", True),
     Quantity("inclination_x_rad", "Inclination of x", "deg", _DEG, 2, "angle of the sensor's x axis to the vertical"),
@@ -140,16 +138,9 @@ def evaluate(estimate: Estimate, reference: Reference, settings: Settings | None
         )
     if synchrony.fitted_to_events:
         warnings.append("the lag was fitted to the events: their mean error says nothing, SD and durations do")
-    return Evaluation(
-        estimate,
-        reference.sources,
-        synchrony,
-        comparison.pairs,
-        comparison.counts,
-        rows_of(comparison.pairs),
-        tuple(notes),
-        tuple(warnings),
-    )
+    pairs, counts = comparison.pairs, comparison.counts
+    told = tuple(notes), tuple(warnings)
+    return Evaluation(estimate, reference.sources, synchrony, pairs, counts, rows_of(pairs), *told)
 
 
 def rows_of(pairs: tuple[Pair, ...]) -> tuple[AgreementRow, ...]:
@@ -158,8 +149,7 @@ def rows_of(pairs: tuple[Pair, ...]) -> tuple[AgreementRow, ...]:
     for name in QUANTITIES:
         mine = [pair for pair in pairs if pair.quantity == name]
         feet = sorted({pair.foot for pair in mine})
-        for foot in feet:
-            rows.append(agreement(name, foot, [pair for pair in mine if pair.foot == foot]))
+        rows += [agreement(name, foot, [pair for pair in mine if pair.foot == foot]) for foot in feet]
         if len(feet) > 1:
             rows.append(agreement(name, BOTH, mine))
     return tuple(rows)
@@ -183,18 +173,13 @@ def _own_feet(reference: Reference, estimate: Estimate) -> Reference:
         ReferenceError: nothing is left.
     """
     feet = set(estimate.feet)
-    parts = (reference.events, reference.strides, reference.paths, reference.ends)
-    others = {each.foot for part in parts for each in part} - feet
+    parts = ("events", "strides", "paths", "ends")
+    others = {each.foot for part in parts for each in getattr(reference, part)} - feet
     if not others:
         return reference
-    left = replace(
-        reference,
-        events=tuple(event for event in reference.events if event.foot in feet),
-        strides=tuple(stride for stride in reference.strides if stride.foot in feet),
-        paths=tuple(path for path in reference.paths if path.foot in feet),
-        ends=tuple(end for end in reference.ends if end.foot in feet),
-        notes=(*reference.notes, f"not looked at, for the recording has no such sensor: {', '.join(sorted(others))}"),
-    )
+    note = f"not looked at, for the recording has no such sensor: {', '.join(sorted(others))}"
+    kept: dict[str, Any] = {name: tuple(one for one in getattr(reference, name) if one.foot in feet) for name in parts}
+    left = replace(reference, **kept, notes=(*reference.notes, note))
     if not left:
         raise ReferenceError(
             f"{', '.join(reference.sources)}: tells of {', '.join(sorted(others))}, and the recording of "
@@ -264,8 +249,7 @@ def _added(first: Comparison, second: Comparison) -> Comparison:
 
 
 def _spans(reference: Reference, estimate: Estimate) -> str:
-    times = [event.t_s for event in reference.events]
-    times += [t for stride in reference.strides for t in (stride.t_start_s, stride.t_end_s)]
-    times += [float(path.t_s[k]) for path in reference.paths for k in (0, -1)]
+    times = [t for stride in reference.strides for t in (stride.t_start_s, stride.t_end_s)]
+    times += [e.t_s for e in reference.events] + [float(path.t_s[k]) for path in reference.paths for k in (0, -1)]
     span = f"{min(times):.1f}–{max(times):.1f} s" if times else "no time"
     return f"it covers {span}, the recording {estimate.begin_s:.1f}–{estimate.end_s:.1f} s"

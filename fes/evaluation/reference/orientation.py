@@ -5,8 +5,6 @@ nothing to do with heading; it goes into words. Bland–Altman and the like need
 the sensor's x and z axes to the vertical.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +17,7 @@ from fes.evaluation.reference.alignment import Synchrony
 from fes.evaluation.reference.compare import Estimate, Pair
 from fes.evaluation.reference.csv_file import kind_of, orientation_columns
 from fes.evaluation.reference.evaluation import Evaluation, rows_of
-from fes.evaluation.reference.table import read_columns
-from fes.evaluation.reference.types import ReferenceError
+from fes.evaluation.reference.table import ReferenceError, read_columns
 from fes.recording import Recording, Track
 from fes.signals import FloatArray
 
@@ -78,23 +75,15 @@ def evaluate_orientation(recording: Recording, references: Sequence[OrientationR
     pairs: list[Pair] = []
     notes: list[str] = []
     for reference in references:
-        found, said = _hold_against(recording, reference)
-        pairs += found
+        own, said = _hold_against(recording, reference)
+        pairs += own
         notes += said
     span = [float(t) for reference in references for t in (reference.t_s[0], reference.t_s[-1])]
     source = str(recording.path or recording.name)
     estimate = Estimate(source, "orientation, off-line", min(span), max(span), (), {}, {})
     notes.append("neighbouring samples are alike: the intervals of the table are far too narrow, SD and limits are not")
-    return Evaluation(
-        estimate,
-        tuple(reference.source for reference in references),
-        Synchrony(0.0, "", None),
-        tuple(pairs),
-        (),
-        rows_of(tuple(pairs)),
-        tuple(notes),
-        (),
-    )
+    sources, found = tuple(reference.source for reference in references), tuple(pairs)
+    return Evaluation(estimate, sources, Synchrony(0.0, "", None), found, (), rows_of(found), tuple(notes), ())
 
 
 def upward(quaternion: FloatArray) -> FloatArray:
@@ -120,13 +109,8 @@ def _hold_against(recording: Recording, reference: OrientationReference) -> tupl
     true = upward(reference.quaternion[judged])
     notes, off_line = [], np.zeros((0, 3))
     for how, run in (("causal", track_orientation), ("off-line", smooth_orientation)):
-        path = run(
-            track.acc_mps2,
-            track.gyr_radps,
-            track.rate_hz,
-            acc_range_mps2=track.acc_range_mps2,
-            gyr_range_radps=track.gyr_range_radps,
-        )
+        samples = track.acc_mps2, track.gyr_radps, track.rate_hz
+        path = run(*samples, acc_range_mps2=track.acc_range_mps2, gyr_range_radps=track.gyr_range_radps)
         off_line = upward(path.quaternion)[index[judged]]
         error = np.degrees(np.arctan2(np.linalg.norm(np.cross(off_line, true), axis=1), (off_line * true).sum(axis=1)))
         notes.append(

@@ -5,8 +5,6 @@ then speak of the same stride. A stride counts only where the marker was seen al
 really went somewhere; where the marker is not at the sensor, only if the foot did not turn.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Final
 
@@ -14,7 +12,7 @@ import numpy as np
 
 from fes.evaluation.reference.alignment import horizontal_speed
 from fes.evaluation.reference.compare import EDGE_S, Comparison, Count, Estimate, Pair, swing_s
-from fes.evaluation.reference.types import MarkerPath
+from fes.evaluation.reference.table import MarkerPath
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 
 AROUND_S: Final = 0.025  # a marker's place is the median over this much before and after
@@ -104,8 +102,12 @@ def _values(path: MarkerPath, stride: StrideResult, speed: FloatArray) -> dict[s
     if path.point == "toe":
         lowest = _toe_clearance(stride, times, rows, height)
         return found if lowest is None else {**found, "toe_clearance_m": lowest}
-    name = "clearance_m" if path.point == "sensor" else "heel_clearance_m"
-    return {**found, name: _greatest(times, height)}
+    greatest = float(height.max())
+    if len(times) >= 4 and (len(times) - 1) / (times[-1] - times[0]) <= FEW_HZ:  # it lies between the samples
+        from scipy.interpolate import CubicSpline
+
+        greatest = float(CubicSpline(times, height)(np.linspace(times[0], times[-1], 20 * len(times))).max())
+    return {**found, "clearance_m" if path.point == "sensor" else "heel_clearance_m": greatest}
 
 
 def _place(path: MarkerPath, at_s: float) -> FloatArray:
@@ -113,16 +115,6 @@ def _place(path: MarkerPath, at_s: float) -> FloatArray:
     reach = max(AROUND_S, 1.2 / path.rate_hz)
     low, high = np.searchsorted(path.t_s, (at_s - reach, at_s + reach))
     return np.asarray(np.nanmedian(path.position_m[int(low) : max(int(high), int(low) + 1)], axis=0))
-
-
-def _greatest(times: FloatArray, height: FloatArray) -> float:
-    """Greatest height; between the samples where there are few."""
-    if len(times) < 4 or (len(times) - 1) / (times[-1] - times[0]) > FEW_HZ:
-        return float(height.max())
-    from scipy.interpolate import CubicSpline
-
-    fine = np.linspace(times[0], times[-1], 20 * len(times))
-    return float(CubicSpline(times, height)(fine).max())
 
 
 def _toe_clearance(stride: StrideResult, times: FloatArray, rows: FloatArray, height: FloatArray) -> float | None:

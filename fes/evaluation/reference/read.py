@@ -1,7 +1,5 @@
 """References from their files: several as one; C3D of motion capture by the library ezc3d (extra ``c3d``)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -9,8 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from fes.evaluation.reference.csv_file import event_name, read_csv
-from fes.evaluation.reference.table import foot_of
-from fes.evaluation.reference.types import MarkerPath, Reference, ReferenceError, ReferenceEvent
+from fes.evaluation.reference.table import MarkerPath, Reference, ReferenceError, ReferenceEvent, foot_of
 from fes.signals import FloatArray
 
 USUAL_LABELS: Final = {
@@ -27,10 +24,8 @@ _ENDINGS = (*(f".{kind}.csv" for kind in _TABLES), ".c3d")
 def read_c3d(path: Path, *, markers: Mapping[str, tuple[str, str]] | None = None, up: str = "z") -> Reference:
     """Read markers and events of a C3D file; times count from the trial's first frame number 1 on, as events do.
 
-    Args:
-        path: the file.
-        markers: label → (foot, point); without it labels as in LHEE, RTOE, L_FCC, right_heel.
-        up: the laboratory's vertical axis.
+    ``markers`` are label → (foot, point), without it labels as in LHEE, RTOE, L_FCC, right_heel; ``up`` is the
+    laboratory's vertical axis.
 
     Raises:
         ReferenceError: it cannot be read, holds nothing of the feet, or ezc3d is not installed.
@@ -127,13 +122,9 @@ def read_references(
     markers: Mapping[str, tuple[str, str]] | None = None,
     up: str = "z",
 ) -> Reference:
-    """Read files and join them.
+    """Read files, CSV or C3D, and join them.
 
-    Args:
-        paths: CSV or C3D.
-        foot: whose a table without a column for it is.
-        markers: C3D: label → (foot, point); without it the usual labels.
-        up: C3D: the laboratory's vertical axis, x, y or z.
+    ``foot`` is whose a table without a column for it is; ``markers`` and ``up`` as of :func:`read_c3d`.
 
     Raises:
         ReferenceError: one cannot be used, or two say the same thing.

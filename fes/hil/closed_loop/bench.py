@@ -4,14 +4,12 @@ sensors' lines ← patient ← pulses ← stimulator ← its line. What is betwe
 here: whoever has the session file starts it.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +22,6 @@ from fes.calibration.recording import save
 from fes.config import StimulatorDevice
 from fes.hil.settings import FOOT, PATIENT_CURRENT_MA, RATE_HZ, patient_calibration, patient_session_text
 from fes.simulation.forward import PatientSettings, VirtualStride, settings_for
-from fes.simulation.forward.settings import to_plain
 
 STIMULATORS: Final[dict[str, DeviceKind | None]] = {
     "can": None,
@@ -32,27 +29,22 @@ STIMULATORS: Final[dict[str, DeviceKind | None]] = {
     "rehastim2": "sciencemode2",
 }
 SESSION_NAME: Final = "session.toml"
-CALIBRATION_NAME: Final = "patient.calibration.json"
 CYCLE_S: Final = (5.0, 3.5)  # walks and stands in turns; a stand is longer than a burst may last
 
 
 class PatientHandle(ProcessHandle):
     """A running patient: ``ports`` by sensor, ``start_ns`` the host's time at which its own began.
 
-    ``summary`` is known once it has stopped.
+    ``summary`` is known once it has stopped. What is asked of it raises ImuLost when it is gone or does not know that.
     """
 
-    def __init__(self, arguments: Sequence[str], timeout_s: float) -> None:
-        self.ports: dict[str, str] = {}
-        self.start_ns = 0
+    def __init__(self, arguments: Sequence[str]) -> None:
         self.summary: dict[str, Any] = {}
         self._strides: list[VirtualStride] = []
-        module = "fes.hil.closed_loop.patient_process"
-        super().__init__("the virtual patient", module, arguments, lost=ImuLost, timeout_s=timeout_s)
-
-    def _on_ready(self, ready: Mapping[str, Any]) -> None:
-        super()._on_ready(ready)
-        self.ports, self.start_ns = dict(ready["ports"]), int(ready["start_ns"])
+        module = "fes.hil.closed_loop.patient_process"  # at first it may compile
+        super().__init__("the virtual patient", module, arguments, lost=ImuLost, timeout_s=180.0)
+        self.ports: dict[str, str] = dict(self.ready["ports"])
+        self.start_ns = int(self.ready["start_ns"])
 
     def _on_message(self, message: Mapping[str, Any]) -> bool:
         if "stride" in message:
@@ -75,54 +67,29 @@ class PatientHandle(ProcessHandle):
         return strides
 
     def intervene(self, name: str, value: float = 0.0) -> int:
-        """Let something happen to it: walk, stand, speed, electrode, fitness; returns when, CLOCK_MONOTONIC ns.
-
-        Raises:
-            ImuLost: it does not know that, or is gone.
-        """
+        """Let something happen to it: walk, stand, speed, electrode, fitness; returns when, CLOCK_MONOTONIC ns."""
         return int(self.request({"do": name, "value": value})["t_ns"])
 
     def inject(self, name: str, value: float = 1.0, sensor: str = "") -> int:
-        """Bring a fault of a worn sensor about, without ``sensor`` of all; returns when.
-
-        Raises:
-            ImuLost: it does not know it, or is gone.
-        """
+        """Bring a fault of a worn sensor about, without ``sensor`` of all; returns when."""
         return int(self.request({"fault": name, "value": value, "sensor": sensor})["t_ns"])
 
     def hold(self, held: bool) -> int:
-        """A patient who walks in turns stands for as long as this holds; returns when that was.
-
-        Raises:
-            ImuLost: it is gone.
-        """
+        """A patient who walks in turns stands for as long as this holds; returns when that was."""
         return int(self.request({"hold": held})["t_ns"])
 
     def begin(self) -> None:
-        """Let the time of a patient begin that was started ``held``.
-
-        Raises:
-            ImuLost: it has begun already, or is gone.
-        """
+        """Let the time of a patient begin that was started ``held``, once."""
         self.start_ns = int(self.request({"begin": True})["start_ns"])
 
     def replug(self, sensor: str) -> str:
-        """Another line in the place of a sensor's; its port.
-
-        Raises:
-            ImuLost: it is gone.
-        """
+        """Another line in the place of a sensor's; its port."""
         self.ports[sensor] = str(self.request({"replug": sensor})["port"])
         return self.ports[sensor]
 
     def punctuality(self) -> dict[str, Any]:
-        """How late it was so far, and what reached it.
-
-        Raises:
-            ImuLost: it is gone.
-        """
-        summary: dict[str, Any] = self.request({"ask": "summary"})["summary"]
-        return summary
+        """How late it was so far, and what reached it."""
+        return dict(self.request({"ask": "summary"})["summary"])
 
 
 def spawn_patient(
@@ -132,26 +99,19 @@ def spawn_patient(
     cycle_s: tuple[float, float] | None = None,
     waits: bool = False,
     held: bool = False,
-    timeout_s: float = 180.0,
 ) -> PatientHandle:
-    """Start ``python -m fes.hil.closed_loop.patient_process`` and wait until its time has begun (at first it may
-    compile).
+    """Start ``python -m fes.hil.closed_loop.patient_process`` and wait until its time has begun.
 
-    Args:
-        pulses: the socket that the stimulator sends its pulses to; made by the patient.
-        settings: who it is.
-        cycle_s: walk and stand in turns, so many seconds each.
-        waits: stand until it is to walk.
-        held: its time begins with :meth:`PatientHandle.begin`; until then its sensors are silent.
-        timeout_s: until it must be there.
+    ``pulses``: the socket that the stimulator sends its pulses to; made by the patient. ``cycle_s``: walk and stand in
+    turns, so many seconds each. ``waits``: stand until it is to walk. ``held``: its time begins with
+    :meth:`PatientHandle.begin`; until then its sensors are silent.
 
     Raises:
         ImuLost: it ended, or was not ready in time.
     """
-    arguments = ["--pulses", str(pulses), "--settings", json.dumps(to_plain(settings))]
+    arguments = ["--pulses", str(pulses), "--settings", json.dumps(asdict(settings))]
     arguments += [] if cycle_s is None else ["--cycle", *map(str, cycle_s)]
-    arguments += (["--waits"] if waits else []) + (["--held"] if held else [])
-    return PatientHandle(arguments, timeout_s)
+    return PatientHandle([*arguments, *["--waits"] * waits, *["--held"] * held])
 
 
 @dataclass(slots=True)
@@ -176,30 +136,17 @@ def start_patient_bench(
     tuning: str = "act",
     waits: bool = False,
     held: bool = False,
-    cycle_s: tuple[float, float] | None = None,
 ) -> PatientBench:
     """Start both, calibrate on a walk of the same patient, write the session file; ``stack`` ends the processes.
 
-    Args:
-        settings: the patient.
-        folder: for the files; must exist.
-        stimulator: one of :data:`STIMULATORS`.
-        current_ma: the session's to begin with.
-        tuning: off, suggest or act.
-        waits: the patient stands until it is to walk.
-        held: its time begins with a command.
-        cycle_s: it walks and stands in turns, so many seconds each.
+    The folder must exist. ``stimulator``: one of :data:`STIMULATORS`; ``current_ma``: to begin with; ``tuning``: off,
+    suggest or act; ``waits`` and ``held`` as for :func:`spawn_patient`.
 
     Raises:
         ImuLost, StimulatorLost: one does not start.
         CalibrationError: this patient's walk does not show enough to calibrate on.
     """
-    calibration = folder / CALIBRATION_NAME
-    save(patient_calibration(settings), calibration)
-    # a socket's name may have 107 bytes, less than many a folder's
-    pulses = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fes-"))) / "pulses"
-    patient = spawn_patient(pulses, settings, waits=waits, held=held, cycle_s=cycle_s)
-    stack.callback(patient.stop)
+    patient, calibration, pulses = _worn(settings, folder, stack, waits=waits, held=held)
     record = folder / "stimulator.jsonl"
     kind = STIMULATORS[stimulator]
     device: NodeHandle | DeviceHandle
@@ -211,9 +158,7 @@ def start_patient_bench(
         where, bus = StimulatorDevice.model_validate({"device": stimulator, "port": device.port}), None
     stack.callback(device.stop)
     session = folder / SESSION_NAME
-    text = patient_session_text(
-        settings, current_ma=current_ma, tuning=tuning, ports=patient.ports, stimulator=where, bus=bus
-    )
+    text = patient_session_text(settings, current_ma, tuning, patient.ports, where, bus)
     session.write_text(text, encoding="utf-8")
     return PatientBench(settings, folder, session, calibration, patient, device)
 
@@ -246,17 +191,29 @@ class PatientSensor:
         return 0
 
 
-def campaign_patient(folder: Path, pulses: Path) -> tuple[PatientHandle, Path]:
-    """A patient who walks and stands in turns, and the calibration of its sensor.
-
-    Args:
-        folder: for the calibration.
-        pulses: the socket that the stimulator sends its pulses to.
+def campaign_patient(folder: Path, stack: ExitStack) -> tuple[PatientHandle, Path, Path]:
+    """A patient who walks and stands in turns, the calibration of its sensor, and the socket for its pulses.
 
     Raises:
         ImuLost: it does not start.
     """
-    settings: PatientSettings = settings_for("moderate", seed=11, sensors=(FOOT,), rate_hz=RATE_HZ, speed_mps=1.0)
+    settings = settings_for("moderate", seed=11, sensors=(FOOT,), rate_hz=RATE_HZ, speed_mps=1.0)
+    return _worn(settings, folder, stack, cycle_s=CYCLE_S)
+
+
+def _worn(
+    settings: PatientSettings,
+    folder: Path,
+    stack: ExitStack,
+    *,
+    cycle_s: tuple[float, float] | None = None,
+    waits: bool = False,
+    held: bool = False,
+) -> tuple[PatientHandle, Path, Path]:
     calibration = folder / "patient.calibration.json"
     save(patient_calibration(settings), calibration)
-    return spawn_patient(pulses, settings, cycle_s=CYCLE_S), calibration
+    # a socket's name may have 107 bytes, less than many a folder's
+    pulses = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fes-"))) / "pulses"
+    patient = spawn_patient(pulses, settings, cycle_s=cycle_s, waits=waits, held=held)
+    stack.callback(patient.stop)
+    return patient, calibration, pulses

@@ -1,7 +1,5 @@
 """The closed-loop demonstration: who walks, what happens, and what came of it."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -52,7 +50,15 @@ def result_of(strides: Sequence[VirtualStride]) -> dict[str, Any]:
         "charge_mc": round(1e-3 * sum(stride.charge_uc for stride in walked), 2),
         "strides_until_clear": _until_clear([stride for stride in walked if stride.t_flat_ns < slip_ns]),
         "strides_until_clear_again": _until_clear([stride for stride in walked if stride.t_flat_ns >= slip_ns]),
-        **{name: _part(part) for name, part in parts.items()},
+        **{
+            name: {
+                "dragged": sum(stride.dragged for stride in part),
+                "stumbled": sum(stride.stumbled for stride in part),
+                "median_toe_clearance_mm": round(1e3 * median(s.toe_clearance_m for s in part), 1) if part else None,
+                "charge_uc_a_step": round(median(s.charge_uc for s in part), 1) if part else None,
+            }
+            for name, part in parts.items()
+        },
     }
 
 
@@ -60,15 +66,6 @@ def _until_clear(strides: Sequence[VirtualStride]) -> int | None:
     """Which stride, counted from 1, is the first of three in a row that clear the ground; None for none."""
     clear = [outcome(stride) == "clears" for stride in strides]
     return next((n + 1 for n in range(len(clear) - 2) if all(clear[n : n + 3])), None)
-
-
-def _part(strides: Sequence[VirtualStride]) -> dict[str, Any]:
-    return {
-        "dragged": sum(stride.dragged for stride in strides),
-        "stumbled": sum(stride.stumbled for stride in strides),
-        "median_toe_clearance_mm": round(1e3 * median(s.toe_clearance_m for s in strides), 1) if strides else None,
-        "charge_uc_a_step": round(median(s.charge_uc for s in strides), 1) if strides else None,
-    }
 
 
 def write_strides(path: Path, strides: Sequence[VirtualStride]) -> None:

@@ -1,7 +1,5 @@
 """A closed-loop run in one process, on the patient's own time: no clock, no waiting, the same bytes every time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -15,35 +13,21 @@ from fes import __version__
 from fes.calibration.recording import calibrate_phase_sensors
 from fes.config import Session
 from fes.control.controller import Controller
-from fes.control.replay import (
-    LOG_FORMAT,
-    identity,
-    log_header,
-    recording_digest,
-    refuse_long_silence,
-    session_for,
-)
-from fes.control.runner import Runner
-from fes.control.sources import armed_after, with_ticks
+from fes.control.replay import header_of, identity, log_header, recording_digest, refuse_long_silence, session_for
+from fes.control.runner import Runner, armed_after, with_ticks
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_phase_sensors
 from fes.gate import gate_of
-from fes.hil.closed_loop.processes import Happening, Protocol
+from fes.hil.closed_loop.processes import Protocol
 from fes.recording import Recording
-from fes.recording.samples import samples_of
+from fes.recording.tracks import samples_of
 from fes.session_log import Note, SessionWriter
 from fes.signals import NS_PER_S, SHANK_SENSORS, Event, ImuSample, OperatorAct, OperatorAction, Vector3
 from fes.simulation.forward import PatientSettings, VirtualPatient, VirtualStride
 from fes.simulation.forward.closed_loop import PulseSource, calibration_walk, intervene, patient_events
 
 ARMED_AFTER_S: Final = 0.5
-_ACTS = {
-    "arm": OperatorAction.ARM,
-    "freeze_tuning": OperatorAction.FREEZE_TUNING,
-    "resume_tuning": OperatorAction.RESUME_TUNING,
-    "accept_suggestion": OperatorAction.ACCEPT_SUGGESTION,
-    "roll_back": OperatorAction.ROLL_BACK,
-}
+_ACTS: Final = ("arm", "freeze_tuning", "resume_tuning", "accept_suggestion", "roll_back")
 
 
 class NotifyingLog(SessionWriter):
@@ -73,28 +57,23 @@ def run_in_one_process(
 ) -> VirtualPatient:
     """Run a protocol with everything in this process; the patient as it is afterwards.
 
-    The samples are rounded to what the sensors' lines carry (single precision), as between processes.
-
-    Args:
-        settings: the patient.
-        session: the controller's.
-        calibrations: by sensor.
-        protocol: what happens when.
-        log_path: of the session log, which must not be there.
-        created: an ISO time for the log.
-        on_stride: given every stride of the affected foot.
-        on_note: given every note in the log.
-        after: called after every event; may raise to end the run.
+    The samples are rounded to what the sensors' lines carry (single precision), as between processes. The log must not
+    be there; ``created`` is an ISO time for it. ``on_stride`` is given the affected foot's strides, ``on_note`` the
+    log's notes; ``after`` is called after every event and may raise to end the run.
 
     Raises:
         SessionLogError: the log cannot be written.
     """
     patient = VirtualPatient(settings)
     numbers = identity(f"{__version__}{settings!r}{protocol!r}", session)
-    header = _header(settings, session, calibrations, numbers.session_id, created)
+    about = {
+        "name": session.name,
+        "rates_hz": dict.fromkeys(settings.sensors, settings.rate_hz),
+        "belt_speed_mps": settings.speed_mps,
+    }
+    header = header_of("simulated", about, session, calibrations, numbers.session_id, created)
     log = NotifyingLog(log_path, header, on_note)
     stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id)
-    ended = "interrupted"
     told = 0
 
     def see(event: Event) -> None:
@@ -105,33 +84,26 @@ def run_in_one_process(
         told = len(patient.strides)
         after(event)
 
-    controller = Controller(session, calibrations)
-    try:
-        events = with_ticks(_events(patient, stimulator, session, protocol))
-        run_loop(controller, session, calibrations, stimulator, log, events, see)
-        ended = "complete"
-    finally:
-        log.close({"ended": ended, "dose": controller.tuning.ledger.to_dict()})
+    events = with_ticks(_events(patient, stimulator, session, protocol))
+    _run_loop(session, calibrations, stimulator, log, events, see, with_dose=True)
     return patient
 
 
-def run_loop(
-    controller: Controller,
+def _run_loop(
     session: Session,
     calibrations: Mapping[str, Calibration],
     stimulator: InProcessStimulator,
     log: SessionWriter,
     events: Iterable[Event],
     after: Callable[[Event], None] = lambda event: None,
+    *,
     begin_ns: int = 0,
+    with_dose: bool = False,
 ) -> None:
-    """Open the session with a simulated stimulator at ``begin_ns``, put all events through the loop, and close it.
-
-    ``after`` is called after every event; it may raise to end the run. The log is left open.
-
-    Raises:
-        SessionLogError: the log cannot be written.
+    """Open the session with a simulated stimulator at ``begin_ns``, put all events through the loop, close it and the
+    log; ``after`` is called after every event and may raise to end the run.
     """
+    ended, controller = "interrupted", Controller(session, calibrations)
     try:
         handshake = stimulator.start(begin_ns)
         gate = gate_of(
@@ -143,8 +115,12 @@ def run_loop(
         for alive in handshake.alive:
             runner.handle(alive)
         runner.run(events, after)
+        ended = "complete"
     finally:
-        stimulator.close()
+        try:
+            stimulator.close()
+        finally:
+            log.close({"ended": ended, **({"dose": controller.tuning.ledger.to_dict()} if with_dose else {})})
 
 
 def walk_stimulated(
@@ -160,15 +136,8 @@ def walk_stimulated(
 ) -> None:
     """Calibrate on a walk of the same patient, then let it walk, stimulated by the controller in closed loop.
 
-    Args:
-        patient: who walks; knows its strides afterwards.
-        session: the controller's settings.
-        seconds: how long; it is armed after half a second.
-        log_path: of the session log, which must not be there.
-        name: the recording's, in the log.
-        on_sample: given every sample.
-        on_note: given every remark in the log.
-        after: called after every event; may raise to end the run.
+    It is armed after half a second; afterwards the patient knows its strides. The log must not be there; ``name`` is
+    the recording's in it. ``after`` is called after every event and may raise to end the run.
 
     Raises:
         CalibrationError: no foot could be calibrated.
@@ -188,7 +157,7 @@ def walk_stimulated(
         yield OperatorAct(patient.now_ns, OperatorAction.DISARM)
 
     log = NotifyingLog(log_path, header, on_note)
-    _armed(patient_walk(), session, calibrations, stimulator, log, after)
+    _run_loop(session, calibrations, stimulator, log, _armed(patient_walk(), session), after)
 
 
 def replay_in_one_process(
@@ -196,11 +165,7 @@ def replay_in_one_process(
 ) -> None:
     """Put a recording through the loop, armed after half a second, into a simulated stimulator.
 
-    Args:
-        recording: what the sensors brought.
-        session: its channels without a sensor are left out; None stimulates nothing.
-        calibrations: by sensor.
-        log_path: of the session log, which must not be there.
+    The session's channels without a sensor are left out; None stimulates nothing. The log must not be there.
 
     Raises:
         RecordingError: nothing came for ten minutes.
@@ -217,25 +182,12 @@ def replay_in_one_process(
     begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
     samples = samples_of(recording, set(calibrations) | (set(recording.tracks) & set(SHANK_SENSORS)))
     stimulator = InProcessStimulator(numbers.session_id, numbers.boot_id, begin_ns)
-    _armed(samples, chosen, calibrations, stimulator, SessionWriter(log_path, header), begin_ns=begin_ns)
+    log = SessionWriter(log_path, header)
+    _run_loop(chosen, calibrations, stimulator, log, _armed(samples, chosen), begin_ns=begin_ns)
 
 
-def _armed(
-    events: Iterable[Event],
-    session: Session,
-    calibrations: Mapping[str, Calibration],
-    stimulator: InProcessStimulator,
-    log: SessionWriter,
-    after: Callable[[Event], None] = lambda event: None,
-    begin_ns: int = 0,
-) -> None:
-    ended, controller = "interrupted", Controller(session, calibrations)
-    try:
-        armed = armed_after(with_ticks(events), ARMED_AFTER_S, session.stimulation.intensity)
-        run_loop(controller, session, calibrations, stimulator, log, armed, after, begin_ns)
-        ended = "complete"
-    finally:
-        log.close({"ended": ended})
+def _armed(events: Iterable[Event], session: Session) -> Iterator[Event]:
+    return armed_after(with_ticks(events), ARMED_AFTER_S, session.stimulation.intensity)
 
 
 def _now() -> str:
@@ -250,48 +202,22 @@ def _events(patient: VirtualPatient, pulses: PulseSource, session: Session, prot
         if event.t_ns > newest_ns:
             newest_ns = event.t_ns
             while due and due[0].t_s * NS_PER_S < event.t_ns:
-                yield from _happen(due.pop(0), newest_ns, patient, session)
-        yield _as_carried(event)
+                one = due.pop(0)
+                if one.what == "full":
+                    yield OperatorAct(newest_ns, OperatorAction.SET_INTENSITY, session.stimulation.intensity)
+                elif one.what in _ACTS:
+                    if one.what == "arm":
+                        yield OperatorAct(newest_ns, OperatorAction.SET_INTENSITY, 0.0)
+                    yield OperatorAct(newest_ns, OperatorAction(one.what), one.value)
+                else:
+                    intervene(patient, one.what, one.value)
+        if isinstance(event, ImuSample):
+            event = event._replace(acc_mps2=_single(event.acc_mps2), gyr_radps=_single(event.gyr_radps))
+        yield event
     yield OperatorAct(newest_ns, OperatorAction.DISARM)  # as who quits a live session
 
 
-def _happen(one: Happening, t_ns: int, patient: VirtualPatient, session: Session) -> Iterator[Event]:
-    if one.what == "full":
-        yield OperatorAct(t_ns, OperatorAction.SET_INTENSITY, session.stimulation.intensity)
-    elif one.what in _ACTS:
-        if one.what == "arm":
-            yield OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0)
-        yield OperatorAct(t_ns, _ACTS[one.what], one.value)
-    else:
-        intervene(patient, one.what, one.value)
-
-
-def _as_carried(event: Event) -> Event:
-    """The sample as it comes out of a line that carries single precision."""
-    if not isinstance(event, ImuSample):
-        return event
-    return event._replace(acc_mps2=_single(event.acc_mps2), gyr_radps=_single(event.gyr_radps))
-
-
 def _single(values: Vector3) -> Vector3:
+    """As it comes out of a line that carries single precision."""
     x, y, z = (float(np.float32(value)) for value in values)
     return x, y, z
-
-
-def _header(
-    settings: PatientSettings, session: Session, calibrations: Mapping[str, Calibration], session_id: int, created: str
-) -> dict[str, Any]:
-    return {
-        "format": LOG_FORMAT,
-        "fes_version": __version__,
-        "kind": "simulated",
-        "created": created,
-        "recording": {
-            "name": session.name,
-            "rates_hz": dict.fromkeys(settings.sensors, settings.rate_hz),
-            "belt_speed_mps": settings.speed_mps,
-        },
-        "session": session.model_dump(mode="json"),
-        "calibration": {sensor: calibration.to_dict() for sensor, calibration in calibrations.items()},
-        "stim_session_id": session_id,
-    }

@@ -11,12 +11,9 @@ stride of the affected foot, and at the end ``{"summary": …}``. On stdin it ta
 - ``{"replug": SENSOR}``, answered with the new port; ``{"ask": "summary"}``; ``{"begin": true}`` after ``--held``.
 
 The patient as a device has no I/O and no clock: the host's time and delivered pulses in, the messages of its worn
-sensors out. Each worn sensor is a simulated one with all the faults of :mod:`drivers.simulated.imu.device`. The patient
-is advanced by one sampling interval at a time, so that the same pulses give the same samples however late the process
-was woken.
+sensors out. It is advanced by one sampling interval at a time, so that the same pulses give the same samples however
+late the process was woken.
 """
-
-from __future__ import annotations
 
 import argparse
 import json
@@ -70,11 +67,8 @@ class Punctuality:
 class PatientDevice:
     """Call :meth:`advance` at every deadline, and :meth:`receive` for bytes from the host to a sensor.
 
-    Args:
-        settings: who it is; every sensor of ``settings.sensors`` is worn.
-        start_ns: the host's time at which the patient's own begins, and it with it; :data:`HELD`: with :meth:`begin`.
-        cycle_s: walk and stand in turns, so many seconds each; None: walk on after ``settings.stand_s``.
-        waits: stand until it is to walk.
+    Its time begins at the host's ``start_ns``, :data:`HELD`: with :meth:`begin`. ``cycle_s``: walk and stand in turns,
+    so many seconds each; None: walk on after ``settings.stand_s``. ``waits``: stand until it is to walk.
     """
 
     def __init__(
@@ -87,6 +81,7 @@ class PatientDevice:
     ) -> None:
         self.patient = VirtualPatient(settings, remember_s=REMEMBERED_S)
         self.counts = Punctuality()
+        self.held = False  # one who walks in turns: stand, once the steps are finished, for as long as this holds
         self._start_ns = start_ns
         self._step_ns = round(NS_PER_S / settings.rate_hz)
         self._delay_ns = round(settings.muscle.delay_s * NS_PER_S)
@@ -94,7 +89,6 @@ class PatientDevice:
         self._cycle_s = cycle_s
         self._walked, self._changed_ns = False, 0
         self._read_strides = 0
-        self._held = False
         if waits or cycle_s:
             self.patient.stay()
         self._felt = {
@@ -122,11 +116,6 @@ class PatientDevice:
             raise ValueError("the patient's time has begun already")
         self._start_ns = t_ns
         self._imus = {name: self._imu(self.patient.settings, felt) for name, felt in self._felt.items()}
-
-    @property
-    def now_s(self) -> float:
-        """The patient's own time."""
-        return self.patient.now_ns / NS_PER_S
 
     def next_deadline_ns(self) -> int:
         """When the next samples are due."""
@@ -167,10 +156,6 @@ class PatientDevice:
             raise ValueError(f"no sensor {sensor!r} is worn; there are {', '.join(self._imus)}")
         return self._imus[sensor].set_fault(t_ns, name, value)
 
-    def hold(self, held: bool) -> None:
-        """Of a patient who walks in turns: stand, once the steps are finished, for as long as this holds."""
-        self._held = held
-
     def new_strides(self) -> list[VirtualStride]:
         """The affected foot's strides, complete since the last call."""
         strides = self.patient.strides[self._read_strides :]
@@ -199,7 +184,7 @@ class PatientDevice:
         if self.patient.walking != self._walked:
             self._walked, self._changed_ns = self.patient.walking, self.patient.now_ns
         since_s = (self.patient.now_ns - self._changed_ns) / NS_PER_S
-        if self._held or (self._walked and since_s >= walk_s):
+        if self.held or (self._walked and since_s >= walk_s):
             self.patient.stop()
         elif not self._walked and since_s >= stand_s:
             self.patient.walk()
@@ -216,18 +201,14 @@ class PatientLoop:
         self._faults = {sensor: LineFaults() for sensor in sensors}
         self._commands = CommandReader(self._execute)
 
-    def run(self) -> None:
-        """Until a signal or the end of stdin."""
-        while self._turn():
-            pass
-
     def close(self) -> None:
         """Pull every plug."""
         for end in self.ends.values():
             end.unplug()
         self._inlet.close()
 
-    def _turn(self) -> bool:
+    def turn(self) -> bool:
+        """One turn; False after a signal or the end of stdin."""
         now_ns = time.monotonic_ns()
         for sensor, messages in self._device.advance(now_ns, self._inlet.receive()).items():
             self._put_out(sensor, now_ns, messages)
@@ -251,34 +232,33 @@ class PatientLoop:
             self.ends[sensor].write(data)
 
     def _execute(self, command: dict[str, Any]) -> dict[str, Any]:
-        if "do" in command:
-            intervene(self._device.patient, str(command["do"]), float(command.get("value", 0.0)))
-        elif "hold" in command:
-            self._device.hold(bool(command["hold"]))
-        elif "begin" in command:
-            start_ns = time.monotonic_ns()
-            self._device.begin(start_ns)
-            return {"done": True, "start_ns": start_ns}
-        elif "replug" in command:
-            sensor = str(command["replug"])
-            self.ends[sensor].unplug()
-            self.ends[sensor] = PtyEnd()
-            return {"done": True, "port": self.ends[sensor].port}
-        elif "ask" in command:
-            return {"done": True, "summary": self._device.counts.to_dict(), "now_s": self._device.now_s}
-        else:
-            for sensor in [str(command["sensor"])] if command.get("sensor") else list(self.ends):
-                self._inject(sensor, str(command["fault"]), float(command.get("value", 1)))
-        return {"done": True}
-
-    def _inject(self, sensor: str, name: str, value: float) -> None:
-        now_ns = time.monotonic_ns()
-        if name == "unplug":
-            self.ends[sensor].unplug()
-        elif name in LINE_FAULTS:
-            self._faults[sensor].set(name, value)
-        else:
-            self._put_out(sensor, now_ns, self._device.set_fault(sensor, now_ns, name, value))
+        answer: dict[str, Any] = {"done": True}
+        match command:
+            case {"do": what}:
+                intervene(self._device.patient, str(what), float(command.get("value", 0.0)))
+            case {"hold": held}:
+                self._device.held = bool(held)
+            case {"begin": _}:
+                answer["start_ns"] = time.monotonic_ns()
+                self._device.begin(answer["start_ns"])
+            case {"replug": str(sensor)}:
+                self.ends[sensor].unplug()
+                self.ends[sensor] = PtyEnd()
+                answer["port"] = self.ends[sensor].port
+            case {"ask": _}:
+                now_s = self._device.patient.now_ns / NS_PER_S
+                answer |= {"summary": self._device.counts.to_dict(), "now_s": now_s}
+            case _:
+                name, value = str(command["fault"]), float(command.get("value", 1))
+                for sensor in [str(command["sensor"])] if command.get("sensor") else list(self.ends):
+                    now_ns = time.monotonic_ns()
+                    if name == "unplug":
+                        self.ends[sensor].unplug()
+                    elif name in LINE_FAULTS:
+                        self._faults[sensor].set(name, value)
+                    else:
+                        self._put_out(sensor, now_ns, self._device.set_fault(sensor, now_ns, name, value))
+        return answer
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -306,7 +286,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     loop = PatientLoop(device, worn, inlet, stop.fileno())
     publish_ready(ports={sensor: end.port for sensor, end in loop.ends.items()}, start_ns=start_ns, real_time=real_time)
     try:
-        loop.run()
+        while loop.turn():
+            pass
     finally:
         loop.close()
         print(json.dumps({"summary": device.counts.to_dict()}), flush=True)

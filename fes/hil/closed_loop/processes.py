@@ -3,17 +3,15 @@
 A protocol is what happens in a run, by the patient's own time: the same for separate processes and for one.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
 from fes.hil.campaign_bench import LATCHED, CampaignBroken
-from fes.hil.closed_loop.bench import PatientBench
+from fes.hil.closed_loop.bench import PatientBench, PatientHandle
 from fes.hil.controller import ControllerProcess, ScriptedOperator, uninterrupted
 from fes.live.status import Status
 from fes.simulation.forward import VirtualStride
@@ -55,7 +53,6 @@ def armed_protocol(seconds: float, further: Sequence[Happening] = ()) -> Protoco
 TICK_S: Final = 0.01
 START_S: Final = 120.0  # it may have to compile first
 COMMAND_EVERY_S: Final = 0.16
-SUBSCRIBE_EVERY_S: Final = 1.0
 END_S: Final = 20.0
 ARM_AGAIN_S: Final = 30.0  # the patient finishes a step, and rests
 TOO_LATE_MS: Final = 15.0
@@ -89,13 +86,8 @@ def run_between_processes(
     A session that latches, as on a computer that is too busy, ends the run, or is gone on with as a person would: the
     patient stands still, is armed for again by hand, and walks on.
 
-    Args:
-        bench: patient and stimulator.
-        protocol: what happens when, by the patient's time.
-        on_stride: given every stride of the affected foot.
-        on_status: given what the session says, ten times a second.
-        on_tick: called every 10 ms; may raise to end the run.
-        most_rearms: how many times to arm again.
+    That is done up to ``most_rearms`` times. ``on_stride`` is given the affected foot's strides, ``on_status`` what the
+    session says, ten times a second; ``on_tick`` is called every 10 ms and may raise to end the run.
 
     Raises:
         SwitchedOff: the session latched, once more than ``most_rearms``.
@@ -106,13 +98,11 @@ def run_between_processes(
         with uninterrupted():
             controller = ControllerProcess(bench.session, bench.calibration, bench.folder)
             stack.callback(controller.end)
-        operator = ScriptedOperator(controller.control, bench.folder / "operator")
-        stack.callback(operator.close)
-        run = _LiveRun(bench, controller, operator, on_stride, on_status, on_tick, most_rearms)
+        run = _LiveRun(bench.patient, controller, controller.operator, on_stride, on_status, on_tick, most_rearms)
         run.until_ready()
         bench.patient.begin()
         run.through(protocol)
-        log = run.to_the_end()
+        log = run.quit()
         return ClosedLoopRun(log, tuple(run.strides), bench.patient.punctuality(), tuple(run.interruptions))
 
 
@@ -132,34 +122,23 @@ class SwitchedOff(CampaignBroken):
         )
 
 
+@dataclass(slots=True)
 class _LiveRun:
-    def __init__(
-        self,
-        bench: PatientBench,
-        controller: ControllerProcess,
-        operator: ScriptedOperator,
-        on_stride: Callable[[VirtualStride], None],
-        on_status: Callable[[Status], None],
-        on_tick: Callable[[], None],
-        most_rearms: int,
-    ) -> None:
-        self._most_rearms = most_rearms
-        self._patient = bench.patient
-        self._controller = controller
-        self._operator = operator
-        self._on_stride = on_stride
-        self._on_status = on_status
-        self._on_tick = on_tick
-        self._subscribed_s = self._commanded_s = 0.0
-        self._status: Status | None = None
-        self._wanted: list[str] = []
-        self._channel = bench.settings.channel
-        self._armed_by_s = WALK_S
-        self.strides: list[VirtualStride] = []
-        self.interruptions: list[str] = []
+    _patient: PatientHandle
+    _controller: ControllerProcess
+    _operator: ScriptedOperator
+    _on_stride: Callable[[VirtualStride], None]
+    _on_status: Callable[[Status], None]
+    _on_tick: Callable[[], None]
+    _most_rearms: int
+    _commanded_s: float = 0.0
+    _status: Status | None = None
+    _wanted: list[str] = field(default_factory=list)
+    _armed_by_s: float = WALK_S
+    strides: list[VirtualStride] = field(default_factory=list)
+    interruptions: list[str] = field(default_factory=list)
 
     def until_ready(self) -> None:
-        """The session has come up and warmed up; nobody moves yet."""
         end_s = time.monotonic() + START_S
         while self._status is None or self._status.state == "off":
             if time.monotonic() > end_s:
@@ -167,18 +146,22 @@ class _LiveRun:
             self._turn()
 
     def through(self, protocol: Protocol) -> None:
-        """All that is to happen, at its time."""
         due = list(protocol.happenings)
         while (now_s := self._patient.now_s) < protocol.seconds:
             while due and due[0].t_s <= now_s:
-                self._happen(due.pop(0))
+                one = due.pop(0)
+                if one.what in INTERVENTIONS:
+                    self._patient.intervene(one.what, one.value)
+                elif one.what in ("arm", "full"):
+                    self._wanted.append(one.what)
+                else:
+                    self._operator.send_command(one.what, one.value)
             self._press_on(now_s)
             self._turn()
             if self._status is not None and self._status.state in LATCHED:
                 self._latched(self._status.fault or self._status.message, now_s)
 
-    def to_the_end(self) -> Path:
-        """Quit; where the log is."""
+    def quit(self) -> Path:
         self._operator.send_command("quit")
         status = self._controller.wait(END_S)
         log = self._controller.log()
@@ -196,14 +179,6 @@ class _LiveRun:
         self._wanted = ["arm", "full", "walk"]
         self._armed_by_s = now_s + ARM_AGAIN_S
 
-    def _happen(self, one: Happening) -> None:
-        if one.what in INTERVENTIONS:
-            self._patient.intervene(one.what, one.value)
-        elif one.what in ("arm", "full"):
-            self._wanted.append(one.what)
-        else:
-            self._operator.send_command(one.what, one.value)
-
     def _press_on(self, now_s: float) -> None:
         """Arm, then raise, a key press at a time, until the session says that it is so."""
         if not self._wanted or time.monotonic() - self._commanded_s < COMMAND_EVERY_S or self._status is None:
@@ -218,17 +193,14 @@ class _LiveRun:
                 self._operator.send_command("arm")
         elif self._wanted[0] == "walk":
             self._patient.intervene(self._wanted.pop(0))
-        elif self._status.intensity >= 1.0 - 1e-6:
-            self._wanted.pop(0)
-        else:
+        elif self._status.intensity < 1.0 - 1e-6:
             self._operator.send_command("up")
+        else:
+            self._wanted.pop(0)
 
     def _turn(self) -> None:
         if not self._controller.alive:
             raise CampaignBroken(f"the session has ended; it said: {self._controller.printed()}")
-        if time.monotonic() - self._subscribed_s > SUBSCRIBE_EVERY_S:
-            self._subscribed_s = time.monotonic()
-            self._operator.subscribe()
         for stride in self._patient.new_strides():
             self.strides.append(stride)
             self._on_stride(stride)

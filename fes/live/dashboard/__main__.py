@@ -1,7 +1,5 @@
 """The dashboard's process: ``python -m fes.live.dashboard LISTENING_FD LINK_FD``; it decides nothing."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import secrets
@@ -17,9 +15,8 @@ from typing import Any, Final
 import uvicorn
 
 from fes.live.dashboard.access import Access, link_address, write_link
-from fes.live.dashboard.frames import DETAIL, END, LARGEST, STATUS, read_detail, read_hello
+from fes.live.dashboard.frames import DETAIL, END, LARGEST, STATUS, StateBuffer, read_detail, read_hello
 from fes.live.dashboard.server import Server
-from fes.live.dashboard.state_buffer import StateBuffer
 from fes.live.status import Status
 
 STOP: Final = b'{"ask":"stop"}'
@@ -27,6 +24,12 @@ PRESSES: Final = 64  # remembered: each comes over both ways, web socket and req
 AGAIN_S: Final = 0.005
 TRIES: Final = 2000
 FAREWELL_S: Final = 0.2
+WEB: Final[dict[str, Any]] = {
+    **{"log_config": None, "access_log": False, "lifespan": "off", "loop": "asyncio", "http": "h11"},
+    **{"ws": "websockets-sansio", "ws_max_size": 2048, "ws_ping_interval": 5.0, "ws_ping_timeout": 10.0},
+    **{"ws_per_message_deflate": False, "proxy_headers": False, "server_header": False, "date_header": False},
+    **{"limit_concurrency": 64, "timeout_keep_alive": 60, "timeout_graceful_shutdown": 1},
+}
 
 
 def new_token() -> str:
@@ -49,31 +52,10 @@ class SessionLink:
         self._server = Server(
             self._buffer, self._access, about, self._port, new_token, self.stop, self._send, self._write_next_link
         )
-        self._web = uvicorn.Server(self._config())
+        self._web = uvicorn.Server(uvicorn.Config(self._server.app, **WEB))
         self._presses: deque[str] = deque(maxlen=PRESSES)
         self._pending = False
         self._goodbye: asyncio.TimerHandle | None = None
-
-    def _config(self) -> uvicorn.Config:
-        settings: dict[str, Any] = {
-            "log_config": None,
-            "access_log": False,
-            "lifespan": "off",
-            "loop": "asyncio",
-            "http": "h11",
-            "ws": "websockets-sansio",
-            "ws_max_size": 2048,
-            "ws_ping_interval": 5.0,
-            "ws_ping_timeout": 10.0,
-            "ws_per_message_deflate": False,
-            "proxy_headers": False,
-            "server_header": False,
-            "date_header": False,
-            "limit_concurrency": 64,
-            "timeout_keep_alive": 60,
-            "timeout_graceful_shutdown": 1,
-        }
-        return uvicorn.Config(self._server.app, **settings)
 
     async def run(self) -> None:
         """Serve until the session is over."""
@@ -124,10 +106,8 @@ class SessionLink:
             self._buffer.end(message[1:].decode() or "The session's process has ended unexpectedly.")
             loop = asyncio.get_running_loop()
             loop.remove_reader(self._link.fileno())
-            self._goodbye = loop.call_later(FAREWELL_S if self._server.browsers else 0.0, self._leave)
-
-    def _leave(self) -> None:
-        self._web.should_exit = True
+            farewell_s = FAREWELL_S if self._server.browsers else 0.0
+            self._goodbye = loop.call_later(farewell_s, setattr, self._web, "should_exit", True)
 
     def _write_next_link(self) -> None:
         """The link was used: the file holds the next one."""

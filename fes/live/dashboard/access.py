@@ -1,7 +1,5 @@
 """Who may do what on the dashboard: one-time links, the one browser that controls, confirmations."""
 
-from __future__ import annotations
-
 import hmac
 import os
 from collections import deque
@@ -46,11 +44,7 @@ class Access:
     """Links and the secrets that browsers got for them.
 
     A link works once: its token buys a secret, and a new link is made. The newest secret controls; those before it go
-    on watching.
-
-    Args:
-        token: of the first link.
-        new_token: makes tokens and secrets.
+    on watching. ``token`` is the first link's; ``new_token`` makes tokens and secrets.
     """
 
     def __init__(self, token: str, new_token: Callable[[], str]) -> None:
@@ -91,11 +85,7 @@ class Situation:
 
 
 class Confirmations:
-    """One browser's open question: answered once, within ten seconds, and only while things are as they were.
-
-    Args:
-        new_token: makes identifiers.
-    """
+    """One browser's open question: answered once, within ten seconds, and only while things are as they were."""
 
     def __init__(self, new_token: Callable[[], str]) -> None:
         self._new_token = new_token
@@ -103,9 +93,8 @@ class Confirmations:
 
     def ask(self, what: str, situation: Situation, t_ns: int) -> str:
         """A question's identifier; an earlier question is forgotten."""
-        identifier = self._new_token()
-        self._open = (identifier, what, situation, t_ns)
-        return identifier
+        self._open = (self._new_token(), what, situation, t_ns)
+        return self._open[0]
 
     def forget(self) -> None:
         """The question is not open any more."""

@@ -4,17 +4,75 @@ To the dashboard: who is there (HELLO, once), the status that the terminal view 
 what has happened since (DETAIL, with each status), and that it is over (END). To the session: commands, as JSON.
 """
 
-from __future__ import annotations
-
 import json
-from collections.abc import Iterable, Mapping
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite
 from typing import Any, Final
 
 import msgpack
 import numpy as np
 
+from fes.live.status import Status
 from fes.signals import StrideResult
+
+LEVELS: Final = 4096  # ten seconds of eight channels at 50 Hz
+STRIDES: Final = 80
+PHASES: Final = 256
+NOTES: Final = 60
+NS_PER_MS: Final = 1e6
+
+
+class StateBuffer:
+    """Fill it with :meth:`status` and :meth:`detail`; :meth:`since` is what one browser has not seen yet.
+
+    Times go out as ms since ``origin_ns``, the first status's.
+    """
+
+    def __init__(self) -> None:
+        self.newest: Status | None = None
+        self.heard_ns: int | None = None
+        self.ended = ""
+        self.origin_ns: int | None = None
+        self.number = 0
+        kept = {"sent": LEVELS, "answered": LEVELS, "phases": PHASES, "strides": STRIDES, "notes": NOTES}
+        self._rings: dict[str, deque[tuple[int, Any]]] = {name: deque(maxlen=most) for name, most in kept.items()}
+
+    def status(self, status: Status, heard_ns: int) -> None:
+        """The newest status, and when it came."""
+        if self.origin_ns is None:
+            self.origin_ns = status.t_ns
+        self.newest = status
+        self.heard_ns = heard_ns
+
+    def detail(self, happened: Mapping[str, Sequence[Any]]) -> None:
+        """What has happened; see :func:`fes.live.dashboard.frames.read_detail`."""
+        self.number += 1
+        for name, values in happened.items():
+            if name == "strides":
+                shown = [stride | {"t_ms": self._ms(stride.pop("t_end_ns"))} for stride in values]
+            else:
+                shown = [[self._ms(t_ns), *rest] for t_ns, *rest in values]
+            self._rings[name].extend((self.number, value) for value in shown)
+
+    def end(self, why: str) -> None:
+        """The session is over."""
+        self.ended = self.ended or why
+
+    def since(self, number: int, now_ns: int) -> dict[str, Any]:
+        """A frame: all that came after ``number``, and the newest status with its age."""
+        rings = {name: [value for n, value in ring if n > number] for name, ring in self._rings.items()}
+        frame: dict[str, Any] = {name: fresh for name, fresh in rings.items() if fresh}
+        if self.newest is not None and self.heard_ns is not None:
+            frame["status"] = self.newest.plain() | {"t_ms": self._ms(self.newest.t_ns)}
+            frame["age_ms"] = round((now_ns - self.heard_ns) / NS_PER_MS)
+        if self.ended:
+            frame["ended"] = self.ended
+        return frame
+
+    def _ms(self, t_ns: int) -> float:
+        return round((t_ns - (self.origin_ns or 0)) / NS_PER_MS, 1)
+
 
 HELLO: Final = b"H"
 STATUS: Final = b"S"
@@ -23,6 +81,10 @@ END: Final = b"E"
 LARGEST: Final = 1 << 18
 POINTS: Final = 48  # of a stride's path: more cannot be told apart on a screen
 NAMES: Final = ("sent", "answered", "phases", "strides", "notes")
+STRIDE: Final = (
+    *("foot", "number", "t_end_ns", "stride_length_m", "clearance_m", "toe_clearance_m", "speed_mps"),
+    *("valid", "reason"),
+)
 
 
 def hello(about: dict[str, Any]) -> bytes:
@@ -36,10 +98,8 @@ def detail(happened: Mapping[str, Iterable[Any]]) -> bytes:
     ``sent`` is what the gate let out, ``answered`` what the stimulator says it delivers: (ns, channel, mA; 0: off).
     ``phases`` are (ns, foot, phase), ``notes`` (ns, severity, text), ``strides`` :class:`fes.signals.StrideResult`.
     """
-    plain = [list(happened[name]) for name in NAMES]
-    plain[NAMES.index("strides")] = [_shown(stride) for stride in happened["strides"]]
-    packed: bytes = msgpack.packb(plain)
-    return DETAIL + packed
+    plain = [list(map(_shown, happened[name])) if name == "strides" else list(happened[name]) for name in NAMES]
+    return DETAIL + bytes(msgpack.packb(plain))
 
 
 def read_hello(message: bytes) -> dict[str, Any]:
@@ -50,8 +110,7 @@ def read_hello(message: bytes) -> dict[str, Any]:
     """
     if message[:1] != HELLO:
         raise ValueError("the first message must be the session's")
-    about: dict[str, Any] = json.loads(message[1:])
-    return about
+    return dict(json.loads(message[1:]))
 
 
 def read_detail(message: bytes) -> dict[str, list[Any]]:
@@ -75,15 +134,5 @@ def read_detail(message: bytes) -> dict[str, list[Any]]:
 def _shown(stride: StrideResult) -> dict[str, object]:
     """A stride's numbers as they are shown; made in the loop, so its path goes as packed numbers."""
     path = stride.trajectory_m[:: max(len(stride.trajectory_m) // POINTS, 1), ::2].astype("<f4")
-    return {
-        "foot": stride.foot,
-        "number": stride.number,
-        "t_end_ns": stride.t_end_ns,
-        "length_m": stride.stride_length_m,
-        "clearance_m": stride.clearance_m,
-        "toe_clearance_m": stride.toe_clearance_m,
-        "speed_mps": stride.speed_mps,
-        "valid": stride.valid,
-        "reason": stride.reason,
-        "path_m": path.tobytes() if np.isfinite(path).all() else b"",
-    }
+    numbers = {name: getattr(stride, name) for name in STRIDE}
+    return numbers | {"path_m": path.tobytes() if np.isfinite(path).all() else b""}

@@ -1,7 +1,5 @@
 """One browser's messages: what each means, what is answered, what goes on to the session. No clock, no I/O."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,34 +33,28 @@ class Outcome:
     entered: bool = False
 
 
+@dataclass(eq=False)
 class MessageHandler:
-    """Handles the messages of one connection.
+    """Handles the messages of one connection; ``access`` is shared by all.
 
-    Args:
-        access: shared by all connections.
-        about: what a browser that may see is told first: the session, its bounds.
-        newest: the session's newest status and its age (ns).
-        new_token: makes identifiers.
+    ``about``: what a browser that may see is told first: the session, its bounds. ``newest``: the session's newest
+    status and its age (ns).
     """
 
-    def __init__(
-        self,
-        access: Access,
-        about: dict[str, Any],
-        newest: Callable[[int], tuple[Status | None, int]],
-        new_token: Callable[[], str],
-    ) -> None:
-        self._access = access
-        self._about = about
-        self._newest = newest
-        self._confirmations = Confirmations(new_token)
+    access: Access
+    about: dict[str, Any]
+    newest: Callable[[int], tuple[Status | None, int]]
+    new_token: Callable[[], str]
+
+    def __post_init__(self) -> None:
+        self._confirmations = Confirmations(self.new_token)
         self._secret = ""
         self._recent_ns: list[int] = []
 
     @property
     def role(self) -> Role:
         """What this browser may do now; it changes when another one comes in."""
-        return self._access.role(self._secret)
+        return self.access.role(self._secret)
 
     def handle(self, text: str, t_ns: int) -> Outcome:
         """Handle one message (JSON); whatever it is, there is an outcome."""
@@ -79,22 +71,24 @@ class MessageHandler:
             return self._enter(_text(message.get("token")), _text(message.get("secret")))
         if self.role is Role.NOBODY:
             return _refuse("this page has no valid link: only the stop works here")
-        if not self._in_time(t_ns):
+        self._recent_ns = [each for each in self._recent_ns if t_ns - each < 1_000_000_000]
+        if len(self._recent_ns) >= COMMANDS_A_SECOND:
             return _refuse("too fast; not done")
+        self._recent_ns.append(t_ns)
         if "confirm" in message:
             return self._confirm(_text(message["confirm"]), t_ns)
         return self._ask(_text(message.get("ask")), t_ns)
 
     def _enter(self, token: str, secret: str) -> Outcome:
-        bought = self._access.enter(token) if token else ""
+        bought = self.access.enter(token) if token else ""
         self._secret = bought or secret
         if self.role is Role.NOBODY:
             self._secret = ""
             return Outcome({"refused": "This link was used already, or is of another session."})
-        return Outcome({"hello": self._about, "secret": self._secret}, entered=bool(bought))
+        return Outcome({"hello": self.about, "secret": self._secret}, entered=bool(bought))
 
     def _ask(self, ask: str, t_ns: int) -> Outcome:
-        if self._about.get("mode") == "replay":
+        if self.about.get("mode") == "replay":
             return _refuse("a replay can only be stopped")
         if ask in CALMING:
             return Outcome(command=json.dumps({"ask": ask}).encode())
@@ -103,12 +97,17 @@ class MessageHandler:
         status, why = self._raisable(t_ns)
         if status is None:
             return _refuse(why)
-        most = float(self._about["most_intensity"])
+        most = float(self.about["most_intensity"])
         if ask == CommandKind.UP and status.intensity >= most - 1e-6:
             return _refuse(f"{most:.0%} is the most that this session allows")
+        raised = min(status.intensity + float(self.about["intensity_step"]), most)
+        questions: dict[str, str] = {
+            CommandKind.UP: f"Raise the intensity from {status.intensity:.0%} to {raised:.0%}?",
+            RESUME: f"Go on at {status.intensity:.0%} intensity? Current may flow at the next step.",
+            CommandKind.ARM: "Arm the stimulator? The intensity starts at 0 %.",
+        }
         identifier = self._confirmations.ask(ask, _situation(status), t_ns)
-        question = _question(ask, status, float(self._about["intensity_step"]), most)
-        return Outcome({"question": {"id": identifier, "ask": ask, "text": question}})
+        return Outcome({"question": {"id": identifier, "ask": ask, "text": questions[ask]}})
 
     def _confirm(self, identifier: str, t_ns: int) -> Outcome:
         status, why = self._raisable(t_ns)
@@ -124,30 +123,15 @@ class MessageHandler:
         """The status that a raise may rest on, or why there is none."""
         if self.role is not Role.CONTROL:
             return None, "another browser has the newest link: here you can watch, pause, lower and stop"
-        status, age_ns = self._newest(t_ns)
+        status, age_ns = self.newest(t_ns)
         if status is None or age_ns > FRESH_NS:
             return None, "nothing is heard of the session"
         return status, ""
-
-    def _in_time(self, t_ns: int) -> bool:
-        self._recent_ns = [each for each in self._recent_ns if t_ns - each < 1_000_000_000]
-        if len(self._recent_ns) >= COMMANDS_A_SECOND:
-            return False
-        self._recent_ns.append(t_ns)
-        return True
 
 
 def _situation(status: Status) -> Situation:
     # a patient who stops or starts to walk while somebody reads the question has not changed what it asks
     return Situation("current" if status.state in CURRENT else status.state, status.intensity, status.stops)
-
-
-def _question(what: str, status: Status, step: float, most: float) -> str:
-    if what == CommandKind.UP:
-        return f"Raise the intensity from {status.intensity:.0%} to {min(status.intensity + step, most):.0%}?"
-    if what == RESUME:
-        return f"Go on at {status.intensity:.0%} intensity? Current may flow at the next step."
-    return "Arm the stimulator? The intensity starts at 0 %."
 
 
 def _text(value: object) -> str:

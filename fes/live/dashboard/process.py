@@ -1,7 +1,5 @@
 """The dashboard's process as the session sees it: its link, starting and ending it, pressing its stop."""
 
-from __future__ import annotations
-
 import http.client
 import secrets
 import socket
@@ -9,7 +7,6 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 from fes.config import Session
@@ -68,9 +65,7 @@ def press_stop(port: int) -> None:
 class DashboardProcess:
     """The dashboard while entered. ``url`` opens it once; the file ``page.url`` in the folder always has the next link.
 
-    Args:
-        about: see :func:`about_session`.
-        port: 0 takes a free one.
+    For ``about`` see :func:`about_session`; port 0 takes a free one.
 
     Raises:
         OSError: the port is taken, or the folder cannot be written.
@@ -92,14 +87,10 @@ class DashboardProcess:
             write_link(self._url_file, self.url)
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             with theirs, self._errors.open("wb") as errors:
-                self.process = subprocess.Popen(
-                    [sys.executable, "-m", "fes.live.dashboard", str(listening.fileno()), str(theirs.fileno())],
-                    pass_fds=(listening.fileno(), theirs.fileno()),
-                    stdin=subprocess.DEVNULL,
-                    stdout=errors,
-                    stderr=errors,
-                    start_new_session=True,
-                )
+                given = listening.fileno(), theirs.fileno()
+                command = [sys.executable, "-m", "fes.live.dashboard", *map(str, given)]
+                said: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": errors, "stderr": errors}
+                self.process = subprocess.Popen(command, pass_fds=given, start_new_session=True, **said)
         # the token goes this way: a command line can be read by everybody on the machine
         ours.send(hello({**about, "token": token, "url_file": str(self._url_file.absolute())}))
         self.stream = DashboardStream(ours)
@@ -107,9 +98,7 @@ class DashboardProcess:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         end_helper(self.process, self.stream.link, END + self.farewell.encode(), 3.0)
         with suppress(OSError):
             self._url_file.unlink(missing_ok=True)

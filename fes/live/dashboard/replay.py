@@ -1,10 +1,9 @@
 """A replay on the dashboard: what it logs is shown as a session is, and a stop there ends it."""
 
-from __future__ import annotations
-
 import select
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from typing import Final
 
 from fes.control.controller import Controller
@@ -13,19 +12,14 @@ from fes.gate import SafetyGate
 from fes.live.commands import CommandKind, CommandRefused, command_of_message
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.monitor import FRAME_NS, ShownLog
-from fes.live.status import FootStatus, Status
+from fes.live.status import Status
 from fes.signals import Event, ImuSample
 
 CHECK_NS: Final = 5_000_000
 
 
 class ReplayLog(ShownLog):
-    """The replay's log: passes everything on to the real one and shows it.
-
-    Args:
-        rates_hz: by sensor, as the recording says.
-        phase_sensor_of: by foot, the sensor that its phases come from.
-    """
+    """The replay's log: passes everything on to the real one and shows it; ``rates_hz`` by sensor."""
 
     def __init__(
         self,
@@ -62,7 +56,12 @@ class ReplayLog(ShownLog):
         if now_ns < self._next_ns and not last:
             return
         self._next_ns = now_ns + FRAME_NS
-        feet = {sensor: self._foot(sensor, t_ns) for sensor in self._rates_hz}
+        feet = {
+            sensor: self.foot_status(
+                sensor, self._controller, rate_hz, (t_ns - self._heard_ns.get(sensor, t_ns)) * 1e-6
+            )
+            for sensor, rate_hz in self._rates_hz.items()
+        }
         if self._gate.latched:
             state = "stopped" if self._gate.latched == "emergency stop" else "fault"
         elif not self._gate.armed:
@@ -85,17 +84,9 @@ class ReplayLog(ShownLog):
         )
         self._stream.send(status.encode())
 
-    def _foot(self, sensor: str, t_ns: int) -> FootStatus:
-        age_ms = round((t_ns - self._heard_ns.get(sensor, t_ns)) * 1e-6, 1)
-        return self.foot_status(sensor, self._controller, self._rates_hz[sensor], age_ms)
-
 
 class StoppableClock:
-    """Real time, waited for with an ear to the dashboard: a stop there is a KeyboardInterrupt here, at once.
-
-    Args:
-        on_stop: called before that happens.
-    """
+    """Real time, waited for with an ear to the dashboard: a stop there is ``on_stop`` and KeyboardInterrupt here."""
 
     def __init__(self, stream: DashboardStream, on_stop: Callable[[], None]) -> None:
         self._stream = stream
@@ -127,13 +118,8 @@ class StoppableClock:
             KeyboardInterrupt: it has.
         """
         self._checked_ns = time.monotonic_ns()
-        if any(_is_stop(message) for message in self._stream.receive()):
-            self._on_stop()
-            raise KeyboardInterrupt
-
-
-def _is_stop(message: bytes) -> bool:
-    try:
-        return command_of_message(message).kind is CommandKind.STOP
-    except CommandRefused:
-        return False
+        for message in self._stream.receive():
+            with suppress(CommandRefused):
+                if command_of_message(message).kind is CommandKind.STOP:
+                    self._on_stop()
+                    raise KeyboardInterrupt

@@ -1,10 +1,9 @@
 """The loop's end of the link to the dashboard's process, both ways; it waits for nobody and has no clock."""
 
-from __future__ import annotations
-
 import socket
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 from fes.live.commands import CommandKind, CommandRefused, OperatorCommand, State, command_of_message
@@ -27,10 +26,8 @@ ORIGIN: Final = "dashboard"
 class DashboardStream:
     """Give it what is logged; :meth:`send` sends it. A dashboard that does not read misses statuses, and old levels.
 
-    ``lost``: why its process is gone; "" while it is there. ``dropped``: how many statuses it missed.
-
-    Args:
-        link: one end of a SOCK_SEQPACKET pair; it is made non-blocking.
+    ``link``, one end of a SOCK_SEQPACKET pair, is made non-blocking. ``lost``: why its process is gone; "" while it is
+    there. ``dropped``: how many statuses it missed.
     """
 
     def __init__(self, link: socket.socket) -> None:
@@ -63,10 +60,7 @@ class DashboardStream:
         self._happened["notes"].append((note.t_ns, note.severity, note.text))
 
     def send(self, status: bytes) -> None:
-        """Send the status and what has gathered, as far as the dashboard's process takes it now.
-
-        ``lost`` says afterwards why nothing can be sent any more; "" while it can.
-        """
+        """Send the status and what has gathered, as far as the dashboard's process takes it now."""
         if self.lost:
             return
         try:
@@ -76,7 +70,7 @@ class DashboardStream:
             self.dropped += 1
             return
         except OSError as error:
-            self._lose(error.strerror or str(error))
+            self.lost = error.strerror or str(error)
         for each in self._happened.values():
             each.clear()
 
@@ -89,59 +83,43 @@ class DashboardStream:
             except BlockingIOError:
                 break
             except OSError as error:
-                message = b""
-                self._lose(error.strerror or str(error))
+                message, self.lost = b"", error.strerror or str(error)
             if not message:
-                self._lose("its process has ended")
+                self.lost = self.lost or "its process has ended"
                 break
             messages.append(message)
         return messages
 
-    def _lose(self, why: str) -> None:
-        self.lost = self.lost or why
 
-
+@dataclass(eq=False)
 class DashboardCommands:
-    """An input of the live session (see ``fes.live.ports.Input``).
+    """An input of the live session (see ``fes.live.sensors.Input``).
 
     The dashboard's process is not trusted: of all commands only those in ALLOWED exist here, what leads to more current
     needs its confirmation again, *pause* never goes on, and however much comes, a turn executes one stop, before
-    anything else, or a few others.
-
-    Args:
-        stream: brings the messages.
-        execute: executes a command.
-        state: where the session stands.
-        on_refused: called with the time and the reason for a message that is no command.
+    anything else, or a few others. ``on_refused`` gets the time and the reason for a message that is no command.
     """
 
-    def __init__(
-        self,
-        stream: DashboardStream,
-        execute: Execute,
-        state: Callable[[], State],
-        on_refused: Callable[[int, str], None] = lambda t_ns, text: None,
-    ) -> None:
-        self._stream = stream
-        self._execute = execute
-        self._state = state
-        self._on_refused = on_refused
+    stream: DashboardStream
+    execute: Execute
+    state: Callable[[], State]
+    on_refused: Callable[[int, str], None] = lambda t_ns, text: None
 
     def fileno(self) -> int | None:
         """While the dashboard's process is there."""
-        return None if self._stream.lost else self._stream.link.fileno()
+        return None if self.stream.lost else self.stream.link.fileno()
 
     def read_events(self, t_ns: int) -> list[Event]:
         """Execute what has come; a stop among it comes first and puts the rest aside."""
         commands: list[OperatorCommand] = []
-        for message in self._stream.receive():
+        for message in self.stream.receive():
             try:
                 if (command := self._command(message)) is not None:
                     commands.append(command)
             except CommandRefused as error:
-                self._on_refused(t_ns, f"the dashboard sent what is no command: {error}")
+                self.on_refused(t_ns, f"the dashboard sent what is no command: {error}")
         stop = next((command for command in commands if command.kind is CommandKind.STOP), None)
-        return [event for command in ([stop] if stop else commands) for event in self._execute(command, t_ns)]
+        return [event for command in ([stop] if stop else commands) for event in self.execute(command, t_ns)]
 
     def _command(self, message: bytes) -> OperatorCommand | None:
         """The command; None where it means nothing as the session stands.
@@ -150,10 +128,10 @@ class DashboardCommands:
             CommandRefused: it is none that the dashboard may give.
         """
         if message == RESUME_MESSAGE:
-            return OperatorCommand(CommandKind.PAUSE, origin=ORIGIN) if self._state() is State.PAUSED else None
+            return OperatorCommand(CommandKind.PAUSE, origin=ORIGIN) if self.state() is State.PAUSED else None
         command = command_of_message(message)
         if command.kind not in ALLOWED:
             raise CommandRefused(f"{command.kind} is not for the dashboard")
-        if command.kind is CommandKind.PAUSE and self._state() is State.PAUSED:
+        if command.kind is CommandKind.PAUSE and self.state() is State.PAUSED:
             return None  # pressed on two pages at once: the second must not go on
         return OperatorCommand(command.kind, origin=ORIGIN)

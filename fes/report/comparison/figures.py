@@ -3,8 +3,6 @@
 Sessions differ by colour and by dash, so that neither colour vision nor colour printing is needed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -17,7 +15,7 @@ from fes.report.comparison.rows import ParameterRow
 from fes.report.comparison.session import PHASES, ComparedSession
 from fes.report.figures.strides import PHASE_COLORS
 from fes.report.figures.svg import Figure, Plot, nice_ticks, padded
-from fes.report.gait import POINTS, spread_of
+from fes.report.gait import POINTS, by_distance, spread_of
 from fes.report.text import readable
 from fes.signals import FloatArray, StrideResult
 
@@ -40,19 +38,17 @@ class Curve:
 def curve_figures(sessions: Sequence[ComparedSession]) -> list[Figure]:
     """For each side the height over the distance forward, and the pitch from heel rise to foot flat."""
     figures = []
-    for title, curve_of, axes, zero in (
-        ("Foot height", height_curve, ("forward (m)", "height of the sensor (cm)"), True),
-        ("Foot pitch", pitch_curve, ("from heel rise (0 %) to foot flat (100 %)", "pitch (°), toe up +"), True),
+    for title, curve_of, axes in (
+        ("Foot height", height_curve, ("forward (m)", "height of the sensor (cm)")),
+        ("Foot pitch", pitch_curve, ("from heel rise (0 %) to foot flat (100 %)", "pitch (°), toe up +")),
     ):
         found = {
             side: [curve_of(session.sides[side].strides) if side in session.sides else None for session in sessions]
             for side in ("left", "right")
         }
         every = [curve for curves in found.values() for curve in curves if curve is not None]
-        if not every:
-            continue
         x_range = padded([curve.x for curve in every], share=0.03)
-        y_range = padded([curve.mean + k * curve.sd for curve in every for k in (-1, 1)], zero=zero)
+        y_range = padded([curve.mean + k * curve.sd for curve in every for k in (-1, 1)], zero=True)
         for side, curves in found.items():
             known = [(k, curve) for k, curve in enumerate(curves) if curve is not None]
             if not known:
@@ -63,22 +59,15 @@ def curve_figures(sessions: Sequence[ComparedSession]) -> list[Figure]:
             for k, curve in known:
                 plot.line(curve.x, curve.mean, COLORS[k], width=3, dash=DASHES[k])
             counts = ", ".join(f"{sessions[k].label} {curve.n}" for k, curve in known)
-            figures.append(Figure(f"{title}, {side}", plot.render(), f"Mean and band of ± 1 SD; strides: {counts}."))
+            figures.append(plot.figure(f"{title}, {side}", f"Mean and band of ± 1 SD; strides: {counts}."))
     return figures
 
 
 def height_curve(strides: Sequence[StrideResult]) -> Curve | None:
     """Height in cm at equal shares of each stride's distance, so that waiting in stance does not smear the swing."""
-    share = np.linspace(0.0, 1.0, POINTS)
-    rows = []
-    for stride in strides:
-        if len(stride.trajectory_m) < 2 or not np.isfinite(stride.trajectory_m).all():
-            continue
-        forward = np.maximum.accumulate(stride.trajectory_m[:, 0])
-        if forward[-1] > forward[0]:
-            x = forward[0] + share * (forward[-1] - forward[0])
-            rows.append((x, np.interp(x, forward, 100.0 * stride.trajectory_m[:, 2])))
-    return _curve([x for x, _ in rows], [y for _, y in rows])
+    whole = [s.trajectory_m for s in strides if len(s.trajectory_m) > 1 and np.isfinite(s.trajectory_m).all()]
+    paths = [path for each in whole if (path := by_distance(each)) is not None]
+    return _curve([path[:, 0] for path in paths], [100.0 * path[:, 2] for path in paths])
 
 
 def pitch_curve(strides: Sequence[StrideResult]) -> Curve | None:
@@ -86,13 +75,10 @@ def pitch_curve(strides: Sequence[StrideResult]) -> Curve | None:
     share = np.linspace(0.0, 1.0, POINTS)
     rows = []
     for stride in strides:
-        begin, end = stride.t_pre_swing_ns, stride.t_stance_ns
-        if begin is None or end is None or end <= begin or len(stride.pitch_rad) < 2:
-            continue
-        if not np.isfinite(stride.pitch_rad).all():
-            continue
-        own = np.linspace(stride.t_start_ns - begin, stride.t_end_ns - begin, len(stride.pitch_rad)) / (end - begin)
-        rows.append(np.interp(share, own, np.degrees(stride.pitch_rad)))
+        begin, end, pitch = stride.t_pre_swing_ns, stride.t_stance_ns, stride.pitch_rad
+        if begin is not None and end is not None and end > begin and len(pitch) > 1 and np.isfinite(pitch).all():
+            own = np.linspace(stride.t_start_ns - begin, stride.t_end_ns - begin, len(pitch)) / (end - begin)
+            rows.append(np.interp(share, own, np.degrees(pitch)))
     return _curve([100.0 * share] * len(rows), rows)
 
 
@@ -116,7 +102,7 @@ def phase_figure(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRo
         return None
     longest = max(sum(seconds for _, seconds in lasted) for _, lasted in bars)
     scale = (WIDTH - LEFT - 14) / longest
-    height = 34 + (BAR + 8) * len(bars) + 14
+    floor = 8 + (BAR + 8) * len(bars)
     parts = []
     for number, (name, lasted) in enumerate(bars):
         top, at = 8 + (BAR + 8) * number, float(LEFT)
@@ -131,13 +117,12 @@ def phase_figure(sessions: Sequence[ComparedSession], rows: Sequence[ParameterRo
             if wide > 34:
                 parts.append(f'<text x="{at + wide / 2:.1f}" y="{top + 15}" text-anchor="middle">{seconds:.2f}</text>')
             at += wide
-    floor = 8 + (BAR + 8) * len(bars)
     for value in nice_ticks(0.0, longest):
         x = LEFT + scale * value
         parts.append(f'<path class="axis" d="M{x:.1f} {floor}v5"/>')
         parts.append(f'<text x="{x:.1f}" y="{floor + 20}" text-anchor="middle">{value:g}</text>')
     svg = (
-        f'<svg class="plot" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="Mean phase durations">'
+        f'<svg class="plot" viewBox="0 0 {WIDTH} {floor + 40}" role="img" aria-label="Mean phase durations">'
         f'<path class="axis" d="M{LEFT} {floor}H{WIDTH - 14}"/>{"".join(parts)}</svg>'
     )
     return Figure("Phases", svg, "Mean durations in s, from heel rise: pre-swing, swing, loading response, stance.")

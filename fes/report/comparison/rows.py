@@ -4,16 +4,13 @@ How much a parameter must change before day-to-day error cannot explain it stand
 print, with its people and its setting.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from fes.analysis.parameters.definitions import DEFINITIONS, STRIDE_KEYS, Definition
-from fes.evaluation.agreement import Interval
-from fes.evaluation.agreement.unpaired import Mean, combined, difference, mean_of, symmetry_index
+from fes.evaluation.agreement import Interval, Mean, combined, difference, mean_of, symmetry_index
 from fes.report.comparison.session import PHASES, ComparedSession, Side
 from fes.report.glossary import GLOSSARY
 from fes.report.text import DIGITS, readable
@@ -28,7 +25,7 @@ HOSOI: Final = (
     "Hosoi et al. 2023, Frontiers in Neurology 14:1219505: 84 people after stroke, comfortable speed over 10 m; "
     "0.05 m/s below 0.4 m/s, 0.11 m/s up to 0.8 m/s, 0.21 m/s above"
 )
-_SHARES: Final = ("swing_share", "stance_share", "double_support_share")
+_LEAST: Final = {"swing_share": 0.042, "stance_share": 0.042, "double_support_share": 0.042, "step_length_m": 0.067}
 KEY: Final = (
     *("speed_mps", "stride_length_common_m", "stride_time_s", "step_length_m", "toe_clearance_m", "angle_contact_rad"),
     *("circumduction_m", "swing_share", "double_support_share"),
@@ -61,10 +58,8 @@ def detectable_change(key: str, first_speed_mps: float, *, belt: bool) -> Detect
         first_speed_mps: the walking speed of the session that the others are held against.
         belt: any of the sessions was on a treadmill, whose speed is not the patient's choice.
     """
-    if key in _SHARES:
-        return DetectableChange(0.042, KESAR)
-    if key == "step_length_m":
-        return DetectableChange(0.067, KESAR)
+    if key in _LEAST:
+        return DetectableChange(_LEAST[key], KESAR)
     if key == "speed_mps" and not belt and first_speed_mps > 0.0:
         least = 0.05 if first_speed_mps < 0.4 else 0.11 if first_speed_mps <= 0.8 else 0.21
         return DetectableChange(least, HOSOI)
@@ -126,19 +121,9 @@ def parameter_rows(sessions: Sequence[ComparedSession]) -> list[ParameterRow]:
 
 def phase_rows(sessions: Sequence[ComparedSession]) -> list[ParameterRow]:
     """Of the four phases, both sides."""
-    abouts = [
-        Definition(
-            f"phase_{phase}",
-            f"{readable(phase)} (phase)",
-            "",
-            "s",
-            "s",
-            1.0,
-            GLOSSARY[readable(phase)],
-            "Negård et al. 2005",
-        )
-        for phase in PHASES
-    ]
+    names = {phase: readable(phase) for phase in PHASES}
+    unit, source = ("", "s", "s", 1.0), "Negård et al. 2005"
+    abouts = [Definition(f"phase_{p}", f"{name} (phase)", *unit, GLOSSARY[name], source) for p, name in names.items()]
     return _rows(sessions, abouts, lambda side, about: side.phases.get(about.key.removeprefix("phase_")))
 
 
@@ -148,7 +133,8 @@ def _rows(sessions: Sequence[ComparedSession], abouts: Sequence[Definition], pic
     rows = []
     for about in abouts:
         for side in ("left", "right"):
-            means = tuple(_mean(session.sides.get(side), about, pick) for session in sessions)
+            known = [pick(one.sides[side], about) if side in one.sides else None for one in sessions]
+            means = tuple(mean_of(() if values is None else values) for values in known)
             if sum(mean.n > 0 for mean in means) < 2:
                 continue
             changes = tuple(difference(means[0], mean) for mean in means[1:])
@@ -156,24 +142,15 @@ def _rows(sessions: Sequence[ComparedSession], abouts: Sequence[Definition], pic
     return rows
 
 
-def _mean(side: Side | None, about: Definition, pick: Pick) -> Mean:
-    values = pick(side, about) if side is not None else None
-    return mean_of(() if values is None else values)
-
-
 def symmetry_rows(sessions: Sequence[ComparedSession], paretic: str | None = None) -> list[SymmetryRow]:
     """Of the parameters in which sides differ: ``paretic`` against the other side, left against right without it."""
     first = paretic or "left"
     second = "right" if first == "left" else "left"
     rows = []
-    for key in SYMMETRIC:
-        found = []
-        for session in sessions:
-            if not {"left", "right"} <= set(session.sides):
-                break
-            one, other = (mean_of(session.sides[side].values.get(key, ())) for side in (first, second))
-            found.append(symmetry_index(one, other))
-        if len(found) < len(sessions) or not all(math.isfinite(value) for value, _ in found):
+    for key in SYMMETRIC if all({"left", "right"} <= set(session.sides) for session in sessions) else ():
+        values = [[mean_of(one.sides[side].values.get(key, ())) for side in (first, second)] for one in sessions]
+        found = [symmetry_index(*each) for each in values]
+        if not all(math.isfinite(value) for value, _ in found):
             continue
         before, parts_before = found[0]
         changes = tuple(combined(value - before, parts + parts_before) for value, parts in found[1:])

@@ -1,7 +1,5 @@
 """A comparison in plain sentences: first what stands in the way of comparing, then what changed."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 
@@ -21,7 +19,7 @@ SMALL_SD = 0.5
 
 def speed_differs(sessions: Sequence[ComparedSession]) -> bool:
     """Whether walking speed could explain differences: marks the parameters that change with it."""
-    return any(_belt_gap(sessions[0], other) or _measured_gap(sessions[0], other) for other in sessions[1:])
+    return any(any(_speed_gaps(sessions[0], other)) for other in sessions[1:])
 
 
 def confounders(sessions: Sequence[ComparedSession]) -> list[Finding]:
@@ -96,27 +94,25 @@ def _change(row: ParameterRow, k: int, first: ComparedSession, other: ComparedSe
 def _against(first: ComparedSession, other: ComparedSession) -> Iterator[Finding]:
     a, b, one, two = first.summary, other.summary, first.label, other.label
     if a.subject and b.subject and a.subject != b.subject:
-        yield Finding(
-            "alert", f"{one} is of subject {a.subject}, {two} of {b.subject}: two people, not one person twice."
-        )
+        people = f"{one} is of subject {a.subject}, {two} of {b.subject}"
+        yield Finding("alert", f"{people}: two people, not one person twice.")
     elif not (a.subject and b.subject):
         yield Finding("info", f"{one} and {two}: not both name their subject; whether it is one person is not checked.")
-    if gap := _belt_gap(first, other):
+    belt, measured = _speed_gaps(first, other)
+    if belt:
         yield Finding(
             "warning",
-            f"{one} and {two} differ in belt speed by {abs(gap):.2f} m/s ({a.belt_speed_mps:.2f} and "
+            f"{one} and {two} differ in belt speed by {belt:.2f} m/s ({a.belt_speed_mps:.2f} and "
             f"{b.belt_speed_mps:.2f}): parameters marked † change with speed, so stimulation or training alone does "
             "not explain them.",
         )
     elif (a.belt_speed_mps > 0.0) != (b.belt_speed_mps > 0.0):
         on, off = (one, two) if a.belt_speed_mps > 0.0 else (two, one)
         yield Finding("warning", f"{on} is on a treadmill, of {off} no belt speed is known: perhaps over ground.")
-    if not _belt_gap(first, other) and (gap := _measured_gap(first, other)):
-        yield Finding(
-            "warning",
-            f"Measured walking speed differs by {abs(gap):.2f} m/s ({one} {a.walking_speed_mps:.2f}, {two} "
-            f"{b.walking_speed_mps:.2f}): parameters marked † change with speed.",
-        )
+    if measured and not belt:
+        each = f"{one} {a.walking_speed_mps:.2f}, {two} {b.walking_speed_mps:.2f}"
+        text = f"Measured walking speed differs by {measured:.2f} m/s ({each}): parameters marked † change with speed."
+        yield Finding("warning", text)
     if set(first.sides) != set(other.sides):
         yield Finding("warning", f"{one} has the sides {', '.join(first.sides)}, {two} {', '.join(other.sides)}.")
     for side in sorted(set(first.sides) & set(other.sides)):
@@ -135,11 +131,9 @@ def _against(first: ComparedSession, other: ComparedSession) -> Iterator[Finding
             yield Finding("info", f"Sensor {sensor}: {rates[0]:.0f} Hz in {one}, {rates[1]:.0f} Hz in {two}.")
     for side in sorted(set(first.toe) & set(other.toe)):
         if first.toe[side] != other.toe[side]:
-            yield Finding(
-                "warning",
-                f"Where the toe is on the {side} foot was not known alike ({one}: {first.toe[side]}; {two}: "
-                f"{other.toe[side]}): toe and heel clearance may differ by that alone.",
-            )
+            known = f"({one}: {first.toe[side]}; {two}: {other.toe[side]})"
+            may = "toe and heel clearance may differ by that alone"
+            yield Finding("warning", f"Where the toe is on the {side} foot was not known alike {known}: {may}.")
 
 
 def _alone(session: ComparedSession) -> Iterator[Finding]:
@@ -147,37 +141,27 @@ def _alone(session: ComparedSession) -> Iterator[Finding]:
     for side, found in session.sides.items():
         valid = len(found.strides)
         if valid < FEW_STRIDES:
-            yield Finding(
-                "warning", f"{label}, {side}: only {count_of(valid, 'valid stride')}; its intervals are wide."
-            )
+            few = count_of(valid, "valid stride")
+            yield Finding("warning", f"{label}, {side}: only {few}; its intervals are wide.")
         if valid < VALID_SHARE * found.found:
             yield Finding("warning", f"{label}, {side}: only {valid} of {found.found} strides are valid.")
     changed = sum(row.kind in ("change", "roll_back") for row in session.summary.tuning)
     if changed:
-        yield Finding(
-            "warning",
-            f"{label}: the stimulation tuned itself {count_of(changed, 'time')} during the session; its means mix what "
-            "was before and after.",
-        )
+        tuned = f"the stimulation tuned itself {count_of(changed, 'time')} during the session"
+        yield Finding("warning", f"{label}: {tuned}; its means mix what was before and after.")
     if 0.0 < session.stimulated < 0.9:
-        yield Finding(
-            "warning",
-            f"{label}: {100 * session.stimulated:.0f} % of the strides were stimulated; its means mix strides with and "
-            "without.",
-        )
+        some = f"{100 * session.stimulated:.0f} % of the strides were stimulated"
+        yield Finding("warning", f"{label}: {some}; its means mix strides with and without.")
     for finding in findings(session.summary):
         if finding.level in ("alert", "warning"):
             yield Finding(finding.level, f"{label}: {finding.text}")
 
 
-def _belt_gap(first: ComparedSession, other: ComparedSession) -> float:
-    gap = other.summary.belt_speed_mps - first.summary.belt_speed_mps
-    return gap if math.isfinite(gap) and abs(gap) > BELT_MPS - 1e-9 else 0.0
-
-
-def _measured_gap(first: ComparedSession, other: ComparedSession) -> float:
-    gap = other.summary.walking_speed_mps - first.summary.walking_speed_mps
-    return gap if math.isfinite(gap) and abs(gap) > MEASURED_MPS else 0.0
+def _speed_gaps(first: ComparedSession, other: ComparedSession) -> tuple[float, float]:
+    """By how much (m/s) belt and measured speed differ; 0 where that is little or not known."""
+    belt = abs(other.summary.belt_speed_mps - first.summary.belt_speed_mps)
+    measured = abs(other.summary.walking_speed_mps - first.summary.walking_speed_mps)
+    return belt if belt > BELT_MPS - 1e-9 else 0.0, measured if measured > MEASURED_MPS else 0.0
 
 
 def describe_stimulation(session: ComparedSession) -> str:

@@ -4,8 +4,6 @@ Logs and recordings are analysed in the same way, off-line and with the same set
 method. Stimulation, charge and faults are a log's own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +11,6 @@ from typing import Final
 
 import numpy as np
 
-from fes.analysis.parameters.contacts import Swing
 from fes.analysis.parameters.gait import gait_parameters
 from fes.analysis.parameters.steps import steps_of
 from fes.analysis.parameters.strides import StrideParameters, stride_parameters
@@ -22,6 +19,7 @@ from fes.analysis.results import Analysis
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, calibration_from_dict, phase_sensors
 from fes.recording import Recording, RecordingError, Track, read_recording
+from fes.report.gait import swings_by_phases
 from fes.report.stimulation import session_settings
 from fes.report.strides import StrideRow
 from fes.report.summary import SessionSummary, summarise
@@ -33,7 +31,7 @@ PHASES: Final = ("pre_swing", "swing", "loading_response", "stance")
 FOUND_SHARE: Final = 0.8  # of the strides whose phases are known must have off-line events
 OFF_LINE: Final = "analysed off-line"
 AS_DECIDED: Final = "as decided in the session, for its log keeps no samples that could be analysed"
-_OF_ROWS: Final = {
+_OF_ROWS: Final = {  # the few parameters that a stride itself holds
     "stride_length_common_m": ("stride_length_m", 1.0),
     "stride_time_s": ("duration_s", 1.0),
     "speed_mps": ("speed_mps", 1.0),
@@ -105,7 +103,7 @@ def read_compared(path: Path, label: str) -> ComparedSession:
         analysis = analyse(recording, found.calibrations)
     except (SessionLogError, RecordingError, CalibrationError) as error:
         raise ComparisonProblem(str(error)) from error
-    return _made(label, path, OFF_LINE, summarise(analysis.walk_record()), analysis, recording.subject)
+    return _made(label, path, summarise(analysis.walk_record()), analysis, recording.subject)
 
 
 def of_record(record: SessionRecord, label: str, path: Path) -> ComparedSession:
@@ -118,8 +116,8 @@ def of_record(record: SessionRecord, label: str, path: Path) -> ComparedSession:
     recording = recording_of(record, path)
     calibrations = _calibrations(record, recording)
     if not calibrations:
-        return _made(label, path, AS_DECIDED, own, None, "", record.strides)
-    return _made(label, path, OFF_LINE, own, analyse(recording, calibrations), "")
+        return _made(label, path, own, None, decided=record.strides)
+    return _made(label, path, own, analyse(recording, calibrations))
 
 
 def recording_of(record: SessionRecord, path: Path) -> Recording:
@@ -136,14 +134,10 @@ def recording_of(record: SessionRecord, path: Path) -> Recording:
         arrived = np.maximum.accumulate(t_ns)
         tracks[sensor] = Track(sensor, rate_hz, arrived, stamps, samples.acc_mps2[good], samples.gyr_radps[good])
     told = record.header.get("recording")
-    belt = told.get("belt_speed_mps") if isinstance(told, dict) else None
-    return Recording(
-        path.stem,
-        path,
-        tracks,
-        belt_speed_mps=float(belt) if isinstance(belt, (int, float)) and belt > 0 else None,
-        geometry={str(foot): value for foot, value in settings.geometry.items()} if settings else {},
-    )
+    stated = told.get("belt_speed_mps") if isinstance(told, dict) else None
+    belt = float(stated) if isinstance(stated, (int, float)) and stated > 0 else None
+    geometry = {str(foot): value for foot, value in settings.geometry.items()} if settings else {}
+    return Recording(path.stem, path, tracks, belt_speed_mps=belt, geometry=geometry)
 
 
 def _calibrations(record: SessionRecord, recording: Recording) -> dict[str, Calibration]:
@@ -164,17 +158,17 @@ def _calibrations(record: SessionRecord, recording: Recording) -> dict[str, Cali
 def _made(
     label: str,
     path: Path,
-    how: str,
     own: SessionSummary,
     analysis: Analysis | None,
-    subject: str,
+    subject: str = "",
     decided: Sequence[StrideResult] = (),
 ) -> ComparedSession:
-    rows, strides = own.strides, list(decided)
+    how, rows, strides = AS_DECIDED, own.strides, list(decided)
     toe: dict[str, str] = {}
     detailed: dict[str, dict[str, FloatArray]] = {}
     phased: dict[str, dict[str, FloatArray]] = {}
     if analysis is not None:
+        how = OFF_LINE
         rows, strides = summarise(analysis.walk_record()).strides, analysis.strides
         toe = {_side(foot): known.describe() for foot, known in analysis.points.items()}
         detailed = {_side(foot): _steady(found) for foot, found in gait_parameters(analysis).strides.items()}
@@ -183,27 +177,27 @@ def _made(
     for foot in dict.fromkeys(stride.foot for stride in strides):
         mine = [row for row in rows if row.foot == foot]
         valid = [stride for stride in strides if stride.foot == foot and stride.valid]
-        values = detailed.get(_side(foot)) or _of_rows(mine)
+        used = [row for row in mine if row.valid]
+        of_rows = {key: k * np.array([getattr(row, name) for row in used]) for key, (name, k) in _OF_ROWS.items()}
+        values = detailed.get(_side(foot)) or of_rows
         sides[_side(foot)] = Side(values, phased.get(_side(foot), values), _phases(mine), valid, len(mine), foot)
     if not any(len(side.strides) for side in sides.values()):
         raise ComparisonProblem(f"{path}: holds no stride that can be used; there is nothing to compare")
-    stimulated = [bool(row.stimulation) for row in own.strides if row.foot in _stimulated_feet(own)]
-    return ComparedSession(
-        label,
-        str(path),
-        how,
-        own if own.subject or not subject else _with_subject(own, subject),
-        {side: sides[side] for side in ("left", "right") if side in sides},
-        float(np.mean(stimulated)) if stimulated else float("nan" if _stimulated_feet(own) else 0.0),
-        toe,
-        {sensor.sensor: sensor.rate_hz for sensor in own.sensors},
+    feet = {channel.foot for channel in own.channels if channel.bursts}
+    stimulated = [bool(row.stimulation) for row in own.strides if row.foot in feet]
+    share = float(np.mean(stimulated)) if stimulated else float("nan" if feet else 0.0)
+    summary, sides = (
+        replace(own, subject=own.subject or subject),
+        {s: sides[s] for s in ("left", "right") if s in sides},
     )
+    rates_hz = {sensor.sensor: sensor.rate_hz for sensor in own.sensors}
+    return ComparedSession(label, str(path), how, summary, sides, share, toe, rates_hz)
 
 
 def by_phases(analysis: Analysis) -> dict[str, list[StrideParameters]]:
     """By foot, the parameters with the times of the phases: foot off is T2, contact T3. Step lengths are left out."""
     feet = {foot: [s for s in analysis.strides if s.foot == foot and s.valid] for foot in analysis.stride_paths}
-    swings = {foot: {s.number: swing for s in own if (swing := _swing(s))} for foot, own in feet.items()}
+    swings = {foot: swings_by_phases(own) for foot, own in feet.items()}
     found = {}
     for foot, own in feet.items():
         others = [swing for name, every in swings.items() if name != foot for swing in every.values()]
@@ -212,13 +206,6 @@ def by_phases(analysis: Analysis) -> dict[str, list[StrideParameters]]:
         numbers = [stride.number for stride in own]
         found[foot] = stride_parameters(own, paths, swings[foot], dict(zip(numbers, steps, strict=True)), {})
     return found
-
-
-def _swing(stride: StrideResult) -> Swing | None:
-    off, contact = stride.t_swing_ns, stride.t_loading_response_ns
-    if off is None or contact is None or off >= contact:
-        return None
-    return Swing(off, (off + contact) // 2, contact, heel_strike=False)
 
 
 def _steady(found: Sequence[StrideParameters]) -> dict[str, FloatArray]:
@@ -241,31 +228,13 @@ def with_the_same_timing(sessions: Sequence[ComparedSession]) -> tuple[list[Comp
                     f"{session.label}, {side}: foot off and contact were found off-line in only {known} of {could} "
                     "strides. So all times are those of the phases, as a session decides them, in every session."
                 )
-                return [_timed_by_phases(each) for each in sessions], why
+                timed = [{name: replace(s, values=s.by_phases) for name, s in each.sides.items()} for each in sessions]
+                return [replace(each, sides=sides) for each, sides in zip(sessions, timed, strict=True)], why
     return list(sessions), ""
-
-
-def _timed_by_phases(session: ComparedSession) -> ComparedSession:
-    sides = {side: replace(one, values=one.by_phases) for side, one in session.sides.items()}
-    return replace(session, sides=sides)
-
-
-def _with_subject(summary: SessionSummary, subject: str) -> SessionSummary:
-    return replace(summary, subject=subject)
-
-
-def _stimulated_feet(summary: SessionSummary) -> set[str]:
-    return {channel.foot for channel in summary.channels if channel.bursts}
 
 
 def _side(foot: str) -> str:
     return foot.split("_")[0]
-
-
-def _of_rows(rows: Sequence[StrideRow]) -> dict[str, FloatArray]:
-    """The few parameters that a stride itself holds, of its valid ones."""
-    valid = [row for row in rows if row.valid]
-    return {key: factor * np.array([getattr(row, name) for row in valid]) for key, (name, factor) in _OF_ROWS.items()}
 
 
 def _phases(rows: Sequence[StrideRow]) -> dict[str, FloatArray]:

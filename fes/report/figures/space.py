@@ -5,33 +5,32 @@ frame: x to the right, y along the walk, z up. It is drawn here as it stands at 
 the report's script turns the same lines.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
 
 from fes.analysis.ground_path import GroundPath
+from fes.report.figures import svg
 from fes.report.figures.strides import foot_color
 from fes.report.figures.svg import BOTTOM, LEFT, RIGHT, TOP, Figure, Plot, nice_ticks, padded
-from fes.report.gait import FootCurves
+from fes.report.gait import FootCurves, spread_of
 from fes.report.summary import ReportData
 from fes.report.text import count_of, readable
 from fes.signals import NS_PER_S, FloatArray
 from statemachine.phases import Phase
 
-GROUND_WIDTH = 560
 HEIGHTS = (200, 520)  # of the view from above, whose two scales are the same
 LEAST_HEIGHT_M = 0.05  # a path that rises or falls less gets no side view
 WIDTH, HEIGHT, MARGIN = 640, 340, 22
 AZIMUTH_DEG, ELEVATION_DEG = -62.0, 24.0
 MOST_LARGER = 6.0  # height and width, compared to length
 FEET_GAP = 0.3  # of the length: how far apart the feet are drawn
-FLOOR, POST = "#c3cad1", "#6b747d"
+FLOOR, POST, TEXT = "#c3cad1", "#6b747d", "#3c444d"
 _MARKED: Final = (Phase.SWING, Phase.LOADING_RESPONSE)
 
 
@@ -56,13 +55,18 @@ def _from_above(data: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
     for foot, path in paths.items():
         color = foot_color(foot)
         plot.line(path.position_m[:, 0], path.position_m[:, 1], color, width=1.6, opacity=0.75)
-        places, titles = _stride_ends(data, foot, path)
+        strides = [stride for stride in data.record.strides if stride.foot == foot and stride.valid]
+        places = path.places_at(np.array([stride.t_end_ns for stride in strides], dtype=np.int64))
+        titles = [
+            f"{readable(foot)}, stride {stride.number}, {(stride.t_end_ns - data.origin_ns) / NS_PER_S:.1f} s: "
+            f"{stride.stride_length_m:.2f} m"
+            for stride in strides
+        ]
         plot.points(places[:, 0], places[:, 1], color, titles)
         parts.append(f"{readable(foot)} {path.distance_m:.1f} m, ends {path.closure_m:.2f} m from its start")
     plot.points(np.zeros(1), np.zeros(1), "#000000", ["start"], hollow=True)
-    return Figure(
+    return plot.figure(
         "Path over the ground, from above",
-        plot.render(),
         f"Distance from stance to stance: {'; '.join(parts)}. Points: ends of strides; hollow: the start, drawn in one "
         "place for every foot. Heading is the gyroscope's alone and drifts; on a treadmill this is the path over the "
         "belt.",
@@ -72,37 +76,21 @@ def _from_above(data: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
 def _heights(data: ReportData, paths: Mapping[str, GroundPath]) -> Figure:
     """Height over time; stances are level."""
     seconds = {foot: (path.t_ns - data.origin_ns) / NS_PER_S for foot, path in paths.items()}
-    plot = Plot(
-        "Height of the feet over time",
-        "time (s)",
-        "height above the start (m)",
-        padded(seconds.values(), share=0.02),
-        padded((path.position_m[:, 2] for path in paths.values()), zero=True),
-    )
+    x_range = padded(seconds.values(), share=0.02)
+    y_range = padded((path.position_m[:, 2] for path in paths.values()), zero=True)
+    plot = Plot("Height of the feet over time", "time (s)", "height above the start (m)", x_range, y_range)
     parts = []
     for foot, path in paths.items():
         plot.line(seconds[foot], path.position_m[:, 2], foot_color(foot), width=1.6)
         gained = [s.height_gained_m for s in data.record.strides if s.foot == foot and s.valid]
         usual = f", {100 * float(np.median(gained)):+.1f} cm in the median stride" if gained else ""
         parts.append(f"{readable(foot)} {path.height_gained_m:+.2f} m{usual}")
-    return Figure("Height gained", plot.render(), f"From start to end: {'; '.join(parts)}.")
-
-
-def _stride_ends(data: ReportData, foot: str, path: GroundPath) -> tuple[FloatArray, list[str]]:
-    """Where the valid strides of a foot end (M, 2), and a hover text for each."""
-    strides = [stride for stride in data.record.strides if stride.foot == foot and stride.valid]
-    places = path.places_at(np.array([stride.t_end_ns for stride in strides], dtype=np.int64))[:, :2]
-    titles = [
-        f"{readable(foot)}, stride {stride.number}, {(stride.t_end_ns - data.origin_ns) / NS_PER_S:.1f} s: "
-        f"{stride.stride_length_m:.2f} m"
-        for stride in strides
-    ]
-    return places, titles
+    return plot.figure("Height gained", f"From start to end: {'; '.join(parts)}.")
 
 
 def same_scale(x: tuple[float, float], y: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float], int]:
     """Ranges and the plot's height with which a metre is as long along x as along y; the smaller range is widened."""
-    across, least, most = GROUND_WIDTH - LEFT - RIGHT, *(height - TOP - BOTTOM for height in HEIGHTS)
+    across, least, most = svg.WIDTH - LEFT - RIGHT, *(height - TOP - BOTTOM for height in HEIGHTS)
     wide, tall = x[1] - x[0], y[1] - y[0]
     drawn = min(max(across * tall / wide, least), most)
     metre = min(across / wide, drawn / tall)
@@ -120,28 +108,13 @@ class SpaceFoot:
     marks: Sequence[int] = ()
 
 
-@dataclass(frozen=True)
-class _Line:
-    points: FloatArray  # (K, 3), drawn units
-    color: str
-    width: float
-    dash: str = ""
-
-
-@dataclass(frozen=True)
-class _Text:
-    place: FloatArray
-    text: str
-    color: str = "#3c444d"
-
-
 class SpaceFigure:
     """A figure and the numbers that the script turns it by."""
 
     def __init__(self, key: str, feet: Mapping[str, SpaceFoot], title: str, about: str) -> None:
         self.key = key
-        self._lines: list[_Line] = []
-        self._texts: list[_Text] = []
+        self._lines: list[tuple[FloatArray, str]] = []  # points (K, 3) in drawn units, how it is drawn
+        self._texts: list[tuple[FloatArray, str, str]] = []  # place (3,) in drawn units, text, colour
         length = max(float(np.ptp(foot.mean_m[:, 1])) for foot in feet.values()) or 1.0
         height = max(float(np.ptp(foot.mean_m[:, 2])) for foot in feet.values()) or 0.1 * length
         self._larger = max(1.0, min(MOST_LARGER, round(0.45 * length / height)))
@@ -161,64 +134,60 @@ class SpaceFigure:
             "key": self.key,
             "azimuth_deg": AZIMUTH_DEG,
             "elevation_deg": ELEVATION_DEG,
-            "lines": [np.round(line.points.T, 4).tolist() for line in self._lines],
-            "texts": [np.round(text.place, 4).tolist() for text in self._texts],
+            "lines": [np.round(points.T, 4).tolist() for points, _ in self._lines],
+            "texts": [np.round(place, 4).tolist() for place, _, _ in self._texts],
         }
+
+    def _line(self, points: FloatArray | list[list[float]], color: str, width: float, dash: str = "") -> None:
+        dashed = f' stroke-dasharray="{dash}"' if dash else ""
+        self._lines.append((np.asarray(points), f'stroke="{color}" stroke-width="{width:g}"{dashed}'))
 
     def _build(self, feet: Mapping[str, SpaceFoot], length: float) -> None:
         larger = np.array([self._larger, 1.0, self._larger])
-        middle = 0.5 * (len(feet) - 1)
-        ends = [
-            foot.mean_m * larger + np.array([(at - middle) * FEET_GAP * length, 0.0, 0.0])
-            for at, foot in enumerate(feet.values())
-        ]
+        sideways = FEET_GAP * length * (np.arange(len(feet)) - 0.5 * (len(feet) - 1))
+        ends = [foot.mean_m * larger + [aside, 0.0, 0.0] for aside, foot in zip(sideways, feet.values(), strict=True)]
         every = np.concatenate(ends)
         (left, near, _), (right, far, top) = every.min(axis=0), every.max(axis=0)
         self._floor(left - 0.06 * length, right + 0.06 * length, min(near, 0.0), far, top)
         for (name, foot), mean in zip(feet.items(), ends, strict=True):
             color, sd = foot_color(name), foot.sd_m * larger
-            self._lines.append(_Line(mean * np.array([1.0, 1.0, 0.0]), "#8a939c", 1.2))
-            self._lines += [_Line(mean + sign * sd, color, 1.1, "4 2") for sign in (1.0, -1.0)]
-            self._lines.append(_Line(mean, color, 3.2))
-            self._lines += [_Line(mean[[at, at]], color, 9.0) for at in foot.marks if 0 <= at < len(mean)]
-            self._texts.append(_Text(mean[-1] + np.array([0.0, 0.03 * length, 0.0]), readable(name), color))
+            self._line(mean * [1.0, 1.0, 0.0], "#8a939c", 1.2)
+            for sign in (1.0, -1.0):
+                self._line(mean + sign * sd, color, 1.1, "4 2")
+            self._line(mean, color, 3.2)
+            for at in foot.marks:
+                if 0 <= at < len(mean):
+                    self._line(mean[[at, at]], color, 9.0)
+            self._texts.append((mean[-1] + [0.0, 0.03 * length, 0.0], readable(name), color))
 
     def _floor(self, left: float, right: float, near: float, far: float, top: float) -> None:
-        steps = nice_ticks(near, max(far, near + 0.1), about=5)
-        for y in steps:
-            self._lines.append(_Line(np.array([[left, y, 0.0], [right, y, 0.0]]), FLOOR, 1.0))
-            self._texts.append(_Text(np.array([right + 0.06 * (right - left), y, 0.0]), f"{y:g} m"))
+        wide = right - left
+        for y in nice_ticks(near, max(far, near + 0.1), about=5):
+            self._line([[left, y, 0.0], [right, y, 0.0]], FLOOR, 1.0)
+            self._texts.append((np.array([right + 0.06 * wide, y, 0.0]), f"{y:g} m", TEXT))
         for x in (left, right):
-            self._lines.append(_Line(np.array([[x, near, 0.0], [x, far, 0.0]]), FLOOR, 1.0))
+            self._line([[x, near, 0.0], [x, far, 0.0]], FLOOR, 1.0)
         up_cm = [cm for cm in nice_ticks(0.0, max(100.0 * top / self._larger, 1.0), about=3) if cm > 0]
-        post = np.array([[left, near, 0.0], [left, near, self._larger * up_cm[-1] / 100 if up_cm else top]])
-        self._lines.append(_Line(post, POST, 1.4))
+        self._line([[left, near, 0.0], [left, near, self._larger * up_cm[-1] / 100 if up_cm else top]], POST, 1.4)
         for cm in up_cm:
             z = self._larger * cm / 100
-            self._lines.append(_Line(np.array([[left, near, z], [left + 0.03 * (right - left), near, z]]), POST, 1.4))
-            self._texts.append(_Text(np.array([left - 0.05 * (right - left), near, z]), f"{cm:g} cm"))
+            self._line([[left, near, z], [left + 0.03 * wide, near, z]], POST, 1.4)
+            self._texts.append((np.array([left - 0.05 * wide, near, z]), f"{cm:g} cm", TEXT))
 
     def _svg(self, label: str) -> str:
-        points = np.concatenate([line.points for line in self._lines] + [text.place[None] for text in self._texts])
-        flat = projected(points, math.radians(AZIMUTH_DEG), math.radians(ELEVATION_DEG))
+        every = [points for points, _ in self._lines] + [place[None] for place, _, _ in self._texts]
+        flat = projected(np.concatenate(every), math.radians(AZIMUTH_DEG), math.radians(ELEVATION_DEG))
         low, high = flat.min(axis=0), flat.max(axis=0)
         room = np.array([WIDTH - 4.0 * MARGIN, HEIGHT - 2.0 * MARGIN])
         scale = float((room / np.maximum(high - low, 1e-9)).min())
-        center = 0.5 * (low + high)
-        parts, at = [], 0
-
-        def placed(count: int) -> FloatArray:
-            own = (flat[at : at + count] - center) * scale * np.array([1.0, -1.0])
-            return np.asarray(own + np.array([WIDTH, HEIGHT]) / 2)
-
-        for line in self._lines:
-            path = "L".join(f"{x:.1f} {y:.1f}" for x, y in placed(len(line.points)).tolist())
-            dash = f' stroke-dasharray="{line.dash}"' if line.dash else ""
-            parts.append(f'<path d="M{path}" stroke="{line.color}" stroke-width="{line.width:g}"{dash}/>')
-            at += len(line.points)
-        for text in self._texts:
-            (x, y), at = placed(1)[0].tolist(), at + 1
-            parts.append(f'<text x="{x:.1f}" y="{y:.1f}" style="fill:{text.color}">{escape(text.text)}</text>')
+        drawn = (flat - 0.5 * (low + high)) * scale * np.array([1.0, -1.0]) + np.array([WIDTH, HEIGHT]) / 2
+        places = iter(drawn.tolist())
+        parts = []
+        for points, how in self._lines:
+            path = "L".join(f"{x:.1f} {y:.1f}" for x, y in islice(places, len(points)))
+            parts.append(f'<path d="M{path}" {how}/>')
+        for (_, text, color), (x, y) in zip(self._texts, places, strict=True):
+            parts.append(f'<text x="{x:.1f}" y="{y:.1f}" style="fill:{color}">{escape(text)}</text>')
         return (
             f'<svg class="plot space" data-space="{escape(self.key)}" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
             f'aria-label="{escape(label)}">{"".join(parts)}</svg>'
@@ -234,18 +203,13 @@ def projected(points: FloatArray, azimuth_rad: float, elevation_rad: float) -> F
 
 def space_figure(curves: Mapping[str, FootCurves]) -> SpaceFigure | None:
     """Of the project's own strides; None without any."""
-    feet = {foot: _turned(one) for foot, one in curves.items()}
-    if not feet:
-        return None
+    feet = {}
+    for foot, one in curves.items():  # from forward, left, up to right, along, up
+        mean, sd = one.path_m.mean(axis=0)[:, [1, 0, 2]] * [-1.0, 1.0, 1.0], spread_of(one.path_m)[:, [1, 0, 2]]
+        marks = [round(one.entries_percent[phase]) for phase in _MARKED if phase in one.entries_percent]
+        feet[foot] = SpaceFoot(mean, sd, one.count, marks)
     about = (
         "As Figure 5 of Wang et al. (2013), from the strides of this report, heel rise and foot flat brought together: "
         "x right, y along the stride, z up."
     )
-    return SpaceFigure("strides", feet, "Strides in three dimensions", about)
-
-
-def _turned(one: FootCurves) -> SpaceFoot:
-    """From forward, left, up to right, along, up."""
-    mean, sd = one.mean_path_m, one.sd_path_m
-    marks = [round(one.entries_percent[phase]) for phase in _MARKED if phase in one.entries_percent]
-    return SpaceFoot(np.column_stack((-mean[:, 1], mean[:, 0], mean[:, 2])), sd[:, [1, 0, 2]], one.count, marks)
+    return SpaceFigure("strides", feet, "Strides in three dimensions", about) if feet else None

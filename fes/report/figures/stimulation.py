@@ -1,7 +1,5 @@
 """Figures of the stimulation, the controller's latency, and the tuning: what it aimed at and what it set."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -13,7 +11,7 @@ from fes.report.stimulation import ChannelInfo
 from fes.report.strides import StrideStimulation
 from fes.report.summary import ReportData
 from fes.report.text import readable
-from fes.signals import NS_PER_S, FloatArray, IntArray
+from fes.signals import NS_PER_S
 
 CHANNEL_COLORS = ("#009E73", "#CC79A7", "#0072B2", "#E69F00", "#000000", "#D55E00", "#56B4E9", "#8C7A00")
 ENVELOPE_STEP_S = 0.01
@@ -33,15 +31,15 @@ def stimulation_figures(data: ReportData) -> list[Figure]:
         return []
     onset = _per_stride(data, "onset after pre-swing (ms)", lambda item: item.onset_after_pre_swing_ms, "ms")
     lasted = _per_stride(data, "time on in the stride (s)", lambda item: item.duration_s, "s")
-    envelopes = [_envelopes(data, info) for info in data.channels]
+    counted = "First command to stimulate, counted from the entry into pre-swing of the same foot."
     return [
-        Figure("Onset", onset, "First command to stimulate, counted from the entry into pre-swing of the same foot."),
-        Figure("Duration", lasted, "All bursts of a channel in the stride together."),
-        *(figure for figure in envelopes if figure is not None),
+        onset.figure("Onset", counted),
+        lasted.figure("Duration", "All bursts of a channel in the stride together."),
+        *(figure for info in data.channels if (figure := _envelopes(data, info)) is not None),
     ]
 
 
-def _per_stride(data: ReportData, label: str, pick: Callable[[StrideStimulation], float], unit: str) -> str:
+def _per_stride(data: ReportData, label: str, pick: Callable[[StrideStimulation], float], unit: str) -> Plot:
     chosen = {
         info: [(row, item) for row in data.summary.strides for item in row.stimulation if item.channel == info.number]
         for info in data.channels
@@ -53,27 +51,21 @@ def _per_stride(data: ReportData, label: str, pick: Callable[[StrideStimulation]
         y = np.array([pick(item) for _, item in own])
         titles = [f"{info.name}, {readable(row.foot)} {row.number}: {pick(item):.3g} {unit}" for row, item in own]
         plot.points(np.array([row.start_s for row, _ in own]), y, channel_color(info.number), titles)
-    return plot.render()
+    return plot
 
 
 def _envelopes(data: ReportData, info: ChannelInfo) -> Figure | None:
     """Current against time from the entry into swing, every stride faint and the mean bold."""
-    bursts = data.bursts[info.number]
-    strides = [
-        stride
-        for stride in data.record.strides
-        if stride.foot == info.foot and stride.t_swing_ns is not None and stride.t_pre_swing_ns is not None
+    entries = [
+        (one.t_swing_ns, one.t_pre_swing_ns, one.t_loading_response_ns)
+        for one in data.record.strides
+        if one.foot == info.foot and one.t_swing_ns is not None and one.t_pre_swing_ns is not None
     ]
-    if not bursts or not strides:
+    if not data.bursts[info.number] or not entries:
         return None
-    swing_ns = np.array([stride.t_swing_ns for stride in strides], dtype=np.int64)
-    pre_s = _relative(np.array([stride.t_pre_swing_ns or 0 for stride in strides], dtype=np.int64), swing_ns)
-    loading_s = np.array(
-        [
-            np.nan if stride.t_loading_response_ns is None else (stride.t_loading_response_ns - int(swing)) / NS_PER_S
-            for stride, swing in zip(strides, swing_ns, strict=True)
-        ]
-    )
+    swing_ns = np.array([swing for swing, _, _ in entries], dtype=np.int64)
+    pre_s = np.array([(pre - swing) / NS_PER_S for swing, pre, _ in entries])
+    loading_s = np.array([np.nan if end is None else (end - swing) / NS_PER_S for swing, _, end in entries])
     low = float(np.percentile(pre_s, 5)) - 0.15
     high = (float(np.nanpercentile(loading_s, 95)) if np.isfinite(loading_s).any() else 0.6) + 0.35
     grid_s = np.arange(low, high, ENVELOPE_STEP_S)
@@ -83,13 +75,9 @@ def _envelopes(data: ReportData, info: ChannelInfo) -> Figure | None:
     if not len(used):
         return None
     color = channel_color(info.number)
-    plot = Plot(
-        f"Current of {info.name} around the swing, {len(used)} strides",
-        "time from the entry into swing (s)",
-        "current (mA)",
-        (low, high),
-        (0.0, float(used.max()) * 1.25),
-    )
+    title = f"Current of {info.name} around the swing, {len(used)} strides"
+    top = float(used.max()) * 1.25
+    plot = Plot(title, "time from the entry into swing (s)", "current (mA)", (low, high), (0.0, top))
     for at in np.unique(np.linspace(0, len(used) - 1, min(len(used), FAINT_STRIDES)).round().astype(int)):
         plot.line(grid_s, used[at], color, width=0.8, opacity=0.3)
     plot.line(grid_s, used.mean(axis=0), color, width=3)
@@ -97,15 +85,8 @@ def _envelopes(data: ReportData, info: ChannelInfo) -> Figure | None:
     plot.upright(0.0, "#555555", "swing")
     if np.isfinite(loading_s).any():
         plot.upright(float(np.nanmean(loading_s)), "#555555", "loading response")
-    return Figure(
-        f"Envelope, {info.name}",
-        plot.render(),
-        f"{len(used)} strides with stimulation; bold: mean. Upright lines: mean entries into the phases.",
-    )
-
-
-def _relative(t_ns: IntArray, origin_ns: IntArray) -> FloatArray:
-    return np.asarray((t_ns - origin_ns) / NS_PER_S, dtype=np.float64)
+    caption = f"{len(used)} strides with stimulation; bold: mean. Upright lines: mean entries into the phases."
+    return plot.figure(f"Envelope, {info.name}", caption)
 
 
 def latency_figure(data: ReportData) -> Figure | None:
@@ -117,35 +98,27 @@ def latency_figure(data: ReportData) -> Figure | None:
     last = max(float(np.percentile(values_ms, 99.5)) * 1.15, 1e-3)
     counts, edges = np.histogram(values_ms, bins=LATENCY_BINS, range=(0.0, last))
     beyond = int((values_ms > last).sum())
-    plot = Plot(
-        "Histogram of the decision latency", "latency (ms)", "decisions", (0.0, last), (0.0, counts.max() * 1.15)
-    )
+    top = counts.max() * 1.15
+    plot = Plot("Histogram of the decision latency", "latency (ms)", "decisions", (0.0, last), (0.0, top))
     middle = (edges[:-1] + edges[1:]) / 2
     plot.bars(middle, np.zeros(LATENCY_BINS), counts.astype(np.float64), last / LATENCY_BINS * 0.9, "#56B4E9")
     plot.upright(latency.p50_ms, "#000000", "p50")
     plot.upright(latency.p99_ms, "#D55E00", "p99")
+    p50, p99, slowest = (f"{ms:.2f} ms" for ms in (latency.p50_ms, latency.p99_ms, latency.max_ms))
     more = f" {beyond} beyond the picture." if beyond else ""
-    return Figure(
-        "Decision latency",
-        plot.render(),
-        f"{latency.count} decisions: median {latency.p50_ms:.2f} ms, 99 % within {latency.p99_ms:.2f} ms, "
-        f"slowest {latency.max_ms:.2f} ms.{more}",
-    )
+    text = f"{latency.count} decisions: median {p50}, 99 % within {p99}, slowest {slowest}.{more}"
+    return plot.figure("Decision latency", text)
 
 
 def tuning_figures(data: ReportData) -> list[Figure]:
     """For each tuned channel toe clearance with its target and current per stride; none where nothing is tuned."""
-    tuned = [
-        channel
-        for channel in (data.settings.channels if data.settings else ())
-        if channel.tuning is not None and channel.tuning.mode != "off"
-    ]
-    return [figure for channel in tuned for figure in _tuning_of_channel(data, channel)]
+    channels = data.settings.channels if data.settings else ()
+    return [figure for channel in channels for figure in _tuning_of_channel(data, channel)]
 
 
 def _tuning_of_channel(data: ReportData, channel: Channel) -> list[Figure]:
     rows = [row for row in data.summary.strides if row.foot == channel.foot]
-    if not rows or channel.tuning is None:
+    if not rows or channel.tuning is None or channel.tuning.mode == "off":
         return []
     start_s = np.array([row.start_s for row in rows])
     x_range = padded([start_s], share=0.03)
@@ -160,30 +133,16 @@ def _tuning_of_channel(data: ReportData, channel: Channel) -> list[Figure]:
         plot.band(whole, np.full(2, edges[0]), np.full(2, edges[1]), BAND_COLOR)
         titles = [f"stride {row.number}: {row.toe_clearance_cm:.1f} cm" for row in rows]
         plot.points(start_s, toe_cm, channel_color(channel.number), titles)
-        figures.append(
-            Figure(
-                f"Toe clearance and target, {channel.name}",
-                plot.render(),
-                "As measured in each stride; the band is the tuning's target.",
-            )
-        )
-    peak_ma = np.array(
-        [
-            max((i.peak_current_ma for i in row.stimulation if i.channel == channel.number), default=np.nan)
-            for row in rows
-        ]
-    )
+        caption = "As measured in each stride; the band is the tuning's target."
+        figures.append(plot.figure(f"Toe clearance and target, {channel.name}", caption))
+    own = [[item.peak_current_ma for item in row.stimulation if item.channel == channel.number] for row in rows]
+    peak_ma = np.array([max(each, default=np.nan) for each in own])
     if np.isfinite(peak_ma).any():
         plot = Plot("peak current per stride", "time (s)", "peak current (mA)", x_range, padded([peak_ma], zero=True))
         plot.line(start_s, peak_ma, channel_color(channel.number), width=2.0)
         at_s = np.array([row.time_s for row in changes])
         level_ma = np.interp(at_s, start_s[np.isfinite(peak_ma)], peak_ma[np.isfinite(peak_ma)])
         plot.points(at_s, level_ma, CHANGE_COLOR, [row.text for row in changes])
-        figures.append(
-            Figure(
-                f"What the tuning set, {channel.name}",
-                plot.render(),
-                f"Greatest current of each stride; marked: {len(changes)} changes, with their reasons to hover over.",
-            )
-        )
+        caption = f"Greatest current of each stride; marked: {len(changes)} changes, with their reasons to hover over."
+        figures.append(plot.figure(f"What the tuning set, {channel.name}", caption))
     return figures

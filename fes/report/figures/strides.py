@@ -6,17 +6,14 @@ foot sensors from stance to stance, left foot to the left, right foot to the rig
 sides can be compared at a glance. Where the feet stand to each other is not known and not shown.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
 from fes.report.figures.svg import Figure, Plot, padded
-from fes.report.gait import POINTS, FootCurves, spread_of
+from fes.report.gait import POINTS, FootCurves, by_distance, spread_of
 from fes.report.quality import LOST, UNSURE, Flag, describe_flags
-from fes.report.strides import StrideRow
 from fes.report.summary import ReportData
 from fes.report.text import count_of, readable
 from fes.signals import FloatArray
@@ -32,22 +29,13 @@ NO_FLAGS: Final[Flags] = {}
 STRIP_SHARE = 0.065  # of the plot's height: a foot's phases
 DASHES: Final = {"right_foot": "9 4"}  # so that the feet differ in grey, too
 _CURVES: Final[tuple[tuple[str, str, Callable[[FootCurves], FloatArray], str], ...]] = (
+    ("Height", "height (cm)", lambda one: 100.0 * one.path_m[:, :, 2], "Height of the sensor above the stance before."),
     (
-        "Height over the stride",
-        "height (cm)",
-        lambda one: 100.0 * one.path_m[:, :, 2],
-        "Height of the sensor above the stance before.",
-    ),
-    (
-        "Pitch over the stride",
-        "pitch (°), toe up +",
-        lambda one: np.degrees(one.pitch_rad),
+        *("Pitch", "pitch (°), toe up +", lambda one: np.degrees(one.pitch_rad)),
         "Rotation of the foot about the axis across it; 0° is the stance before.",
     ),
     (
-        "Forward speed over the stride",
-        "forward speed (m/s)",
-        lambda one: one.speed_mps,
+        *("Forward speed", "forward speed (m/s)", lambda one: one.speed_mps),
         "Speed of the sensor along the stride, over the ground (on a treadmill: over the belt).",
     ),
 )
@@ -80,8 +68,8 @@ def stride_figures(data: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
     ringed = f" Ringed, with care: {described}." if (described := describe_flags(care.values())) else ""
     height = "Greatest height of the sensor above its start."
     return [
-        Figure("Stride length", length.render(), f"{legend} {lengths}.{ringed}"),
-        Figure("Clearance", clearance.render(), f"{height} {legend} {clearances}.{ringed}"),
+        length.figure("Stride length", f"{legend} {lengths}.{ringed}"),
+        clearance.figure("Clearance", f"{height} {legend} {clearances}.{ringed}"),
     ]
 
 
@@ -116,105 +104,63 @@ def _per_stride(
 
 def phase_figures(data: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
     """Per foot: how long each phase of each stride lasted, stacked; strides with a flag that tells on times ringed."""
-    figures = []
-    for foot in data.timelines:
-        rows = [row for row in data.summary.strides if row.foot == foot]
-        if rows:
-            care = {
-                row.number: own
-                for row in rows
-                if (own := [f for f in flags.get((foot, row.number), ()) if f.kind in (LOST, UNSURE)])
-            }
-            figures.append(_phase_bars(foot, rows, care))
-    return figures
+    return [
+        _phase_figure(data, foot, flags) for foot in data.timelines if foot in {r.foot for r in data.summary.strides}
+    ]
 
 
-def _phase_bars(foot: str, rows: Sequence[StrideRow], care: Mapping[int, Sequence[Flag]]) -> Figure:
-    layers = {
-        "pre_swing": np.array([row.pre_swing_s for row in rows]),
-        "swing": np.array([row.swing_s for row in rows]),
-        "loading_response": np.array([row.loading_response_s for row in rows]),
-        "stance": np.array([np.nan if row.stance_is_standing else row.stance_s for row in rows]),
-    }
+def _phase_figure(data: ReportData, foot: str, flags: Flags) -> Figure:
+    rows = [row for row in data.summary.strides if row.foot == foot]
+    kinds = (LOST, UNSURE)
+    told = {row.number: [flag for flag in flags.get((foot, row.number), ()) if flag.kind in kinds] for row in rows}
+    layers = {phase: np.array([getattr(row, f"{phase}_s") for row in rows]) for phase in PHASE_COLORS}
+    layers["stance"][[row.stance_is_standing for row in rows]] = np.nan
     number = np.array([float(row.number) for row in rows])
-    top = np.sum([np.nan_to_num(values) for values in layers.values()], axis=0)
-    plot = Plot(
-        f"Phase durations of every stride, {readable(foot)}",
-        "stride number",
-        "time since heel rise (s)",
-        (float(number.min()) - 0.7, float(number.max()) + 0.7),
-        padded([top], zero=True),
-    )
-    floor = np.zeros(len(rows))
-    for phase, values in layers.items():
-        height = np.nan_to_num(values)
-        plot.bars(number, floor, floor + height, 0.84, PHASE_COLORS[phase], readable(phase))
-        floor = floor + height
-    ringed = np.array([row.number in care for row in rows])
-    plot.rings(number[ringed], floor[ringed], RING_COLOR)
-    ringed_care = f" Ringed, with care: {flaws}." if (flaws := describe_flags(care.values())) else ""
-    return Figure(
-        f"Phase durations, {readable(foot)}",
-        plot.render(),
-        "From below: pre-swing, swing, loading response, stance. Stances over 3 s are standing, not drawn."
-        f"{ringed_care}",
-    )
-
-
-def dash_of(foot: str) -> str:
-    """How a foot's mean is drawn: the right one's is dashed."""
-    return DASHES.get(foot, "")
+    floors = np.cumsum([np.zeros(len(rows)), *map(np.nan_to_num, layers.values())], axis=0)
+    name, ends = readable(foot), (float(number.min()) - 0.7, float(number.max()) + 0.7)
+    y_range = padded([floors[-1]], zero=True)
+    plot = Plot(f"Phase durations of every stride, {name}", "stride number", "time since heel rise (s)", ends, y_range)
+    for phase, low, high in zip(layers, floors[:-1], floors[1:], strict=True):
+        plot.bars(number, low, high, 0.84, PHASE_COLORS[phase], readable(phase))
+    ringed = np.array([bool(told[row.number]) for row in rows])
+    plot.rings(number[ringed], floors[-1][ringed], RING_COLOR)
+    care = f" Ringed, with care: {flaws}." if (flaws := describe_flags(told.values())) else ""
+    text = "From below: pre-swing, swing, loading response, stance. Stances over 3 s are standing, not drawn."
+    return plot.figure(f"Phase durations, {name}", text + care)
 
 
 def curve_figures(curves: Mapping[str, FootCurves], care: str = "") -> list[Figure]:
     """Height, pitch and forward speed over the stride; ``care``: a sentence on the strides' flags."""
-    return [_figure(curves, *one, care) for one in _CURVES] if curves else []
-
-
-def _figure(
-    curves: Mapping[str, FootCurves],
-    title: str,
-    label: str,
-    values_of: Callable[[FootCurves], FloatArray],
-    about: str,
-    care: str,
-) -> Figure:
-    every = {foot: values_of(one) for foot, one in curves.items()}
-    means = {foot: values.mean(axis=0) for foot, values in every.items()}
-    spreads = {foot: spread_of(values) for foot, values in every.items()}
-    edges = [means[foot] + sign * spreads[foot] for foot in every for sign in (-1.0, 1.0)]
-    low, high = padded(edges, zero=True, share=0.05)
-    floor = low - (high - low) * STRIP_SHARE * (len(every) + 0.5)
-    share = np.linspace(0.0, 100.0, next(iter(means.values())).size)
-    plot = Plot(
-        f"{title}, mean and standard deviation",
-        "stride (%), from mid-stance to mid-stance",
-        label,
-        (0.0, 100.0),
-        (floor, high),
-        ticks_from=low,
-    )
-    for foot in every:
-        plot.band(share, means[foot] - spreads[foot], means[foot] + spreads[foot], foot_color(foot), 0.25)
-    for foot in every:
-        plot.line(share, means[foot], foot_color(foot), width=2.6, dash=dash_of(foot))
-    _strips(plot, curves, floor, (high - low) * STRIP_SHARE)
     counts = ", ".join(f"{readable(foot)} {count_of(one.count, 'stride')}" for foot, one in curves.items())
-    return Figure(
-        title,
-        plot.render(),
-        f"{about} Mean (right dashed) and ±1 SD: {counts}, "
-        f"heel rise and foot flat brought together. Below: mean phases.{care}",
-    )
+    figures = []
+    for name, label, values_of, about in _CURVES if curves else ():
+        spreads = {foot: (values_of(one).mean(axis=0), spread_of(values_of(one))) for foot, one in curves.items()}
+        bands = {foot: (mean - sd, mean + sd) for foot, (mean, sd) in spreads.items()}
+        low, high = padded([edge for band in bands.values() for edge in band], zero=True, share=0.05)
+        floor = low - (high - low) * STRIP_SHARE * (len(curves) + 0.5)
+        title, across = f"{name} over the stride", "stride (%), from mid-stance to mid-stance"
+        y_range = (floor, high)
+        plot = Plot(f"{title}, mean and standard deviation", across, label, (0.0, 100.0), y_range, ticks_from=low)
+        share = np.linspace(0.0, 100.0, POINTS)
+        for foot, band in bands.items():
+            plot.band(share, *band, foot_color(foot), 0.25)
+        for foot, (mean, _) in spreads.items():
+            plot.line(share, mean, foot_color(foot), width=2.6, dash=DASHES.get(foot, ""))
+        _strips(plot, curves, floor, (high - low) * STRIP_SHARE)
+        caption = (
+            f"{about} Mean (right dashed) and ±1 SD: {counts}, heel rise and foot flat brought together. "
+            f"Below: mean phases.{care}"
+        )
+        figures.append(plot.figure(title, caption))
+    return figures
 
 
 def _strips(plot: Plot, curves: Mapping[str, FootCurves], floor: float, height: float) -> None:
     """The mean phases of each foot as a bar along the bottom, left above right."""
-    order = (Phase.PRE_SWING, Phase.SWING, Phase.LOADING_RESPONSE, Phase.STANCE)
     for at, (foot, one) in enumerate(reversed(list(curves.items()))):
         base = floor + at * height
         entries = [(0.0, Phase.STANCE)]
-        entries += [(one.entries_percent[phase], phase) for phase in order if phase in one.entries_percent]
+        entries += [(percent, phase) for phase, percent in one.entries_percent.items()]
         for (begin, phase), (end, _) in zip(entries, [*entries[1:], (100.0, Phase.STANCE)], strict=True):
             span = np.clip(np.array([begin, end]), 0.0, 100.0)
             low, high = np.full(2, base + 0.08 * height), np.full(2, base + 0.92 * height)
@@ -233,34 +179,15 @@ def butterfly_figures(curves: Mapping[str, FootCurves], care: str = "") -> list[
     return [_from_the_side(name, distances, legend), _from_above(name, distances, legend)]
 
 
-def outward(foot: str) -> float:
-    """Which sign makes a sideways distance, left positive, one to the outside of this foot."""
-    return -1.0 if foot.startswith("right") else 1.0
-
-
 def _by_distance(one: FootCurves) -> FloatArray | None:
-    """(S, POINTS, 3): forward (m), outward (cm), height (cm) at equal shares of each stride's distance; None if 0.
-
-    By place and not by time: a foot that waits longer in stance would else smear the mean over the swing.
-    """
-    share = np.linspace(0.0, 1.0, POINTS)
-    forward = np.maximum.accumulate(one.path_m[:, :, 0], axis=1)
-    rows = []
-    for ahead, path in zip(forward, one.path_m, strict=True):
-        if ahead[-1] > ahead[0]:
-            x = ahead[0] + share * (ahead[-1] - ahead[0])
-            sideways = outward(one.foot) * np.interp(x, ahead, path[:, 1])
-            rows.append(np.column_stack((x, 100.0 * sideways, 100.0 * np.interp(x, ahead, path[:, 2]))))
-    return np.array(rows) if rows else None
-
-
-def _wing(foot: str) -> float:
-    """The left foot's wing is on the left."""
-    return -1.0 if foot.startswith("left") else 1.0
+    """(S, POINTS, 3): forward (m), outward (cm), height (cm) at equal shares of each stride's distance; None if 0."""
+    outward = -100.0 if one.foot.startswith("right") else 100.0
+    paths = [path * [1.0, outward, 100.0] for each in one.path_m if (path := by_distance(each)) is not None]
+    return np.array(paths) if paths else None
 
 
 def _from_the_side(name: str, distances: Mapping[str, FloatArray], legend: str) -> Figure:
-    sides = {foot: _wing(foot) * paths[:, :, 0] for foot, paths in distances.items()}
+    sides = _wings(distances, 0)
     plot = Plot(
         f"{name} of the swing paths seen from the side",
         _ends(distances, "forward (m)"),
@@ -269,19 +196,18 @@ def _from_the_side(name: str, distances: Mapping[str, FloatArray], legend: str) 
         padded((paths[:, :, 2] for paths in distances.values()), zero=True),
         mirrored=True,
     )
-    no_force = NO_FORCE if len(distances) > 1 else ""
     for foot, paths in distances.items():
         color, x, height = foot_color(foot), sides[foot], paths[:, :, 2]
-        for at in _picked(len(paths)):
-            plot.line(x[at], height[at], color, width=0.8, opacity=0.2)
+        _faint(plot, x, height, color)
         mean, sd = height.mean(axis=0), spread_of(height)
         plot.band(x.mean(axis=0), mean - sd, mean + sd, color, 0.32)
-        plot.line(x.mean(axis=0), mean, color, width=3, dash=dash_of(foot))
-    return Figure(f"{name}, from the side", plot.render(), f"{legend} Height is drawn larger than length. {no_force}")
+        plot.line(x.mean(axis=0), mean, color, width=3, dash=DASHES.get(foot, ""))
+    no_force = NO_FORCE if len(distances) > 1 else ""
+    return plot.figure(f"{name}, from the side", f"{legend} Height is drawn larger than length. {no_force}")
 
 
 def _from_above(name: str, distances: Mapping[str, FloatArray], legend: str) -> Figure:
-    sides = {foot: _wing(foot) * paths[:, :, 1] for foot, paths in distances.items()}
+    sides = _wings(distances, 1)
     most = max(float(np.abs(values).max()) for values in sides.values()) * 1.1 or 1.0
     plot = Plot(
         f"{name} of the swing paths seen from above",
@@ -294,23 +220,24 @@ def _from_above(name: str, distances: Mapping[str, FloatArray], legend: str) -> 
     plot.upright(0.0, "#555555", "")
     for foot, paths in distances.items():
         color, x, ahead = foot_color(foot), sides[foot], paths[:, :, 0]
-        for at in _picked(len(paths)):
-            plot.line(x[at], ahead[at], color, width=0.8, opacity=0.2)
+        _faint(plot, x, ahead, color)
         mean, sd, along = x.mean(axis=0), spread_of(x), ahead.mean(axis=0)
         plot.area(np.append(mean - sd, (mean + sd)[::-1]), np.append(along, along[::-1]), color, 0.32)
-        plot.line(mean, along, color, width=3, dash=dash_of(foot))
-    return Figure(
-        f"{name}, from above",
-        plot.render(),
-        f"{legend} A wing that bulges is circumduction; one that crosses the middle went inwards. Width is drawn "
-        "larger than length.",
-    )
+        plot.line(mean, along, color, width=3, dash=DASHES.get(foot, ""))
+    how = "A wing that bulges is circumduction; one that crosses the middle went inwards."
+    return plot.figure(f"{name}, from above", f"{legend} {how} Width is drawn larger than length.")
+
+
+def _wings(distances: Mapping[str, FloatArray], axis: int) -> dict[str, FloatArray]:
+    """One axis of the paths, the left foot's to the left."""
+    return {foot: (-1.0 if foot.startswith("left") else 1.0) * paths[:, :, axis] for foot, paths in distances.items()}
 
 
 def _ends(distances: Mapping[str, FloatArray], label: str) -> str:
     return f"◀ left foot · {label} · right foot ▶" if len(distances) > 1 else label
 
 
-def _picked(count: int) -> list[int]:
-    places = np.linspace(0, count - 1, min(count, BUTTERFLY_FAINT_STRIDES))
-    return list(np.unique(places.round().astype(int)))
+def _faint(plot: Plot, x: FloatArray, y: FloatArray, color: str) -> None:
+    """Some of the single strides, evenly picked."""
+    for at in np.unique(np.linspace(0, len(x) - 1, min(len(x), BUTTERFLY_FAINT_STRIDES)).round().astype(int)):
+        plot.line(x[at], y[at], color, width=0.8, opacity=0.2)

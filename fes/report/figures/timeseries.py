@@ -1,7 +1,5 @@
 """Signals for the zoomable plots: even grids, least and greatest value per bin, packed into 16-bit numbers."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping
 from typing import Any
@@ -11,10 +9,10 @@ import numpy as np
 from fes.report.figures.stimulation import channel_color
 from fes.report.figures.strides import PHASE_COLORS, foot_color
 from fes.report.quality import SensorFlags, sample_times
-from fes.report.stimulation import ChannelInfo, PhaseTimeline
+from fes.report.stimulation import PhaseTimeline
 from fes.report.summary import ReportData
 from fes.report.text import readable
-from fes.signals import NS_PER_S, FloatArray, IntArray
+from fes.signals import NS_PER_S, FloatArray
 from fes.walk_record import SampleArrays
 from statemachine.phases import Phase
 
@@ -41,15 +39,23 @@ def chart_data(data: ReportData, sensors: Mapping[str, SensorFlags] | None = Non
     ]
     count = int(seconds * points_per_s) + 1
     grid_ns = data.origin_ns + (np.arange(count) * (NS_PER_S // points_per_s)).astype(np.int64)
-    channels = [_channel(data, info, grid_ns) for info in data.channels]
+    channels = [
+        {
+            "name": info.name,
+            "color": channel_color(info.number),
+            "current_ma": pack(data.commands[info.number].current_at(grid_ns)),
+        }
+        for info in data.channels
+    ]
+    # the first window begins just before the first stimulation, or else the first stride
+    bursts = [(burst.t_start_ns - data.origin_ns) / NS_PER_S - 3.0 for own in data.bursts.values() for burst in own]
+    strides = [row.start_s - 0.5 for row in data.summary.strides]
     return {
         "duration_s": seconds,
-        "opening_s": _opening_s(data),
+        "opening_s": max(0.0, min(bursts or strides or [0.0])),
         "feet": feet,
         "current": {"start_s": 0.0, "step_s": 1.0 / points_per_s, "count": count, "channels": channels},
-        "phases": [
-            {"name": readable(phase.name.lower()), "color": PHASE_COLORS[phase.name.lower()]} for phase in Phase
-        ],
+        "phases": [{"name": readable(name), "color": PHASE_COLORS[name]} for name in (p.name.lower() for p in Phase)],
     }
 
 
@@ -109,15 +115,6 @@ def main_axis_rate_radps(samples: SampleArrays, timeline: PhaseTimeline) -> tupl
     return (rate if pushing.mean() >= 0 else -rate), True
 
 
-def _opening_s(data: ReportData) -> float:
-    """Where the first window begins: just before the first stimulation, or else the first stride."""
-    bursts = [
-        (burst.t_start_ns - data.origin_ns) / NS_PER_S - 3.0 for all_of in data.bursts.values() for burst in all_of
-    ]
-    strides = [row.start_s - 0.5 for row in data.summary.strides]
-    return max(0.0, min(bursts or strides or [0.0]))
-
-
 def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points_per_s: int) -> dict[str, Any]:
     t_ns = sample_times(samples)
     t_s = (t_ns - origin_ns) / NS_PER_S
@@ -138,19 +135,7 @@ def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points
         "toe_down_positive": signed,
         "gyr_degps": pack(gyr_even),
         "acc_mps2": pack(acc_even),
-        "phase_start_s": _rounded((timeline.start_ns - origin_ns) / NS_PER_S),
-        "phase_end_s": _rounded((timeline.end_ns - origin_ns) / NS_PER_S),
+        "phase_start_s": [round(value, 4) for value in ((timeline.start_ns - origin_ns) / NS_PER_S).tolist()],
+        "phase_end_s": [round(value, 4) for value in ((timeline.end_ns - origin_ns) / NS_PER_S).tolist()],
         "phase": timeline.phase.tolist(),
     }
-
-
-def _channel(data: ReportData, info: ChannelInfo, grid_ns: IntArray) -> dict[str, Any]:
-    return {
-        "name": info.name,
-        "color": channel_color(info.number),
-        "current_ma": pack(data.commands[info.number].current_at(grid_ns)),
-    }
-
-
-def _rounded(values: FloatArray) -> list[float]:
-    return [round(value, 4) for value in values.tolist()]

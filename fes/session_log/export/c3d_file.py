@@ -9,8 +9,6 @@ C3D has one rate for all and no missing analog values: sensors are interpolated 
 ``….Present`` is 0 where a gap was filled with zeros.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,8 +17,8 @@ from typing import Any, Final
 import numpy as np
 
 from fes.session_log import read_session
-from fes.session_log.export.tables import ANOTHER, Exported
-from fes.session_log.record import SessionLogError, SessionRecord, not_made
+from fes.session_log.export.tables import ANOTHER, Exported, library_missing
+from fes.session_log.framing import SessionLogError, SessionRecord, not_made
 from fes.signals import FloatArray, IntArray, StimCommand, StrideResult
 from fes.walk_record import SampleArrays
 from statemachine.phases import Phase, PhaseChange
@@ -30,6 +28,8 @@ MAX_FRAMES: Final = 65_535  # the format counts frames in 16 bits
 LONGEST_GAP: Final = 2.5  # usual intervals; beyond it samples are missing
 _EVENTS: Final = {Phase.SWING: "Foot Off", Phase.LOADING_RESPONSE: "Foot Strike", Phase.STANCE: "Foot Strike"}
 _AXES: Final = "XYZ"
+Channel = tuple[str, str, FloatArray]  # label, unit, values
+FootEvent = tuple[float, str, str]  # s, foot, what
 
 
 def to_c3d(log: Path, target: Path) -> Exported:
@@ -42,9 +42,7 @@ def to_c3d(log: Path, target: Path) -> Exported:
     try:
         import ezc3d
     except ImportError as error:
-        raise SessionLogError(
-            f"C3D needs a library that is not installed: pip install 'fes-gait[{EXTRA}]', or convert to csv or parquet"
-        ) from error
+        raise library_missing("C3D", EXTRA) from error
     if target.exists():
         raise not_made(target, FileExistsError(), ANOTHER)
     record = read_session(log)
@@ -67,32 +65,30 @@ def _fill(file: Any, log: Path, record: SessionRecord, sensors: dict[str, Sample
     times = {sensor: _sampled_at_s(arrays) for sensor, arrays in sensors.items()}
     begin_s = min(float(at[0]) for at in times.values())
     seconds = max(float(at[-1]) for at in times.values()) - begin_s
-    rate_hz = max(_rate_hz(at) for at in times.values())
+    rate_hz = 1.0 / min(float(np.median(np.diff(at))) for at in times.values())
+    rate_hz = float(round(rate_hz)) if abs(rate_hz - round(rate_hz)) < 0.01 * rate_hz else rate_hz
     frames = math.floor(seconds * rate_hz) + 1
     per_frame = math.ceil(frames / MAX_FRAMES)
     frames = frames // per_frame
     if frames < 2 or per_frame > MAX_FRAMES:
         raise SessionLogError(f"{log}: {seconds:.3g} s at {rate_hz:.4g} Hz cannot be held by a C3D file")
     grid_s = begin_s + np.arange(frames * per_frame) / rate_hz
-    labels, units, rows = [], [], []
-
-    def channel(label: str, unit: str, values: FloatArray) -> None:
-        labels.append(label)
-        units.append(unit)
-        rows.append(values)
-
+    channels: list[Channel] = []
     for sensor, arrays in sensors.items():
         present = _present(times[sensor], grid_s)
         for what, unit, values in (("Acc", "m/s^2", arrays.acc_mps2), ("Gyr", "rad/s", arrays.gyr_radps)):
             for axis, letter in enumerate(_AXES):
                 column = np.interp(grid_s, times[sensor], np.nan_to_num(values[:, axis], posinf=0.0, neginf=0.0))
-                channel(f"{sensor}.{what}{letter}", unit, np.where(present, column, 0.0))
-        channel(f"{sensor}.Present", "", present.astype(np.float64))
+                channels.append((f"{sensor}.{what}{letter}", unit, np.where(present, column, 0.0)))
+        channels.append((f"{sensor}.Present", "", present.astype(np.float64)))
     for foot in sorted({change.foot for change in record.phases}):
-        channel(f"{foot}.Phase", "", _phases([one for one in record.phases if one.foot == foot], grid_s))
+        changes = [change for change in record.phases if change.foot == foot]
+        phases = np.array([float(change.destination) for change in changes])
+        held, _ = _held(changes, phases, grid_s, before=float(changes[0].source))
+        channels.append((f"{foot}.Phase", "", held))
     for number in sorted({command.channel for command in record.commands}):
         own = [command for command in record.commands if command.channel == number]
-        channel(f"stimulation.{number}", "mA", _currents(own, grid_s))
+        channels.append((f"stimulation.{number}", "mA", _currents(own, grid_s)))
     frame_s = grid_s[::per_frame]
     feet = sorted({stride.foot for stride in record.strides if len(stride.pitch_rad)})
     points = np.full((4, len(feet), frames), np.nan)
@@ -104,22 +100,12 @@ def _fill(file: Any, log: Path, record: SessionRecord, sensors: dict[str, Sample
         for one in record.phases
         if one.destination in _EVENTS and (one.destination != Phase.STANCE or one.source == Phase.SWING)
     )
-    _parameters(file, rate_hz, per_frame, feet, labels, units, events)
+    _parameters(file, rate_hz, per_frame, feet, channels, events)
     file["data"]["points"] = points
-    file["data"]["analogs"] = np.asarray(rows)[np.newaxis]
-    header = record.header
-    return Exported(
-        header,
-        record.summary,
-        record.complete,
-        rows={
-            "analog channels": len(labels),
-            "analog samples": len(grid_s),
-            "points": len(feet),
-            "events": len(events),
-        },
-        begin_ns=round(1e9 * begin_s),
-    )
+    file["data"]["analogs"] = np.asarray([values for _, _, values in channels])[np.newaxis]
+    counts = {"analog channels": len(channels), "analog samples": len(grid_s)}
+    counts |= {"points": len(feet), "events": len(events)}
+    return Exported(record.header, record.summary, record.complete, rows=counts, begin_ns=round(1e9 * begin_s))
 
 
 def _sampled_at_s(arrays: SampleArrays) -> FloatArray:
@@ -137,11 +123,6 @@ def _sampled_at_s(arrays: SampleArrays) -> FloatArray:
     return increasing
 
 
-def _rate_hz(t_s: FloatArray) -> float:
-    rate_hz = 1.0 / float(np.median(np.diff(t_s)))
-    return float(round(rate_hz)) if abs(rate_hz - round(rate_hz)) < 0.01 * rate_hz else rate_hz
-
-
 def _present(t_s: FloatArray, grid_s: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
     """(M,) whether a sample was there: between two that are no more than a few intervals apart."""
     after = np.clip(np.searchsorted(t_s, grid_s), 1, len(t_s) - 1)
@@ -150,24 +131,19 @@ def _present(t_s: FloatArray, grid_s: FloatArray) -> np.ndarray[Any, np.dtype[np
     return inside
 
 
-def _held(t_s: FloatArray, values: FloatArray, grid_s: FloatArray, before: float) -> tuple[FloatArray, IntArray]:
+def _held(
+    told: Sequence[PhaseChange | StimCommand], values: FloatArray, grid_s: FloatArray, *, before: float
+) -> tuple[FloatArray, IntArray]:
     """The last value at each time of the grid, and which one that is (-1: none yet)."""
-    which = np.searchsorted(t_s, grid_s, side="right") - 1
-    held: FloatArray = np.where(which >= 0, values[which], before)
-    return held, which
-
-
-def _phases(changes: Sequence[PhaseChange], grid_s: FloatArray) -> FloatArray:
-    t_s = np.array([1e-9 * one.t_ns for one in changes])
-    phases = np.array([float(one.destination) for one in changes])
-    return _held(t_s, phases, grid_s, float(changes[0].source))[0]
+    which = np.searchsorted(np.array([1e-9 * one.t_ns for one in told]), grid_s, side="right") - 1
+    return np.where(which >= 0, values[which], before), which
 
 
 def _currents(commands: Sequence[StimCommand], grid_s: FloatArray) -> FloatArray:
     """(M,) mA: what the newest command asks for while it is valid."""
-    t_s = np.array([1e-9 * one.t_ns for one in commands])
-    current_ma, which = _held(t_s, np.array([one.current_ma * one.on for one in commands]), grid_s, 0.0)
-    until_s = t_s + np.array([1e-3 * one.validity_ms for one in commands])
+    asked_ma = np.array([one.current_ma * one.on for one in commands])
+    current_ma, which = _held(commands, asked_ma, grid_s, before=0.0)
+    until_s = np.array([1e-9 * one.t_ns + 1e-3 * one.validity_ms for one in commands])
     return np.where((which >= 0) & (grid_s <= until_s[which]), current_ma, 0.0)
 
 
@@ -186,22 +162,15 @@ def _trajectories(strides: Sequence[StrideResult], frame_s: FloatArray) -> Float
 
 
 def _parameters(
-    file: Any,
-    rate_hz: float,
-    per_frame: int,
-    feet: Sequence[str],
-    labels: Sequence[str],
-    units: Sequence[str],
-    events: Sequence[tuple[float, str, str]],
+    file: Any, rate_hz: float, per_frame: int, feet: list[str], channels: list[Channel], events: list[FootEvent]
 ) -> None:
-    groups = file["parameters"]
-    groups["POINT"]["RATE"]["value"] = [rate_hz / per_frame]
-    groups["POINT"]["LABELS"]["value"] = [f"{foot}.sensor" for foot in feet]
-    groups["POINT"]["DESCRIPTIONS"]["value"] = ["sensor, from the start of each stride" for _ in feet]
-    groups["POINT"]["UNITS"]["value"] = ["mm"]
-    groups["ANALOG"]["RATE"]["value"] = [rate_hz]
-    groups["ANALOG"]["LABELS"]["value"] = list(labels)
-    groups["ANALOG"]["UNITS"]["value"] = list(units)
+    points: dict[str, list[Any]] = {"RATE": [rate_hz / per_frame], "LABELS": [f"{foot}.sensor" for foot in feet]}
+    points |= {"DESCRIPTIONS": ["sensor, from the start of each stride" for _ in feet], "UNITS": ["mm"]}
+    analog: dict[str, list[Any]] = {"RATE": [rate_hz], "LABELS": [label for label, _, _ in channels]}
+    analog["UNITS"] = [unit for _, unit, _ in channels]
+    for group, values in (("POINT", points), ("ANALOG", analog)):
+        for name, value in values.items():
+            file["parameters"][group][name]["value"] = value
     file.add_parameter("EVENT", "USED", [len(events)])
     if events:
         minutes = [math.floor(t_s / 60.0) for t_s, _, _ in events]

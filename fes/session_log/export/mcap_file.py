@@ -4,25 +4,19 @@ A topic for each table, ``/imu/left_foot``, ``/phases`` …; one message a row. 
 says when the session was begun, else since its first moment.
 """
 
-from __future__ import annotations
-
 import json
 from datetime import datetime
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from fes import __version__
-from fes.session_log.export.tables import ANOTHER, Batch, Exported, Table, batches, finite_or_none
-from fes.session_log.record import SessionLogError, not_made
+from fes.session_log.export.tables import ANOTHER, Exported, Table, batches, library_missing
+from fes.session_log.framing import SessionLogError, not_made
+from fes.walk_record import finite_or_none
 
 EXTRA: Final = "mcap"
 _LARGEST_TIME: Final = (1 << 63) - 1
-_JSON_TYPES: Final = {
-    "int": ["integer", "null"],
-    "float": ["number", "null"],
-    "bool": ["boolean", "null"],
-    "text": ["string"],
-}
+_JSON_TYPES: Final = {"int": ["integer", "null"], "float": ["number", "null"], "bool": ["boolean", "null"]}
 
 
 def to_mcap(log: Path, target: Path) -> Exported:
@@ -34,9 +28,7 @@ def to_mcap(log: Path, target: Path) -> Exported:
     try:
         from mcap.writer import Writer
     except ImportError as error:
-        raise SessionLogError(
-            f"MCAP needs a library that is not installed: pip install 'fes-gait[{EXTRA}]', or convert to csv or parquet"
-        ) from error
+        raise library_missing("MCAP", EXTRA) from error
     exported = Exported()
     try:
         file: BinaryIO = target.open("xb")
@@ -84,43 +76,26 @@ def _messages(writer: Any, log: Path, exported: Exported) -> None:
     for batch in batches(log, exported):
         if offset_ns is None:
             offset_ns, absolute = epoch_offset_ns(exported.header, exported.begin_ns)
-            clock = (
-                "ns since 1970 (the host's clock when the session began)" if absolute else "ns since the first moment"
-            )
-            about = {
-                "header": json.dumps(finite_or_none(exported.header)),
-                "log_time": clock,
-                "t_ns": f"log_time - ({offset_ns})",
-            }
-            writer.add_metadata("fes_session", about)
+            since = "1970 (the host's clock when the session began)" if absolute else "the first moment"
+            clock = {"log_time": f"ns since {since}", "t_ns": f"log_time - ({offset_ns})"}
+            writer.add_metadata("fes_session", {"header": json.dumps(finite_or_none(exported.header)), **clock})
         name = batch.table.name
         if name not in channels:
             schema = json.dumps(_schema(batch.table)).encode()
             schema_id = writer.register_schema(f"fes.{name}", "jsonschema", schema)
             channels[name] = writer.register_channel(topic(batch.table), "json", schema_id)
-        _write(writer, channels[name], batch, offset_ns)
-    writer.add_metadata(
-        "fes_summary", {"summary": json.dumps(finite_or_none(exported.summary)), "rows": json.dumps(exported.rows)}
-    )
-
-
-def _times(batch: Batch) -> list[int]:
-    return batch.columns[[column.name for column in batch.table.columns].index(batch.table.time)]
-
-
-def _write(writer: Any, channel: int, batch: Batch, offset_ns: int) -> None:
-    names = [column.name for column in batch.table.columns]
-    for t_ns, *cells in zip(_times(batch), *batch.columns, strict=True):
-        log_time = min(max(t_ns + offset_ns, 0), _LARGEST_TIME)
-        values = {name: finite_or_none(cell) for name, cell in zip(names, cells, strict=True)}
-        data = json.dumps(values, separators=(",", ":"), ensure_ascii=False).encode()
-        writer.add_message(channel, log_time, data, log_time)
+        for cells in zip(*batch.columns, strict=True):
+            values = dict(zip(batch.table.names, map(finite_or_none, cells), strict=True))
+            log_time = min(max(values[batch.table.time] + offset_ns, 0), _LARGEST_TIME)
+            data = json.dumps(values, separators=(",", ":"), ensure_ascii=False).encode()
+            writer.add_message(channels[name], log_time, data, log_time)
+    end = {"summary": json.dumps(finite_or_none(exported.summary)), "rows": json.dumps(exported.rows)}
+    writer.add_metadata("fes_summary", end)
 
 
 def _schema(table: Table) -> dict[str, Any]:
-    properties = {}
-    for column in table.columns:
-        unit = {"description": f"unit: {column.unit}"} if column.unit else {}
-        kinds = _JSON_TYPES[column.kind]
-        properties[column.name] = {"type": kinds[0] if len(kinds) == 1 else kinds, **unit}
+    units = {column.name: {"description": f"unit: {column.unit}"} if column.unit else {} for column in table.columns}
+    properties = {
+        each.name: {"type": _JSON_TYPES.get(each.kind, "string"), **units[each.name]} for each in table.columns
+    }
     return {"title": f"fes.{table.name}", "type": "object", "properties": properties}

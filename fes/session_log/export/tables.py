@@ -1,50 +1,32 @@
-"""A session log as tables, batch by batch: what every file format that it is converted to is fed with."""
+"""A session log as tables, batch by batch: what every file format that it is converted to is fed with.
 
-from __future__ import annotations
+Tables → a folder of CSV or Parquet files, one a table, and what the log's header and summary say as JSON.
+"""
 
-import dataclasses
-import math
-from collections.abc import Iterator
+import csv
+import json
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_type_hints
 
 import numpy as np
 
 from fes import signals
 from fes.session_log.codec import Rare, SampleParts, latency_arrays
-from fes.session_log.framing import RecordType
-from fes.session_log.record import Received
+from fes.session_log.framing import Received, RecordType, SessionLogError, not_made
 from fes.session_log.repair import Damage, stretches
-from fes.walk_record import Note
+from fes.walk_record import Note, finite_or_none
 from statemachine.phases import PhaseChange
 
 BATCH_ROWS: Final = 20_000
 ANOTHER: Final = "choose another with --out"
-UNITS: Final = {
-    "mps2": "m/s²",
-    "radps": "rad/s",
-    "mps": "m/s",
-    "ns": "ns",
-    "ms": "ms",
-    "ma": "mA",
-    "us": "µs",
-    "uc": "µC",
-    "hz": "Hz",
-    "rad": "rad",
-    "m": "m",
-}
+UNITS: Final = {name: name for name in ("ns", "ms", "rad", "m")} | {"ma": "mA", "us": "µs", "uc": "µC", "hz": "Hz"}
+UNITS.update({"mps2": "m/s²", "radps": "rad/s", "mps": "m/s"})
 _ARRAYS = ("trajectory_m", "pitch_rad")
-_TYPES: Final = {
-    "int": "int",
-    "int | None": "int",
-    "float": "float",
-    "bool": "bool",
-    "bool | None": "bool",
-    "bytes": "text",
-    "str": "text",
-}
+_KINDS: Final[dict[Any, str]] = {int: "int", int | None: "int", float: "float", bool: "bool", bool | None: "bool"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +49,11 @@ class Table:
     name: str
     columns: tuple[Column, ...]
     time: str = "t_ns"
+
+    @property
+    def names(self) -> list[str]:
+        """Of the columns."""
+        return [column.name for column in self.columns]
 
 
 @dataclass(slots=True)
@@ -92,9 +79,15 @@ class Exported:
     begin_ns: int = 0
 
 
+def library_missing(what: str, extra: str) -> SessionLogError:
+    """Why a format cannot be written here."""
+    install = f"pip install 'fes-gait[{extra}]', or convert to csv or parquet"
+    return SessionLogError(f"{what} needs a library that is not installed: {install}")
+
+
 def _table_of(kind: type, name: str, time: str = "t_ns") -> Table:
     """The table of a dataclass; enumerations become their names."""
-    columns = [Column(item.name, _TYPES.get(str(item.type), "text")) for item in dataclasses.fields(kind)]
+    columns = [Column(column, _KINDS.get(of, "text")) for column, of in get_type_hints(kind).items()]
     return Table(name, tuple(column for column in columns if column.name not in _ARRAYS), time)
 
 
@@ -104,16 +97,8 @@ _IMU: Final = tuple(Column(name, "int") for name in ("t_ns", "t_sensor_ns")) + t
 SAMPLES: Final = {sensor: Table(f"imu_{sensor}", _IMU) for sensor in signals.SENSORS}
 LATENCY: Final = Table("latency", (Column("t_ns", "int"), Column("latency_ns", "int")))
 PHASES: Final = Table("phases", (*_table_of(PhaseChange, "phases").columns, Column("phase", "int")))
-PATHS: Final = Table(
-    "stride_paths",
-    (
-        Column("t_ns", "int"),
-        Column("foot", "text"),
-        Column("number", "int"),
-        *(Column(f"{axis}_m", "float") for axis in "xyz"),
-        Column("pitch_rad", "float"),
-    ),
-)
+_PATH: Final = (Column("t_ns", "int"), Column("foot", "text"), Column("number", "int"))
+PATHS: Final = Table("stride_paths", _PATH + tuple(Column(n, "float") for n in ("x_m", "y_m", "z_m", "pitch_rad")))
 SINGLES: Final[dict[type, Table]] = {
     signals.StrideResult: _table_of(signals.StrideResult, "strides", "t_end_ns"),
     signals.StimCommand: _table_of(signals.StimCommand, "commands"),
@@ -188,11 +173,8 @@ def _extend(filling: dict[str, Batch], table: Table, columns: list[list[Any]]) -
 
 def _single(filling: dict[str, Batch], value: Rare) -> None:
     table = SINGLES[type(value)]
-    names = [column.name for column in table.columns]
-    if isinstance(value, PhaseChange):
-        row = [_plain(getattr(value, name)) for name in names[:-1]] + [int(value.destination)]
-    else:
-        row = [_plain(getattr(value, name)) for name in names]
+    number = {"phase": int(value.destination)} if isinstance(value, PhaseChange) else {}
+    row = [number.get(name) if name in number else _plain(getattr(value, name)) for name in table.names]
     _extend(filling, table, [[cell] for cell in row])
     if isinstance(value, signals.StrideResult) and len(value.trajectory_m) == len(value.pitch_rad) > 0:
         n = len(value.pitch_rad)
@@ -202,17 +184,95 @@ def _single(filling: dict[str, Batch], value: Rare) -> None:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, bytes):
-        return value.hex()
-    if isinstance(value, IntEnum):
-        return value.name
-    return value.value if isinstance(value, Enum) else value
+    if isinstance(value, Enum):
+        return value.name if isinstance(value, IntEnum) else value.value
+    return value.hex() if isinstance(value, bytes) else value
 
 
-def finite_or_none(value: Any) -> Any:
-    """The value, also a nested one, with None for numbers that are not known (NaN, infinite)."""
-    if isinstance(value, dict):
-        return {key: finite_or_none(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [finite_or_none(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+ABOUT: Final = "session.json"
+
+
+def to_csv(log: Path, folder: Path) -> Exported:
+    """Write ``folder/TABLE.csv`` for every table that has rows; column names end with their units.
+
+    What is not known is an empty cell, yes and no are true and false.
+
+    Raises:
+        SessionLogError: ``folder`` exists, cannot be written, or the log cannot be read.
+    """
+
+    def begin(table: Table, exported: Exported, files: ExitStack) -> Callable[[Batch], object]:
+        file = files.enter_context((folder / f"{table.name}.csv").open("x", encoding="utf-8", newline=""))
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(table.names)
+
+        def write(batch: Batch) -> None:
+            for row in zip(*batch.columns, strict=True):
+                writer.writerow([str(cell).lower() if isinstance(cell, bool) else finite_or_none(cell) for cell in row])
+
+        return write
+
+    return _written(log, folder, begin)
+
+
+def to_parquet(log: Path, folder: Path) -> Exported:
+    """Write ``folder/TABLE.parquet`` for every table that has rows; each field's metadata says its unit.
+
+    Raises:
+        SessionLogError: ``folder`` exists, cannot be written, or the log cannot be read.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    kinds = {"int": pa.int64(), "float": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
+
+    def begin(table: Table, exported: Exported, files: ExitStack) -> Callable[[Batch], object]:
+        about = json.dumps(finite_or_none(exported.header), ensure_ascii=False)
+        fields = [pa.field(each.name, kinds[each.kind], metadata={"unit": each.unit}) for each in table.columns]
+        schema = pa.schema(fields, metadata={"table": table.name, "session_header": about})
+        place = folder / f"{table.name}.parquet"
+        writer = files.enter_context(parquet.ParquetWriter(place, schema, compression="zstd"))
+
+        def write(batch: Batch) -> None:
+            arrays = [pa.array(values, each.type) for values, each in zip(batch.columns, schema, strict=True)]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
+
+        return write
+
+    return _written(log, folder, begin)
+
+
+def _written(
+    log: Path, folder: Path, begin: Callable[[Table, Exported, ExitStack], Callable[[Batch], object]]
+) -> Exported:
+    """``begin`` opens a table's file and gives what writes a batch into it."""
+    exported, writers = Exported(), dict[str, Callable[[Batch], object]]()
+    with _new_folder(folder), ExitStack() as files:
+        for batch in batches(log, exported):
+            name = batch.table.name
+            if name not in writers:
+                writers[name] = begin(batch.table, exported, files)
+            writers[name](batch)
+        about = finite_or_none({"header": exported.header, "summary": exported.summary, "rows": exported.rows})
+        (folder / ABOUT).write_text(json.dumps(about, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    return exported
+
+
+@contextmanager
+def _new_folder(folder: Path) -> Iterator[None]:
+    """A folder that was not there before; OSErrors inside become SessionLogErrors that name it."""
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise not_made(folder, error, ANOTHER) from error
+    try:
+        yield
+    except SessionLogError:
+        if not any(folder.iterdir()):
+            folder.rmdir()
+        raise
+    except OSError as error:
+        raise SessionLogError(
+            f"{folder}: cannot be written: {error.strerror or error}. What is in it is not complete: make "
+            f"room and convert again into another folder"
+        ) from error

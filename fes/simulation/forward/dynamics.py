@@ -17,8 +17,6 @@ tilt toe-up/forward positive; ankle = pitch - shank, dorsiflexion positive. x is
 the ground. The electromechanical delay is applied where pulses come in (:mod:`fes.simulation.forward.patient`).
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, Final
 
@@ -408,14 +406,9 @@ def step(leg: Any, belt: Any, t: float, dt: float) -> None:
         toes -= leg.toe_bend * BEND_RAD * math.tanh(toes / BEND_RAD)
     tx, tz = bx + leg.toe_m * math.cos(toes), bz + leg.toe_m * math.sin(toes)
     w = leg.vpitch
+    rolled = leg.x + hx + HEEL_M * leg.pitch
     fx, fz, leg.heel_at = touch(
-        leg.heel_at,
-        leg.x + hx + HEEL_M * leg.pitch,
-        leg.z + hz,
-        leg.vx - w * hz,
-        leg.vz + w * hx,
-        HEEL_N_PER_M15,
-        leg.slip,
+        leg.heel_at, rolled, leg.z + hz, leg.vx - w * hz, leg.vz + w * hx, HEEL_N_PER_M15, leg.slip
     )
     gx, gz, leg.ball_at = touch(
         leg.ball_at, leg.x + bx, leg.z + bz, leg.vx - w * bz, leg.vz + w * bx, BALL_N_PER_M15, leg.slip

@@ -12,12 +12,10 @@ numbers: speed, stride length (SL), durations, the foot's greatest height (MHL) 
 differ (PV, OV). What moves those numbers here stands beside each; what a walk then shows follows from the model.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -74,6 +72,7 @@ SHOE_KG: Final = 0.35
 SOLE_M: Final = 0.016
 
 
+@cache
 def harmonics(key_deg: tuple[float, ...]) -> FloatArray:
     """(1 + 2·HARMONICS,) mean, then cosine and sine of each harmonic, in rad: the periodic spline's Fourier series."""
     percent = np.array([*KEY_PERCENT, 100.0])
@@ -111,13 +110,7 @@ def _periodic_spline(knots: FloatArray, value: FloatArray, at: FloatArray) -> Fl
     return out
 
 
-@cache
-def _curves() -> tuple[FloatArray, FloatArray, FloatArray]:
-    return harmonics(KEY_THIGH_DEG), harmonics(KEY_KNEE_DEG), harmonics(KEY_ANKLE_DEG)
-
-
-@dataclass(frozen=True, slots=True)
-class JointCurves:
+class JointCurves(NamedTuple):
     """Fourier series in rad of thigh (forward positive), knee flexion and ankle (dorsiflexion positive)."""
 
     thigh: FloatArray
@@ -130,19 +123,17 @@ def joint_curves(speed_mps: float, height_m: float, knee_share: float = 1.0) -> 
 
     Lelas et al. (*Gait & Posture* 17, 2003) found both to grow with speed, the hip's range more than the knee's peak.
     """
-    thigh, knee, ankle = (curve.copy() for curve in _curves())
+    thigh, knee, ankle = (harmonics(key_deg).copy() for key_deg in (KEY_THIGH_DEG, KEY_KNEE_DEG, KEY_ANKLE_DEG))
     share = stride_length_m(speed_mps, height_m) / stride_length_m(REFERENCE_SPEED_MPS, height_m)
     thigh[1:] *= 0.15 + 0.85 * share
     thigh[0] *= 0.5 + 0.5 * share
-    bend = knee_share * (0.60 + 0.40 * share)
-    knee *= bend
+    knee *= knee_share * (0.60 + 0.40 * share)
     return JointCurves(thigh, knee, ankle)
 
 
 def stride_time_s(speed_mps: float, height_m: float) -> float:
     """Grieve & Gear (1966); never over 3 s, for nobody stands still between strides."""
-    rate_per_min = 64.8 * math.pow(max(speed_mps, 0.05) / height_m, 0.57)
-    return min(60.0 / rate_per_min, 3.0)
+    return min(60.0 / (64.8 * math.pow(max(speed_mps, 0.05) / height_m, 0.57)), 3.0)
 
 
 def stride_length_m(speed_mps: float, height_m: float) -> float:

@@ -1,7 +1,5 @@
 """The compiled loop over internal steps: until something happens that needs a new plan, or the time asked for."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,14 +1,12 @@
 """One leg's plans: what its next stance, heel rise and swing shall be, written into its record at each event."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from fes.signals import G_MPS2, FloatArray
+from fes.signals import G_MPS2, FloatArray, Vector3
 from fes.simulation.forward import gait_patterns as normative
 from fes.simulation.forward.dynamics import HEEL_M, LEG, PRE_SWING, STANCE, SWING
 from fes.simulation.forward.gait_patterns import Pattern
@@ -26,8 +24,7 @@ def curve_at(series: FloatArray, phase: FloatArray) -> FloatArray:
     """A Fourier series (see :func:`fes.simulation.forward.gait_patterns.harmonics`) at (N,) phases of the cycle."""
     k = np.arange(1, (len(series) - 1) // 2 + 1)
     angle = 2.0 * math.pi * np.outer(phase, k)
-    out: FloatArray = series[0] + np.cos(angle) @ series[1::2] + np.sin(angle) @ series[2::2]
-    return out
+    return np.asarray(series[0] + np.cos(angle) @ series[1::2] + np.sin(angle) @ series[2::2])
 
 
 STANDING_RAD = math.radians(-3.0)  # the shank of a standing leg
@@ -44,6 +41,7 @@ NEAR_S = 0.4  # … the whole swing where it begins as far away from it as the b
 EARLY_M = 0.015  # the toe's clearance in early swing is this much above the least, in mid-swing
 _EARLY, _MIDDLE = np.linspace(0.24, 0.38, 8), np.linspace(0.44, 0.75, 16)
 TOE_OUT_RAD = math.radians(7.0)
+ZERO: Vector3 = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,20 +111,16 @@ class Planner:
         self.need_m = 0.0  # lift with which a hanging foot just clears, beyond the normal one
         self.set_speed(settings.speed_mps)
         self.leg["across_m"], self.leg["yaw_rad"] = self.sign * HALF_WIDTH_M, self.sign * TOE_OUT_RAD
-        self._lean(-10.0, STANDING_RAD)
+        # stand with the shank at this tilt, for good
+        self.leg["thigh"], self.leg["knee"], self.leg["ankle"] = self._curves
+        plan_at(legs, belt, side, -10.0)
+        self.leg["offset_shank"] = [STANDING_RAD - self.leg["shank"], 0, 0, 0, 0, 0]
+        self.leg["offset_t"], self.leg["offset_s"] = -10.0, 1e12
 
     def set_speed(self, speed_mps: float) -> None:
         """Take the joint curves of this speed, from the next event on."""
         self.speed_mps = speed_mps
         self._curves = normative.joint_curves(speed_mps, self.settings.height_m, self.pattern.knee)
-
-    def _lean(self, t_s: float, shank_rad: float) -> None:
-        """Stand with the shank at this tilt, for good."""
-        leg = self.leg
-        leg["thigh"], leg["knee"], leg["ankle"] = self._curves.thigh, self._curves.knee, self._curves.ankle
-        plan_at(self.legs, self.belt, self.side, t_s)
-        leg["offset_shank"] = [shank_rad - leg["shank"], 0, 0, 0, 0, 0]
-        leg["offset_t"], leg["offset_s"] = t_s, 1e12
 
     def stance(self, t_s: float, next_rise_s: float, next_off_s: float, support_s: float) -> None:
         """The foot has met the ground at ``t_s``: load it, let it lie, and know when its heel shall rise."""
@@ -155,10 +149,9 @@ class Planner:
         leg = self.leg
         before = self._now(t_s)
         leg["due_s"] = leg["rise_t"] = leg["unload_t"] = math.inf
-        thigh, knee, _ = (curve_at(series, _STANCES) for series in self._curves_now())
+        thigh, knee, _ = (curve_at(series, _STANCES) for series in self._curves)
         self._phase(t_s, float(_STANCES[np.abs(thigh - knee - STANDING_RAD).argmin()]), 0.0)
-        zero = (0.0, 0.0, 0.0)
-        self._fade(t_s, STILL_S, (zero, zero), before[2])
+        self._fade(t_s, STILL_S, (ZERO, ZERO), before[2])
 
     def rise(self, t_s: float, off_s: float, stride_share: float, support_s: float) -> None:
         """The heel begins to rise; the foot shall leave at ``off_s``."""
@@ -173,8 +166,7 @@ class Planner:
         phase = float(leg["phase0"]) + float(leg["phase_rate"]) * (t_s - float(leg["phase_t"]))
         phase = min(phase, share - 0.12) if phase < share else share - 0.12
         self._phase(t_s, phase, (share - phase) / (off_s - t_s))
-        zero = (0.0, 0.0, 0.0)
-        self._fade(t_s, off_s - t_s, (zero, zero), before[2])
+        self._fade(t_s, off_s - t_s, (ZERO, ZERO), before[2])
 
     def swing(self, swing: Swing) -> None:
         """The foot leaves the ground and shall land as ``swing`` says."""
@@ -190,30 +182,27 @@ class Planner:
         share = normative.TOE_OFF_SHARE
         self._phase(t_s, share, (1.0 - share) / span)
         leg["lift_m"], leg["hike_m"] = self.hip_m(), 0.0
-        leg["fall_m"] = max(self._landing_mps() - LANDING_MPS, 0.0) * span
+        e = 1e-4  # the ankle's upward speed as the swing ends, by the joint curves alone
+        thigh, knee, _ = (curve_at(series, np.array([1.0 - e, 1.0])) for series in self._curves)
+        high = -leg["thigh_m"] * np.cos(thigh) - leg["shank_m"] * np.cos(thigh - knee)
+        landing_mps = float(high[1] - high[0]) / e * float(leg["phase_rate"])
+        leg["fall_m"] = max(landing_mps - LANDING_MPS, 0.0) * span
         here = (float(leg["x"]), float(leg["vx"]), before[0][2]), (float(leg["z"]), float(leg["vz"]), before[1][2])
-        self._fade(t_s, self._share_to_plan(t_s) * span, here, before[2])
+        # the farther it begins from its planned path, the later it is there: ahead, as from standing, or behind, as
+        # after a stumble that cut the last step short
+        leg["offset_x"] = 0.0
+        away_m = abs(float(leg["x"]) - self._now(t_s)[0][0])
+        to_plan = TO_PLAN + (1.0 - TO_PLAN) * min(away_m / (NEAR_S * self.speed_mps), 1.0)
+        self._fade(t_s, to_plan * span, here, before[2])
         leg["early_m"] = 0.0
         for _ in range(3):  # each depends a little on the other
             leg["hike_m"] = 0.0
-            normal = self._needed(swing.clearance_m, _MIDDLE)
-            leg["hike_m"] = normal
+            leg["hike_m"] = self._needed(swing.clearance_m, _MIDDLE)
             leg["early_m"] += max(self._needed(swing.clearance_m + EARLY_M, _EARLY), -float(leg["early_m"]))
         leg["hike_m"] = 0.0
-        normal = self._needed(swing.clearance_m, _MIDDLE)
-        hanging = self._needed(0.0, _MIDDLE, hanging=True)
+        normal, hanging = self._needed(swing.clearance_m, _MIDDLE), self._needed(0.0, _MIDDLE, hanging=True)
         self.need_m = max(hanging - normal, 0.0) * (1.0 - float(leg["own"]))
         leg["hike_m"] = normal + swing.habit * self.need_m + swing.extra_lift_m
-
-    def _share_to_plan(self, t_s: float) -> float:
-        """Share of the swing until the foot is on its planned path, the greater the farther it begins from it.
-
-        Ahead, as from standing, or behind, as after a stumble that cut the last step short.
-        """
-        leg = self.leg
-        leg["offset_x"] = 0.0
-        away_m = abs(float(leg["x"]) - self._now(t_s)[0][0])
-        return TO_PLAN + (1.0 - TO_PLAN) * min(away_m / (NEAR_S * self.speed_mps), 1.0)
 
     def trip(self, t_s: float, short_m: float) -> None:
         """The toe is caught: the swing goes on from where it is, and lands short by ``short_m``."""
@@ -227,26 +216,19 @@ class Planner:
 
     def reach(self, end_s: float, belt_m: float, target_m: float) -> float:
         """How far beyond the normal landing place (m) lies ``target_m``, when the belt will have gone ``belt_m``."""
-        thigh, knee, _ = (float(curve_at(series, np.ones(1))[0]) for series in self._curves_now())
+        thigh, knee, _ = (float(curve_at(series, np.ones(1))[0]) for series in self._curves)
         ahead = float(self.leg["thigh_m"]) * math.sin(thigh) + float(self.leg["shank_m"]) * math.sin(thigh - knee)
         return target_m - belt_m - ahead
 
     def hip_m(self) -> float:
         """Height of the hip over the ground (m) at which the heel just touches as the swing ends, the ankle normal."""
         leg, one = self.leg, np.ones(1)
-        thigh, knee, ankle = (float(curve_at(series, one)[0]) for series in self._curves_now())
+        thigh, knee, ankle = (float(curve_at(series, one)[0]) for series in self._curves)
         shank = thigh - knee
         pitch = shank + ankle
         above = float(leg["thigh_m"]) * math.cos(thigh) + float(leg["shank_m"]) * math.cos(shank)
         middle, high = float(leg["heel_x"]) + HEEL_M, float(leg["sole_m"]) - HEEL_M
         return above + high * math.cos(pitch) + HEEL_M - middle * math.sin(max(pitch, 0.0))
-
-    def _landing_mps(self) -> float:
-        """Upward speed of the ankle as the swing ends, by the joint curves alone."""
-        leg, e = self.leg, 1e-4
-        thigh, knee, _ = (curve_at(series, np.array([1.0 - e, 1.0])) for series in self._curves_now())
-        high = -leg["thigh_m"] * np.cos(thigh) - leg["shank_m"] * np.cos(thigh - knee)
-        return float(high[1] - high[0]) / e * float(leg["phase_rate"])
 
     def _needed(self, clearance_m: float, u: FloatArray, *, hanging: bool = False) -> float:
         """How much of the early or the middle lift (m) gives this toe clearance over the part ``u`` of the swing.
@@ -255,7 +237,7 @@ class Planner:
         """
         leg = self.leg
         share = normative.TOE_OFF_SHARE
-        thigh, knee, ankle = (curve_at(series, share + (1.0 - share) * u) for series in self._curves_now())
+        thigh, knee, ankle = (curve_at(series, share + (1.0 - share) * u) for series in self._curves)
         shank = thigh - knee
         v = np.minimum(u * leg["swing_s"] / leg["offset_s"], 1.0)
         off = np.where(v < 1.0, np.polynomial.polynomial.polyval(v, leg["offset_z"]), 0.0)
@@ -271,41 +253,31 @@ class Planner:
         leg = self.leg
         left = 1.792 - float(leg["foot_kg"] * G_MPS2 * leg["com_x"] / leg["stiff"])
         a_deg = (2.1016 - 0.0176 * np.degrees(knee_rad) - math.log(max(left, 0.1))) / 0.0843
-        out: FloatArray = -np.radians(a_deg) - float(leg["short_rad"])
-        return out
-
-    def _curves_now(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        return self._curves.thigh, self._curves.knee, self._curves.ankle
+        return np.asarray(-np.radians(a_deg) - float(leg["short_rad"]))
 
     def _phase(self, t_s: float, phase: float, rate: float) -> None:
         leg = self.leg
-        leg["thigh"], leg["knee"], leg["ankle"] = self._curves_now()
+        leg["thigh"], leg["knee"], leg["ankle"] = self._curves
         leg["phase0"], leg["phase_t"], leg["phase_rate"] = phase, t_s, rate
 
-    def _now(self, t_s: float) -> tuple[tuple[float, float, float], ...]:
+    def _now(self, t_s: float) -> tuple[Vector3, ...]:
         """The plan as it is: ankle x, z and shank, each with two derivatives."""
         plan_at(self.legs, self.belt, self.side, t_s)
         leg = self.leg
         names = (("xp", "vxp", "axp"), ("zp", "vzp", "azp"), ("shank", "vshank", "ashank"))
         return tuple((float(leg[a]), float(leg[b]), float(leg[c])) for a, b, c in names)
 
-    def _fade(
-        self,
-        t_s: float,
-        span_s: float,
-        path: tuple[tuple[float, float, float], tuple[float, float, float]],
-        shank: tuple[float, float, float],
-    ) -> None:
+    def _fade(self, t_s: float, span_s: float, path: tuple[Vector3, Vector3], shank: Vector3) -> None:
         """Go on from ``path`` and ``shank`` and be on the new plan after ``span_s``, without a jump.
 
         ``path`` on the ground is against the new plan, in swing absolute, as ``shank`` always is.
         """
         leg = self.leg
-        for name in ("offset_x", "offset_z", "offset_shank"):
+        names = ("offset_x", "offset_z", "offset_shank")
+        for name in names:
             leg[name] = 0.0
         leg["offset_t"], leg["offset_s"] = t_s, span_s
         new = self._now(t_s)
-        base = (new[0], new[1]) if leg["mode"] == SWING else ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-        names = ("offset_x", "offset_z", "offset_shank")
+        base = (new[0], new[1]) if leg["mode"] == SWING else (ZERO, ZERO)
         for name, was, now in zip(names, (*path, shank), (*base, new[2]), strict=True):
             leg[name] = quintic([a - b for a, b in zip(was, now, strict=True)], span_s)

@@ -1,24 +1,135 @@
-"""The virtual patient: pulses in, samples of worn sensors out, and the truth of it all."""
+"""The virtual patient: pulses in, samples of worn sensors out, and the truth of it all.
 
-from __future__ import annotations
+Sensors that deliver as they go: the faults of :class:`fes.simulation.sensor.ImuModel`, sample by sample.
 
+The same numbers come out however the samples are cut into blocks. The low-pass before sampling is causal here and part
+of the compiled loop, so the signal is late by about half a sampling interval, as a real sensor's is.
+"""
+
+import math
 from collections import deque
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
 from fes.config import FootGeometry
+from fes.estimation.numerics.jit import jit
 from fes.signals import FOOT_SENSORS, NS_PER_S, SENSORS, FloatArray, ImuSample
 from fes.simulation.forward.dynamics import NO_EVENT, TRACE
 from fes.simulation.forward.integration import run
-from fes.simulation.forward.sensor import SensorBank, butterworth
 from fes.simulation.forward.settings import STEP_NS, DeliveredPulse, PatientSettings
 from fes.simulation.forward.walker import FootEvent, VirtualStride, Walker
+from fes.simulation.sensor import ImuModel, Placement, draw_sensitivity, mounting
+
+BUFFER: Final = 512  # rows of random numbers drawn at once
+
+
+def butterworth(model: ImuModel, rate_hz: float) -> FloatArray:
+    """(3,) b0, a1, a2 of the second-order low-pass at ``bandwidth · rate_hz``; wide open where that is 0."""
+    internal_hz = 1e9 / STEP_NS
+    cut_off_hz = min(model.bandwidth * rate_hz or 0.45 * internal_hz, 0.45 * internal_hz)
+    k = math.tan(math.pi * cut_off_hz / internal_hz)
+    norm = 1.0 / (1.0 + math.sqrt(2.0) * k + k * k)
+    return np.array([k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm])
+
+
+@jit
+def distort(
+    ideal: Any, matrix: Any, offset: Any, drift: Any, walk: Any, white: Any, random: Any, full: Any, lsb: Any
+) -> None:
+    """One sample (6,) of one sensor, in place: axes and scale (2, 3, 3), bias, its walk, noise, range, resolution.
+
+    ``random`` (12,): six numbers for the noise, six for the walk. ``full`` 0 is unlimited, ``lsb`` 0 continuous.
+    """
+    for part in range(2):
+        base = 3 * part
+        x, y, z = ideal[base], ideal[base + 1], ideal[base + 2]
+        for axis in range(3):
+            k = base + axis
+            drift[k] += walk[k] * random[6 + k]
+            value = x * matrix[part, 0, axis] + y * matrix[part, 1, axis] + z * matrix[part, 2, axis]
+            value += offset[k] + drift[k] + white[k] * random[k]
+            if full[part] > 0.0:
+                value = min(max(value, -full[part]), full[part])
+            if lsb[part] > 0.0:
+                value = min(max(round(value / lsb[part]) * lsb[part], -full[part]), full[part] - lsb[part])
+            ideal[k] = value
+
+
+@jit
+def distort_all(
+    rows: Any, first: int, matrix: Any, offset: Any, drift: Any, walk: Any, white: Any, random: Any, full: Any, lsb: Any
+) -> None:
+    """Samples (N, 4, 6) of four sensors, in place; ``random`` (BUFFER, 4, 12) from row ``first`` on."""
+    for number in range(rows.shape[0]):
+        for sensor in range(rows.shape[1]):
+            distort(
+                rows[number, sensor], matrix[sensor], offset[sensor], drift[sensor], walk, white,
+                random[first + number, sensor], full, lsb,
+            )  # fmt: skip
+
+
+class SensorBank:
+    """The errors of all four sensors; each draws from its own generators, in the order of its samples."""
+
+    def __init__(self, seed: int, model: ImuModel, placements: Mapping[str, Placement], rate_hz: float) -> None:
+        self._noise = [np.random.default_rng((seed, 20 + k, 1)) for k in range(len(SENSORS))]
+        self._chance = [np.random.default_rng((seed, 20 + k, 2)) for k in range(len(SENSORS))]
+        self._matrix = np.empty((4, 2, 3, 3))
+        self._offset = np.empty((4, 6))
+        for k, name in enumerate(SENSORS):
+            rng = np.random.default_rng((seed, 20 + k))
+            mount = mounting(*placements[name].angles_deg) if name in placements else np.eye(3)
+            for part, bias in enumerate((model.acc_bias_mps2, model.gyr_bias_radps)):
+                self._matrix[k, part] = mount @ draw_sensitivity(rng, model).T
+                self._offset[k, 3 * part : 3 * part + 3] = bias * rng.uniform(-1.0, 1.0, 3)
+        half_band = math.sqrt(0.5 * rate_hz)
+        self._white = np.repeat([model.acc_noise_mps2_rthz * half_band, model.gyr_noise_radps_rthz * half_band], 3)
+        self._walk = np.repeat([model.acc_walk_mps2_rts, model.gyr_walk_radps_rts], 3) / math.sqrt(rate_hz)
+        self._drift = np.zeros((4, 6))
+        self._full = np.array([model.acc_range_mps2 or 0.0, model.gyr_range_radps or 0.0])
+        self._lsb = self._full / 2.0 ** (model.bits - 1) if model.bits else np.zeros(2)
+        self._lost, self._doubled = model.lost, model.doubled
+        self._random = np.empty((BUFFER, 4, 12))
+        self._arrives = np.ones((BUFFER, 4), np.int64)
+        self._row = BUFFER
+
+    def deliver(self, rows: FloatArray) -> list[list[int]] | None:
+        """Turn ideal (N, 4, 6) into what is delivered, in place; how often each arrives, None for once each."""
+        times: list[list[int]] = []
+        done = 0
+        while done < len(rows):
+            if self._row == BUFFER:
+                self._draw()
+            count = min(len(rows) - done, BUFFER - self._row)
+            distort_all(
+                rows[done : done + count], self._row, self._matrix, self._offset, self._drift, self._walk, self._white,
+                self._random, self._full, self._lsb,
+            )  # fmt: skip
+            times += self._arrives[self._row : self._row + count].tolist()
+            self._row += count
+            done += count
+        return times if self._lost or self._doubled else None
+
+    def _draw(self) -> None:
+        for k in range(4):
+            self._random[:, k] = self._noise[k].normal(size=(BUFFER, 12))
+            if self._lost or self._doubled:
+                chance = self._chance[k].uniform(size=BUFFER)
+                self._arrives[:, k] = np.where(chance < self._lost, 0, np.where(chance > 1.0 - self._doubled, 2, 1))
+        self._row = 0
+
 
 TRACE_EVERY: Final = 10  # internal steps: 200 Hz
 TRACE_S: Final = TRACE_EVERY * STEP_NS / NS_PER_S
 SETTLE_STEPS: Final = 2000  # the feet settle on the ground before time 0
+
+
+def _share(what: str, share: float) -> float:
+    if not 0.0 <= share <= 1.0:
+        raise ValueError(f"{what} {share!r}: must be from 0 to 1")
+    return share
 
 
 class VirtualPatient:
@@ -26,9 +137,7 @@ class VirtualPatient:
 
     The same settings and the same pulses give the same samples to the last bit, however the time is cut into steps.
 
-    Args:
-        settings: who it is.
-        remember_s: how much of its own :meth:`trace` it keeps, at least 10 s; None: all of it.
+    ``remember_s`` is how much of its own :meth:`trace` it keeps, at least 10 s; None: all of it.
     """
 
     def __init__(self, settings: PatientSettings, *, remember_s: float | None = None) -> None:
@@ -38,7 +147,10 @@ class VirtualPatient:
         self._every = round(NS_PER_S / STEP_NS / settings.rate_hz)
         self._bank = SensorBank(settings.seed, settings.imu, settings.placements, settings.rate_hz)
         self._worn = [(k, name) for k, name in enumerate(SENSORS) if name in settings.sensors]
-        self._places = np.array([self._place(name) for name in SENSORS])
+        # the sensors from the ankle in their segments' axes; a foot's placement is from the sole below the ankle
+        bodies = {name: placement.body_m for name, placement in settings.placements.items()}
+        self._places = np.array([bodies.get(name, (0.0, 0.0, 0.0)) for name in SENSORS])
+        self._places[[name in FOOT_SENSORS and name in bodies for name in SENSORS], 2] -= self.sole_m
         self._taps = butterworth(settings.imu, settings.rate_hz)
         self._filters = np.zeros((4, 6, 2))
         self._values = np.zeros((4, 6))
@@ -69,10 +181,8 @@ class VirtualPatient:
     def advance(self, until_ns: int, pulses: Sequence[DeliveredPulse] = ()) -> list[ImuSample]:
         """Live on to ``until_ns``; what the sensors delivered meanwhile, by time.
 
-        Args:
-            until_ns: not before :attr:`now_ns`; taken down to a whole internal step (0.5 ms).
-            pulses: what the stimulator delivered since the last call. One that is late by no more than the muscle's
-                delay has the same effect as in time; a later one acts at once.
+        ``until_ns`` is taken down to a whole internal step (0.5 ms). Of the pulses, delivered since the last call, one
+        that is late by no more than the muscle's delay has the same effect as in time; a later one acts at once.
 
         Raises:
             ValueError: time would run backward.
@@ -114,15 +224,11 @@ class VirtualPatient:
 
     def set_electrode_quality(self, share: float) -> None:
         """From now on only this share (0–1) of the charge reaches the nerve: an electrode came loose."""
-        if not 0.0 <= share <= 1.0:
-            raise ValueError(f"electrode quality {share!r}: must be from 0 to 1")
-        self._quality = share
+        self._quality = _share("electrode quality", share)
 
     def set_fitness(self, share: float) -> None:
         """The stimulated muscle has only this share (0–1) of its fresh force left: sudden fatigue."""
-        if not 0.0 <= share <= 1.0:
-            raise ValueError(f"fitness {share!r}: must be from 0 to 1")
-        self._walker.legs["fit"][self._walker.affected] = share
+        self._walker.legs["fit"][self._walker.affected] = _share("fitness", share)
 
     # --- what is true of it -----------------------------------------------------------------------------
 
@@ -156,8 +262,7 @@ class VirtualPatient:
         side = FOOT_SENSORS.index(foot)
         rows = self._rows(0, self._trace_rows)[:, side]
         out = {name: rows[:, k] for k, name in enumerate(TRACE)}
-        first = self._trace_rows - len(rows)
-        out["t_s"] = TRACE_S * np.arange(first + 1, first + len(rows) + 1, dtype=np.float64)
+        out["t_s"] = TRACE_S * np.arange(self._trace_rows - len(rows) + 1, self._trace_rows + 1, dtype=np.float64)
         out["ankle_rad"] = out["pitch_rad"] - out["shank_rad"]
         return out
 
@@ -176,14 +281,6 @@ class VirtualPatient:
         return geometry
 
     # --- inside -----------------------------------------------------------------------------------------
-
-    def _place(self, name: str) -> list[float]:
-        """A sensor from the ankle in its segment's axes; a foot's placement is from the sole below the ankle."""
-        placement = self.settings.placements.get(name)
-        if placement is None:
-            return [0.0, 0.0, 0.0]
-        x, y, z = placement.body_m
-        return [x, y, z - self.sole_m if name in FOOT_SENSORS else z]
 
     def _queue(self, pulses: Sequence[DeliveredPulse]) -> None:
         mine = [pulse for pulse in pulses if pulse.channel == self.settings.channel]
@@ -204,7 +301,7 @@ class VirtualPatient:
     def _to(self, end: int) -> list[ImuSample]:
         blocks: list[tuple[int, FloatArray]] = []
         while self._step < end:
-            if self._starts_at is not None and self._step >= self._starts_at:
+            if self._step >= self._starts_at:
                 self._starts_at = 1 << 60
                 self.walk()
             stop = min(end, self._starts_at) if self._step < self._starts_at else end
@@ -233,11 +330,12 @@ class VirtualPatient:
             while self._most_rows is not None and self._kept_rows - len(self._trace[0]) >= self._most_rows:
                 self._kept_rows -= len(self._trace.popleft())
         if what != NO_EVENT:
-            walker.on_event(side, what, self._step * STEP_NS / NS_PER_S, self._swing_rows)
-
-    def _swing_rows(self, side: int, from_s: float, to_s: float) -> FloatArray:
-        first, last = int(from_s / TRACE_S), int(to_s / TRACE_S)
-        return self._rows(first, last)[:, side]
+            walker.on_event(
+                side,
+                what,
+                self._step * STEP_NS / NS_PER_S,
+                lambda side, from_s, to_s: self._rows(int(from_s / TRACE_S), int(to_s / TRACE_S))[:, side],
+            )
 
     def _rows(self, first: int, last: int) -> FloatArray:
         """Rows ``first`` … ``last`` of the trace, walking back from its newest block."""

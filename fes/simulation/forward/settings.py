@@ -1,10 +1,8 @@
 """A virtual patient in plain numbers with their allowed ranges: body, gait, muscle, sensors; ready ones by name."""
 
-from __future__ import annotations
-
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -47,13 +45,12 @@ class DeliveredPulse:
         return self.current_ma * self.pulse_width_us * 1e-3
 
 
-def _default_placements() -> dict[str, Placement]:
-    return {
-        "left_foot": Placement((0.068, 0.006, 0.067), (-4.0, 19.0, 5.0)),
-        "right_foot": Placement((0.070, -0.005, 0.068), (3.0, 21.0, -4.0)),
-        "left_shank": Placement((0.030, 0.030, 0.200), (3.0, -4.0, 6.0)),
-        "right_shank": Placement((0.030, -0.030, 0.200), (-3.0, -5.0, -5.0)),
-    }
+PLACEMENTS: Final = {
+    "left_foot": Placement((0.068, 0.006, 0.067), (-4.0, 19.0, 5.0)),
+    "right_foot": Placement((0.070, -0.005, 0.068), (3.0, 21.0, -4.0)),
+    "left_shank": Placement((0.030, 0.030, 0.200), (3.0, -4.0, 6.0)),
+    "right_shank": Placement((0.030, -0.030, 0.200), (-3.0, -5.0, -5.0)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +76,7 @@ class PatientSettings:
     sensors: tuple[str, ...] = FOOT_SENSORS + SHANK_SENSORS  # which sensors are worn
     imu: ImuModel = field(default_factory=ImuModel)  # what is wrong with the sensors
     # where they sit; a shank's position is from the ankle, its z up the shank
-    placements: dict[str, Placement] = field(default_factory=_default_placements)
+    placements: dict[str, Placement] = field(default_factory=PLACEMENTS.copy)
     stand_s: float = 4.0  # quiet standing before the belt starts
 
     def __post_init__(self) -> None:
@@ -87,18 +84,17 @@ class PatientSettings:
             raise ValueError(f"side = {self.side!r}: the affected side is 'left' or 'right'")
         if self.pattern not in PATTERNS:
             raise ValueError(f"pattern = {self.pattern!r}: choose one of {', '.join(PATTERNS)}")
-        for name, (low, high) in _RANGES.items():
-            _check(name, getattr(self, name), low, high)
+        for settings, prefix, ranges in ((self, "", _RANGES), (self.muscle, "muscle.", _MUSCLE_RANGES)):
+            for name, (low, high) in ranges.items():
+                value = getattr(settings, name)
+                if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+                    raise ValueError(f"{prefix}{name} = {value!r}: must be a number from {low:g} to {high:g}")
         for name in ("seed", "channel"):
             if not isinstance(getattr(self, name), int):
                 raise ValueError(f"{name} = {getattr(self, name)!r}: must be a whole number")
-        for name, (low, high) in _MUSCLE_RANGES.items():
-            _check(f"muscle.{name}", getattr(self.muscle, name), low, high)
         if self.muscle.saturation_uc <= self.muscle.threshold_uc:
-            raise ValueError(
-                f"muscle.saturation_uc = {self.muscle.saturation_uc:g} must be above threshold_uc = "
-                f"{self.muscle.threshold_uc:g}"
-            )
+            low, high = self.muscle.threshold_uc, self.muscle.saturation_uc
+            raise ValueError(f"muscle.saturation_uc = {high:g} must be above threshold_uc = {low:g}")
         steps = 1e9 / STEP_NS / self.rate_hz
         if steps < 2.0 or abs(steps - round(steps)) > 1e-9:
             raise ValueError(f"rate_hz = {self.rate_hz:g}: 2000 must be a multiple of it, e.g. 100, 200, 400, 500")
@@ -125,42 +121,25 @@ _MUSCLE_RANGES = {
 }  # fmt: skip
 
 
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-        raise ValueError(f"{name} = {value!r}: must be a number from {low:g} to {high:g}")
-
-
-def setting_names() -> dict[str, tuple[str, ...]]:
-    """Names of the settings, of the patient and of its muscle: for messages and files."""
-    return {
-        "patient": tuple(item.name for item in fields(PatientSettings)),
-        "muscle": tuple(item.name for item in fields(MuscleSettings)),
-    }
-
-
-def to_plain(settings: PatientSettings) -> dict[str, Any]:
-    """All of it in plain values, for another process; :func:`from_plain` reads them."""
-    return asdict(settings)
+def _names(kind: type) -> set[str]:
+    return {item.name for item in fields(kind)}
 
 
 def from_plain(values: Mapping[str, Any]) -> PatientSettings:
-    """Back from plain values, which may have been through JSON.
+    """Back from the plain values of ``dataclasses.asdict``, which may have been through JSON.
 
     Raises:
         ValueError, TypeError: they are no settings of a patient.
     """
-    more: dict[str, Any] = dict(values)
-    if "muscle" in more:
-        more["muscle"] = MuscleSettings(**more["muscle"])
-    if "imu" in more:
-        more["imu"] = ImuModel(**more["imu"])
-    if "placements" in more:
-        more["placements"] = {
-            name: Placement(tuple(one["body_m"]), tuple(one["angles_deg"])) for name, one in more["placements"].items()
-        }
-    if "sensors" in more:
-        more["sensors"] = tuple(more["sensors"])
-    return PatientSettings(**more)
+    kinds: dict[str, Callable[[Any], Any]] = {
+        "muscle": lambda plain: MuscleSettings(**plain),
+        "imu": lambda plain: ImuModel(**plain),
+        "placements": lambda plain: {
+            name: Placement(tuple(one["body_m"]), tuple(one["angles_deg"])) for name, one in plain.items()
+        },
+        "sensors": tuple,
+    }
+    return PatientSettings(**{name: kinds[name](value) if name in kinds else value for name, value in values.items()})
 
 
 SEVERITIES: Final[dict[str, dict[str, float]]] = {
@@ -181,7 +160,7 @@ def settings_for(severity: str, **others: Any) -> PatientSettings:
     """
     if severity not in SEVERITIES:
         raise ValueError(f"severity {severity!r}: choose one of {', '.join(SEVERITIES)}")
-    unknown = set(others) - set(setting_names()["patient"])
+    unknown = set(others) - _names(PatientSettings)
     if unknown:
         raise ValueError(f"no such setting of a patient: {', '.join(sorted(unknown))}")
     values: dict[str, Any] = {**SEVERITIES[severity], **others}
@@ -203,12 +182,10 @@ def load_patient(path: Path, **others: Any) -> PatientSettings:
         raise ValueError(f"{path}: must hold one table, [patient]; it has {', '.join(data) or 'nothing'}")
     values = dict(table)
     muscle = values.pop("muscle", {})
-    allowed = setting_names()
-    plain = (set(allowed["patient"]) - {"muscle", "imu", "placements"}) | {"severity"}
-    _refuse(path, "patient", values, plain)
+    _refuse(path, "patient", values, (_names(PatientSettings) - {"muscle", "imu", "placements"}) | {"severity"})
     if not isinstance(muscle, dict):
         raise ValueError(f"{path}: muscle must be a table, [patient.muscle]")
-    _refuse(path, "patient.muscle", muscle, set(allowed["muscle"]))
+    _refuse(path, "patient.muscle", muscle, _names(MuscleSettings))
     try:
         if "sensors" in values:
             if not isinstance(values["sensors"], list):

@@ -1,7 +1,5 @@
 """The walk: at every event of a leg, decide when and where the feet go next; note events and strides as they were."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -231,11 +229,10 @@ class Walker:
             self._finish(side, t_s)
         open_.t_heel_off_s, open_.from_x = t_s, float(self.legs[side]["stand_x"])
         self._note(side, t_s, "heel_off")
-        planner = self.planners[side]
         share = self._stride_share()
         if self._stopping:  # the slower the belt, the less there is to push off for
             share *= min(float(self.belt["v"][0]) / self.speed_mps, 1.0)
-        planner.rise(t_s, max(open_.next_off_s, t_s + 0.12), share, self._support_s())
+        self.planners[side].rise(t_s, max(open_.next_off_s, t_s + 0.12), share, self._support_s())
 
     def _foot_off(self, side: int, t_s: float) -> None:
         open_, planner = self._open[side], self.planners[side]
@@ -247,31 +244,30 @@ class Walker:
         draw = np.clip(self._rng.normal(size=5), -2.5, 2.5)
         reach = float(draw[0]) * LANDING_SPREAD_M * vary * (0.6 + 0.4 * min(self._stride_share(), 1.2))
         if self._stopping:
-            beside = self._beside(side, t_s, end)
+            # down below the hip, where that will be when the belt has come to rest
+            belt = self.belt[0]
+            now_m = float(belt["x"])
+            beside = planner.reach(end, now_m + travel_m(belt, end - t_s), now_m + to_rest_m(belt))
             open_.last_step = beside < reach + HALF_A_FOOT_M
             reach = beside if open_.last_step else reach
         turn = float(np.clip(self._turn_rad[side], -math.radians(30), math.radians(30)))
         self._turn_rad[side] -= turn
-        lift = planner.pattern.hike_m
         circle = planner.pattern.circumduction_m * (1.0 + 0.25 * float(draw[3]) * vary)
         y = planner.sign * HALF_WIDTH_M + 0.012 * vary * float(draw[2])
-        planner.leg["roll_goal"] = -planner.sign * self._inversion(side, float(draw[4]))
+        # inward roll in the air: a hanging foot inverts, the own muscles hold it nearly level
+        hanging_deg = (1.0 - float(planner.leg["own"])) * (planner.pattern.invert_deg - 2.0)
+        invert_deg = 2.0 + hanging_deg + 0.8 * self.settings.variability * float(draw[4])
+        planner.leg["roll_goal"] = -planner.sign * math.radians(invert_deg)
         planner.swing(
             Swing(
                 begin_s=t_s, end_s=end,
                 clearance_m=max(CLEARANCE_M + CLEARANCE_SPREAD_M * vary * float(draw[1]), 0.004),
-                extra_lift_m=lift + self._scare_m * affected, habit=self._habit * affected,
+                extra_lift_m=planner.pattern.hike_m + self._scare_m * affected, habit=self._habit * affected,
                 reach_m=reach, turn_rad=turn,
                 swerve_rad=math.radians(planner.pattern.swerve_deg), circle_m=circle,
                 shift_m=y - float(planner.leg["y"]),
             )
         )  # fmt: skip
-
-    def _inversion(self, side: int, draw: float) -> float:
-        """Inward roll of the foot in the air (rad): a hanging foot inverts, the own muscles hold it nearly level."""
-        planner = self.planners[side]
-        share = 1.0 - float(planner.leg["own"])
-        return math.radians(2.0 + share * (planner.pattern.invert_deg - 2.0) + 0.8 * self.settings.variability * draw)
 
     def _contact(self, side: int, t_s: float, trace: Any) -> None:
         leg, open_ = self.legs[side], self._open[side]
@@ -290,15 +286,17 @@ class Walker:
         open_, planner = self._open[side], self.planners[side]
         contact = self._contact_time(side, open_.number)
         cycle = self._rhythm.cycle_s(self.speed_mps)
-        swing = (1.0 - normative.stance_share(self.speed_mps) + self._shift(side)) * cycle
+        longer = self.settings.asymmetry + self.pattern.stance_shift  # share of the cycle, of the affected leg's swing
+        longer = longer if side == self.affected else -longer
+        swing = (1.0 - normative.stance_share(self.speed_mps) + longer) * cycle
         off = max(contact - swing - self._sooner_s(side, t_s, contact - swing), t_s + 0.30)
         rise = max(off - PRE_SWING_SHARE * cycle, t_s + 0.15)
         open_.next_off_s, open_.next_contact_s = off, contact
         if first:
             planner.leg["due_s"] = planner.leg["rise_t"] = rise
             planner.leg["flat_t"] = t_s
-            return
-        planner.stance(t_s, rise, off, self._support_s())
+        else:
+            planner.stance(t_s, rise, off, self._support_s())
 
     def _sooner_s(self, side: int, t_s: float, off_s: float) -> float:
         """How much sooner than at ``off_s`` the foot leaves since it has landed early and short, as after a stumble.
@@ -368,14 +366,8 @@ class Walker:
         self.events.append(FootEvent(_ns(t_s), FOOT_SENSORS[side], kind))
 
     def _contact_time(self, side: int, number: int) -> float:
-        if side != self.affected:
-            return self._rhythm.leader(number, self.speed_mps)
-        return self._rhythm.follower(number, self.speed_mps)
-
-    def _shift(self, side: int) -> float:
-        """Share of the cycle that this leg's swing is longer than half of both."""
-        shift = self.settings.asymmetry + self.pattern.stance_shift
-        return shift if side == self.affected else -shift
+        lands = self._rhythm.follower if side == self.affected else self._rhythm.leader
+        return lands(number, self.speed_mps)
 
     def _stride_m(self) -> float:
         return self.speed_mps * self._rhythm.cycle_s(self.speed_mps)
@@ -386,13 +378,6 @@ class Walker:
     def _support_s(self) -> float:
         """Length of one double support."""
         return (normative.stance_share(self.speed_mps) - 0.5) * self._rhythm.cycle_s(self.speed_mps)
-
-    def _beside(self, side: int, t_s: float, end_s: float) -> float:
-        """Reach that sets the foot down below the hip, where that will be when the belt has come to rest."""
-        belt = self.belt[0]
-        now_m = float(belt["x"])
-        at_end_m = now_m + travel_m(belt, end_s - t_s)
-        return self.planners[side].reach(end_s, at_end_m, now_m + to_rest_m(belt))
 
 
 def _ns(t_s: float) -> int:

@@ -7,8 +7,6 @@ The foot's pitch at contact is the best witness, for a hip that lifts a dragging
 measures the one that shows it most exactly decides, the others must not contradict it.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -16,7 +14,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Final
 
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import BELIEVED, NOISE, NOISE_AT_CONTACT, SLOPE_BOUNDS
 from fes.stimulation.tuning.guardrails import at_most, drive_of
 from fes.stimulation.tuning.targets import Reading
@@ -66,19 +64,15 @@ class AnswerMonitor:
     def add_bare(self, reading: Reading | str) -> None:
         """A stride in which nothing was delivered; one that could not be read says nothing."""
         if not isinstance(reading, str):
-            self._bare.append(_levels(reading))
+            self._bare.append(reading.levels)
 
     def stride(self, reading: Reading, drives: Mapping[str, float], parameters: BurstParameters, *, spent: bool) -> str:
-        """Take in a valid stride; says so when the foot does not answer, else "".
+        """Take in a valid stride, and the drive that each measure has seen; says so when the foot does not answer.
 
-        Args:
-            reading: of the stride.
-            drives: that each measure has seen.
-            parameters: under which it was walked.
-            spent: whether that is at the intensity's upper bound.
+        ``spent``: whether ``parameters``, under which it was walked, are at the intensity's upper bound.
         """
         self._contact |= {measure.name for measure in reading.measures if measure.at_contact}
-        seen = _SeenStride(_levels(reading), dict(drives), parameters)
+        seen = _SeenStride(reading.levels, dict(drives), parameters)
         self._recent.append(seen)
         if reading.level >= 0.0:
             self._run.clear()
@@ -132,10 +126,6 @@ class AnswerMonitor:
 
     def _noise(self, name: str) -> float:
         return NOISE_AT_CONTACT if name in self._contact else NOISE
-
-
-def _levels(reading: Reading) -> dict[str, float]:
-    return {measure.name: measure.level for measure in reading.measures}
 
 
 def _common(strides: Sequence[_SeenStride] | deque[_SeenStride]) -> list[str]:

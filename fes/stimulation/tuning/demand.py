@@ -12,8 +12,6 @@ to the low end of the band, for what is not needed is charge and fatigue. Every 
 aim; the one that needs most leads.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -77,11 +75,11 @@ class Response:
         total = sum(weights)
         if not total:
             return SLOPE
-        mean_u = sum(w * u for w, (u, _) in zip(weights, self._strides, strict=True)) / total
-        mean_z = sum(w * z for w, (_, z) in zip(weights, self._strides, strict=True)) / total
+        strides = [(w, u, z) for w, (u, z) in zip(weights, self._strides, strict=True)]
+        mean_u, mean_z = sum(w * u for w, u, _ in strides) / total, sum(w * z for w, _, z in strides) / total
         ridge = (NOISE / SLOPE_SD) ** 2
-        uz = sum(w * (u - mean_u) * (z - mean_z) for w, (u, z) in zip(weights, self._strides, strict=True))
-        uu = sum(w * (u - mean_u) ** 2 for w, (u, _) in zip(weights, self._strides, strict=True))
+        uz = sum(w * (u - mean_u) * (z - mean_z) for w, u, z in strides)
+        uu = sum(w * (u - mean_u) ** 2 for w, u, _ in strides)
         return min(max((SLOPE * ridge + uz) / (ridge + uu), SLOPE_BOUNDS[0]), SLOPE_BOUNDS[1])
 
     def level_at(self, drive: float) -> float:
@@ -91,8 +89,7 @@ class Response:
         newest = [z for _, z in moved[-LAST:]]
         if all(z < 0.0 for z in newest) or all(z > 1.0 for z in newest):
             return median(newest)  # all agree that the band is left: older strides would only slow it down
-        near = [z for i, (far, z) in enumerate(moved[-7:]) if far < NEAR or i >= len(moved[-7:]) - LAST]
-        return median(near)
+        return median(z for i, (far, z) in enumerate(moved[-7:]) if far < NEAR or i >= len(moved[-7:]) - LAST)
 
     @property
     def noise(self) -> float:
@@ -161,9 +158,8 @@ class Responses:
     def add(self, reading: Reading, drives: Mapping[str, float]) -> None:
         """A valid stride, and the drive that each measure has seen."""
         for measure in reading.measures:
-            self._by_name.setdefault(measure.name, Response(NOISE_AT_CONTACT if measure.at_contact else NOISE)).add(
-                drives[measure.name], measure.level
-            )
+            new = Response(NOISE_AT_CONTACT if measure.at_contact else NOISE)
+            self._by_name.setdefault(measure.name, new).add(drives[measure.name], measure.level)
 
     def forget(self) -> None:
         """What was learnt no longer holds."""

@@ -3,14 +3,12 @@
 The tuner keeps to these; the gate, which knows nothing of tuning, has the last word all the same.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from statistics import median
 from typing import Final
 
 from fes.config import Bounds, Tuning
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.demand import LAST, Response
 
 QUANTUM_MA: Final = 0.5  # the devices' step: less would be a change on paper only

@@ -13,8 +13,6 @@ with a profile of widths and bands instead of a reference curve: until the end o
 clearance's, from there to contact the pitch's.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,10 +21,10 @@ from typing import Final
 
 from fes.config import Channel, Tuning
 from fes.signals import StrideResult
-from fes.stimulation.parameters import BIN_S, BurstParameters
+from fes.stimulation.envelope import BIN_S, BurstParameters
 from fes.stimulation.tuning.demand import Demand, in_mid_swing, late_demand, leading, reason, room
 from fes.stimulation.tuning.guardrails import QUANTUM_MA, limited
-from fes.stimulation.tuning.targets import Reading, SwingTimes, swing_times
+from fes.stimulation.tuning.targets import Reading, swing_times
 
 DELAY_S: Final = 0.15  # electromechanical delay 20–50 ms, rise of the activation 50 ms, and the foot's own inertia
 SIDE: Final = 0.15  # weight of each neighbour in Q
@@ -49,10 +47,10 @@ class Zones:
         return fmean(first or last or widths), fmean(last or first or widths)
 
 
-def zones_of(times: SwingTimes, burst_s: float, bins: int) -> Zones:
+def zones_of(middle_s: float, contact_s: float, burst_s: float, bins: int) -> Zones:
     """Which bins the stride's mid-swing and its end are answerable to; ``burst_s`` is the burst's begin."""
-    reached = min(max(int((times.contact_s - burst_s) / BIN_S + 0.5), 0), bins)
-    middle = int((times.middle_s - DELAY_S - burst_s) / BIN_S + 0.5)
+    reached = min(max(int((contact_s - burst_s) / BIN_S + 0.5), 0), bins)
+    middle = int((middle_s - DELAY_S - burst_s) / BIN_S + 0.5)
     return Zones(min(max(middle, 0), reached), reached)
 
 
@@ -62,16 +60,10 @@ def next_profile(
 ) -> list[float]:  # fmt: skip
     """The next stride's profile in µs, before any limit or bound.
 
-    Args:
-        widths: the last stride's.
-        zones: of the last stride.
-        errors: of each zone, in bands.
-        slopes: of each zone, in bands per drive.
-        base: the width that counts as drive 1; ``gain / slope`` is the learning gain L.
-        gain: share of the error to take away at once.
-
-    The smoothing Q works on the bins reached; beyond them the profile goes on with the width of the last, which the
-    next, longer swing will judge.
+    ``widths`` and ``zones`` are the last stride's, ``errors`` those of each zone in bands, ``slopes`` in bands per
+    drive; ``base`` is the width that counts as drive 1, ``gain`` the share of the error to take away at once: ``gain /
+    slope`` is the learning gain L. The smoothing Q works on the bins reached; beyond them the profile goes on with the
+    width of the last, which the next, longer swing will judge.
     """
     n = zones.reached
     raised = list(widths)
@@ -106,7 +98,7 @@ class Intensity:
         burst_s = parameters.start_delay_s
         if self._channel.start_phase == "swing" and stride.t_pre_swing_ns is not None:
             burst_s += 1e-9 * ((stride.t_swing_ns or stride.t_pre_swing_ns) - stride.t_pre_swing_ns)
-        return zones_of(times, burst_s, len(parameters.widths_us))
+        return zones_of(*times, burst_s, len(parameters.widths_us))
 
     def drives(
         self, reading: Reading, zones: Zones | None, parameters: BurstParameters, intensity: float
@@ -134,15 +126,21 @@ class Intensity:
     ) -> BurstParameters:
         """``base`` with the intensity that the demands ask for, before any limit or bound."""
         if self._tuning.method == "learning":
-            return base if zones is None else self._reshaped(base, demands, zones, intensity)
+            if zones is None:
+                return base
+            late, middle = late_demand(demands) or demands[0], in_mid_swing(demands)
+            errors, slopes = (middle.error, late.error), (middle.slope, late.slope)
+            width_us = self._channel.pulse_width_us / intensity
+            profile = next_profile(base.widths_us, zones, errors, slopes, width_us, self._tuning.gain)
+            return replace(base, widths_us=tuple(profile))
         # a hold that is held back is itself the answer to what contact asks for
         asks = in_mid_swing(demands) if self._holds_back(zones, base) else demands[0]
         others = tuple(demand for demand in demands if demand is not asks)
         step = min(self._tuning.gain * asks.step, room((asks, *others)) if zones is None else room((asks,)))
         current_ma = base.current_ma + step / intensity * self._own.current_ma
         after = limited(base, replace(base, current_ma=current_ma), self._tuning)
-        late = late_demand(demands)
-        return after if zones is None or late is None else self._held(base, after, late, zones, intensity)
+        hold = late_demand(demands)
+        return after if zones is None or hold is None else self._held(base, after, hold, zones, intensity)
 
     def why_held(
         self, before: BurstParameters, after: BurstParameters, demands: tuple[Demand, ...], led: Demand
@@ -151,9 +149,8 @@ class Intensity:
         late = late_demand(demands)
         if self._tuning.method == "learning" or after.widths_us == before.widths_us or late in (None, led):
             return ""
-        return (
-            f"; {reason(late)}" if late is not None and late.error else "; the hold until contact as strong as it was"
-        )
+        held = "the hold until contact as strong as it was"
+        return f"; {reason(late) if late is not None and late.error else held}"
 
     def lessened(self, base: BurstParameters, error: float) -> BurstParameters:
         """All that one stride allows, away from where the last trial went."""
@@ -178,14 +175,3 @@ class Intensity:
         self._middles.append(zones.middle)
         full = median_low(self._middles)
         return replace(after, widths_us=(own_us,) * full + (hold_us,) * (len(base.widths_us) - full))
-
-    def _reshaped(
-        self, base: BurstParameters, demands: tuple[Demand, ...], zones: Zones, intensity: float
-    ) -> BurstParameters:
-        late = late_demand(demands) or demands[0]
-        middle = in_mid_swing(demands)
-        width_us = self._channel.pulse_width_us / intensity
-        profile = next_profile(
-            base.widths_us, zones, (middle.error, late.error), (middle.slope, late.slope), width_us, self._tuning.gain
-        )
-        return replace(base, widths_us=tuple(profile))

@@ -1,16 +1,13 @@
 """All channels' tuners and the dose ledger: what the controller feeds and asks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 
 from fes.config import Session
 from fes.signals import OperatorAct, OperatorAction, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger
-from fes.stimulation.parameters import BurstParameters
-from fes.stimulation.tuning.reports import TuningReport
-from fes.stimulation.tuning.tuner import Tuner
+from fes.stimulation.envelope import BurstParameters
+from fes.stimulation.tuning.tuner import Tuner, TuningReport
 
 _CHOICES = (OperatorAction.ACCEPT_SUGGESTION, OperatorAction.ROLL_BACK)
 TUNING_ACTS = frozenset((OperatorAction.FREEZE_TUNING, OperatorAction.RESUME_TUNING, *_CHOICES))
@@ -49,7 +46,10 @@ class Tuners:
             if act.action is not OperatorAction.SET_BELT_SPEED:
                 for tuner in self.tuners.values():
                     tuner.operator_changed(act.t_ns)
-            return self._on_intensity(act) if act.action is OperatorAction.SET_INTENSITY else ()
+            if act.action is not OperatorAction.SET_INTENSITY:
+                return ()
+            lowered, self._intensity = 0.0 < act.value < self._intensity, act.value
+            return self._freeze(act.t_ns, "the intensity was lowered by hand") if lowered else ()
         if act.action is OperatorAction.FREEZE_TUNING:
             return self._freeze(act.t_ns, act.why or "on demand")
         if act.action is OperatorAction.RESUME_TUNING:
@@ -59,10 +59,6 @@ class Tuners:
             return ()
         done = chosen.accept(act.t_ns) if act.action is OperatorAction.ACCEPT_SUGGESTION else chosen.roll_back(act.t_ns)
         return () if done is None else self._remember((done,))
-
-    def _on_intensity(self, act: OperatorAct) -> tuple[TuningReport, ...]:
-        lowered, self._intensity = 0.0 < act.value < self._intensity, act.value
-        return self._freeze(act.t_ns, "the intensity was lowered by hand") if lowered else ()
 
     def _freeze(self, t_ns: int, why: str) -> tuple[TuningReport, ...]:
         """All that go on. One that has stopped itself keeps its reason, and goes back to less, but not to more."""

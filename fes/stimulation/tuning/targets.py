@@ -5,8 +5,6 @@ satisfied measure, so that one number says whether more stimulation is needed. T
 a turn or a pause.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_right
 from collections import deque
@@ -61,12 +59,9 @@ class StrideFilter:
         self._changed_ns = t_ns
 
     def why_skip(self, stride: StrideResult, charge_uc: float, drive: float) -> str:
-        """Why this stride teaches nothing; "" when it does.
+        """Why this newest stride teaches nothing; "" when it does.
 
-        Args:
-            stride: the newest.
-            charge_uc: delivered in it.
-            drive: under which it was walked; scales the charge to be expected.
+        ``charge_uc`` was delivered in it; ``drive``, under which it was walked, scales the charge to be expected.
         """
         end_ns, self._end_ns = self._end_ns, stride.t_end_ns
         if not stride.valid:
@@ -91,13 +86,9 @@ class StrideFilter:
             return f"the speed changed from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
         if self._changed_ns is not None and self._changed_ns >= stride.t_start_ns:
             return "a person changed the stimulation meanwhile"
-        return self._charge(stride, charge_uc, drive)
-
-    def _charge(self, stride: StrideResult, charge_uc: float, drive: float) -> str:
         if charge_uc <= 0.0 or drive <= 0.0:
             return NO_CHARGE
-        duration_s = (stride.t_end_ns - stride.t_start_ns) / NS_PER_S
-        relative = charge_uc / (drive * duration_s)
+        relative = charge_uc / (drive * ((stride.t_end_ns - stride.t_start_ns) / NS_PER_S))
         usual = median(self._charges) if self._charges else relative
         self._charges.append(relative)
         if relative < CHARGE_SHARE * usual:
@@ -142,6 +133,11 @@ class Reading:
     def level(self) -> float:
         """Of the least satisfied measure."""
         return self.measures[0].level
+
+    @property
+    def levels(self) -> dict[str, float]:
+        """By measure."""
+        return {measure.name: measure.level for measure in self.measures}
 
 
 def read_stride(stride: StrideResult, tuning: Tuning) -> Reading | str:
@@ -189,22 +185,14 @@ def interpolate(x: float, xs: Sequence[float], ys: Sequence[float]) -> float:
     return ys[k - 1] + share * (ys[k] - ys[k - 1])
 
 
-@dataclass(frozen=True, slots=True)
-class SwingTimes:
-    """When mid-swing ended and when contact was, s since entry into pre-swing."""
-
-    middle_s: float
-    contact_s: float
-
-
-def swing_times(stride: StrideResult) -> SwingTimes | None:
-    """Of a stride that passed its phases, else None."""
+def swing_times(stride: StrideResult) -> tuple[float, float] | None:
+    """When mid-swing ended and when contact was, s since entry into pre-swing; None without these phases."""
     begin_ns, swing_ns = stride.t_pre_swing_ns, stride.t_swing_ns
     contact_ns = stride.t_loading_response_ns or stride.t_stance_ns
     if begin_ns is None or swing_ns is None or contact_ns is None or not begin_ns <= swing_ns < contact_ns:
         return None
     middle_ns = swing_ns + MID_SWING_END * (contact_ns - swing_ns)
-    return SwingTimes(1e-9 * (middle_ns - begin_ns), 1e-9 * (contact_ns - begin_ns))
+    return 1e-9 * (middle_ns - begin_ns), 1e-9 * (contact_ns - begin_ns)
 
 
 def times_ns(stride: StrideResult) -> list[float]:

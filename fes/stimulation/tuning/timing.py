@@ -15,8 +15,6 @@ All of these last a share of the stride that hardly differs from stride to strid
 the speed: so the next stride's are the usual shares of the newest durations' median.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from itertools import pairwise
@@ -71,9 +69,7 @@ class Lowering:
 
     @property
     def _faster(self) -> float:
-        if not self._now:
-            return 1.0
-        return median(self._now) / max(median(self._held), 1e-6)
+        return median(self._now) / max(median(self._held), 1e-6) if self._now else 1.0
 
 
 def lowering_radps(stride: StrideResult) -> float:
@@ -101,11 +97,9 @@ class SpeedTiming:
     def put_off(self, missing: float, used: float, slope: float) -> None:
         """Let the start come later, or sooner again.
 
-        Args:
-            missing: > 0 when more stimulation is needed, 0 when it suffices.
-            used: share of the intensity's bound in use.
-            slope: of what is reached in mid-swing, in bands per drive: where it hardly answers to a stronger burst,
-                the burst comes too late for it rather than too weak.
+        ``missing`` is > 0 when more stimulation is needed, ``used`` the share of the intensity's bound in use,
+        ``slope`` that of what is reached in mid-swing, in bands per drive: where it hardly answers to a stronger burst,
+        the burst comes too late for it rather than too weak.
         """
         if missing > 0.0 and (used >= SPENT or slope < WEAK):
             self._late = max(self._late - PATIENCE, 0.0)
@@ -115,11 +109,8 @@ class SpeedTiming:
     def bring_forward(self, reached: float | None, missing: float, lowering: Lowering, extension_s: float) -> None:
         """Let the end come before contact, or no longer.
 
-        Args:
-            reached: level of the foot's pitch at contact, < 0 below its band; None when there is none.
-            missing: > 0 when it asks for more stimulation.
-            lowering: how the foot comes down after contact.
-            extension_s: in force.
+        ``reached`` is the level of the foot's pitch at contact, < 0 below its band, None when there is none;
+        ``missing`` is > 0 when it asks for more stimulation; ``extension_s`` is in force.
         """
         soon = max(-extension_s / SOONEST_S, 0.0)
         if reached is None or reached < 0.0 or lowering.too_fast:
@@ -139,9 +130,8 @@ class SpeedTiming:
             return
         self._durations_s.append(duration_s)
         self._speed_mps = stride.speed_mps
-        spans_ns = (swing - pre, loading - swing, stance - loading)
-        pre_share, swing_share, loading_share = (span / NS_PER_S / duration_s for span in spans_ns)
-        self._shares.append((pre_share, swing_share, loading_share))
+        pre_s, swing_s, loading_s = ((b - a) / NS_PER_S for a, b in pairwise((pre, swing, loading, stance)))
+        self._shares.append((pre_s / duration_s, swing_s / duration_s, loading_s / duration_s))
 
     @property
     def enough_strides(self) -> bool:
@@ -173,8 +163,7 @@ class SpeedTiming:
 
     def reason(self, extension_s: float) -> str:
         """Why, in words; ``extension_s`` is what follows."""
-        up = ", as late as it suffices" if self._late else ""
-        end = self._end if extension_s < 0.0 else ""
+        up, end = ", as late as it suffices" if self._late else "", self._end if extension_s < 0.0 else ""
         return (
             f"timing follows the speed ({self._speed_mps:.1f} m/s, stride {self._duration_s:.2f} s): current up as the "
             f"toe leaves the ground{up}, force gone as the foot lies flat{end}"

@@ -3,21 +3,61 @@
 Deterministic and without a clock: the same strides, charges and acts give the same changes, live and in replay.
 """
 
-from __future__ import annotations
-
-from dataclasses import replace
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Final, Literal
 
 from fes.config import Channel, Tuning
 from fes.signals import StrideResult
-from fes.stimulation.parameters import BurstParameters
+from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.answering import AnswerMonitor
 from fes.stimulation.tuning.demand import Demand, Response, Responses, at_contact, in_mid_swing, reason
 from fes.stimulation.tuning.guardrails import HarmMonitor, at_most, drive_of, limited, outside, peak_of, share_used
 from fes.stimulation.tuning.intensity import Intensity, Zones
-from fes.stimulation.tuning.reports import Kind, TuningReport, difference
 from fes.stimulation.tuning.targets import NO_CHARGE, Reading, StrideFilter, jolted, read_stride
 from fes.stimulation.tuning.timing import SPENT, Lowering, SpeedTiming
+
+Kind = Literal["change", "suggestion", "skip", "hint", "roll_back", "frozen"]
+
+
+@dataclass(frozen=True, slots=True)
+class TuningReport:
+    """One thing the tuning did, would do, or did not do, and why.
+
+    ``before`` and ``after`` are the parameters of the next burst, the same unless ``kind`` is "change" or "roll_back"
+    (then they are in force) or "suggestion" (then ``after`` waits for a person).
+    """
+
+    t_ns: int
+    channel: int
+    kind: Kind
+    text: str
+    before: BurstParameters
+    after: BurstParameters
+
+    @property
+    def severity(self) -> str:
+        """For the session log."""
+        return "warning" if self.kind in ("hint", "roll_back") else "info"
+
+
+def difference(before: BurstParameters, after: BurstParameters) -> str:
+    """What changes, in words; "" for nothing."""
+    changes = []
+    if after.current_ma != before.current_ma:
+        changes.append(f"current {before.current_ma:.1f} → {after.current_ma:.1f} mA")
+    moved = [(b, a) for b, a in zip(before.widths_us, after.widths_us, strict=True) if a != b]
+    if moved:
+        most = max(moved, key=lambda pair: abs(pair[1] - pair[0]))
+        changes.append(
+            f"pulse width {most[0]:.0f} → {most[1]:.0f} µs where it changes most "
+            f"(mean {before.mean_width_us:.0f} → {after.mean_width_us:.0f} µs)"
+        )
+    for name, key in (("start delay", "start_delay_s"), ("extension", "extension_s")):
+        was, becomes = getattr(before, key), getattr(after, key)
+        if was != becomes:
+            changes.append(f"{name} {1e3 * was:.0f} → {1e3 * becomes:.0f} ms")
+    return ", ".join(changes)
+
 
 HOLD_STRIDES: Final = 4  # after a roll-back, before the next attempt
 MOST_ROLL_BACKS: Final = 3
@@ -32,10 +72,8 @@ OUTLIER_SDS: Final = 6.0
 class Tuner:
     """Follows one channel's foot. ``parameters`` are what the next burst is to have.
 
-    Args:
-        channel: with its ``tuning``, which must not be None.
-        min_stride_length_m: shorter strides are no walking.
-        usual_intensity: the session's, at which its settings are meant; below it nothing gets stronger than they are.
+    ``usual_intensity`` is the session's, at which its settings are meant; below it nothing gets stronger than they are.
+    Strides shorter than ``min_stride_length_m`` are no walking.
     """
 
     def __init__(self, channel: Channel, min_stride_length_m: float = 0.15, usual_intensity: float = 1.0) -> None:
@@ -85,8 +123,7 @@ class Tuner:
         """Go on after a freeze; where the foot did not answer, without what was learnt meanwhile."""
         if self._lost:
             self._lost = False
-            self.response.forget()
-            self._responses.forget()
+            self._forget_responses()
         self.frozen, self._roll_backs = "", 0
         return self._report(t_ns, "frozen", "tuning goes on")
 
@@ -111,11 +148,7 @@ class Tuner:
     def observe(self, t_ns: int, stride: StrideResult, charge_uc: float, intensity: float) -> TuningReport | None:
         """Take in the newest stride of the channel's foot; what came of it, None when there is nothing to report.
 
-        Args:
-            t_ns: now.
-            stride: walked under :attr:`parameters`.
-            charge_uc: delivered in it.
-            intensity: the operator's setting, 0–1.
+        It was walked under :attr:`parameters`, ``charge_uc`` delivered in it, at the operator's ``intensity`` (0–1).
         """
         if self.tuning.mode == "off":
             return None
@@ -155,6 +188,10 @@ class Tuner:
             return self._roll_back_to(t_ns, harmful, reading)
         return self._tune(t_ns, reading, self._responses.demands(reading, drives), drive, zones, intensity)
 
+    def _forget_responses(self) -> None:
+        self.response.forget()
+        self._responses.forget()
+
     @property
     def drive(self) -> float:
         """Stimulation in force relative to the session's, at full intensity."""
@@ -166,8 +203,7 @@ class Tuner:
         if self._jolts >= JOLTS and not self.frozen and self._returning is None:
             after = limited(self.parameters, self._intensity.lessened(self.parameters, -1.0), self.tuning)
             if changes := difference(self.parameters, after):
-                self.response.forget()
-                self._responses.forget()
+                self._forget_responses()
                 text = f"stride {stride.number}: {why}; stimulation may jerk the foot up, less is tried: {changes}"
                 return self._propose(t_ns, after, text, drive, 0.0)
         return self._report(t_ns, "skip", f"stride {stride.number} skipped: {why}")
@@ -185,8 +221,7 @@ class Tuner:
         before = self.parameters
         self._returning, self._hold = parameters, HOLD_STRIDES
         self._roll_backs += 1
-        now = reading.measures[0]
-        text = f"{now.text()} has got worse with the last changes"
+        text = f"{reading.measures[0].text()} has got worse with the last changes"
         if self._roll_backs > MOST_ROLL_BACKS:
             self.freeze(t_ns, f"stopped itself after {self._roll_backs} roll-backs")
             self._returning = self.start
@@ -240,7 +275,14 @@ class Tuner:
         if not self._hold:
             self._timing.put_off(demands[0].error, share_used(before, self.tuning), in_mid_swing(demands).slope)
             self._timing.bring_forward(*at_contact(demands), self._lowering, before.extension_s)
-        wanted = self._timed(before)
+        wanted = before
+        if self.tuning.timing and self._timing.enough_strides:
+            channel = self.channel
+            delay_s, extension_s = self._timing.wanted(channel.start_phase, channel.rise_s, channel.fall_s)
+            if abs(delay_s - before.start_delay_s) > TIMING_DEAD_S:
+                wanted = replace(wanted, start_delay_s=delay_s)
+            if abs(extension_s - before.extension_s) > TIMING_DEAD_S:
+                wanted = replace(wanted, extension_s=extension_s)
         if error and other_way:
             error = -error
             wanted = self._intensity.lessened(wanted, error)
@@ -257,16 +299,6 @@ class Tuner:
             return self._propose(t_ns, after, f"{why}: {changes}", drive, error)
         self.pending = None
         return self._hint_if_unreached(t_ns, reading)
-
-    def _timed(self, base: BurstParameters) -> BurstParameters:
-        if not self.tuning.timing or not self._timing.enough_strides:
-            return base
-        delay_s, extension_s = self._timing.wanted(self.channel.start_phase, self.channel.rise_s, self.channel.fall_s)
-        if abs(delay_s - base.start_delay_s) > TIMING_DEAD_S:
-            base = replace(base, start_delay_s=delay_s)
-        if abs(extension_s - base.extension_s) > TIMING_DEAD_S:
-            base = replace(base, extension_s=extension_s)
-        return base
 
     def _propose(self, t_ns: int, after: BurstParameters, text: str, drive: float, error: float) -> TuningReport | None:
         before = self.parameters
@@ -289,8 +321,7 @@ class Tuner:
             where = "at the upper bound: look at electrodes, fatigue and target"
         else:
             where = "below the upper bound: look at electrodes, the other target and the intensity set by hand"
-        text = f"{reading.measures[0].text()} is not reached {where}"
-        return self._report(t_ns, "hint", text)
+        return self._report(t_ns, "hint", f"{reading.measures[0].text()} is not reached {where}")
 
     def _report(self, t_ns: int, kind: Kind, text: str, before: BurstParameters | None = None) -> TuningReport:
         return TuningReport(t_ns, self.channel.number, kind, text, before or self.parameters, self.parameters)

@@ -15,7 +15,7 @@ const BESIDE = "Use the SPACE key at the computer, or the stop button beside you
 
 const view = { about: null, status: null, role: "nobody", stopAsked: 0, lost: "", refused: "", ended: "", asked: 0, said: "" };
 const sideView = new SideView($("side"));
-const lengths = new StrideChart($("length"), "length_m", 1, 0.8, 2);
+const lengths = new StrideChart($("length"), "stride_length_m", 1, 0.8, 2);
 const clearances = new StrideChart($("clearance"), "clearance_m", 100, 10, 1);
 let envelope = null;
 
@@ -82,7 +82,7 @@ function frame(said) {
 
 function row(stride) {
   const cells = stride.valid
-    ? [number(stride.length_m, 2), number(stride.clearance_m === null ? null : 100 * stride.clearance_m, 1),
+    ? [number(stride.stride_length_m, 2), number(stride.clearance_m === null ? null : 100 * stride.clearance_m, 1),
        number(stride.toe_clearance_m === null ? null : 100 * stride.toe_clearance_m, 1), number(stride.speed_mps, 2)]
     : [`not used: ${stride.reason}`];
   const line = make("tr", { class: `${side(stride.foot)} ${stride.valid ? "" : "unused"}`, "data-stride": JSON.stringify(stride) });

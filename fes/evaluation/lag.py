@@ -5,15 +5,13 @@ only believed where the signals are alike, the next best lag is clearly worse, a
 same.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from fes.evaluation.agreement.paired import NAN
+from fes.evaluation.agreement import NAN
 from fes.signals import FloatArray
 
 GRID_S: Final = 0.01
@@ -27,23 +25,14 @@ WIDTH_S: Final = 0.03  # standard deviation of the bump that stands for an event
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """``t_recording = t_reference + lag_s``.
+    """``t_recording = t_reference + lag_s``."""
 
-    Attributes:
-        lag_s: the best lag, refined between grid points.
-        likeness: correlation of the two signals there, −1…1.
-        residual: what is left of the reference when the scaled recording is taken off, as a share of its RMS.
-        next_best: the greatest correlation at any other peak.
-        halves_s: lag of the later half minus lag of the earlier one; a drift of one clock shows here.
-        caveat: why the lag should not be believed; "" where it may.
-    """
-
-    lag_s: float
-    likeness: float
-    residual: float
-    next_best: float
-    halves_s: float
-    caveat: str = ""
+    lag_s: float  # refined between grid points
+    likeness: float  # correlation of the two signals there, −1…1
+    residual: float  # what is left of the reference when the scaled recording is taken off, as a share of its RMS
+    next_best: float  # the greatest correlation at any other peak
+    halves_s: float  # lag of the later half minus lag of the earlier one; a drift of one clock shows here
+    caveat: str = ""  # why the lag should not be believed; "" where it may
 
 
 def event_trains(times_s: Sequence[FloatArray], grid_s: FloatArray, width_s: float = WIDTH_S) -> FloatArray:
@@ -61,12 +50,7 @@ def find_lag(
 ) -> Lag:
     """Cross-correlate two signals of K columns, each on its own increasing times, up to ``most_s`` either way.
 
-    Args:
-        reference_s: (N,) s; ``reference`` (N, K) or (N,). NaN rows count as unknown.
-        reference: see above.
-        recording_s: (M,) s; ``recording`` (M, K) or (M,).
-        recording: see above.
-        most_s: the greatest lag looked at.
+    Times are (N,) and (M,) in s, the signals (N, K) or (N,), (M, K) or (M,); NaN rows count as unknown.
 
     Raises:
         ValueError: nothing overlaps within that lag, or a signal never changes.
