@@ -48,7 +48,7 @@ class FootResult:
     in_order: int
     false_swings: int
     invalid: int
-    rest_gyr_radps: float
+    push_off_radps: float
 
 
 def data_folder() -> Path:
@@ -132,7 +132,7 @@ def evaluate_foot(run: str, track: Track, belt_mps: float) -> FootResult:
         in_order=in_order,
         false_swings=false_swings,
         invalid=sum(not s.valid for s in strides),
-        rest_gyr_radps=calibration.rest_gyr_radps,
+        push_off_radps=calibration.push_off_radps,
     )
 
 
@@ -160,7 +160,7 @@ def main(arguments: list[str] | None = None) -> int:
             str(r.in_order),
             f"{100 * r.in_order / r.strides:.1f}",
             str(r.false_swings),
-            f"{r.rest_gyr_radps:.2f}",
+            f"{r.push_off_radps:.2f}",
         )
     console = console_of(120)
     console.print(table)

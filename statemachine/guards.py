@@ -1,14 +1,16 @@
 """The six guards T1–T6 as pure predicates over one sample's features.
 
 Plain functions of plain numbers: ``transitions`` calls them as they are, and the estimation core compiles the very same
-functions. Source: Negård et al. (2005), "Gait Phases Detection". Departures, each said where it is made:
-thresholds are physical rates, so that one setting holds from 100 Hz to 1 kHz, and T2 and T3 wait for the part of the
-swing in which their feature means what the paper takes it to mean.
+functions. Source: Negård et al. (2005), "Gait Phases Detection": which phase may follow which, and what is looked at.
+Departure: all limits are shares of this person's own push-off, fall from push-off to mid-swing, stride time and jump of
+the force at contact, so that one setting holds for a healthy walker in a hurry and for a foot that shuffles or drags,
+and at every sampling rate. What no stance, swing or loading response is shorter or longer than is a share of the
+stride, so that no phase can be held up by a sign that does not come (a stance without rest, a contact without a jolt).
 """
 
 from typing import NamedTuple
 
-FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": "vertical_jerk_mps3"}  # in old files
+FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": "contact_jerk_mps3"}  # in old files
 
 
 class Features(NamedTuple):
@@ -16,97 +18,123 @@ class Features(NamedTuple):
 
     ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive. ``toe_down_peak_radps`` is the
     greatest toe-down rate since pre-swing began and ``toe_up_peak_radps`` the greatest toe-up rate since swing began
-    (both not negative). ``vertical_jerk_mps3`` is the change of vertical acceleration over the last 10 ms, per second.
-    ``resting_s`` is how long neither sensor has seen movement.
+    (both not negative). ``turned_rad`` is how far the foot has turned toe-down since it last turned back.
+    ``contact_jerk_mps3`` is the change of the vertical acceleration over the last 10 ms, or half that of the whole
+    force where that is more, per second. ``since_contact_s`` counts from the last entry into loading response.
+    ``resting_s`` is how long the foot has hardly turned; ``travelling``: its dead-reckoned speed says that it moves all
+    the same.
     """
 
-    a_rest: bool
-    g_rest: bool
     toe_down_radps: float
     toe_down_change_radps2: float
     toe_down_peak_radps: float
     toe_up_peak_radps: float
-    vertical_jerk_mps3: float
+    turned_rad: float
+    contact_jerk_mps3: float
     in_phase_s: float
+    since_contact_s: float
     resting_s: float
+    travelling: bool
 
 
 class Thresholds(NamedTuple):
-    """Limits of the guards, in physical units.
+    """This person's measures, which follow from stride to stride within bounds, and the guards' shares of them.
 
-    ``fes.estimation.foot.calibration`` fits ``rest_gyr_radps``, ``min_toe_down_peak_radps``, ``rest_hold_s`` and
-    ``contact_jerk_mps3`` to the person.
+    The measures come from ``fes.estimation.foot.calibration`` (of a shank ``fes.estimation.shank.calibration``). Shares
+    of rates are of the greater of push-off and half the fall: a weak push-off says little.
     """
 
-    rest_gyr_radps: float = 0.7  # T1, T4–T6: at rest below (as a constant, 0.7 lets 98 % of strides pass)
-    min_toe_down_peak_radps: float = 0.8  # T2: no push-off has been seen below this rate
-    rest_acc_mps2: float = 1.2  # T1, T4–T6: at rest while |f| is this close to gravity
-    turned_acc_mps2: float = 1.0  # T1: moving once f has turned this far from its mean in this stance
-    leave_gyr: float = 1.8  # T1: a resting gyroscope counts as moving only above its limit times this
-    leave_acc: float = 1.8  # T1: the same of the accelerometer, which every jolt of the floor shakes
-    still_speed_mps: float = 0.25  # T4–T6: at rest only below this dead-reckoned speed …
-    still_speed_share: float = 0.35  # … or below this share of the swing's greatest …
-    long_rest_s: float = 0.3  # … or after being still for this long
-    rest_hold_s: float = 0.03  # T4–T6: at rest for this long, so that a zero crossing is no rest
-    push_off_drop: float = 0.05  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
+    push_off_radps: float = 6.0  # typical peak of the toe-down rate
+    fall_radps: float = 12.0  # from there to the greatest toe-up rate of the swing
+    stride_s: float = 1.2
+    contact_jerk_mps3: float = 2000.0  # typical jump of the force at contact
+    rest_share: float = 0.12  # T4–T6: at rest below this rate
+    heel_rise_share: float = 0.22  # T1: moving above this rate …
+    heel_rise_rad: float = 0.07  # … once it has turned by 4° …
+    heel_rise_after: float = 0.25  # … and this share of the stride after contact, before which no heel rises
+    toe_up_share: float = 0.22  # T1–T3: a dragged foot swings without a push-off: toe-up above this rate …
+    toe_up_after: float = 0.35  # … and, for T1, this share of the stride after contact
+    push_off_share: float = 0.4  # T2: no push-off has been seen below this share of its typical rate
+    push_off_drop: float = 0.07  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
-    contact_jerk_mps3: float = 600.0  # T3: jump of vertical acceleration
-    min_swing_s: float = 0.12  # T3: toe-off jolts end before, no swing is shorter
-    mid_swing_share: float = 0.25  # T3: mid-swing's toe-up rate is at least this share of push-off's toe-down rate
-    rising_share: float = 0.3  # T3: the toe-up rate has fallen to this share of its peak: mid-swing is over
-    late_swing_s: float = 0.45  # T3: from then on, with no mid-swing peak to wait for (a dragged foot)
-    soft_contact_rest_s: float = 0.15  # T6: a swinging foot may seem to rest for a tenth of a second before it lands
-    still_change_radps2: float = 15.0  # T6: d1 of the paper
-    still_rate_radps: float = 0.5  # T6: d2 of the paper
+    shortest_swing: float = 0.22  # T3: of the stride; toe-off's jolts end before …
+    longest_swing_stride_s: float = 1.8  # … for swing does not lengthen with slower strides than this
+    mid_swing_share: float = 0.55  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
+    rising_share: float = 0.3  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
+    struck_share: float = 0.03  # T3: a foot that is struck turns toe-down at this rate …
+    struck_per_s: float = 4.0  # … which grows by this many times the push-off's each second
+    landed_share: float = 0.15  # T3: it turns toe-down at this rate, however slowly that came
+    jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
+    soft_contact: float = 0.1  # T3: after so long at rest, of the stride, it has landed without a jolt
+    shortest_loading: float = 0.1  # T4: of the stride after contact; the foot is not flat before
+    flat: float = 0.027  # T4: at rest for this share of the stride …
+    longest_loading: float = 0.2  # … or, without rest, this share of the stride after contact, …
+    longest_loading_stride_s: float = 1.3  # … which does not lengthen with slower strides than this
+    put_back: float = 0.13  # T5, T6: at rest for this share of the stride
 
 
 def t1(x: Features, p: Thresholds) -> bool:
-    """Stance → pre-swing: both sensors say that the foot moves."""
-    return not x.a_rest and not x.g_rest
+    """Stance → pre-swing: the heel rises (or the foot is dragged off without that).
+
+    The paper asks for movement of both sensors; a foot rolls on all through stance, so how far it has turned decides.
+    """
+    rate = max(p.push_off_radps, 0.5 * p.fall_radps)
+    return (
+        x.toe_down_radps > p.heel_rise_share * rate
+        and x.turned_rad > p.heel_rise_rad
+        and x.since_contact_s > p.heel_rise_after * p.stride_s
+    ) or (-x.toe_down_radps > p.toe_up_share * rate and x.since_contact_s > p.toe_up_after * p.stride_s)
 
 
 def t2(x: Features, p: Thresholds) -> bool:
-    """Pre-swing → swing: one sensor moves, and the toe-down rate has passed its peak (toe-off).
+    """Pre-swing → swing: the toe-down rate has passed its peak (toe-off), or the foot already turns toe-up.
 
     The paper's formula (the derivative turns negative), not its text (the rate changes sign), which comes some 60 ms
     after foot off; ``swing_at_reversal`` asks for the text's. The peak must be a push-off's, and must be left by
     ``push_off_drop``.
     """
     return (
-        (not x.a_rest or not x.g_rest)
-        and x.toe_down_change_radps2 < 0.0
-        and x.toe_down_peak_radps >= p.min_toe_down_peak_radps
+        x.toe_down_peak_radps >= p.push_off_share * p.push_off_radps
         and x.toe_down_radps < (1.0 - p.push_off_drop) * x.toe_down_peak_radps
         and (x.toe_down_radps < 0.0 or not p.swing_at_reversal)
-    )
+    ) or -x.toe_down_radps > p.toe_up_share * max(p.push_off_radps, 0.5 * p.fall_radps)
 
 
 def t3(x: Features, p: Thresholds) -> bool:
-    """Swing → loading response: vertical acceleration jumps, after mid-swing.
+    """Swing → loading response: after mid-swing the force jumps, or the foot turns toe-down, or it has come to rest.
 
-    The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact.
+    The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact. It knows no soft contact.
     """
+    rate = max(p.push_off_radps, 0.5 * p.fall_radps)
+    if x.in_phase_s < p.shortest_swing * min(p.stride_s, p.longest_swing_stride_s):
+        return False
+    if (
+        x.toe_down_peak_radps + x.toe_up_peak_radps < p.mid_swing_share * p.fall_radps
+        and x.toe_up_peak_radps < p.toe_up_share * rate
+    ) or -x.toe_down_radps >= p.rising_share * x.toe_up_peak_radps:
+        return False
     return (
-        abs(x.vertical_jerk_mps3) > p.contact_jerk_mps3
-        and x.in_phase_s >= p.min_swing_s
-        and (
-            (
-                x.toe_up_peak_radps >= p.mid_swing_share * x.toe_down_peak_radps
-                and -x.toe_down_radps < p.rising_share * x.toe_up_peak_radps
-            )
-            or x.in_phase_s >= p.late_swing_s
-        )
+        (x.toe_down_radps > p.struck_share * rate and x.toe_down_change_radps2 > p.struck_per_s * rate)
+        or x.toe_down_radps > p.landed_share * rate
+        or x.contact_jerk_mps3 > p.jerk_share * p.contact_jerk_mps3
+        or (x.resting_s > p.soft_contact * p.stride_s and not x.travelling)
     )
 
 
 def t4(x: Features, p: Thresholds) -> bool:
-    """Loading response → stance: the foot is flat and both sensors rest."""
-    return x.a_rest and x.g_rest
+    """Loading response → stance: the foot is flat; without rest, once it must be.
+
+    The paper waits for rest of both sensors, which a brisk walker's foot never comes to.
+    """
+    return x.since_contact_s > p.shortest_loading * p.stride_s and (
+        x.resting_s > p.flat * p.stride_s
+        or x.since_contact_s > p.longest_loading * min(p.stride_s, p.longest_loading_stride_s)
+    )
 
 
 def t5(x: Features, p: Thresholds) -> bool:
     """Pre-swing → stance: the heel was lifted and put back."""
-    return x.a_rest and x.g_rest
+    return x.resting_s > p.put_back * p.stride_s and not x.travelling
 
 
 def t6(x: Features, p: Thresholds) -> bool:
@@ -114,10 +142,4 @@ def t6(x: Features, p: Thresholds) -> bool:
 
     The paper asks for no duration; a slow swing comes to a halt above the ground before it lands, so rest must last.
     """
-    return (
-        x.a_rest
-        and x.g_rest
-        and abs(x.toe_down_change_radps2) < p.still_change_radps2
-        and abs(x.toe_down_radps) < p.still_rate_radps
-        and x.resting_s >= p.soft_contact_rest_s
-    )
+    return x.resting_s > p.put_back * p.stride_s and not x.travelling

@@ -63,6 +63,6 @@ def calibration(sensor: str, rate_hz: float = 100.0) -> FootCalibration:
     """Of such a sensor: y to the left is toe-down."""
     return FootCalibration(
         sensor=sensor, rate_hz=rate_hz, up=(0.0, 0.0, 1.0), toe_down=(0.0, 1.0, 0.0), acc_bias_mps2=(0.0, 0.0, 0.0),
-        gyr_bias_radps=(0.0, 0.0, 0.0), rest_gyr_radps=0.5, min_toe_down_peak_radps=1.0, rest_hold_s=0.05,
-        contact_jerk_mps3=150.0, axis_confidence=1.0, strides=10, standing=True,
+        gyr_bias_radps=(0.0, 0.0, 0.0), push_off_radps=4.0, fall_radps=8.0, stride_s=1.2,
+        contact_jerk_mps3=500.0, axis_confidence=1.0, strides=10, standing=True,
     )  # fmt: skip

@@ -8,9 +8,10 @@ from fes.calibration.recording import SensorCalibrations, calibrate_all, save
 from fes.cli.common.exits import failing, writing
 from fes.cli.common.options import PATH
 from fes.cli.common.show import print_json
-from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration
+from fes.estimation.shank.motion import ShankLevels
 from fes.recording import RecordingError, read_recording
 
 
@@ -61,20 +62,20 @@ def _show(found: SensorCalibrations) -> None:
     from rich.table import Table
 
     foot_of = {sensor: foot for foot, sensor in phase_sensors(found.calibrations).items()}
-    table = Table("sensor", "phases of", "strides", "still second", "forward is sure", "rest below", "arm")
+    table = Table("sensor", "phases of", "strides", "still second", "forward is sure", "push-off", "arm")
     for sensor, calibration in found.calibrations.items():
         if isinstance(calibration, ShankCalibration):
-            rest_radps, arm = calibration.levels.rest_lean_radps, f"{100 * calibration.arm.length_m:.0f} cm"
+            push_off_radps, arm = calibration.levels.push_off_radps, f"{100 * calibration.arm.length_m:.0f} cm"
             arm += "" if calibration.arm.learnt else " (prior)"
         else:
-            rest_radps, arm = calibration.rest_gyr_radps, "–"
+            push_off_radps, arm = calibration.push_off_radps, "–"
         table.add_row(
             sensor,
             foot_of.get(sensor, "recorded only"),
             str(calibration.strides),
             "yes" if calibration.standing else "no",
             f"{calibration.axis_confidence:.0%}",
-            f"{rest_radps:.2f} rad/s",
+            f"{push_off_radps:.1f} rad/s",
             arm,
         )
     Console(width=110).print(table)
@@ -87,6 +88,14 @@ def _show(found: SensorCalibrations) -> None:
         click.echo(describe(calibration))
 
 
+def moves(levels: FootCalibration | ShankLevels, contact_mps3: float) -> str:
+    """This person's measures, which the guards' limits are shares of."""
+    return (
+        f"push-off {levels.push_off_radps:.1f} rad/s, fall to mid-swing {levels.fall_radps:.1f} rad/s, "
+        f"stride {levels.stride_s:.2f} s, contact {contact_mps3:.0f} m/s³"
+    )
+
+
 def describe(calibration: Calibration) -> str:
     """A calibration for people."""
     rate = ", ".join(f"{1000 * b:+.1f}" for b in calibration.gyr_bias_radps)
@@ -97,17 +106,12 @@ def describe(calibration: Calibration) -> str:
         arm, levels = calibration.arm, calibration.levels
         how = f"learnt from {arm.windows} stances" if arm.learnt else f"taken from the prior: {arm.reason}"
         more = [
-            f"  flat below {levels.rest_lean_radps:.2f} rad/s and {levels.rest_acc_mps2:.1f} m/s² at the ankle; "
-            f"push-off from {levels.min_lean_peak_radps:.1f} rad/s; contact from {levels.contact_jolt_mps3:.0f} m/s³",
+            f"  flat below {levels.rest_lean_radps:.2f} rad/s; " + moves(levels, levels.contact_jolt_mps3),
             f"  arm {100 * arm.length_m:.1f} cm, {how}; condition {arm.condition:.1f}",
         ]
     else:
-        turning, axis, unseen = "toe-down about", calibration.toe_down, "taken as 0"
-        more = [
-            f"  at rest below {calibration.rest_gyr_radps:.2f} rad/s for {1000 * calibration.rest_hold_s:.0f} ms; "
-            f"push-off from {calibration.min_toe_down_peak_radps:.1f} rad/s; "
-            f"contact from {calibration.contact_jerk_mps3:.0f} m/s³"
-        ]
+        turning, axis, unseen = "toe-down about", calibration.toe_down, "that by which gravity closes over the strides"
+        more = ["  " + moves(calibration, calibration.contact_jerk_mps3)]
     standing = calibration.standing
     still = "a still second was found" if standing else f"nobody stood still: the gyroscope's bias is {unseen}"
     across = ", ".join(f"{v:+.2f}" for v in axis)

@@ -67,7 +67,7 @@ def command(
     """Try combinations of settings of SESSION on RECORDINGS, or with --patients on virtual ones.
 
     NAME is a setting of the session file (phases.swing_begins, stimulation.strides_before_start, channels.tuning.gain;
-    channels.0.… for one channel) or a guard's threshold (thresholds.rest_gyr_radps). VALUES are separated by commas;
+    channels.0.… for one channel) or a guard's threshold (thresholds.heel_rise_share). VALUES are separated by commas;
     LOW:HIGH:COUNT is COUNT values from LOW to HIGH, and x1.2, for thresholds, is 1.2 times what calibration gives.
 
     A recording with its truth beside it is judged by missed, extra and mistimed transitions, one without by its

@@ -64,8 +64,8 @@ def made_up_steps() -> tuple[IntArray, FloatArray, FloatArray]:
 def made_up_calibration() -> FootCalibration:
     """The calibration of such a foot."""
     return FootCalibration(
-        "left_foot", 100.0, UP, LEFT, NO_BIAS, NO_BIAS, rest_gyr_radps=0.5, min_toe_down_peak_radps=1.0,
-        rest_hold_s=0.03, contact_jerk_mps3=600.0, axis_confidence=1.0, strides=0, standing=True,
+        "left_foot", 100.0, UP, LEFT, NO_BIAS, NO_BIAS, push_off_radps=4.0, fall_radps=7.0,
+        stride_s=2.0, contact_jerk_mps3=2000.0, axis_confidence=1.0, strides=0, standing=True,
     )  # fmt: skip
 
 

@@ -348,15 +348,15 @@ def test_no_room_for_the_results_is_an_early_end(
 @pytest.mark.parametrize(
     "asked",
     [
-        "thresholds.rest_gyr_radps=0:1:" + "9" * 5000,
-        "thresholds.rest_gyr_radps=0:1:1",
-        "thresholds.rest_gyr_radps=1e400",
-        "thresholds.rest_gyr_radps=x1.2.3",
-        "thresholds.rest_gyr_radps=,",
+        "thresholds.heel_rise_share=0:1:" + "9" * 5000,
+        "thresholds.heel_rise_share=0:1:1",
+        "thresholds.heel_rise_share=1e400",
+        "thresholds.heel_rise_share=x1.2.3",
+        "thresholds.heel_rise_share=,",
         "thresholds.nothing=1",
         "channels.²..gain=1",
         "=1",
-        "thresholds.rest_gyr_radps",
+        "thresholds.heel_rise_share",
     ],
 )
 def test_a_grid_of_nonsense_is_refused_in_words(asked: str) -> None:
@@ -374,7 +374,7 @@ def test_what_toml_cannot_read_is_a_word(text: str) -> None:
 def test_more_than_can_be_tried_is_refused(count: int, sample: int | None) -> None:
     axes = [
         parse_axis(f"thresholds.{name}=0:1:{count}")
-        for name in ("rest_gyr_radps", "leave_gyr", "leave_acc", "long_rest_s")
+        for name in ("rest_share", "heel_rise_share", "push_off_share", "soft_contact")
     ]
     axes = axes if count > 1000 else axes[:3]
     with pytest.raises(CohortError, match="combinations are"):
@@ -386,6 +386,6 @@ def test_more_than_can_be_tried_is_refused(count: int, sample: int | None) -> No
 
 def test_a_sweep_on_more_than_memory_holds_is_refused(tmp_path: Path) -> None:
     given = ["sweep", str(TRIALS / "session.toml"), "--patients", "10000", "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(main, [*given, "--set", "thresholds.rest_gyr_radps=0:1:200"])
+    result = CliRunner().invoke(main, [*given, "--set", "thresholds.heel_rise_share=0:1:200"])
     assert result.exit_code == 2, result.output
     assert not (tmp_path / "out").exists()

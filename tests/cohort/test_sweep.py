@@ -77,7 +77,7 @@ def tuned(folder: Path) -> Path:
         ("stimulation.strides_before_start=1,2,2", (1, 2)),
         ("channels.tuning.gain=0.2:0.8:4", (0.2, 0.4, 0.6, 0.8)),
         ("channels.0.tuning.timing=true", (True,)),
-        ("thresholds.rest_gyr_radps=x0.8,0.5", (Factor(0.8), 0.5)),
+        ("thresholds.heel_rise_share=x0.8,0.5", (Factor(0.8), 0.5)),
     ],
 )
 def test_values_are_read_as_the_session_file_would(asked: str, values: tuple[object, ...]) -> None:
@@ -101,7 +101,7 @@ def test_a_threshold_goes_by_its_former_name_too() -> None:
         ("channels.tuning.gain=a:b:3", "no number"),
         ("channels.tuning.gain=0:1:1", "COUNT"),
         ("channels.tuning.gain=x1.2", "write the value itself"),
-        ("thresholds.rest_gyr_radps=inf", "no number"),
+        ("thresholds.heel_rise_share=inf", "no number"),
     ],
 )
 def test_what_is_no_setting_is_told_with_the_nearest(asked: str, told: str) -> None:
@@ -118,7 +118,7 @@ def test_every_name_can_be_set() -> None:
 
 @given(st.lists(st.integers(1, 5), min_size=1, max_size=4), st.integers(1, 40), st.integers(0, 9))
 def test_a_sample_is_part_of_the_grid_and_the_same_for_the_same_seed(sizes: list[int], count: int, seed: int) -> None:
-    chosen = ("thresholds.rest_gyr_radps", "thresholds.leave_gyr", "stimulation.intensity", "channels.fall_s")
+    chosen = ("thresholds.heel_rise_share", "thresholds.rest_share", "stimulation.intensity", "channels.fall_s")
     axes = [
         parse_axis(f"{name}={','.join(str(k) for k in range(size))}") for name, size in zip(chosen, sizes, strict=False)
     ]
@@ -132,7 +132,7 @@ def test_a_sample_is_part_of_the_grid_and_the_same_for_the_same_seed(sizes: list
 
 
 def test_too_many_combinations_and_a_setting_named_twice_are_refused() -> None:
-    axes = [parse_axis(f"{name}=0:1:400") for name in ("thresholds.rest_gyr_radps", "thresholds.leave_gyr")]
+    axes = [parse_axis(f"{name}=0:1:400") for name in ("thresholds.heel_rise_share", "thresholds.rest_share")]
     with pytest.raises(CohortError, match=r"160000 combinations.*--sample"):
         combinations_of(axes)
     assert len(combinations_of(axes, 5)) == 6
@@ -162,10 +162,10 @@ def test_a_combination_changes_what_it_names_and_nothing_else(tmp_path: Path) ->
 
 
 def test_thresholds_by_value_by_factor_and_of_the_wrong_kind() -> None:
-    own = Thresholds(rest_gyr_radps=0.5)
-    new = change_thresholds(own, {"rest_gyr_radps": Factor(1.2), "min_swing_s": 0.2, "swing_at_reversal": True})
-    assert new == own._replace(rest_gyr_radps=0.6, min_swing_s=0.2, swing_at_reversal=True)
-    for wrong in ({"min_swing_s": "soon"}, {"min_swing_s": True}, {"swing_at_reversal": 1}, {"min_swing_s": -1.0}):
+    own = Thresholds(rest_share=0.1)
+    new = change_thresholds(own, {"rest_share": Factor(1.2), "shortest_swing": 0.2, "swing_at_reversal": True})
+    assert new == own._replace(rest_share=0.12, shortest_swing=0.2, swing_at_reversal=True)
+    for wrong in ({"shortest_swing": "soon"}, {"shortest_swing": True}, {"swing_at_reversal": 1}, {"shortest_swing": -1.0}):
         with pytest.raises(CohortError, match="must be"):
             change_thresholds(own, dict(wrong))
 
@@ -242,8 +242,8 @@ def test_thresholds_change_what_a_recording_shows(tmp_path: Path) -> None:
     store.prepare({})
     tried = [
         Point(),
-        Point((("thresholds.rest_gyr_radps", Factor(1.0)),)),
-        Point((("thresholds.min_toe_down_peak_radps", 50.0),)),
+        Point((("thresholds.heel_rise_share", Factor(1.0)),)),
+        Point((("thresholds.push_off_share", 50.0),)),
     ]
     tried.append(Point((("stimulation.strides_before_start", 0),)))
     tried.append(Point((("stimulation.strides_before_start", 20),)))

@@ -2,7 +2,7 @@
 
 Names are those of the session file, with dots: ``phases.swing_begins``, ``stimulation.strides_before_start``,
 ``channels.tuning.gain`` (of every channel), ``channels.0.current_ma`` (of the channel with that number). The guards'
-thresholds are ``thresholds.rest_gyr_radps`` and so on; ``x1.2`` is 1.2 times what it would be for this person.
+thresholds are ``thresholds.heel_rise_share`` and so on; ``x1.2`` is 1.2 times what it would be for this person.
 """
 
 import difflib

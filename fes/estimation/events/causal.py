@@ -27,10 +27,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fes.estimation.foot.calibration import PUSH_OFF_SHARE, FootCalibration
-from fes.estimation.foot.features import LAGS, lags_at
+from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.features import lags_at
 from fes.estimation.numerics.jit import jit
 from fes.estimation.numerics.records import Mat, Vec
+from fes.estimation.tracking.phase_features import LAGS
 from fes.signals import FloatArray, IntArray
 
 UNIT_RADPS = 1.0
@@ -320,9 +321,9 @@ class OnlineEvents:
         self._newest_ns = int(np.iinfo(np.int64).min)
         self._state = np.zeros(1, STATE)[0]
         s = self._state
-        s["typical_peak"] = calibration.min_toe_down_peak_radps / PUSH_OFF_SHARE
+        s["typical_peak"] = calibration.push_off_radps
         s["typical_fall"] = START_FALL * s["typical_peak"]
-        s["typical_jerk"] = calibration.contact_jerk_mps3 / IMPACT_SHARE
+        s["typical_jerk"] = calibration.contact_jerk_mps3
         s["gyr_t"] = gyr_threshold(START_TROUGH * s["typical_peak"])
         s["tim_t"] = START_STRIDE_S / 3.0
 

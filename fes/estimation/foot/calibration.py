@@ -1,47 +1,65 @@
-"""How the sensor sits and how this person moves, from a recording: gravity, biases, mediolateral axis, rest level.
+"""How the sensor sits and how this person moves, from a recording: gravity, biases, mediolateral axis, levels.
 
-Nothing about the mounting is assumed. At rest the accelerometer shows which way is up; its magnitude there differs from
-gravity by a bias (a scale fits real sensors worse). Rest is where both sensors are still: a foot goes on sinking into
-its sole after contact, and while it does it stops turning for an instant, which the gyroscope alone takes for rest.
-Walking shows the mediolateral axis as the one that most of the rotation is about; which of its two directions is
-toe-down follows from where the foot travels: forward is where each swing carries it.
+Nothing is assumed of the mounting, of rests, of cadence or of the side. The anchor of every stride is the *fall* of the
+mediolateral rate from push-off to mid-swing: heel rise and the flexion of hip and knee are sagittal even where a foot
+lands on its edge or drags, so the median fall vector is the mediolateral axis, and it has a sign. Where the swings
+carry the foot must agree with it: how much of the travel is along forward is how sure the axis is.
+
+Gravity shows at the quietest instants between two falls. There the accelerometer's magnitude differs from gravity by a
+bias (a scale fits real sensors worse). The gyroscope's bias follows from gravity's closure: from quiet instant to quiet
+instant the integrated turn must carry gravity to gravity; both ends are the same part of the gait cycle, so what is not
+gravity cancels.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fes.estimation.foot.features import FootParameters, lags_at
-from fes.estimation.foot.movements import contact_jumps, follow, movements, moving_mean
+from fes.estimation.foot.movements import closures, contact_jumps, follow, moving_mean
+from fes.estimation.numerics.filters import falls_apart
 from fes.estimation.numerics.ranks import median, percentile
 from fes.estimation.numerics.rotation import cross, without
 from fes.estimation.zupt.detectors import ACC_TOLERANCE_MPS2, RATE_TOLERANCE_RADPS, least_spread
 from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, Vector3
 from statemachine.guards import FORMER_NAMES, Thresholds
 
+SMOOTH_S = 0.04  # the mean over this, twice, is a low-pass of 8 Hz: it leaves one push-off and one mid-swing
+FALL_S = 0.35  # push-off's peak lies at most this long before mid-swing
+APART_S = 0.4  # no two mid-swings are closer
+FALL_SHARE = 0.45  # of this walk's typical fall
+TROUGH_SHARE = 0.3  # of its typical toe-up rate: a foot that slaps down falls as far, but only back to zero
+STRIDE_S = (0.35, 3.0)  # between two anchors; a longer one stands still in between
+LONGEST_GAP_S = 0.04
+REACH_S = 2.0  # how far from a swing its quiet instants are sought
 QUIET_WINDOW_S = 0.1
 QUIET_PERCENT = 15
 QUIET_PASSES = 3  # the force at rest is that of the quietest samples, and these are found by it; it settles at once
 STANDING_S = 1.0
 STANDING_RATE_RADPS = 0.08  # standing still: no window of a second exceeds this spread
-MIN_STRIDES = 3
+MIN_STRIDES = 2
 MIN_TRAVEL_M = 0.15
+MIN_SCORE = 0.5
+FEW_STRIDES, FEW_SCORE = 4, 0.85  # so few strides must agree better
 LEAST_LIVELY_MPS2 = 0.01  # mean departure from gravity in strides: a slow foot's is 0.5, a sensor's noise is more
-REST_PER_PEAK = 0.1  # the rest threshold as a share of the push-off's peak rate …
-REST_PER_FLOOR = 1.6  # … but this far above what the foot does at its quietest …
-REST_BOUNDS_RADPS = (0.25, 1.2)  # … and within these
-SHORTEST_STRIDE_S = 0.5
-REST_HOLD_PER_STRIDE = 0.045  # of what a stride takes longer than the shortest: 0.03 s at 1 s, 0.09 s at 2 s
-REST_HOLD_BOUNDS_S = (0.03, 0.1)
+START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most rotation, with both signs
+PASSES = 3
+UNREST_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
+TRAVEL_SD_RAD, AXIS_SD_RAD = 0.21, 0.087  # of the direction of travel (toe-out) and of the fall vectors' median
+REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
+GYR_BIAS_SD_RADPS = 0.05
+CLOSURE_SD_RAD = 0.02
+AGREE_RADPS = 0.026  # a standing second's bias and the closure's
+LYING_MPS2, LYING_SHARE = 2.0, 0.15  # so many quiet instants may be so far off gravity
 ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
 SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
-CONTACT_SHARE = 0.3  # of the typical jump at contact
-CONTACT_JERK_BOUNDS_MPS3 = (150.0, 600.0)
-MOST_PUSH_OFF_RADPS = 12.0  # real feet's typical peaks are 5–11; a toe that catches turns the foot faster
-PUSH_OFF_SHARE = 0.4  # the least peak that counts as a push-off, as a share of this person's
+HUBER = 2.5
+USUAL_STRIDE_S = 1.2
+SAME_AXIS = 0.996  # within 5°
+LEAST_JUMP_MPS3 = 500.0  # of a soft contact: what counts as one is a share of it
 
 
 class CalibrationError(ValueError):
@@ -52,9 +70,11 @@ class CalibrationError(ValueError):
 class FootCalibration:
     """What is known of one foot sensor; frames: ``toe_down`` and ``up`` are unit vectors in the sensor frame.
 
-    ``axis_confidence`` (0–1) is the share of the travel that agrees on which way the toe points. ``strides`` is how
-    many the result rests on, ``standing`` whether a still second was found (if not, the gyroscope's
-    bias is taken as zero and left to the orientation filter).
+    ``push_off_radps``, ``fall_radps``, ``stride_s`` and ``contact_jerk_mps3`` are this person's typical push-off (peak
+    toe-down rate), fall from there to mid-swing, stride time and jump of the force at contact: the guards' measures.
+    ``axis_confidence`` (0–1) is the share of the travel that is along forward. ``strides`` is how many the result rests
+    on, ``standing`` whether the gyroscope's bias is that of a still second (if not, that by which gravity closes over
+    the strides, or where the foot never comes to rest the calibrated zero, left to the orientation filter).
     """
 
     sensor: str
@@ -63,9 +83,9 @@ class FootCalibration:
     toe_down: Vector3
     acc_bias_mps2: Vector3
     gyr_bias_radps: Vector3
-    rest_gyr_radps: float
-    min_toe_down_peak_radps: float
-    rest_hold_s: float
+    push_off_radps: float
+    fall_radps: float
+    stride_s: float
     contact_jerk_mps3: float
     axis_confidence: float
     strides: int
@@ -80,9 +100,9 @@ class FootCalibration:
     def thresholds(self, *, swing_at_reversal: bool = False) -> Thresholds:
         """The guards' thresholds for this person; all others at their defaults."""
         return Thresholds(
-            rest_gyr_radps=self.rest_gyr_radps,
-            min_toe_down_peak_radps=self.min_toe_down_peak_radps,
-            rest_hold_s=self.rest_hold_s,
+            push_off_radps=self.push_off_radps,
+            fall_radps=self.fall_radps,
+            stride_s=self.stride_s,
             contact_jerk_mps3=self.contact_jerk_mps3,
             swing_at_reversal=swing_at_reversal,
         )
@@ -101,13 +121,31 @@ class FootCalibration:
         values: dict[str, Any] = {
             FORMER_NAMES.get(key, key): tuple(v) if isinstance(v, list) else v for key, v in data.items()
         }
+        if "rest_gyr_radps" in values:  # former versions kept shares of what they had found
+            hold_s, peak, jerk = (
+                values.pop("rest_hold_s"), values.pop("min_toe_down_peak_radps"), values["contact_jerk_mps3"]
+            )  # fmt: skip
+            del values["rest_gyr_radps"]
+            push_off = peak / 0.4
+            values |= {"push_off_radps": push_off, "fall_radps": 2.0 * push_off, "contact_jerk_mps3": jerk / 0.3}
+            values["stride_s"] = max(0.5 + hold_s / 0.045, 1.0)
         return FootCalibration(**values)
+
+
+class _Walk(NamedTuple):
+    """The strides of a recording as one axis shows them, K of them."""
+
+    axis: FloatArray  # (3,) unit, level, toe-down
+    cone_rad: float  # the fall vectors' scatter about it
+    push_offs: IntArray  # (K,) rows
+    mids: IntArray  # (K,) rows
+    spans: IntArray  # (K, 2) rows, from quiet to quiet instant
 
 
 def calibrate_foot(
     sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray
 ) -> FootCalibration:
-    """Find a foot sensor's calibration from a stretch with at least a few strides of walking forward.
+    """Find a foot sensor's calibration from a stretch of walking forward; 5 s suffice, any of a walk.
 
     Args:
         sensor: its name, for messages.
@@ -117,12 +155,13 @@ def calibrate_foot(
         gyr_radps: (N, 3) angular rate.
 
     Raises:
-        CalibrationError: too short, never at rest, too few strides, or the direction of travel is ambiguous.
+        CalibrationError: too short, never at rest, too few strides, a direction of travel that is not clear, or an
+            accelerometer that cannot be right.
     """
     window = max(round(QUIET_WINDOW_S * rate_hz), 2)
     if len(t_ns) < 20 * window:
         raise CalibrationError(
-            f"{sensor}: {len(t_ns) / rate_hz:.1f} s is too short to calibrate. Record a still second and five strides."
+            f"{sensor}: {len(t_ns) / rate_hz:.1f} s is too short to calibrate. Record five strides or more."
         )
     rate_bias, standing = _standing(rate_hz, acc_mps2, gyr_radps)
     gyr = without(gyr_radps, rate_bias)
@@ -135,35 +174,24 @@ def calibrate_foot(
         )
     up = rest_force / np.linalg.norm(rest_force)
     acc = without(acc_mps2, up * (rest_norm - G_MPS2))
-    spans = np.array(movements(energy, rate_hz, unrest), np.int64).reshape(-1, 2)
-    moved = follow(t_ns, acc, gyr, spans)
-    far = _sizes(moved["way"]) > MIN_TRAVEL_M
-    swings, moved = spans[far], moved[far]
-    if len(swings) < MIN_STRIDES:
-        raise CalibrationError(
-            f"{sensor}: {len(swings)} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
-            "Record at least five strides of walking straight ahead."
-        )
-    if moved["lively"].sum() < LEAST_LIVELY_MPS2 * (swings[:, 1] + 1 - swings[:, 0]).sum():
-        raise CalibrationError(
-            f"{sensor}: the accelerometer shows gravity and nothing else while the foot swings, so it has stopped "
-            "measuring. Restart or exchange the sensor, and record again."
-        )
-    axis = _mediolateral(moved["moment"].sum(axis=0), up)
-    along = moved["way"] @ cross(_vector(axis), _vector(up))
-    confidence = abs(along.sum()) / np.abs(along).sum()
-    if confidence < 0.6:
-        raise CalibrationError(
-            f"{sensor}: the strides do not agree on a direction of travel ({confidence:.0%}). Calibrate on a stretch "
-            "of walking straight ahead."
-        )
-    if along.sum() < 0:
-        axis = -axis
-    acc_bias = up * (rest_norm - G_MPS2)
-    acc_bias += _acc_bias_across(t_ns, swings, moved, up)
-    toe_down = gyr @ axis
-    peak, floor = _levels(toe_down, energy, swings)
-    low, high = REST_BOUNDS_RADPS
+    walk, travel, confidence = _find_walk(sensor, rate_hz, t_ns, acc, gyr, unrest, up)
+    quiet = np.unique(walk.spans)
+    quiet = quiet[energy[quiet] < REST_RADPS**2]
+    if 2 * len(quiet) > len(walk.spans):
+        more = _bias_by_closure(t_ns, acc, gyr, walk.spans)
+        if not standing or np.linalg.norm(more) > AGREE_RADPS:
+            rate_bias, gyr, standing = rate_bias + more, without(gyr, more), False
+    moved = follow(t_ns, acc, gyr, walk.spans)
+    _refuse_lying(sensor, moving_mean(_sizes(acc_mps2), window)[quiet] - rest_norm)
+    acc_bias = up * (rest_norm - G_MPS2) + _acc_bias_across(t_ns, walk.spans, moved, up)
+    axis = _blend(walk, travel, up)
+    toe_down, around = gyr @ axis, max(round(SMOOTH_S * rate_hz), 1)
+    push_off = _around(np.maximum, toe_down, walk.push_offs, around)
+    between_s = 1e-9 * np.diff(t_ns[walk.mids]).astype(np.float64)
+    between_s = between_s[between_s < STRIDE_S[1]]
+    lag, _ = lags_at(rate_hz)
+    jumps = contact_jumps(t_ns, without(acc_mps2, acc_bias), gyr, walk.spans, moved["turn"], toe_down, lag)
+    jumps = jumps[~np.isnan(jumps)] * rate_hz / lag
     return FootCalibration(
         sensor=sensor,
         rate_hz=rate_hz,
@@ -171,16 +199,179 @@ def calibrate_foot(
         toe_down=_vector(axis),
         acc_bias_mps2=_vector(acc_bias),
         gyr_bias_radps=_vector(rate_bias),
-        rest_gyr_radps=float(min(max(REST_PER_PEAK * peak, REST_PER_FLOOR * floor, low), high)),
-        min_toe_down_peak_radps=float(PUSH_OFF_SHARE * min(peak, MOST_PUSH_OFF_RADPS)),
-        rest_hold_s=_rest_hold_s(1e-9 * t_ns[swings[:, 0]].astype(np.float64)),
-        contact_jerk_mps3=_contact_jump(
-            t_ns, without(acc_mps2, acc_bias), gyr, swings, moved["turn"], toe_down, rate_hz
-        ),
-        axis_confidence=float(confidence),
-        strides=len(swings),
+        push_off_radps=median(push_off),
+        fall_radps=median(push_off - _around(np.minimum, toe_down, walk.mids, around)),
+        stride_s=median(between_s) if len(between_s) else USUAL_STRIDE_S,
+        contact_jerk_mps3=max(median(jumps) if len(jumps) else 0.0, LEAST_JUMP_MPS3),
+        axis_confidence=confidence,
+        strides=len(walk.spans),
         standing=standing,
     )
+
+
+def _find_walk(
+    sensor: str, rate_hz: float, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, unrest: FloatArray, up: FloatArray
+) -> tuple[_Walk, FloatArray, float]:
+    """The strides along the best of some axes, the way that each of them leads (K, 3), and how sure the axis is.
+
+    An axis is as good as the share of the travel along its forward, and the better the quieter the instants are between
+    its swings: with a "rest" in mid-swing the travel comes out reversed and as large.
+    """
+    window = max(round(SMOOTH_S * rate_hz), 1)
+    smooth = np.stack([moving_mean(moving_mean(column, window), window) for column in gyr.T], axis=1)
+    gaps = np.cumsum(np.append(0, np.diff(t_ns) > NS_PER_S * max(LONGEST_GAP_S, 3.5 / rate_hz)))
+    walks = _walks(rate_hz, smooth, unrest, gaps, up)
+    found: list[tuple[float, float, _Walk, FloatArray]] = []
+    least = min((_median_at(unrest, walk.spans[:, 0]) for walk in walks), default=0.0)
+    most, lively = 0, np.zeros(0)
+    for walk in walks:
+        moved = follow(t_ns, acc, gyr, walk.spans)
+        way = _turned_back(moved["way"], moved["turn"], up)
+        far = _sizes(way) > MIN_TRAVEL_M
+        if far.sum() > most:
+            most, lively = int(far.sum()), moved["lively"][far] / (1 + walk.spans[far, 1] - walk.spans[far, 0])
+        if far.sum() < MIN_STRIDES:
+            continue
+        confidence = float((way[far] @ cross(_vector(walk.axis), _vector(up))).sum() / _sizes(way[far]).sum())
+        quiet = max(_median_at(unrest, walk.spans[:, 0]), 1e-9) / max(least, 1e-9)
+        kept = _Walk(walk.axis, walk.cone_rad, walk.push_offs[far], walk.mids[far], walk.spans[far])
+        found.append((confidence - UNREST_WEIGHT * float(np.log2(quiet)), confidence, kept, way[far]))
+    if most < MIN_STRIDES:
+        raise CalibrationError(
+            f"{sensor}: {most} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
+            "Record at least five strides of walking straight ahead."
+        )
+    if lively.mean() < LEAST_LIVELY_MPS2:
+        raise CalibrationError(
+            f"{sensor}: the accelerometer shows gravity and nothing else while the foot swings, so it has stopped "
+            "measuring. Restart or exchange the sensor, and record again."
+        )
+    _, confidence, best, way = max(found, key=lambda each: each[0])
+    if confidence < (FEW_SCORE if len(best.spans) < FEW_STRIDES else MIN_SCORE):
+        raise CalibrationError(
+            f"{sensor}: the strides do not agree on a direction of travel ({max(confidence, 0.0):.0%} along forward). "
+            "Calibrate on a stretch of walking straight ahead."
+        )
+    return best, way, confidence
+
+
+def _walks(rate_hz: float, smooth: FloatArray, unrest: FloatArray, gaps: IntArray, up: FloatArray) -> list[_Walk]:
+    """What the start axes lead to, each once."""
+    start, walks = _mediolateral(smooth.T @ smooth, up), list[_Walk]()
+    across = cross(_vector(up), _vector(start))
+    for angle in START_TURNS_RAD:
+        for sign in (1.0, -1.0):
+            walk = _walk_along(
+                rate_hz, smooth, unrest, gaps, up, sign * (np.cos(angle) * start + np.sin(angle) * across)
+            )
+            if walk is not None and all(float(walk.axis @ other.axis) < SAME_AXIS for other in walks):
+                walks.append(walk)
+    return walks
+
+
+def _walk_along(
+    rate_hz: float, smooth: FloatArray, unrest: FloatArray, gaps: IntArray, up: FloatArray, axis: FloatArray
+) -> _Walk | None:
+    """The strides by the falls of the rate about an axis, which follows the falls' own."""
+    reach, apart = round(FALL_S * rate_hz) | 1, max(round(APART_S * rate_hz), 1)
+    cone_rad = 0.0
+    mids = push_offs = np.zeros(0, np.int64)
+    for _ in range(PASSES):
+        toe_down = np.ascontiguousarray(smooth @ axis)
+        mids, falls = falls_apart(toe_down, reach, apart)
+        if len(mids) < MIN_STRIDES:
+            return None
+        large = (falls > FALL_SHARE * _typical(falls)) & (-toe_down[mids] > TROUGH_SHARE * _typical(-toe_down[mids]))
+        mids = mids[large]
+        if len(mids) < MIN_STRIDES:
+            return None
+        begins = np.maximum(mids - reach + 1, 0).tolist()
+        push_offs = np.array([b + int(toe_down[b : m + 1].argmax()) for b, m in zip(begins, mids, strict=True)])
+        vectors = smooth[push_offs] - smooth[mids]
+        vectors -= np.outer(vectors @ up, up)
+        sizes = _sizes(vectors)
+        axis = np.array([median(column) for column in vectors.T])
+        if not (size := float(np.linalg.norm(axis))) > 0.0:
+            return None
+        axis = axis / size
+        cone_rad = median(np.arccos(np.clip(vectors @ axis / np.maximum(sizes, 1e-9), -1.0, 1.0)))
+    return _Walk(axis, cone_rad, *_with_spans(push_offs, mids, unrest, gaps, rate_hz))
+
+
+def _with_spans(
+    push_offs: IntArray, mids: IntArray, unrest: FloatArray, gaps: IntArray, rate_hz: float
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Push-offs, mid-swings (K,) and spans (K, 2) from the quietest instant before to the quietest after each
+    swing, without those that hold a gap; ``gaps`` (N,) counts them."""
+    reach, rows = round(REACH_S * rate_hz), []
+    befores, afters = np.append(0, mids[:-1]), np.append(push_offs[1:], len(unrest))
+    for k, (before, push_off, mid, after) in enumerate(zip(befores, push_offs, mids, afters, strict=True)):
+        begin, end = max(before, push_off - reach), min(after, mid + reach)
+        if push_off - begin > 1 and end - mid > 1:
+            first, last = begin + int(unrest[begin:push_off].argmin()), mid + int(unrest[mid:end].argmin())
+            if STRIDE_S[0] * rate_hz <= last - first and first > 0 and gaps[first] == gaps[last]:
+                rows.append((k, first, last))
+    kept = np.array(rows, np.int64).reshape(-1, 3)
+    return push_offs[kept[:, 0]], mids[kept[:, 0]], kept[:, 1:]
+
+
+def _turned_back(way: FloatArray, turn: FloatArray, up: FloatArray) -> FloatArray:
+    """Ways (K, 3) as the foot in the middle of the stride sees them: turned back by half its turn about gravity."""
+    half = np.arctan2(turn[:, 1:] @ up, turn[:, 0])  # half of the whole turn's angle
+    half = (half + 0.5 * np.pi) % np.pi - 0.5 * np.pi
+    level = way - np.outer(way @ up, up)
+    across = np.cross(up, level)
+    return np.asarray(np.cos(half)[:, None] * level - np.sin(half)[:, None] * across)
+
+
+def _blend(walk: _Walk, way: FloatArray, up: FloatArray) -> FloatArray:
+    """The mediolateral axis (3,) by the falls and by the direction of travel, each as sure as it is."""
+    ahead = way.sum(axis=0)
+    left = np.cross(up, ahead / max(float(np.linalg.norm(ahead)), 1e-9))
+    axis = walk.axis / (AXIS_SD_RAD**2 + walk.cone_rad**2) + left / TRAVEL_SD_RAD**2
+    axis -= (axis @ up) * up
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def _bias_by_closure(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray) -> FloatArray:
+    """The gyroscope's bias (3,) in rad/s by which gravity is carried to gravity over the strides.
+
+    Least squares with a prior of zero; strides that fit badly count less.
+    """
+    missed, effect = closures(t_ns, acc, gyr, spans)
+    weight, bias = np.ones(len(missed)), np.zeros(3)
+    for _ in range(3):
+        known = np.einsum("k,kji,kjl->il", weight, effect, effect) / CLOSURE_SD_RAD**2
+        told = np.einsum("k,kji,kj->i", weight, effect, missed) / CLOSURE_SD_RAD**2
+        bias = np.linalg.solve(known + np.eye(3) / GYR_BIAS_SD_RADPS**2, told)
+        off = _sizes(missed - effect @ bias)
+        weight = np.minimum(1.0, HUBER * median(off) / np.maximum(off, 1e-9))
+    return np.asarray(bias)
+
+
+def _refuse_lying(sensor: str, off_mps2: FloatArray) -> None:
+    """Raises CalibrationError where the force at too many instants of rest is so far from gravity (N,)."""
+    share = float((np.abs(off_mps2) > LYING_MPS2).mean()) if len(off_mps2) else 0.0
+    if share > LYING_SHARE:
+        raise CalibrationError(
+            f"{sensor}: in {share:.0%} of the stances, where the foot rests, the accelerometer is more "
+            f"than {LYING_MPS2:g} m/s² off gravity, so it does not measure right. Exchange or recalibrate the sensor."
+        )
+
+
+def _around(of: np.ufunc, values: FloatArray, at: IntArray, around: int) -> FloatArray:
+    """Greatest or least (K,) of ``values`` (N,) within so many rows of some."""
+    rows = at[:, None] + np.arange(-around, around + 1)
+    return np.asarray(of.reduce(values[np.clip(rows, 0, len(values) - 1)], axis=1))
+
+
+def _median_at(values: FloatArray, at: IntArray) -> float:
+    return median(values[at]) if len(at) else np.inf
+
+
+def _typical(values: FloatArray) -> float:
+    """The median of the upper third: some are not swings'."""
+    return median(np.sort(values)[-max(3, len(values) // 3) :])
 
 
 def _vector(v: FloatArray) -> Vector3:
@@ -229,11 +420,6 @@ def _squares(vectors: FloatArray) -> FloatArray:
     return np.asarray(x * x + y * y + z * z)
 
 
-def _of_each(of: np.ufunc, values: FloatArray, spans: IntArray) -> FloatArray:
-    """Sum, greatest … (K,) of ``values`` over spans (K, 2), both ends included; one value stands after the last."""
-    return np.asarray(of.reduceat(values, (spans + np.array((0, 1))).ravel())[::2])
-
-
 def _acc_bias_across(
     t_ns: IntArray, spans: IntArray, moved: np.ndarray[Any, np.dtype[Any]], up: FloatArray
 ) -> FloatArray:
@@ -243,14 +429,20 @@ def _acc_bias_across(
     mean vertical velocity and height left over at the strides' ends speak of them. How loudly depends on how brisk the
     walk is, for scale errors leave something over too; so each is weighed against a share of the stride's acceleration.
     """
-    left, effect_sum = moved["left"].sum(axis=0), moved["effect"].sum(axis=0)
     span_s = 1e-9 * (t_ns[spans[:, 1]] - t_ns[spans[:, 0]])
     briskness = span_s * moved["lively"] / (spans[:, 1] + 1 - spans[:, 0])
-    floor = SCALE_ERROR * np.array((briskness.sum(), 0.5 * (briskness * span_s).sum()))
+    scale = SCALE_ERROR * np.stack((briskness, 0.5 * briskness * span_s), axis=1)
     across = np.eye(3) - np.outer(up, up)
-    rows = (effect_sum @ across) / floor[:, None]
-    known = rows.T @ rows + np.eye(3) / ACC_BIAS_SD_MPS2**2
-    return np.asarray(across @ np.linalg.solve(known, rows.T @ (left / floor)))
+    rows = moved["effect"] @ across / scale[:, :, None]
+    left, weight, bias = moved["left"] / scale, np.ones(len(spans)), np.zeros(3)
+    for _ in range(3):
+        # errors of strides add up like one another's, as scale errors do, not at random: the mean stride's count
+        row, mean = (weight[:, None, None] * rows).sum(axis=0), (weight[:, None] * left).sum(axis=0)
+        row, mean = row / weight.sum(), mean / weight.sum()
+        bias = np.linalg.solve(row.T @ row + np.eye(3) / ACC_BIAS_SD_MPS2**2, row.T @ mean)
+        off = np.hypot(*(left - rows @ bias).T)
+        weight = np.minimum(1.0, HUBER * median(off) / np.maximum(off, 1e-9))
+    return np.asarray(across @ bias)
 
 
 def _mediolateral(moment: FloatArray, up: FloatArray) -> FloatArray:
@@ -259,38 +451,6 @@ def _mediolateral(moment: FloatArray, up: FloatArray) -> FloatArray:
     _, vectors = np.linalg.eigh(level @ moment @ level)
     axis = vectors[:, -1]
     return np.asarray(axis / np.linalg.norm(axis))
-
-
-def _levels(toe_down: FloatArray, energy: FloatArray, spans: IntArray) -> tuple[float, float]:
-    """Typical peak of the toe-down rate per stride, and the rate at the quietest instant between strides (rad/s)."""
-    peaks = _of_each(np.maximum, np.append(toe_down, 0.0), spans)
-    return median(peaks), median(np.sqrt(energy[spans[:, 1]]))
-
-
-def _rest_hold_s(starts_s: FloatArray) -> float:
-    """How long rest must last to count: slow walkers pause between contact and foot flat, fast ones hardly rest."""
-    between = np.diff(starts_s)
-    usual = between[between < 4.0]
-    stride_s = median(usual) if len(usual) else 1.0
-    low, high = REST_HOLD_BOUNDS_S
-    return min(max(REST_HOLD_PER_STRIDE * (stride_s - SHORTEST_STRIDE_S), low), high)
-
-
-def _contact_jump(
-    t_ns: IntArray,
-    acc: FloatArray,
-    gyr: FloatArray,
-    spans: IntArray,
-    turns: FloatArray,
-    toe_down: FloatArray,
-    rate_hz: float,
-) -> float:
-    """Threshold (m/s³) for this person's first contacts: a share of the greatest jump after the toe-up peak."""
-    lag, _ = lags_at(rate_hz)
-    jumps = contact_jumps(t_ns, acc, gyr, spans, turns, toe_down, lag)
-    jumps = jumps[~np.isnan(jumps)] * rate_hz / lag
-    low, high = CONTACT_JERK_BOUNDS_MPS3
-    return min(max(CONTACT_SHARE * median(jumps), low), high) if len(jumps) else high
 
 
 def stretch_for_calibration(t_ns: IntArray, longest_s: float = 60.0) -> int:

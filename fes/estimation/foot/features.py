@@ -13,40 +13,37 @@ from fes.estimation.foot.orientation import OrientationSettings, correct_by_grav
 from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import Mat, Record, Vec, core_type, record_type
 from fes.estimation.numerics.rotation import from_gravity, quaternion_step, to_world
+from fes.estimation.tracking.phase_features import (
+    FIELDS,
+    LAGS,
+    LONG_AGO_NS,
+    dead_reckon,
+    features,
+    observe,
+    per_second,
+    start_phases,
+)
 from fes.signals import G_MPS2
-from statemachine.guards import Features, Thresholds
+from statemachine.guards import Thresholds
 from statemachine.table import first_transition_function
 
-LAGS = 64  # longest look-back in samples: 20 ms at over 2 kHz
-LONG_AGO_NS = 3_600_000_000_000
-LANDED_S = 0.3  # after a contact: no swing goes on for so long once it was seen
-STANCE_MEAN_S = 0.25  # over which the stance's mean specific force forgets
+STANDING_RADPS = (
+    0.25,
+    1.2,
+)  # gravity corrects the orientation while the foot turns no faster than its rest, within these
+STANDING_MPS2 = 1.2  # … and its force is this close to gravity …
+STANDING_S = 0.03  # … for so long, so that a zero crossing does not count
 
 STATE = record_type(
     [
-        ("samples", np.int64),
-        ("t_ns", np.int64),
-        ("phase", np.int64),
-        ("phase_since_ns", np.int64),
-        ("a_moving_ns", np.int64),  # last sample at which the accelerometer saw movement
-        ("g_moving_ns", np.int64),  # the same of the gyroscope
+        *FIELDS,
+        ("moving_ns", np.int64),  # last sample at which the foot did not stand
         ("quaternion", np.float64, 4),
         ("bias_radps", np.float64, 3),
         ("covariance", np.float64, (6, 6)),
         ("scratch", np.float64, (6, 12)),
         ("rate_radps", np.float64, 3),  # bias-free, of the last sample
-        ("stance_force", np.float64, 3),  # running mean of the specific force in the last stance
-        ("acceleration", np.float64, 3),  # in the world, free of gravity, of the last sample
-        ("velocity", np.float64, 3),  # dead-reckoned since the last rest in stance
-        ("peak_speed", np.float64),
-        ("vertical_mps2", np.float64, LAGS),  # rings of the last samples
-        ("toe_down", np.float64, LAGS),
-        ("toe_down_peak", np.float64),
-        ("toe_up_peak", np.float64),
-        ("a_rest", np.bool_),
-        ("g_rest", np.bool_),
-        ("toe_down_change", np.float64),
-        ("vertical_jerk", np.float64),
+        ("force_mps2", np.float64, (LAGS, 4)),  # ring of the last samples, with its vertical part in the world
     ]
 )
 
@@ -88,40 +85,11 @@ def start(core: Record, t_ns: int, fx: float, fy: float, fz: float) -> None:
     ``core`` of ``CORE``.
     """
     state = core.state
+    start_phases(core, t_ns)
     quaternion = state.quaternion
     quaternion[0], quaternion[1], quaternion[2], quaternion[3] = from_gravity(fx, fy, fz)
     start_covariance(state.covariance, core.settings)
-    state.samples = 0
-    state.t_ns = t_ns
-    state.phase = 0
-    state.phase_since_ns = t_ns
-    state.a_moving_ns = t_ns - LONG_AGO_NS
-    state.g_moving_ns = t_ns - LONG_AGO_NS
-    state.a_rest = True
-    state.g_rest = True
-    state.toe_down_peak = 0.0
-    state.toe_up_peak = 0.0
-    state.peak_speed = 0.0
-    for j in range(3):
-        state.velocity[j] = 0.0
-        state.acceleration[j] = 0.0
-    state.stance_force[0], state.stance_force[1], state.stance_force[2] = fx, fy, fz
-
-
-@jit_ieee
-def features(state: Record) -> Features:
-    """What the guards saw at the newest sample."""
-    return Features(
-        state.a_rest,
-        state.g_rest,
-        state.toe_down[state.samples % LAGS],
-        state.toe_down_change,
-        state.toe_down_peak,
-        state.toe_up_peak,
-        state.vertical_jerk,
-        1e-9 * (state.t_ns - state.phase_since_ns),
-        1e-9 * (state.t_ns - max(state.a_moving_ns, state.g_moving_ns)),
-    )
+    state.moving_ns = t_ns - LONG_AGO_NS
 
 
 @jit_ieee
@@ -148,8 +116,7 @@ def advance(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, begin: int, end: int, q
         rate[0], rate[1], rate[2] = wx, wy, wz
         state.t_ns = t_ns[i]
         state.samples += 1
-        _observe(core, fx, fy, fz, dt_s)
-        if state.phase == 0 and state.a_rest and state.g_rest and dt_s > 0.0:
+        if _observe(core, fx, fy, fz, dt_s) and state.phase == 0 and dt_s > 0.0:
             correct_by_gravity(
                 q, state.bias_radps, state.covariance, state.scratch, fx, fy, fz, dt_s, core.settings
             )  # fmt: skip
@@ -161,102 +128,23 @@ def advance(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, begin: int, end: int, q
 
 
 @jit_ieee
-def enter(core: Record, phase: int, acc: Mat, row: int) -> None:
-    """The machine has changed phase at the newest sample, which is this row of ``acc`` (N, 3).
-
-    ``core`` of ``CORE``.
-    """
-    state, parameters = core.state, core.parameters
-    state.phase = phase
-    state.phase_since_ns = state.t_ns
-    if phase == 0:
-        state.stance_force[0] = acc[row, 0] - parameters.acc_bias_x_mps2
-        state.stance_force[1] = acc[row, 1] - parameters.acc_bias_y_mps2
-        state.stance_force[2] = acc[row, 2] - parameters.acc_bias_z_mps2
-    elif phase == 1:
-        state.toe_down_peak = max(state.toe_down[state.samples % LAGS], 0.0)
-    elif phase == 2:
-        state.toe_up_peak = 0.0
-
-
-@jit_ieee
-def _observe(core: Record, fx: float, fy: float, fz: float, dt_s: float) -> None:
-    """Turn one sample into the features that the guards look at: bias-free force (m/s²); its rate is in the state."""
+def _observe(core: Record, fx: float, fy: float, fz: float, dt_s: float) -> bool:
+    """Turn one sample into what the guards look at: bias-free force (m/s²); its rate is in the state. Does it stand?"""
     state, parameters, thresholds = core.state, core.parameters, core.thresholds
     wx, wy, wz = state.rate_radps[0], state.rate_radps[1], state.rate_radps[2]
-    now = state.samples % LAGS
-    toe_down = parameters.toe_down_x * wx + parameters.toe_down_y * wy + parameters.toe_down_z * wz
     q = state.quaternion
     ax, ay, az = to_world(q[0], q[1], q[2], q[3], fx, fy, fz)
-    vertical = az - G_MPS2
-    state.vertical_mps2[now] = vertical
-    state.toe_down[now] = toe_down
-    state.toe_down_peak = max(state.toe_down_peak, toe_down)
-    state.toe_up_peak = max(state.toe_up_peak, -toe_down)
-
-    resting_before = state.phase == 0 and state.a_rest and state.g_rest
-    speed = _dead_reckon(state, dt_s, ax, ay, vertical, resting_before)
-
-    # what rests counts as moving only above the higher limit, what moves as resting only below the lower
-    excess = abs(math.sqrt(fx * fx + fy * fy + fz * fz) - G_MPS2)
-    mean = state.stance_force
-    mx, my, mz = mean[0], mean[1], mean[2]
-    turned2 = (fx - mx) * (fx - mx) + (fy - my) * (fy - my) + (fz - mz) * (fz - mz)
-    turned = turned2 >= thresholds.turned_acc_mps2 * thresholds.turned_acc_mps2
-    if state.phase == 0:
-        if turned:
-            state.a_moving_ns = state.t_ns
-        follow = min(parameters.sample_s / STANCE_MEAN_S, 1.0) if state.g_rest else 0.0
-        mean[0] = mx + follow * (fx - mx)
-        mean[1] = my + follow * (fy - my)
-        mean[2] = mz + follow * (fz - mz)
-    if excess >= thresholds.rest_acc_mps2 * (thresholds.leave_acc if state.a_rest else 1.0):
-        state.a_moving_ns = state.t_ns
-    limit = thresholds.rest_gyr_radps * (thresholds.leave_gyr if state.g_rest else 1.0)
-    if wx * wx + wy * wy + wz * wz >= limit * limit:
-        state.g_moving_ns = state.t_ns
-    # movement counts at once; rest must last, or a zero crossing would be one
-    hold_ns = 1e9 * thresholds.rest_hold_s
-    state.g_rest = state.t_ns - state.g_moving_ns >= hold_ns
-    state.a_rest = state.t_ns - state.a_moving_ns >= hold_ns
-    if state.phase != 0 and state.a_rest:
-        # a foot that swings slowly and evenly feels no force but gravity: it rests only if it has also come to a stop
-        # (and, with the heel lifted, back to where it stood), or if it has been still for long
-        travelling = speed > max(thresholds.still_speed_mps, thresholds.still_speed_share * state.peak_speed)
-        if state.phase == 3 and state.t_ns - state.phase_since_ns > 1e9 * LANDED_S:
-            travelling = False  # what is left is the reckoning's own drift, which nothing would ever take back
-        still_ns = state.t_ns - max(state.a_moving_ns, state.g_moving_ns)
-        if (travelling or (state.phase == 1 and turned)) and still_ns < 1e9 * thresholds.long_rest_s:
-            state.a_rest = False
-
-    back = min(state.samples - 1, parameters.jerk_lag)
-    then = (state.samples - back) % LAGS
-    state.vertical_jerk = (vertical - state.vertical_mps2[then]) * _per_second(back, parameters.sample_s)
-    back = min(state.samples - 1, parameters.change_lag)
-    then = (state.samples - back) % LAGS
-    state.toe_down_change = (toe_down - state.toe_down[then]) * _per_second(back, parameters.sample_s)
-
-
-@jit_ieee
-def _dead_reckon(state: Record, dt_s: float, ax: float, ay: float, az: float, resting: bool) -> float:
-    """Speed of the sensor (m/s) integrated from its acceleration in the world since it last rested in stance: good for
-    a second or two.
-    """
-    v, a = state.velocity, state.acceleration
-    if resting:
-        v[0], v[1], v[2] = 0.0, 0.0, 0.0
-        state.peak_speed = 0.0
-    else:
-        v[0] += 0.5 * dt_s * (a[0] + ax)
-        v[1] += 0.5 * dt_s * (a[1] + ay)
-        v[2] += 0.5 * dt_s * (a[2] + az)
-    a[0], a[1], a[2] = ax, ay, az
-    speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
-    state.peak_speed = max(state.peak_speed, speed)
-    return speed
-
-
-@jit_ieee
-def _per_second(back: int, sample_s: float) -> float:
-    """One over the time that ``back`` samples span; nothing to compare with gives 0."""
-    return 1.0 / (back * sample_s) if back > 0 else 0.0
+    dead_reckon(state, dt_s, ax, ay, az - G_MPS2)
+    now, back = state.samples % LAGS, min(state.samples - 1, parameters.jerk_lag)
+    force, then = state.force_mps2[now], state.force_mps2[(state.samples - back) % LAGS]
+    force[0], force[1], force[2], force[3] = fx, fy, fz, az
+    x, y, z = force[0] - then[0], force[1] - then[1], force[2] - then[2]
+    jump = max(abs(force[3] - then[3]), 0.5 * math.sqrt(x * x + y * y + z * z)) if back > 0 else 0.0
+    rate = math.sqrt(wx * wx + wy * wy + wz * wz)
+    toe_down = parameters.toe_down_x * wx + parameters.toe_down_y * wy + parameters.toe_down_z * wz
+    observe(core, toe_down, rate, jump * per_second(back, parameters.sample_s), dt_s)
+    low, high = STANDING_RADPS
+    quick = thresholds.rest_share * max(thresholds.push_off_radps, 0.5 * thresholds.fall_radps)
+    if rate >= min(max(quick, low), high) or abs(math.sqrt(fx * fx + fy * fy + fz * fz) - G_MPS2) >= STANDING_MPS2:
+        state.moving_ns = state.t_ns
+    return bool(state.t_ns - state.moving_ns >= 1e9 * STANDING_S)

@@ -7,12 +7,10 @@ import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit, jit_ieee
 from fes.estimation.numerics.linear import solve
-from fes.estimation.numerics.ranks import percentile
+from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, from_gravity, to_sensor, to_world, turn_by, up_in_sensor
 from fes.signals import G_MPS2, FloatArray, IntArray
 
-SHORTEST_REST_S = 0.15
-QUIET_SHARE = 0.12  # of the briskest rate: below, nothing moves
 BACK = 0.3  # share of the tilt found at a movement's end that is taken back where no way is sought
 
 # What a movement shows. ``turn``: the quaternion by which it turns the sensor, its tilt left as it is. ``way``: where
@@ -40,35 +38,6 @@ def moving_mean(x: FloatArray, window: int) -> FloatArray:
     return np.asarray((total[window:] - total[: len(x)]) / count)
 
 
-def movements(energy: FloatArray, rate_hz: float, unrest: FloatArray | None = None) -> list[tuple[int, int]]:
-    """Movements as long as a swing with its push-off and contact, from quietest instant to quietest instant around it.
-
-    Indices (first, last), both ends included; the quietest instant is sought within a second of the movement: where
-    ``unrest`` (N,) is least, or without it the ``energy`` (N,).
-    """
-    unrest = energy if unrest is None else unrest
-    level = QUIET_SHARE * math.sqrt(percentile(energy, 99.0))
-    moving = np.concatenate(([False], np.sqrt(energy) > level, [False]))
-    edges = np.flatnonzero(moving[1:] != moving[:-1])
-    if len(edges) == 0:  # a gyroscope that is switched off
-        return []
-    begins, ends = edges[0::2], edges[1::2]
-    rests = begins[1:] - ends[:-1] >= SHORTEST_REST_S * rate_hz  # a shorter one is a turning point of the swing
-    starts, stops = begins[np.append(True, rests)].tolist(), ends[np.append(rests, True)].tolist()
-    reach = round(rate_hz)
-    spans = []
-    around, quiet = (0, 0), 0  # what follows a movement mostly is what the next one follows
-    for k, (begin, end) in enumerate(zip(starts, stops, strict=True)):
-        if not 0.3 * rate_hz <= end - begin <= 3.0 * rate_hz or begin == 0 or end == len(energy):
-            continue
-        before = max(stops[k - 1] if k else 0, begin - reach)
-        after = min(starts[k + 1] if k + 1 < len(starts) else len(energy), end + reach)
-        first = quiet if around == (before, begin) else before + int(unrest[before:begin].argmin())
-        around, quiet = (end, after), end + int(unrest[end:after].argmin())
-        spans.append((first, quiet))
-    return spans
-
-
 @jit
 def _mean_force(acc: Any, begin: int, end: int) -> tuple[float, float, float]:
     """Mean of the rows ``begin`` … ``end - 1``, as far as there are such rows."""
@@ -91,11 +60,20 @@ def follow(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray) ->
 def contact_jumps(
     t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray, turns: FloatArray, after: FloatArray, lag: int
 ) -> FloatArray:
-    """Greatest change of the vertical force over ``lag`` samples (K,) in each movement (K, 2) once ``after`` (N,) has
-    been least, NaN where that is too short; ``turns`` (K, 4) are those by which the movements turn the sensor."""
+    """Greatest change of the vertical force over ``lag`` samples, or half that of the whole force where that is more,
+    (K,) in each movement (K, 2) once ``after`` (N,) has been least, NaN where that is too short; ``turns`` (K, 4) are
+    those by which the movements turn the sensor."""
     out = np.empty(len(spans))
     _contact_jumps(*_whole(t_ns, acc, gyr, spans), np.ascontiguousarray(turns), after, lag, out)
     return out
+
+
+def closures(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: IntArray) -> tuple[FloatArray, FloatArray]:
+    """By which turn (K, 3) in rad gravity at each movement's end misses gravity at its start, in the sensor frame of
+    the start, and what a bias of the gyroscope does to it, (K, 3, 3) in s."""
+    missed, effect = np.empty((len(spans), 3)), np.empty((len(spans), 3, 3))
+    _closures(*_whole(t_ns, acc, gyr, spans), missed, effect)
+    return missed, effect
 
 
 def _whole(
@@ -253,6 +231,44 @@ def _contact_jumps(t_ns: Any, acc: Any, gyr: Any, spans: Any, turns: Any, after:
                 least = i
         out[k] = math.nan
         for i in range(least - first + lag, last + 1 - first):
-            jump = abs(vertical[i] - vertical[i - lag])
+            j = first + i
+            x, y, z = acc[j, 0] - acc[j - lag, 0], acc[j, 1] - acc[j - lag, 1], acc[j, 2] - acc[j - lag, 2]
+            jump = max(abs(vertical[i] - vertical[i - lag]), 0.5 * math.sqrt(x * x + y * y + z * z))
             if not jump <= out[k]:
                 out[k] = jump
+
+
+@jit_ieee
+def _closures(t_ns: Vec, acc: Mat, gyr: Mat, spans: Mat, missed: Mat, effect: Mat) -> None:
+    whole = np.empty((3, 3))
+    for k in range(spans.shape[0]):
+        first, last = spans[k, 0], spans[k, 1]
+        qw, qx, qy, qz = 1.0, 0.0, 0.0, 0.0
+        for j in range(3):
+            for i in range(3):
+                whole[j, i] = 0.0
+        for i in range(first + 1, last + 1):
+            since_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
+            by = 0.5 * since_s
+            one, two, three = axes_in_world(qw, qx, qy, qz)
+            for j in range(3):
+                whole[j, 0] += since_s * one[j]
+                whole[j, 1] += since_s * two[j]
+                whole[j, 2] += since_s * three[j]
+            x, y, z = gyr[i - 1, 0] + gyr[i, 0], gyr[i - 1, 1] + gyr[i, 1], gyr[i - 1, 2] + gyr[i, 2]
+            qw, qx, qy, qz = turn_by(qw, qx, qy, qz, by * x, by * y, by * z)
+        around = max((last - first) // 50, 1)
+        ux, uy, uz = _mean_force(acc, first - around, first + around + 1)
+        x, y, z = _mean_force(acc, last - around, last + around + 1)
+        vx, vy, vz = to_world(qw, qx, qy, qz, x, y, z)
+        u = math.sqrt(ux * ux + uy * uy + uz * uz)
+        size = u * math.sqrt(vx * vx + vy * vy + vz * vz)
+        missed[k, 0], missed[k, 1], missed[k, 2] = (
+            (uy * vz - uz * vy) / size, (uz * vx - ux * vz) / size, (ux * vy - uy * vx) / size
+        )  # fmt: skip
+        ux, uy, uz = ux / u, uy / u, uz / u
+        for i in range(3):
+            along = ux * whole[0, i] + uy * whole[1, i] + uz * whole[2, i]
+            effect[k, 0, i] = whole[0, i] - along * ux
+            effect[k, 1, i] = whole[1, i] - along * uy
+            effect[k, 2, i] = whole[2, i] - along * uz

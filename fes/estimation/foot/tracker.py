@@ -15,11 +15,11 @@ from fes.estimation.numerics.records import Mat, Vec, fill
 from fes.estimation.strides import segmentation
 from fes.estimation.strides.results import TRAJECTORY_POINTS, StrideMaker
 from fes.estimation.strides.segmentation import CHANGES, ROWS, STRIDE_STATE, STRIDES, Out, new_out
+from fes.estimation.tracking.phase_features import enter_phase
 from fes.estimation.tracking.tracker import (
     FULL,
     KEPT,
     SILENCE,
-    TRANSITIONS,
     HistoryArrays,
     Outcome,
     Samples,
@@ -30,11 +30,9 @@ from fes.estimation.tracking.tracker import (
     pack_sample,
     store_sample,
     store_samples,
-    unpack_seen,
     until_due,
 )
 from fes.signals import FloatArray, IntArray, Vector3
-from statemachine.guards import Features
 from statemachine.phases import PhaseChange, Transition
 from statemachine.table import TABLE
 
@@ -48,10 +46,10 @@ _DESTINATIONS = (0, *(row.destination.value for row in TABLE))  # by the transit
 
 
 @jit_ieee
-def _go_through(live: Vec, strides: Vec, number: int, acc: Mat, row: int) -> None:
-    """Go through a transition at this row, the newest; T1 after its strides."""
+def _go_through(live: Vec, strides: Vec, number: int) -> None:
+    """Go through a transition at the newest sample; T1 after its strides."""
     core = live[0].core
-    features.enter(core, _DESTINATIONS[number], acc, row)
+    enter_phase(core, _DESTINATIONS[number])
     segmentation.on_phase(strides, core.state.phase, core.state.t_ns)
 
 
@@ -68,16 +66,8 @@ def _step(live: Vec, t_ns: Vec, acc: Mat, gyr: Mat, quaternions: Mat) -> int:
         return NOTHING
     row = counters.filled - 1
     _, number = features.advance(core, t_ns, acc, gyr, row, row + 1, quaternions)
-    sample.row = row
     if number == NOTHING:
         return DUE if sample.t_ns >= live[0].stride.state.due_ns else NOTHING
-    seen, found = sample.seen, features.features(core.state)
-    seen.a_rest, seen.g_rest = found.a_rest, found.g_rest
-    seen.toe_down_radps, seen.toe_down_change_radps2 = found.toe_down_radps, found.toe_down_change_radps2
-    seen.toe_down_peak_radps, seen.toe_up_peak_radps = found.toe_down_peak_radps, found.toe_up_peak_radps
-    seen.vertical_jerk_mps3, seen.in_phase_s, seen.resting_s = (
-        found.vertical_jerk_mps3, found.in_phase_s, found.resting_s
-    )  # fmt: skip
     return number
 
 
@@ -116,7 +106,7 @@ def _block(
         if number != NOTHING and number != DUE:
             change = changes[filled[CHANGES]]
             change.t_ns, change.transition, change.source = t_ns[at - 1], number, state.phase
-            _go_through(live, strides, number, acc, at - 1)
+            _go_through(live, strides, number)
             filled[CHANGES] += 1
         number = NOTHING
         if filled[CHANGES] >= len(changes) or filled[STRIDES] >= len(out.strides) or filled[ROWS] > room:
@@ -141,7 +131,7 @@ class FootTracker(Tracker):
 
     def __init__(self, calibration: FootCalibration, strides: StrideMaker, *, swing_at_reversal: bool = False) -> None:
         live, thresholds = np.zeros(1, LIVE), calibration.thresholds(swing_at_reversal=swing_at_reversal)
-        super().__init__(calibration.sensor, calibration.rate_hz, thresholds, live)
+        super().__init__(calibration.sensor, calibration.rate_hz, live)
         parameters, settings = calibration.parameters(), OrientationSettings()
         fill(self._core, parameters=parameters, thresholds=thresholds, settings=settings)
         self._acc_bias = np.array(calibration.acc_bias_mps2)
@@ -183,17 +173,14 @@ class FootTracker(Tracker):
             number = _step(*self._for_step)
         if number == NOTHING:
             return outcomes
-        t_ns, row, *seen = unpack_seen(self._bytes)
-        change = None
-        if number != DUE:
-            change = self.machine.fire(TRANSITIONS[number], t_ns, Features._make(seen), self._thresholds)
+        change = None if number == DUE else self._fire(number)
         if number in (_T1, DUE):
             self._filled[:] = _NONE_FILLED
-            self._track(self._no_more, self._one_change, self._one_stride, 0, row + 1, number)
+            self._track(self._no_more, self._one_change, self._one_stride, 0, self._history.filled, number)
             if self._filled[STRIDES]:
                 outcomes.append(self._maker.stride_in(self._one_stride))
         else:
-            _go_through(self._live, self._maker.core, number, self._history.arrays.acc, row)
+            _go_through(self._live, self._maker.core, number)
         if change is not None:
             outcomes.append(change)
         return outcomes

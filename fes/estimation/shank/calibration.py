@@ -97,7 +97,7 @@ class ShankCalibration:
     @staticmethod
     def from_dict(data: dict[str, Any]) -> ShankCalibration:
         """Back from the session log."""
-        arm, levels = ArmEstimate(**_with_tuples(data["arm"])), ShankLevels(**data.get("levels", {}))
+        arm, levels = ArmEstimate(**_with_tuples(data["arm"])), ShankLevels.from_dict(data.get("levels", {}))
         return ShankCalibration(**{**_with_tuples(data), "arm": arm, "levels": levels})
 
 
@@ -144,7 +144,7 @@ def calibrate_shank(
         sensor, rate_hz, *axes_and_biases, arm, confidence, strides=len(spans), standing=bool(rests), level=level
     )
     trace = trace_of(found.parameters(), t_ns, acc_mps2, gyr_radps)
-    return replace(found, levels=fit_levels(trace, spans))
+    return replace(found, levels=fit_levels(trace, spans, rate_hz))
 
 
 def _with_tuples(data: dict[str, Any]) -> dict[str, Any]:

@@ -11,36 +11,37 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fes.estimation.foot.features import LAGS, LONG_AGO_NS, first_transition
+from fes.estimation.foot.features import first_transition
 from fes.estimation.numerics.jit import jit
 from fes.estimation.numerics.records import Mat, Record, Vec, core_type, record_type
+from fes.estimation.tracking.phase_features import (
+    FIELDS,
+    LAGS,
+    LONG_AGO_NS,
+    features,
+    observe,
+    per_second,
+    start_phases,
+)
 from fes.signals import G_MPS2
-from statemachine.guards import Features, Thresholds
+from statemachine.guards import Thresholds
 
 REST_FOLLOW_S = 0.25  # gravity follows the ankle's force this fast while the foot is flat …
 FOLLOW_S = 4.0  # … and this slowly all the time, so that a wrong start heals
 SMOOTHING_S = 0.01  # of the rate of lean: less than the guards' look-backs
 WOBBLE_S = 0.02  # of the ankle's force: soft tissue rings at some 10–20 Hz
+STILL_MPS2 = 2.0  # the ankle stands while its force is this close to gravity …
+STILL_S = 0.03  # … for so long
 
 STATE = record_type(
     [
-        ("samples", np.int64),
-        ("t_ns", np.int64),
-        ("phase", np.int64),
-        ("phase_since_ns", np.int64),
-        ("a_moving_ns", np.int64),
-        ("g_moving_ns", np.int64),
+        *FIELDS,
+        ("moving_ns", np.int64),  # last sample at which the ankle did not stand
         ("gravity", np.float64, 3),  # specific force of a sensor that stands still, in the sensor frame
         ("excess", np.float64, 3),  # the ankle's force beyond gravity, smoothed
         ("force", np.float64, (LAGS, 3)),  # rings of the last samples
         ("rate", np.float64, (LAGS, 3)),
-        ("lean", np.float64, LAGS),
-        ("lean_peak", np.float64),
-        ("swing_peak", np.float64),
-        ("a_rest", np.bool_),
-        ("g_rest", np.bool_),
-        ("lean_change", np.float64),
-        ("jolt", np.float64),
+        ("lean", np.float64),
     ]
 )
 
@@ -70,40 +71,12 @@ CORE = core_type(STATE, parameters=ShankParameters, thresholds=Thresholds)
 
 def start(core: Record, t_ns: int, fx: float, fy: float, fz: float) -> None:
     """Begin in stance at the first sample, whose bias-free specific force (m/s²) is taken for gravity's direction."""
-    core["state"] = np.zeros((), STATE)
     state, size = core.state, max(math.sqrt(fx * fx + fy * fy + fz * fz), 1e-3)
+    start_phases(core, t_ns)
     state.gravity[:] = G_MPS2 * fx / size, G_MPS2 * fy / size, G_MPS2 * fz / size
-    state.t_ns = state.phase_since_ns = t_ns
-    state.a_moving_ns = state.g_moving_ns = t_ns - LONG_AGO_NS
-    state.a_rest = state.g_rest = True
-
-
-@jit
-def features(state: Record) -> Features:
-    """What the guards saw at the newest sample, in the foot's terms."""
-    return Features(
-        state.a_rest,
-        state.g_rest,
-        state.lean[state.samples % LAGS],
-        state.lean_change,
-        state.lean_peak,
-        state.swing_peak,
-        state.jolt,
-        1e-9 * (state.t_ns - state.phase_since_ns),
-        1e-9 * (state.t_ns - max(state.a_moving_ns, state.g_moving_ns)),
-    )
-
-
-@jit
-def enter(core: Record, phase: int) -> None:
-    """The machine has changed phase at the newest sample; ``core`` of ``CORE``."""
-    state = core.state
-    state.phase = phase
-    state.phase_since_ns = state.t_ns
-    if phase == 1:
-        state.lean_peak = max(state.lean[state.samples % LAGS], 0.0)
-    elif phase == 2:
-        state.swing_peak = 0.0
+    state.excess[:] = 0.0
+    state.lean = 0.0
+    state.moving_ns = t_ns - LONG_AGO_NS
 
 
 @jit
@@ -126,10 +99,11 @@ def advance(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, begin: int, end: int, t
         rate[0], rate[1] = gyr[i, 0] - parameters.gyr_bias_x_radps, gyr[i, 1] - parameters.gyr_bias_y_radps
         rate[2] = gyr[i, 2] - parameters.gyr_bias_z_radps
         excess = _ankle(state, parameters, dt_s)
-        _turning(state, parameters, dt_s)
-        _rest(state, core.thresholds, excess)
-        trace[i, 0], trace[i, 1], trace[i, 2] = state.lean[now], excess, state.jolt
-        trace[i, 3] = 1.0 if state.a_rest and state.g_rest else 0.0
+        _turning(core, dt_s)
+        if excess >= STILL_MPS2:
+            state.moving_ns = state.t_ns
+        trace[i, 0], trace[i, 1], trace[i, 2] = state.lean, excess, state.contact_jerk
+        trace[i, 3] = 1.0 if _stands(state) else 0.0
         transition = first_transition(state.phase, features(state), core.thresholds)
         if transition != 0:
             return i + 1, transition
@@ -156,7 +130,7 @@ def _ankle(state: Record, parameters: Record, dt_s: float) -> float:
     gx = g[0] - dt_s * (w[1] * g[2] - w[2] * g[1])
     gy = g[1] - dt_s * (w[2] * g[0] - w[0] * g[2])
     gz = g[2] - dt_s * (w[0] * g[1] - w[1] * g[0])
-    resting = state.phase == 0 and state.a_rest and state.g_rest
+    resting = state.phase == 0 and _stands(state)
     follow = min(dt_s / (REST_FOLLOW_S if resting else FOLLOW_S), 1.0)
     gx, gy, gz = gx + follow * (fx - gx), gy + follow * (fy - gy), gz + follow * (fz - gz)
     size = max(math.sqrt(gx * gx + gy * gy + gz * gz), 1e-3)
@@ -170,33 +144,21 @@ def _ankle(state: Record, parameters: Record, dt_s: float) -> float:
 
 
 @jit
-def _turning(state: Record, parameters: Record, dt_s: float) -> None:
-    """Rate of lean, its peaks and its derivative, and the jolt: how far the force has jumped in 10 ms, per second."""
-    now, before = state.samples % LAGS, (state.samples - 1) % LAGS
-    w, f = state.rate[now], state.force[now]
-    lean = parameters.left_x * w[0] + parameters.left_y * w[1] + parameters.left_z * w[2]
-    if state.samples > 1:
-        lean = state.lean[before] + dt_s / (dt_s + SMOOTHING_S) * (lean - state.lean[before])
-    state.lean[now] = lean
-    state.lean_peak = max(state.lean_peak, lean)
-    state.swing_peak = max(state.swing_peak, -lean)
-    back = min(state.samples - 1, parameters.change_lag)
-    then = state.lean[(state.samples - back) % LAGS]
-    state.lean_change = (lean - then) / (back * parameters.sample_s) if back > 0 else 0.0
-    back = min(state.samples - 1, parameters.jerk_lag)
-    was = state.force[(state.samples - back) % LAGS]
-    dx, dy, dz = f[0] - was[0], f[1] - was[1], f[2] - was[2]
-    state.jolt = math.sqrt(dx * dx + dy * dy + dz * dz) / (back * parameters.sample_s) if back > 0 else 0.0
+def _stands(state: Record) -> bool:
+    return bool(state.t_ns - max(state.moving_ns, state.turning_ns) >= 1e9 * STILL_S)
 
 
 @jit
-def _rest(state: Record, thresholds: Record, excess: float) -> None:
-    """Rest as the foot's kernel tells it: leaving takes more than staying, and rest must last."""
-    if excess >= thresholds.rest_acc_mps2 * (thresholds.leave_acc if state.a_rest else 1.0):
-        state.a_moving_ns = state.t_ns
-    limit = thresholds.rest_gyr_radps * (thresholds.leave_gyr if state.g_rest else 1.0)
-    if abs(state.lean[state.samples % LAGS]) >= limit:
-        state.g_moving_ns = state.t_ns
-    hold_ns = 1e9 * thresholds.rest_hold_s
-    state.g_rest = state.t_ns - state.g_moving_ns >= hold_ns
-    state.a_rest = state.t_ns - state.a_moving_ns >= hold_ns
+def _turning(core: Record, dt_s: float) -> None:
+    """The rate of lean, and the jolt: how far the force has jumped in 10 ms, per second."""
+    state, parameters = core.state, core.parameters
+    now, back = state.samples % LAGS, min(state.samples - 1, parameters.jerk_lag)
+    w, f = state.rate[now], state.force[now]
+    lean = parameters.left_x * w[0] + parameters.left_y * w[1] + parameters.left_z * w[2]
+    if state.samples > 1:
+        lean = state.lean + dt_s / (dt_s + SMOOTHING_S) * (lean - state.lean)
+    state.lean = lean
+    was = state.force[(state.samples - back) % LAGS]
+    dx, dy, dz = f[0] - was[0], f[1] - was[1], f[2] - was[2]
+    jolt = math.sqrt(dx * dx + dy * dy + dz * dz) * per_second(back, parameters.sample_s)
+    observe(core, lean, abs(lean), jolt, dt_s)

@@ -19,12 +19,12 @@ from fes.estimation.shank import features
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.motion import FINE_WINDOW_PER_STRIDE, FINE_WINDOW_S, StrideSpan
 from fes.estimation.shank.strides import ShankIntegrationSettings, solve_shank_stride
+from fes.estimation.tracking.phase_features import enter_phase
 from fes.estimation.tracking.tracker import (
     FULL,
     KEPT,
     NEVER_NS,
     SILENCE,
-    TRANSITIONS,
     HistoryArrays,
     Outcome,
     Samples,
@@ -151,7 +151,7 @@ class ShankTracker(Tracker):
     ) -> None:
         self._live = np.zeros(1, live_type(features.CORE))
         thresholds = calibration.levels.thresholds(swing_at_reversal=swing_at_reversal)
-        super().__init__(calibration.sensor, calibration.rate_hz, thresholds, self._live)
+        super().__init__(calibration.sensor, calibration.rate_hz, self._live)
         fill(self._core, parameters=calibration.parameters(), thresholds=thresholds)
         self._acc_bias, self._gyr_bias = np.array(calibration.acc_bias_mps2), np.array(calibration.gyr_bias_radps)
         self._strides = ShankStrideMaker(calibration, equal_height=equal_height)
@@ -194,10 +194,9 @@ class ShankTracker(Tracker):
         at, number = _advance(self._live, arrays, at, NEVER_NS if due_ns is None else due_ns)
         now_ns, result = int(arrays.t_ns[at - 1]), None
         if number:
-            transition, seen = TRANSITIONS[number], features.features(self._core[0].state)
-            change = self.machine.fire(transition, now_ns, seen, self._thresholds)
-            features.enter(self._core[0], change.destination.value)
-            if transition is Transition.T1:
+            change = self._fire(number)
+            enter_phase(self._core[0], change.destination.value)
+            if change.transition is Transition.T1:
                 result = strides.leave_stance(*self._newest(at))
             strides.on_phase(change)
             outcomes += [change] if result is None else [result, change]

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit_ieee
-from fes.estimation.numerics.records import Mat, Record, Vec, record_of, record_type, struct_of
+from fes.estimation.numerics.records import Mat, Record, Vec, record_type, struct_of
+from fes.estimation.tracking.phase_features import features
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
-from statemachine.guards import Features, Thresholds
+from statemachine.guards import Thresholds
 from statemachine.machine import GaitPhaseMachine
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -207,10 +208,8 @@ def as_samples(t_ns: IntArray, acc: FloatArray, gyr: FloatArray) -> Samples:
 NEVER_NS = 2**63 - 1
 TRANSITIONS = tuple(Transition)  # by number
 SAMPLED = [("t_ns", np.int64), ("acc", np.float64, 3), ("gyr", np.float64, 3)]
-# where something happens at a sample also its row in the history, and what the guards saw
-SAMPLE = record_type([*SAMPLED, ("row", np.int64), ("seen", record_of(Features))])
+SAMPLE = record_type(SAMPLED)
 pack_sample = struct_of(SAMPLE, "t_ns", "acc", "gyr").pack_into
-unpack_seen = struct_of(SAMPLE, "t_ns", "row", "seen").unpack_from
 
 Outcome: TypeAlias = PhaseChange | StrideResult
 
@@ -236,10 +235,9 @@ class Tracker(ABC):
     ``live`` (1,) of :func:`live_type` is all that evolves beside the history.
     """
 
-    def __init__(self, sensor: str, rate_hz: float, thresholds: Thresholds, live: Vec) -> None:
+    def __init__(self, sensor: str, rate_hz: float, live: Vec) -> None:
         self.foot = sensor
         self.machine = GaitPhaseMachine(sensor)
-        self._thresholds = thresholds
         self._history = History(rate_hz, live["counters"])
         self._restarts = 0
         self._sample, self._core, self._state = live["sample"], live["core"], live["core"]["state"][0]
@@ -274,6 +272,16 @@ class Tracker(ABC):
             acc_mps2: (N, 3) specific force.
             gyr_radps: (N, 3) angular rate.
         """
+
+    @property
+    def thresholds(self) -> Thresholds:
+        """The guards' thresholds now: this person's measures follow the strides."""
+        return Thresholds._make(self._core["thresholds"][0].item())
+
+    def _fire(self, number: int) -> PhaseChange:
+        """Take the machine through what the compiled guards let pass at the newest sample."""
+        seen = features(self._core[0].state)
+        return self.machine.fire(TRANSITIONS[number], int(self._state["t_ns"]), seen, self.thresholds)
 
     def _restart(self, t_ns: int) -> list[PhaseChange]:
         """Begin anew in stance with the sample of this time: the change, if there was anything before."""

@@ -1,0 +1,158 @@
+"""What the guards see of a foot or a shank: one toe-down rate and one jump of the force, followed sample by sample.
+
+The state's ``FIELDS`` are part of each core's own. This person's measures follow the strides: each by an eighth of what
+a stride shows, within bounds about the calibrated ones.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from fes.estimation.numerics.jit import jit_ieee
+from fes.estimation.numerics.records import Record
+from statemachine.guards import Features
+
+LAGS = 64  # longest look-back in samples: 20 ms at over 2 kHz
+LONG_AGO_NS = 3_600_000_000_000
+FOLLOW = 0.125  # of what a stride shows
+LEAST, MOST = 0.6, 1.6  # of the calibrated measure
+USUAL = 0.5, 2.0  # of the stride time now: what may be one stride
+STANCE_S = 0.1  # the dead-reckoned speed of a foot on the ground dies away
+STILL_MPS, STILL_SHARE = 0.25, 0.35  # slower than this, or than this share of the swing's greatest, is no travel
+LONG_REST_S = 0.4  # what rests for so long does not travel, whatever is reckoned
+
+MEASURES = [(name, np.float64) for name in ("push_off_radps", "fall_radps", "stride_s", "contact_jerk_mps3")]
+FIELDS: list[Any] = [
+    ("samples", np.int64),
+    ("t_ns", np.int64),
+    ("phase", np.int64),
+    ("phase_since_ns", np.int64),
+    ("contact_ns", np.int64),
+    ("turning_ns", np.int64),  # last sample at which the foot turned
+    ("toe_down", np.float64, LAGS),  # ring of the last samples
+    ("toe_down_peak", np.float64),
+    ("toe_up_peak", np.float64),
+    ("turned_rad", np.float64),
+    ("toe_down_change", np.float64),
+    ("contact_jerk", np.float64),
+    ("greatest_jerk", np.float64),  # around the last contact
+    ("acceleration", np.float64, 3),  # in the world, free of gravity, of the last sample
+    ("velocity", np.float64, 3),  # dead-reckoned
+    ("speed", np.float64),
+    ("peak_speed", np.float64),
+    ("calibrated", np.dtype(MEASURES)),
+]
+
+
+@jit_ieee
+def start_phases(core: Record, t_ns: int) -> None:
+    """Begin in stance at the first sample, with this person's measures as calibrated."""
+    state, thresholds = core.state, core.thresholds
+    if state.calibrated.stride_s == 0.0:
+        state.calibrated.push_off_radps, state.calibrated.fall_radps = thresholds.push_off_radps, thresholds.fall_radps
+        state.calibrated.stride_s, state.calibrated.contact_jerk_mps3 = (
+            thresholds.stride_s, thresholds.contact_jerk_mps3
+        )  # fmt: skip
+    state.samples = 0
+    state.t_ns = t_ns
+    state.phase = 0
+    state.phase_since_ns = t_ns
+    state.contact_ns = state.turning_ns = t_ns - LONG_AGO_NS
+    state.toe_down_peak = state.toe_up_peak = state.turned_rad = state.toe_down_change = 0.0
+    state.contact_jerk = state.greatest_jerk = state.speed = state.peak_speed = 0.0
+    for j in range(3):
+        state.velocity[j] = state.acceleration[j] = 0.0
+
+
+@jit_ieee
+def features(state: Record) -> Features:
+    """What the guards saw at the newest sample."""
+    resting_s = 1e-9 * (state.t_ns - state.turning_ns)
+    return Features(
+        state.toe_down[state.samples % LAGS],
+        state.toe_down_change,
+        state.toe_down_peak,
+        state.toe_up_peak,
+        state.turned_rad,
+        state.contact_jerk,
+        1e-9 * (state.t_ns - state.phase_since_ns),
+        1e-9 * (state.t_ns - state.contact_ns),
+        resting_s,
+        resting_s < LONG_REST_S and state.speed > max(STILL_MPS, STILL_SHARE * state.peak_speed),
+    )
+
+
+@jit_ieee
+def per_second(back: int, sample_s: float) -> float:
+    """One over the time that ``back`` samples span; nothing to compare with gives 0."""
+    return 1.0 / (back * sample_s) if back > 0 else 0.0
+
+
+@jit_ieee
+def observe(core: Record, toe_down: float, rate_radps: float, contact_jerk: float, dt_s: float) -> None:
+    """Take in the newest sample: its toe-down rate and the rate that tells rest (rad/s), and the force's jump (m/s³).
+
+    ``core.state.samples`` already counts it; ``dt_s`` is the time since the one before.
+    """
+    state, thresholds = core.state, core.thresholds
+    now = state.samples % LAGS
+    state.turned_rad = max(state.turned_rad + toe_down * dt_s, 0.0) if toe_down > 0.0 else 0.0
+    state.toe_down[now] = toe_down
+    state.toe_down_peak = max(state.toe_down_peak, toe_down)
+    state.toe_up_peak = max(state.toe_up_peak, -toe_down)
+    state.contact_jerk = contact_jerk
+    state.greatest_jerk = max(state.greatest_jerk, contact_jerk)
+    if rate_radps >= thresholds.rest_share * max(thresholds.push_off_radps, 0.5 * thresholds.fall_radps):
+        state.turning_ns = state.t_ns
+    back = min(state.samples - 1, core.parameters.change_lag)
+    then = state.toe_down[(state.samples - back) % LAGS]
+    state.toe_down_change = (toe_down - then) * per_second(back, core.parameters.sample_s)
+
+
+@jit_ieee
+def dead_reckon(state: Record, dt_s: float, ax: float, ay: float, az: float) -> None:
+    """Carry on the sensor's speed by its acceleration in the world (m/s²): good for a second or two of swing."""
+    v, a = state.velocity, state.acceleration
+    v[0] += 0.5 * dt_s * (a[0] + ax)
+    v[1] += 0.5 * dt_s * (a[1] + ay)
+    v[2] += 0.5 * dt_s * (a[2] + az)
+    if state.phase == 0 or state.phase == 3:
+        kept = max(1.0 - dt_s / STANCE_S, 0.0)
+        v[0], v[1], v[2] = kept * v[0], kept * v[1], kept * v[2]
+        state.peak_speed = 0.0
+    a[0], a[1], a[2] = ax, ay, az
+    state.speed = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
+    state.peak_speed = max(state.peak_speed, state.speed)
+
+
+@jit_ieee
+def enter_phase(core: Record, phase: int) -> None:
+    """The machine has changed phase at the newest sample."""
+    state, thresholds = core.state, core.thresholds
+    known = state.calibrated
+    if phase == 1:
+        state.toe_down_peak = max(state.toe_down[state.samples % LAGS], 0.0)
+    elif phase == 2:
+        state.toe_up_peak = 0.0
+        state.greatest_jerk = 0.0
+    elif phase == 3:
+        peak, fall = state.toe_down_peak, state.toe_down_peak + state.toe_up_peak
+        stride_s = 1e-9 * (state.t_ns - state.contact_ns)
+        thresholds.push_off_radps = _follow(thresholds.push_off_radps, peak, known.push_off_radps)
+        thresholds.fall_radps = _follow(thresholds.fall_radps, fall, known.fall_radps)
+        if USUAL[0] * thresholds.stride_s < stride_s < USUAL[1] * thresholds.stride_s:
+            thresholds.stride_s = _follow(thresholds.stride_s, stride_s, known.stride_s)
+        state.contact_ns = state.t_ns
+        state.greatest_jerk = state.contact_jerk
+    elif state.phase == 3:
+        jerk = _follow(thresholds.contact_jerk_mps3, state.greatest_jerk, known.contact_jerk_mps3)
+        thresholds.contact_jerk_mps3 = jerk
+    state.phase = phase
+    state.phase_since_ns = state.t_ns
+
+
+@jit_ieee
+def _follow(measure: float, shown: float, calibrated: float) -> float:
+    followed = measure + FOLLOW * (shown - measure)
+    return min(max(followed, LEAST * calibrated), MOST * calibrated)
