@@ -28,11 +28,11 @@ Found = TypeVar("Found", FootCalibration, ShankCalibration)
 def _from_first_minute(track: Track, calibrate: Callable[..., Found]) -> Found:
     """A calibration from a track's first minute, or from all of it where that minute shows too little."""
     t_ns, acc, gyr = newer_samples(track)
-    n = stretch_for_calibration(t_ns)
+    rows = stretch_for_calibration(t_ns, gyr)
     try:
-        return calibrate(track.sensor, track.rate_hz, t_ns[:n], acc[:n], gyr[:n])
+        return calibrate(track.sensor, track.rate_hz, t_ns[rows], acc[rows], gyr[rows])
     except CalibrationError:
-        if n == len(t_ns):
+        if rows == slice(0, len(t_ns)):
             raise
         return calibrate(track.sensor, track.rate_hz, t_ns, acc, gyr)
 

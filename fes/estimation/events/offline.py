@@ -316,6 +316,7 @@ TURN_HZ = 40.0  # low-pass for the turn of the rate at contact
 FALL_S = 0.35  # push-off's peak lies at most this long before mid-swing
 APART_S = 0.4  # no two mid-swings are closer
 FALL_SHARE = 0.45  # of this walk's typical fall
+TROUGH_SHARE = 0.3  # of its typical toe-up rate: a foot that slaps down falls as far, but only back to zero
 PAUSE_SHARE = 0.5  # … and of the whole recording's at least this: in a pause all falls are small
 SMALL_FALL_SHARE = 0.15  # of a step between two rests, as in turning on the spot
 SMALL_TROUGH_SHARE = 0.08  # … that turns toe-up by this share of a typical fall
@@ -418,10 +419,12 @@ class _Walk:
         peaks, falls = falls_apart(s.shape, reach, max(round(APART_S * self._rate_hz), 1))
         if len(peaks) == 0:
             return falls, peaks, peaks
-        typical = np.empty(len(peaks))
+        troughs = -s.shape[peaks]
+        typical, typical_trough = np.empty(len(peaks)), np.empty(len(peaks))
         typical_falls(falls, typical)
+        typical_falls(troughs, typical_trough)
         typical = np.maximum(typical, PAUSE_SHARE * _typical(falls))
-        large = falls > FALL_SHARE * typical
+        large = (falls > FALL_SHARE * typical) & (troughs > TROUGH_SHARE * typical_trough)
         self._peak_rate = float(
             np.sqrt(median(_greatest(s.energy, np.maximum(peaks[large] - reach, 0), peaks[large] + 1)))
         )

@@ -33,6 +33,7 @@ APART_S = 0.4  # no two mid-swings are closer
 FALL_SHARE = 0.45  # of this walk's typical fall
 TROUGH_SHARE = 0.3  # of its typical toe-up rate: a foot that slaps down falls as far, but only back to zero
 STRIDE_S = (0.35, 3.0)  # between two anchors; a longer one stands still in between
+MOVING_RADPS, STILL_BEFORE_S = 1.5, 3.0
 LONGEST_GAP_S = 0.04
 REACH_S = 2.0  # how far from a swing its quiet instants are sought
 QUIET_WINDOW_S = 0.1
@@ -47,13 +48,14 @@ FEW_STRIDES, FEW_SCORE = 4, 0.85  # so few strides must agree better
 LEAST_LIVELY_MPS2 = 0.01  # mean departure from gravity in strides: a slow foot's is 0.5, a sensor's noise is more
 START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most rotation, with both signs
 PASSES = 3
+FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
 UNREST_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
 TRAVEL_SD_RAD, AXIS_SD_RAD = 0.21, 0.087  # of the direction of travel (toe-out) and of the fall vectors' median
 REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
 CLOSURE_SD_RAD = 0.02
 AGREE_RADPS = 0.026  # a standing second's bias and the closure's
-LYING_MPS2, LYING_SHARE = 2.0, 0.15  # so many quiet instants may be so far off gravity
+LYING_MPS2, LYING_SHARE = 2.0, 0.2  # at rest so much of the time may be so far off gravity; of sound sensors 5 %
 ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
 SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
 HUBER = 2.5
@@ -172,6 +174,7 @@ def calibrate_foot(
             f"{sensor}: at its quietest the accelerometer reads {rest_norm:.2f} m/s² instead of about 9.81. "
             "Check acc_unit, and that the foot rests at times."
         )
+    _refuse_lying(sensor, (moving_mean(_sizes(acc_mps2), window) - rest_norm)[energy < REST_RADPS**2])
     up = rest_force / np.linalg.norm(rest_force)
     acc = without(acc_mps2, up * (rest_norm - G_MPS2))
     walk, travel, confidence = _find_walk(sensor, rate_hz, t_ns, acc, gyr, unrest, up)
@@ -182,7 +185,6 @@ def calibrate_foot(
         if not standing or np.linalg.norm(more) > AGREE_RADPS:
             rate_bias, gyr, standing = rate_bias + more, without(gyr, more), False
     moved = follow(t_ns, acc, gyr, walk.spans)
-    _refuse_lying(sensor, moving_mean(_sizes(acc_mps2), window)[quiet] - rest_norm)
     acc_bias = up * (rest_norm - G_MPS2) + _acc_bias_across(t_ns, walk.spans, moved, up)
     axis = _blend(walk, travel, up)
     toe_down, around = gyr @ axis, max(round(SMOOTH_S * rate_hz), 1)
@@ -304,12 +306,14 @@ def _with_spans(
     """Push-offs, mid-swings (K,) and spans (K, 2) from the quietest instant before to the quietest after each
     swing, without those that hold a gap; ``gaps`` (N,) counts them."""
     reach, rows = round(REACH_S * rate_hz), []
+    farther = 1.0 + (np.arange(reach) / (FARTHER_S * rate_hz)) ** 2
     befores, afters = np.append(0, mids[:-1]), np.append(push_offs[1:], len(unrest))
     for k, (before, push_off, mid, after) in enumerate(zip(befores, push_offs, mids, afters, strict=True)):
-        begin, end = max(before, push_off - reach), min(after, mid + reach)
-        if push_off - begin > 1 and end - mid > 1:
-            first, last = begin + int(unrest[begin:push_off].argmin()), mid + int(unrest[mid:end].argmin())
-            if STRIDE_S[0] * rate_hz <= last - first and first > 0 and gaps[first] == gaps[last]:
+        one, two = unrest[max(before, push_off - reach) : push_off][::-1], unrest[mid : min(after, mid + reach)]
+        if len(one) > 1 and len(two) > 1:
+            first = push_off - 1 - int((one * farther[: len(one)]).argmin())
+            last = mid + int((two * farther[: len(two)]).argmin())
+            if STRIDE_S[0] * rate_hz <= last - first and gaps[first] == gaps[last]:
                 rows.append((k, first, last))
     kept = np.array(rows, np.int64).reshape(-1, 3)
     return push_offs[kept[:, 0]], mids[kept[:, 0]], kept[:, 1:]
@@ -350,11 +354,11 @@ def _bias_by_closure(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: In
 
 
 def _refuse_lying(sensor: str, off_mps2: FloatArray) -> None:
-    """Raises CalibrationError where the force at too many instants of rest is so far from gravity (N,)."""
+    """Raises CalibrationError where the force in too much of the rest is so far from gravity (N,)."""
     share = float((np.abs(off_mps2) > LYING_MPS2).mean()) if len(off_mps2) else 0.0
     if share > LYING_SHARE:
         raise CalibrationError(
-            f"{sensor}: in {share:.0%} of the stances, where the foot rests, the accelerometer is more "
+            f"{sensor}: in {share:.0%} of the time that the foot rests the accelerometer is more "
             f"than {LYING_MPS2:g} m/s² off gravity, so it does not measure right. Exchange or recalibrate the sensor."
         )
 
@@ -453,6 +457,11 @@ def _mediolateral(moment: FloatArray, up: FloatArray) -> FloatArray:
     return np.asarray(axis / np.linalg.norm(axis))
 
 
-def stretch_for_calibration(t_ns: IntArray, longest_s: float = 60.0) -> int:
-    """How many samples from the start to calibrate on: a minute, not the whole recording, as a live session would."""
-    return int(np.searchsorted(t_ns, t_ns[0] + int(longest_s * NS_PER_S), side="right"))
+def stretch_for_calibration(t_ns: IntArray, gyr_radps: FloatArray, longest_s: float = 60.0) -> slice:
+    """The samples to calibrate on: a minute from where the foot first moves, not the whole recording, as a live session
+    would; with a few seconds before, which may show the gyroscope's bias.
+    """
+    moving = np.flatnonzero(np.abs(gyr_radps).max(axis=1, initial=0.0) > MOVING_RADPS)
+    begin_ns = (t_ns[moving[0]] if len(moving) else t_ns[0]) - int(STILL_BEFORE_S * NS_PER_S)
+    begin, end = np.searchsorted(t_ns, (begin_ns, max(begin_ns, t_ns[0]) + int(longest_s * NS_PER_S)), side="left")
+    return slice(int(begin), int(end))
