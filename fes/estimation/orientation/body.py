@@ -7,8 +7,8 @@ With the future's help (:func:`smooth_orientation`) the causal filter runs forwa
 pass starts where the last one ended, so the later two know the gyroscope's bias from their first sample. At every
 sample the tilts and level velocities of the last two are averaged by their information: one knows the past, the other
 the future (Fraser and Potter 1969, two-filter smoothing; the little that they share, the biases, is neglected). Both
-belong to it: only where their velocities agree, too, has the movement's acceleration been averaged twice. The heading is
-that of the last forward pass.
+belong to it: only where their velocities agree, too, has the movement's acceleration been averaged twice. The
+heading is that of the last forward pass.
 """
 
 import math
@@ -163,7 +163,7 @@ def _average(
                 a[i + 1, j] = p[i + 1, j] + sign * (c * r2 - s * r3)
                 a[i + 1, j + 1] = p[i + 1, j + 1] + sign * (s * r2 + c * r3)
         ux, uy, uz = to_sensor(b[0], b[1], b[2], b[3], 0.0, 0.0, 1.0)
-        dx, dy, dz = to_world(q[0], q[1], q[2], q[3], ux, uy, uz)
+        dx, dy, _ = to_world(q[0], q[1], q[2], q[3], ux, uy, uz)
         vx, vy = back_speed[k, 0], back_speed[k, 1]
         x[0, 2], x[1, 2] = -dy, dx
         x[2, 2], x[3, 2] = speed[k, 0] + c * vx - s * vy, speed[k, 1] + s * vx + c * vy

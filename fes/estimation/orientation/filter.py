@@ -18,7 +18,8 @@ State, as errors in the world: ``theta`` with ``R^ = exp(theta) R``, ``beta = b^
 
 In ``dnu/dt`` stands gravity instead of the whole force, so the heading has no part in it, and the gain of every speed
 measurement is zero in the heading's row: neither the heading nor its variance is changed. Joseph's form for such a
-gain is the usual ``P - P hᵀ h P / s`` in all but the heading's variance, which stays. A reading at the sensor's limit, or a lost sample, is guessed, and nothing is learnt from it.
+gain is the usual ``P - P hᵀ h P / s`` in all but the heading's variance, which stays. A reading at the sensor's
+limit, or a lost sample, is guessed, and nothing is learnt from it.
 Sources: Negård et al. (2005), Eq. (4)-(13), for the indirect filter and the Markov bias; Laidig
 and Seel (2023), VQF, for averaging the force in a frame that gyroscopes carry, for weights that do not follow a swaying
 body's acceleration, and for stillness: its thresholds of rate and force, held for 1.5 s, show the gyroscope's bias.
@@ -38,14 +39,14 @@ from fes.signals import G_MPS2, FloatArray
 # errors: orientation in the world (3, heading last), gyroscope's bias (3), level velocity (2), accelerometer's bias (3)
 STATES = 11
 NO_RANGE = 1e30  # no value reaches it
-MEMORY = 25  # numbers in State.memory
+MEMORY = 26  # numbers in State.memory
 
 START_GIVEN = 0.5  # at STARTED: the quaternion is set already; else 0 before the first sample and 1 from then on
 
 # where each thing lies in ``State.memory``
 STARTED, ENERGY, STILL_S, SINCE_TURN_S, SINCE_PUSH_S = 0, 1, 2, 3, 4
 RATE, SLOPE, FORCE, MEAN_RATE, MEAN_FORCE, TRUSTED = 5, 8, 11, 14, 17, 20  # three numbers each
-PUSH, PUSH2 = 23, 24
+PUSH, PUSH2, SINCE_MEASURED_S = 23, 24, 25
 
 
 class BodySettings(NamedTuple):
@@ -59,6 +60,7 @@ class BodySettings(NamedTuple):
     acc_scale_noise: float = 0.015  # share of the body's acceleration that is noise per √Hz
     movement_s: float = 0.3  # speed is about acceleration × this, and lasts about this long
     energy_s: float = 0.05  # over which time the acceleration is judged
+    measured_s: float = 0.014  # between measurements of the speed, for they cost most
     sway_mps: float = 0.4  # the speed of what moves evenly about a place, at most, …
     sway_s: float = 0.6  # … and its acceleration × this, …
     even_s: float = 2.0  # … where the acceleration of so long …
@@ -89,8 +91,8 @@ class State(NamedTuple):
     """All that evolves; the compiled code changes the arrays in place.
 
     ``quaternion`` (4,) w, x, y, z, sensor to world; ``bias`` (3,) rad/s; ``velocity`` (2,) m/s, level, of the last
-    ``speed_memory_s``; ``force_bias`` (3,) m/s², the accelerometer's; ``covariance`` (11, 11); ``memory`` by the indices
-    above; ``work`` (2, 11).
+    ``speed_memory_s``; ``force_bias`` (3,) m/s², the accelerometer's; ``covariance`` (11, 11); ``memory`` by the
+    indices above; ``work`` (2, 11).
     """
 
     quaternion: FloatArray
@@ -103,7 +105,9 @@ class State(NamedTuple):
 
 
 def new_state(
-    settings: BodySettings, bias_radps: ArrayLike = (0.0, 0.0, 0.0), quaternion: FloatArray | None = None,
+    settings: BodySettings,
+    bias_radps: ArrayLike = (0.0, 0.0, 0.0),
+    quaternion: FloatArray | None = None,
     force_bias_mps2: ArrayLike = (0.0, 0.0, 0.0),
 ) -> State:
     """A filter that has seen nothing; without a ``quaternion`` (4,) the first sample's force is its upright."""
@@ -195,21 +199,30 @@ def propagate_rows(p: Vec, quaternion: Mat, dt_s: float, bias_share: float, spee
 
 
 @jit
+def mirror(p: Mat) -> None:
+    """Make the upper half of a covariance the lower one's."""
+    for i in range(STATES):
+        for j in range(i):
+            p[j, i] = p[i, j]
+
+
+@jit
 def measure(state: State, at: int, residual: float, variance: float) -> None:
     """Take a scalar measurement of the error at index ``at``: ``residual`` is truth less estimate.
 
-    The heading's row of the gain is zero. Errors found are taken out of the estimates at once.
+    Reads and writes the lower half of ``P`` only. The heading's row of the gain is zero. Errors found are taken out of
+    the estimates at once.
     """
     p, gain, column = state.covariance, state.work[0], state.work[1]
-    total = p[at, at] + variance
-    heading = p[HEADING, HEADING]
+    total, heading = p[at, at] + variance, p[HEADING, HEADING]
+    share = 1.0 / math.sqrt(total)
     for i in range(STATES):
-        column[i] = p[i, at]
-        gain[i] = column[i] / total
+        column[i] = share * (p[i, at] if i >= at else p[at, i])
+        gain[i] = share * column[i]
     for i in range(STATES):
+        c = column[i]
         for j in range(i + 1):
-            p[i, j] -= gain[i] * column[j]
-            p[j, i] = p[i, j]
+            p[i, j] -= c * column[j]
     p[HEADING, HEADING] = heading
     q = state.quaternion
     rx, ry, rz = to_sensor(q[0], q[1], q[2], q[3], gain[0] * residual, gain[1] * residual, 0.0)
@@ -289,29 +302,34 @@ def one_sample(
         p[6 + j, 6 + j] += speed * dt_s
 
     m[ENERGY] += (1.0 - math.exp(-dt_s / settings.energy_s)) * (push2 - m[ENERGY])
-    share = 1.0 - math.exp(-dt_s / settings.even_s)
+    share = min(dt_s / settings.even_s, 1.0)
     m[PUSH] += share * (math.sqrt(push2) - m[PUSH])
     m[PUSH2] += share * (push2 - m[PUSH2])
     still = _still(m, dt_s, settings)
     if turned_s > 0.0 or pushed_s > 0.0:
         return  # nothing is learnt from a guess
-    t = settings.movement_s
-    even = (m[PUSH] ** 2 / max(m[PUSH2], TINY) - settings.least_evenness) / (
-        settings.whole_evenness - settings.least_evenness
-    )
-    even = min(max(even, 0.0), 1.0)
-    sway2 = min(settings.sway_s**2 * max(m[ENERGY], m[PUSH2]), settings.sway_mps**2)
-    speed2 = settings.least_speed_mps**2 + (1.0 - even) * t * t * m[ENERGY] + even * sway2
-    variance = speed2 * max(2.0 * t / dt_s, 1.0)
-    if zero_velocity:
-        standing = settings.rest_speed_mps**2 + settings.rest_speed_per_rate_m**2 * rate2
-        variance = min(variance, standing * max(2.0 * settings.rest_correlation_s / dt_s, 1.0))
-    for j in range(2):
-        measure(state, 6 + j, -velocity[j], variance)
+    m[SINCE_MEASURED_S] += dt_s
+    if m[SINCE_MEASURED_S] >= settings.measured_s:
+        elapsed_s = m[SINCE_MEASURED_S]
+        m[SINCE_MEASURED_S] = 0.0
+        t = settings.movement_s
+        even = (m[PUSH] ** 2 / max(m[PUSH2], TINY) - settings.least_evenness) / (
+            settings.whole_evenness - settings.least_evenness
+        )
+        even = min(max(even, 0.0), 1.0)
+        sway2 = min(settings.sway_s**2 * max(m[ENERGY], m[PUSH2]), settings.sway_mps**2)
+        speed2 = settings.least_speed_mps**2 + (1.0 - even) * t * t * m[ENERGY] + even * sway2
+        variance = speed2 * max(2.0 * t / elapsed_s, 1.0)
+        if zero_velocity:
+            standing = settings.rest_speed_mps**2 + settings.rest_speed_per_rate_m**2 * rate2
+            variance = min(variance, standing * max(2.0 * settings.rest_correlation_s / elapsed_s, 1.0))
+        for j in range(2):
+            measure(state, 6 + j, -velocity[j], variance)
     if still:
         variance = settings.still_bias_radps_rthz**2 / dt_s
         for j in range(3):
             measure(state, 3 + j, m[MEAN_RATE + j] - bias[j], variance)
+    mirror(p)
 
 
 LEVEL = np.array([0, 1, 6, 7])  # level errors' places in the state: tilt and velocity
