@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from fes.estimation.numerics.rotation import quaternion_step, to_sensor, to_world
 from fes.estimation.orientation.body import OrientationPath, run, smooth_orientation, track_orientation
-from fes.estimation.orientation.filter import NO_RANGE, STATES, BodySettings, measure, new_state, propagate_rows
+from fes.estimation.orientation.filter import NO_RANGE, STATES, BodySettings, measure, mirror, new_state, propagate_rows
 from fes.signals import G_MPS2, FloatArray
 
 RATE_HZ = 100.0
@@ -59,7 +59,7 @@ def moved_by_hand(seed: int, seconds: float, rate_hz: float = RATE_HZ) -> tuple[
 
 
 def random_covariance(rng: np.random.Generator) -> FloatArray:
-    factor = rng.normal(size=(STATES, STATES)) * np.array([0.05] * 3 + [0.01] * 3 + [0.3] * 2)[:, None]
+    factor = rng.normal(size=(STATES, STATES)) * np.array([0.05] * 3 + [0.01] * 3 + [0.3] * 2 + [0.05] * 3)[:, None]
     return np.ascontiguousarray(factor @ factor.T + 1e-9 * np.eye(STATES))
 
 
@@ -72,8 +72,9 @@ def test_carrying_and_measuring_are_the_matrices(seed: int) -> None:
     state.covariance[:] = random_covariance(rng)
     state.velocity[:] = rng.normal(size=2)
     before = state.covariance.copy()
-    phi = np.diag([1.0] * 3 + [0.999] * 3 + [0.99] * 2)
+    phi = np.diag([1.0] * 3 + [0.999] * 3 + [0.99] * 2 + [1.0] * 3)
     phi[:3, 3:6] = -attitude.as_matrix() * DT_S
+    phi[6:8, 8:] = -attitude.as_matrix()[:2] * DT_S
     phi[6, 1], phi[7, 0] = G_MPS2 * DT_S, -G_MPS2 * DT_S
     propagate_rows(state.covariance, state.quaternion, DT_S, 0.999, 0.99)
     propagate_rows(state.covariance.T, state.quaternion, DT_S, 0.999, 0.99)
@@ -87,13 +88,15 @@ def test_carrying_and_measuring_are_the_matrices(seed: int) -> None:
     left[:, at] -= gain
     velocity, heading = state.velocity.copy(), state.covariance[2, 2]
     measure(state, at, residual, variance)
+    mirror(state.covariance)
     np.testing.assert_allclose(
         state.covariance, left @ expected @ left.T + variance * np.outer(gain, gain), rtol=1e-9, atol=1e-14
     )
     assert np.array_equal(state.covariance, state.covariance.T)
     assert np.linalg.eigvalsh(state.covariance).min() > 0.0
     np.testing.assert_allclose(state.bias, gain[3:6] * residual, rtol=1e-12)
-    np.testing.assert_allclose(state.velocity, velocity + gain[6:] * residual, rtol=1e-12)
+    np.testing.assert_allclose(state.velocity, velocity + gain[6:8] * residual, rtol=1e-12)
+    np.testing.assert_allclose(state.force_bias, gain[8:] * residual, rtol=1e-12)
     turned = (rotation(state.quaternion) * attitude.inv()).as_rotvec()
     np.testing.assert_allclose(turned[:2], gain[:2] * residual, rtol=1e-6, atol=1e-12)
     # heading: neither it nor its variance

@@ -5,9 +5,10 @@ alone. :mod:`fes.estimation.orientation.filter` says what the filter assumes and
 
 With the future's help (:func:`smooth_orientation`) the causal filter runs forwards, backwards, and forwards again. Each
 pass starts where the last one ended, so the later two know the gyroscope's bias from their first sample. At every
-sample the upward directions of the last two are averaged by their information: one knows the past, the other the
-future (Fraser and Potter 1969, two-filter smoothing; the little that they share, the bias, is neglected). The heading
-is that of the last forward pass.
+sample the tilts and level velocities of the last two are averaged by their information: one knows the past, the other
+the future (Fraser and Potter 1969, two-filter smoothing; the little that they share, the biases, is neglected). Both
+belong to it: only where their velocities agree, too, has the movement's acceleration been averaged twice. The
+heading is that of the last forward pass.
 """
 
 import math
@@ -17,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fes.estimation.numerics.jit import jit
-from fes.estimation.numerics.rotation import from_gravity, to_sensor, to_world
+from fes.estimation.numerics.rotation import quaternion_step, to_sensor, to_world
 from fes.estimation.orientation.filter import NO_RANGE, BodySettings, State, advance, new_state
 from fes.signals import FloatArray
 
@@ -85,25 +86,29 @@ def smooth_orientation(
 
     def again(path: OrientationPath) -> State:
         """Where a pass in the other direction sets out: there every rate changes its sign, the bias with it."""
-        return new_state(later, -path.gyr_bias_radps, path.quaternion[-1])
+        return new_state(later, -path.gyr_bias_radps, path.quaternion[-1], state.force_bias)
 
-    path = run(new_state(first), acc, gyr, still, dt_s, ranges, first)
-    back = run(again(path), acc[::-1], gyr_back, still[::-1], dt_s, ranges, later)
-    path = run(again(back), acc, gyr, still, dt_s, ranges, later)
-    variance = _average(path.quaternion, back.quaternion[::-1], path.tilt_sd_rad**2, back.tilt_sd_rad[::-1] ** 2)
+    state = new_state(first)
+    path = run(state, acc, gyr, still, dt_s, ranges, first)
+    level = [(np.empty((len(acc), 2)), np.empty((len(acc), 4, 4))) for _ in range(2)]
+    state = again(path)
+    back = run(state, acc[::-1], gyr_back, still[::-1], dt_s, ranges, later, level[0])
+    path = run(again(back), acc, gyr, still, dt_s, ranges, later, level[1])
+    variance = _average(path.quaternion, back.quaternion[::-1], *level[1], *(x[::-1] for x in level[0]))
     return OrientationPath(path.quaternion, np.sqrt(variance), path.gyr_bias_radps)
 
 
 def run(
     state: State, acc: FloatArray, gyr: FloatArray, still: BoolArray, dt_s: float, ranges: FloatArray,
-    settings: BodySettings,
+    settings: BodySettings, level: tuple[FloatArray, FloatArray] | None = None,
 ) -> OrientationPath:  # fmt: skip
     """Carry ``state`` over samples (N, 3), (N, 3), (N,); a block gives bit for bit what its samples give one by one.
 
     ``ranges`` (2,) of force and rate.
     """
     out, tilt = np.empty((len(acc), 4)), np.empty(len(acc))
-    advance(state, acc, gyr, still, dt_s, ranges, settings, out, tilt)
+    speed, spread = level or (np.empty((0, 2)), np.empty((0, 4, 4)))
+    advance(state, acc, gyr, still, dt_s, ranges, settings, out, tilt, speed, spread)
     return OrientationPath(out, np.sqrt(tilt), state.bias.copy())
 
 
@@ -133,20 +138,54 @@ def _checked(
 
 
 @jit
-def _average(quaternion: FloatArray, back: FloatArray, variance: FloatArray, back_variance: FloatArray) -> FloatArray:
-    """Tilt each ``quaternion`` (N, 4) to the mean upward direction, in place; returns the mean's variance (N,)."""
-    out = np.empty(len(variance))
-    for k in range(len(variance)):
-        q, b = quaternion[k], back[k]
-        w, v = 1.0 / variance[k], 1.0 / back_variance[k]
-        ax, ay, az = to_sensor(q[0], q[1], q[2], q[3], 0.0, 0.0, w / (w + v))
-        bx, by, bz = to_sensor(b[0], b[1], b[2], b[3], 0.0, 0.0, v / (w + v))
-        ux, uy, uz = to_world(q[0], q[1], q[2], q[3], ax + bx, ay + by, az + bz)
-        t = from_gravity(ux, uy, uz)
-        w0 = t[0] * q[0] - t[1] * q[1] - t[2] * q[2] - t[3] * q[3]
-        x0 = t[0] * q[1] + t[1] * q[0] + t[2] * q[3] - t[3] * q[2]
-        y0 = t[0] * q[2] - t[1] * q[3] + t[2] * q[0] + t[3] * q[1]
-        z0 = t[0] * q[3] + t[1] * q[2] - t[2] * q[1] + t[3] * q[0]
-        q[0], q[1], q[2], q[3] = w0, x0, y0, z0
-        out[k] = 1.0 / (w + v)
+def _average(
+    quaternion: FloatArray, back: FloatArray, speed: FloatArray, spread: FloatArray, back_speed: FloatArray,
+    back_spread: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Tilt each ``quaternion`` (N, 4), in place, to where both directions' tilt and velocity agree best.
+
+    Returns the tilt's variance (N,). Backwards the velocity has the other sign, and the world another heading.
+    """
+    out = np.empty(len(quaternion))
+    a, x = np.empty((4, 4)), np.empty((4, 3))  # a sum of covariances; its inverse times what concerns us
+    for k in range(len(quaternion)):
+        q, b, p, r = quaternion[k], back[k], spread[k], back_spread[k]
+        w = q[0] * b[0] + q[1] * b[1] + q[2] * b[2] + q[3] * b[3]
+        z = q[3] * b[0] + q[2] * b[1] - q[1] * b[2] - q[0] * b[3]
+        n = w * w + z * z
+        c, s = (w * w - z * z) / n, 2.0 * w * z / n
+        for i in range(0, 4, 2):
+            for j in range(0, 4, 2):
+                sign = 1.0 if i == j else -1.0
+                r0, r1 = c * r[i, j] - s * r[i + 1, j], c * r[i, j + 1] - s * r[i + 1, j + 1]
+                r2, r3 = s * r[i, j] + c * r[i + 1, j], s * r[i, j + 1] + c * r[i + 1, j + 1]
+                a[i, j], a[i, j + 1] = p[i, j] + sign * (c * r0 - s * r1), p[i, j + 1] + sign * (s * r0 + c * r1)
+                a[i + 1, j] = p[i + 1, j] + sign * (c * r2 - s * r3)
+                a[i + 1, j + 1] = p[i + 1, j + 1] + sign * (s * r2 + c * r3)
+        ux, uy, uz = to_sensor(b[0], b[1], b[2], b[3], 0.0, 0.0, 1.0)
+        dx, dy, _ = to_world(q[0], q[1], q[2], q[3], ux, uy, uz)
+        vx, vy = back_speed[k, 0], back_speed[k, 1]
+        x[0, 2], x[1, 2] = -dy, dx
+        x[2, 2], x[3, 2] = speed[k, 0] + c * vx - s * vy, speed[k, 1] + s * vx + c * vy
+        for i in range(4):
+            x[i, 0], x[i, 1] = p[i, 0], p[i, 1]
+        for m in range(4):  # Gauss's elimination; a covariance needs no pivots
+            for i in range(m + 1, 4):
+                f = a[i, m] / a[m, m]
+                for j in range(m + 1, 4):
+                    a[i, j] -= f * a[m, j]
+                for j in range(3):
+                    x[i, j] -= f * x[m, j]
+        for m in range(3, -1, -1):
+            for j in range(3):
+                for i in range(m + 1, 4):
+                    x[m, j] -= a[m, i] * x[i, j]
+                x[m, j] /= a[m, m]
+        left, tx, ty = p[0, 0] + p[1, 1], 0.0, 0.0
+        for i in range(4):
+            left -= p[i, 0] * x[i, 0] + p[i, 1] * x[i, 1]
+            tx, ty = tx - p[i, 0] * x[i, 2], ty - p[i, 1] * x[i, 2]
+        rx, ry, rz = to_sensor(q[0], q[1], q[2], q[3], tx, ty, 0.0)
+        q[0], q[1], q[2], q[3] = quaternion_step(q[0], q[1], q[2], q[3], rx, ry, rz)
+        out[k] = 0.5 * left
     return out

@@ -4,18 +4,25 @@ Gravity shows in a moving body's specific force only on average. What bounds the
 acceleration, integrated, stays as small as the body's speed. So beside the errors of orientation and gyroscope bias
 the filter carries the level velocity and takes "about zero" for a measurement of it, with noise that adapts to the
 movement: a body whose acceleration is ``a`` rms over a short time moves at about ``a · movement_s``. Quiet moments
-then count for much and wild ones for little, without a threshold. Where rest is known (stance), the speed is zero but
-for little.
+then count for much and wild ones for little. That suits a foot, which goes ahead in bursts and rests between. What is
+swayed about a place is fastest just where its acceleration is nil: weights that follow the acceleration then keep its
+velocity from averaging out. Where the acceleration has been even for some seconds (squared mean over mean square: feet
+0.4, a board in the hand 0.6 to 0.9) the speed's noise is therefore nearly constant, as in VQF, whose low-pass has one
+time constant for all movement. Where rest is known (stance), the speed is zero but for little.
 
-State, as errors in the world: ``theta`` with ``R^ = exp(theta) R``, ``beta = b^ - b``, ``nu = v^ - v`` (level)::
+State, as errors in the world: ``theta`` with ``R^ = exp(theta) R``, ``beta = b^ - b``, ``nu = v^ - v`` (level), and
+``alpha``, the accelerometer's bias, which turns with the sensor and so tells itself from a tilt::
 
-    dtheta/dt = -R beta + noise,  dbeta/dt = -beta/T + noise,  dnu/dt = theta × g - nu/T_v + noise
+    dtheta/dt = -R beta + noise,  dbeta/dt = -beta/T + noise,  dalpha/dt = noise
+    dnu/dt = theta × g - R alpha - nu/T_v + noise
 
 In ``dnu/dt`` stands gravity instead of the whole force, so the heading has no part in it, and the gain of every speed
-measurement is zero in the heading's row: neither the heading nor its variance is changed. Joseph's form
-holds for such a gain. A reading at the sensor's limit, or a lost sample, is guessed, and nothing is learnt from it.
+measurement is zero in the heading's row: neither the heading nor its variance is changed. Joseph's form for such a
+gain is the usual ``P - P hᵀ h P / s`` in all but the heading's variance, which stays. A reading at the sensor's
+limit, or a lost sample, is guessed, and nothing is learnt from it.
 Sources: Negård et al. (2005), Eq. (4)-(13), for the indirect filter and the Markov bias; Laidig
-and Seel (2023), VQF, for averaging the force in a frame that gyroscopes carry and for learning the bias in stillness.
+and Seel (2023), VQF, for averaging the force in a frame that gyroscopes carry, for weights that do not follow a swaying
+body's acceleration, and for stillness: its thresholds of rate and force, held for 1.5 s, show the gyroscope's bias.
 """
 
 import math
@@ -29,28 +36,36 @@ from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import from_gravity, quaternion_step, to_sensor, to_world
 from fes.signals import G_MPS2, FloatArray
 
-STATES = 8  # errors: orientation in the world (3, heading last), gyroscope's bias (3), level velocity (2)
+# errors: orientation in the world (3, heading last), gyroscope's bias (3), level velocity (2), accelerometer's bias (3)
+STATES = 11
 NO_RANGE = 1e30  # no value reaches it
-MEMORY = 23  # numbers in State.memory
+MEMORY = 26  # numbers in State.memory
 
 START_GIVEN = 0.5  # at STARTED: the quaternion is set already; else 0 before the first sample and 1 from then on
 
 # where each thing lies in ``State.memory``
 STARTED, ENERGY, STILL_S, SINCE_TURN_S, SINCE_PUSH_S = 0, 1, 2, 3, 4
 RATE, SLOPE, FORCE, MEAN_RATE, MEAN_FORCE, TRUSTED = 5, 8, 11, 14, 17, 20  # three numbers each
+PUSH, PUSH2, SINCE_MEASURED_S = 23, 24, 25
 
 
 class BodySettings(NamedTuple):
     """Noise of the filter; densities and times, so that one setting holds at any sampling rate and on any body."""
 
     rate_noise_radps_rthz: float = 5e-4  # angular random walk
-    rate_scale_noise: float = 0.003  # share of the rate that is noise per √Hz: scale errors, bandwidth
+    rate_scale_noise: float = 0.002  # share of the rate that is noise per √Hz: scale errors, bandwidth
     bias_walk_radps2_rthz: float = 3e-5  # drives the Markov bias: 0.07 °/s in the long run
     bias_time_s: float = 3600.0  # the Markov bias's time constant
     acc_noise_mps2_rthz: float = 0.05
     acc_scale_noise: float = 0.015  # share of the body's acceleration that is noise per √Hz
     movement_s: float = 0.3  # speed is about acceleration × this, and lasts about this long
     energy_s: float = 0.05  # over which time the acceleration is judged
+    measured_s: float = 0.014  # between measurements of the speed, for they cost most
+    sway_mps: float = 0.4  # the speed of what moves evenly about a place, at most, …
+    sway_s: float = 0.6  # … and its acceleration × this, …
+    even_s: float = 2.0  # … where the acceleration of so long …
+    least_evenness: float = 0.5  # … has a squared mean of this share of its mean square; wholly so …
+    whole_evenness: float = 0.65  # … from this share
     least_speed_mps: float = 0.005
     speed_memory_s: float = 10.0  # after which a steady speed is forgotten
     rest_speed_mps: float = 0.02  # where rest is known: how far from zero the speed is, …
@@ -65,6 +80,8 @@ class BodySettings(NamedTuple):
     start_tilt_rad: float = 0.2
     start_bias_radps: float = 0.01
     start_speed_mps: float = 1.0
+    start_force_mps2: float = 0.02  # the accelerometer's bias, …
+    force_walk_mps3_rthz: float = 1e-4  # … and how it wanders
     extrapolation_s: float = 0.015  # a clipped rate goes on as it rose, for about this long, …
     greatest_excess: float = 1.0  # … by at most this share of the range, …
     clipped_share: float = 0.2  # … and is then off by this share of the range, in rate as in force
@@ -74,27 +91,34 @@ class State(NamedTuple):
     """All that evolves; the compiled code changes the arrays in place.
 
     ``quaternion`` (4,) w, x, y, z, sensor to world; ``bias`` (3,) rad/s; ``velocity`` (2,) m/s, level, of the last
-    ``speed_memory_s``; ``covariance`` (8, 8); ``memory`` by the indices above; ``work`` (8,).
+    ``speed_memory_s``; ``force_bias`` (3,) m/s², the accelerometer's; ``covariance`` (11, 11); ``memory`` by the
+    indices above; ``work`` (2, 11).
     """
 
     quaternion: FloatArray
     bias: FloatArray
     velocity: FloatArray
+    force_bias: FloatArray
     covariance: FloatArray
     memory: FloatArray
     work: FloatArray
 
 
 def new_state(
-    settings: BodySettings, bias_radps: ArrayLike = (0.0, 0.0, 0.0), quaternion: FloatArray | None = None
+    settings: BodySettings,
+    bias_radps: ArrayLike = (0.0, 0.0, 0.0),
+    quaternion: FloatArray | None = None,
+    force_bias_mps2: ArrayLike = (0.0, 0.0, 0.0),
 ) -> State:
     """A filter that has seen nothing; without a ``quaternion`` (4,) the first sample's force is its upright."""
     sd = [settings.start_tilt_rad] * 3 + [settings.start_bias_radps] * 3 + [settings.start_speed_mps] * 2
+    sd += [settings.start_force_mps2] * 3
     memory, attitude = np.zeros(MEMORY), np.array([1.0, 0.0, 0.0, 0.0])
     if quaternion is not None:
         memory[STARTED], attitude = START_GIVEN, quaternion.copy()
     bias = np.array(bias_radps, dtype=np.float64)
-    return State(attitude, bias, np.zeros(2), np.diag(np.square(sd)), memory, np.zeros(STATES))
+    force_bias = np.array(force_bias_mps2, dtype=np.float64)
+    return State(attitude, bias, np.zeros(2), force_bias, np.diag(np.square(sd)), memory, np.zeros((2, STATES)))
 
 
 AT_LIMIT = 0.999  # of the range
@@ -148,6 +172,7 @@ def usable_force(memory: Vec, acc: Mat, range_mps2: float, dt_s: float) -> float
     return t
 
 
+TINY = 1e-12  # m²/s⁴, no acceleration
 HEADING = 2  # its place in the state
 
 
@@ -168,37 +193,37 @@ def propagate_rows(p: Vec, quaternion: Mat, dt_s: float, bias_share: float, spee
         p[3, j] = bias_share * b0
         p[4, j] = bias_share * b1
         p[5, j] = bias_share * b2
-        p[6, j] = speed_share * p[6, j] + h * t1
-        p[7, j] = speed_share * p[7, j] - h * t0
+        f0, f1, f2 = p[8, j], p[9, j], p[10, j]
+        p[6, j] = speed_share * p[6, j] + h * t1 - (ax * f0 + bx * f1 + cx * f2)
+        p[7, j] = speed_share * p[7, j] - h * t0 - (ay * f0 + by * f1 + cy * f2)
+
+
+@jit
+def mirror(p: Mat) -> None:
+    """Make the upper half of a covariance the lower one's."""
+    for i in range(STATES):
+        for j in range(i):
+            p[j, i] = p[i, j]
 
 
 @jit
 def measure(state: State, at: int, residual: float, variance: float) -> None:
     """Take a scalar measurement of the error at index ``at``: ``residual`` is truth less estimate.
 
-    The heading's row of the gain is zero. Errors found are taken out of the estimates at once; ``P`` in Joseph's form.
+    Reads and writes the lower half of ``P`` only. The heading's row of the gain is zero. Errors found are taken out of
+    the estimates at once.
     """
-    p, gain = state.covariance, state.work
-    total = p[at, at] + variance
+    p, gain, column = state.covariance, state.work[0], state.work[1]
+    total, heading = p[at, at] + variance, p[HEADING, HEADING]
+    share = 1.0 / math.sqrt(total)
     for i in range(STATES):
-        gain[i] = p[i, at] / total
-    gain[HEADING] = 0.0
-    for i in range(STATES):  # A P
-        if i != at:
-            for j in range(STATES):
-                p[i, j] -= gain[i] * p[at, j]
-    rest = 1.0 - gain[at]
-    for j in range(STATES):
-        p[at, j] *= rest
-    for i in range(STATES):  # (A P) Aᵀ + K R Kᵀ
-        along = p[i, at]
-        for j in range(STATES):
-            p[i, j] += (variance * gain[i] - along) * gain[j]
+        column[i] = share * (p[i, at] if i >= at else p[at, i])
+        gain[i] = share * column[i]
     for i in range(STATES):
-        for j in range(i):
-            mean = 0.5 * (p[i, j] + p[j, i])
-            p[i, j] = mean
-            p[j, i] = mean
+        c = column[i]
+        for j in range(i + 1):
+            p[i, j] -= c * column[j]
+    p[HEADING, HEADING] = heading
     q = state.quaternion
     rx, ry, rz = to_sensor(q[0], q[1], q[2], q[3], gain[0] * residual, gain[1] * residual, 0.0)
     q[0], q[1], q[2], q[3] = quaternion_step(q[0], q[1], q[2], q[3], rx, ry, rz)
@@ -206,6 +231,8 @@ def measure(state: State, at: int, residual: float, variance: float) -> None:
         state.bias[j] += gain[3 + j] * residual
     for j in range(2):
         state.velocity[j] += gain[6 + j] * residual
+    for j in range(3):
+        state.force_bias[j] += gain[8 + j] * residual
 
 
 @jit
@@ -249,7 +276,8 @@ def one_sample(
         return
     wx, wy, wz = m[RATE] - bias[0], m[RATE + 1] - bias[1], m[RATE + 2] - bias[2]
     q[0], q[1], q[2], q[3] = quaternion_step(q[0], q[1], q[2], q[3], wx * dt_s, wy * dt_s, wz * dt_s)
-    ax, ay, az = to_world(q[0], q[1], q[2], q[3], m[FORCE], m[FORCE + 1], m[FORCE + 2])
+    b = state.force_bias
+    ax, ay, az = to_world(q[0], q[1], q[2], q[3], m[FORCE] - b[0], m[FORCE + 1] - b[1], m[FORCE + 2] - b[2])
     az -= G_MPS2
     speed_share = math.exp(-dt_s / settings.speed_memory_s)
     velocity[0] = speed_share * velocity[0] + ax * dt_s
@@ -269,33 +297,60 @@ def one_sample(
     for j in range(3):
         p[j, j] += angle * dt_s
         p[3 + j, 3 + j] += settings.bias_walk_radps2_rthz**2 * dt_s
+        p[8 + j, 8 + j] += settings.force_walk_mps3_rthz**2 * dt_s
     for j in range(2):
         p[6 + j, 6 + j] += speed * dt_s
 
     m[ENERGY] += (1.0 - math.exp(-dt_s / settings.energy_s)) * (push2 - m[ENERGY])
+    share = min(dt_s / settings.even_s, 1.0)
+    m[PUSH] += share * (math.sqrt(push2) - m[PUSH])
+    m[PUSH2] += share * (push2 - m[PUSH2])
     still = _still(m, dt_s, settings)
     if turned_s > 0.0 or pushed_s > 0.0:
         return  # nothing is learnt from a guess
-    t = settings.movement_s
-    variance = (settings.least_speed_mps**2 + t * t * m[ENERGY]) * max(2.0 * t / dt_s, 1.0)
-    if zero_velocity:
-        standing = settings.rest_speed_mps**2 + settings.rest_speed_per_rate_m**2 * rate2
-        variance = min(variance, standing * max(2.0 * settings.rest_correlation_s / dt_s, 1.0))
-    for j in range(2):
-        measure(state, 6 + j, -velocity[j], variance)
+    m[SINCE_MEASURED_S] += dt_s
+    if m[SINCE_MEASURED_S] >= settings.measured_s:
+        elapsed_s = m[SINCE_MEASURED_S]
+        m[SINCE_MEASURED_S] = 0.0
+        t = settings.movement_s
+        even = (m[PUSH] ** 2 / max(m[PUSH2], TINY) - settings.least_evenness) / (
+            settings.whole_evenness - settings.least_evenness
+        )
+        even = min(max(even, 0.0), 1.0)
+        sway2 = min(settings.sway_s**2 * max(m[ENERGY], m[PUSH2]), settings.sway_mps**2)
+        speed2 = settings.least_speed_mps**2 + (1.0 - even) * t * t * m[ENERGY] + even * sway2
+        variance = speed2 * max(2.0 * t / elapsed_s, 1.0)
+        if zero_velocity:
+            standing = settings.rest_speed_mps**2 + settings.rest_speed_per_rate_m**2 * rate2
+            variance = min(variance, standing * max(2.0 * settings.rest_correlation_s / elapsed_s, 1.0))
+        for j in range(2):
+            measure(state, 6 + j, -velocity[j], variance)
     if still:
         variance = settings.still_bias_radps_rthz**2 / dt_s
         for j in range(3):
             measure(state, 3 + j, m[MEAN_RATE + j] - bias[j], variance)
+    mirror(p)
+
+
+LEVEL = np.array([0, 1, 6, 7])  # level errors' places in the state: tilt and velocity
 
 
 @jit
 def advance(
-    state: State, acc: Mat, gyr: Mat, rest: Vec, dt_s: float, ranges: Vec, settings: BodySettings, out: Vec, tilt: Vec
-) -> None:
-    """Take samples (N, 3), (N, 3), (N,); fill ``out`` (N, 4) and ``tilt`` (N,), the mean tilt variance in rad²."""
+    state: State, acc: Mat, gyr: Mat, rest: Vec, dt_s: float, ranges: Vec, settings: BodySettings, out: Vec, tilt: Vec,
+    speed: Mat, spread: Mat,
+) -> None:  # fmt: skip
+    """Take samples (N, 3), (N, 3), (N,); fill ``out`` (N, 4) and ``tilt`` (N,), the mean tilt variance in rad².
+
+    ``speed`` (N, 2), m/s, and ``spread`` (N, 4, 4), the covariance at LEVEL, are filled unless they are empty.
+    """
     for k in range(acc.shape[0]):
         one_sample(state, acc[k], gyr[k], rest[k], dt_s, ranges, settings)
         for j in range(4):
             out[k, j] = state.quaternion[j]
         tilt[k] = 0.5 * (state.covariance[0, 0] + state.covariance[1, 1])
+        if len(speed) > 0:
+            speed[k, 0], speed[k, 1] = state.velocity[0], state.velocity[1]
+            for i in range(4):
+                for j in range(4):
+                    spread[k, i, j] = state.covariance[LEVEL[i], LEVEL[j]]
