@@ -2,17 +2,17 @@
 
     python benchmarks/every_walker.py [--only SET …] [--persons …] [--jobs N] [--data FOLDER] [--json FILE]
 
-All sets of the data folder ("known") and of its ``unseen_walkers``. Swings are found by ``swing_judge.py``, from the raw
-signals; on footswitch_treadmill the labels are the truth. What is judged is what users get: calibration from the
+All sets of the data folder ("known") and of its ``unseen_walkers``. Swings are found by ``swing_judge.py``, from the
+raw signals; on footswitch_treadmill the labels are the truth. What is judged is what users get: calibration from the
 recording itself, phases and strides as they come live ("causal"), and ``fes analyse`` ("off-line").
 
 Per foot: strides with the four phases in order; false swings per 100; swings answered by a stride with a length, and
 those for which a stride says why it has none; speed over the belt's (last 120 s; length over the time from the end of
-the stride before to its own, so whole cycles); error of stride length ("fast": the cycle lasts less than 0.9 s); events
-of ``fes analyse`` per swing; foot-strike angle against Vicon's mean; and the share of strides whose phases are the same
-when the sensor is calibrated on 20 s elsewhere (three places). Footswitches: how much later than the label each of T1–T4
-is, and how long a stride's flat foot lies between T1 and T4 (a channel for the swing would be on), where neither spike
-nor stall nor burst is near. ``--json`` keeps everything, so that two versions can be compared.
+the stride before to its own, so whole cycles); error of stride length ("fast": the cycle lasts less than 0.9 s);
+events of ``fes analyse`` per swing; foot-strike angle against Vicon's mean; and the share of strides whose phases are
+the same when the sensor is calibrated on 20 s elsewhere (three places). Footswitches: how much later than the label
+each of T1–T4 is, and how long a stride's flat foot lies between T1 and T4 (a channel for the swing would be on), where
+neither spike nor stall nor burst is near. ``--json`` keeps everything, so that two versions can be compared.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,17 @@ from event_cases import gaitmap_cases
 from real_sets import Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder, load_run, track_of
-from swing_judge import IN_ORDER, Labelled, Swings, find_swings, fired_by_stride, in_order, labelled, score
+from swing_judge import (
+    IN_ORDER,
+    Labelled,
+    Swings,
+    find_swings,
+    fired_by_stride,
+    in_order,
+    labelled,
+    score,
+    swing_phases,
+)
 
 from fes.analysis.pipeline import analyse
 from fes.calibration.recording import calibrate_shank_track, calibrate_track
@@ -233,7 +244,7 @@ def causal(track: Track, calibration: Calibration) -> tuple[list[PhaseChange], l
 def speed_mps(strides: list[StrideResult], since_ns: float) -> float:
     """Length over time of whole cycles: from the end of the stride before to the stride's own."""
     length = time = 0.0
-    for before, stride in zip(strides[:-1], strides[1:], strict=True):
+    for before, stride in pairwise(strides):
         gap_ns = stride.t_start_ns - before.t_end_ns
         if stride.valid and before.t_end_ns >= since_ns and gap_ns <= 1e9 * NEXT_S:
             length, time = length + stride.stride_length_m, time + 1e-9 * (stride.t_end_ns - before.t_end_ns)
@@ -262,7 +273,7 @@ def judge(foot: Foot) -> Found:
     found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
     track, by = foot.track, foot.judge or foot.track
     swings = foot.labels.swings() if foot.labels is not None else find_swings(by.t_ns, by.acc_mps2, by.gyr_radps)
-    found.swings, found.strides = len(swings.sure), len(swings.pairs())
+    found.swings, found.strides = len(swings.whole()), len(swings.pairs())
     found.fast = [bool(b - a < 1e9 * FAST_S) for a, b in swings.pairs()]
     if foot.labels is not None:
         judged = [foot.labels.judged(*pair) for pair in swings.pairs()]
@@ -321,14 +332,8 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
                     later[change.transition.name].append(1e-6 * (change.t_ns - true[change.transition]))
     found.later_ms = dict(later)
     found.false_swings = sum(
-        not ((swings.sure >= a) & (swings.sure <= b)).any() and labels.judged(a, b) for a, b in swing_spans(changes)
+        not ((swings.sure >= a) & (swings.sure <= b)).any() and labels.judged(a, b) for a, b in swing_phases(changes)
     )
-
-
-def swing_spans(changes: list[PhaseChange]) -> list[tuple[int, int]]:
-    """Begin and end of every swing phase (ns)."""
-    ends = zip(changes[:-1], changes[1:], strict=True)
-    return [(a.t_ns, b.t_ns) for a, b in ends if a.transition is Transition.T2]
 
 
 def against_markers(found: Found, foot: Foot, changes: list[PhaseChange]) -> None:
@@ -404,8 +409,8 @@ def phases_table(groups: dict[str, list[Found]]) -> Table:
 
 def lengths_table(groups: dict[str, list[Found]]) -> Table:
     table = Table(
-        "set", "speed / belt off-line", "worst", "causal", "worst", "length RMSE cm, walk off-line", "fast", "walk causal",
-        "fast", "answered fast %",
+        "set", "speed / belt off-line", "worst", "causal", "worst", "length RMSE cm, walk off-line", "fast",
+        "walk causal", "fast", "answered fast %",
         title="lengths: number of strides in brackets",
     )  # fmt: skip
     for name, feet in groups.items():
@@ -421,8 +426,8 @@ def lengths_table(groups: dict[str, list[Found]]) -> Table:
                     rms(e for errors, flags in rows for e, flag in zip(errors, flags, strict=True) if flag is fast)
                 )
         measured, fast_all = sum(sum(f.length_causal_fast) for f in feet), sum(sum(f.fast) for f in feet)
-        cells.append(percent(measured, fast_all) if any(f.length_cm or f.fast for f in feet) else "–")
-        if any(cell != "–" for cell in cells[:-1]):
+        cells.append(percent(measured, fast_all) if feet[0].data_set in ("pyshoe_vicon", "ruler_walks") else "–")
+        if any(cell != "–" for cell in cells):
             table.add_row(name, *cells)
     return table
 
