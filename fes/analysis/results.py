@@ -175,6 +175,13 @@ class Analysis:
         numbers = {foot: (path.distance_m, path.closure_m, path.height_gained_m) for foot, path in self.paths.items()}
         return {foot: dict(zip(names, row, strict=True)) for foot, row in numbers.items()}
 
+    def clock_notes(self) -> dict[str, str]:
+        """By sensor, what was left out because its clock had gone back, in words."""
+        late = {sensor: track.quality.late for sensor, track in self.recording.tracks.items() if track.quality.late}
+        return {
+            sensor: f"the last {n} samples are left out: the clock had jumped back there" for sensor, n in late.items()
+        }
+
     def walk_record(self, created: str = "") -> WalkRecord:
         """The walk as the report takes it; ``created`` is when, as an ISO time."""
         recording, worn = self.recording, self.recording.tracks
@@ -202,6 +209,7 @@ class Analysis:
             Note(int(worn[foot].t_ns[0]), "info" if points.measured else "warning", foot, points.describe())
             for foot, points in self.points.items()
         ]
+        notes += [Note(int(worn[s].t_ns[-1]), "warning", s, text) for s, text in self.clock_notes().items()]
         return WalkRecord(header, samples=samples, phases=self.phases, strides=self.strides, notes=notes, complete=True)
 
 

@@ -290,6 +290,7 @@ def _path_lines(result: Analysis) -> list[str]:
             gained = [s.height_gained_m for s in result.strides if s.valid and s.foot == foot]
             line += f", {path.height_gained_m:+.2f} m in height ({sum(gained):+.2f} m in {len(gained)} valid strides)"
         lines.append(line)
+    lines += [f"Clock, {sensor}: {text}" for sensor, text in result.clock_notes().items()]
     return lines + [f"No path: {reason}" for reason in result.no_path.values()]
 
 

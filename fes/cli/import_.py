@@ -23,9 +23,9 @@ def command(
 ) -> None:
     """Turn FILES (or a folder) of the data set NAME into recordings with sidecars, and references beside them.
 
-    NAME is gaitmap, stroke_treadmill, pyshoe, ruler, broad or xio; `fes import list` says what each is. Units
-    become SI, axes stay the sensors' own, known defects are noted in the sidecar. The data keeps its own licence,
-    which is named.
+    NAME is gaitmap, stroke_treadmill, pyshoe, ruler, broad, xio, footswitch_treadmill or stroke_walks; `fes import
+    list` says what each is. Units become SI, axes stay the sensors' own, known defects are noted in the sidecar. The
+    data keeps its own licence, which is named.
 
     One file that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
@@ -33,7 +33,7 @@ def command(
 
     if name == "list":
         for each in DATA_SETS.values():
-            click.echo(f"{each.name:<17} {each.about}\n{'':<17} {each.source}; licence: {each.licence}")
+            click.echo(f"{each.name:<21} {each.about}\n{'':<21} {each.source}; licence: {each.licence}")
         return
     if name not in DATA_SETS:
         raise Problem(f"{name}: is no data set known here; {', '.join(DATA_SETS)} are")

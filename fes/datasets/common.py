@@ -82,11 +82,14 @@ def even_track(sensor: str, rate_hz: float, acc_mps2: FloatArray, gyr_radps: Flo
     return stamped_track(sensor, rate_hz, t_ns, acc_mps2, gyr_radps)
 
 
-def stamped_track(sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Track:
-    """A track (N, 3) with its own stamps."""
+def stamped_track(
+    sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray,
+    acc_range_mps2: float | None = None, gyr_range_radps: float | None = None,
+) -> Track:  # fmt: skip
+    """A track (N, 3) with its own stamps, and ranges where they are known."""
     acc, gyr = (np.ascontiguousarray(values, np.float64) for values in (acc_mps2, gyr_radps))
     arrival_ns, quality = np.maximum.accumulate(t_ns), TrackQuality(samples=len(t_ns))
-    return Track(sensor, rate_hz, arrival_ns, t_ns, acc, gyr, quality=quality)
+    return Track(sensor, rate_hz, arrival_ns, t_ns, acc, gyr, acc_range_mps2, gyr_range_radps, quality)
 
 
 def checked(path: Path, acc: FloatArray, gyr: FloatArray) -> None:

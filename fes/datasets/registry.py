@@ -11,13 +11,18 @@ from fes.datasets.common import Imported, ImportProblem
 
 @dataclass(frozen=True, slots=True)
 class DataSet:
-    """One data set. ``looks_like``: names (patterns) of files, or of folders of one run, searched for in a folder."""
+    """One data set.
+
+    ``looks_like``: names (patterns) of files, or of folders of one run, searched for in a folder. ``reader``: module
+    and function, where that is not the set's own module.
+    """
 
     name: str
     about: str
     source: str
     licence: str
     looks_like: tuple[str, ...]
+    reader: str = ""
 
     def provenance(self) -> dict[str, str]:
         """For the sidecar of everything that comes from it."""
@@ -45,6 +50,7 @@ _SETS: Final = (
         "PyShoe (Wagstaff, Peretroukhin, Kelly), Vicon part",
         "copy under MIT; the original's licence is not known: measure and quote, pass nothing on",
         ("*.mat",),
+        "measured_walks.read_pyshoe",
     ),
     DataSet(
         "ruler",
@@ -52,6 +58,7 @@ _SETS: Final = (
         "mtahakoroglu/gait-driven-inertial-navigation-dataset",
         "MIT",
         ("*_LLIO.mat",),
+        "measured_walks.read_ruler",
     ),
     DataSet(
         "broad",
@@ -66,6 +73,22 @@ _SETS: Final = (
         "xioTechnologies/Gait-Tracking",
         "MIT",
         ("*walk.csv",),
+    ),
+    DataSet(
+        "footswitch_treadmill",
+        "healthy and hemiparetic walkers on a treadmill, one instep about 194 Hz; the four phases by footswitches",
+        "midasama3124/hmm_gait_phase_classifier; cite 10.3390/s19132988",
+        "BSD",
+        ("[HP][0-9]*_[0-9].npz",),
+        "packed_walks.read_footswitch_treadmill",
+    ),
+    DataSet(
+        "stroke_walks",
+        "stroke survivors and healthy walkers, two minutes on the floor with turns, both feet 104 Hz; no reference",
+        "RichardFel/VAE (Zenodo 8073887)",
+        "MIT",
+        ("S[0-9]*.npz",),
+        "packed_walks.read_stroke_walks",
     ),
 )
 DATA_SETS: Final = {each.name: each for each in _SETS}
@@ -100,5 +123,6 @@ def read_file(name: str, path: Path, *, foot: str | None = None) -> Imported:
     Raises:
         ImportProblem: it is none of its files.
     """
-    read: Callable[[Path, str | None], Imported] = importlib.import_module(f"fes.datasets.{name}").read
+    module, _, function = (DATA_SETS[name].reader or f"{name}.read").partition(".")
+    read: Callable[[Path, str | None], Imported] = getattr(importlib.import_module(f"fes.datasets.{module}"), function)
     return read(path, foot)

@@ -17,6 +17,7 @@ from fes.signals import NS_PER_S, FloatArray, IntArray
 
 MAX_BACKWARD_SHARE = 0.05
 MAX_BACKWARD_JUMP_NS = NS_PER_S
+LATE_ROWS, LATE_SHARE = 300, 0.05  # at most so many of the last rows may be left out, …
 MIN_DURATION_S = 1.0
 RATE_TOLERANCE = 0.02
 PLAUSIBLE_RATES_HZ = (10.0, 20_000.0)
@@ -26,6 +27,18 @@ def stamps_from_rate(rows: int, rate_hz: float, first: int = 0) -> IntArray:
     """Return (rows,) times in ns of samples at an even rate, the ``first`` after the recording's beginning."""
     stamps: IntArray = np.rint(np.arange(first, first + rows) * (NS_PER_S / rate_hz)).astype(np.int64)
     return stamps
+
+
+def late_block(stamps_ns: IntArray) -> int:
+    """Where, of (N,) stamps, the last rows begin whose clock has gone back by too much; N where there are none.
+
+    Some devices add, when they are stopped, some samples stamped anew. They are few, so the walk can do without.
+    """
+    first = stamps_ns.size - min(LATE_ROWS, int(LATE_SHARE * stamps_ns.size))
+    steps = np.diff(stamps_ns[first - 1 :]) if first else stamps_ns[:0]
+    if not (steps < -MAX_BACKWARD_JUMP_NS).any():
+        return stamps_ns.size
+    return first + int(np.argmax(stamps_ns[first:] < np.maximum.accumulate(stamps_ns)[first - 1 : -1]))
 
 
 def judge_stamps(

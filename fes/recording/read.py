@@ -8,7 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from fes.estimation.numerics.ranks import median
-from fes.recording.raw import MIN_DURATION_S, RATE_TOLERANCE, RawTrack, judge_stamps, read_parts, read_table
+from fes.recording.raw import (
+    MIN_DURATION_S,
+    RATE_TOLERANCE,
+    RawTrack,
+    judge_stamps,
+    late_block,
+    read_parts,
+    read_table,
+)
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
 from fes.recording.table import Table
 from fes.recording.template import sidecar_template
@@ -145,12 +153,13 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, judged: Jud
     name: Sensor = next(key for key in sidecar.sensors if key == sensor)
     columns = sidecar.sensors[name]
     where = f"{path.with_name(columns.file) if columns.file else path}: {sensor}"
+    raw, late = _without_late_block(raw)
     stamps_ns, place = raw.stamps_ns, raw.place
     if before is not None:
         stamps_ns = np.append(before.t_sensor_ns, stamps_ns)
         place = lambda index: raw.place(max(index - 1, 0))  # noqa: E731
     same = id(stamps_ns), sidecar.rate_of(name)
-    if before is not None:  # stamps of its own, which live no longer than this
+    if before is not None or late:  # stamps of its own, which live no longer than this
         rate_hz, found = judge_stamps(stamps_ns, same[1], where, place, sidecar.time_unit_of(name))
     else:
         if same not in judged:
@@ -171,8 +180,19 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, judged: Jud
         if size * factor >= bound:
             clipped |= (np.abs(values) >= bound).any(axis=1)
     missing = found.missing + raw.stamps_ns.size - raw.t_sensor_ns.size
-    quality = replace(found, samples=len(acc), missing=missing, clipped=int(np.count_nonzero(clipped)))
+    quality = replace(found, samples=len(acc), missing=missing, clipped=int(np.count_nonzero(clipped)), late=late)
     arrival = newest_ns if raw.t_arrival_ns is None else np.maximum.accumulate(raw.t_arrival_ns)
     if before is not None:
         arrival, rate_hz = np.maximum(arrival, before.t_ns), before.rate_hz
     return Track(sensor, rate_hz, arrival, raw.t_sensor_ns, acc, gyr, columns.acc_range, columns.gyr_range, quality)
+
+
+def _without_late_block(raw: RawTrack) -> tuple[RawTrack, int]:
+    """The samples before the clock has gone back near the end, and how many are left out."""
+    end = late_block(raw.stamps_ns)
+    if end == raw.stamps_ns.size:
+        return raw, 0
+    kept = late_block(raw.t_sensor_ns)
+    arrival = None if raw.t_arrival_ns is None else raw.t_arrival_ns[:kept]
+    parts = {"t_sensor_ns": raw.t_sensor_ns[:kept], "acc": raw.acc[:kept], "gyr": raw.gyr[:kept]}
+    return replace(raw, **parts, t_arrival_ns=arrival, stamps_ns=raw.stamps_ns[:end]), raw.t_sensor_ns.size - kept

@@ -40,6 +40,7 @@ class TrackQuality:
         backward: samples stamped earlier than the one before.
         irregular: intervals more than 50 % away from the usual (median) interval.
         clipped: samples with at least one axis at its range; 0 where the ranges are unknown.
+        late: samples left out at the end of the file, where the clock had gone back; they are not in the track.
     """
 
     samples: int = 0
@@ -48,6 +49,7 @@ class TrackQuality:
     backward: int = 0
     irregular: int = 0
     clipped: int = 0
+    late: int = 0
 
     @property
     def irregular_share(self) -> float:

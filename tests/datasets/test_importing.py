@@ -317,3 +317,66 @@ def test_real_files_of_every_set_import(tmp_path):
             assert done.exit_code == 0, done.output
             rows = {row["quantity"]: row["differences"]["rmse"] for row in json.loads(done.stdout)["agreement"]}
             assert rows["end_distance_m"] < 0.5 if name == "xio" else rows["inclination_z_rad"] < np.radians(1.5)
+
+
+def test_footswitch_treadmill(tmp_path):
+    acc, gyr = samples()
+    t_s = 3.0 + np.arange(N) / 194.0
+    t_s[350:] += 0.7  # a stall
+    gyr[150] = 1e6  # a spike
+    label = np.repeat([1, 2, 3, 0, 1, 2], N // 6)
+    bad = np.zeros(N, bool)
+    bad[[150, 350]] = True
+    meta = {"person": "P01", "group": "hemiparetic", "note": "doubtful"}
+    path = tmp_path / "P01_2.npz"
+    given = {"foot_t_s": t_s, "foot_acc": acc, "foot_gyr": gyr, "label": label, "bad": bad}
+    np.savez(path, meta=json.dumps(meta), **given)
+    made = imported("footswitch_treadmill", path, "--out", tmp_path / "out", "--foot", "left")["made"][0]
+    assert {"1 rows that no sensor can have measured were left out", "doubtful"} <= set(made["notes"])
+    recording = read_recording(Path(made["recording"]))
+    track = recording.tracks["left_foot"]
+    assert (recording.subject, len(track.t_ns)) == ("P01", N - 1)
+    assert np.abs(np.delete(t_s - 3.0, 150) - 1e-9 * track.t_sensor_ns).max() < 1e-6, "times of arrival, as they are"
+    events = read_references(companion_references(Path(made["recording"]))).events
+    known = [(e.event, e.t_s) for e in events]
+    assert known == [("FO", pytest.approx(t_s[200] - 3.0)), ("IC", pytest.approx(t_s[300] - 3.0))]
+    phases = (tmp_path / "out" / "footswitch_treadmill_P01_2.phases.csv").read_text().splitlines()
+    assert phases[0] == "foot,t_start_s,t_end_s,phase,judged"
+    assert [row.split(",")[3:] for row in phases[1:4]] == [["stance", "1"], ["pre_swing", "0"], ["swing", "1"]]
+    np.savez(path, meta=json.dumps(meta), **{**given, "label": label + 2})
+    assert "its labels must be" in imported("footswitch_treadmill", path, "--out", tmp_path / "o", code=2)["error"]
+
+
+def test_stroke_walks(tmp_path):
+    acc, gyr = samples()
+    t_s = np.arange(N) / 104.0
+    back = np.append(t_s[:-10], t_s[-10:] - 1.5)
+    meta = {"rate_hz": 104, "acc_range_g": 8, "gyr_range_degps": 573, "group": "stroke", "aid": True}
+    sides = {"left_t_s": back, "right_t_s": t_s}
+    sides |= {f"{side}_{kind}": v for side in ("left", "right") for kind, v in (("acc", acc), ("gyr", gyr))}
+    path = tmp_path / "S02.npz"
+    np.savez(path, meta=json.dumps(meta), **sides)
+    made = imported("stroke_walks", path, "--out", tmp_path / "out")["made"][0]
+    assert "left_foot: the clock goes back 1 times, as recorded" in made["notes"]
+    tracks = read_recording(Path(made["recording"])).tracks
+    assert (len(tracks["left_foot"].t_ns), tracks["left_foot"].quality.late, len(tracks["right_foot"].t_ns)) == (
+        590,
+        10,
+        N,
+    )
+    assert tracks["left_foot"].acc_range_mps2 == pytest.approx(8 * G_MPS2)
+    assert tracks["left_foot"].gyr_range_radps == pytest.approx(np.radians(573))
+    np.savez(path, meta=json.dumps({**meta, "rate_hz": "fast"}), **sides)
+    assert "rate_hz = 'fast'" in imported("stroke_walks", path, "--out", tmp_path / "o", code=2)["error"]
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", ["footswitch_treadmill", "stroke_walks"])
+def test_real_hemiparetic_walks_import(tmp_path, name):
+    folder = DATA / "unseen_walkers" / name
+    if not folder.is_dir():
+        pytest.skip(f"no {folder}; set FES_DATA")
+    for made in imported(name, folder, "--out", tmp_path)["made"]:
+        tracks = read_recording(Path(made["recording"])).tracks
+        assert len(tracks) == (1 if name == "footswitch_treadmill" else 2)
+        assert all(track.duration_s > 60.0 for track in tracks.values())

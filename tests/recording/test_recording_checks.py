@@ -311,6 +311,22 @@ def test_a_clock_that_restarts(good: Csv) -> None:
     good.fails("line 252: the clock jumps back 2.49", "split the file")
 
 
+def test_a_clock_that_goes_back_in_the_last_rows_costs_these(good: Csv) -> None:
+    whole = good.read().tracks["left_foot"]
+    for row in good.rows[385:]:
+        row[0] = f"{float(row[0]) - 0.4:.6g}"
+    for row in good.rows[390:]:
+        row[0] = f"{float(row[0]) - 1.5:.6g}"
+    track = good.read().tracks["left_foot"]
+    assert track.quality.late == 15, "from where it first went back, not from the greatest jump"
+    assert (track.quality.samples, track.quality.backward, track.quality.missing) == (385, 0, 0)
+    np.testing.assert_array_equal(track.acc_mps2, whole.acc_mps2[:385])
+    np.testing.assert_array_equal(track.t_sensor_ns, whole.t_sensor_ns[:385])
+    for row in good.rows[370:385]:
+        row[0] = f"{float(row[0]) - 1.9:.6g}"
+    good.fails("line 372: the clock jumps back 1.8", "split the file")
+
+
 def test_time_that_stands_still(good: Csv) -> None:
     for row in good.rows:
         row[0] = "3.0"

@@ -1,8 +1,14 @@
-"""Walks whose footprints were measured by ruler: ``SensorConnectData_N_LLIO.mat`` and the table of prints beside it.
+"""Walks of one foot at 200 Hz, z axis down, a MATLAB file each, of which every stride's length was measured.
 
-200 Hz, z axis down, which foot is not documented. The table gives the sample at which the foot stood on each print.
+PyShoe: right instep, the marker's position by Vicon at every sample. Files are named by trial, or
+``processed_data.mat`` in a folder of that name. Single positions jump: where the marker would be faster than 8 m/s they
+are left empty.
+
+Ruler: ``SensorConnectData_N_LLIO.mat`` and the table of footprints beside it, with the sample at which the foot stood
+on each print. Which foot is not documented.
 """
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -13,9 +19,36 @@ from fes.datasets.common import Imported, ImportProblem, checked, even_track, ma
 from fes.recording import Recording
 
 RATE_HZ: Final = 200.0
+FASTEST_MPS: Final = 8.0
+GYR_RANGE_RADPS: Final = 9.7
 
 
-def read(path: Path, foot: str | None = None) -> Imported:
+def read_pyshoe(path: Path, foot: str | None = None) -> Imported:
+    """Read one walk. Raises ImportProblem: it is no such file."""
+    data = mat_file(path, "imu", "gt")
+    imu, place = np.asarray(data["imu"], np.float64), np.asarray(data["gt"], np.float64)
+    if imu.ndim != 2 or imu.shape[1] != 6 or place.shape != (len(imu), 3):
+        raise ImportProblem(f"{path}: imu is {imu.shape} and gt {place.shape}, must be (N, 6) and (N, 3)")
+    checked(path, imu[:, :3], imu[:, 3:])
+    sensor = f"{foot or 'right'}_foot"
+    speed = np.linalg.norm(np.diff(place, axis=0), axis=1) * RATE_HZ
+    jumps = np.flatnonzero(speed > FASTEST_MPS)
+    place = place.copy()
+    place[np.union1d(jumps, jumps + 1)] = np.nan
+    names = ["t_s", *(f"{foot or 'right'}_sensor_{axis}_m" for axis in "xyz")]
+    rows = np.column_stack([np.arange(len(place)) / RATE_HZ, place]).tolist()
+    notes = (
+        "z of the sensor points down",
+        "taken as even at 200 Hz; the stamps in the file are those of arrival",
+        f"{len(jumps)} jumps of the Vicon reference above 8 m/s were left empty",
+        "the gyroscope clips near 9.7 rad/s; the marker is near the sensor, not at it",
+    )
+    trial = path.parent.name if path.stem == "processed_data" else path.stem
+    track = replace(even_track(sensor, RATE_HZ, imu[:, :3], imu[:, 3:]), gyr_range_radps=GYR_RANGE_RADPS)
+    return Imported(Recording(f"pyshoe_{trial}", None, {sensor: track}), {".path.csv": (names, rows)}, notes)
+
+
+def read_ruler(path: Path, foot: str | None = None) -> Imported:
     """Read one walk. Raises ImportProblem: it is no such file."""
     imu = np.asarray(mat_file(path, "imu_data")["imu_data"], np.float64)
     if imu.ndim != 2 or imu.shape[1] != 6:
