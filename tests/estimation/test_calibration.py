@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from fes.calibration.recording import calibrate_phase_sensors, calibrate_track
 from fes.estimation.foot.calibration import (
-    REST_BOUNDS_RADPS,
     CalibrationError,
     FootCalibration,
     calibrate_foot,
