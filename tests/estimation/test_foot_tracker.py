@@ -1,4 +1,4 @@
-"""One foot's tracker: blocks cut anywhere, hostile samples, silences, any rate, no look ahead; and what the guards see."""
+"""One foot's tracker: blocks cut anywhere, hostile samples, silences, any rate, no look ahead; what guards see."""
 
 from __future__ import annotations
 
@@ -634,8 +634,8 @@ def test_measures_stay_within_bounds_about_the_calibrated_ones(factor: float, bo
         stride_s = now.stride_s * (1.4 if factor > 1.0 else 0.7)
         shown = (factor * calibrated[0], factor * calibrated[1], stride_s, factor * calibrated[3])
         core.stride(*shown)
-        for measure, was in zip(measured(core.measures()), calibrated, strict=True):
-            assert LEAST * was <= measure <= MOST * was
+        for now_is, was in zip(measured(core.measures()), calibrated, strict=True):
+            assert LEAST * was <= now_is <= MOST * was
     assert measured(core.measures()) == pytest.approx([bound * was for was in calibrated])
     others = core.measures()._replace(**dict(zip(MEASURES, calibrated, strict=True)))
     assert others == core.calibration.thresholds()
@@ -662,7 +662,7 @@ def test_the_trackers_measures_follow_the_walk_and_keep_the_asked_rule() -> None
 
 
 def test_standing_in_noise_leaves_the_measures_alone() -> None:
-    samples, calibration = walk("left_foot")
+    _, calibration = walk("left_foot")
     tracker = tracker_of(calibration)
     rng = np.random.default_rng(4)
     still = Samples(
