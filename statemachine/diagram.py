@@ -17,7 +17,7 @@ from statemachine.table import TABLE, Row
 
 BEGIN = "<!-- begin: written by `python -m statemachine.diagram --write docs/phases.md` -->"
 END = "<!-- end -->"
-UNITS = {"mps3": "m/s³", "mps2": "m/s²", "radps2": "rad/s²", "radps": "rad/s", "mps": "m/s", "s": "s"}
+UNITS = {"mps3": "m/s³", "mps2": "m/s²", "radps2": "rad/s²", "radps": "rad/s", "mps": "m/s", "rad": "rad", "s": "s"}
 _FIELD = re.compile(r"^    (\w+): (?:float|bool) = .*?  # (?:(T\d[T\d, –]*): )?(.+)$", re.MULTILINE)
 
 
@@ -59,7 +59,7 @@ def thresholds_table() -> str:
 
 def unit(name: str) -> str:
     """The unit that a threshold's name ends in; a share or a factor has none."""
-    return UNITS.get(name.rpartition("_")[2], "–")
+    return "1/s" if name.endswith("_per_s") else UNITS.get(name.rpartition("_")[2], "–")
 
 
 def generated() -> str:

@@ -46,7 +46,7 @@ class Thresholds(NamedTuple):
 
     push_off_radps: float = 6.0  # typical peak of the toe-down rate
     fall_radps: float = 12.0  # from there to the greatest toe-up rate of the swing
-    stride_s: float = 1.2
+    stride_s: float = 1.2  # from contact to contact
     contact_jerk_mps3: float = 2000.0  # typical jump of the force at contact
     rest_share: float = 0.12  # T4–T6: at rest below this rate
     heel_rise_share: float = 0.22  # T1: moving above this rate …

@@ -1,4 +1,4 @@
-"""One foot's tracker: blocks cut anywhere, hostile samples, silences, any rate, no look ahead; and what rest is."""
+"""One foot's tracker: blocks cut anywhere, hostile samples, silences, any rate, no look ahead; what guards see."""
 
 from __future__ import annotations
 
@@ -23,6 +23,7 @@ from fes.estimation.foot.orientation import OrientationSettings
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.numerics.records import new_core
 from fes.estimation.strides.results import StrideMaker, StrideSettings
+from fes.estimation.tracking.phase_features import FOLLOW, LEAST, LONG_REST_S, MOST, USUAL, enter_phase
 from fes.estimation.tracking.tracker import HISTORY_S, LARGEST_VALUE, RESTART_GAP_S, Outcome
 from fes.recording import read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray, StrideResult
@@ -31,6 +32,7 @@ from sim_inputs.generator.measured import measure
 from sim_inputs.generator.session import new_session
 from sim_inputs.generator.trials import HEALTHY, INSTEP, PATIENT_2
 from sim_inputs.generator.walk import Style
+from statemachine.guards import Features, Thresholds
 from statemachine.machine import GuardDisagreement
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -391,8 +393,8 @@ def test_a_machine_that_does_not_agree_stops_everything() -> None:
     samples, calibration = walk("left_foot")
     tracker = tracker_of(calibration)
     fed(tracker, samples[:300])
-    kernel.enter(tracker._core[0], int(Phase.PRE_SWING), samples.acc, 299)
-    tracker._state["toe_down_peak"] = 9.0
+    enter_phase(tracker._core[0], int(Phase.PRE_SWING))
+    tracker._state["toe_down_peak"] = 99.0
     with pytest.raises(GuardDisagreement, match="from STANCE of left_foot"):
         fed(tracker, samples[300:])
 
@@ -469,7 +471,7 @@ def test_one_setting_holds_at_any_rate(name: str) -> None:
         assert max(lengths) < 0.02, hz
 
 
-# --- what rest is ----------------------------------------------------------------------------------------
+# --- what the guards see ---------------------------------------------------------------------------------
 
 
 class Core:
@@ -478,7 +480,7 @@ class Core:
     def __init__(self, phase: Phase = Phase.STANCE) -> None:
         self.calibration = replace(
             walk("left_foot")[1], up=(0.0, 0.0, 1.0), toe_down=(0.0, 1.0, 0.0), acc_bias_mps2=(0.0, 0.0, 0.0),
-            gyr_bias_radps=(0.0, 0.0, 0.0), rest_gyr_radps=0.5, rest_hold_s=0.03,
+            gyr_bias_radps=(0.0, 0.0, 0.0), push_off_radps=6.0, fall_radps=10.0, stride_s=1.2, contact_jerk_mps3=2000.0,
         )  # fmt: skip
         parameters, thresholds = self.calibration.parameters(), self.calibration.thresholds()
         parts = {"parameters": parameters, "thresholds": thresholds, "settings": OrientationSettings()}
@@ -486,12 +488,12 @@ class Core:
         self.state = self.core.state
         kernel.start(self.core, 0, 0.0, 0.0, G_MPS2)
         self.feed(0.2)
-        kernel.enter(self.core, int(phase), np.array([[0.0, 0.0, G_MPS2]]), 0)
+        enter_phase(self.core, int(phase))
 
     def feed(
         self, seconds: float, rate: tuple[float, float, float] = (0.0, 0.0, 0.0), extra: FloatArray | None = None
-    ) -> list[tuple[bool, bool]]:
-        """Samples of this rate, and of gravity plus ``extra`` in the world; what rests after each."""
+    ) -> list[Features]:
+        """Samples of this rate, and of gravity plus ``extra`` in the sensor's axes; what is seen after each."""
         seen = []
         for _ in range(round(seconds * 100.0)):
             t_ns = np.array([int(self.state["t_ns"]) + 10_000_000])
@@ -499,72 +501,64 @@ class Core:
             up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
             force = G_MPS2 * up + (np.zeros(3) if extra is None else extra)
             kernel.advance(self.core, t_ns, force[None].copy(), np.array([rate]), 0, 1, np.empty((1, 4)))
-            seen.append((bool(self.state["a_rest"]), bool(self.state["g_rest"])))
+            seen.append(kernel.features(self.state))
         return seen
 
-    def gyr(self, *sizes: float) -> list[bool]:
-        return [self.feed(0.01, (0.0, size, 0.0))[0][1] for size in sizes]
+    def resting_s(self, *sizes: float) -> list[float]:
+        return [round(self.feed(0.01, (0.0, 0.0, size))[0].resting_s, 9) for size in sizes]
+
+    def measures(self) -> Thresholds:
+        return Thresholds._make(self.core.thresholds.item())
+
+    def stride(self, peak_radps: float, fall_radps: float, stride_s: float, jerk_mps3: float) -> Thresholds:
+        """One stride that shows this, from contact to contact; the measures after it."""
+        enter_phase(self.core, int(Phase.SWING))
+        self.state["toe_down_peak"], self.state["toe_up_peak"] = peak_radps, fall_radps - peak_radps
+        self.state["t_ns"] = self.state["contact_ns"] + round(1e9 * stride_s)
+        enter_phase(self.core, int(Phase.LOADING_RESPONSE))
+        self.state["greatest_jerk"] = jerk_mps3
+        enter_phase(self.core, int(Phase.STANCE))
+        return self.measures()
 
 
-def test_movement_counts_at_once_rest_must_last() -> None:
+def test_rest_begins_when_the_foot_turns_no_more() -> None:
     core = Core()
-    assert core.gyr(0.0, 2.0) == [True, False]
-    assert core.gyr(0.0, 0.0, 2.0, 0.0, 0.0) == [False] * 5  # a zero crossing
-    assert core.gyr(0.0, 0.0) == [True, True]  # thirty milliseconds after the last movement
+    assert core.feed(0.01)[-1].resting_s > 1.0  # nothing is known of before
+    assert core.resting_s(2.0, 0.0, 0.0, 2.0, 0.0) == [0.0, 0.01, 0.02, 0.0, 0.01]
 
 
-def test_the_gyroscopes_limit_is_higher_once_at_rest() -> None:
-    leave = 1.8 * 0.5
+@pytest.mark.parametrize(("push_off_radps", "fall_radps"), [(6.0, 10.0), (3.0, 10.0)])
+def test_the_limit_of_rest_is_a_share_of_the_push_off_or_of_half_the_fall(
+    push_off_radps: float, fall_radps: float
+) -> None:
     core = Core()
-    assert core.gyr(leave - 0.01) == [True]
-    assert core.gyr(leave + 0.01) == [False]
-    assert core.gyr(*[0.51] * 6) == [False] * 6
-    assert core.gyr(*[0.49] * 4)[-1]
+    core.core.thresholds.push_off_radps = push_off_radps
+    limit = core.measures().rest_share * max(push_off_radps, 0.5 * fall_radps)
+    assert core.resting_s(1.0001 * limit, 0.9999 * limit, limit) == [0.0, 0.01, 0.0]
 
 
-def test_the_accelerometers_limits() -> None:
-    core = Core()
-    down = np.array([0.0, 0.0, 1.0])
-    assert core.feed(0.02, extra=0.9 * down)[-1][0]  # not yet turned away by 1 m/s²
-    assert not core.feed(0.01, extra=2.5 * down)[-1][0]
-    assert core.feed(0.1)[-1][0]
-    core = Core(Phase.SWING)  # there is no mean of a stance to turn away from
-    assert core.feed(0.01, extra=2.1 * down)[0][0]  # under 1.8 times the limit of 1.2
-    assert not core.feed(0.01, extra=2.2 * down)[0][0]
-    assert not core.feed(0.05, extra=1.3 * down)[-1][0]
-
-
-def test_a_heel_that_rises_slowly_turns_gravity_before_it_changes_its_size() -> None:
-    core = Core()
-    force = G_MPS2 * np.array([math.sin(0.12), 0.0, math.cos(0.12) - 1.0])
-    assert abs(math.hypot(force[0], force[2] + G_MPS2) - G_MPS2) < 1e-9
-    assert not core.feed(0.01, extra=force)[-1][0]
-    swing = Core(Phase.SWING)
-    assert swing.feed(0.01, extra=force)[-1][0]
-
-
-def test_a_foot_that_flies_evenly_does_not_rest() -> None:
-    """A push, then half a second without force: no rest before it has been still for long."""
+def test_a_foot_that_flies_evenly_travels() -> None:
+    """A push, then half a second without force: it is no rest before it has been still for long."""
+    push = np.array([8.0, 0.0, 0.0])
     core = Core(Phase.SWING)
-    core.feed(0.2, extra=np.array([8.0, 0.0, 0.0]))
+    core.feed(0.2, (0.0, 2.0, 0.0), push)
     assert core.state["peak_speed"] > 1.0
-    coasting = [a for a, _ in core.feed(0.5)]
-    assert coasting.index(True) == pytest.approx(30, abs=2)  # long_rest_s
+    coasting = [x.travelling for x in core.feed(0.5)]
+    assert coasting.index(False) == pytest.approx(100.0 * LONG_REST_S, abs=2)
     stopped = Core(Phase.SWING)
-    stopped.feed(0.2, extra=np.array([8.0, 0.0, 0.0]))
-    stopped.feed(0.2, extra=np.array([-8.0, 0.0, 0.0]))
-    assert [a for a, _ in stopped.feed(0.5)].index(True) <= 3  # rest_hold_s
+    stopped.feed(0.2, (0.0, 2.0, 0.0), push)
+    stopped.feed(0.2, (0.0, -2.0, 0.0), -push)
+    assert not any(x.travelling for x in stopped.feed(0.2))
 
 
-def test_before_toe_off_the_foot_must_be_back_as_it_stood() -> None:
-    turned = G_MPS2 * np.array([-math.sin(0.10), 0.0, 0.0])  # and as much again by the turn below
-    held, back = Core(Phase.PRE_SWING), Core(Phase.PRE_SWING)
-    for core in (held, back):
-        core.feed(0.05, (0.0, 2.0, 0.0))
-    back.feed(0.05, (0.0, -2.0, 0.0))
-    assert not held.feed(0.1, extra=turned)[-1][0]
-    assert back.feed(0.1)[-1][0]
-    assert held.feed(0.3, extra=turned)[-1][0]  # still for long: a heel on a step is a stance as well
+@pytest.mark.parametrize("phase", [Phase.STANCE, Phase.LOADING_RESPONSE])
+def test_the_reckoned_speed_of_a_foot_on_the_ground_dies_away(phase: Phase) -> None:
+    core = Core(Phase.SWING)
+    core.feed(0.2, (0.0, 2.0, 0.0), np.array([8.0, 0.0, 0.0]))
+    enter_phase(core.core, int(phase))
+    core.feed(0.5)
+    assert core.state["speed"] < 0.02
+    assert core.state["peak_speed"] < 1.6
 
 
 def test_look_backs_are_times() -> None:
@@ -577,12 +571,104 @@ def test_look_backs_are_times() -> None:
 
 def test_features_are_rates_per_second() -> None:
     core = Core(Phase.SWING)
-    core.feed(0.01, extra=np.array([0.0, 0.0, 7.0]))
-    x = kernel.features(core.state)
-    assert x.vertical_jerk_mps3 == pytest.approx(700.0, rel=1e-6)
-    core.feed(0.02, (0.0, 0.4, 0.0))
-    x = kernel.features(core.state)
+    x = core.feed(0.01, extra=np.array([0.0, 0.0, 7.0]))[-1]
+    assert x.contact_jerk_mps3 == pytest.approx(700.0, rel=1e-6)
+    x = core.feed(0.02, (0.0, 0.4, 0.0))[-1]
     assert x.toe_down_radps == pytest.approx(0.4, abs=1e-3)
     assert x.toe_down_change_radps2 == pytest.approx(20.0, rel=0.01)
     assert x.in_phase_s == pytest.approx(0.03)
-    assert x.resting_s == pytest.approx(0.02)  # since the jump
+
+
+def test_of_a_jump_sideways_half_counts() -> None:
+    core = Core(Phase.SWING)
+    assert core.feed(0.01, extra=np.array([8.0, 0.0, 0.0]))[-1].contact_jerk_mps3 == pytest.approx(400.0, rel=1e-6)
+    assert core.feed(0.01, extra=np.array([8.0, 0.0, 0.0]))[-1].contact_jerk_mps3 == pytest.approx(0.0, abs=1.0)
+
+
+def test_how_far_it_has_turned_counts_since_it_last_turned_back() -> None:
+    core = Core()
+    assert core.feed(0.2, (0.0, 0.5, 0.0))[-1].turned_rad == pytest.approx(0.1, abs=1e-4)
+    assert core.feed(0.1, (0.0, 0.5, 0.0))[-1].turned_rad == pytest.approx(0.15, abs=1e-4)
+    assert core.feed(0.01, (0.0, -0.1, 0.0))[-1].turned_rad == 0.0
+    assert core.feed(0.1, (0.0, 0.5, 0.0))[-1].turned_rad == pytest.approx(0.05, abs=1e-4)
+
+
+def test_peaks_are_those_since_pre_swing_and_since_swing() -> None:
+    core = Core()
+    core.feed(0.05, (0.0, 3.0, 0.0))
+    core.feed(0.05, (0.0, -2.0, 0.0))
+    enter_phase(core.core, int(Phase.PRE_SWING))
+    assert core.feed(0.01, (0.0, 1.0, 0.0))[-1].toe_down_peak_radps == pytest.approx(1.0, rel=1e-3)
+    assert core.feed(0.05, (0.0, -1.0, 0.0))[-1].toe_up_peak_radps == pytest.approx(2.0, rel=1e-3)
+    enter_phase(core.core, int(Phase.SWING))
+    x = core.feed(0.01, (0.0, -0.5, 0.0))[-1]
+    assert (x.toe_down_peak_radps, x.toe_up_peak_radps) == pytest.approx((1.0, 0.5), rel=1e-3)
+
+
+# --- this person's measures follow -----------------------------------------------------------------------
+
+SHOWN = (7.0, 13.0, 1.5, 2800.0)
+MEASURES = ("push_off_radps", "fall_radps", "stride_s", "contact_jerk_mps3")
+
+
+def measured(p: Thresholds) -> list[float]:
+    return [getattr(p, name) for name in MEASURES]
+
+
+def test_each_stride_is_followed_by_an_eighth() -> None:
+    core = Core()
+    core.stride(*measured(core.measures()))  # from here on a contact is known
+    before = measured(core.measures())
+    after = measured(core.stride(*SHOWN))
+    assert FOLLOW == 1 / 8
+    assert after == pytest.approx([old + FOLLOW * (shown - old) for old, shown in zip(before, SHOWN, strict=True)])
+
+
+@pytest.mark.parametrize(("factor", "bound"), [(3.0, MOST), (0.2, LEAST)])
+def test_measures_stay_within_bounds_about_the_calibrated_ones(factor: float, bound: float) -> None:
+    assert (LEAST, MOST) == (0.6, 1.6)
+    core = Core()
+    calibrated = measured(core.calibration.thresholds())
+    for _ in range(200):
+        now = core.measures()
+        stride_s = now.stride_s * (1.4 if factor > 1.0 else 0.7)
+        shown = (factor * calibrated[0], factor * calibrated[1], stride_s, factor * calibrated[3])
+        core.stride(*shown)
+        for now_is, was in zip(measured(core.measures()), calibrated, strict=True):
+            assert LEAST * was <= now_is <= MOST * was
+    assert measured(core.measures()) == pytest.approx([bound * was for was in calibrated])
+    others = core.measures()._replace(**dict(zip(MEASURES, calibrated, strict=True)))
+    assert others == core.calibration.thresholds()
+
+
+@pytest.mark.parametrize("share", [0.99 * USUAL[0], 1.01 * USUAL[1], 10.0, 0.01])
+def test_a_pause_or_a_double_contact_is_no_stride_time(share: float) -> None:
+    core = Core()
+    before = core.stride(6.0, 10.0, 1.3, 2000.0).stride_s
+    assert core.stride(6.0, 10.0, share * before, 2000.0).stride_s == before
+
+
+def test_the_trackers_measures_follow_the_walk_and_keep_the_asked_rule() -> None:
+    samples, calibration = walk("left_foot")
+    maker = StrideMaker("left_foot", StrideSettings(calibration.forward(), np.array(calibration.up)))
+    tracker = FootTracker(calibration, maker, swing_at_reversal=True)
+    start = calibration.thresholds(swing_at_reversal=True)
+    assert tracker.thresholds == start
+    assert len(strides(fed(tracker, samples))) > 40
+    assert tracker.thresholds.swing_at_reversal is True
+    for now, was in zip(measured(tracker.thresholds), measured(start), strict=True):
+        assert now != was
+        assert LEAST * was <= now <= MOST * was
+
+
+def test_standing_in_noise_leaves_the_measures_alone() -> None:
+    _, calibration = walk("left_foot")
+    tracker = tracker_of(calibration)
+    rng = np.random.default_rng(4)
+    still = Samples(
+        np.arange(6000) * 10_000_000,
+        G_MPS2 * np.array(calibration.up) + rng.normal(0.0, 0.3, (6000, 3)),
+        rng.normal(0.0, 0.1, (6000, 3)),
+    )
+    assert fed(tracker, still) == []
+    assert tracker.thresholds == calibration.thresholds()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from fes.estimation.foot.movements import BACK, contact_jumps, follow, moving_mean
+from fes.estimation.foot.movements import BACK, closures, contact_jumps, follow, moving_mean
 from fes.estimation.numerics.rotation import from_gravity, to_world, up_in_sensor
 from fes.estimation.strides.integration import integrate, orient
 from fes.signals import G_MPS2, FloatArray, IntArray
@@ -78,9 +78,45 @@ def test_a_jump_counts_from_where_the_other_is_least() -> None:
     after[list(least)] = 0.0
     jumps = contact_jumps(t_ns, acc, gyr, SPANS, turns, after, lag)
     up = np.array([up_in_sensor(*q) for q in oriented(t_ns, acc, gyr, SPANS[0], BACK).tolist()])
-    vertical = np.vecdot(up, acc[20:151])[least[0] - 20 :]
-    assert jumps[0] == pytest.approx(np.abs(vertical[lag:] - vertical[:-lag]).max(), rel=1e-10)
+    vertical, whole = np.vecdot(up, acc[20:151])[least[0] - 20 :], acc[least[0] : 151]
+    upward = np.abs(vertical[lag:] - vertical[:-lag])
+    half = 0.5 * np.linalg.norm(whole[lag:] - whole[:-lag], axis=1)
+    assert jumps[0] == pytest.approx(np.maximum(upward, half).max(), rel=1e-10)
     assert math.isnan(jumps[1])
+
+
+def test_of_a_jump_sideways_half_counts() -> None:
+    t_ns = np.arange(200) * 5_000_000
+    acc, gyr, after = np.tile((0.0, 0.0, G_MPS2), (200, 1)), np.zeros((200, 3)), np.arange(200.0)
+    acc[100:110, 1] = 6.0
+    span = np.array([(20, 150)])
+    assert contact_jumps(t_ns, acc, gyr, span, follow(t_ns, acc, gyr, span)["turn"], after, 2) == pytest.approx(3.0)
+    acc[100:110, 2] += 4.0
+    assert contact_jumps(t_ns, acc, gyr, span, follow(t_ns, acc, gyr, span)["turn"], after, 2) == pytest.approx(4.0)
+
+
+def turning() -> tuple[IntArray, FloatArray, FloatArray]:
+    """A sensor that turns and feels gravity only, as the integrated rates say."""
+    t_ns, _, gyr = walked()
+    quaternions = np.empty((len(t_ns), 4))
+    orient(t_ns, gyr, np.array(from_gravity(1.0, 2.0, 9.0)), 0.0, 0.0, 1.0, 0.0, quaternions)
+    return t_ns, G_MPS2 * np.array([up_in_sensor(*q) for q in quaternions.tolist()]), gyr
+
+
+def test_gravity_closes_over_rates_without_bias() -> None:
+    missed, _ = closures(*turning(), SPANS)
+    assert np.abs(missed).max() < 1e-3  # the mean force about each end is all that differs
+
+
+def test_what_gravity_misses_is_the_biass_effect() -> None:
+    t_ns, acc, gyr = turning()
+    plain, effect = closures(t_ns, acc, gyr, SPANS)
+    bias = np.array([0.02, -0.03, 0.01])
+    missed, _ = closures(t_ns, acc, gyr + bias, SPANS)
+    assert np.linalg.norm(missed - plain) > 0.01
+    assert missed - plain == pytest.approx(effect @ bias, abs=1e-3)
+    gravity = acc[SPANS[:, 0]] / G_MPS2
+    assert np.einsum("ki,kij->kj", gravity, effect) == pytest.approx(0.0, abs=0.02)  # about gravity nothing shows
 
 
 def test_a_movement_too_short_to_integrate_leads_nowhere() -> None:

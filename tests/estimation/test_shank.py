@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import pairwise
 
@@ -16,8 +17,9 @@ from fes.config import load_session
 from fes.control.controller import Controller
 from fes.estimation.sensor_choice import phase_sensors, shank_phase_sensors
 from fes.estimation.shank.calibration import ShankCalibration, calibrate_shank
-from fes.estimation.shank.motion import fit_levels, trace_of
+from fes.estimation.shank.motion import ShankLevels, fit_levels, trace_of
 from fes.estimation.shank.tracker import ShankTracker
+from fes.estimation.tracking.phase_features import LEAST, MOST
 from fes.estimation.tracking.tracker import Outcome
 from fes.signals import FloatArray, ImuSample, IntArray, OperatorAct, OperatorAction, StimRequest, StrideResult
 from statemachine.phases import Phase, PhaseChange, Transition
@@ -151,9 +153,56 @@ def test_the_ankle_stands_still_in_stance_and_levels_follow_the_walk() -> None:
     swing = [round((begin_s + (k + 0.75) * STRIDE_S) * 100.0) for k in range(3, 9)]
     assert trace[stance, 1].max() < 1.0 < 3.0 < trace[swing, 1].min()
     assert trace[stance, 0].min() > 0.0 > trace[[s + 8 for s in swing], 0].max()
-    slow = trace * np.array([0.5, 1.0, 1.0, 1.0])
-    assert fit_levels(slow, []) == fit_levels(trace, [])
-    assert found.levels.min_lean_peak_radps > found.levels.rest_lean_radps > 0.0
+    levels = found.levels
+    assert levels.push_off_radps > levels.heel_rise_radps > levels.rest_lean_radps > 0.0
+    assert levels.fall_radps > 2.0 * levels.push_off_radps
+    assert levels.stride_s == pytest.approx(STRIDE_S, abs=0.05)
+    peaks = [trace[s : s + 60, 0].max() for s in stance]
+    assert levels.push_off_radps == pytest.approx(np.median(peaks), rel=0.1)
+
+
+def test_without_strides_the_levels_are_the_usual_ones() -> None:
+    assert fit_levels(np.ones((200, 4)), [], 100.0) == ShankLevels()
+
+
+def test_the_guards_limits_of_a_shank_are_its_levels() -> None:
+    levels = calibration().levels
+    for each in (levels, replace(levels, push_off_radps=0.3 * levels.fall_radps)):
+        p = each.thresholds(swing_at_reversal=True)
+        rate = max(p.push_off_radps, 0.5 * p.fall_radps)
+        assert p.rest_share * rate == pytest.approx(each.rest_lean_radps)
+        assert p.heel_rise_share * rate == pytest.approx(each.heel_rise_radps)
+        assert (p.push_off_radps, p.fall_radps, p.stride_s) == (each.push_off_radps, each.fall_radps, each.stride_s)
+        assert p.contact_jerk_mps3 == each.contact_jolt_mps3
+        assert p.swing_at_reversal is True
+
+
+def test_measures_of_a_shank_follow_within_bounds() -> None:
+    made = walk()
+    tracker = ShankTracker(calibration())
+    start = tracker.thresholds
+    assert start == calibration().levels.thresholds()
+    tracker.advance(made.t_ns, made.acc, made.gyr)
+    assert tracker.thresholds != start
+    for name in ("push_off_radps", "fall_radps", "stride_s", "contact_jerk_mps3"):
+        assert LEAST <= getattr(tracker.thresholds, name) / getattr(start, name) <= MOST
+    assert tracker.thresholds._replace(**{n: getattr(start, n) for n in start._fields[:4]}) == start
+
+
+def test_levels_of_former_versions_are_read() -> None:
+    """They were thresholds: what they were shares of comes back."""
+    former = {
+        "rest_lean_radps": 1.0, "rest_acc_mps2": 2.0, "min_lean_peak_radps": 1.2, "contact_jolt_mps3": 450.0,
+        "rest_hold_s": 0.03,
+    }  # fmt: skip
+    found = ShankCalibration.from_dict(calibration().to_dict() | {"levels": former}).levels
+    assert (found.rest_lean_radps, found.push_off_radps) == pytest.approx((1.0, 3.0))
+    assert found.contact_jolt_mps3 == pytest.approx(1500.0)
+    assert found.heel_rise_radps > found.rest_lean_radps
+    assert found.fall_radps > found.push_off_radps
+    nothing = calibration().to_dict()
+    del nothing["levels"]
+    assert ShankCalibration.from_dict(nothing).levels == ShankLevels()
 
 
 def test_the_foot_drives_where_it_has_a_sensor() -> None:

@@ -218,7 +218,7 @@ def test_a_log_with_nonsense_for_the_step_is_refused(tmp_path: Path, step: objec
         ({"up": (0.0, 0.0, 0.0)}, "up of right_foot is no unit vector"),
         ({"up": "abc"}, "could not convert"),
         ({"gyr_bias_radps": (math.inf, 0.0, 0.0)}, "a bias of right_foot is not finite"),
-        ({"rest_gyr_radps": "still"}, ""),
+        ({"stride_s": "still"}, ""),
     ],
 )
 def test_a_log_with_nonsense_for_identifier_or_calibration_is_refused(

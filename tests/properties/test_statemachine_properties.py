@@ -24,7 +24,7 @@ P = Thresholds()
 ROWS = {(row.source, row.transition, row.destination) for row in TABLE}
 LIMITS = [0.0, *P, *(-x for x in P), math.inf, -math.inf, math.nan]
 NUMBERS = st.one_of(st.sampled_from(LIMITS), st.floats(-2000.0, 2000.0), st.floats(-3.0, 3.0))
-FEATURES = st.builds(Features, st.booleans(), st.booleans(), *[NUMBERS] * 7)
+FEATURES = st.builds(Features, *[NUMBERS] * 9, st.booleans())
 
 
 @pytest.mark.requirement("SR-03")

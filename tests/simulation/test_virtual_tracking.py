@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from virtual_walks import walk
 
 from fes.calibration.recording import calibrate_track
-from fes.estimation.foot.calibration import PUSH_OFF_SHARE
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.strides.results import StrideMaker, StrideSettings
 from fes.recording import Track, read_recording, write_recording
@@ -20,6 +19,7 @@ from fes.simulation.forward import PatientSettings, VirtualPatient, VirtualStrid
 from fes.simulation.forward.closed_loop import recording_of, truth_of
 from fes.simulation.sensor import PERFECT
 from fes.simulation.truth import load_truth, write_truth
+from statemachine.guards import Thresholds
 from statemachine.phases import Phase, PhaseChange, Transition
 
 CASES = {
@@ -120,7 +120,7 @@ def test_a_toe_that_catches_is_not_taken_for_the_usual_push_off() -> None:
             )
         )
         walked = recording_of(patient, patient.advance(30 * NS_PER_S), "walk", "")
-        levels[own] = calibrate_track(walked.tracks["right_foot"]).min_toe_down_peak_radps
+        levels[own] = calibrate_track(walked.tracks["right_foot"]).push_off_radps
         stumbled = sum(stride.stumbled for stride in patient.strides if stride.foot == "right_foot")
         assert (stumbled > 10) == (own == 0.0)
-    assert levels[0.0] < 0.6 * levels[1.0] / PUSH_OFF_SHARE
+    assert Thresholds().push_off_share * levels[0.0] < 0.6 * levels[1.0]
