@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import fsspec
 import pyarrow as pa
+from fsspec import AbstractFileSystem
 from fsspec.implementations.local import LocalFileSystem
 from pyarrow import parquet
 
@@ -103,7 +104,7 @@ class Store:
             for table in self.schemas:
                 filesystem.makedirs(f"{root}/{table}", exist_ok=True)
             with filesystem.open(f"{root}/{ABOUT}", "wb") as file:
-                file.write(_plain(json.dumps(about, indent=1, ensure_ascii=False)).encode() + b"\n")
+                file.write(json.dumps(about, indent=1, ensure_ascii=False).encode(errors="backslashreplace") + b"\n")
         except CohortError:
             raise
         except Exception as error:  # storages have errors of their own; some cannot be written to at all
@@ -199,7 +200,7 @@ class Store:
         """Where a page or table is, for people."""
         return f"{self.url.rstrip('/')}/{name}"
 
-    def _open(self) -> tuple[Any, str]:
+    def _open(self) -> tuple[AbstractFileSystem, str]:
         try:
             filesystem, root = fsspec.core.url_to_fs(self.url)
         except (ValueError, ImportError, OSError) as error:
@@ -207,12 +208,12 @@ class Store:
         return filesystem, str(root).rstrip("/")
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Text that every file takes: bytes of a name that are no UTF-8 as escapes."""
     return value.encode(errors="backslashreplace").decode() if isinstance(value, str) else value
 
 
-def _replace(filesystem: Any, draft: str, path: str, data: pa.Buffer) -> None:
+def _replace(filesystem: AbstractFileSystem, draft: str, path: str, data: pa.Buffer) -> None:
     """Write a file in one step: whoever looks at ``path`` finds all of it, or what was there before."""
     if isinstance(filesystem, LocalFileSystem):  # whose move copies where it cannot rename
         here = Path(draft)

@@ -23,8 +23,7 @@ import numpy as np
 from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import turn_by
-from fes.estimation.zupt.thresholds import BoolArray
-from fes.signals import FloatArray, IntArray, Vector3
+from fes.signals import BoolArray, FloatArray, IntArray, Vector3
 
 
 class ZuptSettings(NamedTuple):

@@ -18,11 +18,12 @@ the ground. The electromechanical delay is applied where pulses come in (:mod:`f
 """
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.records import Record, Vec
 
 STANCE: Final = 0
 PRE_SWING: Final = 1
@@ -174,7 +175,7 @@ def force_at(dorsiflexing_radps: float) -> float:
 
 
 @jit
-def muscle(leg: Any, dt: float) -> None:
+def muscle(leg: Record, dt: float) -> None:
     """One step of the stimulated muscle: calcium, activation, fitness and torque."""
     leg.calcium -= leg.calcium * dt / leg.tau_ca
     drive = min(leg.recruited * GAIN_40HZ * leg.calcium / (leg.calcium + KM), 1.05)
@@ -198,7 +199,7 @@ LET_GO = 0.05  # share of the swing in which the toes cease to press
 
 
 @jit
-def fourier(series: Any, phase: float) -> tuple[float, float, float]:
+def fourier(series: Vec, phase: float) -> tuple[float, float, float]:
     """Value and first two derivatives by cycle of a Fourier series at ``phase`` (1 is one cycle)."""
     angle = TURN * phase
     c1, s1 = math.cos(angle), math.sin(angle)
@@ -215,7 +216,7 @@ def fourier(series: Any, phase: float) -> tuple[float, float, float]:
 
 
 @jit
-def fade(c: Any, start: float, span: float, t: float) -> tuple[float, float, float]:
+def fade(c: Vec, start: float, span: float, t: float) -> tuple[float, float, float]:
     """Value, rate and acceleration of a polynomial ``c`` over ``u = (t - start)/span``; 0 from u = 1 on."""
     u = (t - start) / span
     if u >= 1.0:
@@ -265,7 +266,7 @@ def early(u: float) -> tuple[float, float, float]:
 
 
 @jit
-def plan(leg: Any, belt: Any, t: float) -> None:
+def plan(leg: Record, belt: Record, t: float) -> None:
     """Where the leg wants the ankle and the shank at ``t`` s: path in the belt's frame, with two derivatives."""
     rate = leg.phase_rate
     phase = leg.phase0 + rate * (t - leg.phase_t)
@@ -321,7 +322,7 @@ def plan(leg: Any, belt: Any, t: float) -> None:
 
 
 @jit
-def heel_rise(leg: Any, t: float) -> tuple[float, float, float]:
+def heel_rise(leg: Record, t: float) -> tuple[float, float, float]:
     """The planned toe-down pitch in pre-swing: slow first, fastest as the foot leaves."""
     if leg.mode != PRE_SWING:
         return 0.0, 0.0, 0.0
@@ -331,7 +332,7 @@ def heel_rise(leg: Any, t: float) -> tuple[float, float, float]:
 
 
 @jit
-def load(leg: Any, t: float) -> float:
+def load(leg: Record, t: float) -> float:
     """Weight on this leg, N."""
     if leg.mode == SWING:
         return 0.0
@@ -342,7 +343,7 @@ def load(leg: Any, t: float) -> float:
 
 
 @jit
-def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> float:
+def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) -> float:
     """All torques of tissue about the ankle, dorsiflexing positive, N·m."""
     angle, rate = leg.pitch - leg.shank, leg.vpitch - leg.vshank
     held = min(max(angle, -1.2), 0.8)
@@ -372,7 +373,7 @@ def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> 
 
 
 @jit
-def toes_press(leg: Any, t: float) -> float:
+def toes_press(leg: Record, t: float) -> float:
     """Share of their stiffness with which the toes press on the ground; without a jump at heel rise and foot off.
 
     The bending shoe presses them down in pre-swing. Unloaded at foot off, they press again when they meet the ground.
@@ -391,7 +392,7 @@ def toes_press(leg: Any, t: float) -> float:
 
 
 @jit
-def step(leg: Any, belt: Any, t: float, dt: float) -> None:
+def step(leg: Record, belt: Record, t: float, dt: float) -> None:
     """Advance one leg from ``t`` to ``t + dt``; ``plan`` must have been called for ``t``."""
     muscle(leg, dt)
     h, c, s = leg.sole_m, math.cos(leg.pitch), math.sin(leg.pitch)
