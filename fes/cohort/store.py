@@ -18,6 +18,7 @@ from fsspec.implementations.local import LocalFileSystem
 from pyarrow import parquet
 
 from fes.cohort.sources import CohortError
+from fes.estimation.strides.schema import TABLE
 from fes.report.text import number
 
 RECORDINGS: Final = "recordings"
@@ -25,7 +26,8 @@ STRIDES: Final = "strides"
 EVENTS: Final = "events"
 ABOUT: Final = "cohort.json"
 
-_TEXT, _NUMBER, _COUNT, _TRUTH = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+_TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
+_KINDS: Final = {str: _TEXT, float: _NUMBER, int: _COUNT, bool: pa.bool_()}
 _OF: Final = [("recording", _TEXT), ("subject", _TEXT), ("foot", _TEXT)]
 
 
@@ -41,17 +43,7 @@ SCHEMAS: Final[Mapping[str, pa.Schema]] = {
             *_numbers("duration_s", "belt_speed_mps", "stride_length_m", "speed_mps", "stride_time_s", "clearance_m"),
         ]
     ),
-    STRIDES: pa.schema(
-        [
-            *_OF,
-            ("number", _COUNT),
-            ("valid", _TRUTH),
-            ("reason", _TEXT),
-            *_numbers("t_start_s", "t_end_s", "t_pre_swing_s", "t_swing_s", "t_loading_response_s", "t_stance_s"),
-            *_numbers("stride_length_m", "speed_mps", "clearance_m", "toe_clearance_m", "heel_clearance_m"),
-            *_numbers("height_gained_m", "turn_rad", "x_m", "y_m", "z_m", "heading_rad"),
-        ]
-    ),
+    STRIDES: pa.schema([*_OF[:2], *((column.name, _KINDS[column.kind]) for column in TABLE)]),
     EVENTS: pa.schema(
         [*_OF, *_numbers("t_foot_off_s", "t_mid_swing_s", "t_initial_contact_s", "foot_strike_angle_rad")]
     ),
