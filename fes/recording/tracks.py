@@ -49,11 +49,6 @@ class TrackQuality:
     irregular: int = 0
     clipped: int = 0
 
-    @property
-    def irregular_share(self) -> float:
-        """Share of irregular intervals, 0–1."""
-        return self.irregular / max(1, self.samples - 1)
-
 
 @dataclass(frozen=True, eq=False)
 class Track:

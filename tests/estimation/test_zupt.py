@@ -258,7 +258,7 @@ def test_clipped_samples_are_missing_data() -> None:
             t_ns, clipped, gyr, calibration=STANDING, rest=rest, lever_m=NO_LEVER, settings=settings,
             acc_range_mps2=full_scale,
         ).stride_lengths(begin, end) - STRIDE_M
-        for settings, full_scale in ((FIRM, None), (ZuptSettings(drift_speed_mps=0.0, jump_mps3=1e9), 1e9))
+        for settings, full_scale in ((FIRM, None), (ZuptSettings(drift_speed_mps=0.0, jerk_mps3=1e9), 1e9))
     )  # fmt: skip
     assert np.abs(noticed).max() < 0.6 * np.abs(unnoticed).max()
     assert np.abs(noticed).max() < 0.03

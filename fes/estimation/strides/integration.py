@@ -164,7 +164,7 @@ def double_integral(
         ax0, ay0, az0 = ax, ay, az
 
 
-@jit_fused
+@inlined
 def effects(t_ns: Vec, quaternions: Mat, effect: Mat) -> None:
     """Integrate what each unknown of gamma does: columns 0–2 constant, 3–5 linear part; rows as in `integrate`."""
     n = t_ns.shape[0]
@@ -196,7 +196,7 @@ def effects(t_ns: Vec, quaternions: Mat, effect: Mat) -> None:
 SHORTEST_M = 0.05  # a stride shorter than that has no direction but the foot's
 
 
-@jit_fused
+@inlined
 def height_and_turn(quaternion: Mat, position: Mat, fx: float, fy: float, fz: float) -> tuple[float, float]:
     """The greatest height of a stride in m, and by how much the foot turned in rad, left positive, within half a turn.
 
@@ -278,7 +278,7 @@ SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST = range(5)  # what came of it
 TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, NUMBERS = range(7)  # where the numbers are
 
 
-@jit_fused
+@inlined
 def end_velocity(
     qw: float, qx: float, qy: float, qz: float, wx: float, wy: float, wz: float,
     fx: float, fy: float, fz: float, height_m: float, drift_speed_mps: float, row: int, out: Mat,

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fes.estimation.numerics.jit import jit_fused
+from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
@@ -55,7 +55,7 @@ class StrideNoise(NamedTuple):
     end_tilt_per_push: float = 0.2  # share of the specific force's spread at the end that may be a steady push
 
 
-@jit_fused
+@inlined
 def variances(i: int, t_ns: Vec, acc: Mat, gyr: Mat, noise: StrideNoise) -> tuple[float, float]:
     """Variance of sample ``i``'s turn (rad²) over its interval, and of its velocity increment ((m/s)²)."""
     dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
@@ -324,7 +324,7 @@ def maximum_likelihood(
     return True
 
 
-@jit_fused
+@inlined
 def _gather(
     t_ns: Vec, acc: Mat, gyr: Mat, noise: StrideNoise, quaternion: Mat, velocity: Mat, position: Mat, system: Mat,
     of_cause: Mat, noises: Mat,
@@ -388,7 +388,7 @@ def _gather(
     of_cause[3, VELOCITY + 2] = span_s
 
 
-@jit_fused
+@inlined
 def _apply(
     t_ns: Vec, acc: Mat, gyr: Mat, noises: Mat, system: Mat, cause: Vec, quaternion: Mat, velocity: Mat, position: Mat,
     rates: Mat, forces: Mat,

@@ -132,10 +132,10 @@ def _present(t_s: FloatArray, grid_s: FloatArray) -> BoolArray:
 
 
 def _held(
-    told: Sequence[PhaseChange | StimCommand], values: FloatArray, grid_s: FloatArray, *, before: float
+    decided: Sequence[PhaseChange | StimCommand], values: FloatArray, grid_s: FloatArray, *, before: float
 ) -> tuple[FloatArray, IntArray]:
     """The last value at each time of the grid, and which one that is (-1: none yet)."""
-    which = np.searchsorted(np.array([1e-9 * one.t_ns for one in told]), grid_s, side="right") - 1
+    which = np.searchsorted(np.array([1e-9 * one.t_ns for one in decided]), grid_s, side="right") - 1
     return np.where(which >= 0, values[which], before), which
 
 

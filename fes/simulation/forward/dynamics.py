@@ -22,7 +22,7 @@ from typing import Final
 
 import numpy as np
 
-from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.jit import inlined, jit
 from fes.estimation.numerics.records import Record, Vec
 
 STANCE: Final = 0
@@ -128,7 +128,7 @@ def passive(angle: float, knee: float, stiff: float, short: float) -> float:
     return -stiff * (math.exp(2.1016 - 0.0843 * a - 0.0176 * k) - math.exp(-7.9763 + 0.1949 * a + 0.0008 * k) - 1.792)
 
 
-@jit
+@inlined
 def damping(angle: float, knee: float, stiff: float, short: float, damp: float, inertia: float) -> float:
     """Of the ankle, N·m·s/rad: ``damp`` about the middle of its range, more towards the ends where tissue tightens.
 
@@ -148,7 +148,7 @@ HILL = 4.0  # 1 / (a / F0) of Hill's hyperbola
 STRETCHED = 1.4
 
 
-@jit
+@inlined
 def recruitment(charge_uc: float, threshold_uc: float, saturation_uc: float) -> float:
     """Share of the muscle that a pulse reaches, 0–1: a ramp from threshold to saturation with rounded corners.
 
@@ -164,7 +164,7 @@ def recruitment(charge_uc: float, threshold_uc: float, saturation_uc: float) -> 
     return min(max(value - 0.028, 0.0) / (1.0 - 0.056), 1.0)
 
 
-@jit
+@inlined
 def force_at(dorsiflexing_radps: float) -> float:
     """Share of the isometric force while the ankle moves; dorsiflexing, the muscle shortens. Smooth at rest."""
     v = dorsiflexing_radps / FASTEST_RADPS
@@ -174,7 +174,7 @@ def force_at(dorsiflexing_radps: float) -> float:
     return 1.0 + (STRETCHED - 1.0) * x / (x - 1.0)
 
 
-@jit
+@inlined
 def muscle(leg: Record, dt: float) -> None:
     """One step of the stimulated muscle: calcium, activation, fitness and torque."""
     leg.calcium -= leg.calcium * dt / leg.tau_ca
@@ -247,7 +247,7 @@ def bump(u: float) -> tuple[float, float, float]:
     return 64.0 * v * v * v, 192.0 * v * v * (1.0 - 2.0 * u), 384.0 * v * (1.0 - 5.0 * v)
 
 
-@jit
+@inlined
 def lowering(u: float) -> tuple[float, float, float]:
     """``u⁵(1-u)``: up a little late in swing, then down with slope -1 at its end; with its first two derivatives."""
     if u <= 0.0 or u >= 1.0:
@@ -255,7 +255,7 @@ def lowering(u: float) -> tuple[float, float, float]:
     return u**5 * (1.0 - u), u**4 * (5.0 - 6.0 * u), u**3 * (20.0 - 30.0 * u)
 
 
-@jit
+@inlined
 def early(u: float) -> tuple[float, float, float]:
     """``u³(1-u)⁵`` scaled to 1 at its peak, three eighths of the way, with its first two derivatives."""
     if u <= 0.0 or u >= 1.0:
@@ -331,7 +331,7 @@ def heel_rise(leg: Record, t: float) -> tuple[float, float, float]:
     return a * u * u * (1.3 - 0.3 * u), a * u * (2.6 - 0.9 * u) * w, a * (2.6 - 1.8 * u) * w * w
 
 
-@jit
+@inlined
 def load(leg: Record, t: float) -> float:
     """Weight on this leg, N."""
     if leg.mode == SWING:
@@ -342,7 +342,7 @@ def load(leg: Record, t: float) -> float:
     return weight
 
 
-@jit
+@inlined
 def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) -> float:
     """All torques of tissue about the ankle, dorsiflexing positive, N·m."""
     angle, rate = leg.pitch - leg.shank, leg.vpitch - leg.vshank
@@ -372,7 +372,7 @@ def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) 
     return out
 
 
-@jit
+@inlined
 def toes_press(leg: Record, t: float) -> float:
     """Share of their stiffness with which the toes press on the ground; without a jump at heel rise and foot off.
 
@@ -391,7 +391,7 @@ def toes_press(leg: Record, t: float) -> float:
     return firm
 
 
-@jit
+@inlined
 def step(leg: Record, belt: Record, t: float, dt: float) -> None:
     """Advance one leg from ``t`` to ``t + dt``; ``plan`` must have been called for ``t``."""
     muscle(leg, dt)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.jit import inlined, jit
 from fes.estimation.numerics.records import Mat, Record, Vec
 from fes.simulation.forward.dynamics import (
     CONTACT,
@@ -30,7 +30,7 @@ BELT_RADPS = 2.5  # the belt reaches a new speed in about two seconds
 ROLL_AIR_RADPS, ROLL_GROUND_RADPS = 22.0, 45.0
 
 
-@jit
+@inlined
 def sideways(leg: Record, t: float, dt: float) -> None:
     """Lateral path, heading and roll: what the sagittal plane leaves out, without dynamics except for the roll."""
     u, w = (t - leg.swing_t) / leg.swing_s, 1.0 / leg.swing_s
@@ -48,7 +48,7 @@ def sideways(leg: Record, t: float, dt: float) -> None:
     leg.roll += leg.vroll * dt
 
 
-@jit
+@inlined
 def happened(leg: Record, t: float) -> int:
     """What of this leg needs a new plan now."""
     if leg.mode == SWING:
@@ -157,7 +157,9 @@ def run(
             low_pass(filters[2 + side], shank, taps[0], taps[1], taps[2])
         done = number + 1
         if done % every == 0:
-            samples[sample, :, :] = values
+            for sensor in range(4):  # not as slices: their check of shapes would take seconds to compile
+                for axis in range(6):
+                    samples[sample, sensor, axis] = values[sensor, axis]
             sample += 1
         if done % trace_every == 0:
             for side in range(2):

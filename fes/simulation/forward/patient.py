@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.jit import inlined, jit
 from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import FOOT_SENSORS, NS_PER_S, SENSORS, FloatArray, ImuSample
 from fes.simulation.forward.dynamics import NO_EVENT, TRACE
@@ -35,7 +35,7 @@ def butterworth(model: ImuModel, rate_hz: float) -> FloatArray:
     return np.array([k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm])
 
 
-@jit
+@inlined
 def distort(
     ideal: Vec, matrix: Mat, offset: Mat, drift: Mat, walk: Vec, white: Vec, random: Mat, full: Vec, lsb: Vec
 ) -> None:
