@@ -43,8 +43,8 @@ from fes.calibration.recording import calibrate_track
 from fes.estimation.zupt.detectors import Detector
 from fes.signals import StrideResult
 
-NAMES = {"maximum_likelihood": "fes most likely (default)", "constrained": "fes constrained (Negård)"}
-NAMES[FUSED] = "fes analyse (most likely and ZUPT)"
+NAMES = {"maximum_likelihood": "fes maximum likelihood (default)", "constrained": "fes constrained (Negård)"}
+NAMES[FUSED] = "fes analyse (maximum likelihood and ZUPT)"
 KNOWN = {"maximum_likelihood": CAUSAL, "constrained": CAUSAL, FUSED: OFFLINE}
 ZUPT = {False: "fes ZUPT filter, forward", True: "fes ZUPT filter, smoothed"}
 LEAST_IN_ORDER, LEAST_FOOT, MOST_FALSE = 0.995, 0.97, 0.1

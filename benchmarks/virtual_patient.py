@@ -91,7 +91,7 @@ def look(group: str, name: str, track: Track, speed_mps: float) -> tuple[Seen, C
         inside = [c.transition for c in changes if track.t_sensor_ns[a] <= c.t_ns < track.t_sensor_ns[b]]
         good += inside == [ORDER[2], ORDER[3], ORDER[0], ORDER[1]]
     usual = float(np.median(np.diff(middles)))
-    pieces = [(a, b) for a, b in pairwise(middles) if abs(b - a - usual) < 0.25 * usual]
+    strides = [(a, b) for a, b in pairwise(middles) if abs(b - a - usual) < 0.25 * usual]
     rate_power, rate_95 = spectrum(toe_up[rows], track.rate_hz)
     acc_power, acc_95 = spectrum(size[rows], track.rate_hz)
     pre_swing_s, swing_s, loading_s, stance_s = (
@@ -105,14 +105,14 @@ def look(group: str, name: str, track: Track, speed_mps: float) -> tuple[Seen, C
         float(toe_up[rows].std()), float(np.percentile(toe_up[rows], 0.5)), float(np.percentile(toe_up[rows], 99.5)),
         rate_95, acc_95,
     )  # fmt: skip
-    return seen, Curves(mean_stride(toe_up, pieces), mean_stride(size, pieces), rate_power, acc_power)
+    return seen, Curves(mean_stride(toe_up, strides), mean_stride(size, strides), rate_power, acc_power)
 
 
-def mean_stride(signal: FloatArray, pieces: list[tuple[int, int]]) -> FloatArray:
+def mean_stride(signal: FloatArray, strides: list[tuple[int, int]]) -> FloatArray:
     """(POINTS,) the mean over strides from mid-swing to mid-swing."""
     grid = np.linspace(0.0, 1.0, POINTS)
     out: FloatArray = np.mean(
-        [np.interp(a + grid * (b - a), np.arange(len(signal)), signal) for a, b in pieces], axis=0
+        [np.interp(a + grid * (b - a), np.arange(len(signal)), signal) for a, b in strides], axis=0
     )
     return out
 

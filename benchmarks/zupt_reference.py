@@ -213,7 +213,7 @@ def carrier(
     """
 
     @jit
-    def carry(x: Vec, out: Mat, r: Mat, f: Vec, dt: float) -> None:
+    def propagate(x: Vec, out: Mat, r: Mat, f: Vec, dt: float) -> None:
         f0, f1, f2 = f[0], f[1], f[2]
         r00, r01, r02 = r[0, 0], r[0, 1], r[0, 2]
         r10, r11, r12 = r[1, 0], r[1, 1], r[1, 2]
@@ -238,12 +238,12 @@ def carrier(
             out[o + 7 * out_along] = s1 - dt * (r10 * g0 + r11 * g1 + r12 * g2)
             out[o + 8 * out_along] = s2 - dt * (r20 * g0 + r21 * g1 + r22 * g2)
 
-    return carry
+    return propagate
 
 
-carry_one = carrier(1, STATES, 1, STATES, 1)
-_carry_columns = carrier(WIDTH, 1, WIDTH, 1, WIDTH)
-_carry_rows = carrier(1, WIDTH, WIDTH, 1, BIASES)  # what goes in as a row comes out as a column
+propagate_one = carrier(1, STATES, 1, STATES, 1)
+_propagate_columns = carrier(WIDTH, 1, WIDTH, 1, WIDTH)
+_propagate_rows = carrier(1, WIDTH, WIDTH, 1, BIASES)  # what goes in as a row comes out as a column
 
 
 @jit_fused
@@ -252,8 +252,8 @@ def predict(P: Vec, half: Vec, r: Mat, f: Vec, dt: float) -> None:
 
     ``half`` (9, 16), flat, receives ``Φ P``, whose columns of the biases are final.
     """
-    _carry_columns(P, half, r, f, dt)
-    _carry_rows(half, P, r, f, dt)
+    _propagate_columns(P, half, r, f, dt)
+    _propagate_rows(half, P, r, f, dt)
     for a in range(BIASES):
         for b in range(a + 1, BIASES):  # rounding makes the halves differ, and nothing would ever bring them together
             P[b * WIDTH + a] = P[a * WIDTH + b]
@@ -392,7 +392,7 @@ def add_noise(
     jump = 0.0
     for j in range(3):
         jump += (acc[i, j] - acc[i - 1, j]) ** 2
-    beyond = max(math.sqrt(jump) - settings.jump_mps3 * dt, 0.0)
+    beyond = max(math.sqrt(jump) - settings.jerk_mps3 * dt, 0.0)
     az = f[2] - G_MPS2
     dynamic = f[0] * f[0] + f[1] * f[1] + az * az
     # a step somewhere within the interval: the trapezoid errs by up to half of it, evenly distributed
@@ -412,7 +412,7 @@ def add_noise(
 
 
 @jit
-def _carry_back(L: Vec, r: Mat, f: Vec, dt: float) -> None:
+def _propagate_back(L: Vec, r: Mat, f: Vec, dt: float) -> None:
     """``L ← Φᵀ L`` for the adjoint (15,)."""
     u0 = dt * (L[3] + 0.5 * dt * L[0])
     u1 = dt * (L[4] + 0.5 * dt * L[1])
@@ -448,7 +448,7 @@ def _adjoints(t_ns: Vec, tape: Tape, out: Mat) -> None:
         for a in range(STATES):
             out[i, a] = lam[a]
         if i > 0:
-            _carry_back(lam, tape.rotation[i], tape.force[i], 1e-9 * (t_ns[i] - t_ns[i - 1]))
+            _propagate_back(lam, tape.rotation[i], tape.force[i], 1e-9 * (t_ns[i] - t_ns[i - 1]))
 
 
 @jit
@@ -465,7 +465,7 @@ def smooth(t_ns: Vec, at_rest: bool, settings: ZuptSettings, tape: Tape) -> None
         lam = adjoint[i]
         if i > 0:
             dt = 1e-9 * (t_ns[i] - t_ns[i - 1])
-            carry_one(dx, dx, tape.rotation[i], tape.force[i], dt)
+            propagate_one(dx, dx, tape.rotation[i], tape.force[i], dt)
             for j in range(3):
                 push = tape.added[i, 0] * (lam[3 + j] + 0.5 * dt * lam[j])
                 dx[j] -= 0.5 * dt * push

@@ -19,7 +19,6 @@ All of them are loaded when they are first asked for; their types are in ``__ini
 """
 
 from importlib import import_module
-from typing import Any
 
 __version__ = "0.1.0"
 __all__ = [
@@ -36,7 +35,7 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name == "recording":
         return import_module("fes.recording")  # the room's face, which can be called
     if name == "bundled_file":

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 FloatArray: TypeAlias = npt.NDArray[np.float64]
 IntArray: TypeAlias = npt.NDArray[np.int64]
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
 Vector3: TypeAlias = tuple[float, float, float]
 
 FOOT_SENSORS = ("left_foot", "right_foot")

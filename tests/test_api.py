@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import subprocess
 import sys
@@ -41,6 +42,7 @@ def test_every_name_has_its_part_of_the_page():
 def test_names_are_listed_and_others_are_not_there():
     assert set(fes.__all__) <= set(dir(fes))
     assert callable(fes.recording)
+    assert list(inspect.signature(fes.recording).parameters)[:3] == ["acc", "gyr", "rate_hz"]
     with pytest.raises(AttributeError, match="analyze"):
         fes.analyze  # noqa: B018
 

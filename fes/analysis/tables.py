@@ -49,7 +49,7 @@ class Table:
         """Of flat rows; what a row does not have, or has as None, is NaN, 0, False or ""."""
         listed = list(rows)
 
-        def cell(row: Mapping[str, Any], column: Column) -> Any:
+        def cell(row: Mapping[str, Any], column: Column) -> object:
             value = row.get(column.name)
             return _NOTHING[column.kind] if value is None else value
 
@@ -154,7 +154,7 @@ def describe(column: Column) -> str:
     return f"{column.text}{unit}{source}"
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     if isinstance(value, float):
         return "" if math.isnan(value) else f"{value:.4g}" if abs(value) < 1e4 else f"{value:.1f}"
     return str(value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -135,7 +135,7 @@ def _difference_text(a: Path, b: Path, result: Comparison, every: bool) -> Rende
     return Group(*lines)
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     text = "–" if value is None else str(value)
     return text if len(text) <= 40 else f"{text[:39]}…"
 

@@ -81,6 +81,11 @@ def compile_part(part: str) -> None:
             lengths_along(foot_samples(t_ns, acc, gyr), t_ns[[50]], t_ns[[250]])
         case "events":
             find_events(*made_up_steps(), made_up_calibration())
+        case "simulation":
+            from fes.simulation.forward.closed_loop import calibration_walk
+            from fes.simulation.forward.settings import PatientSettings
+
+            calibration_walk(PatientSettings())
         case "session":
             warm_up()
             made_up_foot().track(*made_up_steps()).strides()
@@ -105,7 +110,8 @@ def compile_part(part: str) -> None:
             raise KeyError(part)
 
 
-ALL_PARTS: tuple[str, ...] = ("session", "path", "events", "analysis")  # the strides are in the session
+FIRST_PARTS: tuple[str, ...] = ("session", "path", "events", "simulation")  # the strides are in the session
+ALL_PARTS = (*FIRST_PARTS, "analysis")  # which calls what is in the others, too
 
 
 @click.command(name="compile")
@@ -132,7 +138,7 @@ def command(check: bool) -> None:
         click.echo(f"All is compiled, in {KEPT.root}")
         return
     click.echo(f"Compiling for this processor, into {KEPT.root} …")
-    parts, together = ALL_PARTS, len(os.sched_getaffinity(0))
+    parts, together = FIRST_PARTS, len(os.sched_getaffinity(0))
     while parts and together > 1:
         with in_processes(parts, together) as left:
             pass

@@ -6,6 +6,7 @@ import json
 import os
 import select
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,7 @@ from fes.live.inputs import Terminal, standard_keys
 from fes.session_log import Note, SessionLogError
 from fes.signals import NS_PER_S, Event, ImuSample
 from fes.simulation.bundled import bundled_file
-from fes.simulation.forward import PatientSettings
+from fes.simulation.forward import PatientSettings, VirtualPatient
 from fes.simulation.forward.gait_patterns import PATTERNS
 from fes.simulation.forward.settings import SEVERITIES, load_patient, settings_for
 
@@ -179,7 +180,7 @@ def command(patient: Path | None, severity: str | None, live: bool, stimulator: 
     simulate(settings, options)
 
 
-def simulate(settings: Any, options: Options) -> None:
+def simulate(settings: PatientSettings, options: Options) -> None:
     """Walk, write, and say what came of it.
 
     Raises:
@@ -188,7 +189,6 @@ def simulate(settings: Any, options: Options) -> None:
     from fes.hil.closed_loop.demo import write_strides
     from fes.recording import RecordingError, write_recording
     from fes.simulation.forward.closed_loop import recording_of, truth_of
-    from fes.simulation.forward.patient import VirtualPatient
     from fes.simulation.truth import write_truth
 
     if Path(options.name).name != options.name or "." in options.name or not options.name:
@@ -228,7 +228,7 @@ def simulate(settings: Any, options: Options) -> None:
     _show(walker, settings, folder, options)
 
 
-def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -> None:
+def _walk(walker: VirtualPatient, samples: list[ImuSample], options: Options, after: Callable[[Event], None]) -> None:
     from fes.simulation.forward.closed_loop import patient_events
 
     if options.stimulate == "none":
@@ -254,7 +254,7 @@ def _walk(walker: Any, samples: list[ImuSample], options: Options, after: Any) -
         show_latched(Notice(note.t_ns / NS_PER_S, note.severity, note.source, note.text) for note in notes)
 
 
-def _show(walker: Any, settings: Any, folder: Path, options: Options) -> None:
+def _show(walker: VirtualPatient, settings: PatientSettings, folder: Path, options: Options) -> None:
     mine = [stride for stride in walker.strides if stride.foot == settings.affected_foot and stride.walking]
     clearance = sorted(100.0 * stride.toe_clearance_m for stride in mine)
     result = {

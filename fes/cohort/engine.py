@@ -258,7 +258,7 @@ def _work_on(pickled: bytes, limit_s: float | None = None) -> tuple[list[Outcome
     return outcomes, time.perf_counter() - begin_s
 
 
-def dask_setup(worker: Any) -> None:
+def dask_setup(worker: object) -> None:
     """Leave Ctrl-C to the process that was asked: it ends its workers, which would each print a trace."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 

@@ -7,13 +7,14 @@ from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
+import pyarrow as pa
 
 from fes.cohort.store import RECORDINGS, STRIDES, Measure, Store
 from fes.cohort.task import DONE
 from fes.report.figures.strides import FOOT_COLORS, foot_color
 from fes.report.figures.svg import Figure, Plot, padded
 from fes.report.html import rendered, trusted
-from fes.signals import FloatArray
+from fes.signals import BoolArray, FloatArray
 
 PAGE: Final = "index.html"
 OUTLIER: Final = 3.5  # robust z; Iglewicz & Hoaglin, How to Detect and Handle Outliers, 1993
@@ -50,7 +51,9 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
     by_subject = {name: [row for row in rows if row["subject"] == name] for name in subjects}
     done = [row for row in rows if row["status"] == DONE]
 
-    def write(name: str, own: Sequence[dict[str, Any]], mask: Any, figures: list[Figure], **more: Any) -> None:
+    def write(
+        name: str, own: Sequence[dict[str, Any]], mask: slice | BoolArray, figures: list[Figure], **more: object
+    ) -> None:
         values = {"above": "", "recordings": [], "subjects": [], "outliers": [], **more}
         values |= {"page_of": _file, "measures": MEASURES, "flags": _flags, "colors": FOOT_COLORS}
         values |= {"figures": trusted(figures), "strides": int(strides["valid"][mask].sum())}
@@ -71,7 +74,7 @@ def write_pages(store: Store, identities: Iterable[str], rows: Sequence[dict[str
     return store.place(PAGE)
 
 
-def _columns(table: Any) -> dict[str, Any]:
+def _columns(table: pa.Table) -> dict[str, Any]:
     """Arrays of what the pages show; times of strides are worked out."""
     found = {name: np.array(table[name].to_pylist(), dtype=object) for name in NAMES}
     found["valid"] = np.array(table["valid"].to_pylist(), dtype=bool)

@@ -19,6 +19,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 import fsspec
+from fsspec import AbstractFileSystem
 
 from fes import __version__
 from fes.recording.read import CAN_SUFFIXES, TABLE_SUFFIXES
@@ -71,7 +72,7 @@ def mark_of_file(info: dict[str, Any]) -> str:
 
 
 def mark_of_companions(
-    filesystem: Any, path: str, sidecar: bytes | None, infos: dict[str, Any], endings: tuple[str, ...]
+    filesystem: AbstractFileSystem, path: str, sidecar: bytes | None, infos: dict[str, Any], endings: tuple[str, ...]
 ) -> str:
     """What tells whether anything besides the data file at ``path`` has changed.
 
@@ -92,7 +93,7 @@ def mark_of_companions(
     return "".join(marks)
 
 
-def fetch(filesystem: Any, path: str, folder: Path, endings: tuple[str, ...]) -> Path:
+def fetch(filesystem: AbstractFileSystem, path: str, folder: Path, endings: tuple[str, ...]) -> Path:
     """Copy a recording with all that belongs to it below ``folder``; where its data file is then.
 
     Nothing is ever written elsewhere, whatever the sidecar names: what lies too far up is left out, and reading the
@@ -181,7 +182,7 @@ def find_sources(patterns: Sequence[str], companions: Sequence[str] = ()) -> lis
     return [found[url] for url in sorted(found)]
 
 
-def _below(filesystem: Any, path: str, pattern: str, endings: tuple[str, ...]) -> Iterator[Source]:
+def _below(filesystem: AbstractFileSystem, path: str, pattern: str, endings: tuple[str, ...]) -> Iterator[Source]:
     named = not any(mark in path for mark in "*?[") or filesystem.exists(path)  # a folder may be called "a[1]"
     outright = named and filesystem.isfile(path)
     below = filesystem.find if named else filesystem.glob
@@ -206,7 +207,7 @@ def _below(filesystem: Any, path: str, pattern: str, endings: tuple[str, ...]) -
             yield Source(url, mark_of_file(infos[name]) + others)
 
 
-def _texts(filesystem: Any, infos: dict[str, Any]) -> dict[str, bytes]:
+def _texts(filesystem: AbstractFileSystem, infos: dict[str, Any]) -> dict[str, bytes]:
     """What is in these files, all asked for at once; those that are too long or cannot be read are left out."""
     # neither a pipe nor a device, which have no end
     plain = [path for path, info in infos.items() if info.get("type") == "file" or filesystem.isfile(path)]

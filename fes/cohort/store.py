@@ -13,10 +13,12 @@ from typing import Any, Final
 
 import fsspec
 import pyarrow as pa
+from fsspec import AbstractFileSystem
 from fsspec.implementations.local import LocalFileSystem
 from pyarrow import parquet
 
 from fes.cohort.sources import CohortError
+from fes.estimation.strides.schema import TABLE
 from fes.report.text import number
 
 RECORDINGS: Final = "recordings"
@@ -24,7 +26,8 @@ STRIDES: Final = "strides"
 EVENTS: Final = "events"
 ABOUT: Final = "cohort.json"
 
-_TEXT, _NUMBER, _COUNT, _TRUTH = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+_TEXT, _NUMBER, _COUNT = pa.string(), pa.float64(), pa.int64()
+_KINDS: Final = {str: _TEXT, float: _NUMBER, int: _COUNT, bool: pa.bool_()}
 _OF: Final = [("recording", _TEXT), ("subject", _TEXT), ("foot", _TEXT)]
 
 
@@ -40,17 +43,7 @@ SCHEMAS: Final[Mapping[str, pa.Schema]] = {
             *_numbers("duration_s", "belt_speed_mps", "stride_length_m", "speed_mps", "stride_time_s", "clearance_m"),
         ]
     ),
-    STRIDES: pa.schema(
-        [
-            *_OF,
-            ("number", _COUNT),
-            ("valid", _TRUTH),
-            ("reason", _TEXT),
-            *_numbers("t_start_s", "t_end_s", "t_pre_swing_s", "t_swing_s", "t_loading_response_s", "t_stance_s"),
-            *_numbers("stride_length_m", "speed_mps", "clearance_m", "toe_clearance_m", "heel_clearance_m"),
-            *_numbers("height_gained_m", "turn_rad", "x_m", "y_m", "z_m", "heading_rad"),
-        ]
-    ),
+    STRIDES: pa.schema([*_OF[:2], *((column.name, _KINDS[column.kind]) for column in TABLE)]),
     EVENTS: pa.schema(
         [*_OF, *_numbers("t_foot_off_s", "t_mid_swing_s", "t_initial_contact_s", "foot_strike_angle_rad")]
     ),
@@ -103,7 +96,7 @@ class Store:
             for table in self.schemas:
                 filesystem.makedirs(f"{root}/{table}", exist_ok=True)
             with filesystem.open(f"{root}/{ABOUT}", "wb") as file:
-                file.write(_plain(json.dumps(about, indent=1, ensure_ascii=False)).encode() + b"\n")
+                file.write(json.dumps(about, indent=1, ensure_ascii=False).encode(errors="backslashreplace") + b"\n")
         except CohortError:
             raise
         except Exception as error:  # storages have errors of their own; some cannot be written to at all
@@ -199,7 +192,7 @@ class Store:
         """Where a page or table is, for people."""
         return f"{self.url.rstrip('/')}/{name}"
 
-    def _open(self) -> tuple[Any, str]:
+    def _open(self) -> tuple[AbstractFileSystem, str]:
         try:
             filesystem, root = fsspec.core.url_to_fs(self.url)
         except (ValueError, ImportError, OSError) as error:
@@ -207,12 +200,12 @@ class Store:
         return filesystem, str(root).rstrip("/")
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Text that every file takes: bytes of a name that are no UTF-8 as escapes."""
     return value.encode(errors="backslashreplace").decode() if isinstance(value, str) else value
 
 
-def _replace(filesystem: Any, draft: str, path: str, data: pa.Buffer) -> None:
+def _replace(filesystem: AbstractFileSystem, draft: str, path: str, data: pa.Buffer) -> None:
     """Write a file in one step: whoever looks at ``path`` finds all of it, or what was there before."""
     if isinstance(filesystem, LocalFileSystem):  # whose move copies where it cannot rename
         here = Path(draft)

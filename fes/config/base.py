@@ -86,7 +86,7 @@ def _settings_beside(root: type[Settings], location: tuple[int | str, ...]) -> l
     return list(table.model_fields)
 
 
-def _table_in(annotation: Any) -> type[Settings] | None:
+def _table_in(annotation: object) -> type[Settings] | None:
     """The kind of table that a setting holds, alone, in a list, in a mapping or as one of two."""
     if isinstance(annotation, type) and issubclass(annotation, Settings):
         return annotation

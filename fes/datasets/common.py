@@ -67,7 +67,7 @@ def write_imported(
     return [data, data.with_suffix(".toml"), *targets]
 
 
-def _cell(value: Any) -> Any:
+def _cell(value: object) -> object:
     if isinstance(value, (float, np.floating)):
         number = float(value)
         if number != number:

@@ -1,7 +1,7 @@
 """Two session logs side by side: settings, strides matched by time, stimulation, bytes. Pure; B − A throughout."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any, Final
 
@@ -245,16 +245,16 @@ def _same_stride(a: StrideResult, b: StrideResult, shift_ns: int) -> bool:
     return True
 
 
-def _equal(one: Any, other: Any) -> bool:
+def _equal(one: object, other: object) -> bool:
     """Whether they are the same; not known (NaN) and not known are."""
     nan = isinstance(one, float) and isinstance(other, float) and math.isnan(one) and math.isnan(other)
     return bool(nan or one == other)
 
 
-def _flat(value: Any, name: str = "") -> dict[str, Any]:
+def _flat(value: object, name: str = "") -> dict[str, Any]:
     """A nested mapping with the path as name."""
     if isinstance(value, dict):
-        items: Any = value.items()
+        items: Iterable[tuple[object, object]] = value.items()
     elif isinstance(value, list) and any(isinstance(item, dict | list) for item in value):
         items = enumerate(value)
     else:

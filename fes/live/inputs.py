@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from types import FrameType
 from typing import Any, Final, Protocol, Self
 
 from fes.live.commands import ESCAPE, CommandKind, CommandRefused, OperatorCommand, command_of_message, commands_of_keys
@@ -205,8 +206,8 @@ class Terminal:
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
-        self._before: Any = None
-        self._handler_before: Any = None
+        self._before: list[Any] | None = None
+        self._handler_before: Callable[[int, FrameType | None], object] | int | None = None
 
     def __enter__(self) -> Self:
         if os.isatty(self._descriptor):

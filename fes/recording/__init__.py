@@ -4,6 +4,7 @@
 """
 
 import sys
+from inspect import signature
 from types import ModuleType
 
 from fes.recording.arrays import recording_from_arrays
@@ -20,6 +21,7 @@ __all__ = [
 
 class _Callable(ModuleType):
     __call__ = staticmethod(recording_from_arrays)
+    __signature__ = signature(recording_from_arrays)  # else the first argument would be taken for the module
 
 
 sys.modules[__name__].__class__ = _Callable  # one name, for the room and for what ``import fes`` offers

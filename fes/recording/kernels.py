@@ -1,13 +1,13 @@
 """What reading a recording does with every number, in one pass each: columns into rows, how far vectors spread."""
 
 import math
-from typing import Any
 
 from fes.estimation.numerics.jit import jit_ieee
+from fes.estimation.numerics.records import Mat, Vec
 
 
 @jit_ieee
-def into_rows(x: Any, y: Any, z: Any, out: Any) -> float:
+def into_rows(x: Vec, y: Vec, z: Vec, out: Mat) -> float:
     """Fill the rows of ``out`` (N, 3) from columns (N,); the greatest size of a number, infinite where one is none."""
     size = 0.0
     for i in range(out.shape[0]):
@@ -20,7 +20,7 @@ def into_rows(x: Any, y: Any, z: Any, out: Any) -> float:
 
 
 @jit_ieee
-def spreads(vectors: Any, begins: Any, size: int, window: int, squares: Any, out: Any) -> None:
+def spreads(vectors: Mat, begins: Vec, size: int, window: int, squares: Vec, out: Mat) -> None:
     """Look at the stretches of ``size`` rows from ``begins`` (B,) on, as if each followed the one before.
 
     Fills ``squares`` (B · size,) with their squared lengths, and ``out`` (K,) with the root of the variances' sum of

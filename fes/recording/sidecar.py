@@ -161,6 +161,8 @@ def reword_sidecar_fault(fault: Mapping[str, Any], location: tuple[int | str, ..
             "which sensor is it? Write one of 'left_foot', 'right_foot', 'left_shank', 'right_shank' instead "
             "(or foot_a and foot_b for two feet of which nobody knows the side)"
         )
+    if fault.get("input") == "?":
+        return f"is not answered yet. {fault['msg']}"
     if location[-1:] == ("rate_hz",) and fault.get("input") == 0:
         return "must be greater than 0: how many samples a second was the sensor set to?"
     return 'must be a list of three column names, x, y, z: ["…", "…", "…"]' if fault["type"] == "tuple_type" else ""
@@ -179,4 +181,4 @@ def load_sidecar(path: Path) -> Sidecar:
     try:
         return Sidecar.model_validate(data)
     except ValidationError as error:
-        raise RecordingError(explain(error, path, text, Sidecar, reword_sidecar_fault)) from error
+        raise RecordingError(explain(error, path, text, Sidecar, reword_sidecar_fault)) from None

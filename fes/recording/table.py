@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,9 @@ from fes.recording import csv_layout as csv_text
 from fes.recording.csv_layout import Dialect
 from fes.recording.tracks import RecordingError
 from fes.signals import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _PARQUET_MAGIC = b"PAR1"
 _BATCH_ROWS = 65_536
@@ -74,7 +77,7 @@ class Table:
         if batches:
             yield part._rows_from(pa.Table.from_batches(batches), first)
 
-    def _rows_from(self, table: Any, first: int) -> Table:
+    def _rows_from(self, table: pa.Table, first: int) -> Table:
         """The same file's rows from ``first`` on."""
         part = copy.copy(self)
         part._times = {}
@@ -167,7 +170,7 @@ class Table:
                 f"({bad.size} such rows); check time_unit"
             )
 
-    def _read_csv(self, wanted: list[str], times: list[str]) -> Any:
+    def _read_csv(self, wanted: list[str], times: list[str]) -> pa.Table:
         import pyarrow as pa
         from pyarrow import csv
 
@@ -189,7 +192,7 @@ class Table:
             why = " ".join(str(error).split())
             raise RecordingError(fault or f"{self.path}: cannot be read as CSV: {why}") from error
 
-    def _read_parquet(self, wanted: list[str]) -> Any:
+    def _read_parquet(self, wanted: list[str]) -> pa.Table:
         from pyarrow import parquet
 
         _check_ends(self.path)

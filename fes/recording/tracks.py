@@ -51,11 +51,6 @@ class TrackQuality:
     clipped: int = 0
     late: int = 0
 
-    @property
-    def irregular_share(self) -> float:
-        """Share of irregular intervals, 0–1."""
-        return self.irregular / max(1, self.samples - 1)
-
 
 @dataclass(frozen=True, eq=False)
 class Track:

@@ -19,10 +19,9 @@ from typing import Final
 import numpy as np
 
 from fes.analysis.parameters.contacts import Swing, warped
-from fes.analysis.parameters.definitions import STRIDE_KEYS
 from fes.analysis.parameters.gait import GaitParameters, statistics_of, symmetry, travelled, walk_of
-from fes.analysis.parameters.steps import LONGEST_STANCE_S, MOST_TURN_RAD, Step, equalise_sides, steps_by_number
-from fes.analysis.parameters.strides import STEADY_SHARE, StrideParameters, times_of
+from fes.analysis.parameters.steps import LONGEST_STANCE_S, equalise_sides, steps_by_number
+from fes.analysis.parameters.strides import with_motion
 from fes.signals import FOOT_SENSORS, NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import Phase
 
@@ -42,7 +41,13 @@ def gait_of_strides(strides: Sequence[StrideResult], belt_speed_mps: float = NAN
     rows = {}
     for foot, own in valid.items():
         others = next((list(swings[other].values()) for other in valid if other != foot), [])
-        rows[foot] = _parameters(own, swings[foot], steps_by_number(own, swings[foot], others), scales[foot])
+        steps, changes = steps_by_number(own, swings[foot], others), _variations(own)
+        motion = {
+            s.number: {"position_variation_m": changes.get(s.number, NAN)}
+            | (_of_path(s, swings[foot].get(s.number)) if _drawable(s) else {})
+            for s in own
+        }
+        rows[foot] = with_motion(own, motion, swings[foot], steps, scales[foot])
     feet = {foot: statistics_of(own) for foot, own in rows.items()}
     belt = belt_speed_mps if math.isfinite(belt_speed_mps) else None
     walk = walk_of(map(travelled, rows.values()), belt)
@@ -68,29 +73,6 @@ def _drawable(stride: StrideResult) -> bool:
     path, pitch = stride.trajectory_m, stride.pitch_rad
     whole = len(path) > 1 and pitch.shape == (len(path),) and np.isfinite(path).all() and np.isfinite(pitch).all()
     return stride.valid and bool(whole)
-
-
-def _parameters(
-    strides: Sequence[StrideResult], swings: Mapping[int, Swing], steps: Mapping[int, Step], scale: float
-) -> list[StrideParameters]:
-    lengths = np.array([stride.stride_length_m for stride in strides])
-    usual = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else NAN
-    changes = _variations(strides)
-    rows = []
-    for stride in strides:
-        swing, step, common_m = swings.get(stride.number), steps[stride.number], scale * stride.stride_length_m
-        kept = ("toe_clearance_m", "heel_clearance_m", "height_gained_m", "turn_rad")
-        values = dict.fromkeys(STRIDE_KEYS, NAN) | {name: getattr(stride, name) for name in kept}
-        values |= {"stride_length_common_m": common_m, "lift_m": stride.clearance_m}
-        values["position_variation_m"] = changes.get(stride.number, NAN)
-        values |= _of_path(stride, swing) if _drawable(stride) else {}
-        values |= times_of(swing, step, common_m) if swing is not None else {}
-        off, contact = (NAN, NAN) if swing is None else (1e-9 * swing.foot_off_ns, 1e-9 * swing.contact_ns)
-        near = abs(stride.stride_length_m - usual) <= STEADY_SHARE * usual
-        steady = bool(near and abs(stride.turn_rad) <= MOST_TURN_RAD)
-        times = 1e-9 * stride.t_start_ns, off, contact, 1e-9 * stride.t_end_ns
-        rows.append(StrideParameters(stride.foot, stride.number, *times, steady, stride.stride_length_m, values))
-    return rows
 
 
 def _of_path(stride: StrideResult, swing: Swing | None) -> dict[str, float]:

@@ -63,7 +63,7 @@ def templates(package: str = "fes.report") -> Environment:
     return environment
 
 
-def rendered(name: str, package: str = "fes.report", **values: Any) -> str:
+def rendered(name: str, package: str = "fes.report", **values: object) -> str:
     """A page as text, with what all of them have in common: the style sheet and the version."""
     common = {"style": Markup(asset("report.css")), "version": __version__}
     return templates(package).get_template(name).render(**common | values)
@@ -80,7 +80,7 @@ def trusted(figures: Iterable[Figure]) -> list[dict[str, Any]]:
     return [{"title": figure.title, "svg": Markup(figure.svg), "caption": figure.caption} for figure in figures]
 
 
-def embed(value: Any) -> str:
+def embed(value: object) -> str:
     """JSON that cannot end the script element it stands in, whatever its strings hold."""
     text = json.dumps(plain(value), ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")

@@ -11,12 +11,11 @@ from math import radians
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from fes.config import Session
 from fes.report.strides import StrideRow
 from fes.report.text import without_numbers
-from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray, StimCommand
+from fes.signals import G_MPS2, NS_PER_S, BoolArray, FloatArray, IntArray, StimCommand
 from fes.walk_record import SampleArrays, WalkRecord
 
 CLOCKS_AGREE_NS = NS_PER_S
@@ -37,7 +36,6 @@ MEANING: Final = {
     LOST: "samples are missing for more than 25 ms: all numbers of the stride may be off",
     UNSURE: "a phase was not seen: times of swing and stance may be off",
 }
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -16,12 +16,11 @@ from pydantic import ValidationError
 
 from fes.config import PHASE_ORDER, Session
 from fes.config import Phase as PhaseName
-from fes.signals import NS_PER_S, FloatArray, IntArray, StimCommand, StimStatus, StrideResult
+from fes.signals import NS_PER_S, BoolArray, FloatArray, IntArray, StimCommand, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
 from fes.walk_record import Note, WalkRecord
 from statemachine.phases import Phase, PhaseChange
 
-BoolArray = npt.NDArray[np.bool_]
 DEVICE_TAIL_NS = 100_000_000  # longest validity (60 ms) plus two command periods for the answer to come back
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
@@ -145,7 +144,7 @@ def channel_infos(settings: Session | None, commands: Sequence[StimCommand]) -> 
     return tuple(known[number] for number in sorted(known))
 
 
-def _column(rows: Sequence[StimCommand | StimStatus], name: str, kind: type) -> Any:
+def _column(rows: Sequence[StimCommand | StimStatus], name: str, kind: type) -> npt.NDArray[Any]:
     return np.array([getattr(row, name) for row in rows], dtype=kind)
 
 

@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
@@ -57,8 +56,8 @@ class StrideRow:
     heel_lifts_put_back: int
     valid: bool
     reason: str
-    stimulation: tuple[StrideStimulation, ...]
-    refused: tuple[str, ...]
+    stimulation: tuple[StrideStimulation, ...] = ()
+    refused: tuple[str, ...] = ()
 
     @property
     def stance_is_standing(self) -> bool:
@@ -93,8 +92,8 @@ def stride_rows(
             stimulation = tuple(_stimulation_in(stride, info, own_bursts) for info, own_bursts in inside if own_bursts)
             time_ns = stride_time_ns(stride.t_start_ns, stride.t_end_ns, before_ns)
             before_ns = stride.t_end_ns
-            told: dict[str, Any] = {"stimulation": stimulation, "refused": tuple(reasons.values())}
-            rows.append(_row(stride, timelines.get(foot), time_ns, origin_ns, told))
+            row = _row(stride, timelines.get(foot), time_ns, origin_ns)
+            rows.append(replace(row, stimulation=stimulation, refused=tuple(reasons.values())))
     return tuple(sorted(rows, key=lambda row: (row.start_s, row.foot)))
 
 
@@ -112,9 +111,7 @@ def _stimulation_in(stride: StrideResult, info: ChannelInfo, own: Sequence[Burst
     )
 
 
-def _row(
-    stride: StrideResult, timeline: PhaseTimeline | None, time_ns: int, origin_ns: int, told: Mapping[str, Any]
-) -> StrideRow:
+def _row(stride: StrideResult, timeline: PhaseTimeline | None, time_ns: int, origin_ns: int) -> StrideRow:
     pre_swing, swing = stride.t_pre_swing_ns, stride.t_swing_ns
     loading, stance = stride.t_loading_response_ns, stride.t_stance_ns
     passed = _transitions(stride, timeline)
@@ -133,7 +130,6 @@ def _row(
         four_phases=len(entries) == 4 and all(a < b for a, b in pairwise(entries)),
         path=" ".join(passed),
         heel_lifts_put_back=passed.count("T5"),
-        **told,
     )
 
 

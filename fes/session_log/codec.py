@@ -17,6 +17,7 @@ from operator import itemgetter
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from fes.session_log.framing import Received, RecordType
 from fes.signals import (
@@ -136,10 +137,10 @@ class Growing:
     """An array to which rows are added; it grows in place, so that its rows are never there twice."""
 
     def __init__(self, kind: type, *width: int) -> None:
-        self._array: np.ndarray[Any, np.dtype[Any]] = np.empty((0, *width), kind)
+        self._array: npt.NDArray[Any] = np.empty((0, *width), kind)
         self._filled = 0
 
-    def add(self, rows: Any) -> None:
+    def add(self, rows: Sequence[object] | npt.NDArray[Any]) -> None:
         """Append rows (N, …), of any kind of number that the array's takes."""
         end = self._filled + len(rows)
         if end > len(self._array):
@@ -147,7 +148,7 @@ class Growing:
         self._array[self._filled : end] = rows
         self._filled = end
 
-    def whole(self) -> Any:
+    def whole(self) -> npt.NDArray[Any]:
         """All rows; nothing may be added afterwards."""
         self._resize(self._filled)
         return self._array

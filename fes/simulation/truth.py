@@ -130,7 +130,7 @@ def write_truth(truth: Truth, folder: Path) -> list[Path]:
     return written
 
 
-def _text(value: Any) -> Any:
+def _text(value: object) -> object:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:.4f}" if isinstance(value, float) else value

@@ -11,10 +11,10 @@ from zupt_reference import zupt_path
 
 from fes.analysis.stride_fusion import SETTINGS
 from fes.estimation.zupt import foot_trajectory
-from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, carry_error, interval_noise, predict, spread_noise
+from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, interval_noise, predict, propagate_error, spread_noise
 from fes.estimation.zupt.decimation import ZuptSettings, gather, gather_intervals
 from fes.estimation.zupt.foot_trajectory import foot_samples
-from fes.estimation.zupt.smoother import _carry_back
+from fes.estimation.zupt.smoother import _propagate_back
 from fes.signals import G_MPS2, FloatArray
 
 NO_BIAS = (0.0, 0.0, 0.0)
@@ -23,7 +23,7 @@ NO_BIAS = (0.0, 0.0, 0.0)
 def transition(r: FloatArray, f: FloatArray, dt: float) -> FloatArray:
     phi = np.eye(STATES)
     for column in phi:
-        carry_error(column, 0, r[None], f[None], dt)
+        propagate_error(column, 0, r[None], f[None], dt)
     return phi.T
 
 
@@ -75,7 +75,7 @@ def test_prediction_is_that_of_matrices_and_the_adjoint_its_transpose() -> None:
     assert np.array_equal(found, found.T)
     adjoint = rng.normal(size=STATES)
     back = adjoint.copy()
-    _carry_back(0, back, r[None], f[None], dt)
+    _propagate_back(0, back, r[None], f[None], dt)
     assert back == pytest.approx(phi.T @ adjoint, abs=1e-12)
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from zupt_reference import Tape, ZuptPath, add_noise, carry_one, forward, new_tape, predict, smooth, zupt_path
+from zupt_reference import Tape, ZuptPath, add_noise, forward, new_tape, predict, propagate_one, smooth, zupt_path
 
 from fes.estimation.zupt.covariance import BIASES, STATES, WIDTH, update
 from fes.estimation.zupt.decimation import ZuptSettings
@@ -188,7 +188,7 @@ def test_smoothing_is_that_of_rauch_tung_striebel() -> None:
         dt = 1e-9 * float(t_ns[i] - t_ns[i - 1])
         phi, flat = np.eye(STATES), np.zeros(STATES * WIDTH)
         for column in phi:  # rows of the transpose until all are carried
-            carry_one(column, column, tape.rotation[i], tape.force[i], dt)
+            propagate_one(column, column, tape.rotation[i], tape.force[i], dt)
         phi = phi.T
         mean_rate = 0.5 * (imu[i - 1, 3:] + imu[i, 3:]) - tape.gyr_bias[i - 1]
         add_noise(flat, imu[:, :3].copy(), i, tape.force[i], float(np.linalg.norm(mean_rate)), none, none, dt, p)
@@ -258,7 +258,7 @@ def test_clipped_samples_are_missing_data() -> None:
             t_ns, clipped, gyr, calibration=STANDING, rest=rest, lever_m=NO_LEVER, settings=settings,
             acc_range_mps2=full_scale,
         ).stride_lengths(begin, end) - STRIDE_M
-        for settings, full_scale in ((FIRM, None), (ZuptSettings(drift_speed_mps=0.0, jump_mps3=1e9), 1e9))
+        for settings, full_scale in ((FIRM, None), (ZuptSettings(drift_speed_mps=0.0, jerk_mps3=1e9), 1e9))
     )  # fmt: skip
     assert np.abs(noticed).max() < 0.6 * np.abs(unnoticed).max()
     assert np.abs(noticed).max() < 0.03
@@ -378,7 +378,7 @@ def test_prediction_and_measurement_are_those_of_matrices() -> None:
     rotation, force, dt = np.linalg.qr(rng.normal(0.0, 1.0, (3, 3)))[0].copy(), rng.normal(0.0, 5.0, 3), 0.01
     phi = np.eye(STATES)
     for column in phi:
-        carry_one(column, column, rotation, force, dt)
+        propagate_one(column, column, rotation, force, dt)
     phi = phi.T
     predict(flat, np.empty(BIASES * WIDTH), rotation, force, dt)
     wanted = phi @ dense @ phi.T

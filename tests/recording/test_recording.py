@@ -194,10 +194,8 @@ def test_a_track_refuses_wrong_shapes() -> None:
     assert made.acc_mps2.flags.c_contiguous
 
 
-def test_duration_and_irregular_share() -> None:
+def test_duration() -> None:
     assert walk(seconds=4.0).duration_s == pytest.approx(3.99)
-    assert TrackQuality(samples=101, irregular=5).irregular_share == 0.05
-    assert TrackQuality().irregular_share == 0.0
 
 
 plain = st.one_of(

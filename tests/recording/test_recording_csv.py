@@ -131,7 +131,11 @@ def test_nothing_that_a_file_does_not_tell_passes_unanswered(tmp_path: Path) -> 
         accepted(path)
     assert "rate_hz = 0" in str(caught.value)
     assert "sensors.? = '?': which sensor is it?" in str(caught.value)
-    same(accepted(path, ("rate_hz = 0", "rate_hz = 100"), ('"?"', "left_foot")).tracks["left_foot"], walk())
+    assert caught.value.__cause__ is None, "one clear sentence, without what pydantic says before it"
+    answered = ("rate_hz = 0", "rate_hz = 100"), ('"?"', "left_foot")
+    with pytest.raises(RecordingError, match=r"gyr_unit = '[?]': is not answered yet. "):
+        accepted(path, *answered, ('gyr_unit = "rad/s"', 'gyr_unit = "?"'))
+    same(accepted(path, *answered).tracks["left_foot"], walk())
 
 
 def test_a_counter_is_no_time(tmp_path: Path) -> None:

@@ -24,13 +24,9 @@ with a number; what is silent is settled so:
 - *shrinking*: inwards while it is above. Of a window that would vanish, its quietest 0.1 s stays: the foot did stand.
 """
 
-from typing import Any
-
 import numpy as np
 
-from fes.signals import FloatArray, IntArray
-
-BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
+from fes.signals import BoolArray, FloatArray, IntArray
 
 ENERGY_WINDOW_S = 0.1
 THRESHOLD_M2PS4 = 0.025

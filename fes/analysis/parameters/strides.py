@@ -50,6 +50,7 @@ class StrideParameters:
         return {name: getattr(self, name) for name in _ROW} | dict(self.values)
 
 
+_KEPT = ("toe_clearance_m", "heel_clearance_m", "height_gained_m", "turn_rad")
 _ROW = tuple(field.name for field in fields(StrideParameters) if field.name != "values")
 
 
@@ -66,32 +67,36 @@ def stride_parameters(
     ``scale`` is of the stride lengths (:func:`fes.analysis.parameters.steps.equalise_sides`).
     """
     valid = [stride for stride in strides if stride.valid]
-    usual = float(np.median([stride.stride_length_m for stride in valid])) if valid else NAN
     motions = {n: Motion(path.t_ns, path.position_m, path.axes) for n, path in paths.items()}
-    changes = _variations(valid, motions)
+    changes, found = _variations(valid, motions), dict[int, dict[str, float]]()
+    for n, side in ((stride.number, stride.foot.removesuffix("_foot")) for stride in valid):
+        found[n] = _of_motion(motions[n], swings.get(n), side) if n in motions else {}
+        found[n] |= dict(zip(("position_variation_m", "orientation_variation_rad"), changes.get(n, ()), strict=False))
+        found[n]["step_length_m"] = step_lengths_m.get(n, NAN)
+    return with_motion(valid, found, swings, steps, scale)
+
+
+def with_motion(
+    strides: Sequence[StrideResult],
+    motion: Mapping[int, dict[str, float]],
+    swings: Mapping[int, Swing],
+    steps: Mapping[int, Step],
+    scale: float = 1.0,
+) -> list[StrideParameters]:
+    """As :func:`stride_parameters` of valid strides, ``motion`` being what the trajectory of each shows, by key."""
+    lengths = np.array([stride.stride_length_m for stride in strides])
+    usual = float(np.nanmedian(lengths)) if np.isfinite(lengths).any() else NAN
     rows = []
-    for stride in valid:
-        near = abs(stride.stride_length_m - usual) <= STEADY_SHARE * usual
-        is_steady = bool(near and abs(stride.turn_rad) <= MOST_TURN_RAD)
+    for stride in strides:
         n, swing, common_m = stride.number, swings.get(stride.number), scale * stride.stride_length_m
-        values = dict.fromkeys(STRIDE_KEYS, NAN)
-        values |= {
-            "stride_length_common_m": common_m,
-            "toe_clearance_m": stride.toe_clearance_m,
-            "heel_clearance_m": stride.heel_clearance_m,
-            "height_gained_m": stride.height_gained_m,
-            "turn_rad": stride.turn_rad,
-            "lift_m": stride.clearance_m,
-            "step_length_m": step_lengths_m.get(n, NAN),
-        }
-        values["position_variation_m"], values["orientation_variation_rad"] = changes.get(n, (NAN, NAN))
-        if n in motions:
-            values |= _of_motion(motions[n], swing, stride.foot.removesuffix("_foot"))
-        if swing is not None:
-            values |= times_of(swing, steps.get(n), common_m)
+        values = dict.fromkeys(STRIDE_KEYS, NAN) | {name: getattr(stride, name) for name in _KEPT}
+        values |= {"stride_length_common_m": common_m, "lift_m": stride.clearance_m} | motion[n]
+        values |= _times_of(swing, steps.get(n), common_m) if swing is not None else {}
+        near = abs(stride.stride_length_m - usual) <= STEADY_SHARE * usual
+        steady = bool(near and abs(stride.turn_rad) <= MOST_TURN_RAD)
         off, contact = (NAN, NAN) if swing is None else (1e-9 * swing.foot_off_ns, 1e-9 * swing.contact_ns)
         times = 1e-9 * stride.t_start_ns, off, contact, 1e-9 * stride.t_end_ns
-        rows.append(StrideParameters(stride.foot, n, *times, is_steady, stride.stride_length_m, values))
+        rows.append(StrideParameters(stride.foot, n, *times, steady, stride.stride_length_m, values))
     return rows
 
 
@@ -108,7 +113,7 @@ def _of_motion(motion: Motion, swing: Swing | None, side: str) -> dict[str, floa
     return found
 
 
-def times_of(swing: Swing, step: Step | None, length_m: float) -> dict[str, float]:
+def _times_of(swing: Swing, step: Step | None, length_m: float) -> dict[str, float]:
     """A stride's times and speed by the keys of :data:`~fes.analysis.parameters.definitions.DEFINITIONS`; without its
     step only the swing's."""
     swing_s = (swing.contact_ns - swing.foot_off_ns) / NS_PER_S

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import sys
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import click
 
 from fes.hil.closed_loop.demo import outcome
 from fes.signals import NS_PER_S
 from fes.simulation.forward import VirtualStride
+
+if TYPE_CHECKING:
+    from rich.console import Console, Group
+    from rich.live import Live
 
 STRIDES_SHOWN: Final = 14
 FEWEST_STRIDES: Final = 5  # in a low terminal; rather fewer texts
@@ -39,7 +43,7 @@ class LoopView:
         self._title = title
         self._draws = not quiet and (sys.stdout.isatty() if live is None else live)
         self._prints = not quiet and not self._draws
-        self._live: Any = None
+        self._live: Live | None = None
         self._strides: list[VirtualStride] = []
         self._texts: list[str] = []
         self._state = ""
@@ -83,7 +87,7 @@ class LoopView:
         if self._live is not None:
             self._live.update(self.picture(self._live.console), refresh=True)
 
-    def picture(self, console: Any) -> Any:
+    def picture(self, console: Console) -> Group:
         """One frame, no higher than the terminal: what was said last is never cut off; older strides make room."""
         from rich.console import Group
         from rich.table import Table

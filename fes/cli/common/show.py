@@ -17,6 +17,7 @@ import click
 from fes.cli.common.exits import StoppedEarly, writing
 
 if TYPE_CHECKING:
+    from pyarrow.parquet import ParquetWriter
     from rich.console import Console
     from rich.table import Table
 
@@ -63,7 +64,7 @@ class TableFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._text: IO[str] | None = None
-        self._parquet: Any = None
+        self._parquet: ParquetWriter | None = None
         self._empty = True
 
     def __enter__(self) -> Self:

@@ -221,7 +221,7 @@ def _nth(axes: Sequence[Axis], number: int) -> tuple[Value | Factor, ...]:
     return tuple(reversed(chosen))
 
 
-def _put(table: dict[str, Any], parts: Sequence[str], value: Any, name: str) -> None:
+def _put(table: dict[str, Any], parts: Sequence[str], value: object, name: str) -> None:
     for part in parts[:-1]:
         if not isinstance(table.get(part), dict):
             raise CohortError(f"{name}: the session's channel {table.get('name', '')!r} has no {part}; add it there.")
@@ -229,7 +229,7 @@ def _put(table: dict[str, Any], parts: Sequence[str], value: Any, name: str) -> 
     table[parts[-1]] = value
 
 
-def _leaves(annotation: Any, name: str) -> Iterator[str]:
+def _leaves(annotation: object, name: str) -> Iterator[str]:
     """Dotted names of a setting, or of all in a table of them."""
     kinds = (annotation, *get_args(annotation))
     tables = [each for each in kinds if isinstance(each, type) and issubclass(each, Settings)]

@@ -37,7 +37,7 @@ SIGNS = 6
 BALL, OVER_HEEL, TOE, HEEL = 0, 1, 2, 4  # the last two: at no height, and per metre of the sensor's height
 
 
-@jit_fused
+@inlined
 def _pointing(q: Mat, axis: Vec, i: int) -> tuple[float, float, float]:
     """An axis of the sensor in the world."""
     return to_world(q[i, 0], q[i, 1], q[i, 2], q[i, 3], axis[0], axis[1], axis[2])
@@ -113,7 +113,7 @@ def all_geometry_signs(
                 _struck(position, quaternion, forward, up, first, end, last, k, out)
 
 
-@jit_fused
+@inlined
 def _rising(
     position: Mat, quaternion: Mat, forward: Vec, up: Vec, begin: int, n: int, sines: Vec, k: int, out: Vec
 ) -> None:
@@ -150,7 +150,7 @@ def _rising(
         out[TOE, k], out[TOE + 1, k] = -position[begin + off, 2] / ahead, above / ahead
 
 
-@jit_fused
+@inlined
 def _struck(
     position: Mat, quaternion: Mat, forward: Vec, up: Vec, begin: int, end: int, last: int, k: int, out: Vec
 ) -> None:

@@ -80,7 +80,7 @@ def moving_sums(x: Vec, count: int, ahead: int, share: float, out: Vec) -> None:
             left[j] = left[j + 1] + block[j]
 
 
-@jit_ieee
+@inlined
 def thinned_sizes(x: Mat, step: int, out: Vec) -> None:
     """Fill ``out`` (K,) with the mean length of each ``step`` rows of ``x`` (N, 3), N at least K times ``step``."""
     share = 1.0 / step
@@ -124,7 +124,7 @@ def rows_of_at_least(bound: float, x: FloatArray, largest: FloatArray) -> tuple[
     return rows, np.maximum(np.maximum(a, b), c)
 
 
-@jit_ieee
+@inlined
 def likeness(x: Vec, shortest: int, out: Vec) -> None:
     """Fill ``out`` (L,) with the sums of ``x[i] x[i + lag]`` over ``x`` (N,), L lags from ``shortest`` on.
 

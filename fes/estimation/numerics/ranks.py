@@ -5,14 +5,14 @@ one. Here one is asked for, and the other is the greatest or the least of what l
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
+from fes.estimation.numerics.records import Vec
 from fes.signals import FloatArray
 
 
-def median(values: np.ndarray[Any, np.dtype[Any]]) -> float:
+def median(values: Vec) -> float:
     """The median of values (N,); NaN where one of them is, or where there are none."""
     if len(values) < 2:
         return float(values[0]) if len(values) else math.nan

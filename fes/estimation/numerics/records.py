@@ -6,14 +6,21 @@ core takes longer than a sample's arithmetic.
 
 import math
 from struct import Struct
-from typing import Any, NamedTuple, TypeAlias, get_type_hints
+from typing import Any, NamedTuple, Protocol, TypeAlias, get_type_hints
 
 import numpy as np
 
 # What compiled code is given; the docstrings say the shapes.
 Vec: TypeAlias = np.ndarray[Any, np.dtype[Any]]  # (N,) numbers, time stamps or records
 Mat: TypeAlias = np.ndarray[Any, np.dtype[Any]]  # (N, K) and more axes
-Record: TypeAlias = np.record  # one element of a structured array, its fields as attributes
+
+
+class Record(Protocol):
+    """One element of a structured array, its fields as attributes."""
+
+    def __getattr__(self, field: str) -> Any: ...
+    def __setattr__(self, field: str, value: Any) -> None: ...
+
 
 KINDS = {float: np.float64, int: np.int64, bool: np.bool_}
 CODES = {"f": "d", "i": "q", "b": "?"}  # numpy's kinds as ``struct`` names them

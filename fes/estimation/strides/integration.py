@@ -17,12 +17,12 @@ artificial accelerometer bias absorbs the rest. Departures from the print:
 """
 
 import math
-from typing import Any
 
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.linear import solve
+from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, to_sensor, to_world, turn_by
 from fes.estimation.strides.boundaries import NO_REST_RADPS, REST_RADPS, around_ends, mean_and_variance
 from fes.estimation.strides.maximum_likelihood import (
@@ -37,7 +37,7 @@ from fes.signals import G_MPS2
 
 @jit_fused
 def orient(
-    t_ns: Any, gyr: Any, start: Any, end_fx: float, end_fy: float, end_fz: float, end_tilt_gain: float, out: Any
+    t_ns: Vec, gyr: Mat, start: Vec, end_fx: float, end_fy: float, end_fz: float, end_tilt_gain: float, out: Mat
 ) -> float:
     """Integrate the rates from the orientation ``start`` (4,) into ``out`` (N, 4).
 
@@ -61,7 +61,7 @@ def orient(
 
 
 @jit_fused
-def _integrate(t_ns: Any, gyr: Any, start: Any, dx: float, dy: float, dz: float, out: Any) -> None:
+def _integrate(t_ns: Vec, gyr: Mat, start: Vec, dx: float, dy: float, dz: float, out: Mat) -> None:
     """Trapezoid integration of the rates, plus a turn by the world vector ``d`` (rad) spread evenly over the time."""
     n = t_ns.shape[0]
     span_ns = t_ns[n - 1] - t_ns[0]
@@ -88,15 +88,15 @@ def _integrate(t_ns: Any, gyr: Any, start: Any, dx: float, dy: float, dz: float,
 
 @jit_fused
 def integrate(
-    t_ns: Any,
-    acc: Any,
-    quaternions: Any,
-    start_velocity: Any,
-    end_velocity: Any,
+    t_ns: Vec,
+    acc: Mat,
+    quaternions: Mat,
+    start_velocity: Vec,
+    end_velocity: Vec,
     equal_height: bool,
-    velocity: Any,
-    position: Any,
-    gamma: Any,
+    velocity: Mat,
+    position: Mat,
+    gamma: Mat,
 ) -> bool:
     """Position over one stride from specific force and orientation, meeting the constraints exactly.
 
@@ -132,7 +132,7 @@ def integrate(
 
 @jit_fused
 def double_integral(
-    t_ns: Any, acc: Any, quaternions: Any, start_velocity: Any, gamma: Any, velocity: Any, position: Any
+    t_ns: Vec, acc: Mat, quaternions: Mat, start_velocity: Vec, gamma: Mat, velocity: Mat, position: Mat
 ) -> None:
     """Eq. (17) and (18) in trapezoids."""
     n = t_ns.shape[0]
@@ -164,8 +164,8 @@ def double_integral(
         ax0, ay0, az0 = ax, ay, az
 
 
-@jit_fused
-def effects(t_ns: Any, quaternions: Any, effect: Any) -> None:
+@inlined
+def effects(t_ns: Vec, quaternions: Mat, effect: Mat) -> None:
     """Integrate what each unknown of gamma does: columns 0–2 constant, 3–5 linear part; rows as in `integrate`."""
     n = t_ns.shape[0]
     span_ns = t_ns[n - 1] - t_ns[0]
@@ -196,8 +196,8 @@ def effects(t_ns: Any, quaternions: Any, effect: Any) -> None:
 SHORTEST_M = 0.05  # a stride shorter than that has no direction but the foot's
 
 
-@jit_fused
-def height_and_turn(quaternion: Any, position: Any, fx: float, fy: float, fz: float) -> tuple[float, float]:
+@inlined
+def height_and_turn(quaternion: Mat, position: Mat, fx: float, fy: float, fz: float) -> tuple[float, float]:
     """The greatest height of a stride in m, and by how much the foot turned in rad, left positive, within half a turn.
 
     Args:
@@ -218,7 +218,7 @@ def height_and_turn(quaternion: Any, position: Any, fx: float, fy: float, fz: fl
 
 
 @jit_fused
-def stride_shape(t_ns: Any, quaternion: Any, position: Any, fx: float, fy: float, fz: float, out: Any) -> None:
+def stride_shape(t_ns: Vec, quaternion: Mat, position: Mat, fx: float, fy: float, fz: float, out: Mat) -> None:
     """Fill ``out`` (K, 4): ahead, left and up (m) in the direction of the stride, and pitch (rad) since its start.
 
     ``t_ns`` (N,) are the time stamps; the K rows of ``out`` are evenly spaced from the first to the last, linear in
@@ -251,7 +251,7 @@ def stride_shape(t_ns: Any, quaternion: Any, position: Any, fx: float, fy: float
 
 @jit_fused
 def stride_shapes(
-    firsts: Any, counts: Any, t_ns: Any, quaternion: Any, position: Any, fx: float, fy: float, fz: float, out: Any
+    firsts: Vec, counts: Vec, t_ns: Vec, quaternion: Mat, position: Mat, fx: float, fy: float, fz: float, out: Mat
 ) -> None:
     """As :func:`stride_shape` of S strides, of each ``counts`` rows from ``firsts`` on, (S,); ``out`` (S, K, 4)."""
     for k in range(firsts.shape[0]):
@@ -261,7 +261,7 @@ def stride_shapes(
 
 
 @inlined
-def _pointing(quaternion: Any, i: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _pointing(quaternion: Mat, i: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """An axis of the sensor in the world at sample ``i``."""
     return to_world(quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3], x, y, z)
 
@@ -278,10 +278,10 @@ SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST = range(5)  # what came of it
 TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, NUMBERS = range(7)  # where the numbers are
 
 
-@jit_fused
+@inlined
 def end_velocity(
     qw: float, qx: float, qy: float, qz: float, wx: float, wy: float, wz: float,
-    fx: float, fy: float, fz: float, height_m: float, drift_speed_mps: float, row: int, out: Any,
+    fx: float, fy: float, fz: float, height_m: float, drift_speed_mps: float, row: int, out: Mat,
 ) -> None:  # fmt: skip
     """``w × r`` in the world of a foot that turns about the ground below its sensor, and its drift forward (m/s).
 
@@ -299,21 +299,21 @@ def end_velocity(
 
 @jit_fused
 def solve_span(
-    t_ns: Any,
-    acc: Any,
-    gyr: Any,
+    t_ns: Vec,
+    acc: Mat,
+    gyr: Mat,
     first: int,
     last: int,
-    start: Any,
+    start: Vec,
     fx: float,
     fy: float,
     fz: float,
     height_m: float,
     constrained: bool,
     equal_height: bool,
-    quaternion: Any,
-    position: Any,
-    numbers: Any,
+    quaternion: Mat,
+    position: Mat,
+    numbers: Vec,
 ) -> int:
     """Solve the rows ``first`` … ``last`` (n of them) of a history.
 

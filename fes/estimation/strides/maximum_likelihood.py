@@ -23,12 +23,13 @@ their own.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from fes.estimation.numerics.jit import jit_fused
+from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.linear import solve
+from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
 from fes.signals import G_MPS2
 
@@ -54,8 +55,8 @@ class StrideNoise(NamedTuple):
     end_tilt_per_push: float = 0.2  # share of the specific force's spread at the end that may be a steady push
 
 
-@jit_fused
-def variances(i: int, t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise) -> tuple[float, float]:
+@inlined
+def variances(i: int, t_ns: Vec, acc: Mat, gyr: Mat, noise: StrideNoise) -> tuple[float, float]:
     """Variance of sample ``i``'s turn (rad²) over its interval, and of its velocity increment ((m/s)²)."""
     dt_s = 1e-9 * (t_ns[i] - t_ns[i - 1])
     wx, wy, wz = gyr[i, 0], gyr[i, 1], gyr[i, 2]
@@ -103,7 +104,7 @@ class HeightNoise(NamedTuple):
 
 @jit_fused
 def settle_height(
-    t_ns: Any, acc: Any, quaternion: Any, end_velocities: Any, end_variances: Any, noise: HeightNoise, out: Any
+    t_ns: Vec, acc: Mat, quaternion: Mat, end_velocities: Vec, end_variances: Vec, noise: HeightNoise, out: Mat
 ) -> bool:
     """Heights and vertical velocities of a stride on level ground.
 
@@ -173,7 +174,7 @@ UNKNOWN_HEIGHT_M = 1e3
 
 
 @jit_fused
-def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
+def _turn(t_ns: Vec, gyr: Mat, quaternion: Mat) -> None:
     """Trapezoid integration of the rates from row 0 of ``quaternion`` (N, 4); fills all rows."""
     w, x, y, z = quaternion[0, 0], quaternion[0, 1], quaternion[0, 2], quaternion[0, 3]
     for i in range(1, t_ns.shape[0]):
@@ -186,7 +187,7 @@ def _turn(t_ns: Any, gyr: Any, quaternion: Any) -> None:
 
 
 @jit_fused
-def _move(t_ns: Any, acc: Any, quaternion: Any, velocity: Any, position: Any) -> None:
+def _move(t_ns: Vec, acc: Mat, quaternion: Mat, velocity: Mat, position: Mat) -> None:
     """Trapezoid integration of the specific force from row 0 of ``velocity`` (N, 3); fills all rows."""
     vx, vy, vz, sx, sy, sz = velocity[0, 0], velocity[0, 1], velocity[0, 2], 0.0, 0.0, 0.0
     ax0 = ay0 = az0 = 0.0
@@ -209,7 +210,7 @@ def _move(t_ns: Any, acc: Any, quaternion: Any, velocity: Any, position: Any) ->
 
 
 @jit_fused
-def _later(i: int, last: int, left_s: float, velocity: Any, position: Any) -> tuple[float, float, float, float, float]:
+def _later(i: int, last: int, left_s: float, velocity: Mat, position: Mat) -> tuple[float, float, float, float, float]:
     """First integral (x, y, z) and second (x, y) of the specific force in the world, from sample ``i`` to the end.
 
     They say what a small turn θ of the world at ``i`` does at the end, for it changes all later specific force by
@@ -227,18 +228,18 @@ def _later(i: int, last: int, left_s: float, velocity: Any, position: Any) -> tu
 
 @jit_fused
 def maximum_likelihood(
-    t_ns: Any,
-    acc: Any,
-    gyr: Any,
-    start: Any,
-    end_velocities: Any,
-    end_forces: Any,
-    end_variances: Any,
+    t_ns: Vec,
+    acc: Mat,
+    gyr: Mat,
+    start: Vec,
+    end_velocities: Mat,
+    end_forces: Mat,
+    end_variances: Mat,
     equal_height: bool,
     noise: StrideNoise,
-    quaternion: Any,
-    velocity: Any,
-    position: Any,
+    quaternion: Mat,
+    velocity: Mat,
+    position: Mat,
     oriented: bool = False,
 ) -> bool:
     """Integrate one stride with the most likely errors taken out.
@@ -323,10 +324,10 @@ def maximum_likelihood(
     return True
 
 
-@jit_fused
+@inlined
 def _gather(
-    t_ns: Any, acc: Any, gyr: Any, noise: StrideNoise, quaternion: Any, velocity: Any, position: Any, system: Any,
-    of_cause: Any, noises: Any,
+    t_ns: Vec, acc: Mat, gyr: Mat, noise: StrideNoise, quaternion: Mat, velocity: Mat, position: Mat, system: Mat,
+    of_cause: Mat, noises: Mat,
 ) -> None:  # fmt: skip
     """Add what the samples' noise does to the covariance, and fill ``of_cause``: what each cause does per unit.
 
@@ -387,10 +388,10 @@ def _gather(
     of_cause[3, VELOCITY + 2] = span_s
 
 
-@jit_fused
+@inlined
 def _apply(
-    t_ns: Any, acc: Any, gyr: Any, noises: Any, system: Any, cause: Any, quaternion: Any, velocity: Any, position: Any,
-    rates: Any, forces: Any,
+    t_ns: Vec, acc: Mat, gyr: Mat, noises: Mat, system: Mat, cause: Vec, quaternion: Mat, velocity: Mat, position: Mat,
+    rates: Mat, forces: Mat,
 ) -> None:  # fmt: skip
     """Correct the inputs by the causes and the samples' share of the dual solution, and integrate again.
 

@@ -28,7 +28,7 @@ ADDED = 16  # of an interval's noise, as interval_noise leaves it
 
 
 @inlined
-def _carry(x: Vec, along: int, across: int, count: int, k: int, r: Mat, f: Mat, dt: float) -> None:
+def _propagate(x: Vec, along: int, across: int, count: int, k: int, r: Mat, f: Mat, dt: float) -> None:
     """``x ← Φ x`` in place for ``count`` vectors in flat storage, interval ``k``: ``r`` (K, 3, 3) is ``R``, the rows of
     ``f`` (K, 3, 3) are ``b``, ``a`` and ``c``.
 
@@ -64,10 +64,10 @@ def _carry(x: Vec, along: int, across: int, count: int, k: int, r: Mat, f: Mat, 
         x[o + 8 * along] = s2 - h2
 
 
-@jit_fused
-def carry_error(x: Vec, k: int, r: Mat, f: Mat, dt: float) -> None:
+@inlined
+def propagate_error(x: Vec, k: int, r: Mat, f: Mat, dt: float) -> None:
     """``x ← Φ x`` of interval ``k`` for an error (15,)."""
-    _carry(x, 1, STATES, 1, k, r, f, dt)
+    _propagate(x, 1, STATES, 1, k, r, f, dt)
 
 
 @jit_fused
@@ -76,7 +76,7 @@ def predict(P: Vec, k: int, r: Mat, f: Mat, dt: float, q: Mat, settings: ZuptSet
 
     ``Φ P`` is made for a row's elements side by side; of ``(Φ P) Φᵀ``, which cannot be, only what its symmetry leaves.
     """
-    _carry(P, WIDTH, 1, WIDTH, k, r, f, dt)
+    _propagate(P, WIDTH, 1, WIDTH, k, r, f, dt)
     b0, b1, b2 = f[k, 0, 0], f[k, 0, 1], f[k, 0, 2]
     a0, a1, a2 = f[k, 1, 0], f[k, 1, 1], f[k, 1, 2]
     c0, c1, c2 = f[k, 2, 0], f[k, 2, 1], f[k, 2, 2]
@@ -178,7 +178,7 @@ def update_velocity(P: Vec, x: Vec, residual: Vec, variance: float, var: Vec, ga
             P[a * WIDTH + b] -= gain[3 * WIDTH + a] * g0 + gain[4 * WIDTH + a] * g1 + gain[5 * WIDTH + a] * g2
 
 
-@jit_fused
+@inlined
 def interval_noise(k: int, intervals: Intervals, m: Vec, f: Mat, dt: float, settings: ZuptSettings, out: Vec) -> None:
     """Covariance that the noise of interval ``k`` adds.
 
@@ -231,7 +231,7 @@ def _add_noise(P: Vec, k: int, q: Mat, dt: float, settings: ZuptSettings) -> Non
         P[(3 + c) * WIDTH + 6 + b] -= q[k, 3 + a]
 
 
-@jit_fused
+@inlined
 def spread_noise(k: int, x: Vec, q: Mat, adjoint: Mat, dt: float, settings: ZuptSettings) -> None:
     """``x ← x - Q λ`` for what ``interval_noise`` found of interval ``k``, ``q`` (K, 16), and the adjoint λ (K, 15)."""
     for a in range(3):

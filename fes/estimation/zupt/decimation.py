@@ -23,8 +23,7 @@ import numpy as np
 from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import turn_by
-from fes.estimation.zupt.thresholds import BoolArray
-from fes.signals import FloatArray, IntArray, Vector3
+from fes.signals import BoolArray, FloatArray, IntArray, Vector3
 
 
 class ZuptSettings(NamedTuple):
@@ -51,7 +50,7 @@ class ZuptSettings(NamedTuple):
     drift_speed_mps: float = 0.005  # a foot in stance still drifts on in the direction it came from, …
     drift_s: float = 1.0  # … for as long as a stance lasts
     lost_tilt_rad: float = 0.1  # how far the orientation may be off then
-    jump_mps3: float = 4000.0  # a force that changes faster was not followed by the accelerometer
+    jerk_mps3: float = 4000.0  # a force that changes faster was not followed by the accelerometer
 
 
 @jit_fused
@@ -169,7 +168,7 @@ def gather(
             force_1 += force2 * left
             force_2 += force2 * left * left
             jx, jy, jz = gx - acc[i - 1, 0], gy - acc[i - 1, 1], gz - acc[i - 1, 2]
-            jump2, follows = jx * jx + jy * jy + jz * jz, settings.jump_mps3 * dt
+            jump2, follows = jx * jx + jy * jy + jz * jz, settings.jerk_mps3 * dt
             clipped = acc_sd[i - 1] + acc_sd[i]
             if clipped > 0.0 or jump2 > follows * follows:
                 beyond = max(math.sqrt(jump2) - follows, 0.0)

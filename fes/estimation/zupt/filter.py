@@ -216,7 +216,7 @@ def _integrate(
     rotate_in_world(q, -hx, -hy, -hz, q)
 
 
-@jit_fused
+@inlined
 def drift_velocity(s: Vec, anchor: Vec, speed: float, drift: Vec) -> None:
     """Velocity (2,) of a foot that has just come to stand at ``s``, on in the direction from where it stood before."""
     x, y = s[0] - anchor[0], s[1] - anchor[1]

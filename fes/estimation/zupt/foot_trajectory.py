@@ -20,7 +20,6 @@ from fes.estimation.zupt.filter import filter_intervals, new_tape
 from fes.estimation.zupt.smoother import smooth_intervals
 from fes.estimation.zupt.thresholds import (
     START_S,
-    BoolArray,
     ZeroVelocityThresholds,
     find_zero_velocity,
     first_stance,
@@ -29,7 +28,7 @@ from fes.estimation.zupt.thresholds import (
     with_missed_stances,
 )
 from fes.estimation.zupt.trajectory import positions_at, turn_path
-from fes.signals import FloatArray, IntArray
+from fes.signals import BoolArray, FloatArray, IntArray
 
 STRETCH_S = 300.0
 SEARCH_S = 30.0  # around the end of a stretch, for a stance to cut it in

@@ -10,10 +10,10 @@ be kept.
 
 import numpy as np
 
-from fes.estimation.numerics.jit import jit_fused
+from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.records import Mat, Vec
 from fes.estimation.numerics.rotation import quaternion_step, to_sensor
-from fes.estimation.zupt.covariance import ADDED, STATES, carry_error, spread_noise
+from fes.estimation.zupt.covariance import ADDED, STATES, propagate_error, spread_noise
 from fes.estimation.zupt.decimation import ZuptSettings, start_variances
 from fes.estimation.zupt.filter import MEASURED, IntervalTape
 
@@ -31,7 +31,7 @@ def smooth_intervals(t_ns: Vec, ends: Vec, standing: bool, settings: ZuptSetting
     for k in range(count):
         if k > 0:
             dt = 1e-9 * (t_ns[ends[k]] - t_ns[ends[k - 1]])
-            carry_error(dx, k, tape.mean, tape.push, dt)
+            propagate_error(dx, k, tape.mean, tape.push, dt)
             spread_noise(k, dx, tape.added, adjoint, dt, settings)
         lost = tape.added[k, ADDED - 1]
         if lost > 0.0:
@@ -54,7 +54,7 @@ def smooth_intervals(t_ns: Vec, ends: Vec, standing: bool, settings: ZuptSetting
         tape.quaternions[k, 2], tape.quaternions[k, 3] = q2, q3
 
 
-@jit_fused
+@inlined
 def _adjoints(t_ns: Vec, ends: Vec, tape: IntervalTape, out: Mat) -> None:
     """The adjoint (K, 15) before each interval's measurement: what all that follows says of the error there."""
     x = np.zeros(STATES)
@@ -73,11 +73,11 @@ def _adjoints(t_ns: Vec, ends: Vec, tape: IntervalTape, out: Mat) -> None:
         for a in range(STATES):
             out[k, a] = x[a]
         if k > 0:
-            _carry_back(k, x, tape.mean, tape.push, 1e-9 * (t_ns[ends[k]] - t_ns[ends[k - 1]]))
+            _propagate_back(k, x, tape.mean, tape.push, 1e-9 * (t_ns[ends[k]] - t_ns[ends[k - 1]]))
 
 
-@jit_fused
-def _carry_back(k: int, x: Vec, r: Mat, f: Mat, dt: float) -> None:
+@inlined
+def _propagate_back(k: int, x: Vec, r: Mat, f: Mat, dt: float) -> None:
     """``λ ← Φᵀ λ`` for the adjoint (15,) over interval ``k``."""
     p0, p1, p2, v0, v1, v2 = x[0], x[1], x[2], x[3], x[4], x[5]
     e0, e1, e2 = v0 + 0.5 * dt * p0, v1 + 0.5 * dt * p1, v2 + 0.5 * dt * p2

@@ -14,7 +14,6 @@ sensor's noise comes on top:
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -33,9 +32,8 @@ from fes.estimation.zupt.detectors import (
     stillest,
     window_samples,
 )
-from fes.signals import G_MPS2, FloatArray, IntArray, Vector3
+from fes.signals import G_MPS2, BoolArray, FloatArray, IntArray, Vector3
 
-BoolArray = np.ndarray[Any, np.dtype[np.bool_]]
 START_S = 0.1  # of zero velocity, before a filter begins
 STRIDE_BOUNDS_S = (0.5, 3.0)
 SHORTEST_MOVE_S = 0.15

@@ -63,7 +63,7 @@ def over_ground(
     point_ahead(position, heading)
 
 
-@jit_fused
+@inlined
 def headings(q: Mat, axis: Vec, out: Vec) -> None:
     """Fill ``out`` (K,) with where an ``axis`` (3,) of the sensor points, from x towards y, by orientations (K, 4).
 
@@ -91,7 +91,7 @@ def fast_atan2(sine: float, cosine: float) -> float:
     return math.atan2(sine, cosine)
 
 
-@jit_fused
+@inlined
 def remove_false_turns(t_ns: Vec, heading: Vec, stance_ns: Vec, off: Vec) -> None:
     """Take false whole turns out of headings (K,): a toe that points straight down between stances has none.
 
@@ -114,7 +114,7 @@ def remove_false_turns(t_ns: Vec, heading: Vec, stance_ns: Vec, off: Vec) -> Non
         heading[i] += off[j]
 
 
-@jit_fused
+@inlined
 def resample(
     t_ns: Vec, place: Mat, velocity: Mat, facing: Vec, kept_ns: Vec, position: Mat, heading: Vec
 ) -> None:  # fmt: skip
@@ -172,7 +172,7 @@ def bend_ahead(
     point_ahead(place, turned)
 
 
-@jit_fused
+@inlined
 def bend(
     t_ns: Vec, stance_ns: Vec, per_stride_rad: float, position: Mat, heading: Vec, place: Mat, turned: Vec
 ) -> None:  # fmt: skip

@@ -1,8 +1,8 @@
 """Paths of markers against estimated strides: Negård et al. (2005), Eq. (22), between the stride's own two ends.
 
-Length is the horizontal way of the marker between the instants at which the estimate begins and ends the stride: both
-then speak of the same stride. A stride counts only where the marker was seen all along, stood still at both ends, and
-really went somewhere; where the marker is not at the sensor, only if the foot did not turn.
+Length is the horizontal distance of the marker between the instants at which the estimate begins and ends the stride:
+both then speak of the same stride. A stride counts only where the marker was seen all along, stood still at both ends,
+and really went somewhere; where the marker is not at the sensor, only if the foot did not turn.
 """
 
 import math

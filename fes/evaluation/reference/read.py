@@ -37,7 +37,7 @@ def read_c3d(path: Path, *, markers: Mapping[str, tuple[str, str]] | None = None
     except ImportError as error:
         raise ReferenceError(f"{path}: reading C3D needs ezc3d: pip install 'fes-gait[c3d]'") from error
     try:
-        data: Any = ezc3d.c3d(str(path))
+        data: Mapping[str, Any] = ezc3d.c3d(str(path))
     except (OSError, ValueError, RuntimeError, KeyError, IndexError) as error:
         raise ReferenceError(f"{path}: is no readable C3D file: {error}") from error
     try:
@@ -54,7 +54,7 @@ def read_c3d(path: Path, *, markers: Mapping[str, tuple[str, str]] | None = None
 
 
 def _markers(
-    path: Path, data: Any, markers: Mapping[str, tuple[str, str]] | None, up: str
+    path: Path, data: Mapping[str, Any], markers: Mapping[str, tuple[str, str]] | None, up: str
 ) -> tuple[list[MarkerPath], list[str]]:
     group = data["parameters"]["POINT"]
     labels = [str(label).strip() for label in group["LABELS"]["value"]]
@@ -98,7 +98,7 @@ def place_of_label(label: str) -> tuple[str, str] | None:
     return None
 
 
-def _events(data: Any) -> list[ReferenceEvent]:
+def _events(data: Mapping[str, Any]) -> list[ReferenceEvent]:
     group = data["parameters"].get("EVENT")
     if not group or "TIMES" not in group:
         return []

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from html import escape
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from fes.signals import FloatArray
 
 WIDTH, LEFT, RIGHT, TOP, BOTTOM = 560, 58, 14, 12, 46
 UNIT_WIDTH = 6.4  # of a letter of a label, about
+Number = TypeVar("Number", float, FloatArray)
 MAX_TITLED_POINTS = 400  # beyond this, points share one path: a hover text each would swell the file
 
 
@@ -66,11 +67,11 @@ class Plot:
     mirrored: bool = False
     _marks: list[str] = field(default_factory=list, init=False)
 
-    def _x(self, x: Any) -> Any:
+    def _x(self, x: Number) -> Number:
         low, high = self.x_range
         return LEFT + (x - low) / (high - low) * (WIDTH - LEFT - RIGHT)
 
-    def _y(self, y: Any) -> Any:
+    def _y(self, y: Number) -> Number:
         low, high = self.y_range
         return self.height - BOTTOM - (y - low) / (high - low) * (self.height - TOP - BOTTOM)
 

@@ -19,7 +19,7 @@ import numpy as np
 from fes.session_log import read_session
 from fes.session_log.export.tables import ANOTHER, Exported, library_missing
 from fes.session_log.framing import SessionLogError, SessionRecord, not_made
-from fes.signals import FloatArray, IntArray, StimCommand, StrideResult
+from fes.signals import BoolArray, FloatArray, IntArray, StimCommand, StrideResult
 from fes.walk_record import SampleArrays
 from statemachine.phases import Phase, PhaseChange
 
@@ -123,19 +123,19 @@ def _sampled_at_s(arrays: SampleArrays) -> FloatArray:
     return increasing
 
 
-def _present(t_s: FloatArray, grid_s: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
+def _present(t_s: FloatArray, grid_s: FloatArray) -> BoolArray:
     """(M,) whether a sample was there: between two that are no more than a few intervals apart."""
     after = np.clip(np.searchsorted(t_s, grid_s), 1, len(t_s) - 1)
     short = (t_s[after] - t_s[after - 1]) <= LONGEST_GAP * float(np.median(np.diff(t_s)))
-    inside: np.ndarray[Any, np.dtype[np.bool_]] = short & (grid_s >= t_s[0] - 1e-6) & (grid_s <= t_s[-1] + 1e-6)
+    inside: BoolArray = short & (grid_s >= t_s[0] - 1e-6) & (grid_s <= t_s[-1] + 1e-6)
     return inside
 
 
 def _held(
-    told: Sequence[PhaseChange | StimCommand], values: FloatArray, grid_s: FloatArray, *, before: float
+    decided: Sequence[PhaseChange | StimCommand], values: FloatArray, grid_s: FloatArray, *, before: float
 ) -> tuple[FloatArray, IntArray]:
     """The last value at each time of the grid, and which one that is (-1: none yet)."""
-    which = np.searchsorted(np.array([1e-9 * one.t_ns for one in told]), grid_s, side="right") - 1
+    which = np.searchsorted(np.array([1e-9 * one.t_ns for one in decided]), grid_s, side="right") - 1
     return np.where(which >= 0, values[which], before), which
 
 

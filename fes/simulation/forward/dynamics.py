@@ -18,11 +18,12 @@ the ground. The electromechanical delay is applied where pulses come in (:mod:`f
 """
 
 import math
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.jit import inlined, jit
+from fes.estimation.numerics.records import Record, Vec
 
 STANCE: Final = 0
 PRE_SWING: Final = 1
@@ -127,7 +128,7 @@ def passive(angle: float, knee: float, stiff: float, short: float) -> float:
     return -stiff * (math.exp(2.1016 - 0.0843 * a - 0.0176 * k) - math.exp(-7.9763 + 0.1949 * a + 0.0008 * k) - 1.792)
 
 
-@jit
+@inlined
 def damping(angle: float, knee: float, stiff: float, short: float, damp: float, inertia: float) -> float:
     """Of the ankle, N·m·s/rad: ``damp`` about the middle of its range, more towards the ends where tissue tightens.
 
@@ -147,7 +148,7 @@ HILL = 4.0  # 1 / (a / F0) of Hill's hyperbola
 STRETCHED = 1.4
 
 
-@jit
+@inlined
 def recruitment(charge_uc: float, threshold_uc: float, saturation_uc: float) -> float:
     """Share of the muscle that a pulse reaches, 0–1: a ramp from threshold to saturation with rounded corners.
 
@@ -163,7 +164,7 @@ def recruitment(charge_uc: float, threshold_uc: float, saturation_uc: float) -> 
     return min(max(value - 0.028, 0.0) / (1.0 - 0.056), 1.0)
 
 
-@jit
+@inlined
 def force_at(dorsiflexing_radps: float) -> float:
     """Share of the isometric force while the ankle moves; dorsiflexing, the muscle shortens. Smooth at rest."""
     v = dorsiflexing_radps / FASTEST_RADPS
@@ -173,8 +174,8 @@ def force_at(dorsiflexing_radps: float) -> float:
     return 1.0 + (STRETCHED - 1.0) * x / (x - 1.0)
 
 
-@jit
-def muscle(leg: Any, dt: float) -> None:
+@inlined
+def muscle(leg: Record, dt: float) -> None:
     """One step of the stimulated muscle: calcium, activation, fitness and torque."""
     leg.calcium -= leg.calcium * dt / leg.tau_ca
     drive = min(leg.recruited * GAIN_40HZ * leg.calcium / (leg.calcium + KM), 1.05)
@@ -198,7 +199,7 @@ LET_GO = 0.05  # share of the swing in which the toes cease to press
 
 
 @jit
-def fourier(series: Any, phase: float) -> tuple[float, float, float]:
+def fourier(series: Vec, phase: float) -> tuple[float, float, float]:
     """Value and first two derivatives by cycle of a Fourier series at ``phase`` (1 is one cycle)."""
     angle = TURN * phase
     c1, s1 = math.cos(angle), math.sin(angle)
@@ -215,7 +216,7 @@ def fourier(series: Any, phase: float) -> tuple[float, float, float]:
 
 
 @jit
-def fade(c: Any, start: float, span: float, t: float) -> tuple[float, float, float]:
+def fade(c: Vec, start: float, span: float, t: float) -> tuple[float, float, float]:
     """Value, rate and acceleration of a polynomial ``c`` over ``u = (t - start)/span``; 0 from u = 1 on."""
     u = (t - start) / span
     if u >= 1.0:
@@ -246,7 +247,7 @@ def bump(u: float) -> tuple[float, float, float]:
     return 64.0 * v * v * v, 192.0 * v * v * (1.0 - 2.0 * u), 384.0 * v * (1.0 - 5.0 * v)
 
 
-@jit
+@inlined
 def lowering(u: float) -> tuple[float, float, float]:
     """``u⁵(1-u)``: up a little late in swing, then down with slope -1 at its end; with its first two derivatives."""
     if u <= 0.0 or u >= 1.0:
@@ -254,7 +255,7 @@ def lowering(u: float) -> tuple[float, float, float]:
     return u**5 * (1.0 - u), u**4 * (5.0 - 6.0 * u), u**3 * (20.0 - 30.0 * u)
 
 
-@jit
+@inlined
 def early(u: float) -> tuple[float, float, float]:
     """``u³(1-u)⁵`` scaled to 1 at its peak, three eighths of the way, with its first two derivatives."""
     if u <= 0.0 or u >= 1.0:
@@ -265,7 +266,7 @@ def early(u: float) -> tuple[float, float, float]:
 
 
 @jit
-def plan(leg: Any, belt: Any, t: float) -> None:
+def plan(leg: Record, belt: Record, t: float) -> None:
     """Where the leg wants the ankle and the shank at ``t`` s: path in the belt's frame, with two derivatives."""
     rate = leg.phase_rate
     phase = leg.phase0 + rate * (t - leg.phase_t)
@@ -321,7 +322,7 @@ def plan(leg: Any, belt: Any, t: float) -> None:
 
 
 @jit
-def heel_rise(leg: Any, t: float) -> tuple[float, float, float]:
+def heel_rise(leg: Record, t: float) -> tuple[float, float, float]:
     """The planned toe-down pitch in pre-swing: slow first, fastest as the foot leaves."""
     if leg.mode != PRE_SWING:
         return 0.0, 0.0, 0.0
@@ -330,8 +331,8 @@ def heel_rise(leg: Any, t: float) -> tuple[float, float, float]:
     return a * u * u * (1.3 - 0.3 * u), a * u * (2.6 - 0.9 * u) * w, a * (2.6 - 1.8 * u) * w * w
 
 
-@jit
-def load(leg: Any, t: float) -> float:
+@inlined
+def load(leg: Record, t: float) -> float:
     """Weight on this leg, N."""
     if leg.mode == SWING:
         return 0.0
@@ -341,8 +342,8 @@ def load(leg: Any, t: float) -> float:
     return weight
 
 
-@jit
-def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> float:
+@inlined
+def ankle_torque(leg: Record, t: float, weight: float, lever: float, dt: float) -> float:
     """All torques of tissue about the ankle, dorsiflexing positive, N·m."""
     angle, rate = leg.pitch - leg.shank, leg.vpitch - leg.vshank
     held = min(max(angle, -1.2), 0.8)
@@ -371,8 +372,8 @@ def ankle_torque(leg: Any, t: float, weight: float, lever: float, dt: float) -> 
     return out
 
 
-@jit
-def toes_press(leg: Any, t: float) -> float:
+@inlined
+def toes_press(leg: Record, t: float) -> float:
     """Share of their stiffness with which the toes press on the ground; without a jump at heel rise and foot off.
 
     The bending shoe presses them down in pre-swing. Unloaded at foot off, they press again when they meet the ground.
@@ -390,8 +391,8 @@ def toes_press(leg: Any, t: float) -> float:
     return firm
 
 
-@jit
-def step(leg: Any, belt: Any, t: float, dt: float) -> None:
+@inlined
+def step(leg: Record, belt: Record, t: float, dt: float) -> None:
     """Advance one leg from ``t`` to ``t + dt``; ``plan`` must have been called for ``t``."""
     muscle(leg, dt)
     h, c, s = leg.sole_m, math.cos(leg.pitch), math.sin(leg.pitch)

@@ -1,9 +1,11 @@
 """The compiled loop over internal steps: until something happens that needs a new plan, or the time asked for."""
 
 import math
-from typing import Any
 
-from fes.estimation.numerics.jit import jit
+import numpy as np
+
+from fes.estimation.numerics.jit import inlined, jit
+from fes.estimation.numerics.records import Mat, Record, Vec
 from fes.simulation.forward.dynamics import (
     CONTACT,
     FLAT,
@@ -28,8 +30,8 @@ BELT_RADPS = 2.5  # the belt reaches a new speed in about two seconds
 ROLL_AIR_RADPS, ROLL_GROUND_RADPS = 22.0, 45.0
 
 
-@jit
-def sideways(leg: Any, t: float, dt: float) -> None:
+@inlined
+def sideways(leg: Record, t: float, dt: float) -> None:
     """Lateral path, heading and roll: what the sagittal plane leaves out, without dynamics except for the roll."""
     u, w = (t - leg.swing_t) / leg.swing_s, 1.0 / leg.swing_s
     b, b1, b2 = bump(u)
@@ -46,8 +48,8 @@ def sideways(leg: Any, t: float, dt: float) -> None:
     leg.roll += leg.vroll * dt
 
 
-@jit
-def happened(leg: Any, t: float) -> int:
+@inlined
+def happened(leg: Record, t: float) -> int:
     """What of this leg needs a new plan now."""
     if leg.mode == SWING:
         u = (t - leg.swing_t) / leg.swing_s
@@ -67,7 +69,7 @@ def happened(leg: Any, t: float) -> int:
 
 
 @jit
-def feel(out: Any, leg: Any, belt_a: float, tilt: float, turn: float, turn1: float, px: float, py: float, pz: float,
+def feel(out: Vec, leg: Record, belt_a: float, tilt: float, turn: float, turn1: float, px: float, py: float, pz: float,
          with_roll: float) -> None:  # fmt: skip
     """Specific force (m/s²) and angular rate (rad/s) in the segment's axes, at ``p`` m from the ankle; into ``out``.
 
@@ -97,7 +99,7 @@ def feel(out: Any, leg: Any, belt_a: float, tilt: float, turn: float, turn1: flo
 
 
 @jit
-def low_pass(filter_: Any, values: Any, b0: float, a1: float, a2: float) -> None:
+def low_pass(filter_: Mat, values: Mat, b0: float, a1: float, a2: float) -> None:
     """A second-order Butterworth step (transposed direct form) on 6 values, in place; ``filter_`` (6, 2) its memory."""
     for k in range(6):
         x = values[k]
@@ -109,8 +111,8 @@ def low_pass(filter_: Any, values: Any, b0: float, a1: float, a2: float) -> None
 
 @jit
 def run(
-    legs: Any, belts: Any, begin: int, end: int, dt: float, pulse_step: Any, pulse_uc: Any, affected: int, places: Any,
-    filters: Any, taps: Any, values: Any, every: int, samples: Any, trace_every: int, trace: Any,
+    legs: Vec, belts: Vec, begin: int, end: int, dt: float, pulse_step: Vec, pulse_uc: Vec, affected: int, places: Mat,
+    filters: Mat, taps: Vec, values: Mat, every: int, samples: Mat, trace_every: int, trace: Mat,
 ) -> tuple[int, int, int]:  # fmt: skip
     """Advance from step ``begin`` to ``end`` at most; returns the step reached, the leg and what happened to it.
 
@@ -155,7 +157,9 @@ def run(
             low_pass(filters[2 + side], shank, taps[0], taps[1], taps[2])
         done = number + 1
         if done % every == 0:
-            samples[sample, :, :] = values
+            for sensor in range(4):  # not as slices: their check of shapes would take seconds to compile
+                for axis in range(6):
+                    samples[sample, sensor, axis] = values[sensor, axis]
             sample += 1
         if done % trace_every == 0:
             for side in range(2):
@@ -172,12 +176,12 @@ def run(
 
 
 @jit
-def plan_at(legs: Any, belt: Any, side: int, t: float) -> None:
+def plan_at(legs: Vec, belt: Vec, side: int, t: float) -> None:
     """Put one leg's plan for ``t`` s into its record; ``belt`` (1,)."""
     plan(legs[side], belt[0], t)
 
 
-def to_rest_m(belt: Any) -> float:
+def to_rest_m(belt: np.void) -> float:
     """How far a braking belt (record of ``layout.BELT``, goal 0) goes on until it rests.
 
     ``v'' + 2 w v' + w² v = 0`` integrated once, from now to for ever.
@@ -185,7 +189,7 @@ def to_rest_m(belt: Any) -> float:
     return float(belt["a"] + 2.0 * BELT_RADPS * belt["v"]) / BELT_RADPS**2
 
 
-def travel_m(belt: Any, seconds: float) -> float:
+def travel_m(belt: np.void, seconds: float) -> float:
     """How far a braking belt goes in this time."""
     gone = math.exp(-BELT_RADPS * seconds)
     slope = float(belt["a"] + BELT_RADPS * belt["v"])

@@ -2,10 +2,10 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
+from fes.estimation.numerics.records import Vec
 from fes.signals import G_MPS2, FloatArray, Vector3
 from fes.simulation.forward import gait_patterns as normative
 from fes.simulation.forward.dynamics import HEEL_M, LEG, PRE_SWING, STANCE, SWING
@@ -63,9 +63,9 @@ class Swing:
     shift_m: float
 
 
-def body_of(settings: PatientSettings, *, affected: bool) -> Any:
+def body_of(settings: PatientSettings, *, affected: bool) -> np.void:
     """A leg's record with its fixed part filled in, standing."""
-    leg = np.zeros(1, LEG)[0]
+    leg: np.void = np.zeros(1, LEG)[0]
     height, mass = settings.height_m, settings.mass_kg
     foot_kg = normative.FOOT_OF_MASS * mass + normative.SHOE_KG
     length = normative.FOOT_OF_HEIGHT * height
@@ -101,7 +101,7 @@ def body_of(settings: PatientSettings, *, affected: bool) -> Any:
 class Planner:
     """Writes plans into ``legs[side]``; knows the curves of the present speed and nothing of the random numbers."""
 
-    def __init__(self, settings: PatientSettings, pattern: Pattern, legs: Any, belt: Any, side: int) -> None:
+    def __init__(self, settings: PatientSettings, pattern: Pattern, legs: Vec, belt: Vec, side: int) -> None:
         self.settings = settings
         self.affected = (side == 0) == (settings.side == "left")
         self.pattern = pattern if self.affected else Pattern()

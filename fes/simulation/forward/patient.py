@@ -9,12 +9,13 @@ of the compiled loop, so the signal is late by about half a sampling interval, a
 import math
 from collections import deque
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from fes.config import FootGeometry
-from fes.estimation.numerics.jit import jit
+from fes.estimation.numerics.jit import inlined, jit
+from fes.estimation.numerics.records import Mat, Vec
 from fes.signals import FOOT_SENSORS, NS_PER_S, SENSORS, FloatArray, ImuSample
 from fes.simulation.forward.dynamics import NO_EVENT, TRACE
 from fes.simulation.forward.integration import run
@@ -34,9 +35,9 @@ def butterworth(model: ImuModel, rate_hz: float) -> FloatArray:
     return np.array([k * k * norm, 2.0 * (k * k - 1.0) * norm, (1.0 - math.sqrt(2.0) * k + k * k) * norm])
 
 
-@jit
+@inlined
 def distort(
-    ideal: Any, matrix: Any, offset: Any, drift: Any, walk: Any, white: Any, random: Any, full: Any, lsb: Any
+    ideal: Vec, matrix: Mat, offset: Mat, drift: Mat, walk: Vec, white: Vec, random: Mat, full: Vec, lsb: Vec
 ) -> None:
     """One sample (6,) of one sensor, in place: axes and scale (2, 3, 3), bias, its walk, noise, range, resolution.
 
@@ -59,7 +60,7 @@ def distort(
 
 @jit
 def distort_all(
-    rows: Any, first: int, matrix: Any, offset: Any, drift: Any, walk: Any, white: Any, random: Any, full: Any, lsb: Any
+    rows: Mat, first: int, matrix: Mat, offset: Mat, drift: Mat, walk: Vec, white: Vec, random: Mat, full: Vec, lsb: Vec
 ) -> None:
     """Samples (N, 4, 6) of four sensors, in place; ``random`` (BUFFER, 4, 12) from row ``first`` on."""
     for number in range(rows.shape[0]):

@@ -150,7 +150,7 @@ SEVERITIES: Final[dict[str, dict[str, float]]] = {
 }
 
 
-def settings_for(severity: str, **others: Any) -> PatientSettings:
+def settings_for(severity: str, **others: object) -> PatientSettings:
     """A patient of one of :data:`SEVERITIES`; ``others`` are settings by name and win.
 
     A pattern walks at its own speed unless ``others`` names one.
@@ -170,7 +170,7 @@ def settings_for(severity: str, **others: Any) -> PatientSettings:
     return PatientSettings(**values)
 
 
-def load_patient(path: Path, **others: Any) -> PatientSettings:
+def load_patient(path: Path, **others: object) -> PatientSettings:
     """A patient from a TOML file: a table ``[patient]`` with ``severity`` and any settings, ``[patient.muscle]``.
 
     Raises:

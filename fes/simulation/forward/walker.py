@@ -1,8 +1,9 @@
 """The walk: at every event of a leg, decide when and where the feet go next; note events and strides as they were."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from fes.simulation.forward.integration import to_rest_m, travel_m
 from fes.simulation.forward.leg import CLEARANCE_M, HALF_WIDTH_M, PRE_SWING_SHARE, Planner, Swing, body_of
 from fes.simulation.forward.settings import PatientSettings
 
+Rows: TypeAlias = Callable[[int, float, float], FloatArray]  # of a side's trace between two times in s
 EVENTS = ("initial_contact", "foot_flat", "heel_off", "foot_off", "stumble")
 
 
@@ -196,7 +198,7 @@ class Walker:
 
     # --- events of the compiled loop --------------------------------------------------------------------
 
-    def on_event(self, side: int, what: int, t_s: float, trace: Any) -> None:
+    def on_event(self, side: int, what: int, t_s: float, trace: Rows) -> None:
         """Plan on after an event; ``trace`` gives the affected swing's rows: ``trace(side, from_s, to_s)``."""
         leg, open_ = self.legs[side], self._open[side]
         if what == CONTACT:
@@ -269,7 +271,7 @@ class Walker:
             )
         )  # fmt: skip
 
-    def _contact(self, side: int, t_s: float, trace: Any) -> None:
+    def _contact(self, side: int, t_s: float, trace: Rows) -> None:
         leg, open_ = self.legs[side], self._open[side]
         self._note(side, t_s, "initial_contact")
         open_.t_contact_s = t_s

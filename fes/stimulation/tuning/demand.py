@@ -205,7 +205,7 @@ def room(demands: tuple[Demand, ...]) -> float:
     )
 
 
-def reason(demand: Demand, *, other_way: bool = False, stand_in: str = "") -> str:
+def reason(demand: Demand, *, inverted: bool = False, stand_in: str = "") -> str:
     """Why the intensity changes, in words: the newest value, the usual one, and what follows."""
     measure, error = demand.measure, demand.error
     span = measure.band.high - measure.band.low
@@ -213,7 +213,7 @@ def reason(demand: Demand, *, other_way: bool = False, stand_in: str = "") -> st
     def value(level: float) -> str:
         return f"{(measure.band.low + level * span) * measure.scale:.0f} {measure.unit}"
 
-    if other_way:
+    if inverted:
         why = f"the other way made it worse, so {'less' if error < 0.0 else 'more'} is tried"
     elif error < 0.0:
         why = f"lately {value(demand.usual)}, {value(demand.aim)} will do"

@@ -89,13 +89,13 @@ class Trial:
 class HarmMonitor:
     """Finds out whether changes do harm. Changes in one direction are one trial, until it is proved harmless.
 
-    ``other_way`` is whether this foot answers the other way round, as far as is known.
+    ``inverted`` is whether this foot answers the other way round, as far as is known.
     """
 
     def __init__(self) -> None:
         self._trial: Trial | None = None
         self._harmed: float | None = None  # the level that was rolled back
-        self.other_way = False
+        self.inverted = False
 
     def forget(self) -> None:
         """No trial is under way."""
@@ -125,7 +125,7 @@ class HarmMonitor:
         worse = now - outside(trial.level) > max(WORSE, WORSE_SDS * response.noise)
         if worse and abs(drive - trial.drive) >= TRIAL_DRIVE:
             # too little although more made it worse: next time less is tried, and the other way round
-            self.other_way = not self.other_way and (drive > trial.drive) == (trial.level < 0.5)
+            self.inverted = not self.inverted and (drive > trial.drive) == (trial.level < 0.5)
             self._trial, self._harmed = None, now
             return trial.parameters
         if trial.unchanged >= PROVED and now <= outside(trial.level):
@@ -135,7 +135,7 @@ class HarmMonitor:
     def returned(self, response: Response) -> None:
         """Back at the old settings for some strides: if that was no better, the change had done no harm."""
         if self._harmed is not None and outside(median(response.last_levels(LAST))) > self._harmed - 0.5 * WORSE:
-            self.other_way = False
+            self.inverted = False
         self._harmed = None
 
 

@@ -264,10 +264,10 @@ class Tuner:
             self._hold -= 1
             if not self._hold:
                 self._harm.returned(self.response)
-        other_way = self._harm.other_way
-        worst = demands[0] if other_way else self._intensity.leader(demands, zones, before)
+        inverted = self._harm.inverted
+        worst = demands[0] if inverted else self._intensity.leader(demands, zones, before)
         error = 0.0 if self._hold else worst.error
-        if other_way and outside(self.response.level_at(drive)) == 0.0:
+        if inverted and outside(self.response.level_at(drive)) == 0.0:
             error = 0.0  # this foot answers the other way round: inside the band nothing is to be gained
         if self._settle and abs(error) < NEAR_AIM and outside(reading.level) == 0.0:
             error = 0.0
@@ -283,7 +283,7 @@ class Tuner:
                 wanted = replace(wanted, start_delay_s=delay_s)
             if abs(extension_s - before.extension_s) > TIMING_DEAD_S:
                 wanted = replace(wanted, extension_s=extension_s)
-        if error and other_way:
+        if error and inverted:
             error = -error
             wanted = self._intensity.lessened(wanted, error)
         elif error:
@@ -294,7 +294,7 @@ class Tuner:
         if changes := difference(before, after):
             why = self._timing.reason(after.extension_s)
             if error:
-                why = reason(replace(worst, error=error), other_way=other_way, stand_in=reading.stand_in)
+                why = reason(replace(worst, error=error), inverted=inverted, stand_in=reading.stand_in)
                 why += self._intensity.why_held(before, after, demands, worst)
             return self._propose(t_ns, after, f"{why}: {changes}", drive, error)
         self.pending = None
