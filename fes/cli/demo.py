@@ -2,7 +2,6 @@
 
 import json
 import tomllib
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -76,12 +75,7 @@ def demo_closed_loop(out: Path, *, fast: bool, stimulator: str, as_json: bool) -
 
 
 def _in_one_process(
-    settings: PatientSettings,
-    plan: Protocol,
-    folder: Path,
-    view: LoopView,
-    on_stride: Callable[[VirtualStride], None],
-    interrupt: Interrupt,
+    settings: PatientSettings, plan: Protocol, folder: Path, view: LoopView, on_stride: Any, interrupt: Interrupt
 ) -> Path:
     from fes.config import validate_session
     from fes.estimation.warm_up import warm_up
@@ -100,10 +94,8 @@ def _in_one_process(
             view.text(note.t_ns / NS_PER_S, note.text.partition(": ")[2])
 
     log = folder / f"session{LOG_SUFFIX}"
-    run_in_one_process(
-        settings, session, calibrations, plan, log, utc_now(), on_stride=on_stride, on_note=on_note,
-        after=lambda event: interrupt.check(),
-    )  # fmt: skip
+    told = {"on_stride": on_stride, "on_note": on_note, "after": lambda event: interrupt.check()}
+    run_in_one_process(settings, session, calibrations, plan, log, utc_now(), **told)
     return log
 
 
@@ -112,7 +104,7 @@ def _between_processes(
     plan: Protocol,
     folder: Path,
     view: LoopView,
-    on_stride: Callable[[VirtualStride], None],
+    on_stride: Any,
     interrupt: Interrupt,
     stimulator: str,
 ) -> tuple[Path, dict[str, Any]]:

@@ -4,12 +4,10 @@ A sensor's columns are ``Message.Signal``. Its acceleration and rate may come in
 is stamped when its last message came.
 """
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -18,9 +16,6 @@ from fes.recording.sidecar import Sidecar
 from fes.recording.table import greatest_size
 from fes.recording.tracks import RecordingError
 from fes.signals import NS_PER_S, FloatArray, IntArray
-
-if TYPE_CHECKING:
-    import can
 
 LARGEST_TIME_S = 4e9  # beyond the year 2096
 
@@ -131,7 +126,7 @@ def _load_dbc(path: Path) -> Any:
         raise RecordingError(f"{path}: is no DBC that can be read: {error}") from error
 
 
-def _frames(path: Path) -> Iterator[can.Message]:
+def _frames(path: Path) -> Iterator[Any]:
     import can
 
     try:
@@ -141,7 +136,7 @@ def _frames(path: Path) -> Iterator[can.Message]:
         raise RecordingError(f"{path}: cannot be read as a CAN log: {error}") from error
 
 
-def _decode(path: Path, frame: int, message: Any, received: can.Message) -> dict[str, Any]:
+def _decode(path: Path, frame: int, message: Any, received: Any) -> dict[str, Any]:
     """Signals by name as numbers; multiplexed and enumerated signals too."""
     try:
         signals: dict[str, Any] = message.decode(bytes(received.data), decode_choices=False)

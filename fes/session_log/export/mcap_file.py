@@ -4,20 +4,15 @@ A topic for each table, ``/imu/left_foot``, ``/phases`` …; one message a row. 
 says when the session was begun, else since its first moment.
 """
 
-from __future__ import annotations
-
 import json
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final
+from typing import Any, BinaryIO, Final
 
 from fes import __version__
 from fes.session_log.export.tables import ANOTHER, Exported, Table, batches, library_missing
 from fes.session_log.framing import SessionLogError, not_made
 from fes.walk_record import finite_or_none
-
-if TYPE_CHECKING:
-    from mcap.writer import Writer
 
 EXTRA: Final = "mcap"
 _LARGEST_TIME: Final = (1 << 63) - 1
@@ -75,7 +70,7 @@ def epoch_offset_ns(header: dict[str, Any], first_ns: int) -> tuple[int, bool]:
     return since_1970_ns - (at_ns if isinstance(at_ns, int) else first_ns), True
 
 
-def _messages(writer: Writer, log: Path, exported: Exported) -> None:
+def _messages(writer: Any, log: Path, exported: Exported) -> None:
     channels: dict[str, int] = {}
     offset_ns: int | None = None
     for batch in batches(log, exported):
