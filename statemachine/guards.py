@@ -48,27 +48,25 @@ class Thresholds(NamedTuple):
     fall_radps: float = 12.0  # from there to the greatest toe-up rate of the swing
     stride_s: float = 1.2  # from contact to contact
     contact_jerk_mps3: float = 2000.0  # typical jump of the force at contact
-    rest_share: float = 0.12  # T4–T6: at rest below this rate
+    rest_share: float = 0.16  # T4–T6: at rest below this rate
     heel_rise_share: float = 0.22  # T1: moving above this rate …
     heel_rise_rad: float = 0.07  # … once it has turned by 4° …
     heel_rise_after: float = 0.25  # … and this share of the stride after contact, before which no heel rises
-    toe_up_share: float = 0.22  # T1–T3: a dragged foot swings without a push-off: toe-up above this rate …
+    toe_up_share: float = 0.3  # T1–T3: a dragged foot swings without a push-off: toe-up above this rate …
     toe_up_after: float = 0.35  # … and, for T1, this share of the stride after contact
     push_off_share: float = 0.4  # T2: no push-off has been seen below this share of its typical rate
     push_off_drop: float = 0.07  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
-    shortest_swing: float = 0.22  # T3: of the stride; toe-off's jolts end before …
+    shortest_swing: float = 0.25  # T3: of the stride; toe-off's jolts end before …
     longest_swing_stride_s: float = 1.8  # … for swing does not lengthen with slower strides than this
     mid_swing_share: float = 0.55  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
-    rising_share: float = 0.3  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
-    struck_share: float = 0.03  # T3: a foot that is struck turns toe-down at this rate …
-    struck_per_s: float = 4.0  # … which grows by this many times the push-off's each second
-    landed_share: float = 0.15  # T3: it turns toe-down at this rate, however slowly that came
+    rising_share: float = 0.25  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
+    landed_share: float = 0.15  # T3: a foot that has landed turns toe-down at this rate
     jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
     soft_contact: float = 0.1  # T3: after so long at rest, of the stride, it has landed without a jolt
-    shortest_loading: float = 0.1  # T4: of the stride after contact; the foot is not flat before
-    flat: float = 0.027  # T4: at rest for this share of the stride …
-    longest_loading: float = 0.2  # … or, without rest, this share of the stride after contact, …
+    shortest_loading: float = 0.03  # T4: of the stride after contact; the foot is not flat before
+    flat: float = 0.015  # T4: at rest for this share of the stride …
+    longest_loading: float = 0.12  # … or, without rest, this share of the stride after contact, …
     longest_loading_stride_s: float = 1.3  # … which does not lengthen with slower strides than this
     put_back: float = 0.13  # T5, T6: at rest for this share of the stride
 
@@ -114,8 +112,7 @@ def t3(x: Features, p: Thresholds) -> bool:
     ) or -x.toe_down_radps >= p.rising_share * x.toe_up_peak_radps:
         return False
     return (
-        (x.toe_down_radps > p.struck_share * rate and x.toe_down_change_radps2 > p.struck_per_s * rate)
-        or x.toe_down_radps > p.landed_share * rate
+        x.toe_down_radps > p.landed_share * rate
         or x.contact_jerk_mps3 > p.jerk_share * p.contact_jerk_mps3
         or (x.resting_s > p.soft_contact * p.stride_s and not x.travelling)
     )

@@ -142,7 +142,7 @@ def _observe(core: Record, fx: float, fy: float, fz: float, dt_s: float) -> bool
     jump = max(abs(force[3] - then[3]), 0.5 * math.sqrt(x * x + y * y + z * z)) if back > 0 else 0.0
     rate = math.sqrt(wx * wx + wy * wy + wz * wz)
     toe_down = parameters.toe_down_x * wx + parameters.toe_down_y * wy + parameters.toe_down_z * wz
-    observe(core, toe_down, rate, jump * per_second(back, parameters.sample_s), dt_s)
+    observe(core, toe_down, abs(toe_down), jump * per_second(back, parameters.sample_s), dt_s)
     low, high = STANDING_RADPS
     quick = thresholds.rest_share * max(thresholds.push_off_radps, 0.5 * thresholds.fall_radps)
     if rate >= min(max(quick, low), high) or abs(math.sqrt(fx * fx + fy * fy + fz * fz) - G_MPS2) >= STANDING_MPS2:
