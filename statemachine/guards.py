@@ -48,7 +48,7 @@ class Thresholds(NamedTuple):
     fall_radps: float = 12.0  # from there to the greatest toe-up rate of the swing
     stride_s: float = 1.2  # from contact to contact
     contact_jerk_mps3: float = 2000.0  # typical jump of the force at contact
-    rest_share: float = 0.16  # T4–T6: at rest below this rate
+    rest_share: float = 0.18  # T4–T6: at rest below this rate
     heel_rise_share: float = 0.22  # T1: moving above this rate …
     heel_rise_rad: float = 0.07  # … once it has turned by 4° …
     heel_rise_after: float = 0.25  # … and this share of the stride after contact, before which no heel rises
@@ -65,8 +65,8 @@ class Thresholds(NamedTuple):
     jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
     soft_contact: float = 0.1  # T3: after so long at rest, of the stride, it has landed without a jolt
     shortest_loading: float = 0.03  # T4: of the stride after contact; the foot is not flat before
-    flat: float = 0.015  # T4: at rest for this share of the stride …
-    longest_loading: float = 0.12  # … or, without rest, this share of the stride after contact, …
+    flat: float = 0.008  # T4: at rest for this share of the stride …
+    longest_loading: float = 0.1  # … or, without rest, this share of the stride after contact, …
     longest_loading_stride_s: float = 1.3  # … which does not lengthen with slower strides than this
     put_back: float = 0.13  # T5, T6: at rest for this share of the stride
 
