@@ -97,8 +97,9 @@ def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
     valid = [row for row in rows if row.valid]
     stride_time = spread(row.duration_s for row in valid)
     names = ("stride_length_m", "clearance_cm", "toe_clearance_cm", "pre_swing_s", "swing_s", "loading_response_s")
+    spreads: dict[str, Any] = {name: spread(getattr(row, name) for row in valid) for name in names}
     return FootSummary(
-        **{name: spread(getattr(row, name) for row in valid) for name in names},
+        **spreads,
         foot=foot,
         strides=len(rows),
         valid=len(valid),
