@@ -64,7 +64,7 @@ def find_swings(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> 
     begin, end = (int(t_ns.min()), int(t_ns.max())) if t_ns.size else (0, 0)
     if end - begin < LEAST_S * NS_PER_S:
         return Swings(none, none, begin, end)
-    times, pitch = _pitch(t_ns, acc_mps2, gyr_radps)
+    times, pitch = pitch_of(t_ns, acc_mps2, gyr_radps)
     points = turning_points(pitch, APART_RAD)
     spans = list(zip(points[0::2], points[1::2], strict=False))
     if not spans:
@@ -77,7 +77,7 @@ def find_swings(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> 
     return Swings(at_ns[sure], at_ns[rises >= max(POSSIBLE * typical, LEAST_POSSIBLE_RAD)], begin, end)
 
 
-def _pitch(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> tuple[IntArray, FloatArray]:
+def pitch_of(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> tuple[IntArray, FloatArray]:
     """Times (M,) of an even grid, ns, and the pitch there (rad, toe-up positive; it drifts)."""
     newer = np.concatenate(([True], t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]))
     sound = newer & np.isfinite(acc_mps2).all(axis=1) & (np.abs(gyr_radps).max(axis=1) < MOST_RADPS)
