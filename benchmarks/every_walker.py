@@ -2,9 +2,9 @@
 
     python benchmarks/every_walker.py [--only SET …] [--persons …] [--jobs N] [--data FOLDER] [--json FILE]
 
-All sets of the data folder ("known") and of its ``unseen_walkers``. Swings are found by ``swing_judge.py``, from the
-raw signals; on footswitch_treadmill the labels are the truth. What is judged is what users get: calibration from the
-recording itself, phases and strides as they come live ("causal"), and ``fes analyse`` ("off-line").
+All sets of the data folder ("known") and of its ``unseen_walkers``. Swings are found by ``fes/analysis/swings.py``,
+from the raw signals; on footswitch_treadmill the labels are the truth. What is judged is what users get: calibration
+from the recording itself, phases and strides as they come live ("causal"), and ``fes analyse`` ("off-line").
 
 Per foot: strides with the four phases in order; false swings per 100; swings answered by a stride with a length, and
 those for which a stride says why it has none; speed over the belt's (last 120 s; length over the time from the end of
@@ -35,19 +35,10 @@ from event_cases import gaitmap_cases
 from real_sets import Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder, load_run, track_of
-from swing_judge import (
-    IN_ORDER,
-    Labelled,
-    Swings,
-    find_swings,
-    fired_by_stride,
-    in_order,
-    labelled,
-    score,
-    swing_phases,
-)
+from swing_judge import IN_ORDER, Labelled, fired_by_stride, in_order, labelled, pairs, score, swing_phases
 
 from fes.analysis.pipeline import analyse
+from fes.analysis.swings import Swings, find_swings
 from fes.calibration.recording import calibrate_shank_track, calibrate_track
 from fes.estimation.events.offline import foot_strike_angles
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
@@ -273,10 +264,10 @@ def judge(foot: Foot) -> Found:
     found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
     track, by = foot.track, foot.judge or foot.track
     swings = foot.labels.swings() if foot.labels is not None else find_swings(by.t_ns, by.acc_mps2, by.gyr_radps)
-    found.swings, found.strides = len(swings.whole()), len(swings.pairs())
-    found.fast = [bool(b - a < 1e9 * FAST_S) for a, b in swings.pairs()]
+    found.swings, found.strides = len(swings.whole()), len(pairs(swings))
+    found.fast = [bool(b - a < 1e9 * FAST_S) for a, b in pairs(swings)]
     if foot.labels is not None:
-        judged = [foot.labels.judged(*pair) for pair in swings.pairs()]
+        judged = [foot.labels.judged(*pair) for pair in pairs(swings)]
         found.strides = sum(judged)
     try:
         calibration = calibrate(track)
@@ -319,7 +310,7 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
     found.in_order = 0
     later: dict[str, list[float]] = defaultdict(list)
     for (begin, end), fired, ordered in zip(
-        swings.pairs(), fired_by_stride(swings, changes), in_order(swings, changes), strict=True
+        pairs(swings), fired_by_stride(swings, changes), in_order(swings, changes), strict=True
     ):
         if not labels.judged(begin, end):
             continue

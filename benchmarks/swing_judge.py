@@ -1,21 +1,8 @@
-"""Swings found from the raw signals alone, and phases held against them: shares nothing with what is judged.
-
-A swing is one rise of the foot's pitch: while the foot is in the air it turns toe-up, from its steepest (about −60° at
-foot off in sound gait) to its greatest pitch (about +20° before contact; Winter 2009, Perry & Burnfield 2010). No peak
-of a rate is looked at, no rest, no jerk, and no calibration: a slap at contact is a *fall* of the pitch, a forefoot
-landing prolongs the rise, weight shifts turn the foot by a few degrees only.
-
-- *up*: the median specific force of the quietest quarter of the samples;
-- *axis*: of the angles about level axes (rates below 5 Hz, integrated, without what is slower than 0.15 Hz) the
-  direction with the most variance. Of angles, not of rates: rolling onto an edge is fast, but small;
-- *sign*: a foot stands for most of the cycle and then travels fast, so its speed is skewed towards forward;
-- *rises*: between turning points of the pitch that are at least 3° apart. A rise of ``SURE`` of the typical one (median
-  of the greater two thirds) is a swing; one of ``POSSIBLE`` may be one (a step on the spot, a pivot): it excuses a
-  swing phase, but nobody has to find it. *Mid-swing* is where half of the rise is done.
+"""Phases and strides held against swings found without them: by ``fes/analysis/swings.py``, or by footswitches.
 
 A stride, from mid-swing to mid-swing, is in order when exactly T3, T4, T1, T2 fire in it, so that both mid-swings lie
-in a swing phase. A swing phase without a mid-swing is false. The count agrees with +gyr_y of the treadmill runs (40
-feet), with the footswitches' swings of the healthy, and between left and right of the walks on the floor.
+in a swing phase. A swing phase without a mid-swing is false. The count of swings agrees with +gyr_y of the treadmill
+runs (40 feet), with the footswitches' swings of the healthy, and between left and right of the walks on the floor.
 """
 
 from __future__ import annotations
@@ -26,47 +13,21 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.signal import butter, sosfiltfilt
 
-from fes.signals import FloatArray, IntArray, StrideResult
+from fes.analysis.swings import Swings
+from fes.signals import IntArray, StrideResult
 from statemachine.phases import Phase, PhaseChange, Transition
 
-GRID_HZ = 100.0
-TURNING_HZ = 5.0  # the foot's pitch has little above (Winter 2009)
-DRIFT_HZ = 0.15  # below the slowest strides, of some 3 s
-APART_RAD = np.radians(3.0)
-SURE, POSSIBLE = 0.4, 0.15
-LEAST_SURE_RAD, LEAST_POSSIBLE_RAD = np.radians(8.0), np.radians(4.0)
 STOPPED = 2.5  # usual strides: a longer one holds a stop
-SPEED_HZ = 0.3  # as DRIFT_HZ, of the speed, which drifts more
-MOST_RADPS = 40.0  # no foot turns faster: a spike
 IN_ORDER = (Transition.T3, Transition.T4, Transition.T1, Transition.T2)
 
 
-@dataclass(frozen=True)
-class Swings:
-    """Mid-swings (ns): ``sure`` those that must be found, ``possible`` those that may be as well.
-
-    ``begin_ns`` and ``end_ns`` are the recording's.
-    """
-
-    sure: IntArray
-    possible: IntArray
-    begin_ns: int
-    end_ns: int
-
-    def whole(self) -> list[int]:
-        """Those that must have a length: the recording begins and ends half a usual stride away at least."""
-        half_ns = 0.5 * float(np.median(np.diff(self.sure))) if len(self.sure) > 1 else 0.0
-        return [at for at in self.sure.tolist() if self.begin_ns + half_ns <= at <= self.end_ns - half_ns]
-
-    def pairs(self) -> list[tuple[int, int]]:
-        """From mid-swing to mid-swing, without stops."""
-        if len(self.sure) < 2:
-            return []
-        most_ns = STOPPED * np.median(np.diff(self.sure))
-        return [(int(a), int(b)) for a, b in pairwise(self.sure) if b - a <= most_ns]
+def pairs(swings: Swings) -> list[tuple[int, int]]:
+    """From mid-swing to mid-swing, without stops."""
+    if len(swings.sure) < 2:
+        return []
+    most_ns = STOPPED * np.median(np.diff(swings.sure))
+    return [(int(a), int(b)) for a, b in pairwise(swings.sure) if b - a <= most_ns]
 
 
 @dataclass
@@ -81,86 +42,11 @@ class Score:
     explained: int = 0
 
 
-def pitch_of(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Times (N,) of an even grid, ns, and the pitch there (rad, toe-up positive; it drifts)."""
-    newer = np.concatenate(([True], t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]))
-    sound = newer & np.isfinite(gyr_radps).all(axis=1) & (np.abs(gyr_radps).max(axis=1) < MOST_RADPS)
-    t_s = 1e-9 * (t_ns[sound] - t_ns[0])
-    grid_s = np.arange(0.0, t_s[-1], 1.0 / GRID_HZ)
-    acc, gyr = (
-        np.column_stack([np.interp(grid_s, t_s, each) for each in values[sound].T]) for values in (acc_mps2, gyr_radps)
-    )
-    slow = sosfiltfilt(butter(2, TURNING_HZ, fs=GRID_HZ, output="sos"), gyr, axis=0)
-    size = np.linalg.norm(slow, axis=1)
-    quiet = size <= np.percentile(size, 25)
-    up = np.median(acc[quiet], axis=0)
-    up /= np.linalg.norm(up)
-    slow -= np.median(slow[quiet], axis=0)
-    level = slow - np.outer(slow @ up, up)
-    angle = cumulative_trapezoid(level, dx=1.0 / GRID_HZ, axis=0, initial=0.0)
-    steady = sosfiltfilt(butter(2, DRIFT_HZ, "highpass", fs=GRID_HZ, output="sos"), angle, axis=0)
-    axis = np.linalg.eigh(np.cov(steady.T))[1][:, -1]
-    turned = steady @ axis
-    pitched = turned - np.median(turned[quiet])
-    force = np.cos(pitched) * (acc @ np.cross(up, axis)) - np.sin(pitched) * (acc @ up)  # level, if toe-up is positive
-    speed = cumulative_trapezoid(force - force.mean(), dx=1.0 / GRID_HZ, initial=0.0)
-    if skewness(sosfiltfilt(butter(2, SPEED_HZ, "highpass", fs=GRID_HZ, output="sos"), speed)) < 0.0:
-        axis = -axis
-    return t_ns[0] + np.round(1e9 * grid_s).astype(np.int64), angle @ axis
-
-
-def skewness(values: FloatArray) -> float:
-    """Third moment of values (N,), those of the utmost percent cut."""
-    cut = np.clip(values, *np.percentile(values, (1.0, 99.0)))
-    return float(np.mean((cut - cut.mean()) ** 3) / cut.std() ** 3)
-
-
-def turning_points(pitch: FloatArray, apart: float) -> list[int]:
-    """Indices of troughs and peaks by turns, first a trough, each at least ``apart`` from the one before."""
-    found: list[int] = []
-    low = high = 0
-    rising: bool | None = None
-    for k, value in enumerate(pitch.tolist()):
-        if rising is not False and value > pitch[high]:
-            high = k
-        if rising is not True and value < pitch[low]:
-            low = k
-        if rising is not False and value < pitch[high] - apart:
-            if rising:
-                found.append(high)
-            rising, low = False, k
-        elif rising is not True and value > pitch[low] + apart:
-            found.append(low)
-            rising, high = True, k
-    return found
-
-
-def find_swings(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Swings:
-    """The swings of one foot, from what its sensor measured (N,), (N, 3), (N, 3)."""
-    times, pitch = pitch_of(t_ns, acc_mps2, gyr_radps)
-    points = turning_points(pitch, APART_RAD)
-    spans = list(zip(points[0::2], points[1::2], strict=False))
-    if not spans:
-        return Swings(np.empty(0, np.int64), np.empty(0, np.int64), int(times[0]), int(times[-1]))
-    rises = np.array([pitch[b] - pitch[a] for a, b in spans])
-    typical = float(np.median(np.sort(rises)[-(-2 * len(rises) // 3) :])) if len(rises) > 2 else float(rises.max())
-    middle = [a + int(np.argmax(pitch[a : b + 1] >= 0.5 * (pitch[a] + pitch[b]))) for a, b in spans]
-    at_ns = times[middle]
-    sure = rises >= max(SURE * typical, LEAST_SURE_RAD)
-    possible = rises >= max(POSSIBLE * typical, LEAST_POSSIBLE_RAD)
-    return Swings(at_ns[sure], at_ns[possible], int(times[0]), int(times[-1]))
-
-
-def fired_between(changes: Sequence[PhaseChange], begin_ns: int, end_ns: int) -> tuple[Transition, ...]:
-    """The transitions from one time to another."""
-    return tuple(change.transition for change in changes if begin_ns <= change.t_ns < end_ns)
-
-
 def fired_by_stride(swings: Swings, changes: Sequence[PhaseChange]) -> list[tuple[Transition, ...]]:
     """The transitions of every stride of the judge's."""
     times = np.array([change.t_ns for change in changes], np.int64)
     found = []
-    for begin, end in swings.pairs():
+    for begin, end in pairs(swings):
         first, last = np.searchsorted(times, (begin, end))
         found.append(tuple(change.transition for change in changes[first:last]))
     return found
@@ -169,7 +55,7 @@ def fired_by_stride(swings: Swings, changes: Sequence[PhaseChange]) -> list[tupl
 def in_order(swings: Swings, changes: Sequence[PhaseChange]) -> list[bool]:
     """Of every stride whether its phases came in order; a possible swing inside may have a cycle of its own."""
     found = []
-    for (begin, end), fired in zip(swings.pairs(), fired_by_stride(swings, changes), strict=True):
+    for (begin, end), fired in zip(pairs(swings), fired_by_stride(swings, changes), strict=True):
         inside = int(np.count_nonzero((swings.possible > begin) & (swings.possible < end)))
         found.append(any(fired == n * IN_ORDER for n in range(1, inside + 2)))
     return found
@@ -188,7 +74,7 @@ def score(swings: Swings, changes: Sequence[PhaseChange], strides: Sequence[Stri
     result = Score(len(ordered), sum(ordered), len(swings.whole()))
     for begin, end in swing_phases(changes):
         result.false_swings += not ((swings.possible >= begin) & (swings.possible <= end)).any()
-    for at in swings.whole():
+    for at in swings.whole().tolist():
         around = [stride for stride in strides if stride.t_start_ns <= at <= stride.t_end_ns]
         if any(stride.valid and np.isfinite(stride.stride_length_m) for stride in around):
             result.answered += 1

@@ -193,6 +193,12 @@ def _without_late_block(raw: RawTrack) -> tuple[RawTrack, int]:
     if end == raw.stamps_ns.size:
         return raw, 0
     kept = late_block(raw.t_sensor_ns)
-    arrival = None if raw.t_arrival_ns is None else raw.t_arrival_ns[:kept]
-    parts = {"t_sensor_ns": raw.t_sensor_ns[:kept], "acc": raw.acc[:kept], "gyr": raw.gyr[:kept]}
-    return replace(raw, **parts, t_arrival_ns=arrival, stamps_ns=raw.stamps_ns[:end]), raw.t_sensor_ns.size - kept
+    arrival_ns = None if raw.t_arrival_ns is None else raw.t_arrival_ns[:kept]
+    return replace(
+        raw,
+        t_sensor_ns=raw.t_sensor_ns[:kept],
+        t_arrival_ns=arrival_ns,
+        acc=raw.acc[:kept],
+        gyr=raw.gyr[:kept],
+        stamps_ns=raw.stamps_ns[:end],
+    ), raw.t_sensor_ns.size - kept

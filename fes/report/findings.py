@@ -14,6 +14,7 @@ from fes.report.text import count_of, number, readable
 Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
 SILENCE_MS = 100.0
+FEW_UNEXPLAINED = 0.05  # of the swings: pivots and small steps
 FIRST = 6  # sentences on the first page; the rest stand further down
 _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
     "alert": "Look before using the numbers",
@@ -101,12 +102,20 @@ def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
 
 
 def _strides(summary: SessionSummary) -> Iterator[Finding]:
-    total = len(summary.strides)
-    if not total:
+    missed_swings = sum(foot.unexplained for foot in summary.feet.values())
+    total = len(summary.strides) + missed_swings
+    for foot in summary.feet.values():
+        if foot.unexplained:
+            where = f"between {foot.unexplained_from_s:.1f} and {foot.unexplained_to_s:.1f} s"
+            counts = f"{count_of(foot.swings, 'swing')}, {count_of(foot.strides, 'stride')}"
+            few = foot.unexplained <= FEW_UNEXPLAINED * foot.swings
+            text = f"{readable(foot.foot).capitalize()}: {counts}; {foot.unexplained} unexplained {where}."
+            yield Finding("info" if few else "warning", text)
+    if not summary.strides:
         yield Finding("warning", "No stride was found: the foot did not walk, or the sensor did not see it.")
         return
-    four = sum(row.four_phases for row in summary.strides)
-    text = f"{four} of {count_of(total, 'stride')} passed all four phases in order ({100 * four / total:.1f} %)"
+    four, of = sum(row.four_phases for row in summary.strides), "swing" if missed_swings else "stride"
+    text = f"{four} of {count_of(total, of)} passed all four phases in order ({100 * four / total:.1f} %)"
     missed = sum(foot.without_loading_response for foot in summary.feet.values())
     put_back = sum(foot.heel_lifts_put_back for foot in summary.feet.values())
     text += f"; {missed} without a loading response (T6)" if missed else ""
@@ -190,13 +199,13 @@ def flag_findings(flags: Mapping[tuple[str, int], Sequence[Flag]], sensors: Mapp
 
 def _cards(s: SessionSummary) -> list[dict[str, str]]:
     """The key figures of the session: a word from the glossary, a name, a value with its unit, a small line below."""
-    total = len(s.strides)
+    total, swings = len(s.strides), len(s.strides) + sum(foot.unexplained for foot in s.feet.values())
     four, valid = sum(row.four_phases for row in s.strides), sum(row.valid for row in s.strides)
     ratio = f"belt {s.belt_speed_mps:.2f}, ratio {number(s.speed_over_belt, 3)}"
     belt = ratio if s.belt_speed_mps > 0 else "no belt known"
     cards = [
         ("stride", "Strides", f"{total}", f"{valid} valid"),
-        ("four phases", "All four phases", f"{100 * four / total:.0f} %" if total else "–", f"{four} of {total}"),
+        ("four phases", "All four phases", f"{100 * four / swings:.0f} %" if swings else "–", f"{four} of {swings}"),
         ("walking speed", "Walking speed", f"{number(s.walking_speed_mps, 2)} m/s", belt),
     ]
     feet = [foot for foot in s.feet.values() if foot.valid]

@@ -4,11 +4,12 @@ Means and spreads over the strides of a foot and the bursts of a channel.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from fes.analysis.swings import find_swings
 from fes.config import Session
 from fes.report import quality, stimulation
 from fes.report.strides import StrideRow, stride_rows
@@ -25,7 +26,11 @@ FURTHEST_NS = 2**62  # 146 years: differences stay within 64 bits
 
 @dataclass(frozen=True)
 class FootSummary:
-    """One foot's session. Averages are over valid strides; stances over 3 s are standing and left out."""
+    """One foot's session. Averages are over valid strides; stances over 3 s are standing and left out.
+
+    ``swings`` are those that the raw signals show (:mod:`fes.analysis.swings`), 0 where the foot has no sensor of its
+    own; ``unexplained`` those of them in no stride, ``unexplained_from_s`` … ``unexplained_to_s`` where they lie.
+    """
 
     foot: str
     strides: int
@@ -43,6 +48,10 @@ class FootSummary:
     swing_s: Spread
     loading_response_s: Spread
     stance_s: Spread
+    swings: int = 0
+    unexplained: int = 0
+    unexplained_from_s: float = NAN
+    unexplained_to_s: float = NAN
 
 
 @dataclass(frozen=True)
@@ -88,8 +97,9 @@ def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
     valid = [row for row in rows if row.valid]
     stride_time = spread(row.duration_s for row in valid)
     names = ("stride_length_m", "clearance_cm", "toe_clearance_cm", "pre_swing_s", "swing_s", "loading_response_s")
+    spreads: dict[str, Any] = {name: spread(getattr(row, name) for row in valid) for name in names}
     return FootSummary(
-        **{name: spread(getattr(row, name) for row in valid) for name in names},
+        **spreads,
         foot=foot,
         strides=len(rows),
         valid=len(valid),
@@ -100,6 +110,24 @@ def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
         walking_speed_mps=steady_speed_mps(valid),
         cadence_steps_per_min=120.0 / stride_time.mean if stride_time.n else NAN,
         stance_s=spread(row.stance_s for row in valid if not row.stance_is_standing),
+    )
+
+
+def with_swings(summary: FootSummary, record: WalkRecord, origin_ns: int) -> FootSummary:
+    """The summary with the swings that the foot's own sensor shows, from the first phase change on."""
+    samples = record.samples.get(summary.foot)
+    begin_ns = min((change.t_ns for change in record.phases if change.foot == summary.foot), default=origin_ns)
+    if samples is None or summary.foot not in FOOT_SENSORS:
+        return summary
+    if record.header.get("kind") == "analysis":  # else nobody looked for strides before
+        begin_ns = origin_ns
+    found = find_swings(quality.sample_times(samples), samples.acc_mps2, samples.gyr_radps)
+    found = replace(found, begin_ns=max(found.begin_ns, begin_ns))
+    spans = [(stride.t_start_ns, stride.t_end_ns) for stride in record.strides if stride.foot == summary.foot]
+    outside_s = (found.outside(spans) - origin_ns) / NS_PER_S
+    first, last = (float(outside_s[0]), float(outside_s[-1])) if len(outside_s) else (NAN, NAN)
+    return replace(
+        summary, swings=len(found.whole()), unexplained=len(outside_s), unexplained_from_s=first, unexplained_to_s=last
     )
 
 
@@ -217,6 +245,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
     refused = [command for command in record.commands if command.refused]
     rows = stride_rows(record.strides, timelines, infos, bursts, refused, origin_ns)
     feet = {foot: foot_summary(foot, [row for row in rows if row.foot == foot]) for foot in timelines}
+    feet = {foot: with_swings(own, record, origin_ns) for foot, own in feet.items()}
     speeds = [foot.walking_speed_mps for foot in feet.values() if np.isfinite(foot.walking_speed_mps)]
     speed = float(np.mean(speeds)) if speeds else NAN
     header = record.header

@@ -338,7 +338,7 @@ def test_footswitch_treadmill(tmp_path):
     assert (recording.subject, len(track.t_ns)) == ("P01", N - 1)
     assert np.abs(np.delete(t_s - 3.0, 150) - 1e-9 * track.t_sensor_ns).max() < 1e-6, "times of arrival, as they are"
     events = read_references(companion_references(Path(made["recording"]))).events
-    known = [(e.event, e.t_s) for e in events]
+    known = [(event.what, event.t_s) for event in events]
     assert known == [("FO", pytest.approx(t_s[200] - 3.0)), ("IC", pytest.approx(t_s[300] - 3.0))]
     phases = (tmp_path / "out" / "footswitch_treadmill_P01_2.phases.csv").read_text().splitlines()
     assert phases[0] == "foot,t_start_s,t_end_s,phase,judged"
