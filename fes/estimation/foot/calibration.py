@@ -47,7 +47,7 @@ FEW_STRIDES, FEW_SCORE = 4, 0.85  # so few strides must agree better
 LEAST_LIVELY_MPS2 = 0.01  # mean departure from gravity in strides: a slow foot's is 0.5, a sensor's noise is more
 START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most rotation, with both signs
 PASSES = 3
-UNREST_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
+QUIET_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
 TRAVEL_SD_RAD, AXIS_SD_RAD = 0.21, 0.087  # of the direction of travel (toe-out) and of the fall vectors' median
 REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
@@ -235,7 +235,7 @@ def _find_walk(
         confidence = float((way[far] @ cross(_vector(walk.axis), _vector(up))).sum() / _sizes(way[far]).sum())
         quiet = max(_median_at(unrest, walk.spans[:, 0]), 1e-9) / max(least, 1e-9)
         kept = _Walk(walk.axis, walk.cone_rad, walk.push_offs[far], walk.mids[far], walk.spans[far])
-        found.append((confidence - UNREST_WEIGHT * float(np.log2(quiet)), confidence, kept, way[far]))
+        found.append((confidence - QUIET_WEIGHT * float(np.log2(quiet)), confidence, kept, way[far]))
     if most < MIN_STRIDES:
         raise CalibrationError(
             f"{sensor}: {most} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
