@@ -248,7 +248,7 @@ def test_thresholds_change_what_a_recording_shows(tmp_path: Path) -> None:
     tried = [
         Point(),
         Point((("thresholds.heel_rise_share", Factor(1.0)),)),
-        Point((("thresholds.push_off_share", 50.0),)),
+        Point((("thresholds.push_off_share", 50.0), ("thresholds.toe_up_share", 50.0))),
     ]
     tried.append(Point((("stimulation.strides_before_start", 0),)))
     tried.append(Point((("stimulation.strides_before_start", 20),)))
@@ -258,7 +258,8 @@ def test_thresholds_change_what_a_recording_shows(tmp_path: Path) -> None:
     plain, same, never, soon, late = (by[point.text()] for point in tried)
     figures = [name for name in plain if name not in ("result", "combination", "settings")]
     assert [plain[name] for name in figures] == [same[name] for name in figures]
-    assert plain["missed"] < 5 < never["missed"], "nobody pushes off like that"
+    assert plain["valid_strides"] > 25
+    assert never["strides"] == 0, "nobody pushes off like that, nor pulls the toe up"
     for name in ("strides", "missed", "extra", "off", "error_ms"):
         assert soon[name] == plain[name], "sample by sample gives what the whole block gives"
     assert soon["bursts"] > late["bursts"]

@@ -357,6 +357,25 @@ def test_a_long_silence_begins_anew(foot: str) -> None:
 
 
 @pytest.mark.parametrize("foot", FEET)
+@pytest.mark.parametrize("into_s", [round(0.06 * k, 2) for k in range(19)])
+def test_begun_at_any_instant_of_the_gait_the_phases_are_soon_the_walks(foot: str, into_s: float) -> None:
+    """As after a silence: swing must not be taken for stance for good."""
+    samples, calibration = walk(foot)
+
+    def contacts_s(part: Samples) -> FloatArray:
+        seen = changes(fed(tracker_of(calibration), part))
+        return 1e-9 * np.array([c.t_ns for c in seen if c.transition is Transition.T3])
+
+    begin_s, end_s = 20.0 + into_s, 32.0
+    found = contacts_s(samples[samples.at_s(begin_s) : samples.at_s(end_s)])
+    true = contacts_s(samples[: samples.at_s(end_s)])
+    true, found = true[true > begin_s + 3.0], found[found > begin_s + 3.0]
+    assert len(true) > 5
+    assert len(found) == len(true)
+    assert np.abs(found - true).max() < 0.08
+
+
+@pytest.mark.parametrize("foot", FEET)
 def test_a_shorter_gap_spoils_its_stride_only(foot: str) -> None:
     samples, calibration = walk(foot)
     at_s = in_swing_s(foot)

@@ -48,8 +48,9 @@ FEW_STRIDES, FEW_SCORE = 4, 0.85  # so few strides must agree better
 LEAST_LIVELY_MPS2 = 0.01  # mean departure from gravity in strides: a slow foot's is 0.5, a sensor's noise is more
 START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most rotation, with both signs
 PASSES = 3
+RESTLESS_PERCENT = 75.0
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
-UNREST_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
+QUIET_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
 TRAVEL_SD_RAD, AXIS_SD_RAD = 0.21, 0.087  # of the direction of travel (toe-out) and of the fall vectors' median
 REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
@@ -182,6 +183,7 @@ def calibrate_foot(
     quiet = quiet[energy[quiet] < REST_RADPS**2]
     if 2 * len(quiet) > len(walk.spans):
         more = _bias_by_closure(t_ns, acc, gyr, walk.spans)
+        more -= (more @ up) * up  # gravity does not show that part
         if not standing or np.linalg.norm(more) > AGREE_RADPS:
             rate_bias, gyr, standing = rate_bias + more, without(gyr, more), False
     moved = follow(t_ns, acc, gyr, walk.spans)
@@ -224,7 +226,7 @@ def _find_walk(
     gaps = np.cumsum(np.append(0, np.diff(t_ns) > NS_PER_S * max(LONGEST_GAP_S, 3.5 / rate_hz)))
     walks = _walks(rate_hz, smooth, unrest, gaps, up)
     found: list[tuple[float, float, _Walk, FloatArray]] = []
-    least = min((_median_at(unrest, walk.spans[:, 0]) for walk in walks), default=0.0)
+    least = min((_restless(unrest, walk.spans) for walk in walks), default=0.0)
     most, lively = 0, np.zeros(0)
     for walk in walks:
         moved = follow(t_ns, acc, gyr, walk.spans)
@@ -235,9 +237,9 @@ def _find_walk(
         if far.sum() < MIN_STRIDES:
             continue
         confidence = float((way[far] @ cross(_vector(walk.axis), _vector(up))).sum() / _sizes(way[far]).sum())
-        quiet = max(_median_at(unrest, walk.spans[:, 0]), 1e-9) / max(least, 1e-9)
+        quiet = max(_restless(unrest, walk.spans), 1e-9) / max(least, 1e-9)
         kept = _Walk(walk.axis, walk.cone_rad, walk.push_offs[far], walk.mids[far], walk.spans[far])
-        found.append((confidence - UNREST_WEIGHT * float(np.log2(quiet)), confidence, kept, way[far]))
+        found.append((confidence - QUIET_WEIGHT * float(np.log2(quiet)), confidence, kept, way[far]))
     if most < MIN_STRIDES:
         raise CalibrationError(
             f"{sensor}: {most} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
@@ -313,7 +315,8 @@ def _with_spans(
         if len(one) > 1 and len(two) > 1:
             first = push_off - 1 - int((one * farther[: len(one)]).argmin())
             last = mid + int((two * farther[: len(two)]).argmin())
-            if STRIDE_S[0] * rate_hz <= last - first and gaps[first] == gaps[last]:
+            whole = first > 0 and last < len(unrest) - 1  # not cut off by the recording's end
+            if whole and STRIDE_S[0] * rate_hz <= last - first and gaps[first] == gaps[last]:
                 rows.append((k, first, last))
     kept = np.array(rows, np.int64).reshape(-1, 3)
     return push_offs[kept[:, 0]], mids[kept[:, 0]], kept[:, 1:]
@@ -369,8 +372,9 @@ def _around(of: np.ufunc, values: FloatArray, at: IntArray, around: int) -> Floa
     return np.asarray(of.reduce(values[np.clip(rows, 0, len(values) - 1)], axis=1))
 
 
-def _median_at(values: FloatArray, at: IntArray) -> float:
-    return median(values[at]) if len(at) else np.inf
+def _restless(unrest: FloatArray, spans: IntArray) -> float:
+    """How much unrest there is at the strides' ends, but for the worst of them."""
+    return percentile(unrest[spans.ravel()], RESTLESS_PERCENT) if len(spans) else np.inf
 
 
 def _typical(values: FloatArray) -> float:
