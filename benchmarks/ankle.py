@@ -66,8 +66,8 @@ def stamps(samples: int, rate_hz: float) -> IntArray:
 def calibrate(sensor: str, rate_hz: float, acc: FloatArray, gyr: FloatArray) -> ShankCalibration:
     """From the first minute."""
     t_ns = stamps(len(acc), rate_hz)
-    n = stretch_for_calibration(t_ns)
-    return calibrate_shank(sensor, rate_hz, t_ns[:n], acc[:n], gyr[:n])
+    rows = stretch_for_calibration(t_ns, gyr)
+    return calibrate_shank(sensor, rate_hz, t_ns[rows], acc[rows], gyr[rows])
 
 
 def shank_strides(

@@ -106,12 +106,12 @@ def evaluate_side(run: str, foot: Track, shank: Track, belt_mps: float) -> SideR
 
 def signs_of(track: Track) -> FloatArray | None:
     """The four signs of one foot, from its first minute."""
-    n = stretch_for_calibration(track.t_sensor_ns)
+    rows = stretch_for_calibration(track.t_sensor_ns, track.gyr_radps)
     try:
         calibration = calibrate_track(track)
     except CalibrationError:
         return None
-    return side_signs(track.t_sensor_ns[:n], track.acc_mps2[:n], track.gyr_radps[:n], calibration)
+    return side_signs(track.t_sensor_ns[rows], track.acc_mps2[rows], track.gyr_radps[rows], calibration)
 
 
 def two_feet(data: Path) -> list[tuple[str, str, dict[str, Track]]]:

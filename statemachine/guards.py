@@ -18,7 +18,8 @@ class Features(NamedTuple):
 
     ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive. ``toe_down_peak_radps`` is the
     greatest toe-down rate since pre-swing began and ``toe_up_peak_radps`` the greatest toe-up rate since swing began
-    (both not negative). ``turned_rad`` is how far the foot has turned toe-down since it last turned back.
+    (both not negative). ``turned_rad`` is how far the foot has turned toe-down since it last turned back,
+    ``pitch_rad`` how far since it last lay flat, toe-up positive.
     ``contact_jerk_mps3`` is the change of the vertical acceleration over the last 10 ms, or half that of the whole
     force where that is more, per second. ``since_contact_s`` counts from the last entry into loading response.
     ``resting_s`` is how long the foot has hardly turned; ``travelling``: its dead-reckoned speed says that it moves all
@@ -26,10 +27,10 @@ class Features(NamedTuple):
     """
 
     toe_down_radps: float
-    toe_down_change_radps2: float
     toe_down_peak_radps: float
     toe_up_peak_radps: float
     turned_rad: float
+    pitch_rad: float
     contact_jerk_mps3: float
     in_phase_s: float
     since_contact_s: float
@@ -65,8 +66,9 @@ class Thresholds(NamedTuple):
     jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
     soft_contact: float = 0.1  # T3: after so long at rest, of the stride, it has landed without a jolt
     shortest_loading: float = 0.03  # T4: of the stride after contact; the foot is not flat before
-    flat: float = 0.008  # T4: at rest for this share of the stride …
-    longest_loading: float = 0.1  # … or, without rest, this share of the stride after contact, …
+    flat_rad: float = 0.07  # T4: the pitch is within 4° of flat, or …
+    flat: float = 0.027  # … at rest for this share of the stride, or …
+    longest_loading: float = 0.15  # … at the latest this share of the stride after contact, …
     longest_loading_stride_s: float = 1.3  # … which does not lengthen with slower strides than this
     put_back: float = 0.13  # T5, T6: at rest for this share of the stride
 
@@ -124,7 +126,8 @@ def t4(x: Features, p: Thresholds) -> bool:
     The paper waits for rest of both sensors, which a brisk walker's foot never comes to.
     """
     return x.since_contact_s > p.shortest_loading * p.stride_s and (
-        x.resting_s > p.flat * p.stride_s
+        abs(x.pitch_rad) < p.flat_rad
+        or x.resting_s > p.flat * p.stride_s
         or x.since_contact_s > p.longest_loading * min(p.stride_s, p.longest_loading_stride_s)
     )
 

@@ -56,7 +56,7 @@ def test_another_detector_gives_another_path_and_nearly_the_same_lengths(usual: 
     assert all(apart_m(other, usual, foot) > 0.1 for foot in FEET)  # headings drift otherwise
     differences = lengths(other) - lengths(usual)
     assert differences.any()
-    assert np.abs(differences).max() < 0.05
+    assert np.abs(differences).max() < 0.07
     assert [change.t_ns for change in other.phases] == [change.t_ns for change in usual.phases]
 
 

@@ -95,7 +95,7 @@ def test_stamps_too_far_apart_to_subtract_are_a_silence(first_ns: int, then_ns: 
 
 
 def test_a_core_holds_its_parts_under_their_own_names() -> None:
-    parameters = FootParameters(*map(float, range(10)), jerk_lag=2, change_lag=4)
+    parameters = FootParameters(*map(float, range(10)), jerk_lag=2)
     thresholds = Thresholds(swing_at_reversal=True, push_off_radps=5.0)
     kind = core_type(STATE, parameters=FootParameters, thresholds=Thresholds)
     core = new_core(kind, parameters=parameters, thresholds=thresholds)

@@ -41,7 +41,7 @@ NetworkGuard: TypeAlias = Callable[[Features, Thresholds], bool]
 GUARDS: dict[Transition, NetworkGuard] = {row.transition: row.guard for row in TABLE}
 
 # one set of features per guard under which it is true
-NOTHING = Features(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, travelling=False)
+NOTHING = Features(*[0.0] * 9, travelling=False)._replace(pitch_rad=1.0)
 RATE, WEAK_RATE = P.push_off_radps, 0.5 * P.fall_radps
 STRIDE_S, SLOW_S = P.stride_s, 1.3 * max(P.longest_swing_stride_s, P.longest_loading_stride_s)
 SLOW_TO_LOAD_S = 1.3 * P.longest_loading_stride_s
@@ -94,8 +94,6 @@ DRAGGED = {"toe_down_peak_radps": 0.0}
 SHUFFLED = {"toe_down_peak_radps": 0.0, "toe_down_radps": 0.01}  # hardly a fall
 SLOW = {"stride_s": SLOW_S}
 SILENT = {"contact_jerk_mps3": 0.0}
-STRUCK = {**SILENT, "toe_down_change_radps2": above(P.struck_per_s * RATE)}
-WEAK_STRUCK = {**SILENT, "push_off_radps": 2.0, "toe_down_change_radps2": above(P.struck_per_s * WEAK_RATE)}
 SOFT_S, REST_S, FLAT_S = P.soft_contact * STRIDE_S, P.put_back * STRIDE_S, P.flat * STRIDE_S
 LONG = {"resting_s": 0.0, "stride_s": SLOW_TO_LOAD_S}
 LOADED_S = P.longest_loading * P.longest_loading_stride_s
@@ -161,15 +159,6 @@ CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
      {**SHUFFLED, "push_off_radps": 2.0, "toe_up_peak_radps": below(WEAK_TOE_UP)}, False),
     (Transition.T3, "still in mid-swing", {"toe_down_radps": -P.rising_share * UP_RADPS}, False),
     (Transition.T3, "mid-swing is just over", {"toe_down_radps": above(-P.rising_share * UP_RADPS)}, True),
-    (Transition.T3, "struck", {**STRUCK, "toe_down_radps": above(P.struck_share * RATE)}, True),
-    (Transition.T3, "struck, but hardly turning", {**STRUCK, "toe_down_radps": P.struck_share * RATE}, False),
-    (Transition.T3, "turning, but not struck",
-     {**SILENT, "toe_down_change_radps2": P.struck_per_s * RATE, "toe_down_radps": above(P.struck_share * RATE)},
-     False),
-    (Transition.T3, "of a weak push-off, struck",
-     {**WEAK_STRUCK, "toe_down_radps": above(P.struck_share * WEAK_RATE)}, True),
-    (Transition.T3, "of a weak push-off, struck, but hardly turning",
-     {**WEAK_STRUCK, "toe_down_radps": P.struck_share * WEAK_RATE}, False),
     (Transition.T3, "landed", {**SILENT, "toe_down_radps": above(P.landed_share * RATE)}, True),
     (Transition.T3, "not yet landed", {**SILENT, "toe_down_radps": P.landed_share * RATE}, False),
     (Transition.T3, "a soft contact", {**SILENT, "resting_s": above(SOFT_S)}, True),
@@ -382,13 +371,13 @@ def _grid() -> list[tuple[Any, ...]]:
     rows: list[tuple[Any, ...]] = []
     for peak in (below(LEAST_PEAK), LEAST_PEAK, RATE):
         for up in (below(TOE_UP), TOE_UP, UP_RADPS):
-            rates = (P.heel_rise_share * RATE, below(-TOE_UP), P.struck_share * RATE, P.landed_share * RATE)
+            rates = (P.heel_rise_share * RATE, below(-TOE_UP), P.landed_share * RATE)
             rows += itertools.product(
                 beside(*rates, (1.0 - P.push_off_drop) * peak, below(0.0), -P.rising_share * up),
-                beside(P.struck_per_s * RATE),
                 (peak,),
                 (up,),
                 beside(P.heel_rise_rad),
+                beside(below(-P.flat_rad), below(P.flat_rad)),
                 beside(JERK_MPS3),
                 beside(below(P.shortest_swing * STRIDE_S)),
                 beside(*(s * STRIDE_S for s in (P.shortest_loading, P.longest_loading, P.heel_rise_after))),
@@ -416,7 +405,7 @@ def test_compiled_guards_are_the_table_on_an_exhaustive_grid() -> None:
     fired = np.empty((len(values), 4), np.int64)
     _fired(values, P, fired)
     expected = np.array([[by_the_table(phase, x, P) for phase in Phase] for x in itertools.starmap(Features, GRID)])
-    assert len(GRID) > 100_000
+    assert len(GRID) > 50_000
     assert np.array_equal(fired, expected)
     for phase in Phase:  # the grid reaches every row
         assert set(fired[:, phase]) == {0} | {t.value for (source, t) in SIX if source is phase}
@@ -453,7 +442,6 @@ def test_every_threshold_is_described_with_its_unit() -> None:
         quantity = name.endswith(("_radps", "_rad", "_s", "_mps3"))
         assert (diagram.unit(name) != "–") is quantity, name
         assert quantity or isinstance(value, bool) or 0.0 < value < 1.0
-    assert diagram.unit("struck_per_s") == "1/s"
 
 
 def test_check_and_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -48,7 +48,8 @@ FEW_STRIDES, FEW_SCORE = 4, 0.85  # so few strides must agree better
 LEAST_LIVELY_MPS2 = 0.01  # mean departure from gravity in strides: a slow foot's is 0.5, a sensor's noise is more
 START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most rotation, with both signs
 PASSES = 3
-RESTLESS_PERCENT = 75.0
+RESTLESS_PERCENT = 85.0
+MOST_RESTLESS, LEAST_UNREST = 30.0, 0.1  # times the typical end's unrest, or this: a stride that ends so is cut
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
 QUIET_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
 TRAVEL_SD_RAD, AXIS_SD_RAD = 0.21, 0.087  # of the direction of travel (toe-out) and of the fall vectors' median
@@ -56,7 +57,7 @@ REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
 CLOSURE_SD_RAD = 0.02
 AGREE_RADPS = 0.026  # a standing second's bias and the closure's
-LYING_MPS2, LYING_SHARE = 2.0, 0.2  # at rest so much of the time may be so far off gravity; of sound sensors 5 %
+LYING_MPS2, LYING_SHARE = 2.0, 0.15  # at rest so much of the time may be so far off gravity; of sound sensors 5 %
 ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
 SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
 HUBER = 2.5
@@ -97,7 +98,7 @@ class FootCalibration:
     def parameters(self) -> FootParameters:
         """For the compiled core."""
         return FootParameters(
-            *self.toe_down, *self.acc_bias_mps2, *self.gyr_bias_radps, 1.0 / self.rate_hz, *lags_at(self.rate_hz)
+            *self.toe_down, *self.acc_bias_mps2, *self.gyr_bias_radps, 1.0 / self.rate_hz, lags_at(self.rate_hz)[0]
         )
 
     def thresholds(self, *, swing_at_reversal: bool = False) -> Thresholds:
@@ -175,7 +176,8 @@ def calibrate_foot(
             f"{sensor}: at its quietest the accelerometer reads {rest_norm:.2f} m/s² instead of about 9.81. "
             "Check acc_unit, and that the foot rests at times."
         )
-    _refuse_lying(sensor, (moving_mean(_sizes(acc_mps2), window) - rest_norm)[energy < REST_RADPS**2])
+    if energy.max() > MOVING_RADPS**2:
+        _refuse_lying(sensor, (moving_mean(_sizes(acc_mps2), window) - rest_norm)[energy < REST_RADPS**2])
     up = rest_force / np.linalg.norm(rest_force)
     acc = without(acc_mps2, up * (rest_norm - G_MPS2))
     walk, travel, confidence = _find_walk(sensor, rate_hz, t_ns, acc, gyr, unrest, up)
@@ -231,7 +233,8 @@ def _find_walk(
     for walk in walks:
         moved = follow(t_ns, acc, gyr, walk.spans)
         way = _turned_back(moved["way"], moved["turn"], up)
-        far = _sizes(way) > MIN_TRAVEL_M
+        ends = unrest[walk.spans].max(axis=1)
+        far = (_sizes(way) > MIN_TRAVEL_M) & (ends <= MOST_RESTLESS * max(median(ends), LEAST_UNREST))
         if far.sum() > most:
             most, lively = int(far.sum()), moved["lively"][far] / (1 + walk.spans[far, 1] - walk.spans[far, 0])
         if far.sum() < MIN_STRIDES:

@@ -65,7 +65,6 @@ class FootParameters(NamedTuple):
     gyr_bias_z_radps: float
     sample_s: float  # nominal
     jerk_lag: int  # 10 ms: change of the vertical acceleration
-    change_lag: int  # 20 ms: derivative of the toe-down rate
 
 
 CORE = core_type(STATE, parameters=FootParameters, thresholds=Thresholds, settings=OrientationSettings)

@@ -83,7 +83,7 @@ class ShankCalibration:
             *self.acc_bias_mps2,
             *self.gyr_bias_radps,
             1.0 / self.rate_hz,
-            *lags_at(self.rate_hz),
+            lags_at(self.rate_hz)[0],
         )
 
     def forward(self) -> FloatArray:

@@ -63,7 +63,6 @@ class ShankParameters(NamedTuple):
     gyr_bias_z_radps: float
     sample_s: float  # nominal
     jerk_lag: int  # 10 ms
-    change_lag: int  # 20 ms
 
 
 CORE = core_type(STATE, parameters=ShankParameters, thresholds=Thresholds)

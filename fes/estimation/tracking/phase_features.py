@@ -13,7 +13,7 @@ from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import Record
 from statemachine.guards import Features
 
-LAGS = 64  # longest look-back in samples: 20 ms at over 2 kHz
+LAGS = 64  # longest look-back in samples: 10 ms at over 5 kHz
 LONG_AGO_NS = 3_600_000_000_000
 FOLLOW = 0.125  # of what a stride shows
 LEAST, MOST = 0.6, 1.6  # of the calibrated measure
@@ -30,11 +30,11 @@ FIELDS: list[Any] = [
     ("phase_since_ns", np.int64),
     ("contact_ns", np.int64),
     ("turning_ns", np.int64),  # last sample at which the foot turned
-    ("toe_down", np.float64, LAGS),  # ring of the last samples
+    ("toe_down", np.float64),
     ("toe_down_peak", np.float64),
     ("toe_up_peak", np.float64),
     ("turned_rad", np.float64),
-    ("toe_down_change", np.float64),
+    ("pitch_rad", np.float64),
     ("contact_jerk", np.float64),
     ("greatest_jerk", np.float64),  # around the last contact
     ("acceleration", np.float64, 3),  # in the world, free of gravity, of the last sample
@@ -59,7 +59,7 @@ def start_phases(core: Record, t_ns: int) -> None:
     state.phase = 0
     state.phase_since_ns = t_ns
     state.contact_ns = state.turning_ns = t_ns - LONG_AGO_NS
-    state.toe_down_peak = state.toe_up_peak = state.turned_rad = state.toe_down_change = 0.0
+    state.toe_down_peak = state.toe_up_peak = state.turned_rad = state.pitch_rad = 0.0
     state.contact_jerk = state.greatest_jerk = state.speed = state.peak_speed = 0.0
     for j in range(3):
         state.velocity[j] = state.acceleration[j] = 0.0
@@ -70,11 +70,11 @@ def features(state: Record) -> Features:
     """What the guards saw at the newest sample."""
     resting_s = 1e-9 * (state.t_ns - state.turning_ns)
     return Features(
-        state.toe_down[state.samples % LAGS],
-        state.toe_down_change,
+        state.toe_down,
         state.toe_down_peak,
         state.toe_up_peak,
         state.turned_rad,
+        state.pitch_rad,
         state.contact_jerk,
         1e-9 * (state.t_ns - state.phase_since_ns),
         1e-9 * (state.t_ns - state.contact_ns),
@@ -96,18 +96,17 @@ def observe(core: Record, toe_down: float, rate_radps: float, contact_jerk: floa
     ``core.state.samples`` already counts it; ``dt_s`` is the time since the one before.
     """
     state, thresholds = core.state, core.thresholds
-    now = state.samples % LAGS
     state.turned_rad = max(state.turned_rad + toe_down * dt_s, 0.0) if toe_down > 0.0 else 0.0
-    state.toe_down[now] = toe_down
+    state.toe_down = toe_down
     state.toe_down_peak = max(state.toe_down_peak, toe_down)
     state.toe_up_peak = max(state.toe_up_peak, -toe_down)
     state.contact_jerk = contact_jerk
     state.greatest_jerk = max(state.greatest_jerk, contact_jerk)
     if rate_radps >= thresholds.rest_share * max(thresholds.push_off_radps, 0.5 * thresholds.fall_radps):
         state.turning_ns = state.t_ns
-    back = min(state.samples - 1, core.parameters.change_lag)
-    then = state.toe_down[(state.samples - back) % LAGS]
-    state.toe_down_change = (toe_down - then) * per_second(back, core.parameters.sample_s)
+    state.pitch_rad -= toe_down * dt_s
+    if state.phase == 0 and state.t_ns - state.turning_ns > 1e9 * thresholds.flat * thresholds.stride_s:
+        state.pitch_rad = 0.0
 
 
 @jit_ieee
@@ -132,7 +131,7 @@ def enter_phase(core: Record, phase: int) -> None:
     state, thresholds = core.state, core.thresholds
     known = state.calibrated
     if phase == 1:
-        state.toe_down_peak = max(state.toe_down[state.samples % LAGS], 0.0)
+        state.toe_down_peak = max(state.toe_down, 0.0)
     elif phase == 2:
         state.toe_up_peak = 0.0
         state.greatest_jerk = 0.0
