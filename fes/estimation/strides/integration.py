@@ -280,10 +280,37 @@ DRIFT_SPEED_MPS = {"maximum_likelihood": 0.002, "constrained": 0.005}
 _DRIFT_SPEED_MPS, _DRIFT_SPEED_CONSTRAINED_MPS = DRIFT_SPEED_MPS["maximum_likelihood"], DRIFT_SPEED_MPS["constrained"]
 END_TILT_GAIN = 0.15
 MOST_TILT_RAD = math.radians(30)
+MOST_PUSHED_MPS2 = 3.5  # from rest to rest: neither bias nor tilt explains a greater mean of the level specific force
 MOST_GUESSED_RAD = 0.2  # a tilt that is measured no better is a guess
 LONGEST_STRIDE_M = 3.0
+LENGTH_SHARE = 0.013  # of a stride's length, one SD: with it errors against markers scatter as stated
 SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST = range(5)  # what came of it
-TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, NUMBERS = range(7)  # where the numbers are
+TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, LENGTH_SD, NUMBERS = range(8)  # where the numbers are
+
+
+@inlined
+def _speed_gained(t_ns: Vec, acc: Mat, quaternion: Mat) -> float:
+    """By how much the horizontal velocity differs between the ends, as measured (m/s): little from rest to rest."""
+    vx = vy = ax0 = ay0 = 0.0
+    for i in range(t_ns.shape[0]):
+        w, x, y, z = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
+        ax, ay, _ = to_world(w, x, y, z, acc[i, 0], acc[i, 1], acc[i, 2])
+        if i > 0:
+            half_s = 0.5e-9 * (t_ns[i] - t_ns[i - 1])
+            vx, vy = vx + half_s * (ax0 + ax), vy + half_s * (ay0 + ay)
+        ax0, ay0 = ax, ay
+    return math.sqrt(vx * vx + vy * vy)
+
+
+@inlined
+def _length_sd(length_m: float, span_s: float, end_variances: float) -> float:
+    """Uncertainty of a stride's length in m, both velocities being known with this sum of variances ((m/s)²).
+
+    What is wrong with them counts for half of the time each. Of white noise of the force the ends leave what is bent, a
+    twelfth of the cube of the time. The rest goes with the length: scale, clipping, a foot that is no rigid body.
+    """
+    noise_m2 = HEIGHT_NOISE.push_mps2_rthz**2 * span_s**3 / 12.0
+    return math.sqrt(0.25 * span_s**2 * end_variances + noise_m2 + (LENGTH_SHARE * length_m) ** 2)
 
 
 @inlined
@@ -340,8 +367,8 @@ def solve_span(
         equal_height: the end is as high as the start.
         quaternion: (n, 4) to be filled.
         position: (n, 3) to be filled, m from the start.
-        numbers: (6,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest height
-            (m), turn (rad), height gained (m).
+        numbers: (NUMBERS,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest height
+            (m), turn (rad), height gained (m), uncertainty of the length (m, one SD).
 
     Returns:
         ``SOLVED``, or why the stride cannot be used.
@@ -373,6 +400,8 @@ def solve_span(
         at_start, _, _ = _tilt(start, forces[0, 0], forces[0, 1], forces[0, 2])
         if at_start < MOST_TILT_RAD:
             tilt = 0.0
+    span_s = 1e-9 * (t[n - 1] - t[0])
+    pushed_mps2 = _speed_gained(t, f, quaternion) / span_s
     drift_speed_mps = _DRIFT_SPEED_CONSTRAINED_MPS if constrained else _DRIFT_SPEED_MPS
     ends = np.empty((2, 3))
     for e in range(2):
@@ -395,10 +424,10 @@ def solve_span(
             for i in range(n):
                 position[i, 2] = vertical[i, 1]
     numbers[TILT], numbers[RESIDUAL_RATE] = tilt, residual_rate
-    if not solved:
+    if not solved or (pushed_mps2 > MOST_PUSHED_MPS2 and tilt <= MOST_TILT_RAD):
         return NO_SOLUTION
     length = math.hypot(position[n - 1, 0], position[n - 1, 1])
-    numbers[LENGTH] = length
+    numbers[LENGTH], numbers[LENGTH_SD] = length, _length_sd(length, span_s, variances[0, 0] + variances[1, 0])
     if tilt > MOST_TILT_RAD:
         return TILTED
     if not length <= LONGEST_STRIDE_M:

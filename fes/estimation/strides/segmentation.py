@@ -24,6 +24,7 @@ from fes.estimation.strides.boundaries import (
 from fes.estimation.strides.integration import (
     HEIGHT_CHANGE,
     LENGTH,
+    LENGTH_SD,
     NO_REST,
     NUMBERS,
     PEAK_HEIGHT,
@@ -272,6 +273,7 @@ def solve_rows(
         return
     if k < out.shapes.shape[0]:
         stride_shape(out.t_ns[at : at + count], quaternion, position, fx, fy, fz, out.shapes[k])
+    row.stride_length_sd_m = numbers[LENGTH_SD]
     row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_clearance_m = row.heel_clearance_m = math.nan
     if settings.known:
