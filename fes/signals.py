@@ -195,10 +195,10 @@ class StrideResult:
     Negård et al. (2005) call this a step; in today's terms it is a stride. Position is in a frame with z up
     against gravity and x along the stride's own direction, origin at the start: ``trajectory_m`` (K, 3) and
     ``pitch_rad`` (K,) (toe-up positive, 0 in the starting stance) at K equally spaced times from
-    ``t_start_ns`` to ``t_end_ns``. ``clearance_m`` is the sensor's greatest height above its start;
-    ``toe_clearance_m`` the least height of the toe in mid-swing and ``heel_clearance_m`` the heel's greatest
-    height, NaN unless the session says where the sensor sits. The ``t_*`` phase entries are None where the
-    stride did not pass that phase. ``valid`` is False, with ``reason``, where the numbers must not be used.
+    ``t_start_ns`` to ``t_end_ns``. ``stride_length_sd_m`` is the length's uncertainty, ``clearance_m`` the
+    sensor's greatest height above its start; ``toe_clearance_m`` the least height of the toe in mid-swing and
+    ``heel_clearance_m`` the heel's greatest height, NaN unless the session says where the sensor sits. The ``t_*``
+    phase entries are None where the stride did not pass that phase. ``valid`` is False, with ``reason``, where the numbers must not be used.
     """
 
     foot: str
@@ -206,6 +206,7 @@ class StrideResult:
     t_start_ns: int
     t_end_ns: int
     stride_length_m: float = math.nan
+    stride_length_sd_m: float = math.nan
     clearance_m: float = math.nan
     height_gained_m: float = math.nan
     turn_rad: float = math.nan

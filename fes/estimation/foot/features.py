@@ -38,6 +38,7 @@ STATE = record_type(
     [
         *FIELDS,
         ("moving_ns", np.int64),  # last sample at which the foot did not stand
+        ("gravity_ns", np.int64),  # last sample at which gravity corrected the orientation
         ("quaternion", np.float64, 4),
         ("bias_radps", np.float64, 3),
         ("covariance", np.float64, (6, 6)),
@@ -88,7 +89,7 @@ def start(core: Record, t_ns: int, fx: float, fy: float, fz: float) -> None:
     quaternion = state.quaternion
     quaternion[0], quaternion[1], quaternion[2], quaternion[3] = from_gravity(fx, fy, fz)
     start_covariance(state.covariance, core.settings)
-    state.moving_ns = t_ns - LONG_AGO_NS
+    state.moving_ns = state.gravity_ns = t_ns - LONG_AGO_NS
 
 
 @jit_ieee
@@ -119,6 +120,7 @@ def advance(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, begin: int, end: int, q
             correct_by_gravity(
                 q, state.bias_radps, state.covariance, state.scratch, fx, fy, fz, dt_s, core.settings
             )  # fmt: skip
+            state.gravity_ns = state.t_ns
         quaternions[i, 0], quaternions[i, 1], quaternions[i, 2], quaternions[i, 3] = q[0], q[1], q[2], q[3]
         transition = first_transition(state.phase, features(state), core.thresholds)
         if transition != 0:

@@ -98,11 +98,13 @@ def _block(
             biases[1, 1] = parameters.gyr_bias_y_radps + state.bias_radps[1]
             biases[1, 2] = parameters.gyr_bias_z_radps + state.bias_radps[2]
             if strides[0].state.due_ns != segmentation.NEVER_NS:
-                first, last = segmentation.close(strides, at, t_ns, gyr, biases, out)
+                first, last = segmentation.close(strides, at, t_ns, gyr, biases, core.thresholds.stride_s, out)
                 if first < last:
                     segmentation.solve_rows(strides, first, last, at, t_ns, acc, gyr, quaternions[first], biases, out)
+                    if state.gravity_ns < strides[0].state.stance_ns:
+                        segmentation.chain(strides, out)
             if number == _T1:
-                segmentation.begin(strides, at, t_ns, gyr, biases)
+                segmentation.begin(strides, at, t_ns, gyr, biases, core.thresholds.stride_s)
         if number != NOTHING and number != DUE:
             change = changes[filled[CHANGES]]
             change.t_ns, change.transition, change.source = t_ns[at - 1], number, state.phase

@@ -23,8 +23,8 @@ import numpy as np
 from fes.estimation.numerics.jit import inlined, jit_fused
 from fes.estimation.numerics.linear import solve
 from fes.estimation.numerics.records import Mat, Vec
-from fes.estimation.numerics.rotation import axes_in_world, to_sensor, to_world, turn_by
-from fes.estimation.strides.boundaries import NO_REST_RADPS, REST_RADPS, around_ends, mean_and_variance
+from fes.estimation.numerics.rotation import axes_in_world, quaternion_step, to_sensor, to_world, turn_by
+from fes.estimation.strides.boundaries import NO_REST_RADPS, around_ends, mean_and_variance
 from fes.estimation.strides.maximum_likelihood import (
     HeightNoise,
     StrideNoise,
@@ -47,17 +47,24 @@ def orient(
     """
     n = t_ns.shape[0]
     _integrate(t_ns, gyr, start, 0.0, 0.0, 0.0, out)
-    ux, uy, uz = to_world(out[n - 1, 0], out[n - 1, 1], out[n - 1, 2], out[n - 1, 3], end_fx, end_fy, end_fz)
+    tilt, dx, dy = _tilt(out[n - 1], end_fx, end_fy, end_fz)
+    if end_tilt_gain > 0.0 and tilt < math.pi:
+        _integrate(t_ns, gyr, start, end_tilt_gain * dx, end_tilt_gain * dy, 0.0, out)
+    return tilt
+
+
+@inlined
+def _tilt(q: Vec, fx: float, fy: float, fz: float) -> tuple[float, float, float]:
+    """How far ``f`` in the sensor frame is from upright in rad (pi: no force), and the turn by world x and y to it."""
+    ux, uy, uz = to_world(q[0], q[1], q[2], q[3], fx, fy, fz)
     norm = math.sqrt(ux * ux + uy * uy + uz * uz)
     if norm < 1e-9:
-        return math.pi
+        return math.pi, 0.0, 0.0
     # turning the world vector u onto z: about u × z, by the angle between them
     across = math.sqrt(ux * ux + uy * uy) / norm
     tilt = math.atan2(across, uz / norm)
-    if end_tilt_gain > 0.0 and across > 1e-9:
-        by = end_tilt_gain * tilt / (across * norm)
-        _integrate(t_ns, gyr, start, by * uy, -by * ux, 0.0, out)
-    return tilt
+    by = tilt / (across * norm) if across > 1e-9 else 0.0
+    return tilt, by * uy, -by * ux
 
 
 @jit_fused
@@ -273,9 +280,37 @@ DRIFT_SPEED_MPS = {"maximum_likelihood": 0.002, "constrained": 0.005}
 _DRIFT_SPEED_MPS, _DRIFT_SPEED_CONSTRAINED_MPS = DRIFT_SPEED_MPS["maximum_likelihood"], DRIFT_SPEED_MPS["constrained"]
 END_TILT_GAIN = 0.15
 MOST_TILT_RAD = math.radians(30)
+MOST_PUSHED_MPS2 = 3.5  # from rest to rest: neither bias nor tilt explains a greater mean of the level specific force
+MOST_GUESSED_RAD = 0.2  # a tilt that is measured no better is a guess
 LONGEST_STRIDE_M = 3.0
+LENGTH_SHARE = 0.013  # of a stride's length, one SD: with it errors against markers scatter as stated
 SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST = range(5)  # what came of it
-TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, NUMBERS = range(7)  # where the numbers are
+TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, LENGTH_SD, NUMBERS = range(8)  # where the numbers are
+
+
+@inlined
+def _speed_gained(t_ns: Vec, acc: Mat, quaternion: Mat) -> float:
+    """By how much the horizontal velocity differs between the ends, as measured (m/s): little from rest to rest."""
+    vx = vy = ax0 = ay0 = 0.0
+    for i in range(t_ns.shape[0]):
+        w, x, y, z = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
+        ax, ay, _ = to_world(w, x, y, z, acc[i, 0], acc[i, 1], acc[i, 2])
+        if i > 0:
+            half_s = 0.5e-9 * (t_ns[i] - t_ns[i - 1])
+            vx, vy = vx + half_s * (ax0 + ax), vy + half_s * (ay0 + ay)
+        ax0, ay0 = ax, ay
+    return math.sqrt(vx * vx + vy * vy)
+
+
+@inlined
+def _length_sd(length_m: float, span_s: float, end_variances: float) -> float:
+    """Uncertainty of a stride's length in m, both velocities being known with this sum of variances ((m/s)²).
+
+    What is wrong with them counts for half of the time each. Of white noise of the force the ends leave what is bent, a
+    twelfth of the cube of the time. The rest goes with the length: scale, clipping, a foot that is no rigid body.
+    """
+    noise_m2 = HEIGHT_NOISE.push_mps2_rthz**2 * span_s**3 / 12.0
+    return math.sqrt(0.25 * span_s**2 * end_variances + noise_m2 + (LENGTH_SHARE * length_m) ** 2)
 
 
 @inlined
@@ -323,7 +358,7 @@ def solve_span(
         gyr: (N, 3) rad/s, free of bias.
         first: row.
         last: row.
-        start: (4,) orientation at ``first``.
+        start: (4,) orientation at ``first``; righted where it proves to be far off.
         fx: unit vector towards the toe in the sensor frame, with ``fy`` and ``fz``.
         fy: see ``fx``.
         fz: see ``fx``.
@@ -332,8 +367,8 @@ def solve_span(
         equal_height: the end is as high as the start.
         quaternion: (n, 4) to be filled.
         position: (n, 3) to be filled, m from the start.
-        numbers: (6,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest height
-            (m), turn (rad), height gained (m).
+        numbers: (NUMBERS,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest height
+            (m), turn (rad), height gained (m), uncertainty of the length (m, one SD).
 
     Returns:
         ``SOLVED``, or why the stride cannot be used.
@@ -354,9 +389,19 @@ def solve_span(
         spread = math.sqrt(max(p0, p1, p2))
         variances[e, 0], variances[e, 1] = end_variances(rate, math.sqrt(s0 + s1 + s2), spread, NOISE)
         residual_rate = max(residual_rate, rate)
-    constrained = constrained or residual_rate > REST_RADPS
     gain = END_TILT_GAIN if constrained else 0.0
     tilt = orient(t, w, start, forces[1, 0], forces[1, 1], forces[1, 2], gain, quaternion)
+    if MOST_TILT_RAD < tilt < math.pi and variances[1, 1] < MOST_GUESSED_RAD**2:
+        # no gyroscope errs so much in a stride: its start was not known
+        _, dx, dy = _tilt(quaternion[n - 1], forces[1, 0], forces[1, 1], forces[1, 2])
+        dx, dy, dz = to_sensor(start[0], start[1], start[2], start[3], dx, dy, 0.0)
+        start[0], start[1], start[2], start[3] = quaternion_step(start[0], start[1], start[2], start[3], dx, dy, dz)
+        orient(t, w, start, forces[1, 0], forces[1, 1], forces[1, 2], gain, quaternion)
+        at_start, _, _ = _tilt(start, forces[0, 0], forces[0, 1], forces[0, 2])
+        if at_start < MOST_TILT_RAD:
+            tilt = 0.0
+    span_s = 1e-9 * (t[n - 1] - t[0])
+    pushed_mps2 = _speed_gained(t, f, quaternion) / span_s
     drift_speed_mps = _DRIFT_SPEED_CONSTRAINED_MPS if constrained else _DRIFT_SPEED_MPS
     ends = np.empty((2, 3))
     for e in range(2):
@@ -379,10 +424,10 @@ def solve_span(
             for i in range(n):
                 position[i, 2] = vertical[i, 1]
     numbers[TILT], numbers[RESIDUAL_RATE] = tilt, residual_rate
-    if not solved:
+    if not solved or (pushed_mps2 > MOST_PUSHED_MPS2 and tilt <= MOST_TILT_RAD):
         return NO_SOLUTION
     length = math.hypot(position[n - 1, 0], position[n - 1, 1])
-    numbers[LENGTH] = length
+    numbers[LENGTH], numbers[LENGTH_SD] = length, _length_sd(length, span_s, variances[0, 0] + variances[1, 0])
     if tilt > MOST_TILT_RAD:
         return TILTED
     if not length <= LONGEST_STRIDE_M:

@@ -72,6 +72,7 @@ COLUMNS: Final = (
     _stamp("t_loading_response_ns", "initial contact, the entry into loading response", f"{NEGARD}, Fig. 5"),
     _stamp("t_stance_ns", "foot flat, the entry into stance", f"{NEGARD}, Fig. 5"),
     _measure("stride_length_m", "m", "horizontal distance of the sensor from start to end", f"{NEGARD}, Eq. (20)"),
+    _measure("stride_length_sd_m", "m", "its uncertainty, one standard deviation; empty of a shank's"),
     _measure("speed_mps", "m/s", "stride length over the time from the end of the stride before", "Perry & Burnfield"),
     _measure("clearance_m", "m", "greatest height of the sensor above its start", NEGARD),
     _measure("toe_clearance_m", "m", "least height of the toe in mid-swing", "Winter 1992"),

@@ -12,15 +12,26 @@ import numpy as np
 from fes.estimation.numerics.jit import jit_ieee
 from fes.estimation.numerics.records import core_type
 from fes.estimation.numerics.rotation import to_world, without
-from fes.estimation.strides.boundaries import UNSEEN_NS, around_ends, quietest_of, rows_before, time_of
+from fes.estimation.strides.boundaries import (
+    NO_REST_RADPS,
+    UNSEEN_NS,
+    around_ends,
+    mean_and_variance,
+    quietest_of,
+    rows_before,
+    time_of,
+)
 from fes.estimation.strides.integration import (
     HEIGHT_CHANGE,
     LENGTH,
+    LENGTH_SD,
+    NO_REST,
     NUMBERS,
     PEAK_HEIGHT,
     RESIDUAL_RATE,
     SOLVED,
     TILT,
+    TILTED,
     TURN,
     solve_span,
     stride_shape,
@@ -30,6 +41,8 @@ from fes.signals import NS_PER_S
 
 STANCE_SEARCH_S = 1.0  # of a long stance only the second next to the swing is searched
 STOPPED_SEARCH_S = 0.5  # of a stance that lasts longer than that the first half: a belt that stops carries the foot
+STOPPED, LONGEST_STAND_S = 1.7, 3.5  # usual strides from a border to the heel rise: a foot that stopped; at most
+LANDED_S = 0.1  # after contact the foot may be quiet
 STANCE_LEAD_S = 0.03  # rest is known this late (the guards' rest_hold_s)
 DURATION_S = (0.4, 5.0)
 LEAST_SAMPLES = 10
@@ -38,6 +51,7 @@ NEVER_NS = 2**63 - 1
 FORGOTTEN, NO_STRIDE_TIME, GAP = range(10, 13)  # what came of a stride that was not solved, beside the solution's words
 STANCE, PRE_SWING, SWING, LOADING_RESPONSE = range(4)
 _SEARCH_NS, _LEAD_NS = int(STANCE_SEARCH_S * NS_PER_S), int(STANCE_LEAD_S * NS_PER_S)
+_LANDED_NS = int(LANDED_S * NS_PER_S)
 _STOPPED_NS = int(STOPPED_SEARCH_S * NS_PER_S)
 _SHORTEST_S, _LONGEST_S = DURATION_S
 _time_of = jit_ieee(time_of)
@@ -45,11 +59,13 @@ _time_of = jit_ieee(time_of)
 STATE = np.dtype(
     [
         ("due_ns", np.int64),  # the stride under way is closed at this time at the latest
-        ("start_ns", np.int64),  # where it begins
+        ("start_ns", np.int64),  # where it begins: where the one before ended, unless the foot stopped
         ("before_ns", np.int64),  # the end of the stride before
         ("stance_ns", np.int64),
         ("times_ns", np.int64, 4),  # the entries into the phases since
         ("number", np.int64),
+        ("chained_ns", np.int64),  # a border where gravity was not seen, …
+        ("chained", np.float64, 4),  # … and the orientation there as the stride before ended in it
     ],
     align=True,
 )
@@ -115,6 +131,7 @@ def restart(core: Any, t_ns: int) -> None:
     """Data were lost: forget the stride under way; stance from now on."""
     state = core[0].state
     state.due_ns, state.before_ns, state.start_ns, state.stance_ns = NEVER_NS, UNSEEN_NS, UNSEEN_NS, t_ns
+    state.chained_ns = UNSEEN_NS
     _forget(state.times_ns)
 
 
@@ -134,18 +151,30 @@ def on_phase(core: Any, destination: int, t_ns: int) -> None:
 
 
 @jit_ieee
-def begin(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any) -> None:
-    """T1: the next stride begins at the quietest instant of the stance that ends; arguments as for :func:`close`."""
+def begin(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, stride_s: float) -> None:
+    """T1: the next stride begins where the last one ended; after a stop at the quietest instant of the last second.
+
+    ``stride_s`` is this person's usual stride time; else as for :func:`close`.
+    """
     state = core[0].state
     now = t_ns[n - 1]
-    earliest = max(state.stance_ns - _LEAD_NS, now - _SEARCH_NS)
-    state.start_ns = t_ns[quietest_of(t_ns, gyr, n, biases[1, 0], biases[1, 1], biases[1, 2], earliest, now)]
+    if state.start_ns == UNSEEN_NS or now - state.start_ns > _stop_ns(stride_s):
+        earliest = max(state.stance_ns - _LEAD_NS, now - _SEARCH_NS)
+        state.start_ns = t_ns[quietest_of(t_ns, gyr, n, biases[1, 0], biases[1, 1], biases[1, 2], earliest, now)]
     _forget(state.times_ns)
 
 
 @jit_ieee
-def close(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tuple[int, int]:
-    """End the stride that ended with this stance, if there was one, with a row of ``out``.
+def _stop_ns(stride_s: float) -> float:
+    """A foot whose heel does not rise for so long after a border has stopped."""
+    return 1e9 * min(STOPPED * stride_s, LONGEST_STAND_S)
+
+
+@jit_ieee
+def close(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, stride_s: float, out: Out) -> tuple[int, int]:
+    """End the stride that ended with this stance, if there was one, with a row of ``out``; the next begins there.
+
+    A stance in which the foot turns fast all the time is none: the stride goes on to the next.
 
     Args:
         core: (1,) of ``STRIDE_STATE``.
@@ -153,14 +182,15 @@ def close(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tupl
         t_ns: its time stamps.
         gyr: (…, 3) rad/s.
         biases: (2, 3) of the accelerometer and of the gyroscope.
+        stride_s: this person's usual stride time.
         out: where the stride goes.
 
     Returns:
         Its first and last row for :func:`solve_rows`, (0, 0) where there is nothing to solve.
     """
     state = core[0].state
-    start_ns, stance_ns = state.start_ns, state.times_ns[STANCE]
-    state.due_ns, state.start_ns = NEVER_NS, UNSEEN_NS
+    start_ns, stance_ns, contact_ns = state.start_ns, state.times_ns[STANCE], state.times_ns[LOADING_RESPONSE]
+    state.due_ns = NEVER_NS
     if start_ns == UNSEEN_NS or stance_ns == UNSEEN_NS:
         _forget(state.times_ns)
         return 0, 0
@@ -168,8 +198,18 @@ def close(core: Any, n: int, t_ns: Any, gyr: Any, biases: Any, out: Out) -> tupl
     still_standing = now - state.stance_ns >= _SEARCH_NS
     latest = min(now, state.stance_ns + (_STOPPED_NS if still_standing else _SEARCH_NS))
     bx, by, bz = biases[1, 0], biases[1, 1], biases[1, 2]
-    last = quietest_of(t_ns, gyr, n, bx, by, bz, state.stance_ns - _LEAD_NS, latest)
+    earliest = state.stance_ns - _LEAD_NS
+    if contact_ns != UNSEEN_NS:
+        earliest = max(min(earliest, contact_ns + _LANDED_NS), contact_ns)
+    last = quietest_of(t_ns, gyr, n, bx, by, bz, earliest, latest)
     first = rows_before(t_ns, n, start_ns)
+    if now - start_ns <= _stop_ns(stride_s) and first < last:
+        around = around_ends(t_ns, first, last)
+        x, y, z, _, _, _ = mean_and_variance(gyr, max(last - around, 0), min(last + around + 1, n))
+        if math.sqrt((x - bx) ** 2 + (y - by) ** 2 + (z - bz) ** 2) > NO_REST_RADPS:
+            _forget(state.times_ns)
+            return 0, 0
+    state.start_ns = t_ns[last]
     state.number += 1
     row = out.strides[out.filled[STRIDES]]
     row.number, row.t_start_ns, row.t_end_ns = state.number, start_ns, t_ns[last]
@@ -190,8 +230,12 @@ def solve_rows(
 ) -> None:
     """Integrate the samples ``first`` … ``last`` of a history into the newest row of ``out``.
 
-    ``acc`` (…, 3) m/s²; ``start`` (4,) is the orientation at ``first``; else as :func:`close`.
+    ``acc`` (…, 3) m/s²; ``start`` (4,) is the orientation at ``first``, unless it is known better (:func:`chain`); else
+    as :func:`close`.
     """
+    chained, known = core[0].state.chained_ns == t_ns[first], np.empty(4)
+    for k in range(4):
+        known[k] = core[0].state.chained[k] if chained else start[k]
     row, before_ns = out.strides[out.filled[STRIDES] - 1], core[0].state.before_ns
     core[0].state.before_ns = row.t_end_ns
     settings = core[0].settings
@@ -220,7 +264,7 @@ def solve_rows(
         numbers[i] = 0.0
     row.outcome = solve_span(
         t_ns[begin:end], without(acc[begin:end], biases[0]), without(gyr[begin:end], biases[1]),
-        first - begin, last - begin, start, fx, fy, fz, settings.sensor_height_m, settings.constrained,
+        first - begin, last - begin, known, fx, fy, fz, settings.sensor_height_m, settings.constrained,
         settings.equal_height, quaternion, position, numbers,
     )  # fmt: skip
     row.tilt_rad, row.residual_rate_radps, row.stride_length_m = numbers[TILT], numbers[RESIDUAL_RATE], numbers[LENGTH]
@@ -229,10 +273,24 @@ def solve_rows(
         return
     if k < out.shapes.shape[0]:
         stride_shape(out.t_ns[at : at + count], quaternion, position, fx, fy, fz, out.shapes[k])
+    row.stride_length_sd_m = numbers[LENGTH_SD]
     row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_clearance_m = row.heel_clearance_m = math.nan
     if settings.known:
         _toe_and_heel(settings, row, out.t_ns[at : at + count], position, quaternion)
+
+
+@jit_ieee
+def chain(core: Any, out: Out) -> None:
+    """The next stride begins with the orientation in which the newest one ended: no gravity was seen in its stance.
+
+    What its solution found wrong would be lost otherwise, for the filter knows nothing of it.
+    """
+    row, state = out.strides[out.filled[STRIDES] - 1], core[0].state
+    if row.outcome == SOLVED or row.outcome == TILTED or row.outcome == NO_REST:
+        state.chained_ns = row.t_end_ns
+        for k in range(4):
+            state.chained[k] = out.quaternion[row.first + row.rows - 1, k]
 
 
 @jit_ieee
