@@ -61,7 +61,7 @@ class Thresholds(NamedTuple):
     shortest_swing: float = 0.25  # T3: of the stride; toe-off's jolts end before …
     longest_swing_stride_s: float = 1.8  # … for swing does not lengthen with slower strides than this
     mid_swing_share: float = 0.55  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
-    rising_share: float = 0.25  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
+    rising_share: float = 0.3  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
     landed_share: float = 0.15  # T3: a foot that has landed turns toe-down at this rate
     jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
     soft_contact: float = 0.1  # T3: after so long at rest, of the stride, it has landed without a jolt
