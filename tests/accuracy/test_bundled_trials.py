@@ -86,14 +86,12 @@ def within(errors: list[float] | FloatArray, mean: float, sd: float, what: str) 
 def test_every_stride_passes_the_phases_in_order(name: str, foot: str) -> None:
     """Of all strides of the walk, steady or not: between one true mid-swing and the next T3, T4, T1, T2, once each."""
     r = run(name, foot)
-    landing = [6] if name == "soft_contact" else [3, 4]
+    landing = [3, 4]
     walked = [true for true in r.truth.strides_of(foot) if true.walking]
     middles = [0.5e9 * (true.t_swing_s + true.t_loading_response_s) for true in walked]
     assert len(walked) >= 9
     for number, (begin, end) in enumerate(pairwise([-math.inf, *middles, math.inf])):
         seen = [c.transition.value for c in r.changes if begin < c.t_ns <= end]
-        if name == "soft_contact" and seen[1:3] == [1, 5]:  # a foot put down so softly goes on moving for a moment
-            del seen[1:3]
         if number == 0:
             assert seen[-2:] == [1, 2]
         elif number == len(middles):
@@ -108,8 +106,8 @@ def test_nothing_else_fires(name: str, foot: str) -> None:
     count = Counter(change.transition for change in r.changes)
     strides = len(r.truth.strides_of(foot))
     assert count[Transition.T2] == strides
-    assert count[Transition.T6 if name == "soft_contact" else Transition.T4] == strides
-    assert count[Transition.T5] <= (1 if name == "soft_contact" else 0)
+    assert count[Transition.T4] == strides
+    assert count[Transition.T5] == count[Transition.T6] == 0
     assert count[Transition.NONE] == 0
     assert len(r.strides) == strides
     assert [s.reason for s in r.strides if not s.valid] == []
@@ -137,8 +135,9 @@ def test_pre_swing_and_stance_are_seen_when_the_foot_moves_and_rests(name: str, 
     for s, t in run(name, foot).pairs(foot):
         assert s.t_pre_swing_ns is not None
         assert s.t_stance_ns is not None
-        assert -0.05 < 1e-9 * s.t_pre_swing_ns - t.t_pre_swing_s < 0.25
-        assert 0.0 < 1e-9 * s.t_stance_ns - t.t_stance_s < (0.40 if name == "soft_contact" else 0.20)
+        assert -0.05 < 1e-9 * s.t_pre_swing_ns - t.t_pre_swing_s < 0.27
+        # a slow foot that lands on its toes lies within four degrees of flat long before its heel is down
+        assert -0.25 < 1e-9 * s.t_stance_ns - t.t_stance_s < (0.40 if name == "soft_contact" else 0.10)
 
 
 @pytest.mark.parametrize(("name", "foot"), WALKS)

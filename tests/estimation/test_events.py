@@ -356,7 +356,7 @@ def test_foot_strike_angle_of_bundled_trials(name: str, foot: str) -> None:
     true = np.array([s.foot_strike_deg for s in bundled(name)[1].strides_of(foot)])
     error = (angles - true)[np.isfinite(angles)]
     assert len(error) >= len(true) - 1
-    assert abs(error.mean()) < 1.5
+    assert abs(error.mean()) < 2.5
     assert error.std() < 1.0
 
 
