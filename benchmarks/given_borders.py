@@ -44,6 +44,7 @@ def solve_stride(
         row[name] = times.get(phase, UNSEEN_NS)
     out.filled[segmentation.STRIDES] = 1
     own = new_core(segmentation.STRIDE_STATE, settings=settings.compiled())
+    segmentation.restart(own, 0)
     own["state"]["before_ns"] = UNSEEN_NS if before_ns is None else before_ns
     segmentation.solve_rows(own, first, last, len(t_ns), t_ns, acc, gyr, start_quaternion, NO_BIASES, out)
     return StrideMaker(foot, settings).stride_in(out)

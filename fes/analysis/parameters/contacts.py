@@ -32,6 +32,7 @@ import numpy as np
 from fes.estimation.clearance.clearance import FootArms, FootPath
 from fes.estimation.events.offline import GaitEvents
 from fes.estimation.numerics.jit import jit
+from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 
@@ -173,12 +174,17 @@ LEAST_DESCENT_MPS = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Swing:
-    """One stride's foot off, mid-swing and initial contact (ns), and whether the heel struck first."""
+    """One stride's foot off, mid-swing and initial contact (ns), and whether the heel struck first.
+
+    ``heel_rise_ns`` is before, ``foot_flat_ns`` after them; ``UNSEEN_NS`` where not known.
+    """
 
     foot_off_ns: int
     mid_swing_ns: int
     contact_ns: int
     heel_strike: bool
+    heel_rise_ns: int = UNSEEN_NS
+    foot_flat_ns: int = UNSEEN_NS
 
 
 def swing_of(path: FootPath, events: GaitEvents, arms: FootArms | None) -> Swing | None:
@@ -198,7 +204,8 @@ def swing_of(path: FootPath, events: GaitEvents, arms: FootArms | None) -> Swing
         return None
     if heel_strike and arms is not None:
         contact_ns = _contact(path, arms, contact_ns)
-    return Swing(_foot_off(path, off_ns), mid_ns, contact_ns, heel_strike)
+    rise_ns, flat_ns = (UNSEEN_NS if t is None else int(t[at]) for t in (events.heel_rise_ns, events.foot_flat_ns))
+    return Swing(_foot_off(path, off_ns), mid_ns, contact_ns, heel_strike, rise_ns, flat_ns)
 
 
 def _foot_off(path: FootPath, off_ns: int) -> int:

@@ -9,6 +9,7 @@ from typing import Final
 WANG = "Wang et al. 2013"
 PERRY = "Perry & Burnfield 2010"
 WINTER = "Winter 1992"
+MARIANI = "Mariani et al. 2013"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,11 @@ _ALL = (
     _of("stride_time_s", "stride time", "", "s", _S, "from initial contact to the next of the same foot", PERRY),
     _of("swing_s", "swing time", "SwingT", "s", _S, "from foot off to initial contact", PERRY),
     _of("stance_s", "stance time", "StanceT", "s", _S, "from initial contact to foot off of the same foot", PERRY),
+    _of("loading_response_s", "loading response", "", "s", _S,
+        "from initial contact to foot flat, after the stride's swing", MARIANI),
+    _of("foot_flat_s", "foot flat", "", "s", _S, "from foot flat to heel rise, in the stance before its swing",
+        MARIANI),
+    _of("pre_swing_s", "pre-swing", "", "s", _S, "from heel rise to foot off, before its swing", MARIANI),
     _of("swing_share", "swing share", "", "1", _PERCENT, "swing time over stride time", PERRY),
     _of("stance_share", "stance share", "", "1", _PERCENT, "stance time over stride time", PERRY),
     _of("step_time_s", "step time", "", "s", _S,

@@ -22,6 +22,7 @@ from itertools import pairwise, permutations
 import numpy as np
 
 from fes.analysis.parameters.contacts import Swing
+from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.signals import NS_PER_S, IntArray, StrideResult
 
 LEAST_STRIDES = 6  # of either foot
@@ -79,6 +80,7 @@ class Step:
     stance_s: float
     step_time_s: float
     double_support_s: float
+    foot_flat_s: float = math.nan
 
 
 def steps_of(own: Sequence[Swing | None], other: Sequence[Swing | None]) -> list[Step]:
@@ -137,7 +139,14 @@ def _step(before: Swing | None, swing: Swing | None, contacts: IntArray, offs: I
         landed = int(np.searchsorted(contacts, int(offs[inside])))
         if landed < len(contacts) and int(contacts[landed]) <= off:
             support = ((int(offs[inside]) - begin) + (off - int(contacts[landed]))) / NS_PER_S
-    return Step(stride, (off - begin) / NS_PER_S, step, support)
+    assert before is not None
+    flat_s = seconds_between(before.foot_flat_ns, swing.heel_rise_ns)
+    return Step(stride, (off - begin) / NS_PER_S, step, support, flat_s)
+
+
+def seconds_between(begin_ns: int, end_ns: int) -> float:
+    """The time from one instant to another, NaN where one was not seen."""
+    return math.nan if UNSEEN_NS in (begin_ns, end_ns) else (end_ns - begin_ns) / NS_PER_S
 
 
 def step_lengths(

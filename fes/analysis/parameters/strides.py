@@ -13,7 +13,7 @@ import numpy as np
 
 from fes.analysis.parameters.contacts import Motion, Swing, variation
 from fes.analysis.parameters.definitions import STRIDE_KEYS
-from fes.analysis.parameters.steps import LONGEST_STANCE_S, MOST_TURN_RAD, Step
+from fes.analysis.parameters.steps import LONGEST_STANCE_S, MOST_TURN_RAD, Step, seconds_between
 from fes.estimation.clearance.clearance import FootPath
 from fes.signals import NS_PER_S, StrideResult
 
@@ -117,7 +117,11 @@ def _times_of(swing: Swing, step: Step | None, length_m: float) -> dict[str, flo
     """A stride's times and speed by the keys of :data:`~fes.analysis.parameters.definitions.DEFINITIONS`; without its
     step only the swing's."""
     swing_s = (swing.contact_ns - swing.foot_off_ns) / NS_PER_S
-    found = {"swing_s": swing_s}
+    found = {
+        "swing_s": swing_s,
+        "loading_response_s": seconds_between(swing.contact_ns, swing.foot_flat_ns),
+        "pre_swing_s": seconds_between(swing.heel_rise_ns, swing.foot_off_ns),
+    }
     if step is not None:
         shares = {"swing": swing_s, "stance": step.stance_s, "double_support": step.double_support_s}
         found |= asdict(step) | {"speed_mps": length_m / step.stride_time_s}

@@ -34,6 +34,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from fes.estimation.events.stance import AROUND_S, LONGEST_STANCE_S, pitch_of, stance_instants
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.numerics.filters import (
     PADDING,
@@ -341,13 +342,16 @@ class GaitEvents:
     """Events of one foot, times in ns on the sensor's clock, all (K,) and in order: FO, mid-swing, IC, next FO, …
 
     ``heel_strike`` (K,): the foot landed heel first. ``ic_ns`` and ``heel_strike`` of a last swing cut off by
-    the recording's end are left out with it.
+    the recording's end are left out with it. ``heel_rise_ns`` is before each FO, ``foot_flat_ns`` after each IC
+    (:mod:`fes.estimation.events.stance`): ``UNSEEN_NS`` where it was not seen, None where nobody looked.
     """
 
     fo_ns: IntArray
     mid_swing_ns: IntArray
     ic_ns: IntArray
     heel_strike: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    heel_rise_ns: IntArray | None = None
+    foot_flat_ns: IntArray | None = None
 
     def __len__(self) -> int:
         return len(self.ic_ns)
@@ -356,7 +360,7 @@ class GaitEvents:
 def find_events(
     t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray, calibration: FootCalibration
 ) -> GaitEvents:
-    """All swings' FO, mid-swing and IC of one foot.
+    """All swings' FO, mid-swing and IC of one foot, and heel rise and foot flat of the stances between.
 
     Args:
         t_ns: (N,) strictly increasing time stamps, nearly evenly spaced (gaps below some ms).
@@ -373,12 +377,13 @@ def find_events(
         if not (np.isfinite(acc_mps2).all() and np.isfinite(gyr_radps).all()):
             raise ValueError(NOT_FINITE.format(calibration.sensor))
         nothing = np.zeros(0, np.int64)
-        return GaitEvents(nothing, nothing, nothing, np.zeros(0, np.bool_))
+        return GaitEvents(nothing, nothing, nothing, np.zeros(0, np.bool_), nothing, nothing)
     rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
     walk = _Walk(rate_hz, acc_mps2, gyr_radps, calibration)
     at_ns, heels = walk.instants(t_ns)
     off_ns, mid_ns, contact_ns = at_ns.T.copy()
-    return GaitEvents(off_ns, mid_ns, contact_ns, heels)
+    rise_ns, flat_ns = stance_instants(t_ns, gyr_radps, off_ns, contact_ns, calibration)
+    return GaitEvents(off_ns, mid_ns, contact_ns, heels, rise_ns, flat_ns)
 
 
 class _Walk:
@@ -471,10 +476,6 @@ def _typical(falls: FloatArray) -> float:
     return median(np.sort(falls)[-max(3, len(falls) // 3) :])
 
 
-AROUND_S = 0.05  # mid-stance's pitch is the mean over this much before and after
-LONGEST_STANCE_S = 3.0  # of a longer one (standing) the first part counts: FO is another step's
-
-
 def foot_strike_angles(
     t_ns: IntArray, gyr_radps: FloatArray, events: GaitEvents, calibration: FootCalibration
 ) -> FloatArray:
@@ -486,9 +487,7 @@ def foot_strike_angles(
         events: of this foot.
         calibration: of this foot.
     """
-    rate = (gyr_radps - np.array(calibration.gyr_bias_radps)) @ np.array(calibration.toe_down)
-    seconds = (t_ns - t_ns[0]) / NS_PER_S
-    pitch = np.concatenate(([0.0], -np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(seconds))))
+    seconds, pitch = pitch_of(t_ns, gyr_radps, calibration)
     mean_of = np.concatenate(([0.0], np.cumsum(0.5 * (pitch[1:] + pitch[:-1]) * np.diff(seconds))))
     contact = (events.ic_ns - t_ns[0]) / NS_PER_S
     off = np.append((events.fo_ns[1:] - t_ns[0]) / NS_PER_S, np.inf)[: len(contact)]
