@@ -88,7 +88,7 @@ def test_walking_is_stimulated_in_swing_and_never_else(replays: Replays, name: s
 
 
 def test_soft_contact_is_the_hard_case(replays: Replays) -> None:
-    """Feet put down so softly that no contact is felt: stimulation may then last into stance, by a third of a second."""
+    """Feet put down so softly that no contact is felt: stimulation may then last into stance, by 0.3 s."""
     strides = truth("soft_contact", "right_foot")
     mine = bursts(replays.of("soft_contact").commands)
     outside = [burst for burst in mine if not inside(burst, strides, late_s=0.4)]

@@ -367,7 +367,8 @@ def solve_span(
         equal_height: the end is as high as the start.
         quaternion: (n, 4) to be filled.
         position: (n, 3) to be filled, m from the start.
-        numbers: (NUMBERS,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest height
+        numbers: (NUMBERS,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest
+            height
             (m), turn (rad), height gained (m), uncertainty of the length (m, one SD).
 
     Returns:
