@@ -3,7 +3,7 @@
     python benchmarks/offline_phases.py [--data FOLDER] [--json FILE]
 
 Per walker: how much later than the label, median ± SD in ms, of labelled strides that the labels can judge; with the
-sizes in use (``fes/estimation/events/stance.py``), and with those that bring the other walkers' medians nearest to
+sizes in use (``fes/estimation/events/offline.py``), and with those that bring the other walkers' medians nearest to
 their labels. Where the switches lie under a foot differs between walkers by more than the rules do.
 """
 
@@ -20,8 +20,7 @@ from every_walker import DRIFTING, LYING, calibrate, causal, feet_of
 from rich.table import Table
 from stroke_treadmill import data_folder
 
-from fes.estimation.events.offline import find_events
-from fes.estimation.events.stance import FLAT_RAD, RISE_RAD, stance_instants
+from fes.estimation.events.offline import FLAT_RAD, RISE_RAD, find_events, stance_instants
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.recording.tracks import newer_samples
 from statemachine.phases import Transition

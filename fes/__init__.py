@@ -39,7 +39,7 @@ def __getattr__(name: str) -> object:
     if name == "recording":
         return import_module("fes.recording")  # the room's face, which can be called
     if name == "bundled_file":
-        return import_module("fes.simulation.bundled").bundled_file
+        return import_module("fes.simulation").bundled_file
     if name in __all__:
         return getattr(import_module("fes.notebook"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

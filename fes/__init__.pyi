@@ -9,7 +9,7 @@ from fes.notebook import read_log as read_log
 from fes.notebook import replay as replay
 from fes.notebook import simulate as simulate
 from fes.recording.arrays import recording_from_arrays as recording
-from fes.simulation.bundled import bundled_file as bundled_file
+from fes.simulation import bundled_file as bundled_file
 
 __all__ = [
     "analyse",

@@ -207,7 +207,6 @@ class StrideResult:
     t_start_ns: int
     t_end_ns: int
     stride_length_m: float = math.nan
-    stride_length_sd_m: float = math.nan
     clearance_m: float = math.nan
     height_gained_m: float = math.nan
     turn_rad: float = math.nan
@@ -218,6 +217,7 @@ class StrideResult:
     t_stance_ns: int | None = None
     toe_clearance_m: float = math.nan
     heel_clearance_m: float = math.nan
+    stride_length_sd_m: float = math.nan
     valid: bool = True
     reason: str = ""
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)

@@ -17,7 +17,7 @@ from fes.hil.closed_loop.processes import Protocol
 from fes.live.status import Status
 from fes.session_log import Note, SessionLogError
 from fes.signals import NS_PER_S
-from fes.simulation.bundled import bundled_file
+from fes.simulation import bundled_file
 from fes.simulation.forward import PatientSettings, VirtualStride
 
 GO_ON: Final = 3  # times, where a busy computer makes the session switch off

@@ -26,7 +26,7 @@ from fes.hil.closed_loop.bench import PatientBench, start_patient_bench
 from fes.live.inputs import Terminal, standard_keys
 from fes.session_log import Note, SessionLogError
 from fes.signals import NS_PER_S, Event, ImuSample
-from fes.simulation.bundled import bundled_file
+from fes.simulation import bundled_file
 from fes.simulation.forward import PatientSettings, VirtualPatient
 from fes.simulation.forward.gait_patterns import PATTERNS
 from fes.simulation.forward.settings import SEVERITIES, load_patient, settings_for

@@ -114,7 +114,7 @@ class Table:
         """
         import pyarrow as pa
 
-        from fes.recording.kernels import into_rows  # here, for who only writes recordings needs no compiler
+        from fes.estimation.numerics.filters import into_rows  # here, for who only writes recordings needs no compiler
 
         columns, out = [self._table.column(name) for name in names], np.empty((self.rows, 3))
         same = columns[0].type in (pa.float32(), pa.float64()) and all(c.type == columns[0].type for c in columns)

@@ -103,7 +103,7 @@ def quiet_level(acc: FloatArray, gyr: FloatArray, rate_hz: float) -> tuple[float
 
 def _window_spreads(acc: FloatArray, gyr: FloatArray, rate_hz: float, size: int) -> tuple[_Spreads, _Spreads]:
     """Look at evenly spread stretches of ``size`` rows, or at all (N, 3) of them where they are no more."""
-    from fes.recording.kernels import spreads  # here, for who only writes recordings needs no compiler
+    from fes.estimation.numerics.filters import spreads  # here, for who only writes recordings needs no compiler
 
     size = min(size, len(acc))
     begins = np.linspace(0, len(acc) - size, STRETCHES).astype(np.int64)

@@ -14,7 +14,7 @@ from fes.recording import Recording, read_recording
 from fes.report.findings import findings
 from fes.report.summary import summarise
 from fes.signals import G_MPS2
-from fes.simulation.bundled import bundled_file
+from fes.simulation import bundled_file
 
 STRIDE_S = 1.2
 

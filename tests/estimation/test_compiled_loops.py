@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fes.estimation.numerics.filters import into_rows, spreads
 from fes.estimation.numerics.ranks import median
 from fes.estimation.numerics.rotation import foot_axes, quaternions_of, rotate_all, up_in_sensor
 from fes.estimation.strides.integration import height_and_turn, stride_shape
@@ -24,7 +25,6 @@ from fes.estimation.zupt.trajectory import (
     slopes,
     turn_path,
 )
-from fes.recording.kernels import into_rows, spreads
 
 RNG = np.random.default_rng(11)
 

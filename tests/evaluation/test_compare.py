@@ -27,8 +27,10 @@ def stride(number: int, foot: str = "left_foot", shift_ms: float = 0.0, **change
     begin = number * S + number * number * 20 * MS + round(shift_ms * MS)
     times = [begin + t * MS for t in (200, 400, 800, 900)]
     made = StrideResult(
-        foot, number, begin, begin + S, 1.2, 0.05, 0.0, 0.0, 1.2, times[0], times[1], times[2], times[3]
-    )
+        foot, number, begin, begin + S, stride_length_m=1.2, clearance_m=0.05, height_gained_m=0.0, turn_rad=0.0,
+        speed_mps=1.2, t_pre_swing_ns=times[0], t_swing_ns=times[1], t_loading_response_ns=times[2],
+        t_stance_ns=times[3],
+    )  # fmt: skip
     return replace(made, **changes)
 
 

@@ -192,7 +192,7 @@ def _sources() -> list[Path]:
     root = Path(__file__).parents[3]
     beside = ("fes/estimation", "fes/analysis", "fes/simulation/forward", "statemachine")
     found = [path for folder in beside for path in sorted((root / folder).rglob("*.py"))]
-    return [*found, root / "fes/recording/kernels.py", Path(fes.signals.__file__)]
+    return [*found, Path(fes.signals.__file__)]
 
 
 def _kept_code() -> KeptCode | None:
