@@ -184,7 +184,7 @@ def replay_recording(path: Path, options: Options) -> Path:
     log_path = folder / f"session{LOG_SUFFIX}"
     header = log_header(recording, sha256, session, calibrations, numbers.session_id, utc_now())
     begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
-    opened_with = numbers.session_id, numbers.boot_id, begin_ns
+    opened_with = numbers.session_id, numbers.boot_id, begin_ns, session.stimulation.validity_ms
     opening: AbstractContextManager[stimulators.Opened]
     if options.stimulator == "none" or not session.channels:
         opening = stimulators.no_stimulator(*opened_with)

@@ -180,14 +180,16 @@ class Opened:
 
 
 @contextmanager
-def no_stimulator(session_id: int, boot_id: int, t_ns: int) -> Iterator[Opened]:
+def no_stimulator(session_id: int, boot_id: int, t_ns: int, validity_ms: int) -> Iterator[Opened]:
     """Bytes only: nothing is sent anywhere."""
-    sink = ByteSink(session_id)
+    sink = ByteSink(session_id, validity_ms)
     yield Opened(sink, frames=(sink.open(t_ns, boot_id),), answers=False)
 
 
 @contextmanager
-def simulated(session_id: int, boot_id: int, t_ns: int, *, lockstep: bool, record: Path | None) -> Iterator[Opened]:
+def simulated(
+    session_id: int, boot_id: int, t_ns: int, validity_ms: int, *, lockstep: bool, record: Path | None
+) -> Iterator[Opened]:
     """A simulated stimulator in its own process on virtual CAN; in lockstep its clock is the replay's.
 
     Raises:
@@ -195,7 +197,7 @@ def simulated(session_id: int, boot_id: int, t_ns: int, *, lockstep: bool, recor
     """
     with spawn_node(boot_id=boot_id, record=record, clock="bus" if lockstep else "real") as node:
         kind = LockstepStimulator if lockstep else CanStimulator
-        with closing(kind(open_bus(node.bus, NODE_IDS), session_id)) as stimulator:
+        with closing(kind(open_bus(node.bus, NODE_IDS), session_id, validity_ms=validity_ms)) as stimulator:
             handshake = stimulator.open(t_ns, timeout_s=10.0)
             yield Opened(stimulator, handshake.frames, handshake.alive)
 
