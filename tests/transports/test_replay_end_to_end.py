@@ -112,6 +112,7 @@ def at_full_current(path: Path) -> bool:
     return on_ns is not None and entries[-1].current_ma >= 29.0 and time.monotonic_ns() - on_ns <= BEGUN_NS
 
 
+@pytest.mark.requirement("SR-01")
 @pytest.mark.parametrize(
     ("options", "why"),
     [
