@@ -39,7 +39,7 @@ class Result(WordedEnum):
 
 
 class Fault(IntFlag):
-    """Flags of NODE_ALIVE; the last three speak of the newest SESSION_OPEN."""
+    """Flags of NODE_ALIVE; VERSION, SESSION_USED and VALIDITY speak of the newest SESSION_OPEN."""
 
     NONE = 0
     COUNTER = 1
@@ -47,6 +47,7 @@ class Fault(IntFlag):
     VERSION = 4
     SESSION_USED = 8
     VALIDITY = 16
+    LATE = 32
 
 
 FAULT_TEXT: Final[dict[Fault, str]] = {
@@ -55,6 +56,7 @@ FAULT_TEXT: Final[dict[Fault, str]] = {
     Fault.VERSION: "the controller speaks another protocol version",
     Fault.SESSION_USED: "that session identifier was used before",
     Fault.VALIDITY: "the session's validity is 0 or longer than the stimulator allows",
+    Fault.LATE: "commands come later than their validity allows, or a clock jumped: a new session is needed",
 }
 
 

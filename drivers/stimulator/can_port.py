@@ -287,6 +287,7 @@ class CanStimulator:
     def _status(self, status: Status, t_ns: int) -> StimStatus | None:
         """The answer as an event; None, and counted, where one to this command or a later one came before."""
         number = command_number(self.session_id, status.session_id, status.counter)
+        charge = self._totals.pop(status.channel, None)
         if status.result is Result.OK:
             if not self._answered.get(status.channel, -1) < number < self._encoder.number:
                 self.foreign += 1
@@ -297,7 +298,6 @@ class CanStimulator:
             self._session_gone = True
         seen_pulses, seen_steps = self._delivered.get(status.channel, (0, 0))
         pulses, steps = seen_pulses, seen_steps
-        charge = self._totals.pop(status.channel, None)
         if charge and (charge.session_id, charge.counter) == (
             status.session_id,
             status.counter % 2**can_codec.COUNTER_LOW,

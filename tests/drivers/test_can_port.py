@@ -162,6 +162,25 @@ def test_old_answers_in_a_loop_do_not_hide_a_stimulator_that_has_fallen_silent(k
     bench.close()
 
 
+@pytest.mark.parametrize("looped", [0, 1])
+def test_the_totals_beside_an_old_answer_do_not_count_for_a_later_one(bench: Bench, looped: int) -> None:
+    """16 commands later the low bits of the count are the same; the charge beside that answer is lost."""
+    bench.port.open(0, clock_ns=bench.clock)
+    answers: list[list[tuple[int, bytes]]] = []
+    seen = []
+    for step in range(17):
+        bench.t_ns += 20 * MS
+        wanted = bench.send(command())
+        frames = bench.node.receive(bench.t_ns, wanted.identifier, wanted.data)
+        answers.append([frame for frame in frames if frame[0] != can_codec.ALIVE_ID])
+        said = answers[step] if step < 16 else [*answers[0] * looped, answers[step][1]]
+        for identifier, data in said:
+            bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+        seen += statuses(bench.port.poll(bench.t_ns))
+    assert [status.pulses for status in seen][-1] == 0
+    assert sum(status.pulses for status in seen) < 40
+
+
 def test_a_command_that_is_to_hold_for_less_than_the_session_says_is_not_sent(bench: Bench) -> None:
     bench.port.open(0, clock_ns=bench.clock)
     with pytest.raises(ValueError, match="validity_ms = 40"):

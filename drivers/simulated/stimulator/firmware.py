@@ -31,7 +31,8 @@ MAX_WRONG_COUNTERS: Final = 5
 ALIVE_PERIOD_NS: Final = 100_000_000
 ISSUED_TICK_NS: Final = can_codec.ISSUED_STEP_MS * NS_PER_MS
 SILENCE_NS: Final = 200 * NS_PER_MS  # without a command; the time of issue comes round after 256 ms
-MOST_DRIFT_PPM: Final = 200  # of the controller's clock against the node's
+MOST_DRIFT_PPM: Final = 600  # of the controller's clock, which NTP may slew by 500, against the node's
+SETTLED_NS: Final = 128 * NS_PER_MS  # by then a controller has noticed that answers do not come, and commands off
 SENT_UNHEARD: Final = 64  # numbers that a session may have sent beyond the last one that was heard
 _NOTHING: Final = (0.0, 0.0, 0.0)
 
@@ -155,7 +156,8 @@ class OutputChannel:
 class IssueClock:
     """How late a command comes, by its time of issue against the least delayed one's.
 
-    That time comes round after 256 ms, so it is followed from command to command; after a silence it begins anew.
+    That time comes round after 256 ms, so it is followed from command to command; after a silence it begins anew, and
+    is ``settled`` 128 ms of commands later: those before may have been decided when the controller had not noticed yet.
     """
 
     def __init__(self) -> None:
@@ -170,7 +172,8 @@ class IssueClock:
         """Take in an accepted command that comes now; 0 for the first one, and the first after a silence."""
         elapsed_ns = t_ns - self._arrived_ns
         if self._issued_ms is None or self.lost(t_ns):
-            self._issued_ns, self._least_ns = 0, t_ns
+            self._issued_ns = SETTLED_NS if self._issued_ms is None else 0
+            self._least_ns = t_ns - self._issued_ns
         else:
             steps = (issued_ms - self._issued_ms) // can_codec.ISSUED_STEP_MS % can_codec.ISSUED_STEPS
             self._issued_ns += steps * ISSUED_TICK_NS
@@ -178,6 +181,11 @@ class IssueClock:
             self._least_ns = min(drifted_ns, t_ns - self._issued_ns)
         self._issued_ms, self._arrived_ns = issued_ms, t_ns
         return t_ns - self._issued_ns - self._least_ns
+
+    @property
+    def settled(self) -> bool:
+        """Whether the newest command was decided so long after a silence that the controller knew of it."""
+        return self._issued_ns >= SETTLED_NS
 
 
 class StimulatorNode:
@@ -324,7 +332,7 @@ class StimulatorNode:
                 self._off(t_ns, command.channel, "off")
         if result is Result.OK:
             channel.blocked = channel.blocked and command.on
-            channel.must_be_off = channel.must_be_off and command.on
+            channel.must_be_off = channel.must_be_off and (command.on or not self._clock.settled)
         else:
             self._refuse(t_ns, command.channel, result.name.lower())
         return frames + self._status(command.channel, command.counter, command.session_id, result)
@@ -350,7 +358,10 @@ class StimulatorNode:
             or command.frequency_hz > MAX_FREQUENCY_HZ
         ):
             return Result.OVER_LIMIT
-        if channel.must_be_off or age_ns > self._validity_ms * NS_PER_MS:
+        if age_ns > self._validity_ms * NS_PER_MS:
+            self.flags |= Fault.LATE  # for good, where it was the clock that jumped: until a new session
+            return Result.STALE
+        if channel.must_be_off:
             return Result.STALE
         if channel.blocked:
             return Result.ON_TIME
