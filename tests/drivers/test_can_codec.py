@@ -267,4 +267,4 @@ def test_a_check_that_told_ages_apart_would_be_used_up() -> None:
 def test_fault_flags_read_as_words() -> None:
     assert fault_text(0) == ""
     assert "output stage" in fault_text(2)
-    assert "0xe0" in fault_text(0xF0)
+    assert "0xc0" in fault_text(0xF0)

@@ -78,9 +78,7 @@ def test_a_definition_shows_on_hover_focus_and_touch(page: Page):
     x, y = page.middle("#parameters tbody a.term")
     page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
     shown = page.until(f"!{TIP}.hidden && {TIP}.textContent")
-    assert shown.startswith(
-        "stride length (SL): Horizontal distance of the foot between two of its mid-stances, scaled so"
-    )
+    assert shown.startswith("stride length (SL): Horizontal distance of the foot between two of its mid-stances, scaled so")
     assert "Wang et al. 2013" in shown
     page.call("Input.dispatchMouseEvent", type="mouseMoved", x=2, y=2)
     assert page.until(f"{TIP}.hidden")

@@ -273,6 +273,18 @@ def test_lockstep_replay_is_delivered_as_sent_and_the_same_twice(recording: Path
     assert repeat(Path(runs[0]["files"]["session_log"])).difference == ""
 
 
+def test_a_replay_slower_than_recorded_is_delivered_as_sent(tmp_path: Path) -> None:
+    """Its commands are decided by the recording's time; by the computer's each would be later than the last."""
+    settings = tmp_path / "session.toml"
+    settings.write_text(SETTINGS.read_text().replace("strides_before_start = 2", "strides_before_start = 0"))
+    options = ("--session", settings, "--speed", "0.8", "--no-report", "--json", "--out", tmp_path)
+    done = run_fes("replay", write_cut(tmp_path, end_s=14.0), *options)
+    assert done.returncode == OK, done.stderr
+    run = json.loads(done.stdout)
+    assert run["run_summary"]["wire"]["pulses"]["0"] > 20
+    assert not [status.fault for status in read_session(Path(run["files"]["session_log"])).statuses if status.fault]
+
+
 def test_a_stimulator_that_delivers_less_fails_the_replay(recording: Path, tmp_path: Path) -> None:
     with spawn_node(faults="weak=0") as node:
         options = on_the_bus(node, tmp_path)
