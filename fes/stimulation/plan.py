@@ -215,8 +215,10 @@ class StimulationPlan:
     def _level_ma(self, burst: Envelope, t_ns: int) -> float:
         """The envelope's current; at its foot one step of the device, for there the gate begins to count the rise."""
         level_ma, step_ma = burst.level_ma(t_ns), self._current_step_ma
+        if level_ma >= step_ma:
+            return level_ma
         rises = burst.t_start_ns <= t_ns < min(burst.t_start_ns + burst.rise_ns, burst.t_fall_ns)
-        return step_ma if rises and level_ma < step_ma <= burst.parameters.current_ma * burst.intensity else level_ma
+        return step_ma if rises and step_ma <= burst.parameters.current_ma * burst.intensity else level_ma
 
     def _is_on(self, burst: Envelope, t_ns: int) -> bool:
         """Whether :meth:`_pulse` is not None: nothing of it is less than the device's step."""
