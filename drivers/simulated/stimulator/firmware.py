@@ -358,10 +358,9 @@ class StimulatorNode:
             or command.frequency_hz > MAX_FREQUENCY_HZ
         ):
             return Result.OVER_LIMIT
-        if age_ns > self._validity_ms * NS_PER_MS:
-            self.flags |= Fault.LATE  # for good, where it was the clock that jumped: until a new session
-            return Result.STALE
-        if channel.must_be_off:
+        if late := age_ns > self._validity_ms * NS_PER_MS:
+            self.flags |= Fault.LATE  # until a new session: where it was the clock that jumped, it is wrong for good
+        if channel.must_be_off or late:
             return Result.STALE
         if channel.blocked:
             return Result.ON_TIME
