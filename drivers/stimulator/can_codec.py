@@ -16,11 +16,12 @@ from cantools.database.can import Message as DbcMessage
 
 from drivers.stimulator import e2e
 from drivers.stimulator.port import WordedEnum
+from fes import limits
 from fes.signals import StimCommand, WireFrame
 
-PROTOCOL_VERSION: Final = 2
+PROTOCOL_VERSION: Final = 3
 NO_SESSION: Final = 0
-ECHOED_COUNTS: Final = 16  # answers name a command by the low 4 bits of its count
+ECHOED_COUNTS: Final = {1: 16, 2: 16}  # in older versions answers named a command by the low 4 bits of its count
 
 
 class Result(WordedEnum):
@@ -31,20 +32,22 @@ class Result(WordedEnum):
     BAD_SESSION = 2, "command refused: its session is not open at the stimulator"
     BAD_COUNTER = 3, "command refused: repeated, old, or more than two commands lost"
     OVER_LIMIT = 4, "command refused: over the stimulator's own limits, the channel is off"
-    BAD_VALIDITY = 5, "command refused: its validity is 0 or longer than the stimulator allows, the channel is off"
+    STALE = 5, "command refused: it came later than its validity allows, the channel is off"
     ON_TIME = 6, "on for too long: the stimulator keeps the channel off until it gets an off command"
     FAULTED = 7, "command refused: the stimulator has a fault and needs a new session"
     OUTPUT_FAULT = 8, "output stage fault: electrode or lead, the channel is off"
 
 
 class Fault(IntFlag):
-    """Flags of NODE_ALIVE; the last two speak of the newest SESSION_OPEN."""
+    """Flags of NODE_ALIVE; VERSION, SESSION_USED and VALIDITY speak of the newest SESSION_OPEN."""
 
     NONE = 0
     COUNTER = 1
     OUTPUT = 2
     VERSION = 4
     SESSION_USED = 8
+    VALIDITY = 16
+    LATE = 32
 
 
 FAULT_TEXT: Final[dict[Fault, str]] = {
@@ -52,6 +55,8 @@ FAULT_TEXT: Final[dict[Fault, str]] = {
     Fault.OUTPUT: "output stage fault",
     Fault.VERSION: "the controller speaks another protocol version",
     Fault.SESSION_USED: "that session identifier was used before",
+    Fault.VALIDITY: "the session's validity is 0 or longer than the stimulator allows",
+    Fault.LATE: "commands come later than their validity allows, or a clock jumped: a new session is needed",
 }
 
 
@@ -65,7 +70,10 @@ def fault_text(faults: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """STIM_COMMAND. ``counter`` (0–127) runs over all channels of the controller and carries into ``session_id``."""
+    """STIM_COMMAND. ``counter`` (0–127) runs over all channels of the controller and carries into ``session_id``.
+
+    ``issued_ms``: when it was decided by the controller's clock, modulo 256 in steps of 16.
+    """
 
     counter: int
     session_id: int
@@ -74,16 +82,20 @@ class Command:
     current_ma: float
     pulse_width_us: float
     frequency_hz: float
-    validity_ms: int
+    issued_ms: int
 
 
 @dataclass(frozen=True, slots=True)
 class SessionOpen:
-    """SESSION_OPEN. ``boot_id`` is the one read from NODE_ALIVE: only that node, only this boot, may accept."""
+    """SESSION_OPEN. ``boot_id`` is the one read from NODE_ALIVE: only that node, only this boot, may accept.
+
+    ``validity_ms``, of all its commands: so long a channel stays on without another, and so old one may come.
+    """
 
     version: int
     boot_id: int
     session_id: int
+    validity_ms: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +117,7 @@ class Charge:
 class Status:
     """STIM_STATUS: what the channel delivers from now on.
 
-    ``counter`` is the command's modulo 16. ``session_id`` is the open session's, as opened; with BAD_SESSION, the
-    command's own.
+    ``counter`` and ``session_id`` are the command's own, so that an answer belongs to one command of a session only.
     """
 
     counter: int
@@ -154,7 +165,8 @@ NODE_IDS: Final = frozenset((CHARGE_ID, STATUS_ID, ALIVE_ID))
 _TYPES: Final = {message.frame_id: kind for kind, message in _OF_TYPE.items()}
 _SIGNALS: Final = {
     "counter": "Counter", "session_id": "Session", "channel": "Channel", "on": "On", "current_ma": "Current",
-    "pulse_width_us": "PulseWidth", "frequency_hz": "Frequency", "validity_ms": "Validity", "result": "Result",
+    "pulse_width_us": "PulseWidth", "frequency_hz": "Frequency", "validity_ms": "Validity", "issued_ms": "Issued",
+    "result": "Result",
     "version": "Version", "boot_id": "Boot", "pulses_total": "PulsesTotal", "charge_total_steps": "ChargeTotal",
     "rejected": "Rejected", "faults": "Faults",
 }  # fmt: skip
@@ -170,21 +182,25 @@ MAX_FREQUENCY_HZ: Final = FREQUENCY_STEP_HZ * _MOST["Frequency"]
 CHARGE_STEP_UC: Final = CURRENT_STEP_MA * PULSE_WIDTH_STEP_US * 1e-3
 CHARGE_TOTAL_STEPS: Final = 2**24
 PULSES_TOTAL: Final = 2**8
-VALIDITY_STEP_MS: Final = int(_COMMAND.get_signal_by_name("Validity").scale)
+VALIDITY_STEP_MS: Final = int(_OF_TYPE[SessionOpen].get_signal_by_name("Validity").scale)
+ISSUED_STEP_MS: Final = int(_COMMAND.get_signal_by_name("Issued").scale)
+ISSUED_STEPS: Final = _MOST["Issued"] + 1
 COUNTER_LOW: Final = _COMMAND.get_signal_by_name("Counter").length
 _STEPS: Final[dict[str, float]] = {
     "Current": CURRENT_STEP_MA,
     "PulseWidth": PULSE_WIDTH_STEP_US,
     "Frequency": FREQUENCY_STEP_HZ,
     "Validity": VALIDITY_STEP_MS,
+    "Issued": ISSUED_STEP_MS,
 }
 
 
-def encode_command(command: StimCommand, number: int, session_id: int) -> Frame:
+def encode_command(command: StimCommand, number: int, session_id: int, begun_ns: int = 0) -> Frame:
     """STIM_COMMAND of what the gate let out; an off command carries no current, width or frequency.
 
     Args:
         number: how many commands of the session went before, on all channels.
+        begun_ns: when the session's first command was decided; its time of issue counts from there.
         session_id: as it was opened; the frame carries what :func:`~drivers.stimulator.e2e.carried` says.
 
     Raises:
@@ -194,17 +210,20 @@ def encode_command(command: StimCommand, number: int, session_id: int) -> Frame:
         _whole("session_id", session_id, _MOST["Session"], least=1), _whole("number", number, e2e.NUMBERS - 1)
     )
     levels = (command.current_ma, command.pulse_width_us, command.frequency_hz) if command.on else (0.0, 0.0, 0.0)
-    return encode(Command(count, carried_id, command.channel, command.on, *levels, command.validity_ms))
+    issued_ms = (command.t_ns - begun_ns) // (ISSUED_STEP_MS * 1_000_000) % ISSUED_STEPS * ISSUED_STEP_MS
+    return encode(Command(count, carried_id, command.channel, command.on, *levels, issued_ms))
 
 
-def encode_open(boot_id: int, session_id: int, version: int = PROTOCOL_VERSION) -> Frame:
+def encode_open(
+    boot_id: int, session_id: int, version: int = PROTOCOL_VERSION, validity_ms: int = limits.MAX_VALIDITY_MS
+) -> Frame:
     """SESSION_OPEN in answer to the node that announced ``boot_id``.
 
     Raises:
         ValueError: a number is out of its field's range; session 0 means "none" and cannot be opened.
     """
     _whole("session_id", session_id, _MOST["Session"], least=1)
-    return encode(SessionOpen(version, boot_id, session_id))
+    return encode(SessionOpen(version, boot_id, session_id, validity_ms))
 
 
 def encode(message: Message) -> Frame:
@@ -216,7 +235,7 @@ def encode(message: Message) -> Frame:
     raw = {"Crc": 0, "Reserved": 0}
     for name, signal in _FIELDS[type(message)]:
         value = getattr(message, name)
-        if isinstance(message, Command) and name == "counter":
+        if isinstance(message, (Command, Status)) and name == "counter":
             raw["CounterHigh"] = _whole(name, value >> COUNTER_LOW, _MOST["CounterHigh"])
             value &= 2**COUNTER_LOW - 1
         step = _STEPS.get(signal)
@@ -238,7 +257,7 @@ def decode(identifier: int, data: bytes) -> Message:
     values: dict[str, Any] = {name: raw[signal] * _STEPS.get(signal, 1) for name, signal in _FIELDS[kind]}
     if "on" in values:
         values["on"] = bool(values["on"])
-    if kind is Command:
+    if kind in (Command, Status):
         values["counter"] |= raw["CounterHigh"] << COUNTER_LOW
     if kind is Status:
         try:
@@ -251,16 +270,22 @@ def decode(identifier: int, data: bytes) -> Message:
 def logged_commands(frames: list[WireFrame]) -> list[tuple[StimCommand, int]]:
     """The commands among logged frames, as they read on the wire, each with the count by which answers name it.
 
+    Of a log of an older version too.
+
     Raises:
         FrameRejected: a logged frame is no intact frame of this protocol.
     """
     commands = []
+    counts, validity_ms = e2e.COUNTS, limits.MAX_VALIDITY_MS
     for frame in frames:
         message = decode(frame.identifier, frame.data)
+        if isinstance(message, SessionOpen):
+            counts = ECHOED_COUNTS.get(message.version, e2e.COUNTS)
+            validity_ms = message.validity_ms or validity_ms
         if isinstance(message, Command):
             values = (message.on, message.current_ma, message.pulse_width_us, message.frequency_hz)
-            command = StimCommand(frame.t_ns, message.channel, *values, message.validity_ms)
-            commands.append((command, message.counter % ECHOED_COUNTS))
+            command = StimCommand(frame.t_ns, message.channel, *values, validity_ms)
+            commands.append((command, message.counter % counts))
     return commands
 
 

@@ -15,15 +15,16 @@ import can
 from drivers.stimulator import can_codec
 from drivers.stimulator.bus import LINE_HINT, read_frame, write_frame
 from drivers.stimulator.can_codec import Alive, Charge, Fault, Frame, Message, Result, Status, fault_text
-from drivers.stimulator.e2e import NUMBERS, carried
+from drivers.stimulator.e2e import COUNTS, NUMBERS, carried, command_number
 from drivers.stimulator.port import SessionUsed, StimulatorLost
+from fes import limits
 from fes.signals import NS_PER_S, StimAlive, StimCommand, StimStatus, WireFrame
 
 REMEMBERED: Final = 128  # commands: more than are sent until one is overdue, 36 with 8 channels at 100 Hz
 ANSWER_WITHIN_MS: Final = 45  # two command periods and some: the next command, 20 ms later, is the one retry
 HEARTBEAT_WITHIN_MS: Final = 350  # NODE_ALIVE comes every 100 ms
 POLL_AT_MOST: Final = 128  # frames per poll: a flooded bus must not hold the control loop
-COUNTERS: Final = can_codec.ECHOED_COUNTS
+COUNTERS: Final = COUNTS
 OPEN_AGAIN_AFTER_ALIVES: Final = 3  # without our session in them: SESSION_OPEN was lost, or refused
 _SESSION_GONE: Final = "the stimulator has not our session open (it restarted, or another controller took it)"
 _HALF_STEPS: Final = (("current_ma", 0.25, "mA"), ("pulse_width_us", 0.5, "µs"), ("frequency_hz", 0.5, "Hz"))
@@ -43,22 +44,22 @@ class CommandAnswers:
     def __len__(self) -> int:
         return len(self._waiting)
 
-    def sent(self, counter: int, command: StimCommand, written_ns: int | None = None) -> None:
-        """A command went out, at ``written_ns``; None: at its own time.
+    def sent(self, number: int, command: StimCommand, written_ns: int | None = None) -> None:
+        """The session's command of this number went out, at ``written_ns``; None: at its own time.
 
         The device cannot answer before the bytes are on their way, and a loop that was held up between deciding and
         writing has taken that time itself.
         """
-        self._waiting.append((counter, command, command.t_ns if written_ns is None else written_ns))
+        self._waiting.append((number, command, command.t_ns if written_ns is None else written_ns))
 
-    def settle(self, status: Status) -> str:
-        """Take in an answer; how what is delivered differs from what was commanded, "" when it does not.
+    def settle(self, number: int, status: Status) -> str:
+        """Take in an answer to the command of this number; how what is delivered differs from it, "" when it does not.
 
         An answer to nothing that waits (the end of a lease, a repetition) is held against nothing.
         """
         for position in range(len(self._waiting) - 1, -1, -1):
-            counter, command, _ = self._waiting[position]
-            if counter == status.counter and command.channel == status.channel:
+            asked, command, _ = self._waiting[position]
+            if asked == number and command.channel == status.channel:
                 for entry in list(self._waiting)[: position + 1]:
                     if entry[1].channel == status.channel:
                         self._waiting.remove(entry)
@@ -110,6 +111,7 @@ class CommandEncoder:
 
     session_id: int
     number: int = 0
+    begun_ns: int = 0
 
     @property
     def counter(self) -> int:
@@ -118,7 +120,9 @@ class CommandEncoder:
 
     def encode(self, command: StimCommand) -> Frame:
         """The command's frame; the number advances only when the command can be encoded."""
-        frame = can_codec.encode_command(command, self.number, self.session_id)
+        begun_ns = self.begun_ns if self.number else command.t_ns
+        frame = can_codec.encode_command(command, self.number, self.session_id, begun_ns)
+        self.begun_ns = begun_ns
         self.number += 1
         return frame
 
@@ -149,23 +153,31 @@ class CanStimulator:
             node that has not our session open any more is first reported and then lost, to be opened again.
         clock_ns: the wall's clock, read when a command is written, for its answer's time counts from there; None: it
             counts from the command's own time.
+        validity_ms: of every command, as the session is opened with it.
     """
 
     current_step_ma: ClassVar[float] = can_codec.CURRENT_STEP_MA
     heard: ClassVar[bytes] = b""  # what goes out depends on no answer
 
     def __init__(
-        self, bus: can.BusABC, session_id: int, *, in_real_time: bool = False, clock_ns: Callable[[], int] | None = None
+        self,
+        bus: can.BusABC,
+        session_id: int,
+        *,
+        in_real_time: bool = False,
+        clock_ns: Callable[[], int] | None = None,
+        validity_ms: int = limits.MAX_VALIDITY_MS,
     ) -> None:
         self.session_id = session_id
         self.foreign = 0
         self._bus = bus
         self._encoder = CommandEncoder(session_id)
         self._answers = CommandAnswers(in_real_time=in_real_time)
-        self._in_real_time, self._clock_ns = in_real_time, clock_ns
+        self._in_real_time, self._clock_ns, self._validity_ms = in_real_time, clock_ns, validity_ms
+        self._answered: dict[int, int] = {}  # by channel, the number of the newest command that was
         self._session_gone = False
         self._boot_id = 0
-        self._totals: dict[int, tuple[int, int]] = {}
+        self._totals: dict[int, Charge] = {}
         self._delivered: dict[int, tuple[int, int]] = {}
         self._alive_counter = -1
         self._closed = False
@@ -207,7 +219,11 @@ class CanStimulator:
             alives_since += 1
             if message.boot_id != asked_boot_id or alives_since >= OPEN_AGAIN_AFTER_ALIVES:
                 asked_boot_id, alives_since = message.boot_id, 0
-                frames.append(WireFrame(t_ns, *can_codec.encode_open(asked_boot_id, self.session_id)))
+                frames.append(
+                    WireFrame(
+                        t_ns, *can_codec.encode_open(asked_boot_id, self.session_id, validity_ms=self._validity_ms)
+                    )
+                )
                 write_frame(self._bus, frames[-1].identifier, frames[-1].data)
         raise StimulatorLost(self._why_not_open(last, timeout_s))
 
@@ -217,14 +233,17 @@ class CanStimulator:
         Raises:
             StimulatorLost: the bus did not take it (transmit buffer full, bus off, interface gone), or the session has
                 used all its numbers.
-            ValueError: a value does not fit its field; nothing was sent.
+            ValueError: a value does not fit its field, or the command is to hold for less than the session's validity;
+                nothing was sent.
         """
+        if command.validity_ms < self._validity_ms // can_codec.VALIDITY_STEP_MS * can_codec.VALIDITY_STEP_MS:
+            raise ValueError(f"validity_ms = {command.validity_ms}: the session was opened with {self._validity_ms}")
         if self._encoder.number == NUMBERS:
             raise StimulatorLost(f"{self._bus.channel_info}: the session has no numbers left for commands")
-        counter = self._encoder.counter
+        number = self._encoder.number
         frame = WireFrame(command.t_ns, *self._encoder.encode(command))
         write_frame(self._bus, frame.identifier, frame.data)
-        self._answers.sent(counter, command, self._clock_ns() if self._clock_ns else None)
+        self._answers.sent(number, command, self._clock_ns() if self._clock_ns else None)
         return frame
 
     def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
@@ -248,9 +267,9 @@ class CanStimulator:
                 self._alive_counter = message.counter
                 events.append(self._alive(message, t_ns, expect_session=True))
             elif isinstance(message, Charge):
-                self._totals[message.channel] = (message.pulses_total, message.charge_total_steps)
-            elif isinstance(message, Status):
-                events.append(self._status(message, t_ns))
+                self._totals[message.channel] = message
+            elif isinstance(message, Status) and (status := self._status(message, t_ns)) is not None:
+                events.append(status)
         if command := self._answers.overdue(t_ns):
             fault = f"no answer within {ANSWER_WITHIN_MS} ms"
             events.append(StimStatus(t_ns, command.channel, self._encoder.counter, False, 0.0, 0.0, 0.0, fault=fault))
@@ -265,12 +284,25 @@ class CanStimulator:
             with contextlib.suppress(can.CanError, OSError):  # an adapter that is gone cannot be shut down
                 self._bus.shutdown()
 
-    def _status(self, status: Status, t_ns: int) -> StimStatus:
-        different = self._answers.settle(status)
+    def _status(self, status: Status, t_ns: int) -> StimStatus | None:
+        """The answer as an event; None, and counted, where one to this command or a later one came before."""
+        number = command_number(self.session_id, status.session_id, status.counter)
+        charge = self._totals.pop(status.channel, None)
+        if status.result is Result.OK:
+            if not self._answered.get(status.channel, -1) < number < self._encoder.number:
+                self.foreign += 1
+                return None
+            self._answered[status.channel] = number
+        different = self._answers.settle(number, status)
         if status.result is Result.BAD_SESSION:
             self._session_gone = True
-        pulses, steps = self._totals.get(status.channel, (0, 0))
         seen_pulses, seen_steps = self._delivered.get(status.channel, (0, 0))
+        pulses, steps = seen_pulses, seen_steps
+        if charge and (charge.session_id, charge.counter) == (
+            status.session_id,
+            status.counter % 2**can_codec.COUNTER_LOW,
+        ):
+            pulses, steps = charge.pulses_total, charge.charge_total_steps
         self._delivered[status.channel] = (pulses, steps)
         levels = (status.current_ma, status.pulse_width_us, status.frequency_hz)
         new_pulses = (pulses - seen_pulses) % can_codec.PULSES_TOTAL
@@ -325,13 +357,14 @@ class ByteSink:
 
     outstanding = 0
 
-    def __init__(self, session_id: int) -> None:
+    def __init__(self, session_id: int, validity_ms: int = limits.MAX_VALIDITY_MS) -> None:
         self.session_id = session_id
         self._encoder = CommandEncoder(session_id)
+        self._validity_ms = validity_ms
 
     def open(self, t_ns: int, boot_id: int) -> WireFrame:
         """The SESSION_OPEN that a node with this boot id would have got."""
-        return WireFrame(t_ns, *can_codec.encode_open(boot_id, self.session_id))
+        return WireFrame(t_ns, *can_codec.encode_open(boot_id, self.session_id, validity_ms=self._validity_ms))
 
     def send(self, command: StimCommand) -> WireFrame:
         """The command's frame. ValueError: a value does not fit its field."""

@@ -82,7 +82,9 @@ def open_stimulator(settings: StimulatorDevice, session: Session, session_id: in
         allowed = ", ".join(sorted(_OPTIONS[device])) or "none"
         raise ConfigError(f"stimulator.options of device {device!r}: {', '.join(unknown)}; it has {allowed}")
     if device == "can":
-        return CanStimulator(open_bus(session.bus), session_id, in_real_time=True, clock_ns=time.monotonic_ns)
+        validity_ms = session.stimulation.validity_ms
+        bus, clock_ns = open_bus(session.bus), time.monotonic_ns
+        return CanStimulator(bus, session_id, in_real_time=True, clock_ns=clock_ns, validity_ms=validity_ms)
     if device == "rehastim2":
         _rate_suffices(settings, session)
         numbers = _channel_numbers(settings, session)

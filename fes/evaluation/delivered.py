@@ -8,7 +8,7 @@ from typing import Any, Final
 from fes.signals import StimCommand, StimStatus
 
 DIFFERENCES_LISTED: Final = 20
-COUNTERS: Final = 16  # values of the wire's command counter
+COUNTERS: Final = 128  # values of the wire's command counter
 _TOLERANCE: Final = 1e-6  # both sides are whole steps of the wire; this only absorbs float arithmetic
 
 
@@ -57,7 +57,7 @@ def compare_delivered(sent: Sequence[tuple[StimCommand, int]], statuses: Iterabl
 
     Per channel, an answer belongs to the newest not yet answered command with its counter that was sent no later
     than the answer came; commands passed over by that stay unanswered. That is unique as long as fewer commands are
-    on their way than the counter has values (16).
+    on their way than the counter has values (128; 16 in old logs).
     """
     answers: dict[int, list[StimStatus]] = defaultdict(list)
     for status in statuses:

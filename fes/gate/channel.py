@@ -56,7 +56,8 @@ class ChannelState:
     """A channel's settings, the sensor that its timing rests on, its antagonists' numbers, and its state.
 
     ``ramp_ma`` climbs no faster than the rise limit and never lies above the current let out; a request may exceed it
-    by ``step_ma``. So no sequence of commands, however dense, beats the limit by more than a step.
+    by ``step_ma``. So no sequence of commands, however dense, beats the limit by more than a step. It begins at the
+    burst's first command: however long the channel was off, that one is a step at most.
     The limits from ``caps`` on are, each, the absolute one or the channel's own, whichever is tighter.
     ``held_back``: the burst now asked for was refused though nothing is broken; see :mod:`fes.gate.gate`.
     """
@@ -142,7 +143,7 @@ class ChannelState:
 
     def _ramp_ma_at(self, t_ns: int) -> float:
         """Where the ramp may be; one validity is the longest time since a command that counts."""
-        if self.commanded_ns is None:
-            return 0.0
+        if not self.on or self.commanded_ns is None:
+            return self.ramp_ma
         elapsed_ns = min(max(t_ns - self.commanded_ns, 0), self.validity_ns)
         return self.ramp_ma + self.most_rise_ma_per_s * elapsed_ns / NS_PER_S

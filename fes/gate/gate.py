@@ -7,7 +7,7 @@ and :meth:`SafetyGate.judge` are told, in times that must never run backward.
 
 Some refusals do not latch, because nothing is broken: not armed, too soon after the last burst, an antagonist still
 on. A burst refused in this way, or one whose command ran out before the next came, is *held back*: it may still start
-late where its rise allows, and where that does not, it is refused in silence until the plan has asked for off.
+late with one step of the device, and where it asks for more, it is refused in silence until the plan has asked for off.
 """
 
 from collections.abc import Mapping

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from fes.live.dashboard.stream import DashboardStream
 
 FRAME_NS: Final = 100_000_000
+REFUSED_NS: Final = 150_000_000  # a missing answer is reported again within 45 ms and a command's period or two
 KEPT: Final = 4096  # latencies: eight seconds of one sensor at 500 Hz
 EDGES_MS: Final = (0.1, 0.2, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0, 40.0)
 
@@ -147,6 +148,7 @@ class Monitor(ShownLog):
         self.switches = SwitchComparison()
         self.answered_ns: int | None = None
         self.device_fault = ""
+        self._refused: StimStatus | None = None
         self.arrivals: dict[str, Timing] = {sensor: Timing() for sensor in sensors}
         self.sensors = sensors
         self._missed_by_lost_dashboard = 0
@@ -171,8 +173,18 @@ class Monitor(ShownLog):
             self.answered_ns = event.t_ns
             if isinstance(event, StimAlive):
                 self.device_fault = event.fault
+            elif event.fault:
+                self._refused = event
         elif isinstance(event, FootSwitchEvent):
             self.switches.add_switch(event)
+
+    def not_answering(self, t_ns: int) -> str:
+        """The fault of a command's answer that came, or did not come, just now; "" where there is none.
+
+        A stimulator that hears every command late is told of again and again, and must not be armed in between.
+        """
+        recent = self._refused is not None and t_ns - self._refused.t_ns <= REFUSED_NS
+        return f"the stimulator reports: {self._refused.fault}" if self._refused and recent else ""
 
     def phase(self, change: PhaseChange) -> None:
         """As the log's."""

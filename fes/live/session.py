@@ -222,6 +222,7 @@ class LiveSession:
     def _reasons_not_ready(self) -> list[str]:
         reasons = [each.not_ready() for each in self._inputs if isinstance(each, (StopFile, StopSwitch))]
         reasons += [self._log.healthy, "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}"]
+        reasons.append(self.monitor.not_answering(self.runner.t_ns))
         if self._keyboard is not None and self._keyboard.fileno() is None and not self._other_stops():
             reasons.append(NO_STOP)
         if fault := self.monitor.device_fault:

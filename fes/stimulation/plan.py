@@ -9,6 +9,8 @@ A burst comes and goes after the trapezoid of the drop-foot stimulators:
 - it enters a phase outside start … stop, or its phase was lost (``Transition.NONE``): off at once;
 - it enters ``start_phase`` again: off at once, and a new burst.
 
+It begins with one step of the device, at once, and rises from there: the gate grants nothing for the time before.
+
 A burst starts late rather than break a rule that the gate would enforce: not before its channel has been off for
 ``min_off_s``, and not while a channel that it must never be on with has a burst. One that has gone off is over.
 """
@@ -99,7 +101,6 @@ class StimulationPlan:
         self._current_step_ma = current_step_ma
         self._pulse_width_step_us = pulse_width_step_us
         self._states = tuple(_state_of(channel) for channel in channels)
-        self._asked_ns: int | None = None
         for state in self._states:
             state.partners = tuple(other for other in self._states if _exclusive(state.channel, other.channel))
 
@@ -154,9 +155,9 @@ class StimulationPlan:
         """
         for state in self._states:
             burst = state.burst
-            # the usual cases, at every sample: nothing to come, what starts now and has no current yet, what goes on
+            # the usual cases, at every sample: nothing to come, what goes on
             if burst is None:
-                if not state.on and state.awaited_ns in (None, t_ns):
+                if not state.on and state.awaited_ns is None:
                     continue
             elif state.on and burst is state.steady and t_ns < state.steady_ns and intensity >= burst.intensity:
                 continue
@@ -172,9 +173,7 @@ class StimulationPlan:
             t_ns: now; no earlier than in any call before.
             intensity: the operator's setting, 0–1; anything else is clipped, not-a-number is 0.
         """
-        requests = tuple([self._commit(state, t_ns, intensity) for state in self._states])
-        self._asked_ns = t_ns
-        return requests
+        return tuple([self._commit(state, t_ns, intensity) for state in self._states])
 
     def _commit(self, state: _ChannelState, t_ns: int, intensity: float) -> StimRequest:
         burst, pulse = self._burst(state, t_ns, intensity), None
@@ -202,29 +201,36 @@ class StimulationPlan:
             if other.on or other.burst is not None:
                 return None
         t_start_ns = state.awaited_ns
-        if self._asked_ns is not None:  # the rise counts from the last command, at which the channel was off
-            t_start_ns = max(t_start_ns, self._asked_ns)
         if state.off_since_ns is not None:
             t_start_ns = max(t_start_ns, state.off_since_ns + to_ns(state.channel.limits.min_off_s))
-        if t_start_ns > t_ns or t_start_ns - state.awaited_ns > LATEST_NS:
+        if t_start_ns > t_ns or t_ns - state.awaited_ns > LATEST_NS:
             return None
+        t_start_ns = t_ns  # it rises from its first command on: the gate grants nothing for the time before
         if state.by_hand_ns is not None:
             return Envelope.for_channel(state.channel, t_start_ns, intensity, state.taken).stopped(
                 t_start_ns + state.by_hand_ns
             )
         return Envelope.for_channel(state.channel, t_start_ns, intensity, state.taken, state.due_ns())
 
+    def _level_ma(self, burst: Envelope, t_ns: int) -> float:
+        """The envelope's current; at its foot one step of the device, for there the gate begins to count the rise."""
+        level_ma, step_ma = burst.level_ma(t_ns), self._current_step_ma
+        if level_ma >= step_ma:
+            return level_ma
+        rises = burst.t_start_ns <= t_ns < min(burst.t_start_ns + burst.rise_ns, burst.t_fall_ns)
+        return step_ma if rises and step_ma <= burst.parameters.current_ma * burst.intensity else level_ma
+
     def _is_on(self, burst: Envelope, t_ns: int) -> bool:
         """Whether :meth:`_pulse` is not None: nothing of it is less than the device's step."""
         return (
-            burst.level_ma(t_ns) >= self._current_step_ma
+            self._level_ma(burst, t_ns) >= self._current_step_ma
             and burst.width_us(t_ns) >= self._pulse_width_step_us
             and burst.frequency_hz >= FREQUENCY_STEP_HZ
         )
 
     def _pulse(self, burst: Envelope, t_ns: int) -> tuple[float, float, float] | None:
         """Current (mA), width (µs) and frequency (Hz) in the device's steps; None where one is nothing."""
-        current_ma = round_down(burst.level_ma(t_ns), self._current_step_ma)
+        current_ma = round_down(self._level_ma(burst, t_ns), self._current_step_ma)
         pulse_width_us = round_down(burst.width_us(t_ns), self._pulse_width_step_us)
         frequency_hz = round_down(burst.frequency_hz, FREQUENCY_STEP_HZ)
         if current_ma <= 0.0 or pulse_width_us <= 0.0 or frequency_hz <= 0.0:

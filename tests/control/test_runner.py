@@ -105,7 +105,7 @@ class OnController:
             return Decision()
         self._next_ms = ms // 20 * 20 + 20
         on = 100 <= ms < 2000
-        ramp_ma = min(20.0, 0.5 * ((ms - 100) // 5)) if on else 0.0
+        ramp_ma = min(20.0, 0.5 + 0.5 * ((ms - 100) // 5)) if on else 0.0
         on = on and ramp_ma > 0
         return Decision(tuple(StimRequest(channel, on, ramp_ma, 300.0 * on, 40.0 * on) for channel in self.channels))
 

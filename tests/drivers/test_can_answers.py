@@ -26,10 +26,10 @@ def test_a_fitting_answer_settles_its_channels_older_commands_and_no_others() ->
     answers = CommandAnswers(in_real_time=True)
     for counter, channel in ((1, 1), (2, 0), (3, 1), (4, 1)):
         answers.sent(counter, replace(COMMAND, channel=channel))
-    assert answers.settle(STATUS) == ""
+    assert answers.settle(3, STATUS) == ""
     assert len(answers) == 2
-    assert answers.settle(replace(STATUS, counter=2, channel=0)) == ""
-    assert answers.settle(replace(STATUS, counter=4)) == ""
+    assert answers.settle(2, replace(STATUS, counter=2, channel=0)) == ""
+    assert answers.settle(4, replace(STATUS, counter=4)) == ""
     assert len(answers) == 0
 
 
@@ -47,19 +47,19 @@ def test_a_fitting_answer_settles_its_channels_older_commands_and_no_others() ->
     ],
 )
 def test_an_answer_must_say_what_was_commanded(changes: dict[str, Any], says: str) -> None:
-    assert waiting().settle(replace(STATUS, **changes)) == says
+    assert waiting().settle(3, replace(STATUS, **changes)) == says
 
 
 def test_delivering_when_off_was_commanded_is_a_difference() -> None:
     answers = CommandAnswers(in_real_time=True)
     answers.sent(3, StimCommand(0, 1, False, 0.0, 0.0, 0.0, 60))
-    assert answers.settle(STATUS) == "commanded off, delivered on"
+    assert answers.settle(3, STATUS) == "commanded off, delivered on"
 
 
 @pytest.mark.parametrize("status", [replace(STATUS, counter=4), replace(STATUS, channel=2)])
 def test_an_answer_to_nothing_is_held_against_nothing(status: Status) -> None:
     answers = waiting()
-    assert answers.settle(status) == ""
+    assert answers.settle(status.counter, status) == ""
     assert len(answers) == 1
 
 
@@ -81,7 +81,7 @@ def test_one_lost_answer_is_made_good_by_the_next_command_and_two_are_told_well_
             if t_ms % period_ms == 0:
                 answers.sent(number, replace(COMMAND, t_ns=t_ms * MS))
             if t_ms % period_ms == 12 and number >= lost:  # a loaded bus
-                assert answers.settle(replace(STATUS, counter=number)) == ""
+                assert answers.settle(number, STATUS) == ""
             if told_ms is None and answers.overdue(t_ms * MS) is not None:
                 told_ms = t_ms
         assert told_ms == (None if lost == 1 else ANSWER_WITHIN_MS + 1)
@@ -95,9 +95,9 @@ def test_silence_is_told_however_many_commands_are_sent(channels: int, period_ms
     answers, number = CommandAnswers(in_real_time=True), 0
     for t_ms in range(200):
         for channel in range(channels if t_ms % period_ms == 0 else 0):
-            answers.sent(number % 16, replace(COMMAND, t_ns=t_ms * MS, channel=channel))
+            answers.sent(number, replace(COMMAND, t_ns=t_ms * MS, channel=channel))
             if channel >= silent:
-                assert answers.settle(replace(STATUS, counter=number % 16, channel=channel)) == ""
+                assert answers.settle(number, replace(STATUS, channel=channel)) == ""
             number += 1
         if late := answers.overdue(t_ms * MS):
             assert (t_ms, late.channel) == (ANSWER_WITHIN_MS + 1, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import can
@@ -15,7 +16,7 @@ from drivers.stimulator.can_codec import PROTOCOL_VERSION, Alive, Charge, Result
 from drivers.stimulator.can_port import CanStimulator
 from drivers.stimulator.port import SessionUsed, StimulatorLost
 from fes.config import Bus
-from fes.signals import StimAlive, StimCommand, StimStatus
+from fes.signals import StimAlive, StimCommand, StimStatus, WireFrame
 
 MS = 1_000_000
 BOOT, SESSION = 77, 0x1234
@@ -34,6 +35,9 @@ class Bench:
         self.bus = can.Bus(interface="virtual", channel=name, ignore_config=True)
         self.port = CanStimulator(can.Bus(interface="virtual", channel=name, ignore_config=True), SESSION)
         self.t_ns = 0
+
+    def send(self, wanted: StimCommand, t_ns: int | None = None) -> WireFrame:
+        return self.port.send(replace(wanted, t_ns=self.t_ns if t_ns is None else t_ns))
 
     def turn(self, t_ns: int) -> None:
         self.t_ns = t_ns
@@ -121,19 +125,74 @@ def test_every_command_is_answered_however_long_the_session(bench: Bench) -> Non
     for number in range(700):
         if number == 0:
             bench.port.open(0, clock_ns=bench.clock)
-        bench.port.send(command(number % 8, number % 3 != 0))
+        bench.send(command(number % 8, number % 3 != 0))
         bench.turn(bench.t_ns + 10 * MS)
         (status,) = (s for s in statuses(bench.port.poll(bench.t_ns)) if "lease" not in s.fault)
-        assert (status.counter, status.fault, bench.port.outstanding) == (number % 16, "", 0)
+        assert (status.counter, status.fault, bench.port.outstanding) == (number % 128, "", 0)
     assert bench.port.foreign == 0
+
+
+@pytest.mark.requirement("SR-13")
+@pytest.mark.parametrize("kept", [1, 8, 16, 64])
+def test_old_answers_in_a_loop_do_not_hide_a_stimulator_that_has_fallen_silent(kept: int) -> None:
+    """As a gateway might that repeats what it has; their count of 7 bits comes round, their identifier does not."""
+    name = f"loop{kept}"
+    bench = Bench(name=name)
+    bench.port.close()
+    bench.port = CanStimulator(
+        can.Bus(interface="virtual", channel=name, ignore_config=True), SESSION, in_real_time=True
+    )
+    bench.port.open(0, clock_ns=bench.clock)
+    sent, loop = [], list[tuple[int, bytes]]()
+    for step in range(400):
+        t_ns = bench.t_ns = bench.t_ns + 20 * MS
+        wanted = bench.send(command())
+        frames = bench.node.receive(t_ns, wanted.identifier, wanted.data)
+        answers = [frame for frame in frames if frame[0] != can_codec.ALIVE_ID]
+        silent = step >= 200
+        if not silent:
+            loop = [*loop, *answers][-2 * kept :]
+        for identifier, data in [frame for frame in frames if frame not in answers] + (loop if silent else answers):
+            bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+        sent += [status for status in statuses(bench.port.poll(t_ns)) if "no answer within" in status.fault]
+        if silent and sent:
+            break
+    assert step <= 204
+    assert sent
+    bench.close()
+
+
+@pytest.mark.parametrize("looped", [0, 1])
+def test_the_totals_beside_an_old_answer_do_not_count_for_a_later_one(bench: Bench, looped: int) -> None:
+    """16 commands later the low bits of the count are the same; the charge beside that answer is lost."""
+    bench.port.open(0, clock_ns=bench.clock)
+    answers: list[list[tuple[int, bytes]]] = []
+    seen = []
+    for step in range(17):
+        bench.t_ns += 20 * MS
+        wanted = bench.send(command())
+        frames = bench.node.receive(bench.t_ns, wanted.identifier, wanted.data)
+        answers.append([frame for frame in frames if frame[0] != can_codec.ALIVE_ID])
+        said = answers[step] if step < 16 else [*answers[0] * looped, answers[step][1]]
+        for identifier, data in said:
+            bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
+        seen += statuses(bench.port.poll(bench.t_ns))
+    assert [status.pulses for status in seen][-1] == 0
+    assert sum(status.pulses for status in seen) < 40
+
+
+def test_a_command_that_is_to_hold_for_less_than_the_session_says_is_not_sent(bench: Bench) -> None:
+    bench.port.open(0, clock_ns=bench.clock)
+    with pytest.raises(ValueError, match="validity_ms = 40"):
+        bench.send(command(validity_ms=40))
 
 
 def test_a_session_without_numbers_left_is_lost(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("drivers.stimulator.can_port.NUMBERS", 5)
     for _ in range(5):
-        bench.port.send(command())
+        bench.send(command())
     with pytest.raises(StimulatorLost, match="no numbers left"):
-        bench.port.send(command())
+        bench.send(command())
 
 
 @pytest.mark.parametrize("sent", [1, 127, 128, 140, 300])
@@ -159,7 +218,7 @@ def test_status_carries_what_is_delivered_since_the_last_one(bench: Bench) -> No
     bench.port.open(0, clock_ns=bench.clock)
     start_ns, pulses, charge_uc = bench.t_ns, 0, 0.0
     for step in range(60):
-        bench.port.send(command())
+        bench.send(command())
         assert bench.port.outstanding == 1
         bench.turn(start_ns + step * 20 * MS)
         for status in statuses(bench.port.poll(step)):
@@ -175,8 +234,9 @@ def test_lost_charge_frames_lose_no_charge(bench: Bench) -> None:
     bench.port.open(0, clock_ns=bench.clock)
     start_ns, pulses = bench.t_ns, 0
     for step in range(400):
-        wanted = bench.port.send(command(on=step % 100 != 99, frequency_hz=100.0))
-        frames = bench.node.receive(start_ns + step * 20 * MS, wanted.identifier, wanted.data)
+        t_ns = start_ns + step * 20 * MS
+        wanted = bench.send(command(on=step % 100 != 99, frequency_hz=100.0), t_ns)
+        frames = bench.node.receive(t_ns, wanted.identifier, wanted.data)
         for position, (identifier, data) in enumerate(frames):
             if step == 399 or (step * 7 + position) % 3:  # the last status makes up for all before
                 bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))
@@ -190,7 +250,7 @@ def test_lost_charge_frames_lose_no_charge(bench: Bench) -> None:
 def test_node_fault_and_lost_session_reach_the_controller(bench: Bench) -> None:
     bench.port.open(0, clock_ns=bench.clock)
     bench.node.receive(bench.t_ns, *can_codec.encode_open(BOOT, 4321))
-    bench.port.send(command())
+    bench.send(command())
     bench.turn(bench.t_ns + 100 * MS)
     events = bench.port.poll(9)
     assert "session is not open" in statuses(events)[0].fault
@@ -200,7 +260,7 @@ def test_node_fault_and_lost_session_reach_the_controller(bench: Bench) -> None:
 @pytest.mark.parametrize("bench", ["electrode=1"], indirect=True)
 def test_electrode_fault_is_told_in_words(bench: Bench) -> None:
     bench.port.open(0, clock_ns=bench.clock)
-    bench.port.send(command())
+    bench.send(command())
     bench.turn(bench.t_ns + 100 * MS)
     events = bench.port.poll(9)
     assert "output stage fault" in statuses(events)[0].fault
@@ -218,7 +278,7 @@ def test_foreign_frames_do_not_pile_up_and_do_not_hold_the_loop(bench: Bench) ->
         bench.bus.send(can.Message(arbitration_id=0x300 + number, data=b"x", is_extended_id=False))
     bench.bus.send(can.Message(arbitration_id=can_codec.STATUS_ID, data=bytes(8), is_extended_id=True))
     bench.bus.send(can.Message(arbitration_id=can_codec.STATUS_ID, data=bytes(8), is_extended_id=False))
-    bench.port.send(command())
+    bench.send(command())
     bench.turn(bench.t_ns)
     assert len(statuses(bench.port.poll(1))) == 1
     assert bench.port.foreign - before == 102
@@ -294,7 +354,7 @@ def test_a_bus_that_cannot_be_opened_says_what_to_do(bus: Bus, words: str) -> No
 def test_an_answer_settles_its_command_and_all_older_ones(bench: Bench) -> None:
     bench.port.open(0, clock_ns=bench.clock)
     for count in range(1, 4):
-        bench.port.send(command())
+        bench.send(command())
         assert bench.port.outstanding == count
     identifier, data = can_codec.encode(Status(1, SESSION, 1, True, 20.0, 300.0, 40.0, Result.OK))
     bench.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False))

@@ -117,7 +117,7 @@ def test_statuses_carry_the_counter_of_their_command(kind: str) -> None:
         sent = len(bench.statuses)
         bench.turn(command(bench.t_ns, current_ma=10.0 + step % 7, on=step % 10 != 9))
         for status in bench.statuses[sent:]:
-            assert status.counter == step % 16
+            assert status.counter == step % 128
 
 
 @pytest.mark.parametrize("kind", ["low", "rehastim2"])

@@ -86,10 +86,11 @@ def again(message: Command | Status | Charge | Alive | SessionOpen) -> tuple[int
     match message:
         case Command():
             levels = (message.current_ma, message.pulse_width_us, message.frequency_hz)
-            command = StimCommand(0, message.channel, message.on, *levels, message.validity_ms)
+            issued_ns = message.issued_ms * 1_000_000
+            command = StimCommand(issued_ns, message.channel, message.on, *levels, 60)
             return can_codec.encode_command(command, message.counter, message.session_id)
         case SessionOpen():
-            return can_codec.encode_open(message.boot_id, message.session_id, message.version)
+            return can_codec.encode(message)
     return can_codec.encode(message)
 
 

@@ -26,8 +26,10 @@ IDENTIFIER_BITS, BITS = 11, 64
 EXECUTED = ("on", "level", "off", "session", "fault")
 
 
-def command(channel: int = 1, on: bool = True, current_ma: float = 20.0, width_us: float = 300.0) -> StimCommand:
-    return StimCommand(0, channel, on, current_ma, width_us, 40.0, 60)
+def command(
+    channel: int = 1, on: bool = True, current_ma: float = 20.0, width_us: float = 300.0, t_ns: int = 0
+) -> StimCommand:
+    return StimCommand(t_ns, channel, on, current_ma, width_us, 40.0, 60)
 
 
 def opened(session_id: int = SESSION) -> StimulatorNode:
@@ -39,7 +41,9 @@ def opened(session_id: int = SESSION) -> StimulatorNode:
 
 
 def outputs(node: StimulatorNode) -> list[Any]:
-    return [(c.on, c.levels, c.lease_end_ns, c.counter, c.blocked) for c in node.channels] + [node.session_id]
+    return [(c.on, c.levels, c.lease_end_ns, c.answers, c.blocked, c.must_be_off) for c in node.channels] + [
+        node.session_id
+    ]
 
 
 def executed(node: StimulatorNode) -> int:
@@ -110,7 +114,7 @@ def test_no_opening_of_a_session_with_one_or_two_flipped_bits_is_executed() -> N
 def test_repeated_command_is_not_executed_again() -> None:
     node = opened()
     for number in range(300):
-        frame = can_codec.encode_command(command(number % 8, number % 3 != 0), number, SESSION)
+        frame = can_codec.encode_command(command(number % 8, number % 3 != 0, t_ns=number * MS), number, SESSION)
         assert result_of(node.receive(number * MS, *frame)) is Result.OK
         state = outputs(node)
         node.take_record()
@@ -128,7 +132,10 @@ REFUSED = (Result.BAD_COUNTER, Result.BAD_SESSION)
 def test_command_that_comes_again_any_number_of_frames_late_is_refused(session_id: int) -> None:
     """1 to 4095 frames late and more: also where the count comes round, and where the identifier goes up."""
     node, latest = opened(session_id), 4500
-    frames = [can_codec.encode_command(command(n % 2, True, 10.0 + n % 4), n, session_id) for n in range(3 * latest)]
+    frames = [
+        can_codec.encode_command(command(n % 2, True, 10.0 + n % 4, t_ns=n * MS // 5), n, session_id)
+        for n in range(3 * latest)
+    ]
     late = 0
     for number, frame in enumerate(frames[: latest + examples(1, 8) * latest // 4]):
         t_ns = number * MS // 5
@@ -149,7 +156,9 @@ def test_command_that_comes_again_any_number_of_frames_late_is_refused(session_i
 def test_command_that_is_held_back_is_refused_whenever_it_comes(held: int) -> None:
     """It never acted before; but newer ones have."""
     node = opened()
-    frames = [can_codec.encode_command(command(n % 2, True, 10.0 + n % 4), n, SESSION) for n in range(held + 600)]
+    frames = [
+        can_codec.encode_command(command(n % 2, True, 10.0 + n % 4, t_ns=n * MS), n, SESSION) for n in range(held + 600)
+    ]
     for number, frame in enumerate(frames):
         if number != held:
             assert result_of(node.receive(number * MS, *frame)) is Result.OK
@@ -199,7 +208,9 @@ class Wire:
             self.t_ns += 5 * MS
             self.node.advance(self.t_ns)
             frame = can_codec.encode_command(
-                command(self.number % 8, self.number % 3 != 0, 1.0 + self.number % 40), self.number, self.session_id
+                command(self.number % 8, self.number % 3 != 0, 1.0 + self.number % 40, t_ns=self.t_ns),
+                self.number,
+                self.session_id,
             )
             self.number += 1
             if position < lost:

@@ -168,13 +168,41 @@ def test_validity_is_the_settings_up_to_the_absolute_limit(asked_ms: int, given_
 
 
 @pytest.mark.requirement("SR-05")
-def test_rise_is_limited_by_the_time_since_the_last_command_and_one_step(bench: Bench) -> None:
+def test_rise_is_limited_by_the_time_since_the_last_command_and_one_step() -> None:
+    bench = Bench(risen=False)
+    bench.wait(10)
+    assert bench.ask(current_ma=0.5).on
     bench.wait(10)  # 1000 mA/s: 10 mA and a step of 0.5 mA
     assert bench.ask(current_ma=10.5).on
     bench.wait(5)
     assert bench.ask(current_ma=15.5).on, "the step is granted once, over the line and not over the last command"
     bench.wait(5)
     assert_latched(bench, bench.ask(current_ma=21.0), "channel 0: rise to 21 mA too fast, at most 20.5 mA by now")
+
+
+@pytest.mark.requirement("SR-05")
+@pytest.mark.parametrize("rise_ma_per_s", [400.0, 2000.0])
+@pytest.mark.parametrize("gap_ms", [20, 60, 5000])
+def test_a_gap_without_a_command_grants_no_rise(rise_ma_per_s: float, gap_ms: int) -> None:
+    for current_ma, passes in ((0.5, True), (1.0, False)):
+        bench = Bench(make_channel(limits={"max_rise_ma_per_s": rise_ma_per_s}), risen=False)
+        bench.wait(gap_ms)
+        command = bench.ask(current_ma=current_ma)
+        assert command.on is passes
+        if not passes:
+            assert_latched(bench, command, "rise to 1 mA too fast, at most 0.5 mA by now")
+
+
+@pytest.mark.requirement("SR-05")
+def test_a_command_that_ran_out_grants_no_rise_either() -> None:
+    bench = Bench(risen=False)
+    bench.wait(10)
+    assert bench.ask(current_ma=0.5).on
+    bench.wait(61)
+    assert_held(bench, bench.ask(current_ma=20.0), "off for 0.001 s")
+    bench.wait(100)
+    assert_held(bench, bench.ask(current_ma=1.0), "rise to 1 mA too fast, at most 0.5 mA by now")
+    assert bench.ask(current_ma=0.5).on
 
 
 def test_rise_within_one_instant_is_one_step_however_often_asked(bench: Bench) -> None:
@@ -216,16 +244,12 @@ def test_absolute_rise_limit_holds() -> None:
     assert_latched(bench, bench.ask(current_ma=21.5), "at most 20.5 mA")
 
 
-def test_time_without_commands_counts_as_one_validity_at_most() -> None:
-    channel = make_channel(limits={"max_rise_ma_per_s": 200.0})
-    bench = Bench(channel)
-    for _ in range(50):
-        bench.wait(20)
-    assert bench.ask(current_ma=12.5).on
-    bench = Bench(channel)
-    for _ in range(50):
-        bench.wait(20)
-    assert_latched(bench, bench.ask(current_ma=13.0), "at most 12.5 mA")
+def test_within_a_burst_time_without_commands_counts_as_one_validity_at_most() -> None:
+    for current_ma, passes in ((12.5, True), (13.0, False)):
+        bench = Bench(make_channel(limits={"max_rise_ma_per_s": 200.0}), risen=False)
+        assert bench.ask(current_ma=0.5).on
+        bench.wait(60)
+        assert bench.ask(current_ma=current_ma).on is passes
 
 
 def test_fall_and_rise_again_within_a_burst(bench: Bench) -> None:
@@ -312,6 +336,18 @@ def test_a_held_back_burst_has_no_other_privilege(bench: Bench) -> None:
     assert_latched(bench, bench.ask(current_ma=31.0), "current 31 mA")
 
 
+def test_a_burst_that_was_held_back_is_as_any_other_once_it_is_on() -> None:
+    bench = Bench(risen=False)
+    assert bench.ask(current_ma=0.5).on
+    bench.off()
+    bench.wait(20)
+    assert_held(bench, bench.ask(current_ma=0.5), "off for")
+    bench.wait(80)
+    assert bench.ask(current_ma=0.5).on
+    bench.wait(10)
+    assert_latched(bench, bench.ask(current_ma=20.0), "rise to 20 mA too fast, at most 10.5 mA by now")
+
+
 def test_arming_in_the_middle_of_a_burst_neither_starts_it_nor_latches(bench: Bench) -> None:
     bench.act(OperatorAction.DISARM)
     for _ in range(3):
@@ -326,15 +362,14 @@ def test_arming_in_the_middle_of_a_burst_neither_starts_it_nor_latches(bench: Be
 
 
 def test_command_that_ran_out_ends_the_burst() -> None:
-    bench = Bench(make_channel(limits={"max_rise_ma_per_s": 200.0}))
-    bench.wait(60)
+    bench = ready(make_channel(limits={"max_rise_ma_per_s": 200.0}), 12.0)
     assert bench.ask(current_ma=12.0).on
     bench.wait(60)
     assert bench.ask(current_ma=24.0).on, "held to its last moment"
     bench.wait(61)
     assert_held(bench, bench.ask(current_ma=24.0), "off for 0.001 s")
     bench.wait(99)
-    assert_held(bench, bench.ask(current_ma=24.0), "rise to 24 mA too fast, at most 12.5 mA by now")
+    assert_held(bench, bench.ask(current_ma=24.0), "rise to 24 mA too fast, at most 4.5 mA by now")
     bench.off()
     bench.wait(20)
     assert bench.ask(current_ma=4.0).on

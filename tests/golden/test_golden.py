@@ -34,7 +34,7 @@ def said(frame: WireFrame) -> str:
     levels = f"{command.current_ma:g} mA {command.pulse_width_us:g} us {command.frequency_hz:g} Hz"
     return (
         f"{frame.t_ns / MS:g} ms: channel {command.channel} {f'on {levels}' if command.on else 'off'}"
-        f", for {command.validity_ms} ms, count {command.counter}"
+        f", issued at {command.issued_ms} ms, count {command.counter}"
     )
 
 

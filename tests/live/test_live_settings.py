@@ -24,7 +24,17 @@ from fes.live.session import LiveSession, live_header
 from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.session_log import SessionLogError
 from fes.session_log.writer import SessionWriter
-from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, StimOpened, StimRequest, StimStatus, Tick
+from fes.signals import (
+    Event,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimAlive,
+    StimOpened,
+    StimRequest,
+    StimStatus,
+    Tick,
+)
 
 STANDS = (0.0, 0.0, 9.81)
 
@@ -94,7 +104,7 @@ def test_currents_are_decided_in_the_stimulators_steps() -> None:
 def test_a_burst_in_coarse_steps_that_begins_right_after_a_command_is_let_through_live_and_in_replay(
     tmp_path: Path,
 ) -> None:
-    """30 mA within 150 ms: when 1 mA is reached the last command, still off, is 1 ms old."""
+    """30 mA within 150 ms: it begins at once with the device's step, and its ramp counts from there."""
     path, worn, calibrations = tmp_path / "session.feslog", settings(), {FOOT: CALIBRATION}
     log = PipedLog(path, live_header(worn, calibrations, 1, "", 0, 1.0))
     stimulator = FakeStimulator()
@@ -109,8 +119,24 @@ def test_a_burst_in_coarse_steps_that_begins_right_after_a_command_is_let_throug
     live.runner.all_off()
     log.close({"ended": "complete"})
     assert live.gate.latched == ""
-    assert [command.current_ma for command in stimulator.sent[-3:]] == [0.0, 1.0, 0.0]
+    assert [command.current_ma for command in stimulator.sent if command.on] == [1.0, 1.0]
     assert repeat(path).now.commands == stimulator.sent
+
+
+@pytest.mark.requirement("SR-14")
+def test_a_stimulator_whose_answers_do_not_come_in_time_is_not_armed(tmp_path: Path) -> None:
+    """It reports that every 65 ms at the latest; between two reports its heartbeat may come, late as well."""
+    worn, calibrations = settings(), {FOOT: CALIBRATION}
+    log = PipedLog(tmp_path / "session.feslog", live_header(worn, calibrations, 1, "", 0, 1.0))
+    lasting = LiveStimulator(FakeStimulator(), lambda: pytest.fail("it was not lost"), Lost, lambda: 0)
+    live = LiveSession(worn, calibrations, log, lasting, lambda: 0)
+    said = "the stimulator reports: no answer within 45 ms"
+    assert said not in live.operator.checks()
+    live.runner.handle(StimStatus(100 * MS, 0, 0, False, 0.0, 0.0, 0.0, fault="no answer within 45 ms"))
+    for t_ms, expected in ((165, True), (240, True), (300, False)):
+        live.runner.handle(StimAlive(t_ms * MS, 1, 0))
+        assert (said in live.operator.checks()) is expected
+    log.close({"ended": "complete"})
 
 
 @pytest.mark.parametrize(

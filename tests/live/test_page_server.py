@@ -10,7 +10,7 @@ import socket
 import statistics
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from fes.live.dashboard.process import DashboardProcess, press_stop
-from fes.live.dashboard.server import BROWSERS, SLOW_S, assets
+from fes.live.dashboard.server import BROWSERS, REQUEST_S, SLOW_S, STRANGERS, assets
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.status import Status
 
@@ -274,17 +274,75 @@ def test_a_browser_that_does_not_read_costs_nothing_and_delays_nobody(page: Dash
         assert max(waits_ms) < 0.5e3 * SLOW_S  # nobody has waited for the slow one to be let go
 
 
-def test_no_more_browsers_than_it_says(page: DashboardProcess) -> None:
-    links = [browser(page) for _ in range(BROWSERS)]
-    try:
-        with pytest.raises((InvalidStatus, ConnectionClosed)), browser(page) as one_more:
-            one_more.recv(timeout=5)
+def test_no_more_browsers_than_it_says(page: DashboardProcess, tmp_path: Path) -> None:
+    with ExitStack() as links:
+        for _ in range(BROWSERS):
+            assert "hello" in say(links.enter_context(browser(page)), token=next_token(tmp_path))
+        one_more = links.enter_context(browser(page))
+        with pytest.raises((InvalidStatus, ConnectionClosed)):
+            say(one_more, token=next_token(tmp_path))
         press_stop(page.port)  # that one is not shut out
         assert command(page) == STOP
-    finally:
-        for link in links:
-            link.__enter__()
-            link.close()
+
+
+def next_token(folder: Path) -> str:
+    """Of the link that has not been used; its file is written anew after each use."""
+    time.sleep(0.05)
+    return (folder / "page.url").read_text().strip().partition("#")[2]
+
+
+def half_open(page: DashboardProcess, count: int, links: ExitStack, begun: bytes = b"GET / HT") -> list[socket.socket]:
+    opened = [links.enter_context(socket.create_connection(("127.0.0.1", page.port), 10.0)) for _ in range(count)]
+    for each in opened:
+        with suppress(OSError):
+            each.sendall(begun)
+    return opened
+
+
+@pytest.mark.requirement("SR-16")
+@pytest.mark.parametrize("begun", [b"", b"GET / HT", b"POST /stop HTTP/1.1\r\nHost: x\r\n"])
+def test_a_stop_is_heard_beside_300_half_open_connections_and_they_are_closed(
+    page: DashboardProcess, begun: bytes
+) -> None:
+    with ExitStack() as links:
+        opened = half_open(page, 300, links, begun)
+        press_stop(page.port)
+        assert command(page) == STOP
+        for each in opened:
+            each.settimeout(5 * REQUEST_S)
+            with suppress(ConnectionResetError):
+                assert each.recv(1) == b""
+
+
+@pytest.mark.requirement("SR-16")
+def test_a_stop_is_heard_in_a_flood_of_sockets(page: DashboardProcess) -> None:
+    with ExitStack() as links:
+        for _ in range(5):
+            half_open(page, 150, links)
+            press_stop(page.port)
+            assert command(page) == STOP
+
+
+def test_who_asks_a_second_time_by_halves_is_closed_too(page: DashboardProcess) -> None:
+    with ExitStack() as links:
+        (link,) = half_open(page, 1, links, b"GET /nothing HTTP/1.1\r\nHost: x\r\n\r\nGET / HT")
+        link.settimeout(5 * REQUEST_S)
+        while True:
+            try:
+                if not link.recv(4096):
+                    return
+            except ConnectionResetError:
+                return
+
+
+@pytest.mark.requirement("SR-16")
+def test_sockets_without_a_link_do_not_shut_the_therapist_out(page: DashboardProcess, tmp_path: Path) -> None:
+    with ExitStack() as links:
+        strangers = [links.enter_context(browser(page)) for _ in range(STRANGERS + 8)]
+        therapist = links.enter_context(browser(page))
+        assert "hello" in say(therapist, token=next_token(tmp_path))
+        strangers[-1].send('{"ask":"stop"}')
+        assert command(page) == STOP
 
 
 def test_killed_the_session_notices_and_is_not_held_up(tmp_path: Path) -> None:

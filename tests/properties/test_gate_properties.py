@@ -246,6 +246,8 @@ class Oracle:
             if on:
                 began_ns = held_ns = then_ns
         assert t_ns - began_ns <= own.max_on_s * 1e9
+        if began_ns == t_ns and past and past[-1][0] < t_ns:
+            assert current_ma <= 0.5, "a burst begins with one step at most"
         for other in CHANNELS:
             if other.number in channel.never_with or channel.number in other.never_with:
                 last = self.passed[other.number][-1:]

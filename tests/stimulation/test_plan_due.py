@@ -70,11 +70,11 @@ def test_a_burst_under_way_is_dimmed_at_once_and_ends_on_time(intensity: float) 
     assert plan.due(400 * MS, 1.0)
 
 
-def test_what_starts_now_has_no_current_yet() -> None:
+def test_what_starts_now_is_due_now() -> None:
     plan = StimulationPlan((make_channel(),))
     plan.requests(0, 1.0)
     plan.on_phase(PhaseChange(5 * MS, "left_foot", Transition.T1, Phase.STANCE, PRE_SWING), permitted=True)
-    assert [plan.due(5 * MS + ns, 1.0) for ns in (0, 1, 5 * MS)] == [False, False, True]
+    assert [plan.due(5 * MS + ns, 1.0) for ns in (-1, 0, 5 * MS)] == [False, True, True]
 
 
 @pytest.mark.parametrize(
@@ -82,13 +82,12 @@ def test_what_starts_now_has_no_current_yet() -> None:
     [(40.0, 300.0, True), (1.0, 300.0, True), (0.9, 300.0, False), (40.0, 1.0, True), (40.0, 0.9, False)],
 )
 def test_one_step_of_the_device_is_enough(frequency_hz: float, width_us: float, on: bool) -> None:
-    """20 mA in 100 ms: half a milliampere, a device's step, at 2.5 ms."""
     channel = make_channel(frequency_hz=frequency_hz, pulse_width_us=width_us)
     plan = StimulationPlan((channel,))
     plan.requests(0, 1.0)
     plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
-    assert [plan.due(t_ns, 1.0) for t_ns in (2_499_999, 2_500_000)] == [False, on]
-    assert [plan.requests(t_ns, 1.0)[0].on for t_ns in (2_499_999, 2_500_000)] == [False, on]
+    assert plan.due(0, 1.0) == on
+    assert [plan.requests(t_ns, 1.0)[0].on for t_ns in (0, 2_499_999, 2_500_000)] == [on, on, on]
 
 
 def test_a_burst_that_goes_on_does_not_hide_another_channel_that_starts() -> None:
@@ -97,7 +96,7 @@ def test_a_burst_that_goes_on_does_not_hide_another_channel_that_starts() -> Non
     plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
     plan.requests(100 * MS, 1.0)
     plan.on_phase(PhaseChange(120 * MS, "right_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
-    assert [plan.due(t_ms * MS, 1.0) for t_ms in (120, 121, 130)] == [False, False, True]
+    assert [plan.due(t_ms * MS, 1.0) for t_ms in (119, 120, 130)] == [False, True, True]
     assert [one.on for one in plan.requests(130 * MS, 1.0)] == [True, True]
 
 
@@ -108,5 +107,6 @@ def test_pulses_that_become_narrower_than_a_step_end_in_mid_burst() -> None:
     plan.set_parameters(0, replace(BurstParameters.for_channel(channel), widths_us=narrow))
     plan.requests(0, 1.0)
     plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
+    assert plan.requests(0, 1.0)[0].on
     assert plan.requests(60 * MS, 1.0)[0].on
     assert [plan.due(t_ms * MS, 1.0) for t_ms in (60, 99, 101, 149, 151)] == [False, False, True, True, False]

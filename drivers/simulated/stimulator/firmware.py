@@ -2,10 +2,10 @@
 
 It trusts nobody: every command must be intact, of the open session, and numbered 1 to 3 after the last one (one count
 over all channels that carries into the session identifier, see ``e2e``: up to two lost frames are forgiven, a repeated
-or older frame never acts). Five wrong counts in a row close the session. A command over the node's own limits, or with
-a validity of 0 or over 60 ms, turns its channel off. It boots with everything off and no session. A session opens only
-for its own boot id and under an identifier that no executed command has carried since boot, and ends where its count
-would carry into one: no number acts twice, so a capture played back later does nothing.
+or older frame never acts). Five wrong counts in a row close the session. A command over the node's own limits, or one
+that comes later than the session's validity allows, turns its channel off. It boots with everything off and no
+session. A session opens only for its own boot id and under an identifier that no executed command has carried since
+boot, and ends where its count would carry into one: no number acts twice, so a capture played back later does nothing.
 """
 
 from collections import deque
@@ -29,6 +29,10 @@ MAX_VALIDITY_MS: Final = 60
 MAX_COUNTER_STEP: Final = 3
 MAX_WRONG_COUNTERS: Final = 5
 ALIVE_PERIOD_NS: Final = 100_000_000
+ISSUED_TICK_NS: Final = can_codec.ISSUED_STEP_MS * NS_PER_MS
+SILENCE_NS: Final = 200 * NS_PER_MS  # without a command; the time of issue comes round after 256 ms
+MOST_DRIFT_PPM: Final = 600  # of the controller's clock, which NTP may slew by 500, against the node's
+SETTLED_NS: Final = 128 * NS_PER_MS  # by then a controller has noticed that answers do not come, and commands off
 SENT_UNHEARD: Final = 64  # numbers that a session may have sent beyond the last one that was heard
 _NOTHING: Final = (0.0, 0.0, 0.0)
 
@@ -96,8 +100,9 @@ class OutputChannel:
         """Off, and all counts at zero."""
         self.on = False
         self.blocked = False
+        self.must_be_off = False  # nobody knows how late what asks for current is
         self.levels = _NOTHING
-        self.counter = 0
+        self.answers = 0, NO_SESSION  # count and identifier of the last command accepted
         self.accepted_ns = 0
         self.lease_end_ns = NEVER
         self.on_end_ns = NEVER
@@ -146,6 +151,41 @@ class OutputChannel:
 
     def _period_ns(self) -> int:
         return int(NS_PER_S / self.levels[2])
+
+
+class IssueClock:
+    """How late a command comes, by its time of issue against the least delayed one's.
+
+    That time comes round after 256 ms, so it is followed from command to command; after a silence it begins anew, and
+    is ``settled`` 128 ms of commands later: those before may have been decided when the controller had not noticed yet.
+    """
+
+    def __init__(self) -> None:
+        self._issued_ms: int | None = None
+        self._issued_ns = self._arrived_ns = self._least_ns = 0
+
+    def lost(self, t_ns: int) -> bool:
+        """Whether the last command is too long ago to say when this one was issued."""
+        return self._issued_ms is not None and t_ns - self._arrived_ns >= SILENCE_NS
+
+    def age_ns(self, t_ns: int, issued_ms: int) -> int:
+        """Take in an accepted command that comes now; 0 for the first one, and the first after a silence."""
+        elapsed_ns = t_ns - self._arrived_ns
+        if self._issued_ms is None or self.lost(t_ns):
+            self._issued_ns = SETTLED_NS if self._issued_ms is None else 0
+            self._least_ns = t_ns - self._issued_ns
+        else:
+            steps = (issued_ms - self._issued_ms) // can_codec.ISSUED_STEP_MS % can_codec.ISSUED_STEPS
+            self._issued_ns += steps * ISSUED_TICK_NS
+            drifted_ns = self._least_ns + elapsed_ns * MOST_DRIFT_PPM // 1_000_000
+            self._least_ns = min(drifted_ns, t_ns - self._issued_ns)
+        self._issued_ms, self._arrived_ns = issued_ms, t_ns
+        return t_ns - self._issued_ns - self._least_ns
+
+    @property
+    def settled(self) -> bool:
+        """Whether the newest command was decided so long after a silence that the controller knew of it."""
+        return self._issued_ns >= SETTLED_NS
 
 
 class StimulatorNode:
@@ -215,6 +255,8 @@ class StimulatorNode:
         self.flags = Fault.NONE
         self._used_ids: set[int] = set()
         self._number = -1
+        self._validity_ms = 0
+        self._clock = IssueClock()
         self._carried_id = NO_SESSION
         self._commanded = False
         self._wrong_counters = 0
@@ -230,7 +272,7 @@ class StimulatorNode:
             reason = channel.advance(t_ns)
             if reason is not None:
                 self._note(t_ns, "lease_expired" if reason is Result.LEASE_EXPIRED else "on_time", number)
-                frames += self._status(number, channel.counter, self.session_id, reason)
+                frames += self._status(number, *channel.answers, reason)
         if self._reboot_ns <= t_ns:
             self._reboot_ns = NEVER
             self._boot(t_ns, (self.boot_id + 1) % 2**16)
@@ -247,6 +289,9 @@ class StimulatorNode:
             self._refuse(t_ns, -1, f"session: boot id {request.boot_id}")
         elif request.session_id == self.session_id and not self._commanded:
             pass  # asked twice because our answer was late or lost; there is nothing to reset yet
+        elif not 0 < request.validity_ms <= MAX_VALIDITY_MS:
+            self.flags |= Fault.VALIDITY
+            self._refuse(t_ns, -1, f"session: validity {request.validity_ms} ms")
         elif request.session_id == NO_SESSION or request.session_id in self._used_ids:
             self.flags |= Fault.SESSION_USED
             self._refuse(t_ns, -1, f"session: identifier {request.session_id} used before")
@@ -255,7 +300,7 @@ class StimulatorNode:
                 self._off(t_ns, number, "off")
                 self.channels[number].reset()
             self._retire()
-            self.session_id = request.session_id
+            self.session_id, self._validity_ms, self._clock = request.session_id, request.validity_ms, IssueClock()
             self._used_ids.add(request.session_id)
             self.flags = Fault.NONE
             self._number, self._carried_id, self._wrong_counters = -1, request.session_id, 0
@@ -266,9 +311,7 @@ class StimulatorNode:
     def _command(self, t_ns: int, command: Command) -> list[Frame]:
         channel = self.channels[command.channel]
         number = command_number(self.session_id, command.session_id, command.counter)
-        result = self._judge(command, number, channel)
-        counter = command.counter % can_codec.ECHOED_COUNTS
-        session_id = command.session_id if result is Result.BAD_SESSION else self.session_id or command.session_id
+        result = self._judge(t_ns, command, number, channel)
         frames: list[Frame] = []
         if result in (Result.BAD_SESSION, Result.BAD_COUNTER, Result.FAULTED):
             self._wrong_counters += result is Result.BAD_COUNTER
@@ -282,18 +325,19 @@ class StimulatorNode:
             self._carried_id = command.session_id
             self._used_ids.add(command.session_id)
             self._commanded = True
-            channel.counter = counter
+            channel.answers = command.counter, command.session_id
             if result is Result.OK and command.on:
                 self._on(t_ns, command)
             else:
                 self._off(t_ns, command.channel, "off")
         if result is Result.OK:
             channel.blocked = channel.blocked and command.on
+            channel.must_be_off = channel.must_be_off and (command.on or not self._clock.settled)
         else:
             self._refuse(t_ns, command.channel, result.name.lower())
-        return frames + self._status(command.channel, counter, session_id, result)
+        return frames + self._status(command.channel, command.counter, command.session_id, result)
 
-    def _judge(self, command: Command, number: int, channel: OutputChannel) -> Result:
+    def _judge(self, t_ns: int, command: Command, number: int, channel: OutputChannel) -> Result:
         if self.flags & Fault.COUNTER:
             return Result.FAULTED
         if NO_SESSION in (self.session_id, command.session_id):
@@ -302,6 +346,10 @@ class StimulatorNode:
             return Result.BAD_SESSION
         if not 1 <= number - self._number <= MAX_COUNTER_STEP:
             return Result.BAD_COUNTER
+        if self._clock.lost(t_ns):
+            for each in self.channels:
+                each.must_be_off = True
+        age_ns = self._clock.age_ns(t_ns, command.issued_ms)
         if not command.on:
             return Result.OK  # whatever else it says: off is never refused
         if (
@@ -310,8 +358,10 @@ class StimulatorNode:
             or command.frequency_hz > MAX_FREQUENCY_HZ
         ):
             return Result.OVER_LIMIT
-        if not 0 < command.validity_ms <= MAX_VALIDITY_MS:
-            return Result.BAD_VALIDITY
+        if late := age_ns > self._validity_ms * NS_PER_MS:
+            self.flags |= Fault.LATE  # until a new session: where it was the clock that jumped, it is wrong for good
+        if channel.must_be_off or late:
+            return Result.STALE
         if channel.blocked:
             return Result.ON_TIME
         if command.channel == self.faults.electrode:
@@ -325,7 +375,7 @@ class StimulatorNode:
         current_ma = command.current_ma
         if command.channel == self.faults.weak:
             current_ma = current_ma // (2 * can_codec.CURRENT_STEP_MA) * can_codec.CURRENT_STEP_MA
-        channel.drive(t_ns, (current_ma, command.pulse_width_us, command.frequency_hz), command.validity_ms)
+        channel.drive(t_ns, (current_ma, command.pulse_width_us, command.frequency_hz), self._validity_ms)
         channel.advance(t_ns)
         if channel.levels != before:
             self._note(t_ns, "on" if before is None else "level", command.channel)
@@ -341,7 +391,7 @@ class StimulatorNode:
         for number, channel in enumerate(self.channels):
             if channel.on:
                 self._off(t_ns, number, "fault")
-                frames += self._status(number, channel.counter, self.session_id, Result.FAULTED)
+                frames += self._status(number, *channel.answers, Result.FAULTED)
         self._retire()
         self.session_id = NO_SESSION
         return frames
@@ -368,7 +418,7 @@ class StimulatorNode:
         pulses = channel.pulses % can_codec.PULSES_TOTAL
         charge_steps = channel.charge_steps % can_codec.CHARGE_TOTAL_STEPS
         return [
-            can_codec.encode(Charge(counter, session_id, number, pulses, charge_steps)),
+            can_codec.encode(Charge(counter % 2**can_codec.COUNTER_LOW, session_id, number, pulses, charge_steps)),
             can_codec.encode(Status(counter, session_id, number, channel.on, *channel.levels, result)),
         ]
 

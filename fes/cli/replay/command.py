@@ -1,15 +1,16 @@
 """``fes replay``: a recording, or a session log, through the same loop as a live session."""
 
 import time
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 import click
 
+from drivers.imu.port import ImuLost
 from drivers.stimulator.bus import BusError
-from drivers.stimulator.port import StimulatorLost
+from drivers.stimulator.port import ANSWER_WITHIN_NS, StimulatorLost
 from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, stored_calibrations
 from fes.cli.common.exits import FAILED, LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted
 from fes.cli.common.options import PATH, Number, RenamedOptions, choice, given_options, out_option, utc_now
@@ -18,14 +19,18 @@ from fes.cli.common.show import show, show_latched
 from fes.cli.replay import stimulators
 from fes.cli.replay.log import controller_and_gate, replay_log
 from fes.cli.replay.timing import PARAMETERS, show_timing, timing_options
+from fes.cli.run import command as run
 from fes.cli.run.devices import FORMER_OPTIONS, dashboard_options
 from fes.config import ConfigError, Session, load_session
+from fes.control.clock_sync import SensorClock
 from fes.control.replay import digest, identity, log_header, refuse_long_silence, session_for
-from fes.control.runner import Runner, armed_after, paced, with_ticks
+from fes.control.runner import CLOSING_S, Runner, armed_after, paced, with_ticks
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.evaluation.trigger_timing import TimingError, TimingOptions, check_timing, expected_of
+from fes.live.inputs import Terminal, standard_keys
+from fes.live.sensors import SensorStream
 from fes.recording import Recording, RecordingError, read_recording
 from fes.recording.tracks import samples_of
 from fes.session_log import SessionLogError, SessionWriter, read_session
@@ -98,6 +103,7 @@ class Options:
     timing: TimingOptions | None = None
     dashboard: bool = False
     dashboard_port: int = 0
+    dummy_load: bool = False
 
 
 @click.command(name="replay", cls=RenamedOptions, former=FORMER_OPTIONS)
@@ -106,9 +112,8 @@ class Options:
 @click.option("--calibration", type=PATH, help="From fes calibrate. Default: from the recording.")
 @out_option()
 @click.option("--speed", type=Number(min=0.01), help="1 = as recorded. Default: as fast as it goes.")
-@choice(
-    "--stimulator", of=TARGETS, help="bus: what is on the session's bus, at recorded speed. A DEVICE THERE STIMULATES."
-)
+@choice("--stimulator", of=TARGETS, help="bus: the session's own, as in `fes run`: a live session. IT STIMULATES.")
+@click.option("--i-have-a-dummy-load", "dummy_load", is_flag=True, help="Nobody is connected to the stimulator.")
 @click.option("--arm-after", "arm_after_s", type=Number(0), default=0.5, show_default=True, help="Operator arms (s).")
 @click.option("--rearm-after", "rearm_after_s", type=Number(0), help="Operator arms again this long after a fault (s).")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
@@ -121,6 +126,9 @@ def command(recording: Path, no_report: bool, **chosen: Any) -> None:
     Prints the table of strides and a summary; writes the session log and the report. A session log is replayed from its
     own settings and must give the bytes that it recorded.
 
+    --stimulator bus is a live session whose sensors are the recording: a person arms (a) and raises the intensity
+    (+), or does so on the dashboard; SPACE, Ctrl-C, the stop file and the stop button stop.
+
     --dashboard shows it in a browser as it was, at recorded speed or --speed; the stop there ends the replay.
 
     --check-timing compares with the truth beside RECORDING, a session log with what it recorded; either with --against.
@@ -131,6 +139,8 @@ def command(recording: Path, no_report: bool, **chosen: Any) -> None:
     interrupted.
     """
     options = Options(report=not no_report, **chosen)
+    if options.stimulator == "bus":
+        refuse_what_a_person_does(options)
     if recording.suffix != LOG_SUFFIX:
         replay_recording(recording, options)
         return
@@ -165,6 +175,8 @@ def replay_recording(path: Path, options: Options) -> Path:
     kept = {channel.number for channel in session.channels}
     left_out = [channel.name for channel in (wanted.channels if wanted else ()) if channel.number not in kept]
     show_what_is_left_out(session, settings, left_out, found)
+    if options.stimulator == "bus" and session.channels:
+        return _to_the_device(recording, session, calibrations, options, path.stem)
     speed = options.speed or (1.0 if options.dashboard else None)
     sha256 = digest(path)
     numbers = identity(sha256, session)
@@ -172,16 +184,12 @@ def replay_recording(path: Path, options: Options) -> Path:
     log_path = folder / f"session{LOG_SUFFIX}"
     header = log_header(recording, sha256, session, calibrations, numbers.session_id, utc_now())
     begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
+    opened_with = numbers.session_id, numbers.boot_id, begin_ns, session.stimulation.validity_ms
     opening: AbstractContextManager[stimulators.Opened]
     if options.stimulator == "none" or not session.channels:
-        opening = stimulators.no_stimulator(numbers.session_id, numbers.boot_id, begin_ns)
-    elif options.stimulator == "bus":
-        stimulators.warn_of_real_device(session)
-        opening = stimulators.on_the_bus(session, numbers.session_id, begin_ns)
+        opening = stimulators.no_stimulator(*opened_with)
     else:
-        opening = stimulators.simulated(
-            numbers.session_id, numbers.boot_id, begin_ns, lockstep=speed is None, record=folder / "stimulator.jsonl"
-        )
+        opening = stimulators.simulated(*opened_with, lockstep=speed != 1.0, record=folder / "stimulator.jsonl")
     warm_up()
     with failing(StimulatorLost, BusError, SessionLogError, kind=StoppedEarly), opening as opened:
         ended = _go(recording, session, calibrations, opened, header, log_path, options, speed)
@@ -201,6 +209,47 @@ def replay_recording(path: Path, options: Options) -> Path:
         raise StoppedEarly(ended)
     if timing:
         show_timing(timing, as_json=options.as_json)
+    return log_path
+
+
+def refuse_what_a_person_does(options: Options) -> None:
+    """A real device is armed by a person, at the pace of the recording, and into a dummy load. Raises Problem."""
+    if useless := given_options() & {"speed", "arm_after_s", "rearm_after_s"}:
+        option = {"speed": "--speed", "arm_after_s": "--arm-after", "rearm_after_s": "--rearm-after"}[min(useless)]
+        raise Problem(f"{option} has no meaning with --stimulator bus: a person arms, at recorded speed. Leave it out.")
+    if not options.dummy_load:
+        raise Problem(
+            "--stimulator bus stimulates with what is connected. Connect a dummy load and nobody, then confirm with "
+            "--i-have-a-dummy-load."
+        )
+
+
+def _to_the_device(
+    recording: Recording, session: Session, calibrations: dict[str, Calibration], options: Options, name: str
+) -> Path:
+    """A live session with the recording for its sensors; a person arms. Returns the log's path; raises as `fes run`."""
+    folder = fresh_folder(options.out, name)
+    session = session.model_copy(update={"sensors": stimulators.worn_sensors(session, recording, calibrations)})
+    needed = frozenset(str(phase_sensors(calibrations)[channel.foot]) for channel in session.channels)
+    line = stimulators.RecordedSensors(recording, calibrations)
+    length_s = max(recording.tracks[sensor].duration_s for sensor in calibrations) + CLOSING_S
+    live = run.Options(duration_s=length_s, dashboard=options.dashboard, dashboard_port=options.dashboard_port)
+    warm_up()
+    with ExitStack() as stack:
+        keys = standard_keys()
+        if keys is not None:
+            stack.enter_context(Terminal(keys))
+        interrupt = stack.enter_context(Interrupt())
+        streams = [SensorStream(line, SensorClock, ImuLost, needed)]
+        log_path, ended = run.run_live(session, calibrations, streams, live, folder, keys, interrupt, stack)
+    run.said_how_it_ended(log_path, ended)
+    show_latched(show(log_path, as_json=options.as_json, report=folder / "report.html" if options.report else None))
+    record = read_session(log_path)
+    until_ns = record.frames[-1].t_ns - ANSWER_WITHIN_NS  # what is answered after the end, nobody heard
+    frames = [frame for frame in record.frames if frame.t_ns < until_ns]
+    if session.stimulator.device == "can" and not stimulators.wire_truth(frames, record.statuses).ok:
+        click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
+        raise SystemExit(FAILED)
     return log_path
 
 
@@ -231,7 +280,7 @@ def _go(
         options.rearm_after_s,
         lambda: bool(gate.latched),
     )
-    if options.stimulator == "bus" or speed is not None:
+    if speed is not None:
         events = paced(events, shown.clock if shown else MonotonicClock(), speed or 1.0)
     begin_ns = min(int(track.t_ns[0]) for track in recording.tracks.values())
     end_ns = max(int(track.t_ns[-1]) for track in recording.tracks.values())

@@ -1,16 +1,16 @@
-"""Which stimulator a replay talks to: none, a simulated one in its own process, or what is on the session's bus.
+"""Which stimulator a replay talks to: none, or a simulated one in its own process; the sensors of one to a real device.
 
 And what encodes as a session did when its log is repeated: a serial stimulator's port gets what its line brought then.
 """
 
+import math
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
-
-import click
+from typing import Final, Protocol
 
 from drivers.simulated.spawn import spawn_node
 from drivers.simulated.stimulator.lockstep import LockstepStimulator
@@ -21,12 +21,13 @@ from drivers.stimulator.open import SERIAL, open_stimulator
 from drivers.stimulator.port import StimulatorLost
 from drivers.stimulator.sciencemode.port import ScienceModePort
 from drivers.stimulator.serial_line import Line
-from fes.config import Session
+from fes.config import ImuDevice, Session
 from fes.control.runner import Stimulator
 from fes.evaluation.delivered import Delivered, compare_delivered
 from fes.live.stimulator import UNSENT
+from fes.recording import Recording
 from fes.session_log import Received
-from fes.signals import Event, StimAlive, StimCommand, StimOpened, StimStatus, WireFrame
+from fes.signals import G_MPS2, Event, RawSample, StimAlive, StimCommand, StimOpened, StimStatus, WireFrame
 
 
 class LoggedLine:
@@ -157,6 +158,7 @@ def repeats_bytes(session: Session, header: Mapping[str, object]) -> bool:
 
 
 LAST_ANSWERS_S = 0.5
+UNKNOWN_RANGES: Final = {"acc_range_g": 400.0, "gyr_range_dps": 10_000.0}  # as wide as settings go: nothing saturates
 
 
 class OpenStimulator(Stimulator, Protocol):
@@ -178,14 +180,16 @@ class Opened:
 
 
 @contextmanager
-def no_stimulator(session_id: int, boot_id: int, t_ns: int) -> Iterator[Opened]:
+def no_stimulator(session_id: int, boot_id: int, t_ns: int, validity_ms: int) -> Iterator[Opened]:
     """Bytes only: nothing is sent anywhere."""
-    sink = ByteSink(session_id)
+    sink = ByteSink(session_id, validity_ms)
     yield Opened(sink, frames=(sink.open(t_ns, boot_id),), answers=False)
 
 
 @contextmanager
-def simulated(session_id: int, boot_id: int, t_ns: int, *, lockstep: bool, record: Path | None) -> Iterator[Opened]:
+def simulated(
+    session_id: int, boot_id: int, t_ns: int, validity_ms: int, *, lockstep: bool, record: Path | None
+) -> Iterator[Opened]:
     """A simulated stimulator in its own process on virtual CAN; in lockstep its clock is the replay's.
 
     Raises:
@@ -193,21 +197,57 @@ def simulated(session_id: int, boot_id: int, t_ns: int, *, lockstep: bool, recor
     """
     with spawn_node(boot_id=boot_id, record=record, clock="bus" if lockstep else "real") as node:
         kind = LockstepStimulator if lockstep else CanStimulator
-        with closing(kind(open_bus(node.bus, NODE_IDS), session_id)) as stimulator:
+        with closing(kind(open_bus(node.bus, NODE_IDS), session_id, validity_ms=validity_ms)) as stimulator:
             handshake = stimulator.open(t_ns, timeout_s=10.0)
             yield Opened(stimulator, handshake.frames, handshake.alive)
 
 
-@contextmanager
-def on_the_bus(session: Session, session_id: int, t_ns: int) -> Iterator[Opened]:
-    """Whatever stimulator is on the session's bus.
+class RecordedSensors:
+    """A recording as the line that its sensors are on: each sample comes in its time, counted from the first look.
 
-    Raises:
-        StimulatorLost, BusError: the bus cannot be opened, or nothing answers there.
+    An :class:`fes.live.sensors.Imu`, so that a replay to a real device is a live session in all else.
     """
-    with closing(CanStimulator(open_bus(session.bus, NODE_IDS), session_id)) as stimulator:
-        handshake = stimulator.open(t_ns)
-        yield Opened(stimulator, handshake.frames, handshake.alive)
+
+    def __init__(self, recording: Recording, sensors: Collection[str]) -> None:
+        self.sensors = tuple(sorted(sensors))
+        self._samples = deque(each for each in recording.samples() if each.sensor in sensors)
+        self._ahead_ns: int | None = None
+
+    def fileno(self) -> int | None:
+        """There is nothing to wait on."""
+        return None
+
+    def read(self, t_ns: int) -> list[RawSample]:
+        """What is due by ``t_ns``."""
+        if self._ahead_ns is None and self._samples:
+            self._ahead_ns = t_ns - self._samples[0].t_ns
+        due: list[RawSample] = []
+        while self._samples and self._ahead_ns is not None and self._samples[0].t_ns + self._ahead_ns <= t_ns:
+            each = self._samples.popleft()
+            due.append(RawSample(each.sensor, t_ns, each.t_sensor_ns, each.acc_mps2, each.gyr_radps))
+        return due
+
+    def reopen(self) -> None:
+        """It goes on where it is."""
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def worn_sensors(session: Session, recording: Recording, sensors: Collection[str]) -> tuple[ImuDevice, ...]:
+    """The recording's sensors as a live session's: the session's own settings at the recording's rate."""
+    known = {str(device.sensor): device.model_dump() for device in session.sensors}
+    devices = []
+    for name in sorted(sensors):
+        track, ranges = recording.tracks[name], {}
+        for key, unit, value in (
+            ("acc_range_g", G_MPS2, track.acc_range_mps2),
+            ("gyr_range_dps", math.radians(1.0), track.gyr_range_radps),
+        ):
+            ranges[key] = known[name][key] if name in known else UNKNOWN_RANGES[key] if value is None else value / unit
+        settings = {"sensor": name, "device": "xbus", **known.get(name, {}), **ranges, "rate_hz": track.rate_hz}
+        devices.append(ImuDevice.model_validate(settings))
+    return tuple(devices)
 
 
 def last_answers(stimulator: OpenStimulator, t_ns: int) -> list[StimStatus | StimAlive]:
@@ -224,10 +264,3 @@ def last_answers(stimulator: OpenStimulator, t_ns: int) -> list[StimStatus | Sti
 def wire_truth(frames: list[WireFrame], statuses: list[StimStatus]) -> Delivered:
     """Hold the command frames that went out against what the stimulator said it delivered."""
     return compare_delivered(logged_commands([f for f in frames if f.identifier in CONTROLLER_IDS]), statuses)
-
-
-def warn_of_real_device(session: Session) -> None:
-    """Before anything goes to a bus where hardware may listen."""
-    where = f"{session.bus.interface} {session.bus.channel}"
-    said = f"Sending to {where}: a stimulator there WILL stimulate. Ctrl-C stops."
-    click.secho(said, fg="red", bold=True, err=True)

@@ -162,14 +162,19 @@ def run_session(path: Path, options: Options) -> Path:
         if missing:
             which = ", ".join(missing)
             raise Problem(f"{options.calibration}: holds no calibration of {which}, which a channel follows.")
-        log_path, ended = _run(session, calibrations, streams, options, folder, keys, interrupt, stack)
+        log_path, ended = run_live(session, calibrations, streams, options, folder, keys, interrupt, stack)
+    said_how_it_ended(log_path, ended)
+    click.echo(f"Session log  {log_path}")
+    return log_path
+
+
+def said_how_it_ended(log_path: Path, ended: str) -> None:
+    """Nothing where all went well. Raises SystemExit: interrupted; StoppedEarly: anything else."""
     if ended == "interrupted":
         interrupted(f"; stimulation is off. Session log: {log_path}")
     if ended != COMPLETE:
         click.secho(f"\aALARM: the session has ended, stimulation is off. {ended}", fg="red", bold=True, err=True)
         raise StoppedEarly(ended)
-    click.echo(f"Session log  {log_path}")
-    return log_path
 
 
 def usable(session: Session, path: Path) -> Session:
@@ -184,7 +189,7 @@ def usable(session: Session, path: Path) -> Session:
     return session
 
 
-def _run(
+def run_live(
     session: Session,
     calibrations: dict[str, Calibration],
     streams: Streams,
@@ -194,7 +199,7 @@ def _run(
     interrupt: Interrupt,
     stack: ExitStack,
 ) -> tuple[Path, str]:
-    """Open the stimulator, then the one loop; the log's path and how it ended."""
+    """Open the stimulator, then the one loop; the log's path and how it ended. Nothing else drives a real device."""
     opened_ns = time.monotonic_ns()
     with failing(StimulatorLost, ConfigError):
         port, session_id, handshake = open_session(session.stimulator, session, opened_ns)

@@ -16,7 +16,7 @@ import uvicorn
 
 from fes.live.dashboard.access import Access, link_address, write_link
 from fes.live.dashboard.frames import DETAIL, END, LARGEST, STATUS, StateBuffer, read_detail, read_hello
-from fes.live.dashboard.server import Server
+from fes.live.dashboard.server import CONNECTIONS, Connection, Server
 from fes.live.status import Status
 
 STOP: Final = b'{"ask":"stop"}'
@@ -25,10 +25,10 @@ AGAIN_S: Final = 0.005
 TRIES: Final = 2000
 FAREWELL_S: Final = 0.2
 WEB: Final[dict[str, Any]] = {
-    **{"log_config": None, "access_log": False, "lifespan": "off", "loop": "asyncio", "http": "h11"},
+    **{"log_config": None, "access_log": False, "lifespan": "off", "loop": "asyncio", "http": Connection},
     **{"ws": "websockets-sansio", "ws_max_size": 2048, "ws_ping_interval": 5.0, "ws_ping_timeout": 10.0},
     **{"ws_per_message_deflate": False, "proxy_headers": False, "server_header": False, "date_header": False},
-    **{"limit_concurrency": 64, "timeout_keep_alive": 60, "timeout_graceful_shutdown": 1},
+    **{"backlog": CONNECTIONS // 2, "timeout_keep_alive": 60, "timeout_graceful_shutdown": 1},
 }
 
 

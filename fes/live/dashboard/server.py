@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -15,6 +15,7 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from fes.live.dashboard.access import Access
 from fes.live.dashboard.frames import StateBuffer
@@ -27,7 +28,61 @@ SHARED: Final = ("uPlot.iife.min.js", "uPlot.min.css")  # the report's
 TYPES: Final = {"html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css"}
 BROWSERS: Final = 8
 KEEP_ALIVE_S: Final = 0.4
+STRANGERS: Final = 16  # web sockets without a valid link: only their stop works, and the oldest gives way
+CONNECTIONS: Final = 512  # likewise
+REQUEST_S: Final = 3.0  # for a whole request's header, and for a connection that asks for nothing
 SLOW_S: Final = 5.0  # a browser that takes no frame for so long is let go; it comes back by itself
+
+
+class Connection(H11Protocol):
+    """One connection: closed where no whole request comes in time. None is refused: the oldest gives way to the newest.
+
+    So a stop is heard however many others hold a connection, or open one after the other.
+    """
+
+    _all: ClassVar[dict[H11Protocol, None]] = {}  # oldest first; without those that became web sockets
+    _timeout: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for a request."""
+        super().connection_made(transport)
+        self._all[self] = None
+        self._wait()
+        if len(self._all) > CONNECTIONS:
+            oldest = next(iter(self._all))
+            del self._all[oldest]
+            oldest.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """It is gone."""
+        self._settle()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        """A whole request ends the waiting."""
+        super().data_received(data)
+        if self.cycle is not None and not self.cycle.response_complete and self._timeout is not None:
+            self._timeout.cancel()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        super().on_response_complete()
+        self._wait()
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """It is another's from now on."""
+        self._settle()
+        super().handle_websocket_upgrade(event)
+
+    def _wait(self) -> None:
+        if self._timeout is not None:
+            self._timeout.cancel()
+        self._timeout = self.loop.call_later(REQUEST_S, self.transport.abort)
+
+    def _settle(self) -> None:
+        self._all.pop(self, None)
+        if self._timeout is not None:
+            self._timeout.cancel()
 
 
 def assets() -> dict[str, Response]:
@@ -60,6 +115,7 @@ class Server:
 
     def __post_init__(self) -> None:
         self._waiting: dict[WebSocket, asyncio.Event] = {}
+        self._strangers: list[WebSocket] = []  # oldest first
         pages = [Route(path, answer, methods=["GET"]) for path, answer in assets().items()]
         self.app = Starlette(
             routes=[*pages, Route("/stop", self._on_stop, methods=["POST"]), WebSocketRoute("/live", self._on_browser)],
@@ -82,11 +138,11 @@ class Server:
         return PlainTextResponse("stop\n")
 
     async def _on_browser(self, socket: WebSocket) -> None:
-        if len(self._waiting) >= BROWSERS:
-            await socket.close(1013, "too many browsers")
-            return
         await socket.accept()
-        self._waiting[socket] = asyncio.Event()
+        self._strangers.append(socket)
+        if len(self._strangers) > STRANGERS:
+            with suppress(RuntimeError):
+                await self._strangers.pop(0).close(1013, "too many without a link")
         handler = MessageHandler(self.access, self.about, self._newest, self.new_token)
         pushing: asyncio.Task[None] | None = None
         try:
@@ -97,6 +153,12 @@ class Server:
                 if outcome.entered:
                     self.on_link_used()
                 reply = outcome.reply
+                if reply and "hello" in reply and socket in self._strangers:
+                    if len(self._waiting) >= BROWSERS:
+                        await socket.close(1013, "too many browsers")
+                        break
+                    self._strangers.remove(socket)
+                    self._waiting[socket] = asyncio.Event()
                 if outcome.command and not self.send(outcome.command):
                     reply = {"said": "the session does not take it now; not done"}
                 if reply is not None:
@@ -106,7 +168,9 @@ class Server:
         except (WebSocketDisconnect, RuntimeError, TimeoutError, KeyError):  # gone, or sent bytes: either way done
             pass
         finally:
-            del self._waiting[socket]
+            self._waiting.pop(socket, None)
+            if socket in self._strangers:
+                self._strangers.remove(socket)
             if pushing is not None:
                 pushing.cancel()
 
