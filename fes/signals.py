@@ -198,7 +198,8 @@ class StrideResult:
     ``t_start_ns`` to ``t_end_ns``. ``stride_length_sd_m`` is the length's uncertainty, ``clearance_m`` the
     sensor's greatest height above its start; ``toe_clearance_m`` the least height of the toe in mid-swing and
     ``heel_clearance_m`` the heel's greatest height, NaN unless the session says where the sensor sits. The ``t_*``
-    phase entries are None where the stride did not pass that phase. ``valid`` is False, with ``reason``, where the numbers must not be used.
+    phase entries are None where the stride did not pass that phase. ``valid`` is False, with ``reason``, where the
+    numbers must not be used.
     """
 
     foot: str
