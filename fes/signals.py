@@ -207,7 +207,6 @@ class StrideResult:
     t_start_ns: int
     t_end_ns: int
     stride_length_m: float = math.nan
-    stride_length_sd_m: float = math.nan
     clearance_m: float = math.nan
     height_gained_m: float = math.nan
     turn_rad: float = math.nan
@@ -222,3 +221,4 @@ class StrideResult:
     reason: str = ""
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)
     pitch_rad: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
+    stride_length_sd_m: float = field(default=math.nan, compare=False)  # not in session logs
