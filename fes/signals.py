@@ -217,8 +217,8 @@ class StrideResult:
     t_stance_ns: int | None = None
     toe_clearance_m: float = math.nan
     heel_clearance_m: float = math.nan
-    stride_length_sd_m: float = math.nan
     valid: bool = True
     reason: str = ""
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)
     pitch_rad: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
+    stride_length_sd_m: float = field(default=math.nan, compare=False)  # not in session logs

@@ -19,6 +19,7 @@ from fes.estimation.shank import features
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.motion import FINE_WINDOW_PER_STRIDE, FINE_WINDOW_S, StrideSpan
 from fes.estimation.shank.strides import ShankIntegrationSettings, solve_shank_stride
+from fes.estimation.strides.segmentation import LONGEST_STAND_S, STOPPED
 from fes.estimation.tracking.phase_features import enter_phase
 from fes.estimation.tracking.tracker import (
     FULL,
@@ -83,10 +84,14 @@ class ShankStrideMaker:
             self._times = {}
 
     def leave_stance(self, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, trace: FloatArray) -> StrideResult | None:
-        """T1: close the stride that this stance ended; the next begins at the quietest instant of the stance."""
+        """T1: close the stride that this stance ended; the next begins there, or, of a leg that stopped, at the
+        quietest instant of the last second.
+        """
         result = self.close(t_ns, acc, gyr, trace) if self.due_ns is not None else None
-        earliest = max(self._stance_ns, int(t_ns[-1]) - int(STANCE_SEARCH_S * NS_PER_S))
-        self._start_ns = int(t_ns[self._quietest(t_ns, gyr, earliest)])
+        stopped_ns = NS_PER_S * min(STOPPED * self._stride_s, LONGEST_STAND_S)
+        if self._start_ns is None or t_ns[-1] - self._start_ns > stopped_ns:
+            earliest = max(self._stance_ns, int(t_ns[-1]) - int(STANCE_SEARCH_S * NS_PER_S))
+            self._start_ns = int(t_ns[self._quietest(t_ns, gyr, earliest)])
         self._times = {}
         return result
 
@@ -102,6 +107,7 @@ class ShankStrideMaker:
             return None
         half = self._half()
         last = self._quietest(t_ns, gyr, self._stance_ns)
+        self._start_ns = int(t_ns[last])
         first = int(np.searchsorted(t_ns, start_ns))
         self._number += 1
         if first < half or first >= last or last + half >= len(t_ns) or t_ns[first] != start_ns:

@@ -363,13 +363,12 @@ def solve_span(
         fy: see ``fx``.
         fz: see ``fx``.
         height_m: of the sensor above the ground contact.
-        constrained: not the most likely errors, but Negård et al.'s constraints; these also where there is no rest.
+        constrained: not the most likely errors, but Negård et al.'s constraints.
         equal_height: the end is as high as the start.
         quaternion: (n, 4) to be filled.
         position: (n, 3) to be filled, m from the start.
         numbers: (NUMBERS,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest
-            height
-            (m), turn (rad), height gained (m), uncertainty of the length (m, one SD).
+            height (m), turn (rad), height gained (m), uncertainty of the length (m, one SD).
 
     Returns:
         ``SOLVED``, or why the stride cannot be used.

@@ -41,8 +41,8 @@ class StrideSettings:
     ``sensor_height_m``: height of the sensor above the ground contact; the end velocity is ``w × height``.
     ``equal_height``: off on stairs and slopes. ``forward`` and ``up``: unit vectors towards the toe and up, foot flat,
     in the sensor frame (3,). ``method``: "maximum_likelihood" weighs all errors, "constrained" is Negård et al.'s,
-    corrected, which is also used where the foot has no true rest (then the stride's ``reason`` says so; it stays valid
-    unless the foot turns faster than ``NO_REST_RADPS`` at its quietest).
+    corrected. Where the foot has no true rest the stride's ``reason`` says so; it stays valid unless the foot turns
+    faster than ``NO_REST_RADPS`` at its quietest.
     """
 
     forward: FloatArray
