@@ -57,8 +57,8 @@ def test_the_message_says_what_to_do_and_names_the_columns(tmp_path: Path) -> No
         read_recording(path)
     for open_question in (
         "rate_hz = 0: must",
-        "acc_unit = '?': must",
-        "gyr_unit = '?': must",
+        "acc_unit = '?': is not answered",
+        "gyr_unit = '?': is not answered",
         "sensors.? =",
     ):
         assert re.search(rf"own\.toml:\d+: {re.escape(open_question)}", str(caught.value)), open_question

@@ -50,6 +50,7 @@ START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most ro
 PASSES = 3
 RESTLESS_PERCENT = 85.0
 MOST_RESTLESS, LEAST_UNREST = 30.0, 0.1  # times the typical end's unrest, or this: a stride that ends so is cut
+MOST_CUT = 0.45  # of the strides: more, and the axis is not that of all of them
 FARTHER_S = 0.7  # unrest counts double so far from the swing, for drift grows with time
 QUIET_WEIGHT = 0.25  # of a doubling of the unrest at the quiet instants, in the score
 TRAVEL_SD_RAD, AXIS_SD_RAD = 0.21, 0.087  # of the direction of travel (toe-out) and of the fall vectors' median
@@ -218,7 +219,7 @@ def calibrate_foot(
 def _find_walk(
     sensor: str, rate_hz: float, t_ns: IntArray, acc: FloatArray, gyr: FloatArray, unrest: FloatArray, up: FloatArray
 ) -> tuple[_Walk, FloatArray, float]:
-    """The strides along the best of some axes, the way that each of them leads (K, 3), and how sure the axis is.
+    """The strides along the best of some axes, where each of them leads (K, 3), and how sure the axis is.
 
     An axis is as good as the share of the travel along its forward, and the better the quieter the instants are between
     its swings: with a "rest" in mid-swing the travel comes out reversed and as large.
@@ -232,17 +233,20 @@ def _find_walk(
     most, lively = 0, np.zeros(0)
     for walk in walks:
         moved = follow(t_ns, acc, gyr, walk.spans)
-        way = _turned_back(moved["way"], moved["turn"], up)
+        travel = _turned_back(moved["way"], moved["turn"], up)
         ends = unrest[walk.spans].max(axis=1)
-        far = (_sizes(way) > MIN_TRAVEL_M) & (ends <= MOST_RESTLESS * max(median(ends), LEAST_UNREST))
+        cut = ends > MOST_RESTLESS * max(percentile(ends, 25.0), LEAST_UNREST)
+        far = (_sizes(travel) > MIN_TRAVEL_M) & ~cut
         if far.sum() > most:
             most, lively = int(far.sum()), moved["lively"][far] / (1 + walk.spans[far, 1] - walk.spans[far, 0])
         if far.sum() < MIN_STRIDES:
             continue
-        confidence = float((way[far] @ cross(_vector(walk.axis), _vector(up))).sum() / _sizes(way[far]).sum())
+        if cut.mean() > MOST_CUT:
+            continue
+        confidence = float((travel[far] @ cross(_vector(walk.axis), _vector(up))).sum() / _sizes(travel[far]).sum())
         quiet = max(_restless(unrest, walk.spans), 1e-9) / max(least, 1e-9)
         kept = _Walk(walk.axis, walk.cone_rad, walk.push_offs[far], walk.mids[far], walk.spans[far])
-        found.append((confidence - QUIET_WEIGHT * float(np.log2(quiet)), confidence, kept, way[far]))
+        found.append((confidence - QUIET_WEIGHT * float(np.log2(quiet)), confidence, kept, travel[far]))
     if most < MIN_STRIDES:
         raise CalibrationError(
             f"{sensor}: {most} strides found, {MIN_STRIDES} are needed to find the mediolateral axis. "
@@ -253,13 +257,13 @@ def _find_walk(
             f"{sensor}: the accelerometer shows gravity and nothing else while the foot swings, so it has stopped "
             "measuring. Restart or exchange the sensor, and record again."
         )
-    _, confidence, best, way = max(found, key=lambda each: each[0])
+    _, confidence, best, travel = max(found, key=lambda each: each[0], default=(0.0, 0.0, walks[0], np.zeros((0, 3))))
     if confidence < (FEW_SCORE if len(best.spans) < FEW_STRIDES else MIN_SCORE):
         raise CalibrationError(
             f"{sensor}: the strides do not agree on a direction of travel ({max(confidence, 0.0):.0%} along forward). "
             "Calibrate on a stretch of walking straight ahead."
         )
-    return best, way, confidence
+    return best, travel, confidence
 
 
 def _walks(rate_hz: float, smooth: FloatArray, unrest: FloatArray, gaps: IntArray, up: FloatArray) -> list[_Walk]:
@@ -325,18 +329,18 @@ def _with_spans(
     return push_offs[kept[:, 0]], mids[kept[:, 0]], kept[:, 1:]
 
 
-def _turned_back(way: FloatArray, turn: FloatArray, up: FloatArray) -> FloatArray:
+def _turned_back(travel: FloatArray, turn: FloatArray, up: FloatArray) -> FloatArray:
     """Ways (K, 3) as the foot in the middle of the stride sees them: turned back by half its turn about gravity."""
     half = np.arctan2(turn[:, 1:] @ up, turn[:, 0])  # half of the whole turn's angle
     half = (half + 0.5 * np.pi) % np.pi - 0.5 * np.pi
-    level = way - np.outer(way @ up, up)
+    level = travel - np.outer(travel @ up, up)
     across = np.cross(up, level)
     return np.asarray(np.cos(half)[:, None] * level - np.sin(half)[:, None] * across)
 
 
-def _blend(walk: _Walk, way: FloatArray, up: FloatArray) -> FloatArray:
+def _blend(walk: _Walk, travel: FloatArray, up: FloatArray) -> FloatArray:
     """The mediolateral axis (3,) by the falls and by the direction of travel, each as sure as it is."""
-    ahead = way.sum(axis=0)
+    ahead = travel.sum(axis=0)
     left = np.cross(up, ahead / max(float(np.linalg.norm(ahead)), 1e-9))
     axis = walk.axis / (AXIS_SD_RAD**2 + walk.cone_rad**2) + left / TRAVEL_SD_RAD**2
     axis -= (axis @ up) * up
