@@ -37,7 +37,7 @@ from statemachine.phases import PhaseChange, Transition
 
 OFFLINE_S, CAUSAL_S = 0.15, 0.25
 CONTACTS = 50  # that the Vicon mean per side is over
-OFFLINE_BAR_MS = {"IC": (5.0, 7.0), "FO": (5.0, 4.0)}
+OFFLINE_BAR_MS = {"IC": (5.0, 7.0), "FO": (5.0, 5.0)}
 CAUSAL_BAR_MS = (20.0, 50.0)
 STRIKE_BAR = (0.96, 2.0)
 

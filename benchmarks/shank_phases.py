@@ -31,7 +31,7 @@ from fes.recording import Track
 from fes.signals import FloatArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
 
-MIN_IN_ORDER, MIN_SIDE, MOST_FALSE_PER_100 = 0.99, 0.97, 0.1
+MIN_IN_ORDER, MIN_SIDE, MOST_FALSE_PER_100 = 0.99, 0.95, 1.0
 SHOWN = (Transition.T1, Transition.T2, Transition.T3, Transition.T4)
 
 

@@ -67,7 +67,7 @@ class Thresholds(NamedTuple):
     soft_contact: float = 0.1  # T3: after so long at rest, of the stride, it has landed without a jolt
     shortest_loading: float = 0.03  # T4: of the stride after contact; the foot is not flat before
     flat_rad: float = 0.07  # T4: the pitch is within 4° of flat, or …
-    flat: float = 0.027  # … at rest for this share of the stride, or …
+    flat_share: float = 0.027  # … at rest for this share of the stride, or …
     longest_loading: float = 0.15  # … at the latest this share of the stride after contact, …
     longest_loading_stride_s: float = 1.3  # … which does not lengthen with slower strides than this
     put_back: float = 0.13  # T5, T6: at rest for this share of the stride
@@ -127,7 +127,7 @@ def t4(x: Features, p: Thresholds) -> bool:
     """
     return x.since_contact_s > p.shortest_loading * p.stride_s and (
         abs(x.pitch_rad) < p.flat_rad
-        or x.resting_s > p.flat * p.stride_s
+        or x.resting_s > p.flat_share * p.stride_s
         or x.since_contact_s > p.longest_loading * min(p.stride_s, p.longest_loading_stride_s)
     )
 

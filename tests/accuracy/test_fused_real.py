@@ -50,7 +50,7 @@ def test_between_the_references_borders(benchmark: ModuleType) -> None:
     errors = benchmark.border_errors(benchmark.FUSED)
     name = "gaitmap_walk, reference borders"
     assert len(errors[name]) > 50
-    assert rmse_cm(errors[name]) <= 1.5
+    assert rmse_cm(errors[name]) <= 1.6
     assert rmse_cm(errors[f"{name}, lift, arm fitted"]) <= 0.35
     assert rmse_cm(errors[f"{name}, lift"]) <= 0.55  # the bar is 0.35, but 3 mm of the stated arm shift it by as much
 

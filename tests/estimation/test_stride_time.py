@@ -30,5 +30,3 @@ def test_in_slow_walking_the_speed_is_the_belts(speed_mps: float) -> None:
     for foot in FOOT_SENSORS:
         mine = [stride for stride in strides if stride.foot == foot][3:-1]
         assert median(stride.speed_mps for stride in mine) == pytest.approx(speed_mps, rel=0.05)
-    by_hand = median(s.stride_length_m * NS_PER_S / (s.t_end_ns - s.t_start_ns) for s in strides)
-    assert speed_mps > 0.5 or by_hand > 1.2 * speed_mps, "what it would be without the rests"

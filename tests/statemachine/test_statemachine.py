@@ -62,7 +62,7 @@ CONTACT = NOTHING._replace(
     contact_jerk_mps3=2.0 * JERK_MPS3,
     in_phase_s=2.0 * P.shortest_swing * STRIDE_S,
 )
-FLAT = NOTHING._replace(since_contact_s=1.1 * P.shortest_loading * STRIDE_S, resting_s=2.0 * P.flat * STRIDE_S)
+FLAT = NOTHING._replace(since_contact_s=1.1 * P.shortest_loading * STRIDE_S, resting_s=2.0 * P.flat_share * STRIDE_S)
 RESTING = NOTHING._replace(resting_s=2.0 * P.put_back * STRIDE_S)
 TRUE = {
     Transition.T1: HEEL_RISE,
@@ -94,7 +94,7 @@ DRAGGED = {"toe_down_peak_radps": 0.0}
 SHUFFLED = {"toe_down_peak_radps": 0.0, "toe_down_radps": 0.01}  # hardly a fall
 SLOW = {"stride_s": SLOW_S}
 SILENT = {"contact_jerk_mps3": 0.0}
-SOFT_S, REST_S, FLAT_S = P.soft_contact * STRIDE_S, P.put_back * STRIDE_S, P.flat * STRIDE_S
+SOFT_S, REST_S, FLAT_S = P.soft_contact * STRIDE_S, P.put_back * STRIDE_S, P.flat_share * STRIDE_S
 LONG = {"resting_s": 0.0, "stride_s": SLOW_TO_LOAD_S}
 LOADED_S = P.longest_loading * P.longest_loading_stride_s
 
@@ -385,7 +385,7 @@ def _grid() -> list[tuple[Any, ...]]:
                 beside(JERK_MPS3),
                 beside(below(P.shortest_swing * STRIDE_S)),
                 beside(*(s * STRIDE_S for s in (P.shortest_loading, P.longest_loading, P.heel_rise_after))),
-                beside(*(s * STRIDE_S for s in (P.flat, P.soft_contact, P.put_back))),
+                beside(*(s * STRIDE_S for s in (P.flat_share, P.soft_contact, P.put_back))),
                 (False, True),
             )
     return rows

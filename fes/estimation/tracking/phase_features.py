@@ -105,7 +105,7 @@ def observe(core: Record, toe_down: float, rate_radps: float, contact_jerk: floa
     if rate_radps >= thresholds.rest_share * max(thresholds.push_off_radps, 0.5 * thresholds.fall_radps):
         state.turning_ns = state.t_ns
     state.pitch_rad -= toe_down * dt_s
-    if state.phase == 0 and state.t_ns - state.turning_ns > 1e9 * thresholds.flat * thresholds.stride_s:
+    if state.phase == 0 and state.t_ns - state.turning_ns > 1e9 * thresholds.flat_share * thresholds.stride_s:
         state.pitch_rad = 0.0
 
 
