@@ -239,6 +239,11 @@ def test_the_patient_feels_what_is_delivered_and_nothing_else(tmp_path: Path, st
 def felt_of(bench: PatientBench, port: Port) -> dict[str, float]:
     """What reached the patient of half a second of commands and the silence after it."""
     before = bench.patient.punctuality()
+    end_ns = time.monotonic_ns() + NS_PER_S // 4
+    while (now_ns := time.monotonic_ns()) < end_ns:  # after a silence a node asks for an off before a burst
+        port.send(StimCommand(now_ns, 0, False, 0.0, 0.0, 0.0, 60))
+        port.poll(now_ns)
+        time.sleep(0.005)
     end_ns = time.monotonic_ns() + NS_PER_S // 2
     while (now_ns := time.monotonic_ns()) < end_ns:
         port.send(StimCommand(now_ns, 0, True, 20.0, 300.0, 40.0, 60))
