@@ -38,6 +38,8 @@ from stroke_treadmill import data_folder
 from swing_judge import score
 
 from fes.analysis.swings import find_swings
+from fes.cohort.sweep.grid import Point
+from fes.cohort.sweep.task import with_thresholds
 from fes.estimation.foot import calibration as foot_calibration
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from statemachine.guards import Thresholds
@@ -110,13 +112,9 @@ def _judge(foot: Foot, swings: Any, values: dict[str, float], made: dict[Any, Fo
     calibration = made[key]
     if calibration is None:
         return Judged(len(strides), 0, len(swings.whole()), 0, float("nan"))
-    own = FootCalibration.thresholds
-    try:
-        guards = {name: values[name] for name in GUARDS}
-        FootCalibration.thresholds = lambda self, **more: own(self, **more)._replace(**guards)  # type: ignore[method-assign]
-        changes, solved = causal(foot.track, calibration)
-    finally:
-        FootCalibration.thresholds = own  # type: ignore[method-assign]
+    sensor = foot.track.sensor
+    point = Point(tuple((f"thresholds.{name}", values[name]) for name in GUARDS))
+    changes, solved = causal(foot.track, with_thresholds({sensor: calibration}, point)[sensor])
     found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
     counts = score(swings, changes, solved)
     found.in_order, found.false_swings = counts.in_order, counts.false_swings
