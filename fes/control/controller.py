@@ -92,6 +92,7 @@ class Controller:
                 if results:
                     self._follow(foot, event, results)
                     outcomes = tuple(results)
+                self._judges[foot].on_time(event.t_sensor_ns)
         elif isinstance(event, OperatorAct):
             self._on_act(event)
         elif isinstance(event, StimStatus):

@@ -3,7 +3,8 @@
 Users of drop-foot stimulators complain most of stimulation when they do not walk: weight shifts, turning on the spot,
 sitting down. A heel that rises says nothing yet; strides that have just carried the foot forward do. So a burst may
 start only after ``strides_before_start`` strides in a row that were long enough and straight enough, and only while
-the stance since the last one is not much longer than the stances of walking.
+the stance since the last one is not much longer than the stances of walking. Who stands longer has stopped, and is
+said to stand as soon as that is so, not at the next step.
 
 A foot switch times bursts while the sensor's side shows no steps. It opens when the foot is lifted and closes when it
 lands. Once it has gone through two cycles of walking while the sensor showed no swing, its changes stand for the
@@ -79,6 +80,7 @@ STANCE_FACTOR = 1.8  # a stance this much longer than the usual one is a stop â€
 STANCE_GRACE_S = 0.2  # â€¦ once it is also this much longer
 SHORT_STANCE_SHARE = 0.4  # a stance shorter than this share of the usual one is a foot that has not settled yet
 REMEMBERED_STANCES = 5
+LONGEST_NS = 3 * NS_PER_S  # a stance while none is usual yet, or any other phase: nobody walks so slowly
 LOST, LANDED, STANCE = Transition.NONE, (Transition.T4, Transition.T6), Phase.STANCE
 
 
@@ -91,7 +93,20 @@ class WalkingJudge:
         self._good_strides = 0
         self._stance_ns: int | None = None
         self._stances_s: deque[float] = deque(maxlen=REMEMBERED_STANCES)
+        self._standing = True  # until a swing; again where a stance, or any other phase, lasts
+        self._begun_ns, self._longest_ns = 0, LONGEST_NS  # of what must end by then, or the foot stands
         self.reason = "no stride yet"
+
+    @property
+    def walking(self) -> bool:
+        """Whether enough good strides have come one after the other, and the foot has not stopped since."""
+        return not self._standing and self._good_strides >= self._enough
+
+    def on_time(self, t_ns: int) -> None:
+        """Time has come to ``t_ns`` by the foot's own sensor: a stance that lasts ends walking."""
+        if not self._standing and t_ns - self._begun_ns > self._longest_ns:
+            self._standing = True
+            self._lapse(f"stands for {(t_ns - self._begun_ns) / NS_PER_S:.1f} s")
 
     def on_stride(self, stride: StrideResult) -> None:
         """Count a stride for or against walking."""
@@ -106,31 +121,35 @@ class WalkingJudge:
 
     def on_phase(self, change: PhaseChange) -> bool:
         """Follow a phase change; returns whether a burst that starts with it is permitted."""
+        permitted = True
         if change.transition is LOST:
             self._lapse("data were lost")
             self._stance_ns = change.t_ns
         elif change.transition in LANDED:
             self._stance_ns = change.t_ns
         elif change.source is STANCE and self._stance_ns is not None:
-            return self._end_of_stance(1.0 / NS_PER_S * (change.t_ns - self._stance_ns))
-        return self.walking
-
-    @property
-    def walking(self) -> bool:
-        """Whether enough good strides have come one after the other."""
-        return self._good_strides >= self._enough
+            permitted = self._end_of_stance(1.0 / NS_PER_S * (change.t_ns - self._stance_ns))
+        if change.destination is Phase.SWING:
+            self._standing = False
+        self._begun_ns, self._longest_ns = change.t_ns, LONGEST_NS
+        if change.destination is STANCE and self._stance_ns is not None and self._stances_s:
+            self._begun_ns, self._longest_ns = self._stance_ns, round(NS_PER_S * self._longest_stance_s())
+        return permitted and self._good_strides >= self._enough
 
     def _end_of_stance(self, stance_s: float) -> bool:
-        """The heel rises after a stance of this length; returns whether that is walking on."""
-        if self._stances_s:
-            usual_s = _median(self._stances_s)
-            if stance_s < SHORT_STANCE_SHARE * usual_s:
-                return False  # the foot stirs after it has landed; the real heel rise is still to come
-            if stance_s > STANCE_FACTOR * usual_s and stance_s > usual_s + STANCE_GRACE_S:
-                self._lapse(f"stood for {stance_s:.1f} s")
+        """The heel rises after a stance of this length; returns whether that can be walking on."""
+        if self._standing or (self._stances_s and stance_s > self._longest_stance_s()):
+            self._lapse(f"stood for {stance_s:.1f} s")
+        elif self._stances_s and stance_s < SHORT_STANCE_SHARE * _median(self._stances_s):
+            return False  # the foot stirs after it has landed; the real heel rise is still to come
         if self._good_strides:
             self._stances_s.append(stance_s)
-        return self.walking
+        return True
+
+    def _longest_stance_s(self) -> float:
+        """A stance that lasts longer is a stop."""
+        usual_s = _median(self._stances_s)
+        return max(STANCE_FACTOR * usual_s, usual_s + STANCE_GRACE_S)
 
     def _lapse(self, reason: str) -> None:
         self._good_strides = 0

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from pathlib import Path
+from typing import cast
 
 import pytest
 from hypothesis import example, given
@@ -20,6 +21,7 @@ from test_tuning_controller import tuned_session
 from fes.config import ImuDevice, Session, load_session
 from fes.control.controller import Controller
 from fes.estimation.foot.calibration import FootCalibration
+from fes.estimation.foot.tracker import FootTracker
 from fes.gate import gate_of
 from fes.live.commands import (
     NEEDS_CONFIRMATION,
@@ -42,7 +44,17 @@ from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note
-from fes.signals import Event, FootSwitchEvent, ImuSample, OperatorAct, OperatorAction, StimAlive, SystemFault, Vector3
+from fes.signals import (
+    Event,
+    FootSwitchEvent,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimAlive,
+    StrideResult,
+    SystemFault,
+    Vector3,
+)
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FOOT = "right_foot"
@@ -137,6 +149,52 @@ def test_it_gets_ready_is_armed_by_hand_and_starts_from_nothing() -> None:
     assert bench.operator.state is State.ARMED
     assert bench.gate.armed
     assert bench.controller.intensity == 0.0
+
+
+class Steps:
+    """Stands in for a foot's tracker: phase changes and strides at known times."""
+
+    def __init__(self, outcomes: dict[int, list[PhaseChange | StrideResult]]) -> None:
+        self.phase = Phase.STANCE
+        self._outcomes = outcomes
+
+    def step(self, t_ns: int, acc_mps2: Vector3, gyr_radps: Vector3) -> list[PhaseChange | StrideResult]:
+        outcomes = self._outcomes.get(t_ns, [])
+        self.phase = next((each.destination for each in outcomes if isinstance(each, PhaseChange)), self.phase)
+        return outcomes
+
+
+def steps_from(begin_ns: int, strides: int) -> Steps:
+    """Strides of a metre and a second each."""
+    outcomes: dict[int, list[PhaseChange | StrideResult]] = {}
+    for number in range(strides):
+        t_ns, closed = begin_ns + number * 1000 * MS, []
+        if number:
+            sizes = 1.0, 0.1, 0.0, 0.0, 1.0
+            closed = [StrideResult(FOOT, number, t_ns - 1000 * MS, t_ns, *sizes, None, None, None, None, True, "")]
+        path = zip((0, 100, 400, 500), ("T1", "T2", "T3", "T4"), strict=True)
+        for after_ms, name in path:
+            source = Phase(int(name[1]) - 1)
+            change = PhaseChange(t_ns + after_ms * MS, FOOT, Transition[name], source, Phase(int(name[1]) % 4))
+            outcomes[change.t_ns] = [*(closed if name == "T1" else []), change]
+    return Steps(outcomes)
+
+
+def test_standing_after_a_walk_is_armed_and_a_test_burst_is_possible() -> None:
+    bench = Bench().armed()
+    bench.controller.trackers[FOOT] = cast(FootTracker, steps_from(bench.t_ns + 500 * MS, 6))
+    bench.stand(6.0)
+    assert bench.operator.state is State.RUNNING
+    bench.stand(3.0)
+    assert bench.operator.state is State.ARMED
+    assert not bench.controller.walking(FOOT)
+    bench.command(Kind.DISARM)
+    bench.command(Kind.ARM)
+    bench.stand(1.0)
+    assert bench.operator.state is State.ARMED
+    assert [act.action for act in bench.command(Kind.TEST) if isinstance(act, OperatorAct)] == [
+        OperatorAction.TEST_BURST
+    ]
 
 
 def tuned(mode: str = "act") -> Session:

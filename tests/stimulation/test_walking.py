@@ -14,6 +14,7 @@ from fes.config import Stimulation
 from fes.control.controller import Controller
 from fes.control.replay import session_for
 from fes.recording import read_recording
+from fes.recording.tracks import samples_of
 from fes.signals import StrideResult
 from fes.simulation.truth import load_truth
 from fes.stimulation.walking import WalkingJudge
@@ -257,3 +258,94 @@ def test_a_foot_that_stirs_just_after_landing_starts_no_burst_and_goes_on_walkin
     assert not feet.go(Transition.T1, 0.05)  # the heel settles: a tenth of the usual stance
     feet.go(Transition.T5, 0.1)
     assert feet.go(Transition.T1, 0.35)  # the real heel rise, half a second after landing
+
+
+# --- standing is noticed ---------------------------------------------------------------------------------
+
+
+def stands_from(judged: Judged, at_most_s: float = 10.0) -> float:
+    """How long after the last phase change the judge says that the foot does not walk."""
+    began_s = judged.now_s
+    while judged.judge.walking and judged.now_s - began_s < at_most_s:
+        judged.now_s += 0.01
+        judged.judge.on_time(round(judged.now_s * 1e9))
+    return judged.now_s - began_s
+
+
+def test_a_stance_that_lasts_ends_walking_though_no_step_comes() -> None:
+    judged = walking()  # with stances of half a second
+    assert stands_from(judged) == pytest.approx(0.9, abs=0.02)
+    assert judged.judge.reason == "stands for 0.9 s"
+    judged.judge.on_stride(stride())  # closed by its timer, as nobody steps on
+    assert not judged.judge.walking
+    assert not judged.go(Transition.T1, 5.0)  # the stride before the stop says nothing of the one after it
+    assert judged.judge.reason.startswith("stood for ")
+
+
+def test_who_walks_on_is_never_said_to_stand() -> None:
+    judged = walking()
+    for _ in range(5):
+        judged.judge.on_stride(stride())
+        for transition, after_s in (
+            (Transition.T1, 0.85),
+            (Transition.T2, 0.9),
+            (Transition.T3, 0.9),
+            (Transition.T4, 0.9),
+        ):
+            for _ in range(round(after_s / 0.01)):
+                judged.now_s += 0.01
+                judged.judge.on_time(round(judged.now_s * 1e9))
+                assert judged.judge.walking
+            assert judged.go(transition)
+
+
+@pytest.mark.parametrize("phases", [(), ("T1",), ("T1", "T2"), ("T1", "T2", "T3")])
+def test_no_phase_of_walking_lasts_three_seconds(phases: tuple[str, ...]) -> None:
+    judged = walking()
+    for name in phases:
+        judged.go(Transition[name], 0.2)
+    assert stands_from(judged) < 3.02
+
+
+def test_the_first_stride_alone_knows_no_usual_stance_and_ends_walking_after_three_seconds() -> None:
+    judged = Judged(strides_before_start=1)
+    judged.step()
+    judged.judge.on_stride(stride())
+    assert judged.judge.walking
+    assert stands_from(judged) == pytest.approx(3.0, abs=0.02)
+    assert not judged.go(Transition.T1, 10.0)
+
+
+def test_a_heel_lifted_in_standing_is_standing() -> None:
+    judged = walking()
+    stands_from(judged)
+    for _ in range(3):
+        assert not judged.go(Transition.T1, 1.0)
+        judged.go(Transition.T5, 0.3)
+        assert not judged.judge.walking
+
+
+def test_where_no_strides_are_asked_for_every_step_is_permitted_and_standing_is_noticed_all_the_same() -> None:
+    judged = Judged(strides_before_start=0)
+    assert not judged.judge.walking
+    assert judged.go(Transition.T1, 1.0)
+    judged.go(Transition.T2, 0.2)
+    assert judged.judge.walking
+    judged.go(Transition.T6, 0.5)
+    assert stands_from(judged) < 3.02
+    assert judged.go(Transition.T1, 10.0)
+
+
+def test_after_the_walk_of_a_recording_both_feet_stand() -> None:
+    recording = read_recording(FOLDER / "not_walking.parquet")
+    walk = next(a for a in load_truth(FOLDER / "not_walking.parquet").activities if a.walking)
+    controller = Controller(session_for(recording, None), calibrate_phase_sensors(recording).calibrations)
+    walked, walks_after = set(), {}
+    for event in samples_of(recording, set(recording.tracks)):
+        controller.step(event)
+        for foot in controller.trackers:
+            if controller.walking(foot):
+                walked.add(foot)
+                walks_after[foot] = 1e-9 * event.t_ns - walk.end_s
+    assert walked == set(controller.trackers)
+    assert all(after_s < 3.0 for after_s in walks_after.values()), walks_after
