@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.signals import FloatArray, IntArray, StimAlive, StimCommand, StimStatus, StrideResult
+from fes.signals import FloatArray, IntArray, OperatorAct, StimAlive, StimCommand, StimStatus, StrideResult
 from statemachine.phases import PhaseChange
 
 SEVERITIES = ("info", "warning", "fault")
@@ -67,6 +67,7 @@ class WalkRecord:
     commands: list[StimCommand] = field(default_factory=list)
     statuses: list[StimStatus] = field(default_factory=list)
     alive: list[StimAlive] = field(default_factory=list)
+    acts: list[OperatorAct] = field(default_factory=list)
     ticks_ns: IntArray = field(default_factory=no_times)
     latency_t_ns: IntArray = field(default_factory=no_times)
     latency_ns: IntArray = field(default_factory=no_times)

@@ -21,14 +21,13 @@ from fes.signals import (
     StrideResult,
     Tick,
 )
-from fes.stimulation.plan import StimulationPlan
+from fes.stimulation.plan import BY_HAND_NS, StimulationPlan
 from fes.stimulation.tuning.session import TUNING_ACTS, Tuners
 from fes.stimulation.tuning.tuner import TuningReport
 from fes.stimulation.walking import SwitchFallback, WalkingJudge
 from statemachine.phases import Phase, PhaseChange
 
 CURRENT_STEP_MA = 0.5  # of most stimulators
-BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 
 
 @dataclass(frozen=True, slots=True)

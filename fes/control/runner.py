@@ -11,7 +11,7 @@ from dataclasses import KW_ONLY, dataclass
 from typing import Final, Protocol
 
 from fes.control.controller import Controller
-from fes.gate import SafetyGate
+from fes.gate import STOPPED, SafetyGate
 from fes.session_log import Note
 from fes.signals import (
     NS_PER_S,
@@ -204,7 +204,8 @@ class Runner:
         if self.gate.latched != self._latched:
             self._latched = self.gate.latched
             if self._latched:
-                self.log.note(Note(event.t_ns, "fault", "gate", f"off until armed again: {self._latched}"))
+                severity = "info" if self._latched == STOPPED else "fault"  # the stop itself is noted by who made it
+                self.log.note(Note(event.t_ns, severity, "gate", f"off until armed again: {self._latched}"))
                 self.all_off()  # not at the next command: now
             else:
                 self.log.note(Note(event.t_ns, "info", "gate", "armed again"))

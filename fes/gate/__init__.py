@@ -1,5 +1,5 @@
 """The safety gate: the last word before the wire."""
 
-from fes.gate.gate import Flagged, SafetyGate, gate_of
+from fes.gate.gate import STOPPED, Flagged, SafetyGate, gate_of
 
-__all__ = ["Flagged", "SafetyGate", "gate_of"]
+__all__ = ["STOPPED", "Flagged", "SafetyGate", "gate_of"]

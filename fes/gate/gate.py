@@ -32,6 +32,7 @@ from fes.signals import (
     Vector3,
 )
 
+STOPPED = "emergency stop"  # the reason of a latch that a person made
 NO_CHANNEL = -1  # stands in a command for a channel number that is not even a number, or a huge one
 
 
@@ -151,7 +152,7 @@ class SafetyGate:
         elif act.action is OperatorAction.DISARM:
             self._armed = False
         elif act.action is OperatorAction.EMERGENCY_STOP:
-            self.latch(act.t_ns, "emergency stop")
+            self.latch(act.t_ns, STOPPED)
 
     def _on_status(self, status: StimStatus) -> None:
         if status.fault:

@@ -10,7 +10,7 @@ from typing import Final
 
 from fes.config import Session
 from fes.control.controller import Controller
-from fes.gate import SafetyGate
+from fes.gate import STOPPED, SafetyGate
 from fes.live.commands import CONTROL, CURRENT_ALLOWED, Cause, CommandKind, OperatorCommand, SessionMachine, State
 from fes.live.sensor_monitor import SensorMonitor
 from fes.session_log import Note
@@ -161,7 +161,7 @@ class Operator:
         if isinstance(event, OperatorAct) and event.action is OperatorAction.ARM:
             self._armed(t_ns)
         if self.gate.latched:
-            stopped = self.gate.latched == "emergency stop"
+            stopped = self.gate.latched == STOPPED
             self._move(t_ns, Cause.STOP if stopped else Cause.FAULT, self.gate.latched)
         elif self.state in CURRENT_ALLOWED and not isinstance(event, Tick):
             walks = any(self.controller.walking(foot) for foot in self._feet)

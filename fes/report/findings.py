@@ -7,6 +7,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from fes.report.by_hand import summed_up
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
 from fes.report.summary import ChannelSummary, SessionSummary
 from fes.report.text import count_of, number, readable
@@ -15,6 +16,7 @@ Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
 SILENCE_MS = 100.0
 FEW_UNEXPLAINED = 0.05  # of the swings: pivots and small steps
+REFUSED_BY_CHOICE: Final = ("not armed", "emergency stop")  # a person had not armed, or had stopped
 FIRST = 6  # sentences on the first page; the rest stand further down
 _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
     "alert": "Look before using the numbers",
@@ -45,6 +47,8 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
         first, count = summary.faults[0], count_of(len(summary.faults), "fault")
         where = f"the first at {first.time_s:.1f} s ({first.source}): {first.text}"
         yield Finding("alert", f"{count} noted, {where}")
+    if done := summed_up(summary.by_hand):
+        yield Finding("info", f"By hand: {done}.")
     if not summary.channels:
         yield Finding("info", "No stimulation channel was set up.")
     for channel in summary.channels:
@@ -55,7 +59,9 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
     if summary.refusals:
         most, total = summary.refusals[0], sum(refusal.count for refusal in summary.refusals)
         often = f"most often: {most.reason} ({most.count})"
-        yield Finding("warning", f"The safety gate turned {count_of(total, 'command')} off; {often}.")
+        by_choice = all(refusal.reason in REFUSED_BY_CHOICE for refusal in summary.refusals)
+        text = f"The safety gate turned {count_of(total, 'command')} off; {often}."
+        yield Finding("info" if by_choice else "warning", text)
     latency = summary.latency
     if latency.count:
         p50, p99, most_ms = (f"{ms:.2f} ms" for ms in (latency.p50_ms, latency.p99_ms, latency.max_ms))
@@ -89,6 +95,7 @@ def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
         yield Finding("warning", f"{name}: stimulated, but the log's settings do not say on which foot.")
         return
     times = count_of(channel.bursts, "time")
+    times += f" ({channel.bursts_by_hand} of them by hand)" if channel.bursts_by_hand else ""
     window = f"{readable(channel.start_phase)} … {readable(channel.stop_phase)}"
     if channel.longest_outside_s == 0:
         yield Finding("good", f"{name}: stimulated {times}, never outside {window} of its foot.")

@@ -16,8 +16,9 @@ from pydantic import ValidationError
 
 from fes.config import PHASE_ORDER, Session
 from fes.config import Phase as PhaseName
-from fes.signals import NS_PER_S, BoolArray, FloatArray, IntArray, StimCommand, StimStatus, StrideResult
+from fes.signals import NS_PER_S, BoolArray, FloatArray, IntArray, OperatorAct, StimCommand, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
+from fes.stimulation.plan import BY_HAND_NS, LATEST_NS
 from fes.walk_record import Note, WalkRecord
 from statemachine.phases import Phase, PhaseChange
 
@@ -93,6 +94,7 @@ class ChannelInfo:
     start_phase: str
     stop_phase: str
     phases: tuple[Phase, ...]
+    fall_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ def channel_infos(settings: Session | None, commands: Sequence[StimCommand]) -> 
     known = {}
     for c in settings.channels if settings else ():
         phases = phases_between(c.start_phase, c.stop_phase)
-        known[c.number] = ChannelInfo(c.number, c.name, c.foot, c.muscle, c.start_phase, c.stop_phase, phases)
+        known[c.number] = ChannelInfo(c.number, c.name, c.foot, c.muscle, c.start_phase, c.stop_phase, phases, c.fall_s)
     for number in {command.channel for command in commands} - set(known):
         known[number] = ChannelInfo(number, f"channel {number}", "", "", "", "", ())
     return tuple(known[number] for number in sorted(known))
@@ -172,7 +174,8 @@ class Burst:
 
     ``charge_uc`` is the charge of one phase summed over all pulses, counted by the device where ``counted``
     and otherwise worked out from the commands (current · width · frequency · time). ``outside_s`` is the time
-    in a phase in which the channel must be off, NaN when the channel's foot is not known.
+    in a phase in which the channel must be off, NaN when the channel's foot is not known. One that a person asked for
+    is ``by_hand``, whatever its foot does; it is outside only when it outlasts what was asked for.
     """
 
     channel: int
@@ -183,6 +186,7 @@ class Burst:
     charge_uc: float
     counted: bool
     outside_s: float
+    by_hand: bool = False
 
     @property
     def duration_s(self) -> float:
@@ -191,9 +195,16 @@ class Burst:
 
 
 def find_bursts(
-    info: ChannelInfo, commands: CommandColumns, statuses: StatusColumns, timeline: PhaseTimeline | None
+    info: ChannelInfo,
+    commands: CommandColumns,
+    statuses: StatusColumns,
+    timeline: PhaseTimeline | None,
+    acts: Sequence[OperatorAct] = (),
 ) -> tuple[Burst, ...]:
-    """Cut one channel's commands into bursts; a command that lapsed before the next one ends a burst too."""
+    """Cut one channel's commands into bursts; a command that lapsed before the next one ends a burst too.
+
+    ``acts`` are those of people, of which some asked for bursts.
+    """
     on = commands.on
     if not on.any():
         return ()
@@ -219,14 +230,24 @@ def find_bursts(
         pulses = np.bincount(owner[ok], statuses.pulses[ok].astype(np.float64), first.size)
         charge_uc = np.bincount(owner[ok], statuses.charge_uc[ok], first.size)
 
+    judged_ns, by_hand = start_ns.copy(), np.zeros(first.size, dtype=np.bool_)
+    for act in acts:
+        at = int(np.searchsorted(start_ns, act.t_ns))
+        under_way = at > 0 and end_ns[at - 1] > act.t_ns
+        if act.action not in BY_HAND_NS or act.value != info.number or under_way or at == first.size:
+            continue
+        if start_ns[at] - act.t_ns <= LATEST_NS:
+            by_hand[at] = True
+            asked_ns = BY_HAND_NS[act.action] + round(info.fall_s * NS_PER_S) + DEVICE_TAIL_NS
+            judged_ns[at] = min(start_ns[at] + asked_ns, end_ns[at])
     outside_s = np.full(first.size, np.nan)
     if timeline is not None and info.phases:
-        outside_s = (end_ns - start_ns) / NS_PER_S - timeline.time_in(info.phases, start_ns, end_ns)
+        outside_s = (end_ns - judged_ns) / NS_PER_S - timeline.time_in(info.phases, judged_ns, end_ns)
         outside_s = np.maximum(outside_s, 0.0).round(9)
-    columns = (values.tolist() for values in (start_ns, end_ns, peak_ma, pulses, charge_uc, outside_s))
+    columns = (values.tolist() for values in (start_ns, end_ns, peak_ma, pulses, charge_uc, outside_s, by_hand))
     return tuple(
-        Burst(info.number, start, end, peak, count, charge, counted, outside)
-        for start, end, peak, count, charge, outside in zip(*columns, strict=True)
+        Burst(info.number, start, end, peak, count, charge, counted, outside, asked)
+        for start, end, peak, count, charge, outside, asked in zip(*columns, strict=True)
     )
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from fes.analysis.swings import find_swings
 from fes.config import Session
 from fes.report import quality, stimulation
+from fes.report.by_hand import HandRow, hand_rows, is_stop_note
 from fes.report.strides import StrideRow, stride_rows
 from fes.report.text import Spread, plain, spread
 from fes.signals import FOOT_SENSORS, NS_PER_S
@@ -73,6 +74,7 @@ class ChannelSummary:
     outside_s: float
     longest_outside_s: float
     bursts_outside: int
+    bursts_by_hand: int
     on_without_command: int
     onset_after_pre_swing_ms: Spread
     burst_duration_s: Spread
@@ -150,6 +152,7 @@ def channel_summary(
         outside_s=sum(outside) if known else NAN,
         longest_outside_s=max(outside, default=0.0) if known else NAN,
         bursts_outside=sum(value > 0 for value in outside),
+        bursts_by_hand=sum(burst.by_hand for burst in bursts),
         on_without_command=stray,
         onset_after_pre_swing_ms=spread(item.onset_after_pre_swing_ms for item in own),
         burst_duration_s=spread(burst.duration_s for burst in bursts),
@@ -183,11 +186,13 @@ class SessionSummary:
     strides: tuple[StrideRow, ...]
     dose: tuple[stimulation.DoseRow, ...] = ()
     tuning: tuple[stimulation.TuningRow, ...] = ()
+    by_hand: tuple[HandRow, ...] = ()
 
     @property
     def faults(self) -> tuple[quality.Notice, ...]:
-        """The notices of faults."""
-        return tuple(notice for notice in self.notices if notice.severity == "fault")
+        """The notices of faults; a stop that a person made is none."""
+        faults = (notice for notice in self.notices if notice.severity == "fault")
+        return tuple(fault for fault in faults if not is_stop_note(fault.source, fault.text))
 
     def to_json(self) -> dict[str, Any]:
         """Plain values, NaN as null; ``format`` changes when a key changes its meaning.
@@ -238,7 +243,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
     commands = {info.number: stimulation.command_columns(record.commands, info.number) for info in infos}
     statuses = {info.number: stimulation.status_columns(record.statuses, info.number) for info in infos}
     bursts = {
-        n: stimulation.find_bursts(info, commands[n], statuses[n], timelines.get(info.foot))
+        n: stimulation.find_bursts(info, commands[n], statuses[n], timelines.get(info.foot), record.acts)
         for n, info in ((info.number, info) for info in infos)
     }
     stray = {number: stimulation.answers_without_command(commands[number], statuses[number]) for number in commands}
@@ -277,6 +282,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         strides=rows,
         dose=stimulation.dose_rows(record, settings, origin_ns),
         tuning=stimulation.tuning_rows(record.notes, origin_ns),
+        by_hand=hand_rows(record, origin_ns),
     )
     return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)
 

@@ -14,7 +14,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from fes.signals import FootSwitchEvent, OperatorAct, StimOpened, SystemFault, WireFrame
+from fes.signals import FootSwitchEvent, StimOpened, SystemFault, WireFrame
 from fes.walk_record import WalkRecord
 
 
@@ -44,7 +44,6 @@ class Received:
 class SessionRecord(WalkRecord):
     """All that a session left behind: the walk, and what came in and went out. Lists are in the order of writing."""
 
-    acts: list[OperatorAct] = field(default_factory=list)
     frames: list[WireFrame] = field(default_factory=list)
     reopened: list[StimOpened] = field(default_factory=list)
     switches: list[FootSwitchEvent] = field(default_factory=list)

@@ -21,12 +21,13 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from fes.config import PHASE_ORDER, Channel
-from fes.signals import StimRequest
+from fes.signals import NS_PER_S, OperatorAction, StimRequest
 from fes.stimulation.envelope import BurstParameters, Envelope, round_down, to_ns
 from statemachine.phases import Phase, PhaseChange, Transition
 
 FREQUENCY_STEP_HZ = 1.0
 LATEST_NS = 500_000_000  # a burst that would have to wait longer, for a rest or an antagonist, is of another moment
+BY_HAND_NS = {OperatorAction.TEST_BURST: NS_PER_S // 2, OperatorAction.TRIGGER: NS_PER_S}  # until it falls
 LOST = Transition.NONE
 EXPECTED_FROM = 3  # strides; the longest of their times counts, for to end late is to end at contact
 

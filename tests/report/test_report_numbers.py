@@ -12,12 +12,13 @@ import report_records as make
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fes.live.operator import NO_STOP
 from fes.report.findings import findings
 from fes.report.stimulation import build_timeline, command_columns, phases_between
 from fes.report.summary import summarise
 from fes.report.text import plain
 from fes.session_log import Note, SampleArrays, SessionRecord
-from fes.signals import StimAlive, StimCommand, StimStatus
+from fes.signals import OperatorAct, OperatorAction, StimAlive, StimCommand, StimStatus
 from statemachine.phases import Phase, PhaseChange, Transition
 
 
@@ -206,6 +207,87 @@ def test_faults_come_from_notes_status_and_heartbeat():
     assert texts == ["latched", "channel 0: electrode (1 answers)", "restarted (boot 1 → 2)", "overheated"]
 
 
+def act(action: OperatorAction, seconds: float, channel: float = 0.0) -> OperatorAct:
+    return OperatorAct(make.at(seconds), action, channel)
+
+
+TEST_BURST, TRIGGER, STOP = OperatorAction.TEST_BURST, OperatorAction.TRIGGER, OperatorAction.EMERGENCY_STOP
+
+
+@pytest.mark.parametrize(
+    ("action", "lasts_s", "words"), [(TEST_BURST, 0.6, "1 test burst"), (TRIGGER, 1.1, "1 manual burst")]
+)
+def test_a_burst_that_a_person_asked_for_is_listed_as_that_and_is_not_outside(
+    action: OperatorAction, lasts_s: float, words: str
+):
+    record = record_of(make.stride(0, 9.0), commands=make.burst(0, 3.02, lasts_s))
+    assert any("outside" in text for text in alerts(record))  # nobody asked for it
+    record.acts = [act(action, 3.0)]
+    summary = summarise(record)
+    assert not [text for text in alerts(record) if "unanswered" not in text]
+    (channel, _) = summary.channels
+    assert (channel.bursts, channel.bursts_by_hand, channel.bursts_outside, channel.outside_s) == (1, 1, 0, 0.0)
+    assert [(row.text, row.channel) for row in summary.by_hand] == [(words[2:], 0)]
+    assert [f.level for f in findings(summary) if f.text == f"By hand: {words}."] == ["info"]
+
+
+def test_only_the_burst_that_was_asked_for_is_by_hand():
+    commands = [*make.burst(0, 3.02, 0.5), *make.burst(0, 6.0, 0.5)]
+    for asked in ([], [act(TEST_BURST, 2.0)], [act(TEST_BURST, 3.0, 1.0)], [act(TEST_BURST, 3.1)]):
+        record = record_of(make.stride(0, 9.0), commands=commands, acts=asked)
+        assert any("2 of 2 bursts outside" in text for text in alerts(record)), asked
+    record.acts = [act(TEST_BURST, 3.0)]
+    assert any("1 of 2 bursts outside" in text for text in alerts(record))
+
+
+def test_a_burst_by_hand_that_outlasts_what_was_asked_for_is_outside_from_then_on():
+    record = record_of(make.stride(0, 9.0), commands=make.burst(0, 3.0, 2.0), acts=[act(TEST_BURST, 3.0)])
+    (channel, _) = summarise(record).channels
+    assert channel.bursts_outside == 1
+    assert channel.outside_s == pytest.approx(2.0 - 0.5 - 0.1 - 0.1, abs=0.1)
+
+
+def test_one_emergency_stop_is_one_event_and_no_fault():
+    record = record_of(make.stride(0, 1.0), acts=[act(STOP, 5.0), act(STOP, 5.2)])
+    record.notes = [
+        Note(make.at(5), "fault", "session", "emergency stop (button)"),
+        Note(make.at(5), "info", "session", "state running → stopped (emergency stop)"),
+        Note(make.at(5), "fault", "gate", "off until armed again: emergency stop"),
+        Note(make.at(5.2), "fault", "session", "emergency stop (key)"),
+    ]
+    summary = summarise(record)
+    assert summary.faults == ()
+    assert not alerts(record)
+    assert [row.text for row in summary.by_hand] == ["emergency stop (button)"]
+    assert "By hand: emergency stop (button) at 4.0 s." in [finding.text for finding in findings(summary)]
+    record.acts = [act(STOP, 5.0), act(OperatorAction.ARM, 5.1), act(STOP, 5.2)]
+    assert [row.text for row in summarise(record).by_hand] == [
+        "emergency stop (button)",
+        "armed",
+        "emergency stop (key)",
+    ]
+
+
+@pytest.mark.parametrize("origin", ["button lost", NO_STOP])
+def test_a_stop_that_nobody_made_is_one_fault(origin: str):
+    record = record_of(make.stride(0, 1.0), acts=[act(STOP, 5.0)])
+    record.notes = [
+        Note(make.at(5), "fault", "session", f"emergency stop ({origin})"),
+        Note(make.at(5), "fault", "gate", "off until armed again: emergency stop"),
+    ]
+    assert [fault.text for fault in summarise(record).faults] == [f"emergency stop ({origin})"]
+
+
+def test_what_was_not_armed_was_not_armed_on_purpose():
+    refused = [StimCommand(make.at(1), 0, False, 0, 0, 0, 60, why) for why in ("not armed", "emergency stop")]
+    record = record_of(make.stride(0, 1.0), commands=refused)
+    (level,) = [f.level for f in findings(summarise(record)) if f.text.startswith("The safety gate turned")]
+    assert level == "info"
+    record.commands.append(StimCommand(make.at(1), 0, False, 0, 0, 0, 60, "right_foot data 41 ms old, limit 40 ms"))
+    (level,) = [f.level for f in findings(summarise(record)) if f.text.startswith("The safety gate turned")]
+    assert level == "warning"
+
+
 def test_unanswered_commands_are_an_alert():
     record = record_of(make.stride(0, 1.0))
     record.summary = {"wire": {"commands": 10, "matched": 8, "missing": 2, "different": 0}}
@@ -245,6 +327,7 @@ def test_json_keys_are_stable_and_nan_is_null():
             "strides",
             "dose",
             "tuning",
+            "by_hand",
         ),
     }
     assert set(value["strides"][-1]) == {

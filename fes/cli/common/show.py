@@ -126,7 +126,7 @@ ARMED_AGAIN: Final = "armed again"
 def latched(notices: Iterable[Notice]) -> str:
     """How often and when the gate latched, and whether it stayed so; "" when it never did. Times are the session's."""
     of_gate = [each for each in notices if each.source == GATE]
-    latches = [each for each in of_gate if each.severity == "fault" and each.text.startswith(LATCHED)]
+    latches = [each for each in of_gate if each.text.startswith(LATCHED)]
     if not latches:
         return ""
     first, last = latches[0], latches[-1]

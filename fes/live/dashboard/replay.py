@@ -8,7 +8,7 @@ from typing import Final
 
 from fes.control.controller import Controller
 from fes.control.runner import Log
-from fes.gate import SafetyGate
+from fes.gate import STOPPED, SafetyGate
 from fes.live.commands import CommandKind, CommandRefused, command_of_message
 from fes.live.dashboard.stream import DashboardStream
 from fes.live.monitor import FRAME_NS, ShownLog
@@ -63,7 +63,7 @@ class ReplayLog(ShownLog):
             for sensor, rate_hz in self._rates_hz.items()
         }
         if self._gate.latched:
-            state = "stopped" if self._gate.latched == "emergency stop" else "fault"
+            state = "stopped" if self._gate.latched == STOPPED else "fault"
         elif not self._gate.armed:
             state = "shadow"
         else:

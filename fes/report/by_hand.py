@@ -1,0 +1,74 @@
+"""What people did in a session: armed, stopped, asked for bursts. It is listed as what it was and is no fault."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from fes.report.text import count_of
+from fes.signals import NS_PER_S, OperatorAction
+from fes.stimulation.plan import BY_HAND_NS
+from fes.walk_record import WalkRecord
+
+STOP: Final = "emergency stop"
+WORDS: Final = {
+    OperatorAction.ARM: "armed",
+    OperatorAction.DISARM: "disarmed",
+    OperatorAction.EMERGENCY_STOP: STOP,
+    OperatorAction.TEST_BURST: "test burst",
+    OperatorAction.TRIGGER: "manual burst",
+}
+NOBODYS: Final = ("(button lost)", "(the keyboard is gone")  # stops that the session makes by itself
+CAUSE: Final = re.compile(r"state .* \((.*)\)")
+
+
+@dataclass(frozen=True)
+class HandRow:
+    """One thing that a person did; ``channel`` of a burst, else −1."""
+
+    time_s: float
+    action: str
+    channel: int
+    text: str
+
+
+def hand_rows(record: WalkRecord, origin_ns: int) -> tuple[HandRow, ...]:
+    """By time; a stop pressed again before the next arming belongs to the first."""
+    said: dict[int, list[str]] = {}
+    for note in record.notes:
+        if note.source == "session":
+            said.setdefault(note.t_ns, []).append(note.text)
+    rows = []
+    stopped = False
+    for act in sorted(record.acts, key=lambda act: act.t_ns):
+        stops = act.action is OperatorAction.EMERGENCY_STOP
+        if act.action not in WORDS or (stops and stopped):
+            continue
+        stopped = stops or (stopped and act.action is not OperatorAction.ARM)
+        channel = int(act.value) if act.action in BY_HAND_NS else -1
+        text = WORDS[act.action] if channel >= 0 else _as_said(act.action, said.get(act.t_ns, []))
+        rows.append(HandRow((act.t_ns - origin_ns) / NS_PER_S, str(act.action), channel, text))
+    return tuple(rows)
+
+
+def _as_said(action: OperatorAction, said: Sequence[str]) -> str:
+    """As the session put it at that moment, where it did: who stopped, disarmed or paused, why it could not arm."""
+    if action is OperatorAction.EMERGENCY_STOP:
+        return next((text for text in said if text.startswith(STOP)), STOP)
+    refused = next((text for text in said if text.startswith("cannot")), "")
+    return refused or next((found[1] for text in said if (found := CAUSE.match(text))), WORDS[action])
+
+
+def is_stop_note(source: str, text: str) -> bool:
+    """Whether a note is of a stop that a person made, or of the gate's latch that came of any stop."""
+    if source == "gate":
+        return text.endswith(f": {STOP}")
+    return source == "session" and text.startswith(STOP) and not any(origin in text for origin in NOBODYS)
+
+
+def summed_up(rows: Sequence[HandRow]) -> str:
+    """Bursts and stops; "" where nobody asked for any."""
+    bursts = Counter(row.text for row in rows if row.channel >= 0)
+    stops = [f"{row.text} at {row.time_s:.1f} s" for row in rows if row.action == OperatorAction.EMERGENCY_STOP]
+    return ", ".join([*(count_of(count, what) for what, count in bursts.items()), *stops])
