@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from fes.recording.units import ACC_UNITS, GYR_UNITS, MOVING_MPS2, quiet_level
+from fes.recording.units import ACC_UNITS, GYR_UNITS, MOVING_MPS2, TIME_UNITS_NS, quiet_level
 from fes.signals import G_MPS2, SENSORS, FloatArray
 
 _KINDS: Final = {
@@ -37,6 +37,10 @@ _SHANK = re.compile(r"shank|shin|tibia|calf|lower ?leg|unterschenkel|wade|\b[lr]
 _FOOT = re.compile(r"foot|feet|shoe|heel|instep|toe|fu(ß|ss)|schuh|pied|pie\b|piede|\b[lr]f\b")
 _TIME = re.compile(
     r"\b(time|timestamp|t|sec|seconds|ms|millis|micros|ticks|sampletime\w*|zeit|zeitstempel|elapsed)\b|timestamp"
+)
+_COUNTER = re.compile(
+    r"\b((packet|sample|frame|paket|pkt)( ?(counter|number|count|num|no|nr|index|idx|id|zähler|nummer))?"
+    r"|counter|count|zähler|laufnummer|seq|sequence( ?(number|no))?|index|idx)$"
 )
 _UNITS: Final = {
     "acc": ((r"mg|milli ?g", "mg"), (r"g|gs|g'?s", "g"), (r"m\W*s.*2|mps2|ms2|m\W*s\W*s|m\W*s\W*²", "m/s^2")),
@@ -95,6 +99,19 @@ def time_columns(names: list[str]) -> list[str]:
     return [name for name in names if _TIME.search(plain(name)) and not _kind(plain(name))]
 
 
+def counter_columns(names: list[str]) -> list[str]:
+    """The columns that are called a counter of samples."""
+    return [name for name in names if _COUNTER.search(plain(name)) and not _kind(plain(name))]
+
+
+def units_of_time(name: str) -> tuple[str | float, ...]:
+    """Units that a column of this name may have.
+
+    Xsens calls two clocks SampleTimeFine: of MT devices it counts 0.1 ms, of DOT µs (recordings.md has the sources).
+    """
+    return ("us", 1e-4) if "sample time fine" in plain(name) else tuple(TIME_UNITS_NS)
+
+
 def stated_unit(kind: str, name: str, units_row: str = "") -> str:
     """The unit that a column's name or the line of units under it gives, as a sidecar spells it; "" if none does.
 
@@ -143,6 +160,18 @@ def _kind(words: str) -> str:
     if _OTHER.search(words):
         return ""
     return next((kind for kind, pattern in _KINDS.items() if pattern.search(words)), "")
+
+
+_TURNS: Final = sorted({2**bits for bits in (8, 10, 12, 14, 15, 16, 20, 24, 31, 32)}
+                       | {10**digits for digits in range(2, 10)} | {60_000, 3_600_000, 86_400_000})  # fmt: skip
+
+
+def wraps_at_of(readings: FloatArray) -> int | None:
+    """Where a counter (N,) begins anew: a usual size that its largest reading nearly has; None if it does not."""
+    if readings.size < 2 or not (np.diff(readings) < -0.5 * readings.max()).any() or (readings % 1 != 0).any():
+        return None
+    largest = float(readings.max())
+    return next((turn for turn in _TURNS if largest < turn and largest >= 0.98 * turn - 1), None)
 
 
 RATES_HZ = (20.0, 5000.0)

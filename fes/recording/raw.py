@@ -1,7 +1,7 @@
 """One sensor's rows as the file has them: finite, lost samples set aside, time stamps judged; units not yet applied."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +12,8 @@ from fes.recording.csv_layout import Dialect
 from fes.recording.sidecar import Sensor, Sidecar
 from fes.recording.table import Table, greatest_size
 from fes.recording.tracks import RecordingError, TrackQuality
-from fes.recording.units import TIME_UNITS_NS
+from fes.recording.units import TIME_UNITS_NS, time_factor_ns
+from fes.recording.write import toml_value
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
 MAX_BACKWARD_SHARE = 0.05
@@ -42,7 +43,7 @@ def late_block(stamps_ns: IntArray) -> int:
 
 
 def judge_stamps(
-    stamps_ns: IntArray, stated_hz: float | None, where: str, place: Callable[[int], str], unit: str
+    stamps_ns: IntArray, stated_hz: float | None, where: str, place: Callable[[int], str], unit: str | float
 ) -> tuple[float, TrackQuality]:
     """Return the rate (Hz) and the counts that (N,) stamps say; ``place`` tells where a stamp stands in the file.
 
@@ -103,15 +104,15 @@ def _refuse_wild_clock(steps: IntArray, backward: IntArray, where: str, place: C
         )
 
 
-def _refuse_impossible_rate(rate_hz: float, where: str, unit: str) -> None:
+def _refuse_impossible_rate(rate_hz: float, where: str, unit: str | float) -> None:
     lowest, highest = PLAUSIBLE_RATES_HZ
     if lowest <= rate_hz <= highest:
         return
-    ns = TIME_UNITS_NS.get(unit, NS_PER_S)
+    ns = time_factor_ns(unit, 1.0)
     fitting = [other for other, size in TIME_UNITS_NS.items() if 40.0 <= rate_hz * ns / size <= 2500.0]
     hint = f'; its numbers look like {fitting[0]}: say time_unit = "{fitting[0]}"' if fitting else ""
     raise RecordingError(
-        f'{where}: with time_unit = "{unit}" it would come at {rate_hz:.4g} Hz, outside {lowest:g} to '
+        f"{where}: with time_unit = {toml_value(unit)} it would come at {rate_hz:.4g} Hz, outside {lowest:g} to "
         f"{highest:g} Hz{hint}"
     )
 
@@ -150,6 +151,21 @@ def read_table(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, Ra
         sensors = [sensor for sensor, columns in sidecar.sensors.items() if columns.file == file]
         table = Table(path.with_name(file) if file else path, *_columns(sidecar_path, sidecar, sensors))
         raw |= {sensor: _raw_track(table, sidecar, sensor) for sensor in sensors}
+    return _in_one_turn(raw, sidecar)
+
+
+def _in_one_turn(raw: dict[str, RawTrack], sidecar: Sidecar) -> dict[str, RawTrack]:
+    """Counters that wrapped a different number of times before their tracks begin, brought next to the first's."""
+    first_ns: int | None = None
+    for sensor in sidecar.sensors:
+        track, wraps_at = raw[sensor], sidecar.wraps_at_of(sensor)
+        if wraps_at is None or not track.t_sensor_ns.size:
+            continue
+        first_ns = int(track.t_sensor_ns[0]) if first_ns is None else first_ns
+        turn_ns = wraps_at * time_factor_ns(sidecar.time_unit_of(sensor), sidecar.rate_of(sensor))
+        off_ns = round(round((first_ns - int(track.t_sensor_ns[0])) / turn_ns) * turn_ns)
+        if off_ns:
+            raw[sensor] = replace(track, t_sensor_ns=track.t_sensor_ns + off_ns, stamps_ns=track.stamps_ns + off_ns)
     return raw
 
 
@@ -205,7 +221,8 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
         rate_hz = sidecar.rate_of(sensor)
         stamps = stamps_from_rate(table.rows, rate_hz or 1.0, table.first)
     else:
-        stamps = table.times_ns(time_name, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])
+        unit_ns = time_factor_ns(sidecar.time_unit_of(sensor), sidecar.rate_of(sensor))
+        stamps = table.times_ns(time_name, unit_ns, sidecar.wraps_at_of(sensor))
         empty = table.empty(time_name)
         unused = empty if empty is None or dropped is None else empty & ~dropped
         untimed = [] if unused is None else np.flatnonzero(unused).tolist()
@@ -216,7 +233,7 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
             )
     arrival = None
     if columns.arrival_column:
-        arrival = table.times_ns(columns.arrival_column, TIME_UNITS_NS[sidecar.time_unit_of(sensor)])
+        arrival = table.times_ns(columns.arrival_column, time_factor_ns(sidecar.time_unit_of(sensor), None))
     stamped = stamps
     place: Callable[[int], str] = table.place
     if empty is not None:

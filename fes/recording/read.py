@@ -82,6 +82,8 @@ def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, 
         return 0
     if len({(sidecar.time_of(sensor), sidecar.time_unit_of(sensor)) for sensor in sidecar.sensors}) > 1:
         return 0
+    if any(sidecar.wraps_at_of(sensor) for sensor in sidecar.sensors):  # how often it has wrapped, only the whole tells
+        return 0
     rows = Table.parquet_rows(path)
     if rows <= FIRST_ROWS:
         return 0

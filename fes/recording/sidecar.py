@@ -8,10 +8,11 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 
 from fes.config import Foot, FootGeometry, Positive, Settings, explain, read_toml
 from fes.recording.tracks import RecordingError
-from fes.recording.units import AccUnit, GyrUnit, TimeUnit, acc_factor, gyr_factor
+from fes.recording.units import SAMPLES, AccUnit, GyrUnit, TimeUnit, acc_factor, gyr_factor
 from fes.signals import G_MPS2
 
 Sensor = Literal["left_foot", "right_foot", "left_shank", "right_shank", "foot_a", "foot_b"]
+WrapsAt = Annotated[int, Field(ge=2, le=2**62)]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
 
@@ -48,6 +49,7 @@ class SensorColumns(Settings):
     rate_hz: Positive | None = None
     time_column: str | None = None
     time_unit: TimeUnit | None = None
+    time_wraps_at: WrapsAt | None = None
     arrival_column: str | None = None
     acc_range_mps2: Positive | None = None
     acc_range_g: Positive | None = None
@@ -98,6 +100,7 @@ class Sidecar(Settings):
     rate_hz: Positive | None = None
     time_column: str | None = None
     time_unit: TimeUnit = "s"
+    time_wraps_at: WrapsAt | None = None  # a counter that begins anew at 0 after one less than this
     delimiter: Literal[",", ";", "\t", "|"] = ","
     decimal: Literal[".", ","] = "."
     encoding: str = "utf-8"
@@ -127,15 +130,21 @@ class Sidecar(Settings):
             if self.can is None and not self.time_of(sensor) and not self.rate_of(sensor):
                 remedy = "say time_column = … or rate_hz = … at the top"
                 raise ValueError(f"{sensor} has neither a time column nor a rate; {remedy}")
+            if self.time_of(sensor) and self.time_unit_of(sensor) == SAMPLES and not self.rate_of(sensor):
+                raise ValueError(f'{sensor}: time_unit = "samples" needs rate_hz: how many come in a second')
         return self
 
     def time_of(self, sensor: Sensor) -> str | None:
         """The sensor's time column."""
         return self.sensors[sensor].time_column or self.time_column
 
-    def time_unit_of(self, sensor: Sensor) -> str:
-        """The unit of the sensor's time column."""
+    def time_unit_of(self, sensor: Sensor) -> str | float:
+        """The unit of the sensor's time column: a name, or seconds per count."""
         return self.sensors[sensor].time_unit or self.time_unit
+
+    def wraps_at_of(self, sensor: Sensor) -> int | None:
+        """Where the sensor's time column begins anew, in its own unit."""
+        return self.sensors[sensor].time_wraps_at or self.time_wraps_at
 
     def rate_of(self, sensor: Sensor) -> float | None:
         """The sensor's stated rate."""

@@ -39,7 +39,7 @@ class Table:
         self.first = 0  # row of the file
         self.is_csv = path.suffix.lower() == ".csv"
         self._dialect = dialect
-        self._times: dict[tuple[str, int], IntArray] = {}
+        self._times: dict[tuple[str, float, int | None], IntArray] = {}
         self._table = self._read_csv(wanted, times) if self.is_csv else self._read_parquet(wanted)
         self.rows = int(self._table.num_rows)
         if self.rows == 0:
@@ -129,18 +129,20 @@ class Table:
         column = self._table.column(name)
         return np.asarray(column.is_null().to_numpy(), dtype=bool) if column.null_count else None
 
-    def times_ns(self, name: str, unit_ns: int) -> IntArray:
+    def times_ns(self, name: str, unit_ns: float, wraps_at: int | None = None) -> IntArray:
         """Return a time column as (rows,) nanoseconds, 0 where empty; to be read only, sensors may share it.
+
+        ``wraps_at``: a counter begins anew at 0 after one less than this.
 
         Raises:
             RecordingError: the column does not hold times.
         """
-        key = name, unit_ns
+        key = name, unit_ns, wraps_at
         if key not in self._times:
-            self._times[key] = self._times_ns(name, unit_ns)
+            self._times[key] = self._times_ns(name, unit_ns, wraps_at)
         return self._times[key]
 
-    def _times_ns(self, name: str, unit_ns: int) -> IntArray:
+    def _times_ns(self, name: str, unit_ns: float, wraps_at: int | None) -> IntArray:
         import pyarrow as pa
 
         column = self._table.column(name)
@@ -148,19 +150,34 @@ class Table:
         if pa.types.is_timestamp(kind):
             column = column.cast(pa.timestamp("ns", kind.tz), safe=False).cast(pa.int64())
             return np.asarray(column.fill_null(0).to_numpy(), dtype=np.int64)
-        if pa.types.is_integer(kind):  # what need not be cast spares loading Arrow's arithmetic
+        if (
+            pa.types.is_integer(kind) and isinstance(unit_ns, int) and wraps_at is None
+        ):  # what need not be cast spares loading Arrow's arithmetic
             column = column if kind == pa.int64() else column.cast(pa.int64(), safe=False)
             column = column.fill_null(0) if column.null_count else column
             counts = np.asarray(column.to_numpy(), dtype=np.int64)
             if counts.size and max(abs(int(counts.min())), abs(int(counts.max()))) * unit_ns >= 2**63:
                 self._check_span(name, counts.astype(np.float64) * unit_ns)
             return counts * unit_ns
+        readings, empty = self.numbers(name), self.empty(name)
+        if wraps_at is not None:
+            readings = self._unwrapped(name, readings, wraps_at)
         with np.errstate(over="ignore"):  # what overflows is refused below
-            stamps = self.numbers(name) * unit_ns
-        if (empty := self.empty(name)) is not None:
+            stamps = readings * unit_ns
+        if empty is not None:
             stamps[empty] = 0.0
         self._check_span(name, stamps)
         return np.rint(stamps).astype(np.int64)
+
+    def _unwrapped(self, name: str, counts: FloatArray, wraps_at: int) -> FloatArray:
+        known = np.flatnonzero(np.isfinite(counts))
+        wrong = known[(counts[known] < 0) | (counts[known] >= wraps_at)]
+        if wrong.size:
+            what = f"{counts[wrong[0]]:g} is none of 0 to {wraps_at - 1}; correct time_wraps_at, or leave it out"
+            raise RecordingError(f"{self.path}: {self.place(int(wrong[0]))}, column {name!r}: {what}")
+        out = counts.copy()
+        out[known] = unwrapped(counts[known], wraps_at)
+        return out
 
     def _check_span(self, name: str, stamps_ns: FloatArray) -> None:
         bad = np.flatnonzero(~(np.abs(stamps_ns) < 2.0**63))
@@ -246,6 +263,16 @@ class Table:
         raise RecordingError(
             f"{self.path}: has no column {missing[0]!r}{more}.{guess} Its columns are: {', '.join(map(repr, names))}"
         )
+
+
+def unwrapped(counts: FloatArray, wraps_at: int) -> FloatArray:
+    """(N,) readings of a counter that goes on where it began anew; a step back of up to a sixteenth stays one.
+
+    What is lost may be up to fifteen sixteenths of a turn.
+    """
+    back = wraps_at / 16
+    steps = np.mod(np.diff(counts) + back, wraps_at) - back
+    return np.concatenate((counts[:1], counts[:1] + np.cumsum(steps)))
 
 
 def greatest_size(values: npt.NDArray[np.floating[Any]]) -> float:

@@ -3,19 +3,21 @@
 What nothing tells is not guessed: it stands as “?”, and reading refuses it until someone has answered.
 """
 
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from fes.recording import naming as hints
 from fes.recording.csv_layout import Dialect, Layout, csv_layout, settings_of
-from fes.recording.naming import Group, group_columns, stated_unit, time_columns
+from fes.recording.naming import Group, counter_columns, group_columns, stated_unit, time_columns
 from fes.recording.raw import RATE_TOLERANCE
-from fes.recording.table import Table
+from fes.recording.table import Table, unwrapped
 from fes.recording.tracks import RecordingError
-from fes.recording.units import ACC_UNITS, GYR_UNITS, TIME_UNITS_NS
+from fes.recording.units import ACC_UNITS, GYR_UNITS, time_factor_ns
 from fes.recording.write import toml_value
-from fes.signals import G_MPS2, NS_PER_S, SENSORS
+from fes.signals import G_MPS2, NS_PER_S, SENSORS, FloatArray
 
 _PROBE_ROWS = 100_000
 _WHICH = f"? which sensor: {', '.join(SENSORS)}"
@@ -36,17 +38,20 @@ def sidecar_template(path: Path) -> str:
         layout = csv_layout(path)
     groups = group_columns(layout.names)
     why = _place(path, layout, groups)
-    times = [name for name in time_columns(layout.names) if name in layout.filled]
-    steps = {name: _usual_step(path, layout, name) for name in times}
+    times = [name for name in (*time_columns(layout.names), *counter_columns(layout.names)) if name in layout.filled]
     numbers = _characterised(path, layout, groups[0])
     lines = [f"# {path.name} has these columns:", *(f"#   {name}" for name in layout.names if name), ""]
     lines += [f"{key} = {toml_value(value)}" for key, value in settings_of(layout.dialect).items()]
-    lines += _time_lines(layout, steps)
+    own = _own_times(groups, times := list(dict.fromkeys(times)))
+    own_lines = [_time_lines(path, layout, names) for names in own]
+    wraps = [line for line in chain(*own_lines) if line.startswith("time_wraps_at")]  # one counter's is the others' too
+    lines += wraps[:1] if own else _time_lines(path, layout, times)
     lines += [_acc_line(layout, groups[0], numbers), _gyr_line(layout, groups[0], numbers)]
     for number, group in enumerate(groups, start=1):
         key = group.sensor or (f'"? {number}"' if len(groups) > 1 else '"?"')
         lines += ["", f"[sensors.{key}]{why.get(number, '') if group.sensor else f'  # {_WHICH}'}"]
         lines += [f"{kind} = {toml_value(group.names(kind))}" for kind in ("acc", "gyr")]
+        lines += [line for line in own_lines[number - 1] if line not in wraps] if own else []
     if not all(group.whole for group in groups):
         lines.append("# ? put the columns' names, x, y, z, where a name starts with “?”")
     lines += _other_foot(path, layout, groups)
@@ -82,41 +87,118 @@ def _characterised(path: Path, layout: Layout, group: Group) -> hints.Numbers | 
         return None
 
 
-def _usual_step(path: Path, layout: Layout, name: str) -> float:
-    """A time column's usual step, in its own unit; 0 where it has none or cannot be read."""
+def _own_times(groups: list[Group], times: list[str]) -> list[list[str]]:
+    """Each sensor's own time columns, where every one of several has some; else none."""
+    own = [[name for name in times if _same_sensor(name, group)] for group in groups]
+    return own if len(groups) > 1 and all(own) else []
+
+
+def _same_sensor(name: str, group: Group) -> bool:
+    words = hints.plain(name)
+    side = hints.side_of(words)
+    return bool(side and group.sensor.startswith(side)) or bool(group.called and f" {group.called} " in f" {words} ")
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """A column that tells time: (N,) ``readings``, as if it never began anew, and the ``step`` that is usual."""
+
+    name: str
+    readings: FloatArray
+    step: float
+    wraps_at: int | None
+
+    @property
+    def missing(self) -> int:
+        """Samples that lie in its gaps."""
+        steps = np.diff(self.readings)
+        return int(np.sum(np.rint(steps[steps > 1.5 * self.step] / self.step) - 1))
+
+    @property
+    def counts(self) -> bool:
+        """Most samples are one whole step after the one before."""
+        steps = np.diff(self.readings)
+        whole = self.step >= 1.0 and self.step % 1.0 == 0.0
+        return whole and 2 * int(np.count_nonzero(steps == self.step)) > steps.size
+
+
+def _clock(path: Path, layout: Layout, name: str) -> _Clock | None:
+    """None where the column cannot be read or stands still."""
     try:
-        stamps = Table(path, [name], [name], layout.dialect).times_ns(name, 1_000).astype(np.float64) / 1_000
+        table = Table(path, [name], [name], layout.dialect)
+        try:
+            readings = table.numbers(name)
+        except RecordingError:  # date and time
+            readings = table.times_ns(name, 1) / 1e3
     except (RecordingError, ValueError, IndexError):
-        return 0.0
-    steps = np.diff(stamps)
-    return float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+        return None
+    readings = readings[np.isfinite(readings)]
+    turn = hints.wraps_at_of(readings)
+    readings = unwrapped(readings, turn) if turn else readings
+    steps = np.diff(readings)
+    return _Clock(name, readings, float(np.median(steps[steps > 0])), turn) if (steps > 0).any() else None
 
 
-def _time_lines(layout: Layout, steps: dict[str, float]) -> list[str]:
+def _time_lines(path: Path, layout: Layout, names: list[str]) -> list[str]:
+    """What tells time among these columns: a clock, or a counter of samples where that shows more missing ones."""
     stated = hints.stated_rate(layout.above)
     by_rate = [f"rate_hz = {stated[0]:g}  # by {stated[1]}"] if stated else []
-    for name, step in steps.items():
-        unit = stated_unit("time", name, layout.units.get(name, ""))
-        if unit and not _fits(step, unit):
-            unit = ""
-        fitting = [unit] if unit else [one for one in TIME_UNITS_NS if _fits(step, one)]
-        counter = step == 1.0 and not unit
-        if len(fitting) != 1 or counter:
-            continue
-        rate = NS_PER_S / (step * TIME_UNITS_NS[fitting[0]])
-        agree = stated is not None and abs(rate / stated[0] - 1.0) <= RATE_TOLERANCE
-        source = "the file says so" if unit else f"steps of {step:g}"
-        unit_line = f"time_unit = {toml_value(fitting[0])}  # {source}: {rate:.5g} Hz"
-        lines = [f"time_column = {toml_value(name)}", unit_line]
-        if stated and not agree:
-            lines.append(f"# rate_hz = {stated[0]:g} stands in {stated[1]}, and the times say {rate:.5g}")
-        return lines + (by_rate if agree else [])
-    wanted = "? samples per second, as the sensor was set; or time_column = … and time_unit = … instead"
-    return by_rate or [f"rate_hz = 0  # {wanted}"]
+    found = [clock for name in names if (clock := _clock(path, layout, name)) is not None]
+    called = set(hints.counter_columns(names))
+    counter = next((one for one in found if one.name in called and one.counts), None)
+    clocks = ((one, unit, told) for one in found if one is not counter for unit, told in _unit_of(layout, one))
+    clock, unit, told = next(clocks, (None, "", ""))
+    rate_hz = NS_PER_S / (clock.step * time_factor_ns(unit, None)) if clock else 0.0
+    if counter and (clock is None or counter.missing > clock.missing):
+        if clock and not stated:
+            by_rate = [f"rate_hz = {_rate_by(counter, clock, unit):.5g}  # by {clock.name}"]
+        return _counter_lines(counter, by_rate)
+    if clock is None:
+        wanted = "? samples per second, as the sensor was set; or time_column = … and time_unit = … instead"
+        return by_rate or [f"rate_hz = 0  # {wanted}"]
+    agree = stated is not None and abs(rate_hz / stated[0] - 1.0) <= RATE_TOLERANCE
+    lines = [f"time_column = {toml_value(clock.name)}", f"time_unit = {toml_value(unit)}  # {told}: {rate_hz:.5g} Hz"]
+    lines += _wrap_lines(clock)
+    if stated and not agree:
+        lines.append(f"# rate_hz = {stated[0]:g} stands in {stated[1]}, and the times say {rate_hz:.5g}")
+    return lines + (by_rate if agree else [])
 
 
-def _fits(step: float, unit: str) -> bool:
-    return step > 0 and hints.RATES_HZ[0] <= NS_PER_S / (step * TIME_UNITS_NS[unit]) <= hints.RATES_HZ[1]
+def _unit_of(layout: Layout, clock: _Clock) -> list[tuple[str | float, str]]:
+    """The unit that a clock's name gives or, alone, makes a rate that a sensor can have, and what told it."""
+    named = stated_unit("time", clock.name, layout.units.get(clock.name, ""))
+    if named and _fits(clock.step, named):
+        return [(named, "the file says so")]
+    fitting = [one for one in hints.units_of_time(clock.name) if _fits(clock.step, one)]
+    return [(fitting[0], f"steps of {clock.step:g}")] if len(fitting) == 1 and clock.step != 1.0 else []
+
+
+def _fits(step: float, unit: str | float) -> bool:
+    return step > 0 and hints.RATES_HZ[0] <= NS_PER_S / (step * time_factor_ns(unit, None)) <= hints.RATES_HZ[1]
+
+
+def _rate_by(counter: _Clock, clock: _Clock, unit: str | float) -> float:
+    """The rate at which the clock says that samples come of which none is missing in between."""
+    size = min(counter.readings.size, clock.readings.size)
+    next_one = np.diff(counter.readings[:size]) == counter.step
+    return NS_PER_S / float(np.diff(clock.readings[:size])[next_one].mean() * time_factor_ns(unit, None))
+
+
+def _counter_lines(counter: _Clock, by_rate: list[str]) -> list[str]:
+    name, missing = toml_value(counter.name), f"{counter.missing or 'none'} of them missing"
+    lines = [f"time_column = {name}  # it counts samples, {missing}", *_wrap_lines(counter)]
+    asked = by_rate or ["rate_hz = 0  # ? samples per second, as the sensor was set"]
+    if counter.step == 1.0:
+        return [*lines, 'time_unit = "samples"', *asked]
+    steps = f"it goes up by {counter.step:g} a sample"
+    if not by_rate:
+        return [*lines, f'time_unit = "?"  # ? seconds per count; {steps}']
+    rate_hz = float(by_rate[0].split()[2])
+    return [*lines, f"time_unit = {1.0 / (rate_hz * counter.step):.9g}  # seconds per count; {steps}", *by_rate]
+
+
+def _wrap_lines(clock: _Clock) -> list[str]:
+    return [f"time_wraps_at = {clock.wraps_at}  # there it begins anew"] if clock.wraps_at else []
 
 
 def _acc_line(layout: Layout, group: Group, numbers: hints.Numbers | None) -> str:

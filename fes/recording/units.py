@@ -4,19 +4,21 @@ Wrong units would not crash: they would give wrong phases, and stimulation at th
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 import numpy as np
 from pydantic import BeforeValidator
 
 from fes.estimation.numerics.ranks import median, percentile
 from fes.recording.tracks import RecordingError
-from fes.signals import G_MPS2, FloatArray, IntArray
+from fes.signals import G_MPS2, NS_PER_S, FloatArray, IntArray
 
 ACC_UNITS: Final = {"m/s^2": 1.0, "g": G_MPS2, "mg": G_MPS2 * 1e-3}
 GYR_UNITS: Final = {"rad/s": 1.0, "deg/s": math.pi / 180.0, "mdeg/s": math.pi / 180e3}
 TIME_UNITS_NS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
+SAMPLES: Final = "samples"  # a counter's unit: the rate says how long one lasts
 
 _SPELT: Final = {
     "m/s^2": ("m/s2", "m/s²", "m/s/s", "m/s**2", "m s^-2", "mps2"),
@@ -39,24 +41,31 @@ def canonical(unit: object) -> object:
     return unit
 
 
-def _unit(value: object, allowed: dict[str, float], si: str) -> str | float:
+def _unit(value: object, allowed: Mapping[str, float], si: str) -> str | float:
     unit = canonical(value)
     if isinstance(unit, str) and unit in allowed:
         return unit
     if isinstance(unit, (int, float)) and not isinstance(unit, bool) and 0 < unit < math.inf:
         return float(unit)
     names = ", ".join(f'"{name}"' for name in allowed)
-    raise ValueError(f"must be {names}, or, for raw counts, the size of one count in {si}")
+    raise ValueError(f"must be {names}, or, for counts, the size of one count in {si}")
 
 
 AccUnit = Annotated[str | float, BeforeValidator(lambda value: _unit(value, ACC_UNITS, "m/s²"))]
 GyrUnit = Annotated[str | float, BeforeValidator(lambda value: _unit(value, GYR_UNITS, "rad/s"))]
-TimeUnit = Annotated[Literal["s", "ms", "us", "ns"], BeforeValidator(canonical)]
+TimeUnit = Annotated[str | float, BeforeValidator(lambda value: _unit(value, {**TIME_UNITS_NS, SAMPLES: 1}, "s"))]
 
 
 def acc_factor(unit: str | float) -> float:
     """m/s² per unit; a number is its own factor (raw counts)."""
     return ACC_UNITS[unit] if isinstance(unit, str) else unit
+
+
+def time_factor_ns(unit: str | float, rate_hz: float | None) -> float:
+    """Nanoseconds per unit; a number is seconds per count, and “samples” come at the rate."""
+    if unit == SAMPLES:
+        return NS_PER_S / (rate_hz or 1.0)
+    return TIME_UNITS_NS[unit] if isinstance(unit, str) else unit * NS_PER_S
 
 
 def gyr_factor(unit: str | float) -> float:

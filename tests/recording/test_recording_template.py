@@ -24,7 +24,7 @@ from fes.signals import G_MPS2
 
 
 def put(path: Path, names: list[str], columns: list[np.ndarray], *, delimiter: str = ",", above: str = "") -> Path:
-    rows = (delimiter.join(f"{value:.9g}" for value in row) for row in np.column_stack(columns).tolist())
+    rows = (delimiter.join(f"{value:.12g}" for value in row) for row in np.column_stack(columns).tolist())
     path.write_text(above + delimiter.join(names) + "\n" + "\n".join(rows) + "\n", encoding="utf-8")
     return path
 
