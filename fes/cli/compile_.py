@@ -93,7 +93,7 @@ def compile_part(part: str) -> None:
             from fes.analysis.parameters.gait import gait_parameters, mean_strides
             from fes.analysis.pipeline import analyse, calibrations_of
             from fes.recording import read_recording, write_recording
-            from fes.recording.read import TABLE_SUFFIXES
+            from fes.recording.table import TABLE_SUFFIXES
             from fes.report.summary import summarise
             from fes.simulation.forward.closed_loop import calibration_walk
             from fes.simulation.forward.settings import PatientSettings

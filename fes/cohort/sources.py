@@ -22,13 +22,15 @@ import fsspec
 from fsspec import AbstractFileSystem
 
 from fes import __version__
-from fes.recording.read import CAN_SUFFIXES, TABLE_SUFFIXES
+from fes.recording.can_log import CAN_SUFFIXES
+from fes.recording.table import TABLE_SUFFIXES
 
 SIDECAR: Final = ".toml"
 LARGEST_SIDECAR: Final = 1_000_000  # bytes: a larger one is no sidecar, and is known by its size and time only
 _DEEP: Final = 8  # folders that a file may lie above its sidecar, at most
 PACKAGES: Final = ("fes", "drivers", "statemachine")
 SUFFIXES: Final = TABLE_SUFFIXES + CAN_SUFFIXES
+BY_CONTENT: Final = (".txt", "")  # of names that end so, each is one where no other data file has its sidecar
 
 
 @cache
@@ -190,7 +192,13 @@ def _below(filesystem: AbstractFileSystem, path: str, pattern: str, endings: tup
     names = [
         name
         for name, info in infos.items()
-        if outright or (info.get("type") != "directory" and PurePosixPath(name).suffix.lower() in SUFFIXES)
+        if outright or (info.get("type") != "directory" and PurePosixPath(name).suffix.lower() in SUFFIXES + BY_CONTENT)
+    ]
+    taken = {sidecar_of(name) for name in names if PurePosixPath(name).suffix.lower() in SUFFIXES}
+    names = [
+        name
+        for name in names
+        if outright or PurePosixPath(name).suffix.lower() in SUFFIXES or sidecar_of(name) not in taken
     ]
     for name in names:
         sidecar = sidecar_of(name)

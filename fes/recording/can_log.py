@@ -17,6 +17,7 @@ from fes.recording.table import greatest_size
 from fes.recording.tracks import RecordingError
 from fes.signals import NS_PER_S, FloatArray, IntArray
 
+CAN_SUFFIXES = (".asc", ".blf", ".log")
 LARGEST_TIME_S = 4e9  # beyond the year 2096
 
 

@@ -180,7 +180,7 @@ _UNIT_CELL = re.compile(
 
 @dataclass(frozen=True)
 class Layout:
-    """What the text of a file tells of itself; ``filled``: the columns that hold numbers.
+    """What the text of a file tells of itself; ``filled``: the columns that hold ``numbers``, so many in the last rows.
 
     ``units`` of columns are those that a line under the header gives, "" elsewhere; ``above`` is what stands over the
     header, as (line number from 1, text).
@@ -191,11 +191,20 @@ class Layout:
     units: dict[str, str]
     above: list[tuple[int, str]]
     filled: set[str]
+    numbers: int = 1
 
 
 def settings_of(dialect: Dialect) -> dict[str, object]:
     """The sidecar's settings for a layout: those that are not the default."""
     return {each.name: value for each in fields(Dialect) if (value := getattr(dialect, each.name)) != each.default}
+
+
+def has_rows(path: Path) -> bool:
+    """Is it text whose lines hold numbers, in columns?"""
+    try:
+        return bool(csv_layout(path).numbers)
+    except RecordingError:
+        return False
 
 
 def csv_layout(path: Path) -> Layout:
@@ -222,7 +231,7 @@ def csv_layout(path: Path) -> Layout:
     rows = cells[first:][-_TAIL:]
     filled = {name for index, name in enumerate(names) if any(_number(row, index, decimal) for row in rows)}
     above = [(number, text.strip()) for number, text in enumerate(lines[:begin], start=1) if text.strip()]
-    return Layout(dialect, names, units, above, filled if best else set(names))
+    return Layout(dialect, names, units, above, filled if best else set(names), best)
 
 
 def _cells(line: str, delimiter: str) -> list[str]:

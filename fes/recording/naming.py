@@ -261,7 +261,9 @@ def other_side(path: Path) -> Path | None:
         beside = {
             other.stem.lower(): other
             for other in sorted(path.parent.glob(f"*{path.suffix}"))
-            if other != path and side_of(plain(other.stem)) not in ("", side_of(plain(path.stem)))
+            if other != path
+            and other.suffix == path.suffix
+            and side_of(plain(other.stem)) not in ("", side_of(plain(path.stem)))
         }
         near = difflib.get_close_matches(wanted.lower(), list(beside), n=1, cutoff=0.8)
         return beside[near[0]] if near else None

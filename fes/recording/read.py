@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from fes.estimation.numerics.ranks import median
+from fes.recording.can_log import CAN_SUFFIXES, read_can_log
+from fes.recording.csv_layout import has_rows
 from fes.recording.raw import (
     MIN_DURATION_S,
     RATE_TOLERANCE,
@@ -18,14 +20,12 @@ from fes.recording.raw import (
     read_table,
 )
 from fes.recording.sidecar import Sensor, Sidecar, load_sidecar
-from fes.recording.table import Table
+from fes.recording.table import TABLE_SUFFIXES, Table, is_parquet
 from fes.recording.template import sidecar_template
 from fes.recording.tracks import UNLABELLED_FEET, Recording, RecordingError, SidecarMissingError, Track, TrackQuality
 from fes.recording.units import check_units
 from fes.signals import NS_PER_S, SENSORS
 
-TABLE_SUFFIXES = (".csv", ".parquet")
-CAN_SUFFIXES = (".asc", ".blf", ".log")
 FIRST_ROWS = 32_768  # these tell the rate
 Judged = dict[tuple[int, float | None], tuple[float, TrackQuality]]  # by which stamps and stated rate
 CLIPPED_FROM = 0.999  # share of full scale: the last count may be one short of it
@@ -41,8 +41,6 @@ def read_recording(path: Path) -> Recording:
     """
     path, sidecar_path, sidecar = _described(path)
     if path.suffix.lower() in CAN_SUFFIXES:
-        from fes.recording.can_log import read_can_log
-
         raw = read_can_log(path, sidecar_path, sidecar)
     else:
         raw = read_table(path, sidecar_path, sidecar)
@@ -78,7 +76,7 @@ def follow_recording(path: Path, part_s: float, whole_s: float = 0.0) -> Iterato
 def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, whole_s: float) -> int:
     """How many rows make a part; 0 where all is one, or has to be read at once."""
     columns = sidecar.sensors.values()
-    if path.suffix.lower() != ".parquet" or sidecar.can is not None or any(each.file for each in columns):
+    if not is_parquet(path) or sidecar.can is not None or any(each.file for each in columns):
         return 0
     if len({(sidecar.time_of(sensor), sidecar.time_unit_of(sensor)) for sensor in sidecar.sensors}) > 1:
         return 0
@@ -99,14 +97,15 @@ def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, 
 def _described(path: Path) -> tuple[Path, Path, Sidecar]:
     """A recording's file, its sidecar's path and what that says."""
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in TABLE_SUFFIXES + CAN_SUFFIXES:
-        raise RecordingError(
-            f"{path}: is none of the formats read here ({', '.join(TABLE_SUFFIXES + CAN_SUFFIXES)}). "
-            f"Name the data file, not its sidecar."
-        )
+    formats = f"{', '.join(TABLE_SUFFIXES + CAN_SUFFIXES)}, or text with rows of numbers under any other name"
     if not path.is_file():
-        raise RecordingError(f"{path}: {'is a folder' if path.is_dir() else 'is not there'}. Name a recording's file.")
+        what = "is a folder" if path.is_dir() else "is not there"
+        raise RecordingError(f"{path}: {what}. Name a recording's file: {formats}.")
+    suffix = path.suffix.lower()
+    if suffix == ".toml" or not (suffix in TABLE_SUFFIXES + CAN_SUFFIXES or is_parquet(path) or has_rows(path)):
+        raise RecordingError(
+            f"{path}: is none of the formats read here ({formats}). Name the data file, not its sidecar."
+        )
     sidecar_path = path.with_suffix(".toml")
     empty = sidecar_path.is_file() and sidecar_path.stat().st_size == 0
     if empty or not sidecar_path.exists():

@@ -22,6 +22,7 @@ from fes.signals import FloatArray, IntArray
 if TYPE_CHECKING:
     import pyarrow as pa
 
+TABLE_SUFFIXES = (".csv", ".parquet")
 _PARQUET_MAGIC = b"PAR1"
 _BATCH_ROWS = 65_536
 
@@ -37,7 +38,7 @@ class Table:
         """``wanted``: columns to read; ``times``: those of them that are times."""
         self.path = path
         self.first = 0  # row of the file
-        self.is_csv = path.suffix.lower() == ".csv"
+        self.is_csv = not is_parquet(path)
         self._dialect = dialect
         self._times: dict[tuple[str, float, int | None], IntArray] = {}
         self._table = self._read_csv(wanted, times) if self.is_csv else self._read_parquet(wanted)
@@ -263,6 +264,17 @@ class Table:
         raise RecordingError(
             f"{self.path}: has no column {missing[0]!r}{more}.{guess} Its columns are: {', '.join(map(repr, names))}"
         )
+
+
+def is_parquet(path: Path) -> bool:
+    """By its name or, where that is silent, by what is in it."""
+    if path.suffix.lower() in TABLE_SUFFIXES:
+        return path.suffix.lower() == ".parquet"
+    try:
+        with path.open("rb") as file:
+            return file.read(4) == _PARQUET_MAGIC
+    except OSError:
+        return False  # told when it is read
 
 
 def unwrapped(counts: FloatArray, wraps_at: int) -> FloatArray:

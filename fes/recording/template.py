@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from fes.recording import naming as hints
+from fes.recording.can_log import CAN_SUFFIXES
 from fes.recording.csv_layout import Dialect, Layout, csv_layout, settings_of
 from fes.recording.naming import Group, counter_columns, group_columns, stated_unit, time_columns
 from fes.recording.raw import RATE_TOLERANCE
-from fes.recording.table import Table, unwrapped
+from fes.recording.table import Table, is_parquet, unwrapped
 from fes.recording.tracks import RecordingError
 from fes.recording.units import ACC_UNITS, GYR_UNITS, time_factor_ns
 from fes.recording.write import toml_value
@@ -29,9 +30,9 @@ def sidecar_template(path: Path) -> str:
     Raises:
         RecordingError: the file itself is empty, damaged or no text.
     """
-    if path.suffix.lower() not in (".csv", ".parquet"):
+    if path.suffix.lower() in CAN_SUFFIXES:
         return _can_template()
-    if path.suffix.lower() == ".parquet":
+    if is_parquet(path):
         names = Table.parquet_names(path)
         layout = Layout(Dialect(), names, {}, [], set(names))
     else:
@@ -236,7 +237,7 @@ def _gyr_line(layout: Layout, group: Group, numbers: hints.Numbers | None) -> st
 
 def _other_foot(path: Path, layout: Layout, groups: list[Group]) -> list[str]:
     """A lone sensor's other side from the file beside it, as lines to uncomment."""
-    if len(groups) != 1 or not groups[0].sensor or path.suffix.lower() != ".csv":
+    if len(groups) != 1 or not groups[0].sensor or is_parquet(path):
         return []
     other = hints.other_side(path)
     try:

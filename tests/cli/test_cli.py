@@ -163,7 +163,7 @@ def garbage(folder: Path, name: str) -> Path:
     ("make", "words"),
     [
         (lambda folder: folder / "none.parquet", ("none.parquet: is not there",)),
-        (lambda folder: folder, ("is none of the formats", ".csv, .parquet")),
+        (lambda folder: folder, ("is a folder", ".csv, .parquet")),
         (lambda folder: garbage(folder, "notes.txt"), ("notes.txt: is none of the formats",)),
         (lambda folder: garbage(folder, "g.parquet"), ("g.parquet: is not a Parquet file",)),
         (lambda folder: garbage(folder, "g.csv"), ("g.csv: is binary, not CSV",)),

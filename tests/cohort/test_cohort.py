@@ -45,6 +45,13 @@ def test_folders_globs_and_files_are_found_once_and_only_with_a_sidecar(tmp_path
     assert find_sources([str(folder / "truth.parquet")])[0].path.name == "truth.parquet", "a file named outright counts"
 
 
+def test_text_counts_where_its_sidecar_is_no_other_file_s(tmp_path: Path) -> None:
+    folder = lay(tmp_path / "a", ["one", "two"])
+    (folder / "one.txt").write_text("notes beside one.parquet")
+    (folder / "two.parquet").rename(folder / "two.txt")
+    assert [source.path.name for source in find_sources([str(folder)])] == ["one.parquet", "two.txt"]
+
+
 @pytest.mark.parametrize("pattern", ["{}/nothing", "{}/*.blf", "nowhere://x"])
 def test_nothing_found_is_an_error_that_says_where(tmp_path: Path, pattern: str) -> None:
     with pytest.raises(CohortError, match=r"no recording|cannot be opened"):

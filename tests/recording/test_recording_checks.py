@@ -151,6 +151,7 @@ def test_usual_spellings_of_units_are_understood(good: Csv, spelt: str, key: str
 def test_missing_files(good: Csv, tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="is not there"):
         read_recording(tmp_path / "walk.csv")
+    (tmp_path / "walk.toml").touch()
     with pytest.raises(RecordingError, match=r"none of the formats.*Name the data file"):
         read_recording(tmp_path / "walk.toml")
     (tmp_path / "folder.csv").mkdir()

@@ -178,3 +178,27 @@ def test_a_can_log_is_told_of_its_dbc(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r'dbc = "sensors\.dbc"') as caught:
         read_recording(tmp_path / "a.asc")
     assert tomllib.loads(str(caught.value).split("\n\n", 1)[1])["can"] == {"dbc": "sensors.dbc"}
+
+
+def test_text_and_parquet_are_known_by_their_content(tmp_path: Path) -> None:
+    """Under .txt, an ending that nobody knows, and none; both feet of one walk are found together."""
+    track = walk()
+    names = ["Time (ms)", *(f"Acc_{axis}" for axis in "XYZ"), *(f"Gyr_{axis}" for axis in "XYZ")]
+    for name in ("left.txt", "left", "left.dat"):
+        path = put(tmp_path / name, names, [track.t_ns * 1e-6, track.acc_mps2, track.gyr_radps], delimiter="\t")
+        np.testing.assert_allclose(accept(path).tracks["left_foot"].acc_mps2, track.acc_mps2, rtol=1e-6, atol=1e-9)
+        path.with_suffix(".toml").unlink()
+    (tmp_path / "right.txt").write_text((tmp_path / "left.txt").read_text())
+    assert '# file = "right.txt"' in sidecar_template(tmp_path / "left.txt")
+    write_recording(both_feet(), tmp_path / "both.parquet")
+    (tmp_path / "both.parquet").rename(tmp_path / "both")
+    assert list(read_recording(tmp_path / "both").tracks) == ["left_foot", "right_foot"]
+
+
+@pytest.mark.parametrize("content", [b"We walked on Tuesday.\nIt rained.\n", b"", b"\0\1\2" * 500, b"\xff\xfea\0"])
+def test_what_holds_no_rows_of_numbers_is_no_recording(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "notes.txt").write_bytes(content)
+    with pytest.raises(
+        RecordingError, match=r"none of the formats read here \(\.csv, \.parquet, .* under any other name"
+    ):
+        read_recording(tmp_path / "notes.txt")
