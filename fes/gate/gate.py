@@ -37,10 +37,11 @@ NO_CHANNEL = -1  # stands in a command for a channel number that is not even a n
 
 
 class Flagged(NamedTuple):
-    """Faulty samples of one sensor that drives no channel: how many so far, what was wrong with the newest of them."""
+    """Faulty samples of one sensor that drives no channel: how many so far; of the newest, what was wrong, and when."""
 
     samples: int
     fault: str
+    t_ns: int
 
 
 class SafetyGate:
@@ -140,7 +141,7 @@ class SafetyGate:
             self.latch(sample.t_ns, fault)
             return
         before = self.flagged[sample.sensor].samples if sample.sensor in self.flagged else 0
-        self.flagged[sample.sensor] = Flagged(before + 1, fault)
+        self.flagged[sample.sensor] = Flagged(before + 1, fault, sample.t_ns)
 
     def _on_act(self, act: OperatorAct) -> None:
         if act.action is OperatorAction.ARM:

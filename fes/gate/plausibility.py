@@ -167,7 +167,7 @@ class Force:
     def fault(self, sample: ImuSample, force_mps2: float, most_mps2: float) -> str:
         """Take in a sample, the size of its force and its largest axis; what is wrong with the unit, or ""."""
         t_ns, seen = sample.t_ns, self._seen
-        if seen and t_ns < seen[-1][0]:  # reported elsewhere; nothing from before counts
+        if seen and not 0 <= t_ns - seen[-1][0] <= SUSTAINED_NS:  # reported elsewhere; nothing from before counts
             while seen:
                 self._forget_oldest()
         bounds, before_mps2 = self._bounds, self._before_mps2

@@ -15,6 +15,7 @@ from fes.gate import SafetyGate
 from fes.live.inputs import printable
 from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator
+from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status
@@ -219,7 +220,8 @@ class Monitor(ShownLog):
             t_ns=t_ns,
             state=str(operator.state),
             message=operator.message,
-            fault=gate.latched,
+            fault=operator.why_off,
+            remedy=remedy(operator.why_off),
             intensity=controller.intensity,
             channel=operator.channel,
             on=bool(self.on),
@@ -233,7 +235,7 @@ class Monitor(ShownLog):
             dropped_frames=self.dropped_frames,
             tuning=tuning_status(controller.tuning),
             stops=operator.stops,
-            notices=self._notices.now() if self._notices else [],
+            notices=self._notices.now(t_ns) if self._notices else [],
         )
         datagram = status.encode()
         if self._view is not None:

@@ -2,21 +2,25 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 from fes.gate import SafetyGate
 from fes.live.sensors import SensorStream
 from fes.live.status import TuningStatus
 from fes.live.stimulator import Electrodes
+from fes.signals import NS_PER_S
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.session import Tuners
 from fes.stimulation.tuning.tuner import difference
+
+SHOWN_NS: Final = 5 * NS_PER_S  # after the newest faulty sample; the log has the first, and its end how many
 
 
 class Notices:
     """What a person should know though nothing is latched: shown with every status, logged when it begins.
 
     Faulty samples and lost lines of sensors that no channel follows, electrodes of which nothing is known yet.
-    ``lasting``: what else holds until the session ends.
+    A line goes when what it tells of is over. ``lasting``: what else holds until the session ends.
     """
 
     def __init__(self, gate: SafetyGate, electrodes: Electrodes) -> None:
@@ -26,11 +30,12 @@ class Notices:
         self._gate = gate
         self._losses: dict[SensorStream, int] = {}
 
-    def now(self) -> list[str]:
-        """All that holds now."""
+    def now(self, t_ns: int) -> list[str]:
+        """All that holds at ``t_ns``."""
         flags = [
             f"{sensor}: {flag.samples} faulty samples, the newest: {flag.fault}; it drives no channel"
             for sensor, flag in self._gate.flagged.items()
+            if t_ns - flag.t_ns < SHOWN_NS
         ]
         lost = (stream.why_lost for stream in self.streams)
         return list(filter(None, (*flags, *lost, self.electrodes.unknown(), *self.lasting)))

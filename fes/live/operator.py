@@ -91,6 +91,8 @@ BELT_MOST_MPS: Final = 5.0
 TEST_REST_NS: Final = NS_PER_S // 2
 NO_STOP: Final = "the keyboard is gone, and there is no other stop"
 WARM_NS: Final = 2 * NS_PER_S  # the orientation filter's own settling
+REFUSAL_SHOWN_NS: Final = 10 * NS_PER_S
+JUST_NS: Final = 100_000_000  # what the loop did once it was off, on purpose, moved the beginning of its absence
 ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 ms
 
 
@@ -126,12 +128,29 @@ class Operator:
         self._stopped_ns = -STOP_STANDS_NS
         self._intensity = 0.0
         self._tuning = TuningCommands(self.controller)
+        self._passing: tuple[int, str, str] | None = None  # until when a refusal is shown, it, and what then
+        self._explained = ("", "")  # what is latched, and what it came of
         self._zero_moved = ""  # why the measured heights cannot be trusted, found by the arming under way
 
     @property
     def state(self) -> State:
         """Where the session stands."""
         return self.machine.state
+
+    @property
+    def why_off(self) -> str:
+        """What the session is off for, its first cause before what came of it; "" where nothing is latched."""
+        if self.state is State.STOPPED:  # whatever had gone wrong by then: the stop is what holds
+            return STOPPED
+        latched, cause = self._explained
+        return cause if latched and latched == self.gate.latched else self.gate.latched
+
+    def explain_fault(self, t_ns: int, cause: str, since_ns: int) -> None:
+        """What is found only now began ``since_ns`` before: what was latched meanwhile came of it."""
+        latched, latched_ns = self.gate.latched, self.gate.latched_ns
+        if latched and latched != STOPPED and latched_ns is not None and latched_ns >= t_ns - since_ns - JUST_NS:
+            self._explained = latched, f"{cause}, then: {latched}"
+            self.message = self.why_off
 
     def execute(self, command: OperatorCommand, t_ns: int) -> list[Event]:
         """The events that the command makes; none, and a message, where the state does not allow it."""
@@ -158,6 +177,10 @@ class Operator:
             self._began_ns = t_ns
         if self.quitting:
             return
+        if self._passing is not None and t_ns >= self._passing[0]:
+            if self.message == self._passing[1]:
+                self.message = self._passing[2]
+            self._passing = None
         if isinstance(event, OperatorAct) and event.action is OperatorAction.ARM:
             self._armed(t_ns)
         if self.gate.latched:
@@ -320,7 +343,9 @@ class Operator:
         return [OperatorAct(t_ns, OperatorAction.DISARM)]
 
     def _refuse(self, t_ns: int, why: str) -> list[Event]:
+        before = self._passing[2] if self._passing is not None else self.message
         self._report(t_ns, "warning", why)
+        self._passing = (t_ns + REFUSAL_SHOWN_NS, why, before)
         return []
 
     def _move(self, t_ns: int, cause: Cause, message: str = "") -> None:

@@ -202,8 +202,9 @@ class LiveSession:
         check()
 
     def _stalled(self, t_ns: int, away_ns: int) -> None:
-        text = f"{stall_text(away_ns)}; it was off before that was noticed"
-        self.monitor.note(Note(t_ns, "warning", "session", text))
+        text = stall_text(away_ns)
+        self.monitor.note(Note(t_ns, "warning", "session", f"{text}; it was off before that was noticed"))
+        self.operator.explain_fault(t_ns, text, away_ns)
 
     def _over(self) -> bool:
         return self.operator.quitting or (self._end_ns is not None and self._clock_ns() >= self._end_ns)

@@ -53,6 +53,7 @@ class Status:
     state: str
     message: str = ""
     fault: str = ""
+    remedy: str = ""  # what to do about the fault
     intensity: float = 0.0
     channel: int = 0
     on: bool = False

@@ -65,7 +65,8 @@ def picture(status: Status) -> Group:
     lines += [Text(f"! {notice}", "yellow") for notice in status.notices]
     lines += [text for number, one in status.tuning.items() if (text := _tuning(number, one))]
     if status.fault:
-        lines.append(Panel(Text(f"{status.fault}\nOff until armed again by hand (a).", "bold red"), title="FAULT"))
+        texts = filter(None, (status.fault, status.remedy, "Off until armed again by hand (a)."))
+        lines.append(Panel(Text("\n".join(texts), "bold red"), title=status.state.upper()))
     return Group(*lines, Text(KEYS, "dim"))
 
 

@@ -7,6 +7,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from fes.live.remedies import remedy
 from fes.report.by_hand import summed_up
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
 from fes.report.summary import ChannelSummary, SessionSummary
@@ -46,7 +47,7 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
     if summary.faults:
         first, count = summary.faults[0], count_of(len(summary.faults), "fault")
         where = f"the first at {first.time_s:.1f} s ({first.source}): {first.text}"
-        yield Finding("alert", f"{count} noted, {where}")
+        yield Finding("alert", f"{count} noted, {where}. {remedy(first.text)}".rstrip())
     if done := summed_up(summary.by_hand):
         yield Finding("info", f"By hand: {done}.")
     if not summary.channels:

@@ -44,12 +44,32 @@ def test_a_sensor_that_drives_no_channel_is_flagged_and_counted_and_stops_nobody
     for count in (1, 2):
         bench.wait(20)
         bench.sample(sensor=recorded_only, gyr_radps=(0.0, math.nan, 0.0))
-        assert bench.gate.flagged == {recorded_only: Flagged(count, f"non-finite sample from {recorded_only}")}
+        text = f"non-finite sample from {recorded_only}"
+        assert bench.gate.flagged == {recorded_only: Flagged(count, text, bench.t_ns)}
         assert (bench.gate.latched, bench.gate.armed) == ("", True)
         assert bench.ask(current_ma=5.0).on
     bench.sample(gyr_radps=(0.0, math.nan, 0.0))
     assert_latched(bench, bench.ask(current_ma=5.0), "non-finite sample from left_foot")
     assert bench.gate.flagged.keys() == {recorded_only}
+
+
+@pytest.mark.requirement("SR-10")
+@pytest.mark.parametrize(("silent_ms", "told"), [(80, True), (81, False), (223, False)])
+def test_what_was_before_a_silence_says_nothing_of_the_unit_after_it(bench: Bench, silent_ms: int, told: bool) -> None:
+    """The loop was away; what queued up then comes at once, and two weak samples are no weak 80 ms."""
+    bench.sample(acc_mps2=(0.0, 0.1, 1.0))
+    bench.wait(silent_ms, sampling=False)
+    bench.sample(acc_mps2=(0.0, 0.1, 1.1))
+    bench.wait(10, sampling=False)
+    bench.sample(acc_mps2=(0.0, 0.1, 1.2))
+    assert ("is its unit g?" in bench.gate.latched) is told
+    for _ in range(7):
+        bench.wait(9, sampling=False)
+        bench.sample(acc_mps2=(0.0, 0.1, 1.1))
+        assert ("is its unit g?" in bench.gate.latched) is told
+    bench.wait(9, sampling=False)
+    bench.sample(acc_mps2=(0.0, 0.1, 1.1))
+    assert "is its unit g?" in bench.gate.latched  # by its own 80 ms
 
 
 @pytest.mark.requirement("SR-10")

@@ -52,7 +52,7 @@ def test_it_is_noted_and_shown_with_what_else_stops(live: LiveSession, tmp_path:
     assert without_keys(live) == []
     said = "the keyboard is gone; stop by file or control socket"
     assert live.operator.message == said
-    assert said in live.notices.now(), "with every status from now on"
+    assert said in live.notices.now(0), "with every status from now on"
     assert live.operator.state is not State.STOPPED
     live._log.close({})
     (note,) = [note for note in read_session(tmp_path / "session.feslog").notes if note.severity == "warning"]

@@ -38,11 +38,13 @@ from fes.live.dashboard.stream import DashboardCommands, DashboardStream
 from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
-from fes.live.notices import tuning_status
+from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator
+from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status
+from fes.live.stimulator import Electrodes
 from fes.session_log import Note
 from fes.signals import (
     Event,
@@ -195,6 +197,85 @@ def test_standing_after_a_walk_is_armed_and_a_test_burst_is_possible() -> None:
     assert [act.action for act in bench.command(Kind.TEST) if isinstance(act, OperatorAct)] == [
         OperatorAction.TEST_BURST
     ]
+
+
+def test_a_stop_during_a_fault_is_what_the_session_is_off_for() -> None:
+    bench = Bench().armed()
+    bench.handle(SystemFault(bench.t_ns, "right_foot: sensor lost: unplugged"))
+    assert bench.operator.state is State.FAULT
+    assert bench.operator.why_off == bench.gate.latched == "right_foot: sensor lost: unplugged"
+    bench.command(Kind.STOP)
+    bench.stand(1.0)
+    assert bench.operator.state is State.STOPPED
+    assert bench.operator.why_off == "emergency stop"
+    assert bench.operator.message == "emergency stop (key)"
+    bench.command(Kind.ARM)
+    assert bench.operator.why_off == ""
+
+
+def test_what_was_latched_before_a_stall_did_not_come_of_it() -> None:
+    bench = Bench().armed()
+    bench.handle(SystemFault(bench.t_ns, "lease expired"))
+    bench.operator.explain_fault(bench.t_ns + 500 * MS, "controller stalled for 223 ms", 223 * MS)
+    assert bench.operator.why_off == "lease expired"
+    bench.operator.explain_fault(bench.t_ns + 200 * MS, "controller stalled for 223 ms", 223 * MS)
+    assert bench.operator.why_off == "controller stalled for 223 ms, then: lease expired"
+    bench.stand(1.0)
+    bench.command(Kind.ARM)
+    bench.handle(SystemFault(bench.t_ns, "another"))
+    assert bench.operator.why_off == "another"
+
+
+def test_a_refusal_is_shown_for_ten_seconds_and_then_what_stood_there_before() -> None:
+    bench = Bench().armed()
+    bench.command(Kind.CHANNEL, 5.0)
+    bench.command(Kind.CHANNEL, 6.0)
+    assert bench.operator.message == "there is no channel 6"
+    bench.stand(9.9)
+    assert bench.operator.message == "there is no channel 6"
+    bench.stand(0.2)
+    assert bench.operator.message == "armed; + raises the intensity"
+    bench.command(Kind.CHANNEL, 5.0)
+    bench.command(Kind.UP)
+    bench.stand(11.0)
+    assert bench.operator.message == "intensity 5%"
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_what_was_wrong_with_a_sensor_that_drives_nothing_is_shown_while_it_is(shown: bool) -> None:
+    bench = Bench()
+    notices = Notices(bench.gate, Electrodes((), None))
+    bench.gate.observe(ImuSample(MS, "left_shank", MS, (0.0, 0.0, float("nan")), (0.0, 0.0, 0.0)))
+    assert bool(notices.now(MS + (4999 if shown else 5000) * MS)) is shown
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("controller stalled for 50 ms", "Close other programs"),
+        ("a command was 61 ms late, not sent", "Close other programs"),
+        ("right_foot: sensor lost: unplugged", "plug, battery and range"),
+        ("right_foot data 41 ms old, limit 40 ms", "link"),
+        ("right_foot is frozen: the same values for 60 ms, limit 60 ms", "off and on"),
+        ("non-finite sample from right_foot", "off and on"),
+        ("right_foot's clock went back by 900 ms", "off and on"),
+        ("right_foot shows 1.1 m/s² and less than gravity for 80 ms: is its unit g?", "unit and ranges"),
+        ("right_foot turns at 41 rad/s, which no foot does: is its unit °/s?", "unit and ranges"),
+        ("right_foot is saturated: at the end of its range for 80 ms", "unit and ranges"),
+        ("right_foot rests turned by more than 65° from its calibration: remounted?", "as it was at calibration"),
+        ("stimulator lost: bus off", "plug and supply"),
+        ("stimulator fault on channel 0: output stage fault: electrode or lead, the channel is off", "electrodes"),
+        ("stimulator restarted", "off and on"),
+        ("Tibialis anterior: stimulator delivers pulses that nobody asked for", "own switch"),
+        ("Tibialis anterior: on for 3 s, limit 3 s", "channel's settings"),
+        ("Tibialis anterior: 20 mC within a minute, limit 20 mC", "channel's settings"),
+        ("time ran backward by 3 ms", "clock"),
+        ("emergency stop", ""),
+    ],
+)
+def test_a_fault_has_its_remedy(fault: str, words: str) -> None:
+    assert words in remedy(fault)
+    assert bool(remedy(fault)) is bool(words)
 
 
 def tuned(mode: str = "act") -> Session:

@@ -11,6 +11,7 @@ from live_parts import MS, FakeStimulator, Lost, Raw, SameClock, SetClock
 from test_live_operator import CALIBRATION, FOOT, settings
 
 from fes.live.commands import State
+from fes.live.remedies import remedy
 from fes.live.sensors import SensorStream
 from fes.live.session import LiveSession
 from fes.live.stimulator import LiveStimulator, Opened
@@ -95,8 +96,8 @@ class Held(FakeStimulator):
 
 def run(
     folder: Path, clock: SetClock, stimulator: FakeStimulator, *commands: OperatorCommand
-) -> tuple[SessionRecord, State]:
-    """A second of a session that is armed at rest, then of what the test makes happen; its log, and its last state."""
+) -> tuple[SessionRecord, LiveSession]:
+    """A second of a session that is armed at rest, then of what the test makes happen; its log, and itself."""
     log = Written(folder / "session.feslog", {})
     wrapped = LiveStimulator(stimulator, lambda: Opened(stimulator, 2), Lost, clock)
     live = LiveSession(settings(), {FOOT: CALIBRATION}, log, wrapped, clock)
@@ -116,7 +117,7 @@ def run(
     assert State.ARMED in states
     log.close(live.summary())
     line.close()
-    return read_session(folder / "session.feslog"), live.operator.state
+    return read_session(folder / "session.feslog"), live
 
 
 def said(record: SessionRecord, what: str) -> list[tuple[str, str]]:
@@ -127,7 +128,8 @@ def said(record: SessionRecord, what: str) -> list[tuple[str, str]]:
 def test_held_up_in_the_middle_of_an_event_it_is_off_and_the_stall_is_named_beside_what_latched(tmp_path: Path) -> None:
     """Stopped and continued by somebody: what the stimulator said meanwhile is heard before the clock is looked at."""
     clock = SetClock()
-    record, state = run(tmp_path, clock, Held(clock, clock.now_ns + WARM_NS + NS_PER_S))
+    record, live = run(tmp_path, clock, Held(clock, clock.now_ns + WARM_NS + NS_PER_S))
+    state = live.operator.state
     assert state is State.FAULT
     assert said(record, "off until") == [
         ("fault", f"off until armed again: stimulator fault on channel 0: {LEASE_EXPIRED}")
@@ -136,6 +138,8 @@ def test_held_up_in_the_middle_of_an_event_it_is_off_and_the_stall_is_named_besi
     assert severity == "warning"
     assert text.startswith("controller stalled for 5")
     assert (record.faults, record.summary["stalls"]) == ([], 1)
+    assert live.operator.why_off == f"{text.partition(';')[0]}, then: stimulator fault on channel 0: {LEASE_EXPIRED}"
+    assert remedy(live.operator.why_off) == remedy("controller stalled for 50 ms")
     assert record.summary["longest_stall_ms"] >= 560
 
 
@@ -158,8 +162,8 @@ def test_what_the_loop_does_on_purpose_once_it_is_off_is_no_stall(
     collect = Slow(clock)
     monkeypatch.setattr(gc, "collect", collect)
     stop = OperatorCommand(clock.now_ns + WARM_NS + NS_PER_S, OperatorAction.EMERGENCY_STOP)
-    record, state = run(tmp_path, clock, FakeStimulator(), stop)
-    assert state is State.STOPPED
+    record, live = run(tmp_path, clock, FakeStimulator(), stop)
+    assert live.operator.state is State.STOPPED
     assert collect.collected >= 1
     assert said(record, "stalled") == []
     assert record.summary["stalls"] == 0

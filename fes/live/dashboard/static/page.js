@@ -108,7 +108,8 @@ function draw() {
     : status ? STATES[status.state] ?? [status.state.toUpperCase(), ""] : ["CONNECTED", "Waiting for the session."];
   document.body.dataset.state = view.ended ? "ended" : blind ? "lost" : status?.state ?? "unknown";
   write($("state-word"), word);
-  write($("state-text"), !blind && !view.ended && status?.fault && status.fault !== "emergency stop" ? `${status.fault}. ${text}` : text);
+  write($("state-text"), !blind && !view.ended && status?.fault && status.fault !== "emergency stop"
+    ? [`${status.fault}.`, status.remedy, text].filter(Boolean).join(" ") : text);
   const on = Boolean(status?.on) && !blind && !view.ended;
   $("current").className = on ? "on" : "off";
   write($("current"), on ? "⚡ Current ON" : blind && !view.ended ? "Current unknown" : "No current");
