@@ -96,6 +96,52 @@ def test_every_state_is_said_in_words_and_the_stop_is_in_view(
     assert page.run("document.getElementById('up').disabled") == (not (current or state is State.SHADOW))
 
 
+WORN = ("left_foot", "right_foot", "left_shank", "right_shank", "left_thigh", "right_thigh")
+SIZES = ((768, 1024), (1024, 768), (1280, 720), (1920, 1080), (1080, 1920))
+# what lies on what else, what sticks out of its box, what is cut off; by names of elements
+MISPLACED = """
+(() => {
+  const found = [], rect = (each) => each.getBoundingClientRect();
+  const name = (each) => `${each.tagName}.${each.className || each.id}: ${each.textContent.slice(0, 30)}`;
+  const before = (a, b) => a.right <= b.left + 1 || a.bottom <= b.top + 1;
+  const apart = (a, b) => before(a, b) || before(b, a);
+  const boxes = "main, #feet, .foot, .numbers, .phases, header, #controls, #dose, #acts";
+  for (const box of document.querySelectorAll(boxes)) {
+    const inside = [...box.children].filter((each) => rect(each).width && rect(each).height);
+    inside.forEach((one, at) => inside.slice(at + 1).forEach((other) => {
+      if (!apart(rect(one), rect(other))) found.push(`${name(one)} on ${name(other)}`);
+    }));
+    for (const each of inside) if (rect(each).left < rect(box).left - 1 || rect(each).right > rect(box).right + 1)
+      found.push(`${name(each)} out of ${name(box)}`);
+  }
+  for (const each of document.querySelectorAll(".foot *, header *, button, #intensity"))
+    if (each.scrollWidth > each.clientWidth + 1 && each.clientWidth) found.push(`${name(each)} is cut off`);
+  return found;
+})()
+"""
+
+
+@pytest.mark.parametrize("count", range(1, len(WORN) + 1))
+def test_nothing_overlaps_with_one_to_six_sensors_on_any_screen(
+    process: DashboardProcess, page: Page, count: int
+) -> None:
+    page.run("document.getElementById('feet').replaceChildren()")
+    feet = {name: replace(FOOT, phase="loading_response", strides=1234, rate_hz=1000.0) for name in WORN[:count]}
+    fault = "left_foot, right_foot: sensor lost: device reports readiness to read but returned no data"
+    remedy = "Check plug, battery and range; its line is opened again by itself. Then arm again."
+    status = replace(SHOWN, state="fault", on=False, feet=feet, fault=fault, remedy=remedy, notices=[fault, fault])
+    until(process, page, status, f"document.querySelectorAll('.foot').length === {count}")
+    until(process, page, status, "document.body.dataset.state === 'fault'")
+    for width, height in SIZES:
+        page.size(width, height)
+        process.stream.send(status.encode())
+        assert page.run(MISPLACED) == [], (width, height)
+        assert page.run("document.documentElement.scrollWidth") <= width
+        stop = page.run("(r => [r.top, r.bottom])(document.getElementById('stop').getBoundingClientRect())")
+        assert 0 <= stop[0] < stop[1] <= height
+    page.run("document.getElementById('feet').replaceChildren()")
+
+
 def test_names_and_messages_are_text_and_nothing_else(process: DashboardProcess, page: Page) -> None:
     process.stream.note(Note(2 * NS_PER_S, "fault", "gate", SMUGGLED))
     made = StrideResult("right_foot", 1, 0, NS_PER_S, 1.25, 0.08, 0.0, 0.0, 0.6, 1, 2, 3, 4)

@@ -145,6 +145,7 @@ function buttons(status, blind) {
 }
 
 function feet(status) {
+  $("feet").dataset.count = Math.min(Object.keys(status.feet).length, 6); // how many stand side by side
   for (const [sensor, now] of Object.entries(status.feet).sort()) {
     const id = `foot-${sensor}`;
     const card = $(id) ?? $("feet").appendChild(footCard(id, sensor));
