@@ -2,9 +2,10 @@
 
 Users of drop-foot stimulators complain most of stimulation when they do not walk: weight shifts, turning on the spot,
 sitting down. A heel that rises says nothing yet; strides that have just carried the foot forward do. So a burst may
-start only after ``strides_before_start`` strides in a row that were long enough and straight enough, and only while
-the stance since the last one is not much longer than the stances of walking. Who stands longer has stopped, and is
-said to stand as soon as that is so, not at the next step.
+start only after ``strides_before_start`` strides in a row that were long enough and straight enough. Then it goes on:
+through a curve, whose strides turn as far as those on the spot but are at least half as long as usual, and with the
+first step after a pause. A stance much longer than those of walking is said to be standing as soon as that is so, not
+at the next step; one of more than three seconds is a stop, after which strides are counted anew.
 
 A foot switch times bursts while the sensor's side shows no steps. It opens when the foot is lifted and closes when it
 lands. Once it has gone through two cycles of walking while the sensor showed no swing, its changes stand for the
@@ -81,6 +82,9 @@ STANCE_GRACE_S = 0.2  # … once it is also this much longer
 SHORT_STANCE_SHARE = 0.4  # a stance shorter than this share of the usual one is a foot that has not settled yet
 REMEMBERED_STANCES = 5
 LONGEST_NS = 3 * NS_PER_S  # a stance while none is usual yet, or any other phase: nobody walks so slowly
+PAUSE_S = 3.0  # a stance of so long at most is a pause: who walked before it goes on with the first step after it
+CURVE_SHARE = 0.5  # of the usual length: a stride that turns as far as on the spot, but so long, is a walk's curve
+REMEMBERED_LENGTHS = 5
 LOST, LANDED, STANCE = Transition.NONE, (Transition.T4, Transition.T6), Phase.STANCE
 
 
@@ -93,6 +97,7 @@ class WalkingJudge:
         self._good_strides = 0
         self._stance_ns: int | None = None
         self._stances_s: deque[float] = deque(maxlen=REMEMBERED_STANCES)
+        self._lengths_m: deque[float] = deque(maxlen=REMEMBERED_LENGTHS)  # of good strides, not of curves
         self._standing = True  # until a swing; again where a stance, or any other phase, lasts
         self._begun_ns, self._longest_ns = 0, LONGEST_NS  # of what must end by then, or the foot stands
         self.reason = "no stride yet"
@@ -106,7 +111,7 @@ class WalkingJudge:
         """Time has come to ``t_ns`` by the foot's own sensor: a stance that lasts ends walking."""
         if not self._standing and t_ns - self._begun_ns > self._longest_ns:
             self._standing = True
-            self._lapse(f"stands for {(t_ns - self._begun_ns) / NS_PER_S:.1f} s")
+            self.reason = f"stands for {(t_ns - self._begun_ns) / NS_PER_S:.1f} s"
 
     def on_stride(self, stride: StrideResult) -> None:
         """Count a stride for or against walking."""
@@ -114,10 +119,11 @@ class WalkingJudge:
             self._lapse(f"stride {stride.number} {stride.reason}")
         elif stride.stride_length_m < self._least_m:
             self._lapse(f"stride of {stride.stride_length_m:.2f} m")
-        elif abs(stride.turn_rad) > self._most_rad:
-            self._lapse(f"turned by {abs(math.degrees(stride.turn_rad)):.0f}°")
-        else:
+        elif abs(stride.turn_rad) <= self._most_rad:
             self._good_strides += 1
+            self._lengths_m.append(stride.stride_length_m)
+        elif not self._good_strides or stride.stride_length_m < CURVE_SHARE * _median(self._lengths_m):
+            self._lapse(f"turned by {abs(math.degrees(stride.turn_rad)):.0f}°")
 
     def on_phase(self, change: PhaseChange) -> bool:
         """Follow a phase change; returns whether a burst that starts with it is permitted."""
@@ -132,22 +138,25 @@ class WalkingJudge:
         if change.destination is Phase.SWING:
             self._standing = False
         self._begun_ns, self._longest_ns = change.t_ns, LONGEST_NS
-        if change.destination is STANCE and self._stance_ns is not None and self._stances_s:
+        if change.destination is STANCE and self._stance_ns is not None:
             self._begun_ns, self._longest_ns = self._stance_ns, round(NS_PER_S * self._longest_stance_s())
         return permitted and self._good_strides >= self._enough
 
     def _end_of_stance(self, stance_s: float) -> bool:
         """The heel rises after a stance of this length; returns whether that can be walking on."""
-        if self._standing or (self._stances_s and stance_s > self._longest_stance_s()):
+        longest_s = self._longest_stance_s()
+        if stance_s > max(longest_s, PAUSE_S):
             self._lapse(f"stood for {stance_s:.1f} s")
         elif self._stances_s and stance_s < SHORT_STANCE_SHARE * _median(self._stances_s):
             return False  # the foot stirs after it has landed; the real heel rise is still to come
-        if self._good_strides:
+        if self._good_strides and stance_s <= longest_s:
             self._stances_s.append(stance_s)
         return True
 
     def _longest_stance_s(self) -> float:
-        """A stance that lasts longer is a stop."""
+        """A stance that lasts longer is none of walking."""
+        if not self._stances_s:
+            return LONGEST_NS / NS_PER_S
         usual_s = _median(self._stances_s)
         return max(STANCE_FACTOR * usual_s, usual_s + STANCE_GRACE_S)
 

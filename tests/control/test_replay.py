@@ -78,7 +78,7 @@ def test_walking_is_stimulated_in_swing_and_never_else(replays: Replays, name: s
     for channel in channels_of(record):
         strides = truth(name, FEET[channel])
         mine = bursts(record.commands, channel)
-        assert len(strides) - 4 <= len(mine) <= len(strides) - 2  # two strides show that this is walking
+        assert len(strides) - 3 <= len(mine) <= len(strides) - 1  # one stride shows that this is walking
         wrong = [burst for burst in mine if not inside(burst, strides)]
         assert not wrong
         times = [burst.t_on_ns for burst in mine]

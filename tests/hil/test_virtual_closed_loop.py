@@ -64,7 +64,7 @@ def closed_loop(seconds: float) -> tuple[VirtualPatient, Wire]:
 def test_phase_triggered_stimulation_lifts_the_foot_and_every_run_is_the_same() -> None:
     patient, wire = closed_loop(30.0)
     strides = affected(patient, 0)
-    assert strides[0].charge_uc == 0.0  # nothing before two strides have shown that this is walking
+    assert strides[0].charge_uc == 0.0  # nothing before a stride has shown that this is walking
     later = strides[8:]
     assert all(stride.charge_uc > 100.0 for stride in later)
     assert 0.01 <= median(stride.toe_clearance_m for stride in later) <= 0.03
@@ -132,12 +132,11 @@ def test_fes_simulate_in_closed_loop_writes_a_session_log(tmp_path: Path) -> Non
     assert [note.text for note in log.notes if note.severity == "fault"] == []  # the end is no sensor that was lost
 
 
-def test_fes_simulate_says_why_nothing_was_stimulated(tmp_path: Path) -> None:
+def test_fes_simulate_says_why_nothing_was_stimulated_any_more(tmp_path: Path) -> None:
     """At 2 m/s this foot comes down harder than the gate believes."""
     walk = ("--severity", "severe", "--speed", "2", "--seconds", "12")
     code, out = invoke(*walk, "--stimulate", "phase", "--out", str(tmp_path))
     assert code == 0, out
-    assert " 0 µC" in out or ", 0.0 µC" in out
     assert "The gate latched once at 6." in out
 
 

@@ -401,7 +401,7 @@ def live_run(
     with ExitStack() as stack:
         connected = bench(folder, recording, stack)
         settings = folder / "live.toml"
-        at_once = SETTINGS.read_text().replace("strides_before_start = 2", "strides_before_start = 0")
+        at_once = SETTINGS.read_text().replace("strides_before_start = 1", "strides_before_start = 0")
         settings.write_text(f"{at_once}\n{connected.text}\n{text}")
         out = () if "folder" in text else ("--out", folder / "out")  # else below the folder that the settings name
         master, slave = pty.openpty()

@@ -45,7 +45,7 @@ def node(tmp_path: Path) -> Iterator[NodeHandle]:
 def settings_for(node: NodeHandle, folder: Path) -> Path:
     path = folder / "bus.toml"
     bus = f'\n[bus]\ninterface = "{node.bus.interface}"\nchannel = "{node.bus.channel}"\n'
-    at_once = SETTINGS.read_text().replace("strides_before_start = 2", "strides_before_start = 0")
+    at_once = SETTINGS.read_text().replace("strides_before_start = 1", "strides_before_start = 0")
     path.write_text(at_once + bus + f"[bus.options]\nport = {node.bus.options['port']}\n")
     return path
 
@@ -276,7 +276,7 @@ def test_lockstep_replay_is_delivered_as_sent_and_the_same_twice(recording: Path
 def test_a_replay_slower_than_recorded_is_delivered_as_sent(tmp_path: Path) -> None:
     """Its commands are decided by the recording's time; by the computer's each would be later than the last."""
     settings = tmp_path / "session.toml"
-    settings.write_text(SETTINGS.read_text().replace("strides_before_start = 2", "strides_before_start = 0"))
+    settings.write_text(SETTINGS.read_text().replace("strides_before_start = 1", "strides_before_start = 0"))
     options = ("--session", settings, "--speed", "0.8", "--no-report", "--json", "--out", tmp_path)
     done = run_fes("replay", write_cut(tmp_path, end_s=14.0), *options)
     assert done.returncode == OK, done.stderr
