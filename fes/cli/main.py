@@ -83,3 +83,7 @@ def main() -> None:
 
     Research software, not a medical device.
     """
+
+
+if __name__ == "__main__":
+    main(prog_name="fes")

@@ -11,9 +11,13 @@ from fes.cli.common.options import PATH
 @click.command(name="report")
 @click.argument("log", type=PATH)
 @click.option("--out", type=PATH, help="The HTML file. Default: report.html beside the log.")
-def command(log: Path, out: Path | None) -> None:
+@click.option("--summary", is_flag=True, help="Say in about ten lines what happened, as `fes run` does at its end.")
+def command(log: Path, out: Path | None, summary: bool) -> None:
     """Write the HTML report of the session log LOG."""
+    from fes.cli.common.show import screen
     from fes.report.page import write_report
+    from fes.report.summary import summarise_session
+    from fes.report.tables import closing_block
     from fes.session_log import SessionLogError, read_session
     from fes.session_log.framing import RecordType
 
@@ -21,8 +25,11 @@ def command(log: Path, out: Path | None) -> None:
     with failing(SessionLogError):
         record = read_session(log, frozenset({RecordType.FRAME}))  # bytes are not shown
     try:
+        data = summarise_session(record)
+        if summary:
+            screen().print(closing_block(data.summary))
         with writing(target, ". Choose another place with --out."):
-            write_report(record, target)
+            write_report(record, target, data=data)
     except SessionLogError as error:
         fail(SessionLogError(f"{log}: {error}"))
     click.echo(f"Report {target}")

@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from fes.report.by_hand import summed_up
 from fes.report.findings import findings
 from fes.report.stimulation import tuning_lines
 from fes.report.strides import StrideRow
@@ -115,6 +116,39 @@ def summary_block(summary: SessionSummary) -> RenderableType:
     for finding in findings(summary):
         mark, style = MARKS[finding.level]
         lines.append(Text(f"{mark} {finding.text}", style=style))
+    return Group(*lines)
+
+
+CLOSING_FINDINGS = 5
+
+
+def closing_block(summary: SessionSummary) -> RenderableType:
+    """What happened in a session, in about ten lines: strides, bursts, dose, what people did, what to look at."""
+    lines = [Text(f"{summary.name}, {summary.duration_s:.0f} s", style="bold")]
+    lines += [
+        Text(
+            f"  {readable(foot.foot)}: {count_of(foot.strides, 'stride')} ({foot.valid} valid), "
+            f"{mean_sd(foot.stride_length_m, 2, 'm')}, {number(foot.walking_speed_mps, 2)} m/s"
+        )
+        for foot in summary.feet.values()
+    ]
+    for channel in summary.channels:
+        by_hand = f" ({channel.bursts_by_hand} by hand)" if channel.bursts_by_hand else ""
+        dose = f"peak {channel.peak_current_ma:.1f} mA, {channel.charge_uc / 1e3:.2f} mC"
+        counted = "" if channel.charge_counted_by_device or not channel.bursts else " (estimated)"
+        times = f"{count_of(channel.bursts, 'burst')}{by_hand}, {channel.on_time_s:.1f} s on"
+        lines.append(Text(f"  {channel.name}: {times}" + (f", {dose}{counted}" if channel.bursts else "")))
+    if done := summed_up(summary.by_hand):
+        lines.append(Text(f"  by hand: {done}"))
+    every = findings(summary)
+    look = [each for level in ("alert", "warning") for each in every if each.level == level]
+    for finding in look[:CLOSING_FINDINGS]:
+        mark, style = MARKS[finding.level]
+        lines.append(Text(f"{mark} {finding.text}", style=style))
+    if len(look) > CLOSING_FINDINGS:
+        lines.append(Text(f"  and {len(look) - CLOSING_FINDINGS} more to look at in the report"))
+    if not summary.faults:
+        lines.append(Text("✓ no fault" + ("" if look else ", nothing to look at"), style="green"))
     return Group(*lines)
 
 

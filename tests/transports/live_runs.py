@@ -415,6 +415,7 @@ def live_run(
                 "--control",
                 folder / "c.sock",
                 *out,
+                *(() if "--report" in options else ("--no-report",)),
                 *options,
             ),
             cwd=folder,

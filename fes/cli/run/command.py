@@ -3,10 +3,11 @@
 The first part of a live session that was given no calibration: stand still, walk some strides.
 """
 
+import subprocess
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from drivers.stimulator.serial_line import latency_hint
 from drivers.switches import SwitchFailed, open_switch
 from fes.calibration.recording import SensorCalibrations, load
 from fes.cli.calibrate import describe, save_calibrations
-from fes.cli.common.exits import LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted
+from fes.cli.common.exits import LOG_SUFFIX, OK, Problem, StoppedEarly, failing, fresh_folder, interrupted
 from fes.cli.common.options import PATH, Number, RenamedOptions, utc_now
 from fes.cli.common.progress import Interrupt
 from fes.cli.run import devices
@@ -107,6 +108,7 @@ class Options:
     view: bool | None = None
     dashboard: bool = False
     dashboard_port: int = 0
+    report: bool = True
 
 
 @click.command(name="run", cls=RenamedOptions, former=devices.FORMER_OPTIONS)
@@ -122,6 +124,7 @@ class Options:
 @click.option("--control", type=PATH, help="Control socket. Default: OUT/…/control.sock.")
 @click.option("--keys-from", type=click.IntRange(min=0), help="Read keys from this descriptor instead of the terminal.")
 @click.option("--view/--no-view", default=None, help="The terminal view. Default: where there is a terminal.")
+@click.option("--report/--no-report", default=True, help="At the end, what happened and report.html.")
 @devices.dashboard_options
 def command(session: Path, **options: Any) -> None:
     """Run a live session with the settings in SESSION (TOML).
@@ -163,9 +166,26 @@ def run_session(path: Path, options: Options) -> Path:
             which = ", ".join(missing)
             raise Problem(f"{options.calibration}: holds no calibration of {which}, which a channel follows.")
         log_path, ended = run_live(session, calibrations, streams, options, folder, keys, interrupt, stack)
+    if options.report:
+        write_report(log_path)
     said_how_it_ended(log_path, ended)
     click.echo(f"Session log  {log_path}")
     return log_path
+
+
+def write_report(log_path: Path) -> None:
+    """What happened, in about ten lines, and the report: by a process of its own, which may be given up.
+
+    Everything is off and every device closed by then. The session's process never loads what a report needs.
+    """
+    sys.stdout.flush()
+    with suppress(KeyboardInterrupt):
+        done = subprocess.run((sys.executable, "-m", "fes.cli.main", "report", "--summary", log_path), check=False)
+        if done.returncode == OK:
+            return
+    click.secho(
+        f"There is no report; the session log is whole: `fes report {log_path}` writes it.", fg="yellow", err=True
+    )
 
 
 def said_how_it_ended(log_path: Path, ended: str) -> None:
