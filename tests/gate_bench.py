@@ -85,12 +85,18 @@ class Bench:
 
     def sample(self, **changes: Any) -> None:
         for sensor in sorted({channel.foot for channel in self.channels}):
-            plain = ImuSample(self.t_ns, sensor, self.t_ns - 3 * MS, (0.0, 0.0, 9.8), (0.0, 0.0, noise(self.t_ns)))
+            plain = ImuSample(
+                self.t_ns, sensor, self.t_ns - 3 * MS, (noise(self.t_ns), 0.0, 9.8), (0.0, 0.0, noise(self.t_ns))
+            )
             self.observe(plain._replace(**changes))
 
     def wait(self, ms: float, *, sampling: bool = True) -> None:
-        """Let time pass, with a sample at its end."""
-        self.t_ns += round(ms * MS)
+        """Let time pass, with a sample at its end, and often enough before."""
+        end_ns = self.t_ns + round(ms * MS)
+        while sampling and end_ns - self.t_ns > 200 * MS:
+            self.t_ns += 200 * MS
+            self.sample()
+        self.t_ns = end_ns
         if self.risen:  # a burst that is not asked for yet has had its rise: most tests are of something else
             for state in self.gate._channels.values():
                 if not state.on:

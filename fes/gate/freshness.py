@@ -16,6 +16,7 @@ LEAST_SLIPS: Final = 3  # so that a window that has only begun does not condemn 
 LEAST_JUMP_NS: Final = 35_000_000  # a stamp further ahead of the time waited than this, and than half of that time
 MAX_SAME_MS: Final = 60  # of bit-identical samples
 SLIPS_BELIEVED: Final = 3  # in a row: a stamp far off is a slip, three of them are a clock that was set
+MAX_SILENCE_NS: Final = 250_000_000  # what comes after one may be late by all of it, whatever its stamps say
 MAX_CLOCK_DRIFT_PPM: Final = 200  # of a sensor's clock against the host's; a crystal keeps within 100
 
 
@@ -126,6 +127,14 @@ class Freshness:
             known.values, known.changed_ns = values, t_ns
             return fault
         return fault or self._frozen(sample.sensor, known)
+
+    def silence(self, sample: ImuSample) -> str:
+        """Says so when nothing had come from this sensor for long; to be asked before :meth:`note`."""
+        known = self._sensors.get(sample.sensor)
+        silent_ns = sample.t_ns - known.t_ns if known else 0
+        if silent_ns <= MAX_SILENCE_NS:
+            return ""
+        return f"{sample.sensor} was silent for {silent_ns / 1e6:.0f} ms: what comes now may be late"
 
     def reason_not_ready(self, sensor: str, t_ns: int) -> str:
         """Why this sensor's data are no ground for stimulating at ``t_ns``; "" when they are."""

@@ -119,10 +119,11 @@ class SafetyGate:
         """Take note of an event; call it for every one, in order, before the controller sees it."""
         earlier_ns, self._event_ns = self._event_ns, event.t_ns
         if isinstance(event, ImuSample):
+            silence = self._freshness.silence(event) if self._armed else ""
             # all three take it in, whatever one of them says; the gravest is named
             order, fault = self.stamps.fault(event), self._freshness.note(event)
             implausible = self._plausible.fault(event)
-            if fault := fault or implausible or order:
+            if fault := fault or implausible or order or silence:
                 self._on_fault_of(event, fault)
         elif isinstance(event, OperatorAct):
             self._on_act(event)

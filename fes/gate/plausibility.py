@@ -12,6 +12,7 @@ from itertools import permutations, product
 from typing import Final, TypeAlias
 
 from fes.config import ImuDevice
+from fes.gate.coherence import Coherence
 from fes.signals import G_MPS2, SHANK_SENSORS, ImuSample, Vector3
 
 SUSTAINED_MS: Final = 80  # what one knock, one clipped heel strike or one free fall of the foot never lasts
@@ -116,6 +117,7 @@ def _exchanged(a: Vector3, order: tuple[int, ...], signs: tuple[float, ...]) -> 
 
 MOSTLY: Final = (3, 4)  # of the samples of a span: in g too a swing has its spikes
 STEP: Final = 4.0  # from one sample to the next; real ones that last reach 2.4 down and 3.0 up
+SMOOTH_BEFORE_MPS2: Final = 8.0  # the change just before such a step; a foot that strikes the ground shakes by more
 MOST_GAP_NS: Final = 25_000_000  # likewise, in the span after a step: from fewer samples nobody can tell that it lasts
 BEYOND: Final = 1.05  # of an axis' range: what calibrating makes of a sample at its end stays below
 MOST_SAMPLES: Final = 1000  # kept of a span; a sensor that sends more is judged by fewer
@@ -134,7 +136,7 @@ class Bounds:
 
 
 FOOT: Final = Bounds(weak=2.5, low=7.0, high=60.0, strong=80.0)
-SHANK: Final = Bounds(weak=2.5, low=7.0, high=30.0, strong=60.0)  # it is shaken less
+SHANK: Final = Bounds(weak=2.5, low=7.0, high=45.0, strong=60.0)  # it is shaken less
 
 
 # one sample: when, the level of its force, whether a step led to it (-1 down, 1 up), whether a gap did, and whether an
@@ -148,7 +150,8 @@ class Force:
     A force in g for m/s² is 9.8 times too small. Where that takes it below what any swing shows, its level tells; in a
     brisk swing it does not, but then the change itself does: no foot's force falls to less than a quarter from one
     sample to the next and then stays low. The same the other way round for a force scaled once more, or in mg.
-    A heel that lands, bounces and slaps down comes nearest; but what that shows is more than the sensor's range in g.
+    A heel that lands, bounces and slaps down comes nearest; but that shakes just before the step too, and mostly shows
+    more than the sensor's range in g.
 
     Args:
         sensor: its name, for its place on the leg.
@@ -163,6 +166,7 @@ class Force:
         self._most_in_g = BEYOND * range_g
         self._before_mps2 = 0.0
         self._before_ns = 0
+        self._two_before: tuple[Vector3, Vector3] | None = None  # the last two samples' forces
 
     def fault(self, sample: ImuSample, force_mps2: float, most_mps2: float) -> str:
         """Take in a sample, the size of its force and its largest axis; what is wrong with the unit, or ""."""
@@ -180,6 +184,10 @@ class Force:
         step = 0
         if seen and 0 < apart_ns <= MOST_APART_NS:
             step = (force_mps2 > before_mps2 * STEP) - (force_mps2 * STEP < before_mps2)
+        acc, two = sample.acc_mps2, self._two_before
+        if step and two is not None and _square_apart(*two) > SMOOTH_BEFORE_MPS2**2:
+            step = 0
+        self._two_before = (acc, acc) if two is None else (two[1], acc)
         self._before_mps2, self._before_ns = force_mps2, sample.t_sensor_ns
         gap, beyond = apart_ns > MOST_GAP_NS, most_mps2 > self._most_in_g
         seen.append((t_ns, level, step, gap, beyond))
@@ -261,7 +269,7 @@ class Plausibility:
         self._up = up
         self.not_ready = ""  # no fault by itself: a foot may rest so, but not one that walks
         self._force = Force(sensor, device.acc_range_g if device else math.inf)
-        self._axes = Axes()
+        self._axes, self._coherence = Axes(), Coherence(sensor)
         self._fast, self._saturated, self._tilted = _Lasting(), _Lasting(), _Lasting()
         self._mean_mps2 = self._upright()
         self._mean_ns: int | None = None
@@ -274,12 +282,14 @@ class Plausibility:
         most_mps2, rate_radps = _largest(sample.acc_mps2), _largest(sample.gyr_radps)
         at_range = rate_radps >= self._gyr_range_radps or most_mps2 >= self._acc_range_mps2
         wrong_unit, exchanged = self._force.fault(sample, force_mps2, most_mps2), self._axes.fault(sample)
+        incoherent = self._coherence.fault(sample)
         fast = self._fast.lasts(t_ns, rate_radps > FAST_RADPS)
         saturated = self._saturated.lasts(t_ns, at_range)
         tilted = self._tilted.lasts(t_ns, self._rests_tilted(x, y, z, force_mps2, rate_radps))
         moves_tilted = self._moves_tilted(x, y, z, t_ns)
         does = "rests" if tilted else "moves" if moves_tilted else ""
         self.not_ready = f"{name} {does} turned by more than {_TILT} from its calibration: remounted?" if does else ""
+        self.not_ready = self.not_ready or self._coherence.not_ready
         if rate_radps > MOST_RATE_RADPS:
             return f"{name} turns at {rate_radps:.0f} rad/s, which no foot does: is its unit °/s?"
         if wrong_unit:
@@ -290,7 +300,7 @@ class Plausibility:
             return f"{name} is saturated: at the end of its range for {SUSTAINED_MS} ms"
         if fast:
             return f"{name} turns at more than {FAST_RADPS:.0f} rad/s for {SUSTAINED_MS} ms: is its unit °/s?"
-        return ""
+        return incoherent
 
     def _rests_tilted(self, x: float, y: float, z: float, force_mps2: float, rate_radps: float) -> bool:
         if self._up is None or rate_radps > REST_RATE_RADPS or abs(force_mps2 - G_MPS2) > REST_FORCE_MPS2:

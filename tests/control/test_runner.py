@@ -143,7 +143,7 @@ class Bench:
 
 
 def sample(ms: int) -> ImuSample:
-    return ImuSample(ms * MS, "right_foot", ms * MS, (0.0, 0.0, 9.81), (0.0, 0.0, 1e-4 * (ms % 97)))
+    return ImuSample(ms * MS, "right_foot", ms * MS, (1e-4 * (ms % 97), 0.0, 9.81), (0.0, 0.0, 1e-4 * (ms % 97)))
 
 
 def armed(until_ms: int = 600, acts: Iterable[OperatorAct] = ()) -> Iterator[Event]:

@@ -484,7 +484,14 @@ def test_what_shows_more_than_its_range_would_be_in_g_is_not_in_g(at: int) -> No
 
 
 def test_what_speaks_against_g_is_forgotten_with_its_span() -> None:
-    assert first(told([40.0] * 5 + [5.0, 5.0, 30.0] + [5.0] * 20, range_g=16.0)) == 16
+    assert first(told([40.0] * 5 + [5.0, 5.0, 30.0, 30.0] + [5.0] * 20, range_g=16.0)) == 17
+
+
+def test_a_step_out_of_a_shake_is_a_contact_with_the_ground() -> None:
+    assert first(told([40.0] * 5 + [5.0] * 20)) == 13
+    assert first(told([40.0] * 4 + [32.0] + [5.0] * 20)) == 13, "8 m/s² before it is no shake yet"
+    assert first(told([40.0] * 4 + [31.9] + [5.0] * 20)) is None
+    assert first(told([40.0, 5.0] + [5.0] * 20)) == 9, "with one sample before it nothing is known of a shake"
 
 
 def test_the_range_is_the_sessions() -> None:
@@ -494,7 +501,9 @@ def test_the_range_is_the_sessions() -> None:
         )
         judge, said = Plausible((device,), {}), ""
         for k, size in enumerate([40.0] * 5 + [5.0] * 7 + [30.0, 5.0]):
-            said = judge.fault(ImuSample(S + k * 10 * MS, "left_foot", S + k * 10 * MS, (0.0, 0.0, size), UP))
+            said = judge.fault(
+                ImuSample(S + k * 10 * MS, "left_foot", S + k * 10 * MS, (0.0, 0.0, size), (0.0, 1e-9 * k, 9.8))
+            )
         assert bool(said) is tells, range_g
 
 
@@ -684,7 +693,8 @@ def session_gate(**more: float) -> SafetyGate:
 
 
 def shank_sample(gate: SafetyGate, t_ns: int, acc: Vector3 = UP) -> None:
-    gate.observe(sample(t_ns, t_ns, acc)._replace(sensor="left_shank"))
+    alive = (acc[0] + 1e-9 * (t_ns % 1_000_003), acc[1], acc[2])
+    gate.observe(sample(t_ns, t_ns, alive)._replace(sensor="left_shank"))
 
 
 def test_gate_of_a_session_takes_all_that_the_session_says() -> None:

@@ -119,7 +119,8 @@ class Bench:
             self.t_ns += 10 * MS
             if number % every == 0:
                 noise = 0.001 * (number % 7)
-                self.handle(ImuSample(self.t_ns, FOOT, self.t_ns, acc, (noise, gyr_radps * (-1) ** number, 0.0)))
+                living = (acc[0] + noise, acc[1], acc[2])
+                self.handle(ImuSample(self.t_ns, FOOT, self.t_ns, living, (noise, gyr_radps * (-1) ** number, 0.0)))
             if number % 10 == 0:
                 self.answered_ns = self.t_ns
                 self.handle(StimAlive(self.t_ns, 7, 0))
@@ -505,7 +506,8 @@ def test_a_test_burst_goes_through_plan_and_gate_and_ends_by_itself() -> None:
     begin_ns = bench.t_ns
     while bench.t_ns < begin_ns + 1500 * MS:
         bench.t_ns += 10 * MS
-        event = ImuSample(bench.t_ns, FOOT, bench.t_ns, (0.0, 0.0, 9.81), (1e-4 * (bench.t_ns // MS % 9), 0.0, 0.0))
+        noise = 1e-4 * (bench.t_ns // MS % 9)
+        event = ImuSample(bench.t_ns, FOOT, bench.t_ns, (noise, 0.0, 9.81), (noise, 0.0, 0.0))
         bench.gate.observe(event)
         for request in bench.controller.step(event).requests:
             command = bench.gate.judge(bench.t_ns, request)

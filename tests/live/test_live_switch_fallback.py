@@ -28,7 +28,9 @@ def walked(
     for ms in range(0, 8000, 10):
         events = []
         if ms <= samples_until_ms:
-            events.append(ImuSample(ms * MS, FOOT, ms * MS, (0.0, 0.0, 9.81), (1e-4 * (ms // 10 % 9), 0.0, 0.0)))
+            events.append(
+                ImuSample(ms * MS, FOOT, ms * MS, (1e-4 * (ms // 10 % 9), 0.0, 9.81), (1e-4 * (ms // 10 % 9), 0.0, 0.0))
+            )
         if ms == 500:
             events += [
                 OperatorAct(ms * MS, OperatorAction.ARM),

@@ -276,7 +276,7 @@ class Trial:
     def feed(self, late_ms: int = 0, value: float = 9.8, feet: tuple[str, ...] = SENSORS) -> None:
         for foot in feet:
             alive = 1e-9 * (self.t_ns % 1_000_003)  # no living sensor repeats itself
-            self.observe(ImuSample(self.t_ns, foot, self.t_ns - late_ms * MS, (0.0, 0.0, value), (0.0, 0.0, alive)))
+            self.observe(ImuSample(self.t_ns, foot, self.t_ns - late_ms * MS, (alive, 0.0, value), (0.0, 0.0, alive)))
 
     def odd(self, kind: str, sensor: str, steps: int, period_ms: int, number: int) -> None:
         """One sensor goes wrong while the others are well; a channel is asked for all the while."""
@@ -288,7 +288,7 @@ class Trial:
             acc, gyr, sent_ns = ODD[kind]
             gyr = (gyr, 0.0, 0.0 if kind == "frozen" else alive)
             stamp_ns = before_ns if sent_ns == "doubled" else self.t_ns
-            self.observe(ImuSample(self.t_ns, sensor, stamp_ns, (0.0, 0.0, acc), gyr))
+            self.observe(ImuSample(self.t_ns, sensor, stamp_ns, (gyr[2], 0.0, acc), gyr))
             self.judge(StimRequest(number, True, 0.5, 300.0, 40.0))
 
     def judge(self, request: StimRequest) -> StimCommand:

@@ -1,0 +1,266 @@
+"""Accelerometer and gyroscope against each other: sound strides are no fault; what lies is told within a stride."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+from gate_bench import MS, Bench
+
+from fes.gate.coherence import (
+    BLOCK_NS,
+    EXCESS_MPS2,
+    EXCESS_ONCE_MPS2,
+    GRAVITY_OFF_MPS2,
+    LACK_ONCE_MPS2,
+    MOST_SMOOTH_RAD,
+    MOST_STEP_NS,
+    MOST_UNTURNED,
+    MOST_UNTURNED_AXIS,
+    Coherence,
+)
+from fes.signals import G_MPS2, NS_PER_S, ImuSample, OperatorAction, Vector3
+
+S = NS_PER_S
+STRIDE_S, STANCE_S = 1.2, 0.6
+Six = tuple[float, float, float, float, float, float]
+Change = Callable[[Six, float], Six]
+
+
+def stride(t_s: float) -> Six:
+    """Force and rate of a foot that stands flat, rises its heel, swings, and strikes the ground; both fit together."""
+    phase_s = t_s % STRIDE_S - STANCE_S
+    alive = 1e-3 * math.sin(1e4 * t_s)
+    if phase_s < 0.0:
+        return (alive, -alive, G_MPS2 + alive, alive, -alive, alive)
+    omega = 2 * math.pi / (STRIDE_S - STANCE_S)
+    pitch, rate = 0.5 * (1 - math.cos(omega * phase_s)), 0.5 * omega * math.sin(omega * phase_s)
+    roll = 0.15 * math.sin(omega * phase_s)
+    roll_rate = 0.15 * omega * math.cos(omega * phase_s)
+    forward = 9.0 * math.sin(omega * phase_s) + (25.0 if phase_s > STRIDE_S - STANCE_S - 0.03 else 0.0)
+    x = forward * math.cos(pitch) - G_MPS2 * math.sin(pitch) + alive
+    z = forward * math.sin(pitch) + G_MPS2 * math.cos(pitch)
+    y, z = z * math.sin(roll) + 2.0 * math.sin(3 * omega * phase_s), z * math.cos(roll)
+    return (x, y, z, roll_rate, rate + alive, 0.3 * math.sin(2 * omega * phase_s))
+
+
+def same(values: Six, t_s: float) -> Six:
+    return values
+
+
+def walk(
+    change: Change = same,
+    seconds: float = 12.0,
+    rate_hz: float = 100.0,
+    sensor: str = "left_foot",
+    from_s: float = 0.0,
+) -> tuple[str, float]:
+    """What was said first of strides that ``change`` alters from ``from_s`` on, and how long after that (s)."""
+    judge, step_ns = Coherence(sensor), round(S / rate_hz)
+    for k in range(round(seconds * rate_hz)):
+        t_ns = S + k * step_ns
+        t_s = 1e-9 * k * step_ns
+        values = change(stride(t_s), t_s) if t_s >= from_s else stride(t_s)
+        if said := judge.fault(ImuSample(t_ns, sensor, t_ns, values[:3], values[3:])):
+            return said, t_s - from_s
+    return "", math.inf
+
+
+@pytest.mark.parametrize("rate_hz", [60.0, 100.0, 200.0, 500.0, 1000.0])
+@pytest.mark.parametrize("sensor", ["left_foot", "right_shank"])
+def test_sound_strides_are_no_fault(rate_hz: float, sensor: str) -> None:
+    assert walk(rate_hz=rate_hz, sensor=sensor)[0] == ""
+
+
+def stuck(axes: tuple[int, ...], noise: float, at_s: float) -> Change:
+    held = stride(at_s)
+
+    def change(values: Six, t_s: float) -> Six:
+        a = list(values)
+        for axis in axes:
+            a[axis] = held[axis] + noise * math.sin(1e5 * t_s + axis)
+        return (a[0], a[1], a[2], a[3], a[4], a[5])
+
+    return change
+
+
+ACC, GYR = (0, 1, 2), (3, 4, 5)
+SWING_S, STANCE_AT_S = 4 * STRIDE_S + STANCE_S + 0.12, 4 * STRIDE_S + 0.2
+
+
+@pytest.mark.requirement("SR-10")
+@pytest.mark.parametrize(
+    ("axes", "noise", "from_s", "says", "within_s"),
+    [
+        pytest.param(ACC, 0.0, SWING_S, "accelerometer is frozen", 0.08, id="force frozen in swing"),
+        pytest.param(ACC, 0.0, STANCE_AT_S, "accelerometer is frozen", 0.08, id="force frozen in stance"),
+        pytest.param(GYR, 0.0, SWING_S, "gyroscope is frozen", 0.08, id="rate frozen in swing"),
+        pytest.param(GYR, 0.0, STANCE_AT_S, "gyroscope is frozen", 0.08, id="rate frozen in stance"),
+        pytest.param(ACC, 0.1, SWING_S, "accelerometer does not feel", 0.5, id="force dead in swing"),
+        pytest.param(ACC, 0.1, STANCE_AT_S, "accelerometer does not feel", 0.8, id="force dead in stance"),
+        pytest.param((0,), 0.1, STANCE_AT_S, "do not fit|x axis", STRIDE_S + 0.5, id="an axis of force dead"),
+        pytest.param(GYR, 0.05, SWING_S, "accelerometer does not feel|do not fit", STRIDE_S, id="rate stuck in swing"),
+        pytest.param(GYR, 0.05, STANCE_AT_S, "gyroscope does not feel", 2 * STRIDE_S, id="rate dead in stance"),
+        pytest.param((3,), 0.05, STANCE_AT_S, "x axis does not feel it|fit", 6 * STRIDE_S, id="an axis of rate dead"),
+    ],
+)
+def test_what_is_stuck_is_told(axes: tuple[int, ...], noise: float, from_s: float, says: str, within_s: float) -> None:
+    said, after_s = walk(stuck(axes, noise, from_s), from_s=from_s)
+    assert any(word in said for word in says.split("|")), said
+    assert after_s <= within_s
+
+
+@pytest.mark.requirement("SR-10")
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_a_force_that_is_scaled_is_told_within_two_strides(factor: float) -> None:
+    def change(v: Six, t_s: float) -> Six:
+        return (factor * v[0], factor * v[1], factor * v[2], v[3], v[4], v[5])
+
+    said, after_s = walk(change, from_s=STANCE_AT_S)
+    assert "do not fit" in said or "is it scaled?" in said
+    assert after_s <= 2 * STRIDE_S
+    said, after_s = walk(change, from_s=SWING_S)
+    assert after_s <= 2 * STRIDE_S
+
+
+def pendulum(t_s: float, swings: float) -> Six:
+    tilt, turn = 0.7 * math.sin(swings * t_s), 0.7 * swings * math.cos(swings * t_s)
+    return (math.sin(9e4 * t_s) * 0.02, 0.0, G_MPS2 * math.cos(tilt) + 0.3 * turn**2, 0.01 * math.sin(t_s), turn, 0.0)
+
+
+@pytest.mark.parametrize("swings", [5.0, 7.0])
+def test_a_sensor_that_dangles_is_told(swings: float) -> None:
+    said, after_s = walk(lambda _, t_s: pendulum(t_s, swings), from_s=STANCE_AT_S)
+    assert "dangle" in said or "axis does not feel it" in said or "accelerometer does not feel it" in said
+    assert after_s < 3.0
+
+
+# --- to the digit -----------------------------------------------------------------------------------------------------
+
+
+def feed(judge: Coherence, values: list[Six], t_ns: int = S, step_ns: int = 15 * MS) -> list[str]:
+    """What is said of each; a step is a block of its own."""
+    assert step_ns > BLOCK_NS
+    return [
+        judge.fault(ImuSample(t_ns + k * step_ns, "left_foot", t_ns + k * step_ns, each[:3], each[3:]))
+        for k, each in enumerate(values)
+    ]
+
+
+def alive(k: int, z: float = G_MPS2, rate: float = 0.0) -> Six:
+    return (1e-6 * k, 0.0, z, 0.0, rate, 1e-6 * k)
+
+
+def test_force_that_moves_without_a_turn_is_counted() -> None:
+    moving = [alive(k, G_MPS2 + 1.5 * (k % 2)) for k in range(MOST_UNTURNED + 4)]
+    said = feed(Coherence("left_foot"), moving)
+    assert next(k for k, each in enumerate(said) if each) == MOST_UNTURNED + 2
+    turning = [alive(k, G_MPS2 + 1.5 * (k % 2), 0.3 * (k // 20 % 2)) for k in range(60)]
+    assert not any(feed(Coherence("left_foot"), turning))
+
+
+def test_one_axis_that_never_turns_is_told_of_a_foot_alone() -> None:
+    moving = [(1.5 * (k % 2), 0.0, G_MPS2, 0.0, 0.3 * (k % 2), 0.3 * (k % 2)) for k in range(MOST_UNTURNED_AXIS + 4)]
+    said = feed(Coherence("left_foot"), moving)
+    assert "x axis" in "".join(said)
+    assert next(k for k, each in enumerate(said) if each) == MOST_UNTURNED_AXIS + 2
+    assert not any(feed(Coherence("right_shank"), moving))
+
+
+def test_smooth_turning_is_counted_up_to_a_bound() -> None:
+    rate = 4.0
+    count = math.ceil(MOST_SMOOTH_RAD / (rate * 0.015))
+    turning = [(1e-6 * k, 0.02 * k, G_MPS2, 0.3 * (k % 2), 1e-6 * k, rate) for k in range(count + 3)]
+    said = feed(Coherence("right_shank"), turning)
+    assert "dangle" in "".join(said[-3:])
+    assert not any(said[:-3])
+    jolts = [(1e-6 * k, 2.1 * (k // 50 % 2), G_MPS2, 0.3 * (k % 2), 1e-6 * k, rate) for k in range(200)]
+    assert not any(feed(Coherence("right_shank"), jolts))
+
+
+def test_gravity_at_a_long_rest() -> None:
+    for z, tells in ((G_MPS2 + GRAVITY_OFF_MPS2 - 0.01, False), (G_MPS2 + GRAVITY_OFF_MPS2 + 0.01, True),
+                     (G_MPS2 - GRAVITY_OFF_MPS2 - 0.01, True), (0.0, True)):  # fmt: skip
+        said = feed(Coherence("left_foot"), [alive(k, z) for k in range(40)])
+        assert any("is it scaled?" in each for each in said) is tells, z
+        assert not any(said[:20]), "not before 0.3 s"
+
+
+def between_rests(extra_mps2: float, turning_blocks: int = 80) -> list[Six]:
+    """A rest, a turn about the force's own direction with more or less of it, and a jolt; again and again."""
+    rest = [alive(k) for k in range(10)]
+    turn = [
+        (1e-6 * k, 3.0 * (k % 2), G_MPS2 + extra_mps2, 0.5 * (k // 5 % 2), 0.5 * (k // 7 % 2), 2.0)
+        for k in range(turning_blocks)
+    ]
+    return [*rest, *turn]
+
+
+@pytest.mark.parametrize(
+    ("extra_mps2", "strides", "tells"),
+    [
+        (EXCESS_ONCE_MPS2 + 0.6, 1, True),
+        (EXCESS_MPS2 + 0.3, 1, False),
+        (EXCESS_MPS2 + 0.3, 2, True),
+        (EXCESS_MPS2 - 0.3, 4, False),
+        (-EXCESS_MPS2 - 0.9, 1, False),
+        (-EXCESS_MPS2 - 0.9, 2, True),
+        (-LACK_ONCE_MPS2 - 1.5, 1, True),
+        (-0.5, 4, False),
+    ],
+)
+def test_what_is_more_or_less_than_gravity_from_rest_to_rest(extra_mps2: float, strides: int, tells: bool) -> None:
+    said = feed(Coherence("left_foot"), between_rests(extra_mps2) * strides + [alive(k) for k in range(10)])
+    assert any("do not fit" in each for each in said) is tells
+
+
+def test_what_took_too_long_is_not_judged() -> None:
+    said = feed(Coherence("left_foot"), between_rests(3.0, 200) + [alive(k) for k in range(10)])
+    assert not any("do not fit" in each for each in said)
+
+
+def test_a_gap_begins_anew_and_a_slip_is_passed_over() -> None:
+    judge = Coherence("left_foot")
+    moving = [alive(k, G_MPS2 + 1.5 * (k % 2)) for k in range(MOST_UNTURNED)]
+    assert not any(feed(judge, moving))
+    again_ns = S + (len(moving) - 1) * 15 * MS
+    assert not any(feed(judge, moving[:3], again_ns - 20 * MS, 15 * MS)[:1]), "a stamp that is out of order"
+    assert not any(feed(judge, moving, again_ns + MOST_STEP_NS + 11 * MS)), "what was counted is forgotten"
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, 1e200])
+def test_numbers_that_are_none_leave_nothing_behind(odd: float) -> None:
+    judge = Coherence("left_foot")
+    feed(judge, [alive(k) for k in range(10)])
+    assert not any(feed(judge, [(odd, 0.0, odd, 0.0, 0.0, odd), alive(1)], S + 10 * 15 * MS)[:1])
+    moving = [alive(k, G_MPS2 + 1.5 * (k % 2)) for k in range(MOST_UNTURNED + 6)]
+    assert any(feed(judge, moving, S + 12 * 15 * MS))
+
+
+def test_no_force_at_all_is_no_direction() -> None:
+    judge = Coherence("left_foot")
+    said = feed(judge, [(0.0, 0.0, 0.0, 0.0, 0.0, 1e-6 * k) for k in range(7)])
+    assert said[-1].startswith("left_foot's accelerometer is frozen")
+    judge = Coherence("left_foot")
+    assert any("is it scaled?" in e for e in feed(judge, [(0.0, 0.0, 0.0, 0.0, 0.0, 0.0) for _ in range(60)]))
+
+
+@pytest.mark.requirement("SR-10")
+def test_the_gate_latches_a_frozen_triad_and_names_it() -> None:
+    for changing, frozen in (("gyr_radps", "accelerometer"), ("acc_mps2", "gyroscope")):
+        bench = Bench()
+        values: dict[str, Vector3] = {"acc_mps2": (0.0, 0.0, G_MPS2), "gyr_radps": (0.0, 0.0, 0.0)}
+        begun_ns = bench.t_ns
+        for k in range(30):
+            bench.wait(10, sampling=False)
+            x, y, z = values[changing]
+            bench.sample(**(values | {changing: (x + 1e-3 * k, y, z)}))
+            if bench.gate.latched:
+                break
+        assert bench.gate.latched.startswith(f"left_foot's {frozen} is frozen")
+        assert bench.t_ns - begun_ns <= 80 * MS
+        bench.act(OperatorAction.ARM)
+        assert f"{frozen} is frozen" in bench.gate.arming_refused, "nor can it be armed as long as that lasts"
+        bench.wait(10)
+        bench.rearm()
