@@ -56,7 +56,8 @@ class WalkRecord:
 
     ``header`` says what it is and what is known of its sensors: its kind, when it was made, the recording's name, belt
     and ranges, the calibrations. ``commands`` and what follows are empty where nothing was stimulated. ``complete`` is
-    False where the end is missing; ``lost`` says what that cost, "" if nothing.
+    False where the end is missing; ``lost`` says what that cost, "" if nothing. ``own_ns`` of a part of a longer walk:
+    phases and strides are of what is newer than the first, up to the second; samples are of what lies around it, too.
     """
 
     header: dict[str, Any]
@@ -74,3 +75,4 @@ class WalkRecord:
     summary: dict[str, Any] = field(default_factory=dict)
     complete: bool = False
     lost: str = ""
+    own_ns: tuple[int, int] | None = None

@@ -22,6 +22,7 @@ from fes.estimation.foot.block_results import TrackedBlock
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import Calibration
 from fes.estimation.strides import schema
+from fes.estimation.strides.boundaries import UNSEEN_NS
 from fes.estimation.strides.schema import Column
 from fes.estimation.tracking.tracker import Outcome, SampleCounts
 from fes.recording import Recording
@@ -31,6 +32,7 @@ from fes.signals import StrideResult
 from fes.walk_record import Note, SampleArrays, WalkRecord
 from statemachine.phases import PhaseChange
 
+_ENTRIES = ("t_pre_swing_ns", "t_swing_ns", "t_loading_response_ns", "t_stance_ns")
 _PLACE = ("x_m", "y_m", "z_m", "heading_rad")
 _FOOT = Column("foot", str, "", "the sensor that it is from")
 PHASE_COLUMNS = (
@@ -182,6 +184,36 @@ class Analysis:
             sensor: f"the last {n} samples are left out: the clock had jumped back there" for sensor, n in late.items()
         }
 
+    def at_offline_instants(self) -> tuple[list[PhaseChange], list[StrideResult]]:
+        """Phase changes and strides as of :attr:`phases` and :attr:`strides`, moved to the off-line events.
+
+        Heel rise, foot off, initial contact and foot flat are found with what came after; the phase machine knows them
+        only once it has seen enough. What it did not see is not added, and a stride of which one of the four is not
+        known, or would change places with the changes around it, stays as the machine saw it.
+        """
+        moved: dict[tuple[str, int], int] = {}
+        strides = list(self.strides)
+        for foot, events in self.events.items():
+            own = np.array([change.t_ns for change in self.phases if change.foot == foot], np.int64)
+            mids_ns = events.mid_swing_ns
+            for k, stride in enumerate(strides):
+                first, last = np.searchsorted(mids_ns, (stride.t_start_ns, stride.t_end_ns)).tolist()
+                seen = [getattr(stride, name) for name in _ENTRIES]
+                if stride.foot != foot or last - first != 1 or None in seen:
+                    continue
+                columns = (events.heel_rise_ns, events.fo_ns, events.ic_ns, events.foot_flat_ns)
+                to = [UNSEEN_NS if column is None else int(column[first]) for column in columns]
+                low, high = np.searchsorted(own, seen[0]), np.searchsorted(own, seen[-1], side="right")
+                before = own[low - 1] if low else stride.t_start_ns
+                after = own[high] if high < len(own) else stride.t_end_ns
+                if before < to[0] < to[1] < to[2] < to[3] < after:
+                    moved |= {(foot, was): t_ns for was, t_ns in zip(seen, to, strict=True)}
+                    strides[k] = replace(
+                        stride, t_pre_swing_ns=to[0], t_swing_ns=to[1], t_loading_response_ns=to[2], t_stance_ns=to[3]
+                    )
+        phases = [replace(change, t_ns=moved.get((change.foot, change.t_ns), change.t_ns)) for change in self.phases]
+        return sorted(phases, key=attrgetter("t_ns")), strides
+
     def walk_record(self, created: str = "") -> WalkRecord:
         """The walk as the report takes it; ``created`` is when, as an ISO time."""
         recording, worn = self.recording, self.recording.tracks
@@ -210,7 +242,10 @@ class Analysis:
             for foot, points in self.points.items()
         ]
         notes += [Note(int(worn[s].t_ns[-1]), "warning", s, text) for s, text in self.clock_notes().items()]
-        return WalkRecord(header, samples=samples, phases=self.phases, strides=self.strides, notes=notes, complete=True)
+        part = None if self.chunk is None or self.chunk.whole else (self.chunk.begin_ns, self.chunk.end_ns)
+        phases, strides = self.at_offline_instants()
+        found: dict[str, Any] = {"phases": phases, "strides": strides, "notes": notes}
+        return WalkRecord(header, samples=samples, **found, complete=True, own_ns=part)
 
 
 def phase_row(change: PhaseChange) -> dict[str, Any]:

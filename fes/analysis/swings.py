@@ -37,7 +37,7 @@ PADDING_S = 10.0
 class Swings:
     """Mid-swings (ns): ``sure`` those that must be found, ``possible`` these and those that may be as well.
 
-    ``begin_ns`` and ``end_ns`` are the recording's.
+    ``begin_ns`` and ``end_ns`` are the recording's, or of what is looked at of it.
     """
 
     sure: IntArray
@@ -51,11 +51,27 @@ class Swings:
         return self.sure[(self.sure >= self.begin_ns + half_ns) & (self.sure <= self.end_ns - half_ns)]
 
     def outside(self, spans_ns: Iterable[tuple[int, int]]) -> IntArray:
-        """Those of :meth:`whole` that lie in none of the spans."""
-        spans = np.array(list(spans_ns), np.int64).reshape(-1, 2)
-        at = self.whole()
-        inside = (spans[:, 0] <= at[:, None]) & (at[:, None] <= spans[:, 1])
-        return at[~inside.any(axis=1)]
+        """Those of :meth:`whole` that are no span's: a stride has one swing, a second one in it is not its own."""
+        spans, next_one, alone = sorted(spans_ns), 0, []
+        for t_ns in self.whole().tolist():
+            while next_one < len(spans) and spans[next_one][1] < t_ns:
+                next_one += 1
+            if next_one < len(spans) and spans[next_one][0] <= t_ns:
+                next_one += 1
+            else:
+                alone.append(t_ns)
+        return np.array(alone, np.int64)
+
+    def walking_s(self, at_ns: IntArray) -> float:
+        """Seconds about these of :meth:`whole`: half the way to each neighbour, half a usual stride at most."""
+        every = self.whole()
+        if len(every) < 2:
+            return 0.0
+        step_ns = np.diff(every).astype(np.float64)
+        half_ns = 0.5 * np.minimum(step_ns, np.median(step_ns))
+        edge = 0.5 * np.median(step_ns)
+        share_ns = np.concatenate(([edge], half_ns)) + np.concatenate((half_ns, [edge]))
+        return float(share_ns[np.isin(every, at_ns)].sum()) / NS_PER_S
 
 
 def find_swings(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> Swings:

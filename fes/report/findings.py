@@ -10,6 +10,7 @@ import numpy as np
 from fes.live.remedies import remedy
 from fes.report.by_hand import summed_up
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
+from fes.report.stimulation import STILL, STOPPED
 from fes.report.summary import ChannelSummary, SessionSummary
 from fes.report.text import count_of, number, readable
 
@@ -18,6 +19,8 @@ SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
 SILENCE_MS = 100.0
 FEW_UNEXPLAINED = 0.05  # of the swings: pivots and small steps
 REFUSED_BY_CHOICE: Final = ("not armed", "emergency stop")  # a person had not armed, or had stopped
+_WALKING: Final = "walking_s", "unexplained_s"  # of a foot
+MOST_NAMED: Final = 6
 FIRST = 6  # sentences on the first page; the rest stand further down
 _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
     "alert": "Look before using the numbers",
@@ -54,7 +57,9 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
         yield Finding("info", "No stimulation channel was set up.")
     for channel in summary.channels:
         yield from _channel(channel, summary.command_period_s)
+        yield from _tuning(channel, summary)
     yield from _wire(summary)
+    yield from _toe_on_the_ground(summary)
     yield from _strides(summary)
     yield from _speed(summary)
     if summary.refusals:
@@ -109,6 +114,41 @@ def _channel(channel: ChannelSummary, period_s: float) -> Iterator[Finding]:
         yield Finding("alert", f"{name}: {some}, {how}.")
 
 
+def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Finding]:
+    """What the tuning made of a channel, and what it gave up on."""
+    own = [row for row in summary.tuning if row.channel == channel.channel]
+    if not own:
+        return
+    changes, skipped = (sum(row.kind in kinds for row in own) for kinds in (("change", "roll_back"), ("skip",)))
+    currents = [i.peak_current_ma for row in summary.strides for i in row.stimulation if i.channel == channel.channel]
+    went = f", peak current from {currents[0]:.1f} to {currents[-1]:.1f} mA" if currents and changes else ""
+    text = f"{channel.name}: tuning made {count_of(changes, 'change')}{went}; {skipped} strides taught it nothing."
+    yield Finding("info", text)
+    stopped = [row for row in own if STOPPED in row.text]
+    back = [row for row in own if row.kind == "roll_back" and row not in stopped and STILL not in row.text]
+    hints = [row for row in own if row.kind == "hint"]
+    for rows, what in ((stopped, "stopped"), (back, "went back"), (hints, "asks for a look")):
+        if rows:
+            often = f" {count_of(len(rows), 'time')}, first" if len(rows) > 1 else ""
+            text = f"{channel.name}: tuning {what}{often} at {rows[0].time_s:.1f} s: {rows[0].text}."
+            yield Finding("warning", text)
+
+
+def _toe_on_the_ground(summary: SessionSummary) -> Iterator[Finding]:
+    """Strides whose toe came down in mid-swing, by their own measure."""
+    for foot, own in summary.feet.items():
+        low = [row for row in summary.strides if row.foot == foot and row.valid and row.toe_clearance_cm <= 0.0]
+        if low:
+            of = own.toe_clearance_cm.n
+            which = ", ".join(str(row.number) for row in low[:MOST_NAMED]) + (" …" if len(low) > MOST_NAMED else "")
+            what = f"in {len(low)} of {count_of(of, 'stride')} the toe came to the ground in mid-swing ({which})"
+            text = f"{readable(foot).capitalize()}: {what}: it may have dragged or stumbled there"
+            if own.toe_given:
+                yield Finding("warning", f"{text}.")
+            else:
+                yield Finding("info", f"{text}; where the toe is was only estimated.")
+
+
 def _strides(summary: SessionSummary) -> Iterator[Finding]:
     missed_swings = sum(foot.unexplained for foot in summary.feet.values())
     total = len(summary.strides) + missed_swings
@@ -122,12 +162,18 @@ def _strides(summary: SessionSummary) -> Iterator[Finding]:
     if not summary.strides:
         yield Finding("warning", "No stride was found: the foot did not walk, or the sensor did not see it.")
         return
-    four, of = sum(row.four_phases for row in summary.strides), "swing" if missed_swings else "stride"
+    seen = any(foot.swings for foot in summary.feet.values())  # by the samples, whatever the phase machine found
+    four, of = sum(row.four_phases for row in summary.strides), "swing" if seen else "stride"
     text = f"{four} of {count_of(total, of)} passed all four phases in order ({100 * four / total:.1f} %)"
     missed = sum(foot.without_loading_response for foot in summary.feet.values())
     put_back = sum(foot.heel_lifts_put_back for foot in summary.feet.values())
     text += f"; {missed} without a loading response (T6)" if missed else ""
     text += f"; the heel was lifted and put back {count_of(put_back, 'time')} (T5)" if put_back else ""
+    if seen:
+        walking_s, lacking_s = (sum(getattr(foot, n) for foot in summary.feet.values()) for n in _WALKING)
+        walking_s, lacking_s = round(walking_s, 1), round(lacking_s, 1)
+        unexplained = f"no stride explains {lacking_s:.1f} s of {walking_s:.1f} s of walking"
+        text += f"; {unexplained if missed_swings else f'strides explain all {walking_s:.1f} s of walking'}"
     yield Finding("good" if four >= 0.95 * total else "warning", f"{text}.")
     unused = Counter(row.reason or "no reason given" for row in summary.strides if not row.valid)
     if unused:

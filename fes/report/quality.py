@@ -24,6 +24,7 @@ GAP_FACTOR = 1.8  # an interval this many times the usual one has at least one s
 NAN = float("nan")
 AT_LIMIT: Final = 0.999  # of a range that is known
 IN_A_ROW: Final = 4  # equal greatest values that tell a limit where it is not
+STALE: Final = " ms old, limit "  # as fes.gate.freshness words it
 LEAST_GAP_S: Final = 0.025  # as long as a foot's impact; a sample or two that are lost elsewhere change nothing
 LEAST_LIMIT: Final = {"acc": 15.0, "gyr": 4.0}  # m/s², rad/s: a sensor that hardly moved has no limit to reach
 CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE = "accelerometer", "gyroscope", "lost", "unsure"
@@ -131,9 +132,20 @@ def latency_of(latency_ns: IntArray) -> Latency:
     return Latency(int(latency_ns.size), float(p50), float(p99), float(latency_ns.max()) / 1e6)
 
 
+def behind_the_end(record: WalkRecord, t_ns: int, reason: str) -> bool:
+    """Whether a replay's gate finds the data old because the recording has ended, which is no fault."""
+    ends = [int(samples.t_ns[-1]) for samples in record.samples.values() if samples.t_ns.size]
+    return record.header.get("kind") == "replay" and t_ns > max(ends, default=t_ns) and STALE in reason
+
+
 def session_notices(record: WalkRecord, origin_ns: int) -> tuple[Notice, ...]:
     """All notes, and what the stimulator itself reported as a fault, in order of time."""
-    notes = [(note.t_ns, note.severity, note.source, note.text) for note in record.notes]
+    notes = []
+    for note in record.notes:
+        if note.source == "gate" and behind_the_end(record, note.t_ns, note.text):
+            notes.append((note.t_ns, "info", note.source, f"the recording ends in a burst: {note.text}"))
+        else:
+            notes.append((note.t_ns, note.severity, note.source, note.text))
     notes += [(t_ns, "fault", "stimulator", text) for t_ns, text in _stimulator_faults(record)]
     found = [Notice((t_ns - origin_ns) / NS_PER_S, *told) for t_ns, *told in notes]
     return tuple(sorted(found, key=lambda notice: notice.time_s))

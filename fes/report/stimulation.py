@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from fes.config import PHASE_ORDER, Session
 from fes.config import Phase as PhaseName
+from fes.estimation.sensor_choice import phase_sensors
 from fes.signals import NS_PER_S, BoolArray, FloatArray, IntArray, OperatorAct, StimCommand, StimStatus, StrideResult
 from fes.stimulation.dose import DoseLedger, ElectrodeDose
 from fes.stimulation.plan import BY_HAND_NS, LATEST_NS
@@ -25,10 +26,12 @@ from statemachine.phases import Phase, PhaseChange
 DEVICE_TAIL_NS = 100_000_000  # longest validity (60 ms) plus two command periods for the answer to come back
 SOURCE: Final = "tuning"
 _CHANNEL: Final = re.compile(r"channel (\d+): ")
+STOPPED: Final = "tuning has stopped"  # as fes.stimulation.tuning.tuner words it where the foot does not answer
+STILL: Final = "still going back"
 _KINDS: Final = {  # the first of which a phrase fits; any other text is a change
     "skip": (" skipped: ",),
     "suggestion": ("suggested: ",),
-    "roll_back": ("rolled back", "back to the session's settings", "still going back"),
+    "roll_back": ("rolled back", "back to the session's settings", STILL, STOPPED),
     "frozen": ("tuning is frozen", "tuning goes on"),
     "hint": ("response per charge", "is not reached at the upper bound"),
 }
@@ -85,11 +88,15 @@ def phases_between(start: PhaseName, stop: PhaseName) -> tuple[Phase, ...]:
 
 @dataclass(frozen=True)
 class ChannelInfo:
-    """Who a channel is: ``foot`` is "" and ``phases`` empty when the session's settings do not name it."""
+    """Who a channel is: ``foot`` is "" and ``phases`` empty when the session's settings do not name it.
+
+    ``phase_sensor``: the sensor whose phases time it, under whose name phases and strides are logged.
+    """
 
     number: int
     name: str
     foot: str
+    phase_sensor: str
     muscle: str
     start_phase: str
     stop_phase: str
@@ -135,14 +142,24 @@ def session_settings(header: dict[str, Any]) -> Session | None:
         return None
 
 
-def channel_infos(settings: Session | None, commands: Sequence[StimCommand]) -> tuple[ChannelInfo, ...]:
-    """All channels that the settings name or a command mentions, by number."""
+def phase_sensors_of(header: Mapping[str, Any]) -> dict[str, str]:
+    """By foot, the sensor that told its phases: a shank's where the log's calibrations hold none of the foot."""
+    calibrated = header.get("calibration")
+    return phase_sensors(calibrated) if isinstance(calibrated, Mapping) else {}
+
+
+def channel_infos(
+    settings: Session | None, commands: Sequence[StimCommand], sensor_of: Mapping[str, str]
+) -> tuple[ChannelInfo, ...]:
+    """All channels that the settings name or a command mentions, by number; ``sensor_of`` a foot tells its phases."""
     known = {}
     for c in settings.channels if settings else ():
-        phases = phases_between(c.start_phase, c.stop_phase)
-        known[c.number] = ChannelInfo(c.number, c.name, c.foot, c.muscle, c.start_phase, c.stop_phase, phases, c.fall_s)
+        phases, sensor = phases_between(c.start_phase, c.stop_phase), sensor_of.get(c.foot, c.foot)
+        known[c.number] = ChannelInfo(
+            c.number, c.name, c.foot, sensor, c.muscle, c.start_phase, c.stop_phase, phases, c.fall_s
+        )
     for number in {command.channel for command in commands} - set(known):
-        known[number] = ChannelInfo(number, f"channel {number}", "", "", "", "", ())
+        known[number] = ChannelInfo(number, f"channel {number}", "", "", "", "", "", ())
     return tuple(known[number] for number in sorted(known))
 
 
@@ -308,8 +325,9 @@ def dose_rows(record: WalkRecord, settings: Session | None, origin_ns: int) -> t
     channels = settings.channels if settings else ()
     names = {channel.number: channel.name for channel in channels}
     feet: dict[str, list[int]] = {}
+    sensor_of = phase_sensors_of(record.header)
     for channel in channels:
-        feet.setdefault(str(channel.foot), []).append(channel.number)
+        feet.setdefault(sensor_of.get(channel.foot, channel.foot), []).append(channel.number)
     ledger = DoseLedger(names)
     strides = sorted((stride for stride in record.strides if stride.foot in feet), key=lambda stride: stride.t_end_ns)
 

@@ -74,12 +74,12 @@ def stride_rows(
     origin_ns: int,
 ) -> tuple[StrideRow, ...]:
     """Build the rows, in order of time; ``refused`` are the commands that the gate turned off."""
-    foot_of = {info.number: info.foot for info in channels}
+    foot_of = {info.number: info.phase_sensor for info in channels}
     in_time = sorted(refused, key=lambda command: command.t_ns)
     rows = []
     for foot in dict.fromkeys(stride.foot for stride in strides):
         own = sorted((stride for stride in strides if stride.foot == foot), key=lambda stride: stride.t_start_ns)
-        near = [(info, bursts.get(info.number, ())) for info in channels if info.foot == foot]
+        near = [(info, bursts.get(info.number, ())) for info in channels if info.phase_sensor == foot]
         starts = [np.array([burst.t_start_ns for burst in every], dtype=np.int64) for _, every in near]
         own_refused = [command for command in in_time if foot_of.get(command.channel) == foot]
         refused_ns = np.array([command.t_ns for command in own_refused], dtype=np.int64)

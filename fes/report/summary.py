@@ -3,7 +3,7 @@
 Means and spreads over the strides of a foot and the bursts of a channel.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,11 +15,12 @@ from fes.report import quality, stimulation
 from fes.report.by_hand import HandRow, hand_rows, is_stop_note
 from fes.report.strides import StrideRow, stride_rows
 from fes.report.text import Spread, plain, spread
-from fes.signals import FOOT_SENSORS, NS_PER_S
+from fes.signals import FOOT_SENSORS, NS_PER_S, SHANK_SENSORS
 from fes.walk_record import WalkRecord
 
 NAN = float("nan")
 STEADY_SHARE = 0.3
+UNFINISHED_NS = 10 * NS_PER_S  # a stride of the end of a part is finished in the next one
 FORMAT = 1
 LONGEST_NS = 31 * 24 * 3600 * NS_PER_S
 FURTHEST_NS = 2**62  # 146 years: differences stay within 64 bits
@@ -29,8 +30,10 @@ FURTHEST_NS = 2**62  # 146 years: differences stay within 64 bits
 class FootSummary:
     """One foot's session. Averages are over valid strides; stances over 3 s are standing and left out.
 
-    ``swings`` are those that the raw signals show (:mod:`fes.analysis.swings`), 0 where the foot has no sensor of its
-    own; ``unexplained`` those of them in no stride, ``unexplained_from_s`` … ``unexplained_to_s`` where they lie.
+    ``swings`` are those that the raw signals show (:mod:`fes.analysis.swings`), 0 without samples; ``unexplained``
+    those of them that are no stride's, ``unexplained_from_s`` … ``unexplained_to_s`` where they lie. ``walking_s`` is
+    how long the swings say that it walked, ``unexplained_s`` how much of it is in no stride. ``toe_given``: where its
+    toe is was measured and stated, not estimated.
     """
 
     foot: str
@@ -53,6 +56,9 @@ class FootSummary:
     unexplained: int = 0
     unexplained_from_s: float = NAN
     unexplained_to_s: float = NAN
+    walking_s: float = 0.0
+    unexplained_s: float = 0.0
+    toe_given: bool = False
 
 
 @dataclass(frozen=True)
@@ -116,20 +122,34 @@ def foot_summary(foot: str, rows: Sequence[StrideRow]) -> FootSummary:
 
 
 def with_swings(summary: FootSummary, record: WalkRecord, origin_ns: int) -> FootSummary:
-    """The summary with the swings that the foot's own sensor shows, from the first phase change on."""
+    """The summary with the swings that the sensor's samples show, from the first phase change on.
+
+    Of a part of a longer walk the swings of its own span; a stride that its end cuts is the next part's.
+    """
     samples = record.samples.get(summary.foot)
     begin_ns = min((change.t_ns for change in record.phases if change.foot == summary.foot), default=origin_ns)
-    if samples is None or summary.foot not in FOOT_SENSORS:
+    if samples is None or summary.foot not in (*FOOT_SENSORS, *SHANK_SENSORS):
         return summary
     if record.header.get("kind") == "analysis":  # else nobody looked for strides before
         begin_ns = origin_ns
     found = find_swings(quality.sample_times(samples), samples.acc_mps2, samples.gyr_radps)
-    found = replace(found, begin_ns=max(found.begin_ns, begin_ns))
     spans = [(stride.t_start_ns, stride.t_end_ns) for stride in record.strides if stride.foot == summary.foot]
-    outside_s = (found.outside(spans) - origin_ns) / NS_PER_S
-    first, last = (float(outside_s[0]), float(outside_s[-1])) if len(outside_s) else (NAN, NAN)
+    end_ns = found.end_ns
+    if record.own_ns is not None:
+        begin_ns, end_ns = max(begin_ns, record.own_ns[0]), min(end_ns, record.own_ns[1])
+        if end_ns < found.end_ns and spans and spans[-1][1] > end_ns - UNFINISHED_NS:
+            end_ns = spans[-1][1]  # what comes after is still to be finished
+    found = replace(found, begin_ns=max(found.begin_ns, begin_ns), end_ns=end_ns)
+    outside_ns = found.outside(spans)
+    at_s = ((outside_ns - origin_ns) / NS_PER_S).tolist() or [NAN]
     return replace(
-        summary, swings=len(found.whole()), unexplained=len(outside_s), unexplained_from_s=first, unexplained_to_s=last
+        summary,
+        swings=len(found.whole()),
+        unexplained=len(outside_ns),
+        unexplained_from_s=at_s[0],
+        unexplained_to_s=at_s[-1],
+        walking_s=found.walking_s(found.whole()),
+        unexplained_s=found.walking_s(outside_ns),
     )
 
 
@@ -237,20 +257,22 @@ def summarise_session(record: WalkRecord) -> ReportData:
             f"its times run from {origin_ns / NS_PER_S:g} s to {end_ns / NS_PER_S:g} s; no session is so long, or so "
             "far from its clock's beginning. Nothing can be drawn of it; `fes convert` gives what it holds."
         )
-    feet_known = _feet(record, settings)
+    sensor_of = stimulation.phase_sensors_of(record.header)
+    feet_known = _feet(record, settings, sensor_of)
     timelines = {foot: stimulation.build_timeline(record.phases, foot, origin_ns, end_ns) for foot in feet_known}
-    infos = stimulation.channel_infos(settings, record.commands)
+    infos = stimulation.channel_infos(settings, record.commands, sensor_of)
     commands = {info.number: stimulation.command_columns(record.commands, info.number) for info in infos}
     statuses = {info.number: stimulation.status_columns(record.statuses, info.number) for info in infos}
     bursts = {
-        n: stimulation.find_bursts(info, commands[n], statuses[n], timelines.get(info.foot), record.acts)
+        n: stimulation.find_bursts(info, commands[n], statuses[n], timelines.get(info.phase_sensor), record.acts)
         for n, info in ((info.number, info) for info in infos)
     }
     stray = {number: stimulation.answers_without_command(commands[number], statuses[number]) for number in commands}
-    refused = [command for command in record.commands if command.refused]
+    refused = [c for c in record.commands if c.refused and not quality.behind_the_end(record, c.t_ns, c.refused)]
     rows = stride_rows(record.strides, timelines, infos, bursts, refused, origin_ns)
     feet = {foot: foot_summary(foot, [row for row in rows if row.foot == foot]) for foot in timelines}
-    feet = {foot: with_swings(own, record, origin_ns) for foot, own in feet.items()}
+    given = _toes_given(record.header, settings)
+    feet = {n: with_swings(replace(own, toe_given=n in given), record, origin_ns) for n, own in feet.items()}
     speeds = [foot.walking_speed_mps for foot in feet.values() if np.isfinite(foot.walking_speed_mps)]
     speed = float(np.mean(speeds)) if speeds else NAN
     header = record.header
@@ -287,6 +309,14 @@ def summarise_session(record: WalkRecord) -> ReportData:
     return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)
 
 
+def _toes_given(header: Mapping[str, Any], settings: Session | None) -> set[str]:
+    """The feet of which the session or the recording states where the toe is."""
+    found = header.get("toe_and_heel")
+    points = found.items() if isinstance(found, dict) else ()
+    stated = {foot for foot, known in points if isinstance(known, dict) and known.get("source") == "given"}
+    return stated | ({str(foot) for foot in settings.geometry} if settings else set())
+
+
 def _span(record: WalkRecord) -> tuple[int, int]:
     """First and last instant that anything happened."""
     times = [arrays.t_ns for arrays in record.samples.values()] + [record.ticks_ns, record.latency_t_ns]
@@ -298,9 +328,9 @@ def _span(record: WalkRecord) -> tuple[int, int]:
     return (min(edges), max(edges)) if edges else (0, 0)
 
 
-def _feet(record: WalkRecord, settings: Session | None) -> list[str]:
-    """The feet that anything is known about, left first, then whatever else a log names."""
+def _feet(record: WalkRecord, settings: Session | None, sensor_of: Mapping[str, str]) -> list[str]:
+    """The feet (or shanks) that anything is known about, feet first, then whatever else a log names."""
     seen = {stride.foot for stride in record.strides} | {change.foot for change in record.phases}
     seen |= {name for name, arrays in record.samples.items() if name in FOOT_SENSORS and arrays.t_ns.size}
-    seen |= {channel.foot for channel in settings.channels} if settings else set()
+    seen |= {sensor_of.get(channel.foot, channel.foot) for channel in settings.channels} if settings else set()
     return [foot for foot in FOOT_SENSORS if foot in seen] + sorted(seen - set(FOOT_SENSORS))

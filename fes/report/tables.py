@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from fes.analysis.parameters.gait import GaitParameters
 
 
+SIDES = {"left_foot": "L", "right_foot": "R", "left_shank": "L", "right_shank": "R"}
 MARKS = {"good": ("✓", "green"), "info": ("·", ""), "warning": ("!", "yellow"), "alert": ("✗", "bold red")}
 
 
@@ -78,7 +79,7 @@ def _notes(row: StrideRow) -> tuple[str, ...]:
 
 def _add(table: Table, row: StrideRow, note: str) -> None:
     gait = [
-        {"left_foot": "L", "right_foot": "R"}.get(row.foot, escape(row.foot)),
+        SIDES.get(row.foot, escape(row.foot)),
         str(row.number),
         number(row.start_s, 1),
         number(row.stride_length_m, 2),

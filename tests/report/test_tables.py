@@ -69,7 +69,7 @@ def test_summary_is_about_a_dozen_lines_and_says_what_matters():
     lines = shown(summary_block(summarise(make.walk(20))))
     text = "\n".join(lines)
     assert len(lines) <= 14
-    assert "40 of 40 strides passed all four phases" in text
+    assert "40 of 40 swings passed all four phases" in text
     assert "never outside pre-swing … loading response" in text
     assert "belt 0.45 m/s" in text
     assert "99 % within" in text

@@ -59,7 +59,7 @@ def _envelopes(data: ReportData, info: ChannelInfo) -> Figure | None:
     entries = [
         (one.t_swing_ns, one.t_pre_swing_ns, one.t_loading_response_ns)
         for one in data.record.strides
-        if one.foot == info.foot and one.t_swing_ns is not None and one.t_pre_swing_ns is not None
+        if one.foot == info.phase_sensor and one.t_swing_ns is not None and one.t_pre_swing_ns is not None
     ]
     if not data.bursts[info.number] or not entries:
         return None
@@ -113,11 +113,12 @@ def latency_figure(data: ReportData) -> Figure | None:
 def tuning_figures(data: ReportData) -> list[Figure]:
     """For each tuned channel toe clearance with its target and current per stride; none where nothing is tuned."""
     channels = data.settings.channels if data.settings else ()
-    return [figure for channel in channels for figure in _tuning_of_channel(data, channel)]
+    sensor_of = {info.number: info.phase_sensor for info in data.channels}
+    return [figure for own in channels for figure in _tuning_of_channel(data, own, sensor_of[own.number])]
 
 
-def _tuning_of_channel(data: ReportData, channel: Channel) -> list[Figure]:
-    rows = [row for row in data.summary.strides if row.foot == channel.foot]
+def _tuning_of_channel(data: ReportData, channel: Channel, sensor: str) -> list[Figure]:
+    rows = [row for row in data.summary.strides if row.foot == sensor]
     if not rows or channel.tuning is None or channel.tuning.mode == "off":
         return []
     start_s = np.array([row.start_s for row in rows])

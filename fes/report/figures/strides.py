@@ -47,8 +47,8 @@ NO_FORCE = (
 
 
 def foot_color(foot: str) -> str:
-    """Blue for the left, vermilion for the right foot, in every figure."""
-    return FOOT_COLORS.get(foot, OTHER_COLOR)
+    """Blue for the left, vermilion for the right foot or shank, in every figure."""
+    return FOOT_COLORS.get(foot.replace("shank", "foot"), OTHER_COLOR)
 
 
 def stride_figures(data: ReportData, flags: Flags = NO_FLAGS) -> list[Figure]:
