@@ -55,6 +55,7 @@ class OperatorAction(StrEnum):
     SET_INTENSITY = "set_intensity"
     TEST_BURST = "test_burst"
     TRIGGER = "trigger"
+    EXERCISE = "exercise"
     SET_BELT_SPEED = "set_belt_speed"
     FREEZE_TUNING = "freeze_tuning"
     RESUME_TUNING = "resume_tuning"
@@ -80,10 +81,11 @@ class RawSample:
 class OperatorAct:
     """A person acted.
 
-    ``value`` is the intensity (0–1) for SET_INTENSITY, the channel's number for TEST_BURST (a short burst at rest) and
-    TRIGGER (a burst now, as at the start of a step), ACCEPT_SUGGESTION (what its tuning last suggested) and ROLL_BACK
-    (to the session's own settings), the belt's speed in m/s for SET_BELT_SPEED; unused otherwise. ``why`` is what made
-    the session freeze its tuning by itself, when a person armed it; "" for what a person asked for.
+    ``value`` is the intensity (0–1) for SET_INTENSITY, the channel's number for TEST_BURST (a short burst at rest),
+    TRIGGER (a burst now, as at the start of a step), EXERCISE (one of a set that a person has armed),
+    ACCEPT_SUGGESTION (what its tuning last suggested) and ROLL_BACK (to the session's own settings), the belt's speed
+    in m/s for SET_BELT_SPEED; unused otherwise. ``why`` is what made the session freeze its tuning by itself, when a
+    person armed it; "" for what a person asked for.
     """
 
     t_ns: int

@@ -13,6 +13,7 @@ from fes.cli.common.exits import INTERRUPTED, Broken
 COMMANDS: Final = {
     "demo": ("fes.cli.demo", "Replay a bundled trial into a simulated stimulator and write its report."),
     "run": ("fes.cli.run.command", "A live session: sensors, phases, stimulation. STIMULATES once armed by hand."),
+    "exercise": ("fes.cli.run.exercise", "Bursts by the clock, lying or sitting. STIMULATES once armed by hand."),
     "devices": ("fes.cli.devices", "What is connected: serial ports, CAN interfaces, LSL streams."),
     "doctor": (
         "fes.cli.doctor.command",
@@ -83,7 +84,3 @@ def main() -> None:
 
     Research software, not a medical device.
     """
-
-
-if __name__ == "__main__":
-    main(prog_name="fes")

@@ -4,18 +4,20 @@ from fes.config.base import PHASE_ORDER, ConfigError, Foot, Phase, Positive, Set
 from fes.config.channel import Channel, ChannelLimits, Stimulation
 from fes.config.session import (
     Bus,
+    Exercise,
     FootGeometry,
     ImuDevice,
     Session,
     StimulatorDevice,
     Switch,
+    load_exercise,
     load_session,
     validate_session,
 )
 from fes.config.tuning import Band, Bounds, Tuning
 
 __all__ = [
-    "PHASE_ORDER", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Foot", "FootGeometry",
-    "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation", "StimulatorDevice", "Switch",
-    "Tuning", "explain", "load_session", "read_toml", "validate_session",
+    "PHASE_ORDER", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Exercise", "Foot",
+    "FootGeometry", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation", "StimulatorDevice",
+    "Switch", "Tuning", "explain", "load_exercise", "load_session", "read_toml", "validate_session",
 ]  # fmt: skip

@@ -6,8 +6,9 @@ What is connected: the bus, the sensors, the stimulator, a foot switch.
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer, model_validator
 
+from fes import limits
 from fes.config.base import ConfigError, Foot, SensorName, Settings, explain, read_toml
 from fes.config.channel import Channel, Stimulation
 
@@ -110,8 +111,27 @@ class Phases(Settings):
     swing_begins: Literal["peak", "reversal"] = "peak"
 
 
+class Exercise(Settings):
+    """Bursts that come and go by the clock, for who lies or sits: all ``channels`` together (empty: every one).
+
+    Each burst rises over ``rise_s``, holds for ``on_s`` and falls over ``fall_s``; ``off_s`` later comes the next.
+    """
+
+    on_s: float = Field(gt=0, le=limits.MAX_ON_S)
+    off_s: float = Field(ge=limits.MIN_OFF_S, le=600)
+    rise_s: float = Field(default=0.5, gt=0, le=1.0)
+    fall_s: float = Field(default=0.5, ge=0, le=1.0)
+    count: int = Field(ge=1, le=1000)
+    channels: tuple[int, ...] = Field(default=(), strict=False)
+
+    @property
+    def burst_s(self) -> float:
+        """From the first to the last current of a burst."""
+        return self.rise_s + self.on_s + self.fall_s
+
+
 class Session(Settings):
-    """All of one session's settings."""
+    """All of one session's settings. ``exercise`` is set in sessions of exercise alone, see :func:`load_exercise`."""
 
     name: str = Field(min_length=1, max_length=120)
     subject: str = ""
@@ -124,6 +144,7 @@ class Session(Settings):
     foot_switches: tuple[FootSwitch, ...] = Field(default=(), strict=False)
     treadmill: Treadmill | None = None
     geometry: dict[Foot, FootGeometry] = Field(default_factory=dict)
+    exercise: Exercise | None = None
     live: Live = Field(default=Live(), exclude=True)  # of this machine; it changes no decision and is in no log
 
     @model_validator(mode="after")
@@ -139,6 +160,14 @@ class Session(Settings):
         if len(set(worn)) != len(worn):
             raise ValueError(f"sensors must be worn in different places, got {worn}")
         return self
+
+    @model_serializer(mode="wrap")
+    def _without_an_absent_exercise(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """So that a session without one reads, and identifies its replays, as it did before there was any."""
+        data: dict[str, Any] = handler(self)
+        if data.get("exercise") is None:
+            data.pop("exercise", None)
+        return data
 
     @model_validator(mode="after")
     def _each_has_what_it_is_fed_by_for_itself(self) -> Self:
@@ -178,7 +207,39 @@ def load_session(path: Path) -> Session:
             listed with its line, key, value and what would be right.
     """
     data, text = read_toml(path, "session", ConfigError)
-    return validate_session(data, path, text)
+    return validate_session(data, path, text).model_copy(update={"exercise": None})
+
+
+def load_exercise(path: Path) -> Session:
+    """The session of exercise that a session file describes: its [exercise] table's channels, without any sensor.
+
+    Raises:
+        ConfigError: as for :func:`load_session`; or there is no [exercise], or a burst of it would break a limit.
+    """
+    data, text = read_toml(path, "session", ConfigError)
+    session = validate_session(data, path, text)
+    exercise = session.exercise
+    if exercise is None:
+        raise ConfigError(f"{path}: has no [exercise] table with on_s, off_s and count")
+    numbers = exercise.channels or tuple(channel.number for channel in session.channels)
+    if unknown := sorted(set(numbers) - {channel.number for channel in session.channels}) or not numbers:
+        raise ConfigError(f"{path}: exercise.channels: there is no channel {unknown if numbers else 'at all'}")
+    channels = []
+    for channel in (each for each in session.channels if each.number in numbers):
+        if exercise.burst_s > channel.limits.max_on_s:
+            least = f"rise_s + on_s + fall_s is {exercise.burst_s:g} s"
+            raise ConfigError(
+                f"{path}: exercise: {least}, over {channel.name!r}'s max_on_s = {channel.limits.max_on_s:g}"
+            )
+        if exercise.off_s < channel.limits.min_off_s:
+            least = f"min_off_s = {channel.limits.min_off_s:g}"
+            raise ConfigError(f"{path}: exercise.off_s = {exercise.off_s:g} is under {channel.name!r}'s {least}")
+        if partners := sorted(set(channel.never_with) & set(numbers)):
+            raise ConfigError(f"{path}: exercise.channels: {channel.name!r} is never_with {partners}; name one of them")
+        ramps = {"rise_s": exercise.rise_s, "fall_s": exercise.fall_s, "start_delay_s": 0.0, "extension_s": 0.0}
+        channels.append({**channel.model_dump(), **ramps, "never_with": (), "tuning": None})
+    changed = {"channels": channels, "sensors": (), "foot_switches": ()}
+    return validate_session({**session.model_dump(), **changed}, path).model_copy(update={"live": session.live})
 
 
 def validate_session(data: dict[str, Any], path: Path, text: str = "") -> Session:

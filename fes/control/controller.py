@@ -70,6 +70,8 @@ class Controller:
         self._period_ns = round(NS_PER_S / session.stimulation.command_rate_hz)
         self._next_command_ns: int | None = None
         self._on = False
+        exercise = session.exercise
+        self._exercise_ns = round((exercise.rise_s + exercise.on_s) * NS_PER_S) if exercise else 0  # until it falls
         self.intensity = 0.0
 
     def phase(self, foot: str) -> Phase:
@@ -138,6 +140,9 @@ class Controller:
             self.intensity = min(act.value, 1.0) if act.value > 0.0 else 0.0  # not-a-number is 0
         elif act.action in BY_HAND_NS:
             self._plan.start(act.value, act.t_ns, BY_HAND_NS[act.action], adopt=act.action is OperatorAction.TRIGGER)
+        elif act.action is OperatorAction.EXERCISE:
+            if self._exercise_ns:
+                self._plan.start(act.value, act.t_ns, self._exercise_ns, adopt=False)
         elif act.action is not OperatorAction.SET_BELT_SPEED:
             # armed or stopped in mid-burst: whatever comes next is a new burst
             self._plan.cancel()

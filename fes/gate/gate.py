@@ -55,6 +55,7 @@ class SafetyGate:
         devices: the sensors' settings; without a sensor's ranges its saturation cannot be told.
         up: each sensor's upward direction at calibration; without it its mounting is not judged.
         shank_phase_sensors: for a foot whose phases another sensor tells (its shank's), that sensor.
+        by_sensors: whether a sensor tells when to stimulate; without one, in exercise, no data are asked for.
         current_step_ma: the stimulator's step of current, at most ``COARSEST_STEP_MA``; a rise may be rounded to it.
 
     Attributes:
@@ -72,6 +73,7 @@ class SafetyGate:
         devices: tuple[ImuDevice, ...] = (),
         up: Mapping[str, Vector3] | None = None,
         shank_phase_sensors: Mapping[str, str] | None = None,
+        by_sensors: bool = True,
         current_step_ma: float = RISE_STEP_MA,
     ) -> None:
         self._validity_ms = min(limits.MAX_VALIDITY_MS, validity_ms)
@@ -81,13 +83,13 @@ class SafetyGate:
         self._channels: dict[int, ChannelState] = {}
         step_ma = min(max(RISE_STEP_MA, current_step_ma), COARSEST_STEP_MA)
         for channel in channels:
-            sensor = (shank_phase_sensors or {}).get(channel.foot, channel.foot)
+            sensor = (shank_phase_sensors or {}).get(channel.foot, channel.foot) if by_sensors else ""
             named_by = {other.number for other in channels if channel.number in other.never_with}
             partners = tuple(sorted(named_by | set(channel.never_with)))
             self._channels[channel.number] = ChannelState(
                 channel, sensor, partners, self._validity_ms * 1_000_000, step_ma
             )
-        self._relied_on = frozenset(state.sensor for state in self._channels.values())
+        self._relied_on = frozenset(filter(None, (state.sensor for state in self._channels.values())))
         self.flagged: dict[str, Flagged] = {}
         self.arming_refused = ""
         self.latched_ns: int | None = None
@@ -208,6 +210,8 @@ class SafetyGate:
         return StimCommand(t_ns, number, True, current_ma, width_us, frequency_hz, self._validity_ms)
 
     def _reason_not_ready(self, sensor: str, t_ns: int) -> str:
+        if not sensor:
+            return ""
         return self._freshness.reason_not_ready(sensor, t_ns) or self._plausible.reason_not_ready(sensor)
 
     def _refusal(self, t_ns: int, state: ChannelState | None, request: StimRequest) -> str:
@@ -273,5 +277,6 @@ def gate_of(
         devices=session.sensors,
         up=up,
         shank_phase_sensors=shank_phase_sensors,
+        by_sensors=session.exercise is None,
         current_step_ma=current_step_ma,
     )

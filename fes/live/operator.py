@@ -204,7 +204,7 @@ class Operator:
         reasons += [
             f"{channel.name}: the {channel.foot} is not calibrated"
             for channel in self.session.channels
-            if channel.foot not in self.phase_sensor_of
+            if channel.foot not in self.phase_sensor_of and self.session.exercise is None
         ]
         answered_ns = self.answered_ns()
         if answered_ns is None or t_ns - answered_ns > ANSWER_NS:
@@ -302,6 +302,8 @@ class Operator:
         monitor = self.monitors.get(self.phase_sensor_of.get(foot, ""))
         if self.state is not State.ARMED:
             return self._refuse(t_ns, f"no test burst: the session is {self.state}, it must be armed and standing")
+        if self.session.exercise is not None:
+            return self._by_hand(t_ns, OperatorAction.TEST_BURST)
         moves = monitor.not_at_rest(t_ns, TEST_REST_NS) if monitor else f"no sensor tells of the {foot}"
         if moves:
             return self._refuse(t_ns, f"no test burst: {moves}")

@@ -41,7 +41,8 @@ def live_header(
         "rates_hz": {device.sensor: device.rate_hz for device in session.sensors},
         "belt_speed_mps": session.treadmill.belt_speed_mps if session.treadmill else None,
     }
-    return header_of("live", about, session, calibrations, stim_session_id, created) | {
+    kind = "live" if session.exercise is None else "exercise"
+    return header_of(kind, about, session, calibrations, stim_session_id, created) | {
         "created_t_ns": t_ns,
         "current_step_ma": current_step_ma,
         "heard": True,  # what a serial stimulator answered is in the log as it came, so that its bytes can be repeated

@@ -11,7 +11,7 @@ from fes.live.remedies import remedy
 from fes.report.by_hand import summed_up
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
 from fes.report.stimulation import STILL, STOPPED
-from fes.report.summary import ChannelSummary, SessionSummary
+from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
 from fes.report.text import count_of, number, readable
 
 Level = Literal["good", "info", "warning", "alert"]
@@ -55,13 +55,17 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
         yield Finding("info", f"By hand: {done}.")
     if not summary.channels:
         yield Finding("info", "No stimulation channel was set up.")
-    for channel in summary.channels:
-        yield from _channel(channel, summary.command_period_s)
-        yield from _tuning(channel, summary)
-    yield from _wire(summary)
-    yield from _toe_on_the_ground(summary)
-    yield from _strides(summary)
-    yield from _speed(summary)
+    if summary.exercise is not None:
+        yield from _exercise(summary, summary.exercise)
+        yield from _wire(summary)
+    else:
+        for channel in summary.channels:
+            yield from _channel(channel, summary.command_period_s)
+            yield from _tuning(channel, summary)
+        yield from _wire(summary)
+        yield from _toe_on_the_ground(summary)
+        yield from _strides(summary)
+        yield from _speed(summary)
     if summary.refusals:
         most, total = summary.refusals[0], sum(refusal.count for refusal in summary.refusals)
         often = f"most often: {most.reason} ({most.count})"
@@ -74,6 +78,15 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
         yield Finding("info", f"From sample to decision: {p50} in the median, 99 % within {p99}, at most {most_ms}.")
     for sensor in summary.sensors:
         yield from _sensor(sensor)
+
+
+def _exercise(summary: SessionSummary, exercise: ExerciseSummary) -> Iterator[Finding]:
+    sets = f"{exercise.done}" if exercise.done > exercise.count else f"{exercise.done} of {exercise.count}"
+    yield Finding("good" if exercise.done >= exercise.count else "info", f"Exercise: {sets} bursts asked for.")
+    for channel in summary.channels:
+        given = channel.bursts - channel.bursts_by_hand
+        text = f"{channel.name}: {count_of(given, 'burst')} of exercise, {channel.on_time_s:.1f} s on in all."
+        yield Finding("good" if given == exercise.done else "warning", text)
 
 
 def _wire(summary: SessionSummary) -> Iterator[Finding]:

@@ -15,7 +15,7 @@ from fes.report import quality, stimulation
 from fes.report.by_hand import HandRow, hand_rows, is_stop_note
 from fes.report.strides import StrideRow, stride_rows
 from fes.report.text import Spread, plain, spread
-from fes.signals import FOOT_SENSORS, NS_PER_S, SHANK_SENSORS
+from fes.signals import FOOT_SENSORS, NS_PER_S, SHANK_SENSORS, OperatorAction
 from fes.walk_record import WalkRecord
 
 NAN = float("nan")
@@ -180,6 +180,26 @@ def channel_summary(
 
 
 @dataclass(frozen=True)
+class ExerciseSummary:
+    """A session of exercise: the cycle that was set, how many were asked for of how many."""
+
+    rise_s: float
+    on_s: float
+    fall_s: float
+    off_s: float
+    count: int
+    done: int
+
+
+def exercise_summary(record: WalkRecord, settings: Session | None) -> ExerciseSummary | None:
+    """None for any other session."""
+    if settings is None or settings.exercise is None:
+        return None
+    done = len({act.t_ns for act in record.acts if act.action is OperatorAction.EXERCISE})
+    return ExerciseSummary(**settings.exercise.model_dump(exclude={"channels"}), done=done)
+
+
+@dataclass(frozen=True)
 class SessionSummary:
     """All numbers of a session; ``to_json`` gives them with their units in the names."""
 
@@ -207,6 +227,7 @@ class SessionSummary:
     dose: tuple[stimulation.DoseRow, ...] = ()
     tuning: tuple[stimulation.TuningRow, ...] = ()
     by_hand: tuple[HandRow, ...] = ()
+    exercise: ExerciseSummary | None = None
 
     @property
     def faults(self) -> tuple[quality.Notice, ...]:
@@ -305,6 +326,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         dose=stimulation.dose_rows(record, settings, origin_ns),
         tuning=stimulation.tuning_rows(record.notes, origin_ns),
         by_hand=hand_rows(record, origin_ns),
+        exercise=exercise_summary(record, settings),
     )
     return ReportData(record, settings, summary, origin_ns, end_ns, timelines, infos, commands, bursts)
 
@@ -332,5 +354,6 @@ def _feet(record: WalkRecord, settings: Session | None, sensor_of: Mapping[str, 
     """The feet (or shanks) that anything is known about, feet first, then whatever else a log names."""
     seen = {stride.foot for stride in record.strides} | {change.foot for change in record.phases}
     seen |= {name for name, arrays in record.samples.items() if name in FOOT_SENSORS and arrays.t_ns.size}
-    seen |= {sensor_of.get(channel.foot, channel.foot) for channel in settings.channels} if settings else set()
+    if settings and settings.exercise is None:
+        seen |= {sensor_of.get(channel.foot, channel.foot) for channel in settings.channels}
     return [foot for foot in FOOT_SENSORS if foot in seen] + sorted(seen - set(FOOT_SENSORS))

@@ -139,6 +139,8 @@ def closing_block(summary: SessionSummary) -> RenderableType:
         counted = "" if channel.charge_counted_by_device or not channel.bursts else " (estimated)"
         times = f"{count_of(channel.bursts, 'burst')}{by_hand}, {channel.on_time_s:.1f} s on"
         lines.append(Text(f"  {channel.name}: {times}" + (f", {dose}{counted}" if channel.bursts else "")))
+    if summary.exercise is not None:
+        lines.append(Text(f"  exercise: {summary.exercise.done} of {summary.exercise.count} bursts"))
     if done := summed_up(summary.by_hand):
         lines.append(Text(f"  by hand: {done}"))
     every = findings(summary)

@@ -87,6 +87,21 @@ def test_the_shank_that_drives_a_foot_latches_and_that_foots_own_sensor_is_then_
     assert bench.gate.latched == "non-finite sample from left_shank"
 
 
+@pytest.mark.requirement("SR-10")
+def test_in_exercise_no_data_are_asked_for_and_all_else_holds() -> None:
+    bench = Bench(arm=False, by_sensors=False)
+    bench.act(OperatorAction.ARM)
+    bench.off()
+    for _ in range(10):
+        bench.wait(20, sampling=False)
+        assert bench.ask(current_ma=5.0).on
+    bench.sample(gyr_radps=(0.0, math.nan, 0.0))
+    assert list(bench.gate.flagged) == ["left_foot"]  # a sensor that is worn all the same stops nobody
+    refused = bench.ask(current_ma=1000.0).refused
+    assert "1000 mA" in refused
+    assert bench.gate.latched == refused
+
+
 @pytest.mark.requirement("SR-09")
 def test_data_at_the_age_limit_pass_and_beyond_it_latch(bench: Bench) -> None:
     bench.wait(40, sampling=False)

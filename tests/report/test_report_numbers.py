@@ -328,6 +328,7 @@ def test_json_keys_are_stable_and_nan_is_null():
             "dose",
             "tuning",
             "by_hand",
+            "exercise",
         ),
     }
     assert set(value["strides"][-1]) == {

@@ -395,6 +395,7 @@ def live_run(
     recording: Path,
     *options: str | Path,
     text: str = "",
+    command: str = "run",
     bench: Callable[[Path, Path, ExitStack], Bench] = xbus_and_can,
 ) -> Iterator[LiveRun]:
     """A session with what a bench connects. ``text`` is added to its settings; at its end it lists what is loaded."""
@@ -410,7 +411,7 @@ def live_run(
                 sys.executable,
                 "-c",
                 LISTING,
-                "run",
+                command,
                 settings,
                 "--control",
                 folder / "c.sock",

@@ -42,7 +42,8 @@ def test_it_walks_and_stimulates_stops_by_file_and_replays_to_the_same_bytes(
     loop: tuple[Path, Path], tmp_path: Path
 ) -> None:
     recording, calibration = loop
-    with live_run(tmp_path, recording, "--calibration", calibration, "--stop-file", tmp_path / "halt") as run:
+    options = ("--report", "--calibration", calibration, "--stop-file", tmp_path / "halt")
+    with live_run(tmp_path, recording, *options) as run:
         run.until(lambda status: status.state != "off")
 
         def unconfirmed() -> str:
@@ -67,6 +68,9 @@ def test_it_walks_and_stimulates_stops_by_file_and_replays_to_the_same_bytes(
         assert run.stays_off(run.off_ns, 0.3)
         said = run.quit()
         assert run.process.returncode == OK, said
+        assert "by hand: emergency stop (file halt) at" in said
+        assert "on, peak" in said
+        assert run.log.with_name("report.html").is_file()
         record = read_session(run.log)
         assert record.complete
         assert "emergency stop (file halt)" in notes_of(run)
@@ -225,3 +229,23 @@ def test_it_calibrates_in_the_session_where_no_calibration_is_given(loop: tuple[
         assert standing.complete
         assert len(standing.samples[FOOT].t_ns) > 1000
         assert repeat(run.log).difference == ""
+
+
+def test_exercise_reads_no_sensor_counts_its_bursts_and_replays_to_the_same_bytes(
+    loop: tuple[Path, Path], tmp_path: Path
+) -> None:
+    recording, _ = loop
+    cycle = "[exercise]\non_s = 0.6\noff_s = 0.5\nrise_s = 0.2\nfall_s = 0.2\ncount = 3\n"
+    with live_run(tmp_path, recording, "--report", text=cycle, command="exercise") as run:
+        run.armed_at()
+        # a busy machine may hold it up, which latches: whoever waits goes on operating
+        run.until(lambda status: status.state == "shadow" and "exercise done" in status.message, run.operated)
+        said = run.quit()
+        assert run.process.returncode == OK, said
+        assert "exercise: " in said
+        record = read_session(run.log)
+        assert (record.header["kind"], record.samples) == ("exercise", {})
+        assert sum(act.action == "exercise" for act in record.acts) >= 3
+        assert repeat(run.log).difference == ""
+        assert '<section id="exercise">' in run.log.with_name("report.html").read_text(encoding="utf-8")
+        assert max(entry.current_ma for entry in run.entries()) > 1.0

@@ -30,6 +30,7 @@ from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.live.calibrating import Calibrating
 from fes.live.commands import CommandKind, OperatorCommand
+from fes.live.exercise import ExerciseClock
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
 from fes.live.log_pipe import PipedLog
 from fes.live.processes import ViewProcess
@@ -90,6 +91,7 @@ def calibrate(
 
 
 SOCKET_NAME = "control.sock"
+FES = "from fes.cli.main import main; main(prog_name='fes')"
 STOP_NAME = "stop"
 
 
@@ -111,21 +113,30 @@ class Options:
     report: bool = True
 
 
+def live_options(command: devices.Command) -> devices.Command:
+    """What sessions with and without sensors have in common."""
+    stop_input = "can_bit:ID:BIT, serial_cts:PORT, serial_dsr:PORT. Default: live.stop_button."
+    descriptor = click.IntRange(min=0)
+    for option in (
+        devices.dashboard_options,
+        click.option("--report/--no-report", default=True, help="At the end, what happened and report.html."),
+        click.option("--view/--no-view", default=None, help="The terminal view. Default: where there is a terminal."),
+        click.option("--keys-from", type=descriptor, help="Read keys from this descriptor instead of the terminal."),
+        click.option("--control", type=PATH, help="Control socket. Default: OUT/…/control.sock."),
+        click.option("--stop-input", default="", help=stop_input),
+        click.option("--stop-file", type=PATH, help="Emergency stop if it appears. Default: live.stop_file."),
+        click.option("--duration", "duration_s", type=Number(min=0.1), help="End by itself after this long (s)."),
+        click.option("--out", type=PATH, help="Results go below. Default: live.folder, or out."),
+    ):
+        command = option(command)
+    return command
+
+
 @click.command(name="run", cls=RenamedOptions, former=devices.FORMER_OPTIONS)
 @click.argument("session", type=PATH)
-@click.option("--out", type=PATH, help="Results go below. Default: live.folder, or out.")
 @click.option("--calibration", type=PATH, help="From `fes calibrate`. Default: calibrate first.")
 @click.option("--strides", type=click.IntRange(3, 100), default=6, show_default=True, help="To calibrate on, per foot.")
-@click.option("--duration", "duration_s", type=Number(min=0.1), help="End by itself after this long (s).")
-@click.option("--stop-file", type=PATH, help="Emergency stop if it appears. Default: live.stop_file.")
-@click.option(
-    "--stop-input", default="", help="can_bit:ID:BIT, serial_cts:PORT, serial_dsr:PORT. Default: live.stop_button."
-)
-@click.option("--control", type=PATH, help="Control socket. Default: OUT/…/control.sock.")
-@click.option("--keys-from", type=click.IntRange(min=0), help="Read keys from this descriptor instead of the terminal.")
-@click.option("--view/--no-view", default=None, help="The terminal view. Default: where there is a terminal.")
-@click.option("--report/--no-report", default=True, help="At the end, what happened and report.html.")
-@devices.dashboard_options
+@live_options
 def command(session: Path, **options: Any) -> None:
     """Run a live session with the settings in SESSION (TOML).
 
@@ -166,11 +177,16 @@ def run_session(path: Path, options: Options) -> Path:
             which = ", ".join(missing)
             raise Problem(f"{options.calibration}: holds no calibration of {which}, which a channel follows.")
         log_path, ended = run_live(session, calibrations, streams, options, folder, keys, interrupt, stack)
-    if options.report:
+    finish(log_path, ended, report=options.report)
+    return log_path
+
+
+def finish(log_path: Path, ended: str, *, report: bool) -> None:
+    """What a live session says at its end. Raises as :func:`said_how_it_ended`."""
+    if report:
         write_report(log_path)
     said_how_it_ended(log_path, ended)
     click.echo(f"Session log  {log_path}")
-    return log_path
 
 
 def write_report(log_path: Path) -> None:
@@ -180,7 +196,7 @@ def write_report(log_path: Path) -> None:
     """
     sys.stdout.flush()
     with suppress(KeyboardInterrupt):
-        done = subprocess.run((sys.executable, "-m", "fes.cli.main", "report", "--summary", log_path), check=False)
+        done = subprocess.run((sys.executable, "-c", FES, "report", "--summary", log_path), check=False)
         if done.returncode == OK:
             return
     click.secho(
@@ -228,9 +244,8 @@ def run_live(
     with failing(SessionLogError):
         header = live_header(session, calibrations, session_id, utc_now(), opened_ns, port.current_step_ma)
         log = PipedLog(log_path, header)
-    dashboard = (
-        devices.open_dashboard(folder, session, "live", options.dashboard_port, stack) if options.dashboard else None
-    )
+    kind, page_port = str(header["kind"]), options.dashboard_port
+    dashboard = devices.open_dashboard(folder, session, kind, page_port, stack) if options.dashboard else None
     viewed = sys.stdout.isatty() if options.view is None else options.view
     view = stack.enter_context(ViewProcess()) if viewed else None
 
@@ -252,6 +267,8 @@ def run_live(
         open_lead_detected_from_ma=open_lead_detected_from_ma(session.stimulator),
     )
     _give_inputs(live, session, options, folder, keys, stack)
+    if session.exercise is not None:
+        live.add_input(ExerciseClock(session.exercise, live.operator))
     if dashboard is not None:
         devices.add_dashboard(live, dashboard)
     click.secho("A stimulator is connected. Nothing is stimulated until you arm.", fg="red", bold=True, err=True)

@@ -39,7 +39,7 @@ def dashboard_options(command: Command) -> Command:
 
 
 def open_dashboard(folder: Path, session: Session, mode: str, port: int, stack: ExitStack) -> DashboardProcess:
-    """Start the dashboard's process and print its address; ``stack`` ends it. ``mode``: live or replay.
+    """Start the dashboard's process and print its address; ``stack`` ends it. ``mode``: live, exercise or replay.
 
     Raises:
         Problem: the port is taken, or the folder cannot be written.

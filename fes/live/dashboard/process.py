@@ -24,7 +24,7 @@ ANSWER_WAIT_S: Final = 2.0
 
 
 def about_session(session: Session, mode: str) -> dict[str, Any]:
-    """What the dashboard shows before anything happens: channels, bounds. ``mode``: live or replay."""
+    """What the dashboard shows before anything happens: channels, bounds. ``mode``: live, exercise or replay."""
     return {
         "mode": mode,
         "name": session.name,

@@ -105,7 +105,7 @@ function draw() {
   const blind = view.refused || view.lost;
   const [word, text] = view.ended ? ["ENDED", view.ended]
     : blind ? ["NO CONNECTION", view.refused || "What you see may be old."]
-    : status ? STATES[status.state] ?? [status.state.toUpperCase(), ""] : ["CONNECTED", "Waiting for the session."];
+    : status ? words(status.state) : ["CONNECTED", "Waiting for the session."];
   document.body.dataset.state = view.ended ? "ended" : blind ? "lost" : status?.state ?? "unknown";
   write($("state-word"), word);
   write($("state-text"), !blind && !view.ended && status?.fault && status.fault !== "emergency stop"
@@ -119,6 +119,11 @@ function draw() {
   write($("message"), view.said || [status?.message, ...(status?.notices ?? []).map((each) => `! ${each}`)].filter(Boolean).join(" · "));
   write($("intensity"), status ? percent(status.intensity) : "–");
   buttons(status, Boolean(blind || view.ended));
+}
+
+function words(state) {
+  if (view.about?.mode === "exercise" && state === "armed") return ["EXERCISE", "Bursts come and go by the clock, above intensity 0."];
+  return STATES[state] ?? [state.toUpperCase(), ""];
 }
 
 function alarm(blind) {
