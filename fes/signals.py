@@ -197,8 +197,9 @@ class StrideResult:
     Negård et al. (2005) call this a step; in today's terms it is a stride. Position is in a frame with z up
     against gravity and x along the stride's own direction, origin at the start: ``trajectory_m`` (K, 3) and
     ``pitch_rad`` (K,) (toe-up positive, 0 in the starting stance) at K equally spaced times from
-    ``t_start_ns`` to ``t_end_ns``. ``stride_length_sd_m`` is the length's uncertainty, ``clearance_m`` the
-    sensor's greatest height above its start; ``toe_clearance_m`` the least height of the toe in mid-swing and
+    ``t_start_ns`` to ``t_end_ns``. ``stride_length_sd_m`` is the length's uncertainty, ``free_rise_m`` the
+    height gained by the sensor alone, whatever the ground is said to be, ``clearance_m`` the sensor's greatest height
+    over the line from start to end; ``toe_clearance_m`` the least height of the toe in mid-swing and
     ``heel_clearance_m`` the heel's greatest height, NaN unless the session says where the sensor sits. The ``t_*``
     phase entries are None where the stride did not pass that phase. ``valid`` is False, with ``reason``, where the
     numbers must not be used.
@@ -224,3 +225,4 @@ class StrideResult:
     trajectory_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)), compare=False, repr=False)
     pitch_rad: FloatArray = field(default_factory=lambda: np.zeros(0), compare=False, repr=False)
     stride_length_sd_m: float = field(default=math.nan, compare=False)  # not in session logs
+    free_rise_m: float = field(default=math.nan, compare=False)  # nor this

@@ -4,8 +4,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from fes.analysis.ground_path import GroundPath, continued, ground_path, without_relative_drift
 from fes.analysis.methods import CausalEvents, Methods
 from fes.analysis.results import Analysis
@@ -19,11 +17,11 @@ from fes.calibration.recording import (
     load,
     stored_calibrations,
 )
-from fes.config import FootGeometry
+from fes.config import FootGeometry, Ground
 from fes.estimation.events.offline import find_events
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
 from fes.estimation.foot.tracker import FootTracker
-from fes.estimation.sensor_choice import Calibration, phase_sensors, stride_settings
+from fes.estimation.sensor_choice import Calibration, phase_sensors, shank_incline, stride_settings
 from fes.estimation.shank.calibration import ShankCalibration
 from fes.estimation.shank.tracker import ShankTracker
 from fes.estimation.strides.integration import SOLVED
@@ -41,7 +39,7 @@ def analyse(
     calibrations: Mapping[str, Calibration] | None = None,
     *,
     geometry: Mapping[str, FootGeometry] | None = None,
-    level: bool = True,
+    ground: Ground | None = None,
     methods: Methods | None = None,
 ) -> Analysis:
     """Track every foot through the whole recording, by its own sensor or else its side's shank.
@@ -50,17 +48,17 @@ def analyse(
         recording: its samples.
         calibrations: by sensor; None: from the recording itself (:func:`calibrations_of`).
         geometry: where toe and heel are, by foot; what is not given is the recording's own, or else estimated.
-        level: every stride ends at the height at which it began; not on stairs and slopes, where the height gained is
-            measured instead.
+        ground: what is walked on; None: as the recording says. On level ground every stride ends at the height at which
+            it began, on an incline as much higher as that rises; else the height gained is measured.
         methods: other methods than those of every report, to replicate a paper.
 
     Raises:
         CalibrationError: no sensor could be calibrated.
     """
     if calibrations is None:
-        recording, found = calibrations_of(recording, level=level)
+        recording, found = calibrations_of(recording, level=(ground or recording.ground).level)
         calibrations = found.calibrations
-    return next(analyse_chunks([Chunk(recording)], calibrations, geometry=geometry, level=level, methods=methods))
+    return next(analyse_chunks([Chunk(recording)], calibrations, geometry=geometry, ground=ground, methods=methods))
 
 
 def analyse_chunks(
@@ -68,7 +66,7 @@ def analyse_chunks(
     calibrations: Mapping[str, Calibration],
     *,
     geometry: Mapping[str, FootGeometry] | None = None,
-    level: bool = True,
+    ground: Ground | None = None,
     methods: Methods | None = None,
 ) -> Iterator[Analysis]:
     """As :func:`analyse`, of a recording's chunks one after the other (:mod:`fes.recording.chunks`).
@@ -77,7 +75,7 @@ def analyse_chunks(
     like, how large steps usually are, and how the paths drift apart is found for each chunk from its own samples, where
     toe and heel are from the first chunk that shows it.
     """
-    run = _AnalysisRun(calibrations, geometry or {}, methods or Methods(), level)
+    run = _AnalysisRun(calibrations, geometry or {}, methods or Methods(), ground)
     for chunk in chunks:
         result = run.analyse_chunk(chunk)
         del chunk  # it stays as long as whoever takes the result keeps that
@@ -93,10 +91,10 @@ class _AnalysisRun:
         calibrations: Mapping[str, Calibration],
         geometry: Mapping[str, FootGeometry],
         methods: Methods,
-        level: bool,
+        ground: Ground | None,
     ) -> None:
         self._calibrations, self._geometry = dict(calibrations), geometry
-        self._methods, self._level = methods, level
+        self._methods, self._ground = methods, ground
         self._causal: dict[str, CausalEvents] = {}
         self._trackers: dict[str, Tracker] = {}
         self._points: dict[str, ToeAndHeel] = {}
@@ -105,7 +103,9 @@ class _AnalysisRun:
 
     def analyse_chunk(self, chunk: Chunk) -> Analysis:
         """Analyse the next chunk: every sensor by itself, then both feet's paths together."""
-        result = Analysis(chunk.recording, dict(self._calibrations), level=self._level, chunk=chunk)
+        result = Analysis(
+            chunk.recording, dict(self._calibrations), ground=self._ground or chunk.recording.ground, chunk=chunk
+        )
         for sensor in phase_sensors(self._calibrations).values():
             if sensor not in chunk.recording.tracks:
                 continue
@@ -129,7 +129,7 @@ class _AnalysisRun:
         """Phases and strides of a shank; it never rests, so it has no path."""
         sensor = calibration.sensor
         if sensor not in self._trackers:
-            self._trackers[sensor] = ShankTracker(calibration, equal_height=None if self._level else False)
+            self._trackers[sensor] = ShankTracker(calibration, incline=shank_incline(result.ground))
         tracker = self._trackers[sensor]
         result.outcomes[sensor] = tracker.advance(*_own_samples(chunk, chunk.recording.tracks[sensor]))
         result.counts[sensor] = tracker.counts
@@ -137,10 +137,10 @@ class _AnalysisRun:
 
     def _analyse_foot(self, result: Analysis, chunk: Chunk, calibration: FootCalibration) -> None:
         """One foot, step by step: phases and strides, their lengths fused with the path's, clearance, events."""
-        sensor, track, level = calibration.sensor, chunk.recording.tracks[calibration.sensor], self._level
+        sensor, track, level = calibration.sensor, chunk.recording.tracks[calibration.sensor], result.ground.level
         methods, geometry = self._methods, self._geometry.get(sensor, chunk.recording.geometry.get(sensor))
         if sensor not in self._trackers:
-            self._trackers[sensor] = _foot_tracker(calibration, geometry, level, methods)
+            self._trackers[sensor] = _foot_tracker(calibration, geometry, result.ground, methods)
         tracker = self._trackers[sensor]
         assert isinstance(tracker, FootTracker)
         block = tracker.track(*_own_samples(chunk, track))
@@ -177,9 +177,9 @@ def _own_samples(chunk: Chunk, track: Track) -> tuple[IntArray, FloatArray, Floa
 
 
 def _foot_tracker(
-    calibration: FootCalibration, geometry: FootGeometry | None, level: bool, methods: Methods
+    calibration: FootCalibration, geometry: FootGeometry | None, ground: Ground, methods: Methods
 ) -> FootTracker:
-    settings = replace(stride_settings(calibration, geometry), equal_height=level, method=methods.stride_method)
+    settings = replace(stride_settings(calibration, geometry, ground), method=methods.stride_method)
     return FootTracker(calibration, StrideMaker(calibration.sensor, settings))
 
 
@@ -193,7 +193,7 @@ def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]
         calibration, track = calibrations[sensor], recording.tracks[sensor]
         if isinstance(calibration, FootCalibration):
             geometry = recording.geometry.get(sensor)
-            tracker = _foot_tracker(_along_gravity(calibration), geometry, False, Methods())
+            tracker = _foot_tracker(calibration.along_gravity(), geometry, Ground(free=True), Methods())
             found[sensor] = tracker.track(track.t_sensor_ns, track.acc_mps2, track.gyr_radps).strides()
     return found
 
@@ -201,9 +201,6 @@ def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]
 def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Recording, SensorCalibrations]:
     """Calibrations from the recording itself, of the sensors that tell the feet's phases, and the recording relabelled
     where its feet were not labelled.
-
-    On uneven ground the accelerometer's bias across gravity is left at zero: calibration would find it from strides
-    that end as high as they began, and the climb would pass for a bias.
 
     Raises:
         CalibrationError: no sensor could be calibrated, or which unlabelled foot is which is not clear.
@@ -213,13 +210,7 @@ def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Record
         recording = labelled(recording, found.sides)
     else:
         found = calibrate_sensors(recording, phase_sensors(recording.tracks).values(), level=level)
-    if level:
-        return recording, found
-    kept = {
-        sensor: calibration if isinstance(calibration, ShankCalibration) else _along_gravity(calibration)
-        for sensor, calibration in found.calibrations.items()
-    }
-    return recording, replace(found, calibrations=kept)
+    return recording, found
 
 
 def calibrations_of_chunks(
@@ -258,10 +249,3 @@ def calibrations_of_chunks(
     if stored is None:
         return found
     return replace(found, sides=(stored if isinstance(stored, SensorCalibrations) else load(stored)).sides)
-
-
-def _along_gravity(calibration: FootCalibration) -> FootCalibration:
-    """The calibration with its accelerometer bias along gravity only."""
-    up, bias = np.array(calibration.up), np.array(calibration.acc_bias_mps2)
-    x, y, z = (float(v) for v in up * (up @ bias))
-    return replace(calibration, acc_bias_mps2=(x, y, z))

@@ -15,6 +15,7 @@ from fes.analysis.ground_path import GroundPath
 from fes.analysis.methods import CAUSAL_EVENT_COLUMNS, causal_event_rows
 from fes.analysis.tables import Table
 from fes.analysis.toe_and_heel import ToeAndHeel
+from fes.config import Ground
 from fes.estimation.clearance.clearance import FootPath
 from fes.estimation.events.causal import Decision, Rule
 from fes.estimation.events.offline import GaitEvents, foot_strike_angles
@@ -75,7 +76,7 @@ class Analysis:
     paths: dict[str, GroundPath] = field(default_factory=dict)
     no_path: dict[str, str] = field(default_factory=dict)
     points: dict[str, ToeAndHeel] = field(default_factory=dict)
-    level: bool = True
+    ground: Ground = field(default_factory=Ground)
     blocks: dict[str, TrackedBlock] = field(default_factory=dict)
     outcomes: dict[str, list[Outcome]] = field(default_factory=dict)
     chunk: Chunk | None = None
@@ -228,7 +229,7 @@ class Analysis:
                 "belt_speed_mps": recording.belt_speed_mps,
                 "ranges": {n: {"acc": t.acc_range_mps2, "gyr": t.gyr_range_radps} for n, t in worn.items()},
             },
-            "ground": {"level": self.level},
+            "ground": {"level": self.ground.level, **self.ground.model_dump()},
             "toe_and_heel": {foot: points.to_json() for foot, points in self.points.items()},
             "calibration": {sensor: calibration.to_dict() for sensor, calibration in self.calibrations.items()},
         }

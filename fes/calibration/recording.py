@@ -84,7 +84,11 @@ def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, level: bo
         track = recording.tracks[sensor]
         shank = sensor in SHANK_SENSORS
         try:
-            found[sensor] = calibrate_shank_track(track, level=level) if shank else calibrate_track(track)
+            if shank:
+                found[sensor] = calibrate_shank_track(track, level=level)
+            else:
+                foot = calibrate_track(track)
+                found[sensor] = foot if level else foot.along_gravity()
         except CalibrationError as error:
             missing[sensor] = str(error)
     if not found:

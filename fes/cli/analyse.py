@@ -21,6 +21,7 @@ from fes.cli.common.exits import FAILED, error_text, fail, fresh_folder
 from fes.cli.common.options import PATH, SIDE, RenamedOptions, choice, out_option, utc_now
 from fes.cli.common.show import TableFile, print_json, screen, write_table
 from fes.cli.compile_ import compiled_ahead
+from fes.config import Ground
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.zupt.detectors import Detector
 from fes.recording import RecordingError, read_recording
@@ -57,6 +58,7 @@ class Options:
     kind: str
     as_json: bool
     uneven: bool
+    incline: float | None
     hemiparetic: bool
     paretic_side: str | None
     sync_clocks: bool
@@ -65,6 +67,12 @@ class Options:
     path_filter: str
     causal_events: bool
     report: bool
+
+    def ground(self, recording: Recording) -> Ground:
+        """What is walked on: as asked, else as the recording says."""
+        if self.uneven or self.incline is not None:
+            return Ground(free=self.uneven, incline_percent=self.incline or 0.0)
+        return recording.ground
 
     def tables(self) -> list[str]:
         """Of :data:`TABLES` those that are wanted."""
@@ -78,6 +86,7 @@ class Options:
 @choice("--format", "kind", of=FORMATS, help="Of the tables.")
 @click.option("--json", "as_json", is_flag=True, help="Print the strides as JSON instead of the table.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
+@click.option("--incline", type=click.FloatRange(-25, 25), help="Of the treadmill, in percent, uphill positive.")
 @click.option("--hemiparetic", is_flag=True, help="Tell the paretic side; Wang et al.'s windows beside our strides.")
 @click.option("--paretic-side", type=SIDE, help="The paretic side, where it is known; implies --hemiparetic.")
 @click.option("--sync-clocks", is_flag=True, help="Each foot had its own clock: set the right one's by the walk.")
@@ -98,8 +107,10 @@ def command(
     sides, level ground and stairs told apart, and strides and paths by the method of Wang et al. (2013). Two feet whose
     sensors ran on clocks of their own are brought together with --sync-clocks, by knocks or by the walk itself.
 
-    The ground is taken to be level: height that a stride seems to gain counts mostly as error. On stairs and slopes
-    give --stairs or --slope (they do the same): the height gained is then measured, stride by stride.
+    The ground is what [ground] in the sidecar says, else level: height that a stride seems to gain counts mostly as
+    error. On a treadmill that is inclined give --incline; on stairs and ramps --stairs or --slope (they do the same):
+    the height gained is then measured, stride by stride. Clearance counts from the line between the stances; on stairs
+    there is none.
 
     Where toe and heel are is taken from [geometry] in the sidecar, or else, on level ground, estimated from the walking
     itself, which takes the sensor to sit over the middle of the foot; the output says which.
@@ -111,9 +122,11 @@ def command(
 
     One recording that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
+    if chosen["uneven"] and chosen["incline"] is not None:
+        raise click.UsageError("--stairs (or --slope) and --incline are both given: keep --incline if it is known")
     hemiparetic = hemiparetic or chosen["paretic_side"] is not None
     asked = Options(hemiparetic=hemiparetic, report=not no_report, **chosen)
-    level, failures = not asked.uneven, 0
+    failures = 0
     keep_freed_memory()
     detector, per_sample = Detector[asked.detector.upper()], asked.path_filter == "per-sample"
     methods = Methods(detector, asked.stride_method, per_sample, asked.causal_events)
@@ -124,6 +137,8 @@ def command(
                 together = asked.sync_clocks or hemiparetic
                 first = Chunk(read_recording(path)) if together else next(recording_chunks(path))
                 recording = first.recording
+                ground = asked.ground(recording)
+                level = ground.level
                 if not first.whole:
                     found = calibrations_of_chunks(recording_chunks(path), calibration, level=level)
                 elif calibration:
@@ -144,9 +159,9 @@ def command(
             click.echo(f"Analysing {path.name} … (the first time on a computer takes a minute longer)", err=True)
         if not first.whole:
             del first, recording  # a chunk that need not stay
-            analyse_long(path, found, asked, methods)
+            analyse_long(path, found, asked, methods, ground)
             continue
-        result = analyse(recording, found.calibrations, level=level, methods=methods)
+        result = analyse(recording, found.calibrations, ground=ground, methods=methods)
         folder = fresh_folder(asked.out, path.stem)
         for name in asked.tables():
             write_table(TABLES[name](result), folder / f"{name}.{asked.kind}")
@@ -286,7 +301,7 @@ def _path_lines(result: Analysis) -> list[str]:
         line = (
             f"Path, {foot.removesuffix('_foot')}: {path.distance_m:.2f} m, ends {path.closure_m:.2f} m from its start"
         )
-        if not result.level:
+        if not result.ground.level:
             gained = [s.height_gained_m for s in result.strides if s.valid and s.foot == foot]
             line += f", {path.height_gained_m:+.2f} m in height ({sum(gained):+.2f} m in {len(gained)} valid strides)"
         lines.append(line)
@@ -305,7 +320,7 @@ class _ChunkSummary:
     points: tuple[str, ...]
 
 
-def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods: Methods) -> None:
+def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods: Methods, ground: Ground) -> None:
     """Analyse chunk by chunk and write the tables as they come; what is kept does not grow with the recording."""
     from fes.analysis.parameters.gait import ChunkedGait, gait_parameters
 
@@ -316,7 +331,7 @@ def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods:
     with ExitStack() as stack:
         names = [*asked.tables(), "parameters"]
         files = {name: stack.enter_context(TableFile(folder / f"{name}.{kind}")) for name in names}
-        for result in analyse_chunks(named, found.calibrations, level=not asked.uneven, methods=methods):
+        for result in analyse_chunks(named, found.calibrations, ground=ground, methods=methods):
             parameters = gait_parameters(result)
             gait = gait or ChunkedGait(result.recording.belt_speed_mps)
             gait.add(parameters, result.strides)

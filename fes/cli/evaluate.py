@@ -114,6 +114,7 @@ def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tup
         return from_session(record, str(recording)), float(belt) if belt else None
     from fes.analysis.pipeline import analyse, calibrations_of
     from fes.calibration.recording import stored_calibrations
+    from fes.config import Ground
     from fes.estimation.foot.calibration import CalibrationError
     from fes.recording import RecordingError, read_recording
 
@@ -122,7 +123,8 @@ def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tup
         read, found = stored_calibrations(calibration, read) if calibration else calibrations_of(read, level=level)
     for reason in found.missing.values():
         click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
-    return from_analysis(analyse(read, found.calibrations, level=level)), read.belt_speed_mps
+    ground = None if level else Ground(free=True)
+    return from_analysis(analyse(read, found.calibrations, ground=ground)), read.belt_speed_mps
 
 
 def _markers(given: tuple[str, ...]) -> dict[str, tuple[str, str]] | None:

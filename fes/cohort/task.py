@@ -82,13 +82,14 @@ def drop_replaced(store: Store, sources: Iterable[Source], settings: Settings) -
 
 def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list[dict[str, Any]]]:
     from fes.analysis.pipeline import analyse, calibrations_of  # the numeric libraries load where the work is done
+    from fes.config import Ground
     from fes.recording import read_recording
     from fes.recording.chunks import keep_freed_memory
 
     keep_freed_memory()
     with local_copy(source) as path:
         recording, found = calibrations_of(read_recording(path), level=settings.level)
-        result = analyse(recording, found.calibrations, level=settings.level)
+        result = analyse(recording, found.calibrations, ground=None if settings.level else Ground(free=True))
     row = _row(source, settings, DONE, recording.subject, "; ".join(found.missing.values()))
     of = {"recording": identity, "subject": row["subject"]}
     strides = [{**of, **finite_or_none(row)} for row in result.stride_rows()]

@@ -3,6 +3,7 @@
 What is connected: the bus, the sensors, the stimulator, a foot switch.
 """
 
+import math
 from pathlib import Path
 from typing import Any, Final, Literal, Self
 
@@ -105,6 +106,29 @@ class Treadmill(Settings):
     belt_speed_mps: float = Field(gt=0, le=5)
 
 
+class Ground(Settings):
+    """What is walked on: level; an incline, in percent, uphill positive; or anything else (stairs, ramps both ways)."""
+
+    incline_percent: float = Field(default=0.0, ge=-25, le=25)
+    free: bool = False
+
+    @model_validator(mode="after")
+    def _one_of_them(self) -> Self:
+        if self.free and self.incline_percent:
+            raise ValueError("incline_percent and free = true are both given; a known incline is not free")
+        return self
+
+    @property
+    def incline(self) -> float:
+        """What it rises per horizontal distance, NaN where it is free."""
+        return math.nan if self.free else 0.01 * self.incline_percent
+
+    @property
+    def level(self) -> bool:
+        """Neither an incline nor free."""
+        return self.incline == 0.0
+
+
 class Phases(Settings):
     """How phases are found: swing begins at the peak of the toe-down rate (foot off), or when it turns to toe-up."""
 
@@ -143,6 +167,7 @@ class Session(Settings):
     stimulator: StimulatorDevice = StimulatorDevice()
     foot_switches: tuple[FootSwitch, ...] = Field(default=(), strict=False)
     treadmill: Treadmill | None = None
+    ground: Ground = Ground()
     geometry: dict[Foot, FootGeometry] = Field(default_factory=dict)
     exercise: Exercise | None = None
     live: Live = Field(default=Live(), exclude=True)  # of this machine; it changes no decision and is in no log

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from fes.config import FootGeometry, Session
+from fes.config import FootGeometry, Ground, Session
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.shank.calibration import ShankCalibration
@@ -42,20 +42,28 @@ def tracker_of(session: Session, calibration: Calibration) -> Tracker:
     """The tracker for a sensor, with this session's settings."""
     at_reversal = session.phases.swing_begins == "reversal"
     if isinstance(calibration, ShankCalibration):
-        return ShankTracker(calibration, swing_at_reversal=at_reversal)
+        return ShankTracker(calibration, incline=shank_incline(session.ground), swing_at_reversal=at_reversal)
     geometry = next((own for foot, own in session.geometry.items() if foot == calibration.sensor), None)
-    maker = StrideMaker(calibration.sensor, stride_settings(calibration, geometry))
+    maker = StrideMaker(calibration.sensor, stride_settings(calibration, geometry, session.ground))
     return FootTracker(calibration, maker, swing_at_reversal=at_reversal)
 
 
-def stride_settings(calibration: FootCalibration, geometry: FootGeometry | None = None) -> StrideSettings:
+def shank_incline(ground: Ground) -> float | None:
+    """What overrules a shank's calibration, which knows itself whether it was made on level ground."""
+    return None if ground.level else ground.incline
+
+
+def stride_settings(
+    calibration: FootCalibration, geometry: FootGeometry | None = None, ground: Ground | None = None
+) -> StrideSettings:
     """How a foot's strides are integrated; ``geometry`` says where toe and heel are, if that is known."""
     height_m = SENSOR_HEIGHT_M
     if geometry is not None:
         height_m = max(-0.5 * (geometry.toe_up_m + geometry.heel_up_m), 0.0)
     return StrideSettings(
-        forward=calibration.forward(), up=np.array(calibration.up), sensor_height_m=height_m, geometry=geometry
-    )
+        forward=calibration.forward(), up=np.array(calibration.up), sensor_height_m=height_m, geometry=geometry,
+        incline=0.0 if ground is None else ground.incline,
+    )  # fmt: skip
 
 
 def calibration_from_dict(data: dict[str, Any]) -> Calibration:

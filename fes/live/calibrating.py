@@ -26,7 +26,7 @@ class Calibrating:
     def __init__(self, session: Session, strides: int) -> None:
         self.found: dict[str, Calibration] = {}
         self.message = "stand still for two seconds, then walk straight ahead"
-        self._strides = strides
+        self._strides, self._level = strides, session.ground.level
         rates_hz = {str(device.sensor): device.rate_hz for device in session.sensors}
         self._rates_hz = {sensor: rates_hz[sensor] for sensor in phase_sensors(rates_hz).values()}
         self._rows: dict[str, deque[_Row]] = {
@@ -66,8 +66,12 @@ class Calibrating:
             t_ns = np.array([t for t, _ in rows], np.int64)
             values = np.array([value for _, value in rows])
             try:
-                calibrate = calibrate_shank if sensor in SHANK_SENSORS else calibrate_foot
-                found = calibrate(sensor, self._rates_hz[sensor], t_ns, values[:, :3], values[:, 3:])
+                samples = sensor, self._rates_hz[sensor], t_ns, values[:, :3], values[:, 3:]
+                if sensor in SHANK_SENSORS:
+                    found: Calibration = calibrate_shank(*samples, level=self._level)
+                else:
+                    foot = calibrate_foot(*samples)
+                    found = foot if self._level else foot.along_gravity()
             except (CalibrationError, ValueError) as error:
                 self.message = str(error)
                 continue

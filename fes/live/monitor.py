@@ -21,6 +21,7 @@ from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note
 from fes.signals import Event, FootSwitchEvent, ImuSample, StimAlive, StimCommand, StimStatus, StrideResult, WireFrame
+from fes.stimulation.tuning.targets import GroundWatch
 from statemachine.phases import PhaseChange
 
 if TYPE_CHECKING:
@@ -75,6 +76,9 @@ class ShownLog:
         self._log = log
         self._foot_of = {sensor: foot for foot, sensor in phase_sensor_of.items()}
         self._strides: dict[str, StrideResult] = {}
+        self._ground: dict[str, GroundWatch] = {}
+        self._uneven: set[str] = set()
+        self.free_ground = False  # then there is nothing to tell of it
 
     def event(self, event: Event) -> None:
         """As the log's."""
@@ -101,6 +105,16 @@ class ShownLog:
         self._strides[result.foot] = result
         if self.dashboard is not None:
             self.dashboard.stride(result)
+        if result.valid and not self.free_ground:
+            self._tell_ground(result)
+
+    def _tell_ground(self, stride: StrideResult) -> None:
+        """Say when a foot comes onto stairs or a slope, and when it is back on the ground that the session says."""
+        told = self._ground.setdefault(stride.foot, GroundWatch()).told(stride)
+        if bool(told) != (stride.foot in self._uneven):
+            self._uneven ^= {stride.foot}
+            text = f"{told}; tuning learns nothing there" if told else "back on the ground that the session says"
+            self.note(Note(stride.t_end_ns, "info", "ground", f"{stride.foot.replace('_', ' ')}: {text}"))
 
     def note(self, note: Note) -> None:
         """As the log's."""

@@ -86,6 +86,7 @@ class LiveSession:
         electrodes = Electrodes((channel.number for channel in session.channels), open_lead_detected_from_ma)
         self.notices = Notices(self.gate, electrodes)
         self.monitor = Monitor(log, monitors, phase_sensor_of, view.link if view else None, self._publish, self.notices)
+        self.monitor.free_ground = session.ground.free
         self.operator = Operator(
             session, self.controller, self.gate, monitors, phase_sensor_of, self.monitor.note,
             lambda: self.monitor.answered_ns, self._reasons_not_ready, electrodes.unknown,

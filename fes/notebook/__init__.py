@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from fes import config
 from fes.analysis.pipeline import analyse_chunks, calibrations_of_chunks
@@ -25,7 +25,7 @@ from fes.calibration.recording import (
     save,
     stored_calibrations,
 )
-from fes.config import FootGeometry, Session
+from fes.config import FootGeometry, Ground, Session
 from fes.notebook.results import Agreement, File, Log, Result, Simulated, gather, log_of
 from fes.recording import Recording, read_recording
 from fes.recording.chunks import Chunk, recording_chunks
@@ -69,7 +69,7 @@ def calibrate(recording: Recording | File, path: File | None = None, *, level: b
 def analyse(
     recording: Recording | File,
     calibration: SensorCalibrations | File | None = None,
-    level: bool = True,
+    ground: Literal["level", "free"] | float | None = None,
     geometry: Mapping[str, FootGeometry] | None = None,
 ) -> Result:
     """Find strides, events, phases, the path over the ground and gait parameters.
@@ -77,7 +77,8 @@ def analyse(
     Args:
         recording: of :func:`read` or ``fes.recording``, or a file; one of more than half an hour is read in parts.
         calibration: of :func:`calibrate`, or its file. Default: from the recording itself.
-        level: every stride ends as high as it began; False on stairs and slopes, where the height gained is measured.
+        ground: "level", a treadmill's incline in percent, or "free" on stairs and ramps, where the height gained is
+            measured. Default: as the recording's sidecar says, else level.
         geometry: by foot, where toe and heel are. Default: the recording's own, or else estimated from the walk.
 
     Raises:
@@ -91,9 +92,12 @@ def analyse(
 
     def analyses() -> Iterator[Analysis]:
         named = (replace(chunk, recording=labelled(chunk.recording, found.sides)) for chunk in chunks())
-        return analyse_chunks(named, found.calibrations, geometry=geometry, level=level)
+        return analyse_chunks(named, found.calibrations, geometry=geometry, ground=walked_on)
 
-    found = _checked(calibrations_of_chunks(chunks(), _stored(calibration), level=level))
+    walked_on = first.recording.ground
+    if ground is not None:
+        walked_on = Ground(free=ground == "free", incline_percent=ground if isinstance(ground, float | int) else 0.0)
+    found = _checked(calibrations_of_chunks(chunks(), _stored(calibration), level=walked_on.level))
     return gather(list(analyses())) if first.whole else gather(analyses)
 
 

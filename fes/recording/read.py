@@ -146,7 +146,9 @@ def _recording(path: Path, sidecar: Sidecar, tracks: dict[str, Track]) -> Record
     if mounting:
         extra["mounting"] = {sensor: value.model_dump(exclude_defaults=True) for sensor, value in mounting.items()}
     about = sidecar.belt_speed_mps, sidecar.subject, sidecar.description
-    return Recording(sidecar.name or path.stem, path, tracks, *about, dict(sidecar.geometry.items()), extra)
+    return Recording(
+        sidecar.name or path.stem, path, tracks, *about, dict(sidecar.geometry.items()), extra, sidecar.ground
+    )
 
 
 def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, judged: Judged, before: Track | None) -> Track:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationError, model_validator
 
-from fes.config import Foot, FootGeometry, Positive, Settings, explain, read_toml
+from fes.config import Foot, FootGeometry, Ground, Positive, Settings, explain, read_toml
 from fes.recording.tracks import RecordingError
 from fes.recording.units import SAMPLES, AccUnit, GyrUnit, TimeUnit, acc_factor, gyr_factor
 from fes.signals import G_MPS2
@@ -109,6 +109,7 @@ class Sidecar(Settings):
     skip_lines_after_header: int = Field(default=0, ge=0, le=10_000)
     sensors: dict[Sensor, SensorColumns]
     geometry: dict[Foot, FootGeometry] = Field(default_factory=dict)
+    ground: Ground = Ground()
     can: CanLog | None = None
     extra: dict[str, Any] = Field(default_factory=dict)
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from fes.config import FootGeometry
+from fes.config import FootGeometry, Ground
 from fes.signals import SENSORS, Event, FloatArray, ImuSample, IntArray
 
 UNLABELLED_FEET = ("foot_a", "foot_b")  # fes calibrate finds which is left
@@ -111,6 +111,7 @@ class Recording:
         tracks: sensor name → track, in the order of :data:`fes.signals.SENSORS`.
         belt_speed_mps: the treadmill's belt, None over ground or unknown.
         geometry: foot sensor name → where toe and heel are.
+        ground: level, an incline, or free.
         extra: whatever else the sidecar's ``[extra]`` holds; ``extra["mounting"]`` is sensor → mounting.
     """
 
@@ -122,6 +123,7 @@ class Recording:
     description: str = ""
     geometry: dict[str, FootGeometry] = field(default_factory=dict)
     extra: dict[str, Any] = field(default_factory=dict)
+    ground: Ground = field(default_factory=Ground)
 
     def samples(self) -> Iterator[ImuSample]:
         """Yield all tracks' samples merged by arrival; on equal times sensors come in the order of SENSORS."""

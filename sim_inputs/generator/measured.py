@@ -12,17 +12,22 @@ from fes.simulation.sensor import ImuModel, draw_sensitivity
 
 
 def ideal_signals(
-    acceleration_mps2: FloatArray, rotation: FloatArray, rate_foot_radps: FloatArray, mounting: FloatArray
+    acceleration_mps2: FloatArray,
+    rotation: FloatArray,
+    rate_foot_radps: FloatArray,
+    mounting: FloatArray,
+    up: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Specific force ``f = Rᵀ (a + g)`` and angular rate in sensor axes, (N, 3) each.
 
     Args:
-        acceleration_mps2: (N, 3) acceleration of the sensor in an inertial frame with z up.
+        acceleration_mps2: (N, 3) acceleration of the sensor in an inertial frame.
         rotation: (N, 3, 3) world from the segment's frame.
         rate_foot_radps: (N, 3) angular rate in the segment's axes.
         mounting: (3, 3) segment from sensor.
+        up: (3,) unit vector against gravity in that frame.
     """
-    force = acceleration_mps2 + np.array([0.0, 0.0, G_MPS2])
+    force = acceleration_mps2 + G_MPS2 * up
     in_segment = np.einsum("nji,nj->ni", rotation, force)
     return in_segment @ mounting, rate_foot_radps @ mounting
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,7 +27,8 @@ TOE_PITCH_RAD, HEEL_PITCH_RAD = 0.44, -0.35  # the toe is where the sole touches
 class Session:
     """A recorded session in the making: fill it with activities, then render it.
 
-    ``now_s`` is how far it has come. One generator feeds it all, so a seed fixes every number.
+    ``now_s`` is how far it has come; the belt's incline is uphill positive. One generator feeds it all, so a seed fixes
+    every number.
     """
 
     name: str
@@ -37,6 +39,7 @@ class Session:
     belt: Belt | None = None
     activities: list[Activity] = field(default_factory=list)
     now_s: float = 0.0
+    incline_percent: float = 0.0
     rocker: Rocker = field(default_factory=lambda: Rocker(Sole()))
 
     def __post_init__(self) -> None:
@@ -119,7 +122,9 @@ class Session:
         # the walking frame rides on the belt; what the sensor feels is its acceleration in the lab
         acceleration[:, 0] -= self.belt_travel(t_s).acceleration
         mount = mounting(*self.placements[foot].angles_deg)
-        return ideal_signals(acceleration, path.sensor_rotation(), path.sensor_rate(), mount)
+        slope = math.atan(0.01 * self.incline_percent)
+        up = np.array((math.sin(slope), 0.0, math.cos(slope)))  # seen from the belt
+        return ideal_signals(acceleration, path.sensor_rotation(), path.sensor_rate(), mount, up)
 
     def track(self, foot: str, rate_hz: float, model: ImuModel) -> Track:
         """What the foot's sensor delivers, sampled at ``rate_hz``."""

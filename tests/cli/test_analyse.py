@@ -7,6 +7,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 from pyarrow import parquet
@@ -15,6 +16,7 @@ from shank_walks import shank_walk
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.calibration.recording import SensorCalibrations, load, save
 from fes.cli.main import main
+from fes.config import Ground
 from fes.estimation.foot.calibration import CalibrationError
 from fes.recording import Recording, Track, read_recording
 from statemachine.phases import Phase
@@ -98,20 +100,22 @@ def test_it_says_whether_toe_and_heel_were_given_or_estimated(analysed, estimate
     assert record.header["toe_and_heel"]["left_foot"]["source"] == "estimated"
 
 
-def test_on_stairs_no_height_is_shifted_to_a_common_level(analysed):
-    stairs = analyse(analysed.recording, analysed.calibrations, level=False)
-    assert not any(known.levels for known in stairs.points.values())
-    assert all(known.to_json()["contact_levels"] is False for known in stairs.points.values())
-    assert any(stride.toe_clearance_m == stride.toe_clearance_m for stride in stairs.strides)
+def test_ground_that_proves_level_gives_the_same_clearance(analysed):
+    for geometry in (analysed.recording.geometry, {}):
+        recording = replace(analysed.recording, geometry=geometry)
+        free = analyse(recording, analysed.calibrations, ground=Ground(free=True))
+        known = analyse(recording, analysed.calibrations)
+        pairs = [(a.toe_clearance_m, b.toe_clearance_m) for a, b in zip(free.strides, known.strides, strict=True)]
+        off = [a - b for a, b in pairs if a == a and b == b]
+        assert len(off) > 20
+        assert abs(np.mean(off)) < 0.003
 
 
-def test_on_stairs_toe_and_heel_are_not_estimated(analysed):
-    stairs = analyse(without_geometry(analysed.recording), analysed.calibrations, level=False)
-    assert all(stride.toe_clearance_m != stride.toe_clearance_m for stride in stairs.strides)
-    assert {known.to_json()["source"] for known in stairs.points.values()} == {"unknown"}
-    notes = stairs.walk_record().notes
-    assert [note.severity for note in notes] == ["warning", "warning"]
-    assert all("give [geometry]" in note.text for note in notes)
+def test_the_ground_is_as_the_sidecar_says_unless_told(analysed):
+    told = Ground(incline_percent=10.0)
+    recording = replace(analysed.recording, ground=told)
+    assert analyse(recording, analysed.calibrations).ground is told
+    assert analyse(recording, analysed.calibrations, ground=Ground()).ground.level
 
 
 def test_few_strides_leave_the_prior_and_a_warning(analysed):
@@ -228,7 +232,7 @@ def test_a_shank_alone_tells_the_foots_strides(tmp_path, rise_m):
     walk = shank_walk(strides=16, rise_m=rise_m, standing_s=3.0, rate_hz=200.0)
     track = Track("left_shank", 200.0, walk.t_ns, walk.t_ns, walk.acc, walk.gyr)
     recording, found = calibrations_of(Recording("shank", None, {"left_shank": track}), level=rise_m == 0.0)
-    result = analyse(recording, found.calibrations, level=rise_m == 0.0)
+    result = analyse(recording, found.calibrations, ground=Ground(free=rise_m != 0.0))
     valid = [stride for stride in result.strides if stride.valid]
     assert len(valid) >= 12
     lengths = sorted(stride.stride_length_m for stride in valid)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +25,9 @@ def calibrated(walk: ShankWalk, *, prior: ArmPrior = SHANK) -> ShankCalibration:
 
 
 def strides(walk: ShankWalk, calibration: ShankCalibration, arm: FloatArray | None) -> list[StrideResult]:
-    settings = replace(ShankIntegrationSettings.for_calibration(calibration, equal_height=walk.rise_m == 0.0), arm=arm)
+    settings = replace(
+        ShankIntegrationSettings.for_calibration(calibration, incline=0.0 if walk.rise_m == 0.0 else math.nan), arm=arm
+    )
     return shank_strides(walk.t_ns, walk.acc, walk.gyr, calibration, settings)
 
 
@@ -169,7 +172,7 @@ def test_stairs_report_the_height_gained(rise_m: float) -> None:
         walk.acc,
         walk.gyr,
         calibration,
-        ShankIntegrationSettings.for_calibration(calibration, equal_height=False),
+        ShankIntegrationSettings.for_calibration(calibration, incline=math.nan),
     )
     assert np.mean([s.height_gained_m for s in learnt]) == pytest.approx(rise_m, abs=0.03)
     level = shank_strides(
@@ -177,7 +180,7 @@ def test_stairs_report_the_height_gained(rise_m: float) -> None:
         walk.acc,
         walk.gyr,
         calibration,
-        ShankIntegrationSettings.for_calibration(calibration, equal_height=True),
+        ShankIntegrationSettings.for_calibration(calibration, incline=0.0),
     )
     assert max(abs(s.height_gained_m) for s in level) < 1e-9
 

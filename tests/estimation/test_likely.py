@@ -55,24 +55,24 @@ class Stride:
     def solve(
         self,
         noise: StrideNoise = NOISE,
-        equal_height: bool = True,
+        incline: float = 0.0,
         end_rate_radps: float = 0.0,
         push_mps2: float = 0.0,
     ) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
         """Solved or not, quaternion (N, 4), velocity and position (N, 3)."""
         n = len(self.t_ns)
         quaternion, velocity, position = np.empty((n, 4)), np.empty((n, 3)), np.empty((n, 3))
-        solved = maximum_likelihood(
+        solved, self.free_rise_m = maximum_likelihood(
             self.t_ns, self.acc, self.gyr, self.start, np.zeros((2, 3)),
             np.array([self.acc[:3].mean(axis=0), self.acc[-3:].mean(axis=0)]),
             np.array([end_variances(end_rate_radps, 0.0, push_mps2, noise)] * 2),
-            equal_height, noise, quaternion, velocity, position,
+            incline, noise, quaternion, velocity, position,
         )  # fmt: skip
         return solved, quaternion, velocity, position
 
-    def way_error(self, noise: StrideNoise = NOISE, equal_height: bool = True) -> float:
+    def way_error(self, noise: StrideNoise = NOISE, incline: float = 0.0) -> float:
         """Greatest distance from the true course (m)."""
-        _, _, _, position = self.solve(noise, equal_height)
+        _, _, _, position = self.solve(noise, incline)
         return float(np.linalg.norm(position - self.position, axis=1).max())
 
     def plain_error(self) -> float:
@@ -84,7 +84,7 @@ class Stride:
         """The same of the constrained integration of Negård et al., whose bias absorbs everything."""
         q, _, _ = strapdown(self, np.zeros(8), np.zeros((len(self.t_ns), 6)))
         velocity, position, gamma = np.empty_like(self.acc), np.empty_like(self.acc), np.empty((2, 3))
-        assert integrate(self.t_ns, self.acc, q, np.zeros(3), np.zeros(3), True, velocity, position, gamma)
+        assert integrate(self.t_ns, self.acc, q, np.zeros(3), np.zeros(3), 0.0, velocity, position, gamma)
         return float(np.linalg.norm(position - self.position, axis=1).max())
 
 
@@ -241,15 +241,16 @@ def test_a_jolt_is_blamed_first() -> None:
     assert s.way_error() < 0.3 * s.way_error(NOISE._replace(jolt_mps3=1e9))
 
 
-@pytest.mark.parametrize("equal_height", [True, False])
-def test_a_stair(equal_height: bool) -> None:
+@pytest.mark.parametrize("incline", [0.0, math.nan])
+def test_a_stair(incline: float) -> None:
     s = Stride(rise_m=0.17)
-    _, _, _, position = s.solve(equal_height=equal_height)
-    if equal_height:
+    _, _, _, position = s.solve(incline=incline)
+    assert s.free_rise_m == pytest.approx(0.17, abs=0.005)
+    if incline == 0.0:
         assert position[-1, 2] < 0.08
     else:
         assert position[-1, 2] == pytest.approx(0.17, abs=0.002)
-        assert s.way_error(equal_height=False) < 0.003
+        assert s.way_error(incline=math.nan) < 0.003
 
 
 def test_a_foot_that_turns_at_its_end_is_trusted_less() -> None:

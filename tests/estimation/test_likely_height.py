@@ -34,7 +34,7 @@ def solve(
     quaternion = np.zeros((len(t_ns), 4))
     quaternion[:, 0] = 1.0
     out = np.empty((len(t_ns), 2))
-    assert settle_height(t_ns, force, quaternion, np.array(ends), STILL, noise, out)
+    assert settle_height(t_ns, force, quaternion, np.array(ends), STILL, 0.0, noise, out)
     return out[:, 0], out[:, 1]
 
 
@@ -107,4 +107,4 @@ def test_nothing_to_integrate() -> None:
     force = np.tile([0.0, 0.0, G_MPS2], (3, 1))
     for t_ns in (np.array([0, 10_000_000]), np.array([0, 0, 0])):
         n = len(t_ns)
-        assert not settle_height(t_ns, force[:n], quaternion[:n], np.zeros(2), STILL, NOISE, out[:n])
+        assert not settle_height(t_ns, force[:n], quaternion[:n], np.zeros(2), STILL, 0.0, NOISE, out[:n])

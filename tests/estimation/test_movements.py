@@ -43,7 +43,7 @@ def test_where_a_movement_leads_is_where_its_integration_ends(span: IntArray) ->
     part = slice(span[0], span[1] + 1)
     q = oriented(t_ns, acc, gyr, span, 1.0)
     velocity, position, gamma = np.empty((len(q), 3)), np.empty((len(q), 3)), np.empty((2, 3))
-    assert integrate(t_ns[part], acc[part], q, np.zeros(3), np.zeros(3), True, velocity, position, gamma)
+    assert integrate(t_ns[part], acc[part], q, np.zeros(3), np.zeros(3), 0.0, velocity, position, gamma)
     back = q[0] * (1.0, -1.0, -1.0, -1.0)
     assert moved["way"] == pytest.approx(to_world(*back, *position[-1]), rel=1e-10)
     assert np.linalg.norm(moved["way"]) > 0.01

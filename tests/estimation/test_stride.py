@@ -109,10 +109,10 @@ def random_case(seed: int) -> tuple[IntArray, FloatArray, FloatArray, FloatArray
 
 
 def integrated(
-    t_ns: IntArray, acc: FloatArray, q: FloatArray, v0: FloatArray, v1: FloatArray, equal_height: bool = True
+    t_ns: IntArray, acc: FloatArray, q: FloatArray, v0: FloatArray, v1: FloatArray, incline: float = 0.0
 ) -> tuple[bool, FloatArray, FloatArray, FloatArray]:
     velocity, position, gamma = np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3)), np.empty((2, 3))
-    solved = integrate(t_ns, acc, q, v0, v1, equal_height, velocity, position, gamma)
+    solved = integrate(t_ns, acc, q, v0, v1, incline, velocity, position, gamma)
     return solved, velocity, position, gamma
 
 
@@ -148,7 +148,7 @@ def test_all_four_constraints_hold_exactly(seed: int) -> None:
 @settings(max_examples=60, deadline=None)
 def test_the_correction_is_the_smallest_that_does_it(seed: int, equal_height: bool) -> None:
     t_ns, acc, q, v0, v1 = random_case(seed)
-    _, _, _, gamma = integrated(t_ns, acc, q, v0, v1, equal_height)
+    _, _, _, gamma = integrated(t_ns, acc, q, v0, v1, 0.0 if equal_height else math.nan)
     rows = 4 if equal_height else 3
     base = left_over(t_ns, acc, q, v0, v1, np.zeros(6))
     effect = np.column_stack([base - left_over(t_ns, acc, q, v0, v1, unit) for unit in np.eye(6)])
@@ -161,7 +161,7 @@ def test_the_correction_is_the_smallest_that_does_it(seed: int, equal_height: bo
 
 def test_without_the_height_constraint_the_height_is_free() -> None:
     t_ns, acc, q, v0, v1 = random_case(7)
-    solved, velocity, position, _ = integrated(t_ns, acc, q, v0, v1, equal_height=False)
+    solved, velocity, position, _ = integrated(t_ns, acc, q, v0, v1, math.nan)
     assert solved
     np.testing.assert_allclose(velocity[-1], v1, atol=1e-9)
     assert abs(position[-1, 2]) > 0.01
@@ -250,15 +250,40 @@ def test_a_known_stride(rate_hz: float, method: StrideSettings) -> None:
 
 
 @both_methods
-@pytest.mark.parametrize("equal_height", [True, False])
-def test_a_stair(equal_height: bool, method: StrideSettings) -> None:
-    result = solve(motion(rise_m=0.17, length_m=0.6), replace(method, equal_height=equal_height))
+@pytest.mark.parametrize("incline", [0.0, math.nan])
+def test_a_stair(incline: float, method: StrideSettings) -> None:
+    result = solve(motion(rise_m=0.17, length_m=0.6), replace(method, incline=incline))
     assert result.valid
-    if equal_height:
+    if incline == 0.0:
         assert abs(result.height_gained_m) < (1e-9 if method.method == "constrained" else 0.08)  # torn two ways
     else:
         assert result.height_gained_m == pytest.approx(0.17, abs=0.003)
         assert result.stride_length_m == pytest.approx(0.6 + CREEP_M, abs=0.005)
+    if method.method == "maximum_likelihood":
+        assert result.free_rise_m == pytest.approx(0.17, abs=0.01)  # whatever the ground is said to be
+
+
+@both_methods
+@pytest.mark.parametrize("percent", [-15.0, 5.0, 10.0])
+@pytest.mark.parametrize("known", [True, False])
+def test_an_incline(percent: float, known: bool, method: StrideSettings) -> None:
+    """Heights count from the line between the stances, whether it is told or found."""
+    rise_m = 0.01 * percent * (1.2 + CREEP_M)
+    geometry = FootGeometry(toe_forward_m=0.0, toe_up_m=-0.065, heel_forward_m=0.0, heel_up_m=-0.065)
+    settings = replace(method, incline=0.01 * percent if known else math.nan, geometry=geometry)
+    result = solve(motion(rise_m=rise_m, pitch_rad=0.0), settings)
+    assert result.height_gained_m == pytest.approx(rise_m, abs=0.003)
+    assert result.clearance_m == pytest.approx(0.12, abs=0.004)
+    assert result.heel_clearance_m == pytest.approx(result.clearance_m, abs=0.002)  # it does not turn
+
+
+def test_on_a_stair_the_toe_has_no_clearance() -> None:
+    geometry = FootGeometry(toe_forward_m=0.15, toe_up_m=-0.065, heel_forward_m=-0.07, heel_up_m=-0.065)
+    result = solve(motion(rise_m=0.34, length_m=0.6), replace(SETTINGS, incline=math.nan, geometry=geometry))
+    assert result.valid
+    assert math.isnan(result.toe_clearance_m)
+    assert math.isnan(result.heel_clearance_m)
+    assert result.clearance_m > 0.34  # above its start
 
 
 @pytest.mark.parametrize(("roll_rps", "valid"), [(0.5, True), (1.5, True), (4.0, False)])

@@ -126,7 +126,7 @@ def test_lost_and_doubled_samples() -> None:
 def test_a_sensor_at_rest_measures_gravity_along_what_is_up() -> None:
     mount = mounting(0.0, 20.0, 0.0)
     level = np.eye(3)[None]
-    force, rate = ideal_signals(np.zeros((1, 3)), level, np.array([[0.0, 1.0, 0.0]]), mount)
+    force, rate = ideal_signals(np.zeros((1, 3)), level, np.array([[0.0, 1.0, 0.0]]), mount, np.array([0.0, 0.0, 1.0]))
     assert np.linalg.norm(force) == pytest.approx(G_MPS2)
     # a sensor that slopes down forward, as on an instep, sees gravity pull it forward: x reads backward
     assert force[0, 0] == pytest.approx(-G_MPS2 * math.sin(math.radians(20.0)))

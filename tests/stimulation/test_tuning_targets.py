@@ -12,6 +12,7 @@ from tuning_plant import channel, stride, tuning
 from fes.stimulation.envelope import BurstParameters
 from fes.stimulation.tuning.intensity import Zones, next_profile, zones_of
 from fes.stimulation.tuning.targets import (
+    GroundWatch,
     Reading,
     StrideFilter,
     interpolate,
@@ -122,6 +123,30 @@ def test_an_ordinary_stride_teaches(seen: StrideFilter) -> None:
 )
 def test_a_stride_is_skipped_with_its_reason(seen: StrideFilter, changes: dict[str, Any], reason: str) -> None:
     assert reason in seen.why_skip(stride(4, 0.02, **changes), 270.0, 1.0)
+
+
+def test_stairs_are_left_out_though_the_solution_is_held_level() -> None:
+    filtered = StrideFilter(tuning(), 0.15)
+    flat = [stride(n, 0.02, height_gained_m=0.0, free_rise_m=0.02 + 0.01 * (-1) ** n) for n in range(12)]
+    climb = [stride(n, 0.02, height_gained_m=0.001, free_rise_m=0.31) for n in range(12, 24)]
+    whys = [filtered.why_skip(each, 270.0, 1.0) for each in flat + climb]
+    assert not any("stair" in why for why in whys[:12])
+    assert all("a stair or a slope" in why for why in whys[12:])  # however many there are
+
+
+def test_an_incline_that_the_session_knows_teaches() -> None:
+    filtered = StrideFilter(tuning(), 0.15)
+    for n in range(6):
+        assert "slope" not in filtered.why_skip(stride(n, 0.02, height_gained_m=0.12, free_rise_m=0.13), 270.0, 1.0)
+    assert "slope" in filtered.why_skip(stride(6, 0.02, height_gained_m=0.12, free_rise_m=0.01), 270.0, 1.0)
+
+
+def test_a_sensor_whose_heights_scatter_is_known_by_its_own_strides() -> None:
+    watch = GroundWatch()
+    rises = [0.04, -0.02, 0.045, 0.0, 0.03, 0.07, -0.03, 0.08, 0.06]
+    told = [watch.told(stride(n, 0.02, height_gained_m=0.0, free_rise_m=rise)) for n, rise in enumerate(rises)]
+    assert not any(told)
+    assert watch.told(stride(9, 0.02, height_gained_m=0.0, free_rise_m=0.17))
 
 
 def test_what_was_not_stimulated_teaches_nothing(seen: StrideFilter) -> None:

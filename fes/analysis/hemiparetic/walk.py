@@ -275,7 +275,7 @@ def hemiparetic_walk(analysis: Analysis, *, paretic: str | None = None) -> Hemip
         why = str(error)
     strides = (
         uneven_strides(analysis.recording, analysis.calibrations)
-        if analysis.level
+        if analysis.ground.level
         else {foot: [s for s in analysis.strides if s.foot == foot] for foot in analysis.events}
     )
     ground = {

@@ -13,7 +13,7 @@ gravity cancels.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -115,6 +115,15 @@ class FootCalibration:
     def forward(self) -> FloatArray:
         """Unit vector towards the toe in the sensor frame (3,): toe-down × up."""
         return cross(self.toe_down, self.up)
+
+    def along_gravity(self) -> FootCalibration:
+        """The same from uneven ground: with its accelerometer bias along gravity only.
+
+        What lies across comes from strides that end as high as they began; a climb would pass for it.
+        """
+        up, bias = np.array(self.up), np.array(self.acc_bias_mps2)
+        x, y, z = (up * (up @ bias)).tolist()
+        return replace(self, acc_bias_mps2=(x, y, z))
 
     def to_dict(self) -> dict[str, Any]:
         """For the session log."""

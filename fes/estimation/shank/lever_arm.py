@@ -194,7 +194,9 @@ def _anchored_rows(
         orient(t, gyr[begin : end + 1], start, fx, fy, fz, 1.0, quaternions)
         velocity, position, gamma = np.empty((len(t), 3)), np.empty((len(t), 3)), np.empty((2, 3))
         zero = np.zeros(3)
-        if not integrate(t, acc[begin : end + 1], quaternions, zero, zero, level, velocity, position, gamma):
+        if not integrate(
+            t, acc[begin : end + 1], quaternions, zero, zero, 0.0 if level else math.nan, velocity, position, gamma
+        ):
             continue
         # standing on a belt that starts and stops is no rest in the belt's frame: the walk then leads nowhere
         least_m = LEAST_MPS * float(np.median([1e-9 * (t_ns[s.last] - t_ns[s.first]) for s in inside]))

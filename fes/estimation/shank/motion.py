@@ -202,7 +202,7 @@ def travelled(
     quaternions, zero = levelled(t_ns, acc, gyr, span), np.zeros(3)
     velocity, position, gamma = np.empty((len(quaternions), 3)), np.empty((len(quaternions), 3)), np.empty((2, 3))
     t = np.ascontiguousarray(t_ns[part])
-    if not integrate(t, acc[part], quaternions, zero, zero, True, velocity, position, gamma):
+    if not integrate(t, acc[part], quaternions, zero, zero, 0.0, velocity, position, gamma):
         return None
     return quaternions, velocity, position
 

@@ -48,19 +48,20 @@ class ShankIntegrationSettings:
         left: unit mediolateral axis to the person's left, sensor frame (3,).
         arm: from the centre of rotation to the sensor, in m, sensor frame (3,); None resets to zero (ZUPT), which is
             there to be compared with.
-        equal_height: off on stairs and slopes.
+        incline: what the ground rises per horizontal distance; NaN for stairs and unknown slopes.
     """
 
     up: FloatArray
     left: FloatArray
     arm: FloatArray | None
-    equal_height: bool = True
+    incline: float = 0.0
 
     @staticmethod
-    def for_calibration(calibration: ShankCalibration, *, equal_height: bool | None = None) -> ShankIntegrationSettings:
-        """The settings that a calibration leads to; ``equal_height`` overrules what it says of the ground."""
+    def for_calibration(calibration: ShankCalibration, *, incline: float | None = None) -> ShankIntegrationSettings:
+        """The settings that a calibration leads to; ``incline`` overrules what it says of the ground."""
         up, left, arm = (np.array(v) for v in (calibration.up, calibration.left, calibration.arm.arm_m))
-        return ShankIntegrationSettings(up, left, arm, calibration.level if equal_height is None else equal_height)
+        known = 0.0 if calibration.level else math.nan
+        return ShankIntegrationSettings(up, left, arm, known if incline is None else incline)
 
 
 def solve_shank_stride(
@@ -91,7 +92,7 @@ def solve_shank_stride(
     n = len(t)
     velocity, position, gamma = np.empty((n, 3)), np.empty((n, 3)), np.empty((2, 3))
     force = acc[first : last + 1]
-    solved = integrate(t, force, quaternion, start, end, settings.equal_height, velocity, position, gamma)
+    solved = integrate(t, force, quaternion, start, end, settings.incline, velocity, position, gamma)
     length = float(np.hypot(position[-1, 0], position[-1, 1]))
     if not solved:
         return unusable("the constraints cannot be met")

@@ -49,11 +49,11 @@ PUT_ELSEWHERE = "the shank leans {0:.0f}° otherwise than at its start: a leg mo
 class ShankStrideMaker:
     """Follows the phases of one shank and closes a stride when the stance after its swing is over, or a second old."""
 
-    def __init__(self, calibration: ShankCalibration, *, equal_height: bool | None = None) -> None:
-        """``equal_height`` overrules what the calibration says of the ground."""
+    def __init__(self, calibration: ShankCalibration, *, incline: float | None = None) -> None:
+        """``incline`` overrules what the calibration says of the ground."""
         self.sensor = calibration.sensor
         self.due_ns: int | None = None
-        self._settings = ShankIntegrationSettings.for_calibration(calibration, equal_height=equal_height)
+        self._settings = ShankIntegrationSettings.for_calibration(calibration, incline=incline)
         self._quiet_radps = QUIET_LEANS * calibration.levels.rest_lean_radps
         self._rate_hz = calibration.rate_hz
         self._number = 0
@@ -153,14 +153,14 @@ class ShankTracker(Tracker):
     """Phases and strides of one shank; deterministic, no clock, no I/O."""
 
     def __init__(
-        self, calibration: ShankCalibration, *, equal_height: bool | None = None, swing_at_reversal: bool = False
+        self, calibration: ShankCalibration, *, incline: float | None = None, swing_at_reversal: bool = False
     ) -> None:
         self._live = np.zeros(1, live_type(features.CORE))
         thresholds = calibration.levels.thresholds(swing_at_reversal=swing_at_reversal)
         super().__init__(calibration.sensor, calibration.rate_hz, self._live)
         fill(self._core, parameters=calibration.parameters(), thresholds=thresholds)
         self._acc_bias, self._gyr_bias = np.array(calibration.acc_bias_mps2), np.array(calibration.gyr_bias_radps)
-        self._strides = ShankStrideMaker(calibration, equal_height=equal_height)
+        self._strides = ShankStrideMaker(calibration, incline=incline)
 
     @property
     def gyr_bias_radps(self) -> FloatArray:

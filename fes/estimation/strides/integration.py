@@ -7,9 +7,8 @@ artificial accelerometer bias absorbs the rest. Departures from the print:
 
 - (16) has three unknowns and spends all of them on velocity, so the equal height that the text asks for cannot be met.
   Here the bias may vary linearly in time, ``gamma(tau) = gamma0 + gamma1·(2 tau - 1)``, tau from 0 to 1 over the
-  stride, and is the smallest one that meets all four constraints. On stairs and slopes the height constraint is
-  switched off
-  and the height gained is reported.
+  stride, and is the smallest one that meets all four constraints. On an incline
+  the end is higher by what the ground rises; on stairs and unknown slopes the height is left free.
 - trapezoid sums instead of the rectangles of (15), (17), (18), which lag by half a sample.
 - the velocity at the ends need not be zero: the foot is never wholly at rest, and turns about its ground contact there.
 - the orientation's tilt is brought towards what gravity says at the end by a constant extra rate, of which only a share
@@ -100,14 +99,15 @@ def integrate(
     quaternions: Mat,
     start_velocity: Vec,
     end_velocity: Vec,
-    equal_height: bool,
+    incline: float,
     velocity: Mat,
     position: Mat,
     gamma: Mat,
 ) -> bool:
     """Position over one stride from specific force and orientation, meeting the constraints exactly.
 
-    ``acc`` (N, 3) m/s²; ``start_velocity``, ``end_velocity`` (3,) m/s in the world. Fills ``velocity`` (N, 3) in m/s,
+    ``acc`` (N, 3) m/s²; ``start_velocity``, ``end_velocity`` (3,) m/s in the world; ``incline``:
+    what the ground rises per horizontal distance, NaN where nobody knows. Fills ``velocity`` (N, 3) in m/s,
     ``position`` (N, 3) in m from the start, and ``gamma`` (2, 3) in m/s² (constant and linear part of the artificial
     bias, sensor frame). Returns False where the constraints cannot be met (fewer than 3 samples, no time passes).
     """
@@ -120,14 +120,15 @@ def integrate(
     double_integral(t_ns, acc, quaternions, start_velocity, gamma, velocity, position)
     effect = np.zeros((4, 6))  # of the six unknowns on the end's velocity (3) and height (1)
     effects(t_ns, quaternions, effect)
-    count = 4 if equal_height else 3
+    count = 3 if math.isnan(incline) else 4
+    rise_m = 0.0 if count == 3 else incline * math.hypot(position[n - 1, 0], position[n - 1, 1])
     # smallest gamma with effect · gamma = residual: gamma = effectᵀ (effect effectᵀ)⁻¹ residual
     system = np.zeros((4, 5))
     for i in range(count):
         for j in range(count):
             for k in range(6):
                 system[i, j] += effect[i, k] * effect[j, k]
-        system[i, 4] = position[n - 1, 2] if i == 3 else velocity[n - 1, i] - end_velocity[i]
+        system[i, 4] = position[n - 1, 2] - rise_m if i == 3 else velocity[n - 1, i] - end_velocity[i]
     if not solve(system, count):
         return False
     for k in range(6):
@@ -203,9 +204,27 @@ def effects(t_ns: Vec, quaternions: Mat, effect: Mat) -> None:
 SHORTEST_M = 0.05  # a stride shorter than that has no direction but the foot's
 
 
+LEAST_RISE_M = 0.02  # between stances on the spot
+MOST_INCLINE = 0.25  # what rises more steeply from stance to stance is a stair: no line tells where the ground is
+
+
+@inlined
+def line_of(position: Mat, first: int, last: int) -> tuple[float, float]:
+    """What to add per metre of x and of y so that heights (m) count from the line between two stances.
+
+    ``position`` (N, 3) m; NaN where that line is too steep to be the ground.
+    """
+    x, y = position[last, 0] - position[first, 0], position[last, 1] - position[first, 1]
+    z, level2 = position[last, 2] - position[first, 2], x * x + y * y
+    if z * z > MOST_INCLINE * MOST_INCLINE * level2:
+        return (0.0, 0.0) if abs(z) < LEAST_RISE_M else (math.nan, math.nan)
+    return (-z * x / level2, -z * y / level2) if level2 > 0.0 else (0.0, 0.0)
+
+
 @inlined
 def height_and_turn(quaternion: Mat, position: Mat, fx: float, fy: float, fz: float) -> tuple[float, float]:
-    """The greatest height of a stride in m, and by how much the foot turned in rad, left positive, within half a turn.
+    """The greatest height of a stride over the line from its start to its end (on stairs above its start) in m, and
+    by how much the foot turned in rad, left positive, within half a turn.
 
     Args:
         quaternion: (N, 4) orientations, sensor to world.
@@ -215,8 +234,11 @@ def height_and_turn(quaternion: Mat, position: Mat, fx: float, fy: float, fz: fl
         fz: see ``fx``.
     """
     peak_height = -math.inf
+    nx, ny = line_of(position, 0, position.shape[0] - 1)
+    if math.isnan(nx):
+        nx = ny = 0.0
     for i in range(position.shape[0]):
-        peak_height = max(peak_height, position[i, 2])
+        peak_height = max(peak_height, position[i, 2] + nx * position[i, 0] + ny * position[i, 1])
     ahead, left, _ = _pointing(quaternion, 0, fx, fy, fz)
     turn = -math.atan2(left, ahead)
     ahead, left, _ = _pointing(quaternion, position.shape[0] - 1, fx, fy, fz)
@@ -285,7 +307,9 @@ MOST_GUESSED_RAD = 0.2  # a tilt that is measured no better is a guess
 LONGEST_STRIDE_M = 3.0
 LENGTH_SHARE = 0.013  # of a stride's length, one SD: with it errors against markers scatter as stated
 SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST = range(5)  # what came of it
-TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, LENGTH_SD, NUMBERS = range(8)  # where the numbers are
+TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, LENGTH_SD, FREE_RISE, NUMBERS = range(
+    9
+)  # where the numbers are
 
 
 @inlined
@@ -345,7 +369,7 @@ def solve_span(
     fz: float,
     height_m: float,
     constrained: bool,
-    equal_height: bool,
+    incline: float,
     quaternion: Mat,
     position: Mat,
     numbers: Vec,
@@ -364,11 +388,12 @@ def solve_span(
         fz: see ``fx``.
         height_m: of the sensor above the ground contact.
         constrained: not the most likely errors, but Negård et al.'s constraints.
-        equal_height: the end is as high as the start.
+        incline: what the ground rises per horizontal distance; NaN where nobody knows (stairs, ramps).
         quaternion: (n, 4) to be filled.
         position: (n, 3) to be filled, m from the start.
         numbers: (NUMBERS,) to be filled: tilt found at the end (rad), the faster end's rate (rad/s), length, greatest
-            height (m), turn (rad), height gained (m), uncertainty of the length (m, one SD).
+            height (m), turn (rad), height gained (m), uncertainty of the length (m, one SD), height
+            gained by the sensor alone (m).
 
     Returns:
         ``SOLVED``, or why the stride cannot be used.
@@ -413,14 +438,14 @@ def solve_span(
     velocity = np.empty((n, 3))
     if constrained:
         gamma = np.empty((2, 3))
-        solved = integrate(t, f, quaternion, ends[0], ends[1], equal_height, velocity, position, gamma)
+        solved, free_m = integrate(t, f, quaternion, ends[0], ends[1], incline, velocity, position, gamma), math.nan
     else:
-        solved = maximum_likelihood(
-            t, f, w, start, ends, forces, variances, equal_height, NOISE, quaternion, velocity, position, True
+        solved, free_m = maximum_likelihood(
+            t, f, w, start, ends, forces, variances, incline, NOISE, quaternion, velocity, position, True
         )  # fmt: skip
-        if solved and equal_height:
-            vertical = np.empty((n, 2))
-            solved = settle_height(t, f, quaternion, ends[:, 2], variances[:, 0], HEIGHT_NOISE, vertical)
+        if solved and not math.isnan(incline):
+            vertical, rise_m = np.empty((n, 2)), incline * math.hypot(position[n - 1, 0], position[n - 1, 1])
+            solved = settle_height(t, f, quaternion, ends[:, 2], variances[:, 0], rise_m, HEIGHT_NOISE, vertical)
             for i in range(n):
                 position[i, 2] = vertical[i, 1]
     numbers[TILT], numbers[RESIDUAL_RATE] = tilt, residual_rate
@@ -435,5 +460,5 @@ def solve_span(
     if residual_rate > NO_REST_RADPS:
         return NO_REST
     numbers[PEAK_HEIGHT], numbers[TURN] = height_and_turn(quaternion, position, fx, fy, fz)
-    numbers[HEIGHT_CHANGE] = position[n - 1, 2]
+    numbers[HEIGHT_CHANGE], numbers[FREE_RISE] = position[n - 1, 2], free_m
     return SOLVED

@@ -104,9 +104,10 @@ class HeightNoise(NamedTuple):
 
 @jit_fused
 def settle_height(
-    t_ns: Vec, acc: Mat, quaternion: Mat, end_velocities: Vec, end_variances: Vec, noise: HeightNoise, out: Mat
-) -> bool:
-    """Heights and vertical velocities of a stride on level ground.
+    t_ns: Vec, acc: Mat, quaternion: Mat, end_velocities: Vec, end_variances: Vec, rise_m: float, noise: HeightNoise,
+    out: Mat,
+) -> bool:  # fmt: skip
+    """Heights and vertical velocities of a stride that is known to end by ``rise_m`` higher than it began.
 
     Args:
         t_ns: (N,) time stamps.
@@ -154,7 +155,7 @@ def settle_height(
     determinant = vv * hh - vh * vh
     if not determinant > 0.0:
         return False
-    dv, dh = end_velocities[1] - out[last, 0], -out[last, 1]
+    dv, dh = end_velocities[1] - out[last, 0], rise_m - out[last, 1]
     along_v, along_h = (hh * dv - vh * dh) / determinant, (vv * dh - vh * dv) / determinant
     correction = start * (along_v + span_s * along_h)
     per_s = bias * (span_s * along_v + 0.5 * span_s * span_s * along_h)
@@ -168,6 +169,7 @@ def settle_height(
 
 
 KNOWN = 8  # velocity (3) and height at the end, tilt about x and y at the end and at the start
+UNIT, RIGHT = KNOWN, KNOWN + 1  # columns beside the covariance: the height's unit vector, what is left over
 # what may be wrong as a whole: tilt (2) and velocity (3) at the start, biases of gyroscope and accelerometer (3, 3)
 TILT, VELOCITY, GYR, ACC, CAUSES = 0, 2, 5, 8, 11
 UNKNOWN_HEIGHT_M = 1e3
@@ -235,13 +237,13 @@ def maximum_likelihood(
     end_velocities: Mat,
     end_forces: Mat,
     end_variances: Mat,
-    equal_height: bool,
+    incline: float,
     noise: StrideNoise,
     quaternion: Mat,
     velocity: Mat,
     position: Mat,
     oriented: bool = False,
-) -> bool:
+) -> tuple[bool, float]:
     """Integrate one stride with the most likely errors taken out.
 
     Args:
@@ -249,17 +251,18 @@ def maximum_likelihood(
         calibrated bias. start: (4,) orientation at the first sample. end_velocities: (2, 3) m/s in the world at the
         start and at the end, as the lever arm says. end_forces: (2, 3) mean specific force in m/s² around start and
         end, in the sensor frame there. end_variances: (2, 2) of start and end, each as
-        :func:`fes.estimation.strides.maximum_likelihood.end_variances` gives it. equal_height: whether the end is as
-        high as the start. noise: the sizes of all other errors. quaternion: (N, 4) to be filled. velocity: (N, 3) to be
-        filled, m/s. position: (N, 3) to be filled, m from the start. oriented: ``quaternion`` holds the rates' integral
-        from ``start`` already.
+        :func:`fes.estimation.strides.maximum_likelihood.end_variances` gives it. incline: what the ground rises per
+        horizontal distance, NaN where nobody knows. noise: the sizes of all other errors. quaternion: (N, 4) to be
+        filled. velocity: (N, 3) to be filled, m/s. position: (N, 3) to be filled, m from the start. oriented:
+        ``quaternion`` holds the rates' integral from ``start`` already.
 
     Returns:
-        False where there is nothing to integrate.
+        False where there is nothing to integrate; and how much higher than the start the end is by the sensor alone, m.
+        The second is what all other equations say of the fourth: its own solution over its diagonal of the inverse.
     """
     n = t_ns.shape[0]
     if n < 3 or t_ns[n - 1] <= t_ns[0]:
-        return False
+        return False, math.nan
     last = n - 1
     for j in range(4):
         quaternion[0, j] = start[j]
@@ -269,7 +272,8 @@ def maximum_likelihood(
         _turn(t_ns, gyr, quaternion)
     _move(t_ns, acc, quaternion, velocity, position)
 
-    system = np.zeros((KNOWN, KNOWN + 1))  # covariance of what is left over, and what is left over
+    system = np.zeros((KNOWN, KNOWN + 2))  # covariance of what is left over, and what is left over
+    system[3, UNIT] = 1.0
     of_cause = np.zeros((KNOWN, CAUSES))
     noises, corrected = np.empty((n, 2)), np.empty((2, n, 3))
     _gather(t_ns, acc, gyr, noise, quaternion, velocity, position, system, of_cause, noises)
@@ -289,10 +293,12 @@ def maximum_likelihood(
             system[a, b] = system[b, a] = total
     for a in range(3):
         system[a, a] += end_variances[1, 0]
-        system[a, KNOWN] = end_velocities[1, a] - velocity[last, a]
-    height_m = noise.end_height_m if equal_height else UNKNOWN_HEIGHT_M
+        system[a, RIGHT] = end_velocities[1, a] - velocity[last, a]
+    level = not math.isnan(incline)
+    rise_m = incline * math.sqrt(position[last, 0] ** 2 + position[last, 1] ** 2) if level else 0.0
+    height_m = noise.end_height_m if level else UNKNOWN_HEIGHT_M
     system[3, 3] += height_m * height_m
-    system[3, KNOWN] = -position[last, 2]
+    system[3, RIGHT] = rise_m - position[last, 2]
     for end in range(2):
         i = last if end == 1 else 0
         row = 4 if end == 1 else 6
@@ -312,16 +318,17 @@ def maximum_likelihood(
         doubt = 2.0 * max(tilt - noise.end_tilt_most_rad, 0.0)
         for a in range(row, row + 2):
             system[a, a] += end_variances[end, 1] + doubt * doubt
-        system[row, KNOWN] = per * uy
-        system[row + 1, KNOWN] = -per * ux
+        system[row, RIGHT] = per * uy
+        system[row + 1, RIGHT] = -per * ux
     if not solve(system, system.shape[0]):
-        return False
+        return False, math.nan
+    free_m = rise_m - system[3, RIGHT] / (system[3, UNIT] / system[3, 3])
     cause = np.zeros(CAUSES)
     for k in range(CAUSES):
         for a in range(KNOWN):
-            cause[k] += sizes[k] * of_cause[a, k] * system[a, KNOWN]
+            cause[k] += sizes[k] * of_cause[a, k] * system[a, RIGHT]
     _apply(t_ns, acc, gyr, noises, system, cause, quaternion, velocity, position, corrected[0], corrected[1])
-    return True
+    return True, free_m
 
 
 @inlined
@@ -399,8 +406,8 @@ def _apply(
     """
     n = t_ns.shape[0]
     last = n - 1
-    along_x, along_y, along_z = system[0, KNOWN], system[1, KNOWN], system[2, KNOWN]
-    along_height, along_tx, along_ty = system[3, KNOWN], system[4, KNOWN], system[5, KNOWN]
+    along_x, along_y, along_z = system[0, RIGHT], system[1, RIGHT], system[2, RIGHT]
+    along_height, along_tx, along_ty = system[3, RIGHT], system[4, RIGHT], system[5, RIGHT]
     for i in range(n):
         q0, q1, q2, q3 = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
         wx = wy = wz = px = py = pz = 0.0

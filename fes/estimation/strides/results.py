@@ -38,17 +38,17 @@ _UNKNOWN = {column.name: math.nan for column in COLUMNS if column.core and colum
 class StrideSettings:
     """How strides of one foot are integrated.
 
-    ``sensor_height_m``: height of the sensor above the ground contact; the end velocity is ``w × height``.
-    ``equal_height``: off on stairs and slopes. ``forward`` and ``up``: unit vectors towards the toe and up, foot flat,
-    in the sensor frame (3,). ``method``: "maximum_likelihood" weighs all errors, "constrained" is Negård et al.'s,
-    corrected. Where the foot has no true rest the stride's ``reason`` says so; it stays valid unless the foot turns
-    faster than ``NO_REST_RADPS`` at its quietest.
+    ``sensor_height_m``: height of the sensor above the ground contact; the end velocity is ``w × height``. ``incline``:
+    what the ground rises per horizontal distance, NaN for stairs and unknown slopes. ``forward`` and ``up``: unit
+    vectors towards the toe and up, foot flat, in the sensor frame (3,). ``method``: "maximum_likelihood" weighs all
+    errors, "constrained" is Negård et al.'s, corrected. Where the foot has no true rest the stride's ``reason`` says
+    so; it stays valid unless the foot turns faster than ``NO_REST_RADPS`` at its quietest.
     """
 
     forward: FloatArray
     up: FloatArray
     sensor_height_m: float = SENSOR_HEIGHT_M
-    equal_height: bool = True
+    incline: float = 0.0
     geometry: FootGeometry | None = None
     method: Literal["maximum_likelihood", "constrained"] = "maximum_likelihood"
     watch: Callable[[FootPath], None] | None = None  # is shown the path of every valid stride
@@ -65,7 +65,7 @@ class StrideSettings:
             up_z=uz,
             sensor_height_m=self.sensor_height_m,
             constrained=self.method == "constrained",
-            equal_height=self.equal_height,
+            incline=self.incline,
             known=known is not None,
             toe_forward_m=known.toe_forward_m if known else 0.0,
             toe_up_m=known.toe_up_m if known else 0.0,

@@ -22,6 +22,7 @@ from fes.estimation.strides.boundaries import (
     time_of,
 )
 from fes.estimation.strides.integration import (
+    FREE_RISE,
     HEIGHT_CHANGE,
     LENGTH,
     LENGTH_SD,
@@ -33,6 +34,7 @@ from fes.estimation.strides.integration import (
     TILT,
     TILTED,
     TURN,
+    line_of,
     solve_span,
     stride_shape,
 )
@@ -82,7 +84,7 @@ class SegmentationSettings(NamedTuple):
     up_z: float
     sensor_height_m: float
     constrained: bool
-    equal_height: bool
+    incline: float
     known: bool
     toe_forward_m: float
     toe_up_m: float
@@ -265,7 +267,7 @@ def solve_rows(
     row.outcome = solve_span(
         t_ns[begin:end], without(acc[begin:end], biases[0]), without(gyr[begin:end], biases[1]),
         first - begin, last - begin, known, fx, fy, fz, settings.sensor_height_m, settings.constrained,
-        settings.equal_height, quaternion, position, numbers,
+        settings.incline, quaternion, position, numbers,
     )  # fmt: skip
     row.tilt_rad, row.residual_rate_radps, row.stride_length_m = numbers[TILT], numbers[RESIDUAL_RATE], numbers[LENGTH]
     row.clearance_m, row.turn_rad, row.height_gained_m = numbers[PEAK_HEIGHT], numbers[TURN], numbers[HEIGHT_CHANGE]
@@ -273,7 +275,7 @@ def solve_rows(
         return
     if k < out.shapes.shape[0]:
         stride_shape(out.t_ns[at : at + count], quaternion, position, fx, fy, fz, out.shapes[k])
-    row.stride_length_sd_m = numbers[LENGTH_SD]
+    row.stride_length_sd_m, row.free_rise_m = numbers[LENGTH_SD], numbers[FREE_RISE]
     row.speed_mps = row.stride_length_m * NS_PER_S / _time_of(row.t_start_ns, row.t_end_ns, before_ns)
     row.toe_clearance_m = row.heel_clearance_m = math.nan
     if settings.known:
@@ -310,7 +312,8 @@ def _usual_step(t_ns: Any, first: int, last: int) -> float:
 
 @jit_ieee
 def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion: Any) -> None:
-    """Least height of the toe in mid-swing and greatest of the heel, above the starting stance (m); NaN if unknown.
+    """Least height of the toe in mid-swing and greatest of the heel (m), above where they stood and over the line from
+    stance to stance; NaN if unknown.
 
     Mid-swing is the middle of the time from foot off to contact: the toe leaves the ground and, after its first peak,
     passes low once more before it rises for the contact.
@@ -319,19 +322,37 @@ def _toe_and_heel(settings: Any, row: Any, t_ns: Any, position: Any, quaternion:
     contact_ns = row.t_stance_ns if row.t_loading_response_ns == UNSEEN_NS else row.t_loading_response_ns
     swung = off_ns != UNSEEN_NS and contact_ns != UNSEEN_NS
     begin, end = off_ns + 0.25 * (contact_ns - off_ns), off_ns + 0.8 * (contact_ns - off_ns)
+    last = t_ns.shape[0] - 1
+    nx, ny = line_of(position, 0, last)
+    lean = 0.0
+    if settings.incline != 0.0:
+        q = quaternion[0]
+        ahead = to_world(q[0], q[1], q[2], q[3], settings.forward_x, settings.forward_y, settings.forward_z)[2]
+        lean = math.atan2(position[last, 2], math.hypot(position[last, 0], position[last, 1])) - math.asin(ahead)
+    c, s = math.cos(lean), math.sin(lean)  # calibrated on level ground or on the slope, the sole lies on the slope
+    toe_forward, toe_up = (
+        c * settings.toe_forward_m - s * settings.toe_up_m,
+        c * settings.toe_up_m + s * settings.toe_forward_m,
+    )
+    heel_forward, heel_up = (
+        c * settings.heel_forward_m - s * settings.heel_up_m,
+        c * settings.heel_up_m + s * settings.heel_forward_m,
+    )
     toe_start = heel_start = 0.0
     least, most = math.inf, -math.inf
     for i in range(t_ns.shape[0]):
         w, x, y, z = quaternion[i, 0], quaternion[i, 1], quaternion[i, 2], quaternion[i, 3]
-        forward = to_world(w, x, y, z, settings.forward_x, settings.forward_y, settings.forward_z)[2]
-        up = to_world(w, x, y, z, settings.up_x, settings.up_y, settings.up_z)[2]
-        toe = position[i, 2] + settings.toe_forward_m * forward + settings.toe_up_m * up
-        heel = position[i, 2] + settings.heel_forward_m * forward + settings.heel_up_m * up
+        fx, fy, fz = to_world(w, x, y, z, settings.forward_x, settings.forward_y, settings.forward_z)
+        ux, uy, uz = to_world(w, x, y, z, settings.up_x, settings.up_y, settings.up_z)
+        forward, up = fz + nx * fx + ny * fy, uz + nx * ux + ny * uy
+        sensor = position[i, 2] + nx * position[i, 0] + ny * position[i, 1]
+        toe = sensor + toe_forward * forward + toe_up * up
+        heel = sensor + heel_forward * forward + heel_up * up
         if i == 0:
             toe_start, heel_start = toe, heel
         most = max(most, heel - heel_start)
         if swung and begin <= t_ns[i] < end:
             least = min(least, toe - toe_start)
-    row.heel_clearance_m = most
+    row.heel_clearance_m = most if most > -math.inf else math.nan
     if least < math.inf:
         row.toe_clearance_m = least

@@ -81,7 +81,7 @@ def from_analysis(analysis: Analysis) -> Estimate:
         events,
         strike,
         {foot: (path.closure_m, path.height_gained_m) for foot, path in analysis.paths.items()},
-        analysis.level,
+        analysis.ground.level,
     )
 
 

@@ -24,7 +24,12 @@ class Tuners:
         feet = sorted({str(channel.foot) for channel in session.channels})
         self._channels_of = {foot: [c.number for c in session.channels if c.foot == foot] for foot in feet}
         self.tuners = {
-            channel.number: Tuner(channel, session.stimulation.min_stride_length_m, session.stimulation.intensity)
+            channel.number: Tuner(
+                channel,
+                session.stimulation.min_stride_length_m,
+                session.stimulation.intensity,
+                free_ground=session.ground.free,
+            )
             for channel in session.channels
             if channel.tuning is not None and channel.tuning.mode != "off"
         }

@@ -22,6 +22,10 @@ CHARGE_SHARE: Final = 0.6  # of the usual charge: the rest of the pulses were re
 REMEMBERED: Final = 5
 SHORTEST_SWING: Final = 0.16  # of the stride; a third is usual, a quarter is a very slow walk's
 BELOW_GROUND_M: Final = -0.015  # no toe is there
+MOST_RISE_M: Final = 0.05  # of a stride on the ground that the session says
+LEAST_STAIR_M: Final = 0.12  # rises by more on any stair, however a sensor scatters
+RISES: Final = 20
+RISE_SDS: Final = 4.0
 NO_CHARGE: Final = "no stimulation was delivered in it"
 PITCH = "foot pitch at contact"
 MID_SWING_END = 0.80  # of the swing: until there the toe passes low, as the stride's own toe clearance has it
@@ -43,11 +47,39 @@ def jolted(stride: StrideResult) -> str:
     return ""
 
 
+class GroundWatch:
+    """Tells stairs and slopes from the ground that the session says: one foot's strides, in order.
+
+    By what the sensor alone says of each rise, less what the ground rises. That is off by a few centimetres that are
+    the sensor's own, and scatters; both are followed over the strides that are found usual, within bounds.
+    """
+
+    def __init__(self, *, most_m: float = MOST_RISE_M, free: bool = False) -> None:
+        self._most_m, self._free = most_m, free
+        self._rises: deque[float] = deque(maxlen=RISES)
+
+    def told(self, stride: StrideResult) -> str:
+        """What is unusual about the ground of this valid stride; "" where nothing is."""
+        rise_m = stride.height_gained_m
+        if math.isfinite(stride.free_rise_m) and not self._free:
+            rise_m = stride.free_rise_m - stride.height_gained_m
+        usual_m, allowed_m = 0.0, self._most_m
+        if len(self._rises) >= REMEMBERED and not self._free:
+            usual_m = min(max(median(self._rises), -self._most_m), self._most_m)
+            spread_m = 1.4826 * median(abs(rise - usual_m) for rise in self._rises)
+            allowed_m = max(self._most_m, min(RISE_SDS * spread_m, LEAST_STAIR_M))
+        if abs(rise_m - usual_m) > allowed_m:
+            return f"the foot went {100 * (rise_m - usual_m):+.0f} cm up: a stair or a slope"
+        self._rises.append(rise_m)
+        return ""
+
+
 class StrideFilter:
     """Judges every stride of one channel's foot, in order."""
 
-    def __init__(self, tuning: Tuning, min_stride_length_m: float) -> None:
+    def __init__(self, tuning: Tuning, min_stride_length_m: float, *, free_ground: bool = False) -> None:
         self._tuning = tuning
+        self._ground = GroundWatch(most_m=tuning.max_height_gained_m, free=free_ground)
         self._min_length_m = min_stride_length_m
         self._end_ns: int | None = None
         self._changed_ns: int | None = None
@@ -80,8 +112,8 @@ class StrideFilter:
             return f"a stride of {100 * stride.stride_length_m:.0f} cm is no walking"
         if abs(stride.turn_rad) > math.radians(self._tuning.max_turn_deg):
             return f"the foot turned by {abs(math.degrees(stride.turn_rad)):.0f}°"
-        if abs(stride.height_gained_m) > self._tuning.max_height_gained_m:
-            return f"the foot went {100 * stride.height_gained_m:+.0f} cm up: a stair or a slope"
+        if uneven := self._ground.told(stride):
+            return uneven
         if abs(stride.speed_mps - usual_mps) > SPEED_CHANGE * usual_mps:
             return f"the speed changed from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
         if self._changed_ns is not None and self._changed_ns >= stride.t_start_ns:

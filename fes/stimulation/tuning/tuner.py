@@ -73,10 +73,17 @@ class Tuner:
     """Follows one channel's foot. ``parameters`` are what the next burst is to have.
 
     ``usual_intensity`` is the session's, at which its settings are meant; below it nothing gets stronger than they are.
-    Strides shorter than ``min_stride_length_m`` are no walking.
+    Strides shorter than ``min_stride_length_m`` are no walking. ``free_ground``: nothing is known of it.
     """
 
-    def __init__(self, channel: Channel, min_stride_length_m: float = 0.15, usual_intensity: float = 1.0) -> None:
+    def __init__(
+        self,
+        channel: Channel,
+        min_stride_length_m: float = 0.15,
+        usual_intensity: float = 1.0,
+        *,
+        free_ground: bool = False,
+    ) -> None:
         self.channel = channel
         self.tuning = channel.tuning or Tuning()
         self.start = BurstParameters.for_channel(channel)
@@ -87,7 +94,7 @@ class Tuner:
         self._responses = Responses()
         self._usual_intensity = usual_intensity
         self._intensity = Intensity(channel, self.tuning)
-        self._filter = StrideFilter(self.tuning, min_stride_length_m)
+        self._filter = StrideFilter(self.tuning, min_stride_length_m, free_ground=free_ground)
         self._timing = SpeedTiming()
         self._lowering = Lowering()
         self._harm = HarmMonitor()
