@@ -136,7 +136,7 @@ class Rises:
         """One foot's strides, in order."""
         watch, valid = GroundWatch(), [stride for stride in strides if stride.valid]
         self.free_rise_m += [stride.free_rise_m for stride in valid]
-        self.left_out += sum(bool(watch.told(stride)) for stride in valid)
+        self.left_out += sum(bool(watch.unusual(stride)) for stride in valid)
 
 
 def rises(data: Path) -> Iterator[Rises]:

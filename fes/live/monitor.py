@@ -110,7 +110,7 @@ class ShownLog:
 
     def _tell_ground(self, stride: StrideResult) -> None:
         """Say when a foot comes onto stairs or a slope, and when it is back on the ground that the session says."""
-        told = self._ground.setdefault(stride.foot, GroundWatch()).told(stride)
+        told = self._ground.setdefault(stride.foot, GroundWatch()).unusual(stride)
         if bool(told) != (stride.foot in self._uneven):
             self._uneven ^= {stride.foot}
             text = f"{told}; tuning learns nothing there" if told else "back on the ground that the session says"

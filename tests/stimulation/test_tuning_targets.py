@@ -144,9 +144,9 @@ def test_an_incline_that_the_session_knows_teaches() -> None:
 def test_a_sensor_whose_heights_scatter_is_known_by_its_own_strides() -> None:
     watch = GroundWatch()
     rises = [0.04, -0.02, 0.045, 0.0, 0.03, 0.07, -0.03, 0.08, 0.06]
-    told = [watch.told(stride(n, 0.02, height_gained_m=0.0, free_rise_m=rise)) for n, rise in enumerate(rises)]
+    told = [watch.unusual(stride(n, 0.02, height_gained_m=0.0, free_rise_m=rise)) for n, rise in enumerate(rises)]
     assert not any(told)
-    assert watch.told(stride(9, 0.02, height_gained_m=0.0, free_rise_m=0.17))
+    assert watch.unusual(stride(9, 0.02, height_gained_m=0.0, free_rise_m=0.17))
 
 
 def test_what_was_not_stimulated_teaches_nothing(seen: StrideFilter) -> None:

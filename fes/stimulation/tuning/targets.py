@@ -58,7 +58,7 @@ class GroundWatch:
         self._most_m, self._free = most_m, free
         self._rises: deque[float] = deque(maxlen=RISES)
 
-    def told(self, stride: StrideResult) -> str:
+    def unusual(self, stride: StrideResult) -> str:
         """What is unusual about the ground of this valid stride; "" where nothing is."""
         rise_m = stride.height_gained_m
         if math.isfinite(stride.free_rise_m) and not self._free:
@@ -112,7 +112,7 @@ class StrideFilter:
             return f"a stride of {100 * stride.stride_length_m:.0f} cm is no walking"
         if abs(stride.turn_rad) > math.radians(self._tuning.max_turn_deg):
             return f"the foot turned by {abs(math.degrees(stride.turn_rad)):.0f}°"
-        if uneven := self._ground.told(stride):
+        if uneven := self._ground.unusual(stride):
             return uneven
         if abs(stride.speed_mps - usual_mps) > SPEED_CHANGE * usual_mps:
             return f"the speed changed from {usual_mps:.1f} to {stride.speed_mps:.1f} m/s"
