@@ -18,13 +18,8 @@ from fes.config.session import (
 from fes.config.tuning import Band, Bounds, Tuning
 
 __all__ = [
-<<<<<<< HEAD
     "PHASE_ORDER", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Exercise", "Foot",
-    "FootGeometry", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation", "StimulatorDevice",
-    "Switch", "Tuning", "explain", "load_exercise", "load_session", "read_toml", "validate_session",
-=======
-    "PHASE_ORDER", "Band", "Bounds", "Bus", "Channel", "ChannelLimits", "ConfigError", "Foot", "FootGeometry",
-    "Ground", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation", "StimulatorDevice", "Switch",
-    "Tuning", "explain", "load_session", "read_toml", "validate_session",
->>>>>>> f5f5524 (The ground: level, an incline or free; heights over the line from stance to stance, stairs told by the sensor alone)
+    "FootGeometry", "Ground", "ImuDevice", "Phase", "Positive", "Session", "Settings", "Stimulation",
+    "StimulatorDevice", "Switch", "Tuning", "explain", "load_exercise", "load_session", "read_toml",
+    "validate_session",
 ]  # fmt: skip
