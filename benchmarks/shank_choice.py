@@ -1,56 +1,72 @@
 """The shank's constants chosen again with each patient left out, and judged on that patient; 3 without data.
 
-    python benchmarks/shank_choice.py [--data FOLDER]
+    python benchmarks/shank_choice.py [--jobs N] [--data FOLDER] [--json FILE]
 
-Eleven settings around the default of ``fes.estimation.shank.motion``. The others choose by the number of their strides
-in order, as ``shank_phases.py`` counts them; about four minutes.
+Settings around the default of ``fes.estimation.shank.motion``, on all shanks of ``every_walker.py``, known and unseen.
+For each patient the others choose by their strides in order less false swings, counted by the foot's swings; between
+equals the default stays. The patient is then judged with what the others chose.
 """
 
 from __future__ import annotations
 
-import argparse
+import os
 import sys
-from pathlib import Path
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
 
-from rich.console import Console
+from command_line import console_of, parser_of, save
+from every_walker import Foot, calibrate, causal, feet_of
 from rich.table import Table
-from shank_phases import evaluate
 from stroke_treadmill import data_folder
+from swing_judge import score
 
-from fes.estimation.shank import motion as shank_levels
+from fes.analysis.swings import find_swings
+from fes.estimation.shank import motion
 
 SETTINGS: tuple[dict[str, float], ...] = (
     {},
     {"FLAT_TO_PEAK": 0.2},
     {"FLAT_TO_PEAK": 0.3},
+    {"RISE_TO_PEAK": 0.25},
+    {"RISE_TO_PEAK": 0.45},
     {"STILL_PER_FLOOR": 1.4},
     {"STILL_PER_FLOOR": 2.2},
-    {"LEAVE_ACC": 1.5},
-    {"LEAVE_ACC": 1.0},
-    {"RISING_SHARE": 0.25},
-    {"CONTACT_SHARE": 0.2},
-    {"PUSH_OFF_SHARE": 0.55},
-    {"PUSH_OFF_SHARE": 0.25},
+    {"RISING_SHARE": 0.3},
+    {"RISING_SHARE": 0.5},
 )
-Tally = tuple[int, int]
 
 
-def tally(folder: Path, setting: dict[str, float]) -> dict[str, Tally]:
-    """Patient → strides in order, and all strides, with a setting."""
-    before = {name: getattr(shank_levels, name) for name in setting}
-    try:
-        for name, value in setting.items():
-            setattr(shank_levels, name, value)
-        found: dict[str, Tally] = {}
-        for path in sorted((folder / "stroke_treadmill").glob("*.npz")):
-            patient = path.stem.split("_")[0]
-            for side in evaluate(path):
-                in_order, strides = found.get(patient, (0, 0))
-                found[patient] = in_order + side.in_order, strides + side.strides
-        return found
-    finally:
-        for name, value in before.items():
-            setattr(shank_levels, name, value)
+@dataclass(frozen=True)
+class Judged:
+    """One shank by one setting."""
+
+    part: str
+    person: str
+    run: str
+    sensor: str
+    strides: int
+    in_order: int
+    swings: int
+    false_swings: int
+
+
+def judge(foot: Foot) -> list[Judged]:
+    """One shank by every setting."""
+    by = foot.judge or foot.track
+    swings = find_swings(by.t_ns, by.acc_mps2, by.gyr_radps)
+    judged = []
+    for setting in SETTINGS:
+        kept = {name: getattr(motion, name) for name in setting}
+        try:
+            for name, value in setting.items():
+                setattr(motion, name, value)
+            counts = score(swings, *causal(foot.track, calibrate(foot.track)))
+        finally:
+            for name, value in kept.items():
+                setattr(motion, name, value)
+        counted = counts.strides, counts.in_order, counts.swings, counts.false_swings
+        judged.append(Judged(foot.part, foot.person, foot.run, foot.track.sensor, *counted))
+    return judged
 
 
 def named(setting: dict[str, float]) -> str:
@@ -58,30 +74,45 @@ def named(setting: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:g}" for name, value in setting.items()) or "default"
 
 
-def main() -> int:
-    """Print every setting's shares, and what the others would choose for each patient."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--data", type=Path, default=data_folder(), help="folder with stroke_treadmill/ below")
-    folder = parser.parse_args().data
-    results = [tally(folder, setting) for setting in SETTINGS]
-    patients = list(results[0])
-    if not patients:
-        print(f"No recordings in {folder / 'stroke_treadmill'}; set FES_DATA or give --data.", file=sys.stderr)
+def figures(judged: list[Judged]) -> list[str]:
+    """In order (%), worst shank (%), false swings per 100."""
+    strides, swings = sum(each.strides for each in judged), sum(each.swings for each in judged)
+    worst = min(100.0 * each.in_order / each.strides for each in judged)
+    return [
+        f"{100.0 * sum(each.in_order for each in judged) / strides:.2f}",
+        f"{worst:.1f}",
+        f"{100.0 * sum(each.false_swings for each in judged) / swings:.2f}",
+    ]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Print every setting's figures, what the others choose for each patient, and what comes of it."""
+    parser = parser_of(__doc__, data_folder())
+    parser.add_argument("--jobs", type=int, default=min(2, os.cpu_count() or 1), help="processes")
+    options = parser.parse_args(arguments)
+    with ProcessPoolExecutor(options.jobs) as pool:
+        shanks = list(pool.map(judge, feet_of(options.data, ["shanks"]), chunksize=1))
+    if not shanks:
+        print(f"No recordings in {options.data}; set FES_DATA or give --data.", file=sys.stderr)
         return 3
-    console = Console() if sys.stdout.isatty() else Console(width=120)
-    table = Table("setting", *patients)
-    for setting, found in zip(SETTINGS, results, strict=True):
-        table.add_row(named(setting), *(f"{100 * found[p][0] / found[p][1]:.2f} %" for p in patients))
+    console = console_of(120)
+    table = Table("setting", "in order %", "worst", "false /100")
+    for k, setting in enumerate(SETTINGS):
+        table.add_row(named(setting), *figures([each[k] for each in shanks]))
     console.print(table)
-    total = [0, 0]
-    for patient in patients:
-        best = max(range(len(SETTINGS)), key=lambda k: sum(results[k][p][0] for p in patients if p != patient))
-        in_order, strides = results[best][patient]
-        total = [total[0] + in_order, total[1] + strides]
-        console.print(
-            f"{patient} left out: the others choose {named(SETTINGS[best])}; {in_order} of {strides} in order"
-        )
-    console.print(f"Left out, in all: {total[0]} of {total[1]} ({100 * total[0] / total[1]:.2f} %)")
+    left_out: list[Judged] = []
+    for person in sorted({each[0].person for each in shanks}):
+        others = [each for each in shanks if each[0].person != person]
+        worths = [sum(each[k].in_order - each[k].false_swings for each in others) for k in range(len(SETTINGS))]
+        best = worths.index(max(worths))
+        left_out += [each[best] for each in shanks if each[0].person == person]
+        console.print(f"{person} left out: the others choose {named(SETTINGS[best])}")
+    table = Table("part", "left out: in order %", "worst", "false /100", "in sample: in order %", "worst", "false /100")
+    for part in dict.fromkeys(each.part for each in left_out):
+        own = [each[0] for each in shanks if each[0].part == part]
+        table.add_row(part, *figures([each for each in left_out if each.part == part]), *figures(own))
+    console.print(table)
+    save([asdict(each) for each in left_out], options.json)
     return 0
 
 

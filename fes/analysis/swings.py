@@ -11,8 +11,8 @@ the foot by a few degrees only.
   direction with the most variance. Of angles, not of rates: rolling onto an edge is fast, but small;
 - *sign*: a foot stands for most of the cycle and then travels fast, so its speed is skewed towards forward;
 - *rises*: between turning points of the pitch that are at least 3° apart. One of ``SURE`` of the typical rise (the
-  median of the greater two thirds) is a swing; one of ``POSSIBLE`` may be one (a step on the spot, a pivot).
-  *Mid-swing* is where half of the rise is done.
+  median of the greater two thirds) is a swing; one of ``POSSIBLE`` may be one (a step on the spot, a pivot),
+  and so may one that the recording's end cuts. *Mid-swing* is where half of the rise is done.
 """
 
 from collections.abc import Iterable
@@ -85,12 +85,15 @@ def find_swings(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> 
     spans = list(zip(points[0::2], points[1::2], strict=False))
     if not spans:
         return Swings(none, none, begin, end)
+    whole = len(spans)
+    if len(points) > 2 * whole:  # the recording ends before the foot falls again
+        spans.append((points[-1], points[-1] + int(np.argmax(pitch[points[-1] :]))))
     rises = np.array([pitch[b] - pitch[a] for a, b in spans])
-    typical = float(np.median(np.sort(rises)[len(rises) // 3 :]))
+    typical = float(np.median(np.sort(rises[:whole])[whole // 3 :]))
     middle = [a + int(np.argmax(pitch[a : b + 1] >= 0.5 * (pitch[a] + pitch[b]))) for a, b in spans]
     at_ns = times[middle]
-    sure = rises >= max(SURE * typical, LEAST_SURE_RAD)
-    return Swings(at_ns[sure], at_ns[rises >= max(POSSIBLE * typical, LEAST_POSSIBLE_RAD)], begin, end)
+    sure = (rises >= max(SURE * typical, LEAST_SURE_RAD))[:whole]
+    return Swings(at_ns[:whole][sure], at_ns[rises >= max(POSSIBLE * typical, LEAST_POSSIBLE_RAD)], begin, end)
 
 
 def pitch_of(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> tuple[IntArray, FloatArray]:

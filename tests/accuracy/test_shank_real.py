@@ -51,13 +51,13 @@ def results(benchmark: ModuleType) -> list[Any]:
 
 
 def test_the_four_phases_come_in_order(benchmark: ModuleType, results: list[Any]) -> None:
-    """99 % of strides, no side below 95 %, at most one false swing in a hundred."""
+    """99.5 % of strides, no side below 97 %, at most 0.2 false swings in a hundred."""
     assert len(results) == 26
     assert benchmark.holds(results, [])
 
 
 def test_foot_off_and_contact_are_the_foot_sensors(results: list[Any]) -> None:
-    """Within two samples of the foot sensor's in the median of sides; heel-off and foot-flat within five."""
+    """Within two samples of the foot sensor's in the median of sides; heel-off and foot-flat within eight."""
     later = np.array([result.later_ms for result in results])
     heel_off, foot_off, contact, flat = np.median(later, axis=0)
     assert abs(foot_off) <= 20.0
@@ -70,8 +70,8 @@ def test_foot_off_and_contact_are_the_foot_sensors(results: list[Any]) -> None:
 def test_causal_strides_are_as_long_as_the_belt_says(results: list[Any]) -> None:
     ratios = np.array([r.speed_ratio for r in results if not np.isnan(r.speed_ratio)])
     assert 0.98 <= ratios.mean() <= 1.02
-    assert np.abs(ratios - 1.0).max() <= 0.08
-    assert sum(r.invalid for r in results) <= 0.015 * sum(r.solved for r in results)
+    assert np.abs(ratios - 1.0).max() <= 0.06
+    assert sum(r.invalid for r in results) <= 0.01 * sum(r.solved for r in results)
 
 
 def test_left_is_told_from_right_on_other_subjects(benchmark: ModuleType) -> None:

@@ -49,6 +49,13 @@ def test_every_swing_is_counted_once(rate_hz, turn):
     assert swings.outside([(0, spans[5][1])]).tolist() == swings.sure[1:].tolist(), "one swing a stride"
 
 
+def test_one_that_the_end_cuts_may_be_one():
+    t_ns, acc, gyr = walk(12, 100.0, Rotation.identity())
+    seen = t_ns < 1e9 * (1.0 + STRIDE_S * 11.84)  # the foot still turns toe-up
+    swings = find_swings(t_ns[seen], acc[seen], gyr[seen])
+    assert (len(swings.sure), len(swings.possible)) == (11, 12)
+
+
 def test_standing_has_none():
     rng = np.random.default_rng(2)
     t_ns = np.arange(3000) * 10_000_000

@@ -154,6 +154,7 @@ def test_the_ankle_stands_still_in_stance_and_levels_follow_the_walk() -> None:
     assert trace[stance, 1].max() < 1.0 < 3.0 < trace[swing, 1].min()
     assert trace[stance, 0].min() > 0.0 > trace[[s + 8 for s in swing], 0].max()
     levels = found.levels
+    assert trace[stance, 1].max() < levels.still_mps2 < trace[swing, 1].min()
     assert levels.push_off_radps > levels.heel_rise_radps > levels.rest_lean_radps > 0.0
     assert levels.fall_radps > 2.0 * levels.push_off_radps
     assert levels.stride_s == pytest.approx(STRIDE_S, abs=0.05)
@@ -189,6 +190,19 @@ def test_measures_of_a_shank_follow_within_bounds() -> None:
     assert tracker.thresholds._replace(**{n: getattr(start, n) for n in start._fields[:4]}) == start
 
 
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_lean_over_a_standing_ankle_is_no_heel_rise(moves: bool) -> None:
+    """As fast as at heel rise; only once the ankle goes with it does the heel rise."""
+    lean = eased([1.0, 1.4], [0.0, 0.4], 3.0)
+    assert np.gradient(lean, 0.01).max() > calibration().levels.heel_rise_radps
+    ankle = np.zeros((300, 3))
+    if moves:
+        ankle[:, 0], ankle[:, 2] = eased([1.0, 1.4], [0.0, 0.2], 3.0), eased([1.0, 1.4], [0.0, 0.1], 3.0)
+    made = shank_moved(lean, ankle)
+    left = [o.transition for o in ShankTracker(calibration()).advance(*made) if isinstance(o, PhaseChange)]
+    assert left[:1] == ([Transition.T1] if moves else [])
+
+
 def test_levels_of_former_versions_are_read() -> None:
     """They were thresholds: what they were shares of comes back."""
     former = {
@@ -197,7 +211,7 @@ def test_levels_of_former_versions_are_read() -> None:
     }  # fmt: skip
     found = ShankCalibration.from_dict(calibration().to_dict() | {"levels": former}).levels
     assert (found.rest_lean_radps, found.push_off_radps) == pytest.approx((1.0, 3.0))
-    assert found.contact_jolt_mps3 == pytest.approx(1500.0)
+    assert (found.contact_jolt_mps3, found.still_mps2) == pytest.approx((1500.0, 2.0))
     assert found.heel_rise_radps > found.rest_lean_radps
     assert found.fall_radps > found.push_off_radps
     nothing = calibration().to_dict()

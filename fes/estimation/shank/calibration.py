@@ -83,6 +83,7 @@ class ShankCalibration:
             *self.acc_bias_mps2,
             *self.gyr_bias_radps,
             1.0 / self.rate_hz,
+            self.levels.still_mps2,
             lags_at(self.rate_hz)[0],
         )
 

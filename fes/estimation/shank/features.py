@@ -30,8 +30,7 @@ REST_FOLLOW_S = 0.25  # gravity follows the ankle's force this fast while the fo
 FOLLOW_S = 4.0  # … and this slowly all the time, so that a wrong start heals
 SMOOTHING_S = 0.01  # of the rate of lean: less than the guards' look-backs
 WOBBLE_S = 0.02  # of the ankle's force: soft tissue rings at some 10–20 Hz
-STILL_MPS2 = 2.0  # the ankle stands while its force is this close to gravity …
-STILL_S = 0.03  # … for so long
+STILL_S = 0.03  # the ankle stands once it has been still for so long
 
 STATE = record_type(
     [
@@ -62,6 +61,7 @@ class ShankParameters(NamedTuple):
     gyr_bias_y_radps: float
     gyr_bias_z_radps: float
     sample_s: float  # nominal
+    still_mps2: float  # the ankle stands while its force is this close to gravity
     jerk_lag: int  # 10 ms
 
 
@@ -98,9 +98,9 @@ def advance(core: Record, t_ns: Vec, acc: Mat, gyr: Mat, begin: int, end: int, t
         rate[0], rate[1] = gyr[i, 0] - parameters.gyr_bias_x_radps, gyr[i, 1] - parameters.gyr_bias_y_radps
         rate[2] = gyr[i, 2] - parameters.gyr_bias_z_radps
         excess = _ankle(state, parameters, dt_s)
-        _turning(core, dt_s)
-        if excess >= STILL_MPS2:
+        if excess >= parameters.still_mps2:
             state.moving_ns = state.t_ns
+        _turning(core, dt_s)
         trace[i, 0], trace[i, 1], trace[i, 2] = state.lean, excess, state.contact_jerk
         trace[i, 3] = 1.0 if _stands(state) else 0.0
         transition = first_transition(state.phase, features(state), core.thresholds)
@@ -160,4 +160,7 @@ def _turning(core: Record, dt_s: float) -> None:
     was = state.force[(state.samples - back) % LAGS]
     dx, dy, dz = f[0] - was[0], f[1] - was[1], f[2] - was[2]
     jolt = math.sqrt(dx * dx + dy * dy + dz * dz) * per_second(back, parameters.sample_s)
-    observe(core, lean, abs(lean), jolt, dt_s)
+    still = state.t_ns - state.moving_ns >= 1e9 * STILL_S
+    observe(core, lean, abs(lean) if still else math.inf, jolt, dt_s)
+    if still and state.phase == 0:
+        state.toe_down = 0.0  # a foot does not turn under an ankle that stands

@@ -224,6 +224,8 @@ def _product(p: FloatArray, q: FloatArray) -> FloatArray:
 FLAT_TO_PEAK = 0.25  # the rest threshold lies this share of the way from mid-stance's rate to foot-off's …
 RISE_TO_PEAK = 0.35  # … heel rise's this …
 FLAT_BOUNDS_RADPS = (0.4, 2.5)  # … within these
+STILL_PER_FLOOR = 1.8  # the ankle is still below this multiple of what it shows in mid-stance …
+STILL_BOUNDS_MPS2 = (1.5, 8.0)  # … within these
 RISING_SHARE = 0.4  # a shank's contact comes before its lean has quite come to a stop
 LEAST_JOLT_MPS3 = 500.0
 NEVER = Thresholds(push_off_radps=math.inf, fall_radps=math.inf, contact_jerk_mps3=math.inf, stride_s=math.inf)
@@ -240,6 +242,7 @@ class ShankLevels:
         fall_radps: from there to the greatest rate of swing.
         stride_s: from mid-stance to mid-stance.
         contact_jolt_mps3: jump of the force at contact.
+        still_mps2: the ankle's force is no further from gravity while the foot is flat.
     """
 
     rest_lean_radps: float = 1.2
@@ -248,6 +251,7 @@ class ShankLevels:
     fall_radps: float = 7.0
     stride_s: float = 1.2
     contact_jolt_mps3: float = 1300.0
+    still_mps2: float = 2.0
 
     def thresholds(self, *, swing_at_reversal: bool = False) -> Thresholds:
         """The guards' thresholds for this shank; all others at their defaults."""
@@ -270,7 +274,7 @@ class ShankLevels:
             return ShankLevels(**data)
         rest, peak = data["rest_lean_radps"], data["min_lean_peak_radps"] / 0.4
         jolt = max(data["contact_jolt_mps3"] / 0.3, LEAST_JOLT_MPS3)
-        return ShankLevels(rest, 1.2 * rest, peak, 2.8 * peak, contact_jolt_mps3=jolt)
+        return ShankLevels(rest, 1.2 * rest, peak, 2.8 * peak, contact_jolt_mps3=jolt, still_mps2=data["rest_acc_mps2"])
 
 
 def trace_of(parameters: ShankParameters, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> FloatArray:
@@ -292,11 +296,12 @@ def fit_levels(trace: FloatArray, spans: list[StrideSpan], rate_hz: float) -> Sh
     """Fit the levels to the strides of a walk; without any the defaults."""
     if not spans:
         return ShankLevels()
-    lean, jolt = trace[:, 0], trace[:, 2]
-    flat, peak, trough, contact, stride_s = [], [], [], [], []
+    lean, ankle, jolt = trace[:, 0], trace[:, 1], trace[:, 2]
+    flat, still, peak, trough, contact, stride_s = [], [], [], [], [], []
     for span in spans:
         window = slice(max(span.first - span.half, 0), span.first + span.half + 1)
         flat.append(float(np.abs(lean[window]).mean()))
+        still.append(float(np.median(ankle[window])))
         peak.append(float(lean[span.first : span.swing + 1].max()))
         trough.append(float(lean[span.first : span.last + 1].min()))
         contact.append(float(jolt[span.swing : span.last + 1].max()))
@@ -309,4 +314,5 @@ def fit_levels(trace: FloatArray, spans: list[StrideSpan], rate_hz: float) -> Sh
         fall_radps=float(np.median(np.array(peak) - np.array(trough))),
         stride_s=float(np.median(stride_s)),
         contact_jolt_mps3=max(float(np.median(contact)), LEAST_JOLT_MPS3),
+        still_mps2=float(np.clip(STILL_PER_FLOOR * float(np.median(still)), *STILL_BOUNDS_MPS2)),
     )
