@@ -21,7 +21,7 @@ from drivers.switches import SwitchFailed, open_switch
 from fes.calibration.recording import SensorCalibrations, load
 from fes.cli.calibrate import describe, save_calibrations
 from fes.cli.common.exits import LOG_SUFFIX, OK, Problem, StoppedEarly, failing, fresh_folder, interrupted
-from fes.cli.common.options import PATH, Number, RenamedOptions, utc_now
+from fes.cli.common.options import PATH, Command, Number, RenamedOptions, utc_now
 from fes.cli.common.progress import Interrupt
 from fes.cli.run import devices
 from fes.config import ConfigError, Session, load_session
@@ -113,7 +113,7 @@ class Options:
     report: bool = True
 
 
-def live_options(command: devices.Command) -> devices.Command:
+def live_options(command: Command) -> Command:
     """What sessions with and without sensors have in common."""
     stop_input = "can_bit:ID:BIT, serial_cts:PORT, serial_dsr:PORT. Default: live.stop_button."
     descriptor = click.IntRange(min=0)
