@@ -52,10 +52,12 @@ GUARDS: dict[str, tuple[float, ...]] = {
     "push_off_share": (0.3, 0.4, 0.5),
     "shortest_swing": (0.2, 0.22, 0.25, 0.28),
     "rising_share": (0.2, 0.25, 0.3),
-    "soft_contact": (0.08, 0.1, 0.13),
-    "jerk_share": (0.2, 0.3, 0.4),
-    "mid_swing_share": (0.45, 0.55, 0.65),
-    "longest_loading": (0.08, 0.1, 0.13, 0.2),
+    "struck_per_s": (4.0, 8.0, 12.0),
+    "soft_contact": (0.06, 0.08, 0.1, 0.13),
+    "jerk_share": (0.15, 0.2, 0.3, 0.4),
+    "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
+    "longest_loading": (0.06, 0.08, 0.1, 0.13),
+    "heel_rise_after": (0.25, 0.26, 0.27),
 }
 CALIBRATION: dict[str, tuple[float, ...]] = {"FALL_SHARE": (0.35, 0.45, 0.55), "TROUGH_SHARE": (0.2, 0.3, 0.4)}
 CHOICES = GUARDS | CALIBRATION

@@ -16,7 +16,8 @@ FORMER_NAMES = {"contact_jump_mps3": "contact_jerk_mps3", "vertical_jump_mps3": 
 class Features(NamedTuple):
     """What the guards may look at, at one sample of one foot. All causal.
 
-    ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive. ``toe_down_peak_radps`` is the
+    ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive; ``toe_down_change_radps2`` is how
+    fast that rate has grown in the last hundredths of a second. ``toe_down_peak_radps`` is the
     greatest toe-down rate since pre-swing began and ``toe_up_peak_radps`` the greatest toe-up rate since swing began
     (both not negative). ``turned_rad`` is how far the foot has turned toe-down since it last turned back,
     ``pitch_rad`` how far since it last lay flat, toe-up positive.
@@ -27,6 +28,7 @@ class Features(NamedTuple):
     """
 
     toe_down_radps: float
+    toe_down_change_radps2: float
     toe_down_peak_radps: float
     toe_up_peak_radps: float
     turned_rad: float
@@ -52,7 +54,7 @@ class Thresholds(NamedTuple):
     rest_share: float = 0.18  # T4–T6: at rest below this rate
     heel_rise_share: float = 0.22  # T1: moving above this rate …
     heel_rise_rad: float = 0.07  # … once it has turned by 4° …
-    heel_rise_after: float = 0.25  # … and this share of the stride after contact, before which no heel rises
+    heel_rise_after: float = 0.26  # … and this share of the stride after contact, before which no heel rises
     toe_up_share: float = 0.3  # T1–T3: a dragged foot swings without a push-off: toe-up above this rate …
     toe_up_after: float = 0.35  # … and, for T1, this share of the stride after contact
     push_off_share: float = 0.4  # T2: no push-off has been seen below this share of its typical rate
@@ -60,15 +62,17 @@ class Thresholds(NamedTuple):
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
     shortest_swing: float = 0.25  # T3: of the stride; toe-off's jolts end before …
     longest_swing_stride_s: float = 1.8  # … for swing does not lengthen with slower strides than this
-    mid_swing_share: float = 0.55  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
-    rising_share: float = 0.3  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
-    landed_share: float = 0.15  # T3: a foot that has landed turns toe-down at this rate
+    mid_swing_share: float = 0.65  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
+    rising_share: float = 0.25  # T3: the toe-up rate has come back to this share of its peak: mid-swing is over
+    landed_share: float = 0.15  # T3: a foot that has landed turns toe-down at this rate, …
+    struck_share: float = 0.03  # … or at this one if it is struck: …
+    struck_per_s: float = 8.0  # … the rate grows by so many times the push-off's each second
     jerk_share: float = 0.3  # T3: the force jumps by this share of its typical jump
     soft_contact: float = 0.1  # T3: after so long at rest, of the stride, it has landed without a jolt
     shortest_loading: float = 0.03  # T4: of the stride after contact; the foot is not flat before
     flat_rad: float = 0.07  # T4: the pitch is within 4° of flat, or …
     flat_share: float = 0.027  # … at rest for this share of the stride, or …
-    longest_loading: float = 0.15  # … at the latest this share of the stride after contact, …
+    longest_loading: float = 0.08  # … at the latest this share of the stride after contact, …
     longest_loading_stride_s: float = 1.3  # … which does not lengthen with slower strides than this
     put_back: float = 0.13  # T5, T6: at rest for this share of the stride
 
@@ -115,6 +119,7 @@ def t3(x: Features, p: Thresholds) -> bool:
         return False
     return (
         x.toe_down_radps > p.landed_share * rate
+        or (x.toe_down_radps > p.struck_share * rate and x.toe_down_change_radps2 > p.struck_per_s * rate)
         or x.contact_jerk_mps3 > p.jerk_share * p.contact_jerk_mps3
         or (x.resting_s > p.soft_contact * p.stride_s and not x.travelling)
     )

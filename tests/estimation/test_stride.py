@@ -27,7 +27,7 @@ BOTH_METHODS = [
     for method in ("maximum_likelihood", "constrained")
 ]
 SETTINGS = BOTH_METHODS[0]
-CREEP_M = 0.005  # in the second that a motion lasts
+CREEP_M = 0.002  # in the second that a motion lasts
 both_methods = pytest.mark.parametrize("method", BOTH_METHODS, ids=lambda s: s.method)
 PHASES = {Phase.PRE_SWING: 100_000_000, Phase.SWING: 300_000_000, Phase.LOADING_RESPONSE: 700_000_000}
 
@@ -373,6 +373,43 @@ def test_an_orientation_that_is_far_off_at_the_end() -> None:
     result = solve(spoiled)
     assert not result.valid
     assert result.reason == "the orientation is 40° off at its end"
+
+
+def test_a_start_that_was_not_known_is_righted_only_where_gravity_is_seen_at_both_ends() -> None:
+    """By 60°: a foot that turns at 2.2 rad/s does not show where down is."""
+
+    def started_wrong(m: Motion) -> StrideResult:
+        off = np.roll((Rotation.from_euler("X", 60.0, degrees=True) * upright(m)).as_quat(), 1)
+        return solve(replace(m, quaternion=np.vstack((off, m.quaternion[1:]))))
+
+    def upright(m: Motion) -> Rotation:
+        return Rotation.from_quat(np.roll(m.quaternion[0], -1))
+
+    resting = started_wrong(motion())
+    assert resting.valid
+    assert resting.stride_length_m == pytest.approx(1.2, abs=0.02)
+    rolling = started_wrong(motion(roll_rps=2.2, pitch_rad=0.3))
+    assert not rolling.valid
+    assert rolling.reason.startswith("the orientation is 60° off")
+
+
+def test_a_jolt_is_no_rest() -> None:
+    """A foot that turns to and fro by 5 rad/s does not stand, though on average it hardly turns."""
+    m = motion()
+    struck = m.gyr + np.outer(
+        np.where(1e-9 * m.t_ns < 0.05, 5.0 * (-1.0) ** np.arange(len(m.t_ns)), 0.0), [0.0, 0.0, 1.0]
+    )
+    result = solve(replace(m, gyr=struck))
+    assert not result.valid
+    assert result.reason.startswith("the foot never rests: 5.")
+
+
+def test_a_foot_that_hardly_stands_gives_way_more() -> None:
+    """The rate at the ends changes by 12 rad/s each second: a spread of 0.1 rad/s."""
+    m = motion()
+    near = np.minimum(1e-9 * m.t_ns, 1.0 - 1e-9 * m.t_ns)
+    restless = replace(m, gyr=m.gyr + np.outer(12.0 * np.where(near < 0.1, near - 0.05, 0.0), [0.0, 0.0, 1.0]))
+    assert 0.001 < solve(restless).stride_length_m - solve(m).stride_length_m < 0.01
 
 
 def test_no_force_at_all_is_no_stride() -> None:

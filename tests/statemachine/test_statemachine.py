@@ -41,7 +41,7 @@ NetworkGuard: TypeAlias = Callable[[Features, Thresholds], bool]
 GUARDS: dict[Transition, NetworkGuard] = {row.transition: row.guard for row in TABLE}
 
 # one set of features per guard under which it is true
-NOTHING = Features(*[0.0] * 9, travelling=False)._replace(pitch_rad=1.0)
+NOTHING = Features(*[0.0] * 10, travelling=False)._replace(pitch_rad=1.0)
 RATE, WEAK_RATE = P.push_off_radps, 0.5 * P.fall_radps
 STRIDE_S, SLOW_S = P.stride_s, 1.3 * max(P.longest_swing_stride_s, P.longest_loading_stride_s)
 SLOW_TO_LOAD_S = 1.3 * P.longest_loading_stride_s
@@ -94,6 +94,9 @@ DRAGGED = {"toe_down_peak_radps": 0.0}
 SHUFFLED = {"toe_down_peak_radps": 0.0, "toe_down_radps": 0.01}  # hardly a fall
 SLOW = {"stride_s": SLOW_S}
 SILENT = {"contact_jerk_mps3": 0.0}
+STRUCK = {
+    **SILENT, "toe_down_radps": above(P.struck_share * RATE), "toe_down_change_radps2": above(P.struck_per_s * RATE)
+}  # fmt: skip
 SOFT_S, REST_S, FLAT_S = P.soft_contact * STRIDE_S, P.put_back * STRIDE_S, P.flat_share * STRIDE_S
 LONG = {"resting_s": 0.0, "stride_s": SLOW_TO_LOAD_S}
 LOADED_S = P.longest_loading * P.longest_loading_stride_s
@@ -161,6 +164,9 @@ CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
     (Transition.T3, "mid-swing is just over", {"toe_down_radps": above(-P.rising_share * UP_RADPS)}, True),
     (Transition.T3, "landed", {**SILENT, "toe_down_radps": above(P.landed_share * RATE)}, True),
     (Transition.T3, "not yet landed", {**SILENT, "toe_down_radps": P.landed_share * RATE}, False),
+    (Transition.T3, "struck", STRUCK, True),
+    (Transition.T3, "not yet turned back", {**STRUCK, "toe_down_radps": P.struck_share * RATE}, False),
+    (Transition.T3, "runs out above the ground", {**STRUCK, "toe_down_change_radps2": P.struck_per_s * RATE}, False),
     (Transition.T3, "a soft contact", {**SILENT, "resting_s": above(SOFT_S)}, True),
     (Transition.T3, "has just come to rest", {**SILENT, "resting_s": SOFT_S}, False),
     (Transition.T3, "glides", {**SILENT, "resting_s": above(SOFT_S), "travelling": True}, False),
@@ -377,7 +383,8 @@ def _grid() -> list[tuple[Any, ...]]:
         for up in (below(TOE_UP), TOE_UP, UP_RADPS):
             rates = (P.heel_rise_share * RATE, below(-TOE_UP), P.landed_share * RATE)
             rows += itertools.product(
-                beside(*rates, (1.0 - P.push_off_drop) * peak, below(0.0), -P.rising_share * up),
+                beside(*rates, P.struck_share * RATE, (1.0 - P.push_off_drop) * peak, below(0.0), -P.rising_share * up),
+                beside(P.struck_per_s * RATE),
                 (peak,),
                 (up,),
                 beside(P.heel_rise_rad),
@@ -398,7 +405,7 @@ GRID = _grid()
 def _fired(values: np.ndarray, p: Thresholds, out: np.ndarray) -> None:
     for i in range(values.shape[0]):
         v = values[i]
-        x = Features(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9] != 0.0)
+        x = Features(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10] != 0.0)
         for phase in range(4):
             out[i, phase] = kernel.first_transition(phase, x, p)
 

@@ -296,10 +296,10 @@ def _pointing(quaternion: Mat, i: int, x: float, y: float, z: float) -> tuple[fl
 
 
 NOISE, HEIGHT_NOISE = StrideNoise(), HeightNoise()
-# forward, of an instep in mid-stance beyond w × r: shoe and skin give way, as optical systems see too. The constrained
-# method, which cannot tell a velocity from an acceleration error, needs more of it on the same recordings.
-DRIFT_SPEED_MPS = {"maximum_likelihood": 0.002, "constrained": 0.005}
-_DRIFT_SPEED_MPS, _DRIFT_SPEED_CONSTRAINED_MPS = DRIFT_SPEED_MPS["maximum_likelihood"], DRIFT_SPEED_MPS["constrained"]
+# Forward, of an instep in mid-stance beyond w × r: the shorter a foot stands, the more it gives way and rolls on, which
+# the spread of the rate there shows. The constrained method, which cannot tell a velocity from an acceleration error,
+# needs more of it on the same recordings, at every pace.
+DRIFT_PER_SPREAD_M, DRIFT_FROM_RADPS, DRIFT_CONSTRAINED_MPS = 0.05, 0.04, 0.005
 END_TILT_GAIN = 0.15
 MOST_TILT_RAD = math.radians(30)
 MOST_PUSHED_MPS2 = 3.5  # from rest to rest: neither bias nor tilt explains a greater mean of the level specific force
@@ -401,8 +401,8 @@ def solve_span(
     n = last + 1 - first
     t, f, w = t_ns[first : last + 1], acc[first : last + 1], gyr[first : last + 1]
     around = around_ends(t_ns, first, last)
-    rates, forces, variances = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 2))
-    residual_rate = 0.0
+    rates, forces, variances, drifts_mps = np.empty((2, 3)), np.empty((2, 3)), np.empty((2, 2)), np.empty(2)
+    residual_rate = unrest_radps = 0.0
     for e in range(2):
         k = last if e else first
         begin, end = max(k - around, 0), min(k + around + 1, t_ns.shape[0])
@@ -412,11 +412,14 @@ def solve_span(
         forces[e, 0], forces[e, 1], forces[e, 2] = f0, f1, f2
         rate = math.sqrt(r0 * r0 + r1 * r1 + r2 * r2)
         spread = math.sqrt(max(p0, p1, p2))
-        variances[e, 0], variances[e, 1] = end_variances(rate, math.sqrt(s0 + s1 + s2), spread, NOISE)
-        residual_rate = max(residual_rate, rate)
+        rate_spread = math.sqrt(s0 + s1 + s2)
+        variances[e, 0], variances[e, 1] = end_variances(rate, rate_spread, spread, NOISE)
+        drift_mps = DRIFT_PER_SPREAD_M * max(rate_spread - DRIFT_FROM_RADPS, 0.0)
+        drifts_mps[e] = DRIFT_CONSTRAINED_MPS if constrained else drift_mps
+        residual_rate, unrest_radps = max(residual_rate, rate), max(unrest_radps, math.hypot(rate, rate_spread))
     gain = END_TILT_GAIN if constrained else 0.0
     tilt = orient(t, w, start, forces[1, 0], forces[1, 1], forces[1, 2], gain, quaternion)
-    if MOST_TILT_RAD < tilt < math.pi and variances[1, 1] < MOST_GUESSED_RAD**2:
+    if MOST_TILT_RAD < tilt < math.pi and max(variances[0, 1], variances[1, 1]) < MOST_GUESSED_RAD**2:
         # no gyroscope errs so much in a stride: its start was not known
         _, dx, dy = _tilt(quaternion[n - 1], forces[1, 0], forces[1, 1], forces[1, 2])
         dx, dy, dz = to_sensor(start[0], start[1], start[2], start[3], dx, dy, 0.0)
@@ -427,13 +430,12 @@ def solve_span(
             tilt = 0.0
     span_s = 1e-9 * (t[n - 1] - t[0])
     pushed_mps2 = _speed_gained(t, f, quaternion) / span_s
-    drift_speed_mps = _DRIFT_SPEED_CONSTRAINED_MPS if constrained else _DRIFT_SPEED_MPS
     ends = np.empty((2, 3))
     for e in range(2):
         k = n - 1 if e else 0
         end_velocity(
             quaternion[k, 0], quaternion[k, 1], quaternion[k, 2], quaternion[k, 3],
-            rates[e, 0], rates[e, 1], rates[e, 2], fx, fy, fz, height_m, drift_speed_mps, e, ends,
+            rates[e, 0], rates[e, 1], rates[e, 2], fx, fy, fz, height_m, drifts_mps[e], e, ends,
         )  # fmt: skip
     velocity = np.empty((n, 3))
     if constrained:
@@ -457,7 +459,8 @@ def solve_span(
         return TILTED
     if not length <= LONGEST_STRIDE_M:
         return NO_LENGTH
-    if residual_rate > NO_REST_RADPS:
+    if unrest_radps > NO_REST_RADPS:
+        numbers[RESIDUAL_RATE] = unrest_radps
         return NO_REST
     numbers[PEAK_HEIGHT], numbers[TURN] = height_and_turn(quaternion, position, fx, fy, fz)
     numbers[HEIGHT_CHANGE], numbers[FREE_RISE] = position[n - 1, 2], free_m

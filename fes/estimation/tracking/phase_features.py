@@ -20,6 +20,7 @@ LEAST, MOST = 0.6, 1.6  # of the calibrated measure
 USUAL = 0.5, 2.0  # of the stride time now: what may be one stride
 STANCE_S = 0.1  # the dead-reckoned speed of a foot on the ground dies away
 STILL_MPS, STILL_SHARE = 0.25, 0.35  # slower than this, or than this share of the swing's greatest, is no travel
+LATE_S = 0.01
 LONG_REST_S = 0.4  # what rests for so long does not travel, whatever is reckoned
 
 MEASURES = [(name, np.float64) for name in ("push_off_radps", "fall_radps", "stride_s", "contact_jerk_mps3")]
@@ -31,6 +32,7 @@ FIELDS: list[Any] = [
     ("contact_ns", np.int64),
     ("turning_ns", np.int64),  # last sample at which the foot turned
     ("toe_down", np.float64),
+    ("toe_down_late", np.float64),  # the same, ``LATE_S`` ago
     ("toe_down_peak", np.float64),
     ("toe_up_peak", np.float64),
     ("turned_rad", np.float64),
@@ -60,7 +62,9 @@ def start_phases(core: Record, t_ns: int) -> None:
     state.phase_since_ns = t_ns
     state.contact_ns = state.turning_ns = t_ns - LONG_AGO_NS
     state.toe_down_peak = state.toe_up_peak = state.turned_rad = state.pitch_rad = 0.0
-    state.contact_jerk = state.greatest_jerk = state.speed = state.peak_speed = 0.0
+    state.toe_down = state.toe_down_late = state.contact_jerk = state.greatest_jerk = state.speed = state.peak_speed = (
+        0.0
+    )
     for j in range(3):
         state.velocity[j] = state.acceleration[j] = 0.0
 
@@ -71,6 +75,7 @@ def features(state: Record) -> Features:
     resting_s = 1e-9 * (state.t_ns - state.turning_ns)
     return Features(
         state.toe_down,
+        (state.toe_down - state.toe_down_late) / LATE_S,
         state.toe_down_peak,
         state.toe_up_peak,
         state.turned_rad,
@@ -97,6 +102,7 @@ def observe(core: Record, toe_down: float, rate_radps: float, contact_jerk: floa
     """
     state, thresholds = core.state, core.thresholds
     state.turned_rad = max(state.turned_rad + toe_down * dt_s, 0.0) if toe_down > 0.0 else 0.0
+    state.toe_down_late += dt_s / (LATE_S + dt_s) * (toe_down - state.toe_down_late)
     state.toe_down = toe_down
     state.toe_down_peak = max(state.toe_down_peak, toe_down)
     state.toe_up_peak = max(state.toe_up_peak, -toe_down)
