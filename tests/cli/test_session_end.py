@@ -8,7 +8,8 @@ import pytest
 import report_records as make
 from rich.console import Console
 
-from fes.cli.run.command import write_report
+from fes.cli.common.exits import StoppedEarly
+from fes.cli.run.command import finish, write_report
 from fes.report.summary import summarise
 from fes.report.tables import closing_block
 from fes.session_log import Note, SessionRecord, SessionWriter
@@ -64,6 +65,17 @@ def test_the_report_stands_beside_the_log_and_what_happened_is_said(
     said = capfd.readouterr().out
     assert "left foot: 6 strides (6 valid)" in said
     assert (tmp_path / "report.html").read_text(encoding="utf-8").count("<html") == 1
+
+
+def test_an_alarm_comes_before_the_report_and_is_followed_by_it(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr("fes.cli.run.command.write_report", lambda path: said.append(capfd.readouterr().err))
+    with pytest.raises(StoppedEarly):
+        finish(tmp_path / "session.feslog", "the disk is full", report=True)
+    assert len(said) == 1
+    assert "ALARM" in said[0]
 
 
 def test_a_log_of_which_no_report_can_be_made_ends_in_words(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -203,6 +203,7 @@ def test_an_exercise_that_would_break_a_limit_is_refused(tmp_path: Path, text: s
         load_exercise(described(tmp_path, text))
 
 
+@pytest.mark.requirement("SR-09")
 def test_a_walking_session_knows_nothing_of_exercise(tmp_path: Path) -> None:
     session = load_session(described(tmp_path))
     assert session.exercise is None

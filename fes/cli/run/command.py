@@ -182,10 +182,12 @@ def run_session(path: Path, options: Options) -> Path:
 
 
 def finish(log_path: Path, ended: str, *, report: bool) -> None:
-    """What a live session says at its end. Raises as :func:`said_how_it_ended`."""
-    if report:
-        write_report(log_path)
-    said_how_it_ended(log_path, ended)
+    """What a live session says at its end, an alarm first. Raises as :func:`said_how_it_ended`."""
+    try:
+        said_how_it_ended(log_path, ended)
+    finally:
+        if report:
+            write_report(log_path)
     click.echo(f"Session log  {log_path}")
 
 
