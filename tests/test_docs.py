@@ -58,7 +58,9 @@ def options_of(name: str) -> frozenset[str] | None:
     command = main.get_command(click.Context(main), name)
     if command is None:
         return None
-    return frozenset(option for each in command.params for option in (*each.opts, *each.secondary_opts)) | {"--help"}
+    inner = command.commands.values() if isinstance(command, click.Group) else ()
+    parameters = [each for one in (command, *inner) for each in one.params]
+    return frozenset(option for each in parameters for option in (*each.opts, *each.secondary_opts)) | {"--help"}
 
 
 @cache

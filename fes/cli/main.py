@@ -20,6 +20,10 @@ COMMANDS: Final = {
         "Before a session: ports, buses, rates, clocks, disk, permissions, with remedies.",
     ),
     "replay": ("fes.cli.replay.command", "Replay a recording or a session log: phases, strides, stimulation, report."),
+    "timing": (
+        "fes.cli.timing.command",
+        "When transitions and stimulation happen: against a truth, and against a baseline kept in version control.",
+    ),
     "analyse": ("fes.cli.analyse", "Find phases and strides in recordings; tables and a report of each."),
     "evaluate": ("fes.cli.evaluate", "Hold a recording against a reference: bias, limits of agreement, ICC, figures."),
     "import": ("fes.cli.import_", "Public data sets, as downloaded, into recordings and references."),

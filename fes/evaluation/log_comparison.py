@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fes.evaluation.trigger_timing import Mark, marks_of_commands, pair_times
+from fes.evaluation.timing.marks import Mark, marks_of_commands, pair_times
 from fes.session_log import SessionRecord
 from fes.signals import IntArray, StrideResult
 from fes.walk_record import finite_or_none

@@ -18,9 +18,9 @@ from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show, show_latched
 from fes.cli.replay import stimulators
 from fes.cli.replay.log import controller_and_gate, replay_log
-from fes.cli.replay.timing import PARAMETERS, show_timing, timing_options
 from fes.cli.run import command as run
 from fes.cli.run.devices import FORMER_OPTIONS, dashboard_options
+from fes.cli.timing.former import PARAMETERS, former_timing_options
 from fes.config import ConfigError, Session, load_session
 from fes.control.clock_sync import SensorClock
 from fes.control.replay import digest, identity, log_header, refuse_long_silence, session_for
@@ -28,7 +28,6 @@ from fes.control.runner import CLOSING_S, Runner, armed_after, paced, with_ticks
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
-from fes.evaluation.trigger_timing import TimingError, TimingOptions, check_timing, expected_of
 from fes.live.inputs import Terminal, standard_keys
 from fes.live.sensors import SensorStream
 from fes.recording import Recording, RecordingError, read_recording
@@ -100,7 +99,6 @@ class Options:
     as_json: bool = False
     report: bool = True
     calibration: Path | None = None
-    timing: TimingOptions | None = None
     dashboard: bool = False
     dashboard_port: int = 0
     dummy_load: bool = False
@@ -119,7 +117,7 @@ class Options:
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 @dashboard_options
-@timing_options
+@former_timing_options
 def command(recording: Path, no_report: bool, **chosen: Any) -> None:
     """Replay RECORDING (CSV or Parquet with its sidecar) or a session log (.feslog).
 
@@ -131,7 +129,7 @@ def command(recording: Path, no_report: bool, **chosen: Any) -> None:
 
     --dashboard shows it in a browser as it was, at recorded speed or --speed; the stop there ends the replay.
 
-    --check-timing compares with the truth beside RECORDING, a session log with what it recorded; either with --against.
+    When transitions and stimulation happen, against a truth and a baseline: fes timing.
 
     A gate that latched is reported last and is no failure: the exit code says whether the replay went through.
 
@@ -149,7 +147,7 @@ def command(recording: Path, no_report: bool, **chosen: Any) -> None:
         from fes.cli.replay.dashboard import play_log
 
         play_log(recording, fresh_folder(options.out, recording.stem), options.speed or 1.0, options.dashboard_port)
-    replay_log(recording, as_json=options.as_json, timing=options.timing)
+    replay_log(recording, as_json=options.as_json)
 
 
 def replay_recording(path: Path, options: Options) -> Path:
@@ -159,7 +157,7 @@ def replay_recording(path: Path, options: Options) -> Path:
         Problem: unusable input, a stimulator that is lost, a disk that is full.
         SystemExit: interrupted, or the stimulator did not deliver what was sent.
     """
-    with failing(RecordingError, ConfigError, CalibrationError, TimingError, SessionLogError):
+    with failing(RecordingError, ConfigError, CalibrationError, SessionLogError):
         recording = read_recording(path)
         refuse_long_silence(recording)
         beside = path.parent / "session.toml"
@@ -171,7 +169,6 @@ def replay_recording(path: Path, options: Options) -> Path:
             found = calibrate_phase_sensors(recording)
         calibrations = found.calibrations
         session = session_for(recording, wanted)
-        expected = expected_of(options.timing, path, calibrations) if options.timing else None
     kept = {channel.number for channel in session.channels}
     left_out = [channel.name for channel in (wanted.channels if wanted else ()) if channel.number not in kept]
     show_what_is_left_out(session, settings, left_out, found)
@@ -195,20 +192,13 @@ def replay_recording(path: Path, options: Options) -> Path:
         ended = _go(recording, session, calibrations, opened, header, log_path, options, speed)
     if ended == "interrupted":
         interrupted(f"; stimulation is off. What was recorded is in {log_path}")
-    timing = None
-    if options.timing and expected:
-        with failing(TimingError):
-            timing = check_timing(read_session(log_path), options.timing, expected)
-    more = {"timing": timing.to_json()} if timing else None
     page = folder / "report.html" if options.report else None
-    show_latched(show(log_path, as_json=options.as_json, report=page, more=more))
+    show_latched(show(log_path, as_json=options.as_json, report=page))
     if ended == "different":
         click.secho("The stimulator did not deliver what was sent; see the summary.", fg="red", err=True)
         raise SystemExit(FAILED)
     if ended != "complete":
         raise StoppedEarly(ended)
-    if timing:
-        show_timing(timing, as_json=options.as_json)
     return log_path
 
 

@@ -12,14 +12,12 @@ from fes import __version__
 from fes.cli.common.exits import FAILED, failing
 from fes.cli.common.show import show, show_latched
 from fes.cli.replay.stimulators import LoggedSink, SerialSink, repeats_bytes
-from fes.cli.replay.timing import show_timing
 from fes.config import ConfigError, Session
 from fes.control.controller import CURRENT_STEP_MA, Controller
 from fes.control.replay import settings_of
 from fes.control.runner import Runner
 from fes.estimation.sensor_choice import Calibration, shank_phase_sensors
 from fes.evaluation.log_replay import ReplayOutput, first_difference
-from fes.evaluation.trigger_timing import TimingError, TimingOptions, check_replayed
 from fes.gate import SafetyGate, gate_of
 from fes.live.stimulator import UNSENT
 from fes.session_log import SessionLogError, SessionRecord, iter_events, iter_inputs, read_session
@@ -107,21 +105,15 @@ def _other_protocol(record: SessionRecord) -> str:
     return ""
 
 
-def replay_log(path: Path, *, as_json: bool, timing: TimingOptions | None = None) -> None:
-    """Show a session log and check that it gives the same bytes, phases and strides again, or the same ``timing``."""
-    with failing(SessionLogError, ConfigError, TimingError):
+def replay_log(path: Path, *, as_json: bool) -> None:
+    """Show a session log and check that it gives the same bytes, phases and strides again."""
+    with failing(SessionLogError, ConfigError):
         again = repeat(path)
         more: dict[str, Any] = {"replayed": {name: getattr(again, name) for name in REPORTED}}
-        checked = check_replayed(path, timing, again.now.phases, again.now.commands) if timing else None
-        more |= {"timing": checked.to_json()} if checked else {}
         notices = show(path, as_json=as_json, report=None, more=more)
     show_latched(notices)
     if again.difference:
         click.secho(f"Not the same when replayed: {again.difference}", fg="red", err=True)
-        if not checked:
-            raise SystemExit(FAILED)
-    else:
-        same = f"{again.commands} commands are the same byte for byte, {again.strides} strides the same"
-        click.secho(f"Replayed: {same}.", err=True)
-    if checked:
-        show_timing(checked, as_json=as_json)
+        raise SystemExit(FAILED)
+    same = f"{again.commands} commands are the same byte for byte, {again.strides} strides the same"
+    click.secho(f"Replayed: {same}.", err=True)

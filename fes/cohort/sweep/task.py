@@ -26,11 +26,9 @@ from fes.cohort.sweep.table import RESULTS
 from fes.cohort.task import DONE, FAILED, LONGEST_REASON, Outcome, reason_of
 from fes.config import Session
 from fes.estimation.foot.calibration import FootCalibration
-from fes.evaluation.trigger_timing import (
-    LOG_TOLERANCE_MS,
+from fes.evaluation.timing.marks import (
     TRUTH_TOLERANCE_MS,
     WINDOW_MS,
-    mark_errors,
     marks_of_phases,
     marks_of_truth,
     pair_times,
@@ -79,15 +77,15 @@ def truth_scores(
     initial contact (T3). ``stride_length_rmse_m`` is over the steady strides of walking that were found.
     """
     expected, found = marks_of_truth(truth, feet), marks_of_phases(phases)
-    rows = timing_rows(expected, found, TRUTH_TOLERANCE_MS, LOG_TOLERANCE_MS)
-    errors = {(r.who, r.what): np.abs(mark_errors(r.who, r.what, expected, found, r.tolerance_ms)[2]) for r in rows}
+    rows = timing_rows(expected, found, TRUTH_TOLERANCE_MS)
+    errors = {(row.who, row.what): np.abs(row.error_ms) for row in rows}
     every = np.concatenate([np.zeros(0), *errors.values()])
     length = np.concatenate([np.zeros(0), *(_length_errors(truth, foot, strides) for foot in sorted(feet))])
     return {
         "marks": len(expected),
-        "missed": sum(row.missed for row in rows),
-        "extra": sum(row.extra for row in rows),
-        "off": sum(row.early + row.late for row in rows),
+        "missed": sum(len(row.missed_ns) for row in rows),
+        "extra": sum(len(row.extra_ns) for row in rows),
+        "off": sum(row.moved for row in rows),
         "error_ms": _median(every),
         "error_p95_ms": float(np.percentile(every, 95)) if every.size else None,
         "foot_off_error_ms": _median(ms for (_, what), own in errors.items() if what == "T2" for ms in own),

@@ -18,7 +18,7 @@ import numpy as np
 from fes.evaluation.lag import GRID_S, Lag, event_trains, find_lag
 from fes.evaluation.reference.compare import Estimate
 from fes.evaluation.reference.table import EVENTS, POINTS, MarkerPath, Reference, ReferenceError
-from fes.evaluation.trigger_timing import pair_times
+from fes.evaluation.timing.marks import pair_times
 from fes.signals import NS_PER_S, FloatArray
 
 AXES: Final = {"+x": (1.0, 0.0), "-x": (-1.0, 0.0), "+y": (0.0, 1.0), "-y": (0.0, -1.0)}

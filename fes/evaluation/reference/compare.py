@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from fes.evaluation.reference.table import EVENTS, Reference, ReferenceStride
-from fes.evaluation.trigger_timing import pair_times
+from fes.evaluation.timing.marks import pair_times
 from fes.signals import NS_PER_S, FloatArray, StrideResult
 from statemachine.phases import PhaseChange, Transition
 

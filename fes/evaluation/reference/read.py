@@ -58,7 +58,8 @@ def _markers(
 ) -> tuple[list[MarkerPath], list[str]]:
     group = data["parameters"]["POINT"]
     labels = [str(label).strip() for label in group["LABELS"]["value"]]
-    unit = str(group["UNITS"]["value"][0]).strip().lower() if "UNITS" in group else "mm"
+    units = group["UNITS"]["value"] if "UNITS" in group else []
+    unit = str(units[0]).strip().lower() if len(units) else "mm"
     if unit not in METRES:
         raise ReferenceError(f"{path}: markers are in {unit!r}; mm, cm and m are known")
     for label in markers or {}:

@@ -68,6 +68,27 @@
     ctx.restore();
   };
 
+  // Moments with a name, upright: where something happened, should have, or did once.
+  const moments = (lines) => (u) => {
+    const { min, max } = u.scales.x;
+    const ctx = u.ctx, dot = devicePixelRatio;
+    ctx.save();
+    ctx.font = 11 * dot + "px sans-serif";
+    ctx.lineWidth = 1.5 * dot;
+    for (const one of lines || []) {
+      if (one.t_s < min || one.t_s > max) continue;
+      const x = u.valToPos(one.t_s, "x", true);
+      ctx.strokeStyle = ctx.fillStyle = one.color;
+      ctx.setLineDash(one.row ? [4 * dot, 3 * dot] : []);
+      ctx.beginPath();
+      ctx.moveTo(x, u.bbox.top);
+      ctx.lineTo(x, u.bbox.top + u.bbox.height);
+      ctx.stroke();
+      if (max - min < 5) ctx.fillText(one.name, x + 3 * dot, u.bbox.top + (22 + 13 * one.row) * dot);
+    }
+    ctx.restore();
+  };
+
   const phaseAt = (foot, t) => {
     let low = 0, high = foot.phase.length - 1;
     while (low < high) {
@@ -79,7 +100,7 @@
 
   const shown = (digits) => (u, value) => (value == null ? "–" : value.toFixed(digits));
 
-  const add = (title, yLabel, height, x, series, foot, digits) => {
+  const add = (title, yLabel, height, x, series, foot, digits, lines) => {
     const box = document.createElement("div");
     box.className = "chart";
     const head = document.createElement("h3");
@@ -109,7 +130,7 @@
       ],
       hooks: {
         drawClear: foot ? [bands(foot)] : [],
-        draw: foot ? [marks(foot), done] : [done],
+        draw: [...(foot ? [marks(foot)] : []), moments(lines), done],
         setSelect: [(u) => {
           if (u.select.width > 4) {
             show(u.posToVal(u.select.left, "x"), u.posToVal(u.select.left + u.select.width, "x"));
@@ -210,7 +231,7 @@
       const rate = unpack(foot.gyr_degps);
       if (!overview) addOverview(x, rate, foot.color, foot.name + " rotation rate");
       const sign = foot.toe_down_positive ? ", toe down +" : ", sign not known";
-      add(foot.name + ": rotation rate", "°/s" + sign, 200, x, [{ name: "rate (°/s)", color: "#1b1f24", values: rate }], foot, 0);
+      add(foot.name + ": rotation rate", "°/s" + sign, 200, x, [{ name: "rate (°/s)", color: "#1b1f24", values: rate }], foot, 0, foot.moments);
       add(foot.name + ": size of the acceleration", "m/s²", 150, x, [{ name: "acceleration (m/s²)", color: "#1b1f24", values: unpack(foot.acc_mps2) }], foot, 1);
     }
     const current = data.current;
@@ -220,7 +241,7 @@
         name: channel.name + " (mA)", color: channel.color, width: 1.8, stepped: true, fill: channel.color + "33",
         values: unpack(channel.current_ma),
       }));
-      add("stimulation: commanded current", "mA", 160, x, series, null, 1);
+      add("stimulation: commanded current", "mA", 160, x, series, null, 1, current.moments);
     }
   };
 
@@ -234,6 +255,10 @@
       const wide = span[1] - span[0], start = (slider.value / 1000) * (whole[1] - wide);
       show(start, start + wide);
     });
+    const near = (t) => show(t - 0.8, t + 0.8);
+    for (const link of document.querySelectorAll("[data-at]")) link.addEventListener("click", () => near(Number(link.dataset.at)));
+    const asked = /^#at=([\d.]+)$/.exec(location.hash);
+    if (asked) { near(Number(asked[1])); place.scrollIntoView(); }
     document.addEventListener("keydown", (event) => {
       if (event.target.matches("input, summary, [tabindex], a") || event.ctrlKey || event.metaKey || event.altKey) return;
       const act = { ArrowLeft: "back", ArrowRight: "on", "+": "in", "-": "out" }[event.key];

@@ -1,0 +1,1 @@
+"""``fes timing``: when transitions and stimulation happen, against a truth and a baseline."""
