@@ -41,11 +41,11 @@ from fes.session_log import SessionRecord, read_session
 from fes.signals import NS_PER_S, FloatArray
 from fes.simulation.truth import load_truth
 from fes.stimulation.plan import StimulationPlan
+from fes.stimulation.walking import PAUSE_S
 from statemachine.phases import Phase, PhaseChange, Transition
 
 CONTACT_N: Final = 20.0  # a foot is on the plate above it; the usual threshold of gait laboratories
 EDGE_S: Final = 1.0  # at a recording's ends a measured event may be cut off: not missed
-PAUSE_S: Final = 4.0  # without a step: the walk before is over, and steps are counted anew
 PLAN_STEP_NS: Final = 1_000_000
 MOST_LAG_S: Final = 10.0
 IN_STEP_S: Final = 0.12  # a smaller lag may be the detection's own delay
