@@ -31,7 +31,8 @@ from fes.evaluation.timing.truth import (
     without_cut_ends,
 )
 from fes.recording import Recording, read_recording
-from fes.recording.read import CAN_SUFFIXES, TABLE_SUFFIXES
+from fes.recording.can_log import CAN_SUFFIXES
+from fes.recording.table import TABLE_SUFFIXES
 from fes.session_log import read_session
 
 if TYPE_CHECKING:
