@@ -5,7 +5,8 @@
 The gate's own judge (``fes.gate.plausibility``) reads every recording of the data folder and its ``unseen_walkers`` as
 it is, and so many walks of virtual patients (a quarter of them at 0.2–0.36 m/s; a foot and a shank each): it must say
 nothing. Left out: the footswitch set's P06, whose accelerometer lies (README of the data), and in that set whatever
-lies within 3 s of a stall or a burst of late samples, for there its numbers were made up by whoever resampled it.
+lies within 3 s of a stall, a burst of late samples, or of a turn without any noise:
+there its numbers were made up by whoever resampled it.
 
 Then faults that last are put in at random moments of stance and of swing, and it is counted how many are told within a
 stride (1.5 s), and how many before the next pre-swing begins. "stuck" holds the value of the moment, with a sensor's
@@ -120,8 +121,11 @@ def sound_parts(name: str, track: Track) -> list[slice]:
         return [slice(0, len(track.t_ns))]
     step_ns = np.diff(track.t_ns)
     quick = np.convolve(step_ns, np.ones(20) / 20, "same") < 0.7e9 / track.rate_hz
+    bend = np.abs(np.diff(track.gyr_radps, 2, axis=0, append=track.gyr_radps[-2:])).max(axis=1)
+    made_up = np.convolve(bend, np.ones(20) / 20, "same") < 0.1 * np.median(bend)  # without noise though it turns
+    made_up &= np.linalg.norm(track.gyr_radps, axis=1) > 0.5
     spoilt = np.zeros(len(track.t_ns), dtype=bool)
-    for at in np.flatnonzero((step_ns > STALL_NS) | quick):
+    for at in np.flatnonzero((step_ns > STALL_NS) | quick | made_up[:-1]):
         begin, end = np.searchsorted(track.t_ns, (track.t_ns[at] - AROUND_NS, track.t_ns[at + 1] + AROUND_NS))
         spoilt[begin:end] = True
     edges = np.flatnonzero(np.diff(np.concatenate(([True], spoilt, [True])).astype(int)))

@@ -70,17 +70,21 @@ def side_signs(
     forward, up = calibration.forward(), np.array(calibration.up)
     tracker = FootTracker(calibration, StrideMaker(calibration.sensor, StrideSettings(forward=forward, up=up)))
     outcomes = tracker.advance(t_ns, acc_mps2, gyr_radps)
-    valid = [s for s in outcomes if isinstance(s, StrideResult) and s.valid]
-    strides = [s for s in valid if s.stride_length_m >= MIN_LENGTH_M and abs(s.turn_rad) <= MOST_TURN_RAD]
+    strides = [s for s in outcomes if isinstance(s, StrideResult)]
     acc, gyr = acc_mps2 - np.array(calibration.acc_bias_mps2), gyr_radps - tracker.gyr_bias_radps
-    found = [signs for s in strides if (signs := _signs(t_ns, acc, gyr, s, forward)) is not None]
+    found = [signs for s in strides if (signs := stride_signs(t_ns, acc, gyr, s, forward)) is not None]
     return np.median(np.array(found), axis=0) if len(found) >= MIN_STRIDES else None
 
 
-def _signs(
+def stride_signs(
     t_ns: IntArray, acc: FloatArray, gyr: FloatArray, stride: StrideResult, forward: FloatArray
 ) -> FloatArray | None:
-    """Roll (rad), toe-out (rad), outward velocity at foot-off (m/s) and bow (m) of one stride, for a left foot."""
+    """Roll and toe-out (rad), outward velocity at foot-off (m/s) and bow (m) of one straight stride, for a left foot.
+
+    ``acc`` and ``gyr`` (N, 3) less their zeros, at ``t_ns`` (N,); None where the stride cannot tell.
+    """
+    if not stride.valid or stride.stride_length_m < MIN_LENGTH_M or abs(stride.turn_rad) > MOST_TURN_RAD:
+        return None
     contact_ns = stride.t_loading_response_ns or stride.t_stance_ns
     if stride.t_swing_ns is None or contact_ns is None:
         return None

@@ -34,8 +34,9 @@ GRAVITY_OFF_MPS2: Final = 1.2  # in a long rest; real: 0.62
 LEAST_TURN_RAD: Final = 1.0  # between two rests: a swing lies between them
 SHORTEST_NS: Final = 8 * NS_PER_S // 10
 LONGEST_NS: Final = 5 * NS_PER_S // 2  # between two rests: what is added up for longer drifts
-EXCESS_MPS2: Final = 1.3  # of the mean vertical force over gravity, in two strides in a row; real: 0.84
-EXCESS_ONCE_MPS2: Final = 1.6  # above gravity, in one stride; real: 0.71
+EXCESS_MPS2: Final = 1.3  # of the mean vertical force over gravity, in two strides in a row; real: 0.5
+EXCESS_ONCE_MPS2: Final = 1.6  # in one stride; real: 0.71
+LACK_MPS2: Final = 2.2  # below gravity, in two strides in a row; real: 1.9
 LACK_ONCE_MPS2: Final = 4.0  # below gravity: a rest that was none has been seen to lack 2.7
 _AXES: Final = "xyz"
 
@@ -225,7 +226,7 @@ class Coherence:
         """A stride's mean vertical force over gravity."""
         before_mps2, self._excess_before_mps2 = self._excess_before_mps2, excess_mps2
         more = excess_mps2 > EXCESS_ONCE_MPS2 or min(excess_mps2, before_mps2) > EXCESS_MPS2
-        less = excess_mps2 < -LACK_ONCE_MPS2 or max(excess_mps2, before_mps2) < -EXCESS_MPS2
+        less = excess_mps2 < -LACK_ONCE_MPS2 or max(excess_mps2, before_mps2) < -LACK_MPS2
         if not more and not less:
             return ""
         felt = f"{G_MPS2 + excess_mps2:.1f} m/s² of gravity in a stride"

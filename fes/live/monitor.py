@@ -17,6 +17,7 @@ from fes.live.notices import Notices, tuning_status
 from fes.live.operator import Operator
 from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
+from fes.live.sides import SideCheck
 from fes.live.source import SwitchComparison
 from fes.live.status import FootStatus, Status
 from fes.session_log import Note
@@ -156,6 +157,7 @@ class Monitor(ShownLog):
         view: socket.socket | None,
         publish: Callable[[bytes], None] | None = None,
         notices: Notices | None = None,
+        sides: SideCheck | None = None,
     ) -> None:
         super().__init__(log, phase_sensor_of)
         self.lateness = Timing()
@@ -170,6 +172,7 @@ class Monitor(ShownLog):
         self._view = view
         self._publish = publish
         self._notices = notices
+        self._sides = sides
         self._next_ns = 0
 
     # --- the loop's log ----------------------------------------------------------------------------------
@@ -179,6 +182,8 @@ class Monitor(ShownLog):
         super().event(event)
         if self._notices is not None:
             self._notices.electrodes.add_event(event)
+        if self._sides is not None:
+            self._sides.add_event(event)
         if isinstance(event, ImuSample):
             if (monitor := self.sensors.get(event.sensor)) is not None:
                 monitor.add(event)
@@ -200,6 +205,12 @@ class Monitor(ShownLog):
         """
         recent = self._refused is not None and t_ns - self._refused.t_ns <= REFUSED_NS
         return f"the stimulator reports: {self._refused.fault}" if self._refused and recent else ""
+
+    def stride(self, result: StrideResult) -> None:
+        """As the log's."""
+        super().stride(result)
+        if self._sides is not None:
+            self._sides.add_stride(result)
 
     def phase(self, change: PhaseChange) -> None:
         """As the log's."""

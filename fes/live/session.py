@@ -21,6 +21,7 @@ from fes.live.processes import ViewProcess
 from fes.live.realtime import Grant
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.sensors import Input, SensorStream
+from fes.live.sides import SideCheck
 from fes.live.source import LiveSource, stall_text
 from fes.live.stimulator import Electrodes, LiveStimulator
 from fes.session_log import Note, Received
@@ -85,7 +86,10 @@ class LiveSession:
         phase_sensor_of = phase_sensors(calibrations)
         electrodes = Electrodes((channel.number for channel in session.channels), open_lead_detected_from_ma)
         self.notices = Notices(self.gate, electrodes)
-        self.monitor = Monitor(log, monitors, phase_sensor_of, view.link if view else None, self._publish, self.notices)
+        self.sides = SideCheck(calibrations)
+        self.monitor = Monitor(
+            log, monitors, phase_sensor_of, view.link if view else None, self._publish, self.notices, self.sides
+        )
         self.monitor.free_ground = session.ground.free
         self.operator = Operator(
             session, self.controller, self.gate, monitors, phase_sensor_of, self.monitor.note,
@@ -98,7 +102,7 @@ class LiveSession:
         stimulator.on_frame = log.frame
         self._clock_ns = clock_ns
         self._duration_s = duration_s
-        self._inputs: list[Input] = []
+        self._inputs: list[Input] = [self.sides]
         self._control: Control | None = None
         self._keyboard: Keyboard | None = None
         self._state = self.operator.state
@@ -224,7 +228,11 @@ class LiveSession:
 
     def _reasons_not_ready(self) -> list[str]:
         reasons = [each.not_ready() for each in self._inputs if isinstance(each, (StopFile, StopSwitch))]
-        reasons += [self._log.healthy, "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}"]
+        reasons += [
+            self.sides.exchanged,
+            self._log.healthy,
+            "" if self.stimulator.is_open else f"stimulator {self.stimulator.state}",
+        ]
         reasons.append(self.monitor.not_answering(self.runner.t_ns))
         if self._keyboard is not None and self._keyboard.fileno() is None and not self._other_stops():
             reasons.append(NO_STOP)

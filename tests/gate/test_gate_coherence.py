@@ -13,6 +13,7 @@ from fes.gate.coherence import (
     EXCESS_MPS2,
     EXCESS_ONCE_MPS2,
     GRAVITY_OFF_MPS2,
+    LACK_MPS2,
     LACK_ONCE_MPS2,
     MOST_SMOOTH_RAD,
     MOST_STEP_NS,
@@ -197,6 +198,7 @@ def between_rests(extra_mps2: float, turning_blocks: int = 80) -> list[Six]:
     return [*rest, *turn]
 
 
+@pytest.mark.requirement("SR-10")
 @pytest.mark.parametrize(
     ("extra_mps2", "strides", "tells"),
     [
@@ -204,8 +206,9 @@ def between_rests(extra_mps2: float, turning_blocks: int = 80) -> list[Six]:
         (EXCESS_MPS2 + 0.3, 1, False),
         (EXCESS_MPS2 + 0.3, 2, True),
         (EXCESS_MPS2 - 0.3, 4, False),
-        (-EXCESS_MPS2 - 0.9, 1, False),
-        (-EXCESS_MPS2 - 0.9, 2, True),
+        (-LACK_MPS2 - 0.6, 1, False),
+        (-LACK_MPS2 - 0.6, 2, True),
+        (-LACK_MPS2 + 0.1, 4, False),
         (-LACK_ONCE_MPS2 - 1.5, 1, True),
         (-0.5, 4, False),
     ],
