@@ -91,10 +91,13 @@ def test_with_rearm_after_walking_is_stimulated_again_once_it_is_seen(
     hole_ns = mid_swing_ns(sound, 1)
     record = replayed(edit(walking, hole(hole_ns, 60)), tmp_path, rearm_after_s=0.2)
     before, after = bursts(sound.commands), bursts(record.commands)
-    # armed again in the same swing: what is left of it stays silent; then two whole strides must show walking again
+    # armed again in the same swing: what is left of it stays silent; then a whole stride must show walking again
     assert after[1].t_off_ns < before[1].t_off_ns
-    assert [burst.t_on_ns for burst in after] == [burst.t_on_ns for burst in before[:2] + before[4:]]
-    assert [burst.t_off_ns for burst in after[2:]] == [burst.t_off_ns for burst in before[4:]]
+    others = before[:1] + before[3:]  # calibrated with the hole, a guard may fire a sample or two elsewhere
+    assert len(after) == len(before) - 1
+    for burst, whole in zip(after[:1] + after[2:], others, strict=True):
+        assert abs(burst.t_on_ns - whole.t_on_ns) <= 10 * MS
+        assert abs(burst.t_off_ns - whole.t_off_ns) <= 10 * MS
     assert "armed again" in [note.text for note in record.notes]
 
 
@@ -142,7 +145,7 @@ def test_a_sensor_that_freezes_in_mid_swing_is_off_within_a_tenth_of_a_second(
 
     The foot then seems to swing for ever. The gate notices that nothing moves, not even the noise, and latches.
     """
-    freeze_ns = mid_swing_ns(sound, 2)
+    freeze_ns = mid_swing_ns(sound, 3)
 
     def frozen(track: Track) -> Track:
         acc, gyr = track.acc_mps2.copy(), track.gyr_radps.copy()
@@ -154,9 +157,9 @@ def test_a_sensor_that_freezes_in_mid_swing_is_off_within_a_tenth_of_a_second(
     with pytest.raises(Problem, match="at rest the accelerometer reads"):
         replayed(edit(walking, frozen), tmp_path)  # as a recording it is refused already; so straight into the loop
     found = bursts(looped(walking, edit(walking, frozen)).commands)
-    assert found[:2] == bursts(sound.commands)[:2]
-    assert len(found) == 3
-    assert 0 < found[2].t_off_ns - freeze_ns <= NS_PER_S // 10
+    assert found[:3] == bursts(sound.commands)[:3]
+    assert len(found) == 4
+    assert 0 < found[3].t_off_ns - freeze_ns <= NS_PER_S // 10
 
 
 def test_late_samples_are_old_by_the_sensors_own_clock(
