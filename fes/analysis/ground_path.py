@@ -36,8 +36,9 @@ class GroundPath:
     t_ns: IntArray  # (K,)
     position_m: FloatArray  # (K, 3)
     heading_rad: FloatArray  # (K,) of the toe, from x towards y; turns by less than half a turn between stances
-    distance_m: float  # horizontal distances from stance to stance, summed
+    distance_m: float  # horizontal distances from stance to stance, summed; none across a gap
     stance_ns: IntArray  # (M,) the quietest instant of every stance
+    seen_ns: IntArray  # (P, 2) where it begins and ends, and begins again after a gap, from where it was
 
     @property
     def closure_m(self) -> float:
@@ -50,17 +51,22 @@ class GroundPath:
         return float(self.position_m[-1, 2])
 
     def places_at(self, t_ns: IntArray) -> FloatArray:
-        """Rows (M, 4) of x, y, z (m) and heading (rad) at M instants; beyond the ends the path stands still."""
+        """Rows (M, 4) of x, y, z (m) and heading (rad) at M instants; NaN in gaps, beyond the ends it stands still."""
         begin = self.t_ns[0]
         asked, known = (np.asarray(t - begin, dtype=np.float64) for t in (np.asarray(t_ns, np.int64), self.t_ns))
         columns = (*self.position_m.T, self.heading_rad)
-        return np.column_stack([np.interp(asked, known, column) for column in columns])
+        places = np.column_stack([np.interp(asked, known, column) for column in columns])
+        unseen = (part := np.searchsorted(self.seen_ns[:, 0], t_ns, side="right")) > 0
+        unseen &= (part < len(self.seen_ns)) & (np.asarray(t_ns) > self.seen_ns[part - 1, 1])
+        places[unseen] = math.nan
+        return places
 
     def rows(self, rate_hz: float = 10.0, origin_ns: int | None = None) -> list[dict[str, Any]]:
         """One flat row per instant, units in the names; instants count from the path's beginning, or the origin."""
         origin = int(self.t_ns[0]) if origin_ns is None else origin_ns
-        begin_s, end_s = ((int(t) - origin) * 1e-9 for t in (self.t_ns[0], self.t_ns[-1]))
-        numbers = np.arange(math.ceil(begin_s * rate_hz), math.floor((end_s + 1e-9) * rate_hz) + 1)
+        spans_s = (np.clip(self.seen_ns, self.t_ns[0], self.t_ns[-1]) - origin) * 1e-9
+        bounds = [(math.ceil(begin * rate_hz), math.floor((end + 1e-9) * rate_hz)) for begin, end in spans_s.tolist()]
+        numbers = np.unique(np.concatenate([np.arange(first, last + 1) for first, last in bounds]))
         instants = origin + np.round(numbers * (1.0 / rate_hz) * 1e9).astype(np.int64)
         names = ("x_m", "y_m", "z_m", "heading_rad")
         return [
@@ -86,9 +92,12 @@ def ground_path(
         except ValueError as error:
             raise ValueError(f"{track.sensor}: {error}") from error
     trajectory = foot.trajectory(SETTINGS, level=level)
-    t_ns, stances = foot.t_ns, foot.stances()
+    t_ns, stances, seen_ns = foot.t_ns, foot.stances(), foot.seen_ns()
     step = max(round(foot.rate_hz / KEPT_HZ), 1)
     kept = np.append(t_ns[:-1:step], t_ns[-1])
+    if len(seen_ns) > 1:
+        kept = _within(seen_ns, np.union1d(kept, seen_ns))
+        stances = stances[np.isin(t_ns[stances], _within(seen_ns, t_ns[stances]))]
     stance_ns, position, heading = t_ns[stances], np.empty((len(kept), 3)), np.empty(len(kept))
     room = np.empty(len(trajectory.t_ns)), np.empty(len(stances))
     over_ground(*trajectory, calibration.forward(), stance_ns, kept, *room, position, heading)
@@ -96,7 +105,16 @@ def ground_path(
         # the other foot's path would come out so too, for they share their drift
         raise ValueError("the path comes out as no number; check the units")
     x, y, _ = np.diff(trajectory.positions_at(stance_ns), axis=0).T
-    return GroundPath(calibration.sensor, kept, position, heading, float(np.hypot(x, y).sum()), stance_ns)
+    part = np.searchsorted(seen_ns[:, 0], stance_ns, side="right")
+    went_m = float(np.hypot(x, y)[part[1:] == part[:-1]].sum())
+    return GroundPath(calibration.sensor, kept, position, heading, went_m, stance_ns, seen_ns)
+
+
+def _within(spans_ns: IntArray, t_ns: IntArray) -> IntArray:
+    """Those of M instants that lie within one of the spans (P, 2)."""
+    part = np.searchsorted(spans_ns[:, 0], t_ns, side="right")
+    kept: IntArray = t_ns[(part > 0) & (t_ns <= spans_ns[part - 1, 1])]
+    return kept
 
 
 def _unwrapped(angle: FloatArray) -> FloatArray:

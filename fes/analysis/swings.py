@@ -30,6 +30,7 @@ SURE, POSSIBLE = 0.4, 0.15
 LEAST_SURE_RAD, LEAST_POSSIBLE_RAD = float(np.radians(8.0)), float(np.radians(4.0))
 MOST_RADPS = 40.0  # no foot turns faster: a spike
 LEAST_S = 2.0
+LONGEST_GAP_S, CLOSED_GAP_S = 1.0, 0.1  # of a longer gap, in which feet may have swung unseen, so much stays
 PADDING_S = 10.0
 
 
@@ -97,12 +98,15 @@ def find_swings(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> 
 
 
 def pitch_of(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Times (M,) of an even grid, ns, and the pitch there (rad, toe-up positive; it drifts)."""
+    """Times (M,) of a grid that is even but for gaps, ns, and the pitch there (rad, toe-up positive; it drifts)."""
     newer = np.concatenate(([True], t_ns[1:] > np.maximum.accumulate(t_ns)[:-1]))
     sound = newer & np.isfinite(acc_mps2).all(axis=1) & (np.abs(gyr_radps).max(axis=1) < MOST_RADPS)
     if not sound.any():
         return t_ns[:0], np.zeros(0)
     t_s = (t_ns[sound] - t_ns[0]) / NS_PER_S
+    steps_s = np.diff(t_s, prepend=t_s[0])
+    left_out_s = np.cumsum(np.where(steps_s > LONGEST_GAP_S, steps_s - CLOSED_GAP_S, 0.0))
+    t_s -= left_out_s
     grid_s = np.arange(0.0, t_s[-1], 1.0 / GRID_HZ)
     acc, gyr = (
         np.column_stack([np.interp(grid_s, t_s, axis) for axis in values[sound].T]) for values in (acc_mps2, gyr_radps)
@@ -122,6 +126,7 @@ def pitch_of(t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray) -> tup
     speed = _between(np.cumsum(force - force.mean())[:, None] / GRID_HZ, SPEED_HZ, np.inf)[:, 0]
     if _skewed_down(speed):
         axis = -axis
+    grid_s += left_out_s[np.searchsorted(t_s, grid_s, side="right") - 1]
     return t_ns[0] + np.rint(grid_s * NS_PER_S).astype(np.int64), angle @ axis
 
 

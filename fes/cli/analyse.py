@@ -301,6 +301,8 @@ def _path_lines(result: Analysis) -> list[str]:
         line = (
             f"Path, {foot.removesuffix('_foot')}: {path.distance_m:.2f} m, ends {path.closure_m:.2f} m from its start"
         )
+        if gaps := len(path.seen_ns) - 1:
+            line += f" ({gaps} gap{'s' if gaps > 1 else ''}, in which nobody knows where it went)"
         if not result.ground.level:
             gained = [s.height_gained_m for s in result.strides if s.valid and s.foot == foot]
             line += f", {path.height_gained_m:+.2f} m in height ({sum(gained):+.2f} m in {len(gained)} valid strides)"

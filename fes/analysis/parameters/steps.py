@@ -83,13 +83,21 @@ class Step:
     foot_flat_s: float = math.nan
 
 
-def steps_of(own: Sequence[Swing | None], other: Sequence[Swing | None]) -> list[Step]:
-    """One per stride of one foot, in order; ``other`` are those of the other foot (none: no steps)."""
+def steps_of(
+    own: Sequence[Swing | None], other: Sequence[Swing | None], begins_ns: Sequence[int] | None = None
+) -> list[Step]:
+    """One per stride of one foot, in order; ``other`` are those of the other foot (none: no steps).
+
+    ``begins_ns``: where each stride begins. Where the contact before was not seen, the other foot's that begins a step
+    must be later than that, or else one in between was not seen either.
+    """
+    begins_ns = [-1] * len(own) if begins_ns is None else begins_ns
     contacts, offs = (
         np.array(sorted(getattr(s, name) for s in other if s is not None), dtype=np.int64)
         for name in ("contact_ns", "foot_off_ns")
     )
-    return [_step(before, swing, contacts, offs) for before, swing in pairwise((None, *own))]
+    found = zip(pairwise((None, *own)), begins_ns, strict=True)
+    return [_step(before, swing, begin_ns, contacts, offs) for (before, swing), begin_ns in found]
 
 
 def steps_by_number(
@@ -104,6 +112,7 @@ def steps_by_number(
     starts = np.array([stride.t_start_ns for stride in strides], dtype=np.int64)
     room_ns = ROOM_SHARE * float(np.median(np.diff(starts))) if len(strides) > 1 else math.inf
     own: list[Swing | None] = []
+    begins_ns: list[int] = []
     places: dict[int, int] = {}
     before: StrideResult | None = None
     for stride in strides:
@@ -111,19 +120,21 @@ def steps_by_number(
             stride.number != before.number + 1 or stride.t_start_ns - before.t_end_ns >= room_ns
         ):
             own.append(None)
+            begins_ns.append(-1)
         places[stride.number] = len(own)
         own.append(swings.get(stride.number))
+        begins_ns.append(stride.t_start_ns)
         before = stride
-    found = steps_of(own, other)
+    found = steps_of(own, other, begins_ns)
     return {number: found[place] for number, place in places.items()}
 
 
-def _step(before: Swing | None, swing: Swing | None, contacts: IntArray, offs: IntArray) -> Step:
+def _step(before: Swing | None, swing: Swing | None, begin_ns: int, contacts: IntArray, offs: IntArray) -> Step:
     nan = float("nan")
     if swing is None:
         return Step(nan, nan, nan, nan)
     off, end = swing.foot_off_ns, swing.contact_ns
-    begin = before.contact_ns if before is not None else -1
+    begin = before.contact_ns if before is not None else begin_ns
     stride = (end - begin) / NS_PER_S
     walking = before is not None and 0.0 < stride <= LONGEST_STRIDE_S
     last = int(np.searchsorted(contacts, end)) - 1

@@ -77,6 +77,7 @@ IMPACT_SHARE = 0.3  # of this walk's typical jerk at contact: a jerk above it is
 IMPACT_MPS3 = 150.0  # … if above this as well
 IMPACT_ONSET_SHARE = 0.3  # of the jerk: there the impact begins
 NONE = -1.0  # where there is no instant
+LONGEST_GAP_S = 0.04  # between samples of what was seen without a break, as of a stride
 
 
 class Signals(NamedTuple):
@@ -376,7 +377,8 @@ def find_events(
     """All swings' FO, mid-swing and IC of one foot, and heel rise and foot flat of the stances between.
 
     Args:
-        t_ns: (N,) strictly increasing time stamps, nearly evenly spaced (gaps below some ms).
+        t_ns: (N,) strictly increasing time stamps, nearly evenly spaced but for gaps; a swing that holds one is no
+            swing, and of a stance that holds one foot flat and heel rise are not seen.
         acc_mps2: (N, 3) specific force.
         gyr_radps: (N, 3) angular rate.
         calibration: of this foot; gives axis and sign (``toe_down``) and the gyroscope's bias.
@@ -391,12 +393,25 @@ def find_events(
             raise ValueError(NOT_FINITE.format(calibration.sensor))
         nothing = np.zeros(0, np.int64)
         return GaitEvents(nothing, nothing, nothing, np.zeros(0, np.bool_), nothing, nothing)
-    rate_hz = (len(t_ns) - 1) * NS_PER_S / float(t_ns[-1] - t_ns[0])
+    gaps = gaps_in(t_ns)
+    seen_ns = float(t_ns[-1] - t_ns[0]) - float((t_ns[gaps] - t_ns[gaps - 1]).sum())
+    rate_hz = (len(t_ns) - 1 - len(gaps)) * NS_PER_S / seen_ns
     walk = _Walk(rate_hz, acc_mps2, gyr_radps, calibration)
     at_ns, heels = walk.instants(t_ns)
+    whole = np.diff(np.searchsorted(t_ns[gaps], at_ns[:, ::2], side="right"), axis=1)[:, 0] == 0
+    at_ns, heels = at_ns[whole], heels[whole]
     off_ns, mid_ns, contact_ns = at_ns.T.copy()
     rise_ns, flat_ns = stance_instants(t_ns, gyr_radps, off_ns, contact_ns, calibration)
     return GaitEvents(off_ns, mid_ns, contact_ns, heels, rise_ns, flat_ns)
+
+
+def gaps_in(t_ns: IntArray) -> IntArray:
+    """Which of N samples, at increasing times, come after a gap."""
+    steps = np.diff(t_ns)
+    longest_ns = NS_PER_S * LONGEST_GAP_S
+    if not len(steps) or steps.max() <= longest_ns:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(steps > max(longest_ns, 3.5 * median(steps))) + 1
 
 
 class _Walk:
@@ -499,7 +514,9 @@ def pitch_of(t_ns: IntArray, gyr_radps: FloatArray, calibration: FootCalibration
     """Seconds since the first sample (N,), and the pitch there: rad since then, toe-up positive; it drifts."""
     rate = (gyr_radps - np.array(calibration.gyr_bias_radps)) @ np.array(calibration.toe_down)
     seconds = (t_ns - t_ns[0]) / NS_PER_S
-    return seconds, np.concatenate(([0.0], -np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(seconds))))
+    steps = np.diff(seconds)
+    steps[gaps_in(t_ns) - 1] = 0.0  # what it turned in a gap nobody knows
+    return seconds, np.concatenate(([0.0], -np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps)))
 
 
 def stance_instants(
@@ -519,12 +536,13 @@ def stance_instants(
     """
     rises, flats = (np.full(len(ic_ns), UNSEEN_NS, np.int64) for _ in range(2))
     seconds, pitch = pitch_of(t_ns, gyr_radps, calibration)
-    period_s = seconds[-1] / max(len(t_ns) - 1, 1)
+    gaps = gaps_in(t_ns)
+    period_s = (seconds[-1] - float((seconds[gaps] - seconds[gaps - 1]).sum())) / max(len(t_ns) - 1 - len(gaps), 1)
     over, around = (max(round(span_s / period_s), 1) for span_s in (FLAT_OVER_S, AROUND_S))
     contacts, offs = np.searchsorted(t_ns, ic_ns), np.searchsorted(t_ns, fo_ns)
     for k, (first, last) in enumerate(zip(contacts[:-1].tolist(), offs[1:].tolist(), strict=True)):
         half = min(last - first, round(LONGEST_STANCE_S / period_s)) // 2
-        if half <= around + over or first < over:
+        if half <= around + over or first < over or np.searchsorted(gaps, first) < np.searchsorted(gaps, last):
             continue
         landed, leaving = first + half, last - half
         off = pitch[first:landed] - pitch[landed - around : landed + around + 1].mean()
@@ -555,4 +573,6 @@ def foot_strike_angles(
     middle = contact + 0.5 * np.minimum(off - contact, LONGEST_STANCE_S)
     begin, end = (np.interp(middle + side, seconds, mean_of) for side in (-AROUND_S, AROUND_S))
     angle = np.interp(contact, seconds, pitch) - (end - begin) / (2.0 * AROUND_S)
-    return np.asarray(np.where(middle + AROUND_S <= seconds[-1], angle, np.nan))
+    at_gap = seconds[gaps_in(t_ns)]
+    seen = np.searchsorted(at_gap, contact) == np.searchsorted(at_gap, middle + AROUND_S)
+    return np.asarray(np.where(seen & (middle + AROUND_S <= seconds[-1]), angle, np.nan))

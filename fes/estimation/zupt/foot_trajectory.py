@@ -1,7 +1,8 @@
 """Where a foot's sensor went through a whole recording: the ZUPT-aided filter, smoothed.
 
 A long recording is cut into stretches in long stances, so that memory does not grow with it, and the stretches are
-joined there by position and heading.
+joined there by position and heading. A gap ends a stretch too: where the foot went meanwhile nobody knows, and the next
+one goes on from the same place in the same direction.
 """
 
 import math
@@ -13,7 +14,7 @@ import numpy as np
 
 from fes.estimation.numerics.filters import largest_in_blocks, rows_of_at_least
 from fes.estimation.numerics.ranks import median
-from fes.estimation.tracking.tracker import LARGEST_VALUE
+from fes.estimation.tracking.tracker import LARGEST_VALUE, RESTART_GAP_NS
 from fes.estimation.zupt.decimation import Intervals, ZuptSettings, gather_intervals
 from fes.estimation.zupt.detectors import Detector
 from fes.estimation.zupt.filter import filter_intervals, new_tape
@@ -106,8 +107,15 @@ class FootSamples:
         """The foot's trajectory by these settings; ``level``: it always stands at one height."""
         if not self._stretches:  # each begins a little before the one before it ends
             join, n = round(JOIN_S * self.rate_hz), len(self.t_ns)
-            for begin, end in pairwise([0, *_cuts(self.t_ns, self.zero_velocity, self.rate_hz), n]):
-                self._stretches.append(self._stretch(begin, min(end + join + 1, n)))
+            gaps = np.flatnonzero(np.diff(self.t_ns) > RESTART_GAP_NS) + 1
+            for first, stop in pairwise([0, *gaps.tolist(), n]):
+                if not self.zero_velocity[first:stop].any() or stop - first <= join:
+                    continue
+                cuts = _cuts(self.t_ns[first:stop], self.zero_velocity[first:stop], self.rate_hz)
+                for begin, end in pairwise([first, *(first + cut for cut in cuts), stop]):
+                    self._stretches.append(self._stretch(begin, min(end + join + 1, stop)))
+            if not self._stretches:
+                raise ValueError("between its gaps the foot never rests, so nothing holds a path")
         t_ns = np.concatenate([stretch.t_ns[stretch.shared :] for stretch in self._stretches])
         whole = Trajectory(t_ns, np.empty((len(t_ns), 3)), np.empty((len(t_ns), 3)), np.empty((len(t_ns), 4)))
         for stretch in self._stretches:
@@ -127,6 +135,16 @@ class FootSamples:
             if stretch.rows.start:
                 _join(before, own, stretch.shared)
         return whole
+
+    def seen_ns(self) -> IntArray:
+        """Rows (P, 2): where each part of the trajectory begins and ends; between them nobody knows.
+
+        Before its first rest and after its end the foot stands still.
+        """
+        spans = [(int(each.t_ns[0]), int(each.t_ns[-1]), each.shared) for each in self._stretches]
+        begins = [int(self.t_ns[0]), *(begin for begin, _, shared in spans[1:] if not shared)]
+        lasts = [*(end for (_, end, _), (*_, shared) in pairwise(spans) if not shared), int(self.t_ns[-1])]
+        return np.array([begins, lasts], np.int64).T
 
     def _stretch(self, begin: int, end: int) -> _Stretch:
         """The samples ``begin`` … ``end - 1``, from the first stance on, gathered."""

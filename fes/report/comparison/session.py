@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from fes.analysis.parameters.gait import gait_parameters
-from fes.analysis.parameters.steps import steps_of
+from fes.analysis.parameters.steps import steps_by_number
 from fes.analysis.parameters.strides import StrideParameters, stride_parameters
 from fes.analysis.pipeline import analyse, calibrations_of
 from fes.analysis.results import Analysis
@@ -201,10 +201,9 @@ def by_phases(analysis: Analysis) -> dict[str, list[StrideParameters]]:
     found = {}
     for foot, own in feet.items():
         others = [swing for name, every in swings.items() if name != foot for swing in every.values()]
-        steps = steps_of([swings[foot].get(stride.number) for stride in own], others)
+        steps = steps_by_number(own, swings[foot], others)
         paths = {path.number: path for path in analysis.stride_paths[foot]}
-        numbers = [stride.number for stride in own]
-        found[foot] = stride_parameters(own, paths, swings[foot], dict(zip(numbers, steps, strict=True)), {})
+        found[foot] = stride_parameters(own, paths, swings[foot], steps, {})
     return found
 
 

@@ -12,12 +12,13 @@ from fes.report.quality import SensorFlags, sample_times
 from fes.report.stimulation import PhaseTimeline
 from fes.report.summary import ReportData
 from fes.report.text import readable
-from fes.signals import NS_PER_S, FloatArray
+from fes.signals import NS_PER_S, BoolArray, FloatArray
 from fes.walk_record import SampleArrays
 from statemachine.phases import Phase
 
 DETAIL = ((600.0, 200), (1800.0, 100), (float("inf"), 80))  # sessions up to so long (s) keep so many points a second
 GAP_INTERVALS = 2.5  # a pause this many intervals long is drawn as a gap
+LONG_UNKNOWN = 1000  # of so many points without a value only the last is kept
 MOST_RADPS = 1e6  # beyond what turns, and what can be squared: no number
 MISSING = -32768
 FULL_SCALE = 32000
@@ -37,7 +38,7 @@ def chart_data(data: ReportData, sensors: Mapping[str, SensorFlags] | None = Non
         for foot, timeline in data.timelines.items()
         if foot in data.record.samples and data.record.samples[foot].t_ns.size > 1
     ]
-    count = int(seconds * points_per_s) + 1
+    count = int(seconds * points_per_s) + 1 if data.channels else 0
     grid_ns = data.origin_ns + (np.arange(count) * (NS_PER_S // points_per_s)).astype(np.int64)
     channels = [
         {
@@ -54,7 +55,7 @@ def chart_data(data: ReportData, sensors: Mapping[str, SensorFlags] | None = Non
         "duration_s": seconds,
         "opening_s": max(0.0, min(bursts or strides or [0.0])),
         "feet": feet,
-        "current": {"start_s": 0.0, "step_s": 1.0 / points_per_s, "count": count, "channels": channels},
+        "current": {"start_s": 0.0, "step_s": 1.0 / points_per_s, "pieces": [[0, count]], "channels": channels},
         "phases": [{"name": readable(name), "color": PHASE_COLORS[name]} for name in (p.name.lower() for p in Phase)],
     }
 
@@ -94,6 +95,16 @@ def even_grid(t_s: FloatArray, values: FloatArray, points_per_s: int) -> tuple[f
     return start, width / 2, even.ravel()
 
 
+def _pieces(known: BoolArray) -> list[list[int]]:
+    """Where the pieces of a grid (N,) begin that are worth keeping, and how long each is; between them it is long
+    unknown, and the first after each is so too, which breaks the line."""
+    at = np.flatnonzero(known)
+    borders = np.flatnonzero(np.diff(at) > LONG_UNKNOWN)
+    begins, ends = np.append(0, at[borders + 1] - 1), np.append(at[borders] + 1, known.size)
+    pieces: list[list[int]] = np.column_stack((begins, ends - begins)).tolist()
+    return pieces
+
+
 def main_axis_rate_radps(samples: SampleArrays, timeline: PhaseTimeline) -> tuple[FloatArray, bool]:
     """Rotation rate (N,) about the axis that the foot turns about most, and whether its sign is known.
 
@@ -126,12 +137,14 @@ def _foot(samples: SampleArrays, timeline: PhaseTimeline, origin_ns: int, points
         t_s, rate, acc = t_s[order], rate[order], acc[order]
     start, step, gyr_even = even_grid(t_s, np.degrees(rate), points_per_s)
     _, _, acc_even = even_grid(t_s, acc, points_per_s)
+    pieces = _pieces(np.isfinite(gyr_even) | np.isfinite(acc_even))
+    gyr_even, acc_even = (np.concatenate([x[at : at + n] for at, n in pieces]) for x in (gyr_even, acc_even))
     return {
         "name": readable(timeline.foot),
         "color": foot_color(timeline.foot),
         "start_s": start,
         "step_s": step,
-        "count": int(gyr_even.size),
+        "pieces": pieces,
         "toe_down_positive": signed,
         "gyr_degps": pack(gyr_even),
         "acc_mps2": pack(acc_even),

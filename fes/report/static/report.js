@@ -21,7 +21,8 @@
     }
     return values;
   };
-  const times = (start, step, count) => Float64Array.from({ length: count }, (_, i) => start + i * step);
+  const times = (start, step, pieces) => Float64Array.from(pieces.flatMap(
+    ([first, count]) => Array.from({ length: count }, (_, i) => start + (first + i) * step)));
 
   const place = document.getElementById("charts");
   const widthNow = () => Math.max(280, Math.floor(place.clientWidth));
@@ -227,7 +228,7 @@
 
   const build = () => {
     for (const foot of data.feet) {
-      const x = times(foot.start_s, foot.step_s, foot.count);
+      const x = times(foot.start_s, foot.step_s, foot.pieces);
       const rate = unpack(foot.gyr_degps);
       if (!overview) addOverview(x, rate, foot.color, foot.name + " rotation rate");
       const sign = foot.toe_down_positive ? ", toe down +" : ", sign not known";
@@ -235,8 +236,8 @@
       add(foot.name + ": size of the acceleration", "m/s²", 150, x, [{ name: "acceleration (m/s²)", color: "#1b1f24", values: unpack(foot.acc_mps2) }], foot, 1);
     }
     const current = data.current;
-    if (current.channels.length && current.count > 1) {
-      const x = times(current.start_s, current.step_s, current.count);
+    if (current.channels.length && current.pieces[0][1] > 1) {
+      const x = times(current.start_s, current.step_s, current.pieces);
       const series = current.channels.map((channel) => ({
         name: channel.name + " (mA)", color: channel.color, width: 1.8, stepped: true, fill: channel.color + "33",
         values: unpack(channel.current_ma),
