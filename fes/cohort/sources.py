@@ -30,7 +30,12 @@ LARGEST_SIDECAR: Final = 1_000_000  # bytes: a larger one is no sidecar, and is 
 _DEEP: Final = 8  # folders that a file may lie above its sidecar, at most
 PACKAGES: Final = ("fes", "drivers", "statemachine")
 SUFFIXES: Final = TABLE_SUFFIXES + CAN_SUFFIXES
-BY_CONTENT: Final = (".txt", "")  # of names that end so, each is one where no other data file has its sidecar
+BY_CONTENT: Final = (
+    ".txt",
+    ".xdf",
+    ".h5",
+    "",
+)  # of names that end so, each is one where no other data file has its sidecar
 
 
 @cache

@@ -115,6 +115,16 @@ def read_can_log(path: Path, sidecar_path: Path, sidecar: Sidecar) -> dict[str, 
     return {sensor: _raw(path, sensor, collector) for sensor, collector in collectors.items()}
 
 
+def dbc_signals(path: Path) -> dict[str, str]:
+    """The names ``Message.Signal`` of a DBC, each with its unit.
+
+    Raises:
+        RecordingError: it cannot be read.
+    """
+    messages = _load_dbc(path).messages
+    return {f"{message.name}.{signal.name}": signal.unit or "" for message in messages for signal in message.signals}
+
+
 def _load_dbc(path: Path) -> Any:
     import cantools
 

@@ -16,7 +16,8 @@ from fes.signals import G_MPS2, SENSORS, FloatArray
 
 _KINDS: Final = {
     "acc": re.compile(
-        r"linacc|acceleration|accelerometer|beschleunigung|accel|acc(?![a-z])|acc(?=[xyz]\b)|\ba(?= ?[xyz]\b)"
+        r"linacc|acceleration|accelerometer|beschl(?:eunigung|(?![a-z]))|accel|acc(?![a-z])|acc(?=[xyz]\b)"
+        r"|\ba(?= ?[xyz]\b)"
     ),
     "gyr": re.compile(r"gyroscope|drehrate|gyro|gyr|angular ?(velocity|rate|vel)|angvel|omega|\b[gw](?= ?[xyz]\b)"),
 }
@@ -35,6 +36,10 @@ _RIGHT = re.compile(
 )
 _SHANK = re.compile(r"shank|shin|tibia|calf|lower ?leg|unterschenkel|wade|\b[lr]s\b")
 _FOOT = re.compile(r"foot|feet|shoe|heel|instep|toe|fu(ß|ss)|schuh|pied|pie\b|piede|\b[lr]f\b")
+_ELSEWHERE = re.compile(
+    r"lumbar|sternum|trunk|torso|pelvis|waist|sacrum|wrist|\b(upper|fore)? ?arm\b|hand\b|head\b|chest|\bback\b|\bhip\b|"
+    r"thigh|upper ?leg|oberschenkel|becken|handgelenk"
+)
 _TIME = re.compile(
     r"\b(time|timestamp|t|sec|seconds|ms|millis|micros|ticks|sampletime\w*|zeit|zeitstempel|elapsed)\b|timestamp"
 )
@@ -145,6 +150,8 @@ def group_columns(names: list[str]) -> list[Group]:
         known = group.columns[kind].get(letter)
         if known is None or (_NARROW.search(plain(known)) and not _NARROW.search(plain(name))):
             group.columns[kind][letter] = name
+    on_legs = {key: group for key, group in groups.items() if not _ELSEWHERE.search(key)}
+    groups = on_legs or groups
     whole = {key: group for key, group in groups.items() if group.whole}
     chosen = list((whole or groups).values())[: len(SENSORS)] or [Group()]
     for group in chosen:

@@ -216,6 +216,7 @@ def _raw_track(table: Table, sidecar: Sidecar, sensor: Sensor, *, silent: bool =
     if max(greatest) >= LARGEST_VALUE:
         _check_finite(table, data, names, dropped)
     time_name = sidecar.time_of(sensor)
+    table.check_stream((*names, time_name or names[0]), where)
     empty = None
     if time_name is None:
         rate_hz = sidecar.rate_of(sensor)

@@ -9,6 +9,7 @@ import numpy as np
 
 from fes.estimation.numerics.ranks import median
 from fes.recording.can_log import CAN_SUFFIXES, read_can_log
+from fes.recording.containers import container_of
 from fes.recording.csv_layout import has_rows
 from fes.recording.raw import (
     MIN_DURATION_S,
@@ -97,12 +98,16 @@ def _part_rows(path: Path, sidecar_path: Path, sidecar: Sidecar, part_s: float, 
 def _described(path: Path) -> tuple[Path, Path, Sidecar]:
     """A recording's file, its sidecar's path and what that says."""
     path = Path(path)
-    formats = f"{', '.join(TABLE_SUFFIXES + CAN_SUFFIXES)}, or text with rows of numbers under any other name"
+    formats = (
+        f"{', '.join(TABLE_SUFFIXES + CAN_SUFFIXES)}, .xdf, .h5, or text with rows of numbers under any other name"
+    )
     if not path.is_file():
         what = "is a folder" if path.is_dir() else "is not there"
         raise RecordingError(f"{path}: {what}. Name a recording's file: {formats}.")
     suffix = path.suffix.lower()
-    if suffix == ".toml" or not (suffix in TABLE_SUFFIXES + CAN_SUFFIXES or is_parquet(path) or has_rows(path)):
+    if suffix == ".toml" or not (
+        suffix in TABLE_SUFFIXES + CAN_SUFFIXES or is_parquet(path) or container_of(path) or has_rows(path)
+    ):
         raise RecordingError(
             f"{path}: is none of the formats read here ({formats}). Name the data file, not its sidecar."
         )

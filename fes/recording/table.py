@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from fes.recording import csv_layout as csv_text
+from fes.recording.containers import container_of, container_table
 from fes.recording.csv_layout import Dialect
 from fes.recording.tracks import RecordingError
 from fes.signals import FloatArray, IntArray
@@ -38,10 +39,16 @@ class Table:
         """``wanted``: columns to read; ``times``: those of them that are times."""
         self.path = path
         self.first = 0  # row of the file
-        self.is_csv = not is_parquet(path)
+        self._container = container_of(path)
+        self.is_csv = not self._container and not is_parquet(path)
         self._dialect = dialect
         self._times: dict[tuple[str, float, int | None], IntArray] = {}
-        self._table = self._read_csv(wanted, times) if self.is_csv else self._read_parquet(wanted)
+        if self._container:
+            table, _ = container_table(path)
+            self._check_names(table.column_names, wanted)
+            self._table = table.select(list(dict.fromkeys(wanted)))
+        else:
+            self._table = self._read_csv(wanted, times) if self.is_csv else self._read_parquet(wanted)
         self.rows = int(self._table.num_rows)
         if self.rows == 0:
             raise RecordingError(f"{path}: holds a header and no samples")
@@ -57,7 +64,7 @@ class Table:
         from pyarrow import parquet
 
         part = cls.__new__(cls)
-        part.path, part.is_csv, part._dialect = path, False, dialect
+        part.path, part.is_csv, part._dialect, part._container = path, False, dialect, ""
         part._check_names(cls.parquet_names(path), wanted)
         first, taken, batches, size = 0, 0, list[Any](), min(rows, _BATCH_ROWS)
         with _damage_explained(path), parquet.ParquetFile(path, page_checksum_verification=True) as file:
@@ -124,6 +131,13 @@ class Table:
             axis.flags.writeable = False  # as what is Arrow's own is: to the compiler that is another kind
         x, y, z = axes
         return out, into_rows(x, y, z, out)
+
+    def check_stream(self, names: tuple[str, ...], where: str) -> None:
+        """Refuse a sensor's columns (its time too) of several streams: their rows are not of one instant."""
+        streams = {name.rpartition(".")[0] for name in names}
+        if self._container and len(streams) > 1:
+            what = "its columns must be of one stream; save acceleration and rotation rate as one"
+            raise RecordingError(f"{where}: is put together from the streams {', '.join(sorted(streams))}: {what}")
 
     def empty(self, name: str) -> npt.NDArray[np.bool_] | None:
         """Return where a column's cells are empty, None if nowhere."""

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from fes.recording import naming as hints
-from fes.recording.can_log import CAN_SUFFIXES
+from fes.recording.can_log import CAN_SUFFIXES, dbc_signals
+from fes.recording.containers import container_of, container_table
 from fes.recording.csv_layout import Dialect, Layout, csv_layout, settings_of
 from fes.recording.naming import Group, counter_columns, group_columns, stated_unit, time_columns
 from fes.recording.raw import RATE_TOLERANCE
@@ -31,8 +32,11 @@ def sidecar_template(path: Path) -> str:
         RecordingError: the file itself is empty, damaged or no text.
     """
     if path.suffix.lower() in CAN_SUFFIXES:
-        return _can_template()
-    if is_parquet(path):
+        return _can_template(path)
+    if container_of(path):
+        table, units = container_table(path)
+        layout = Layout(Dialect(), table.column_names, units, [], set(table.column_names))
+    elif is_parquet(path):
         names = Table.parquet_names(path)
         layout = Layout(Dialect(), names, {}, [], set(names))
     else:
@@ -237,7 +241,7 @@ def _gyr_line(layout: Layout, group: Group, numbers: hints.Numbers | None) -> st
 
 def _other_foot(path: Path, layout: Layout, groups: list[Group]) -> list[str]:
     """A lone sensor's other side from the file beside it, as lines to uncomment."""
-    if len(groups) != 1 or not groups[0].sensor or is_parquet(path):
+    if len(groups) != 1 or not groups[0].sensor or is_parquet(path) or container_of(path):
         return []
     other = hints.other_side(path)
     try:
@@ -255,16 +259,24 @@ def _other_foot(path: Path, layout: Layout, groups: list[Group]) -> list[str]:
     ]
 
 
-def _can_template() -> str:
-    acc, gyr = (toml_value([f"? Message.{kind}_{axis}" for axis in "xyz"]) for kind in ("acc", "gyr"))
-    return f"""\
-acc_unit = "m/s^2"  # ? "m/s^2" or "g", after the DBC's scaling
-gyr_unit = "rad/s"  # ? "rad/s" or "deg/s", after the DBC's scaling
-
-[can]
-dbc = "sensors.dbc"  # ? beside this file
-
-[sensors."?"]  # {_WHICH}
-acc = {acc}
-gyr = {gyr}
-"""
+def _can_template(path: Path) -> str:
+    """By the only DBC that lies beside the log, else with all of it to be answered."""
+    beside = sorted(other for other in path.parent.iterdir() if other.suffix.lower() == ".dbc")
+    groups, units, dbc = [Group()], dict[str, str](), 'sensors.dbc"  # ? beside this file'
+    if len(beside) == 1:
+        units = dbc_signals(beside[0])
+        groups, dbc = group_columns(list(units)), f'{beside[0].name}"  # the only one beside this file'
+    lines = []
+    for kind, allowed in (("acc", "m/s^2"), ("gyr", "rad/s")):
+        stated = {stated_unit(kind, name, units.get(name, "")) for name in groups[0].names(kind)}
+        named = stated.pop() if len(stated) == 1 else ""
+        other = "g" if kind == "acc" else "deg/s"
+        asked = f'"{allowed}"  # ? "{allowed}" or "{other}", after the DBC\'s scaling'
+        lines.append(f'{kind}_unit = "{named}"  # the DBC says so' if named else f"{kind}_unit = {asked}")
+    lines += ["", "[can]", f'dbc = "{dbc}']
+    for number, group in enumerate(groups, start=1):
+        key = group.sensor or (f'"? {number}"' if len(groups) > 1 else '"?"')
+        lines += ["", f"[sensors.{key}]" + ("" if group.sensor else f"  # {_WHICH}")]
+        known = {kind: group.names(kind) for kind in ("acc", "gyr")}
+        lines += [f"{kind} = {toml_value([n.replace('? ', '? Message.') for n in known[kind]])}" for kind in known]
+    return "\n".join([*lines, ""])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from test_recording import walk
 
-from fes.recording import RecordingError, read_recording
+from fes.recording import RecordingError, read_recording, sidecar_template
 
 DBC = """VERSION ""
 NS_ :
@@ -125,3 +125,21 @@ def test_a_log_without_the_sensor(tmp_path: Path) -> None:
     path = log(tmp_path, ".asc", skip=lambda name, number: name.startswith("Right"))
     with pytest.raises(RecordingError, match="right_foot: no frame of RightAcc, RightGyr came"):
         read_recording(path)
+
+
+def test_the_proposal_takes_the_dbc_that_lies_beside_the_log(tmp_path: Path) -> None:
+    path = log(tmp_path, ".asc")
+    before = read_recording(path).tracks
+    path.with_suffix(".toml").unlink()
+    with_units = DBC
+    for kind, unit in (("Acc", "m/s^2"), ("Gyr", "rad/s")):
+        head, *rest = with_units.split(f"{kind}: 6 IMU")
+        with_units = head + "".join(f"{kind}: 6 IMU" + part.replace('""', f'"{unit}"', 3) for part in rest)
+    (tmp_path / "imu.dbc").write_text(with_units)
+    proposal = sidecar_template(path)
+    assert "?" not in proposal
+    path.with_suffix(".toml").write_text(proposal)
+    for sensor, track in read_recording(path).tracks.items():
+        np.testing.assert_array_equal(track.acc_mps2, before[sensor].acc_mps2)
+    (tmp_path / "other.dbc").write_text(DBC)
+    assert 'dbc = "sensors.dbc"  # ? beside' in sidecar_template(path), "of two nobody knows which"
