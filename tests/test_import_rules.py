@@ -232,6 +232,7 @@ def test_everything_imported_is_declared() -> None:
     declared |= {"canopen"}  # an extra: only the simulated CANopen node is made with it
     declared |= {"mcap"}  # an extra: only `fes convert` to MCAP needs it, and says so where it is missing
     declared |= {"ezc3d"}  # an extra: only C3D references need it, and say so where it is missing
+    declared |= {"pyxdf", "h5py"}  # extras: only XDF and HDF5 recordings need them, and say so where they are missing
     found = {name.split(".")[0] for module in modules() for name in imports(module)} - set(STDLIB)
     assert found <= declared
 
