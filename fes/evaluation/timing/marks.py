@@ -177,11 +177,11 @@ def marks_of_truth(truth: Truth, feet: set[str]) -> list[Mark]:
     return sorted(marks)
 
 
-def foot_of(sensor: str) -> str:
+def foot_of_sensor(sensor: str) -> str:
     """The foot that a sensor tells of."""
     return sensor.replace("_shank", "_foot")
 
 
 def by_foot(marks: Iterable[Mark]) -> tuple[Mark, ...]:
     """Marks under the name of the foot, whichever of its sensors told; by time."""
-    return tuple(sorted(Mark(mark.t_ns, foot_of(mark.who), mark.what) for mark in marks))
+    return tuple(sorted(Mark(mark.t_ns, foot_of_sensor(mark.who), mark.what) for mark in marks))

@@ -28,11 +28,11 @@ from fes.evaluation.reference.table import (
     foot_of,
     read_columns,
 )
-from fes.evaluation.timing import marks as timing_marks
 from fes.evaluation.timing.marks import (
     EDGES,
     Mark,
     by_foot,
+    foot_of_sensor,
     marks_of_commands,
     marks_of_phases,
     marks_of_truth,
@@ -121,7 +121,7 @@ def read_truth(
     Raises:
         TimingError, ReferenceError, SessionLogError: it cannot be used; says why.
     """
-    feet = {timing_marks.foot_of(sensor) for sensor in sensors}
+    feet = {foot_of_sensor(sensor) for sensor in sensors}
     if path.is_dir() or not path.is_file():
         raise TimingError(f"{path}: {'is a folder' if path.is_dir() else 'is not there'}. Name a truth's file.")
     if path.suffix == ".feslog":
