@@ -218,6 +218,28 @@ def test_every_row_can_be_brought_about_and_every_injection_has_a_row() -> None:
     assert len(BY_NAME) == len(SCENARIOS)
 
 
+def test_axes_of_a_simulated_sensor_keep_one_value_to_the_bit_or_alive() -> None:
+    count = np.arange(20.0)
+    device = SimulatedImu(LslWire(), ImuSignal(100.0, np.stack([count] * 3, 1), np.stack([-count] * 3, 1)), 0)
+    device.advance(50_000_000)
+    device.set_fault(50_000_000, "held", 1 + 32)
+    shown = []
+    for t_ns in (50_000_000, 80_000_000, 110_000_000):
+        device.advance(t_ns)
+        shown.append(device._reading(0))
+    assert len({(reading.acc_mps2[0], reading.gyr_radps[2]) for reading in shown}) == 1
+    assert len({(reading.acc_mps2[1], reading.gyr_radps[0]) for reading in shown}) == 3
+    device.set_fault(10**9, "held", 0.0)
+    device._reading(0)
+    device.set_fault(10**9, "held_alive", 7)
+    alive = []
+    for t_ns in range(10**9, 2 * 10**9, 10_000_000):
+        device.advance(t_ns)
+        alive.append(device._reading(0).acc_mps2[0])
+    assert len(set(alive)) > 50
+    assert max(alive) - min(alive) <= 0.1
+
+
 def test_what_must_go_off_has_a_deadline() -> None:
     for scenario in SCENARIOS:
         if scenario.effect in (Effect.LATCHED, Effect.ENDED):

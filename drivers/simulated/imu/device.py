@@ -1,13 +1,15 @@
 """A simulated inertial sensor with its own clock: time in, messages out; no I/O.
 
 Faults, besides the line's own (:mod:`drivers.simulated.lines`): ``reboot`` (now: silent for 0.3 s, then clock and
-counter from 0), ``unit`` (values times this; 0 ends it), ``stuck`` (1: repeats itself), ``clip`` (values held
-within ± this share of full scale; 0 ends it), ``full`` (1: every value at the end of its range), ``nan`` / ``inf`` /
-``doubled`` (so many of the next samples), ``axes`` (1: sits turned, x measures what y did, y what z did; 0 ends it),
-``drift`` (ppm of its clock from now on), ``jump`` (its clock, by so many seconds, once), ``jumping`` (every eighth
-stamp is ahead by so many seconds; 0 ends it). ``stand``: its wearer stays within the first so many seconds of the
-signal, in which they stand, once they come there; 0: goes on at their end. A sensor that sends whole numbers, as most
-do on CAN, has no ``nan`` and no ``inf``: what it cannot measure it sends as the end of its range, or not at all.
+counter from 0), ``unit`` (values times this; 0 ends it), ``stuck`` (1: repeats itself), ``held`` / ``held_alive`` (a
+sum of 1, 2, 4 for the accelerometer's axes and 8, 16, 32 for the gyroscope's: these keep what they showed last, to
+the bit or with noise; 0 ends it), ``clip`` (values held within ± this share of full scale; 0 ends it), ``full`` (1:
+every value at the end of its range), ``nan`` / ``inf`` / ``doubled`` (so many of the next samples), ``axes`` (1: sits
+turned, x measures what y did, y what z did; 0 ends it), ``drift`` (ppm of its clock from now on), ``jump`` (its
+clock, by so many seconds, once), ``jumping`` (every eighth stamp is ahead by so many seconds; 0 ends it). ``stand``:
+its wearer stays within the first so many seconds of the signal, in which they stand, once they come there; 0: goes on
+at their end. A sensor that sends whole numbers, as most do on CAN, has no ``nan`` and no ``inf``: what it cannot
+measure it sends as the end of its range, or not at all.
 """
 
 from __future__ import annotations
@@ -26,9 +28,22 @@ from fes.signals import G_MPS2, NS_PER_S, FloatArray, Vector3
 if TYPE_CHECKING:
     from fes.recording import Track
 
-LASTING: Final = ("unit", "stuck", "clip", "full", "nan", "inf", "doubled", "axes", "jumping")  # until set to 0
+LASTING: Final = (
+    "unit",
+    "stuck",
+    "held",
+    "held_alive",
+    "clip",
+    "full",
+    "nan",
+    "inf",
+    "doubled",
+    "axes",
+    "jumping",
+)  # until set to 0
 FAULTS: Final = frozenset((*LASTING, "reboot", "drift", "jump", "stand"))
 NOT_FINITE: Final = ("nan", "inf")
+ACC_NOISE, GYR_NOISE = 0.05, 0.02  # m/s², rad/s
 JUMPING_EVERY: Final = 8  # more than one in twenty
 BOOT_NS: Final = 300_000_000
 _NAN: Final = (math.nan, math.nan, math.nan)
@@ -108,6 +123,7 @@ class SimulatedImu(Device):
         self._values = FaultValues(dict.fromkeys(FAULTS, 0.0))
         self._last: tuple[Vector3, Vector3] = signal.sample(0)
         self._played = 0
+        self._held_at: tuple[float, ...] | None = None
         self._start(t_ns, int(offset_s * NS_PER_S), drift_ppm)
 
     def _start(self, t_ns: int, device_ns: int, drift_ppm: float) -> None:
@@ -170,10 +186,26 @@ class SimulatedImu(Device):
         """How many samples of the signal are of standing, by the fault ``stand``."""
         return round(self._values["stand"] * self._signal.rate_hz)
 
+    def _with_held_axes(self, acc: Vector3, gyr: Vector3) -> tuple[Vector3, Vector3]:
+        """What it feels, but for the axes that show what they did when the fault began."""
+        axes = int(self._values["held"]) | int(self._values["held_alive"])
+        if not axes:
+            self._held_at = None
+            return acc, gyr
+        if self._held_at is None:
+            self._held_at = acc + gyr
+        # no living sensor repeats itself: this one's noise goes round in 97 samples
+        alive = math.sin(self._counter * math.tau * 31 / 97) if self._values["held_alive"] else 0.0
+        x, y, z, p, q, r = (
+            held + (ACC_NOISE if axis < 3 else GYR_NOISE) * alive if axes >> axis & 1 else felt
+            for axis, (held, felt) in enumerate(zip(self._held_at, acc + gyr, strict=True))
+        )
+        return (x, y, z), (p, q, r)
+
     def _reading(self, own_ns: int) -> Reading:
         if not self._values["stuck"]:
             self._last = self._signal.sample(self._played)
-        acc, gyr = self._last
+        acc, gyr = self._with_held_axes(*self._last)
         factor, share = self._values["unit"] or 1.0, self._values["clip"] or 1.0
         held_acc = _held(acc, factor, share * self._acc_range)
         held_gyr = _held(gyr, factor, share * self._gyr_range)
