@@ -173,7 +173,7 @@ def test_what_it_shows_is_what_the_log_holds_also_after_reloading_and_in_a_secon
             other.go("about:blank")
             other.go(link_of(run))
             other.until("document.querySelectorAll('#strides tr').length >= 5")
-            page.until("document.getElementById('link-text').textContent === 'this page monitors'")
+            page.until("document.getElementById('link-text').textContent === 'this page watches'")
             assert page.run("document.getElementById('up').disabled")
             assert run.until(lambda status: True).state in ("armed", "running")
             page.press("#stop")  # an old link's
