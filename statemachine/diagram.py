@@ -14,10 +14,10 @@ from pathlib import Path
 from statemachine.guards import Thresholds
 from statemachine.phases import Phase
 from statemachine.table import TABLE, Row
+from statemachine.terms import UNITS
 
 BEGIN = "<!-- begin: written by `python -m statemachine.diagram --write docs/phases.md` -->"
 END = "<!-- end -->"
-UNITS = {"mps3": "m/s³", "mps2": "m/s²", "radps2": "rad/s²", "radps": "rad/s", "mps": "m/s", "rad": "rad", "s": "s"}
 _FIELD = re.compile(r"^    (\w+): (?:float|bool) = .*?  # (?:(T\d[T\d, –]*): )?(.+)$", re.MULTILINE)
 
 

@@ -17,7 +17,8 @@ STDLIB = sys.stdlib_module_names
 # Who may import whom: a room imports what stands lower, and itself; never its own floor, never a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
     ("fes", "fes.signals", "fes.limits"),
-    ("fes.config", "statemachine"),
+    ("statemachine",),
+    ("fes.config",),
     ("fes.walk_record",),
     ("fes.estimation", "fes.stimulation", "fes.session_log", "fes.gate"),
     ("fes.recording",),
@@ -37,8 +38,8 @@ NO_CLOCK = {"time", "threading", "asyncio", "multiprocessing", "concurrent", "sc
 NARROWER: dict[str, set[str]] = {
     "fes.signals": {"numpy"},
     "fes.limits": set(),
-    "fes.config": {"pydantic", "fes.limits"},
-    "statemachine": {"transitions", "fes.signals", "fes.limits", "fes.config"},
+    "fes.config": {"pydantic", "fes.limits", "statemachine.guards"},
+    "statemachine": {"transitions", "fes.signals", "fes.limits"},
     "fes.walk_record": {"numpy", "fes.signals", "statemachine.phases"},
     "fes.gate": {"fes.config", "fes.signals", "fes.limits"},
     "fes.stimulation": {"statemachine.phases", "fes.config", "fes.signals", "fes.limits"},
@@ -297,4 +298,5 @@ def test_help_loads_nothing_slow() -> None:
 
 def test_the_gate_loads_neither_controller_nor_drivers() -> None:
     loaded = loaded_after("import fes.gate", *(name for name in modules() if not within(name, {"fes.gate"})))
-    assert loaded == {"fes", "fes.signals", "fes.limits", *of("fes.config")}
+    names_of_thresholds = {"statemachine", "statemachine.guards"}
+    assert loaded == {"fes", "fes.signals", "fes.limits", *of("fes.config"), *names_of_thresholds}

@@ -29,6 +29,7 @@ COMMANDS: Final = {
     "import": ("fes.cli.import_", "Public data sets, as downloaded, into recordings and references."),
     "calibrate": ("fes.cli.calibrate", "How the sensors sit and how this person moves, from a short recording."),
     "hil": ("fes.cli.hil", "A fault campaign: faults into a running session, judged at the stimulator's end."),
+    "explain": ("fes.cli.explain", "Why a session did what it did at one instant: guards, walking, gate, tuning."),
     "report": ("fes.cli.report", "Write the report of a session log again."),
     "compare": ("fes.cli.compare", "Two session logs' differences, stride by stride."),
     "convert": ("fes.cli.convert", "A session log as CSV, Parquet or MCAP, for other programs."),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from fes.cli.cohort import absolute, progress_bar, results_at, resumable, unfinished
-from fes.cli.common.exits import FAILED, Problem
+from fes.cli.common.exits import FAILED, Problem, failing, writing
 from fes.cli.common.options import PATH, Number
 from fes.cli.common.show import screen
 
@@ -45,6 +46,7 @@ def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None
 @click.option("--workers", type=click.IntRange(1, 512), help="Processes of this machine. Default: one a processor.")
 @click.option("--time-limit", type=Number(min=10), help="Give up a trial that takes longer (s). Default: none.")
 @click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
+@click.option("--apply", "apply_to", type=PATH, help="Write the best thresholds into this copy of SESSION.")
 @click.option("--no-report", is_flag=True, help="Write no HTML page.")
 @click.option(
     "--names", is_flag=True, is_eager=True, expose_value=False, callback=_list_names, help="List what can be swept."
@@ -62,6 +64,7 @@ def command(
     workers: int | None,
     time_limit: float | None,
     retry_failed: bool,
+    apply_to: Path | None,
     no_report: bool,
 ) -> None:
     """Try combinations of settings of SESSION on RECORDINGS, or with --patients on virtual ones.
@@ -126,11 +129,40 @@ def command(
             click.echo(f"Report     {store.place(PAGE)}")
     click.echo(f"Table      {store.place(TABLE)}")
     _show(found, measures)
+    if apply_to is not None:
+        apply_best(found, session, apply_to, len(cases))
     if failed := sum(one.failed for one in found):
         for one in [one for one in found if one.failed][:LISTED]:
             click.secho(f"Failed: {one.text}: {'; '.join(one.reasons)}", fg="red", err=True)
         click.secho(f"{failed} of {len(rows)} trials failed.", fg="red", err=True)
         raise SystemExit(FAILED)
+
+
+def apply_best(found: Sequence[Combination], session: Path, target: Path, cases: int) -> None:
+    """Write a copy of the session file with the best combination's thresholds and their origin; say what else was best.
+
+    Raises:
+        Problem: there is none, they are not allowed, or the file cannot be written.
+    """
+    from fes.cohort.sweep.grid import THRESHOLDS
+    from fes.config import ConfigError, load_session, validate_session
+    from fes.config.thresholds import ORIGIN, with_thresholds_table
+
+    best = next((one for one in found if not one.failed), None)
+    swept = {} if best is None else dict(best.settings)
+    chosen = {name.partition(".")[2]: value for name, value in swept.items() if name.startswith(f"{THRESHOLDS}.")}
+    if not chosen:
+        raise Problem(f"--apply {target}: the session as it is came out best; there is nothing to write.")
+    kept = load_session(session).thresholds
+    origin = f"fes sweep: best of {len(found)} combinations on {cases} cases"
+    merged = {name: value for name, value in kept.items() if name != ORIGIN} | chosen | {ORIGIN: origin}
+    text = with_thresholds_table(session.read_text(encoding="utf-8"), merged)
+    with failing(ConfigError), writing(target, ". Choose another file with --apply."):
+        validate_session(tomllib.loads(text), target, text)
+        target.write_text(text, encoding="utf-8")
+    click.echo(f"Thresholds {target}: {', '.join(f'{name} = {value}' for name, value in chosen.items())}")
+    if others := [name for name in swept if not name.startswith(f"{THRESHOLDS}.")]:
+        click.echo(f"Not written, for they are no thresholds: {', '.join(others)}")
 
 
 def _show(found: Sequence[Combination], measures: Sequence[Measure]) -> None:

@@ -12,6 +12,7 @@ from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, mode
 from fes import limits
 from fes.config.base import ConfigError, Foot, SensorName, Settings, explain, read_toml
 from fes.config.channel import Channel, Stimulation
+from fes.config.thresholds import Value, check_thresholds
 
 Options = dict[str, str | int | float | bool]
 
@@ -162,6 +163,7 @@ class Session(Settings):
     stimulation: Stimulation = Stimulation()
     channels: tuple[Channel, ...] = Field(default=(), strict=False)
     phases: Phases = Phases()
+    thresholds: dict[str, Value] = Field(default_factory=dict)
     bus: Bus = Bus()
     sensors: tuple[ImuDevice, ...] = Field(default=(), strict=False)
     stimulator: StimulatorDevice = StimulatorDevice()
@@ -171,6 +173,11 @@ class Session(Settings):
     geometry: dict[Foot, FootGeometry] = Field(default_factory=dict)
     exercise: Exercise | None = None
     live: Live = Field(default=Live(), exclude=True)  # of this machine; it changes no decision and is in no log
+
+    @model_validator(mode="after")
+    def _thresholds_are_known_and_near_the_usual(self) -> Self:
+        check_thresholds(self.thresholds)
+        return self
 
     @model_validator(mode="after")
     def _channels_and_sensors_are_distinct(self) -> Self:
@@ -187,11 +194,12 @@ class Session(Settings):
         return self
 
     @model_serializer(mode="wrap")
-    def _without_an_absent_exercise(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """So that a session without one reads, and identifies its replays, as it did before there was any."""
+    def _without_what_is_absent(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """So that a session without exercise and thresholds reads, and identifies its replays, as it did before."""
         data: dict[str, Any] = handler(self)
-        if data.get("exercise") is None:
-            data.pop("exercise", None)
+        for name in ("exercise", "thresholds"):
+            if not data.get(name):
+                data.pop(name, None)
         return data
 
     @model_validator(mode="after")

@@ -78,6 +78,10 @@ class Controller:
         """The gait phase of a foot now."""
         return self.trackers[foot].phase
 
+    def judge(self, foot: str) -> WalkingJudge:
+        """Who says whether this foot walks."""
+        return self._judges[foot]
+
     def walking(self, foot: str) -> bool:
         """Whether this foot is judged to be walking, so that a step may start a burst."""
         fallback = self._fallbacks.get(foot)

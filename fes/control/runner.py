@@ -27,9 +27,10 @@ from fes.signals import (
     Tick,
     WireFrame,
 )
-from statemachine.phases import PhaseChange
+from statemachine.phases import Phase, PhaseChange
 
 TICK_NS = 10_000_000
+MEASURES_NOTED = "thresholds"  # the source of the notes of each stride's measures
 CLOSING_S = 0.5  # ticks after the last sample, so that what follows from silence is seen too
 
 
@@ -193,6 +194,8 @@ class Runner:
                 self.log.stride(outcome)
             else:
                 self.log.phase(outcome)
+                if outcome.destination is Phase.STANCE:
+                    self._note_thresholds(event.t_ns, outcome.foot)
         for report in decision.reports:
             text = f"channel {report.channel}: {report.text}"
             self.log.note(Note(event.t_ns, report.severity, "tuning", text))
@@ -209,6 +212,13 @@ class Runner:
                 self.all_off()  # not at the next command: now
             else:
                 self.log.note(Note(event.t_ns, "info", "gate", "armed again"))
+
+    def _note_thresholds(self, t_ns: int, sensor: str) -> None:
+        """This person's measures, which follow the strides; every value is kept."""
+        for tracker in self.controller.trackers.values():
+            if tracker.foot == sensor:
+                values = ", ".join(f"{name} {value:.4g}" for name, value in tracker.measures.items())
+                self.log.note(Note(t_ns, "info", MEASURES_NOTED, f"{sensor}: {values}"))
 
     def all_off(self) -> None:
         """Switch off every channel that was ever commanded; each is tried, then the first error is raised.

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from fes.config import FootGeometry, Ground, Session
+from fes.config.thresholds import changed_thresholds
 from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.foot.tracker import FootTracker
 from fes.estimation.shank.calibration import ShankCalibration
@@ -39,13 +40,15 @@ def shank_phase_sensors(calibrations: Mapping[str, Calibration]) -> dict[str, st
 
 
 def tracker_of(session: Session, calibration: Calibration) -> Tracker:
-    """The tracker for a sensor, with this session's settings."""
+    """The tracker for a sensor, with this session's settings; its thresholds are for sensors on feet."""
     at_reversal = session.phases.swing_begins == "reversal"
     if isinstance(calibration, ShankCalibration):
         return ShankTracker(calibration, incline=shank_incline(session.ground), swing_at_reversal=at_reversal)
     geometry = next((own for foot, own in session.geometry.items() if foot == calibration.sensor), None)
     maker = StrideMaker(calibration.sensor, stride_settings(calibration, geometry, session.ground))
-    return FootTracker(calibration, maker, swing_at_reversal=at_reversal)
+    tracker = FootTracker(calibration, maker, swing_at_reversal=at_reversal)
+    tracker.set_thresholds(changed_thresholds(tracker.thresholds, session.thresholds))
+    return tracker
 
 
 def shank_incline(ground: Ground) -> float | None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from fes.config import Session
+from fes.config.thresholds import describe_thresholds
 from fes.control.controller import CURRENT_STEP_MA, Controller
 from fes.control.replay import header_of
 from fes.control.runner import Runner
@@ -86,6 +87,7 @@ class LiveSession:
         phase_sensor_of = phase_sensors(calibrations)
         electrodes = Electrodes((channel.number for channel in session.channels), open_lead_detected_from_ma)
         self.notices = Notices(self.gate, electrodes)
+        self.notices.lasting += filter(None, [describe_thresholds(session.thresholds)])
         self.sides = SideCheck(calibrations)
         self.monitor = Monitor(
             log, monitors, phase_sensor_of, view.link if view else None, self._publish, self.notices, self.sides

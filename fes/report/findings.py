@@ -12,7 +12,7 @@ from fes.report.by_hand import summed_up
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
 from fes.report.stimulation import STILL, STOPPED
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
-from fes.report.text import count_of, number, readable
+from fes.report.text import capitalised, count_of, number, readable
 
 Level = Literal["good", "info", "warning", "alert"]
 SPEED_TOLERANCE = 0.05  # of the belt's speed, which treadmills show to 0.1 m/s
@@ -55,6 +55,8 @@ def _findings(summary: SessionSummary) -> Iterator[Finding]:
         yield Finding("info", f"By hand: {done}.")
     if not summary.channels:
         yield Finding("info", "No stimulation channel was set up.")
+    if summary.thresholds:
+        yield Finding("info", f"{capitalised(summary.thresholds)}.")
     if summary.exercise is not None:
         yield from _exercise(summary, summary.exercise)
         yield from _wire(summary)

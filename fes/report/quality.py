@@ -25,6 +25,7 @@ NAN = float("nan")
 AT_LIMIT: Final = 0.999  # of a range that is known
 IN_A_ROW: Final = 4  # equal greatest values that tell a limit where it is not
 STALE: Final = " ms old, limit "  # as fes.gate.freshness words it
+THRESHOLDS: Final = "thresholds"  # who notes this person's measures, stride by stride
 LEAST_GAP_S: Final = 0.025  # as long as a foot's impact; a sample or two that are lost elsewhere change nothing
 LEAST_LIMIT: Final = {"acc": 15.0, "gyr": 4.0}  # m/s², rad/s: a sensor that hardly moved has no limit to reach
 CLIPPED_ACC, CLIPPED_GYR, LOST, UNSURE = "accelerometer", "gyroscope", "lost", "unsure"
@@ -142,6 +143,8 @@ def session_notices(record: WalkRecord, origin_ns: int) -> tuple[Notice, ...]:
     """All notes, and what the stimulator itself reported as a fault, in order of time."""
     notes = []
     for note in record.notes:
+        if note.source == THRESHOLDS:  # a table of their own
+            continue
         if note.source == "gate" and behind_the_end(record, note.t_ns, note.text):
             notes.append((note.t_ns, "info", note.source, f"the recording ends in a burst: {note.text}"))
         else:

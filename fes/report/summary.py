@@ -15,6 +15,7 @@ from fes.report import quality, stimulation
 from fes.report.by_hand import HandRow, hand_rows, is_stop_note
 from fes.report.strides import StrideRow, stride_rows
 from fes.report.text import Spread, plain, spread
+from fes.report.thresholds import MeasureRow, measure_rows, thresholds_set
 from fes.signals import FOOT_SENSORS, NS_PER_S, SHANK_SENSORS, OperatorAction
 from fes.walk_record import WalkRecord
 
@@ -226,6 +227,8 @@ class SessionSummary:
     strides: tuple[StrideRow, ...]
     dose: tuple[stimulation.DoseRow, ...] = ()
     tuning: tuple[stimulation.TuningRow, ...] = ()
+    measures: tuple[MeasureRow, ...] = ()
+    thresholds: str = ""
     by_hand: tuple[HandRow, ...] = ()
     exercise: ExerciseSummary | None = None
 
@@ -270,7 +273,7 @@ def summarise_session(record: WalkRecord) -> ReportData:
         SessionLogError: its times run over more than a month, or are too large to be subtracted.
     """
     settings = stimulation.session_settings(record.header)
-    origin_ns, end_ns = _span(record)
+    origin_ns, end_ns = session_span(record)
     if not 0 <= end_ns - origin_ns <= LONGEST_NS or max(abs(origin_ns), abs(end_ns)) > FURTHEST_NS:
         from fes.session_log import SessionLogError  # here, for an analysis has nothing to do with logs
 
@@ -325,6 +328,8 @@ def summarise_session(record: WalkRecord) -> ReportData:
         strides=rows,
         dose=stimulation.dose_rows(record, settings, origin_ns),
         tuning=stimulation.tuning_rows(record.notes, origin_ns),
+        measures=measure_rows(record, settings),
+        thresholds=thresholds_set(settings),
         by_hand=hand_rows(record, origin_ns),
         exercise=exercise_summary(record, settings),
     )
@@ -339,7 +344,7 @@ def _toes_given(header: Mapping[str, Any], settings: Session | None) -> set[str]
     return stated | ({str(foot) for foot in settings.geometry} if settings else set())
 
 
-def _span(record: WalkRecord) -> tuple[int, int]:
+def session_span(record: WalkRecord) -> tuple[int, int]:
     """First and last instant that anything happened."""
     times = [arrays.t_ns for arrays in record.samples.values()] + [record.ticks_ns, record.latency_t_ns]
     edges = [int(edge) for array in times if array.size for edge in (array.min(), array.max())]

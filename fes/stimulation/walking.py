@@ -107,6 +107,16 @@ class WalkingJudge:
         """Whether enough good strides have come one after the other, and the foot has not stopped since."""
         return not self._standing and self._good_strides >= self._enough
 
+    def describe(self) -> str:
+        """What it holds of this foot, for people."""
+        known = (
+            f"{min(self._good_strides, self._enough)} of {self._enough} strides in a row that carry the foot forward"
+        )
+        if self.walking:
+            return f"walks: {known}"
+        why = f"; the count began anew because: {self.reason}" if self.reason else ""
+        return f"not known to walk{' (it stands)' if self._standing else ''}: {known}{why}"
+
     def on_time(self, t_ns: int) -> None:
         """Time has come to ``t_ns`` by the foot's own sensor: a stance that lasts ends walking."""
         if not self._standing and t_ns - self._begun_ns > self._longest_ns:

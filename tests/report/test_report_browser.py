@@ -126,6 +126,25 @@ def test_the_space_figure_turns_by_keys_buttons_and_pointer(page: Page):
     assert page.run(first) != before
 
 
+def test_a_click_in_the_timeline_says_what_was_at_that_instant(page: Page):
+    over = "#charts .chart:not(.overview) .u-over"
+    page.scroll_to(over)
+    x, y = page.middle(over)
+    for kind in ("mousePressed", "mouseReleased"):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+    told = page.until("!document.getElementById('moment').hidden && document.getElementById('moment').textContent")
+    at = re.search(r"At ([\d.]+) s", told)
+    assert at
+    first, last = (
+        float(each) for each in re.findall(r"[\d.]+", page.run("document.getElementById('window').textContent"))
+    )
+    assert float(at[1]) == pytest.approx((first + last) / 2, abs=0.1), "the middle of the window was clicked"
+    assert f"--at {at[1]}" in told
+    for words in ("left foot: ", " since ", "TA left: "):
+        assert words in told
+    page.scroll_to("body")
+
+
 def test_the_printed_summary_is_the_first_page(page: Page, tmp_path):
     """Laid out for A4 it ends before the sheet does, and what follows begins on the next."""
     page.call("Emulation.setEmulatedMedia", media="print")

@@ -1,6 +1,6 @@
 """Replaying a session log: the same events through the same loop must give what was recorded, bytes first."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,6 +21,7 @@ from fes.evaluation.log_replay import ReplayOutput, first_difference
 from fes.gate import SafetyGate, gate_of
 from fes.live.stimulator import UNSENT
 from fes.session_log import SessionLogError, SessionRecord, iter_events, iter_inputs, read_session
+from fes.signals import Event
 
 LARGEST_STEP_MA: Final = 10.0
 REPORTED: Final = ("commands", "strides", "difference")
@@ -56,7 +57,52 @@ def repeat(path: Path) -> Repeated:
     Raises:
         SessionLogError, ConfigError: the log cannot be read, or is of another kind.
     """
-    record = read_session(path)
+    again = Reopened(path)
+    record, runner = again.record, again.runner
+    for event in again.events:
+        runner.handle(event)
+    # a log that was recovered without its end lacks what the session did last
+    recovered = record.summary.get("recovered")
+    if record.complete and not (isinstance(recovered, dict) and recovered.get("end_missing")):
+        runner.all_off()
+    now, recorded = again.now, again.recorded
+    difference = (recorded is not None and _other_protocol(record)) or first_difference(
+        record, recorded, now, runner.t_ns
+    )
+    commands, strides = min(len(record.commands), len(now.commands)), min(len(record.strides), len(now.strides))
+    return Repeated(commands, strides, difference, now)
+
+
+class Reopened:
+    """A session log about to be run again: ``runner`` is to handle ``events``; what comes out is in ``now``.
+
+    ``recorded`` are its commands' frames, None where bytes cannot be compared.
+
+    Raises:
+        SessionLogError, ConfigError: as :func:`repeat`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.record, self.now = read_session(path), ReplayOutput()
+        self.session, controller, gate, session_id = _decides(self.record, path)
+        sink: LoggedSink | SerialSink
+        compares_bytes = True
+        if repeats_bytes(self.session, self.record.header):
+            sink = SerialSink(self.session)
+            recorded = sink.logged_commands(self.record.frames)
+            sink.sent = [frame.identifier != UNSENT for frame in recorded]
+            self.events: Iterator[Event] = sink.replay_events(iter_inputs(path), session_id)
+        else:
+            recorded = [frame for frame in self.record.frames if frame.identifier in (COMMAND_ID, UNSENT)]
+            sink = LoggedSink(session_id, [frame.identifier != UNSENT for frame in recorded])
+            self.events = sink.replay_events(iter_events(path))
+            compares_bytes = self.session.stimulator.device == "can"  # what another driver made of one is not known
+        self.recorded = recorded if compares_bytes else None
+        self.runner = Runner(controller, gate, sink, self.now, lambda: 0)
+
+
+def _decides(record: SessionRecord, path: Path) -> tuple[Session, Controller, SafetyGate, int]:
+    """Settings, controller, gate and the stimulator's session of a log."""
     try:
         session, calibrations, session_id = settings_of(record.header, path)
         step_ma = record.header.get("current_step_ma", CURRENT_STEP_MA)
@@ -71,31 +117,7 @@ def repeat(path: Path) -> Repeated:
             f"{path}: was left by fes {version} and cannot be replayed by fes {__version__}: its header does not fit "
             f"({error}). `fes report` still shows it; replay its recording instead."
         ) from error
-    now = ReplayOutput()
-    sink: LoggedSink | SerialSink
-    if repeats_bytes(session, record.header):
-        sink = SerialSink(session)
-        recorded = sink.logged_commands(record.frames)
-        sink.sent = [frame.identifier != UNSENT for frame in recorded]
-        events = sink.replay_events(iter_inputs(path), session_id)
-        compares_bytes = True
-    else:
-        recorded = [frame for frame in record.frames if frame.identifier in (COMMAND_ID, UNSENT)]
-        sink = LoggedSink(session_id, [frame.identifier != UNSENT for frame in recorded])
-        events = sink.replay_events(iter_events(path))
-        compares_bytes = session.stimulator.device == "can"  # what another driver made of a command is not known
-    runner = Runner(controller, gate, sink, now, lambda: 0)
-    for event in events:
-        runner.handle(event)
-    # a log that was recovered without its end lacks what the session did last
-    recovered = record.summary.get("recovered")
-    if record.complete and not (isinstance(recovered, dict) and recovered.get("end_missing")):
-        runner.all_off()
-    difference = (compares_bytes and _other_protocol(record)) or first_difference(
-        record, recorded if compares_bytes else None, now, runner.t_ns
-    )
-    commands, strides = min(len(record.commands), len(now.commands)), min(len(record.strides), len(now.strides))
-    return Repeated(commands, strides, difference, now)
+    return session, controller, gate, session_id
 
 
 def _other_protocol(record: SessionRecord) -> str:

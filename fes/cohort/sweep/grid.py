@@ -22,6 +22,7 @@ from typing import Any, Final, get_args
 from fes.cohort.sources import CohortError
 from fes.config import Session, validate_session
 from fes.config.base import Settings
+from fes.config.thresholds import changed_thresholds
 from statemachine.guards import FORMER_NAMES, Thresholds
 
 SWEPT: Final = ("phases", "stimulation", "channels")  # of a session; the rest is of devices and persons
@@ -119,6 +120,8 @@ def session_with(base: Session, point: Point, path: Path) -> Session:
         ConfigError: the combination is not allowed; says why.
     """
     data = base.model_dump()
+    swept = thresholds_of(point)  # the trackers are given these; the session's own of the same name give way
+    data[THRESHOLDS] = {name: value for name, value in base.thresholds.items() if name not in swept}
     for name, value in point.values:
         root, *parts = name.split(".")
         if root == THRESHOLDS:
@@ -147,20 +150,15 @@ def change_thresholds(thresholds: Thresholds, changes: dict[str, Value | Factor]
     Raises:
         CohortError: a value is not of the threshold's kind.
     """
-    now, new = thresholds._asdict(), {}
-    for name, value in changes.items():
-        kind = bool if isinstance(now[name], bool) else float
-        if isinstance(value, Factor) and kind is float:
-            new[name] = now[name] * value.times
-        elif kind is bool and isinstance(value, bool):
-            new[name] = value
-        elif kind is float and isinstance(value, (int, float)) and not isinstance(value, bool) and value >= 0:
-            new[name] = float(value)
-        else:
-            raise CohortError(
-                f"{THRESHOLDS}.{name} = {value}: must be {'true or false' if kind is bool else 'a number, 0 or more'}"
-            )
-    return thresholds._replace(**new)
+    try:
+        return changed_thresholds(thresholds, {name: as_setting(value) for name, value in changes.items()})
+    except ValueError as error:
+        raise CohortError(str(error)) from error
+
+
+def as_setting(value: Value | Factor) -> Value:
+    """A value as the session file has it."""
+    return str(value) if isinstance(value, Factor) else value
 
 
 def swept_names() -> list[str]:

@@ -13,10 +13,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from fes.estimation.numerics.jit import inlined, jit_ieee
-from fes.estimation.numerics.records import Mat, Record, Vec, record_type, struct_of
-from fes.estimation.tracking.phase_features import features
+from fes.estimation.numerics.records import Mat, Record, Vec, fill, record_type, struct_of
+from fes.estimation.tracking.phase_features import MEASURES, features
 from fes.signals import FloatArray, IntArray, StrideResult, Vector3
-from statemachine.guards import Thresholds
+from statemachine.guards import Features, Thresholds
 from statemachine.machine import GaitPhaseMachine
 from statemachine.phases import Phase, PhaseChange, Transition
 
@@ -242,6 +242,7 @@ class Tracker(ABC):
         self._restarts = 0
         self._sample, self._core, self._state = live["sample"], live["core"], live["core"]["state"][0]
         self._bytes = live.view(np.uint8).data
+        self._fired: tuple[int, Features, Thresholds] = NEVER_NS, Features(*[0.0] * len(Features._fields)), Thresholds()
 
     @property
     def phase(self) -> Phase:
@@ -278,10 +279,27 @@ class Tracker(ABC):
         """The guards' thresholds now: this person's measures follow the strides."""
         return Thresholds._make(self._core["thresholds"][0].item())
 
+    @property
+    def measures(self) -> dict[str, float]:
+        """This person's measures now, by name: what of the thresholds follows the strides."""
+        return {name: getattr(self.thresholds, name) for name, _ in MEASURES}
+
+    def set_thresholds(self, thresholds: Thresholds) -> None:
+        """Begin with these instead of the calibration's; before the first sample, for the bounds count from them."""
+        fill(self._core, thresholds=thresholds)
+
     def _fire(self, number: int) -> PhaseChange:
         """Take the machine through what the compiled guards let pass at the newest sample."""
-        seen = features(self._core[0].state)
-        return self.machine.fire(TRANSITIONS[number], int(self._state["t_ns"]), seen, self.thresholds)
+        t_ns = int(self._state["t_ns"])
+        _, seen, limits = self._fired = t_ns, features(self._core[0].state), self.thresholds
+        return self.machine.fire(TRANSITIONS[number], t_ns, seen, limits)
+
+    def seen(self) -> tuple[Features, Thresholds]:
+        """What the guards saw at the newest sample: where one of them fired, before the machine went through it."""
+        t_ns, *fired = self._fired
+        if t_ns == int(self._state["t_ns"]):
+            return fired[0], fired[1]
+        return features(self._core[0].state), self.thresholds
 
     def _restart(self, t_ns: int) -> list[PhaseChange]:
         """Begin anew in stance with the sample of this time: the change, if there was anything before."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
+from fes.control.runner import MEASURES_NOTED
 from fes.live.commands import CommandKind, CommandRefused, OperatorCommand, State, command_of_message
 from fes.live.dashboard.frames import NAMES, STATUS, detail
 from fes.live.inputs import Execute
@@ -56,7 +57,9 @@ class DashboardStream:
         self._happened["strides"].append(result)
 
     def note(self, note: Note) -> None:
-        """What a person should know."""
+        """What a person should know; not each stride's measures, of which the log has every value."""
+        if note.source == MEASURES_NOTED:
+            return
         self._happened["notes"].append((note.t_ns, note.severity, note.text))
 
     def send(self, status: bytes) -> None:

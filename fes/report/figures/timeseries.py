@@ -21,6 +21,7 @@ GAP_INTERVALS = 2.5  # a pause this many intervals long is drawn as a gap
 LONG_UNKNOWN = 1000  # of so many points without a value only the last is kept
 MOST_RADPS = 1e6  # beyond what turns, and what can be squared: no number
 MISSING = -32768
+MOST_NOTICES = 2000  # that a click can show
 FULL_SCALE = 32000
 
 
@@ -56,6 +57,10 @@ def chart_data(data: ReportData, sensors: Mapping[str, SensorFlags] | None = Non
         "opening_s": max(0.0, min(bursts or strides or [0.0])),
         "feet": feet,
         "current": {"start_s": 0.0, "step_s": 1.0 / points_per_s, "pieces": [[0, count]], "channels": channels},
+        "notices": [
+            {"time_s": round(each.time_s, 3), "source": each.source, "text": each.text}
+            for each in data.summary.notices[:MOST_NOTICES]
+        ],
         "phases": [{"name": readable(name), "color": PHASE_COLORS[name]} for name in (p.name.lower() for p in Phase)],
     }
 

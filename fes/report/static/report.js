@@ -138,7 +138,15 @@
             u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
           }
         }],
-        ready: [(u) => u.over.addEventListener("dblclick", () => show(whole[0], whole[1]))],
+        ready: [(u) => {
+          u.over.addEventListener("dblclick", () => show(whole[0], whole[1]));
+          let down = 0;
+          u.over.addEventListener("mousedown", (event) => { down = event.clientX; });
+          u.over.addEventListener("click", (event) => {
+            const left = event.clientX - u.over.getBoundingClientRect().left;
+            if (Math.abs(event.clientX - down) < 4) tell(u.posToVal(left, "x"));
+          });
+        }],
       },
     }, [x, ...series.map((one) => one.values)], holder);
     charts.push(chart);
@@ -185,6 +193,34 @@
       },
     }, [t, y], box);
   };
+
+  // What the log holds of one instant; what every guard saw only running it again tells.
+  const moment = document.getElementById("moment");
+  const NEAR_S = 2;
+  function tell(at) {
+    if (!moment) return;
+    const lines = [];
+    for (const foot of data.feet) {
+      const i = foot.phase_end_s.findIndex((end) => end > at);
+      if (i >= 0) lines.push(foot.name + ": " + data.phases[foot.phase[i]].name + " since " + foot.phase_start_s[i].toFixed(3) + " s");
+    }
+    const current = data.current;
+    const k = Math.round((at - current.start_s) / current.step_s);
+    for (const channel of current.channels) {
+      const ma = unpack(channel.current_ma)[k];
+      lines.push(channel.name + ": " + (ma ? "on, " + ma.toFixed(1) + " mA" : "off"));
+    }
+    const near = data.notices.filter((one) => Math.abs(one.time_s - at) <= NEAR_S);
+    for (const one of near) lines.push(one.time_s.toFixed(2) + " s, " + one.source + ": " + one.text);
+    moment.querySelector("h3").textContent = "At " + at.toFixed(3) + " s";
+    moment.querySelector("ul").replaceChildren(...lines.map((line) => {
+      const item = document.createElement("li");
+      item.textContent = line;
+      return item;
+    }));
+    moment.querySelector("code").textContent = "fes explain session.feslog --at " + at.toFixed(3);
+    moment.hidden = false;
+  }
 
   const output = document.getElementById("window");
   const slider = document.getElementById("position");

@@ -1,0 +1,294 @@
+"""Why a session did what it did at one instant: its log run again up to there, and each part asked what it saw.
+
+The phases' guards by their own terms, the walking judge, the plan, the gate and the tuning. Nothing is decided here:
+what is told is the state of the parts that decided.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from fes.config import PHASE_ORDER, Channel, Session
+from fes.control.runner import Runner
+from fes.evaluation.log_replay import ReplayOutput
+from fes.live.remedies import remedy
+from fes.signals import NS_PER_S, Event, ImuSample, StimCommand
+from fes.stimulation.tuning.tuner import difference
+from fes.walk_record import Note
+from statemachine.guards import Thresholds
+from statemachine.phases import Phase, PhaseChange
+from statemachine.table import TABLE
+from statemachine.terms import Terms, terms_of
+
+AROUND_NS: Final = 3 * NS_PER_S // 2  # what is drawn, before and after
+LATELY_NS: Final = 2 * NS_PER_S  # a refusal so long ago is still told
+OLD_NS: Final = 5 * NS_PER_S  # a sample so long ago tells nothing any more
+
+
+@dataclass(frozen=True)
+class GuardThen:
+    """One guard at the sample; ``asked``: it leaves the phase in which the foot was."""
+
+    transition: str
+    asked: bool
+    terms: Terms
+
+
+@dataclass(frozen=True)
+class FootThen:
+    """One foot at its newest sample; ``phase`` before it, since ``since_s``; ``fired`` at this sample, else ""."""
+
+    foot: str
+    sensor: str
+    sample_s: float
+    phase: str
+    since_s: float
+    fired: str
+    guards: tuple[GuardThen, ...]
+    thresholds: Thresholds
+    walking: str
+
+    def sentences(self) -> list[str]:
+        """Which phase, what fired or why not, and whether the foot was known to walk."""
+        name, asked = self.foot.replace("_", " "), [guard for guard in self.guards if guard.asked]
+        since = f" since {self.since_s:.3f} s" if self.since_s == self.since_s else ""
+        lines = [f"The {name} was in {_words(self.phase)}{since} (sample of {self.sample_s:.3f} s)."]
+        for guard in asked:
+            if guard.transition == self.fired:
+                lines.append(f"{guard.transition} fired at this sample.")
+            elif not guard.terms.holds:
+                lines.append(f"{guard.transition} did not fire: {guard.terms.why_not()}.")
+        return [*lines, f"The {name} {self.walking}."]
+
+
+@dataclass(frozen=True)
+class ChannelThen:
+    """One channel: whether it was on, what was refused last, and why it was as it was, in words."""
+
+    channel: int
+    name: str
+    on: bool
+    current_ma: float
+    refused: str
+    why: str
+
+
+@dataclass(frozen=True)
+class TuningThen:
+    """One tuned channel: ``why`` its settings are what they were, and what changed them, by time."""
+
+    channel: int
+    name: str
+    why: str
+    changes: tuple[tuple[float, str], ...]
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Everything about one instant; ``trace`` of each foot: (time s, toe-down rate rad/s, phase) about it.
+
+    ``bursts``: (channel, from s, to s) there. Times are the session's.
+    """
+
+    at_s: float
+    feet: tuple[FootThen, ...]
+    channels: tuple[ChannelThen, ...]
+    tuning: tuple[TuningThen, ...]
+    gate: str
+    trace: dict[str, list[tuple[float, float, int]]]
+    bursts: list[tuple[int, float, float]]
+
+    def sentences(self) -> list[str]:
+        """The answer: stimulation first, for that is what is mostly asked."""
+        lines = [channel.why for channel in self.channels] + [self.gate]
+        for foot in self.feet:
+            lines += foot.sentences()
+        return lines + [tuned.why for tuned in self.tuning]
+
+
+@dataclass
+class _Seen:
+    """What a foot's newest sample brought."""
+
+    sample_ns: int
+    before: Phase
+    guards: tuple[GuardThen, ...]
+    thresholds: Thresholds
+    fired: str
+
+
+def explain(
+    runner: Runner, events: Iterable[Event], now: ReplayOutput, session: Session, notes: Iterable[Note],
+    origin_ns: int, at_ns: int,
+) -> Explanation:  # fmt: skip
+    """Run ``events`` through ``runner`` until just behind ``at_ns`` and say how things stood there.
+
+    Raises:
+        ValueError: no event comes before ``at_ns``.
+    """
+    controller = runner.controller
+    foot_of = {tracker.foot: foot for foot, tracker in controller.trackers.items()}
+    seen: dict[str, _Seen] = {}
+    entered: dict[str, tuple[PhaseChange, str]] = {}  # the newest change of each foot, and what its judge said then
+    trace: dict[str, list[tuple[float, float, int]]] = {foot: [] for foot in controller.trackers}
+    found: Explanation | None = None
+    changes = 0
+    for event in events:
+        if event.t_ns > at_ns and found is None:
+            found = _then(runner, now, session, notes, origin_ns, at_ns, seen, entered)
+        if event.t_ns > at_ns + AROUND_NS:
+            break
+        foot = foot_of.get(event.sensor, "") if isinstance(event, ImuSample) else ""
+        near = bool(foot) and event.t_ns >= at_ns - OLD_NS
+        before = controller.phase(foot) if near else Phase.STANCE
+        runner.handle(event)
+        fired = ""
+        for change in now.phases[changes:]:
+            who = foot_of[change.foot]
+            entered[who] = change, controller.judge(who).describe()
+            fired = change.transition.name
+        changes = len(now.phases)
+        if near:
+            saw, limits = controller.trackers[foot].seen()
+            if event.t_ns >= at_ns - AROUND_NS:
+                at_s = (event.t_ns - origin_ns) / NS_PER_S
+                trace[foot].append((at_s, saw.toe_down_radps, int(controller.phase(foot))))
+            if found is None:
+                guards = tuple(
+                    GuardThen(row.transition.name, row.source is before, terms_of(row.guard, saw, limits))
+                    for row in TABLE
+                )
+                seen[foot] = _Seen(event.t_ns, before, guards, limits, fired)
+    if found is None:
+        found = _then(runner, now, session, notes, origin_ns, at_ns, seen, entered)
+    found.trace.update(trace)
+    found.bursts.extend(_bursts(now.commands, origin_ns, at_ns))
+    return found
+
+
+def _then(
+    runner: Runner, now: ReplayOutput, session: Session, notes: Iterable[Note], origin_ns: int, at_ns: int,
+    seen: dict[str, _Seen], entered: dict[str, tuple[PhaseChange, str]],
+) -> Explanation:  # fmt: skip
+    if not runner.t_ns:
+        raise ValueError("nothing had happened by then")
+
+    def seconds(t_ns: int) -> float:
+        return (t_ns - origin_ns) / NS_PER_S
+
+    controller = runner.controller
+    feet = []
+    for foot, saw in seen.items():
+        at = [c.t_ns for c in now.phases if c.foot == controller.trackers[foot].foot and c.t_ns < saw.sample_ns]
+        since_s = seconds(at[-1]) if at else float("nan")
+        where = foot, controller.trackers[foot].foot, seconds(saw.sample_ns), saw.before.name.lower(), since_s
+        feet.append(FootThen(*where, saw.fired, saw.guards, saw.thresholds, controller.judge(foot).describe()))
+    channels = tuple(_channel(runner, now.commands, channel, entered, origin_ns, at_ns) for channel in session.channels)
+    tuning = tuple(
+        _tuned(channel, runner, list(notes), origin_ns, at_ns)
+        for channel in session.channels
+        if channel.number in controller.tuning.tuners
+    )
+    return Explanation(seconds(at_ns), tuple(feet), channels, tuning, _gate(runner, origin_ns), {}, [])
+
+
+def _gate(runner: Runner, origin_ns: int) -> str:
+    gate = runner.gate
+    if gate.latched:
+        since = "" if gate.latched_ns is None else f" since {(gate.latched_ns - origin_ns) / NS_PER_S:.3f} s"
+        return _remedied(f"The gate was latched{since}: {gate.latched}")
+    if gate.armed:
+        return "The gate was armed."
+    return _remedied(f"The gate was not armed{f': {gate.arming_refused}' if gate.arming_refused else ''}")
+
+
+def _remedied(text: str) -> str:
+    """With what to do about it."""
+    return f"{text}. {remedy(text)}".rstrip()
+
+
+def _channel(
+    runner: Runner, commands: list[StimCommand], channel: Channel, entered: dict[str, tuple[PhaseChange, str]],
+    origin_ns: int, at_ns: int,
+) -> ChannelThen:  # fmt: skip
+    own = [command for command in commands if command.channel == channel.number and command.t_ns <= at_ns]
+    last = own[-1] if own else None
+    refused = next((each for each in reversed(own) if each.refused and each.t_ns > at_ns - LATELY_NS), None)
+
+    def made(on: bool, how: str) -> ChannelThen:
+        lately = f" Refused at {(refused.t_ns - origin_ns) / NS_PER_S:.3f} s: {refused.refused}." if refused else ""
+        ma = last.current_ma if last and on else 0.0
+        text = f"{channel.name}: {how}" + (lately if refused is not None and refused is not last else "")
+        return ChannelThen(channel.number, channel.name, on, ma, refused.refused if refused else "", text)
+
+    if last is not None and last.on and at_ns - last.t_ns <= last.validity_ms * 1_000_000:
+        begun = last.t_ns
+        for command in reversed(own):
+            if not command.on:
+                break
+            begun = command.t_ns
+        return made(True, f"on with {last.current_ma:.1f} mA, since {(begun - origin_ns) / NS_PER_S:.3f} s.")
+    if last is not None and last.refused:
+        return made(False, _remedied(f"off, the gate refused it: {last.refused}"))
+    return made(False, f"off, {_not_asked(runner, channel, entered, origin_ns)}.")
+
+
+def _not_asked(runner: Runner, channel: Channel, entered: dict[str, tuple[PhaseChange, str]], origin_ns: int) -> str:
+    """Why nothing was asked of the gate."""
+    foot, controller = str(channel.foot), runner.controller
+    name = foot.replace("_", " ")
+    if foot not in controller.trackers:
+        return f"for no sensor tells the phases of the {name}"
+    phase = controller.phase(foot).name.lower()
+    at = PHASE_ORDER.index(channel.start_phase)
+    count = (PHASE_ORDER.index(channel.stop_phase) - at) % len(PHASE_ORDER) + 1
+    asked_in = [PHASE_ORDER[(at + step) % len(PHASE_ORDER)] for step in range(count)]
+    if phase not in asked_in:
+        window = f"{_words(channel.start_phase)} … {_words(channel.stop_phase)}"
+        return f"for the {name} was in {_words(phase)}; it is stimulated in {window}"
+    if controller.intensity <= 0.0:
+        return "for the intensity was 0"
+    change, said = entered.get(foot, (None, ""))
+    if change is not None and not said.startswith("walks"):
+        where = f"when {_words(change.destination.name.lower())} began at {(change.t_ns - origin_ns) / NS_PER_S:.3f} s"
+        return f"for {where} the {name} was {said}"
+    return "for its burst had not begun yet, was over, or was not permitted when the phase began"
+
+
+def _tuned(channel: Channel, runner: Runner, notes: list[Note], origin_ns: int, at_ns: int) -> TuningThen:
+    tuner, mark = runner.controller.tuning.tuners[channel.number], f"channel {channel.number}: "
+    own = [n for n in notes if n.source == "tuning" and n.t_ns <= at_ns and n.text.startswith(mark)]
+    texts = [((note.t_ns - origin_ns) / NS_PER_S, note.text.removeprefix(mark)) for note in own]
+    changes = tuple((t_s, text) for t_s, text in texts if " → " in text and not text.startswith("suggested"))
+    went = difference(tuner.start, tuner.parameters)
+    words = f"{channel.name}: tuning had changed nothing"
+    if went:
+        words = f"{channel.name}: tuning had gone from the session's settings to {went} in {len(changes)} changes"
+        words += f", the last at {changes[-1][0]:.1f} s: {changes[-1][1]}" if changes else ""
+    if tuner.frozen:
+        words += f"; frozen: {tuner.frozen}"
+    skipped = next(((t_s, text) for t_s, text in reversed(texts) if " skipped: " in text), None)
+    if skipped is not None and (not changes or skipped[0] > changes[-1][0]):
+        words += f"; {skipped[1]}"
+    return TuningThen(channel.number, channel.name, f"{words}.", changes)
+
+
+def _bursts(commands: list[StimCommand], origin_ns: int, at_ns: int) -> list[tuple[int, float, float]]:
+    """Where a channel was on about the instant."""
+    spans: list[tuple[int, float, float]] = []
+    since: dict[int, int] = {}
+    for command in commands:
+        if command.on:
+            since.setdefault(command.channel, command.t_ns)
+        elif command.channel in since:
+            begin_ns = since.pop(command.channel)
+            if command.t_ns > at_ns - AROUND_NS:
+                spans.append(
+                    (command.channel, (begin_ns - origin_ns) / NS_PER_S, (command.t_ns - origin_ns) / NS_PER_S)
+                )
+    last_ns = commands[-1].t_ns if commands else at_ns
+    return spans + [(n, (t - origin_ns) / NS_PER_S, (last_ns - origin_ns) / NS_PER_S) for n, t in since.items()]
+
+
+def _words(phase: str) -> str:
+    return phase.replace("pre_swing", "pre-swing").replace("_", " ")

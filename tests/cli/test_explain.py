@@ -1,0 +1,229 @@
+"""``fes explain``: of each refusal that docs/safety.md names, of guards, the walking judge and the tuner."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+from replays import SETTINGS, bursts, cut, edit, keep, replay, trial
+from test_one_process import run as closed_loop
+
+from fes.cli import main
+from fes.gate import SafetyGate
+from fes.live.remedies import remedy
+from fes.recording import Recording, Track, write_recording
+from fes.session_log import SessionRecord, read_session
+from fes.signals import G_MPS2, NS_PER_S
+from statemachine.phases import Transition
+
+LENGTH_S, FAULT_S = 24.0, 19.9  # in a burst of the bundled trial
+
+
+def explained(log: Path, at_s: float, *more: str) -> dict[str, Any]:
+    done = CliRunner().invoke(main, ["explain", str(log), "--at", f"{at_s:.3f}", "--json", "--no-page", *more])
+    assert done.exit_code == 0, done.output
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
+
+
+def session_log(folder: Path, recording: Recording, settings: str = "", **options: Any) -> tuple[Path, SessionRecord]:
+    path, session = folder / "walk.parquet", folder / "session.toml"
+    write_recording(recording, path)
+    session.write_text(settings or SETTINGS.read_text())
+    record = replay(path, folder / "out", session, **options)
+    (log,) = (folder / "out").glob("walk-*/session.feslog")
+    return log, record
+
+
+def origin_ns(record: SessionRecord) -> int:
+    return min(int(samples.t_ns[0]) for samples in record.samples.values())
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SessionRecord]:
+    return session_log(tmp_path_factory.mktemp("walked"), cut(trial("negard_patient2"), 0.0, LENGTH_S))
+
+
+def spoilt(change: Callable[[Track, np.ndarray[Any, Any]], Track]) -> Recording:
+    """The trial with what is changed from ``FAULT_S`` on."""
+
+    def changed(track: Track) -> Track:
+        return change(track, track.t_ns - track.t_ns[0] >= FAULT_S * NS_PER_S)
+
+    return edit(cut(trial("negard_patient2"), 0.0, LENGTH_S), changed)
+
+
+def scaled(acc: float = 1.0, gyr: float = 1.0) -> Recording:
+    def change(track: Track, late: np.ndarray[Any, Any]) -> Track:
+        factors = np.where(late, acc, 1.0)[:, None], np.where(late, gyr, 1.0)[:, None]
+        return replace(track, acc_mps2=track.acc_mps2 * factors[0], gyr_radps=track.gyr_radps * factors[1])
+
+    return spoilt(change)
+
+
+def turned(track: Track, late: np.ndarray[Any, Any]) -> Track:
+    """As when the box is put another way round: two axes exchanged."""
+    acc, gyr = track.acc_mps2.copy(), track.gyr_radps.copy()
+    for values in (acc, gyr):
+        values[late] = values[late][:, [2, 1, 0]] * [1.0, 1.0, -1.0]
+    return replace(track, acc_mps2=acc, gyr_radps=gyr)
+
+
+def frozen(track: Track, late: np.ndarray[Any, Any]) -> Track:
+    first = int(np.argmax(late))
+    acc, gyr = track.acc_mps2.copy(), track.gyr_radps.copy()
+    acc[late], gyr[late] = acc[first], gyr[first]
+    return replace(track, acc_mps2=acc, gyr_radps=gyr)
+
+
+def silent(track: Track, late: np.ndarray[Any, Any]) -> Track:
+    back = track.t_ns - track.t_ns[0] >= (FAULT_S + 0.3) * NS_PER_S
+    return keep(track, ~late | back)
+
+
+RATE = np.degrees(1.0)
+SENSOR_FAULTS: dict[str, tuple[Callable[[], Recording], str]] = {
+    "force in g": (lambda: scaled(acc=1 / G_MPS2), "unit"),
+    "force scaled by g again": (lambda: scaled(acc=G_MPS2), "unit"),
+    "force in mg": (lambda: scaled(acc=1000.0 / G_MPS2), "unit"),
+    "rate in degrees": (lambda: scaled(gyr=float(RATE)), "unit"),
+    "axes exchanged": (lambda: spoilt(turned), "remounted"),
+    "the same values again and again": (lambda: spoilt(frozen), "is frozen"),
+    "data too old": (lambda: spoilt(silent), "ms old"),
+}
+
+
+@pytest.mark.parametrize("kind", SENSOR_FAULTS)
+def test_what_the_gate_tells_from_a_sensors_numbers(kind: str, tmp_path: Path) -> None:
+    make, words = SENSOR_FAULTS[kind]
+    log, record = session_log(tmp_path, make())
+    (latch,) = [note for note in record.notes if note.severity == "fault"][:1]
+    reason = latch.text.removeprefix("off until armed again: ")
+    assert words in reason
+    at_s = (latch.t_ns - origin_ns(record)) / NS_PER_S + 0.1
+    found = explained(log, at_s)
+    assert reason in found["gate"], "the very words of the log"
+    assert remedy(reason) in found["gate"]
+    assert remedy(reason), "something can be done about it"
+    assert "since" in found["gate"]
+    before = explained(log, at_s - 0.5)
+    assert "The gate was armed" in before["gate"]
+
+
+LIMITS = (  # as fes.gate words them; the plan keeps within them, so a gate is made to say them
+    "off for 0.05 s, at least 0.1 s",
+    "on for 3.01 s, limit 3 s",
+    "20.1 mC within a minute, limit 20 mC",
+    "rise to 30 mA too fast, at most 4 mA by now",
+    "current 41 mA, limit 40 mA",
+)
+
+
+def test_any_refusal_of_a_channel_is_told_in_its_own_words(
+    walked: tuple[Path, SessionRecord], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, record = walked
+    begin_ns = origin_ns(record)
+    for reason, burst in zip(LIMITS, bursts(record.commands), strict=False):
+        refused_ns = burst.t_on_ns + 100_000_000
+        with monkeypatch.context() as patch:
+            patch.setattr(
+                SafetyGate, "_refusal", lambda gate, t_ns, *_, why=reason, at=refused_ns: why if t_ns >= at else ""
+            )
+            found = explained(log, (refused_ns - begin_ns) / NS_PER_S + 0.05)
+        (channel,) = found["channels"]
+        assert (channel["refused"], channel["on"]) == (reason, False)
+        assert f"the gate refused it: {reason}" in channel["why"] == found["sentences"][0]
+        assert remedy(reason) in channel["why"]
+
+
+def test_not_armed_and_an_antagonist(tmp_path: Path) -> None:
+    log, record = session_log(tmp_path, cut(trial("negard_patient2"), 0.0, LENGTH_S), arm_after_s=20.5)
+    burst_s = 19.9
+    assert explained(log, burst_s)["gate"] == "The gate was not armed."
+    folder = tmp_path / "two"
+    folder.mkdir()
+    text = SETTINGS.read_text()
+    channel = text.split("[[channels]]")[1]
+    other = channel.replace("number = 0", "number = 1\nnever_with = [0]").replace("anterior, right", "its antagonist")
+    log, record = session_log(folder, cut(trial("negard_patient2"), 0.0, LENGTH_S), f"{text}\n[[channels]]{other}")
+    refused = next(command for command in record.commands if "never together with" in command.refused)
+    found = explained(log, (refused.t_ns - origin_ns(record)) / NS_PER_S + 0.001)
+    assert refused.refused in found["channels"][refused.channel]["why"]
+
+
+def test_every_transition_is_explained_as_fired_at_its_sample_and_as_not_before(
+    walked: tuple[Path, SessionRecord],
+) -> None:
+    log, record = walked
+    begin_ns = origin_ns(record)
+    for transition in (Transition.T1, Transition.T2, Transition.T3, Transition.T4):
+        change = [each for each in record.phases if each.transition is transition][3]
+        at_s = (change.t_ns - begin_ns) / NS_PER_S
+        then = explained(log, at_s + 0.0004)
+        rows = [row for row in then["guards"] if row["guard"] == transition.name]
+        assert all(row["asked"] and row["fires"] for row in rows)
+        assert f"{transition.name} fired at this sample." in then["sentences"]
+        before = explained(log, at_s - 0.03)
+        rows = [row for row in before["guards"] if row["guard"] == transition.name]
+        assert all(row["asked"] and not row["fires"] for row in rows)
+        (said,) = [text for text in before["sentences"] if text.startswith(f"{transition.name} did not fire: ")]
+        assert any(not row["holds"] and row["what"] in said for row in rows)
+        assert not before["differs"]
+
+
+def test_the_walking_judge_says_why_it_held_back(walked: tuple[Path, SessionRecord]) -> None:
+    log, record = walked
+    begin_ns = origin_ns(record)
+    first_on_ns = bursts(record.commands)[0].t_on_ns
+    swing = next(each for each in record.phases if each.transition is Transition.T2)
+    assert swing.t_ns < first_on_ns, "the first stride is walked without stimulation"
+    found = explained(log, (swing.t_ns - begin_ns) / NS_PER_S + 0.05)
+    (channel,) = found["channels"]
+    assert "not known to walk" in channel["why"]
+    assert "no stride yet" in channel["why"]
+    later = explained(log, (bursts(record.commands)[3].t_on_ns - begin_ns) / NS_PER_S + 0.2)
+    assert "on with" in later["channels"][0]["why"]
+    assert any("walks:" in text for text in later["sentences"])
+    stance = explained(log, 17.5)
+    assert "it is stimulated in pre-swing … loading response" in stance["sentences"][0] or stance["channels"][0]["on"]
+
+
+def test_why_the_tuner_went_where_it_went(tmp_path: Path) -> None:
+    _, log = closed_loop(tmp_path, "tuned.feslog", 26.0)
+    record = read_session(log)
+    changes = [note for note in record.notes if note.source == "tuning" and " → " in note.text]
+    (tuned,) = explained(log, 25.5)["tuning"]
+    assert [text for _, text in tuned["changes"]] == [note.text.removeprefix("channel 0: ") for note in changes]
+    last_ma = changes[-1].text.split(" → ")[1].split()[0]
+    assert f"current 12.0 → {last_ma} mA in {len(changes)} changes" in tuned["why"]
+    assert "changed nothing" in explained(log, 11.0)["tuning"][0]["why"]
+
+
+def test_words_table_and_page(walked: tuple[Path, SessionRecord], tmp_path: Path) -> None:
+    log, _ = walked
+    page = tmp_path / "page.html"
+    done: Result = CliRunner().invoke(main, ["explain", str(log), "--at", "20", "--page", str(page)])
+    assert done.exit_code == 0, done.output
+    for words in ("What the guards saw", "T3", "The gate was armed", "in a row that carry the foot forward"):
+        assert words in done.output
+    text = page.read_text()
+    assert text.count("<svg") == 1
+    assert "default-src 'none'" in text
+    assert "What every guard saw" in text
+    assert "http://" not in text.replace("http://www.w3.org", "")
+
+
+def test_what_it_refuses(walked: tuple[Path, SessionRecord], tmp_path: Path) -> None:
+    log, _ = walked
+    for at in ("-1", "1000"):
+        done = CliRunner().invoke(main, ["explain", str(log), "--at", at])
+        assert done.exit_code == 2
+        assert "outside the session" in done.output
+    assert CliRunner().invoke(main, ["explain", str(tmp_path / "none.feslog"), "--at", "1"]).exit_code == 2
