@@ -14,6 +14,7 @@ import click
 
 from fes.cli.common.exits import FAILED, Problem, StoppedEarly, interrupted
 from fes.cli.common.options import Number
+from fes.cli.common.show import print_json
 
 if TYPE_CHECKING:
     from fes.cohort.store import Store
@@ -33,6 +34,7 @@ PER_SECOND = 2  # times that the bar is drawn: it takes its time from the work
 @click.option("--time-limit", type=Number(min=10), help="Give up a recording that takes longer (s). Default: none.")
 @click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
 @click.option("--no-report", is_flag=True, help="Write no HTML pages.")
+@click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
 def command(
     recordings: tuple[str, ...],
     out: str,
@@ -43,6 +45,7 @@ def command(
     time_limit: float | None,
     retry_failed: bool,
     no_report: bool,
+    as_json: bool,
 ) -> None:
     """Analyse all RECORDINGS: files, folders, globs, or addresses on any storage that fsspec opens.
 
@@ -80,15 +83,21 @@ def command(
         if replaced := drop_replaced(store, sources, settings):
             click.echo(f"{replaced} results of earlier files, settings or versions were replaced.", err=True)
         rows: list[dict[str, Any]] = store.table(RECORDINGS, by_identity).to_pylist()
+        page = ""
         if not no_report:
             from fes.cohort.page import write_pages
 
-            page = write_pages(store, by_identity, rows)
-            click.echo(f"Report     {page}")
-    click.echo(f"Data set   {store.place('')}")
+            page = str(write_pages(store, by_identity, rows))
     failed = [row for row in rows if row["status"] != "done"]
     strides = sum(row["valid_strides"] or 0 for row in rows)
-    click.echo(f"{len(rows) - len(failed)} of {len(sources)} recordings analysed, {strides} valid strides.")
+    done = len(rows) - len(failed)
+    if as_json:
+        unused = [{"source": row["source"], "reason": row["reason"]} for row in failed]
+        found = {"recordings": len(sources), "analysed": done, "valid_strides": strides, "not_used": unused}
+        print_json({"data_set": store.place(""), "report": page or None} | found)
+    else:
+        click.echo(f"Report     {page}\n" * bool(page) + f"Data set   {store.place('')}")
+        click.echo(f"{done} of {len(sources)} recordings analysed, {strides} valid strides.")
     for row in failed:
         click.secho(f"Not used: {row['source']}: {row['reason']}", fg="red", err=True)
     if gone := len(by_identity) - len(rows):

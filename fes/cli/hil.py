@@ -10,6 +10,7 @@ import click
 from drivers.stimulator.port import StimulatorLost
 from fes.cli.common.exits import FAILED, Problem, StoppedEarly, failing, fresh_folder, interrupted
 from fes.cli.common.options import PATH, choice, out_option
+from fes.cli.common.show import print_json
 from fes.config import ConfigError
 from fes.hil.attempts import hardware_campaign, save_campaign, simulated_campaign
 from fes.hil.campaign_bench import CampaignBroken
@@ -32,6 +33,7 @@ REPEAT: Final = "Each fault so many times, each of its values once."
 @out_option("Results below.")
 @click.option("--hardware", type=PATH, help="Real devices, as in this session file.")
 @click.option("--calibration", type=PATH, help="Of the real sensors, from `fes calibrate`.")
+@click.option("--json", "as_json", is_flag=True, help="As JSON on stdout: what hil.json holds, or the faults.")
 @click.option("--i-have-a-dummy-load", "dummy_load", is_flag=True, help="Nobody is connected to the stimulator.")
 def command(
     transport: str,
@@ -44,6 +46,7 @@ def command(
     hardware: Path | None,
     calibration: Path | None,
     dummy_load: bool,
+    as_json: bool,
 ) -> None:
     """Inject faults into a running session and measure, at the stimulator's end, how it answers.
 
@@ -58,6 +61,10 @@ def command(
     Exit code: 0 all as required, 1 a row is not, 2 unusable arguments or transport, 3 the campaign could not go on,
     130 interrupted.
     """
+    if listing and as_json:
+        told = {s.name: {"fault": s.fault, "required": s.response, "deadline_ms": s.deadline_ms} for s in SCENARIOS}
+        print_json({"faults": told})
+        return
     if listing:
         for scenario in SCENARIOS:
             deadline = "" if scenario.deadline_ms is None else f", within {scenario.deadline_ms:g} ms"
@@ -91,9 +98,12 @@ def command(
                 campaign = simulated_campaign(transport, *todo, channel, closed_loop)
     except KeyboardInterrupt:
         interrupted(f"; everything is ended. Records so far: {folder}")
-    as_json, as_text = save_campaign(campaign, folder)
-    _print(campaign)
-    click.echo(f"Table {as_text}\nData  {as_json}")
+    data, text = save_campaign(campaign, folder)
+    if as_json:
+        click.echo(data.read_text(encoding="utf-8"))
+    else:
+        _print(campaign)
+        click.echo(f"Table {text}\nData  {data}")
     if campaign.failed:
         raise SystemExit(FAILED)
 

@@ -31,6 +31,10 @@ def command(
     """
     from fes.datasets import DATA_SETS, ImportProblem, files_of, read_file, write_imported
 
+    if name == "list" and as_json:
+        listed = {each.name: {"about": each.about, **each.provenance()} for each in DATA_SETS.values()}
+        print_json({"data_sets": listed})
+        return
     if name == "list":
         for each in DATA_SETS.values():
             click.echo(f"{each.name:<21} {each.about}\n{'':<21} {each.source}; licence: {each.licence}")

@@ -1,5 +1,6 @@
 """``fes``: the group of commands; each is imported only when it is called, so that ``fes --help`` is quick."""
 
+import difflib
 import gc
 import importlib
 import os
@@ -61,8 +62,20 @@ class LazyGroup(click.Group):
         command = importlib.import_module(COMMANDS[cmd_name][0]).command
         return command if isinstance(command, click.Command) else None
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click does, with the nearest name for one that does not exist."""
+        name = args[0] if args else ""
+        near = difflib.get_close_matches(name, COMMANDS, n=1)
+        if name and not name.startswith("-") and name not in COMMANDS and near:
+            ctx.fail(f"No such command {name!r}. Did you mean {near[0]!r}?")
+        return super().resolve_command(ctx, args)
+
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; nothing that it meets ends in a traceback."""
+        if os.environ.get("NO_COLOR"):
+            ctx.color = False
         gc.set_threshold(FEWER_COLLECTIONS)
         try:
             return super().invoke(ctx)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,8 @@ import click
 from fes.cli.cohort import absolute, progress_bar, results_at, resumable, unfinished
 from fes.cli.common.exits import FAILED, Problem, failing, writing
 from fes.cli.common.options import PATH, Number
-from fes.cli.common.show import screen
+from fes.cli.common.show import print_json, screen
+from fes.walk_record import finite_or_none
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,6 +50,7 @@ def _list_names(context: click.Context, _: click.Parameter, asked: bool) -> None
 @click.option("--retry-failed", is_flag=True, help="Try again what failed before.")
 @click.option("--apply", "apply_to", type=PATH, help="Write the best thresholds into this copy of SESSION.")
 @click.option("--no-report", is_flag=True, help="Write no HTML page.")
+@click.option("--json", "as_json", is_flag=True, help="As JSON on stdout.")
 @click.option(
     "--names", is_flag=True, is_eager=True, expose_value=False, callback=_list_names, help="List what can be swept."
 )
@@ -66,6 +69,7 @@ def command(
     retry_failed: bool,
     apply_to: Path | None,
     no_report: bool,
+    as_json: bool,
 ) -> None:
     """Try combinations of settings of SESSION on RECORDINGS, or with --patients on virtual ones.
 
@@ -126,9 +130,12 @@ def command(
             from fes.cohort.sweep.page import sweep_page
 
             store.write(PAGE, sweep_page(axes, found, measures, [case.url for case in cases], bench.session.name))
-            click.echo(f"Report     {store.place(PAGE)}")
-    click.echo(f"Table      {store.place(TABLE)}")
-    _show(found, measures)
+    page, place = None if no_report else str(store.place(PAGE)), str(store.place(TABLE))
+    if as_json:
+        print_json({"table": place, "report": page, "combinations": [finite_or_none(asdict(one)) for one in found]})
+    else:
+        click.echo(f"Report     {page}\n" * bool(page) + f"Table      {place}")
+        _show(found, measures)
     if apply_to is not None:
         apply_best(found, session, apply_to, len(cases))
     if failed := sum(one.failed for one in found):

@@ -40,7 +40,11 @@ def read_toml(path: Path, what: str, fault: type[ValueError]) -> tuple[dict[str,
     except UnicodeDecodeError as error:
         raise fault(f"{path}: is not text (byte {error.start}). A {what} is a TOML file in UTF-8.") from error
     except tomllib.TOMLDecodeError as error:
-        raise fault(f"{path}: is not valid TOML: {error}") from error
+        at = re.search(r"line (\d+)", str(error))
+        line = text.splitlines()[int(at[1]) - 1] if at and int(at[1]) <= len(text.splitlines()) else ""
+        comma = re.search(r"(?<![\w.])(-?\d+),(\d+)\s*(#|$)", line)
+        hint = f". Decimals have a point: write {comma[1]}.{comma[2]}" if comma else ""
+        raise fault(f"{path}: is not valid TOML: {error}{hint}") from error
 
 
 def explain(

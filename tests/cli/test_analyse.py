@@ -187,7 +187,7 @@ def test_command_writes_tables_and_report_and_takes_a_calibration(tmp_path):
     with (folder / "strides.csv").open() as file:
         strides = list(csv.DictReader(file))
     assert len(strides) > 80
-    assert all(row["toe_clearance_m"] for row in strides if row["valid"] == "True")
+    assert all(row["toe_clearance_m"] for row in strides if row["valid"] == "true")
     report = (folder / "report.html").read_text()
     assert "<html" in report[:500]
     assert "toe and heel as the sidecar&#39;s [geometry] gives them" in report

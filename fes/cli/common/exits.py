@@ -92,7 +92,7 @@ def error_text(error: Exception) -> str:
     except OSError:
         return str(error)
     lines = error.proposal.splitlines()
-    opened = [number for number, line in enumerate(lines, start=1) if "?" in line and not line.startswith("#   ")]
+    opened = [number for number, line in enumerate(lines, start=1) if "?" in line and not line.startswith("#")]
     count, line, them = (
         ("One answer is", "line", "it") if len(opened) == 1 else (f"{len(opened)} answers are", "lines", "them")
     )

@@ -15,6 +15,7 @@ from typing import IO, TYPE_CHECKING, Any, Final, Self
 import click
 
 from fes.cli.common.exits import StoppedEarly, writing
+from fes.walk_record import finite_or_none
 
 if TYPE_CHECKING:
     from pyarrow.parquet import ParquetWriter
@@ -91,10 +92,7 @@ class TableFile:
         """Write these below what is there."""
         if not rows:
             return
-        plain = [
-            {key: None if isinstance(value, float) and value != value else value for key, value in row.items()}
-            for row in rows
-        ]
+        plain = [{key: finite_or_none(value) for key, value in row.items()} for row in rows]
         if self._text is None:
             self._add_parquet(plain)
         elif self._path.suffix == ".json":
@@ -104,7 +102,8 @@ class TableFile:
             writer = csv.DictWriter(self._text, fieldnames=list(rows[0]), lineterminator="\n")
             if self._empty:
                 writer.writeheader()
-            writer.writerows(plain)
+            cells = [{k: str(v).lower() if isinstance(v, bool) else v for k, v in row.items()} for row in plain]
+            writer.writerows(cells)  # as `fes convert` writes them
         self._empty = False
 
     def _add_parquet(self, rows: list[dict[str, Any]]) -> None:
