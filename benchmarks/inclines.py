@@ -13,6 +13,7 @@ every level walk of the data folder, and how many of the strides a tuner leaves 
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -89,7 +90,7 @@ def clearances(walker: str) -> Iterator[Clearance]:
             level = calibrations_of(walked(walker, 0.0, seed)[0])[1].calibrations
         recording, truth = walked(walker, incline, seed)
         ground, level_share = Ground(incline_percent=incline), float(np.cos(np.arctan(0.01 * incline)))
-        own = calibrations_of(recording, level=ground.level)[1].calibrations
+        own = calibrations_of(recording, incline=ground.incline)[1].calibrations
         for way in WAYS:
             if way.startswith("live"):
                 by = level if "elsewhere" in way else own
@@ -143,7 +144,7 @@ def rises(data: Path) -> Iterator[Rises]:
     """Of the stairs and of all level sets."""
     climb = stairs(data)
     if climb is not None:
-        calibrations, found = calibrations_of(climb, level=False)[1].calibrations, Rises("gaitmap, stairs", [])
+        calibrations, found = calibrations_of(climb, incline=math.nan)[1].calibrations, Rises("gaitmap, stairs", [])
         for sensor, track in climb.tracks.items():
             found.add(live_strides(track, calibrations[sensor], None, Ground()))
         yield found

@@ -56,7 +56,7 @@ def analyse(
         CalibrationError: no sensor could be calibrated.
     """
     if calibrations is None:
-        recording, found = calibrations_of(recording, level=(ground or recording.ground).level)
+        recording, found = calibrations_of(recording, incline=(ground or recording.ground).incline)
         calibrations = found.calibrations
     return next(analyse_chunks([Chunk(recording)], calibrations, geometry=geometry, ground=ground, methods=methods))
 
@@ -198,7 +198,7 @@ def uneven_strides(recording: Recording, calibrations: Mapping[str, Calibration]
     return found
 
 
-def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Recording, SensorCalibrations]:
+def calibrations_of(recording: Recording, *, incline: float = 0.0) -> tuple[Recording, SensorCalibrations]:
     """Calibrations from the recording itself, of the sensors that tell the feet's phases, and the recording relabelled
     where its feet were not labelled.
 
@@ -206,20 +206,20 @@ def calibrations_of(recording: Recording, *, level: bool = True) -> tuple[Record
         CalibrationError: no sensor could be calibrated, or which unlabelled foot is which is not clear.
     """
     if any(name in UNLABELLED_FEET for name in recording.tracks):
-        found = calibrate_all(recording, level=level)
+        found = calibrate_all(recording, incline=incline)
         recording = labelled(recording, found.sides)
     else:
-        found = calibrate_sensors(recording, phase_sensors(recording.tracks).values(), level=level)
+        found = calibrate_sensors(recording, phase_sensors(recording.tracks).values(), incline=incline)
     return recording, found
 
 
 def calibrations_of_chunks(
-    chunks: Iterable[Chunk], stored: Path | SensorCalibrations | None = None, *, level: bool = True
+    chunks: Iterable[Chunk], stored: Path | SensorCalibrations | None = None, *, incline: float = 0.0
 ) -> SensorCalibrations:
     """Calibrations for a recording in chunks, of each sensor from the first chunk that shows it.
 
     All chunks are taken, so that what is wrong with a later part of a file is raised here. ``stored`` are calibrations
-    to use instead, which must fit; ``level`` as of :func:`calibrations_of`.
+    to use instead, which must fit; ``incline`` as of :func:`fes.calibration.recording.calibrate_track`.
 
     Raises:
         RecordingError: a chunk of the file cannot be used.
@@ -232,7 +232,11 @@ def calibrations_of_chunks(
             continue
         recording = chunk.recording if found is None else labelled(chunk.recording, found.sides)
         try:
-            new = calibrations_of(recording, level=level) if stored is None else stored_calibrations(stored, recording)
+            new = (
+                calibrations_of(recording, incline=incline)
+                if stored is None
+                else stored_calibrations(stored, recording)
+            )
         except CalibrationError as error:
             if stored is not None:
                 raise

@@ -37,9 +37,12 @@ def _from_first_minute(track: Track, calibrate: Callable[..., Found]) -> Found:
         return calibrate(track.sensor, track.rate_hz, t_ns, acc, gyr)
 
 
-def calibrate_track(track: Track) -> FootCalibration:
-    """Calibrate one foot from its first minute, or from all of the track where that minute shows too little."""
-    return _from_first_minute(track, calibrate_foot)
+def calibrate_track(track: Track, *, incline: float = 0.0) -> FootCalibration:
+    """Calibrate one foot from its first minute, or from all of the track where that minute shows too little.
+
+    ``incline`` is what the ground rises per horizontal distance, NaN on stairs and unknown slopes.
+    """
+    return _from_first_minute(track, partial(calibrate_foot, incline=incline))
 
 
 def calibrate_shank_track(track: Track, *, level: bool = True) -> ShankCalibration:
@@ -72,8 +75,8 @@ class SensorCalibrations:
     swapped: bool = False
 
 
-def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, level: bool = True) -> SensorCalibrations:
-    """Calibrate these of a recording's sensors; ``level`` False: over stairs or slopes.
+def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, incline: float = 0.0) -> SensorCalibrations:
+    """Calibrate these of a recording's sensors; ``incline`` as of :func:`calibrate_track`.
 
     Raises:
         CalibrationError: none of them could be.
@@ -85,10 +88,9 @@ def calibrate_sensors(recording: Recording, sensors: Iterable[str], *, level: bo
         shank = sensor in SHANK_SENSORS
         try:
             if shank:
-                found[sensor] = calibrate_shank_track(track, level=level)
+                found[sensor] = calibrate_shank_track(track, level=incline == 0.0)
             else:
-                foot = calibrate_track(track)
-                found[sensor] = foot if level else foot.along_gravity()
+                found[sensor] = calibrate_track(track, incline=incline)
         except CalibrationError as error:
             missing[sensor] = str(error)
     if not found:
@@ -107,13 +109,13 @@ def calibrate_phase_sensors(recording: Recording) -> SensorCalibrations:
     return calibrate_sensors(recording, phase_sensors(recording.tracks).values())
 
 
-def calibrate_all(recording: Recording, *, level: bool = True) -> SensorCalibrations:
+def calibrate_all(recording: Recording, *, incline: float = 0.0) -> SensorCalibrations:
     """Calibrate all sensors, and tell left from right: of unlabelled feet to name them, of labelled ones to check.
 
     Raises:
         CalibrationError: no sensor could be calibrated, or which unlabelled foot is which is not clear.
     """
-    found = calibrate_sensors(recording, recording.tracks, level=level)
+    found = calibrate_sensors(recording, recording.tracks, incline=incline)
     feet = [name for name in (*FOOT_SENSORS, *UNLABELLED_FEET) if name in found.calibrations]
     open_ = [name for name in recording.tracks if name in UNLABELLED_FEET]
     verdict = _sides(recording, found.calibrations, feet) if len(feet) == 2 else None

@@ -18,7 +18,7 @@ from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, cali
 from fes.analysis.results import Analysis
 from fes.calibration.recording import SensorCalibrations, labelled, stored_calibrations
 from fes.cli.common.exits import FAILED, error_text, fail, fresh_folder
-from fes.cli.common.options import PATH, SIDE, RenamedOptions, choice, out_option, utc_now
+from fes.cli.common.options import PATH, SIDE, Number, RenamedOptions, choice, out_option, utc_now
 from fes.cli.common.show import TableFile, print_json, screen, write_table
 from fes.cli.compile_ import compiled_ahead
 from fes.config import Ground
@@ -86,7 +86,7 @@ class Options:
 @choice("--format", "kind", of=FORMATS, help="Of the tables.")
 @click.option("--json", "as_json", is_flag=True, help="Print the strides as JSON instead of the table.")
 @click.option("--stairs", "--slope", "uneven", is_flag=True, help="Strides end higher or lower than they began.")
-@click.option("--incline", type=click.FloatRange(-25, 25), help="Of the treadmill, in percent, uphill positive.")
+@click.option("--incline", type=Number(-25.0, 25.0), help="Of the treadmill, in percent, uphill positive.")
 @click.option("--hemiparetic", is_flag=True, help="Tell the paretic side; Wang et al.'s windows beside our strides.")
 @click.option("--paretic-side", type=SIDE, help="The paretic side, where it is known; implies --hemiparetic.")
 @click.option("--sync-clocks", is_flag=True, help="Each foot had its own clock: set the right one's by the walk.")
@@ -138,13 +138,12 @@ def command(
                 first = Chunk(read_recording(path)) if together else next(recording_chunks(path))
                 recording = first.recording
                 ground = asked.ground(recording)
-                level = ground.level
                 if not first.whole:
-                    found = calibrations_of_chunks(recording_chunks(path), calibration, level=level)
+                    found = calibrations_of_chunks(recording_chunks(path), calibration, incline=ground.incline)
                 elif calibration:
                     recording, found = stored_calibrations(calibration, recording)
                 else:
-                    recording, found = calibrations_of(recording, level=level)
+                    recording, found = calibrations_of(recording, incline=ground.incline)
             if asked.sync_clocks:
                 recording = _one_clock(recording, found.calibrations)
         except (RecordingError, CalibrationError) as error:

@@ -1,5 +1,6 @@
 """``fes calibrate``: how the sensors sit and how this person moves, from a short recording."""
 
+import math
 from pathlib import Path
 
 import click
@@ -27,7 +28,8 @@ def command(recording: Path, out: Path | None, stairs: bool, as_json: bool) -> N
     written and a label is asked for. Use the result with --calibration of fes replay and fes analyse.
     """
     with failing(RecordingError, CalibrationError):
-        found = calibrate_all(read_recording(recording), level=not stairs)
+        walk = read_recording(recording)
+        found = calibrate_all(walk, incline=math.nan if stairs else walk.ground.incline)
     for reason in found.missing.values():
         click.secho(f"Not calibrated: {reason}", fg="yellow", err=True)
     if found.swapped and found.verdict is not None:

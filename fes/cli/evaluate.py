@@ -120,10 +120,12 @@ def _estimated(recording: Path, calibration: Path | None, *, level: bool) -> tup
 
     with failing(RecordingError, CalibrationError):
         read = read_recording(recording)
-        read, found = stored_calibrations(calibration, read) if calibration else calibrations_of(read, level=level)
+        ground = read.ground if level else Ground(free=True)
+        read, found = (
+            stored_calibrations(calibration, read) if calibration else calibrations_of(read, incline=ground.incline)
+        )
     for reason in found.missing.values():
         click.secho(f"Not calibrated, so not used: {reason}", fg="yellow", err=True)
-    ground = None if level else Ground(free=True)
     return from_analysis(analyse(read, found.calibrations, ground=ground)), read.belt_speed_mps
 
 

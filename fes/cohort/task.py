@@ -88,8 +88,10 @@ def _tables(source: Source, identity: str, settings: Settings) -> dict[str, list
 
     keep_freed_memory()
     with local_copy(source) as path:
-        recording, found = calibrations_of(read_recording(path), level=settings.level)
-        result = analyse(recording, found.calibrations, ground=None if settings.level else Ground(free=True))
+        recording = read_recording(path)
+        ground = recording.ground if settings.level else Ground(free=True)
+        recording, found = calibrations_of(recording, incline=ground.incline)
+        result = analyse(recording, found.calibrations, ground=ground)
     row = _row(source, settings, DONE, recording.subject, "; ".join(found.missing.values()))
     of = {"recording": identity, "subject": row["subject"]}
     strides = [{**of, **finite_or_none(row)} for row in result.stride_rows()]

@@ -26,7 +26,7 @@ class Calibrating:
     def __init__(self, session: Session, strides: int) -> None:
         self.found: dict[str, Calibration] = {}
         self.message = "stand still for two seconds, then walk straight ahead"
-        self._strides, self._level = strides, session.ground.level
+        self._strides, self._incline = strides, session.ground.incline
         rates_hz = {str(device.sensor): device.rate_hz for device in session.sensors}
         self._rates_hz = {sensor: rates_hz[sensor] for sensor in phase_sensors(rates_hz).values()}
         self._rows: dict[str, deque[_Row]] = {
@@ -68,10 +68,9 @@ class Calibrating:
             try:
                 samples = sensor, self._rates_hz[sensor], t_ns, values[:, :3], values[:, 3:]
                 if sensor in SHANK_SENSORS:
-                    found: Calibration = calibrate_shank(*samples, level=self._level)
+                    found: Calibration = calibrate_shank(*samples, level=self._incline == 0.0)
                 else:
-                    foot = calibrate_foot(*samples)
-                    found = foot if self._level else foot.along_gravity()
+                    found = calibrate_foot(*samples, incline=self._incline)
             except (CalibrationError, ValueError) as error:
                 self.message = str(error)
                 continue

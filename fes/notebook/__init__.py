@@ -5,6 +5,7 @@ Units are SI and stand in the columns' names. Errors name the place and the reme
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -60,7 +61,8 @@ def calibrate(recording: Recording | File, path: File | None = None, *, level: b
         CalibrationError: no sensor could be calibrated, or which unlabelled foot is which is not clear.
         RecordingError: as of :func:`read`.
     """
-    found = _checked(calibrate_all(_recording(recording), level=level))
+    walk = _recording(recording)
+    found = _checked(calibrate_all(walk, incline=walk.ground.incline if level else math.nan))
     if path is not None:
         save(found, Path(path))
     return found
@@ -97,7 +99,7 @@ def analyse(
     walked_on = first.recording.ground
     if ground is not None:
         walked_on = Ground(free=ground == "free", incline_percent=ground if isinstance(ground, float | int) else 0.0)
-    found = _checked(calibrations_of_chunks(chunks(), _stored(calibration), level=walked_on.level))
+    found = _checked(calibrations_of_chunks(chunks(), _stored(calibration), incline=walked_on.incline))
     return gather(list(analyses())) if first.whole else gather(analyses)
 
 

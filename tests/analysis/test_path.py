@@ -54,8 +54,8 @@ def gaitmap_tracks(name: str) -> dict[str, Track]:
     return tracks
 
 
-def calibrated(recording: Recording, *, level: bool = True) -> tuple[Recording, dict[str, Calibration]]:
-    labelled, found = calibrations_of(recording, level=level)
+def calibrated(recording: Recording, *, incline: float = 0.0) -> tuple[Recording, dict[str, Calibration]]:
+    labelled, found = calibrations_of(recording, incline=incline)
     assert found.missing == {}
     return labelled, found.calibrations
 
@@ -118,7 +118,7 @@ def test_stairs_rise_and_level_ground_does_not() -> None:
     assert ground_path(track, calibration, level=False).height_gained_m == pytest.approx(climbed, abs=0.08)
     assert abs(ground_path(track, calibration, level=True).height_gained_m) < 0.1 * climbed
     recording = Recording("stairs", None, {"right_foot": track})
-    up = analyse(*calibrated(recording, level=False), ground=Ground(free=True))
+    up = analyse(*calibrated(recording, incline=math.nan), ground=Ground(free=True))
     gained = [s.height_gained_m for s in up.strides if s.valid]
     assert len(gained) >= 2 * LEG_STRIDES - 3
     assert np.median(gained) == pytest.approx(0.17, abs=0.02)
@@ -281,7 +281,7 @@ def test_real_stairs_rise_by_two_steps_a_stride() -> None:
         pytest.skip(f"no gaitmap_walk in {DATA}")
     tracks = gaitmap_tracks(path.name)
     recording = Recording("stairs", None, tracks)
-    result = analyse(*calibrated(recording, level=False), ground=Ground(free=True))
+    result = analyse(*calibrated(recording, incline=math.nan), ground=Ground(free=True))
     ends = [path.height_gained_m for path in result.paths.values()]
     assert abs(ends[0] - ends[1]) < 0.25  # both feet end on the same floor
     for foot in tracks:

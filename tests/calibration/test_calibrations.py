@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -211,7 +212,7 @@ def test_the_command_writes_what_replay_takes(tmp_path: Path) -> None:
 
 
 def test_shank_calibrations_come_back_whole() -> None:
-    found = calibrate_sensors(shank_recording(), ["right_shank"], level=False).calibrations["right_shank"]
+    found = calibrate_sensors(shank_recording(), ["right_shank"], incline=math.nan).calibrations["right_shank"]
     assert isinstance(found, ShankCalibration)
     assert not found.level
     back = ShankCalibration.from_dict(json.loads(json.dumps(found.to_dict())))

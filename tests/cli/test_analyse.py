@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -231,7 +232,9 @@ def test_a_calibration_of_other_sensors_is_refused(tmp_path, analysed):
 def test_a_shank_alone_tells_the_foots_strides(tmp_path, rise_m):
     walk = shank_walk(strides=16, rise_m=rise_m, standing_s=3.0, rate_hz=200.0)
     track = Track("left_shank", 200.0, walk.t_ns, walk.t_ns, walk.acc, walk.gyr)
-    recording, found = calibrations_of(Recording("shank", None, {"left_shank": track}), level=rise_m == 0.0)
+    recording, found = calibrations_of(
+        Recording("shank", None, {"left_shank": track}), incline=0.0 if rise_m == 0.0 else math.nan
+    )
     result = analyse(recording, found.calibrations, ground=Ground(free=rise_m != 0.0))
     valid = [stride for stride in result.strides if stride.valid]
     assert len(valid) >= 12

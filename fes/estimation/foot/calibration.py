@@ -13,6 +13,7 @@ gravity cancels.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
@@ -157,7 +158,13 @@ class _Walk(NamedTuple):
 
 
 def calibrate_foot(
-    sensor: str, rate_hz: float, t_ns: IntArray, acc_mps2: FloatArray, gyr_radps: FloatArray
+    sensor: str,
+    rate_hz: float,
+    t_ns: IntArray,
+    acc_mps2: FloatArray,
+    gyr_radps: FloatArray,
+    *,
+    incline: float = 0.0,
 ) -> FootCalibration:
     """Find a foot sensor's calibration from a stretch of walking forward; 5 s suffice, any of a walk.
 
@@ -167,6 +174,8 @@ def calibrate_foot(
         t_ns: (N,) strictly increasing time stamps.
         acc_mps2: (N, 3) specific force.
         gyr_radps: (N, 3) angular rate.
+        incline: what the ground rises per horizontal distance; NaN on stairs and unknown slopes: then the
+            accelerometer's bias across gravity is left at zero, for a climb would pass for it.
 
     Raises:
         CalibrationError: too short, never at rest, too few strides, a direction of travel that is not clear, or an
@@ -199,7 +208,9 @@ def calibrate_foot(
         if not standing or np.linalg.norm(more) > AGREE_RADPS:
             rate_bias, gyr, standing = rate_bias + more, without(gyr, more), False
     moved = follow(t_ns, acc, gyr, walk.spans)
-    acc_bias = up * (rest_norm - G_MPS2) + _acc_bias_across(t_ns, walk.spans, moved, up)
+    acc_bias = up * (rest_norm - G_MPS2)
+    if not math.isnan(incline):
+        acc_bias = acc_bias + _acc_bias_across(t_ns, walk.spans, moved, up, incline)
     axis = _blend(walk, travel, up)
     toe_down, around = gyr @ axis, max(round(SMOOTH_S * rate_hz), 1)
     push_off = _around(np.maximum, toe_down, walk.push_offs, around)
@@ -445,7 +456,7 @@ def _squares(vectors: FloatArray) -> FloatArray:
 
 
 def _acc_bias_across(
-    t_ns: IntArray, spans: IntArray, moved: np.ndarray[Any, np.dtype[Any]], up: FloatArray
+    t_ns: IntArray, spans: IntArray, moved: np.ndarray[Any, np.dtype[Any]], up: FloatArray, incline: float
 ) -> FloatArray:
     """The accelerometer's bias across gravity (3,) in m/s², as far as walking shows it.
 
@@ -458,7 +469,9 @@ def _acc_bias_across(
     scale = SCALE_ERROR * np.stack((briskness, 0.5 * briskness * span_s), axis=1)
     across = np.eye(3) - np.outer(up, up)
     rows = moved["effect"] @ across / scale[:, :, None]
-    left, weight, bias = moved["left"] / scale, np.ones(len(spans)), np.zeros(3)
+    left = moved["left"].copy()
+    left[:, 1] -= incline * _sizes(moved["way"])
+    left, weight, bias = left / scale, np.ones(len(spans)), np.zeros(3)
     for _ in range(3):
         # errors of strides add up like one another's, as scale errors do, not at random: the mean stride's count
         row, mean = (weight[:, None, None] * rows).sum(axis=0), (weight[:, None] * left).sum(axis=0)
