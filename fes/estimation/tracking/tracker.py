@@ -296,9 +296,9 @@ class Tracker(ABC):
 
     def seen(self) -> tuple[Features, Thresholds]:
         """What the guards saw at the newest sample: where one of them fired, before the machine went through it."""
-        t_ns, *fired = self._fired
+        t_ns, fired, limits = self._fired
         if t_ns == int(self._state["t_ns"]):
-            return fired[0], fired[1]
+            return fired, limits
         return features(self._core[0].state), self.thresholds
 
     def _restart(self, t_ns: int) -> list[PhaseChange]:
