@@ -242,7 +242,7 @@ class Tracker(ABC):
         self._restarts = 0
         self._sample, self._core, self._state = live["sample"], live["core"], live["core"]["state"][0]
         self._bytes = live.view(np.uint8).data
-        self._fired: tuple[int, Features, Thresholds] = NEVER_NS, Features(*[0.0] * len(Features._fields)), Thresholds()
+        self._fired = NEVER_NS, features(self._core[0].state), Thresholds()
 
     @property
     def phase(self) -> Phase:
