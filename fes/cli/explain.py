@@ -7,12 +7,14 @@ from pathlib import Path
 import click
 
 from fes.cli.common.exits import Problem, failing, writing
-from fes.cli.common.options import PATH
+from fes.cli.common.options import PATH, Number
 
 
 @click.command(name="explain")
 @click.argument("log", type=PATH)
-@click.option("--at", "at_s", type=float, required=True, help="The instant: seconds of the session, as in its report.")
+@click.option(
+    "--at", "at_s", type=Number(min=0.0), required=True, help="The instant: seconds of the session, as in its report."
+)
 @click.option("--page", type=PATH, help="The HTML page. Default: explain-SECONDS.html beside the log.")
 @click.option("--no-page", is_flag=True, help="Write no page.")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")

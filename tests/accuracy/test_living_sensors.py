@@ -98,7 +98,7 @@ def test_real_sensors_are_plausible(path: Path) -> None:
         assert not complaints(track, up)
         for at in range(2000, len(acc) - 2000, 997):
             if np.abs(gyr[at]).max() > 1.5:
-                assert until_in_g_ms(track, at) <= 100.0
+                assert until_in_g_ms(track, at) <= 200.0  # a step right after a shake tells nothing by itself
 
 
 def until_in_g_ms(track: Track, at: int) -> float:

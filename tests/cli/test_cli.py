@@ -252,7 +252,9 @@ NUMBERS = [
 @pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
 @pytest.mark.parametrize(("name", "option"), NUMBERS)
 def test_no_option_takes_what_is_no_number(name: str, option: str, value: str) -> None:
-    result = call(name, f"{option}={value}", *["nowhere"] * 2)
+    command = main.get_command(click.Context(main), name)
+    arguments = [each for each in (command.params if command else ()) if isinstance(each, click.Argument)]
+    result = call(name, f"{option}={value}", *["nowhere"] * len(arguments))
     words = refused(result, UNUSABLE, option)
     assert "finite" in words or "not in the range" in words
 

@@ -59,10 +59,9 @@ def spoilt(change: Callable[[Track, np.ndarray[Any, Any]], Track]) -> Recording:
     return edit(cut(trial("negard_patient2"), 0.0, LENGTH_S), changed)
 
 
-def scaled(acc: float = 1.0, gyr: float = 1.0) -> Recording:
+def scaled(acc: float) -> Recording:
     def change(track: Track, late: np.ndarray[Any, Any]) -> Track:
-        factors = np.where(late, acc, 1.0)[:, None], np.where(late, gyr, 1.0)[:, None]
-        return replace(track, acc_mps2=track.acc_mps2 * factors[0], gyr_radps=track.gyr_radps * factors[1])
+        return replace(track, acc_mps2=track.acc_mps2 * np.where(late, acc, 1.0)[:, None])
 
     return spoilt(change)
 
@@ -87,12 +86,17 @@ def silent(track: Track, late: np.ndarray[Any, Any]) -> Track:
     return keep(track, ~late | back)
 
 
-RATE = np.degrees(1.0)
+def in_degrees(track: Track, late: np.ndarray[Any, Any]) -> Track:
+    """For so short a time that the file as a whole passes."""
+    late = late & (track.t_ns - track.t_ns[0] < (FAULT_S + 0.15) * NS_PER_S)
+    return replace(track, gyr_radps=track.gyr_radps * np.where(late, np.degrees(1.0), 1.0)[:, None])
+
+
 SENSOR_FAULTS: dict[str, tuple[Callable[[], Recording], str]] = {
     "force in g": (lambda: scaled(acc=1 / G_MPS2), "unit"),
     "force scaled by g again": (lambda: scaled(acc=G_MPS2), "unit"),
     "force in mg": (lambda: scaled(acc=1000.0 / G_MPS2), "unit"),
-    "rate in degrees": (lambda: scaled(gyr=float(RATE)), "unit"),
+    "rate in degrees": (lambda: spoilt(in_degrees), "unit"),
     "axes exchanged": (lambda: spoilt(turned), "remounted"),
     "the same values again and again": (lambda: spoilt(frozen), "is frozen"),
     "data too old": (lambda: spoilt(silent), "ms old"),
@@ -122,6 +126,7 @@ LIMITS = (  # as fes.gate words them; the plan keeps within them, so a gate is m
     "20.1 mC within a minute, limit 20 mC",
     "rise to 30 mA too fast, at most 4 mA by now",
     "current 41 mA, limit 40 mA",
+    "never together with calf, which is on",
 )
 
 
@@ -143,19 +148,9 @@ def test_any_refusal_of_a_channel_is_told_in_its_own_words(
         assert remedy(reason) in channel["why"]
 
 
-def test_not_armed_and_an_antagonist(tmp_path: Path) -> None:
-    log, record = session_log(tmp_path, cut(trial("negard_patient2"), 0.0, LENGTH_S), arm_after_s=20.5)
-    burst_s = 19.9
-    assert explained(log, burst_s)["gate"] == "The gate was not armed."
-    folder = tmp_path / "two"
-    folder.mkdir()
-    text = SETTINGS.read_text()
-    channel = text.split("[[channels]]")[1]
-    other = channel.replace("number = 0", "number = 1\nnever_with = [0]").replace("anterior, right", "its antagonist")
-    log, record = session_log(folder, cut(trial("negard_patient2"), 0.0, LENGTH_S), f"{text}\n[[channels]]{other}")
-    refused = next(command for command in record.commands if "never together with" in command.refused)
-    found = explained(log, (refused.t_ns - origin_ns(record)) / NS_PER_S + 0.001)
-    assert refused.refused in found["channels"][refused.channel]["why"]
+def test_not_armed(tmp_path: Path) -> None:
+    log, _ = session_log(tmp_path, cut(trial("negard_patient2"), 0.0, LENGTH_S), arm_after_s=20.5)
+    assert explained(log, 19.9)["gate"] == "The gate was not armed."
 
 
 def test_every_transition_is_explained_as_fired_at_its_sample_and_as_not_before(

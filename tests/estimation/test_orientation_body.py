@@ -156,7 +156,7 @@ def test_inclination_does_not_depend_on_how_the_sensor_is_mounted(seed: int, mou
     turn = Rotation.random(random_state=mounting)
     up = rotation(track_orientation(acc, gyr, RATE_HZ).quaternion).inv().apply([0.0, 0.0, 1.0])
     other = rotation(track_orientation(turn.apply(acc), turn.apply(gyr), RATE_HZ).quaternion).inv()
-    np.testing.assert_allclose(turn.inv().apply(other.apply([0.0, 0.0, 1.0])), up, atol=1e-4)
+    np.testing.assert_allclose(turn.inv().apply(other.apply([0.0, 0.0, 1.0])), up, atol=3e-4)
 
 
 @given(st.integers(0, 50), st.floats(-3.0, 3.0))

@@ -46,7 +46,8 @@ class Standing:
         self._number += 1
         if self._number == 0:
             return []
-        return [Raw(FOOT, t_ns, t_ns, (0.0, 0.0, 9.81), (0.001 * (self._number % 7), 0.0, 0.0))]
+        living = 0.001 * (self._number % 7)
+        return [Raw(FOOT, t_ns, t_ns, (0.0, living, 9.81), (living, 0.0, 0.0))]
 
     def reopen(self) -> None:
         raise Lost

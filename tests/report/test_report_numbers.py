@@ -329,6 +329,8 @@ def test_json_keys_are_stable_and_nan_is_null():
             "tuning",
             "by_hand",
             "exercise",
+            "measures",
+            "thresholds",
         ),
     }
     assert set(value["strides"][-1]) == {

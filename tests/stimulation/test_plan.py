@@ -550,7 +550,8 @@ def test_gate_never_refuses_what_the_plan_asks(
     for t_ms in range(0, end_ms, 4):
         t_ns = t_ms * MS
         for foot in phases:
-            gate.observe(ImuSample(t_ns, foot, t_ns, (0.0, 0.0, 9.8), (0.0, 0.0, 1e-9 * (t_ns % 1_000_003))))
+            living = 1e-9 * (t_ns % 1_000_003)
+            gate.observe(ImuSample(t_ns, foot, t_ns, (0.0, living, 9.8), (0.0, 0.0, living)))
         while changes and changes[0][0].t_ns <= t_ns:
             change, (_, _, permitted, intensity) = changes.pop(0)
             plan.on_phase(change, permitted=permitted)
