@@ -13,7 +13,7 @@ from fes.cli.common.options import PATH, Number
 @click.command(name="explain")
 @click.argument("log", type=PATH)
 @click.option(
-    "--at", "at_s", type=Number(min=0.0), required=True, help="The instant: seconds of the session, as in its report."
+    "--at", "at_s", type=Number(), required=True, help="The instant: seconds of the session, as in its report."
 )
 @click.option("--page", type=PATH, help="The HTML page. Default: explain-SECONDS.html beside the log.")
 @click.option("--no-page", is_flag=True, help="Write no page.")
