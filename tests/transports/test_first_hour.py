@@ -25,7 +25,7 @@ def test_a_live_session_and_one_fault(tmp_path: Path) -> None:
     ) as walking:
         try:
             by_s = time.monotonic() + 60.0
-            while not (tmp_path / "hour/patient-001/patient.calibration.json").is_file():
+            while not (tmp_path / "hour/patient-001/session.toml").is_file():  # the last that it writes
                 assert time.monotonic() < by_s
                 time.sleep(0.2)
             for command in (doctor, session):
