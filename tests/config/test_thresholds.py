@@ -13,6 +13,7 @@ from fes.cli.sweep import apply_best
 from fes.cohort.sweep.table import Combination
 from fes.config import ConfigError, load_session
 from fes.config.thresholds import changed_thresholds, describe_thresholds, with_thresholds_table
+from fes.estimation.foot.calibration import FootCalibration
 from fes.estimation.sensor_choice import calibration_from_dict
 from fes.estimation.tracking.phase_features import FOLLOW, LEAST, MOST
 from fes.recording import write_recording
@@ -82,7 +83,9 @@ def test_they_hold_in_a_session_are_shown_and_every_value_is_in_the_log(tmp_path
     assert line[:-1] in page
     assert "These measures followed the strides" in page
 
-    calibration = calibration_from_dict(record.header["calibration"]["right_foot"]).thresholds()  # type: ignore[union-attr]
+    foot = calibration_from_dict(record.header["calibration"]["right_foot"])
+    assert isinstance(foot, FootCalibration)
+    calibration = foot.thresholds()
     landings = [change for change in record.phases if change.destination.name == "STANCE"]
     notes = [note for note in record.notes if note.source == "thresholds"]
     assert [note.t_ns for note in notes] == [change.t_ns for change in landings], "one at each landing"

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import report_records as make
-from replays import SETTINGS, TRIALS, both_feet, bursts, cut, replay, trial
+from replays import SETTINGS, TRIALS, Replays, both_feet, bursts, cut, replay, trial
 from shank_walks import shank_walk
 from test_one_process import run
 
@@ -97,8 +98,8 @@ def test_every_channel_is_judged_by_the_phases_that_drove_it(kind: str, tmp_path
     assert not re.search(r"\bnan\b|\bNone\b", page.split('<script type="application/json"')[0].split("</style>")[1])
 
 
-def make_order(names: object) -> list[str]:
-    return sorted(set(names), key=("left_foot", "right_foot", "left_shank", "right_shank").index)  # type: ignore[call-overload]
+def make_order(names: Iterable[str]) -> list[str]:
+    return sorted(set(names), key=("left_foot", "right_foot", "left_shank", "right_shank").index)
 
 
 def test_a_shanks_strides_are_held_against_its_swings() -> None:
@@ -118,9 +119,9 @@ def test_the_dose_of_a_shanks_channel_is_by_step(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def ended_in_a_burst(tmp_path_factory: pytest.TempPathFactory, replays: object) -> SessionRecord:
+def ended_in_a_burst(tmp_path_factory: pytest.TempPathFactory, replays: Replays) -> SessionRecord:
     folder = tmp_path_factory.mktemp("ended")
-    whole = replays.of("negard_patient2")  # type: ignore[attr-defined]
+    whole = replays.of("negard_patient2")
     burst = bursts(whole.commands)[4]
     return replayed(
         folder,
@@ -175,9 +176,9 @@ def test_a_foot_that_stopped_answering_is_a_warning() -> None:
         assert "No fault found" not in render_report(record)
 
 
-def test_a_torn_log_is_judged_as_far_as_it_goes(tmp_path: Path, replays: object) -> None:
-    replays.of("negard_patient2")  # type: ignore[attr-defined]
-    (whole,) = sorted(replays.folder.glob("negard_patient2*/session.feslog"))[:1]  # type: ignore[attr-defined]
+def test_a_torn_log_is_judged_as_far_as_it_goes(tmp_path: Path, replays: Replays) -> None:
+    replays.of("negard_patient2")
+    (whole,) = sorted(replays.folder.glob("negard_patient2*/session.feslog"))[:1]
     torn = tmp_path / "torn.feslog"
     torn.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     summary = summarise(read_session(torn))

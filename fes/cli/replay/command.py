@@ -11,26 +11,27 @@ import click
 from drivers.imu.port import ImuLost
 from drivers.stimulator.bus import BusError
 from drivers.stimulator.port import ANSWER_WITHIN_NS, StimulatorLost
-from fes.calibration.recording import SensorCalibrations, calibrate_phase_sensors, stored_calibrations
+from fes.calibration.recording import SensorCalibrations
 from fes.cli.common.exits import FAILED, LOG_SUFFIX, Problem, StoppedEarly, failing, fresh_folder, interrupted
 from fes.cli.common.options import PATH, Number, RenamedOptions, choice, given_options, out_option, utc_now
 from fes.cli.common.progress import Interrupt, replay_progress
 from fes.cli.common.show import show, show_latched
 from fes.cli.replay import stimulators
 from fes.cli.replay.log import controller_and_gate, replay_log
+from fes.cli.replay.preparation import prepared
 from fes.cli.run import command as run
 from fes.cli.run.devices import FORMER_OPTIONS, dashboard_options
 from fes.cli.timing.former import PARAMETERS, former_timing_options
-from fes.config import ConfigError, Session, load_session
+from fes.config import ConfigError, Session
 from fes.control.clock_sync import SensorClock
-from fes.control.replay import digest, identity, log_header, refuse_long_silence, session_for
+from fes.control.replay import digest, identity, log_header, session_for
 from fes.control.runner import CLOSING_S, Runner, armed_after, paced, with_ticks
 from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.estimation.warm_up import warm_up
 from fes.live.inputs import Terminal, standard_keys
 from fes.live.sensors import SensorStream
-from fes.recording import Recording, RecordingError, read_recording
+from fes.recording import Recording, RecordingError
 from fes.recording.tracks import samples_of
 from fes.session_log import SessionLogError, SessionWriter, read_session
 from fes.signals import SHANK_SENSORS, Event
@@ -158,15 +159,7 @@ def replay_recording(path: Path, options: Options) -> Path:
         SystemExit: interrupted, or the stimulator did not deliver what was sent.
     """
     with failing(RecordingError, ConfigError, CalibrationError, SessionLogError):
-        recording = read_recording(path)
-        refuse_long_silence(recording)
-        beside = path.parent / "session.toml"
-        settings = options.session or (beside if beside.is_file() else None)
-        wanted = load_session(settings) if settings else None
-        if options.calibration:
-            recording, found = stored_calibrations(options.calibration, recording)
-        else:
-            found = calibrate_phase_sensors(recording)
+        recording, settings, wanted, found = prepared(path, options.session, options.calibration)
         calibrations = found.calibrations
         session = session_for(recording, wanted)
     kept = {channel.number for channel in session.channels}

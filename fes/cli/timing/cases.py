@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from fes.calibration.recording import calibrate_phase_sensors, stored_calibrations
 from fes.cli.common.exits import LOG_SUFFIX, Problem
 from fes.cli.replay.log import repeat
-from fes.config import Session, load_session
-from fes.control.replay import digest, refuse_long_silence, session_for, settings_of
+from fes.cli.replay.preparation import prepared
+from fes.config import Session
+from fes.control.replay import digest, session_for, settings_of
 from fes.estimation.sensor_choice import Calibration, phase_sensors
 from fes.evaluation.timing.baseline import Baseline
 from fes.evaluation.timing.judgement import DECISIONS, Limits, RecordingTiming, judge
@@ -30,7 +30,7 @@ from fes.evaluation.timing.truth import (
     read_truth,
     without_cut_ends,
 )
-from fes.recording import Recording, read_recording
+from fes.recording import Recording
 from fes.recording.can_log import CAN_SUFFIXES
 from fes.recording.table import TABLE_SUFFIXES
 from fes.session_log import read_session
@@ -132,15 +132,7 @@ def cases(recordings: Mapping[str, Path], options: Options) -> Iterator[Case]:
 
 
 def _of_recording(name: str, path: Path, options: Options) -> Case:
-    recording = read_recording(path)
-    refuse_long_silence(recording)
-    beside = path.parent / "session.toml"
-    settings = options.session or (beside if beside.is_file() else None)
-    wanted = load_session(settings) if settings else None
-    if options.calibration:
-        recording, found = stored_calibrations(options.calibration, recording)
-    else:
-        found = calibrate_phase_sensors(recording)
+    recording, _, wanted, found = prepared(path, options.session, options.calibration)
     session = session_for(recording, wanted)
     known = set(phase_sensors(found.calibrations))
     for channel in session.channels:
