@@ -33,6 +33,7 @@ FALL_S = 0.35  # push-off's peak lies at most this long before mid-swing
 APART_S = 0.4  # no two mid-swings are closer
 FALL_SHARE = 0.45  # of this walk's typical fall
 TROUGH_SHARE = 0.3  # of its typical toe-up rate: a foot that slaps down falls as far, but only back to zero
+TYPICAL_SHARE = 1.0 / 3.0
 STRIDE_S = (0.35, 3.0)  # between two anchors; a longer one stands still in between
 MOVING_RADPS, STILL_BEFORE_S = 1.5, 3.0
 LONGEST_GAP_S = 0.04
@@ -405,8 +406,10 @@ def _restless(unrest: FloatArray, spans: IntArray) -> float:
 
 
 def _typical(values: FloatArray) -> float:
-    """The median of the upper third: some are not swings'."""
-    return median(np.sort(values)[-max(3, len(values) // 3) :])
+    """That at which the greatest hold a third of the sum: some are not swings', and standing adds none."""
+    ranked = np.sort(np.maximum(values, 0.0))[::-1]
+    held = np.cumsum(ranked)
+    return float(ranked[np.searchsorted(held, TYPICAL_SHARE * held[-1])])
 
 
 def _vector(v: FloatArray) -> Vector3:
