@@ -19,6 +19,7 @@ from command_line import console_of, parser_of, save
 from every_walker import DRIFTING, LYING, calibrate, causal, feet_of
 from rich.table import Table
 from stroke_treadmill import data_folder
+from swing_judge import pairs
 
 from fes.estimation.events.offline import FLAT_RAD, RISE_RAD, find_events, stance_instants
 from fes.estimation.foot.calibration import CalibrationError, FootCalibration
@@ -61,7 +62,7 @@ def measured(data: Path) -> Later:
                     flat_rad=np.radians(flat_deg), rise_rad=np.radians(rise_deg),
                 )
             )  # fmt: skip
-        for stride in foot.labels.swings().pairs():
+        for stride in pairs(foot.labels.swings()):
             if not foot.labels.judged(*stride):
                 continue
             labels = foot.labels.times(*stride)

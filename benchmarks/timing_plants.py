@@ -253,7 +253,7 @@ def write_baseline(seed: int, folder: Path, walks: int) -> Path:
     known = {}
     for path in make_walks(seed, folder, walks):
         outcome = outcome_of(path, "none", seed, None)
-        known[outcome.name] = as_baseline(outcome, path.stem, "")
+        known[outcome.name] = as_baseline(outcome, path.stem, "", f"walker {seed}")
     file.write_text(baseline_text(Baseline(known)), encoding="utf-8")
     return file
 

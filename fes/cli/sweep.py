@@ -137,7 +137,7 @@ def command(
         click.echo(f"Report     {page}\n" * bool(page) + f"Table      {place}")
         _show(found, measures)
     if apply_to is not None:
-        apply_best(found, session, apply_to, len(cases))
+        apply_best(found, session, apply_to, len(cases), as_json)
     if failed := sum(one.failed for one in found):
         for one in [one for one in found if one.failed][:LISTED]:
             click.secho(f"Failed: {one.text}: {'; '.join(one.reasons)}", fg="red", err=True)
@@ -145,8 +145,10 @@ def command(
         raise SystemExit(FAILED)
 
 
-def apply_best(found: Sequence[Combination], session: Path, target: Path, cases: int) -> None:
+def apply_best(found: Sequence[Combination], session: Path, target: Path, cases: int, as_json: bool) -> None:
     """Write a copy of the session file with the best combination's thresholds and their origin; say what else was best.
+
+    ``as_json``: on stderr, for stdout holds the JSON alone.
 
     Raises:
         Problem: there is none, they are not allowed, or the file cannot be written.
@@ -167,9 +169,9 @@ def apply_best(found: Sequence[Combination], session: Path, target: Path, cases:
     with failing(ConfigError), writing(target, ". Choose another file with --apply."):
         validate_session(tomllib.loads(text), target, text)
         target.write_text(text, encoding="utf-8")
-    click.echo(f"Thresholds {target}: {', '.join(f'{name} = {value}' for name, value in chosen.items())}")
+    click.echo(f"Thresholds {target}: {', '.join(f'{name} = {value}' for name, value in chosen.items())}", err=as_json)
     if others := [name for name in swept if not name.startswith(f"{THRESHOLDS}.")]:
-        click.echo(f"Not written, for they are no thresholds: {', '.join(others)}")
+        click.echo(f"Not written, for they are no thresholds: {', '.join(others)}", err=as_json)
 
 
 def _show(found: Sequence[Combination], measures: Sequence[Measure]) -> None:

@@ -8,6 +8,7 @@ _LINE: Final = "Check plug, battery and range; its line is opened again by itsel
 _READ: Final = "Look at the sensor's link and at `fes doctor`, which reads every sensor for two seconds."
 _UNIT: Final = "Check the sensor's unit and ranges in its own settings and in the session file."
 _MOUNT: Final = "Put the sensor back as it was at calibration, or calibrate again."
+_FELT: Final = "See that the sensor sits firmly; if it does, switch it off and on, or take another one. Then arm again."
 _RESTART: Final = "Switch the sensor off and on, then arm again."
 _LEADS: Final = "Check electrodes, leads and plugs, then arm again."
 _DEVICE: Final = "Switch the stimulator off and on, check its supply, then arm again."
@@ -19,7 +20,8 @@ REMEDIES: Final[tuple[tuple[str, str], ...]] = (  # the first whose words are fo
     (r"clock of .* jumped|clock went|time stamps are out of order|dated .* ahead", _RESTART),
     (r"data \d+ ms old|too few samples|samples in the last second|silent for", _READ),
     (r"is frozen|non-finite", _RESTART),
-    (r"unit|saturated", _UNIT),
+    (r"unit|saturated|is it scaled", _UNIT),
+    (r"does not feel it|do not fit|does it dangle", _FELT),
     (r"remounted|tilted", _MOUNT),
     (r"stimulator lost", "Check the stimulator's plug and supply; it is opened again by itself. Then arm again."),
     (r"electrode|lead", _LEADS),
@@ -27,7 +29,7 @@ REMEDIES: Final[tuple[tuple[str, str], ...]] = (  # the first whose words are fo
     (r"stimulator (fault|restarted|does not answer)", _DEVICE),
     (r"time ran backward", "Do not set this computer's clock during a session; arm again."),
     (r"moves \(", "Stand still for a second."),
-    (r"mA|µC|µs|mC| Hz|on for|has no channel|must be true or false", _REQUEST),
+    (r"mA|µC|µs|mC| Hz|on for|off for|never together|has no channel|must be true or false", _REQUEST),
 )
 
 

@@ -220,6 +220,8 @@ def csv_layout(path: Path) -> Layout:
     best, delimiter, decimal = max(scored, key=lambda style: style[0])
     cells = [_cells(line, delimiter) for line in lines]
     first = _first_row(cells, decimal) if best else min(1, len(lines))
+    if first == 0 and not any(_is_number(cell, decimal) for cell in cells[0]):
+        first = 1  # of one line below, no column says which of them hold numbers
     if first == 0:
         example = delimiter.join(("time_ms", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z"))
         what = "has no header: its first line holds numbers. Write a line of column names on top of it, such as"

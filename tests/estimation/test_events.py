@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from fes.calibration.recording import calibrate_track
 from fes.estimation.events.causal import RETUNE_STRIDES, Decision, OnlineEvent, OnlineEvents, Rule, gyr_threshold
-from fes.estimation.events.offline import GaitEvents, find_events, foot_strike_angles
+from fes.estimation.events.offline import GaitEvents, find_events, foot_strike_angles, stance_instants
 from fes.estimation.foot.calibration import FootCalibration
 from fes.recording import Track, read_recording
 from fes.signals import G_MPS2, FloatArray, IntArray
@@ -132,6 +132,24 @@ def test_exactly_one_contact_and_one_foot_off_between_two_mid_swings(name: str, 
     assert len(events.fo_ns) == len(events.mid_swing_ns) == len(events.ic_ns) == len(events.heel_strike)
     in_order = np.column_stack([events.fo_ns, events.mid_swing_ns, events.ic_ns]).ravel()
     assert np.all(np.diff(in_order) > 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "foot"), [*each_foot(("negard_patient1", "negard_patient2", "both_feet_100hz", "soft_contact"))]
+)
+def test_the_loading_response_lasts_until_heel_and_border_are_down(name: str, foot: str) -> None:
+    """Patient 1 lands on the forefoot's outer border; pitch alone within 5° called that flat after a third of it."""
+    events, track, c = offline(name, foot)
+    _, flats_ns = stance_instants(track.t_sensor_ns, track.gyr_radps, events.fo_ns, events.ic_ns, c)
+    flats_s, contacts_s = seconds(track, flats_ns[:-1]), seconds(track, events.ic_ns[:-1])
+    true = [s for s in bundled(name)[1].strides_of(foot) if s.walking]
+    errors = []
+    for stride in true:
+        at = int(np.abs(contacts_s - stride.t_loading_response_s).argmin())
+        if abs(contacts_s[at] - stride.t_loading_response_s) < 0.1:
+            errors.append((flats_s[at] - contacts_s[at]) - (stride.t_stance_s - stride.t_loading_response_s))
+    assert len(errors) >= len(true) - 2
+    assert abs(np.median(errors)) < 0.04
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 204.8, 500.0, 1000.0])

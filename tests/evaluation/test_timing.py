@@ -269,7 +269,9 @@ def test_a_walk_that_the_baseline_does_not_know(walk, baseline, plants) -> None:
     measured, truth = walk
     known = baseline.recordings["both_feet_100hz"]
     others = {
-        f"other{k}": replace(known, spreads=tuple(replace(s, bias_ms=s.bias_ms + k - 3.0) for s in known.spreads))
+        f"other{k}": replace(
+            known, spreads=tuple(replace(s, bias_ms=s.bias_ms + 0.3 * (k - 3.0)) for s in known.spreads)
+        )
         for k in range(7)
     }
     family = replace(baseline, recordings=others)
@@ -277,11 +279,38 @@ def test_a_walk_that_the_baseline_does_not_know(walk, baseline, plants) -> None:
     assert judge(measured(), truth, family, "new", limits).failures == ()
     late = judge(measured(plants.planted("guard", 1)), truth, family, "new", limits)
     assert "T2" in kinds(late.failures)
-    assert "where the baseline's recordings have" in late.failures[0].text
+    assert "where the baseline's walkers have" in late.failures[0].text
     few = replace(baseline, recordings=dict(list(others.items())[:2]))
     unsure = judge(measured(), truth, few, "new", limits)
     assert unsure.failures == ()
-    assert any("too few recordings" in note for note in unsure.notes)
+    assert any("too few walkers" in note for note in unsure.notes)
+
+
+def test_recordings_of_one_walker_count_as_one() -> None:
+    """Ten walks each of a few walkers who differ tell of so many walkers, not of ten times as many."""
+    rng = np.random.default_rng(5)
+
+    def recording(bias_ms: float, subject: str) -> RecordingBaseline:
+        spread = Spread("left_foot", "T1", 50, 50, 0, 0, bias_ms, 1.0, bias_ms - 2.0, bias_ms + 2.0)
+        return RecordingBaseline("", "", "truth", 0.1, (spread,), (), subject)
+
+    strange = {"named": 0, "as if all were walkers": 0}
+    for _ in range(400):
+        walkers = rng.normal(0.0, 10.0, 7)
+        new_ms = rng.normal(0.0, 10.0) + rng.normal(0.0, 1.0)
+        for which, count in strange.items():
+            known = {
+                f"{walker} {walk}": recording(bias + rng.normal(0.0, 1.0), f"w{walker}" if which == "named" else "")
+                for walker, bias in enumerate(walkers)
+                for walk in range(10)
+            }
+            middle_ms, reach_ms = Baseline(known).usual_bias_ms("left_foot", "T1")
+            strange[which] = count + (abs(new_ms - middle_ms) > reach_ms)
+    assert strange["named"] <= 3, "one in a thousand"
+    assert strange["as if all were walkers"] > strange["named"]
+    four = {name: each for name, each in known.items() if int(name[0]) < 4}
+    named = {name: replace(each, subject=f"w{name[0]}") for name, each in four.items()}
+    assert np.isnan(Baseline(named).usual_bias_ms("left_foot", "T1")[0]), "40 recordings, four walkers"
 
 
 # ---- the baseline's file
@@ -290,12 +319,13 @@ def test_a_walk_that_the_baseline_does_not_know(walk, baseline, plants) -> None:
 def test_a_baseline_is_read_back_and_its_tolerances_are_the_users(tmp_path: Path) -> None:
     spread = Spread("left_foot", "T2", 3, 3, 0, 0, 1.5, 0.5, 0.5, 2.5)
     marks = tuple(at(1000.2, 2000, 3000))
-    one = Baseline({'a "walk"/1': RecordingBaseline("ab", "cd", "truth", 0.25, (spread,), marks)})
+    one = Baseline({'a "walk"/1': RecordingBaseline("ab", "cd", "truth", 0.25, (spread,), marks, "Ann")})
     file = tmp_path / "timing.toml"
     file.write_text(baseline_text(one))
     again = read_baseline(file)
     assert again.recordings['a "walk"/1'].marks == tuple(at(1000.2, 2000, 3000)), "a tenth of a millisecond"
     assert again.recordings['a "walk"/1'].spreads == (spread,)
+    assert again.recordings['a "walk"/1'].subject == "Ann"
     file.write_text(
         baseline_text(one).replace("T2 = 5.0", "T2 = 12.5").replace("missed = 0\nextra", "missed = 3\nextra")
     )

@@ -158,6 +158,11 @@ def test_a_sensor_that_hardly_moves_does_not_tell_its_unit(tmp_path: Path) -> No
     assert re.search(r'^gyr_unit = "\?"', text, re.M)
 
 
+def test_a_header_over_few_rows_is_a_header(tmp_path: Path) -> None:
+    for rows in ([], ["1,2"], ["1,x"]):
+        assert "#   a\n#   b\n" in sidecar_template(put(tmp_path / "a.csv", ["a,b", *rows]))
+
+
 def test_numbers_without_a_header_are_told(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="has no header: its first line holds numbers"):
         sidecar_template(put(tmp_path / "a.csv", table(walk())))

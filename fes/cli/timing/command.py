@@ -89,7 +89,8 @@ def baseline_command(
         old = read_baseline(file) if file.is_file() else None
     new, outcomes = {}, list[Any]()
     for case, outcome in _outcomes(recordings, options, None, Limits()):
-        new[case.name] = as_baseline(outcome, case.sha256, case.settings)
+        subject = case.recording.subject if case.recording else ""
+        new[case.name] = as_baseline(outcome, case.sha256, case.settings, subject)
         outcomes.append(outcome)
     with writing(file, ". Choose another --baseline.", StoppedEarly):
         file.write_text(baseline_text(joined(old, new, given)), encoding="utf-8")

@@ -34,7 +34,9 @@ over the forefoot. The pitch is the mediolateral rate's integral over a few tent
 drift is hundredths of a degree, and mid-stance's is the mean of a tenth of a second in the middle of the stance:
 
 - *foot flat*: from then on until mid-stance the pitch is within ``FLAT_RAD`` of mid-stance's and turns more slowly than
-  ``FLAT_RADPS``, so that a foot that lands on its forefoot, or slaps down and rebounds, is flat when that is over;
+  ``FLAT_RADPS``, and the roll about the foot's long axis, inversion and eversion, is within ``FLAT_RAD`` of
+  mid-stance's as well: a paretic foot lands on its outer border with its pitch near to level. A foot that lands
+  on its forefoot slowly is flat no sooner than its heel has come down, to ``HEEL_DOWN_RAD`` below mid-stance's pitch;
 - *heel rise*: the last instant at which the foot has not yet turned toe-down by ``RISE_RAD`` from mid-stance.
 
 No paper; foot-flat by angle and rate after Mariani et al. (2013). ``benchmarks/offline_phases.py`` holds both against
@@ -505,6 +507,7 @@ def _typical(falls: FloatArray) -> float:
 
 
 FLAT_RAD, FLAT_RADPS, FLAT_OVER_S = np.radians(5.0), 1.0, 0.02  # the rate is the mean over so long on either side
+HEEL_DOWN_RAD = np.radians(1.0)
 RISE_RAD = np.radians(2.0)
 AROUND_S = 0.05  # mid-stance's pitch is the mean over this much before and after
 LONGEST_STANCE_S = 3.0  # of a longer one (standing) the parts next to contact and foot off count
@@ -512,11 +515,19 @@ LONGEST_STANCE_S = 3.0  # of a longer one (standing) the parts next to contact a
 
 def pitch_of(t_ns: IntArray, gyr_radps: FloatArray, calibration: FootCalibration) -> tuple[FloatArray, FloatArray]:
     """Seconds since the first sample (N,), and the pitch there: rad since then, toe-up positive; it drifts."""
-    rate = (gyr_radps - np.array(calibration.gyr_bias_radps)) @ np.array(calibration.toe_down)
+    seconds, turned = turned_about(np.array(calibration.toe_down), t_ns, gyr_radps, calibration)
+    return seconds, -turned
+
+
+def turned_about(
+    axis: FloatArray, t_ns: IntArray, gyr_radps: FloatArray, calibration: FootCalibration
+) -> tuple[FloatArray, FloatArray]:
+    """Seconds since the first sample (N,), and how far the foot has turned about ``axis`` (3,) since then, rad."""
+    rate = (gyr_radps - np.array(calibration.gyr_bias_radps)) @ axis
     seconds = (t_ns - t_ns[0]) / NS_PER_S
     steps = np.diff(seconds)
     steps[gaps_in(t_ns) - 1] = 0.0  # what it turned in a gap nobody knows
-    return seconds, np.concatenate(([0.0], -np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps)))
+    return seconds, np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * steps)))
 
 
 def stance_instants(
@@ -531,11 +542,12 @@ def stance_instants(
         fo_ns: (K,) foot off, each before …
         ic_ns: (K,) … its contact.
         calibration: of this foot.
-        flat_rad: how near to mid-stance's pitch is flat.
+        flat_rad: how near to mid-stance's pitch and roll is flat.
         rise_rad: how far from it the heel has risen.
     """
     rises, flats = (np.full(len(ic_ns), UNSEEN_NS, np.int64) for _ in range(2))
     seconds, pitch = pitch_of(t_ns, gyr_radps, calibration)
+    _, roll = turned_about(calibration.forward(), t_ns, gyr_radps, calibration)
     gaps = gaps_in(t_ns)
     period_s = (seconds[-1] - float((seconds[gaps] - seconds[gaps - 1]).sum())) / max(len(t_ns) - 1 - len(gaps), 1)
     over, around = (max(round(span_s / period_s), 1) for span_s in (FLAT_OVER_S, AROUND_S))
@@ -545,10 +557,12 @@ def stance_instants(
         if half <= around + over or first < over or np.searchsorted(gaps, first) < np.searchsorted(gaps, last):
             continue
         landed, leaving = first + half, last - half
-        off = pitch[first:landed] - pitch[landed - around : landed + around + 1].mean()
+        off, over_side = (x[first:landed] - x[landed - around : landed + around + 1].mean() for x in (pitch, roll))
         turned = pitch[first + over : landed + over] - pitch[first - over : landed - over]
-        moving = np.flatnonzero((np.abs(off) > flat_rad) | (np.abs(turned) > FLAT_RADPS * 2 * over * period_s))
-        flats[k] = t_ns[first + (int(moving[-1]) + 1 if len(moving) else 0)]
+        tilted = np.maximum(np.abs(off), np.abs(over_side)) > flat_rad
+        moving = np.flatnonzero(tilted | (np.abs(turned) > FLAT_RADPS * 2 * over * period_s))
+        heel_down = int(np.argmax(off >= -HEEL_DOWN_RAD))  # the first of them: it is so at mid-stance
+        flats[k] = t_ns[first + max(int(moving[-1]) + 1 if len(moving) else 0, heel_down)]
         level = pitch[leaving - around : leaving + around + 1].mean()
         down = np.flatnonzero(pitch[leaving:last] > level - rise_rad)
         rises[k + 1] = t_ns[leaving + (int(down[-1]) if len(down) else 0)]

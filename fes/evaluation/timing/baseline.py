@@ -25,8 +25,8 @@ COUNTED: Final = ("missed", "extra", "moved")
 KINDS: Final = ("T1", "T2", "T3", "T4", "T5", "T6", "on", "off", LATENCY)
 TOLERANCE_MS: Final = {**dict.fromkeys(KINDS, 5.0), LATENCY: 0.5}
 ALLOWED: Final = dict.fromkeys(COUNTED, 0)
-LEAST_RECORDINGS: Final = 5  # to say how far one more may be from the others
-STRANGE: Final = 0.9995  # one-sided probability of a Student quantile: one recording in a thousand lies beyond
+LEAST_WALKERS: Final = 5  # to say how far a recording of one more may be from theirs
+STRANGE: Final = 0.001  # of unchanged recordings of another walker lie beyond in any of what is judged
 PER_LINE: Final = 10
 _HEAD: Final = """\
 # Timing as it was, by `fes timing baseline` of fes {version}. Keep this file in version control.
@@ -37,7 +37,10 @@ _HEAD: Final = """\
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordingBaseline:
-    """One recording as it was: its file's digest, its events, and how they lay against a truth (none: empty)."""
+    """One recording as it was: its file's digest, its events, and how they lay against a truth (none: empty).
+
+    ``subject``: who walked; recordings of the same subject are alike. Empty: nobody else's.
+    """
 
     sha256: str
     settings: str
@@ -45,6 +48,7 @@ class RecordingBaseline:
     latency_p99_ms: float
     spreads: tuple[Spread, ...]
     marks: tuple[Mark, ...]
+    subject: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,16 +59,27 @@ class Baseline:
     tolerance_ms: Mapping[str, float] = field(default_factory=lambda: dict(TOLERANCE_MS))
     allowed: Mapping[str, int] = field(default_factory=lambda: dict(ALLOWED))
 
-    def usual_bias_ms(self, who: str, what: str) -> tuple[float, float]:
-        """Middle of the recordings' biases, and how far one more recording's may be from it (ms); NaN: too few."""
-        found = [s.bias_ms for each in self.recordings.values() for s in each.spreads if (s.who, s.what) == (who, what)]
-        biases = np.array([bias for bias in found if math.isfinite(bias)])
-        if len(biases) < LEAST_RECORDINGS:
+    def usual_bias_ms(self, who: str, what: str, judged: int = 1) -> tuple[float, float]:
+        """Middle of the walkers' biases, and how far one recording of another walker may be from it (ms).
+
+        NaN where too few walkers are known. ``judged``: how many biases of that recording are held against theirs, for
+        by chance alone any of them may be strange. The recordings of one walker resemble each other: what counts is
+        how many walkers there are, each with the mean of its recordings, and beside that how these differ.
+        """
+        by_walker: dict[str, list[float]] = {}
+        for name, each in self.recordings.items():
+            biases = [s.bias_ms for s in each.spreads if (s.who, s.what) == (who, what) and math.isfinite(s.bias_ms)]
+            by_walker.setdefault(each.subject or f"recording {name}", []).extend(biases)
+        walkers = [np.array(biases) for biases in by_walker.values() if biases]
+        if len(walkers) < LEAST_WALKERS:
             return float("nan"), float("nan")
         from scipy.stats import t as student
 
-        reach = student.ppf(STRANGE, len(biases) - 1) * biases.std(ddof=1) * math.sqrt(1.0 + 1.0 / len(biases))
-        return float(biases.mean()), float(reach)
+        means = np.array([biases.mean() for biases in walkers])
+        spare = sum(len(biases) - 1 for biases in walkers)
+        within = sum(float(((biases - biases.mean()) ** 2).sum()) for biases in walkers) / max(spare, 1)
+        sd = math.sqrt(float(means.var(ddof=1)) * (1.0 + 1.0 / len(walkers)) + within)
+        return float(means.mean()), float(student.isf(0.5 * STRANGE / judged, len(walkers) - 1)) * sd
 
 
 def baseline_text(baseline: Baseline) -> str:
@@ -76,6 +91,7 @@ def baseline_text(baseline: Baseline) -> str:
         key = toml_value(name)
         lines += ["", f"[recordings.{key}]"]
         lines += [f"{item} = {toml_value(getattr(each, item))}" for item in ("sha256", "settings", "truth")]
+        lines += [f"subject = {toml_value(each.subject)}"] if each.subject else []
         lines.append(f"latency_p99_ms = {_number(each.latency_p99_ms)}")
         if each.spreads:
             lines.append("against_truth = [  # found − true, ms")
@@ -144,7 +160,8 @@ def _recording(data: Mapping[str, Any]) -> RecordingBaseline:
     ]
     spreads = tuple(Spread(**row) for row in data.get("against_truth", []))
     sha256, settings, truth = (str(data[name]) for name in ("sha256", "settings", "truth"))
-    return RecordingBaseline(sha256, settings, truth, float(data["latency_p99_ms"]), spreads, tuple(sorted(marks)))
+    latency_p99_ms, subject = float(data["latency_p99_ms"]), str(data.get("subject", ""))
+    return RecordingBaseline(sha256, settings, truth, latency_p99_ms, spreads, tuple(sorted(marks)), subject)
 
 
 def joined(old: Baseline | None, new: Mapping[str, RecordingBaseline], given_ms: Mapping[str, float]) -> Baseline:

@@ -3,7 +3,7 @@
 A replay is deterministic. So a recording that the baseline knows is paired with its own events of then: one event that
 is missed among thousands, or moved, is a change of the program. Against a truth it is the distribution that counts:
 bias and 95 % limits may change by the tolerance. A recording that the baseline does not know is held against the
-others' biases: it may be as far from their mean as one more of them would be, and the tolerance beside.
+biases of its walkers: it may be as far from their mean as one more walker would be, and the tolerance beside.
 """
 
 import math
@@ -131,7 +131,7 @@ def judge(
         if alone > paired:
             notes.append("most events of the truth have no partner: is it another recording's truth, or clock?")
         for row in true:
-            failures += _true_failures(row, before, baseline, limits, notes)
+            failures += _true_failures(row, len(true), before, baseline, limits, notes)
     p99_before_ms = before.latency_p99_ms if before else _worst_latency(baseline)
     latency = latency_percentiles(measured.latency_ns, p99_before_ms)
     failures += _latency_failures(latency, limits)
@@ -169,6 +169,7 @@ def _counted(row: TimingRow, limits: Limits, missed: int, extra: int) -> list[st
 
 def _true_failures(
     row: TimingRow,
+    rows: int,
     before: RecordingBaseline | None,
     baseline: Baseline | None,
     limits: Limits,
@@ -185,7 +186,7 @@ def _true_failures(
             texts += _counted(row, limits, was.missed, was.extra)
             texts += _changes(was, row.spread, most_ms)
     elif baseline is not None:
-        texts += _unusual(row, baseline, most_ms, notes)
+        texts += _unusual(row, rows, baseline, most_ms, notes)
     elif most_ms is not None:
         texts += _counted(row, limits, 0, 0)
         if row.moved > limits.allowed["moved"]:
@@ -204,20 +205,18 @@ def _changes(was: Spread, now: Spread, most_ms: float | None) -> list[str]:
     return texts
 
 
-def _unusual(row: TimingRow, baseline: Baseline, most_ms: float | None, notes: list[str]) -> list[str]:
-    """A recording that the baseline does not know, against its recordings' biases."""
-    middle_ms, reach_ms = baseline.usual_bias_ms(row.who, row.what)
+def _unusual(row: TimingRow, rows: int, baseline: Baseline, most_ms: float | None, notes: list[str]) -> list[str]:
+    """A recording that the baseline does not know, one of its ``rows`` against the baseline's walkers."""
+    middle_ms, reach_ms = baseline.usual_bias_ms(row.who, row.what, rows)
     if len(row.pairs_ns) < TOO_FEW or most_ms is None:
         return []
     if not math.isfinite(middle_ms):
-        notes.append(f"{row.who} {row.what}: too few recordings in the baseline know it to judge another")
+        notes.append(f"{row.who} {row.what}: too few walkers in the baseline have it to judge another")
         return []
     bias_ms = row.spread.bias_ms
     if abs(bias_ms - middle_ms) <= most_ms + reach_ms:
         return []
-    return [
-        f"bias {bias_ms:+.1f} ms, where the baseline's recordings have {middle_ms:+.1f} ± {most_ms + reach_ms:.1f} ms"
-    ]
+    return [f"bias {bias_ms:+.1f} ms, where the baseline's walkers have {middle_ms:+.1f} ± {most_ms + reach_ms:.1f} ms"]
 
 
 def _worst_latency(baseline: Baseline | None) -> float:
@@ -240,11 +239,11 @@ def _latency_failures(latency: Latency, limits: Limits) -> list[Failure]:
     return [Failure(DECISIONS, "", LATENCY, text) for text in texts]
 
 
-def as_baseline(timing: RecordingTiming, sha256: str, settings: str) -> RecordingBaseline:
-    """What a recording's outcome is as a baseline."""
+def as_baseline(timing: RecordingTiming, sha256: str, settings: str, subject: str = "") -> RecordingBaseline:
+    """What a recording's outcome is as a baseline; ``subject``: who walked."""
     spreads = tuple(row.spread for row in timing.true)
     return RecordingBaseline(
-        sha256, settings, timing.truth, timing.latency.p99_ms, spreads, tuple(sorted(timing.measured.marks))
+        sha256, settings, timing.truth, timing.latency.p99_ms, spreads, tuple(sorted(timing.measured.marks)), subject
     )
 
 
