@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,12 @@ from replays import SETTINGS, bursts, cut, edit, keep, replay, trial
 from test_one_process import run as closed_loop
 
 from fes.cli import main
+from fes.cli.replay import log as replayed_log
 from fes.gate import SafetyGate
 from fes.live.remedies import remedy
 from fes.recording import Recording, Track, write_recording
 from fes.session_log import SessionRecord, read_session
-from fes.signals import G_MPS2, NS_PER_S
+from fes.signals import G_MPS2, NS_PER_S, Event, ImuSample, StimAlive, StimStatus
 from statemachine.phases import Transition
 
 LENGTH_S, FAULT_S = 24.0, 19.9  # in a burst of the bundled trial
@@ -86,17 +87,10 @@ def silent(track: Track, late: np.ndarray[Any, Any]) -> Track:
     return keep(track, ~late | back)
 
 
-def in_degrees(track: Track, late: np.ndarray[Any, Any]) -> Track:
-    """For so short a time that the file as a whole passes."""
-    late = late & (track.t_ns - track.t_ns[0] < (FAULT_S + 0.15) * NS_PER_S)
-    return replace(track, gyr_radps=track.gyr_radps * np.where(late, np.degrees(1.0), 1.0)[:, None])
-
-
 SENSOR_FAULTS: dict[str, tuple[Callable[[], Recording], str]] = {
     "force in g": (lambda: scaled(acc=1 / G_MPS2), "unit"),
     "force scaled by g again": (lambda: scaled(acc=G_MPS2), "unit"),
     "force in mg": (lambda: scaled(acc=1000.0 / G_MPS2), "unit"),
-    "rate in degrees": (lambda: spoilt(in_degrees), "unit"),
     "axes exchanged": (lambda: spoilt(turned), "remounted"),
     "the same values again and again": (lambda: spoilt(frozen), "is frozen"),
     "data too old": (lambda: spoilt(silent), "ms old"),
@@ -120,6 +114,109 @@ def test_what_the_gate_tells_from_a_sensors_numbers(kind: str, tmp_path: Path) -
     assert "The gate was armed" in before["gate"]
 
 
+@dataclass
+class Spoiler:
+    """Events of a log, of which one thing is changed from an instant on; ``number`` counts its samples since."""
+
+    change: Callable[[ImuSample, int], list[Event]]
+    from_ns: int
+
+    def __call__(self, events: Iterator[Event]) -> Iterator[Event]:
+        number = 0
+        for event in events:
+            if isinstance(event, ImuSample) and event.t_ns >= self.from_ns:
+                yield from self.change(event, number)
+                number += 1
+            else:
+                yield event
+
+
+def stamped(sample: ImuSample, by_ns: int) -> list[Event]:
+    return [sample._replace(t_sensor_ns=sample.t_sensor_ns + by_ns)]
+
+
+def told(status: Event, sample: ImuSample, number: int) -> list[Event]:
+    return [sample, replace(status, t_ns=sample.t_ns)] if number == 0 else [sample]
+
+
+def status(**fields: Any) -> Event:
+    return StimStatus(
+        0,
+        **{"channel": 0, "counter": 0, "on": True, "current_ma": 1.0, "pulse_width_us": 100.0, "frequency_hz": 40.0}
+        | fields,
+    )
+
+
+def restarted(sample: ImuSample, number: int) -> list[Event]:
+    return [sample, StimAlive(sample.t_ns, 77 + (number > 0), 0)] if number < 2 else [sample]
+
+
+def noisy(values: tuple[float, ...], number: int, size: float) -> tuple[float, ...]:
+    """Alive, and telling of nothing."""
+    return tuple(value + size * np.sin(1.7 * number + axis) for axis, value in enumerate(values))
+
+
+def deaf_accelerometer(sample: ImuSample, number: int) -> list[Event]:
+    return [sample._replace(acc_mps2=noisy((0.0, 0.0, G_MPS2), number, 0.02))]
+
+
+def deaf_gyroscope(sample: ImuSample, number: int) -> list[Event]:
+    return [sample._replace(gyr_radps=noisy((0.0, 0.0, 0.0), number, 0.002))]
+
+
+def one_triad_frozen(sample: ImuSample, number: int) -> list[Event]:
+    return [sample._replace(acc_mps2=(1.0, 2.0, 9.0))]
+
+
+EVENT_FAULTS: dict[str, tuple[Callable[[ImuSample, int], list[Event]], str]] = {
+    "a clock that jumps back": (lambda s, n: stamped(s, -NS_PER_S), "'s clock went back by"),
+    "a clock that jumps ahead": (lambda s, n: stamped(s, NS_PER_S), "'s clock went ahead by"),
+    "stamps out of order": (lambda s, n: stamped(s, -12_000_000 * (n % 5 == 0)), "time stamps are out of order"),
+    "rate in degrees": (
+        lambda s, n: [s._replace(gyr_radps=tuple(float(np.degrees(v)) for v in s.gyr_radps))],
+        "is its unit °/s",
+    ),
+    "no numbers": (lambda s, n: [s._replace(gyr_radps=(float("nan"), 0.0, 0.0))], "non-finite sample"),
+    "an accelerometer that feels nothing": (deaf_accelerometer, "its accelerometer does not feel it"),
+    "a gyroscope that feels nothing": (deaf_gyroscope, "does not feel it"),
+    "one triad frozen": (one_triad_frozen, "is frozen"),
+    "a stimulator's fault": (lambda s, n: told(StimAlive(0, 1, 0, "supply low"), s, n), "stimulator fault: supply low"),
+    "a channel's fault": (
+        lambda s, n: told(status(fault="electrode off"), s, n), "stimulator fault on channel 0: electrode off",
+    ),
+    "more than may be delivered": (lambda s, n: told(status(current_ma=99.0), s, n), "stimulator delivers"),
+    "a stimulator that restarted": (restarted, "stimulator restarted"),
+    "time that runs backward": (
+        lambda s, n: [s._replace(t_ns=s.t_ns - NS_PER_S)] if n == 3 else [s], "time ran backward by",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", EVENT_FAULTS)
+def test_what_the_gate_tells_from_stamps_sensors_and_stimulator(
+    kind: str, walked: tuple[Path, SessionRecord], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, record = walked
+    change, words = EVENT_FAULTS[kind]
+    burst_s = next(b.t_on_ns for b in bursts(record.commands) if b.t_on_ns > origin_ns(record) + 15 * NS_PER_S)
+    spoiler = Spoiler(change, burst_s + 50_000_000)
+
+    class Spoilt(replayed_log.Reopened):
+        def __init__(self, path: Path) -> None:
+            super().__init__(path)
+            self.events = spoiler(self.events)
+
+    monkeypatch.setattr(replayed_log, "Reopened", Spoilt)
+    at_s = (spoiler.from_ns - origin_ns(record)) / NS_PER_S
+    assert "The gate was armed" in explained(log, at_s - 0.02)["gate"]
+    found = explained(log, at_s + 2.0)
+    assert words in found["gate"]
+    assert "since" in found["gate"]
+    assert remedy(words) or remedy(found["gate"]), "something can be done about it"
+    assert found["gate"].endswith(remedy(found["gate"].split(": ", 1)[1]))
+    assert not found["channels"][0]["on"]
+
+
 LIMITS = (  # as fes.gate words them; the plan keeps within them, so a gate is made to say them
     "off for 0.05 s, at least 0.1 s",
     "on for 3.01 s, limit 3 s",
@@ -135,7 +232,9 @@ def test_any_refusal_of_a_channel_is_told_in_its_own_words(
 ) -> None:
     log, record = walked
     begin_ns = origin_ns(record)
-    for reason, burst in zip(LIMITS, bursts(record.commands), strict=False):
+    own = bursts(record.commands)
+    for number, reason in enumerate(LIMITS):
+        burst = own[number % len(own)]
         refused_ns = burst.t_on_ns + 100_000_000
         with monkeypatch.context() as patch:
             patch.setattr(
@@ -145,6 +244,7 @@ def test_any_refusal_of_a_channel_is_told_in_its_own_words(
         (channel,) = found["channels"]
         assert (channel["refused"], channel["on"]) == (reason, False)
         assert f"the gate refused it: {reason}" in channel["why"] == found["sentences"][0]
+        assert remedy(reason)
         assert remedy(reason) in channel["why"]
 
 
