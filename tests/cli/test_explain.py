@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from fes.gate import SafetyGate
 from fes.live.remedies import remedy
 from fes.recording import Recording, Track, write_recording
 from fes.session_log import SessionRecord, read_session
-from fes.signals import G_MPS2, NS_PER_S, Event, ImuSample, StimAlive, StimStatus
+from fes.signals import G_MPS2, NS_PER_S, Event, ImuSample, StimAlive, StimStatus, Vector3
 from statemachine.phases import Transition
 
 LENGTH_S, FAULT_S = 24.0, 19.9  # in a burst of the bundled trial
@@ -135,11 +136,11 @@ def stamped(sample: ImuSample, by_ns: int) -> list[Event]:
     return [sample._replace(t_sensor_ns=sample.t_sensor_ns + by_ns)]
 
 
-def told(status: Event, sample: ImuSample, number: int) -> list[Event]:
+def told(status: StimStatus | StimAlive, sample: ImuSample, number: int) -> list[Event]:
     return [sample, replace(status, t_ns=sample.t_ns)] if number == 0 else [sample]
 
 
-def status(**fields: Any) -> Event:
+def status(**fields: Any) -> StimStatus:
     return StimStatus(
         0,
         **{"channel": 0, "counter": 0, "on": True, "current_ma": 1.0, "pulse_width_us": 100.0, "frequency_hz": 40.0}
@@ -151,9 +152,10 @@ def restarted(sample: ImuSample, number: int) -> list[Event]:
     return [sample, StimAlive(sample.t_ns, 77 + (number > 0), 0)] if number < 2 else [sample]
 
 
-def noisy(values: tuple[float, ...], number: int, size: float) -> tuple[float, ...]:
+def noisy(values: Vector3, number: int, size: float) -> Vector3:
     """Alive, and telling of nothing."""
-    return tuple(value + size * np.sin(1.7 * number + axis) for axis, value in enumerate(values))
+    x, y, z = (value + size * math.sin(1.7 * number + axis) for axis, value in enumerate(values))
+    return x, y, z
 
 
 def deaf_accelerometer(sample: ImuSample, number: int) -> list[Event]:
@@ -168,12 +170,17 @@ def one_triad_frozen(sample: ImuSample, number: int) -> list[Event]:
     return [sample._replace(acc_mps2=(1.0, 2.0, 9.0))]
 
 
+def degrees(gyr: Vector3) -> Vector3:
+    x, y, z = map(math.degrees, gyr)
+    return x, y, z
+
+
 EVENT_FAULTS: dict[str, tuple[Callable[[ImuSample, int], list[Event]], str]] = {
     "a clock that jumps back": (lambda s, n: stamped(s, -NS_PER_S), "'s clock went back by"),
     "a clock that jumps ahead": (lambda s, n: stamped(s, NS_PER_S), "'s clock went ahead by"),
     "stamps out of order": (lambda s, n: stamped(s, -12_000_000 * (n % 5 == 0)), "time stamps are out of order"),
     "rate in degrees": (
-        lambda s, n: [s._replace(gyr_radps=tuple(float(np.degrees(v)) for v in s.gyr_radps))],
+        lambda s, n: [s._replace(gyr_radps=degrees(s.gyr_radps))],
         "is its unit °/s",
     ),
     "no numbers": (lambda s, n: [s._replace(gyr_radps=(float("nan"), 0.0, 0.0))], "non-finite sample"),
