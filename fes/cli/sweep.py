@@ -145,7 +145,7 @@ def command(
         raise SystemExit(FAILED)
 
 
-def apply_best(found: Sequence[Combination], session: Path, target: Path, cases: int, as_json: bool) -> None:
+def apply_best(found: Sequence[Combination], session: Path, target: Path, cases: int, as_json: bool = False) -> None:
     """Write a copy of the session file with the best combination's thresholds and their origin; say what else was best.
 
     ``as_json``: on stderr, for stdout holds the JSON alone.

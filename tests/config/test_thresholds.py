@@ -121,5 +121,7 @@ def test_the_best_of_a_sweep_is_written_with_its_origin(tmp_path: Path, capsys: 
     }
     assert load_session(target).phases.swing_begins == "peak"
     assert "no thresholds: phases.swing_begins" in capsys.readouterr().out
+    apply_best([best, combination()], SETTINGS, target, 3, as_json=True)
+    assert capsys.readouterr().out == "", "stdout holds the JSON alone"
     with pytest.raises(Problem, match=r"outside 0\.25 to 4 times"):
         apply_best([combination(thresholds__jerk_share=9.0)], SETTINGS, target, 1)
