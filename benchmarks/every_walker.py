@@ -259,11 +259,17 @@ def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult]) -
     return errors, [cycle_s(swings, s) < FAST_S for s, _ in judged]
 
 
+def swings_of(foot: Foot) -> Swings:
+    """What this foot's phases are held against."""
+    by = foot.judge or foot.track
+    seen = find_swings(by.t_ns, by.acc_mps2, by.gyr_radps)
+    return seen if foot.labels is None else foot.labels.swings(seen)
+
+
 def judge(foot: Foot) -> Found:
     """Everything about one foot."""
     found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
-    track, by = foot.track, foot.judge or foot.track
-    swings = foot.labels.swings() if foot.labels is not None else find_swings(by.t_ns, by.acc_mps2, by.gyr_radps)
+    track, swings = foot.track, swings_of(foot)
     found.swings, found.strides = len(swings.whole()), len(pairs(swings))
     found.fast = [bool(b - a < 1e9 * FAST_S) for a, b in pairs(swings)]
     if foot.labels is not None:
@@ -323,7 +329,8 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
                     later[change.transition.name].append(1e-6 * (change.t_ns - true[change.transition]))
     found.later_ms = dict(later)
     found.false_swings = sum(
-        not ((swings.sure >= a) & (swings.sure <= b)).any() and labels.judged(a, b) for a, b in swing_phases(changes)
+        not ((swings.possible >= a) & (swings.possible <= b)).any() and labels.judged(a, b)
+        for a, b in swing_phases(changes)
     )
 
 

@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 from command_line import console_of, parser_of, save
-from every_walker import TIMES, Foot, Found, against_labels, calibrate, causal, footswitch_treadmill
+from every_walker import TIMES, Foot, Found, against_labels, calibrate, causal, footswitch_treadmill, swings_of
 from rich.table import Table
 from stroke_treadmill import data_folder
 from swing_judge import Labelled
@@ -107,7 +107,7 @@ def main(arguments: list[str] | None = None) -> int:
             made["fes, causal"] = []
         for method, changes in made.items():
             found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
-            swings = foot.labels.swings()
+            swings = swings_of(foot)
             against_labels(found, foot.labels, swings, changes)
             found.strides = len(found.flat_ms)
             rows[foot.person, method].append((found, goodness(foot.labels, changes, t_ns)))

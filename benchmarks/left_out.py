@@ -32,12 +32,12 @@ from every_walker import (
     causal,
     feet_of,
     pairs,
+    swings_of,
 )
 from rich.table import Table
 from stroke_treadmill import data_folder
 from swing_judge import score
 
-from fes.analysis.swings import find_swings
 from fes.cohort.sweep.grid import Point
 from fes.cohort.sweep.task import with_thresholds
 from fes.estimation.foot import calibration as foot_calibration
@@ -58,8 +58,15 @@ GUARDS: dict[str, tuple[float, ...]] = {
     "mid_swing_share": (0.45, 0.55, 0.65, 0.75),
     "longest_loading": (0.06, 0.08, 0.1, 0.13),
     "heel_rise_after": (0.25, 0.26, 0.27),
+    "swung_share": (0.4, 0.45, 0.5),
+    "swung_after_s": (0.2, 0.25, 0.3),
+    "push_off_again": (0.1, 0.15, 0.2),
 }
-CALIBRATION: dict[str, tuple[float, ...]] = {"FALL_SHARE": (0.35, 0.45, 0.55), "TROUGH_SHARE": (0.2, 0.3, 0.4)}
+CALIBRATION: dict[str, tuple[float, ...]] = {
+    "FALL_SHARE": (0.35, 0.45, 0.55),
+    "TROUGH_SHARE": (0.2, 0.3, 0.4),
+    "TYPICAL_SHARE": (0.25, 1.0 / 3.0, 0.4),
+}
 CHOICES = GUARDS | CALIBRATION
 START = {name: values[(len(values) - 1) // 2] for name, values in CHOICES.items()}
 OWN = {name: getattr(Thresholds(), name) for name in GUARDS} | {
@@ -90,9 +97,7 @@ class Judged:
 
 def judge(values: list[Values], foot: Foot) -> list[Judged]:
     """One foot by some values each."""
-    swings = foot.labels.swings() if foot.labels else find_swings(*(
-        getattr(foot.track, name) for name in ("t_ns", "acc_mps2", "gyr_radps")
-    ))  # fmt: skip
+    swings = swings_of(foot)
     made: dict[Any, FootCalibration | None] = {}
     return [_judge(foot, swings, dict(each), made) for each in values]
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 from command_line import console_of, parser_of, save
-from every_walker import DRIFTING, LYING, calibrate, causal, feet_of
+from every_walker import DRIFTING, LYING, calibrate, causal, feet_of, swings_of
 from rich.table import Table
 from stroke_treadmill import data_folder
 from swing_judge import pairs
@@ -62,7 +62,7 @@ def measured(data: Path) -> Later:
                     flat_rad=np.radians(flat_deg), rise_rad=np.radians(rise_deg),
                 )
             )  # fmt: skip
-        for stride in pairs(foot.labels.swings()):
+        for stride in pairs(swings_of(foot)):
             if not foot.labels.judged(*stride):
                 continue
             labels = foot.labels.times(*stride)

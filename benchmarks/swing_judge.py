@@ -99,15 +99,19 @@ class Labelled:
     label: IntArray
     sound: Any
 
-    def swings(self) -> Swings:
-        """The middles of the labelled swings."""
+    def swings(self, seen: Swings) -> Swings:
+        """The middles of the labelled swings; possible are those too that the raw signals show and no switch does,
+        for a foot that drags keeps one closed.
+        """
         middle = [
             (self.t_ns[a] + self.t_ns[b]) // 2
             for a, b in runs(self.label)
             if self.label[a] == IN_SWING and self.t_ns[b] - self.t_ns[a] >= 1e9 * LEAST_SWING_S
         ]
         middles = np.array(middle, np.int64)
-        return Swings(middles, middles, int(self.t_ns[0]), int(self.t_ns[-1]))
+        far = np.abs(seen.sure[:, None] - middles).min(axis=1, initial=np.iinfo(np.int64).max)
+        possible = np.union1d(middles, seen.sure[far > 0.4 * np.median(np.diff(middles))])
+        return Swings(middles, possible, int(self.t_ns[0]), int(self.t_ns[-1]))
 
     def judged(self, begin_ns: int, end_ns: int) -> bool:
         """Whether the time between can be judged."""

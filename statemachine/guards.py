@@ -19,8 +19,9 @@ class Features(NamedTuple):
     ``toe_down_*`` is about the mediolateral axis, toe-down (plantarflexion) positive; ``toe_down_change_radps2`` is how
     fast that rate has grown in the last hundredths of a second. ``toe_down_peak_radps`` is the
     greatest toe-down rate since pre-swing began and ``toe_up_peak_radps`` the greatest toe-up rate since swing began
-    (both not negative). ``turned_rad`` is how far the foot has turned toe-down since it last turned back,
-    ``pitch_rad`` how far since it last lay flat, toe-up positive.
+    (both not negative). ``in_swing_s`` counts from the push-off that swing began with, or from a greater one that soon
+    followed: a weak push-off may come in two. ``turned_rad`` is how far the foot has turned toe-down since it last
+    turned back, ``pitch_rad`` how far since it last lay flat, toe-up positive.
     ``contact_jerk_mps3`` is the change of the vertical acceleration over the last 10 ms, or half that of the whole
     force where that is more, per second. ``since_contact_s`` counts from the last entry into loading response.
     ``resting_s`` is how long the foot has hardly turned; ``travelling``: its dead-reckoned speed says that it moves all
@@ -34,7 +35,7 @@ class Features(NamedTuple):
     turned_rad: float
     pitch_rad: float
     contact_jerk_mps3: float
-    in_phase_s: float
+    in_swing_s: float
     since_contact_s: float
     resting_s: float
     travelling: bool
@@ -57,9 +58,12 @@ class Thresholds(NamedTuple):
     heel_rise_after: float = 0.26  # … and this share of the stride after contact, before which no heel rises
     toe_up_share: float = 0.3  # T1–T3: a dragged foot swings without a push-off: toe-up above this rate …
     toe_up_after: float = 0.35  # … and, for T1, this share of the stride after contact
+    swung_share: float = 0.45  # T1: only a swing turns the foot toe-up by this share of a fall, …
+    swung_after_s: float = 0.25  # … but for a contact's rebound, which lasts no longer, whatever the cadence
     push_off_share: float = 0.4  # T2: no push-off has been seen below this share of its typical rate
     push_off_drop: float = 0.07  # T2: the rate has fallen by this share of its peak, so that a ripple is no peak
     swing_at_reversal: bool = False  # T2: wait until the foot turns toe-up (the paper's text, not its formula)
+    push_off_again: float = 0.15  # T3: of the stride: a greater push-off so soon after T2 begins the swing anew
     shortest_swing: float = 0.25  # T3: of the stride; toe-off's jolts end before …
     longest_swing_stride_s: float = 1.8  # … for swing does not lengthen with slower strides than this
     mid_swing_share: float = 0.65  # T3: mid-swing has been seen once the rate has fallen by this share of a fall
@@ -84,10 +88,14 @@ def t1(x: Features, p: Thresholds) -> bool:
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
     return (
-        x.toe_down_radps > p.heel_rise_share * rate
-        and x.turned_rad > p.heel_rise_rad
-        and x.since_contact_s > p.heel_rise_after * p.stride_s
-    ) or (-x.toe_down_radps > p.toe_up_share * rate and x.since_contact_s > p.toe_up_after * p.stride_s)
+        (
+            x.toe_down_radps > p.heel_rise_share * rate
+            and x.turned_rad > p.heel_rise_rad
+            and x.since_contact_s > p.heel_rise_after * p.stride_s
+        )
+        or (-x.toe_down_radps > p.toe_up_share * rate and x.since_contact_s > p.toe_up_after * p.stride_s)
+        or (-x.toe_down_radps > p.swung_share * p.fall_radps and x.since_contact_s > p.swung_after_s)
+    )
 
 
 def t2(x: Features, p: Thresholds) -> bool:
@@ -110,7 +118,7 @@ def t3(x: Features, p: Thresholds) -> bool:
     The paper states no "after mid-swing"; without it the jolt of toe-off counts as contact. It knows no soft contact.
     """
     rate = max(p.push_off_radps, 0.5 * p.fall_radps)
-    if x.in_phase_s < p.shortest_swing * min(p.stride_s, p.longest_swing_stride_s):
+    if x.in_swing_s < p.shortest_swing * min(p.stride_s, p.longest_swing_stride_s):
         return False
     if (
         x.toe_down_peak_radps + x.toe_up_peak_radps < p.mid_swing_share * p.fall_radps

@@ -591,11 +591,27 @@ def test_look_backs_are_times() -> None:
 
 def test_features_are_rates_per_second() -> None:
     core = Core(Phase.SWING)
+    core.state["toe_down_peak"] = 1.0
     x = core.feed(0.01, extra=np.array([0.0, 0.0, 7.0]))[-1]
     assert x.contact_jerk_mps3 == pytest.approx(700.0, rel=1e-6)
     x = core.feed(0.02, (0.0, 0.4, 0.0))[-1]
     assert x.toe_down_radps == pytest.approx(0.4, abs=1e-3)
-    assert x.in_phase_s == pytest.approx(0.03)
+    assert x.in_swing_s == pytest.approx(0.03)
+
+
+def test_a_swing_is_as_old_as_the_greater_of_two_push_offs() -> None:
+    def in_swing_s(turn_s: float, *, toe_up_radps: float = 0.0) -> float:
+        core = Core(Phase.SWING)
+        core.feed(0.01, (0.0, 1.0, 0.0))
+        core.feed(turn_s - 0.02, (0.0, -toe_up_radps, 0.0))
+        return core.feed(0.02, (0.0, 2.0, 0.0))[-1].in_swing_s
+
+    core = Core(Phase.SWING)
+    soon_s = 0.5 * core.measures().push_off_again * core.measures().stride_s
+    late_s = 1.5 * core.measures().push_off_again * core.measures().stride_s
+    assert in_swing_s(soon_s) == pytest.approx(0.01)
+    assert in_swing_s(late_s) == pytest.approx(late_s + 0.01, abs=0.011)
+    assert in_swing_s(soon_s, toe_up_radps=4.0) == pytest.approx(soon_s + 0.01, abs=0.011)
 
 
 def test_of_a_jump_sideways_half_counts() -> None:

@@ -48,6 +48,7 @@ SLOW_TO_LOAD_S = 1.3 * P.longest_loading_stride_s
 LEAST_PEAK, LEAST_FALL = P.push_off_share * P.push_off_radps, P.mid_swing_share * P.fall_radps
 LEFT = (1.0 - P.push_off_drop) * RATE  # the peak of a typical push-off is left below this rate
 TOE_UP, WEAK_TOE_UP = P.toe_up_share * RATE, P.toe_up_share * WEAK_RATE
+SWUNG = P.swung_share * P.fall_radps
 JERK_MPS3 = P.jerk_share * P.contact_jerk_mps3
 HEEL_RISE = NOTHING._replace(
     toe_down_radps=2.0 * P.heel_rise_share * RATE,
@@ -60,7 +61,7 @@ CONTACT = NOTHING._replace(
     toe_down_peak_radps=RATE,
     toe_up_peak_radps=UP_RADPS,
     contact_jerk_mps3=2.0 * JERK_MPS3,
-    in_phase_s=2.0 * P.shortest_swing * STRIDE_S,
+    in_swing_s=2.0 * P.shortest_swing * STRIDE_S,
 )
 FLAT = NOTHING._replace(since_contact_s=1.1 * P.shortest_loading * STRIDE_S, resting_s=2.0 * P.flat_share * STRIDE_S)
 RESTING = NOTHING._replace(resting_s=2.0 * P.put_back * STRIDE_S)
@@ -121,9 +122,15 @@ CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
     (Transition.T1, "of a weak push-off, a dragged foot",
      {**NO_PUSH_OFF, "push_off_radps": 2.0, "toe_down_radps": -above(WEAK_TOE_UP)}, True),
     (Transition.T1, "toe-up too soon after contact",
-     {"toe_down_radps": -RATE, "since_contact_s": P.toe_up_after * STRIDE_S}, False),
+     {"toe_down_radps": -above(TOE_UP), "since_contact_s": P.toe_up_after * STRIDE_S}, False),
     (Transition.T1, "toe-up just late enough",
-     {"toe_down_radps": -RATE, "since_contact_s": above(P.toe_up_after * STRIDE_S)}, True),
+     {"toe_down_radps": -above(TOE_UP), "since_contact_s": above(P.toe_up_after * STRIDE_S)}, True),
+    (Transition.T1, "as much toe-up as a swing's, at the limit",
+     {"toe_down_radps": -SWUNG, "since_contact_s": above(P.swung_after_s)}, False),
+    (Transition.T1, "a swing that stance does not know of",
+     {"toe_down_radps": -above(SWUNG), "since_contact_s": above(P.swung_after_s)}, True),
+    (Transition.T1, "a contact's rebound",
+     {"toe_down_radps": -above(SWUNG), "since_contact_s": P.swung_after_s}, False),
     (Transition.T2, "the peak has passed", {}, True),
     (Transition.T2, "the least push-off", {"toe_down_peak_radps": LEAST_PEAK, "toe_down_radps": 0.0}, True),
     (Transition.T2, "less than a push-off", {"toe_down_peak_radps": below(LEAST_PEAK), "toe_down_radps": 0.0}, False),
@@ -144,12 +151,12 @@ CASES: list[tuple[Transition, str, dict[str, Any], bool]] = [
     (Transition.T3, "a jump at the limit", {"contact_jerk_mps3": JERK_MPS3}, False),
     (Transition.T3, "a jump just above the limit", {"contact_jerk_mps3": above(JERK_MPS3)}, True),
     (Transition.T3, "no jump", SILENT, False),
-    (Transition.T3, "the least duration of a swing", {"in_phase_s": P.shortest_swing * STRIDE_S}, True),
-    (Transition.T3, "the jolt of toe-off", {"in_phase_s": below(P.shortest_swing * STRIDE_S)}, False),
+    (Transition.T3, "the least duration of a swing", {"in_swing_s": P.shortest_swing * STRIDE_S}, True),
+    (Transition.T3, "the jolt of toe-off", {"in_swing_s": below(P.shortest_swing * STRIDE_S)}, False),
     (Transition.T3, "the least of a slow walker's",
-     {**SLOW, "in_phase_s": P.shortest_swing * P.longest_swing_stride_s}, True),
+     {**SLOW, "in_swing_s": P.shortest_swing * P.longest_swing_stride_s}, True),
     (Transition.T3, "a slow walker's jolt of toe-off",
-     {**SLOW, "in_phase_s": below(P.shortest_swing * P.longest_swing_stride_s)}, False),
+     {**SLOW, "in_swing_s": below(P.shortest_swing * P.longest_swing_stride_s)}, False),
     (Transition.T3, "the least fall", {"toe_down_peak_radps": LEAST_FALL, "toe_up_peak_radps": 0.0,
                                        "toe_down_radps": 0.01}, True),
     (Transition.T3, "no mid-swing yet", {"toe_down_peak_radps": below(LEAST_FALL), "toe_up_peak_radps": 0.0,

@@ -36,16 +36,16 @@ def test_terms_say_what_the_guard_says(row: Row, x: Features, p: Thresholds) -> 
 def late(x: Features, p: Thresholds) -> bool:
     """Only for this test."""
     least_s = 2.0 * p.stride_s
-    if x.in_phase_s < least_s or not x.travelling:
+    if x.in_swing_s < least_s or not x.travelling:
         return False
     return x.toe_down_radps > 1.0 or not x.turned_rad <= 0.5
 
 
 def test_values_limits_signs_and_reasons() -> None:
-    x = Features(*[0.0] * (len(Features._fields) - 1), False)._replace(in_phase_s=3.0, toe_down_radps=0.25)
+    x = Features(*[0.0] * (len(Features._fields) - 1), False)._replace(in_swing_s=3.0, toe_down_radps=0.25)
     terms = terms_of(late, x, Thresholds(stride_s=1.0))
     assert list(terms.each()) == [
-        Term("in phase", 3.0, "≥", 2.0, "least_s", "s", True),
+        Term("in swing", 3.0, "≥", 2.0, "least_s", "s", True),
         Term("travelling", False, "=", True, "", "yes or no", False),
         Term("toe down", 0.25, ">", 1.0, "1.0", "rad/s", False),
         Term("turned", 0.0, ">", 0.5, "0.5", "rad", False),

@@ -28,7 +28,7 @@ FIELDS: list[Any] = [
     ("samples", np.int64),
     ("t_ns", np.int64),
     ("phase", np.int64),
-    ("phase_since_ns", np.int64),
+    ("swing_ns", np.int64),  # when swing began, or the greater push-off that followed
     ("contact_ns", np.int64),
     ("turning_ns", np.int64),  # last sample at which the foot turned
     ("toe_down", np.float64),
@@ -59,7 +59,7 @@ def start_phases(core: Record, t_ns: int) -> None:
     state.samples = 0
     state.t_ns = t_ns
     state.phase = 0
-    state.phase_since_ns = t_ns
+    state.swing_ns = t_ns
     state.contact_ns = state.turning_ns = t_ns - LONG_AGO_NS
     state.toe_down_peak = state.toe_up_peak = state.turned_rad = state.pitch_rad = 0.0
     state.toe_down = state.toe_down_late = state.contact_jerk = state.greatest_jerk = state.speed = state.peak_speed = (
@@ -81,7 +81,7 @@ def features(state: Record) -> Features:
         state.turned_rad,
         state.pitch_rad,
         state.contact_jerk,
-        1e-9 * (state.t_ns - state.phase_since_ns),
+        1e-9 * (state.t_ns - state.swing_ns),
         1e-9 * (state.t_ns - state.contact_ns),
         resting_s,
         resting_s < LONG_REST_S and state.speed > max(STILL_MPS, STILL_SHARE * state.peak_speed),
@@ -104,11 +104,19 @@ def observe(core: Record, toe_down: float, rate_radps: float, contact_jerk: floa
     state.turned_rad = max(state.turned_rad + toe_down * dt_s, 0.0) if toe_down > 0.0 else 0.0
     state.toe_down_late += dt_s / (LATE_S + dt_s) * (toe_down - state.toe_down_late)
     state.toe_down = toe_down
+    level = max(thresholds.push_off_radps, 0.5 * thresholds.fall_radps)
+    if (
+        state.phase == 2
+        and toe_down > state.toe_down_peak
+        and state.toe_up_peak < thresholds.toe_up_share * level
+        and state.t_ns - state.swing_ns < 1e9 * thresholds.push_off_again * thresholds.stride_s
+    ):
+        state.swing_ns = state.t_ns
     state.toe_down_peak = max(state.toe_down_peak, toe_down)
     state.toe_up_peak = max(state.toe_up_peak, -toe_down)
     state.contact_jerk = contact_jerk
     state.greatest_jerk = max(state.greatest_jerk, contact_jerk)
-    if rate_radps >= thresholds.rest_share * max(thresholds.push_off_radps, 0.5 * thresholds.fall_radps):
+    if rate_radps >= thresholds.rest_share * level:
         state.turning_ns = state.t_ns
     state.pitch_rad -= toe_down * dt_s
     if state.phase == 0 and state.t_ns - state.turning_ns > 1e9 * thresholds.flat_share * thresholds.stride_s:
@@ -141,6 +149,7 @@ def enter_phase(core: Record, phase: int) -> None:
     elif phase == 2:
         state.toe_up_peak = 0.0
         state.greatest_jerk = 0.0
+        state.swing_ns = state.t_ns
     elif phase == 3:
         peak, fall = state.toe_down_peak, state.toe_down_peak + state.toe_up_peak
         stride_s = 1e-9 * (state.t_ns - state.contact_ns)
@@ -154,7 +163,6 @@ def enter_phase(core: Record, phase: int) -> None:
         jerk = _follow(thresholds.contact_jerk_mps3, state.greatest_jerk, known.contact_jerk_mps3)
         thresholds.contact_jerk_mps3 = jerk
     state.phase = phase
-    state.phase_since_ns = state.t_ns
 
 
 @jit_ieee
