@@ -3,8 +3,9 @@
     python benchmarks/every_walker.py [--only SET …] [--persons …] [--jobs N] [--data FOLDER] [--json FILE]
 
 All sets of the data folder ("known") and of its ``unseen_walkers``. Swings are found by ``fes/analysis/swings.py``,
-from the raw signals; on footswitch_treadmill the labels are the truth. What is judged is what users get: calibration
-from the recording itself, phases and strides as they come live ("causal"), and ``fes analyse`` ("off-line").
+from the raw signals; on footswitch_treadmill by the labels, and a swing that these lack and the raw signals show may
+be there too: a dragged foot keeps a switch closed. What is judged is what users get: calibration from the recording
+itself, phases and strides as they come live ("causal"), and ``fes analyse`` ("off-line").
 
 Per foot: strides with the four phases in order; false swings per 100; swings answered by a stride with a length, and
 those for which a stride says why it has none; speed over the belt's (last 120 s; length over the time from the end of
@@ -112,6 +113,7 @@ class Found:
     elsewhere_same: int = 0
     later_ms: dict[str, list[float]] = field(default_factory=dict)
     flat_ms: list[float] = field(default_factory=list)
+    by_labels_alone: int = 0
 
     @property
     def share(self) -> float:
@@ -321,6 +323,7 @@ def against_labels(found: Found, labels: Labelled, swings: Swings, changes: list
         if not labels.judged(begin, end):
             continue
         found.in_order += ordered
+        found.by_labels_alone += fired == IN_ORDER
         found.flat_ms.append(1e3 * labels.stimulated_flat_s(changes, begin, end))
         if fired == IN_ORDER:
             true = labels.times(begin, end)
@@ -490,12 +493,18 @@ def strike_lines(found: list[Found]) -> list[str]:
 
 
 def low_lines(found: list[Found]) -> list[str]:
-    """Feet below 90 % of the floor walks, and who was refused."""
+    """Feet below 90 % of the floor walks, what labels alone say, and who was refused."""
     low = [f for f in found if f.data_set == "stroke_walks" and f.strides and f.share < 90.0]
     lines = []
     if any(f.data_set == "stroke_walks" for f in found):
         each = ", ".join(f"{f.run} {f.sensor.split('_')[0]} {f.share:.0f}" for f in sorted(low, key=lambda f: f.share))
         lines.append(f"stroke_walks, feet below 90 %: {len(low)}: {each}")
+    for part, persons in (("healthy", "H"), ("hemiparetic", "P")):
+        feet = [f for f in found if f.data_set == "footswitch_treadmill" and f.person[0] in persons]
+        feet = [f for f in feet if f.person not in LYING and f.run not in DRIFTING]
+        if strides := sum(f.strides for f in feet):
+            alone = 100.0 * sum(f.by_labels_alone for f in feet) / strides
+            lines.append(f"footswitch, {part}, by the labels alone: {alone:.2f} % of {strides} strides in order")
     return lines + [f"refused: {f.run} {f.sensor}: {f.refused}" for f in found if f.refused]
 
 
