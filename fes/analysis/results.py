@@ -29,7 +29,7 @@ from fes.estimation.tracking.tracker import Outcome, SampleCounts
 from fes.recording import Recording
 from fes.recording.chunks import Chunk
 from fes.recording.tracks import newer_samples
-from fes.signals import StrideResult
+from fes.signals import NS_PER_S, IntArray, StrideResult
 from fes.walk_record import Note, SampleArrays, WalkRecord
 from statemachine.phases import PhaseChange
 
@@ -67,6 +67,7 @@ class Analysis:
     where there is none the shank's, for which there are no ``events`` and no path; ``no_path`` says why. ``points`` are
     toe and heel. ``blocks`` is what the feet's trackers found, as arrays, and ``outcomes`` what the shanks' found;
     phase changes, strides and the strides' trajectories are made from them when they are first asked for.
+    ``walking_ns`` (M, 2), where given, are begins and ends of walking (:mod:`fes.analysis.bouts`): only that is told.
     """
 
     recording: Recording
@@ -82,20 +83,31 @@ class Analysis:
     chunk: Chunk | None = None
     path_begins_ns: dict[str, int] = field(default_factory=dict)
     causal_events: dict[str, list[tuple[Rule, Decision]]] = field(default_factory=dict)
+    walking_ns: IntArray | None = None
 
     @cached_property
     def phases(self) -> list[PhaseChange]:
         """All feet's phase changes by time."""
         found = [change for block in self.blocks.values() for change in block.changes]
         found += [each for own in self.outcomes.values() for each in own if isinstance(each, PhaseChange)]
-        return sorted(found, key=attrgetter("t_ns"))
+        return sorted((each for each in found if self._walked(each.t_ns, each.t_ns)), key=attrgetter("t_ns"))
 
     @cached_property
     def strides(self) -> list[StrideResult]:
         """All feet's strides by their beginnings."""
         found = [stride for block in self.blocks.values() for stride in block.strides()]
         found += [each for own in self.outcomes.values() for each in own if isinstance(each, StrideResult)]
-        return sorted(found, key=attrgetter("t_start_ns"))
+        kept = (each for each in found if self._walked(each.t_swing_ns, each.t_loading_response_ns))
+        return sorted(kept, key=attrgetter("t_start_ns"))
+
+    def _walked(self, begin_ns: int | None, end_ns: int | None) -> bool:
+        """Whether it lies within one of the ``walking_ns``, where these are known."""
+        if self.walking_ns is None:
+            return True
+        if begin_ns is None or end_ns is None:
+            return False
+        part = int(np.searchsorted(self.walking_ns[:, 0], begin_ns, side="right")) - 1
+        return part >= 0 and end_ns <= int(self.walking_ns[part, 1])
 
     @cached_property
     def stride_paths(self) -> dict[str, list[FootPath]]:
@@ -141,7 +153,8 @@ class Analysis:
             assert isinstance(calibration, FootCalibration)
             t_ns, _, gyr = newer_samples(self.recording.tracks[foot])
             angles = foot_strike_angles(t_ns, gyr, events, calibration)
-            own = slice(None) if self.chunk is None else self.chunk.owns(events.mid_swing_ns)
+            own = np.array([self._walked(t_ns, t_ns) for t_ns in events.mid_swing_ns.tolist()], np.bool_)
+            own &= True if self.chunk is None else self.chunk.owns(events.mid_swing_ns)
             seconds = (1e-9 * t[own] for t in (events.fo_ns, events.mid_swing_ns, events.ic_ns))
             names = [column.name for column in EVENT_COLUMNS[1:]]
             columns = [column.tolist() for column in (*seconds, angles[own])]
@@ -160,7 +173,12 @@ class Analysis:
             row
             for foot, path in self.paths.items()
             for row in self._own_part(path).rows(origin_ns=self.path_begins_ns.get(foot))
+            if self.walking_ns is None or self._on_path(foot, row["t_s"])
         ]
+
+    def _on_path(self, foot: str, t_s: float) -> bool:
+        t_ns = self.path_begins_ns.get(foot, int(self.paths[foot].t_ns[0])) + round(t_s * NS_PER_S)
+        return self._walked(t_ns, t_ns)
 
     def _own_part(self, path: GroundPath) -> GroundPath:
         """The part of a path that is this chunk's own."""

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import click
 
+from fes.analysis.bouts import Bout, Stride, bout_tables, bouts_of, kept_of, spans_ns, walking_only
 from fes.analysis.methods import Methods
 from fes.analysis.pipeline import analyse, analyse_chunks, calibrations_of, calibrations_of_chunks
 from fes.analysis.results import Analysis
@@ -26,6 +27,7 @@ from fes.estimation.foot.calibration import CalibrationError
 from fes.estimation.zupt.detectors import Detector
 from fes.recording import RecordingError, read_recording
 from fes.recording.chunks import ALWAYS_NS, NEVER_NS, Chunk, keep_freed_memory, recording_chunks
+from fes.walk_record import finite_or_none
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping
@@ -66,6 +68,7 @@ class Options:
     stride_method: Literal["maximum_likelihood", "constrained"]
     path_filter: str
     causal_events: bool
+    bouts: bool
     report: bool
 
     def ground(self, recording: Recording) -> Ground:
@@ -96,6 +99,7 @@ class Options:
     "--path", "path_filter", of=FILTERS, help="Filter and smooth the path over intervals, or from sample to sample."
 )
 @click.option("--causal-events", is_flag=True, help="Also events as known on-line (Kumar et al.): events_causal.")
+@click.option("--bouts", is_flag=True, help="Of a free-living day: walking only, with bouts, turns, stairs and slopes.")
 @click.option("--no-report", is_flag=True, help="Write no HTML report.")
 def command(
     recordings: tuple[Path, ...], calibration: Path | None, hemiparetic: bool, no_report: bool, **chosen: Any
@@ -117,6 +121,9 @@ def command(
 
     Who replicates a paper chooses with --detector, --stride-method and --path other methods than those of every report,
     and with --causal-events has a table of when contact and foot off would have been known while walking.
+
+    With --bouts, of a day in which other things were done too, only what is walking yields strides, and there are
+    tables of walking bouts, of turns, of stairs and slopes, and of means over bouts of each length.
 
     A recording of more than half an hour is analysed in pieces, with a report of each: memory does not grow with it.
 
@@ -161,10 +168,14 @@ def command(
             analyse_long(path, found, asked, methods, ground)
             continue
         result = analyse(recording, found.calibrations, ground=ground, methods=methods)
-        folder = fresh_folder(asked.out, path.stem)
+        folder, bouts = fresh_folder(asked.out, path.stem), list[Bout]()
+        if asked.bouts:
+            bouts = bouts_of(kept_of(result.strides))
+            result = replace(result, walking_ns=spans_ns(bouts))
+            _write_bouts(bouts, folder, asked)
         for name in asked.tables():
             write_table(TABLES[name](result), folder / f"{name}.{asked.kind}")
-        _show(result, _gait(result, folder, asked), folder, asked)
+        _show(result, _gait(result, folder, asked), folder, asked, bouts)
     if failures:
         click.secho(f"{failures} of {len(recordings)} recordings could not be used.", fg="red", err=True)
         raise SystemExit(FAILED)
@@ -217,7 +228,39 @@ def _gait(result: Analysis, folder: Path, asked: Options) -> tuple[GaitParameter
     return parameters, walk
 
 
-def _show(result: Analysis, gait: tuple[GaitParameters, HemipareticWalk | None], folder: Path, asked: Options) -> None:
+def _write_bouts(bouts: list[Bout], folder: Path, asked: Options) -> None:
+    for name, rows in bout_tables(bouts).items():
+        write_table(rows, folder / f"{name}.{asked.kind}")
+
+
+def _bouts_shown(bouts: list[Bout]) -> Any:
+    """Bouts by their length, for the screen."""
+    from rich.table import Table
+
+    titles = ("bouts", "number", "minutes", "strides", "km", "turns", "cadence", "speed, m/s", "stride, m")
+    table = Table(*titles, title="Walking bouts")
+    for row in bout_tables(bouts)["bouts_by_length"]:
+        numbers = [f"{row[f'{key}_mean']:.2f}" for key in ("speed_mps", "stride_length_m")]
+        minutes, km = row["duration_s_sum"] / 60.0, row["distance_m_sum"] / 1000.0
+        cells = (
+            row["length"],
+            str(row["bouts"]),
+            f"{minutes:.1f}",
+            str(row["strides"]),
+            f"{km:.2f}",
+            str(row["turns"]),
+        )
+        table.add_row(*cells, f"{row['cadence_per_min_mean']:.0f}", *numbers)
+    return table
+
+
+def _show(
+    result: Analysis,
+    gait: tuple[GaitParameters, HemipareticWalk | None],
+    folder: Path,
+    asked: Options,
+    bouts: list[Bout],
+) -> None:
     from fes.report.summary import summarise_session
     from fes.report.tables import stride_table, summary_block
 
@@ -237,14 +280,14 @@ def _show(result: Analysis, gait: tuple[GaitParameters, HemipareticWalk | None],
                 "paths": result.path_summary(),
                 "parameters": parameters.to_json(),
                 **({} if walk is None else {"hemiparetic": walk.to_json()}),
+                **(finite_or_none(bout_tables(bouts)) if asked.bouts else {}),
                 "files": {"folder": str(folder)},
             }
         )
         return
     lines = [*_clearance_lines(result), *_path_lines(result)]
-    _print_parameters(
-        [stride_table(summary), summary_block(summary)], parameters, walk, lines, _strides_by_foot(result)
-    )
+    tables = [*([_bouts_shown(bouts)] if asked.bouts else []), stride_table(summary), summary_block(summary)]
+    _print_parameters(tables, parameters, walk, lines, _strides_by_foot(result))
     click.echo(f"Tables  {folder}/")
     if asked.report:
         click.echo(f"Report  {page}  (open it in a browser)")
@@ -332,7 +375,9 @@ def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods:
     with ExitStack() as stack:
         names = [*asked.tables(), "parameters"]
         files = {name: stack.enter_context(TableFile(folder / f"{name}.{kind}")) for name in names}
-        for result in analyse_chunks(named, found.calibrations, ground=ground, methods=methods):
+        kept: list[Stride] = []
+        analyses = analyse_chunks(named, found.calibrations, ground=ground, methods=methods)
+        for result in walking_only(analyses, kept) if asked.bouts else analyses:
             parameters = gait_parameters(result)
             gait = gait or ChunkedGait(result.recording.belt_speed_mps)
             gait.add(parameters, result.strides)
@@ -340,20 +385,29 @@ def analyse_long(path: Path, found: SensorCalibrations, asked: Options, methods:
                 files[name].add(TABLES[name](result))
             files["parameters"].add(parameters.rows())
             chunks.append(_summarised(result))
-            if asked.report or asked.as_json:
+            if not asked.bouts and (asked.report or asked.as_json):
                 _report_chunk(result, parameters, folder, len(chunks), asked)
             del result, parameters  # or it would stay while the next chunk is worked on
     assert gait is not None
     every = gait.parameters()
     write_table(every.summary_rows(), folder / f"parameters_summary.{kind}")
     write_table([row for one in gait.mean_strides() for row in one.rows()], folder / f"mean_stride.{kind}")
+    bouts = bouts_of(kept)
+    if asked.bouts:
+        _write_bouts(bouts, folder, asked)
+    if asked.bouts and asked.as_json:
+        tables = finite_or_none(bout_tables(bouts))
+        print_json({"parameters": every.to_json(), **tables, "files": {"folder": str(folder)}})
+        return
     if asked.as_json:
         last = {"parameters": every.to_json(), "files": {"folder": str(folder)}}
         click.echo("],\n" + json.dumps(last, indent=2, ensure_ascii=False)[2:])
         return
+    if asked.bouts:
+        screen().print(_bouts_shown(bouts))
     _show_chunks(chunks, every)
     click.echo(f"Tables  {folder}/")
-    if asked.report:
+    if asked.report and not asked.bouts:
         click.echo(f"Reports {folder / 'report-01.html'} and on, one a chunk  (open them in a browser)")
 
 

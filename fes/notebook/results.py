@@ -14,6 +14,7 @@ from fes.analysis.parameters.strides import StrideParameters
 from fes.analysis.results import PHASE_COLUMNS, Analysis, phase_row
 from fes.analysis.tables import Table, join_tables, table_of
 from fes.estimation.strides import schema
+from fes.notebook.plots import Plots
 from fes.recording import Recording
 from fes.session_log import SessionRecord
 
@@ -42,6 +43,11 @@ class Result:
     path: Table
     parameters: GaitParameters
     _analyses: Callable[[], Iterator[Analysis]]
+
+    @property
+    def plot(self) -> Plots:
+        """Figures by matplotlib: ``strides``, ``phases``, ``path``, ``butterfly``; each returns its axes."""
+        return Plots(self)
 
     def __iter__(self) -> Iterator[Result]:
         for analysis in self._analyses():

@@ -179,7 +179,8 @@ def _track(path: Path, sidecar: Sidecar, sensor: str, raw: RawTrack, judged: Jud
     if span_s + 1.0 / rate_hz < MIN_DURATION_S:
         raise RecordingError(f"{where}: lasts {span_s:.3f} s; a recording needs at least {MIN_DURATION_S:g} s")
     factors = sidecar.factors_of(name)
-    check_units(where, raw.acc, raw.gyr, rate_hz, sidecar.acc_unit_of(name), sidecar.gyr_unit_of(name))
+    if before is None:  # a quarter of an hour on a bicycle has no instant at which a foot feels gravity alone
+        check_units(where, raw.acc, raw.gyr, rate_hz, sidecar.acc_unit_of(name), sidecar.gyr_unit_of(name))
     acc, gyr = (values if by == 1.0 else values * by for values, by in zip((raw.acc, raw.gyr), factors, strict=True))
     clipped = np.zeros(len(acc), bool)
     ranges = columns.acc_range, columns.gyr_range
