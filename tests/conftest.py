@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from examples import NIGHTLY
 from hypothesis import HealthCheck, settings
 from replays import Replays
 
@@ -24,8 +25,11 @@ if TEST_BUS := os.environ.get("FES_TEST_BUS", ""):
 
     can_node_spawn.free_bus = free_bus
 
-# how long one example takes tells of the machine and what else runs on it, not of what is tested
-settings.register_profile("any machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# how long one example takes tells of the machine and what else runs on it, not of what is tested; the same examples
+# each time, so that a change is judged by what it changed: new ones are for `make nightly`
+settings.register_profile(
+    "any machine", derandomize=not NIGHTLY, deadline=None, suppress_health_check=[HealthCheck.too_slow]
+)
 settings.load_profile("any machine")
 
 if "MUTANT_UNDER_TEST" in os.environ:  # a busy machine must not look like a test that noticed the mutant
