@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from io import StringIO
 from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 from live_parts import MS, FakeStimulator, Lost
 from replays import SETTINGS
+from rich.console import Console
 from test_live_operator import CALIBRATION, FOOT, settings
 from test_live_run import SENSOR, run
 
@@ -21,7 +23,9 @@ from fes.config.session import Live
 from fes.control.controller import Controller
 from fes.live.log_pipe import PipedLog
 from fes.live.session import LiveSession, live_header
+from fes.live.status import Status
 from fes.live.stimulator import Electrodes, LiveStimulator
+from fes.live.terminal_view import picture
 from fes.session_log import SessionLogError
 from fes.session_log.writer import SessionWriter
 from fes.signals import (
@@ -270,3 +274,17 @@ def test_a_log_with_nonsense_for_identifier_or_calibration_is_refused(
     log.close({"ended": "complete"})
     with pytest.raises(SessionLogError, match=f"s.feslog: .* cannot be replayed .*{said}"):
         repeat(tmp_path / "s.feslog")
+
+
+def test_thresholds_of_the_session_are_on_the_terminal_with_where_they_come_from(tmp_path: Path) -> None:
+    changed = settings().model_copy(update={"thresholds": {"rest_share": 0.2, "origin": "fes sweep, 3 walks"}})
+    log = PipedLog(tmp_path / "session.feslog", {})
+    stimulator = LiveStimulator(FakeStimulator(), lambda: (_ for _ in ()).throw(Lost("no")), Lost, lambda: 0)
+    live = LiveSession(changed, {FOOT: CALIBRATION}, log, stimulator, lambda: 0)
+    log.close({})
+    (line,) = [notice for notice in live.notices.now(0) if "thresholds" in notice]
+    assert line == "thresholds of the session: rest_share 0.2 (from: fes sweep, 3 walks)"
+    console = Console(file=StringIO(), width=120)
+    console.print(picture(Status(0, "off", notices=[line])))
+    assert isinstance(console.file, StringIO)
+    assert f"! {line}" in console.file.getvalue()
