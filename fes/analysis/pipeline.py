@@ -33,6 +33,8 @@ from fes.recording.chunks import Chunk
 from fes.recording.tracks import UNLABELLED_FEET, newer_samples
 from fes.signals import FOOT_SENSORS, FloatArray, IntArray, StrideResult
 
+SURE = 0.95  # a chunk's calibration that is as sure is taken for the whole recording
+
 
 def analyse(
     recording: Recording,
@@ -213,13 +215,23 @@ def calibrations_of(recording: Recording, *, incline: float = 0.0) -> tuple[Reco
     return recording, found
 
 
+def _sureness(calibration: Calibration) -> float:
+    """0 to 1: how sure the axis is, by strides that are few or many."""
+    return calibration.axis_confidence * (1.0 - 1.0 / max(calibration.strides, 1))
+
+
+def _sure(found: SensorCalibrations) -> bool:
+    return not found.missing and min(map(_sureness, found.calibrations.values())) > SURE
+
+
 def calibrations_of_chunks(
     chunks: Iterable[Chunk], stored: Path | SensorCalibrations | None = None, *, incline: float = 0.0
 ) -> SensorCalibrations:
-    """Calibrations for a recording in chunks, of each sensor from the first chunk that shows it.
+    """Calibrations for a recording in chunks, of each sensor from the chunk that shows it best, or well enough.
 
-    All chunks are taken, so that what is wrong with a later part of a file is raised here. ``stored`` are calibrations
-    to use instead, which must fit; ``incline`` as of :func:`fes.calibration.recording.calibrate_track`.
+    Some chunks of a day show a few movements that are hardly a walk. All chunks are taken, so that what is wrong with a
+    later part of a file is raised here. ``stored`` are calibrations to use instead, which must fit; ``incline`` as of
+    :func:`fes.calibration.recording.calibrate_track`.
 
     Raises:
         RecordingError: a chunk of the file cannot be used.
@@ -228,7 +240,7 @@ def calibrations_of_chunks(
     found: SensorCalibrations | None = None
     failed: CalibrationError | None = None
     for chunk in chunks:
-        if found is not None and (stored is not None or not found.missing):
+        if found is not None and (stored is not None or _sure(found)):
             continue
         recording = chunk.recording if found is None else labelled(chunk.recording, found.sides)
         try:
@@ -245,7 +257,13 @@ def calibrations_of_chunks(
         if found is None:
             found = new[1]
         else:
-            calibrations = {**new[1].calibrations, **found.calibrations}
+            calibrations = {
+                sensor: max(
+                    (each[sensor] for each in (found.calibrations, new[1].calibrations) if sensor in each),
+                    key=_sureness,
+                )
+                for sensor in {**found.calibrations, **new[1].calibrations}
+            }
             missing = {sensor: why for sensor, why in found.missing.items() if sensor not in calibrations}
             found = replace(found, calibrations=calibrations, missing=missing)
     if found is None:

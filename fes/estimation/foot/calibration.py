@@ -47,6 +47,7 @@ MIN_STRIDES = 2
 MIN_TRAVEL_M = 0.15
 MIN_SCORE = 0.5
 FEW_STRIDES, FEW_SCORE = 4, 0.85  # so few strides must agree better
+LEAST_FALL_RADPS = 1.0  # of any swing; a foot that shuffles falls by 2.4
 LEAST_LIVELY_MPS2 = 0.01  # mean departure from gravity in strides: a slow foot's is 0.5, a sensor's noise is more
 START_TURNS_RAD = (0.0, 0.25 * np.pi, -0.25 * np.pi)  # from the axis of most rotation, with both signs
 PASSES = 3
@@ -215,6 +216,12 @@ def calibrate_foot(
     axis = _blend(walk, travel, up)
     toe_down, around = gyr @ axis, max(round(SMOOTH_S * rate_hz), 1)
     push_off = _around(np.maximum, toe_down, walk.push_offs, around)
+    fall_radps = median(push_off - _around(np.minimum, toe_down, walk.mids, around))
+    if fall_radps < LEAST_FALL_RADPS:
+        raise CalibrationError(
+            f"{sensor}: its strides turn the foot by {fall_radps:.1f} rad/s from push-off to mid-swing, "
+            "which no walk does. Calibrate on a stretch of walking straight ahead."
+        )
     between_s = 1e-9 * np.diff(t_ns[walk.mids]).astype(np.float64)
     between_s = between_s[between_s < STRIDE_S[1]]
     lag, _ = lags_at(rate_hz)
@@ -228,7 +235,7 @@ def calibrate_foot(
         acc_bias_mps2=_vector(acc_bias),
         gyr_bias_radps=_vector(rate_bias),
         push_off_radps=median(push_off),
-        fall_radps=median(push_off - _around(np.minimum, toe_down, walk.mids, around)),
+        fall_radps=fall_radps,
         stride_s=median(between_s) if len(between_s) else USUAL_STRIDE_S,
         contact_jerk_mps3=max(median(jumps) if len(jumps) else 0.0, LEAST_JUMP_MPS3),
         axis_confidence=confidence,
