@@ -263,8 +263,10 @@ def _find_walk(
         moved = follow(t_ns, acc, gyr, walk.spans)
         travel = _turned_back(moved["way"], moved["turn"], up)
         ends = unrest[walk.spans].max(axis=1)
-        cut = ends > MOST_RESTLESS * max(percentile(ends, 25.0), LEAST_UNREST)
+        usual = max(percentile(ends, 25.0), LEAST_UNREST)
+        cut = ends > MOST_RESTLESS * usual
         far = (_sizes(travel) > MIN_TRAVEL_M) & ~cut
+        travel *= (usual / (usual + ends))[:, None]  # what a foot that does not rest leaves in the way is no travel
         if far.sum() > most:
             most, lively = int(far.sum()), moved["lively"][far] / (1 + walk.spans[far, 1] - walk.spans[far, 0])
         if far.sum() < MIN_STRIDES:
