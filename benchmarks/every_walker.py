@@ -36,7 +36,7 @@ from event_cases import gaitmap_cases
 from real_sets import Walk, gaitmap_walk, pyshoe_vicon, ruler_walks
 from rich.table import Table
 from stroke_treadmill import LAST_S, data_folder, load_run, track_of
-from swing_judge import IN_ORDER, Labelled, fired_by_stride, in_order, labelled, pairs, score, swing_phases
+from swing_judge import IN_ORDER, Labelled, answered, fired_by_stride, in_order, labelled, pairs, score, swing_phases
 
 from fes.analysis.pipeline import analyse
 from fes.analysis.swings import Swings, find_swings
@@ -101,7 +101,8 @@ class Found:
     explained: int = 0
     speed_causal: float = float("nan")
     speed_offline: float = float("nan")
-    fast: list[bool] = field(default_factory=list)
+    fast: int = 0  # swings of cycles that last less than FAST_S, …
+    fast_answered: int = 0  # … and those of them with a length
     length_cm: list[float] = field(default_factory=list)
     length_fast: list[bool] = field(default_factory=list)
     length_causal_cm: list[float] = field(default_factory=list)
@@ -253,6 +254,13 @@ def cycle_s(swings: Swings, stride: StrideResult) -> float:
     return 1e-9 * float(near.min()) if len(near) else float("inf")
 
 
+def cycles_s(swings: Swings) -> list[float]:
+    """The time from each whole swing to the one before or after, the shorter of both."""
+    gaps_s = np.append(1e-9 * np.diff(swings.sure), np.inf)
+    at = np.searchsorted(swings.sure, swings.whole())
+    return np.minimum(gaps_s[at], gaps_s[at - 1]).tolist()
+
+
 def length_errors(walk: Walk, swings: Swings, strides: Iterable[StrideResult]) -> tuple[list[float], list[bool]]:
     """Errors of length (cm) of the strides that the reference can judge, and whether each was fast."""
     judged = [(s, walk.true_length_m(s)) for s in strides if s.valid and walk.comparable(s)]
@@ -273,7 +281,6 @@ def judge(foot: Foot) -> Found:
     found = Found(foot.data_set, foot.part, foot.person, foot.run, foot.track.sensor)
     track, swings = foot.track, swings_of(foot)
     found.swings, found.strides = len(swings.whole()), len(pairs(swings))
-    found.fast = [bool(b - a < 1e9 * FAST_S) for a, b in pairs(swings)]
     if foot.labels is not None:
         judged = [foot.labels.judged(*pair) for pair in pairs(swings)]
         found.strides = sum(judged)
@@ -286,6 +293,8 @@ def judge(foot: Foot) -> Found:
     counts = score(swings, changes, strides)
     found.false_swings, found.answered, found.explained = counts.false_swings, counts.answered, counts.explained
     found.in_order = counts.in_order
+    fast = [at for at, around_s in zip(swings.whole().tolist(), cycles_s(swings), strict=True) if around_s < FAST_S]
+    found.fast, found.fast_answered = len(fast), sum(answered(strides, at) for at in fast)
     if foot.labels is not None:
         against_labels(found, foot.labels, swings, changes)
     recording = Recording(foot.run, None, {track.sensor: track}, belt_speed_mps=None)
@@ -426,8 +435,8 @@ def lengths_table(groups: dict[str, list[Found]]) -> Table:
                 cells.append(
                     rms(e for errors, flags in rows for e, flag in zip(errors, flags, strict=True) if flag is fast)
                 )
-        measured, fast_all = sum(sum(f.length_causal_fast) for f in feet), sum(sum(f.fast) for f in feet)
-        cells.append(percent(measured, fast_all) if feet[0].data_set in ("pyshoe_vicon", "ruler_walks") else "–")
+        told = percent(sum(f.fast_answered for f in feet), sum(f.fast for f in feet))
+        cells.append(told if feet[0].data_set in ("pyshoe_vicon", "ruler_walks") else "–")
         if any(cell != "–" for cell in cells):
             table.add_row(name, *cells)
     return table

@@ -75,12 +75,16 @@ def score(swings: Swings, changes: Sequence[PhaseChange], strides: Sequence[Stri
     for begin, end in swing_phases(changes):
         result.false_swings += not ((swings.possible >= begin) & (swings.possible <= end)).any()
     for at in swings.whole().tolist():
-        around = [stride for stride in strides if stride.t_start_ns <= at <= stride.t_end_ns]
-        if any(stride.valid and np.isfinite(stride.stride_length_m) for stride in around):
+        if answered(strides, at):
             result.answered += 1
-        elif any(stride.reason for stride in around):
+        elif any(stride.reason for stride in strides if stride.t_start_ns <= at <= stride.t_end_ns):
             result.explained += 1
     return result
+
+
+def answered(strides: Sequence[StrideResult], at_ns: int) -> bool:
+    """Whether a stride with a length lies around a swing."""
+    return any(s.t_start_ns <= at_ns <= s.t_end_ns and s.valid and np.isfinite(s.stride_length_m) for s in strides)
 
 
 # --- footswitches: the labels are the truth ---------------------------------------------------------------------------
