@@ -15,7 +15,7 @@ from fes.live.remedies import remedy
 from fes.signals import NS_PER_S, Event, ImuSample, StimCommand
 from fes.stimulation.tuning.tuner import difference
 from fes.walk_record import Note
-from statemachine.guards import Thresholds
+from statemachine.guards import Features, Thresholds
 from statemachine.phases import Phase, PhaseChange
 from statemachine.table import TABLE
 from statemachine.terms import Terms, terms_of
@@ -112,9 +112,16 @@ class _Seen:
 
     sample_ns: int
     before: Phase
-    guards: tuple[GuardThen, ...]
+    saw: Features
     thresholds: Thresholds
     fired: str
+
+    def guards(self) -> tuple[GuardThen, ...]:
+        """Every guard's comparisons."""
+        return tuple(
+            GuardThen(row.transition.name, row.source is self.before, terms_of(row.guard, self.saw, self.thresholds))
+            for row in TABLE
+        )
 
 
 def explain(
@@ -154,11 +161,7 @@ def explain(
                 at_s = (event.t_ns - origin_ns) / NS_PER_S
                 trace[foot].append((at_s, saw.toe_down_radps, int(controller.phase(foot))))
             if found is None:
-                guards = tuple(
-                    GuardThen(row.transition.name, row.source is before, terms_of(row.guard, saw, limits))
-                    for row in TABLE
-                )
-                seen[foot] = _Seen(event.t_ns, before, guards, limits, fired)
+                seen[foot] = _Seen(event.t_ns, before, saw, limits, fired)
     if found is None:
         found = _then(runner, now, session, notes, origin_ns, at_ns, seen, entered)
     found.trace.update(trace)
@@ -182,7 +185,7 @@ def _then(
         at = [c.t_ns for c in now.phases if c.foot == controller.trackers[foot].foot and c.t_ns < saw.sample_ns]
         since_s = seconds(at[-1]) if at else float("nan")
         where = foot, controller.trackers[foot].foot, seconds(saw.sample_ns), saw.before.name.lower(), since_s
-        feet.append(FootThen(*where, saw.fired, saw.guards, saw.thresholds, controller.judge(foot).describe()))
+        feet.append(FootThen(*where, saw.fired, saw.guards(), saw.thresholds, controller.judge(foot).describe()))
     channels = tuple(_channel(runner, now.commands, channel, entered, origin_ns, at_ns) for channel in session.channels)
     tuning = tuple(
         _tuned(channel, runner, list(notes), origin_ns, at_ns)

@@ -19,6 +19,7 @@ from fes.report.findings import front_page
 from fes.report.gait import foot_curves, gait_of_strides
 from fes.report.glossary import parameter_slugs, terms
 from fes.report.html import asset, css_text, embed, rendered, trusted, write_page_file
+from fes.report.moments import moment_data
 from fes.report.parameter_table import KEY_NUMBERS, parameter_rows, scales_in_words, walk_rows
 from fes.report.quality import all_flags, describe_flags, stride_flags
 from fes.report.summary import ReportData, summarise_session
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 LONG_TABLE_ROWS = 200  # on paper a longer table stops here
 STYLES = ("uPlot.min.css", "report.css", "report_page.css")
-SCRIPTS = ("report.js", "terms.js", "space.js")
+SCRIPTS = ("moments.js", "report.js", "terms.js", "space.js")
 
 
 def write_report(
@@ -121,7 +122,11 @@ def render_report(
         long_table=len(summary.strides) > LONG_TABLE_ROWS,
         run_summary=_indented(summary.run_summary),
         header_parts=[(readable(str(key)), _indented(plain(value))) for key, value in parts.items()],
-        data=Markup(embed(chart_data(data, sensors) | {"spaces": [figure.to_data() for figure in spaces]})),
+        data=Markup(
+            embed(
+                chart_data(data, sensors) | {"spaces": [one.to_data() for one in spaces], "moments": moment_data(data)}
+            )
+        ),
         style=Markup("".join(map(asset, STYLES)) + running_head),
         script=Markup("".join(map(asset, SCRIPTS))),
         uplot=Markup(f"/*\n{asset('uPlot.LICENSE')}*/\n{asset('uPlot.iife.min.js')}"),

@@ -194,30 +194,48 @@
     }, [t, y], box);
   };
 
-  // What the log holds of one instant; what every guard saw only running it again tells.
+  // What was at one instant, and why, as `fes explain` says it.
   const moment = document.getElementById("moment");
+  const teller = momentTeller(data);
   const NEAR_S = 2;
+  const element = (tag, text, kind) => {
+    const made = document.createElement(tag);
+    made.textContent = text;
+    if (kind) made.className = kind;
+    return made;
+  };
   function tell(at) {
     if (!moment) return;
-    const lines = [];
-    for (const foot of data.feet) {
-      const i = foot.phase_end_s.findIndex((end) => end > at);
-      if (i >= 0) lines.push(foot.name + ": " + data.phases[foot.phase[i]].name + " since " + foot.phase_start_s[i].toFixed(3) + " s");
-    }
+    const phaseOf = (name, then = at) => {
+      const foot = data.feet.find((one) => one.name === name);
+      const i = foot ? foot.phase_end_s.findIndex((end) => end > then) : -1;
+      return i < 0 ? null : { number: foot.phase[i], start_s: foot.phase_start_s[i] };
+    };
+    const lines = [], rows = [];
     const current = data.current;
     const k = Math.round((at - current.start_s) / current.step_s);
     for (const channel of current.channels) {
       const ma = unpack(channel.current_ma)[k];
-      lines.push(channel.name + ": " + (ma ? "on, " + ma.toFixed(1) + " mA" : "off"));
+      lines.push(channel.name + ": " + (ma ? "on, " + ma.toFixed(1) + " mA" : "off" + teller.off(channel.name, phaseOf, at)));
     }
-    const near = data.notices.filter((one) => Math.abs(one.time_s - at) <= NEAR_S);
+    if (current.channels.length) lines.push(teller.gate(at));
+    for (const foot of data.feet) {
+      const phase = phaseOf(foot.name);
+      const told = teller.foot(foot.name, (then) => phaseOf(foot.name, then)?.start_s ?? null, at);
+      if (told) { lines.push(...told.lines); rows.push(...told.rows); }
+      else if (phase) lines.push(foot.name + ": " + data.phases[phase.number].name + " since " + phase.start_s.toFixed(3) + " s");
+    }
+    lines.push(...teller.tuned(at));
+    const near = data.notices.filter((one) => one.source !== "tuning" && Math.abs(one.time_s - at) <= NEAR_S);
     for (const one of near) lines.push(one.time_s.toFixed(2) + " s, " + one.source + ": " + one.text);
     moment.querySelector("h3").textContent = "At " + at.toFixed(3) + " s";
-    moment.querySelector("ul").replaceChildren(...lines.map((line) => {
-      const item = document.createElement("li");
-      item.textContent = line;
-      return item;
+    moment.querySelector("ul").replaceChildren(...lines.map((line) => element("li", line)));
+    moment.querySelector("tbody").replaceChildren(...rows.map((row) => {
+      const line = element("tr", "", row.asked ? "" : "unused");
+      line.append(...row.cells.map((text, i) => element(i ? "td" : "th", text, [3, 7, 8].includes(i) ? "text" : "")));
+      return line;
     }));
+    moment.querySelector(".scroll").hidden = !rows.length;
     moment.querySelector("code").textContent = "fes explain session.feslog --at " + at.toFixed(3);
     moment.hidden = false;
   }
