@@ -114,7 +114,7 @@ class Comparison:
     limit_is: str
     unit: str
 
-    def of(self, x: Features, p: Thresholds) -> Term:
+    def evaluated(self, x: Features, p: Thresholds) -> Term:
         """What it makes of these features and thresholds."""
         seen, limit = value_of(self.seen, x, p), value_of(self.limit, x, p)
         return Term(self.what, seen, self.sign, limit, self.limit_is, self.unit, _HOLDS[self.sign](seen, limit))
@@ -127,9 +127,9 @@ class Comparisons:
     every: bool
     parts: tuple["Comparison | Comparisons", ...]
 
-    def of(self, x: Features, p: Thresholds) -> Terms:
+    def evaluated(self, x: Features, p: Thresholds) -> Terms:
         """What they make of these features and thresholds."""
-        return Terms(self.every, tuple(part.of(x, p) for part in self.parts))
+        return Terms(self.every, tuple(part.evaluated(x, p) for part in self.parts))
 
 
 def terms_of(guard: Guard, x: Features, p: Thresholds) -> Terms:
@@ -138,7 +138,7 @@ def terms_of(guard: Guard, x: Features, p: Thresholds) -> Terms:
     Raises:
         ValueError: the guard is written in a way that is not understood here.
     """
-    return comparisons_of(guard).of(x, p)
+    return comparisons_of(guard).evaluated(x, p)
 
 
 @cache
