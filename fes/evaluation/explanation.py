@@ -11,7 +11,7 @@ from typing import Final
 from fes.config import PHASE_ORDER, Channel, Session
 from fes.control.runner import Runner
 from fes.evaluation.log_replay import ReplayOutput
-from fes.live.remedies import remedy
+from fes.live.remedies import with_remedy
 from fes.signals import NS_PER_S, Event, ImuSample, StimCommand
 from fes.stimulation.tuning.tuner import difference
 from fes.walk_record import Note
@@ -199,15 +199,12 @@ def _gate(runner: Runner, origin_ns: int) -> str:
     gate = runner.gate
     if gate.latched:
         since = "" if gate.latched_ns is None else f" since {(gate.latched_ns - origin_ns) / NS_PER_S:.3f} s"
-        return _remedied(f"The gate was latched{since}: {gate.latched}")
+        told = with_remedy(f"The gate was latched{since}: {gate.latched}")
+        again = f" Arming again was refused: {gate.arming_refused}" if gate.arming_refused else ""
+        return told + (with_remedy(again) if again else "")
     if gate.armed:
         return "The gate was armed."
-    return _remedied(f"The gate was not armed{f': {gate.arming_refused}' if gate.arming_refused else ''}")
-
-
-def _remedied(text: str) -> str:
-    """With what to do about it."""
-    return f"{text}. {remedy(text)}".rstrip()
+    return with_remedy(f"The gate was not armed{f': {gate.arming_refused}' if gate.arming_refused else ''}")
 
 
 def _channel(
@@ -232,7 +229,7 @@ def _channel(
             begun = command.t_ns
         return made(True, f"on with {last.current_ma:.1f} mA, since {(begun - origin_ns) / NS_PER_S:.3f} s.")
     if last is not None and last.refused:
-        return made(False, _remedied(f"off, the gate refused it: {last.refused}"))
+        return made(False, with_remedy(f"off, the gate refused it: {last.refused}"))
     return made(False, f"off, {_not_asked(runner, channel, entered, origin_ns)}.")
 
 

@@ -9,6 +9,7 @@ _READ: Final = "Look at the sensor's link and at `fes doctor`, which reads every
 _UNIT: Final = "Check the sensor's unit and ranges in its own settings and in the session file."
 _MOUNT: Final = "Put the sensor back as it was at calibration, or calibrate again."
 _FELT: Final = "See that the sensor sits firmly; if it does, switch it off and on, or take another one. Then arm again."
+_SIDES: Final = "End the session, put each sensor on its own foot, and begin anew."
 _RESTART: Final = "Switch the sensor off and on, then arm again."
 _LEADS: Final = "Check electrodes, leads and plugs, then arm again."
 _DEVICE: Final = "Switch the stimulator off and on, check its supply, then arm again."
@@ -16,7 +17,8 @@ _REQUEST: Final = "The plan asked for more than a limit allows; check the channe
 
 REMEDIES: Final[tuple[tuple[str, str], ...]] = (  # the first whose words are found
     (r"controller stalled|command was .* late|lease expired|too late", _COMPUTER),
-    (r"sensor lost|^no data from", _LINE),
+    (r"are their sensors exchanged", _SIDES),
+    (r"sensor lost|no data from", _LINE),
     (r"clock of .* jumped|clock went|time stamps are out of order|dated .* ahead", _RESTART),
     (r"data \d+ ms old|too few samples|samples in the last second|silent for", _READ),
     (r"is frozen|non-finite", _RESTART),
@@ -36,3 +38,8 @@ REMEDIES: Final[tuple[tuple[str, str], ...]] = (  # the first whose words are fo
 def remedy(fault: str) -> str:
     """What to do about it; "" where nothing is known but to arm again."""
     return next((what for words, what in REMEDIES if re.search(words, fault)), "")
+
+
+def with_remedy(text: str) -> str:
+    """The words of a fault, which may be a question, as a sentence, and what to do about it."""
+    return f"{text}{'' if text.endswith(('?', '.')) else '.'} {remedy(text)}".rstrip()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from fes.live.remedies import remedy
+from fes.live.remedies import with_remedy
 from fes.report.stimulation import ChannelInfo
 from fes.report.summary import ReportData
 from fes.report.text import readable
@@ -106,13 +106,13 @@ def _gate(record: WalkRecord, origin_ns: int) -> list[tuple[int, str]]:
         after = int(np.searchsorted(at, t_ns))
         later = next((other for other, _ in acts if other > t_ns), 2**62)
         failed = arms and after < len(at) and at[after] < later and refused[after][1]
-        told = f"The gate was {failed}. {remedy(failed)}".rstrip() if failed else "The gate was armed."
+        told = with_remedy(f"The gate was {failed}") if failed else "The gate was armed."
         states.append((t_ns, told if arms else "The gate was not armed."))
     for note in record.notes:
         if note.text.startswith(LATCHED):
             fault = note.text.removeprefix(LATCHED)
             since_s = (note.t_ns - origin_ns) / NS_PER_S
-            states.append((note.t_ns, f"The gate was latched since {since_s:.3f} s: {fault}. {remedy(fault)}".rstrip()))
+            states.append((note.t_ns, with_remedy(f"The gate was latched since {since_s:.3f} s: {fault}")))
     return sorted(states, key=lambda each: each[0])
 
 
@@ -128,7 +128,7 @@ def _channel(info: ChannelInfo, data: ReportData) -> dict[str, Any]:
                 continue
             spans[-1][1] = t_s
         if command.refused and len(spans) < MOST_SPANS:
-            spans.append([t_s, None, command.refused, remedy(command.refused)])
+            spans.append([t_s, None, command.refused, with_remedy(command.refused)])
     return {
         "foot": readable(info.foot),
         "sensor": readable(info.phase_sensor),

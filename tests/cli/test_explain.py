@@ -19,9 +19,21 @@ from fes.cli import main
 from fes.cli.replay import log as replayed_log
 from fes.gate import SafetyGate
 from fes.live.remedies import remedy
+from fes.live.sides import EXCHANGED
 from fes.recording import Recording, Track, write_recording
 from fes.session_log import SessionRecord, read_session
-from fes.signals import G_MPS2, NS_PER_S, Event, ImuSample, StimAlive, StimStatus, Vector3
+from fes.signals import (
+    G_MPS2,
+    NS_PER_S,
+    Event,
+    ImuSample,
+    OperatorAct,
+    OperatorAction,
+    StimAlive,
+    StimStatus,
+    SystemFault,
+    Vector3,
+)
 from statemachine.phases import Transition
 
 LENGTH_S, FAULT_S = 24.0, 19.9  # in a burst of the bundled trial
@@ -76,6 +88,13 @@ def turned(track: Track, late: np.ndarray[Any, Any]) -> Track:
     return replace(track, acc_mps2=acc, gyr_radps=gyr)
 
 
+def saturated(track: Track, late: np.ndarray[Any, Any]) -> Track:
+    """The force at the end of its range."""
+    acc = track.acc_mps2.copy()
+    acc[late, 0] = 4.0 * G_MPS2 - 1e-3 * (np.arange(late.sum()) % 7)
+    return replace(track, acc_mps2=acc)
+
+
 def frozen(track: Track, late: np.ndarray[Any, Any]) -> Track:
     first = int(np.argmax(late))
     acc, gyr = track.acc_mps2.copy(), track.gyr_radps.copy()
@@ -88,12 +107,21 @@ def silent(track: Track, late: np.ndarray[Any, Any]) -> Track:
     return keep(track, ~late | back)
 
 
+RANGES = """
+[[sensors]]
+sensor = "right_foot"
+device = "xsens_can"
+rate_hz = 500.0
+acc_range_g = 4.0
+gyr_range_dps = 2000.0
+"""
 SENSOR_FAULTS: dict[str, tuple[Callable[[], Recording], str]] = {
     "force in g": (lambda: scaled(acc=1 / G_MPS2), "unit"),
     "force scaled by g again": (lambda: scaled(acc=G_MPS2), "unit"),
     "force in mg": (lambda: scaled(acc=1000.0 / G_MPS2), "unit"),
     "axes exchanged": (lambda: spoilt(turned), "remounted"),
     "the same values again and again": (lambda: spoilt(frozen), "is frozen"),
+    "at the end of its range": (lambda: spoilt(saturated), "is saturated"),
     "data too old": (lambda: spoilt(silent), "ms old"),
 }
 
@@ -101,7 +129,7 @@ SENSOR_FAULTS: dict[str, tuple[Callable[[], Recording], str]] = {
 @pytest.mark.parametrize("kind", SENSOR_FAULTS)
 def test_what_the_gate_tells_from_a_sensors_numbers(kind: str, tmp_path: Path) -> None:
     make, words = SENSOR_FAULTS[kind]
-    log, record = session_log(tmp_path, make())
+    log, record = session_log(tmp_path, make(), SETTINGS.read_text() + RANGES * ("range" in kind))
     (latch,) = [note for note in record.notes if note.severity == "fault"][:1]
     reason = latch.text.removeprefix("off until armed again: ")
     assert words in reason
@@ -158,6 +186,39 @@ def noisy(values: Vector3, number: int, size: float) -> Vector3:
     return x, y, z
 
 
+def once(number: int, *events: Event) -> list[Event]:
+    return list(events) if number == 0 else list(events[:1])
+
+
+def unasked(sample: ImuSample, number: int) -> list[Event]:
+    """Pulses counted in stance, long after the burst."""
+    more = replace(status(on=False, current_ma=0.0, pulses=12), t_ns=sample.t_ns)
+    return [sample, more] if number == 700 else [sample]
+
+
+def silent_in_stance(sample: ImuSample, number: int) -> list[Event]:
+    return [] if 650 <= number < 830 else [sample]
+
+
+def hanging(sample: ImuSample, number: int, *, felt: bool) -> list[Event]:
+    """A pendulum of 0.7 rad; ``felt``: its accelerometer feels gravity go through it."""
+    t_s = number / 500.0
+    tilt, turn, alive = 0.7 * math.sin(6.0 * t_s), 4.2 * math.cos(6.0 * t_s), 0.02 * math.sin(9e4 * t_s)
+    acc = (-G_MPS2 * math.sin(tilt) * felt + alive, alive, G_MPS2 * math.cos(tilt))
+    return [sample._replace(acc_mps2=acc, gyr_radps=(alive, turn, -alive))]
+
+
+def stuck(sample: ImuSample, number: int) -> list[Event]:
+    """The accelerometer's x axis."""
+    _, y, z = sample.acc_mps2
+    return [sample._replace(acc_mps2=(1.0 + 0.1 * math.sin(1e5 * number), y, z))]
+
+
+def larger(sample: ImuSample, number: int) -> list[Event]:
+    x, y, z = (1.15 * value for value in sample.acc_mps2)
+    return [sample._replace(acc_mps2=(x, y, z))]
+
+
 def deaf_accelerometer(sample: ImuSample, number: int) -> list[Event]:
     return [sample._replace(acc_mps2=noisy((0.0, 0.0, G_MPS2), number, 0.02))]
 
@@ -187,6 +248,20 @@ EVENT_FAULTS: dict[str, tuple[Callable[[ImuSample, int], list[Event]], str]] = {
     "an accelerometer that feels nothing": (deaf_accelerometer, "its accelerometer does not feel it"),
     "a gyroscope that feels nothing": (deaf_gyroscope, "does not feel it"),
     "one triad frozen": (one_triad_frozen, "is frozen"),
+    "one axis that feels no turn": (lambda s, n: hanging(s, n, felt=False), "x axis does not feel it: stuck?"),
+    "one axis stuck": (stuck, "an axis stuck, scaled?"),
+    "scaled at rest": (larger, "at rest, gravity is 9.8: is it scaled?"),
+    "dangling": (lambda s, n: hanging(s, n, felt=True), "does it dangle?"),
+    "silent in stance": (silent_in_stance, "what comes now may be late"),
+    "late by radio": (lambda s, n: [s._replace(t_ns=s.t_ns + 60_000_000)], "old by the sensor's own clock"),
+    "feet exchanged": (lambda s, n: once(n, s, SystemFault(s.t_ns, EXCHANGED)), "are their sensors exchanged?"),
+    "a computer that stalled": (
+        lambda s, n: once(n, s, SystemFault(s.t_ns, "controller stalled for 300 ms")), "controller stalled",
+    ),
+    "pulses that nobody asked for": (unasked, "pulses that nobody asked for"),
+    "armed by an act from the past": (
+        lambda s, n: once(n, s, OperatorAct(s.t_ns - 50_000_000, OperatorAction.ARM)), "are dated 50 ms ahead",
+    ),
     "a stimulator's fault": (lambda s, n: told(StimAlive(0, 1, 0, "supply low"), s, n), "stimulator fault: supply low"),
     "a channel's fault": (
         lambda s, n: told(status(fault="electrode off"), s, n), "stimulator fault on channel 0: electrode off",
@@ -205,8 +280,10 @@ def test_what_the_gate_tells_from_stamps_sensors_and_stimulator(
 ) -> None:
     log, record = walked
     change, words = EVENT_FAULTS[kind]
-    burst_s = next(b.t_on_ns for b in bursts(record.commands) if b.t_on_ns > origin_ns(record) + 15 * NS_PER_S)
-    spoiler = Spoiler(change, burst_s + 50_000_000)
+    burst_ns = next(b.t_on_ns for b in bursts(record.commands) if b.t_on_ns > origin_ns(record) + 15 * NS_PER_S)
+    # what needs a rest of 0.3 s begins while the patient still stands
+    begin_ns = origin_ns(record) + 3 * NS_PER_S if "at rest" in kind else burst_ns + 50_000_000
+    spoiler = Spoiler(change, begin_ns)
 
     class Spoilt(replayed_log.Reopened):
         def __init__(self, path: Path) -> None:
@@ -216,11 +293,12 @@ def test_what_the_gate_tells_from_stamps_sensors_and_stimulator(
     monkeypatch.setattr(replayed_log, "Reopened", Spoilt)
     at_s = (spoiler.from_ns - origin_ns(record)) / NS_PER_S
     assert "The gate was armed" in explained(log, at_s - 0.02)["gate"]
-    found = explained(log, at_s + 2.0)
+    found = explained(log, at_s + 3.0)
     assert words in found["gate"]
     assert "since" in found["gate"]
     assert remedy(words) or remedy(found["gate"]), "something can be done about it"
     assert found["gate"].endswith(remedy(found["gate"].split(": ", 1)[1]))
+    assert "?." not in found["gate"]
     assert not found["channels"][0]["on"]
 
 
@@ -258,6 +336,42 @@ def test_any_refusal_of_a_channel_is_told_in_its_own_words(
 def test_not_armed(tmp_path: Path) -> None:
     log, _ = session_log(tmp_path, cut(trial("negard_patient2"), 0.0, LENGTH_S), arm_after_s=20.5)
     assert explained(log, 19.9)["gate"] == "The gate was not armed."
+
+
+def turned_over(sample: ImuSample, number: int) -> list[Event]:
+    """The sensor slips round by 77° within 0.8 s; a person arms again once it rests."""
+    share = min(number / 400.0, 1.0)
+    angle = 0.675 * (1.0 - math.cos(math.pi * share))
+    rate_radps = 0.675 * math.pi * math.sin(math.pi * share) / 0.8
+    c, s = math.cos(angle), math.sin(angle)
+    (ax, ay, az), (gx, gy, gz) = sample.acc_mps2, sample.gyr_radps
+    acc, gyr = (c * ax - s * az, ay, s * ax + c * az), (c * gx - s * gz, gy + rate_radps, s * gx + c * gz)
+    slipped = sample._replace(acc_mps2=acc, gyr_radps=gyr)
+    return [slipped, OperatorAct(sample.t_ns, OperatorAction.ARM)] if number == 600 else [slipped]
+
+
+NOT_READY: dict[str, tuple[Callable[[ImuSample, int], list[Event]], float, float, str]] = {
+    "no sample yet": (lambda s, n: [], 0.0, 1.0, "no data from right_foot"),
+    "turned over at rest": (turned_over, 3.0, 4.5, "right_foot rests turned by more than 65° from its calibration"),
+}
+
+
+@pytest.mark.parametrize("kind", NOT_READY)
+def test_arming_refused(kind: str, walked: tuple[Path, SessionRecord], monkeypatch: pytest.MonkeyPatch) -> None:
+    log, record = walked
+    change, from_s, at_s, words = NOT_READY[kind]
+    spoiler = Spoiler(change, origin_ns(record) + round(from_s * NS_PER_S))
+
+    class Spoilt(replayed_log.Reopened):
+        def __init__(self, path: Path) -> None:
+            super().__init__(path)
+            self.events = spoiler(self.events)
+
+    monkeypatch.setattr(replayed_log, "Reopened", Spoilt)
+    found = explained(log, at_s)
+    assert found["gate"].startswith(f"The gate was not armed: {words}")
+    assert remedy(found["gate"])
+    assert found["gate"].endswith(remedy(found["gate"]))
 
 
 def test_every_transition_is_explained_as_fired_at_its_sample_and_as_not_before(

@@ -603,3 +603,12 @@ def test_no_foot_at_all() -> None:
     whole = recording("both_feet_100hz")
     with pytest.raises(CalibrationError, match=r"both_feet_100hz\.parquet: it holds none of the sensors"):
         calibrate_phase_sensors(replace(whole, tracks={}))
+
+
+@pytest.mark.parametrize("share", [0.02, 0.2, 1.0])
+def test_rates_in_degrees_are_named_whatever_share_of_the_walk_they_are(share: float) -> None:
+    track = cut(recording("negard_patient2"), 0.0, 24.0).tracks["right_foot"]
+    late = np.arange(len(track.t_ns)) >= (1.0 - share) * len(track.t_ns)
+    gyr = np.where(late[:, None], np.degrees(track.gyr_radps), track.gyr_radps)
+    with pytest.raises(CalibrationError, match=r"right_foot: .* rad/s are more than any leg turns: is its unit °/s\?"):
+        calibrate_track(replace(track, gyr_radps=gyr))

@@ -61,6 +61,7 @@ REST_RADPS = 0.4  # gravity shows where the foot turns no faster at its quietest
 GYR_BIAS_SD_RADPS = 0.05
 CLOSURE_SD_RAD = 0.02
 AGREE_RADPS = 0.026  # a standing second's bias and the closure's
+DEGREES_RADPS, DEGREES_SHARE = 40.0, 0.005  # no leg turns so fast; degrees taken for radians do in most of a walk
 LYING_MPS2, LYING_SHARE = 2.0, 0.15  # at rest so much of the time may be so far off gravity; of sound sensors 5 %
 ACC_BIAS_SD_MPS2 = 0.1  # prior of the accelerometer's bias per axis
 SCALE_ERROR = 0.004  # of the accelerometer, and what clipping and sampling add
@@ -180,14 +181,15 @@ def calibrate_foot(
             accelerometer's bias across gravity is left at zero, for a climb would pass for it.
 
     Raises:
-        CalibrationError: too short, never at rest, too few strides, a direction of travel that is not clear, or an
-            accelerometer that cannot be right.
+        CalibrationError: too short, never at rest, too few strides, a direction of travel that is not clear, rates in
+            degrees, or an accelerometer that cannot be right.
     """
     window = max(round(QUIET_WINDOW_S * rate_hz), 2)
     if len(t_ns) < 20 * window:
         raise CalibrationError(
             f"{sensor}: {len(t_ns) / rate_hz:.1f} s is too short to calibrate. Record five strides or more."
         )
+    refuse_degrees(sensor, gyr_radps)
     rate_bias, standing = _standing(rate_hz, acc_mps2, gyr_radps)
     gyr = without(gyr_radps, rate_bias)
     energy = moving_mean(_squares(gyr), window)
@@ -391,6 +393,16 @@ def _bias_by_closure(t_ns: IntArray, acc: FloatArray, gyr: FloatArray, spans: In
         off = _sizes(missed - effect @ bias)
         weight = np.minimum(1.0, HUBER * median(off) / np.maximum(off, 1e-9))
     return np.asarray(bias)
+
+
+def refuse_degrees(sensor: str, gyr_radps: FloatArray) -> None:
+    """Raises CalibrationError where rates (N, 3) are so great that they must be in °/s, if only in a part of them."""
+    sizes = _sizes(gyr_radps)
+    if float((sizes > DEGREES_RADPS).mean()) > DEGREES_SHARE:
+        raise CalibrationError(
+            f"{sensor}: the gyroscope's peaks of {percentile(sizes, 99.0):.0f} rad/s are more than any leg turns: "
+            "is its unit °/s? Check gyr_unit, or the sensor's own settings."
+        )
 
 
 def _refuse_lying(sensor: str, off_mps2: FloatArray) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from fes.estimation.foot.calibration import CalibrationError
+from fes.estimation.foot.calibration import CalibrationError, refuse_degrees
 from fes.estimation.foot.features import lags_at
 from fes.estimation.shank.features import ShankParameters
 from fes.estimation.shank.lever_arm import SHANK, ArmEstimate, ArmPrior, learn_arm
@@ -115,12 +115,13 @@ def calibrate_shank(
         level ground.
 
     Raises:
-        CalibrationError: too short, too few strides, or the direction of travel is ambiguous.
+        CalibrationError: too short, rates in degrees, too few strides, or the direction of travel is ambiguous.
     """
     if len(t_ns) < 3 * rate_hz:
         raise CalibrationError(
             f"{sensor}: {len(t_ns) / rate_hz:.1f} s is too short to calibrate. Record five strides or more."
         )
+    refuse_degrees(sensor, gyr_radps)
     gyr, rests = gyr_radps, still_spans(acc_mps2, gyr_radps, rate_hz)
     if rests:
         first, last = max(rests, key=lambda rest: rest[1] - rest[0])

@@ -108,7 +108,7 @@ const momentTeller = (data) => {
   const off = (name, phaseOf, at) => {
     const channel = words.channels[name];
     const refused = newest(channel.refused, at);
-    if (refused && (refused[1] === null || at < refused[1])) return `, the gate refused it: ${refused[2]}. ${refused[3]}`.trimEnd();
+    if (refused && (refused[1] === null || at < refused[1])) return `, the gate refused it: ${refused[3]}`;
     const lately = refused && at - refused[1] < 2 ? ` Refused at ${refused[0].toFixed(3)} s: ${refused[2]}.` : "";
     const phase = phaseOf(channel.sensor);
     if (!phase) return lately && "." + lately;
