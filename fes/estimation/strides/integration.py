@@ -201,6 +201,7 @@ def effects(t_ns: Vec, quaternions: Mat, effect: Mat) -> None:
                 before[j, k] = now[j, k]
 
 
+LEAST_BACKWARD_M, MOST_BACKWARD_TURN_RAD = 0.15, 0.5 * math.pi
 SHORTEST_M = 0.05  # a stride shorter than that has no direction but the foot's
 
 
@@ -244,6 +245,20 @@ def height_and_turn(quaternion: Mat, position: Mat, fx: float, fy: float, fz: fl
     ahead, left, _ = _pointing(quaternion, position.shape[0] - 1, fx, fy, fz)
     turn += math.atan2(left, ahead)
     return peak_height, (turn + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@inlined
+def goes_backward(quaternion: Mat, position: Mat, turn: float, fx: float, fy: float, fz: float) -> bool:
+    """Whether a stride leads to where the heel points (within 60°), and is no turn; args of :func:`height_and_turn`."""
+    last = position.shape[0] - 1
+    x, y = position[last, 0] - position[0, 0], position[last, 1] - position[0, 1]
+    ahead, left, _ = _pointing(quaternion, 0, fx, fy, fz)
+    ahead_then, left_then, _ = _pointing(quaternion, last, fx, fy, fz)
+    ahead, left = ahead + ahead_then, left + left_then
+    length = math.hypot(x, y)
+    if length < LEAST_BACKWARD_M or abs(turn) > MOST_BACKWARD_TURN_RAD:
+        return False
+    return bool(x * ahead + y * left < -0.5 * length * math.hypot(ahead, left))
 
 
 @jit_fused
@@ -306,7 +321,7 @@ MOST_PUSHED_MPS2 = 3.5  # from rest to rest: neither bias nor tilt explains a gr
 MOST_GUESSED_RAD = 0.2  # a tilt that is measured no better is a guess
 LONGEST_STRIDE_M = 3.0
 LENGTH_SHARE = 0.013  # of a stride's length, one SD: with it errors against markers scatter as stated
-SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST = range(5)  # what came of it
+SOLVED, NO_SOLUTION, TILTED, NO_LENGTH, NO_REST, BACKWARD = range(6)  # what came of it
 TILT, RESIDUAL_RATE, LENGTH, PEAK_HEIGHT, TURN, HEIGHT_CHANGE, LENGTH_SD, FREE_RISE, NUMBERS = range(
     9
 )  # where the numbers are
@@ -463,5 +478,7 @@ def solve_span(
         numbers[RESIDUAL_RATE] = unrest_radps
         return NO_REST
     numbers[PEAK_HEIGHT], numbers[TURN] = height_and_turn(quaternion, position, fx, fy, fz)
+    if goes_backward(quaternion, position, numbers[TURN], fx, fy, fz):
+        return BACKWARD
     numbers[HEIGHT_CHANGE], numbers[FREE_RISE] = position[n - 1, 2], free_m
     return SOLVED

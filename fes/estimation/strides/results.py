@@ -145,6 +145,7 @@ def _reason(row: Mapping[str, Any]) -> str:
         integration.NO_SOLUTION: "the constraints cannot be met",
         integration.TILTED: f"the orientation is {math.degrees(row['tilt_rad']):.0f}° off at its end",
         integration.NO_LENGTH: f"{row['stride_length_m']:.2f} m is no stride length",
+        integration.BACKWARD: f"went backward by {row['stride_length_m']:.2f} m",
         integration.NO_REST: f"the foot never rests: {rate_radps:.1f} rad/s at its quietest",
         segmentation.FORGOTTEN: "longer than the history kept",
         segmentation.NO_STRIDE_TIME: f"lasts {1e-9 * (row['t_end_ns'] - row['t_start_ns']):.2f} s",

@@ -22,6 +22,7 @@ from fes.estimation.strides.boundaries import (
     time_of,
 )
 from fes.estimation.strides.integration import (
+    BACKWARD,
     FREE_RISE,
     HEIGHT_CHANGE,
     LENGTH,
@@ -289,7 +290,7 @@ def chain(core: Any, out: Out) -> None:
     What its solution found wrong would be lost otherwise, for the filter knows nothing of it.
     """
     row, state = out.strides[out.filled[STRIDES] - 1], core[0].state
-    if row.outcome == SOLVED or row.outcome == TILTED or row.outcome == NO_REST:
+    if row.outcome in (SOLVED, TILTED, NO_REST, BACKWARD):
         state.chained_ns = row.t_end_ns
         for k in range(4):
             state.chained[k] = out.quaternion[row.first + row.rows - 1, k]
