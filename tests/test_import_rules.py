@@ -16,7 +16,7 @@ OURS = ("fes", "drivers", "statemachine")
 STDLIB = sys.stdlib_module_names
 # Who may import whom: a room imports what stands lower, and itself; never its own floor, never a higher one.
 FLOORS: tuple[tuple[str, ...], ...] = (
-    ("fes", "fes.signals", "fes.limits"),
+    ("fes", "fes.signals", "fes.limits", "fes.extensions"),
     ("statemachine",),
     ("fes.config",),
     ("fes.walk_record",),
@@ -38,7 +38,8 @@ NO_CLOCK = {"time", "threading", "asyncio", "multiprocessing", "concurrent", "sc
 NARROWER: dict[str, set[str]] = {
     "fes.signals": {"numpy"},
     "fes.limits": set(),
-    "fes.config": {"pydantic", "fes.limits", "statemachine.guards"},
+    "fes.extensions": set(),
+    "fes.config": {"pydantic", "fes.extensions", "fes.limits", "statemachine.guards"},
     "statemachine": {"transitions", "fes.signals", "fes.limits"},
     "fes.walk_record": {"numpy", "fes.signals", "statemachine.phases"},
     "fes.gate": {"fes.config", "fes.signals", "fes.limits"},

@@ -75,3 +75,7 @@ for name in names:
 still = fes.read(Path("../../sim_inputs/not_walking.parquet"))
 for foot, track in still.tracks.items():
     print(foot, len(threshold_swings(track, None)["IC"]), "swings in", f"{track.duration_s:.0f} s without walking")
+
+# %% [markdown]
+# As a part of a package with an entry point it is there in every analysis by its name, as
+# `fes.analyse(walk, detector="own")`: see [extensions](../extensions.md).

@@ -6,6 +6,7 @@ from functools import partial
 
 from drivers.imu.port import AXES, ImuLost, ImuPort, flag_option
 from fes.config import Bus, ImuDevice
+from fes.extensions import ExtensionError, load_extension
 
 ON_CAN = ("xsens_can", "dbc_can")
 OPTIONS = {
@@ -41,7 +42,10 @@ def _plan(sensors: Sequence[ImuDevice], bus: Bus) -> list[Callable[[], ImuPort]]
     buses: dict[str, list[ImuDevice]] = {}
     own = f"{bus.interface}:{bus.channel}"
     for device in sensors:
-        known = OPTIONS.get(device.device, ())
+        if device.device not in OPTIONS:
+            plan.append(partial(_open_other, device))
+            continue
+        known = OPTIONS[device.device]
         if unknown := sorted(device.options.keys() - set(known)):  # misspelt, it would leave the default without a word
             raise ValueError(
                 f"{device.sensor}: device {device.device!r} has no option {', '.join(unknown)}; it has "
@@ -82,3 +86,17 @@ def _open_alone(device: ImuDevice) -> ImuPort:
     from drivers.imu.lsl_port import LslImu
 
     return LslImu(device)
+
+
+def _open_other(device: ImuDevice) -> ImuPort:
+    """A sensor of another package: its entry point makes an :class:`ImuPort` from the settings.
+
+    Raises:
+        ImuLost: it cannot be opened.
+        ValueError: the package cannot be used, or made something else.
+    """
+    make = load_extension("sensor", device.device)
+    port = make(device)
+    if not isinstance(port, ImuPort):
+        raise ExtensionError(f"{device.sensor}: device {device.device!r} is no ImuPort but {type(port).__name__}")
+    return port

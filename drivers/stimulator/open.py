@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from drivers.stimulator.bus import open_bus
 from drivers.stimulator.can_port import CanStimulator, Handshake
@@ -16,6 +16,8 @@ from drivers.stimulator.sciencemode.p24_port import LowLevelStimulator, MidLevel
 from drivers.stimulator.sciencemode.rehastim2_port import RehaStim2
 from drivers.stimulator.serial_line import SCIENCEMODE2, SCIENCEMODE4, Line, LineSettings, open_line
 from fes.config import ConfigError, Session, StimulatorDevice
+from fes.extensions import ExtensionError, load_extension
+from fes.signals import StimAlive, StimCommand, StimStatus, WireFrame
 
 _P24_OPTIONS: Final = frozenset(("model", "baudrate"))
 _OPTIONS: Final[dict[str, frozenset[str]]] = {
@@ -25,7 +27,38 @@ _OPTIONS: Final[dict[str, frozenset[str]]] = {
     "rehastim2": frozenset(),
 }
 CHANNELS_OF: Final = {"p24": 8, "rehamove3": 4}
-Port = CanStimulator | CanOpenStimulator | LowLevelStimulator | MidLevelStimulator | RehaStim2
+
+
+class OtherStimulator(Protocol):
+    """What another package's stimulator must have: a port (:mod:`drivers.stimulator.port`) with a handshake.
+
+    ``send`` and ``poll`` never wait, "off" is a message of its own, and the device falls silent by itself when no
+    command comes within ``validity_ms`` of the last one.
+    """
+
+    session_id: int
+    current_step_ma: float  # between two currents that the device can deliver
+    heard: bytes  # what the last poll read, b"" where the bytes that go out do not depend on it
+
+    @property
+    def outstanding(self) -> int:
+        """Commands not yet answered."""
+
+    def open(self, t_ns: int, timeout_s: float = 2.0) -> Handshake:
+        """Begin the session; what it put on the wire and heard. StimulatorLost: nobody answers."""
+
+    def send(self, command: StimCommand) -> WireFrame:
+        """Write at once; what went out. StimulatorLost: the line did not take it."""
+
+    def poll(self, t_ns: int) -> list[StimStatus | StimAlive]:
+        """What has arrived since the last call, stamped ``t_ns``. StimulatorLost: the line broke."""
+
+    def close(self) -> None:
+        """Release the line; may be called twice, and sends nothing."""
+
+
+Port = CanStimulator | CanOpenStimulator | LowLevelStimulator | MidLevelStimulator | RehaStim2 | OtherStimulator
+_NEEDED: Final = ("open", "send", "poll", "close", "outstanding", "heard", "session_id", "current_step_ma")
 Opener = Callable[[str, LineSettings], Line]
 SERIAL: Final = ("p24_low_level", "p24_mid_level", "rehastim2")
 IDENTIFIERS_TRIED: Final = 8  # a device that has been on for a day has had commands under a third of them
@@ -78,6 +111,8 @@ def open_stimulator(settings: StimulatorDevice, session: Session, session_id: in
     device = settings.device
     if device == "canopen":
         return _open_canopen(settings, session, session_id)
+    if device not in _OPTIONS:
+        return _open_other(settings, session, session_id)
     if unknown := sorted(settings.options.keys() - _OPTIONS[device]):
         allowed = ", ".join(sorted(_OPTIONS[device])) or "none"
         raise ConfigError(f"stimulator.options of device {device!r}: {', '.join(unknown)}; it has {allowed}")
@@ -113,7 +148,10 @@ def open_stimulator(settings: StimulatorDevice, session: Session, session_id: in
 
 
 def open_lead_detected_from_ma(settings: StimulatorDevice) -> float | None:
-    """From which current on such a device notices an open lead, 0: any pulse; None when its heartbeat says so."""
+    """From which current on such a device notices an open lead, 0: any pulse; None when its heartbeat says so.
+
+    Another package's device notices it at any pulse; where it does not, electrodes stay unknown until one is answered.
+    """
     if settings.device in ("p24_low_level", "p24_mid_level"):
         return 15.0
     return None if settings.device in ("can", "canopen") else 0.0
@@ -136,6 +174,18 @@ def _open_canopen(settings: StimulatorDevice, session: Session, session_id: int)
             ) from None
     bus = open_bus(session.bus, frozenset((node.heartbeat_id, node.answer_id)))
     return CanOpenStimulator(bus, session_id, numbers, node)
+
+
+def _open_other(settings: StimulatorDevice, session: Session, session_id: int) -> OtherStimulator:
+    """A stimulator of another package: its entry point makes the port from settings, session and identifier."""
+    try:
+        make = load_extension("stimulator", settings.device)
+    except ExtensionError as error:
+        raise ConfigError(f"stimulator.device: {error}") from error
+    port: OtherStimulator = make(settings, session, session_id)
+    if missing := [name for name in _NEEDED if not hasattr(port, name)]:
+        raise ConfigError(f"stimulator.device = {settings.device!r} is no stimulator: it lacks {', '.join(missing)}")
+    return port
 
 
 def _channel_numbers(settings: StimulatorDevice, session: Session) -> list[int]:

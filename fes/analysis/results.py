@@ -68,6 +68,8 @@ class Analysis:
     toe and heel. ``blocks`` is what the feet's trackers found, as arrays, and ``outcomes`` what the shanks' found;
     phase changes, strides and the strides' trajectories are made from them when they are first asked for.
     ``walking_ns`` (M, 2), where given, are begins and ends of walking (:mod:`fes.analysis.bouts`): only that is told.
+    ``measured_strides``, where given, are the strides with lengths by another method
+    (:mod:`fes.analysis.own_methods`).
     """
 
     recording: Recording
@@ -84,6 +86,7 @@ class Analysis:
     path_begins_ns: dict[str, int] = field(default_factory=dict)
     causal_events: dict[str, list[tuple[Rule, Decision]]] = field(default_factory=dict)
     walking_ns: IntArray | None = None
+    measured_strides: list[StrideResult] | None = None
 
     @cached_property
     def phases(self) -> list[PhaseChange]:
@@ -95,8 +98,11 @@ class Analysis:
     @cached_property
     def strides(self) -> list[StrideResult]:
         """All feet's strides by their beginnings."""
-        found = [stride for block in self.blocks.values() for stride in block.strides()]
-        found += [each for own in self.outcomes.values() for each in own if isinstance(each, StrideResult)]
+        if self.measured_strides is None:
+            found = [stride for block in self.blocks.values() for stride in block.strides()]
+            found += [each for own in self.outcomes.values() for each in own if isinstance(each, StrideResult)]
+        else:
+            found = self.measured_strides
         kept = (each for each in found if self._walked(each.t_swing_ns, each.t_loading_response_ns))
         return sorted(kept, key=attrgetter("t_start_ns"))
 

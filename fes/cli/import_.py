@@ -23,28 +23,27 @@ def command(
 ) -> None:
     """Turn FILES (or a folder) of the data set NAME into recordings with sidecars, and references beside them.
 
-    NAME is gaitmap, stroke_treadmill, pyshoe, ruler, broad, xio, footswitch_treadmill or stroke_walks; `fes import
-    list` says what each is. Units become SI, axes stay the sensors' own, known defects are noted in the sidecar. The
-    data keeps its own licence, which is named.
+    NAME is gaitmap, stroke_treadmill, pyshoe, ruler, broad, xio, footswitch_treadmill or stroke_walks, or what another
+    package brings; `fes import list` says what each is. Units become SI, axes stay the sensors' own, known defects are
+    noted in the sidecar. The data keeps its own licence, which is named.
 
     One file that cannot be used does not stop the others; the exit code is then 1 (2 if there was only one).
     """
-    from fes.datasets import DATA_SETS, ImportProblem, files_of, read_file, write_imported
+    from fes.datasets import ImportProblem, data_set, data_sets, files_of, read_file, write_imported
 
+    with failing(ImportProblem):
+        known = data_sets() if name == "list" else {name: data_set(name)}
     if name == "list" and as_json:
-        listed = {each.name: {"about": each.about, **each.provenance()} for each in DATA_SETS.values()}
-        print_json({"data_sets": listed})
+        print_json({"data_sets": {each.name: {"about": each.about, **each.provenance()} for each in known.values()}})
         return
     if name == "list":
-        for each in DATA_SETS.values():
+        for each in known.values():
             click.echo(f"{each.name:<21} {each.about}\n{'':<21} {each.source}; licence: {each.licence}")
         return
-    if name not in DATA_SETS:
-        raise Problem(f"{name}: is no data set known here; {', '.join(DATA_SETS)} are")
     if not files or out is None:
         what = "name the files of the data set (or their folder) and where to write"
         raise Problem(f"{what}: fes import NAME FILES --out DIR")
-    about = DATA_SETS[name]
+    about = known[name]
     made: list[dict[str, Any]] = []
     failures = 0
     with failing(ImportProblem):

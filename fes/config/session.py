@@ -5,9 +5,16 @@ What is connected: the bus, the sensors, the stimulator, a foot switch.
 
 import math
 from pathlib import Path
-from typing import Any, Final, Literal, Self
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field, SerializerFunctionWrapHandler, ValidationError, model_serializer, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+    model_validator,
+)
 
 from fes import limits
 from fes.config.base import ConfigError, Foot, SensorName, Settings, explain, read_toml
@@ -15,6 +22,28 @@ from fes.config.channel import Channel, Stimulation
 from fes.config.thresholds import Value, check_thresholds
 
 Options = dict[str, str | int | float | bool]
+IMUS: Final = ("xbus", "xsens_can", "dbc_can", "ximu3", "lsl")
+STIMULATORS: Final = ("can", "p24_low_level", "p24_mid_level", "rehastim2", "canopen")
+
+
+def _imu_known(name: str) -> str:
+    return _known(name, IMUS, "sensor")
+
+
+def _stimulator_known(name: str) -> str:
+    return _known(name, STIMULATORS, "stimulator")
+
+
+def _known(name: str, own: tuple[str, ...], kind: str) -> str:
+    """The name of a device of this program, or of one that an installed package brings (docs/extensions.md)."""
+    if name in own:
+        return name
+    from fes.extensions import extension_names  # which packages there are is only looked for where it matters
+
+    if name in (others := extension_names(kind)):
+        return name
+    *most, last = (repr(each) for each in (*own, *others))
+    raise ValueError(f"Input should be {', '.join(most)} or {last}")
 
 
 class Bus(Settings):
@@ -33,7 +62,7 @@ class ImuDevice(Settings):
     """
 
     sensor: SensorName
-    device: Literal["xbus", "xsens_can", "dbc_can", "ximu3", "lsl"]
+    device: Annotated[str, AfterValidator(_imu_known)]
     port: str = Field(default="bus", min_length=1)
     rate_hz: float = Field(gt=20, le=4000)
     acc_range_g: float = Field(gt=0, le=400)
@@ -44,7 +73,7 @@ class ImuDevice(Settings):
 class StimulatorDevice(Settings):
     """The stimulator; ``can`` is on the session's bus, the others have a serial ``port``."""
 
-    device: Literal["can", "p24_low_level", "p24_mid_level", "rehastim2", "canopen"] = "can"
+    device: Annotated[str, AfterValidator(_stimulator_known)] = "can"
     port: str = ""
     options: Options = Field(default_factory=dict)
 

@@ -4,8 +4,9 @@ Nothing of them is part of this project: the licence of each is named wherever i
 """
 
 from fes.datasets.common import Imported, ImportProblem, write_imported
-from fes.datasets.registry import DATA_SETS, DataSet, files_of, read_file
+from fes.datasets.registry import DATA_SETS, DataSet, data_set, data_sets, files_of, read_file
 
 __all__ = [
-    "DATA_SETS", "DataSet", "ImportProblem", "Imported", "files_of", "read_file", "write_imported",
+    "DATA_SETS", "DataSet", "ImportProblem", "Imported", "data_set", "data_sets", "files_of", "read_file",
+    "write_imported",
 ]  # fmt: skip

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from fes.datasets.common import Imported, ImportProblem
+from fes.extensions import ExtensionError, extension_names, load_extension
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,7 +15,8 @@ class DataSet:
     """One data set.
 
     ``looks_like``: names (patterns) of files, or of folders of one run, searched for in a folder. ``reader``: module
-    and function, where that is not the set's own module.
+    and function, where that is not the set's own module. ``read``: the function itself, of a data set that another
+    package brings: ``read(path, foot)`` → :class:`fes.datasets.Imported`.
     """
 
     name: str
@@ -23,6 +25,7 @@ class DataSet:
     licence: str
     looks_like: tuple[str, ...]
     reader: str = ""
+    read: Callable[[Path, str | None], Imported] | None = None
 
     def provenance(self) -> dict[str, str]:
         """For the sidecar of everything that comes from it."""
@@ -94,19 +97,49 @@ _SETS: Final = (
 DATA_SETS: Final = {each.name: each for each in _SETS}
 
 
+def data_sets() -> dict[str, DataSet]:
+    """By name, the data sets known here and those that installed packages bring; ours go first where names meet.
+
+    Raises:
+        ImportProblem: what a package brings is no data set.
+    """
+    found = dict(DATA_SETS)
+    for name in extension_names("importer"):
+        if name not in found:
+            found[name] = _other(name)
+    return found
+
+
+def _other(name: str) -> DataSet:
+    try:
+        found = load_extension("importer", name)
+    except ExtensionError as error:
+        raise ImportProblem(str(error)) from error
+    if not isinstance(found, DataSet) or found.read is None or found.name != name:
+        raise ImportProblem(f"importer {name!r} must be a DataSet of this name with a read function")
+    return found
+
+
+def data_set(name: str) -> DataSet:
+    """One of :func:`data_sets`. Raises ImportProblem: there is none of this name."""
+    known = data_sets() if name not in DATA_SETS else DATA_SETS
+    if name not in known:
+        raise ImportProblem(f"{name}: is no data set known here; {', '.join(known)} are")
+    return known[name]
+
+
 def files_of(name: str, paths: Sequence[Path]) -> list[Path]:
     """The files to read; a folder stands for all files in it that look like the data set's.
 
     Raises:
         ImportProblem: the set is not known, or nothing of it is there.
     """
-    if name not in DATA_SETS:
-        raise ImportProblem(f"{name}: is no data set known here; {', '.join(DATA_SETS)} are")
+    looks_like = data_set(name).looks_like
     found = []
     for path in paths:
         if not path.exists():
             raise ImportProblem(f"{path}: is not there. Name the files of the data set, or their folder.")
-        shapes = DATA_SETS[name].looks_like
+        shapes = looks_like
         one = not path.is_dir() or any(path.resolve().match(shape) for shape in shapes)
         files = [path] if one else sorted({file for shape in shapes for file in path.rglob(shape)})
         if not files:
@@ -123,6 +156,9 @@ def read_file(name: str, path: Path, *, foot: str | None = None) -> Imported:
     Raises:
         ImportProblem: it is none of its files.
     """
-    module, _, function = (DATA_SETS[name].reader or f"{name}.read").partition(".")
+    known = data_set(name)
+    if known.read is not None:
+        return known.read(path, foot)
+    module, _, function = (known.reader or f"{name}.read").partition(".")
     read: Callable[[Path, str | None], Imported] = getattr(importlib.import_module(f"fes.datasets.{module}"), function)
     return read(path, foot)

@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
 from fes import config
+from fes.analysis.own_methods import with_own_methods
 from fes.analysis.pipeline import analyse_chunks, calibrations_of_chunks
 from fes.analysis.results import Analysis
 from fes.analysis.tables import table_of
@@ -73,6 +74,8 @@ def analyse(
     calibration: SensorCalibrations | File | None = None,
     ground: Literal["level", "free"] | float | None = None,
     geometry: Mapping[str, FootGeometry] | None = None,
+    detector: str | None = None,
+    stride_method: str | None = None,
 ) -> Result:
     """Find strides, events, phases, the path over the ground and gait parameters.
 
@@ -82,9 +85,12 @@ def analyse(
         ground: "level", a treadmill's incline in percent, or "free" on stairs and ramps, where the height gained is
             measured. Default: as the recording's sidecar says, else level.
         geometry: by foot, where toe and heel are. Default: the recording's own, or else estimated from the walk.
+        detector: of foot off and initial contact, and
+        stride_method: of stride lengths: names of parts that another package brings (docs/extensions.md).
 
     Raises:
         RecordingError: as of :func:`read`.
+        ExtensionError: there is no such detector or stride method, or it failed.
         CalibrationError: no sensor can be calibrated, or the calibration does not fit the recording.
     """
     first = Chunk(recording) if isinstance(recording, Recording) else next(recording_chunks(Path(recording)))
@@ -94,7 +100,8 @@ def analyse(
 
     def analyses() -> Iterator[Analysis]:
         named = (replace(chunk, recording=labelled(chunk.recording, found.sides)) for chunk in chunks())
-        return analyse_chunks(named, found.calibrations, geometry=geometry, ground=walked_on)
+        own = analyse_chunks(named, found.calibrations, geometry=geometry, ground=walked_on)
+        return with_own_methods(own, detector, stride_method)
 
     walked_on = first.recording.ground
     if ground is not None:

@@ -1,0 +1,107 @@
+"""A detector or a stride method of another package in place of this program's own, in a finished analysis.
+
+A detector is ``detector(track, calibration)`` → ``{"FO": (K,), "IC": (L,)}``, foot off and initial contact in s from
+the track's first sample. A stride method is ``method(track, calibration, t_start_s, t_end_s)`` → stride lengths (M,)
+in m of the strides between these times (M,), NaN where it knows none. ``track`` and ``calibration`` are a
+:class:`fes.recording.Track` and what :func:`fes.calibrate` found for its sensor.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from fes.analysis.results import Analysis
+from fes.estimation.events.offline import GaitEvents
+from fes.extensions import ExtensionError, load_extension
+from fes.recording import Track
+from fes.signals import NS_PER_S, FloatArray, IntArray, StrideResult
+
+Detector = Callable[[Track, Any], Mapping[str, npt.ArrayLike]]
+StrideMethod = Callable[[Track, Any, FloatArray, FloatArray], npt.ArrayLike]
+UNKNOWN_LENGTH = "the stride method gave no length"
+
+
+def with_own_methods(
+    analyses: Iterable[Analysis], detector: str | None = None, stride_method: str | None = None
+) -> Iterator[Analysis]:
+    """The analyses with events and stride lengths by these names of entry points; None keeps this program's own.
+
+    Phases, the path and clearance stay as they are: they do not rest on the events found off-line.
+
+    Raises:
+        ExtensionError: there is no such part, or what it gave is no such result.
+    """
+    find = load_extension("detector", detector) if detector else None
+    measure = load_extension("stride method", stride_method) if stride_method else None
+    for analysis in analyses:
+        found = analysis
+        if find is not None:
+            found = replace(found, events={foot: _events(found, foot, find, str(detector)) for foot in found.events})
+        if measure is not None:
+            found = replace(found, measured_strides=_strides(found, measure, str(stride_method)))
+        yield found
+
+
+def _events(analysis: Analysis, foot: str, find: Detector, name: str) -> GaitEvents:
+    """Swings from each FO to the first IC after it, before the next FO; what has no partner is left out."""
+    track = analysis.recording.tracks[foot]
+    times = _called(name, find, track, analysis.calibrations[foot])
+    if not isinstance(times, Mapping) or not {"FO", "IC"} <= set(times):
+        raise ExtensionError(f"detector {name!r} must give a mapping with FO and IC, gave {type(times).__name__}")
+    fo_ns, ic_ns = (_times_ns(times[what], track, f"detector {name!r}: {what}") for what in ("FO", "IC"))
+    following = np.append(fo_ns[1:], np.iinfo(np.int64).max)
+    position = np.searchsorted(ic_ns, fo_ns, side="right")
+    has = position < len(ic_ns)
+    has[has] = ic_ns[position[has]] <= following[has]
+    fo_ns, ic_ns = fo_ns[has], ic_ns[position[has]]
+    rate = np.linalg.norm(track.gyr_radps, axis=1)
+    spans = np.searchsorted(track.t_sensor_ns, np.column_stack((fo_ns, ic_ns)))
+    mids = np.array([first + int(np.argmax(rate[first : last + 1])) for first, last in spans.tolist()], np.int64)
+    return GaitEvents(fo_ns, track.t_sensor_ns[mids], ic_ns, np.zeros(len(fo_ns), np.bool_))
+
+
+def _times_ns(times_s: npt.ArrayLike, track: Track, what: str) -> IntArray:
+    """Increasing times on the sensor's clock."""
+    try:
+        seconds = np.sort(np.asarray(times_s, np.float64).reshape(-1))
+    except (TypeError, ValueError) as error:
+        raise ExtensionError(f"{what} must be times in s: {error}") from None
+    begin_ns, end_ns = int(track.t_sensor_ns[0]), int(track.t_sensor_ns[-1])
+    if not np.isfinite(seconds).all() or (len(seconds) and not 0 <= seconds[0] <= seconds[-1] <= track.duration_s):
+        raise ExtensionError(f"{what} must lie within the recording, 0 to {track.duration_s:.3f} s from its beginning")
+    return np.clip(begin_ns + np.round(seconds * NS_PER_S).astype(np.int64), begin_ns, end_ns)
+
+
+def _strides(analysis: Analysis, measure: StrideMethod, name: str) -> list[StrideResult]:
+    """All strides, the valid ones of feet with the method's length; one without a length is not valid."""
+    strides = list(analysis.strides)
+    for foot in sorted({stride.foot for stride in strides if stride.valid}):
+        mine = [k for k, stride in enumerate(strides) if stride.foot == foot and stride.valid]
+        track = analysis.recording.tracks[foot]
+        ends_ns = np.array([(strides[k].t_start_ns, strides[k].t_end_ns) for k in mine], np.int64)
+        start_s, end_s = ((ends_ns - int(track.t_sensor_ns[0])) / NS_PER_S).T
+        given = _called(name, measure, track, analysis.calibrations[foot], start_s, end_s)
+        lengths_m = np.asarray(given, np.float64)
+        if lengths_m.shape != (len(mine),) or np.isinf(lengths_m).any() or (lengths_m < 0).any():
+            raise ExtensionError(
+                f"stride method {name!r} must give {len(mine)} lengths in m for {foot}, none below 0 or infinite; "
+                f"their shape is {lengths_m.shape}"
+            )
+        for k, length_m, seconds in zip(mine, lengths_m.tolist(), (end_s - start_s).tolist(), strict=True):
+            known = length_m == length_m
+            strides[k] = replace(
+                strides[k], stride_length_m=length_m, speed_mps=length_m / seconds, stride_length_sd_m=np.nan,
+                valid=known, reason="" if known else UNKNOWN_LENGTH,
+            )  # fmt: skip
+    return strides
+
+
+def _called(name: str, part: Callable[..., Any], *arguments: object) -> Any:
+    """What another package's function gives; whatever it raises is told with its name."""
+    try:
+        return part(*arguments)
+    except Exception as error:  # another's code
+        raise ExtensionError(f"{name!r} failed: {type(error).__name__}: {error}") from error
