@@ -11,6 +11,7 @@ from fes.live.remedies import remedy
 from fes.report.by_hand import summed_up
 from fes.report.quality import CLIPPED_ACC, CLIPPED_GYR, Flag, SensorFlags, SensorQuality
 from fes.report.stimulation import STILL, STOPPED
+from fes.report.strides import StrideRow
 from fes.report.summary import ChannelSummary, ExerciseSummary, SessionSummary
 from fes.report.text import capitalised, count_of, number, readable
 
@@ -21,6 +22,7 @@ FEW_UNEXPLAINED = 0.05  # of the swings: pivots and small steps
 REFUSED_BY_CHOICE: Final = ("not armed", "emergency stop")  # a person had not armed, or had stopped
 _WALKING: Final = "walking_s", "unexplained_s"  # of a foot
 MOST_NAMED: Final = 6
+TOE_SD_CM: Final = 0.6  # of the toe's clearance against optical markers, where the toe is known: docs/accuracy.md
 FIRST = 6  # sentences on the first page; the rest stand further down
 _VERDICTS: Final[dict[Level, str]] = {  # what matters most first
     "alert": "Look before using the numbers",
@@ -150,18 +152,28 @@ def _tuning(channel: ChannelSummary, summary: SessionSummary) -> Iterator[Findin
 
 
 def _toe_on_the_ground(summary: SessionSummary) -> Iterator[Finding]:
-    """Strides whose toe came down in mid-swing, by their own measure."""
+    """Strides whose toe came down in mid-swing, by their own measure; apart, those of which that cannot be told."""
     for foot, own in summary.feet.items():
-        low = [row for row in summary.strides if row.foot == foot and row.valid and row.toe_clearance_cm <= 0.0]
+        measured = [row for row in summary.strides if row.foot == foot and row.valid and row.toe_clearance_cm <= 0.0]
+        of = count_of(own.toe_clearance_cm.n, "stride")
+        low = [row for row in measured if row.toe_clearance_cm <= -TOE_SD_CM]
+        near = [row for row in measured if row.toe_clearance_cm > -TOE_SD_CM]
         if low:
-            of = own.toe_clearance_cm.n
-            which = ", ".join(str(row.number) for row in low[:MOST_NAMED]) + (" …" if len(low) > MOST_NAMED else "")
-            what = f"in {len(low)} of {count_of(of, 'stride')} the toe came to the ground in mid-swing ({which})"
+            what = f"in {len(low)} of {of} the toe came to the ground in mid-swing ({_numbers(low)})"
             text = f"{readable(foot).capitalize()}: {what}: it may have dragged or stumbled there"
             if own.toe_given:
                 yield Finding("warning", f"{text}.")
             else:
                 yield Finding("info", f"{text}; where the toe is was only estimated.")
+        if near:
+            what = f"in {len(near)} of {of} the toe passed within {TOE_SD_CM:g} cm of the ground ({_numbers(near)})"
+            yield Finding(
+                "info", f"{readable(foot).capitalize()}: {what}; whether it touched cannot be told so exactly."
+            )
+
+
+def _numbers(rows: list[StrideRow]) -> str:
+    return ", ".join(str(row.number) for row in rows[:MOST_NAMED]) + (" …" if len(rows) > MOST_NAMED else "")
 
 
 def _strides(summary: SessionSummary) -> Iterator[Finding]:

@@ -167,6 +167,18 @@ def test_tuning_has_its_place_and_a_stumble_is_not_nothing(tmp_path: Path) -> No
     assert "Usable, with points to look at" in render_report(record)
 
 
+def test_a_toe_that_only_seems_to_touch_is_no_warning(replays: Replays) -> None:
+    summary = summarise(replays.of("negard_patient2"))
+    with (TRIALS / "negard_patient2.strides.csv").open() as file:
+        truth_cm = [100.0 * float(row["toe_clearance_m"]) for row in csv.DictReader(file) if row["steady"] == "yes"]
+    assert 0.0 < min(truth_cm) < 0.1, "its toe never touches"
+    measured = [row for row in summary.strides if row.toe_clearance_cm <= 0.0]
+    assert measured, "but for some strides that is what is measured"
+    assert not any("toe" in text for text in texts(summary, "alert", "warning"))
+    (told,) = [text for text in texts(summary, "info") if "the toe passed within 0.6 cm" in text]
+    assert f"({', '.join(str(row.number) for row in measured)})" in told
+
+
 def test_a_foot_that_stopped_answering_is_a_warning() -> None:
     for more in (" and goes back: current 30.0 → 28.0 mA", ""):  # the tuning acts, or only suggests
         why = f"{NO_ANSWER}: look at the electrodes; tuning has stopped{more}"
