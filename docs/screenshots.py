@@ -17,7 +17,7 @@ from subprocess import DEVNULL, run
 ROOT = Path(__file__).resolve().parents[1]
 sys.path += [str(ROOT / "tests"), str(ROOT / "tests" / "transports")]
 
-from live_runs import CampaignBench, LiveRun, bus_text, live_run, sensor_text, standing_first  # noqa: E402
+from live_runs import Bench, LiveRun, bus_text, live_run, sensor_text, standing_first  # noqa: E402
 from page_browser import Page, chromium  # noqa: E402
 from replays import cut, trial  # noqa: E402
 from small_png import smaller  # noqa: E402
@@ -65,7 +65,7 @@ min_off_s = 0.1
 """
 
 
-def both_feet(folder: Path, recording: Path, stack: ExitStack) -> CampaignBench:
+def both_feet(folder: Path, recording: Path, stack: ExitStack) -> Bench:
     """A sensor on each foot, each on a line of its own, the stimulator on CAN."""
     node = stack.enter_context(spawn_node(record=folder / "node.jsonl"))
     sensors = ("right_foot", "left_foot")
@@ -76,7 +76,7 @@ def both_feet(folder: Path, recording: Path, stack: ExitStack) -> CampaignBench:
     lines = [
         sensor_text("xbus", imu.port, sensor=sensor, rate_hz=RATE_HZ) for imu, sensor in zip(imus, sensors, strict=True)
     ]
-    return CampaignBench(sensors[0], imus[0], node, CHANNEL + bus_text(node.bus) + "".join(lines))
+    return Bench(sensors[0], imus[0], node, CHANNEL + bus_text(node.bus) + "".join(lines))
 
 
 def link_of(run: LiveRun) -> str:
@@ -121,7 +121,7 @@ def live_page() -> None:
         write_recording(standing_first(cut(whole, 0.0, 30.0), STANDING_S), recording)
         save(calibrate_phase_sensors(whole), calibration)
         run = stack.enter_context(
-            live_run(folder, recording, "--calibration", calibration, "--dashboard", rig=both_feet)
+            live_run(folder, recording, "--calibration", calibration, "--dashboard", bench=both_feet)
         )
         page = stack.enter_context(chromium(folder / "browser"))
         page.size(1280, 800)

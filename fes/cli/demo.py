@@ -147,10 +147,12 @@ def _report(log: Path, path: Path) -> None:
 
 def _story(result: dict[str, Any]) -> str:
     """What happened, in a sentence or two for people."""
+    from fes.report.text import count_of
+
     first, last = result["first_8_strides"], result["last_10_strides"]
     bad, still = first["dragged"], last["dragged"]
     cleared, recovered = result["strides_until_clear"], result["strides_until_clear_again"]
-    story = f"At first the toe dragged ({bad} of 8 strides, {first['stumbled']} stumbles). "
+    story = f"At first the toe dragged ({bad} of 8 strides, {count_of(first['stumbled'], 'stumble')}). "
     story += f"Stimulation tuned itself; from stride {cleared} on it cleared. " if cleared else "It was not cleared. "
     if recovered is not None:
         story += f"After the electrode slipped it took {recovered} strides to clear again. "

@@ -33,7 +33,7 @@ _KINDS: Final = {  # the first of which a phrase fits; any other text is a chang
     "suggestion": ("suggested: ",),
     "roll_back": ("rolled back", "back to the session's settings", STILL, STOPPED),
     "frozen": ("tuning is frozen", "tuning goes on"),
-    "hint": ("response per charge", "is not reached at the upper bound"),
+    "hint": ("response per charge", "is not reached "),
 }
 
 

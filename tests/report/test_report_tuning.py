@@ -41,6 +41,10 @@ def test_every_kind_of_note_is_told_apart() -> None:
     more = ["back to the session's settings, tuning is frozen: x", "still going back: x", "tuning goes on"]
     kinds = [row.kind for row in tuning_rows([Note(0, "info", "tuning", f"channel 0: {text}") for text in more], 0)]
     assert kinds == ["roll_back", "roll_back", "frozen"]
+    unreached = [
+        Note(0, "info", "tuning", f"channel 0: toe 1 mm is not reached {at} the upper bound") for at in ("at", "below")
+    ]
+    assert [row.kind for row in tuning_rows(unreached, 0)] == ["hint", "hint"]
     assert tuning_rows([Note(0, "info", "tuning", "of no channel")], 0) == (
         TuningRow(0.0, -1, "change", "of no channel"),
     )

@@ -82,6 +82,7 @@ def baseline_command(
     """
     from fes.evaluation.timing.baseline import baseline_text, joined, read_baseline
     from fes.evaluation.timing.judgement import Limits, as_baseline
+    from fes.report.text import count_of
 
     options = _options(chosen)
     given = _tolerances(tolerance_ms)
@@ -98,7 +99,7 @@ def baseline_command(
         print_json({"baseline": str(file), "recordings": [each.to_json() for each in outcomes]}, allow_nan=False)
         return
     _show(outcomes, ("found", "true"))
-    click.echo(f"Baseline  {file}: {len(new)} recordings written. Keep it in version control.")
+    click.echo(f"Baseline  {file}: {count_of(len(new), 'recording')} written. Keep it in version control.")
 
 
 @command.command(name="check")

@@ -39,7 +39,7 @@ export class SideView {
     for (const [, kept] of paths)
       for (const path of kept)
         for (let k = 0; k < path.length; k += 2) [far, high] = [Math.max(far, path[k]), Math.max(high, path[k + 1])];
-    const box = { left: 38, right: width - 12, top: 8, bottom: height - 34 };
+    const box = { left: 46, right: width - 12, top: 8, bottom: height - 34 };
     const x = (m) => box.left + (m / (far * 1.04)) * (box.right - box.left);
     const y = (m) => box.bottom - ((m * 100 + 2) / (high * 112 + 2)) * (box.bottom - box.top);
     pen.font = "12px system-ui, sans-serif";
@@ -51,13 +51,12 @@ export class SideView {
       pen.fillText(m.toFixed(far > 0.9 ? 2 : 1), x(m), box.bottom + 14);
     }
     pen.textAlign = "right";
-    for (let cm = 0; cm <= high * 112; cm += high > 0.2 ? 10 : 5) {
+    const step_cm = high > 0.2 ? 10 : 5;
+    for (let cm = 0; cm <= high * 112; cm += step_cm) {
       line(pen, cm ? colour("--grid") : colour("--soft"), [box.left, y(cm / 100), box.right, y(cm / 100)]);
       pen.fillStyle = colour("--soft");
-      pen.fillText(String(cm), box.left - 5, y(cm / 100) + 4);
+      pen.fillText(cm + step_cm > high * 112 ? `${cm} cm` : String(cm), box.left - 5, y(cm / 100) + 4);
     }
-    pen.textAlign = "left";
-    pen.fillText("cm", 2, box.top + 6);
     pen.textAlign = "center";
     pen.fillText("forward (m) →", (box.left + box.right) / 2, height - 4);
     for (const [foot, kept] of paths) {
