@@ -3,11 +3,12 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PEERS := .venv-peers
+DOCS := .venv-docs
 WHEEL := .venv-wheel
 PYTHONS ?= python3.11 python3.12 python3.13
 
 .DEFAULT_GOAL := help
-.PHONY: help hil demo test test-slow test-live lint format bench bench-figures bench-accuracy peers nightly mutants hazards docs trials lock \
+.PHONY: help hil demo test test-slow test-live lint format bench bench-figures bench-accuracy peers nightly mutants hazards docs docs-site trials lock \
   wheel-test test-pythons clean
 
 help:
@@ -23,6 +24,7 @@ help:
 	@echo "make bench-accuracy  one table of accuracy, ours and other libraries' on the same recordings (about 5 minutes)"
 	@echo "make hil      the whole fault campaign on every transport of this machine; takes hours"
 	@echo "make docs     regenerate the generated parts of docs/"
+	@echo "make docs-site  the documentation as a site, notebooks run, links checked, off-line: out/site/index.html (about 2 minutes)"
 	@echo "make trials   regenerate sim_inputs/ from its seeds"
 	@echo "make nightly  the tests that take long: fuzzing, many examples"
 	@echo "make mutants  mutation testing of the gate and the plan; an unexplained survivor is an error (about 20 minutes)"
@@ -126,6 +128,16 @@ docs: $(VENV)/dev.stamp
 	$(BIN)/python -m statemachine.diagram --write docs/phases.md
 	$(BIN)/python tests/safety/documents.py --write
 
+# The tools are an environment of their own. A warning is an error, a link that leads nowhere is a warning.
+docs-site: $(DOCS)/docs.stamp
+	PYTHONPATH="$(CURDIR)" $(DOCS)/bin/python -m sphinx -q -W --keep-going -b html -c docs/site docs out/site
+	@echo "out/site/index.html"
+
+$(DOCS)/docs.stamp: requirements-docs.lock requirements.lock
+	test -x $(DOCS)/bin/python || $(PYTHON) -m venv $(DOCS)
+	$(DOCS)/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock -r requirements-docs.lock
+	touch $@
+
 # Every fault on every transport, then kill -9 100 times on each and 1,000,000 random frames; some hours. A transport
 # that this machine has not is named and passed over.
 HIL_TRANSPORTS ?= udp_multicast slcan serial serial_rehastim2 socketcan
@@ -147,6 +159,7 @@ lock:
 	uv pip compile pyproject.toml --extra build --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements.lock
 	uv pip compile pyproject.toml --extra dev -c requirements.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-dev.lock
 	uv pip compile benchmarks/peers/requirements.in --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-peers.lock
+	uv pip compile docs/site/requirements.in -c requirements-dev.lock --universal --python-version 3.11 --generate-hashes --no-annotate --no-header -o requirements-docs.lock
 
 clean:
 	rm -rf $(VENV) $(VENV)-* out dist
