@@ -506,7 +506,7 @@ def _typical(falls: FloatArray) -> float:
     return median(np.sort(falls)[-max(3, len(falls) // 3) :])
 
 
-FLAT_RAD, FLAT_RADPS, FLAT_OVER_S = np.radians(5.0), 1.0, 0.02  # the rate is the mean over so long on either side
+FLAT_RAD, FLAT_RADPS, FLAT_OVER_S = np.radians(5.0), 2.0, 0.02  # the rate is the mean over so long on either side
 HEEL_DOWN_RAD = np.radians(1.0)
 RISE_RAD = np.radians(2.0)
 AROUND_S = 0.05  # mid-stance's pitch is the mean over this much before and after
