@@ -9,7 +9,7 @@ from typing import Any
 
 from fes.config import Channel, ChannelLimits
 from fes.gate import SafetyGate
-from fes.signals import Event, ImuSample, OperatorAct, OperatorAction, StimCommand, StimRequest
+from fes.signals import NS_PER_S, Event, ImuSample, OperatorAct, OperatorAction, StimCommand, StimRequest
 
 MS = 1_000_000
 ASKED = StimRequest(0, True, 20.0, 300.0, 40.0)
@@ -68,6 +68,7 @@ class Bench:
         **more: Any,
     ) -> None:
         self.risen = risen
+        self.rests, self.turned_ns = False, -NS_PER_S
         self.channels = channels or (make_channel(),)
         self.gate = SafetyGate(self.channels, max_data_age_ms=max_data_age_ms, validity_ms=validity_ms, **more)
         self.t_ns = 1_000 * MS
@@ -86,9 +87,16 @@ class Bench:
     def sample(self, **changes: Any) -> None:
         for sensor in sorted({channel.foot for channel in self.channels}):
             plain = ImuSample(
-                self.t_ns, sensor, self.t_ns - 3 * MS, (noise(self.t_ns), 0.0, 9.8), (0.0, 0.0, noise(self.t_ns))
+                self.t_ns, sensor, self.t_ns - 3 * MS, (noise(self.t_ns), 0.0, 9.8), (0.0, 0.0, self.turns_radps())
             )
             self.observe(plain._replace(**changes))
+
+    def turns_radps(self) -> float:
+        """About the vertical: by jerks of 1 rad/s, which go on as one long swing, or at rest."""
+        if self.rests or self.t_ns - self.turned_ns < 150 * MS:
+            return noise(self.t_ns)
+        self.turned_ns = self.t_ns
+        return 1.0 + noise(self.t_ns)
 
     def wait(self, ms: float, *, sampling: bool = True) -> None:
         """Let time pass, with a sample at its end, and often enough before."""

@@ -6,8 +6,9 @@ arms again. Every limit is the smaller of the absolute one (:mod:`fes.limits`) a
 and :meth:`SafetyGate.judge` are told, in times that must never run backward.
 
 Some refusals do not latch, because nothing is broken: not armed, too soon after the last burst, an antagonist still
-on. A burst refused in this way, or one whose command ran out before the next came, is *held back*: it may still start
-late with one step of the device, and where it asks for more, it is refused in silence until the plan has asked for off.
+on, a foot that rests (:mod:`fes.gate.movement`). A burst refused in this way, or one whose command ran out before the
+next came, is *held back*: it may still start late with one step of the device, and where it asks for more, it is
+refused in silence until the plan has asked for off.
 """
 
 from collections.abc import Mapping
@@ -18,8 +19,10 @@ from fes.config import Channel, ImuDevice, Session
 from fes.gate.channel import COARSEST_STEP_MA, RISE_STEP_MA, ChannelState
 from fes.gate.electrical import is_number, no_number, over_a_cap, shown, wrongly_delivered
 from fes.gate.freshness import Freshness, Stamps
+from fes.gate.movement import BurstWatch, Movement
 from fes.gate.plausibility import Plausible
 from fes.signals import (
+    NS_PER_S,
     Event,
     ImuSample,
     OperatorAct,
@@ -56,6 +59,7 @@ class SafetyGate:
         up: each sensor's upward direction at calibration; without it its mounting is not judged.
         shank_phase_sensors: for a foot whose phases another sensor tells (its shank's), that sensor.
         by_sensors: whether a sensor tells when to stimulate; without one, in exercise, no data are asked for.
+        exercise_s: how long a burst of an exercise lasts until it falls.
         current_step_ma: the stimulator's step of current, at most ``COARSEST_STEP_MA``; a rise may be rounded to it.
 
     Attributes:
@@ -74,6 +78,7 @@ class SafetyGate:
         up: Mapping[str, Vector3] | None = None,
         shank_phase_sensors: Mapping[str, str] | None = None,
         by_sensors: bool = True,
+        exercise_s: float = 0.0,
         current_step_ma: float = RISE_STEP_MA,
     ) -> None:
         self._validity_ms = min(limits.MAX_VALIDITY_MS, validity_ms)
@@ -90,6 +95,12 @@ class SafetyGate:
                 channel, sensor, partners, self._validity_ms * 1_000_000, step_ma
             )
         self._relied_on = frozenset(filter(None, (state.sensor for state in self._channels.values())))
+        self._movements = {sensor: Movement() for sensor in self._relied_on}
+        exercise_ns = round(exercise_s * NS_PER_S)
+        self._watches = {
+            number: BurstWatch(state.channel, self._movements.get(state.sensor), exercise_ns)
+            for number, state in self._channels.items()
+        }
         self.flagged: dict[str, Flagged] = {}
         self.arming_refused = ""
         self.latched_ns: int | None = None
@@ -125,6 +136,8 @@ class SafetyGate:
             # all three take it in, whatever one of them says; the gravest is named
             order, fault = self.stamps.fault(event), self._freshness.note(event)
             implausible = self._plausible.fault(event)
+            if movement := self._movements.get(event.sensor):
+                movement.observe(event)
             if fault := fault or implausible or order or silence:
                 self._on_fault_of(event, fault)
         elif isinstance(event, OperatorAct):
@@ -147,6 +160,8 @@ class SafetyGate:
         self.flagged[sample.sensor] = Flagged(before + 1, fault, sample.t_ns)
 
     def _on_act(self, act: OperatorAct) -> None:
+        for watch in self._watches.values():
+            watch.observe(act)
         if act.action is OperatorAction.ARM:
             reasons = (self._reason_not_ready(sensor, act.t_ns) for sensor in sorted(self._relied_on))
             self.arming_refused = next(filter(None, reasons), "")
@@ -230,6 +245,8 @@ class SafetyGate:
         hold = state.off_too_short(t_ns) or self._antagonist_on(state)
         if not hold and state.held_back:  # of any other burst a rise too fast is a fault
             hold = state.rises_too_fast(t_ns, request.current_ma)
+        if not hold:  # after all others: to a burst asked for by hand it is told that it begins
+            hold = self._watches[state.channel.number].forbids(t_ns, begins=not state.on)
         return f"{state.channel.name}: {hold}" if hold else ""
 
     def _fault(self, t_ns: int, state: ChannelState, request: StimRequest) -> str:
@@ -278,5 +295,6 @@ def gate_of(
         up=up,
         shank_phase_sensors=shank_phase_sensors,
         by_sensors=session.exercise is None,
+        exercise_s=session.exercise.rise_s + session.exercise.on_s if session.exercise else 0.0,
         current_step_ma=current_step_ma,
     )

@@ -309,6 +309,9 @@ LIMITS = (  # as fes.gate words them; the plan keeps within them, so a gate is m
     "rise to 30 mA too fast, at most 4 mA by now",
     "current 41 mA, limit 40 mA",
     "never together with calf, which is on",
+    "the foot rests",
+    "on for more than 2 swings of the foot",
+    "on for 1.52 s without a swing of the foot",
 )
 
 

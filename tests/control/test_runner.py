@@ -143,7 +143,11 @@ class Bench:
 
 
 def sample(ms: int) -> ImuSample:
-    return ImuSample(ms * MS, "right_foot", ms * MS, (1e-4 * (ms % 97), 0.0, 9.81), (0.0, 0.0, 1e-4 * (ms % 97)))
+    turns_radps = (
+        1.0 if ms % 200 < 20 else 0.0
+    )  # about the vertical: by jerks, or the gate would say that the foot rests
+    living = 1e-4 * (ms % 97)
+    return ImuSample(ms * MS, "right_foot", ms * MS, (living, 0.0, 9.81), (0.0, 0.0, turns_radps + living))
 
 
 def armed(until_ms: int = 600, acts: Iterable[OperatorAct] = ()) -> Iterator[Event]:

@@ -89,9 +89,10 @@ def test_the_shank_that_drives_a_foot_latches_and_that_foots_own_sensor_is_then_
 
 @pytest.mark.requirement("SR-10")
 def test_in_exercise_no_data_are_asked_for_and_all_else_holds() -> None:
-    bench = Bench(arm=False, by_sensors=False)
+    bench = Bench(arm=False, by_sensors=False, exercise_s=1.0)
     bench.act(OperatorAction.ARM)
     bench.off()
+    bench.act(OperatorAction.EXERCISE, 0.0)
     for _ in range(10):
         bench.wait(20, sampling=False)
         assert bench.ask(current_ma=5.0).on
@@ -129,7 +130,7 @@ def test_stale_data_do_not_latch_while_nothing_is_asked(bench: Bench) -> None:
 def test_other_foots_data_do_not_count() -> None:
     bench = Bench(make_channel(0), make_channel(1, "right_foot"))
     bench.wait(41, sampling=False)
-    bench.observe(ImuSample(bench.t_ns, "right_foot", bench.t_ns - 3 * MS, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
+    bench.observe(ImuSample(bench.t_ns, "right_foot", bench.t_ns - 3 * MS, (0.0, 0.0, 9.8), (0.0, 0.0, 1.0)))
     assert bench.ask(1, 1.0).on
     assert_latched(bench, bench.ask(0, 1.0), "left_foot data 41 ms old")
 
@@ -137,6 +138,7 @@ def test_other_foots_data_do_not_count() -> None:
 @pytest.mark.requirement("SR-09")
 def test_queue_drained_late_shows_on_the_sensors_own_clock(bench: Bench) -> None:
     sent_ns = bench.t_ns
+    bench.rests = True
     bench.wait(200, sampling=False)
     for i in range(1, 80):  # all arrive now; the newest was sent 42 ms ago
         bench.sample(t_sensor_ns=sent_ns - 3 * MS + i * 2 * MS)
@@ -511,7 +513,7 @@ def test_shank_that_drives_a_foots_channel_is_the_one_that_counts() -> None:
     bench.sample()
     bench.act(OperatorAction.ARM)
     assert bench.gate.arming_refused == "no data from left_shank"
-    bench.sample(sensor="left_shank")
+    bench.sample(sensor="left_shank", gyr_radps=(0.0, 0.0, 1.0))
     bench.rearm()
     bench.off()
     assert bench.ask(current_ma=0.5).on

@@ -692,9 +692,9 @@ def session_gate(**more: float) -> SafetyGate:
     return gate_of(session, {"left_shank": (0.0, 0.0, 1.0)}, {"left_foot": "left_shank"}, **more)
 
 
-def shank_sample(gate: SafetyGate, t_ns: int, acc: Vector3 = UP) -> None:
+def shank_sample(gate: SafetyGate, t_ns: int, acc: Vector3 = UP, turns_radps: float = 1.0) -> None:
     alive = (acc[0] + 1e-9 * (t_ns % 1_000_003), acc[1], acc[2])
-    gate.observe(sample(t_ns, t_ns, alive)._replace(sensor="left_shank"))
+    gate.observe(sample(t_ns, t_ns, alive)._replace(sensor="left_shank", gyr_radps=(0.0, 0.0, turns_radps + alive[0])))
 
 
 def test_gate_of_a_session_takes_all_that_the_session_says() -> None:
@@ -724,6 +724,6 @@ def test_gate_of_a_session_knows_ranges_and_mounting() -> None:
     assert gate.latched == "left_shank is saturated: at the end of its range for 80 ms"
     gate = session_gate()
     for k in range(20):
-        shank_sample(gate, S + k * 10 * MS, (0.0, 0.0, -9.8))
+        shank_sample(gate, S + k * 10 * MS, (0.0, 0.0, -9.8), 0.0)
     gate.observe(OperatorAct(S + 190 * MS, OperatorAction.ARM))
     assert "remounted" in gate.arming_refused

@@ -19,7 +19,7 @@ STRIDE_MS, SWING_MS = 1200, 450
 def walked(
     use: str, *, switch_until_ms: int = 8000, silent_at_ms: int | None = None, samples_until_ms: int = 8000
 ) -> list[StimCommand]:
-    """A sensor that lies still on a foot whose switch walks."""
+    """A sensor that tells no step, for it turns about the vertical alone, on a foot whose switch walks."""
     assert SETTINGS.is_file()
     switch = FootSwitch.model_validate({"foot": FOOT, "source": "can_bit", "use": use})
     session = settings().model_copy(update={"foot_switches": (switch,)})
@@ -28,9 +28,8 @@ def walked(
     for ms in range(0, 8000, 10):
         events = []
         if ms <= samples_until_ms:
-            events.append(
-                ImuSample(ms * MS, FOOT, ms * MS, (1e-4 * (ms // 10 % 9), 0.0, 9.81), (1e-4 * (ms // 10 % 9), 0.0, 0.0))
-            )
+            living, turns_radps = 1e-4 * (ms // 10 % 9), 0.9 if ms % STRIDE_MS < SWING_MS else 0.0
+            events.append(ImuSample(ms * MS, FOOT, ms * MS, (living, 0.0, 9.81), (living, 0.0, turns_radps)))
         if ms == 500:
             events += [
                 OperatorAct(ms * MS, OperatorAction.ARM),

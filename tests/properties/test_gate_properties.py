@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from fes.config import Channel, ImuDevice
 from fes.gate import SafetyGate
 from fes.signals import (
+    NS_PER_S,
     Event,
     ImuSample,
     OperatorAct,
@@ -268,6 +269,7 @@ class Trial:
         )
         self.oracle = Oracle()
         self.t_ns = 0
+        self.turned_ns: dict[str, int] = {}
 
     def observe(self, event: Event) -> None:
         self.gate.observe(event)
@@ -276,7 +278,11 @@ class Trial:
     def feed(self, late_ms: int = 0, value: float = 9.8, feet: tuple[str, ...] = SENSORS) -> None:
         for foot in feet:
             alive = 1e-9 * (self.t_ns % 1_000_003)  # no living sensor repeats itself
-            self.observe(ImuSample(self.t_ns, foot, self.t_ns - late_ms * MS, (alive, 0.0, value), (0.0, 0.0, alive)))
+            # by jerks about the vertical, or the gate would say that the foot rests
+            turns_radps = 0.0 if self.t_ns - self.turned_ns.get(foot, -NS_PER_S) < 150 * MS else 1.0
+            self.turned_ns[foot] = self.t_ns if turns_radps else self.turned_ns[foot]
+            gyr = (0.0, 0.0, turns_radps + alive)
+            self.observe(ImuSample(self.t_ns, foot, self.t_ns - late_ms * MS, (alive, 0.0, value), gyr))
 
     def odd(self, kind: str, sensor: str, steps: int, period_ms: int, number: int) -> None:
         """One sensor goes wrong while the others are well; a channel is asked for all the while."""

@@ -551,7 +551,8 @@ def test_gate_never_refuses_what_the_plan_asks(
         t_ns = t_ms * MS
         for foot in phases:
             living = 1e-9 * (t_ns % 1_000_003)
-            gate.observe(ImuSample(t_ns, foot, t_ns, (0.0, living, 9.8), (0.0, 0.0, living)))
+            turns_radps = 1.0 if t_ms % 200 == 0 else 0.0  # by jerks, or the gate would say that the foot rests
+            gate.observe(ImuSample(t_ns, foot, t_ns, (0.0, living, 9.8), (0.0, 0.0, turns_radps + living)))
         while changes and changes[0][0].t_ns <= t_ns:
             change, (_, _, permitted, intensity) = changes.pop(0)
             plan.on_phase(change, permitted=permitted)
@@ -574,7 +575,7 @@ def test_gate_lets_a_device_of_coarse_steps_begin_right_after_a_command() -> Non
     channels = (make_channel(limits={"max_rise_ma_per_s": 400.0}),)
     plan = StimulationPlan(channels, current_step_ma=1.0)
     gate = SafetyGate(channels, max_data_age_ms=40, validity_ms=60, current_step_ma=1.0)
-    gate.observe(ImuSample(0, "left_foot", 0, (0.0, 0.0, 9.8), (0.0, 0.0, 0.0)))
+    gate.observe(ImuSample(0, "left_foot", 0, (0.0, 0.0, 9.8), (0.0, 0.0, 1.0)))
     gate.observe(OperatorAct(0, OperatorAction.ARM))
     gate.judge(0, plan.requests(0, 1.0)[0])
     plan.on_phase(PhaseChange(0, "left_foot", Transition.T1, STANCE, PRE_SWING), permitted=True)
