@@ -33,7 +33,7 @@ REMEDIES: Final[tuple[tuple[str, str], ...]] = (  # the first whose words are fo
     (r"moves \(", "Stand still for a second."),
     (
         r"the foot rests|without a swing|swings of the foot|nobody asked|a person asked for",
-        "The plan asked for current where the foot's movement, or a person, asks for none; keep the log if it comes again.",
+        "The plan asked for current where the foot's movement, or a person, asks for none; keep the log.",
     ),
     (r"mA|µC|µs|mC| Hz|on for|off for|never together|has no channel|must be true or false", _REQUEST),
 )
