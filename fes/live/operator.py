@@ -4,7 +4,7 @@ The state informs people and locks commands. What stimulates is decided by contr
 everything that a command changes goes through an event, is logged, and comes out the same in a replay.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -83,6 +83,7 @@ class TuningCommands:
         return [OperatorAct(t_ns, ACTIONS[command.kind], float(channel))]
 
 
+SIDE_NOTED: Final = "noted"
 INTENSITY_STEP: Final = 0.05
 RAISE_PAUSE_NS: Final = 150_000_000  # a key held down must not run through the whole range
 STOP_STANDS_NS: Final = NS_PER_S // 2  # an arming that was on its way when somebody stopped must not undo it
@@ -96,13 +97,25 @@ JUST_NS: Final = 100_000_000  # what the loop did once it was off, on purpose, m
 ANSWER_NS: Final = NS_PER_S // 2  # the stimulator's heartbeat comes every 100 ms
 
 
+def lone_side(feet: Iterable[str]) -> str:
+    """ "left" or "right", where that leg alone has a sensor: then no movement tells whether it is on the other one."""
+    sides = {foot.split("_")[0] for foot in feet}
+    return sides.pop() if len(sides) == 1 else ""
+
+
+def question_of_side(side: str) -> str:
+    """What is asked of a person before arming."""
+    return f"One leg's sensor cannot tell its side: is it on the {side} leg?"
+
+
 @dataclass(eq=False)
 class Operator:
     """The session's state and the way from a command to events.
 
     ``monitors`` by sensor; ``phase_sensor_of``: by foot, the sensor that tells its phases; ``answered_ns``: when the
     stimulator last said anything; ``checks``: further reasons against arming, each "" when there is none (log, stop
-    file, free disk …); ``unknown``: what the stimulator cannot tell yet, said when armed.
+    file, free disk …); ``unknown``: what the stimulator cannot tell yet, said when armed. ``side``: "left" or "right",
+    where a person has said already on which leg the only sensor sits; see :func:`lone_side`.
     """
 
     session: Session
@@ -114,8 +127,12 @@ class Operator:
     answered_ns: Callable[[], int | None]
     checks: Callable[[], list[str]] = list
     unknown: Callable[[], str] = str
+    side: str = ""
 
     def __post_init__(self) -> None:
+        self._lone_side = lone_side(self.phase_sensor_of) if self.session.exercise is None else ""
+        self._side_by = "--side" if self.side and self.side == self._lone_side else ""
+        self._side_asked_ns: int | None = None
         self.machine = SessionMachine()
         self.message = "warming up"
         self.belt_speed_mps = self.session.treadmill.belt_speed_mps if self.session.treadmill else None
@@ -237,12 +254,30 @@ class Operator:
         resumes = self.state is State.PAUSED
         if reasons := self.reasons_not_ready(t_ns, at_rest=not resumes):
             return self._refuse(t_ns, "cannot arm: " + "; ".join(reasons))
+        if self._lone_side and not self._is_side_confirmed(command, t_ns):
+            return []
         arm = OperatorAct(t_ns, OperatorAction.ARM)
         self._zero_moved = ""
         if resumes:  # nobody rests, so nothing is known of zeros; and tuning may go on by a person's own word
             return [arm]
         self._intensity = 0.0  # whatever it was: from nothing, by hand
         return [OperatorAct(t_ns, OperatorAction.SET_INTENSITY, 0.0), arm, *self._without_heights(t_ns)]
+
+    def _is_side_confirmed(self, command: OperatorCommand, t_ns: int) -> bool:
+        """Whether a person has said that the only leg with a sensor is the one stated; a key must be pressed twice.
+
+        Once in a session, and noted. The confirmation of the page and of the control socket stands for the second key.
+        """
+        if self._side_by == SIDE_NOTED:
+            return True
+        asked_ns, self._side_asked_ns = self._side_asked_ns, t_ns
+        if not self._side_by and command.origin == "key" and (asked_ns is None or t_ns - asked_ns > AGAIN_NS):
+            self.message = f"{question_of_side(self._lone_side)} a again"
+            return False
+        by = self._side_by or command.origin
+        self.note(Note(t_ns, "info", "session", f"the only sensor is on the {self._lone_side} leg, confirmed ({by})"))
+        self._side_by = SIDE_NOTED
+        return True
 
     def _without_heights(self, t_ns: int) -> list[Event]:
         """Where the measured foot cannot be trusted to the centimetre, nothing is tuned by it; a person may resume."""

@@ -58,7 +58,8 @@ class LiveSession:
     """Made from open devices and an open log; :meth:`run` is the session.
 
     Everything is stamped by ``clock_ns``, the monotonic clock. After ``duration_s`` the session ends by itself; None:
-    the operator ends it. For ``open_lead_detected_from_ma`` see :class:`fes.live.stimulator.Electrodes`.
+    the operator ends it. For ``open_lead_detected_from_ma`` see :class:`fes.live.stimulator.Electrodes`. ``side``: on
+    which leg the only sensor is, if a person has said so.
     """
 
     def __init__(
@@ -73,6 +74,7 @@ class LiveSession:
         *,
         current_step_ma: float = CURRENT_STEP_MA,
         open_lead_detected_from_ma: float | None = None,
+        side: str = "",
     ) -> None:
         self.controller = Controller(session, calibrations, current_step_ma=current_step_ma)
         self.gate = gate_of(
@@ -95,7 +97,7 @@ class LiveSession:
         self.monitor.free_ground = session.ground.free
         self.operator = Operator(
             session, self.controller, self.gate, monitors, phase_sensor_of, self.monitor.note,
-            lambda: self.monitor.answered_ns, self._reasons_not_ready, electrodes.unknown,
+            lambda: self.monitor.answered_ns, self._reasons_not_ready, electrodes.unknown, side,
         )  # fmt: skip
         self.stimulator = stimulator
         self.runner = Runner(self.controller, self.gate, stimulator, self.monitor, clock_ns, from_reading=True)

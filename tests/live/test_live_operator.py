@@ -39,7 +39,7 @@ from fes.live.inputs import Control, FootSwitchInput, Keyboard, StopSwitch
 from fes.live.log_pipe import PipedLog
 from fes.live.monitor import Monitor
 from fes.live.notices import Notices, tuning_status
-from fes.live.operator import Operator
+from fes.live.operator import Operator, lone_side
 from fes.live.remedies import remedy
 from fes.live.sensor_monitor import SensorMonitor
 from fes.live.source import SwitchComparison
@@ -86,7 +86,7 @@ def settings() -> Session:
 class Bench:
     """Operator, gate and controller; :meth:`stand` lets samples come."""
 
-    def __init__(self, session: Session | None = None) -> None:
+    def __init__(self, session: Session | None = None, side: str = "right") -> None:
         session = settings() if session is None else session
         self.t_ns = 0
         self.answered_ns: int | None = None
@@ -104,6 +104,7 @@ class Bench:
             self.notes.append,
             lambda: self.answered_ns,
             lambda: self.further,
+            side=side,
         )
 
     def handle(self, event: Event) -> None:
@@ -152,6 +153,53 @@ def test_it_gets_ready_is_armed_by_hand_and_starts_from_nothing() -> None:
     assert bench.operator.state is State.ARMED
     assert bench.gate.armed
     assert bench.controller.intensity == 0.0
+
+
+def side_notes(bench: Bench) -> list[str]:
+    return [note.text for note in bench.notes if "only sensor" in note.text]
+
+
+@pytest.mark.requirement("SR-21")
+def test_one_legs_side_is_asked_of_the_operator_once_and_the_answer_noted() -> None:
+    bench = Bench(side="")
+    bench.stand(3.0)
+    assert bench.command(Kind.ARM) == []
+    assert bench.operator.message == "One leg's sensor cannot tell its side: is it on the right leg? a again"
+    assert bench.operator.state is State.SHADOW
+    bench.stand(5.1)  # too late: asked anew
+    assert bench.command(Kind.ARM) == []
+    assert side_notes(bench) == []
+    bench.command(Kind.ARM)
+    assert bench.operator.state is State.ARMED
+    assert side_notes(bench) == ["the only sensor is on the right leg, confirmed (key)"]
+    bench.command(Kind.DISARM)
+    bench.stand(1.0)
+    bench.command(Kind.ARM)
+    assert bench.operator.state is State.ARMED
+    assert len(side_notes(bench)) == 1
+
+
+@pytest.mark.requirement("SR-21")
+@pytest.mark.parametrize(("side", "origin", "by"), [("right", "key", "--side"), ("", "control", "control")])
+def test_one_legs_side_that_was_said_otherwise_is_noted_as_such(side: str, origin: str, by: str) -> None:
+    bench = Bench(side=side)
+    bench.stand(3.0)
+    for event in bench.operator.execute(OperatorCommand(Kind.ARM, origin=origin), bench.t_ns):
+        bench.handle(event)
+    assert bench.operator.state is State.ARMED
+    assert side_notes(bench) == [f"the only sensor is on the right leg, confirmed ({by})"]
+
+
+def test_the_other_side_said_confirms_nothing() -> None:
+    bench = Bench(side="left")
+    bench.stand(3.0)
+    assert bench.command(Kind.ARM) == []
+    assert bench.operator.state is State.SHADOW
+
+
+def test_only_one_leg_has_a_side_to_ask_for() -> None:
+    assert lone_side(["left_foot"]) == "left"
+    assert lone_side(["left_foot", "right_foot"]) == lone_side([]) == ""
 
 
 class Steps:

@@ -433,3 +433,11 @@ def test_a_damaged_message_is_refused(noise: bytes) -> None:
     with suppress(ValueError):
         read_detail(DETAIL + noise)
     assert read_hello(hello({"name": "ä"})) == {"name": "ä"}
+
+
+def test_before_arming_it_asks_on_which_leg_the_only_sensor_is(access: Access) -> None:
+    browser = Browser(access, ask_side="Is it on the right leg?")
+    browser.say(token="link")
+    reply = browser.say(ask="arm").reply
+    assert reply is not None
+    assert reply["question"]["text"].startswith("Is it on the right leg? Arm the stimulator?")

@@ -33,6 +33,7 @@ from fes.live.commands import CommandKind, OperatorCommand
 from fes.live.exercise import ExerciseClock
 from fes.live.inputs import FootSwitchInput, Keyboard, StopFile, StopSwitch, Terminal, standard_keys
 from fes.live.log_pipe import PipedLog
+from fes.live.operator import lone_side
 from fes.live.processes import ViewProcess
 from fes.live.realtime import become_real_time
 from fes.live.sensors import SensorStream
@@ -102,6 +103,7 @@ class Options:
     out: Path | None = None
     calibration: Path | None = None
     strides: int = 6
+    side: str = ""
     duration_s: float | None = None
     stop_file: Path | None = None
     stop_input: str = ""
@@ -136,6 +138,7 @@ def live_options(command: Command) -> Command:
 @click.argument("session", type=PATH)
 @click.option("--calibration", type=PATH, help="From `fes calibrate`. Default: calibrate first.")
 @click.option("--strides", type=click.IntRange(3, 100), default=6, show_default=True, help="To calibrate on, per foot.")
+@click.option("--side", type=click.Choice(("left", "right")), help="On which leg the only sensor is; else arming asks.")
 @live_options
 def command(session: Path, **options: Any) -> None:
     """Run a live session with the settings in SESSION (TOML).
@@ -176,6 +179,14 @@ def run_session(path: Path, options: Options) -> Path:
         if missing:
             which = ", ".join(missing)
             raise Problem(f"{options.calibration}: holds no calibration of {which}, which a channel follows.")
+        worn_on = lone_side(phase_sensors(calibrations))
+        if options.side and options.side != worn_on:
+            says = (
+                f"the session's only sensor is on the {worn_on} leg"
+                if worn_on
+                else "the session has both legs' sensors"
+            )
+            raise Problem(f"--side {options.side}: {says}.")
         log_path, ended = run_live(session, calibrations, streams, options, folder, keys, interrupt, stack)
     finish(log_path, ended, report=options.report)
     return log_path
@@ -267,6 +278,7 @@ def run_live(
         options.duration_s,
         current_step_ma=port.current_step_ma,
         open_lead_detected_from_ma=open_lead_detected_from_ma(session.stimulator),
+        side=options.side or "",
     )
     _give_inputs(live, session, options, folder, keys, stack)
     if session.exercise is not None:

@@ -101,10 +101,11 @@ class MessageHandler:
         if ask == CommandKind.UP and status.intensity >= most - 1e-6:
             return _refuse(f"{most:.0%} is the most that this session allows")
         raised = min(status.intensity + float(self.about["intensity_step"]), most)
+        side = f"{self.about['ask_side']} " if self.about.get("ask_side") else ""
         questions: dict[str, str] = {
             CommandKind.UP: f"Raise the intensity from {status.intensity:.0%} to {raised:.0%}?",
             RESUME: f"Go on at {status.intensity:.0%} intensity? Current may flow at the next step.",
-            CommandKind.ARM: "Arm the stimulator? The intensity starts at 0 %.",
+            CommandKind.ARM: f"{side}Arm the stimulator? The intensity starts at 0 %.",
         }
         identifier = self._confirmations.ask(ask, _situation(status), t_ns)
         return Outcome({"question": {"id": identifier, "ask": ask, "text": questions[ask]}})

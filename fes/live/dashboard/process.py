@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from fes.config import Session
+from fes.estimation.sensor_choice import phase_sensors
 from fes.live.dashboard.access import LOOPBACK, link_address, write_link
 from fes.live.dashboard.frames import END, hello
 from fes.live.dashboard.stream import DashboardStream
-from fes.live.operator import INTENSITY_STEP
+from fes.live.operator import INTENSITY_STEP, lone_side, question_of_side
 from fes.live.processes import end_helper
 
 LINK_NAME: Final = "page.url"
@@ -25,8 +26,10 @@ ANSWER_WAIT_S: Final = 2.0
 
 def about_session(session: Session, mode: str) -> dict[str, Any]:
     """What the dashboard shows before anything happens: channels, bounds. ``mode``: live, exercise or replay."""
+    side = lone_side(phase_sensors(str(device.sensor) for device in session.sensors)) if mode == "live" else ""
     return {
         "mode": mode,
+        "ask_side": question_of_side(side) if side else "",
         "name": session.name,
         "most_intensity": session.stimulation.intensity,
         "intensity_step": INTENSITY_STEP,
